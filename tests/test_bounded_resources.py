@@ -13,7 +13,7 @@ from small_arms import ROOT
 
 from benchmarks.reliability.mutants import alone
 from stiffopt.discovery import diagnose
-from stiffopt.discovery.comparison.evidence import _Factored
+from stiffopt.discovery.comparison.evidence import _FactoredSums
 from stiffopt.errors import InputError, InputFileError, RobotError, UnitError
 from stiffopt.files import MAX_STRING, atomic_write, load_json, load_toml, read_table
 from stiffopt.folders import check_result
@@ -115,7 +115,7 @@ def test_a_pause_of_an_hour_is_a_gap(tmp_path):
 @pytest.mark.parametrize("step", [5e-324, 1e-300])
 def test_a_clock_of_denormal_steps_is_no_overflow(step, tmp_path):
     time = np.concatenate([np.arange(30) * step, [1.0]])
-    with pytest.raises(InputFileError, match=r"row 31: time goes on by 1 s|different times|no motion of a robot"):
+    with pytest.raises(InputFileError, match=r"row 31|different times|no motion"):
         read_clock(time, tmp_path / "run.csv", "t")
 
 
@@ -319,7 +319,7 @@ def test_an_answer_is_kept_where_its_words_cannot_be_written(tmp_path):
 @pytest.mark.parametrize("size", [1e3, 1e17, 3.3e19, 7.7e22, 1e28])
 def test_evidence_of_a_column_that_another_holds_is_finite(size):
     sums = np.array([[[size]]]), np.array([[size]]), np.array([size])
-    known = _Factored(*sums, np.ones(1))
+    known = _FactoredSums(*sums, np.ones(1))
     for share in np.linspace(0.999, 1.001, 21):
         column = np.array([[share * size]])
         added = known.with_few(column, share * column, column[0])

@@ -36,9 +36,9 @@ def without_nuisance(_: str) -> Iterator[None]:
     from stiffopt.discovery.comparison import nuisance
     from stiffopt.recording.nominal import Tolerance
 
-    names = vars(nuisance.merged(Tolerance(), Tolerance()))
+    names = vars(nuisance.merge_tolerances(Tolerance(), Tolerance()))
     exact = Tolerance(**dict.fromkeys(names, 0.0))
-    with mock.patch.object(training, "merged", return_value=exact):
+    with mock.patch.object(training, "merge_tolerances", return_value=exact):
         yield
 
 

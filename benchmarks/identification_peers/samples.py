@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.real_peers import Motion
-from stiffopt.discovery.comparison.prepare import prepare
+from stiffopt.discovery.comparison.prepared_run import prepare_run
 from stiffopt.discovery.diagnosis import Diagnosis
 from stiffopt.discovery.proof.predict import Prediction
 from stiffopt.recording.run import RecordedRun
@@ -42,7 +42,7 @@ def _followed(diagnosis: Diagnosis, run: RecordedRun, band: float) -> list[np.nd
     training = diagnosis.training
     blind = replace(run, torque=np.full_like(run.torque, np.nan), link_position=None)
     narrowed = replace(diagnosis.settings, cutoff=band)
-    prepared = prepare(training.robot, blind, 0, training.constants, narrowed, swinging=False)
+    prepared = prepare_run(training.robot, blind, 0, training.constants, narrowed, swinging=False)
     signals = prepared.signals
     return [
         np.column_stack([np.interp(run.time, prepared.time, column) for column in values.T])

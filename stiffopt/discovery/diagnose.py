@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from stiffopt.discovery.catalogue import CATALOGUE, of_runs
-from stiffopt.discovery.comparison.extension import Extension
+from stiffopt.discovery.catalogue import CATALOGUE, effects_of_runs
+from stiffopt.discovery.comparison.located_effect import Extension
 from stiffopt.discovery.conclusions import findings_of, next_experiment, verdict_of
 from stiffopt.discovery.diagnosis import (
     Diagnosis,
@@ -155,7 +155,7 @@ def _diagnosed(
     if base is not None:
         recordings = base.applied_to(recordings)
     runs = training_runs(recordings, say)
-    catalogue = of_runs((*CATALOGUE, *extra), [run.name for run in runs])
+    catalogue = effects_of_runs((*CATALOGUE, *extra), [run.name for run in runs])
     every = samples_a_mean(runs)
     thin = () if every == 1 else (sentence(runs, every),)
     clock = sampling_rate(runs)
@@ -210,7 +210,7 @@ def _diagnosed(
         unexplained = unless_stopped(stopped, NO_BURSTS, burst)
     new = [s for s in selected if s.located.effect.nominal not in recordings.unstated]
     pair = leading_pair(new or selected) if experiment else None
-    whole = found if base is None else base.extension.followed_by(found)
+    whole = found if base is None else base.extension.plus(found)
     plan = None
     if pair is not None:
         plan = unless_stopped(
@@ -289,13 +289,13 @@ def _parameters(
 ) -> tuple[tuple[Selected, ...], Estimate]:
     """Findings and their parameters, as far as the user waits for them."""
     comparison = result.comparison
-    comparison.columns.release()
+    comparison.columns.release_memory()
 
     def fitted(found: Sequence[Selected]) -> tuple[tuple[Selected, ...], Estimate]:
         located = tuple(s.located for s in found)
         return tuple(found), even_if_stopped(stopped, lambda: estimate(comparison, located))
 
-    if not training.free_bodies or training.robot.swings:
+    if not training.free_bodies or training.robot.vibrates:
         return beyond_deviation(selected, fitted)
 
     def sampled(found: Sequence[Selected]) -> tuple[tuple[Selected, ...], Estimate]:

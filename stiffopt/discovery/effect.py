@@ -1,32 +1,32 @@
-"""What an effect of the catalogue is: a term of the balances, with all that is known of it.
+"""Effects of the catalogue: terms of the equations of the channels and their properties.
 
 Terms are plain NumPy formulas in the signals of a joint or of the robot; they accept arrays of
-samples and CasADi symbols alike. They are linear in their amplitudes and vanish with them; what
-enters otherwise (a speed, a place, a time constant) is a shape. Whatever else is said of an effect
-(words, what recordings need to show it, its source, what it does to a robot) stands beside its term
-and nowhere else: reports, `recording check`, the catalogue's page and the planner ask for it here.
+samples and CasADi symbols alike. They are linear in their amplitudes and vanish with them;
+parameters that enter otherwise (a speed, an angle, a time constant) are shapes. Everything else
+known of an effect (words, the recordings it needs, its source, how it changes a robot) is stated
+with its term and nowhere else: reports, `recording check`, the catalogue's page and the planner
+read it here.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 from stiffopt.symbolic import Quantity
 
 if TYPE_CHECKING:
-    from stiffopt.discovery.comparison.extension import EstimatedEffect
-    from stiffopt.discovery.comparison.signals import JointConstants, RobotConstants
+    from stiffopt.discovery.signals import JointConstants, RobotConstants
     from stiffopt.robot.robot import Robot
 
-    # Of a joint for an effect of a joint, else of the robot; ranges that the runs meet among them.
+    # Constants of the joint for an effect of a joint, else of the robot.
     Constants = JointConstants | RobotConstants
 
 Scope = Literal["joint", "robot", "link", "run"]
-# Values of the reported parameters from amplitudes and shapes.
+# Values of the reported parameters from amplitudes, shapes and constants.
 Report = Callable[[Sequence[float], Sequence[float], Any], Mapping[str, float]]
-# What recordings must hold to show an effect: a fact of the joint or of the set.
+# Property of the joint or the recording set without which an effect cannot show.
 Need = Literal[
     "torque",
     "link",
@@ -51,26 +51,26 @@ Need = Literal[
 
 @dataclass(frozen=True, kw_only=True)
 class Term:
-    """Contributions of an effect to what is measured; zero where left out.
+    """Contributions of an effect to the equations of the measured channels; zero by default.
 
     Parameters
     ----------
     drive_torque
-        Added to the torque that the drive must give [N m].
+        Added to the drive torque [N m].
     link_torque
-        Added to the torque in the spring [N m]: the drive has to give it, and the joint winds up
-        under it.
+        Added to the spring torque [N m]: the drive has to give it, and the joint winds up under it.
     deflection
-        Added to motor angle minus link angle, by what displaces the link [rad]; the link swings
-        after it.
+        Added to motor angle minus link angle by displacing the link [rad]; the link vibrates about
+        it.
     reading
-        Added to motor angle minus link angle as they are read alone [rad].
+        Added to the reading of motor angle minus link angle alone [rad].
     previous_torque
-        Added to the drive torque of the joint before [N m]; effects of a joint only.
+        Added to the drive torque of the previous joint [N m]; effects of a joint only.
 
     Notes
     -----
-    Of an effect of a joint each is one number a sample; of the robot, one a sample and joint.
+    Each is one value per sample for an effect of a joint, and one per sample and joint for an
+    effect of the robot.
     """
 
     drive_torque: Quantity = 0.0
@@ -82,22 +82,22 @@ class Term:
 
 @dataclass(frozen=True, kw_only=True)
 class Amplitude:
-    """A parameter that an effect's term is linear in.
+    """Parameter in which an effect's term is linear.
 
     Parameters
     ----------
     name : str
     unit : str
     scale : callable or float
-        Typical size, from the constants of the joint where callable; the prior's standard
-        deviation.
+        Typical size, a function of the joint's constants where callable; standard deviation of the
+        prior.
     lower, upper : float
         Physical bounds over the scale.
     changed : float
-        How many times larger it is typically where it has changed since a model was made.
+        Ratio of the typical size of a change since a model was made to `scale`.
     own : bool
-        Whether the effect has it where other entries have the rest: unless one of these stands out
-        the effect is not there.
+        Amplitude that distinguishes the effect from other entries: unless one of these is
+        significant, the effect is rejected.
     """
 
     name: str
@@ -109,24 +109,24 @@ class Amplitude:
     own: bool = False
 
     def size(self, constants: Constants) -> float:
-        """Typical size for a joint or robot."""
+        """Return the typical size for a joint or robot."""
         return float(self.scale(constants) if callable(self.scale) else self.scale)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Shape:
-    """A parameter that an effect's term depends on in another way.
+    """Parameter on which an effect's term depends nonlinearly.
 
     Parameters
     ----------
     name : str
     unit : str
     starts : callable or tuple of float
-        Values to start a fit from, from the signals' ranges where callable.
+        Initial values of a fit, a function of the signals' ranges where callable.
     lower, upper : float
         Bounds [unit].
     usual : float, optional
-        Where a file states none [unit]; without it a file must.
+        Default where a file gives no value [unit]; without a default a file must give one.
     """
 
     name: str
@@ -136,37 +136,53 @@ class Shape:
     upper: float = float("inf")
     usual: float | None = None
 
-    def asked(self, ranges: Constants) -> tuple[float, ...]:
-        """Values to start from as the entry has them."""
+    def start_values(self, ranges: Constants) -> tuple[float, ...]:
+        """Return the initial values as the entry defines them."""
         values = self.starts(ranges) if callable(self.starts) else self.starts
         return tuple(float(v) for v in values)
 
     def grid(self, ranges: Constants) -> tuple[float, ...]:
-        """Values to start from, each once and within the bounds, wherever the ranges lie."""
-        within = (min(max(v, self.lower), self.upper) for v in self.asked(ranges))
+        """Return the distinct initial values, clipped to the bounds."""
+        within = (min(max(v, self.lower), self.upper) for v in self.start_values(ranges))
         return tuple(dict.fromkeys(within))
 
 
 @dataclass(frozen=True)
 class RobotChange:
-    """A robot with a finding in it.
+    """Robot changed by a finding.
 
     Parameters
     ----------
     robot : Robot or None
-        None where there is no such robot.
+        None where the robot cannot be changed so.
     sentence : str
-        What was changed, or why it cannot be.
+        Change that was made, or the reason why none can be.
     """
 
     robot: Robot | None
     sentence: str
 
 
-# (robot, finding, joint of the robot from 0, constants that the finding was fitted with) -> the
-# changed robot; None where a planner computes with nothing of it. The joint is that of the finding,
-# the one that moves its link, or the last.
-ChangeRobot = Callable[["Robot", "EstimatedEffect", int, "JointConstants"], RobotChange | None]
+class FittedEffect(Protocol):
+    """An effect of the catalogue with fitted amplitudes and shapes, at a joint, link or run."""
+
+    @property
+    def effect(self) -> Effect:
+        """Entry of the catalogue."""
+
+    @property
+    def amplitudes(self) -> tuple[float, ...]:
+        """Fitted amplitudes in their own units."""
+
+    @property
+    def shapes(self) -> tuple[float, ...]:
+        """Fitted shapes in their own units."""
+
+
+# (robot, finding, joint of the robot from 0, constants at the fit) -> the changed robot; None where
+# a planner's model has no such effect. The joint is that of the finding, the one that moves its
+# link, or the last.
+ChangeRobot = Callable[["Robot", FittedEffect, int, "JointConstants"], RobotChange | None]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -179,11 +195,11 @@ class Effect:
     family : str
         friction, elastic, periodic, inertial, sensor, spring, contact.
     scope : {"joint", "robot", "link", "run"}
-        What a finding names: a joint, the robot as a whole, a link or a run.
+        Place that a finding names: a joint, the robot as a whole, a link or a run.
     equation : str
         For reports.
     signature : str
-        How it shows, for people.
+        Visible sign of it in the recordings, in words.
     term : callable
         (signals, amplitudes, shapes) -> Term.
     amplitudes : tuple of Amplitude
@@ -191,61 +207,63 @@ class Effect:
     report : callable, optional
         (amplitudes, shapes, constants) -> named values; default: the parameters themselves.
     units : mapping of str to str
-        Of reported values that are no amplitude and no shape.
+        Units of reported values that are neither amplitudes nor shapes.
     applies : callable, optional
-        (constants) -> bool; False where the joint cannot have it (no pole pairs known).
+        (constants) -> bool; False where the joint cannot have the effect (no pole pairs known).
     possible : callable, optional
-        (shapes, constants) -> bool; False for shapes that the recordings themselves rule out.
+        (shapes, constants) -> bool; False for shapes that contradict the recordings.
     usual : bool
-        Whether every real robot has a little of it, so that it is fitted from the start where
-        nobody vouches for the nominal model.
+        True where every real robot has a little of it: it is fitted from the start unless the
+        nominal model is vouched for.
     lags : bool
-        Whether what it does to a wind-up follows the load later: the spring's slope is then that of
-        a load that changes at once.
+        True where its wind-up lags the load: the tangent stiffness is then that under a sudden
+        change of load.
     is_play : bool
-        Whether it is free travel of a joint, by its spring torque alone: links are followed across.
+        True for free travel of a joint as a function of its spring torque alone, across which links
+        are simulated.
     only_changed : bool
-        Whether it is sought only as a change since an extended model was made: a form so free fits
-        something of all that a nominal model lacks.
+        True where it is sought only as a change since an extended model was made: a form so free
+        fits part of everything that a nominal model lacks.
     separate : str
-        The motion that separates it from what looks alike.
+        Motion that separates it from similar effects.
     log_prior : callable, optional
-        (constants) -> logarithm of how usual it is at that joint, 0 at most; default 0.
+        (constants) -> logarithm of its prior probability at that joint relative to other effects, 0
+        at most; default 0.
     title : str
-        Name as people write it; default: the name with spaces.
+        Name in prose; default: the name with spaces.
     phrase : str or (str, str)
-        What is missing, in a headline; two where it depends on the sign of the first amplitude,
-        above zero first. Default: the title.
+        Missing physics, for a headline; two phrases where it depends on the sign of the first
+        amplitude, positive first. Default: the title.
     nominal : str
         Nominal value of every joint (a field of `Nominal` and of `Robot`) that the first amplitude
-        adds to; "" where there is none. Where a set does not state it, the effect stands for it.
+        adds to; "" where there is none. Where a set does not state it, the effect takes its place.
     nominal_words : str
-        That value as people write it; default: the field with spaces.
+        Name of that value in prose; default: the field with spaces.
     needs : tuple of Need
-        What recordings must hold of a joint to show it there, the most basic first. Default: the
-        sensor that the term acts on, and motion.
+        Properties of the recordings without which it cannot show at a joint, the most basic first.
+        Default: the sensor that the term acts on, and motion.
     confused_with : tuple of str
-        Names of effects that ordinary motions separate poorly from it; one side says it.
+        Names of effects that ordinary motions separate poorly from it; declared on one side.
     twin : str
-        Name of an effect that says much the same in another form, one with an amplitude where the
-        other has a shape. Evidence prices amplitudes and no shapes, so that between the two the
-        fits count, and what the data determine of either; one side says it.
+        Name of an effect that is nearly equivalent, with an amplitude where the other has a shape.
+        The evidence penalises amplitudes but not shapes, so the two are compared by fit and by how
+        well the data determine each; declared on one side.
     beside : Effect, optional
-        What it must stand out beside: amplitudes so free that laws which are not quite those of the
-        catalogue are among them. It is fitted for that judgement only and never named.
+        Competing effect with so many amplitudes that unlisted laws are among its forms. It is
+        fitted only to test this effect against it and is never reported.
     likelier_than : Effect, optional
-        What it must have clearly more evidence than, both beside that: the same with a freedom that
-        it claims not to be there. Fitted for that judgement only as well.
+        Alternative that relaxes an assumption of this effect, which needs clearly more evidence
+        than it, both fitted together with `beside`. Never reported either.
     reference : str
         Source of its form: a key of references.bib, or the source in words.
     drawn : callable, optional
-        (amplitudes, shapes, constants) -> by name, what a reported value may be off by since few
-        runs were drawn of all [its unit].
+        (amplitudes, shapes, constants) -> sampling error of reported values by name, from the small
+        number of runs [its unit].
     of_runs : callable, optional
-        (names) -> the entry with an amplitude for each of some runs, drawn about a mean that all
-        share; (names, seen=False) -> where runs of these names are others.
+        (names) -> the entry with one amplitude per run, random about a common mean; (names,
+        seen=False) -> the same for runs that were not recorded.
     change_robot : callable, optional
-        Puts a finding into the robot that a planner computes with.
+        Changes the robot that a planner computes with.
     """
 
     name: str
@@ -290,21 +308,21 @@ class Effect:
                 object.__setattr__(self, field_name, default)
 
     @property
-    def has_own(self) -> bool:
-        """Whether some amplitudes tell it from other effects."""
+    def has_distinctive(self) -> bool:
+        """True where some amplitudes distinguish it from other effects."""
         return any(each.own for each in self.amplitudes)
 
     @property
-    def telling(self) -> list[int]:
-        """Places of the amplitudes that tell it from other effects."""
+    def distinctive_amplitudes(self) -> list[int]:
+        """Indices of the amplitudes that distinguish it from other effects."""
         return [k for k, each in enumerate(self.amplitudes) if each.own]
 
     def is_twin(self, other: Effect) -> bool:
-        """Whether both say much the same in other forms."""
+        """Return True where both are nearly equivalent forms."""
         return self.twin == other.name or other.twin == self.name
 
     def phrase_of(self, amplitudes: Sequence[float]) -> str:
-        """What is missing, in a headline."""
+        """Return the missing physics for a headline."""
         if isinstance(self.phrase, str):
             return self.phrase
         return self.phrase[amplitudes[0] < 0.0]
@@ -312,14 +330,14 @@ class Effect:
     def parameters(
         self, amplitudes: Sequence[float], shapes: Sequence[float], constants: Constants
     ) -> dict[str, float]:
-        """Reported parameters by name."""
+        """Return the reported parameters by name."""
         if self.report is not None:
             return dict(self.report(amplitudes, shapes, constants))
         named = dict(zip((a.name for a in self.amplitudes), amplitudes, strict=True))
         return named | dict(zip((s.name for s in self.shapes), shapes, strict=True))
 
     def unit_of(self, parameter: str) -> str:
-        """Unit of a reported parameter."""
+        """Return the unit of a reported parameter."""
         own: tuple[Amplitude | Shape, ...] = (*self.amplitudes, *self.shapes)
         for each in own:
             if each.name == parameter:

@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 
 from stiffopt.discovery.comparison.comparison import Comparison
-from stiffopt.discovery.comparison.extension import Extension
+from stiffopt.discovery.comparison.located_effect import Extension
 from stiffopt.discovery.effect import Effect
 from stiffopt.discovery.extended.model import ExtendedModel
 from stiffopt.discovery.judging.episodes import (
@@ -73,7 +73,7 @@ def answered(
         training = _without(recordings, training, settings, base, say, touched)
         comparison = training.comparison()
     result = _searched(recordings, training, asked, base, say, comparison=comparison)
-    if training.runs[0].swing is not None and not (result.stopped or result.hurried):
+    if training.runs[0].vibration is not None and not (result.stopped or result.hurried):
         training, result = _better_swinging(recordings, training, asked, base, say, result)
     training, result, later = _untouched(recordings, training, asked, settings, base, say, result)
     return training, result, (*touched, *later)
@@ -98,13 +98,13 @@ def _better_swinging(
     answers = [(training, result)]
     try:
         balanced = train(
-            recordings, training.settings, base, say, training.recorded, swinging=False
+            recordings, training.settings, base, say, training.recorded, vibrating=False
         )
         still = _searched(recordings, balanced, asked, base, say)
         answers.append((balanced, still))
         if still.effects and not (still.stopped or still.hurried):
             say("let the links swing with what was found in balance")
-            about = still.comparison.found(still.fit)
+            about = still.comparison.extension_of(still.fit)
             answers.append((training, _searched(recordings, training, asked, base, say, about)))
         stopped = any(found.stopped for _, found in answers)
     except KeyboardInterrupt:
@@ -159,8 +159,8 @@ def _without(
 ) -> Training:
     """The training runs prepared anew without some times, which say nothing of bands and noise."""
     runs = [without(run, episodes) for run in training.recorded]
-    swinging = training.runs[0].swing is not None
-    return train(recordings, settings, base, say, runs, swinging=swinging)
+    vibrating = training.runs[0].vibration is not None
+    return train(recordings, settings, base, say, runs, vibrating=vibrating)
 
 
 def _touched(result: SearchResult) -> tuple[Episode, ...]:

@@ -10,14 +10,14 @@ from typing import get_args
 import casadi as ca
 import numpy as np
 
-from stiffopt.discovery.comparison.signals import (
+from stiffopt.discovery.effect import Effect, Need, Scope, Term
+from stiffopt.discovery.signals import (
     JointConstants,
     JointSignals,
     RobotConstants,
     RobotSignals,
     smooth_sign,
 )
-from stiffopt.discovery.effect import Effect, Need, Scope, Term
 from stiffopt.recording.nominal_files import joint_chain
 from stiffopt.symbolic import Quantity, is_symbolic
 
@@ -39,11 +39,11 @@ class GivenArm:
     body_regressor: Quantity
     tilt: Quantity
 
-    def until(self, count: int) -> GivenArm:
+    def head(self, count: int) -> GivenArm:
         """The first samples."""
         return GivenArm(**{name: value[:count] for name, value in vars(self).items()})
 
-    def thinned(self, every: int) -> GivenArm:
+    def decimate(self, every: int) -> GivenArm:
         """Every so many samples."""
         return GivenArm(**{name: value[::every] for name, value in vars(self).items()})
 
@@ -184,7 +184,7 @@ def _faults_of_parameters(
             yield f"amplitude {amplitude.name!r} has its lower bound above its upper one."
     combinations = 1
     for shape in effect.shapes:
-        starts = shape.asked(constants)
+        starts = shape.start_values(constants)
         combinations *= len(starts)
         if not starts or not all(shape.lower <= v <= shape.upper for v in starts):
             yield (

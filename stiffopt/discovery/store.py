@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
-from stiffopt.discovery.comparison.signals import RobotConstants
 from stiffopt.discovery.diagnosis import Diagnosis, Finding, Rival
 from stiffopt.discovery.experiment.design import EXPERIMENT_FILE
 from stiffopt.discovery.extended.store import extended_text
 from stiffopt.discovery.judging.shares import Share
 from stiffopt.discovery.judging.unexplained import Unexplained
 from stiffopt.discovery.proof.predict import Prediction
+from stiffopt.discovery.signals import RobotConstants
 from stiffopt.files import atomic_write, plain
 from stiffopt.recording.signals import Signals
 

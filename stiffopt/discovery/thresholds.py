@@ -98,7 +98,7 @@ MISFIT_RATIO, MISFIT_ODDS = 2.0, 0.5
 # And what a finding gives to it that one half of the recordings does not bear out for the other.
 UNREPEATED_ODDS = 0.5
 
-# Residual over noise of a fit with swinging links from which one in balance is tried as well [0037]
+# Residual over noise of a fit with vibrating links from which one in balance is tried too [0037]
 SWING_MISFIT = 1.5
 
 # How often a search is made anew without times in which something touched the arm: what it had

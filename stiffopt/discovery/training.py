@@ -8,18 +8,19 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from stiffopt.discovery.comparison.bands import choose_bands
-from stiffopt.discovery.comparison.begun import begun
-from stiffopt.discovery.comparison.channel_noise import KnownNoise, known_noise
-from stiffopt.discovery.comparison.columns import FEW_RUNS, bridged
+from stiffopt.discovery.comparison.channel_rows import KnownNoise, known_noise
 from stiffopt.discovery.comparison.comparison import Comparison
-from stiffopt.discovery.comparison.extension import Extension
+from stiffopt.discovery.comparison.design_matrix import MIN_RUNS_AS_BLOCKS
+from stiffopt.discovery.comparison.filtering import fill_missing
+from stiffopt.discovery.comparison.initial_states import estimate_initial_states
+from stiffopt.discovery.comparison.located_effect import Extension
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
-from stiffopt.discovery.comparison.nuisance import merged
-from stiffopt.discovery.comparison.prepare import PreparedRun, prepare
-from stiffopt.discovery.comparison.signals import RobotConstants
+from stiffopt.discovery.comparison.nuisance import merge_tolerances
+from stiffopt.discovery.comparison.prepared_run import PreparedRun, prepare_run
 from stiffopt.discovery.extended.left_open import assumed, least_factors, with_bands
 from stiffopt.discovery.extended.model import ExtendedModel, check_extended
 from stiffopt.discovery.settings import FIXED, PREDICTED_CUTOFF, Settings
+from stiffopt.discovery.signals import RobotConstants
 from stiffopt.discovery.thresholds import MOST_EFFECTS, MOST_EFFECTS_FREE
 from stiffopt.errors import InputFileError
 from stiffopt.recording.assumptions import NO_RATIO
@@ -122,7 +123,7 @@ def train(
     say: Say = lambda _: None,
     runs: Sequence[RecordedRun] | None = None,
     *,
-    swinging: bool = True,
+    vibrating: bool = True,
 ) -> Training:
     """Open and prepare the training runs, and no other run.
 
@@ -136,7 +137,7 @@ def train(
         Called with a sentence at every step.
     runs : sequence of RecordedRun, optional
         The training runs where they are open already.
-    swinging : bool
+    vibrating : bool
         See `prepare`.
     """
     robot = RobotModel(recordings)
@@ -149,7 +150,7 @@ def train(
         if not run.usable:
             notes.append(_unusable(run))
             continue
-        probe = prepare(robot, run, len(opened), None, settings, swinging=swinging)
+        probe = prepare_run(robot, run, len(opened), None, settings, vibrating=vibrating)
         _check_nominal(robot, run, probe)
         if not (probe.torque_used.any() or probe.deflection_used.any()):
             notes.append(_nothing_to_fit(run, probe))
@@ -162,7 +163,7 @@ def train(
             "runs",
             f"no training run can be used. {' '.join(notes)} `stiffopt recording check` says more.",
         )
-    if settings.cutoff is None and not robot.swings:
+    if settings.cutoff is None and not robot.vibrates:
         say("choose how fast a motion to follow")
         settings, note = _with_bands(robot, opened, settings)
         notes.append(note)
@@ -170,14 +171,14 @@ def train(
         prepared.clear()
         del probe
         prepared = [
-            prepare(robot, run, k, None, settings, swinging=swinging)
+            prepare_run(robot, run, k, None, settings, vibrating=vibrating)
             for k, run in enumerate(opened)
         ]
     stated = recordings.tolerance
     free = stated.mass is None and stated.com is None
     # Where the model is vouched for, the torque may be what a drive was asked for in vain.
     measured = _largest_torques(prepared) if free else None
-    ranged = robot.ranged([run.signals for run in prepared], measured)
+    ranged = robot.constants_over([run.signals for run in prepared], measured)
     if model is not None:
         ranged = model.scaled(ranged)
         check_extended(model, ranged)
@@ -186,7 +187,7 @@ def train(
     _check_noise(recordings, noise, ready)
     # Where the model is vouched for, all that it leaves is to be explained.
     least = least_factors(left_open, noise.channels) if free else None
-    if len(ready) < FEW_RUNS:
+    if len(ready) < MIN_RUNS_AS_BLOCKS:
         notes.append(
             f"With {len(ready)} training run{'s' * (len(ready) > 1)}, candidates are"
             " cross-validated over stretches of runs instead of whole runs."
@@ -197,7 +198,7 @@ def train(
         known = assumed(left_open, least, noise.channels, asked, stated, recordings.prismatic)
         notes = [*ratio, *known, *notes]
     default = settings.tolerance if model is None else settings.after_model
-    tolerance = merged(stated, default if least is None else FIXED)
+    tolerance = merge_tolerances(stated, default if least is None else FIXED)
     if free and stated.encoder_zero is None:
         # Encoders' offsets are fitted and said, not hidden by a tolerance.
         tolerance = replace(tolerance, encoder_zero=0.0)
@@ -219,9 +220,9 @@ def train(
         suspects={} if left_open is None or least is None else left_open.suspects,
         leanings={} if left_open is None or least is None else left_open.leanings,
     )
-    if free or any(run.swing is None for run in ready):
+    if free or any(run.vibration is None for run in ready):
         return training
-    return replace(training, runs=begun(training.comparison()))
+    return replace(training, runs=estimate_initial_states(training.comparison()))
 
 
 def _most(stated: int | None, free: bool) -> int:
@@ -269,10 +270,10 @@ def _check_nominal(robot: RobotModel, run: RecordedRun, ready: PreparedRun) -> N
 
 
 def _check_damping(robot: RobotModel, probe: PreparedRun) -> None:
-    """Raise `InputFileError` where a joint would creep back instead of swinging."""
-    recordings, swing = robot.recordings, probe.swing
+    """Raise `InputFileError` where a joint would creep back instead of vibrating."""
+    recordings, swing = robot.recordings, probe.vibration
     if swing is None:
-        if robot.swings:
+        if robot.vibrates:
             _check_creep(robot)
         return
     inertia = np.diagonal(swing.bodies[2], axis1=1, axis2=2)
@@ -283,7 +284,7 @@ def _check_damping(robot: RobotModel, probe: PreparedRun) -> None:
             recordings.path,
             "nominal.joint_damping",
             f"{swing.damping[j]:g} {unit} at {recordings.joints[j]!r} is above the critical "
-            f"{critical[j]:.3g} of the joint swinging alone. Joints have 1 to 5 % of that; give "
+            f"{critical[j]:.3g} of the joint vibrating alone. Joints have 1 to 5 % of that; give "
             "the damping of the spring, not the friction of the drive.",
         )
 
@@ -346,6 +347,6 @@ def _largest_torques(runs: Sequence[PreparedRun]) -> np.ndarray:
     for run in runs:
         for j, used in enumerate(run.torque_used.T):
             if used.any():
-                torque = bridged(run.torque[:, j : j + 1])[:, 0]
+                torque = fill_missing(run.torque[:, j : j + 1])[:, 0]
                 largest[j] = max(largest[j], np.abs(run.low_pass(torque)[used]).max())
     return largest

@@ -3,8 +3,7 @@
 from pathlib import Path
 
 from stiffopt.discovery.catalogue import effect
-from stiffopt.discovery.comparison.extension import EstimatedEffect, Extension
-from stiffopt.discovery.comparison.located_effect import LocatedEffect
+from stiffopt.discovery.comparison.located_effect import EstimatedEffect, Extension, LocatedEffect
 
 SHIPPED = Path(__file__).parents[2] / "problems" / "recordings" / "two_link_friction"
 LACKS = Extension(

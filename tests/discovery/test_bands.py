@@ -1,4 +1,4 @@
-"""Bands of fit and prediction follow what the training runs hold."""
+"""Bands of fit and prediction depend on noise and motion of the training runs."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from stiffopt.recording.recording_set import load_recordings
 from stiffopt.recording.run import RecordedRun
 
 
-def test_noisy_encoders_are_followed_more_slowly() -> None:
+def test_choose_bands_with_noisy_encoders_are_narrower() -> None:
     """A quantised motion is derived twice at the highest band that its noise bears, not beyond."""
     recordings = load_recordings(SHIPPED)
     robot = RobotModel(recordings)
@@ -33,14 +33,16 @@ def test_noisy_encoders_are_followed_more_slowly() -> None:
     assert narrow.fit <= wide.fit
 
 
-def test_only_joints_that_wind_up_are_held_below_their_resonance(
+def test_choose_bands_limits_only_elastic_joints(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """A rigid joint beside an elastic one follows what its own torque bears out."""
     recordings = load_recordings(SHIPPED)
     robot = RobotModel(recordings)
     runs = [recordings.open(entry) for entry in recordings.with_role("train")]
-    monkeypatch.setattr(bands, "_errors", lambda *given: np.full(2, given[2] ** -2.0))
+    monkeypatch.setattr(
+        bands, "_cross_validation_errors", lambda *given: np.full(2, given[2] ** -2.0)
+    )
     usual = {"slow": 0.03, "fit": 6.0, "predict": 6.0}
     assert choose_bands(robot, runs, **usual).predict == (6.0, 6.0)
     first, second = robot.constants.joints
@@ -49,7 +51,7 @@ def test_only_joints_that_wind_up_are_held_below_their_resonance(
     assert choose_bands(robot, runs, **usual).predict == (6.0, 35.0)
 
 
-def test_too_little_motion_chooses_nothing() -> None:
+def test_choose_bands_with_little_motion_keeps_defaults() -> None:
     """Where nothing moves, the usual bands stay."""
     recordings = load_recordings(SHIPPED)
     robot = RobotModel(recordings)

@@ -6,7 +6,7 @@ from simulated_sets import COULOMB, simulated
 
 from benchmarks.simulator import write_case
 from stiffopt.discovery.catalogue import CATALOGUE
-from stiffopt.discovery.comparison.located_effect import places
+from stiffopt.discovery.comparison.located_effect import effect_places
 from stiffopt.discovery.search.candidates import Scorer
 from stiffopt.discovery.search.identifiable_effects import without_bounds
 from stiffopt.discovery.settings import Settings
@@ -28,7 +28,9 @@ def test_an_effect_of_a_joint_is_about_a_channel_of_its_joint(training):
     for effect in CATALOGUE:
         if effect.scope != "joint" or effect.name == "wrist_coupling":
             continue
-        for located in places(effect, comparison.constants, [run.name for run in comparison.runs]):
+        for located in effect_places(
+            effect, comparison.constants, [run.name for run in comparison.runs]
+        ):
             found = scorer.score(located)
             if found is not None:
                 tried += 1

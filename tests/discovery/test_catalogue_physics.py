@@ -12,7 +12,7 @@ ROBOT = sample_signals()
 
 
 @pytest.mark.parametrize("exponent", [0.6, 1.0, 1.4])
-def test_hysteresis_is_dahl_friction_beside_the_spring(exponent):
+def test_hysteresis_matches_dahl_friction_parallel_to_spring(exponent):
     signals = sample_signals(count=1500, dt=0.002).of_joint(4)
     h, reach = 1.3, 3e-4
     side, states = 0.0, []
@@ -41,7 +41,7 @@ def test_hysteresis_is_dahl_friction_beside_the_spring(exponent):
     assert np.abs(found - expected)[bend].max() < 0.5 * h * (1.0 / 1.6e4 - 1.0 / 2.5e4)
 
 
-def test_hysteresis_does_not_jump_where_a_reducer_bends():
+def test_hysteresis_is_continuous_at_reducer_corners():
     signals = sample_signals(count=4001, dt=0.002).of_joint(4)
     load = np.linspace(6.0, 8.0, 4001)
     signals = replace(signals, spring_torque=load, windup=signals.constants.windup(load))
@@ -50,7 +50,7 @@ def test_hysteresis_does_not_jump_where_a_reducer_bends():
     assert np.abs(np.diff(found[1000:])).max() < 1e-3 * jump
 
 
-def test_hysteresis_loses_energy_and_not_more_when_fast():
+def test_hysteresis_dissipates_independent_of_rate():
     losses = []
     for dt in (0.002, 0.0005):
         signals = sample_signals(count=3000, dt=0.002).of_joint(4)
@@ -68,7 +68,7 @@ def test_hysteresis_loses_energy_and_not_more_when_fast():
     assert losses[0] == pytest.approx(losses[1], rel=1e-12)
 
 
-def test_belt_creep_is_a_standard_linear_solid():
+def test_belt_creep_matches_standard_linear_solid():
     signals = sample_signals(count=1000, dt=0.002).of_joint(4)
     now, later, lag = 2e-5, 3e-5, 0.15
     s, slow, expected = signals.spring_torque, signals.spring_torque[0], []
@@ -82,14 +82,14 @@ def test_belt_creep_is_a_standard_linear_solid():
     np.testing.assert_allclose(found, expected, atol=1.0e-2 * np.abs(expected).max())
 
 
-def test_belt_that_carries_a_steady_load_has_crept_altogether():
+def test_belt_creep_is_complete_under_steady_load():
     signals = sample_signals(count=400).of_joint(4)
     signals = replace(signals, spring_torque=np.full(400, 12.0))
     found = effect("belt_creep").term(signals, [2e-5, 3e-5], [0.2]).deflection
     np.testing.assert_allclose(found, 12.0 * 5e-5, rtol=1e-12)
 
 
-def test_worn_reducer_winds_up_with_its_own_first_slope_and_corner():
+def test_k1_softening_changes_first_slope_and_corner():
     torque = np.linspace(-60.0, 60.0, 4001)
     signals = replace(ROBOT.of_joint(0), spring_torque=torque)
     nominal = signals.constants.windup(torque) - torque / signals.constants.contact_stiffness
@@ -108,7 +108,7 @@ def test_worn_reducer_winds_up_with_its_own_first_slope_and_corner():
     assert np.interp(45.0, torque, wide) == pytest.approx(1 / 2.9e4, rel=1e-6)
 
 
-def test_backlash_is_its_full_width_from_side_to_side():
+def test_backlash_spans_its_width():
     signals = ROBOT.of_joint(4)
     signals = replace(signals, spring_torque=np.linspace(-40.0, 40.0, 60))
     jump = effect("backlash").term(signals, [4e-4], [0.005]).deflection
@@ -116,7 +116,7 @@ def test_backlash_is_its_full_width_from_side_to_side():
     assert np.all(np.diff(jump) >= 0.0)
 
 
-def test_preload_loss_is_odd_softest_at_zero_and_never_flat():
+def test_preload_loss_is_odd_and_softest_at_zero():
     torque = np.linspace(-40.0, 40.0, 801)
     signals = replace(ROBOT.of_joint(4), spring_torque=torque)
     angle = effect("preload_loss").term(signals, [1.0], [0.05, 0.5]).deflection
@@ -126,7 +126,7 @@ def test_preload_loss_is_odd_softest_at_zero_and_never_flat():
     assert np.all(np.diff(slope[402:-1]) < 0.0)
 
 
-def test_ripple_and_transmission_error_have_their_orders():
+def test_ripple_and_transmission_error_have_expected_orders():
     turn = np.linspace(0.0, 2.0 * np.pi / 101.0, 4096, endpoint=False)
     still = np.zeros_like(turn)
     signals = replace(
@@ -175,7 +175,7 @@ def test_wrist_coupling_does_no_work():
     np.testing.assert_allclose(given, taken, rtol=1e-12)
 
 
-def test_a_coupled_drive_takes_what_its_motor_turns_against():
+def test_coupled_drive_power_balance():
     signals = ROBOT.of_joint(4)
     dry, viscous, inertia, share = 2.0, 3.0, 0.1, -1.0
     term = effect("coupled_drive").term(signals, [dry, viscous, inertia], [share])
@@ -188,7 +188,7 @@ def test_a_coupled_drive_takes_what_its_motor_turns_against():
     np.testing.assert_allclose(power[fast], wanted[fast], rtol=1e-3, atol=1e-9)
 
 
-def test_saturation_holds_a_reading_at_its_limit_and_asks_for_more_in_vain():
+def test_saturation_clips_reading_and_raises_demand():
     asked = np.linspace(-120.0, 120.0, 60)
     signals = replace(ROBOT.of_joint(4), drive_torque=asked)
     entry = effect("saturation")
@@ -201,7 +201,7 @@ def test_saturation_holds_a_reading_at_its_limit_and_asks_for_more_in_vain():
     assert entry.parameters([1.0], [0.5], signals.constants) == {"limit": 60.0}
 
 
-def test_contact_pushes_the_tool_up_and_only_where_it_is_low():
+def test_external_contact_acts_only_below_its_height():
     entry = effect("external_contact")
     torque = entry.term(ROBOT, [1e4], [0.35]).link_torque
     depth = np.maximum(0.35 - ROBOT.tool_position[:, 2], 0.0)
@@ -215,7 +215,7 @@ def test_contact_pushes_the_tool_up_and_only_where_it_is_low():
     np.testing.assert_allclose(given, -1e4 * depth * tool, atol=1e4 * 1e-4 * np.abs(tool).max())
 
 
-def test_payload_and_link_errors_sum_the_columns_of_their_bodies():
+def test_inertial_effects_sum_regressor_columns():
     for name, body in (("payload", 5), ("inertial_error", 2)):
         amplitudes = [0.7, 0.01, -0.02, 0.03]
         columns = ROBOT.body_regressor[:, :, 10 * body : 10 * body + 4]
@@ -227,7 +227,7 @@ def test_payload_and_link_errors_sum_the_columns_of_their_bodies():
     assert link["dmc"] == pytest.approx(0.05)
 
 
-def test_readings_and_springs_have_their_signs():
+def test_reading_and_spring_terms_have_expected_signs():
     signals = ROBOT.of_joint(4)
     for name in ("encoder_offset", "encoder_zero_change"):
         np.testing.assert_allclose(effect(name).term(signals, [2e-4], []).reading, -2e-4)
@@ -236,7 +236,7 @@ def test_readings_and_springs_have_their_signs():
 
 
 @pytest.mark.parametrize("delay", [1e-3, 0.013, 0.05])
-def test_a_delay_is_the_same_torque_later(delay: float):
+def test_time_delay_shifts_torque(delay: float):
     """Long against the motion too, where no slope tells what it does."""
     time = 0.01 * np.arange(400)
     wave = np.sin(9.0 * time[:, None] + np.arange(6))
@@ -249,7 +249,7 @@ def test_a_delay_is_the_same_torque_later(delay: float):
 
 
 @pytest.mark.parametrize("bend", [1.0, 1.5, 10.0])
-def test_balancer_is_reported_by_its_stiffness_at_the_angle_without_torque(bend: float):
+def test_gravity_spring_reports_stiffness_at_rest_angle(bend: float):
     signals = ROBOT.of_joint(4)
     spring = effect("gravity_spring")
     amplitudes = [4.0, -3.0, 1.5]
@@ -262,7 +262,7 @@ def test_balancer_is_reported_by_its_stiffness_at_the_angle_without_torque(bend:
     assert (torque[2] - torque[0]) / 2e-4 == pytest.approx(found["k"])
 
 
-def test_a_belt_creeps_only_where_a_belt_is():
+def test_belt_creep_applies_only_with_a_belt():
     joint = ROBOT.of_joint(1).constants
     creep = effect("belt_creep")
     assert creep.applies is not None
@@ -271,7 +271,7 @@ def test_a_belt_creeps_only_where_a_belt_is():
     assert not creep.applies(replace(joint, belt=False))
 
 
-def test_a_weighted_shape_is_reported_by_its_slope():
+def test_weighted_shape_reports_slope_at_zero():
     signals = ROBOT.of_joint(4)
     torque = np.linspace(-60.0, 60.0, 12001)
     loaded = replace(signals, spring_torque=torque)
@@ -295,7 +295,7 @@ def test_a_weighted_shape_is_reported_by_its_slope():
 
 
 @pytest.mark.parametrize("name", ["backlash", "load_friction", "preload_loss"])
-def test_shapes_begin_at_loads_that_the_joint_carries(name: str):
+def test_initial_shapes_scale_with_carried_load(name: str):
     """Shares of a rated torque of 333 kN m, as of a limit of 1e6 N m, are no load of any arm's."""
     usual = replace(ROBOT.of_joint(4).constants, torque_rated=60.0, torque_max=180.0)
     placeholder = replace(usual, torque_rated=333e3, torque_max=1e6)
@@ -312,7 +312,7 @@ def test_shapes_begin_at_loads_that_the_joint_carries(name: str):
 
 
 @pytest.mark.parametrize("name", ["backlash", "load_friction", "preload_loss"])
-def test_shapes_begin_within_their_bounds_and_without_a_cliff(name: str):
+def test_initial_shapes_are_within_bounds_and_continuous(name: str):
     """Whatever a joint carries of its limit: a shape below its bound no file could state."""
     constants, shape = ROBOT.of_joint(4).constants, effect(name).shapes[0]
     before = None

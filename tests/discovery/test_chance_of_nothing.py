@@ -16,7 +16,7 @@ def _estimate(values, spread, between):
     return Estimate(
         nuisance=(),
         values=values,
-        effects=(SimpleNamespace(located=SimpleNamespace(by_run=False)),),
+        effects=(SimpleNamespace(located=SimpleNamespace(is_run_specific=False)),),
         covariance=1e-6 * np.eye(len(values)),
         spread=spread,
         between=between,

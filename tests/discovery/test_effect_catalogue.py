@@ -1,4 +1,4 @@
-"""Every effect of the catalogue: linear, differentiable, dimensioned, dissipative, remembered."""
+"""Every effect of the catalogue: linear, differentiable, dimensioned, dissipative."""
 
 import math
 from dataclasses import fields, replace
@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from stiffopt.discovery.catalogue import CATALOGUE, confused_with, effect
 from stiffopt.discovery.catalogue.common import WEIGHT
-from stiffopt.discovery.comparison.signals import JointConstants
+from stiffopt.discovery.signals import JointConstants
 from stiffopt.discovery.soundness import (
     PARTS,
     faults,
@@ -92,7 +92,7 @@ def symbols_of(signals):
     return replace(signals, **channels), ca.vertcat(*channels.values()), numbers
 
 
-def test_names_units_and_parameters_are_those_of_the_answer_file():
+def test_catalogue_names_units_and_parameters_match_reference():
     assert [e.name for e in CATALOGUE if REPORTED.get(e.name) is None] == []
     assert len(CATALOGUE) == len(REPORTED) == 36
     for entry in CATALOGUE:
@@ -105,12 +105,12 @@ def test_names_units_and_parameters_are_those_of_the_answer_file():
 
 
 @pytest.mark.parametrize("entry", BY_NAME)
-def test_effect_is_sound(entry):
+def test_effect_passes_soundness_checks(entry):
     assert list(faults(entry)) == []
 
 
 @pytest.mark.parametrize("entry", BY_NAME)
-def test_effect_says_how_it_shows_and_is_bounded(entry):
+def test_effect_has_signature_and_bounds(entry):
     signals = signals_for(entry, ROBOT)
     assert len(entry.signature) > 30
     assert len(entry.separate) > 30
@@ -136,7 +136,7 @@ def test_effect_says_how_it_shows_and_is_bounded(entry):
     assert combinations <= (30 if entry.name == "position_friction" else 12)
 
 
-def test_units_are_known():
+def test_effect_units_are_known():
     registry = pint.UnitRegistry()
     for entry in CATALOGUE:
         for unit in REPORTED[entry.name].values():
@@ -170,7 +170,7 @@ def test_terms_are_linear_in_amplitudes(index, factors, others, share):
 
 
 @pytest.mark.parametrize("entry", OF_JOINTS)
-def test_symbols_in_every_signal_give_the_same_numbers(entry):
+def test_terms_with_symbols_match_arrays(entry):
     short = sample_signals(count=20)
     signals = signals_for(entry, short)
     symbolic, symbols, numbers = symbols_of(signals)
@@ -184,7 +184,7 @@ def test_symbols_in_every_signal_give_the_same_numbers(entry):
     )
 
 
-def test_symbols_of_one_sample_serve_the_terms_of_the_robot():
+def test_robot_terms_accept_symbols_of_one_sample():
     joints = 6
     body, tilt = ca.SX.sym("Y", joints, 60), ca.SX.sym("g", joints, 2)
     lever, tool = ca.SX.sym("J", 3, joints), ca.SX.sym("p", 1, 3)
@@ -211,7 +211,7 @@ def test_symbols_of_one_sample_serve_the_terms_of_the_robot():
 
 
 @pytest.mark.parametrize("entry", [e for e in BY_NAME if e.values[0].shapes])
-def test_derivatives_with_respect_to_shapes_match_differences(entry):
+def test_shape_derivatives_match_differences(entry):
     signals = signals_for(entry, ROBOT)
     amplitudes = list(sizes(entry, signals))
     for shapes in list(product(*(s.grid(signals.constants) for s in entry.shapes)))[::3]:
@@ -240,7 +240,7 @@ def test_derivatives_with_respect_to_shapes_match_differences(entry):
 
 
 @pytest.mark.parametrize("name", DISSIPATING)
-def test_friction_takes_power_out_of_the_motion(name):
+def test_friction_dissipates(name):
     entry, signals = effect(name), ROBOT.of_joint(4)
     w = signals.motor_velocity
     for shapes in product(*(s.grid(signals.constants) for s in entry.shapes)):
@@ -250,7 +250,7 @@ def test_friction_takes_power_out_of_the_motion(name):
 
 
 @pytest.mark.parametrize("name", ["coulomb", "viscous", "asym_friction", "thermal_friction"])
-def test_friction_within_bounds_never_drives_the_joint(name):
+def test_friction_within_bounds_is_dissipative(name):
     entry, signals = effect(name), ROBOT.of_joint(4)
     c, w = signals.constants, signals.motor_velocity
     nominal = c.coulomb * np.tanh(w / 0.01) + c.viscous * w
@@ -264,7 +264,7 @@ def test_friction_within_bounds_never_drives_the_joint(name):
         assert np.min(total * w) >= -1e-9
 
 
-def test_where_an_effect_cannot_be():
+def test_effect_applies_only_to_suitable_joints():
     rigid = JointConstants(
         joint=1,
         ratio=1.0,
@@ -294,14 +294,14 @@ def test_where_an_effect_cannot_be():
             assert all(0.0 < a.size(rigid) < math.inf for a in entry.amplitudes), entry.name
 
 
-def test_usual_places_of_springs_and_couplings():
+def test_log_prior_depends_on_joint():
     first, last = ROBOT.constants.joints[0], ROBOT.constants.joints[5]
     assert effect("cable_spring").log_prior(first) < effect("cable_spring").log_prior(last)
     assert effect("gravity_spring").log_prior(first) > effect("gravity_spring").log_prior(last)
     assert effect("wrist_coupling").log_prior(first) < effect("wrist_coupling").log_prior(last)
 
 
-def test_what_an_effect_says_of_others_and_of_its_source_is_there():
+def test_confused_effects_and_references_exist():
     names = {e.name for e in CATALOGUE}
     for entry in CATALOGUE:
         assert set(entry.confused_with) <= names - {entry.name}, entry.name
@@ -312,12 +312,12 @@ def test_what_an_effect_says_of_others_and_of_its_source_is_there():
         assert entry.phrase
 
 
-def test_an_unknown_effect_is_answered_with_the_nearest():
+def test_unknown_effect_suggests_nearest_name():
     with pytest.raises(InputError, match=r"'colomb'.*Did you mean 'coulomb'"):
         effect("colomb")
 
 
-def test_symbolic_values_of_memory_effects():
+def test_recurrence_terms_with_symbols_match_arrays():
     for name in MEMORY:
         entry, signals = effect(name), ROBOT.of_joint(4)
         amplitudes, shapes = list(sizes(entry, signals)), first_shapes(entry, signals)

@@ -1,4 +1,4 @@
-"""A joint that runs against something since its model was made."""
+"""End stop that was added since the model was made."""
 
 import numpy as np
 import pytest
@@ -19,7 +19,7 @@ def stopped(folder, side):
 
 
 @pytest.mark.parametrize("side", [1.0, pytest.param(-1.0, marks=pytest.mark.slow)])
-def test_a_stop_is_named_with_its_place(tmp_path, side):
+def test_end_stop_is_found_with_its_angle(tmp_path, side):
     folder = stopped(tmp_path, side)
     found = diagnose(folder, model=folder / "extended.toml", experiment=False)
     assert [f.effect.name for f in found.findings] == ["end_stop"]
@@ -28,14 +28,14 @@ def test_a_stop_is_named_with_its_place(tmp_path, side):
 
 
 @pytest.mark.slow
-def test_without_a_model_a_form_so_free_is_not_asked_for(tmp_path):
+def test_end_stop_is_not_sought_without_earlier_model(tmp_path):
     found = diagnose(stopped(tmp_path, 1.0), experiment=False)
     assert "end_stop" not in {f.effect.name for f in found.findings}
     assert "end_stop" not in {limit.effect.name for limit in found.detection_limits}
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
-def test_a_stop_presses_inwards_beyond_its_angle_alone(side):
+def test_end_stop_acts_only_beyond_its_angle(side):
     signals = sample_signals().of_joint(4)
     q0 = float(np.mean(signals.constants.stroke))
     torque = effect("end_stop").term(signals, [200.0], [q0, side]).link_torque

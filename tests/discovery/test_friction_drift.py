@@ -1,4 +1,4 @@
-"""Friction that differs from run to run: its spread, and what a further run may have."""
+"""Friction that differs from run to run: spread, and prediction of a further run."""
 
 from dataclasses import replace
 
@@ -22,7 +22,7 @@ def of_run(name, entry, levels, share=0.0):
     return entry.term(replace(signals, run=name), levels, [share]).drive_torque
 
 
-def test_a_run_is_off_from_the_mean_of_all_and_a_further_one_is_not():
+def test_drift_term_deviates_in_recorded_runs_only():
     entry = friction_drift(("a", "b"))
     off = of_run("a", entry, [0.1, -0.2])
     assert np.any(off != 0.0)
@@ -30,17 +30,17 @@ def test_a_run_is_off_from_the_mean_of_all_and_a_further_one_is_not():
     assert of_run("c", entry, [0.1, -0.2]) == 0.0
 
 
-def test_what_all_runs_share_is_friction_of_other_effects():
+def test_drift_term_has_zero_mean_over_runs():
     entry = friction_drift(("a", "b"))
     np.testing.assert_allclose(of_run("a", entry, [0.3, 0.3]), 0.0, atol=1e-12)
 
 
-def test_runs_of_another_set_are_others_whatever_their_names():
+def test_drift_of_unrecorded_runs_ignores_names():
     entry = FRICTION_DRIFT.of_runs(("a", "b"), seen=False)
     assert of_run("a", entry, [0.1, -0.2]) == 0.0
 
 
-def test_a_curve_over_time_is_of_its_own_run():
+def test_friction_within_runs_acts_in_its_own_run():
     within = friction_drift(("a", "b")).likelier_than
     levels = np.zeros(len(within.amplitudes))
     levels[: len(levels) // 2] = 0.1
@@ -52,7 +52,7 @@ def test_a_curve_over_time_is_of_its_own_run():
     assert within.term(replace(signals, run="c"), levels, ()).drive_torque == 0.0
 
 
-def test_spread_is_that_of_the_runs():
+def test_drift_reports_spread_of_amplitudes():
     entry = friction_drift(("a", "b", "c"))
     constants = sample_signals().constants.joints[4]
     values = entry.parameters([0.2, 0.0, -0.2], [0.0], constants)
@@ -64,7 +64,7 @@ def test_spread_is_that_of_the_runs():
 
 
 @pytest.mark.slow
-def test_a_friction_law_of_another_form_is_no_drift():
+def test_drift_is_not_found_for_other_friction_law():
     """Runs at other speeds differ by it as well."""
     spec = replace(DRIFT, effects=(("viscous_power", 1, 1.0),))
     found = diagnosed(spec)
@@ -72,7 +72,7 @@ def test_a_friction_law_of_another_form_is_no_drift():
 
 
 @pytest.mark.slow
-def test_friction_that_changes_within_runs_is_no_drift():
+def test_drift_is_not_found_for_changes_within_runs():
     """A hose that another joint pinches: runs differ by it, since their motions do."""
     spec = replace(DRIFT, robot="big6", effects=(("neighbour_friction", 2, 0.1),), seed=112)
     found = diagnosed(spec)
@@ -81,7 +81,7 @@ def test_friction_that_changes_within_runs_is_no_drift():
 
 
 @pytest.mark.slow
-def test_a_small_drift_is_likelier_than_a_curve_over_time():
+def test_small_drift_is_likelier_than_curve_over_time():
     spec = replace(DRIFT, robot="big6", effects=(("friction_drift", 2, 0.1),), seed=104)
     found = diagnosed(spec)
     assert [(f.effect.name, f.joint) for f in found.findings] == [("friction_drift", 2)], said(
@@ -90,7 +90,7 @@ def test_a_small_drift_is_likelier_than_a_curve_over_time():
 
 
 @pytest.mark.slow
-def test_drift_is_named_as_one_effect_with_its_spread(tmp_path):
+def test_drift_is_found_with_its_spread(tmp_path):
     found = diagnosed(DRIFT)
     assert [(f.effect.name, f.joint) for f in found.findings] == [("friction_drift", 1)], said(
         found
@@ -119,7 +119,7 @@ def test_drift_is_named_as_one_effect_with_its_spread(tmp_path):
 
 
 @pytest.mark.slow
-def test_friction_that_falls_with_warmth_is_no_drift():
+def test_drift_is_not_found_for_thermal_friction():
     spec = replace(DRIFT, effects=(("thermal_friction", 1, 1.0),), seed=56)
     found = diagnosed(spec)
     assert [(f.effect.name, f.joint) for f in found.findings] == [("thermal_friction", 1)], said(

@@ -1,4 +1,4 @@
-"""Swings that die away otherwise than nominal are joint damping, with its size."""
+"""Joint damping other than nominal, and springs that are refused."""
 
 import re
 from pathlib import Path
@@ -14,8 +14,7 @@ from benchmarks.simulator import ROBOTS, CaseSpec, simulate
 from benchmarks.simulator import integrator as simulator
 from stiffopt.cli import run
 from stiffopt.discovery.catalogue import effect
-from stiffopt.discovery.comparison.extension import EstimatedEffect
-from stiffopt.discovery.comparison.located_effect import LocatedEffect
+from stiffopt.discovery.comparison.located_effect import EstimatedEffect, LocatedEffect
 from stiffopt.discovery.soundness import sample_signals
 from stiffopt.discovery.training import _check_damping
 from stiffopt.errors import InputFileError
@@ -29,7 +28,7 @@ MORE = 4.0
 
 
 @pytest.mark.slow
-def test_swings_that_die_away_faster_are_damping_of_that_joint(monkeypatch):
+def test_joint_damping_is_found_with_its_size(monkeypatch):
     begin = simulator._Spring.__init__
 
     def damped(self, world):
@@ -46,7 +45,7 @@ def test_swings_that_die_away_faster_are_damping_of_that_joint(monkeypatch):
     assert not any(mode.elsewhere for mode in found.modes)
 
 
-def test_a_robot_takes_the_damping_that_was_found():
+def test_change_robot_sets_estimated_damping():
     entry, constants = effect("joint_damping"), sample_signals().constants.joints[2]
     found = EstimatedEffect(located=LocatedEffect(effect=entry, joint=2), amplitudes=(30.0,))
     change = entry.change_robot(load_robot("er3a_c60"), found, 2, constants)
@@ -63,9 +62,7 @@ def test_a_robot_takes_the_damping_that_was_found():
         ("stiffness", "1.5", r"tolerance\.stiffness.*1"),
     ],
 )
-def test_springs_that_no_joint_has_are_refused_in_one_sentence(
-    tmp_path, capsys, key, stated, said_of_it
-):
+def test_invalid_springs_are_refused(tmp_path, capsys, key, stated, said_of_it):
     source = copied(COULOMB, tmp_path / "set")
     file = source / "recordings.toml"
     text = file.read_text(encoding="utf-8")
@@ -79,7 +76,7 @@ def test_springs_that_no_joint_has_are_refused_in_one_sentence(
     assert not (tmp_path / "out").exists()
 
 
-def test_a_damping_above_critical_is_told_in_the_unit_of_its_joint() -> None:
+def test_damping_above_critical_is_reported_in_joint_unit() -> None:
     """A slide has N s/m."""
     told: Any = SimpleNamespace(
         path=Path("recordings.toml"), joints=("lift",), prismatic=np.array([True])
@@ -89,7 +86,7 @@ def test_a_damping_above_critical_is_told_in_the_unit_of_its_joint() -> None:
         stiffness=np.full((2, 1), 1e4),
         damping=np.array([300.0]),
     )
-    probe: Any = SimpleNamespace(swing=swing)
+    probe: Any = SimpleNamespace(vibration=swing)
     robot: Any = SimpleNamespace(recordings=told)
     with pytest.raises(InputFileError, match="300 N s/m at 'lift' is above the critical 200"):
         _check_damping(robot, probe)

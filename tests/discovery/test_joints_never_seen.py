@@ -103,5 +103,5 @@ def test_what_a_joint_shows_that_moves_in_one_run_is_borne_out(tmp_path, after_m
     comparison = train(recordings, Settings(cutoff=12.0), model).comparison()
     there = LocatedEffect(effect=effect(cause), joint=1)
     load = LocatedEffect(effect=effect("load_friction"), joint=1, shapes=(0.02,))
-    comparison = comparison.about(comparison.fit([there]))
+    comparison = comparison.linearised_at(comparison.fit([there]))
     assert borne_out(comparison, [load, there]) == [there]

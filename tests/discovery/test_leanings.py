@@ -9,8 +9,7 @@ import pytest
 from shipped_set import SHIPPED
 
 from stiffopt.discovery.catalogue import effect
-from stiffopt.discovery.comparison.extension import EstimatedEffect, Extension
-from stiffopt.discovery.comparison.located_effect import LocatedEffect
+from stiffopt.discovery.comparison.located_effect import EstimatedEffect, Extension, LocatedEffect
 from stiffopt.discovery.judging.left_open import doubted_by_left_open, open_section
 from stiffopt.discovery.search.uncertainty import estimate
 from stiffopt.discovery.settings import Settings
@@ -23,7 +22,7 @@ THERE = LocatedEffect(effect=COULOMB, joint=1)
 
 @pytest.fixture(scope="module")
 def training() -> Training:
-    found = train(load_recordings(SHIPPED), Settings(), swinging=False)
+    found = train(load_recordings(SHIPPED), Settings(), vibrating=False)
     return replace(found, free_bodies=True)
 
 
@@ -43,7 +42,7 @@ def test_too_little_and_too_much_are_known_by_their_size(training: Training) -> 
 
 def test_it_counts_as_one_deviation_more(training: Training) -> None:
     comparison = training.comparison()
-    found = estimate(comparison.about(comparison.fit([THERE])), [THERE])
+    found = estimate(comparison.linearised_at(comparison.fit([THERE])), [THERE])
     (value, sd) = found.parameters(0, comparison.constants.joints[1])["dFc"]
     doubted = doubted_by_left_open(replace(training, leanings={THERE.label: (-0.3,)}), found)
     (same, wider) = doubted.parameters(0, comparison.constants.joints[1])["dFc"]

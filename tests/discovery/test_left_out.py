@@ -95,7 +95,7 @@ def test_a_claim_is_repeated_where_both_halves_say_it(
     comparison: Any = SimpleNamespace(
         target=target,
         runs=(run,),
-        rows=SimpleNamespace(sampled=lambda of: of(run)),
+        rows=SimpleNamespace(sample_signal=lambda of: of(run)),
         nuisance=([], np.zeros(0), np.zeros((len(time), 0))),
         effect_columns=lambda _: side[:, None],
         fit=lambda _: SimpleNamespace(posterior=SimpleNamespace(mean=np.array([amplitude]))),

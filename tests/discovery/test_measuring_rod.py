@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from shipped_set import LACKS, SHIPPED
 
-from stiffopt.discovery.comparison.extension import Extension
+from stiffopt.discovery.comparison.located_effect import Extension
 from stiffopt.discovery.judging.black_box import BlackBox, MeasuringRod
 from stiffopt.discovery.judging.carried_over import Drift, NotCarriedOver, not_carried_over
 from stiffopt.discovery.judging.random_features import smooth_function

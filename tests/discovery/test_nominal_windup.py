@@ -1,4 +1,4 @@
-"""Nominal wind-up of a joint, from the chain of its drivetrain."""
+"""Nominal wind-up of a joint from its drivetrain."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from stiffopt.discovery.comparison.signals import JointConstants
+from stiffopt.discovery.signals import JointConstants
 from stiffopt.drivetrain.chain import Chain
 from stiffopt.exact.chain import exact_compliance, exact_windup
 from stiffopt.recording.nominal_files import joint_chain
@@ -31,7 +31,7 @@ def constants(chain: Chain | None) -> JointConstants:
 
 @pytest.mark.parametrize("contacts", [6.5e4, np.inf])
 @pytest.mark.parametrize("curve", [CURVE, None])
-def test_reducer_and_spring_wind_up_by_the_exact_law(
+def test_windup_of_reducer_and_spring_is_exact(
     curve: tuple[float, ...] | None, contacts: float
 ) -> None:
     chain = joint_chain(curve, contacts, 90.0)
@@ -45,7 +45,7 @@ def test_reducer_and_spring_wind_up_by_the_exact_law(
     np.testing.assert_allclose(own.compliance(TORQUE), exact_compliance(chain, TORQUE), rtol=1e-12)
 
 
-def test_symbols_wind_up_as_numbers_do() -> None:
+def test_windup_with_symbols_matches_arrays() -> None:
     own = constants(joint_chain(CURVE, 6.5e4, 90.0))
     torque = ca.SX.sym("torque")
     function = ca.Function("windup", [torque], [own.windup(torque), own.compliance(torque)])
@@ -55,7 +55,7 @@ def test_symbols_wind_up_as_numbers_do() -> None:
         assert slope == pytest.approx(float(own.compliance(value)), rel=1e-12)
 
 
-def test_a_drivetrain_with_contacts_keeps_its_reducer_and_the_smooth_law_of_the_rest() -> None:
+def test_windup_with_contacts_adds_reducer_and_smooth_law() -> None:
     robot = load_robot("er3a_c60_contact")
     chain = robot.chains[1]
     assert chain is not None

@@ -14,9 +14,8 @@ import pytest
 
 from stiffopt.cli import run as command
 from stiffopt.discovery.catalogue import CATALOGUE
-from stiffopt.discovery.catalogue.robot_change import ADDED
-from stiffopt.discovery.comparison.extension import EstimatedEffect, Extension
-from stiffopt.discovery.comparison.located_effect import LocatedEffect
+from stiffopt.discovery.catalogue.robot_change import ADDED_SPRING_NAME
+from stiffopt.discovery.comparison.located_effect import EstimatedEffect, Extension, LocatedEffect
 from stiffopt.discovery.extended.made_for import made_for
 from stiffopt.discovery.extended.model import ExtendedModel, load_extended
 from stiffopt.discovery.extended.planner_model import joint_constants, planner_model
@@ -200,7 +199,7 @@ def test_preload_found_is_the_preload_lost(arm: Robot, model: ExtendedModel) -> 
     assert after.elements[weakest.name].preload == pytest.approx(
         0.8 * float(weakest.preload or 0.0), rel=1e-3
     )
-    assert ADDED not in after.elements
+    assert ADDED_SPRING_NAME not in after.elements
     assert "80 %" in changed.changes[0]
 
 
@@ -216,7 +215,7 @@ def test_more_than_a_loose_flange_explains_goes_into_a_spring(
     wanted = 3.0 * rated / 2e4 * ((share + 0.05) ** 0.5 - 0.05**0.5)
     added = exact_windup(after, share * rated) - exact_windup(before, share * rated)
     assert np.mean(added) == pytest.approx(np.mean(wanted), rel=1e-6)
-    assert ADDED in after.elements
+    assert ADDED_SPRING_NAME in after.elements
     # What is left must still hold everything that the drive can give.
     assert min(after.slip_torques().values()) > arm.torque_max[2]
 

@@ -9,10 +9,10 @@ import pytest
 from shipped_set import SHIPPED
 
 from stiffopt.discovery.catalogue import effect
-from stiffopt.discovery.comparison.bodies import body_units
 from stiffopt.discovery.comparison.comparison import Comparison
+from stiffopt.discovery.comparison.inertial_parameters import body_units
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
-from stiffopt.discovery.comparison.prepare import PreparedRun
+from stiffopt.discovery.comparison.prepared_run import PreparedRun
 from stiffopt.discovery.search.rigid import OF_A_BODY, WIDTHS, rigid_stage
 from stiffopt.discovery.settings import Settings
 from stiffopt.discovery.training import Training, train
@@ -23,7 +23,7 @@ THERE = LocatedEffect(effect=effect("coulomb"), joint=1)
 
 @pytest.fixture(scope="module")
 def training() -> Training:
-    return train(load_recordings(SHIPPED), Settings(), swinging=False)
+    return train(load_recordings(SHIPPED), Settings(), vibrating=False)
 
 
 def _balanced(training: Training) -> Comparison:

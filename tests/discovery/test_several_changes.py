@@ -73,11 +73,11 @@ def test_a_small_change_beside_a_large_one_stays(after_model):
 def test_one_change_stands_for_several_that_leave_as_much(after_model):
     coulomb, viscous, offset = (LocatedEffect(effect=each, joint=0) for each in CAUSES)
     first = scan(Scorer(after_model), CAUSES)
-    more = after_model.about(after_model.fit([coulomb, offset]))
+    more = after_model.linearised_at(after_model.fit([coulomb, offset]))
     single = _single_change(after_model, after_model, more, [], [coulomb, offset], first)
     assert single is not None
     assert single[1] == [coulomb]
-    both = after_model.about(after_model.fit([coulomb, viscous]))
+    both = after_model.linearised_at(after_model.fit([coulomb, viscous]))
     two = [coulomb, viscous]
     assert _single_change(after_model, after_model, both, [], two, first) is None
 
@@ -93,7 +93,7 @@ def test_of_changes_that_are_alike_the_one_that_leaves_least_is_taken(after_mode
         return sorted(found, key=lambda c: -c.evidence)
 
     monkeypatch.setattr(changing, "scan", scanned)
-    about = after_model.about(after_model.fit())
+    about = after_model.linearised_at(after_model.fit())
     told, kept = [], []
     changing.changes(
         after_model, about, [], CAUSES[:2], 1, told.append, lambda _: None, keep=kept.append
@@ -110,8 +110,8 @@ def test_what_explains_nothing_is_no_rival_however_much_a_model_left_open(traini
     friction = effect("asym_friction")
     catalogue = (friction, *CAUSES)
     two = [LocatedEffect(effect=each, joint=0) for each in CAUSES[:2]]
-    current = favoured.about(favoured.fit(two))
-    assert current.most_suspected > 1e5
+    current = favoured.linearised_at(favoured.fit(two))
+    assert current.max_inherited_evidence > 1e5
     ranked = ranked_among_rivals(current, two, two[0], catalogue)
     assert ranked.likeliest is two[0]
     assert ranked.selected.rivals == ()

@@ -45,7 +45,7 @@ def test_laws_that_fit_alike_are_told(
     scorer = SimpleNamespace(score=lambda located: every[0])
     monkeypatch.setattr(rivals, "Scorer", lambda comparison, others: scorer)
     monkeypatch.setattr(rivals, "scan", lambda scorer, catalogue, **_: every)
-    comparison: Any = SimpleNamespace(after_model=False, most_suspected=0.0, constants=None)
+    comparison: Any = SimpleNamespace(after_model=False, max_inherited_evidence=0.0, constants=None)
     monkeypatch.setattr(rivals.LocatedEffect, "constants", lambda self, constants: None)
     located = every[0].located
     ranked = rivals.ranked_among_rivals(comparison, [located], located, ())

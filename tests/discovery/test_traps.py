@@ -14,9 +14,9 @@ from simulated_sets import diagnosed, diagnosis_of, said, simulated
 
 from benchmarks.simulator import CaseSpec, write_case
 from stiffopt.discovery.catalogue import CATALOGUE
-from stiffopt.discovery.comparison.located_effect import places
+from stiffopt.discovery.comparison.located_effect import effect_places
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
-from stiffopt.discovery.comparison.prepare import prepare
+from stiffopt.discovery.comparison.prepared_run import prepare_run
 from stiffopt.discovery.diagnosis import Diagnosis
 from stiffopt.discovery.settings import Settings
 from stiffopt.discovery.training import train
@@ -112,12 +112,12 @@ def test_no_term_sees_the_measured_torque(tmp_path: Path) -> None:
     for run in training.recorded[:1]:
         shuffled = np.random.default_rng(0).permutation(run.torque, axis=0)
         as_is, other = (
-            prepare(robot, each, 0, constants, settings)
+            prepare_run(robot, each, 0, constants, settings)
             for each in (run, replace(run, torque=shuffled))
         )
         assert not np.array_equal(as_is.torque, other.torque)
         for effect in CATALOGUE:
-            located = next(places(effect, constants, [run.name]), None)
+            located = next(effect_places(effect, constants, [run.name]), None)
             if located is None:
                 continue
             for one, two in zip(

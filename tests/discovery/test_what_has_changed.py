@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from stiffopt.discovery.catalogue import CATALOGUE
-from stiffopt.discovery.comparison.extension import EstimatedEffect, Extension
+from stiffopt.discovery.comparison.channel_rows import ChannelNoise
 from stiffopt.discovery.comparison.filtering import ZeroPhaseFilter
-from stiffopt.discovery.comparison.located_effect import LocatedEffect
-from stiffopt.discovery.comparison.rows import ChannelNoise
+from stiffopt.discovery.comparison.located_effect import EstimatedEffect, Extension, LocatedEffect
 from stiffopt.discovery.extended.left_open import at_rate, least_factors, left_open, with_bands
 from stiffopt.discovery.extended.schema import EffectSection, LeftOpenSection
 from stiffopt.discovery.search.identifiable_effects import of_changes

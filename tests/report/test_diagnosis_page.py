@@ -143,7 +143,7 @@ def test_contribution_is_the_friction_that_was_found(friction):
         assert np.mean(np.abs(side - np.tanh(run.signals.motor_velocity[:, 1] / 0.01))) < 1e-3
         return run.low_pass(side)
 
-    filtered = friction.search.comparison.rows.sampled(by_hand)[rows.chosen]
+    filtered = friction.search.comparison.rows.sample_signal(by_hand)[rows.chosen]
     assert added == pytest.approx(finding.parameters[0].value * filtered, rel=1e-6, abs=1e-9)
     assert np.array_equal(direction(friction, rows), np.sign(speed))
     # Friction of one joint is no business of another's.

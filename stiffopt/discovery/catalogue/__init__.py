@@ -1,7 +1,7 @@
-"""The catalogue: physics that a nominal model of a robot may lack, an effect or a family a file.
+"""Catalogue of physics that a nominal robot model may lack, one effect or family per file.
 
-Signs: terms add to the drive torque, to the torque in the spring, or to motor angle minus link
-angle, as `stiffopt.discovery.effect.Term` says.
+Signs: terms add to the drive torque, to the spring torque, or to motor angle minus link angle, as
+in `stiffopt.discovery.effect.Term`.
 """
 
 from __future__ import annotations
@@ -44,12 +44,15 @@ CATALOGUE: tuple[Effect, ...] = (
     *CONTACTS,
 )
 
-# Runs of which each can have an amplitude.
-_MOST_RUNS = 20
+# Largest number of runs with one amplitude each.
+_MAX_RUNS = 20
 
 
 def confused_with(entry: Effect, effects: Sequence[Effect] = CATALOGUE) -> tuple[str, ...]:
-    """Names of the effects that ordinary motions separate poorly from one, whichever says so."""
+    """Return the names of effects that ordinary motions separate poorly from one.
+
+    Either side may declare it.
+    """
     return tuple(
         other.name
         for other in effects
@@ -57,8 +60,10 @@ def confused_with(entry: Effect, effects: Sequence[Effect] = CATALOGUE) -> tuple
     )
 
 
-def of_runs(effects: Sequence[Effect], runs: Sequence[str]) -> tuple[Effect, ...]:
-    """Effects with amplitudes for each of some runs, where they have such; too many are left out.
+def effects_of_runs(effects: Sequence[Effect], runs: Sequence[str]) -> tuple[Effect, ...]:
+    """Return effects with one amplitude per run where they have such.
+
+    Effects of runs are left out where there are too many runs.
 
     Parameters
     ----------
@@ -69,17 +74,17 @@ def of_runs(effects: Sequence[Effect], runs: Sequence[str]) -> tuple[Effect, ...
     return tuple(
         each if each.of_runs is None else each.of_runs(tuple(runs))
         for each in effects
-        if each.of_runs is None or len(runs) <= _MOST_RUNS
+        if each.of_runs is None or len(runs) <= _MAX_RUNS
     )
 
 
 def effect(name: str) -> Effect:
-    """Entry of the catalogue by its name.
+    """Return the entry of a name.
 
     Raises
     ------
     InputError
-        No entry has this name; the message lists those there are.
+        No entry has this name; the message lists the names.
     """
     for entry in CATALOGUE:
         if entry.name == name:

@@ -1,4 +1,4 @@
-"""A belt that creeps under load: the standard linear solid in series with the joint."""
+"""Creep of a belt under load: the standard linear solid in series with the joint."""
 
 from __future__ import annotations
 
@@ -7,16 +7,15 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from stiffopt.discovery.catalogue.common import Constants, winds_up, working_compliance
-from stiffopt.discovery.catalogue.history import lagged
+from stiffopt.discovery.catalogue.recurrence import first_order_lag
 from stiffopt.discovery.catalogue.robot_change import (
-    SHARES,
+    TORQUE_SHARES,
     chain_of,
     with_chain,
     with_series_spring,
 )
-from stiffopt.discovery.comparison.extension import EstimatedEffect
-from stiffopt.discovery.comparison.signals import JointConstants, JointSignals
-from stiffopt.discovery.effect import Amplitude, Effect, RobotChange, Shape, Term
+from stiffopt.discovery.effect import Amplitude, Effect, FittedEffect, RobotChange, Shape, Term
+from stiffopt.discovery.signals import JointConstants, JointSignals
 from stiffopt.robot.robot import Robot
 from stiffopt.symbolic import Quantity
 
@@ -24,14 +23,14 @@ from stiffopt.symbolic import Quantity
 def belt_creep_term(
     signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
 ) -> Term:
-    """Wind-up C_now s + C_creep y, dy/dt = (s - y)/tau_r."""
+    """Return the wind-up C_now s + C_creep y, dy/dt = (s - y)/tau_r."""
     s = signals.spring_torque
-    # A belt has settled under the load that the run begins with.
-    slow = lagged(s, np.exp(-signals.dt / shapes[0]))
+    # A belt has settled under the load at the begin of the run.
+    slow = first_order_lag(s, np.exp(-signals.dt / shapes[0]))
     return Term(deflection=amplitudes[0] * s + amplitudes[1] * slow)
 
 
-def _belt(
+def _report_belt(
     amplitudes: Sequence[float], shapes: Sequence[float], constants: Constants
 ) -> Mapping[str, float]:
     return {"C": amplitudes[0] + amplitudes[1], "tau_r": shapes[0]}
@@ -42,17 +41,15 @@ def _may_have_belt(constants: JointConstants) -> bool:
 
 
 def put_belt_in_series(
-    robot: Robot, found: EstimatedEffect, joint: int, constants: JointConstants
+    robot: Robot, found: FittedEffect, joint: int, constants: JointConstants
 ) -> RobotChange | None:
-    """A spring in series as soft as the belt is once it has settled."""
+    """Return the robot with a spring in series as soft as the settled belt."""
     compliance = float(sum(found.amplitudes))
     if compliance <= 0.0:
         return None
-    mean = compliance * float(np.mean(SHARES)) * constants.torque_rated
+    mean = compliance * float(np.mean(TORQUE_SHARES)) * constants.torque_rated
     chain, sentence = with_series_spring(chain_of(robot, joint), mean, constants)
-    return with_chain(
-        robot, joint, chain, f"{sentence[:-1]}, a belt that has settled under its load."
-    )
+    return with_chain(robot, joint, chain, f"{sentence[:-1]}, a belt that has settled under load.")
 
 
 BELT_CREEP = Effect(
@@ -70,7 +67,7 @@ BELT_CREEP = Effect(
         Amplitude(name="C_creep", unit="rad/(N m)", scale=working_compliance, lower=0.0, upper=2.0),
     ),
     shapes=(Shape(name="tau_r", unit="s", starts=(0.03, 0.1, 0.3, 1.0), lower=0.01, upper=5.0),),
-    report=_belt,
+    report=_report_belt,
     units={"C": "rad/(N m)"},
     applies=_may_have_belt,
     lags=True,

@@ -1,4 +1,4 @@
-"""Loads that come in from elsewhere: the joint before, or something that the tool touches."""
+"""External loads: coupling with the previous joint, and contact of the tool."""
 
 from __future__ import annotations
 
@@ -6,23 +6,24 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from stiffopt.discovery.catalogue.common import part
-from stiffopt.discovery.comparison.signals import (
+from stiffopt.discovery.catalogue.common import component
+from stiffopt.discovery.effect import Amplitude, Effect, Shape, Term
+from stiffopt.discovery.signals import (
     JointConstants,
     JointSignals,
     RobotConstants,
     RobotSignals,
 )
-from stiffopt.discovery.effect import Amplitude, Effect, Shape, Term
 from stiffopt.symbolic import Quantity, is_symbolic, smooth_abs
 
-_TOUCH = 1e-4  # [m], over which a touch begins
+# Height over which the contact force sets in [m].
+_CONTACT_ROUNDING = 1e-4
 
 
 def wrist_coupling_term(
     signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
 ) -> Term:
-    """Link angle th + c th_before; by virtual work the joint before carries c s."""
+    """Return link angle th + c th_before; by virtual work the previous joint carries c s."""
     return Term(
         deflection=-amplitudes[0] * signals.previous_position,
         previous_torque=amplitudes[0] * signals.spring_torque,
@@ -32,26 +33,26 @@ def wrist_coupling_term(
 def external_contact_term(
     signals: RobotSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
 ) -> Term:
-    """-J^T n k max(z - tool height, 0): a level surface holds the tool up."""
-    depth = shapes[0] - part(signals.tool_position, 2)
-    pressed = 0.5 * (depth + smooth_abs(depth, _TOUCH))
+    """Return -J^T n k max(z - tool height, 0) of a level surface under the tool."""
+    depth = shapes[0] - component(signals.tool_position, 2)
+    pressed = 0.5 * (depth + smooth_abs(depth, _CONTACT_ROUNDING))
     jacobian = signals.tool_jacobian
     lever = jacobian[2, :].T if is_symbolic(jacobian) else jacobian[:, 2, :]
-    return Term(link_torque=-amplitudes[0] * _for_each_joint(pressed, lever))
+    return Term(link_torque=-amplitudes[0] * _joint_torques(pressed, lever))
 
 
-def _for_each_joint(force: Quantity, lever: Quantity) -> Quantity:
-    """Product of a force (K,) and levers (K, n), whichever is a symbol."""
+def _joint_torques(force: Quantity, lever: Quantity) -> Quantity:
+    """Return the product of a force (K,) and levers (K, n), arrays or symbols."""
     if is_symbolic(lever) or not is_symbolic(force):
         return lever * (force if is_symbolic(lever) else force[:, None])
     return lever * (force @ np.ones((1, lever.shape[1])))
 
 
-def _follows_another(constants: JointConstants) -> bool:
+def _has_previous_joint(constants: JointConstants) -> bool:
     return constants.joint > 1
 
 
-def _heights(constants: RobotConstants) -> tuple[float, ...]:
+def _start_heights(constants: RobotConstants) -> tuple[float, ...]:
     low, high = constants.tool_range[:, 2]
     shares = (0.03, 0.08, 0.15, 0.25, 0.4, 0.6)
     return tuple(float(low + share * (high - low)) for share in shares)
@@ -67,7 +68,7 @@ WRIST_COUPLING = Effect(
     needs=("sensor", "moves", "before"),
     term=wrist_coupling_term,
     amplitudes=(Amplitude(name="c", unit="", scale=0.01, lower=-5.0, upper=5.0),),
-    applies=_follows_another,
+    applies=_has_previous_joint,
     log_prior=lambda constants: 0.0 if constants.joint > 4 else -1.0,
     separate="Move the joint before while this one stands: an error of its own gear or encoder"
     " does not follow.",
@@ -83,7 +84,7 @@ EXTERNAL_CONTACT = Effect(
     needs=("torque", "moves", "tool_frame"),
     term=external_contact_term,
     amplitudes=(Amplitude(name="k", unit="N/m", scale=2e4, lower=0.0, upper=50.0),),
-    shapes=(Shape(name="z", unit="m", starts=_heights, lower=-10.0, upper=10.0),),
+    shapes=(Shape(name="z", unit="m", starts=_start_heights, lower=-10.0, upper=10.0),),
     separate="Visit one place several times from above, and places beside it: a payload acts"
     " everywhere, a contact only below its height.",
 )

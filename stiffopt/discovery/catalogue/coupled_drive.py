@@ -1,7 +1,7 @@
-"""A wrist drive that turns with two joints: its friction and rotor load both of them.
+"""Wrist drive whose motor turns with two joints: its friction and rotor load both of them.
 
-In many wrists the motor of one joint sits behind the joint before it, so that it turns by the sum
-of both angles. A model that gives each joint its own rotor and friction has neither.
+In many wrists the motor of one joint sits behind the previous joint, so that it turns by the sum of
+both angles. A model with one rotor and friction per joint has neither.
 """
 
 from __future__ import annotations
@@ -14,18 +14,18 @@ from stiffopt.discovery.catalogue.common import (
     motor_inertia,
     viscous_friction,
 )
-from stiffopt.discovery.comparison.signals import JointConstants, JointSignals, smooth_sign
 from stiffopt.discovery.effect import Amplitude, Effect, Shape, Term
+from stiffopt.discovery.signals import JointConstants, JointSignals, smooth_sign
 from stiffopt.symbolic import Quantity
 
-# Share of the joint before from which a motor turns with two joints; gears of wrists have 1.
-_LEAST = 0.5
+# Smallest share of the previous joint in the motor's turning; gears of wrists have 1.
+_MIN_SHARE = 0.5
 
 
 def coupled_drive_term(
     signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
 ) -> Term:
-    """Torque Fc sg(w) + Fv w + J dw/dt of a motor with w = v_j + c v_before, on both joints."""
+    """Return Fc sg(w) + Fv w + J dw/dt of a motor, w = v_j + c v_before, on both joints."""
     share = shapes[0]
     speed = signals.motor_velocity + share * signals.previous_velocity
     rate = signals.motor_acceleration + share * signals.previous_acceleration
@@ -39,11 +39,11 @@ def _after_another_wrist_joint(constants: JointConstants) -> bool:
 
 
 def _turns_with_both(shapes: Sequence[float], constants: Constants) -> bool:
-    """Whether the joint before turns the motor at all: else it is a drive like any other."""
-    return abs(shapes[0]) >= _LEAST
+    """Return True where the previous joint turns the motor; otherwise it is an ordinary drive."""
+    return abs(shapes[0]) >= _MIN_SHARE
 
 
-def _reported(
+def _report_drive(
     amplitudes: Sequence[float], shapes: Sequence[float], constants: Constants
 ) -> Mapping[str, float]:
     return {**dict(zip(("Fc", "Fv", "J"), amplitudes, strict=True)), "c": shapes[0]}
@@ -66,7 +66,7 @@ COUPLED_DRIVE = Effect(
         Amplitude(name="J", unit="kg m^2", scale=motor_inertia, lower=0.0, upper=10.0),
     ),
     shapes=(Shape(name="c", unit="", starts=(1.0, -1.0), lower=-1.5, upper=1.5),),
-    report=_reported,
+    report=_report_drive,
     applies=_after_another_wrist_joint,
     possible=_turns_with_both,
     log_prior=lambda constants: -1.0,

@@ -1,6 +1,6 @@
-"""Wind-up between motor angle and link angle that depends on the side or the way of the load.
+"""Wind-up that depends on the side or the history of the load: backlash and hysteresis.
 
-Each follows the nominal spring torque, so it needs no measured torque. Presliding hysteresis after
+Both depend on the nominal spring torque and need no measured torque. Presliding hysteresis after
 Dahl (1968), with his exponent.
 """
 
@@ -12,21 +12,22 @@ import casadi as ca
 import numpy as np
 
 from stiffopt.discovery.catalogue.common import carried_share, winds_up
-from stiffopt.discovery.catalogue.history import following, remember
-from stiffopt.discovery.comparison.signals import JointConstants, JointSignals
+from stiffopt.discovery.catalogue.recurrence import linear_recurrence, recurrence_output
 from stiffopt.discovery.effect import Amplitude, Effect, Shape, Term
+from stiffopt.discovery.signals import JointConstants, JointSignals
 from stiffopt.symbolic import Quantity, is_symbolic
 
-# Exponents nearer to one than this are taken as a series; of the limit, what counts as reached.
-_NEAR_ONE, _LEAST_LEFT = 1e-3, 1e-9
-# Of the rated torque, over which a flank at least takes up the load.
-_SHARPEST = 5e-5
+# Distance of the exponent from one within which a series is used; remainder to the limit that
+# counts as reached.
+_SERIES_RANGE, _MIN_REMAINDER = 1e-3, 1e-9
+# Smallest rounding of a flank over the rated torque.
+_MIN_ROUNDING = 5e-5
 
 
 def backlash_term(
     signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
 ) -> Term:
-    """Half the width times s/sqrt(s^2 + e^2): the flank follows the side of the load."""
+    """Return half the width times s/sqrt(s^2 + e^2): the flank follows the side of the load."""
     s = signals.spring_torque
     rounding = shapes[0] * signals.constants.torque_rated
     return Term(deflection=0.5 * amplitudes[0] * s / np.sqrt(s * s + rounding * rounding))
@@ -35,16 +36,16 @@ def backlash_term(
 def hysteresis_term(
     signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
 ) -> Term:
-    """Wind-up -D'(s) h y: inner friction h y carries part of the torque and lags the wind-up.
+    """Return wind-up -D'(s) h y: inner friction h y carries part of the torque and lags.
 
-    D' is the mean slope over a usual loop's height, since D(s - h y) - D(s) does not jump where
-    a reducer bends; there no link motion would agree with a jump.
+    D' is the mean slope over the height of a usual loop: D(s - h y) - D(s) jumps at the corners of
+    a reducer, and no link motion is consistent with a jump.
     """
     d = signals.windup
     if is_symbolic(d) or is_symbolic(shapes[0]) or shapes[1] != 1.0:
-        side = remember(dahl, [d], [0.0, d[0]], [shapes[0], shapes[1]])
+        side = recurrence_output(dahl, [d], [0.0, d[0]], [shapes[0], shapes[1]])
     else:
-        side = _evenly(d, shapes[0])
+        side = _exponential_dahl(d, shapes[0])
     torque, height = signals.spring_torque, _loop_height(signals.constants)
     ends = [signals.constants.windup(torque + end) for end in (-height, height)]
     slope = (ends[1] - ends[0]) / (2.0 * height)
@@ -54,48 +55,53 @@ def hysteresis_term(
 def dahl(
     state: Quantity, inputs: Sequence[Quantity], parameters: Sequence[Quantity]
 ) -> tuple[Quantity, Quantity]:
-    """Presliding friction over its limit: dy/dd = (1 - y sgn(dd))^i/range, exact in each step."""
+    """Return presliding friction over its limit: dy/dd = (1 - y sgn(dd))^i/range.
+
+    Exact per step.
+    """
     reach, exponent = parameters[0], parameters[1]
     travel = inputs[0] - state[1]
     side = np.sign(travel)
-    # Box and Cox's transform of what is left to the limit falls in proportion to the travel.
-    left = ca.fmax(1.0 - state[0] * side, _LEAST_LEFT)
-    fallen = _power(ca.log(left), 1.0 - exponent) - np.abs(travel) / reach
-    left = ca.fmax(_inverse_power(fallen, 1.0 - exponent), 0.0)
+    # The Box-Cox transform of the remainder decreases in proportion to the travel.
+    left = ca.fmax(1.0 - state[0] * side, _MIN_REMAINDER)
+    fallen = _box_cox(ca.log(left), 1.0 - exponent) - np.abs(travel) / reach
+    left = ca.fmax(_inverse_box_cox(fallen, 1.0 - exponent), 0.0)
     now = ca.if_else(side == 0.0, state[0], side * (1.0 - left))
     return ca.vertcat(now, inputs[0]), now
 
 
-def _evenly(windup: np.ndarray, reach: float) -> np.ndarray:
-    """What `dahl` gives with the exponent one: what is left to the limit falls by a factor."""
+def _exponential_dahl(windup: np.ndarray, reach: float) -> np.ndarray:
+    """Return `dahl` for the exponent one: the remainder to the limit decays exponentially."""
     travel = np.diff(windup, prepend=windup[:1])
     kept = np.exp(-np.abs(travel) / reach)
-    return following(kept, np.sign(travel) * (1.0 - kept))
+    return linear_recurrence(kept, np.sign(travel) * (1.0 - kept))
 
 
-def _power(logarithm: Quantity, rest: Quantity) -> Quantity:
-    """(x^rest - 1)/rest of the logarithm of x, log(x) at zero."""
+def _box_cox(logarithm: Quantity, rest: Quantity) -> Quantity:
+    """Return (x^rest - 1)/rest from the logarithm of x, log(x) at rest zero."""
     series = logarithm * (1.0 + rest * logarithm / 2.0 * (1.0 + rest * logarithm / 3.0))
-    near = ca.fabs(rest) < _NEAR_ONE
+    near = ca.fabs(rest) < _SERIES_RANGE
     divisor = ca.if_else(near, 1.0, rest)
     return ca.if_else(near, series, ca.expm1(divisor * logarithm) / divisor)
 
 
-def _inverse_power(power: Quantity, rest: Quantity) -> Quantity:
-    """The x of which (x^rest - 1)/rest is `power`; zero where the limit is reached."""
+def _inverse_box_cox(power: Quantity, rest: Quantity) -> Quantity:
+    """Return x with (x^rest - 1)/rest = `power`; zero where the limit is reached."""
     inside = rest * power
     series = power * (1.0 - inside / 2.0 * (1.0 - 2.0 * inside / 3.0))
-    near = ca.fabs(rest) < _NEAR_ONE
+    near = ca.fabs(rest) < _SERIES_RANGE
     divisor = ca.if_else(near, 1.0, rest)
-    logarithm = ca.log1p(ca.fmax(inside, _LEAST_LEFT - 1.0)) / divisor
-    return ca.if_else(inside <= _LEAST_LEFT - 1.0, 0.0, ca.exp(ca.if_else(near, series, logarithm)))
+    logarithm = ca.log1p(ca.fmax(inside, _MIN_REMAINDER - 1.0)) / divisor
+    return ca.if_else(
+        inside <= _MIN_REMAINDER - 1.0, 0.0, ca.exp(ca.if_else(near, series, logarithm))
+    )
 
 
 def _loop_height(constants: JointConstants) -> float:
     return 0.04 * constants.torque_rated
 
 
-def _roundings(constants: JointConstants) -> tuple[float, ...]:
+def _start_roundings(constants: JointConstants) -> tuple[float, ...]:
     return tuple(carried_share(constants) * share for share in (0.002, 0.008, 0.03))
 
 
@@ -111,9 +117,9 @@ BACKLASH = Effect(
     term=backlash_term,
     is_play=True,
     amplitudes=(Amplitude(name="width", unit="rad", scale=3e-4, lower=0.0, upper=10.0),),
-    shapes=(Shape(name="rounding", unit="", starts=_roundings, lower=1e-7, upper=0.08),),
+    shapes=(Shape(name="rounding", unit="", starts=_start_roundings, lower=1e-7, upper=0.08),),
     report=lambda amplitudes, shapes, constants: {"width": amplitudes[0]},
-    possible=lambda shapes, constants: shapes[0] >= _SHARPEST * carried_share(constants),
+    possible=lambda shapes, constants: shapes[0] >= _MIN_ROUNDING * carried_share(constants),
     applies=winds_up,
     separate="Carry the load slowly through zero torque: backlash is a step between two plateaus,"
     " a soft joint bends gradually, an encoder offset does not change side.",
@@ -124,7 +130,7 @@ HYSTERESIS = Effect(
     family="elastic",
     scope="joint",
     equation="d += -D'(s)*h*y, dy/dd = (1 - y*sgn(dd))^i/s",
-    signature="wind-up that takes another way under falling load than under rising load, whatever"
+    signature="wind-up that differs between falling and rising load at equal torque, whatever"
     " the speed",
     phrase="hysteresis of the wind-up",
     needs=("windup", "moves", "reverses"),
@@ -132,7 +138,8 @@ HYSTERESIS = Effect(
     amplitudes=(Amplitude(name="h", unit="N m", scale=_loop_height, lower=0.0, upper=3.0),),
     shapes=(
         Shape(name="s", unit="rad", starts=(1e-4, 3e-4, 1e-3), lower=2e-5, upper=5e-3),
-        # How fast the loop closes in on its limit: recordings seldom show it, but h hangs on it.
+        # Rate at which the loop approaches its limit: recordings seldom show it, but h depends on
+        # it.
         Shape(name="i", unit="", starts=(1.0,), lower=0.3, upper=2.0, usual=1.0),
     ),
     report=lambda amplitudes, shapes, constants: {"h": amplitudes[0], "s": shapes[0]},

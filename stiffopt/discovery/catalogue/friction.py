@@ -1,7 +1,7 @@
-"""Friction that the nominal Coulomb and viscous terms lack: torques that oppose motion.
+"""Friction beyond the nominal Coulomb and viscous terms: torques that oppose motion.
 
-Sources of the forms: Armstrong-Helouvry, Dupont, Canudas de Wit (1994) for the dependence on
-speed; Bittencourt and Axelsson (2014) for load and temperature.
+Sources of the forms: Armstrong-Helouvry, Dupont, Canudas de Wit (1994) for the dependence on speed;
+Bittencourt and Axelsson (2014) for load and temperature.
 """
 
 from __future__ import annotations
@@ -18,24 +18,24 @@ from stiffopt.discovery.catalogue.common import (
     viscous_friction,
 )
 from stiffopt.discovery.catalogue.robot_change import add_to_nominal_value
-from stiffopt.discovery.comparison.signals import JointConstants, JointSignals
 from stiffopt.discovery.effect import Amplitude, Effect, Shape, Term
 from stiffopt.discovery.settings import SIGN_SPEED
+from stiffopt.discovery.signals import JointConstants, JointSignals
 from stiffopt.symbolic import Quantity, smooth_abs
 
-# Share of the rated torque below which a carried load has no definite side.
-_ROUNDED_SHARE, _LEAST_LOAD = 0.02, 0.002
-# Of the speed within which friction has no definite sign, what rounds the size of a speed.
-_ROUNDED = 0.1
+# Rounding of the carried load over the rated torque, default and minimum.
+_LOAD_ROUNDING_SHARE, _MIN_LOAD_ROUNDING = 0.02, 0.002
+# Rounding of the magnitude of a speed over SIGN_SPEED.
+_SPEED_ROUNDING_SHARE = 0.1
 
 
 def rounded_speed(velocity: Quantity) -> Quantity:
-    """Size of a speed, rounded at zero, so that a power of it has slopes everywhere."""
-    return smooth_abs(velocity, _ROUNDED * SIGN_SPEED)
+    """Return the magnitude of a speed, rounded at zero so that its powers are differentiable."""
+    return smooth_abs(velocity, _SPEED_ROUNDING_SHARE * SIGN_SPEED)
 
 
 def rounded_load(signals: JointSignals, share: Quantity) -> Quantity:
-    """Size of the load carried, rounded within a share of the rated torque about zero [N m]."""
+    """Return the magnitude of the load, rounded within a share of the rated torque [N m]."""
     rounding = share * signals.constants.torque_rated
     return smooth_abs(signals.spring_torque, rounding) - rounding
 
@@ -43,21 +43,21 @@ def rounded_load(signals: JointSignals, share: Quantity) -> Quantity:
 def coulomb_term(
     signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
 ) -> Term:
-    """Dry friction dFc sg(w)."""
+    """Return dry friction dFc sg(w)."""
     return Term(drive_torque=amplitudes[0] * signals.motor_direction)
 
 
 def viscous_term(
     signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
 ) -> Term:
-    """Viscous friction dFv w."""
+    """Return viscous friction dFv w."""
     return Term(drive_torque=amplitudes[0] * signals.motor_velocity)
 
 
 def stribeck_term(
     signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
 ) -> Term:
-    """Friction A exp(-|w/vs|^n) sg(w) at low speed, n = 2 after Gauss and 1 after Tustin."""
+    """Return A exp(-|w/vs|^n) sg(w); n = 2 after Gauss, n = 1 after Tustin."""
     w = signals.motor_velocity
     speed, power = shapes
     fall = np.exp(-((rounded_speed(w) / speed) ** power))
@@ -67,7 +67,7 @@ def stribeck_term(
 def load_friction_term(
     signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
 ) -> Term:
-    """Friction mu |s| sg(w) of the load, the size of the load rounded at zero."""
+    """Return friction mu |s| sg(w) of the load, its magnitude rounded at zero."""
     load = rounded_load(signals, shapes[0])
     return Term(drive_torque=amplitudes[0] * load * signals.motor_direction)
 
@@ -75,7 +75,7 @@ def load_friction_term(
 def asym_friction_term(
     signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
 ) -> Term:
-    """Torque dFc + dFv |w| while moving, in either direction, and nothing at rest."""
+    """Return dFc + dFv |w| while moving in either direction, zero at rest."""
     w = signals.motor_velocity
     side = signals.motor_direction
     return Term(drive_torque=amplitudes[0] * side * side + amplitudes[1] * w * side)
@@ -84,7 +84,7 @@ def asym_friction_term(
 def position_friction_term(
     signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
 ) -> Term:
-    """Friction A exp(-((q - q0)/width)^2 / 2) sg(w) at a place."""
+    """Return friction A exp(-((q - q0)/width)^2 / 2) sg(w) at an angle."""
     place, width = shapes
     bump = np.exp(-0.5 * ((signals.link_position - place) / width) ** 2)
     return Term(drive_torque=amplitudes[0] * bump * signals.motor_direction)
@@ -93,7 +93,7 @@ def position_friction_term(
 def thermal_friction_term(
     signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
 ) -> Term:
-    """Change by exp(-b (T - T0)) - 1 of viscous friction and of a share of dry friction."""
+    """Return the change by exp(-b (T - T0)) - 1 of viscous and a share of dry friction."""
     constants, w = signals.constants, signals.motor_velocity
     fall = np.exp(-shapes[0] * signals.temperature_rise) - 1.0
     viscous = viscous_friction(constants) * w
@@ -101,41 +101,41 @@ def thermal_friction_term(
     return Term(drive_torque=(amplitudes[0] * viscous + amplitudes[1] * dry) * fall)
 
 
-def half_dry(constants: JointConstants) -> float:
-    """Half the dry friction, typical of what is added to it [N m]."""
+def half_dry_friction(constants: JointConstants) -> float:
+    """Return half the dry friction, the typical size of its change [N m]."""
     return 0.5 * dry_friction(constants)
 
 
-def slow_speeds(constants: JointConstants) -> tuple[float, ...]:
-    """Speeds below which dry friction may rise [rad/s]."""
+def start_slow_speeds(constants: JointConstants) -> tuple[float, ...]:
+    """Return initial speeds below which dry friction increases [rad/s]."""
     highest = min(0.5, max(0.5 * constants.fastest, 0.03))
     return tuple(float(v) for v in np.geomspace(0.02, highest, 5))
 
 
-def _in_stroke(shapes: Sequence[float], constants: JointConstants) -> bool:
-    """Whether it is a place of the stroke: what is never met or everywhere is no tight place."""
+def _is_within_stroke(shapes: Sequence[float], constants: JointConstants) -> bool:
+    """Return True for a tight place within the stroke and narrower than half of it."""
     low, high = constants.stroke
     place, width = shapes
     return bool(low <= place <= high and width <= 0.5 * (high - low))
 
 
-def _places(constants: JointConstants) -> tuple[float, ...]:
+def _start_places(constants: JointConstants) -> tuple[float, ...]:
     return along_stroke(constants, 10)
 
 
-def definite_load(share: float, constants: JointConstants) -> bool:
-    """Whether a load is rounded enough to be that of a joint."""
-    return share >= _LEAST_LOAD * carried_share(constants)
+def is_definite_load(share: float, constants: JointConstants) -> bool:
+    """Return True where the rounding of a load is large enough for the joint."""
+    return share >= _MIN_LOAD_ROUNDING * carried_share(constants)
 
 
-# How small a load is rubs nowhere the same, and is no value of a datasheet: it moves mu.
+# The rounding has no datasheet value and hardly shows; it affects mu.
 LOAD_ROUNDING = Shape(
     name="rounding",
     unit="",
-    starts=lambda constants: (_ROUNDED_SHARE * carried_share(constants),),
+    starts=lambda constants: (_LOAD_ROUNDING_SHARE * carried_share(constants),),
     lower=1e-7,
     upper=0.1,
-    usual=_ROUNDED_SHARE,
+    usual=_LOAD_ROUNDING_SHARE,
 )
 
 COULOMB = Effect(
@@ -154,7 +154,9 @@ COULOMB = Effect(
     reference="ArmstrongEtAl1994",
     change_robot=add_to_nominal_value,
     term=coulomb_term,
-    amplitudes=(Amplitude(name="dFc", unit="N m", scale=half_dry, lower=-2.0, upper=10.0),),
+    amplitudes=(
+        Amplitude(name="dFc", unit="N m", scale=half_dry_friction, lower=-2.0, upper=10.0),
+    ),
     separate="Move at three speeds or more, in both directions: Coulomb friction does not change"
     " with speed.",
 )
@@ -193,9 +195,9 @@ STRIBECK = Effect(
     confused_with=("hysteresis",),
     reference="ArmstrongEtAl1994",
     term=stribeck_term,
-    amplitudes=(Amplitude(name="A", unit="N m", scale=half_dry, lower=0.0, upper=4.0),),
+    amplitudes=(Amplitude(name="A", unit="N m", scale=half_dry_friction, lower=0.0, upper=4.0),),
     shapes=(
-        Shape(name="vs", unit="rad/s", starts=slow_speeds, lower=0.005, upper=0.5),
+        Shape(name="vs", unit="rad/s", starts=start_slow_speeds, lower=0.005, upper=0.5),
         Shape(name="n", unit="", starts=(1.0, 2.0), lower=0.5, upper=2.5),
     ),
     report=lambda amplitudes, shapes, constants: {"A": amplitudes[0], "vs": shapes[0]},
@@ -217,7 +219,7 @@ LOAD_FRICTION = Effect(
     amplitudes=(Amplitude(name="mu", unit="", scale=0.1, lower=0.0, upper=6.0),),
     shapes=(LOAD_ROUNDING,),
     report=lambda amplitudes, shapes, constants: {"mu": amplitudes[0]},
-    possible=lambda shapes, constants: definite_load(shapes[0], constants),
+    possible=lambda shapes, constants: is_definite_load(shapes[0], constants),
     separate="Repeat one path with two payloads, in both directions: a gain error keeps its sign"
     " when the motion turns round.",
 )
@@ -236,7 +238,7 @@ ASYM_FRICTION = Effect(
     reference="ArmstrongEtAl1994",
     term=asym_friction_term,
     amplitudes=(
-        Amplitude(name="dFc", unit="N m", scale=half_dry, lower=-2.0, upper=2.0),
+        Amplitude(name="dFc", unit="N m", scale=half_dry_friction, lower=-2.0, upper=2.0),
         Amplitude(name="dFv", unit="N m s/rad", scale=viscous_friction, lower=-1.0, upper=1.0),
     ),
     separate="Stop for a second in several postures: a torque offset and a gravity error act at"
@@ -256,10 +258,10 @@ POSITION_FRICTION = Effect(
     term=position_friction_term,
     amplitudes=(Amplitude(name="A", unit="N m", scale=dry_friction, lower=0.0, upper=3.0),),
     shapes=(
-        Shape(name="q0", unit="rad", starts=_places, lower=-20.0, upper=20.0),
+        Shape(name="q0", unit="rad", starts=_start_places, lower=-20.0, upper=20.0),
         Shape(name="width", unit="rad", starts=(0.12, 0.3, 0.7), lower=0.05, upper=1.5),
     ),
-    possible=_in_stroke,
+    possible=_is_within_stroke,
     separate="Sweep the whole stroke slowly both ways: a gravity error keeps its sign, friction"
     " turns with the direction.",
 )
@@ -270,7 +272,7 @@ THERMAL_FRICTION = Effect(
     scope="joint",
     equation="tau += (exp(-b*(T - T0)) - 1)*(Fv*w + share*Fc*sg(w))",
     signature="motor torque against the motion that falls from run to run as the housing warms",
-    phrase="friction that falls with warmth",
+    phrase="friction that falls with temperature",
     needs=("torque", "moves", "warmer"),
     confused_with=("time_delay",),
     reference="BittencourtAxelsson2014",

@@ -1,10 +1,9 @@
-"""Friction that is another one from run to run: a random effect by run, about what all share.
+"""Friction that differs from run to run: a random effect of the run about a common mean.
 
-The housing of yesterday, the grease that has settled, a night of rest: no signal of a recording
-tells. Every run is off by an amount of its own from the mean of all, which is friction like any
-other and that of other effects; what a further run has is the mean, give or take the spread. As
-mixed models have it (Laird and Ware 1982), what single runs have counts as drawn, not as
-parameters of the robot.
+Housing temperature of the day before, settled grease, a night of rest: no recorded signal
+determines it. Every run deviates from the mean of all, which is friction like any other and belongs
+to other effects; a further run is predicted by the mean, with the spread as uncertainty. As in
+mixed models (Laird and Ware 1982), deviations of runs are random, not parameters of the robot.
 """
 
 from __future__ import annotations
@@ -16,27 +15,28 @@ import numpy as np
 
 from stiffopt.discovery.catalogue.common import dry_friction, viscous_friction
 from stiffopt.discovery.catalogue.friction import rounded_load
-from stiffopt.discovery.comparison.signals import JointConstants, JointSignals
 from stiffopt.discovery.effect import Amplitude, Effect, Shape, Term
+from stiffopt.discovery.signals import JointConstants, JointSignals
 from stiffopt.symbolic import Quantity, smooth_abs
 
-# Before a name of a run, in the names of amplitudes.
-OF_RUN = "of "
-# Share of friction that differs from run to run, typically.
-_TYPICAL = 0.2
-# Of the speed in the law of any friction, its rounding at standstill [rad/s], and that of the load.
-_POWERS, _SLOW, _LOAD_ROUNDING = (0.0, 0.5, 1.0, 2.0), 1e-2, 0.02
-# Of the curve over the time of a run that its friction may follow instead.
-_KNOTS = 5
+# Prefix of run names in names of amplitudes.
+RUN_PREFIX = "of "
+# Typical relative deviation of friction between runs.
+_TYPICAL_SHARE = 0.2
+# Powers of the speed in a general friction law, rounding of the speed at rest [rad/s], and of the
+# load over the rated torque.
+_SPEED_POWERS, _SPEED_ROUNDING, _LOAD_ROUNDING = (0.0, 0.5, 1.0, 2.0), 1e-2, 0.02
+# Knots of the friction curve over the time of a run.
+_CURVE_KNOTS = 5
 
 
-def _term(
+def _drift_term(
     seen: Sequence[str],
     signals: JointSignals,
     amplitudes: Sequence[Quantity],
     shapes: Sequence[Quantity],
 ) -> Term:
-    """What a run that was seen has beside the mean of all; nothing in any other."""
+    """Return the deviation of a recorded run from the mean of all; zero in any other run."""
     if signals.run not in seen:
         return Term()
     off = amplitudes[seen.index(signals.run)] - sum(amplitudes) / len(amplitudes)
@@ -45,7 +45,7 @@ def _term(
     return Term(drive_torque=off * (dry + viscous * viscous_friction(constants) * w))
 
 
-def _report(
+def _report_spread(
     amplitudes: Sequence[float], shapes: Sequence[float], constants: JointConstants
 ) -> Mapping[str, float]:
     spread = float(np.std(amplitudes, ddof=1)) if len(amplitudes) > 1 else 0.0
@@ -55,27 +55,27 @@ def _report(
     }
 
 
-def _drawn(
+def _sampling_error(
     amplitudes: Sequence[float], shapes: Sequence[float], constants: JointConstants
 ) -> Mapping[str, float]:
-    """What the spread of so few runs may be off by from that of all [N m], [N m s/rad]."""
-    found = _report(amplitudes, shapes, constants)
+    """Return the sampling error of the spread from so few runs [N m], [N m s/rad]."""
+    found = _report_spread(amplitudes, shapes, constants)
     return {k: v / np.sqrt(2.0 * max(len(amplitudes) - 1, 1)) for k, v in found.items()}
 
 
-def _any_law(
+def _any_friction_term(
     signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
 ) -> Term:
-    """Friction by any powers of the speed, and by the load."""
+    """Return friction by several powers of the speed and by the load."""
     w = signals.motor_velocity
-    speed = smooth_abs(w, _SLOW)
+    speed = smooth_abs(w, _SPEED_ROUNDING)
     *powers, of_load = amplitudes
-    law = sum(a * speed**power for a, power in zip(powers, _POWERS, strict=True))
+    law = sum(a * speed**power for a, power in zip(powers, _SPEED_POWERS, strict=True))
     dry = law * dry_friction(signals.constants) + of_load * rounded_load(signals, _LOAD_ROUNDING)
     return Term(drive_torque=dry * signals.motor_direction)
 
 
-# Runs that are driven at other speeds and loads differ by a law that is not quite the model's.
+# Runs at other speeds and loads also differ where the friction law of the model is inexact.
 ANY_FRICTION = Effect(
     name="any_friction",
     family="friction",
@@ -84,39 +84,41 @@ ANY_FRICTION = Effect(
     signature="motor torque off against the motion, by any law of speed and load",
     needs=("torque", "moves", "reverses"),
     reference="BittencourtAxelsson2014",
-    term=_any_law,
+    term=_any_friction_term,
     amplitudes=(
         *(
             Amplitude(name=f"c{power:g}", unit="", scale=2.0, lower=-50.0, upper=50.0)
-            for power in _POWERS
+            for power in _SPEED_POWERS
         ),
         Amplitude(name="mu", unit="", scale=0.1, lower=-6.0, upper=6.0),
     ),
 )
 
 
-def _within_term(
+def _drift_within_term(
     runs: Sequence[str],
     signals: JointSignals,
     amplitudes: Sequence[Quantity],
     shapes: Sequence[Quantity],
 ) -> Term:
-    """Dry friction along a curve over the time of each run, straight between its knots."""
+    """Return dry friction piecewise linear over the time of each run."""
     if signals.run not in runs:
         return Term()
-    first = _KNOTS * runs.index(signals.run)
+    first = _CURVE_KNOTS * runs.index(signals.run)
     time = np.asarray(signals.time, dtype=float)
-    knots = np.linspace(time.min(), time.max(), _KNOTS)
-    levels = np.interp(time, knots, np.asarray(amplitudes[first : first + _KNOTS], dtype=float))
+    knots = np.linspace(time.min(), time.max(), _CURVE_KNOTS)
+    levels = np.interp(
+        time, knots, np.asarray(amplitudes[first : first + _CURVE_KNOTS], dtype=float)
+    )
     dry = dry_friction(signals.constants) * signals.motor_direction
     return Term(drive_torque=levels * dry)
 
 
 def friction_within_runs(runs: Sequence[str]) -> Effect:
-    """What drift is told from: friction that also changes while a run lasts.
+    """Return the alternative to drift: friction that also changes within a run.
 
-    That of a hose which another joint pinches, or of a brake that drags now and then, is another
-    one in every run as well, since runs have other motions.
+    A hose pinched by another joint or a brake that drags at times also differs between runs, since
+    runs have other motions.
 
     Parameters
     ----------
@@ -130,31 +132,37 @@ def friction_within_runs(runs: Sequence[str]) -> Effect:
         signature="motor torque off against the motion by an amount that changes within runs",
         needs=("torque", "moves", "reverses"),
         reference="LairdWare1982",
-        term=partial(_within_term, tuple(runs)),
+        term=partial(_drift_within_term, tuple(runs)),
         amplitudes=tuple(
-            Amplitude(name=f"{OF_RUN}{run} {k}", unit="", scale=_TYPICAL, lower=-50.0, upper=50.0)
+            Amplitude(
+                name=f"{RUN_PREFIX}{run} {k}",
+                unit="",
+                scale=_TYPICAL_SHARE,
+                lower=-50.0,
+                upper=50.0,
+            )
             for run in runs
-            for k in range(_KNOTS)
+            for k in range(_CURVE_KNOTS)
         ),
     )
 
 
 def friction_drift(runs: Sequence[str], *, seen: bool = True) -> Effect:
-    """The effect with an amount for each of some runs.
+    """Return the effect with one amplitude per run.
 
     Parameters
     ----------
     runs : sequence of str
     seen : bool
-        Whether runs of these names are those that the amounts are of.
+        True where runs of these names are those of the amplitudes.
     """
     return Effect(
         name="friction_drift",
         family="friction",
         scope="joint",
         equation="tau += a_run*(share of Fc*sg(w) + share of Fv*w), a_run ~ N(0, spread^2), sum 0",
-        signature="motor torque off against the motion by an amount that is another one in"
-        " every run, whatever the motion and the temperature",
+        signature="motor torque off against the motion by an amount that differs between"
+        " runs, whatever the motion and the temperature",
         title="friction drift between runs",
         phrase="friction that differs from run to run",
         needs=("torque", "moves", "reverses", "three_runs"),
@@ -162,20 +170,22 @@ def friction_drift(runs: Sequence[str], *, seen: bool = True) -> Effect:
         beside=ANY_FRICTION,
         likelier_than=friction_within_runs(runs),
         reference="LairdWare1982",
-        term=partial(_term, tuple(runs) if seen else ()),
+        term=partial(_drift_term, tuple(runs) if seen else ()),
         amplitudes=tuple(
-            Amplitude(name=f"{OF_RUN}{run}", unit="", scale=_TYPICAL, lower=-5.0, upper=25.0)
+            Amplitude(
+                name=f"{RUN_PREFIX}{run}", unit="", scale=_TYPICAL_SHARE, lower=-5.0, upper=25.0
+            )
             for run in runs
         ),
         shapes=(Shape(name="viscous", unit="", starts=(0.0, 0.5, 1.0), lower=0.0, upper=1.0),),
-        report=_report,
-        drawn=_drawn,
+        report=_report_spread,
+        drawn=_sampling_error,
         units={"dFc_spread": "N m", "dFv_spread": "N m s/rad"},
         of_runs=friction_drift,
-        separate="Repeat one motion on several days, and several times on one: what differs"
-        " between days alone is drift, what goes with the housing's warmth is oil.",
+        separate="Repeat one motion on several days, and several times on one: a difference"
+        " between days alone is drift, one with the housing's warmth is oil.",
     )
 
 
-# Signals of no recording have a run without a name.
+# Signals without a recording have an empty run name.
 FRICTION_DRIFT = friction_drift(("", "another"))

@@ -1,4 +1,4 @@
-"""Masses that the nominal bodies lack, and a base that stands askew."""
+"""Inertia and gravity errors: rotor inertia, payload, link masses, tilt of the base."""
 
 from __future__ import annotations
 
@@ -7,86 +7,88 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from stiffopt.discovery.catalogue.common import (
-    CHANGED,
+    CHANGED_SCALE_RATIO,
     Constants,
+    component,
     motor_inertia,
-    part,
     ratio_or_zero,
 )
 from stiffopt.discovery.catalogue.robot_change import add_to_body, add_to_nominal_value
-from stiffopt.discovery.comparison.extension import EstimatedEffect
-from stiffopt.discovery.comparison.signals import (
+from stiffopt.discovery.effect import Amplitude, Effect, FittedEffect, RobotChange, Term
+from stiffopt.discovery.signals import (
+    PARAMETERS_PER_BODY,
     JointConstants,
     JointSignals,
     RobotConstants,
     RobotSignals,
 )
-from stiffopt.discovery.effect import Amplitude, Effect, RobotChange, Term
 from stiffopt.robot.robot import Robot
 from stiffopt.symbolic import Quantity, is_symbolic
 
-# Inertial parameters of a body in a regressor: mass, three first moments, six of the inertia.
-_A_BODY = 10
-_REACH = 0.1  # [m], how far off a centre of mass typically is
-# How much farther out what is added to a body lies.
-_FARTHER = 3.0
+# Typical error of a centre of mass [m].
+_TYPICAL_DISTANCE = 0.1
+# Distance of a mass added since a model was made over that of a modelling error.
+_CHANGED_DISTANCE_RATIO = 3.0
 
 
 def rotor_inertia_term(
     signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
 ) -> Term:
-    """Torque dJ dw/dt."""
+    """Return the torque dJ dw/dt."""
     return Term(drive_torque=amplitudes[0] * signals.motor_acceleration)
 
 
 def body_term(signals: RobotSignals, amplitudes: Sequence[Quantity], body: int) -> Term:
-    """Torques of changed inertial parameters of one body."""
+    """Return the torques of changed inertial parameters of one body."""
     torque: Quantity = 0.0
     for k, amplitude in enumerate(amplitudes):
-        # Columns are asked for one by one.
+        # Columns are evaluated on demand: skip those of zero amplitude.
         if is_symbolic(amplitude) or amplitude:
-            torque = torque + amplitude * part(signals.body_regressor, _A_BODY * body + k)
+            torque = torque + amplitude * component(
+                signals.body_regressor, PARAMETERS_PER_BODY * body + k
+            )
     return Term(link_torque=torque)
 
 
 def payload_term(
     signals: RobotSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
 ) -> Term:
-    """Mass dm at the place c of the last link, with its inertia about that link's joint."""
+    """Return the torques of a mass dm at c of the last link, with inertia about its joint."""
     return body_term(signals, amplitudes, signals.last_link)
 
 
 def inertial_error_term(
     signals: RobotSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
 ) -> Term:
-    """Mass, first moment and inertia of the link in question."""
+    """Return the torques of mass, first moment and inertia of the located link."""
     return body_term(signals, amplitudes, signals.link)
 
 
 def base_tilt_term(
     signals: RobotSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
 ) -> Term:
-    """Gravity turned against the base by small angles about x and y."""
+    """Return the torques of gravity rotated against the base by small angles about x and y."""
     return Term(
-        link_torque=amplitudes[0] * part(signals.tilt, 0) + amplitudes[1] * part(signals.tilt, 1)
+        link_torque=amplitudes[0] * component(signals.tilt, 0)
+        + amplitudes[1] * component(signals.tilt, 1)
     )
 
 
 def change_payload(
-    robot: Robot, found: EstimatedEffect, joint: int, constants: JointConstants
+    robot: Robot, found: FittedEffect, joint: int, constants: JointConstants
 ) -> RobotChange:
-    """The last link with what is fixed to it."""
+    """Return the robot with another payload in its last link."""
     return add_to_body(robot, found, joint, "Payload")
 
 
 def change_body(
-    robot: Robot, found: EstimatedEffect, joint: int, constants: JointConstants
+    robot: Robot, found: FittedEffect, joint: int, constants: JointConstants
 ) -> RobotChange:
-    """The link with the masses that were found."""
+    """Return the robot with other inertial parameters of the link."""
     return add_to_body(robot, found, joint, "Masses")
 
 
-def _place_of_payload(
+def _report_payload(
     amplitudes: Sequence[float], shapes: Sequence[float], constants: Constants
 ) -> Mapping[str, float]:
     mass, *moments = amplitudes[:4]
@@ -94,7 +96,7 @@ def _place_of_payload(
     return {"dm": mass, **dict(zip(("cx", "cy", "cz"), places, strict=True))}
 
 
-def _change_of_link(
+def _report_link(
     amplitudes: Sequence[float], shapes: Sequence[float], constants: Constants
 ) -> Mapping[str, float]:
     mass, *moments = amplitudes[:4]
@@ -105,49 +107,51 @@ def _change_of_link(
     }
 
 
-def _quarter_rotor(constants: JointConstants) -> float:
+def _typical_rotor_change(constants: JointConstants) -> float:
     return 0.25 * motor_inertia(constants)
 
 
-def _some_mass(constants: RobotConstants) -> float:
+def _typical_mass(constants: RobotConstants) -> float:
     return max(0.03 * float(np.sum(constants.masses)), 0.05)
 
 
-def _some_moment(constants: RobotConstants) -> float:
-    return _REACH * _some_mass(constants)
+def _typical_moment(constants: RobotConstants) -> float:
+    return _TYPICAL_DISTANCE * _typical_mass(constants)
 
 
-def _moments(*names: str) -> tuple[Amplitude, ...]:
+def _moment_amplitudes(*names: str) -> tuple[Amplitude, ...]:
     return tuple(
         Amplitude(
             name=name,
             unit="kg m",
-            scale=_some_moment,
+            scale=_typical_moment,
             lower=-40.0,
             upper=40.0,
-            changed=CHANGED * _FARTHER,
+            changed=CHANGED_SCALE_RATIO * _CHANGED_DISTANCE_RATIO,
         )
         for name in names
     )
 
 
-def _some_inertia(constants: RobotConstants) -> float:
-    return _REACH * _some_moment(constants)
+def _typical_inertia(constants: RobotConstants) -> float:
+    return _TYPICAL_DISTANCE * _typical_moment(constants)
 
 
-# Of the body about the origin of its joint, in the regressor's order.
-_INERTIA = tuple(
+# Inertia about the origin of the body's joint, in the order of the regressor.
+_INERTIA_AMPLITUDES = tuple(
     Amplitude(
         name=name,
         unit="kg m^2",
-        scale=_some_inertia,
+        scale=_typical_inertia,
         lower=-40.0,
         upper=40.0,
-        changed=CHANGED * _FARTHER**2,
+        changed=CHANGED_SCALE_RATIO * _CHANGED_DISTANCE_RATIO**2,
     )
     for name in ("dIxx", "dIxy", "dIyy", "dIxz", "dIyz", "dIzz")
 )
-_MASS = Amplitude(name="dm", unit="kg", scale=_some_mass, lower=-40.0, upper=40.0, changed=CHANGED)
+_MASS_AMPLITUDE = Amplitude(
+    name="dm", unit="kg", scale=_typical_mass, lower=-40.0, upper=40.0, changed=CHANGED_SCALE_RATIO
+)
 
 ROTOR_INERTIA = Effect(
     name="rotor_inertia",
@@ -163,7 +167,12 @@ ROTOR_INERTIA = Effect(
     term=rotor_inertia_term,
     amplitudes=(
         Amplitude(
-            name="dJ", unit="kg m^2", scale=_quarter_rotor, lower=-2.0, upper=40.0, changed=CHANGED
+            name="dJ",
+            unit="kg m^2",
+            scale=_typical_rotor_change,
+            lower=-2.0,
+            upper=40.0,
+            changed=CHANGED_SCALE_RATIO,
         ),
     ),
     separate="Accelerate hard in several postures: the inertia of links changes with posture and"
@@ -181,8 +190,8 @@ PAYLOAD = Effect(
     confused_with=("torque_gain", "inertial_error", "base_tilt", "encoder_offset"),
     change_robot=change_payload,
     term=payload_term,
-    amplitudes=(_MASS, *_moments("mcx", "mcy", "mcz"), *_INERTIA),
-    report=_place_of_payload,
+    amplitudes=(_MASS_AMPLITUDE, *_moment_amplitudes("mcx", "mcy", "mcz"), *_INERTIA_AMPLITUDES),
+    report=_report_payload,
     units={"cx": "m", "cy": "m", "cz": "m"},
     separate="Turn the wrist by half a turn: a payload's torque turns with it, a cable's and a"
     " tilted base's does not.",
@@ -200,8 +209,8 @@ INERTIAL_ERROR = Effect(
     confused_with=("torque_gain",),
     change_robot=change_body,
     term=inertial_error_term,
-    amplitudes=(_MASS, *_moments("dmcx", "dmcy", "dmcz"), *_INERTIA),
-    report=_change_of_link,
+    amplitudes=(_MASS_AMPLITUDE, *_moment_amplitudes("dmcx", "dmcy", "dmcz"), *_INERTIA_AMPLITUDES),
+    report=_report_link,
     units={"dmc": "kg m"},
     separate="Move the joint of the link through its whole stroke, fast and slowly, in several"
     " postures of the others: friction turns with the direction, masses do not.",

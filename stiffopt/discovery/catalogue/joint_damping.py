@@ -1,4 +1,4 @@
-"""Another damping of a joint's spring than nominal: swings that last shorter or longer."""
+"""Joint damping other than nominal: vibration that decays faster or slower."""
 
 from __future__ import annotations
 
@@ -7,9 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from stiffopt.discovery.comparison.extension import EstimatedEffect
-from stiffopt.discovery.comparison.signals import JointConstants, JointSignals
-from stiffopt.discovery.effect import Amplitude, Effect, RobotChange, Term
+from stiffopt.discovery.effect import Amplitude, Effect, FittedEffect, RobotChange, Term
+from stiffopt.discovery.signals import JointConstants, JointSignals
 from stiffopt.robot.robot import Robot
 from stiffopt.symbolic import Quantity
 
@@ -17,7 +16,7 @@ from stiffopt.symbolic import Quantity
 def joint_damping_term(
     signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
 ) -> Term:
-    """Wind-up -dD (w - v) D'(s): the damping takes part of the torque from the spring."""
+    """Return wind-up -dD (w - v) D'(s): the damper takes part of the torque from the spring."""
     rate = signals.motor_velocity - signals.link_velocity
     slope = signals.constants.compliance(signals.spring_torque)
     return Term(deflection=-amplitudes[0] * rate * slope)
@@ -27,15 +26,15 @@ def _nominal_damping(constants: JointConstants) -> float:
     return constants.joint_damping
 
 
-def _is_known(constants: JointConstants) -> bool:
-    """Whether the nominal joint swings: without a damping its links are taken to be in balance."""
+def _has_known_damping(constants: JointConstants) -> bool:
+    """Return True where links vibrate: without a damping value they are modelled quasi-static."""
     return constants.elastic and constants.joint_damping > 0.0
 
 
-def damp_otherwise(
-    robot: Robot, found: EstimatedEffect, joint: int, constants: JointConstants
+def change_damping(
+    robot: Robot, found: FittedEffect, joint: int, constants: JointConstants
 ) -> RobotChange:
-    """Put the damping that was found into the robot."""
+    """Return the robot with the estimated damping."""
     damping = np.full(robot.n, np.nan) if robot.damping is None else robot.damping.copy()
     before = constants.joint_damping
     damping[joint] = max(before + found.amplitudes[0], 0.0)
@@ -50,19 +49,19 @@ JOINT_DAMPING = Effect(
     family="elastic",
     scope="joint",
     equation="d += -dD*(w - v)*D'(s)",
-    signature="swings after sharp motion that die away faster or slower than nominal, at the"
+    signature="vibration after sharp motion that decays faster or slower than nominal, at the"
     " frequency that the model has",
     title="joint damping",
     phrase=("more joint damping than nominal", "less joint damping than nominal"),
     nominal="joint_damping",
     needs=("windup", "moves"),
     confused_with=("hysteresis",),
-    change_robot=damp_otherwise,
+    change_robot=change_damping,
     term=joint_damping_term,
     amplitudes=(
         Amplitude(name="dD", unit="N m s/rad", scale=_nominal_damping, lower=-1.0, upper=20.0),
     ),
-    applies=_is_known,
+    applies=_has_known_damping,
     separate="Stop sharply and stand still for a second, with and without load: damping takes the"
-    " same share of every swing, hysteresis most of small ones, a soft joint swings slower.",
+    " same share of every period, hysteresis most of small ones, a soft joint vibrates slower.",
 )

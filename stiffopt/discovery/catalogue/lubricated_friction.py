@@ -1,9 +1,10 @@
-"""Friction of a lubricated joint: of load, speed and temperature together.
+"""Friction of a lubricated joint, as a function of load, speed and temperature together.
 
-Bittencourt and Axelsson (2014) measured what none of the separate laws has: a load rubs more at low
-speed, where the film is thin, and a warm film is thin up to higher speeds. Their law, as a change
-from dry and viscous friction at the temperature where those were identified, with the speed below
-which the film is thin growing as viscosity falls (one exponent for both) in place of a line.
+Bittencourt and Axelsson (2014) measured interactions that the separate laws lack: load friction
+increases at low speed, where the film is thin, and a warm film is thin up to higher speeds. Their
+law, as a change from dry and viscous friction at the temperature of their identification, with the
+speed below which the film is thin growing as viscosity falls (one exponent for both) in place of a
+linear dependence.
 """
 
 from __future__ import annotations
@@ -15,39 +16,39 @@ import numpy as np
 from stiffopt.discovery.catalogue.common import WEIGHT, dry_friction, viscous_friction
 from stiffopt.discovery.catalogue.friction import (
     LOAD_ROUNDING,
-    definite_load,
-    half_dry,
+    half_dry_friction,
+    is_definite_load,
     rounded_load,
     rounded_speed,
-    slow_speeds,
+    start_slow_speeds,
 )
-from stiffopt.discovery.comparison.signals import JointConstants, JointSignals
 from stiffopt.discovery.effect import Amplitude, Effect, Shape, Term
+from stiffopt.discovery.signals import JointConstants, JointSignals
 from stiffopt.symbolic import Quantity
 
-# Of the speed, as measured there.
-_EXPONENT = 1.3
-# Range of temperatures over which the low-speed part typically grows by its own size [K].
-_RANGE = 20.0
+# Exponent of the speed, as measured there.
+_SPEED_EXPONENT = 1.3
+# Temperature range over which the low-speed part typically doubles [K].
+_TEMPERATURE_RANGE = 20.0
 
 
 def lubricated_friction_term(
     signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
 ) -> Term:
-    """Friction of the load, more of it where the film is thin, and viscous friction that falls."""
+    """Return load friction, increased where the film is thin, and falling viscous friction."""
     of_load, of_load_slow, slow, slow_by_kelvin, weight = amplitudes
     speed, exponent, rounding = shapes
     w, rise = signals.motor_velocity, signals.temperature_rise
     viscosity = np.exp(-exponent * rise)
-    thin = np.exp(-((rounded_speed(w) * viscosity / speed) ** _EXPONENT))
+    thin = np.exp(-((rounded_speed(w) * viscosity / speed) ** _SPEED_EXPONENT))
     load = rounded_load(signals, rounding)
     level = of_load * load + (of_load_slow * load + slow + slow_by_kelvin * rise) * thin
     viscous = viscous_friction(signals.constants) * (viscosity - 1.0)
     return Term(drive_torque=level * signals.motor_direction + weight * viscous * w)
 
 
-def _by_kelvin(constants: JointConstants) -> float:
-    return 0.5 * dry_friction(constants) / _RANGE
+def _typical_slope(constants: JointConstants) -> float:
+    return 0.5 * dry_friction(constants) / _TEMPERATURE_RANGE
 
 
 LUBRICATED_FRICTION = Effect(
@@ -66,12 +67,12 @@ LUBRICATED_FRICTION = Effect(
     amplitudes=(
         Amplitude(name="mu", unit="", scale=0.1, lower=0.0, upper=6.0),
         Amplitude(name="mu_slow", unit="", scale=0.1, lower=0.0, upper=6.0, own=True),
-        Amplitude(name="A", unit="N m", scale=half_dry, lower=0.0, upper=4.0),
-        Amplitude(name="A_T", unit="N m/K", scale=_by_kelvin, lower=0.0, upper=4.0, own=True),
+        Amplitude(name="A", unit="N m", scale=half_dry_friction, lower=0.0, upper=4.0),
+        Amplitude(name="A_T", unit="N m/K", scale=_typical_slope, lower=0.0, upper=4.0, own=True),
         WEIGHT,
     ),
     shapes=(
-        Shape(name="vs", unit="rad/s", starts=slow_speeds, lower=0.005, upper=0.5),
+        Shape(name="vs", unit="rad/s", starts=start_slow_speeds, lower=0.005, upper=0.5),
         Shape(name="b", unit="1/K", starts=(0.03,), lower=1e-4, upper=0.1),
         LOAD_ROUNDING,
     ),
@@ -83,7 +84,7 @@ LUBRICATED_FRICTION = Effect(
         "vs": shapes[0],
         "b": amplitudes[4] * shapes[1],
     },
-    possible=lambda shapes, constants: definite_load(shapes[2], constants),
+    possible=lambda shapes, constants: is_definite_load(shapes[2], constants),
     separate="Move at five speeds down to 0.02 rad/s, with two payloads, cold and after half an"
     " hour of work: a load that rubs more when slow, and slow friction that grows with warmth, are"
     " of the film.",

@@ -1,4 +1,4 @@
-"""What repeats with the turns of the rotor: kinematic error of the gear, ripple of the torque."""
+"""Effects periodic in the rotor angle: kinematic error of the gear, torque ripple."""
 
 from __future__ import annotations
 
@@ -6,30 +6,31 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from stiffopt.discovery.catalogue.common import CHANGED, Constants
-from stiffopt.discovery.comparison.signals import JointConstants, JointSignals
+from stiffopt.discovery.catalogue.common import CHANGED_SCALE_RATIO, Constants
 from stiffopt.discovery.effect import Amplitude, Effect, Report, Shape, Term
+from stiffopt.discovery.signals import JointConstants, JointSignals
 from stiffopt.symbolic import Quantity
 
 _GEAR_ORDERS = (1, 2, 4)
 _RIPPLE_ORDERS = (1, 6)
-# Waves at this share of the samples' rate are half taken, faster ones hardly: sampled, they look
-# like slow ones, and the motor's inertia carries them, which its recorded motion does not show.
-_TAKEN, _STEEP = 0.24, 8
+# Frequency over the sampling rate at which half of a wave is included, and exponent of the
+# roll-off: faster waves alias to slow ones, and the motor's inertia carries them, which its
+# recorded motion does not show.
+_HALF_SHARE_RATE, _ROLL_OFF_EXPONENT = 0.24, 8
 
 
-def _shown(signals: JointSignals, order: Quantity) -> Quantity:
-    """Share of a wave of this order of the joint's angle that samples can show."""
+def _sampled_share(signals: JointSignals, order: Quantity) -> Quantity:
+    """Return the included share of a wave of this order of the joint angle."""
     rate = order * signals.motor_velocity / (2.0 * np.pi)
-    return 1.0 / (1.0 + (rate * signals.dt / _TAKEN) ** _STEEP)
+    return 1.0 / (1.0 + (rate * signals.dt / _HALF_SHARE_RATE) ** _ROLL_OFF_EXPONENT)
 
 
 def transmission_error_term(
     signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
 ) -> Term:
-    """Error of the ratio at 1, 2 and 4 times the rotor angle.
+    """Return the error of the ratio at 1, 2 and 4 times the rotor angle.
 
-    The drive carries the load through the ratio of the moment, 1 - TE'(th), by virtual work.
+    The drive carries the load through the instantaneous ratio 1 - TE'(th), by virtual work.
     """
     ratio = signals.constants.ratio
     error: Quantity = 0.0
@@ -37,7 +38,7 @@ def transmission_error_term(
     for k, order in enumerate(_GEAR_ORDERS):
         turn = order * ratio * signals.motor_position
         a, b = amplitudes[2 * k], amplitudes[2 * k + 1]
-        shown = _shown(signals, order * ratio)
+        shown = _sampled_share(signals, order * ratio)
         error = error + shown * (a * np.sin(turn) + b * np.cos(turn))
         slope = slope + shown * order * ratio * (a * np.cos(turn) - b * np.sin(turn))
     return Term(deflection=error, drive_torque=-signals.spring_torque * slope)
@@ -46,34 +47,34 @@ def transmission_error_term(
 def torque_ripple_term(
     signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
 ) -> Term:
-    """Ripple of the motor at 1 and 6 times the electrical angle."""
+    """Return ripple at 1 and 6 times the electrical angle."""
     constants = signals.constants
     turns = (constants.pole_pairs or 1.0) * constants.ratio
     ripple: Quantity = 0.0
     for k, order in enumerate(_RIPPLE_ORDERS):
         turn = order * turns * signals.motor_position
         wave = amplitudes[2 * k] * np.sin(turn) + amplitudes[2 * k + 1] * np.cos(turn)
-        ripple = ripple + _shown(signals, order * turns) * wave
+        ripple = ripple + _sampled_share(signals, order * turns) * wave
     return Term(drive_torque=ripple)
 
 
 def rotor_ripple_term(
     signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
 ) -> Term:
-    """Waves of the torque over the turn of the rotor, as many as the shape says."""
+    """Return torque waves over the rotor turn, as many as the shape gives."""
     turns = shapes[0] * signals.constants.ratio
     turn = turns * signals.motor_position
     wave = amplitudes[0] * np.sin(turn) + amplitudes[1] * np.cos(turn)
-    return Term(drive_torque=_shown(signals, turns) * wave)
+    return Term(drive_torque=_sampled_share(signals, turns) * wave)
 
 
-def _size_of_wave(
+def _report_wave(
     amplitudes: Sequence[float], shapes: Sequence[float], constants: Constants
 ) -> Mapping[str, float]:
     return {"B": float(np.hypot(amplitudes[0], amplitudes[1])), "waves": shapes[0]}
 
 
-def _harmonics(letter: str, orders: Sequence[int]) -> Report:
+def _report_harmonics(letter: str, orders: Sequence[int]) -> Report:
     def report(
         amplitudes: Sequence[float], shapes: Sequence[float], constants: Constants
     ) -> Mapping[str, float]:
@@ -85,24 +86,31 @@ def _harmonics(letter: str, orders: Sequence[int]) -> Report:
     return report
 
 
-def _ripple(constants: JointConstants) -> float:
+def _typical_ripple(constants: JointConstants) -> float:
     return 0.02 * constants.torque_rated
 
 
-def _wave(name: str) -> Amplitude:
-    """One wave of the motor torque."""
-    return Amplitude(name=name, unit="N m", scale=_ripple, lower=-20.0, upper=20.0, changed=CHANGED)
+def _wave_amplitude(name: str) -> Amplitude:
+    """Return the amplitude of one wave of the motor torque."""
+    return Amplitude(
+        name=name,
+        unit="N m",
+        scale=_typical_ripple,
+        lower=-20.0,
+        upper=20.0,
+        changed=CHANGED_SCALE_RATIO,
+    )
 
 
-def _geared(constants: JointConstants) -> bool:
+def _has_gear(constants: JointConstants) -> bool:
     return constants.ratio > 1.0
 
 
-def _geared_motor(constants: JointConstants) -> bool:
+def _has_gear_and_poles(constants: JointConstants) -> bool:
     return constants.ratio > 1.0 and constants.pole_pairs is not None
 
 
-def _geared_without_poles(constants: JointConstants) -> bool:
+def _has_gear_without_poles(constants: JointConstants) -> bool:
     return constants.ratio > 1.0 and constants.pole_pairs is None
 
 
@@ -120,9 +128,9 @@ TRANSMISSION_ERROR = Effect(
         for order in _GEAR_ORDERS
         for wave in ("sin", "cos")
     ),
-    report=_harmonics("A", _GEAR_ORDERS),
+    report=_report_harmonics("A", _GEAR_ORDERS),
     units={f"A{order}": "rad" for order in _GEAR_ORDERS},
-    applies=_geared,
+    applies=_has_gear,
     separate="Turn slowly at two constant speeds: the waves keep their order of the rotor angle,"
     " a resonance keeps its frequency, ripple comes with the pole pairs.",
 )
@@ -137,11 +145,11 @@ TORQUE_RIPPLE = Effect(
     needs=("torque", "moves", "gear_ratio", "pole_pairs", "ripple_slow"),
     term=torque_ripple_term,
     amplitudes=tuple(
-        _wave(f"{wave}{order}") for order in _RIPPLE_ORDERS for wave in ("sin", "cos")
+        _wave_amplitude(f"{wave}{order}") for order in _RIPPLE_ORDERS for wave in ("sin", "cos")
     ),
-    report=_harmonics("B", _RIPPLE_ORDERS),
+    report=_report_harmonics("B", _RIPPLE_ORDERS),
     units={f"B{order}": "N m" for order in _RIPPLE_ORDERS},
-    applies=_geared_motor,
+    applies=_has_gear_and_poles,
     separate="Turn slowly at two constant speeds in both directions: ripple leaves the link angle"
     " where it is, an error of the gear moves it.",
 )
@@ -156,7 +164,7 @@ ROTOR_RIPPLE = Effect(
     needs=("torque", "moves", "gear_ratio", "rotor_slow"),
     confused_with=("torque_ripple",),
     term=rotor_ripple_term,
-    amplitudes=(_wave("sin"), _wave("cos")),
+    amplitudes=(_wave_amplitude("sin"), _wave_amplitude("cos")),
     # Strain-wave gears have two a turn, motors their poles and slots.
     shapes=(
         Shape(
@@ -167,9 +175,9 @@ ROTOR_RIPPLE = Effect(
             upper=60.0,
         ),
     ),
-    report=_size_of_wave,
+    report=_report_wave,
     units={"B": "N m"},
-    applies=_geared_without_poles,
+    applies=_has_gear_without_poles,
     separate="Turn slowly at two constant speeds: the waves keep their number a turn, a resonance"
     " keeps its frequency.",
 )

@@ -1,4 +1,4 @@
-"""A connection that lost preload: contact stiffness that grows with a power of pressure."""
+"""Lost preload of a connection: contact stiffness that grows with a power of pressure."""
 
 from __future__ import annotations
 
@@ -13,32 +13,31 @@ from stiffopt.discovery.catalogue.common import (
     winds_up,
 )
 from stiffopt.discovery.catalogue.robot_change import (
-    SHARES,
+    TORQUE_SHARES,
     chain_of,
     mean_windup,
     with_chain,
     with_series_spring,
 )
-from stiffopt.discovery.comparison.extension import EstimatedEffect
-from stiffopt.discovery.comparison.signals import OF_EACH_JOINT, JointConstants, JointSignals
-from stiffopt.discovery.effect import Amplitude, Effect, RobotChange, Shape, Term
+from stiffopt.discovery.effect import Amplitude, Effect, FittedEffect, RobotChange, Shape, Term
+from stiffopt.discovery.signals import JOINT_SIGNAL_NAMES, JointConstants, JointSignals
 from stiffopt.drivetrain.chain import Chain
 from stiffopt.exact.chain import windup_shares
 from stiffopt.robot.robot import Robot
 from stiffopt.symbolic import Quantity
 
-# Slip torque that a loosened connection keeps, over the largest torque of the joint.
-_HOLDS = 1.1
-# Of a share of preload that is as good as none lost.
-_WHOLE = 0.999
-# Of the rated torque, at which pressure that is left equals that of the load, at least.
-_TIGHTEST = 5e-4
+# Smallest slip torque of a loosened connection over the largest torque of the joint.
+_SLIP_MARGIN = 1.1
+# Share of the preload above which a connection counts as intact.
+_MIN_INTACT_SHARE = 0.999
+# Smallest torque, over the rated one, whose contact pressure equals the remaining preload.
+_MIN_PRESSURE_RATIO = 5e-4
 
 
 def preload_loss_term(
     signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
 ) -> Term:
-    """Wind-up c ((|s| + tp)^b - tp^b) sgn(s) of contacts that load presses together."""
+    """Return the wind-up c ((|s| + tp)^b - tp^b) sgn(s) of contacts that load presses together."""
     constants, s = signals.constants, signals.spring_torque
     rated = constants.torque_rated
     left, power = shapes
@@ -47,19 +46,19 @@ def preload_loss_term(
     return Term(deflection=amplitudes[0] * size * np.sign(s) * pressed)
 
 
-def _preload_left(
+def _report_pressure(
     amplitudes: Sequence[float], shapes: Sequence[float], constants: Constants
 ) -> Mapping[str, float]:
     return {"tp": shapes[0] * constants.torque_rated}
 
 
 def lose_preload(
-    robot: Robot, found: EstimatedEffect, joint: int, constants: JointConstants
+    robot: Robot, found: FittedEffect, joint: int, constants: JointConstants
 ) -> RobotChange:
-    """Loosen the weakest preloaded connection until the joint winds up as found."""
-    chain, torques = chain_of(robot, joint), SHARES * constants.torque_rated
-    wanted = _found_windup(found, constants, torques)
-    position = _weakest(chain, constants.torque_rated)
+    """Loosen the weakest preloaded connection until the joint winds up as estimated."""
+    chain, torques = chain_of(robot, joint), TORQUE_SHARES * constants.torque_rated
+    wanted = _added_windup(found, constants, torques)
+    position = _find_weakest_connection(chain, constants.torque_rated)
     if position is None:
         return with_chain(robot, joint, *with_series_spring(chain, wanted, constants))
     stage = chain.stages[position]
@@ -74,10 +73,10 @@ def lose_preload(
         return mean_windup(loosened(share), torques) - before
 
     holds = float(np.asarray(stage.element.slip_torque(tight))) * stage.reduction
-    least = max(_HOLDS * constants.torque_max / holds, 1e-3)
-    if least >= _WHOLE:
+    least = max(_SLIP_MARGIN * constants.torque_max / holds, 1e-3)
+    if least >= _MIN_INTACT_SHARE:
         return with_chain(robot, joint, *with_series_spring(chain, wanted, constants))
-    share = _share(added, wanted, least)
+    share = _solve_preload_share(added, wanted, least)
     changed, rest = loosened(share), wanted - added(share)
     sentence = (
         f"preload of {stage.element.name} {tight:.4g} to {share * tight:.4g} N"
@@ -86,24 +85,24 @@ def lose_preload(
     if rest > 1e-2 * wanted:
         changed, spring = with_series_spring(changed, rest, constants)
         sentence += (
-            f" That still holds the largest torque and explains"
-            f" {100.0 * (1.0 - rest / wanted):.0f} % of the added wind-up; the rest: {spring}"
+            f" This is the least preload that carries the largest torque; it explains"
+            f" {100.0 * (1.0 - rest / wanted):.0f} % of the added wind-up. The rest: {spring}"
         )
     return with_chain(robot, joint, changed, sentence)
 
 
-def _share(added: Callable[[float], float], wanted: float, least: float) -> float:
-    """Share of the preload at which the added wind-up is as wanted, or the least allowed."""
+def _solve_preload_share(added: Callable[[float], float], wanted: float, least: float) -> float:
+    """Return the share of preload with the wanted added wind-up, or the least allowed."""
     from scipy.optimize import brentq
 
     if added(least) <= wanted:
         return least
-    # The looser, the more it winds up.
+    # The added wind-up decreases monotonically with preload.
     return float(brentq(lambda share: added(share) - wanted, least, 1.0, xtol=1e-6))
 
 
-def _weakest(chain: Chain, torque: float) -> int | None:
-    """Preloaded connection with the largest share of the wind-up, bolts before all others."""
+def _find_weakest_connection(chain: Chain, torque: float) -> int | None:
+    """Return the preloaded connection with the largest share of wind-up, bolted ones first."""
     candidates = [i for i, s in enumerate(chain.stages) if s.element.preload is not None]
     bolted = [i for i in candidates if chain.stages[i].element.kind == "bolted_flange"]
     candidates = bolted or candidates
@@ -113,9 +112,9 @@ def _weakest(chain: Chain, torque: float) -> int | None:
     return max(candidates, key=lambda i: shares[chain.stages[i].element.name])
 
 
-def _found_windup(found: EstimatedEffect, constants: JointConstants, torques: np.ndarray) -> float:
-    """Mean of the wind-up that a loss of preload adds [rad]."""
-    still = dict.fromkeys(OF_EACH_JOINT, np.zeros_like(torques))
+def _added_windup(found: FittedEffect, constants: JointConstants, torques: np.ndarray) -> float:
+    """Return the mean wind-up that a loss of preload adds [rad]."""
+    still = dict.fromkeys(JOINT_SIGNAL_NAMES, np.zeros_like(torques))
     loaded = {
         "spring_torque": torques,
         "windup": constants.windup(torques),
@@ -131,11 +130,11 @@ def _found_windup(found: EstimatedEffect, constants: JointConstants, torques: np
         constants=constants,
         **(still | loaded),
     )
-    term = preload_loss_term(signals, found.amplitudes, found.located.shapes)
+    term = preload_loss_term(signals, found.amplitudes, found.shapes)
     return float(np.mean(np.asarray(term.deflection)))
 
 
-def _lefts(constants: JointConstants) -> tuple[float, ...]:
+def _start_pressures(constants: JointConstants) -> tuple[float, ...]:
     return tuple(carried_share(constants) * share for share in (0.005, 0.05, 0.5))
 
 
@@ -152,13 +151,13 @@ PRELOAD_LOSS = Effect(
     term=preload_loss_term,
     amplitudes=(Amplitude(name="c", unit="", scale=1.0, lower=0.0, upper=20.0),),
     shapes=(
-        Shape(name="left", unit="", starts=_lefts, lower=1e-7, upper=10.0),
+        Shape(name="left", unit="", starts=_start_pressures, lower=1e-7, upper=10.0),
         Shape(name="power", unit="", starts=(0.35, 0.65), lower=0.3, upper=0.9),
     ),
-    report=_preload_left,
+    report=_report_pressure,
     units={"tp": "N m"},
     applies=winds_up,
-    possible=lambda shapes, constants: shapes[0] >= _TIGHTEST * carried_share(constants),
+    possible=lambda shapes, constants: shapes[0] >= _MIN_PRESSURE_RATIO * carried_share(constants),
     separate="Climb to the rated torque on both sides in steps: loosened contacts stiffen all the"
     " way, a worn reducer only up to its corner.",
 )

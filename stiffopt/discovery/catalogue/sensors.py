@@ -1,4 +1,4 @@
-"""What sensors and drives report otherwise than the model believes.
+"""Errors of sensors and drives: gain, offset, delay and saturation of readings.
 
 Readings: torque reading = (1 + eps) drive torque + off; link reading = link angle + off.
 """
@@ -10,72 +10,72 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from stiffopt.discovery.catalogue.common import (
-    CHANGED,
+    CHANGED_SCALE_RATIO,
     Constants,
     dry_friction,
     viscous_friction,
 )
-from stiffopt.discovery.comparison.signals import JointConstants, JointSignals, RobotSignals
 from stiffopt.discovery.effect import Amplitude, Effect, Shape, Term
+from stiffopt.discovery.signals import JointConstants, JointSignals, RobotSignals
 from stiffopt.symbolic import Quantity, is_symbolic, softplus
 
-# Share of the highest torque over which a drive rounds its limit off.
+# Rounding of a drive's torque limit over the highest torque.
 _LIMIT_ROUNDING = 0.01
-# Share of the largest filtered torque that a drive's limit lies above.
-_OVERSHOOT = 0.97
+# Smallest torque limit over the largest filtered torque: a filter overshoots.
+_MIN_LIMIT_RATIO = 0.97
 # Longest delay [s].
-_LATEST = 0.05
+_MAX_DELAY = 0.05
 
 
 def torque_gain_term(
     signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
 ) -> Term:
-    """Share eps of the torque, of the predicted one: the measured one would explain itself."""
+    """Return eps times the predicted torque: the measured one would explain itself."""
     return Term(drive_torque=amplitudes[0] * signals.drive_torque)
 
 
 def torque_offset_term(
     signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
 ) -> Term:
-    """A constant."""
+    """Return a constant torque."""
     return Term(drive_torque=amplitudes[0] + 0.0 * signals.drive_torque)
 
 
 def encoder_offset_term(
     signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
 ) -> Term:
-    """A constant added to the reading of the link angle."""
+    """Return a constant added to the reading of the link angle."""
     return Term(reading=-amplitudes[0] + 0.0 * signals.windup)
 
 
 def time_delay_term(
     signals: RobotSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
 ) -> Term:
-    """Torque tau(t - d) - tau(t) on all joints, in proportion to d about the delay of the shape."""
+    """Return tau(t - d) - tau(t) of all joints, linear in d about the delay of the shape."""
     asked, about = signals.drive_torque, shapes[0]
-    late = _late(asked, about / signals.dt, int(_LATEST / signals.dt))
+    late = _delay_samples(asked, about / signals.dt, int(_MAX_DELAY / signals.dt))
     return Term(drive_torque=amplitudes[0] / about * (late - asked))
 
 
-def _late(values: Quantity, samples: Quantity, most: int) -> Quantity:
-    """Values (K, n) some samples before, `most` at most, by cubic convolution."""
+def _delay_samples(values: Quantity, samples: Quantity, most: int) -> Quantity:
+    """Return values (K, n) delayed by fractional samples, `most` at most, by cubic convolution."""
     if is_symbolic(samples):
         nearest = range(-1, most + 3)
     else:
         whole = int(samples)
         nearest = range(whole - 1, whole + 3)
-    return sum((_weight(samples - k) * _shifted(values, k) for k in nearest), 0.0)
+    return sum((_cubic_weight(samples - k) * _shift_samples(values, k) for k in nearest), 0.0)
 
 
-def _weight(away: Quantity) -> Quantity:
-    """Weight of a sample that lies so many samples away (Keys 1981)."""
+def _cubic_weight(away: Quantity) -> Quantity:
+    """Return the weight of a sample at a distance in samples (Keys 1981)."""
     near, far = np.fmin(np.abs(away), 1.0), np.fmin(np.fmax(np.abs(away), 1.0), 2.0)
     inner = 1.5 * near**3 - 2.5 * near**2 + 1.0
     return inner - 0.5 * far**3 + 2.5 * far**2 - 4.0 * far + 2.0
 
 
-def _shifted(values: Quantity, samples: int) -> Quantity:
-    """Values (K, n) whole samples before; the ends hold beyond them."""
+def _shift_samples(values: Quantity, samples: int) -> Quantity:
+    """Return values (K, n) delayed by whole samples, constant beyond the ends."""
     places = np.clip(np.arange(values.shape[0]) - samples, 0, values.shape[0] - 1)
     return values[places.tolist(), :]
 
@@ -83,17 +83,17 @@ def _shifted(values: Quantity, samples: int) -> Quantity:
 def encoder_skew_term(
     signals: RobotSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
 ) -> Term:
-    """Link angles read d later than motor angles, on all joints."""
+    """Return the effect of link angles that are read d later than motor angles."""
     return Term(reading=amplitudes[0] * signals.link_velocity)
 
 
 def saturation_term(
     signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
 ) -> Term:
-    """What a drive asks for beyond its limit, or what a reading that ends there leaves out.
+    """Return the demanded torque beyond a drive's limit, or the part clipped in a reading.
 
-    Motions never show more than the drive gives, so the torque asked for leaves the predicted one
-    steeply where that comes near the limit.
+    Recorded motions need only the torque that the drive gives, so a demanded torque leaves the
+    predicted one steeply near the limit.
     """
     highest = signals.constants.torque_max
     rounding = _LIMIT_ROUNDING * highest
@@ -102,22 +102,22 @@ def saturation_term(
     return Term(drive_torque=amplitudes[0] * rounding * beyond)
 
 
-def _limit(
+def _report_limit(
     amplitudes: Sequence[float], shapes: Sequence[float], constants: Constants
 ) -> Mapping[str, float]:
     return {"limit": shapes[0] * constants.torque_max}
 
 
-def _not_exceeded(shapes: Sequence[float], constants: Constants) -> bool:
-    """Whether no run shows more torque than the limit; a filter overshoots a little."""
-    return bool(shapes[0] * constants.torque_max >= _OVERSHOOT * constants.measured_torque)
+def _is_limit_possible(shapes: Sequence[float], constants: Constants) -> bool:
+    """Return True where no run shows more torque than the limit; a filter overshoots."""
+    return bool(shapes[0] * constants.torque_max >= _MIN_LIMIT_RATIO * constants.measured_torque)
 
 
-def _offset(constants: JointConstants) -> float:
+def _typical_offset(constants: JointConstants) -> float:
     return 0.03 * constants.torque_rated
 
 
-def _limits(constants: JointConstants) -> tuple[float, ...]:
+def _start_limits(constants: JointConstants) -> tuple[float, ...]:
     friction = dry_friction(constants) + viscous_friction(constants) * constants.fastest
     asked = min(1.0, (constants.largest_torque + friction) / constants.torque_max)
     return tuple(max(0.1, share * asked) for share in (0.4, 0.55, 0.7, 0.85, 0.97))
@@ -150,7 +150,14 @@ TORQUE_OFFSET = Effect(
     needs=("torque", "moves", "reverses"),
     term=torque_offset_term,
     amplitudes=(
-        Amplitude(name="off", unit="N m", scale=_offset, lower=-7.0, upper=7.0, changed=CHANGED),
+        Amplitude(
+            name="off",
+            unit="N m",
+            scale=_typical_offset,
+            lower=-7.0,
+            upper=7.0,
+            changed=CHANGED_SCALE_RATIO,
+        ),
     ),
     separate="Stop for a second in several postures and move in both directions: friction that"
     " differs between directions vanishes at rest, weight changes with posture.",
@@ -229,12 +236,12 @@ SATURATION = Effect(
     phrase="a drive that saturates",
     needs=("torque", "moves"),
     term=saturation_term,
-    # -1 is a reading that ends at the limit; a drive in vain asks for many times what is beyond.
+    # -1 is a clipped reading; a saturated drive demands many times the torque beyond the limit.
     amplitudes=(Amplitude(name="steepness", unit="", scale=10.0, lower=-0.15, upper=20.0),),
-    shapes=(Shape(name="share", unit="", starts=_limits, lower=0.05, upper=1.2),),
-    report=_limit,
+    shapes=(Shape(name="share", unit="", starts=_start_limits, lower=0.05, upper=1.2),),
+    report=_report_limit,
     units={"limit": "N m"},
-    possible=_not_exceeded,
+    possible=_is_limit_possible,
     separate="Ask for the highest torque several times: below the limit nothing is missing, a gain"
     " error shows at every torque.",
 )

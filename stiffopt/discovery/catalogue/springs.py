@@ -1,4 +1,4 @@
-"""Springs beside a joint: balancers of the arm, cables along it, and stops at its ends."""
+"""Springs parallel to a joint: balancers, cables along the arm, end stops."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from stiffopt.discovery.catalogue.common import (
     on_wrist,
     ratio_or_zero,
 )
-from stiffopt.discovery.comparison.signals import JointConstants, JointSignals
 from stiffopt.discovery.effect import Amplitude, Effect, Shape, Term
+from stiffopt.discovery.signals import JointConstants, JointSignals
 from stiffopt.symbolic import Quantity, softplus
 
-# Angle over which a stop begins to press [rad].
-_TOUCH = 2e-3
+# Angle over which a stop sets in [rad].
+_STOP_ROUNDING = 2e-3
 
 
 def gravity_spring_term(
     signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
 ) -> Term:
-    """Torque k m sin((q - q1)/m) + B of a spring that turns over; sine and cosine apart."""
+    """Return k m sin((q - q1)/m) + B of a balancer spring, sine and cosine separate."""
     sine, cosine, constant = amplitudes
     bend = shapes[0]
     turned = signals.link_position / bend
@@ -34,7 +34,7 @@ def gravity_spring_term(
 def cable_spring_term(
     signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
 ) -> Term:
-    """Torque k1 (q - q0) + k3 (q - q0)^3."""
+    """Return the torque k1 (q - q0) + k3 (q - q0)^3."""
     bent = signals.link_position - shapes[0]
     return Term(link_torque=amplitudes[0] * bent + amplitudes[1] * bent**3)
 
@@ -42,19 +42,19 @@ def cable_spring_term(
 def end_stop_term(
     signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
 ) -> Term:
-    """Torque k (q - q0) beyond an angle, on the side that the second shape points to."""
+    """Return the torque k (q - q0) beyond an angle, on the side of the second shape's sign."""
     place, side = shapes
     inwards = np.sign(side)
-    pressed = softplus(inwards * (signals.link_position - place) / _TOUCH)
-    return Term(link_torque=amplitudes[0] * inwards * _TOUCH * pressed)
+    pressed = softplus(inwards * (signals.link_position - place) / _STOP_ROUNDING)
+    return Term(link_torque=amplitudes[0] * inwards * _STOP_ROUNDING * pressed)
 
 
-def _rest_angle(
+def _report_rest_angle(
     amplitudes: Sequence[float], shapes: Sequence[float], constants: Constants
 ) -> Mapping[str, float]:
-    """Stiffness where the spring carries nothing, of all such angles the one nearest the stroke.
+    """Return the stiffness at the torque-free angle nearest to the stroke.
 
-    Where it carries torque all round, the angle of the wave alone.
+    Without a torque-free angle, that of the wave alone.
     """
     sine, cosine, constant = amplitudes
     bend, middle = shapes[0], float(np.mean(constants.stroke))
@@ -70,24 +70,24 @@ def _rest_angle(
     return {"k": size * side, "offset": offset}
 
 
-def _share_of_rated(constants: JointConstants) -> float:
+def _typical_stiffness(constants: JointConstants) -> float:
     return 0.1 * constants.torque_rated
 
 
-def _stiff(constants: JointConstants) -> float:
+def _typical_stop_stiffness(constants: JointConstants) -> float:
     return 10.0 * carried_share(constants) * constants.torque_rated
 
 
-def _ends(constants: JointConstants) -> tuple[float, ...]:
+def _start_stop_angles(constants: JointConstants) -> tuple[float, ...]:
     return along_stroke(constants, 6)
 
 
-def _in_stroke(shapes: Sequence[float], constants: JointConstants) -> bool:
+def _is_within_stroke(shapes: Sequence[float], constants: JointConstants) -> bool:
     low, high = constants.stroke
     return bool(low <= shapes[0] <= high)
 
 
-def _middles(constants: JointConstants) -> tuple[float, ...]:
+def _start_rest_angles(constants: JointConstants) -> tuple[float, ...]:
     return along_stroke(constants, 5)
 
 
@@ -103,13 +103,13 @@ GRAVITY_SPRING = Effect(
     twin="cable_spring",
     term=gravity_spring_term,
     amplitudes=(
-        Amplitude(name="k_sin", unit="N m/rad", scale=_share_of_rated, lower=-20.0, upper=20.0),
-        Amplitude(name="k_cos", unit="N m/rad", scale=_share_of_rated, lower=-20.0, upper=20.0),
-        Amplitude(name="B", unit="N m", scale=_share_of_rated, lower=-40.0, upper=40.0),
+        Amplitude(name="k_sin", unit="N m/rad", scale=_typical_stiffness, lower=-20.0, upper=20.0),
+        Amplitude(name="k_cos", unit="N m/rad", scale=_typical_stiffness, lower=-20.0, upper=20.0),
+        Amplitude(name="B", unit="N m", scale=_typical_stiffness, lower=-40.0, upper=40.0),
     ),
-    # From a crank drawn by a spring of no free length to a plain torsion spring.
+    # From a crank with a spring of zero free length to a plain torsion spring.
     shapes=(Shape(name="m", unit="rad", starts=(1.0, 1.5, 5.0), lower=0.5, upper=10.0),),
-    report=_rest_angle,
+    report=_report_rest_angle,
     units={"k": "N m/rad", "offset": "rad"},
     log_prior=lambda constants: -1.0 if on_wrist(constants) else 0.0,
     separate="Go to both ends of the stroke with the next joint still, then move that one alone: a"
@@ -127,10 +127,10 @@ CABLE_SPRING = Effect(
     needs=("torque", "moves"),
     term=cable_spring_term,
     amplitudes=(
-        Amplitude(name="k1", unit="N m/rad", scale=_share_of_rated, lower=0.0, upper=5.0),
-        Amplitude(name="k3", unit="N m/rad^3", scale=_share_of_rated, lower=0.0, upper=5.0),
+        Amplitude(name="k1", unit="N m/rad", scale=_typical_stiffness, lower=0.0, upper=5.0),
+        Amplitude(name="k3", unit="N m/rad^3", scale=_typical_stiffness, lower=0.0, upper=5.0),
     ),
-    shapes=(Shape(name="q0", unit="rad", starts=_middles, lower=-20.0, upper=20.0),),
+    shapes=(Shape(name="q0", unit="rad", starts=_start_rest_angles, lower=-20.0, upper=20.0),),
     log_prior=lambda constants: 0.0 if on_wrist(constants) else -1.0,
     separate="Go to both ends of the stroke: a cable pulls back ever harder, weight repeats after"
     " a turn.",
@@ -142,19 +142,21 @@ END_STOP = Effect(
     scope="joint",
     only_changed=True,
     equation="s += k*(q - q0) beyond q0",
-    signature="link torque of one joint that begins at one angle and grows beyond it, to one side",
-    phrase="something that the joint runs against",
+    signature="link torque of one joint that sets in at one angle and grows beyond it",
+    phrase="an end stop within the stroke",
     needs=("torque", "moves"),
     confused_with=("cable_spring",),
     term=end_stop_term,
-    amplitudes=(Amplitude(name="k", unit="N m/rad", scale=_stiff, lower=0.0, upper=100.0),),
+    amplitudes=(
+        Amplitude(name="k", unit="N m/rad", scale=_typical_stop_stiffness, lower=0.0, upper=100.0),
+    ),
     shapes=(
-        Shape(name="q0", unit="rad", starts=_ends, lower=-20.0, upper=20.0),
+        Shape(name="q0", unit="rad", starts=_start_stop_angles, lower=-20.0, upper=20.0),
         Shape(name="side", unit="", starts=(-1.0, 1.0), lower=-1.0, upper=1.0),
     ),
     report=lambda amplitudes, shapes, constants: {"k": amplitudes[0], "q0": shapes[0]},
-    possible=_in_stroke,
-    separate="Go to that end of the stroke slowly, and stop short of it: a stop does nothing short"
+    possible=_is_within_stroke,
+    separate="Go to that end of the stroke slowly, and stop short of it: a stop has no effect short"
     " of its angle, cables and weight pull everywhere.",
 )
 

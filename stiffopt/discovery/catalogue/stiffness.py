@@ -1,4 +1,4 @@
-"""Springs of another stiffness than nominal: the whole joint, or the reducer's first slope."""
+"""Stiffness other than nominal: of the whole joint, or the first slope of the reducer."""
 
 from __future__ import annotations
 
@@ -12,16 +12,15 @@ from stiffopt.connection.constant import Constant
 from stiffopt.connection.reducer import Reducer
 from stiffopt.discovery.catalogue.common import WEIGHT, Constants, winds_up
 from stiffopt.discovery.catalogue.robot_change import (
-    SHARES,
+    TORQUE_SHARES,
     chain_of,
     mean_windup,
     with_chain,
     with_element,
     with_series_spring,
 )
-from stiffopt.discovery.comparison.extension import EstimatedEffect
-from stiffopt.discovery.comparison.signals import JointConstants, JointSignals
-from stiffopt.discovery.effect import Amplitude, Effect, RobotChange, Shape, Term
+from stiffopt.discovery.effect import Amplitude, Effect, FittedEffect, RobotChange, Shape, Term
+from stiffopt.discovery.signals import JointConstants, JointSignals
 from stiffopt.exact.connection import reducer_windup
 from stiffopt.robot.robot import Robot
 from stiffopt.symbolic import Quantity
@@ -30,23 +29,23 @@ from stiffopt.symbolic import Quantity
 def stiffness_linear_term(
     signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
 ) -> Term:
-    """Wind-up x D(s)."""
+    """Return the wind-up x D(s)."""
     return Term(deflection=amplitudes[0] * signals.windup)
 
 
-def _factor(
+def _report_factor(
     amplitudes: Sequence[float], shapes: Sequence[float], constants: Constants
 ) -> Mapping[str, float]:
     return {"factor": 1.0 / (1.0 + amplitudes[0])}
 
 
 def scale_stiffness(
-    robot: Robot, found: EstimatedEffect, joint: int, constants: JointConstants
+    robot: Robot, found: FittedEffect, joint: int, constants: JointConstants
 ) -> RobotChange | None:
     """Scale the reducer so that the joint's mean wind-up changes by the factor."""
     chain = chain_of(robot, joint)
     factor = 1.0 / (1.0 + found.amplitudes[0])
-    torques = SHARES * constants.torque_rated
+    torques = TORQUE_SHARES * constants.torque_rated
     whole = mean_windup(chain, torques)
     if whole <= 0.0 or not np.isfinite(whole):
         return None
@@ -56,7 +55,7 @@ def scale_stiffness(
             wanted = whole / factor - (whole - alone)
             if wanted <= 0.0:
                 return None
-            element = _scaled(stage.element, alone / wanted)
+            element = _scale_element(stage.element, alone / wanted)
             return with_chain(
                 robot,
                 joint,
@@ -67,7 +66,7 @@ def scale_stiffness(
     return with_chain(robot, joint, *with_series_spring(chain, whole / factor - whole, constants))
 
 
-def _scaled(element: Reducer | Constant, factor: float) -> Connection:
+def _scale_element(element: Reducer | Constant, factor: float) -> Connection:
     if isinstance(element, Constant):
         return replace(element, stiffness=element.stiffness * factor)
     return replace(
@@ -81,37 +80,37 @@ def _scaled(element: Reducer | Constant, factor: float) -> Connection:
 def k1_softening_term(
     signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
 ) -> Term:
-    """Wind-up of a reducer with another first slope and corner, less the nominal one."""
+    """Return the wind-up of a reducer with another first slope and corner, less the nominal one."""
     constants, s = signals.constants, signals.spring_torque
     if constants.slopes is None or constants.corners is None:
         return Term(deflection=0.0 * s)
     (k1, k2, k3), (t1, t2) = constants.slopes, constants.corners
     k1_factor, t1_factor = shapes
     first = t1 * t1_factor
-    # The second corner moves on only when the first passes it.
+    # The second corner moves only when the first passes it.
     worn = reducer_windup(s, (k1 * k1_factor, k2, k3), (first, np.fmax(t2, first)))
     added = worn - reducer_windup(s, constants.slopes, constants.corners)
     return Term(deflection=amplitudes[0] * added)
 
 
-def _corners(
+def _report_corners(
     amplitudes: Sequence[float], shapes: Sequence[float], constants: Constants
 ) -> Mapping[str, float]:
-    # The slope at zero torque holds exactly, also where the weight is not 1.
+    # The slope at zero torque is exact, also where the weight is not 1.
     softer = 1.0 + amplitudes[0] * (1.0 / shapes[0] - 1.0)
     return {"k1_factor": 1.0 / softer, "t1_factor": shapes[1]}
 
 
-def _has_corners(constants: JointConstants) -> bool:
+def _has_reducer_corners(constants: JointConstants) -> bool:
     slopes = constants.slopes
     return slopes is not None and constants.corners is not None and slopes[0] != slopes[2]
 
 
 def wear_reducer(
-    robot: Robot, found: EstimatedEffect, joint: int, constants: JointConstants
+    robot: Robot, found: FittedEffect, joint: int, constants: JointConstants
 ) -> RobotChange | None:
-    """Another first slope and corner of the reducer."""
-    values = _corners(found.amplitudes, found.located.shapes, constants)
+    """Change the first slope and corner of the reducer."""
+    values = _report_corners(found.amplitudes, found.shapes, constants)
     chain = chain_of(robot, joint)
     for position, stage in enumerate(chain.stages):
         element = stage.element
@@ -146,7 +145,7 @@ STIFFNESS_LINEAR = Effect(
     change_robot=scale_stiffness,
     term=stiffness_linear_term,
     amplitudes=(Amplitude(name="x", unit="", scale=0.3, lower=-2.2, upper=7.8),),
-    report=_factor,
+    report=_report_factor,
     units={"factor": ""},
     applies=winds_up,
     separate="Use the whole range of torque on both sides, slowly and fast: an added belt is not"
@@ -171,8 +170,8 @@ K1_SOFTENING = Effect(
         Shape(name="k1_factor", unit="", starts=(0.2, 0.35, 0.55, 0.8), lower=0.15, upper=1.2),
         Shape(name="t1_factor", unit="", starts=(0.7, 1.0, 1.6), lower=0.5, upper=3.0),
     ),
-    report=_corners,
-    applies=_has_corners,
+    report=_report_corners,
+    applies=_has_reducer_corners,
     separate="Reach torques well beyond the first corner: a worn reducer stops getting softer"
     " there, loosened contacts keep growing, backlash has no width in torque.",
 )

@@ -1,1 +1,1 @@
-"""What recordings say and what the nominal model says of the same motion."""
+"""Training runs against the nominal model: prediction, nuisance values, rows, evidence."""

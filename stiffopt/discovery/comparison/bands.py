@@ -1,9 +1,9 @@
-"""How fast a motion fits and predictions follow, chosen for every set and channel.
+"""Bandwidths of fit and prediction, selected by cross-validation for every set and channel.
 
-A wide band follows what happens at reversals and in pulses; a narrow one keeps the noise of twice
-derived encoders out of the torque. Which is better is a fact of the recordings: of every band a
-small linear model (bodies, rotor, dry and viscous friction, offset) is fitted to some stretches of
-the measured torque and predicts the others, unfiltered.
+A wide band follows reversals and pulses; a narrow one keeps the noise of twice differentiated
+encoders out of the torque. Which is better depends on the recordings: for every band a small linear
+model (bodies, rotor, dry and viscous friction, offset) is fitted to some stretches of the measured
+torque and predicts the others, unfiltered.
 """
 
 from __future__ import annotations
@@ -13,45 +13,52 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stiffopt.discovery.comparison.filtering import ROWS_A_BAND, ZeroPhaseFilter, derivative
+from stiffopt.discovery.comparison.filtering import (
+    ROWS_PER_CYCLE,
+    ZeroPhaseFilter,
+    bridge_gaps,
+    derivative,
+    near_gaps,
+    resample_uniform,
+)
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
-from stiffopt.discovery.comparison.prepare import link_motion, near_gaps, uniform, whole
-from stiffopt.discovery.comparison.signals import smooth_sign
+from stiffopt.discovery.comparison.prepared_run import quasi_static_links
+from stiffopt.discovery.signals import smooth_sign
 from stiffopt.recording.run import RecordedRun
 
-# Bands that are tried [Hz], as far as the sampling rate bears them.
+# Candidate bands [Hz], as far as the sampling rate admits.
 BANDS = (4.0, 6.0, 8.0, 12.0, 20.0, 35.0, 60.0, 100.0, 150.0)
-# Of a fit at most and at least: rows of wider ones are too many, narrower ones too few.
-_FIT_LEAST, _FIT_MOST = 8.0, 100.0
+# Range of the fit's band [Hz]: wider ones have too many rows, narrower ones too few.
+_MIN_FIT_BAND, _MAX_FIT_BAND = 8.0, 100.0
 # Highest band over the sampling rate.
-_OF_RATE = 0.2
-# Samples of all runs that a band is tried with; stretches of all runs, and parts that they make.
-_SAMPLES, _STRETCHES, _FOLDS = 2000, 40, 5
-# Length of a stretch, at least and at most [s].
-_SHORTEST, _LONGEST = 0.2, 2.0
-# Of columns scaled to one, a share of the samples.
-_RIDGE = 1e-3
-# Less is no reason to leave the usual band, of the mean square.
-_BETTER = 0.02
-# Share of the least mean square that a wider band may cost: what encoders' noise does is seen in
-# the training runs, what a faster motion needs is not.
-_WIDER = 0.1
-# Rows of a fit at most: wider bands have more.
-_ROWS = 60_000
-# A joint with fewer moving samples chooses nothing.
-_FEWEST = 100
+_MAX_BAND_OVER_RATE = 0.2
+# Samples of all runs per band; stretches of all runs, and folds that these form.
+_MAX_SAMPLES, _STRETCH_COUNT, _FOLD_COUNT = 2000, 40, 5
+# Range of the length of a stretch [s].
+_MIN_STRETCH, _MAX_STRETCH = 0.2, 2.0
+# Ridge penalty of columns scaled to unit mean square, over the number of samples.
+_RELATIVE_RIDGE = 1e-3
+# Smallest gain in the mean log mean square for which the default band of the fit is left.
+_MIN_LOG_GAIN = 0.02
+# Share of the least mean square that a wider band may cost: encoder noise is visible in the
+# training runs, the needs of a faster motion are not.
+_MAX_WIDER_BAND_COST = 0.1
+# Largest number of rows of a fit.
+_MAX_FIT_ROWS = 60_000
+# Joints with fewer moving samples keep the default band.
+_MIN_MOVING_SAMPLES = 100
 
 
 @dataclass(frozen=True, kw_only=True)
 class Bands:
-    """Bands of one set.
+    """Bandwidths of one recording set.
 
     Parameters
     ----------
     fit : float
-        Of the rows of a fit [Hz].
+        Band of the rows of a fit [Hz].
     predict : tuple of float (n,)
-        Of the motion that the torque of each joint is predicted from [Hz].
+        Band of the motion from which the torque of each joint is predicted [Hz].
     """
 
     fit: float
@@ -66,7 +73,7 @@ def choose_bands(
     fit: float,
     predict: float,
 ) -> Bands:
-    """Bands that predict stretches left out best.
+    """Return the bands that best predict stretches left out.
 
     Parameters
     ----------
@@ -74,49 +81,55 @@ def choose_bands(
     runs : sequence of RecordedRun
         Training runs.
     slow : float
-        Joints slower than this stand [rad/s].
+        Joints slower than this are at rest [rad/s].
     fit, predict : float
-        Where too little moves to choose [Hz].
+        Defaults where too little moves to select [Hz].
     """
     rate = 1.0 / max(run.step for run in runs)
-    highest = _OF_RATE * rate
+    highest = _MAX_BAND_OVER_RATE * rate
     tried = sorted({*(b for b in BANDS if b <= highest), min(predict, highest)})
-    errors = np.array([_errors(robot, runs, band, slow) for band in tried])
+    errors = np.array([_cross_validation_errors(robot, runs, band, slow) for band in tried])
     usable = np.isfinite(errors).all(axis=0)
-    # Link motion by a nominal wind-up can be had below a joint's resonance alone.
+    # The link motion of an elastic joint is computable only below its resonance.
     slower = int(np.searchsorted(tried, predict, side="right"))
     counts = [slower if joint.elastic else len(tried) for joint in robot.constants.joints]
     bands = [
-        _widest(tried[:count], column[:count]) if own else predict
+        _widest_adequate_band(tried[:count], column[:count]) if own else predict
         for own, column, count in zip(usable, errors.T, counts, strict=True)
     ]
     if not usable.any():
         return Bands(fit=fit, predict=tuple(bands))
-    most = _ROWS / (sum(run.duration for run in runs) * robot.n * ROWS_A_BAND)
-    fits = [k for k, b in enumerate(tried) if _FIT_LEAST <= b <= max(min(_FIT_MOST, most), fit)]
+    most = _MAX_FIT_ROWS / (sum(run.duration for run in runs) * robot.n * ROWS_PER_CYCLE)
+    fits = [
+        k for k, b in enumerate(tried) if _MIN_FIT_BAND <= b <= max(min(_MAX_FIT_BAND, most), fit)
+    ]
     if robot.elastic:
         fits = [k for k in fits if tried[k] <= fit]
     together = np.log(errors[:, usable]).mean(axis=1)
     best = min(fits, key=lambda k: float(together[k]), default=0)
-    near = [k for k in fits if together[k] < together[best] + _BETTER]
+    near = [k for k in fits if together[k] < together[best] + _MIN_LOG_GAIN]
     return Bands(
         fit=min((tried[k] for k in near), key=lambda band: abs(band - fit), default=fit),
         predict=tuple(bands),
     )
 
 
-def _widest(tried: Sequence[float], errors: np.ndarray) -> float:
+def _widest_adequate_band(tried: Sequence[float], errors: np.ndarray) -> float:
     return max(
         band
         for band, error in zip(tried, errors, strict=True)
-        if error <= (1.0 + _WIDER) * errors.min()
+        if error <= (1.0 + _MAX_WIDER_BAND_COST) * errors.min()
     )
 
 
-def _errors(robot: RobotModel, runs: Sequence[RecordedRun], band: float, slow: float) -> np.ndarray:
-    """Mean square of the unfiltered torque in stretches left out (n,); nan where none can be."""
-    length = float(np.clip(sum(run.duration for run in runs) / _STRETCHES, _SHORTEST, _LONGEST))
-    parts = [_samples(robot, run, band, len(runs), length) for run in runs]
+def _cross_validation_errors(
+    robot: RobotModel, runs: Sequence[RecordedRun], band: float, slow: float
+) -> np.ndarray:
+    """Return the mean square error of unfiltered torque in stretches left out (n,), or nan."""
+    length = float(
+        np.clip(sum(run.duration for run in runs) / _STRETCH_COUNT, _MIN_STRETCH, _MAX_STRETCH)
+    )
+    parts = [_sample_run(robot, run, band, len(runs), length) for run in runs]
     found = np.full(robot.n, np.nan)
     for j in range(robot.n):
         columns, target, stretch = [], [], []
@@ -127,15 +140,15 @@ def _errors(robot: RobotModel, runs: Sequence[RecordedRun], band: float, slow: f
             target.append(part.residual[used, j])
             stretch.append(first + part.stretch[used])
             first += int(part.stretch.max()) + 1
-        fold = np.concatenate(stretch) % _FOLDS
-        if len(fold) >= _FEWEST and len(np.unique(fold)) == _FOLDS:
-            found[j] = _left_out(np.vstack(columns), np.concatenate(target), fold)
+        fold = np.concatenate(stretch) % _FOLD_COUNT
+        if len(fold) >= _MIN_MOVING_SAMPLES and len(np.unique(fold)) == _FOLD_COUNT:
+            found[j] = _cross_validation_error(np.vstack(columns), np.concatenate(target), fold)
     return found
 
 
 @dataclass(frozen=True, eq=False)
-class _Samples:
-    """Some samples of a run, its motion filtered and its torque not."""
+class _RunSamples:
+    """Samples of a run with filtered motion and unfiltered torque."""
 
     velocity: np.ndarray
     acceleration: np.ndarray
@@ -144,36 +157,36 @@ class _Samples:
     stretch: np.ndarray
 
     def columns(self, j: int) -> np.ndarray:
-        """What the torque of a joint may be made of (m, k).
+        """Return the regressors of the torque of a joint (m, k).
 
-        Where links are followed through springs, too fast a band makes accelerations that are none,
-        which free bodies would take away again: nominal ones show what it does.
+        Elastic joints have no free bodies: too wide a band makes spurious link accelerations, which
+        free bodies would cancel; nominal ones expose them.
         """
         speed = self.velocity[:, j]
         own = (np.ones_like(speed), smooth_sign(speed), speed, self.acceleration[:, j])
         return np.column_stack(own if self.bodies is None else [*own, self.bodies[:, j]])
 
 
-def _samples(
+def _sample_run(
     robot: RobotModel, run: RecordedRun, band: float, runs: int, length: float
-) -> _Samples:
-    time, position, _, torque = uniform(run)
+) -> _RunSamples:
+    time, position, _, torque = resample_uniform(run)
     dt = float(time[1] - time[0])
     low_pass = ZeroPhaseFilter(1.0 / dt, band)
-    motor = low_pass.motion(whole(position))
+    motor = low_pass.filter_motion(bridge_gaps(position))
     velocity = derivative(motor, dt)
     acceleration = derivative(velocity, dt)
-    # The same samples for every band, clear of the ends of the narrowest.
+    # Same samples for every band, clear of the ends of the narrowest.
     margin = min(ZeroPhaseFilter(1.0 / dt, BANDS[0]).settling, len(time) // 4)
-    every = max(1, (len(time) - 2 * margin) * runs // _SAMPLES)
+    every = max(1, (len(time) - 2 * margin) * runs // _MAX_SAMPLES)
     kept = np.arange(margin, len(time) - margin, every)
     clear = ~near_gaps(run.time, run.step, time, margin)[kept]
     kept = kept[clear] if clear.any() else kept
-    links = link_motion(robot, motor, dt, low_pass)
+    links = quasi_static_links(robot, motor, dt, low_pass)
     q, v, a = links.position[kept], links.velocity[kept], links.acceleration[kept]
     speed, rate = velocity[kept], acceleration[kept]
     nominal = links.torque[kept] + robot.rotor_inertia * rate + robot.friction(speed)
-    return _Samples(
+    return _RunSamples(
         velocity=speed,
         acceleration=rate,
         bodies=None if robot.elastic else robot.body_regressor(q, v, a),
@@ -182,13 +195,13 @@ def _samples(
     )
 
 
-def _left_out(columns: np.ndarray, target: np.ndarray, fold: np.ndarray) -> float:
+def _cross_validation_error(columns: np.ndarray, target: np.ndarray, fold: np.ndarray) -> float:
     size = np.sqrt(np.mean(columns**2, axis=0))
     scaled = columns[:, size > 0.0] / size[size > 0.0]
-    ridge = _RIDGE * len(target) * np.eye(scaled.shape[1])
+    ridge = _RELATIVE_RIDGE * len(target) * np.eye(scaled.shape[1])
     gram, moment = scaled.T @ scaled + ridge, scaled.T @ target
     total = 0.0
-    for k in range(_FOLDS):
+    for k in range(_FOLD_COUNT):
         own = fold == k
         part, left = scaled[own], target[own]
         fitted = np.linalg.solve(gram - part.T @ part, moment - part.T @ left)

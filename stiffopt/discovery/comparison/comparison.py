@@ -1,4 +1,4 @@
-"""The comparison of training runs with the nominal model: rows, nuisance, residual."""
+"""Comparison of training runs with the nominal model: nuisance values, residual, fits."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.optimize import lsq_linear
 
-from stiffopt.discovery.comparison.bodies import (
-    body_units,
-    exist,
-    nominal_bodies,
+from stiffopt.discovery.comparison.channel_rows import ChannelNoise
+from stiffopt.discovery.comparison.design_matrix import (
+    MAX_LINEARISATION_ERROR,
+    MIN_RUNS_AS_BLOCKS,
+    DesignMatrix,
 )
-from stiffopt.discovery.comparison.columns import FEW_RUNS, NEAR, Columns
 from stiffopt.discovery.comparison.evidence import (
     AddedSums,
     BlockSums,
@@ -24,22 +24,25 @@ from stiffopt.discovery.comparison.evidence import (
     Sums,
     posterior,
 )
-from stiffopt.discovery.comparison.extension import Extension, with_amplitudes
-from stiffopt.discovery.comparison.located_effect import LocatedEffect
-from stiffopt.discovery.comparison.nearest_bodies import nearest_bodies
+from stiffopt.discovery.comparison.inertial_parameters import (
+    body_units,
+    is_consistent,
+    likeliest_consistent_bodies,
+    nominal_bodies,
+)
+from stiffopt.discovery.comparison.located_effect import Extension, LocatedEffect, with_amplitudes
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
-from stiffopt.discovery.comparison.pieces import WeightedSums
-from stiffopt.discovery.comparison.prepare import PreparedRun
-from stiffopt.discovery.comparison.rows import ChannelNoise
+from stiffopt.discovery.comparison.piece_sums import WeightedSums
+from stiffopt.discovery.comparison.prepared_run import PreparedRun
 from stiffopt.recording.nominal import Tolerance
 
-# Of a nominal model that nobody has compared yet.
-_NOTHING: Mapping[str, float] = MappingProxyType({})
+# Default of a nominal model without an earlier diagnosis.
+_NO_SUSPECTS: Mapping[str, float] = MappingProxyType({})
 
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """Rows fitted by nominal values within tolerance and by effects.
+    """Least-squares fit of nominal values within tolerance and of effects.
 
     Parameters
     ----------
@@ -47,7 +50,7 @@ class Fit:
     posterior : Posterior
         Of the nuisance values, then the amplitudes over their sizes.
     residual : array (m,)
-        Whitened by the stated noise.
+        Over the stated noise.
     """
 
     effects: tuple[LocatedEffect, ...]
@@ -55,10 +58,10 @@ class Fit:
     residual: np.ndarray
     nuisance: int
 
-    def losses(self) -> np.ndarray:
-        """Log evidence that is lost without each effect, the others kept.
+    def evidence_losses(self) -> np.ndarray:
+        """Return the log evidence lost without each effect, with the others.
 
-        The density that prior and posterior give to the amplitude zero, one over the other.
+        Savage-Dickey ratio: posterior over prior density at amplitude zero.
         """
         lost, begin = [], self.nuisance
         for located in self.effects:
@@ -70,24 +73,24 @@ class Fit:
         return np.array(lost)
 
     def amplitudes(self) -> np.ndarray:
-        """Amplitudes of all effects over their sizes, one after another."""
+        """Return the amplitudes of all effects over their sizes, concatenated."""
         return self.posterior.mean[self.nuisance :]
 
 
 @dataclass(frozen=True, eq=False)
 class ModelSums:
-    """Sums of squares of a model's columns.
+    """Sums of products of a model's columns.
 
     Parameters
     ----------
     own : Sums
         Of the nominal values, then the amplitudes over their sizes.
-    beside : callable
-        -> sums of an effect's columns beside those.
+    added_sums : callable
+        -> sums of an effect's columns with those.
     """
 
     own: Sums
-    beside: Callable[[LocatedEffect], AddedSums]
+    added_sums: Callable[[LocatedEffect], AddedSums]
 
 
 class Comparison:
@@ -97,23 +100,23 @@ class Comparison:
     ----------
     robot : RobotModel
     runs : sequence of PreparedRun
-        With the nominal model.
+        Runs with the nominal model.
     noise : ChannelNoise
     tolerance : Tolerance
     start : Extension, optional
-        What the model that is compared has beyond the nominal one.
+        Extension of the compared model beyond the nominal one.
     inflation : array (2 n,), optional
-        Factor on the noise of every channel, for what the model leaves unexplained there.
+        Factor on the noise of every channel for its unexplained residual.
     box : float
-        Nominal values stay within so many standard deviations.
+        Bound on nominal values in standard deviations.
     least : array (2 n,), optional
-        Least of these factors: what the model that is started from left of its own recordings;
-        nan where it has seen none.
+        Smallest of these factors: the residual of the starting model in its own recordings; nan for
+        unseen channels.
     suspects : mapping of str to float
-        Effects by their labels that this hints at by itself, with log evidence for a row: of them
-        as much is no evidence.
-    columns : Columns, optional
-        Of these runs, about what was found already.
+        Log evidence per row of effects, by label, that the starting model left unexplained: so much
+        does not count as evidence of a change.
+    columns : DesignMatrix, optional
+        Design matrix of these runs, linearised about known findings.
     """
 
     def __init__(
@@ -127,42 +130,42 @@ class Comparison:
         inflation: np.ndarray | None = None,
         box: float = 4.0,
         least: np.ndarray | None = None,
-        suspects: Mapping[str, float] = _NOTHING,
-        columns: Columns | None = None,
+        suspects: Mapping[str, float] = _NO_SUSPECTS,
+        columns: DesignMatrix | None = None,
     ) -> None:
         self.robot, self.noise, self.tolerance, self.box = robot, noise, tolerance, box
         self.nominal_runs, self.start = tuple(runs), start or Extension()
-        self.columns = columns or Columns(
+        self.columns = columns or DesignMatrix(
             robot, self.nominal_runs, noise, tolerance, self.start, Extension()
         )
         self.runs, self.rows = self.columns.runs, self.columns.rows
         self.constants = self.runs[0].signals.constants
         self.blocks = int(self.rows.block.max()) + 1
         self.after_model = least is not None
-        self._least, self.suspects = least, suspects
+        self._least_known, self.suspects = least, suspects
         self.least = np.ones(2 * robot.n) if least is None else np.nan_to_num(least, nan=1.0)
         self.unseen = np.zeros(2 * robot.n, dtype=bool) if least is None else np.isnan(least)
         self.inflation = self.least if inflation is None else inflation
 
     @cached_property
-    def _weight(self) -> np.ndarray:
-        """Weight of every row beside the stated noise."""
+    def _row_weight(self) -> np.ndarray:
+        """Weight of every row over the stated noise."""
         return np.asarray(1.0 / self.inflation[self.rows.channel])
 
-    def about(self, fit: Fit, near: float = NEAR) -> Comparison:
-        """The comparison about a fit: links that move as found, the noise left in each channel.
+    def linearised_at(self, fit: Fit, near: float = MAX_LINEARISATION_ERROR) -> Comparison:
+        """Return the comparison linearised at a fit, with its residual noise in each channel.
 
         Parameters
         ----------
         fit : Fit
         near : float
-            Rms over that noise of what links may do otherwise before they are followed anew.
+            Largest linearisation error of the links, rms over that noise.
         """
         left = np.nan_to_num(self.channel_ratio(fit.residual), nan=1.0)
-        return self.moved(self.found(fit), np.maximum(self.least, left), near)
+        return self.with_extension(self.extension_of(fit), np.maximum(self.least, left), near)
 
-    def found(self, fit: Fit) -> Extension:
-        """Values and effects of a fit."""
+    def extension_of(self, fit: Fit) -> Extension:
+        """Return nominal values and effects of a fit."""
         names = self.nuisance[0]
         sizes = [located.sizes(self.constants) for located in fit.effects]
         return Extension(
@@ -170,40 +173,43 @@ class Comparison:
             effects=with_amplitudes(fit.effects, fit.amplitudes(), sizes),
         )
 
-    def moved(
-        self, found: Extension, inflation: np.ndarray | None = None, near: float = NEAR
+    def with_extension(
+        self,
+        found: Extension,
+        inflation: np.ndarray | None = None,
+        near: float = MAX_LINEARISATION_ERROR,
     ) -> Comparison:
-        """The comparison about an extension, with another factor on the noise (2 n,)."""
+        """Return the comparison about an extension, with other noise factors (2 n,)."""
+        noise = self.least if inflation is None else inflation
+        return self._derive_comparison(inflation, self.columns.linearised_at(found, noise, near))
+
+    def with_runs(self, runs: Sequence[PreparedRun]) -> Comparison:
+        """Return the comparison of other runs with the same model."""
+        return self._derive_comparison(None, None, runs)
+
+    def _derive_comparison(
+        self,
+        inflation: np.ndarray | None,
+        columns: DesignMatrix | None,
+        runs: Sequence[PreparedRun] | None = None,
+    ) -> Comparison:
         return Comparison(
             self.robot,
-            self.nominal_runs,
+            self.nominal_runs if runs is None else runs,
             self.noise,
             self.tolerance,
             start=self.start,
             inflation=inflation,
             box=self.box,
-            least=self._least,
+            least=self._least_known,
             suspects=self.suspects,
-            columns=self.columns.about(found, self.least if inflation is None else inflation, near),
-        )
-
-    def along(self, runs: Sequence[PreparedRun]) -> Comparison:
-        """The comparison of other runs with the same model."""
-        return Comparison(
-            self.robot,
-            runs,
-            self.noise,
-            self.tolerance,
-            start=self.start,
-            box=self.box,
-            least=self._least,
-            suspects=self.suspects,
+            columns=columns,
         )
 
     @property
-    def whole_runs(self) -> bool:
-        """Whether blocks are whole runs."""
-        return len(self.runs) >= FEW_RUNS
+    def blocks_are_runs(self) -> bool:
+        """True where blocks are whole runs."""
+        return len(self.runs) >= MIN_RUNS_AS_BLOCKS
 
     @property
     def bodies(self) -> np.ndarray | None:
@@ -211,79 +217,73 @@ class Comparison:
         return self.columns.bodies
 
     def with_bodies(self, bodies: np.ndarray | None) -> Comparison:
-        """The comparison with inertial parameters free (n, 10), in place of masses and centres."""
-        return Comparison(
-            self.robot,
-            self.nominal_runs,
-            self.noise,
-            self.tolerance,
-            start=self.start,
-            inflation=self.inflation,
-            box=self.box,
-            least=self._least,
-            suspects=self.suspects,
-            columns=self.columns.with_bodies(bodies),
-        )
+        """Return the comparison with free inertial parameters (n, 10) of all bodies.
 
-    def suspected(self, located: LocatedEffect) -> float:
-        """Log evidence for an effect that the model which was started from left behind."""
+        In place of masses and centres of mass.
+        """
+        return self._derive_comparison(self.inflation, self.columns.with_bodies(bodies))
+
+    def inherited_evidence(self, located: LocatedEffect) -> float:
+        """Return the log evidence for an effect that the starting model left unexplained."""
         return self.suspects.get(located.label, 0.0) * self.rows.size
 
     @property
-    def most_suspected(self) -> float:
-        """The largest of these."""
+    def max_inherited_evidence(self) -> float:
+        """Largest inherited log evidence of all effects."""
         return max(self.suspects.values(), default=0.0) * self.rows.size
 
-    # ---- columns, weighted
+    # ---- weighted columns
 
     @cached_property
     def nuisance(self) -> tuple[list[str], np.ndarray, np.ndarray]:
-        """Names, priors and columns (m, p) of the nominal values."""
+        """Names, priors and weighted columns (m, p) of the nominal values."""
         names, sd, columns = self.columns.nuisance
-        return names, sd, self._weighted(columns)
+        return names, sd, self._whiten_rows(columns)
 
     @cached_property
     def target(self) -> np.ndarray:
-        """What the nominal model leaves of the measured channels (m,), weighted."""
-        return self._weighted(self.columns.target)
+        """Weighted residual of the nominal model in the measured channels (m,)."""
+        return self._whiten_rows(self.columns.target)
 
     def effect_columns(self, located: LocatedEffect) -> np.ndarray:
-        """Columns (m, k) of an effect's amplitudes over their sizes."""
-        return self._weighted(self.columns.of_effect(located))
+        """Return the weighted columns (m, k) of an effect's amplitudes over their sizes."""
+        return self._whiten_rows(self.columns.effect_columns(located))
 
     def sums(self, effects: Sequence[LocatedEffect] = ()) -> ModelSums:
-        """Sums of nominal values and effects together, and of what is put beside them."""
-        if self.columns.unknown.size:
-            # What may be the swing of a start mixes the rows of a run.
+        """Return the sums of nominal values and effects, and a function for further effects."""
+        if self.columns.initial_state_columns.size:
+            # Initial vibration couples all rows of a run.
             _, _, nuisance = self.nuisance
             columns = np.column_stack([nuisance, *(self.effect_columns(e) for e in effects)])
             rows = BlockSums(columns, self.target, self.rows.block, self.blocks)
-            return ModelSums(rows.own, lambda each: rows.beside(self.effect_columns(each)))
+            return ModelSums(rows.own, lambda each: rows.added_sums(self.effect_columns(each)))
         pieces = self.columns.pieces
         weight = self.inflation[pieces.channel] ** -2.0
         products = [self.columns.products(e) for e in effects]
         weighted = WeightedSums(self.columns.sums, products, weight)
-        return ModelSums(weighted.own, lambda each: weighted.beside(self.columns.products(each)))
+        return ModelSums(
+            weighted.own, lambda each: weighted.added_sums(self.columns.products(each))
+        )
 
-    def _weighted(self, columns: np.ndarray) -> np.ndarray:
-        """Rows over the noise; what may be the swing that a run began with counts as noise."""
-        weighted = (columns.T * self._weight).T
-        along, kept = self._unknown
+    def _whiten_rows(self, columns: np.ndarray) -> np.ndarray:
+        """Return rows over the noise; initial vibration counts as noise."""
+        weighted = (columns.T * self._row_weight).T
+        along, kept = self._initial_state_directions
         if along.size:
             weighted -= along @ (((1.0 - kept) * (along.T @ weighted).T).T)
         return np.asarray(weighted)
 
     @cached_property
-    def _unknown(self) -> tuple[np.ndarray, np.ndarray]:
-        """Directions (m, r) of the rows that the unknown start of runs has, the share kept."""
-        columns = self.columns.unknown * self._weight[:, None]
+    def _initial_state_directions(self) -> tuple[np.ndarray, np.ndarray]:
+        """Directions (m, r) of initial vibration in the rows, and the shares kept."""
+        columns = self.columns.initial_state_columns * self._row_weight[:, None]
         along, sizes, _ = np.linalg.svd(columns, full_matrices=False)
         return along, 1.0 / np.sqrt(1.0 + sizes**2)
 
     # ---- fits
 
     def fit(self, effects: Sequence[LocatedEffect] = (), *, boxed: bool = True) -> Fit:
-        """Fit nuisance values, in their box unless told otherwise, and effects together."""
+        """Fit nuisance values and effects together; `boxed` bounds the nuisance values."""
         _, sd, nuisance = self.nuisance
         parts = [nuisance, *(self.effect_columns(e) for e in effects)]
         columns = np.column_stack(parts)
@@ -295,33 +295,33 @@ class Comparison:
         free = 0 if self.bodies is None else self.bodies.size
         limits[:free] = np.inf
         if boxed and np.any(np.abs(found.mean / prior) > limits):
-            found = replace(found, mean=_within(sums, prior, limits))
+            found = replace(found, mean=_solve_boxed(sums, prior, limits))
         if boxed and free:
-            found = replace(found, mean=self._of_matter(found.mean, sums, prior, limits))
-        residual = (self.target - columns @ found.mean) / self._weight
+            found = replace(found, mean=self._make_consistent(found.mean, sums, prior, limits))
+        residual = (self.target - columns @ found.mean) / self._row_weight
         return Fit(tuple(effects), found, residual, len(sd))
 
-    def _of_matter(
+    def _make_consistent(
         self, mean: np.ndarray, sums: Sums, prior: np.ndarray, limits: np.ndarray
     ) -> np.ndarray:
-        """Likeliest values (p,) whose bodies can exist; as they are where they can."""
+        """Return the likeliest values (p,) with physically consistent bodies."""
         nominal, units = nominal_bodies(self.robot), body_units(self.robot)
         place = slice(0, nominal.size)
-        if exist(nominal + mean[place].reshape(nominal.shape), units):
+        if is_consistent(nominal + mean[place].reshape(nominal.shape), units):
             return mean
         gram = sums.gram.sum(axis=0) + np.diag(prior**-2.0)
         moment = sums.moment.sum(axis=0)
-        return nearest_bodies(gram, moment, place, nominal, units, limits * prior)
+        return likeliest_consistent_bodies(gram, moment, place, nominal, units, limits * prior)
 
     def channel_ratio(self, residual: np.ndarray) -> np.ndarray:
-        """Root mean square of whitened residuals in every channel (2 n,); nan without rows."""
+        """Return the rms of whitened residuals per channel (2 n,); nan without rows."""
         square = np.bincount(self.rows.channel, residual**2, minlength=2 * self.robot.n)
         with np.errstate(invalid="ignore", divide="ignore"):
             return np.asarray(np.sqrt(square / self.rows.counts))
 
 
-def _within(sums: Sums, prior: np.ndarray, limits: np.ndarray) -> np.ndarray:
-    """Likeliest values (p,) within so many standard deviations of their priors."""
+def _solve_boxed(sums: Sums, prior: np.ndarray, limits: np.ndarray) -> np.ndarray:
+    """Return the likeliest values (p,) within bounds in standard deviations of the priors."""
     scaled = sums.gram.sum(axis=0) * np.outer(prior, prior) + np.eye(len(prior))
     root = np.linalg.cholesky(scaled)
     goal = solve_triangular(root, prior * sums.moment.sum(axis=0), lower=True)

@@ -1,7 +1,7 @@
-"""Linear Gaussian model of the rows: evidence, cross-validated density, posterior.
+"""Linear Gaussian model of the rows: log evidence, cross-validated density, posterior.
 
-The predictive density of a block given the others is the ratio of two evidences, so that
-cross-validation over whole recordings needs no fit beyond the sums of squares of each block.
+The predictive density of a block given the others is the ratio of two evidences: cross-validation
+over recordings needs only the sums of products of each block.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ class Posterior:
     log_evidence : float
         Of all rows, up to a constant of the data.
     by_block : array (b,)
-        Log density of every block given the other blocks, same constant; empty if not asked for.
+        Log density of every block given the other blocks, same constant; empty if not computed.
     """
 
     mean: np.ndarray
@@ -41,7 +41,7 @@ class Posterior:
 
 
 class BlockSums:
-    """Sums of squares of every block of rows.
+    """Sums of products of every block of rows.
 
     Parameters
     ----------
@@ -71,8 +71,8 @@ class BlockSums:
         self.moment = np.array([c @ y for c, y in zip(self._transposed, self._target, strict=True)])
         self.square = np.array([float(y @ y) for y in self._target])
 
-    def beside(self, added: np.ndarray) -> AddedSums:
-        """Sums that further columns (m, k) make with those they were made of."""
+    def added_sums(self, added: np.ndarray) -> AddedSums:
+        """Return the sums of further columns (m, k) with these."""
         ordered = added[self._order]
         new = [ordered[part] for part in self._parts]
         return AddedSums(
@@ -91,7 +91,7 @@ class BlockSums:
 
 @dataclass(frozen=True, eq=False)
 class Sums:
-    """Sums of squares of blocks: gram (b, p, p), moment (b, p), square (b,)."""
+    """Sums of products by block: gram (b, p, p), moment (b, p), square (b,)."""
 
     gram: np.ndarray
     moment: np.ndarray
@@ -99,17 +99,17 @@ class Sums:
 
 
 class AddedSums:
-    """Sums of squares of further columns, by the parts of the rows on which they act.
+    """Sums of products of further columns, by parts of the rows on which they act.
 
     Parameters
     ----------
     cross : array (a, p, k)
-        With the columns that they stand beside.
+        With the columns that they are added to.
     inner : array (a, k, k)
     moment : array (a, k)
         With the target.
     block : array (a,) of int
-        That each part belongs to.
+        Block of each part.
     blocks : int
     """
 
@@ -131,22 +131,22 @@ class AddedSums:
 
     @cached_property
     def by_block(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The same of every block, (b, ...) each."""
-        cross, inner, moment = (in_blocks(x, self._block, self._blocks) for x in self._parts)
+        """Cross, inner and moment of every block, (b, ...) each."""
+        cross, inner, moment = (sum_by_block(x, self._block, self._blocks) for x in self._parts)
         return cross, inner, moment
 
 
-def in_blocks(parts: np.ndarray, block: np.ndarray, blocks: int) -> np.ndarray:
-    """Sums (b, ...) of parts (a, ...) that belong to blocks (a,)."""
+def sum_by_block(parts: np.ndarray, block: np.ndarray, blocks: int) -> np.ndarray:
+    """Return sums (b, ...) of parts (a, ...) by their blocks (a,)."""
     found = np.zeros((blocks, *parts.shape[1:]))
-    # Parts are large and few: one sum a part is faster than one loop over all their numbers.
+    # Parts are large and few: one addition per part is faster than a scatter of all entries.
     for part, own in zip(parts, block.tolist(), strict=True):
         found[own] += part
     return found
 
 
 @dataclass(frozen=True, eq=False)
-class Added:
+class AddedPosterior:
     """Posterior of parameters added to others.
 
     Parameters
@@ -154,9 +154,9 @@ class Added:
     mean : array (k,)
     covariance, precision : array (k, k)
     log_evidence : float
-        As of a `Posterior` of all of them.
+        Log evidence with all parameters, as of a `Posterior`.
     base : callable
-        -> mean (p,) of the parameters that they were added to.
+        -> posterior mean (p,) of the other parameters.
     """
 
     mean: np.ndarray
@@ -166,47 +166,47 @@ class Added:
     base: Callable[[], np.ndarray]
 
 
-class Beside:
+class AddedColumnsPosterior:
     """Posteriors with a few more parameters of unit prior, at the cost of those alone.
 
     Parameters
     ----------
     sums : Sums
-        Without them.
+        Sums without them.
     prior_sd : array (p,)
     """
 
     def __init__(self, sums: Sums, prior_sd: np.ndarray) -> None:
         self._sums, self._prior = sums, prior_sd
-        self._whole = _Factored(
-            _total(sums.gram), _total(sums.moment), _total(sums.square), prior_sd
+        self._factored_whole = _FactoredSums(
+            _sum_blocks(sums.gram), _sum_blocks(sums.moment), _sum_blocks(sums.square), prior_sd
         )
 
     @cached_property
-    def _without(self) -> _Factored:
-        """The whole without each block."""
+    def _factored_without_block(self) -> _FactoredSums:
+        """Factored sums of all blocks but each one."""
         own = self._sums
-        gram, moment, square = (_total(x) - x for x in (own.gram, own.moment, own.square))
-        return _Factored(gram, moment, square, self._prior)
+        gram, moment, square = (_sum_blocks(x) - x for x in (own.gram, own.moment, own.square))
+        return _FactoredSums(gram, moment, square, self._prior)
 
-    def added(self, sums: AddedSums, kept: np.ndarray) -> Added:
-        """Posterior with some of the further columns."""
+    def added(self, sums: AddedSums, kept: np.ndarray) -> AddedPosterior:
+        """Return the posterior with some of the further columns."""
         cross, inner, moment = sums.total
         if len(kept) < len(moment):
             cross, inner, moment = cross[:, kept], inner[kept][:, kept], moment[kept]
-        return self._whole.with_few(cross, inner, moment)
+        return self._factored_whole.with_few(cross, inner, moment)
 
     def log_predictive(self, sums: AddedSums, kept: np.ndarray) -> float:
-        """Log density of all blocks, each given the others, as of a `Posterior` of all columns."""
+        """Return the log density of all blocks, each given the others, as of a `Posterior`."""
         all_cross, all_inner, all_moment = sums.by_block
         parts = (all_cross[:, :, kept], all_inner[:, kept][:, :, kept], all_moment[:, kept])
-        cross, inner, moment = (_total(x) - x for x in parts)
-        without = self._without.with_columns(cross, inner, moment)
+        cross, inner, moment = (_sum_blocks(x) - x for x in parts)
+        without = self._factored_without_block.with_columns(cross, inner, moment)
         return float(np.sum(self.added(sums, kept).log_evidence - without))
 
 
-class _Factored:
-    """Sums of several sets of blocks, factored: gram (c, p, p), moment (c, p), square (c,)."""
+class _FactoredSums:
+    """Factored sums of several sets of blocks: gram (c, p, p), moment (c, p), square (c,)."""
 
     def __init__(
         self, gram: np.ndarray, moment: np.ndarray, square: np.ndarray, prior_sd: np.ndarray
@@ -215,18 +215,18 @@ class _Factored:
         scaled = gram * np.outer(prior_sd, prior_sd) + np.eye(len(prior_sd))
         factor = np.linalg.cholesky(scaled)
         self._inverse = np.linalg.inv(factor)
-        self._half = np.einsum("bij,bj->bi", self._inverse, prior_sd * moment)
+        self._half_mean = np.einsum("bij,bj->bi", self._inverse, prior_sd * moment)
         log_size = np.log(np.diagonal(factor, axis1=1, axis2=2)).sum(axis=1)
-        self._evidence = 0.5 * (np.sum(self._half**2, axis=1) - square) - log_size
+        self._log_evidence = 0.5 * (np.sum(self._half_mean**2, axis=1) - square) - log_size
 
-    def with_few(self, cross: np.ndarray, inner: np.ndarray, moment: np.ndarray) -> Added:
-        """Posterior of further columns (p, k), (k, k), (k,) beside the first set of sums."""
+    def with_few(self, cross: np.ndarray, inner: np.ndarray, moment: np.ndarray) -> AddedPosterior:
+        """Return the posterior of further columns (p, k), (k, k), (k,) with the first set."""
         half = self._inverse[0] @ (cross * self._prior[:, None])
         precision = inner - half.T @ half
-        # What the columns leave is not below 0, though the difference of large numbers may be.
+        # The remainder is not negative, although rounding of a difference of large numbers may be.
         diagonal = slice(None, None, len(moment) + 1)
         precision.flat[diagonal] = np.maximum(precision.flat[diagonal], 0.0) + 1.0
-        goal = moment - self._half[0] @ half
+        goal = moment - self._half_mean[0] @ half
         if len(moment) == 1:
             covariance = 1.0 / precision
             log_size = math.log(precision[0, 0])
@@ -234,53 +234,53 @@ class _Factored:
             covariance = np.linalg.inv(precision)
             log_size = float(np.linalg.slogdet(precision)[1])
         mean = covariance @ goal
-        evidence = float(self._evidence[0]) + 0.5 * float(goal @ mean) - 0.5 * log_size
+        evidence = float(self._log_evidence[0]) + 0.5 * float(goal @ mean) - 0.5 * log_size
 
         def base() -> np.ndarray:
-            rest = self._half[0] - half @ mean
+            rest = self._half_mean[0] - half @ mean
             return np.asarray(self._prior * (self._inverse[0].T @ rest))
 
-        return Added(mean, covariance, precision, evidence, base)
+        return AddedPosterior(mean, covariance, precision, evidence, base)
 
     def with_columns(self, cross: np.ndarray, inner: np.ndarray, moment: np.ndarray) -> np.ndarray:
-        """Log evidence (c,) with further columns."""
+        """Return the log evidence (c,) with further columns."""
         half = self._inverse @ (cross * self._prior[:, None])
         left = inner + np.eye(inner.shape[1]) - half.swapaxes(1, 2) @ half
-        goal = moment - np.einsum("bpk,bp->bk", half, self._half)
+        goal = moment - np.einsum("bpk,bp->bk", half, self._half_mean)
         mean = np.linalg.solve(left, goal[..., None])[..., 0]
         gained = 0.5 * np.sum(goal * mean, axis=1) - 0.5 * np.linalg.slogdet(left)[1]
-        return np.asarray(self._evidence + gained)
+        return np.asarray(self._log_evidence + gained)
 
 
-def _total(parts: np.ndarray) -> np.ndarray:
-    """Sum of all blocks, one in place of many."""
+def _sum_blocks(parts: np.ndarray) -> np.ndarray:
+    """Return the sum of all blocks with a leading axis of one."""
     return np.asarray(parts.sum(axis=0, keepdims=True))
 
 
 def posterior(sums: Sums, prior_sd: np.ndarray, *, cross_validate: bool = True) -> Posterior:
-    """Posterior under independent zero-mean priors.
+    """Return the posterior under independent zero-mean priors.
 
     Parameters
     ----------
     sums : Sums
-        Of rows with unit noise.
+        Sums of rows with unit noise.
     prior_sd : array (p,)
     """
     gram, moment = sums.gram.sum(axis=0), sums.moment.sum(axis=0)
     square = float(sums.square.sum())
-    evidence, mean, covariance = _evidence(gram, moment, square, prior_sd)
+    evidence, mean, covariance = _log_evidence_and_moments(gram, moment, square, prior_sd)
     predictive = []
     if cross_validate:
         for g, m, s in zip(sums.gram, sums.moment, sums.square, strict=True):
-            without, _, _ = _evidence(gram - g, moment - m, square - s, prior_sd)
+            without, _, _ = _log_evidence_and_moments(gram - g, moment - m, square - s, prior_sd)
             predictive.append(evidence - without)
     return Posterior(mean, covariance, evidence, np.array(predictive))
 
 
-def _evidence(
+def _log_evidence_and_moments(
     gram: np.ndarray, moment: np.ndarray, square: float, prior_sd: np.ndarray
 ) -> tuple[float, np.ndarray, np.ndarray]:
-    """Log evidence, mean and covariance; in units of the priors, where all is well scaled."""
+    """Return log evidence, mean and covariance, scaled by the priors."""
     scaled = gram * np.outer(prior_sd, prior_sd) + np.eye(len(prior_sd))
     factor = np.linalg.cholesky(scaled)
     inverse = np.linalg.inv(factor)

@@ -1,4 +1,4 @@
-"""A run with extensions in what is predicted of it."""
+"""Runs predicted by an extended nominal model, with vibrating or quasi-static links."""
 
 from __future__ import annotations
 
@@ -6,116 +6,300 @@ from dataclasses import replace
 
 import numpy as np
 
-from stiffopt.discovery.comparison.extension import Extension
 from stiffopt.discovery.comparison.extension_change import (
-    change_of,
-    damping_with,
-    heavier_by,
-    softer_by,
+    added_inertia_along,
+    extended_damping,
+    extension_change,
+    is_damping,
+    moves_links,
+    relative_compliance,
+    select_calibration,
     spring_laws,
 )
 from stiffopt.discovery.comparison.filtering import derivative
+from stiffopt.discovery.comparison.located_effect import Extension
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
-from stiffopt.discovery.comparison.prepare import PreparedRun, with_link_torque
-from stiffopt.discovery.comparison.swung_run import swung
+from stiffopt.discovery.comparison.nuisance import (
+    BODY_VALUES,
+    LINK_MOVING_VALUES,
+    SPRING_VALUES,
+)
+from stiffopt.discovery.comparison.prepared_run import PreparedRun, with_link_torque
+from stiffopt.discovery.comparison.vibration import LinkMotion, Vibration, slow_filter
+
+# Passes of the link motion over effects, whose signals depend on it; nominal values need one.
+_EFFECT_PASSES = 2
+
+# Cached extensions per run: the next one often differs in drive values alone.
+_MAX_CACHED_RUNS = 2
 
 
-def extended(run: PreparedRun, robot: RobotModel, *extensions: Extension) -> PreparedRun:
-    """Run whose nominal torques and wind-up have extensions in them.
+def simulate_links(run: PreparedRun, robot: RobotModel, extension: Extension) -> PreparedRun:
+    """Return a run whose links vibrate with an extension, without its drive torques.
+
+    Contributions to readings are left out too.
 
     Parameters
     ----------
     run : PreparedRun
-        With the nominal model.
+        Run with the nominal model and its vibration.
+    robot : RobotModel
+    extension : Extension
+
+    Notes
+    -----
+    Where no such motion is found, as in a fit far from the solution, nominal values are applied to
+    first order, and effects too where that does not suffice.
+    """
+    moving = _link_moving_part(run, extension)
+    if moving.empty:
+        return run
+    key = _cache_key(moving)
+    if key not in run.extension_cache:
+        while len(run.extension_cache) >= _MAX_CACHED_RUNS:
+            run.extension_cache.pop(next(iter(run.extension_cache)))
+        run.extension_cache[key] = _simulate_with_fallback(run, robot, moving)
+    return run.extension_cache[key]
+
+
+def _link_moving_part(run: PreparedRun, extension: Extension) -> Extension:
+    values = extension.calibration.items()
+    return Extension(
+        calibration={n: v for n, v in values if v and n.split()[0] in LINK_MOVING_VALUES},
+        effects=tuple(e for e in extension.effects if moves_links(run, e)),
+    )
+
+
+def _cache_key(extension: Extension) -> tuple[object, ...]:
+    effects = ((e.located.key, e.amplitudes) for e in extension.effects)
+    return (*extension.calibration.items(), *effects)
+
+
+def _simulate_with_fallback(
+    run: PreparedRun, robot: RobotModel, extension: Extension
+) -> PreparedRun:
+    found = _solve_links(run, robot, extension)
+    if found is not None:
+        return found
+    values = replace(extension, effects=())
+    if extension.effects and not values.empty:
+        found = _solve_links(run, robot, replace(extension, calibration={}))
+        if found is not None:
+            return _extend_to_first_order(found, robot, values)
+    return _extend_to_first_order(run, robot, extension)
+
+
+def _solve_links(run: PreparedRun, robot: RobotModel, extension: Extension) -> PreparedRun | None:
+    """Return the run whose links vibrate with an extension; None where no motion is found.
+
+    Springs and damping are those of the new motion; regressors are taken about the previous one,
+    and the rest of the body torques by the added inertia. The vibration response of the result is a
+    nearby one.
+    """
+    assert run.vibration is not None
+    laws, rest = spring_laws(run, extension)
+    springs = run.springs(robot, extended_damping(robot, extension), laws)
+    bodies = select_calibration(extension, BODY_VALUES)
+    sprung = replace(
+        extension,
+        calibration=select_calibration(extension, SPRING_VALUES).calibration,
+        effects=tuple(e for e in rest.effects if not is_damping(e)),
+    )
+    effects = replace(sprung, calibration={})
+    added_inertia = added_inertia_along(run, robot, effects)
+    nominal = relative_compliance(run, robot, replace(sprung, effects=()))
+    vibration = springs.linearise(
+        run.links, nominal * relative_compliance(run, robot, effects), added_inertia, run.vibration
+    )
+    begin = _slow_link_motion(run, robot, extension, vibration)
+    moved = run
+    for again in range(_EFFECT_PASSES if effects.effects else 1):
+        weight = extension_change(moved, robot, bodies).link_torque
+
+        def compliance_ratio(links: LinkMotion, moved: PreparedRun = moved) -> np.ndarray:
+            now = relative_compliance(with_link_motion(moved, robot, links), robot, effects)
+            return np.asarray(nominal[: len(now)] * now)
+
+        def added(
+            links: LinkMotion, moved: PreparedRun = moved, weight: np.ndarray = weight
+        ) -> tuple[np.ndarray, np.ndarray]:
+            here = replace(with_link_motion(moved, robot, links), play=springs.play(links))
+            change = extension_change(here, robot, sprung)
+            known = len(links.position)
+            if isinstance(added_inertia, np.ndarray):
+                away = links.acceleration - moved.signals.link_acceleration[:known]
+                change.link_torque[:] += (added_inertia[:known] @ away[..., None])[..., 0]
+            return change.link_torque + weight[:known], change.deflection
+
+        links = (
+            springs.solve(moved.links, vibration, begin, added, compliance_ratio)
+            if again
+            else springs.solve_from_slow(
+                begin, vibration, added, compliance_ratio, run.initial_state
+            )
+        )
+        if links is None:
+            return None
+        moved = with_link_motion(moved, robot, links)
+        if isinstance(added_inertia, np.ndarray):
+            moved = _with_own_regressor(moved, robot)
+    return replace(
+        moved,
+        vibration=vibration,
+        added_deflection=springs.motor - moved.signals.link_position - moved.signals.windup,
+    )
+
+
+def _slow_link_motion(
+    run: PreparedRun, robot: RobotModel, extension: Extension, vibration: Vibration
+) -> LinkMotion:
+    """Return the slow motion of the links with an extension."""
+    assert run.vibration is not None
+    slow = run.vibration.reference
+    here = with_link_motion(run, robot, slow)
+    if any(e.effect.family == "inertial" for e in extension.effects):
+        here = _with_own_regressor(here, robot)
+    change = extension_change(here, robot, extension)
+    low_pass = slow_filter(run.signals.dt)
+    wound = low_pass(change.link_torque / vibration.carrying_stiffness + change.deflection)
+    rate = derivative(wound, run.signals.dt)
+    return slow.shifted(-wound, -rate, -derivative(rate, run.signals.dt))
+
+
+def _extend_to_first_order(
+    run: PreparedRun, robot: RobotModel, extension: Extension
+) -> PreparedRun:
+    """Return the run with an extension to first order."""
+    assert run.vibration is not None
+    change = extension_change(run, robot, extension)
+    torque, deflection = run.vibration.respond(change.link_torque, change.deflection)
+    signals = replace(run.signals, drive_torque=run.signals.drive_torque + torque)
+    return replace(run, signals=signals, added_deflection=run.added_deflection + deflection)
+
+
+def _with_own_regressor(run: PreparedRun, robot: RobotModel) -> PreparedRun:
+    """Return the run with the body regressor of its own link motion."""
+    s = run.signals
+    arm = s.arm.with_bodies(s.link_position, s.link_velocity, s.link_acceleration)
+    return replace(run, signals=replace(s, arm=arm))
+
+
+def with_link_motion(run: PreparedRun, robot: RobotModel, links: LinkMotion) -> PreparedRun:
+    """Return the run, or its first samples, with another link motion."""
+    if len(links.position) < len(run.time):
+        run = run.head(len(links.position))
+    signals = run.signals
+    return replace(
+        run,
+        signals=replace(
+            signals,
+            link_position=links.position,
+            link_velocity=links.velocity,
+            link_acceleration=links.acceleration,
+            transmitted_torque=links.torque,
+            spring_torque=links.spring,
+            windup=robot.windup(links.spring),
+            drive_torque=signals.drive_torque - signals.transmitted_torque + links.torque,
+        ),
+    )
+
+
+def extend_run(run: PreparedRun, robot: RobotModel, *extensions: Extension) -> PreparedRun:
+    """Return a run whose nominal torques and wind-up include extensions.
+
+    Parameters
+    ----------
+    run : PreparedRun
+        Run with the nominal model.
     robot : RobotModel
     extensions : Extension
         Each on top of those before it.
 
     Notes
     -----
-    Where links swing, they do so with all that was found: on springs as soft, and as heavy. Else
-    terms are evaluated with the link torque that was found in the springs, as they were when they
-    were fitted; the joints wind up by the exact law under it.
+    Where links vibrate, they do so with all changes of stiffness and inertia. Otherwise terms are
+    evaluated with the extended spring torque, as in the fit; the joints wind up by the exact law
+    under it.
     """
-    if run.swing is None:
+    if run.vibration is None:
         for extension in extensions:
-            run = _wound_up(run, robot, extension)
+            run = _extend_static_run(run, robot, extension)
         return run
     whole = Extension()
     for extension in extensions:
-        whole = whole.followed_by(extension)
+        whole = whole.plus(extension)
     if whole.empty:
         return run
-    moved = swung(run, robot, whole)
-    change = change_of(moved, robot, whole)
-    drive = moved.signals.drive_torque + run.followed(change.torque)
+    moved = simulate_links(run, robot, whole)
+    change = extension_change(moved, robot, whole)
+    drive = moved.signals.drive_torque + run.motion_filter(change.torque)
     rate = derivative(run.low_pass(drive), moved.signals.dt)
     return replace(
         moved,
         signals=replace(moved.signals, drive_torque=drive, drive_torque_rate=rate),
-        beside=moved.beside + change.reading,
+        added_deflection=moved.added_deflection + change.reading,
     )
 
 
-def around(
+def linearise_run(
     run: PreparedRun, robot: RobotModel, start: Extension, found: Extension
 ) -> tuple[PreparedRun, np.ndarray | float, np.ndarray | float]:
-    """Run about what was found, for laws that bend and modes that move.
+    """Return a run about an extension, for nonlinear springs and changed modes.
 
     Parameters
     ----------
     run : PreparedRun
-        With the nominal model.
+        Run with the nominal model.
     robot : RobotModel
     start : Extension
-        Whole in the prediction of the run.
+        Extension that is included in the prediction as a whole.
     found : Extension
-        In it by what moves the links.
+        Extension of which only link motions are included.
 
     Returns
     -------
     run : PreparedRun
     torque, deflection : array (K, n) or float
-        What the amplitudes of the found extension add by the columns about this run, which is in
-        its prediction already [N m], [rad].
+        Contribution of the found amplitudes by the columns about this run, which its prediction
+        contains already [N m], [rad].
     """
     if start.empty and found.empty:
         return run, 0.0, 0.0
-    if run.swing is None:
-        base = extended(run, robot, start)
-        change = change_of(base, robot, replace(found, calibration={}))
+    if run.vibration is None:
+        base = extend_run(run, robot, start)
+        change = extension_change(base, robot, replace(found, calibration={}))
         if not change.link_torque.any():
             return base, 0.0, 0.0
         bent = with_link_torque(base, robot, change.link_torque)
         wound = robot.compliance(bent.signals.spring_torque) * change.link_torque
         return bent, change.link_torque, wound
-    whole = start.followed_by(found)
-    moved = swung(run, robot, whole)
+    whole = start.plus(found)
+    moved = simulate_links(run, robot, whole)
     laws, rest = spring_laws(moved, whole)
-    softer = softer_by(moved, robot, rest)
-    heavier = heavier_by(moved, robot, whole)
-    springs = moved.springs(robot, damping_with(robot, whole), laws)
-    own = springs.swing(moved.links, softer, heavier, moved.swing)
-    moved = replace(moved, swing=own, play=springs.play(moved.links))
-    change = change_of(moved, robot, found)
-    torque, deflection = moved.answer(robot, change.link_torque, change.deflection)
+    softer = relative_compliance(moved, robot, rest)
+    heavier = added_inertia_along(moved, robot, whole)
+    springs = moved.springs(robot, extended_damping(robot, whole), laws)
+    own = springs.linearise(moved.links, softer, heavier, moved.vibration)
+    moved = replace(moved, vibration=own, play=springs.play(moved.links))
+    change = extension_change(moved, robot, found)
+    torque, deflection = moved.respond(robot, change.link_torque, change.deflection)
     assert torque is not None
     assert deflection is not None
     if not start.empty:
-        stated = change_of(moved, robot, start)
-        drive = moved.signals.drive_torque + run.followed(stated.torque)
+        stated = extension_change(moved, robot, start)
+        drive = moved.signals.drive_torque + run.motion_filter(stated.torque)
         moved = replace(
             moved,
             signals=replace(moved.signals, drive_torque=drive),
-            beside=moved.beside + stated.reading,
+            added_deflection=moved.added_deflection + stated.reading,
         )
     return moved, torque, deflection
 
 
-def _wound_up(run: PreparedRun, robot: RobotModel, extension: Extension) -> PreparedRun:
-    """The run with an extension, its links in balance."""
-    bent = with_link_torque(run, robot, change_of(run, robot, extension).link_torque)
-    change = change_of(bent, robot, extension)
+def _extend_static_run(run: PreparedRun, robot: RobotModel, extension: Extension) -> PreparedRun:
+    """Return the run with an extension, links quasi-static."""
+    bent = with_link_torque(run, robot, extension_change(run, robot, extension).link_torque)
+    change = extension_change(bent, robot, extension)
     wound = with_link_torque(run, robot, change.link_torque).signals
     drive = wound.drive_torque + change.torque
     return replace(
@@ -123,5 +307,5 @@ def _wound_up(run: PreparedRun, robot: RobotModel, extension: Extension) -> Prep
         signals=replace(
             wound, drive_torque=drive, drive_torque_rate=derivative(run.low_pass(drive), wound.dt)
         ),
-        beside=run.beside + change.deflection + change.reading,
+        added_deflection=run.added_deflection + change.deflection + change.reading,
     )

@@ -1,4 +1,4 @@
-"""What an extension adds to a run: to its channels, its springs, its masses and its damping."""
+"""Change of a run by an extension: channels, spring compliance, inertia and damping."""
 
 from __future__ import annotations
 
@@ -7,34 +7,32 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from stiffopt.discovery.comparison.extension import EstimatedEffect, Extension
-from stiffopt.discovery.comparison.located_effect import Contribution
+from stiffopt.discovery.comparison.located_effect import Contribution, EstimatedEffect, Extension
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.comparison.nuisance import (
-    OF_BODIES,
-    changed_bodies,
+    BODY_VALUES,
+    body_parameter_changes,
     nuisance_columns,
 )
-from stiffopt.discovery.comparison.prepare import PreparedRun, with_link_torque
-from stiffopt.discovery.comparison.signals import JointSignals
-from stiffopt.discovery.comparison.spring_law import SpringLaw
-from stiffopt.discovery.comparison.springs import damping_of
+from stiffopt.discovery.comparison.prepared_run import PreparedRun, with_link_torque
+from stiffopt.discovery.comparison.springs import SpringLaw, nominal_damping
+from stiffopt.discovery.signals import JointSignals
 from stiffopt.recording.nominal import Tolerance
 
-# Of the slope of a spring's law, over the rated torque.
+# Step of the spring torque for tangent compliances over the rated torque.
 _SLOPE_STEP = 0.01
-# Of that step: a first one to which what lags has settled, and which is forgotten soon.
-_HARDLY = 1e-3
+# Share of the first step: it sets the state of lagging effects, which they forget soon.
+_FIRST_STEP_SHARE = 1e-3
 
-# Torques of a spring's table over the largest one met, the least above zero and the largest, and
-# how many a decade: between them a wind-up is straight to far below any encoder's noise.
-_LEAST, _LARGEST, _A_DECADE = 1e-6, 1e2, 200
+# Range of the tabulated torques over the largest one in the recordings, and entries per decade:
+# interpolation errors are far below any encoder's noise.
+_MIN_TABLE_TORQUE, _MAX_TABLE_TORQUE, _ENTRIES_PER_DECADE = 1e-6, 1e2, 200
 
-# Between inertia matrices, which change with posture only [s].
-_POSTURE = 0.02
+# Interval of inertia matrices, which depend on posture only [s].
+_INERTIA_INTERVAL = 0.02
 
-# Any tolerance above zero makes a column; its size does not matter here.
-_EVERY = Tolerance(
+# Tolerances above zero select columns; their size is not used here.
+_ALL_TOLERANCES = Tolerance(
     mass=1.0,
     com=1.0,
     rotor_inertia=1.0,
@@ -49,7 +47,7 @@ _EVERY = Tolerance(
 
 @dataclass(frozen=True, eq=False)
 class Change:
-    """Sum of what changes the channels, (K, n) each; as `Contribution`."""
+    """Sum of contributions to the channels, (K, n) each; fields as of `Contribution`."""
 
     torque: np.ndarray
     link_torque: np.ndarray
@@ -64,18 +62,18 @@ class Change:
                 total += times * own
 
 
-def change_of(run: PreparedRun, robot: RobotModel, extension: Extension) -> Change:
-    """What an extension adds to the channels of a run."""
+def extension_change(run: PreparedRun, robot: RobotModel, extension: Extension) -> Change:
+    """Return the contributions of an extension to the channels of a run."""
     change = Change(*(np.zeros_like(run.signals.spring_torque) for _ in range(4)))
     values = {name: value for name, value in extension.calibration.items() if value}
-    bodies = {name for name in values if name.split()[0] in OF_BODIES}
+    bodies = {name for name in values if name.split()[0] in BODY_VALUES}
     if bodies:
-        parameters = changed_bodies(robot, values)
+        parameters = body_parameter_changes(robot, values)
         change.link_torque[:] += run.signals.body_regressor.torque(parameters)
     others = values.keys() - bodies
     if others:
-        for column in nuisance_columns(run, robot, _EVERY, asked=others.__contains__):
-            # What knees share is asked for by one of them.
+        for column in nuisance_columns(run, robot, _ALL_TOLERANCES, selected=others.__contains__):
+            # Knee columns come in groups, also for values that were not selected.
             change.add(column.added, values.get(column.name, 0.0))
     for each in extension.effects:
         change.add(each.located.contribution(run, each.amplitudes))
@@ -83,100 +81,104 @@ def change_of(run: PreparedRun, robot: RobotModel, extension: Extension) -> Chan
 
 
 def moves_links(run: PreparedRun, each: EstimatedEffect) -> bool:
-    """Whether an effect moves the links of a run, or bends them where they do not swing."""
+    """Return True where an effect moves the links of a run."""
     added = each.located.contribution(run, each.amplitudes)
-    swung = run.swing is not None and added.deflection is not None
-    return swung or added.link_torque is not None
+    displaces = run.vibration is not None and added.deflection is not None
+    return displaces or added.link_torque is not None
 
 
-def values_of(extension: Extension, words: tuple[str, ...]) -> Extension:
-    """Those nominal values whose names begin with some words."""
+def select_calibration(extension: Extension, words: tuple[str, ...]) -> Extension:
+    """Return the nominal values whose names begin with some words."""
     values = extension.calibration.items()
     return Extension(calibration={n: v for n, v in values if n.split()[0] in words})
 
 
-def damps(each: EstimatedEffect) -> bool:
-    """Whether an effect is more or less damping of a joint."""
-    return each.located.effect.nominal == "joint_damping"
+def is_damping(each: EstimatedEffect) -> bool:
+    """Return True where an effect changes the damping of a joint."""
+    return each.effect.nominal == "joint_damping"
 
 
-def damping_with(robot: RobotModel, extension: Extension) -> np.ndarray:
-    """Damping of the joints (n,) with an extension, none of it below zero [N m s/rad]."""
-    damping = damping_of(robot)
+def extended_damping(robot: RobotModel, extension: Extension) -> np.ndarray:
+    """Return the damping of the joints (n,) with an extension, at least zero [N m s/rad]."""
+    damping = nominal_damping(robot)
     factors = [extension.calibration.get(f"joint_damping {j + 1}", 0.0) for j in range(robot.n)]
     added = np.zeros(robot.n)
     for each in extension.effects:
-        if damps(each) and each.located.joint is not None:
+        if is_damping(each) and each.located.joint is not None:
             added[each.located.joint] += each.amplitudes[0]
     return np.asarray(np.maximum(damping * (1.0 + np.array(factors)) + added, 0.0))
 
 
-def softer_by(run: PreparedRun, robot: RobotModel, extension: Extension) -> np.ndarray:
-    """Compliance of the springs (K, n) with an extension over the nominal one."""
-    effects = tuple(e for e in extension.effects if not damps(e))
-    if not any(e.located.effect.family == "elastic" for e in effects):
+def relative_compliance(run: PreparedRun, robot: RobotModel, extension: Extension) -> np.ndarray:
+    """Return the tangent compliance (K, n) with an extension over the nominal one."""
+    effects = tuple(e for e in extension.effects if not is_damping(e))
+    if not any(e.effect.family == "elastic" for e in effects):
         effects = ()
     step = _SLOPE_STEP * np.array([j.torque_rated for j in run.signals.constants.joints])
     steps = np.broadcast_to(step, run.torque.shape)
-    at_once = replace(extension, effects=tuple(e for e in effects if not e.located.effect.lags))
-    softer = 1.0 + _compliance_added(run, robot, at_once, steps)
-    lagging = tuple(e for e in effects if e.located.effect.lags)
+    instant = replace(extension, effects=tuple(e for e in effects if not e.effect.lags))
+    softer = 1.0 + _added_compliance(run, robot, instant, steps)
+    lagging = tuple(e for e in effects if e.effect.lags)
     if lagging:
-        # To and fro from sample to sample: what lags does not follow, but for where it begins.
+        # Alternate the step between samples, which lagging effects do not follow.
         sign = np.where(np.arange(len(steps)) % 2, -1.0, 1.0)
-        sign[0] = _HARDLY
-        softer += _compliance_added(run, robot, Extension(effects=lagging), sign[:, None] * steps)
+        sign[0] = _FIRST_STEP_SHARE
+        softer += _added_compliance(run, robot, Extension(effects=lagging), sign[:, None] * steps)
     return softer
 
 
-def _compliance_added(
+def _added_compliance(
     run: PreparedRun, robot: RobotModel, extension: Extension, steps: np.ndarray
 ) -> np.ndarray:
-    """Compliance that an extension adds over the nominal one, by steps of the load (K, n)."""
+    """Return the relative compliance of an extension by steps of the load (K, n)."""
     loaded = with_link_torque(run, robot, steps)
-    ends = [change_of(each, robot, extension).deflection for each in (run, loaded)]
+    ends = [extension_change(each, robot, extension).deflection for each in (run, loaded)]
     nominal = loaded.signals.windup - run.signals.windup
     return np.asarray((ends[1] - ends[0]) / nominal)
 
 
 def spring_laws(run: PreparedRun, extension: Extension) -> tuple[dict[int, SpringLaw], Extension]:
-    """Springs with a play by their joints (from 0), and what of an extension is not in them."""
+    """Return springs with play by joint (from 0), and the rest of an extension."""
     by_joint: dict[int, list[EstimatedEffect]] = {}
     others = []
     for each in extension.effects:
         joint = each.located.joint
-        if each.located.effect.is_play and joint is not None:
+        if each.effect.is_play and joint is not None:
             by_joint.setdefault(joint, []).append(each)
         else:
             others.append(each)
-    laws = {joint: _law(run.of_joint(joint), own) for joint, own in by_joint.items()}
+    laws = {joint: _tabulate_spring(run.of_joint(joint), own) for joint, own in by_joint.items()}
     return laws, replace(extension, effects=tuple(others))
 
 
-def _law(signals: JointSignals, own: Sequence[EstimatedEffect]) -> SpringLaw:
-    """Nominal spring of a joint with effects in it."""
+def _tabulate_spring(signals: JointSignals, own: Sequence[EstimatedEffect]) -> SpringLaw:
+    """Return the nominal spring of a joint with effects in series."""
     constants = signals.constants
-    decades = np.log10(_LARGEST / _LEAST)
-    above = constants.largest_torque * np.geomspace(_LEAST, _LARGEST, round(decades * _A_DECADE))
+    decades = np.log10(_MAX_TABLE_TORQUE / _MIN_TABLE_TORQUE)
+    above = constants.largest_torque * np.geomspace(
+        _MIN_TABLE_TORQUE, _MAX_TABLE_TORQUE, round(decades * _ENTRIES_PER_DECADE)
+    )
     above = np.unique(np.concatenate([above, constants.corners or ()]))
     carried = np.concatenate([-above[::-1], [0.0], above])
     windup = np.asarray(constants.windup(carried))
     along = replace(signals, spring_torque=carried, windup=windup)
     deflection = windup.copy()
     for each in own:
-        term = each.located.effect.term(along, each.amplitudes, each.located.shapes)
+        term = each.effect.term(along, each.amplitudes, each.shapes)
         deflection += np.asarray(term.deflection)
-    # A play below zero, as a fit on its way may have it, is none.
+    # A negative play, as during a fit, counts as none.
     kept = np.flatnonzero(deflection > np.maximum.accumulate(np.append(-np.inf, deflection[:-1])))
     return SpringLaw(carried[kept], deflection[kept], windup[kept])
 
 
-def heavier_by(run: PreparedRun, robot: RobotModel, extension: Extension) -> np.ndarray | float:
-    """What an extension adds to the inertia matrices of the links (K, n, n) [kg m^2]."""
-    effects = tuple(e for e in extension.effects if e.located.effect.family == "inertial")
+def added_inertia_along(
+    run: PreparedRun, robot: RobotModel, extension: Extension
+) -> np.ndarray | float:
+    """Return the inertia (K, n, n) that an extension adds to the links [kg m^2]."""
+    effects = tuple(e for e in extension.effects if e.effect.family == "inertial")
     if not effects:
         return 0.0
-    every = max(1, round(_POSTURE / run.signals.dt))
+    every = max(1, round(_INERTIA_INTERVAL / run.signals.dt))
     added = added_inertia(run, robot, [Extension(effects=effects)], every)
     return np.repeat(added, every, axis=0)[: len(run.time)]
 
@@ -184,23 +186,23 @@ def heavier_by(run: PreparedRun, robot: RobotModel, extension: Extension) -> np.
 def added_inertia(
     run: PreparedRun, robot: RobotModel, extensions: Sequence[Extension], every: int
 ) -> np.ndarray:
-    """What extensions add to the inertia matrices of the links.
+    """Return the inertia that extensions add to the links, by the bodies' regressor.
 
     Parameters
     ----------
     run : PreparedRun
-        With the nominal model.
+        Run with the nominal model.
     robot : RobotModel
     extensions : sequence of Extension
     every : int
-        Samples from one matrix to the next.
+        Samples between matrices.
 
     Returns
     -------
     array (K / every, n, n)
-        [kg m^2]; of effects that act through the bodies' regressor.
+        Added inertia [kg m^2].
     """
-    few = replace(run, signals=run.signals.thinned(every))
+    few = replace(run, signals=run.signals.decimate(every))
     q = few.signals.link_position
     if not extensions:
         return np.zeros((*q.shape, robot.n))
@@ -214,7 +216,7 @@ def added_inertia(
             arm=few.signals.arm.with_bodies(q, rest, acceleration),
         )
         here = replace(few, signals=signals)
-        return sum((change_of(here, robot, each).link_torque for each in extensions), rest)
+        return sum((extension_change(here, robot, each).link_torque for each in extensions), rest)
 
     held = link_torque(rest)
     units = (np.broadcast_to(unit, q.shape) for unit in np.eye(robot.n))

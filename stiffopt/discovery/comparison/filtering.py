@@ -1,4 +1,4 @@
-"""One zero-phase filter for every measured channel and every model term."""
+"""Zero-phase low-pass of all measured channels and model terms, decimation, resampling, gaps."""
 
 from __future__ import annotations
 
@@ -7,46 +7,52 @@ from functools import cached_property
 
 import numpy as np
 from scipy import fft
+from scipy.interpolate import CubicSpline
 
-# Half the length of the kernel over rate / cutoff: short enough to lose little at the ends.
-_HALF_LENGTH = 1.5
-# Rows of a fit a second and Hz of the cutoff.
-ROWS_A_BAND = 2.5
-# Of the polynomial that a motion goes on with beyond its ends.
-_DEGREE = 5
+from stiffopt.recording.clock import GAP
+from stiffopt.recording.run import RecordedRun
+
+# Half length of the kernel in cycles of the cutoff; short, to lose few samples at the ends.
+_HALF_LENGTH_CYCLES = 1.5
+# Rows of a fit per second and Hz of the cutoff.
+ROWS_PER_CYCLE = 2.5
+# Largest step between samples that a spline bridges, over the median step: two may be missing.
+_MAX_SPLINE_STEPS = 3.5
+# Degree of the polynomial that extrapolates a motion beyond its ends.
+_EXTRAPOLATION_DEGREE = 5
 # Fourth-order differences at the first two of five samples, times 12.
-_ENDS = np.array([[-25.0, 48.0, -36.0, 16.0, -3.0], [-3.0, -10.0, 18.0, -6.0, 1.0]])
+_END_DIFFERENCES = np.array([[-25.0, 48.0, -36.0, 16.0, -3.0], [-3.0, -10.0, 18.0, -6.0, 1.0]])
 
 
 @dataclass(frozen=True)
 class ZeroPhaseFilter:
-    """Symmetric low-pass of finite length: rows of a fit depend on few samples about them.
+    """Symmetric FIR low-pass: rows of a fit depend on few neighbouring samples.
 
     Parameters
     ----------
     rate : float
-        Of the samples [Hz].
+        Sampling rate [Hz].
     cutoff : float
-        [Hz], below half the rate.
+        Cutoff frequency [Hz], below half the rate.
     """
 
     rate: float
     cutoff: float
 
     def __call__(self, samples: np.ndarray) -> np.ndarray:
-        """Filter along the first axis; beyond the ends the samples go on point-symmetrically."""
+        """Filter along the first axis, with point-symmetric extension at the ends."""
         samples = np.asarray(samples, dtype=float)
         half = self.settling
         if len(samples) <= half + 1:
             return samples.copy()
         before = 2.0 * samples[:1] - samples[half:0:-1]
         after = 2.0 * samples[-1:] - samples[-2 : -half - 2 : -1]
-        return self._filtered(np.concatenate([before, samples, after]))
+        return self._convolve_padded(np.concatenate([before, samples, after]))
 
-    def motion(self, samples: np.ndarray) -> np.ndarray:
-        """Filter what is smooth along the first axis: beyond the ends it goes on as a polynomial.
+    def filter_motion(self, samples: np.ndarray) -> np.ndarray:
+        """Filter a smooth motion along the first axis, extrapolated at the ends.
 
-        Recordings begin and end in motion; a point-symmetric end has no acceleration.
+        Recordings begin and end in motion; a point-symmetric extension has no acceleration there.
         """
         samples = np.asarray(samples, dtype=float)
         half = self.settling
@@ -55,13 +61,13 @@ class ZeroPhaseFilter:
             return self(samples)
         inside = np.arange(near) / near
         beyond = np.arange(-half, 0) / near
-        powers = np.arange(_DEGREE + 1)
+        powers = np.arange(_EXTRAPOLATION_DEGREE + 1)
         weights = beyond[:, None] ** powers @ np.linalg.pinv(inside[:, None] ** powers)
         before = np.tensordot(weights, samples[:near], 1)
         after = np.tensordot(weights, samples[::-1][:near], 1)[::-1]
-        return self._filtered(np.concatenate([before, samples, after]))
+        return self._convolve_padded(np.concatenate([before, samples, after]))
 
-    def _filtered(self, padded: np.ndarray) -> np.ndarray:
+    def _convolve_padded(self, padded: np.ndarray) -> np.ndarray:
         kernel = self._kernel.reshape(-1, *(1,) * (padded.ndim - 1))
         count = len(padded) + len(kernel) - 1
         size = fft.next_fast_len(count, True)
@@ -69,17 +75,18 @@ class ZeroPhaseFilter:
         whole = fft.irfftn(spectrum, [size], axes=[0])
         return np.asarray(whole[len(kernel) - 1 : len(padded)])
 
-    def thinned(self, samples: np.ndarray) -> np.ndarray:
-        """Filtered values (g, c) of channels (K, c) at every `step`-th sample, without the ends.
+    def decimate(self, samples: np.ndarray) -> np.ndarray:
+        """Return filtered channels (g, c) at every `step`-th sample, unpadded.
 
-        The first is that of sample `step * first_whole`.
+        The first row is that of sample `step * first_unpadded_row`.
         """
         step, length = self.step, len(self._kernel)
-        begin = step * self.first_whole - self.settling
+        begin = step * self.first_unpadded_row - self.settling
         samples = np.ascontiguousarray(samples, dtype=float)
         count = max(0, -(-(len(samples) - length + 1 - begin) // step))
         along, across = samples.strides
-        # Windows of the same memory; numpy's own view of them takes longer than a short product.
+        # Overlapping windows without a copy; numpy's sliding_window_view takes longer than the
+        # product.
         windows = np.ndarray(
             (count, samples.shape[1], length),
             buffer=samples,
@@ -89,29 +96,28 @@ class ZeroPhaseFilter:
         return np.asarray(windows @ self._kernel)
 
     @property
-    def first_whole(self) -> int:
-        """Number of the first of every `step`-th samples that the filter has not made up."""
+    def first_unpadded_row(self) -> int:
+        """Index of the first decimated row that depends on recorded samples only."""
         return -(-self.settling // self.step)
 
     @cached_property
     def noise_gain(self) -> float:
-        """Standard deviation that white noise of unit standard deviation keeps."""
+        """Standard deviation of filtered white noise of unit standard deviation."""
         return float(np.sqrt(np.sum(self._kernel**2)))
 
     @property
     def step(self) -> int:
-        """Samples between rows of a fit: closer ones say nothing new after the filter."""
-        return max(1, int(self.rate / (ROWS_A_BAND * self.cutoff)))
+        """Decimation factor of rows: closer rows carry no further information."""
+        return max(1, int(self.rate / (ROWS_PER_CYCLE * self.cutoff)))
 
     @cached_property
     def settling(self) -> int:
-        """Samples at either end that the filter makes up in part."""
-        return int(np.ceil(_HALF_LENGTH * self.rate / self.cutoff))
+        """Half length of the kernel in samples: rows nearer to an end depend on padding."""
+        return int(np.ceil(_HALF_LENGTH_CYCLES * self.rate / self.cutoff))
 
     @cached_property
     def _kernel(self) -> np.ndarray:
-        # Weights of the sharp low-pass under Hamming's window; scipy.signal, which has both, takes
-        # half a second to import.
+        # Windowed sinc with Hamming window; importing scipy.signal for it takes half a second.
         length = 2 * self.settling + 1
         kernel = np.sinc(
             2.0 * self.cutoff / self.rate * np.arange(-self.settling, self.settling + 1)
@@ -121,11 +127,91 @@ class ZeroPhaseFilter:
 
 
 def derivative(samples: np.ndarray, dt: float) -> np.ndarray:
-    """Difference of fourth order along the first axis, one-sided at the ends."""
+    """Return the fourth-order difference along the first axis, one-sided at the ends."""
     if len(samples) < 5:
         return np.asarray(np.gradient(samples, dt, axis=0))
     slope = np.empty_like(samples, dtype=float)
     slope[2:-2] = samples[:-4] - 8.0 * samples[1:-3] + 8.0 * samples[3:-1] - samples[4:]
-    slope[:2] = np.tensordot(_ENDS, samples[:5], 1)
-    slope[-2:] = -np.tensordot(_ENDS, samples[::-1][:5], 1)[::-1]
+    slope[:2] = np.tensordot(_END_DIFFERENCES, samples[:5], 1)
+    slope[-2:] = -np.tensordot(_END_DIFFERENCES, samples[::-1][:5], 1)[::-1]
     return slope / (12.0 * dt)
+
+
+def resample_uniform(run: RecordedRun) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Return time, motor, link and torque on a uniform clock: motions by splines, torque linear."""
+    step = run.step
+    count = int(np.floor((run.time[-1] - run.time[0]) / step + 1e-6)) + 1
+    time = run.time[0] + step * np.arange(count)
+    empty = np.full_like(run.position, np.nan)
+    channels = (
+        run.position,
+        empty if run.link_position is None else run.link_position,
+        run.torque,
+    )
+    if count == len(run.time) and np.allclose(time, run.time, rtol=0.0, atol=1e-3 * step):
+        return (time, *(np.array(c, dtype=float) for c in channels))
+    motor, link, torque = channels
+    motion = (interpolate_motion(run.time, position, time) for position in (motor, link))
+    return (time, *motion, _interpolate_linear(run.time, torque, time))
+
+
+def interpolate_motion(stamps: np.ndarray, samples: np.ndarray, time: np.ndarray) -> np.ndarray:
+    """Return positions (K, n) at other times (R, n) by splines; nan in empty columns.
+
+    A straight line over one missing sample cuts a turn short by 20 um at 10 m/s^2, which excites
+    the joint springs. Longer gaps are mostly motors at rest: linear.
+    """
+    bridged = _interpolate_linear(stamps, samples, time)
+    for out, column in zip(bridged.T, samples.T, strict=True):
+        known = np.isfinite(column)
+        if np.count_nonzero(known) < 2:
+            out[:] = np.nan
+            continue
+        stamps_known = stamps[known]
+        apart = np.diff(stamps_known)[
+            np.clip(np.searchsorted(stamps_known, time) - 1, 0, len(stamps_known) - 2)
+        ]
+        near = (
+            (apart < _MAX_SPLINE_STEPS * np.median(np.diff(stamps_known)))
+            & (time > stamps_known[0])
+            & (time < stamps_known[-1])
+        )
+        out[near] = CubicSpline(stamps_known, column[known])(time[near])
+    return bridged
+
+
+def _interpolate_linear(stamps: np.ndarray, samples: np.ndarray, time: np.ndarray) -> np.ndarray:
+    columns = []
+    for column in samples.T:
+        known = np.isfinite(column)
+        if not known.any():
+            columns.append(np.full(len(time), np.nan))
+            continue
+        columns.append(np.interp(time, stamps[known], column[known]))
+    return np.column_stack(columns)
+
+
+def bridge_gaps(samples: np.ndarray) -> np.ndarray:
+    """Return samples with missing ones interpolated; empty channels stay nan."""
+    out = samples.copy()
+    for column in out.T:
+        missing = ~np.isfinite(column)
+        if missing.any() and not missing.all():
+            places = np.arange(len(column))
+            column[missing] = np.interp(places[missing], places[~missing], column[~missing])
+    return out
+
+
+def fill_missing(samples: np.ndarray) -> np.ndarray:
+    """Return samples with missing ones interpolated; empty channels are zero."""
+    filled = bridge_gaps(samples)
+    return np.where(np.isfinite(filled), filled, 0.0)
+
+
+def near_gaps(stamps: np.ndarray, step: float, time: np.ndarray, reach: int) -> np.ndarray:
+    """Return True for instants (K,) within gaps between stamps or within `reach` steps of these."""
+    near = np.zeros(len(time), dtype=bool)
+    margin = reach * step
+    for k in np.flatnonzero(np.diff(stamps) > GAP * step):
+        near |= (time > stamps[k] - margin) & (time < stamps[k + 1] + margin)
+    return near

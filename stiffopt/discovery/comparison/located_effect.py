@@ -1,41 +1,41 @@
-"""An effect at a place: which joint, link or run, with which shapes; and what it adds there."""
+"""Effects at a joint, link or run, their contributions, and extensions of the nominal model."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from itertools import product
 from typing import Literal
 
 import numpy as np
 
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
-from stiffopt.discovery.comparison.prepare import PreparedRun
-from stiffopt.discovery.comparison.signals import JointConstants, RobotConstants
+from stiffopt.discovery.comparison.prepared_run import PreparedRun
 from stiffopt.discovery.effect import Effect
+from stiffopt.discovery.signals import JointConstants, RobotConstants
 from stiffopt.units import joint_unit
 
 Kind = Literal["torque", "deflection"]
-# Kind of channel, joint and amplitude (from 0), and the change (K,) for a unit of it.
+# Kind of channel, joint and amplitude (from 0), and the change (K,) per unit amplitude.
 ChannelChange = tuple[Kind, int, int, np.ndarray]
 # Amplitude (from 0), torque on the joint's link, and displacement of its spring's end.
-Push = tuple[int, np.ndarray, np.ndarray]
+LinkLoad = tuple[int, np.ndarray, np.ndarray]
 
 
 @dataclass(frozen=True, eq=False)
 class Contribution:
-    """What an effect adds to the channels of one run, (K, n) each or None.
+    """Contribution of an effect to the channels of one run, (K, n) each or None.
 
     Parameters
     ----------
     torque : array
-        To the drive torque [N m], beside the link torque.
+        To the drive torque, in addition to the link torque [N m].
     link_torque : array
         To the torque between motor and link [N m].
     deflection : array
-        To motor minus link angle, beside the wind-up under the link torque [rad].
+        To motor minus link angle, in addition to the wind-up under the link torque [rad].
     reading : array
-        To motor minus link angle as they are read [rad].
+        To the readings of motor minus link angle [rad].
     """
 
     torque: np.ndarray | None = None
@@ -46,14 +46,14 @@ class Contribution:
     def channels(
         self, run: PreparedRun, robot: RobotModel
     ) -> tuple[np.ndarray | None, np.ndarray | None]:
-        """Change of drive torque and of motor minus link angle, (K, n) each or None."""
-        torque, deflection = run.answer(robot, self.link_torque, self.deflection)
-        return _sum(self.torque, torque), _sum(self.reading, deflection)
+        """Return changes of drive torque and motor minus link angle, (K, n) each or None."""
+        torque, deflection = run.respond(robot, self.link_torque, self.deflection)
+        return _add_optional(self.torque, torque), _add_optional(self.reading, deflection)
 
 
 @dataclass(frozen=True, kw_only=True)
 class LocatedEffect:
-    """An effect somewhere.
+    """Effect at a joint, link or run, with its shapes.
 
     Parameters
     ----------
@@ -61,9 +61,9 @@ class LocatedEffect:
     joint : int or None
         0-based.
     link : int or None
-        0-based, of effects of a link.
+        0-based, for effects of a link.
     run : str or None
-        Of effects of a run.
+        Name of the run, for effects of a run.
     shapes : tuple of float
     """
 
@@ -85,53 +85,53 @@ class LocatedEffect:
 
     @property
     def key(self) -> tuple[object, ...]:
-        """What tells it from others: name, place and shapes."""
+        """Name, place and shapes, which identify it."""
         return (self.effect.name, self.joint, self.link, self.run, self.shapes)
 
     @property
-    def by_run(self) -> bool:
-        """Whether what it adds to a run says nothing of other runs."""
+    def is_run_specific(self) -> bool:
+        """True where its contribution to a run predicts nothing of other runs."""
         return self.run is not None or self.effect.of_runs is not None
 
-    def near(self, other: LocatedEffect) -> bool:
-        """Whether it could stand in the other's place: at its joint or next to it, or nowhere."""
+    def is_adjacent(self, other: LocatedEffect) -> bool:
+        """Return True where both are at the same or neighbouring joints, or at none."""
         if self.joint is None or other.joint is None:
             return True
         return abs(self.joint - other.joint) <= 1
 
     def same_place(self, other: LocatedEffect) -> bool:
-        """Whether both are the same effect at the same place, whatever the shapes."""
+        """Return True for the same effect at the same place with any shapes."""
         return self.key[:-1] == other.key[:-1]
 
     def constants(self, robot: RobotConstants) -> JointConstants | RobotConstants:
-        """Constants that sizes and reports are taken from."""
+        """Return the constants for sizes and reports."""
         return robot if self.joint is None else robot.joints[self.joint]
 
     def unit_of(self, parameter: str, robot: RobotConstants) -> str:
-        """Unit of a reported parameter; of force and length where the joint slides."""
+        """Return the unit of a reported parameter; of force and length at a prismatic joint."""
         unit = self.effect.unit_of(parameter)
         slides = self.joint is not None and robot.joints[self.joint].prismatic
         return joint_unit(unit, slides)
 
     def starts(self, robot: RobotConstants) -> tuple[tuple[float, ...], ...]:
-        """Values of every shape that a search starts from."""
+        """Return the initial values of every shape in a search."""
         own = self.constants(robot)
         return tuple(shape.grid(own) for shape in self.effect.shapes)
 
     def sizes(self, robot: RobotConstants) -> np.ndarray:
-        """Typical size of every amplitude."""
+        """Return the typical size of every amplitude."""
         own = self.constants(robot)
         return np.array([a.size(own) for a in self.effect.amplitudes])
 
     def possible(self, robot: RobotConstants) -> bool:
-        """Whether the recordings themselves do not rule the shapes out."""
+        """Return False where the shapes contradict the recordings."""
         rule = self.effect.possible
         return rule is None or rule(self.shapes, self.constants(robot))
 
     def bounds(self, robot: RobotConstants) -> np.ndarray:
-        """Lowest and highest amplitudes over their sizes (k, 2).
+        """Return lower and upper amplitudes over their sizes (k, 2).
 
-        What adds to a nominal value leaves at least nothing of it: no friction drives a joint.
+        A nominal value and its change are not negative together: no friction drives a joint.
         """
         found = np.array([(a.lower, a.upper) for a in self.effect.amplitudes], dtype=float)
         own = self.constants(robot)
@@ -141,7 +141,7 @@ class LocatedEffect:
         return found
 
     def contribution(self, run: PreparedRun, amplitudes: Sequence[float]) -> Contribution:
-        """What it adds to a run, not filtered."""
+        """Return its contribution to a run, not filtered."""
         signals = run.signals
         if self.run is not None and run.name != self.run:
             return Contribution()
@@ -150,31 +150,33 @@ class LocatedEffect:
             seen = signals if self.link is None else replace(signals, link=self.link)
             term = self.effect.term(seen, amplitudes, self.shapes)
             return Contribution(
-                _whole(term.drive_torque, like),
-                _whole(term.link_torque, like),
-                _whole(term.deflection, like),
-                _whole(term.reading, like),
+                _as_robot_array(term.drive_torque, like),
+                _as_robot_array(term.link_torque, like),
+                _as_robot_array(term.deflection, like),
+                _as_robot_array(term.reading, like),
             )
         term = self.effect.term(run.of_joint(self.joint), amplitudes, self.shapes)
-        drive = _column(term.drive_torque, like, self.joint)
-        before = _column(term.previous_torque, like, self.joint - 1) if self.joint else None
+        drive = _as_joint_column(term.drive_torque, like, self.joint)
+        before = (
+            _as_joint_column(term.previous_torque, like, self.joint - 1) if self.joint else None
+        )
         return Contribution(
-            _sum(drive, before),
-            _column(term.link_torque, like, self.joint),
-            _column(term.deflection, like, self.joint),
-            _column(term.reading, like, self.joint),
+            _add_optional(drive, before),
+            _as_joint_column(term.link_torque, like, self.joint),
+            _as_joint_column(term.deflection, like, self.joint),
+            _as_joint_column(term.reading, like, self.joint),
         )
 
-    def directly(
+    def unit_changes(
         self, run: PreparedRun, robot: RobotModel
-    ) -> tuple[list[ChannelChange], list[Push]]:
-        """Changes for a unit of each amplitude, and what sets links going where these swing."""
+    ) -> tuple[list[ChannelChange], list[LinkLoad]]:
+        """Return changes per unit of each amplitude, and loads on vibrating links."""
         assert self.joint is not None
         if self.run is not None and run.name != self.run:
             return [], []
         signals, count = run.of_joint(self.joint), len(self.effect.amplitudes)
         changes: list[ChannelChange] = []
-        pushes: list[Push] = []
+        loads: list[LinkLoad] = []
         for i in range(count):
             unit = [1.0 if k == i else 0.0 for k in range(count)]
             term = self.effect.term(signals, unit, self.shapes)
@@ -183,12 +185,12 @@ class LocatedEffect:
                 for x in (term.drive_torque, term.reading, term.link_torque, term.deflection)
             )
             loaded = link.any()
-            if run.swing is None:
+            if run.vibration is None:
                 torque, deflection = torque + link, wound + deflection
                 if loaded:
                     deflection = deflection + run.compliance(robot, self.joint) * link
             elif loaded or wound.any():
-                pushes.append((i, link, wound))
+                loads.append((i, link, wound))
             added: tuple[tuple[Kind, int, np.ndarray], ...] = (
                 ("torque", self.joint, torque),
                 ("deflection", self.joint, deflection),
@@ -197,33 +199,34 @@ class LocatedEffect:
             for kind, joint, values in added:
                 if joint >= 0 and values.any():
                     changes.append((kind, joint, i, np.broadcast_to(values, run.time.shape)))
-        return changes, pushes
+        return changes, loads
 
     def columns(
         self, run: PreparedRun, robot: RobotModel
     ) -> Iterator[tuple[np.ndarray | None, np.ndarray | None]]:
-        """Change of torque and deflection for a unit of each amplitude."""
+        """Yield the change of torque and deflection per unit of each amplitude."""
         count = len(self.effect.amplitudes)
         for i in range(count):
             unit = [1.0 if k == i else 0.0 for k in range(count)]
             yield self.contribution(run, unit).channels(run, robot)
 
 
-def channels(
+def effect_channel_changes(
     effects: Sequence[LocatedEffect], run: PreparedRun, robot: RobotModel
 ) -> list[list[ChannelChange]]:
-    """Changes of single channels for a unit of each amplitude, of effects of joints.
+    """Return changes of single channels per unit amplitude, for effects of joints.
 
-    Several of one channel add up. Links are set going by all of them beside each other.
+    Several changes of one channel add up. Responses of vibrating links to all effects are computed
+    together.
     """
-    both = [each.directly(run, robot) for each in effects]
-    found, swing = [changes for changes, _ in both], run.swing
-    pushed = [(k, *push) for k, (_, pushes) in enumerate(both) for push in pushes]
-    if swing is None or not pushed:
+    both = [each.unit_changes(run, robot) for each in effects]
+    found, vibration = [changes for changes, _ in both], run.vibration
+    loaded_links = [(k, *load) for k, (_, loads) in enumerate(both) for load in loads]
+    if vibration is None or not loaded_links:
         return found
-    owners, amplitudes, links, wounds = zip(*pushed, strict=True)
+    owners, amplitudes, links, wounds = zip(*loaded_links, strict=True)
     joints = np.array([effects[k].joint for k in owners])
-    answers = swing.pushed(
+    answers = vibration.respond_at_joints(
         joints,
         *(np.stack([np.broadcast_to(x, run.time.shape) for x in each]) for each in (links, wounds)),
     )
@@ -234,14 +237,16 @@ def channels(
     return found
 
 
-def places(effect: Effect, robot: RobotConstants, runs: Sequence[str]) -> Iterator[LocatedEffect]:
-    """Every place that an effect can have, with every start of its shapes."""
+def effect_places(
+    effect: Effect, robot: RobotConstants, runs: Sequence[str]
+) -> Iterator[LocatedEffect]:
+    """Yield every place of an effect with every combination of initial shapes."""
     grids: list[LocatedEffect] = []
     n = len(robot.joints)
     if effect.scope == "joint":
         grids = [LocatedEffect(effect=effect, joint=j) for j in range(n)]
     elif effect.scope == "link":
-        # What is fixed to the last link counts as payload.
+        # Masses fixed to the last link count as payload.
         grids = [LocatedEffect(effect=effect, link=j) for j in range(n - 1)]
     elif effect.scope == "run":
         grids = [LocatedEffect(effect=effect, joint=j, run=run) for j in range(n) for run in runs]
@@ -255,21 +260,118 @@ def places(effect: Effect, robot: RobotConstants, runs: Sequence[str]) -> Iterat
             yield replace(place, shapes=shapes)
 
 
-def _sum(a: np.ndarray | None, b: np.ndarray | None) -> np.ndarray | None:
+def _add_optional(a: np.ndarray | None, b: np.ndarray | None) -> np.ndarray | None:
     if a is None or b is None:
         return b if a is None else a
     return np.asarray(a + b)
 
 
-def _whole(values: object, like: np.ndarray) -> np.ndarray | None:
+def _as_robot_array(values: object, like: np.ndarray) -> np.ndarray | None:
     array = np.asarray(values, dtype=float)
     return np.broadcast_to(array, like.shape) if array.any() else None
 
 
-def _column(values: object, like: np.ndarray, joint: int) -> np.ndarray | None:
+def _as_joint_column(values: object, like: np.ndarray, joint: int) -> np.ndarray | None:
     array = np.asarray(values, dtype=float)
     if not array.any():
         return None
     out = np.zeros_like(like)
     out[:, joint] = array
     return out
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class EstimatedEffect:
+    """Effect at a place, with fitted amplitudes.
+
+    Parameters
+    ----------
+    located : LocatedEffect
+    amplitudes : tuple of float
+        In their own units.
+    step : float
+        Change of the first amplitude from the fit to the estimate from all moving samples.
+    """
+
+    located: LocatedEffect
+    amplitudes: tuple[float, ...]
+    step: float = 0.0
+
+    @property
+    def effect(self) -> Effect:
+        """Entry of the catalogue."""
+        return self.located.effect
+
+    @property
+    def shapes(self) -> tuple[float, ...]:
+        """Fitted shapes in their own units."""
+        return self.located.shapes
+
+    @property
+    def fitted(self) -> EstimatedEffect:
+        """Effect as the fit estimated it."""
+        first, *others = self.amplitudes
+        return replace(self, amplitudes=(first - self.step, *others), step=0.0)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Extension:
+    """Change of a nominal model.
+
+    Parameters
+    ----------
+    calibration : mapping of str to float
+        Changes of nominal values by name ("coulomb 3", "com 2 x", "body 2 mx"): relative, [m],
+        [rad], or of the inertial parameters of a body.
+    effects : tuple of EstimatedEffect
+    """
+
+    calibration: Mapping[str, float] = field(default_factory=dict)
+    effects: tuple[EstimatedEffect, ...] = ()
+
+    def plus(self, later: Extension) -> Extension:
+        """Return the sum of both."""
+        names = {**self.calibration, **later.calibration}
+        return Extension(
+            calibration={
+                name: self.calibration.get(name, 0.0) + later.calibration.get(name, 0.0)
+                for name in names
+            },
+            effects=(*self.effects, *later.effects),
+        )
+
+    def minus(self, other: Extension) -> Extension:
+        """Return the difference to another one."""
+        names = {**self.calibration, **other.calibration}
+        taken = (
+            replace(e, amplitudes=tuple(-value for value in e.amplitudes)) for e in other.effects
+        )
+        return Extension(
+            calibration={
+                name: self.calibration.get(name, 0.0) - other.calibration.get(name, 0.0)
+                for name in names
+            },
+            effects=(*self.effects, *taken),
+        )
+
+    @property
+    def fitted(self) -> Extension:
+        """Extension as the fit estimated it, without steps to all moving samples."""
+        return replace(self, effects=tuple(each.fitted for each in self.effects))
+
+    @property
+    def empty(self) -> bool:
+        """True without any change."""
+        return not self.effects and not any(self.calibration.values())
+
+
+def with_amplitudes(
+    effects: Sequence[LocatedEffect], scaled: np.ndarray, sizes: Sequence[np.ndarray]
+) -> tuple[EstimatedEffect, ...]:
+    """Return effects with amplitudes given over their sizes, concatenated."""
+    out, begin = [], 0
+    for located, size in zip(effects, sizes, strict=True):
+        own = scaled[begin : begin + len(size)] * size
+        out.append(EstimatedEffect(located=located, amplitudes=tuple(float(v) for v in own)))
+        begin += len(size)
+    return tuple(out)

@@ -1,20 +1,23 @@
-"""The nominal model of a recording set along a motion: torques, wind-up, friction."""
+"""Nominal model of a recording set along a motion: torques, wind-up, friction, arm signals."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
-from stiffopt.discovery.comparison.signals import (
+from stiffopt.discovery.settings import filled
+from stiffopt.discovery.signals import (
+    PARAMETERS_PER_BODY,
     JointConstants,
     RobotConstants,
     RobotSignals,
     smooth_sign,
 )
-from stiffopt.discovery.settings import filled
 from stiffopt.recording.recording_set import RecordingSet
 from stiffopt.recording.run import RecordedRun
 from stiffopt.robot.along_motion import body_torques, tool_along
@@ -22,7 +25,7 @@ from stiffopt.robot.frames import first_link_of
 
 
 class RobotModel:
-    """Nominal dynamics in the order of the set's joints.
+    """Nominal dynamics in the joint order of the recording set.
 
     Parameters
     ----------
@@ -33,9 +36,9 @@ class RobotModel:
     n : int
         Joints.
     rotor_inertia, coulomb, viscous : array (n,)
-        Zero where the set is silent.
-    kept_torques : dict
-        Torques of single bodies along motions, those asked for last.
+        Zero where the set states none.
+    body_torque_cache : dict
+        Recently used torques of single bodies along motions.
     """
 
     def __init__(self, recordings: RecordingSet) -> None:
@@ -47,14 +50,14 @@ class RobotModel:
         self.rotor_inertia = self.arm.rotor_inertia[self.order]
         self.coulomb = self.arm.coulomb[self.order]
         self.viscous = self.arm.viscous[self.order]
-        self._balance = recordings.nominal.counterbalance
-        self.kept_torques: dict[tuple[object, int], np.ndarray] = {}
+        self._counterbalances = recordings.nominal.counterbalance
+        self.body_torque_cache: dict[tuple[object, int], np.ndarray] = {}
 
     # ---- constants
 
     @cached_property
     def constants(self) -> RobotConstants:
-        """Constants without any range met."""
+        """Constants without ranges from recordings."""
         nominal, connections = self.recordings.nominal, self.recordings.nominal.connections
         torque_max = self.arm.torque_max[self.order]
         torque_max = np.where((torque_max > 0.0) & np.isfinite(torque_max), torque_max, np.nan)
@@ -87,16 +90,16 @@ class RobotModel:
             tool_range=np.array([[-1.0] * 3, [1.0] * 3]),
         )
 
-    def ranged(
+    def constants_over(
         self, signals: Sequence[RobotSignals], measured: np.ndarray | None = None
     ) -> RobotConstants:
-        """Constants with the ranges that some runs meet; unknown torques from what they carry.
+        """Return constants with the ranges of some runs, which also bound unknown torques.
 
         Parameters
         ----------
         signals : sequence of RobotSignals
         measured : array (n,), optional
-            Largest torque that they show [N m].
+            Largest measured drive torque [N m].
         """
         base = self.constants
 
@@ -124,95 +127,238 @@ class RobotModel:
         span = np.array([tool.min(axis=0), tool.max(axis=0)])
         return replace(base, joints=tuple(joints), tool_range=span)
 
-    # ---- along a motion, (K, n) each, in the set's order
+    # ---- along a motion, (K, n) each, in the joint order of the set
 
     @property
     def elastic(self) -> bool:
-        """Whether any nominal joint winds up."""
+        """True where any nominal joint winds up."""
         return any(joint.elastic for joint in self.constants.joints)
 
     @property
-    def swings(self) -> bool:
-        """Whether every joint's spring and damping is known."""
+    def vibrates(self) -> bool:
+        """True where the stiffness and damping of every joint are known."""
         return self.recordings.swings
 
     def windup(self, torque: np.ndarray) -> np.ndarray:
-        """Nominal wind-up under spring torques [rad]."""
+        """Return the nominal wind-up under spring torques [rad]."""
         joints = enumerate(self.constants.joints)
         return np.array([joint.windup(torque[:, j]) for j, joint in joints]).T
 
     def compliance(self, torque: np.ndarray) -> np.ndarray:
-        """Slope of the nominal wind-up [rad/(N m)]."""
+        """Return the tangent compliance of the nominal wind-up [rad/(N m)]."""
         return np.column_stack(
             [joint.compliance(torque[:, j]) for j, joint in enumerate(self.constants.joints)]
         )
 
     def friction(self, velocity: np.ndarray, direction: np.ndarray | None = None) -> np.ndarray:
-        """Nominal friction torque [N m], with a smooth sign where no direction is given."""
+        """Return nominal friction [N m]; default direction: smooth sign of the velocity."""
         side = smooth_sign(velocity) if direction is None else direction
         return np.asarray(self.coulomb * side + self.viscous * velocity)
 
     def spring_torque(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
-        """Torque in the springs, of rigid bodies and counterbalances [N m]."""
-        torque = self._bodies.torque(*(self._of_robot(x) for x in (q, v, a)))[:, self.order]
-        for balance in self._balance:
+        """Return the spring torque of rigid bodies and counterbalances [N m]."""
+        torque = self._bodies.torque(*(self._to_robot_order(x) for x in (q, v, a)))[:, self.order]
+        for balance in self._counterbalances:
             j = balance.joint
             torque[:, j] -= balance.at(q[:, j])
         return torque
 
     def gravity_torque(self, q: np.ndarray, gravity: np.ndarray) -> np.ndarray:
-        """Torque (K, n) that holds the weight under another gravity (3,) [m/s^2]."""
+        """Return the gravity torque (K, n) under another gravity vector (3,) [m/s^2]."""
         bodies = self._bodies.with_gravity(gravity)
-        return bodies.gravity_torque(self._of_robot(q))[:, self.order]
+        return bodies.gravity_torque(self._to_robot_order(q))[:, self.order]
 
     def torque_slopes(
         self, q: np.ndarray, v: np.ndarray, a: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Slopes of the bodies' torques along position, velocity, acceleration (K, n, n) each."""
-        slopes = self._bodies.torque_slopes(*(self._of_robot(x) for x in (q, v, a)))
+        """Return torque derivatives by position, velocity, acceleration (K, n, n) each."""
+        slopes = self._bodies.torque_slopes(*(self._to_robot_order(x) for x in (q, v, a)))
         position, velocity, acceleration = (x[:, self.order][..., self.order] for x in slopes)
         return position, velocity, acceleration
 
     def body_torques(self, body: int, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
-        """Spring torques for the inertial parameters of one body (K, n, 10)."""
-        motion = (self._of_robot(x) for x in (q, v, a))
+        """Return the spring torques per inertial parameter of one body (K, n, 10)."""
+        motion = (self._to_robot_order(x) for x in (q, v, a))
         torques = body_torques(self.arm.tree, int(self.order[body]), *motion)
-        # No copy where the set has the robot's order: that is the largest array of a long run.
+        # Avoid a copy of the largest array of a long run where both orders agree.
         return torques if np.all(self.order == np.arange(self.n)) else torques[:, self.order]
 
     def body_regressor(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
-        """Spring torques for the inertial parameters of every body (K, n, 10 n)."""
+        """Return the spring torques per inertial parameter of every body (K, n, 10 n)."""
         return np.concatenate([self.body_torques(b, q, v, a) for b in range(self.n)], axis=2)
 
     def changed_torque(
         self, change: np.ndarray, q: np.ndarray, v: np.ndarray, a: np.ndarray
     ) -> np.ndarray:
-        """Spring torques (K, n) of changed inertial parameters (n, 10)."""
+        """Return the spring torques (K, n) of changed inertial parameters (n, 10)."""
         by_body = np.empty_like(change)
         by_body[self.order] = change
-        motion = (self._of_robot(x) for x in (q, v, a))
+        motion = (self._to_robot_order(x) for x in (q, v, a))
         return self._bodies.changed_torque(by_body, *motion)[:, self.order]
 
     def tilt(self, q: np.ndarray) -> np.ndarray:
-        """Change of the gravity torques for a turn of the base about x and y (K, n, 2)."""
-        # Gravity turns the other way in the base's axes.
+        """Return the change of gravity torque per rotation of the base about x and y (K, n, 2)."""
+        # Gravity rotates the opposite way in the axes of the base.
         turned = [-np.cross(axis, self.recordings.gravity) for axis in np.eye(3)[:2]]
         return np.stack([self.gravity_torque(q, gravity) for gravity in turned], axis=2)
 
     def tool(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Tool position (K, 3) and its Jacobian (K, 3, n)."""
-        position, jacobian = tool_along(self.arm.tree, self.arm.tool, self._of_robot(q))
+        """Return the tool position (K, 3) and its Jacobian (K, 3, n)."""
+        position, jacobian = tool_along(self.arm.tree, self.arm.tool, self._to_robot_order(q))
         return position, jacobian[..., self.order]
 
     def temperature_rise(self, run: RecordedRun, count: int) -> np.ndarray:
-        """Housing temperature above that at which friction was identified (K, n) [K]."""
+        """Return the housing temperature above that of friction identification (K, n) [K]."""
         reference = self.recordings.nominal.friction_temperature
         if run.temperature is None or reference is None:
             return np.zeros((self.n, count)).T
         return np.tile(np.asarray(run.temperature, dtype=float) - reference, (count, 1))
 
-    def _of_robot(self, values: np.ndarray) -> np.ndarray:
-        """Columns (K, n) in the robot's own order."""
+    def _to_robot_order(self, values: np.ndarray) -> np.ndarray:
+        """Return columns (K, n) in the robot's own joint order."""
         full = np.empty_like(values)
         full[:, self.order] = values
         return full
+
+
+# Cache of body torques over all runs of a robot, least recently used out first [bytes].
+_BODY_TORQUE_CACHE_BYTES = 2**26
+# Cached torques of changed inertial parameters per run, oldest out first.
+_MAX_CACHED_CHANGES = 3
+
+
+class BodyRegressor:
+    """Joint torques along a motion per inertial parameter (K, n, 10 n), evaluated on demand.
+
+    Body torques of a ten-minute run exceed all its other signals, and most effects use none.
+
+    Parameters
+    ----------
+    robot : RobotModel
+    q, v, a : array (K, n)
+        Motion of the links.
+    """
+
+    def __init__(self, robot: RobotModel, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> None:
+        self._robot, self._motion = robot, (q, v, a)
+        self._changes: dict[bytes, np.ndarray] = {}
+
+    def of_body(self, body: int) -> np.ndarray:
+        """Return the torques (K, n, 10) per parameter of one body (from 0)."""
+        kept = self._robot.body_torque_cache
+        found = kept.pop((self, body), None)
+        if found is None:
+            size = self._motion[0].nbytes * PARAMETERS_PER_BODY
+            # Free memory before the allocation: a long run has no room for one more.
+            while (
+                kept
+                and size + sum(each.nbytes for each in kept.values()) > _BODY_TORQUE_CACHE_BYTES
+            ):
+                kept.pop(next(iter(kept)))
+            found = self._robot.body_torques(body, *self._motion)
+        kept[self, body] = found
+        return found
+
+    def torque(self, change: np.ndarray) -> np.ndarray:
+        """Return the torques (K, n) of changed parameters (n, 10) of all bodies."""
+        key = change.tobytes()
+        if key not in self._changes:
+            while len(self._changes) >= _MAX_CACHED_CHANGES:
+                self._changes.pop(next(iter(self._changes)))
+            self._changes[key] = self._robot.changed_torque(change, *self._motion)
+        return self._changes[key]
+
+    def __getitem__(self, where: Any) -> np.ndarray:
+        """Return entries as of an array: [..., k] is the column of parameter k."""
+        if isinstance(where, tuple) and where[0] is Ellipsis and isinstance(where[1], int):
+            body, parameter = divmod(where[1], PARAMETERS_PER_BODY)
+            return np.asarray(self.of_body(body)[..., parameter])
+        return np.asarray(self.__array__()[where])
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
+        """Return the whole regressor, which a long run has memory for only once."""
+        return np.asarray(self._robot.body_regressor(*self._motion), dtype=dtype)
+
+
+class LazyArmSignals:
+    """Tool, base tilt and body torques along a link motion, evaluated on demand.
+
+    Parameters
+    ----------
+    robot : RobotModel
+    q, v, a : array (K, n)
+
+    Attributes
+    ----------
+    body_regressor : BodyRegressor
+    """
+
+    def __init__(self, robot: RobotModel, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> None:
+        self._robot, self._motion = robot, (q, v, a)
+        self.body_regressor = BodyRegressor(robot, q, v, a)
+
+    @cached_property
+    def _tool_kinematics(self) -> tuple[np.ndarray, np.ndarray]:
+        return self._robot.tool(self._motion[0])
+
+    @property
+    def tool_position(self) -> np.ndarray:
+        """Tool position in the base frame (K, 3) [m]."""
+        return self._tool_kinematics[0]
+
+    @property
+    def tool_jacobian(self) -> np.ndarray:
+        """Jacobian of the tool position (K, 3, n)."""
+        return self._tool_kinematics[1]
+
+    @property
+    def tool_velocity(self) -> np.ndarray:
+        """Tool velocity in the base frame (K, 3) [m/s]."""
+        return np.asarray(np.einsum("kij,kj->ki", self._tool_kinematics[1], self._motion[1]))
+
+    @cached_property
+    def tilt(self) -> np.ndarray:
+        """Change of the torques per rotation of the base about x and y (K, n, 2) [N m/rad]."""
+        return self._robot.tilt(self._motion[0])
+
+    def head(self, count: int) -> LazyArmSignals:
+        """Return the first samples, as views of the evaluation of all."""
+        return _ArmHead(self, count)
+
+    def decimate(self, every: int) -> LazyArmSignals:
+        """Return every k-th sample."""
+        return LazyArmSignals(self._robot, *(x[::every] for x in self._motion))
+
+    def with_bodies(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> LazyArmSignals:
+        """Return the signals with the body torques along another motion."""
+        other = copy(self)
+        other.body_regressor = BodyRegressor(self._robot, q, v, a)
+        return other
+
+
+class _RegressorHead(BodyRegressor):
+    def __init__(self, whole: BodyRegressor, count: int) -> None:
+        super().__init__(whole._robot, *(x[:count] for x in whole._motion))
+        self._whole, self._count = whole, count
+
+    def of_body(self, body: int) -> np.ndarray:
+        return self._whole.of_body(body)[: self._count]
+
+    def torque(self, change: np.ndarray) -> np.ndarray:
+        return self._whole.torque(change)[: self._count]
+
+
+class _ArmHead(LazyArmSignals):
+    def __init__(self, whole: LazyArmSignals, count: int) -> None:
+        super().__init__(whole._robot, *(x[:count] for x in whole._motion))
+        self._whole, self._count = whole, count
+        self.body_regressor = _RegressorHead(whole.body_regressor, count)
+
+    @cached_property
+    def _tool_kinematics(self) -> tuple[np.ndarray, np.ndarray]:
+        position, jacobian = self._whole._tool_kinematics
+        return position[: self._count], jacobian[: self._count]
+
+    @cached_property
+    def tilt(self) -> np.ndarray:
+        return self._whole.tilt[: self._count]

@@ -1,4 +1,4 @@
-"""Nominal values within their tolerances: moved before any effect counts."""
+"""Nuisance values: nominal values within their tolerances, fitted before any effect counts."""
 
 from __future__ import annotations
 
@@ -7,47 +7,47 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from stiffopt.discovery.comparison.bodies import A_BODY, body_names
+from stiffopt.discovery.comparison.inertial_parameters import all_body_parameter_names
 from stiffopt.discovery.comparison.located_effect import Contribution
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
-from stiffopt.discovery.comparison.prepare import PreparedRun
+from stiffopt.discovery.comparison.prepared_run import PreparedRun
+from stiffopt.discovery.signals import PARAMETERS_PER_BODY
 from stiffopt.recording.nominal import Tolerance
 from stiffopt.robot.body_tree import Body
 
-# Relative standard deviation of the torques at which a reducer's slope changes, and the width over
-# which it does.
-_KNEE = 0.08
-# Values that move links, by the first word of their names.
-OF_SPRINGS = ("stiffness", "T1", "T2", "rounding")
-OF_BODIES = ("mass", "com", "body")
-MOVES_LINKS = (*OF_SPRINGS, "joint_damping", *OF_BODIES)
+# Relative standard deviation and width of the slope changes of a reducer over the torque.
+_RELATIVE_KNEE_SD = 0.08
+# Values that move the links, by the first word of their names.
+SPRING_VALUES = ("stiffness", "T1", "T2", "rounding")
+BODY_VALUES = ("mass", "com", "body")
+LINK_MOVING_VALUES = (*SPRING_VALUES, "joint_damping", *BODY_VALUES)
 
-# Relative values that act on the drive torque.
-_OF_DRIVES = ("rotor_inertia", "coulomb", "viscous", "torque_constant")
-# Values that act in proportion to all that a drive does.
-OF_LOAD = "torque_constant"
+# Relative values that act on the drive torque alone.
+_DRIVE_VALUES = ("rotor_inertia", "coulomb", "viscous", "torque_constant")
+# Value in proportion to the whole drive torque.
+LOAD_VALUE = "torque_constant"
 
-# Whether a value is asked for, by its name.
-Asked = Callable[[str], bool]
+# Selects values by name.
+NameFilter = Callable[[str], bool]
 
 
-def every_value(_: str) -> bool:
-    """All are asked for."""
+def accept_every_value(_: str) -> bool:
+    """Select all values."""
     return True
 
 
 @dataclass(frozen=True)
 class NuisanceColumn:
-    """How one nominal value moves the channels.
+    """Contribution of one nominal value to the channels.
 
     Parameters
     ----------
     name : str
-        Such as "coulomb 3".
+        Name such as "coulomb 3".
     sd : float
-        Its tolerance.
+        Tolerance of the value, one standard deviation.
     added : Contribution
-        For a unit of the value.
+        Per unit of the value.
     """
 
     name: str
@@ -60,9 +60,9 @@ def nuisance_columns(
     robot: RobotModel,
     tolerance: Tolerance,
     bodies: np.ndarray | None = None,
-    asked: Asked = every_value,
+    selected: NameFilter = accept_every_value,
 ) -> Iterator[NuisanceColumn]:
-    """Columns of nominal values along a run; the same order for every run.
+    """Yield columns of nominal values along a run, in the same order for every run.
 
     Parameters
     ----------
@@ -70,48 +70,49 @@ def nuisance_columns(
     robot : RobotModel
     tolerance : Tolerance
     bodies : array (n, 10), optional
-        Standard deviations of every inertial parameter, in place of those of mass and centre.
-    asked : callable
-        Whether a value is asked for, by its name.
+        Standard deviations of all inertial parameters, in place of mass and centre of mass.
+    selected : callable
+        Selects values by name.
     """
     signals = run.signals
     if bodies is None:
-        yield from _bodies(run, robot, tolerance, asked)
+        yield from _body_columns(run, robot, tolerance, selected)
     else:
-        for k, (name, sd) in enumerate(zip(body_names(robot), bodies.ravel(), strict=True)):
-            if asked(name):
+        for k, (name, sd) in enumerate(
+            zip(all_body_parameter_names(robot), bodies.ravel(), strict=True)
+        ):
+            if selected(name):
                 torque = signals.body_regressor[..., k]
                 yield NuisanceColumn(name, float(sd), Contribution(link_torque=torque))
-    compliance_free = np.zeros_like(signals.spring_torque)
-
-    def single(j: int, values: np.ndarray) -> np.ndarray:
-        column = compliance_free.copy()
-        column[:, j] = values
-        return np.asarray(column)
-
     for j in range(robot.n):
-        for name in _OF_DRIVES:
+        for name in _DRIVE_VALUES:
             sd = getattr(tolerance, name)
-            if sd and asked(f"{name} {j + 1}") and np.any(values := _of_drive(run, robot, name, j)):
-                yield NuisanceColumn(f"{name} {j + 1}", sd, Contribution(single(j, values)))
+            if (
+                sd
+                and selected(f"{name} {j + 1}")
+                and np.any(values := _drive_torque_column(run, robot, name, j))
+            ):
+                yield NuisanceColumn(f"{name} {j + 1}", sd, Contribution(_in_joint(run, j, values)))
         if tolerance.stiffness:
-            yield from _of_spring(run, j, tolerance.stiffness, asked)
+            yield from _spring_columns(run, j, tolerance.stiffness, selected)
         name = f"joint_damping {j + 1}"
-        if tolerance.joint_damping and run.swing is not None and asked(name):
-            # Of a spring that takes more of the torque where its damping takes less.
+        if tolerance.joint_damping and run.vibration is not None and selected(name):
+            # Damping torque relieves the spring, which deflects less by it.
             nominal = signals.constants.joints[j].joint_damping
             taken = nominal * (signals.motor_velocity - signals.link_velocity)[:, j]
-            added = Contribution(deflection=single(j, -taken / run.swing.stiffness[:, j]))
+            added = Contribution(
+                deflection=_in_joint(run, j, -taken / run.vibration.stiffness[:, j])
+            )
             yield NuisanceColumn(name, tolerance.joint_damping, added)
         name = f"encoder_zero {j + 1}"
-        if tolerance.encoder_zero and asked(name):
+        if tolerance.encoder_zero and selected(name):
             values = np.ones(len(signals.time))
-            added = Contribution(reading=single(j, values))
+            added = Contribution(reading=_in_joint(run, j, values))
             yield NuisanceColumn(name, tolerance.encoder_zero, added)
 
 
-def _of_drive(run: PreparedRun, robot: RobotModel, name: str, j: int) -> np.ndarray:
-    """Drive torque (K,) of one joint for a unit of a relative value."""
+def _drive_torque_column(run: PreparedRun, robot: RobotModel, name: str, j: int) -> np.ndarray:
+    """Return the drive torque (K,) of one joint per unit of a relative value."""
     signals = run.signals
     if name == "torque_constant":
         return np.asarray(signals.drive_torque[:, j])
@@ -122,69 +123,72 @@ def _of_drive(run: PreparedRun, robot: RobotModel, name: str, j: int) -> np.ndar
     return np.asarray(robot.coulomb[j] * signals.motor_direction[:, j])
 
 
-def _of_spring(run: PreparedRun, j: int, sd: float, asked: Asked) -> Iterator[NuisanceColumn]:
+def _spring_columns(
+    run: PreparedRun, j: int, sd: float, selected: NameFilter
+) -> Iterator[NuisanceColumn]:
     signals = run.signals
-    names = [f"{kind}{knee} {j + 1}" for knee in ("T1", "T2") for kind in ("", "rounding ")]
-    if not any(asked(name) for name in (f"stiffness {j + 1}", *names)):
+    if not any(selected(name) for name in (f"stiffness {j + 1}", *_knee_names(j))):
         return
     if not np.any(signals.windup[:, j]):
         return
-    # Relative to the joint as it is: of all its deflection where the links swing, but for a play.
+    # A relative compliance scales the whole elastic deflection of vibrating links, without play.
     values = signals.windup[:, j]
-    if run.swing is not None:
+    if run.vibration is not None:
         values = (signals.motor_position - signals.link_position - run.play)[:, j]
 
-    def single(j: int, values: np.ndarray) -> np.ndarray:
-        column = np.zeros_like(signals.spring_torque)
-        column[:, j] = values
-        return np.asarray(column)
-
-    if asked(f"stiffness {j + 1}"):
-        yield NuisanceColumn(f"stiffness {j + 1}", sd, Contribution(deflection=single(j, values)))
-    yield from _knees(run, j, single, asked)
+    if selected(f"stiffness {j + 1}"):
+        yield NuisanceColumn(
+            f"stiffness {j + 1}", sd, Contribution(deflection=_in_joint(run, j, values))
+        )
+    yield from _knee_columns(run, j, selected)
 
 
-def _knees(
-    run: PreparedRun,
-    j: int,
-    single: Callable[[int, np.ndarray], np.ndarray],
-    asked: Asked,
-) -> Iterator[NuisanceColumn]:
-    """Where the reducer's slope changes, and how roundly: catalogues idealise it as kinks."""
+def _knee_names(j: int) -> list[str]:
+    return [f"{kind}{knee} {j + 1}" for knee in ("T1", "T2") for kind in ("", "rounding ")]
+
+
+def _in_joint(run: PreparedRun, j: int, values: np.ndarray) -> np.ndarray:
+    """Return a channel (K, n) with values in one joint and zeros in the others."""
+    column = np.zeros_like(run.signals.spring_torque)
+    column[:, j] = values
+    return np.asarray(column)
+
+
+def _knee_columns(run: PreparedRun, j: int, selected: NameFilter) -> Iterator[NuisanceColumn]:
+    """Yield columns for torque and roundness of a reducer's slope changes."""
     constants = run.signals.constants.joints[j]
     if constants.slopes is None or constants.corners is None:
         return
-    names = [f"{kind}{knee} {j + 1}" for knee in ("T1", "T2") for kind in ("", "rounding ")]
-    if not any(asked(name) for name in names):
+    if not any(selected(name) for name in _knee_names(j)):
         return
     spring = run.signals.spring_torque[:, j]
     (k1, k2, k3), (t1, t2) = constants.slopes, constants.corners
     for name, knee, before, after in (("T1", t1, k1, k2), ("T2", t2, k2, k3)):
         fall = 1.0 / before - 1.0 / after
-        width = _KNEE * knee
+        width = _RELATIVE_KNEE_SD * knee
         beyond = np.sign(spring) * np.clip((np.abs(spring) - knee) / width, 0.0, 1.0)
-        moved = Contribution(deflection=single(j, fall * knee * beyond))
-        yield NuisanceColumn(f"{name} {j + 1}", _KNEE, moved)
+        moved = Contribution(deflection=_in_joint(run, j, fall * knee * beyond))
+        yield NuisanceColumn(f"{name} {j + 1}", _RELATIVE_KNEE_SD, moved)
         rounded = np.sign(spring) * fall * width * np.exp(-np.abs(np.abs(spring) - knee) / width)
-        round_knee = Contribution(deflection=single(j, rounded))
+        round_knee = Contribution(deflection=_in_joint(run, j, rounded))
         yield NuisanceColumn(f"rounding {name} {j + 1}", 1.0, round_knee)
 
 
-def _bodies(
-    run: PreparedRun, robot: RobotModel, tolerance: Tolerance, asked: Asked
+def _body_columns(
+    run: PreparedRun, robot: RobotModel, tolerance: Tolerance, selected: NameFilter
 ) -> Iterator[NuisanceColumn]:
-    """Mass and centre of mass of every body."""
+    """Yield columns for mass and centre of mass of every body."""
     for position, joint in enumerate(robot.order):
         body = robot.arm.tree.bodies[joint]
-        for name, change in _slopes(position, body):
+        for name, change in _body_parameter_slopes(position, body):
             sd = getattr(tolerance, name.split()[0])
-            if sd and asked(name):
-                torque = run.signals.body_regressor.of(position) @ change
+            if sd and selected(name):
+                torque = run.signals.body_regressor.of_body(position) @ change
                 yield NuisanceColumn(name, sd, Contribution(link_torque=torque))
 
 
-def _slopes(position: int, body: Body) -> Iterator[tuple[str, np.ndarray]]:
-    """Change (10,) of a body's parameters for a unit of its mass and its centre, by name."""
+def _body_parameter_slopes(position: int, body: Body) -> Iterator[tuple[str, np.ndarray]]:
+    """Yield changes (10,) of a body's parameters per unit of mass and centre, by name."""
     now = body.inertial_parameters
     yield f"mass {position + 1}", now
     for axis in range(3):
@@ -194,18 +198,18 @@ def _slopes(position: int, body: Body) -> Iterator[tuple[str, np.ndarray]]:
         yield f"com {position + 1} {'xyz'[axis]}", (moved.inertial_parameters - now) / 1e-5
 
 
-def changed_bodies(robot: RobotModel, values: Mapping[str, float]) -> np.ndarray:
-    """Changes of all inertial parameters (n, 10) that nominal values make, by their names."""
-    change = [values.get(name, 0.0) for name in body_names(robot)]
-    found = np.array(change).reshape(robot.n, A_BODY)
+def body_parameter_changes(robot: RobotModel, values: Mapping[str, float]) -> np.ndarray:
+    """Return changes of all inertial parameters (n, 10) by nominal values of given names."""
+    change = [values.get(name, 0.0) for name in all_body_parameter_names(robot)]
+    found = np.array(change).reshape(robot.n, PARAMETERS_PER_BODY)
     for position, joint in enumerate(robot.order):
-        for name, slope in _slopes(position, robot.arm.tree.bodies[joint]):
+        for name, slope in _body_parameter_slopes(position, robot.arm.tree.bodies[joint]):
             found[position] += values.get(name, 0.0) * slope
     return found
 
 
-def merged(tolerance: Tolerance, default: Tolerance) -> Tolerance:
-    """Tolerances of the set, the defaults where it states none."""
+def merge_tolerances(tolerance: Tolerance, default: Tolerance) -> Tolerance:
+    """Return the tolerances of the set, with defaults where it states none."""
     names = vars(default)
     return Tolerance(
         **{

@@ -9,10 +9,10 @@ import numpy as np
 
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
-from stiffopt.discovery.comparison.prepare import PreparedRun
-from stiffopt.discovery.comparison.signals import JointSignals, smooth_sign
+from stiffopt.discovery.comparison.prepared_run import PreparedRun
 from stiffopt.discovery.experiment.motion import MotionLimits
 from stiffopt.discovery.experiment.separation import Separation
+from stiffopt.discovery.signals import JointSignals, smooth_sign
 from stiffopt.dynamics.newton_euler import newton_euler
 from stiffopt.result.trajectory import Trajectory
 from stiffopt.solver.ipopt import IpoptOptions, IpoptSolver

@@ -95,7 +95,7 @@ def leading_pair(selected: Sequence[Selected]) -> tuple[LocatedEffect, LocatedEf
     for each in selected:
         for rival, _ in each.rivals:
             # What is of one run only cannot be met in another.
-            if not (each.located.by_run or rival.by_run):
+            if not (each.located.is_run_specific or rival.is_run_specific):
                 return each.located, rival
     return None
 

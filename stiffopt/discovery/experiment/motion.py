@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
-from stiffopt.discovery.comparison.prepare import PreparedRun, prepare
-from stiffopt.discovery.comparison.signals import RobotConstants
+from stiffopt.discovery.comparison.prepared_run import PreparedRun, prepare_run
 from stiffopt.discovery.settings import Settings
+from stiffopt.discovery.signals import RobotConstants
 from stiffopt.discovery.training import Training
 from stiffopt.recording.run import RecordedRun
 from stiffopt.result.trajectory import Trajectory
@@ -171,4 +171,4 @@ def prepared_motion(
         torque=np.where(has_torque, np.zeros_like(position), np.nan),
         faults=(),
     )
-    return prepare(training.robot, run, 0, constants, settings, swinging=False)
+    return prepare_run(training.robot, run, 0, constants, settings, vibrating=False)

@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from stiffopt.discovery.comparison.channel_rows import ChannelNoise
 from stiffopt.discovery.comparison.comparison import Comparison, Fit
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
-from stiffopt.discovery.comparison.prepare import PreparedRun
-from stiffopt.discovery.comparison.rows import ChannelNoise
+from stiffopt.discovery.comparison.prepared_run import PreparedRun
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from stiffopt.discovery.comparison.signals import RobotConstants
 from stiffopt.discovery.extended.made_for import made_for
 from stiffopt.discovery.extended.model import ExtendedModel
+from stiffopt.discovery.signals import RobotConstants
 from stiffopt.robot.robot import Robot
 from stiffopt.units import joint_unit
 
 if TYPE_CHECKING:
-    from stiffopt.discovery.comparison.extension import Extension
+    from stiffopt.discovery.comparison.located_effect import Extension
     from stiffopt.recording.recording_set import RecordingSet
 
 # Values of a joint: attribute of the robot, words, unit.

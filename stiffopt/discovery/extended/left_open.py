@@ -18,7 +18,7 @@ from stiffopt.recording.assumptions import not_given
 from stiffopt.units import joint_unit
 
 if TYPE_CHECKING:
-    from stiffopt.discovery.comparison.rows import ChannelNoise
+    from stiffopt.discovery.comparison.channel_rows import ChannelNoise
     from stiffopt.discovery.settings import Settings
     from stiffopt.recording.nominal import Tolerance
 

@@ -50,11 +50,9 @@ from typing import Any
 import numpy as np
 
 from stiffopt.discovery.catalogue import CATALOGUE
-from stiffopt.discovery.catalogue.friction_drift import OF_RUN
+from stiffopt.discovery.catalogue.friction_drift import RUN_PREFIX
 from stiffopt.discovery.catalogue.periodic import ROTOR_RIPPLE
-from stiffopt.discovery.comparison.extension import EstimatedEffect, Extension
-from stiffopt.discovery.comparison.located_effect import LocatedEffect
-from stiffopt.discovery.comparison.signals import RobotConstants
+from stiffopt.discovery.comparison.located_effect import EstimatedEffect, Extension, LocatedEffect
 from stiffopt.discovery.effect import Effect
 from stiffopt.discovery.extended.made_for import require_same_robot
 from stiffopt.discovery.extended.schema import (
@@ -63,6 +61,7 @@ from stiffopt.discovery.extended.schema import (
     LeftOpenSection,
     MadeForSection,
 )
+from stiffopt.discovery.signals import RobotConstants
 from stiffopt.drivetrain.chain import Chain
 from stiffopt.errors import InputFileError, nearest
 from stiffopt.files import read_document
@@ -257,7 +256,9 @@ def _effect(
     place = _place(section, effect, document, path, where)
     if effect.of_runs is not None:
         # Runs of another set that have the same names are others.
-        runs = [name.removeprefix(OF_RUN) for name in section.term if name.startswith(OF_RUN)]
+        runs = [
+            name.removeprefix(RUN_PREFIX) for name in section.term if name.startswith(RUN_PREFIX)
+        ]
         effect = effect.of_runs(tuple(runs), seen=False)
     names = [a.name for a in effect.amplitudes] + [s.name for s in effect.shapes]
     usual = {s.name: s.usual for s in effect.shapes if s.usual is not None}

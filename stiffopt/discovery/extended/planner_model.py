@@ -12,12 +12,11 @@ from typing import Any
 
 import numpy as np
 
-from stiffopt.discovery.comparison.bodies import names_of_body
-from stiffopt.discovery.comparison.extension import EstimatedEffect
-from stiffopt.discovery.comparison.located_effect import LocatedEffect
-from stiffopt.discovery.comparison.signals import JointConstants
+from stiffopt.discovery.comparison.inertial_parameters import body_parameter_names
+from stiffopt.discovery.comparison.located_effect import EstimatedEffect, LocatedEffect
 from stiffopt.discovery.extended.made_for import require_same_robot
 from stiffopt.discovery.extended.model import ExtendedModel
+from stiffopt.discovery.signals import JointConstants
 from stiffopt.drivetrain.chain import Chain
 from stiffopt.errors import InputFileError
 from stiffopt.robot.robot import Robot
@@ -122,7 +121,7 @@ class _Planner:
         calibration = self.model.extension.calibration
         moved = []
         for j, place in enumerate(self.place):
-            change = np.array([calibration.get(name, 0.0) for name in names_of_body(j)])
+            change = np.array([calibration.get(name, 0.0) for name in body_parameter_names(j)])
             if not change.any():
                 continue
             values = self.robot.tree.bodies[place].inertial_parameters + change

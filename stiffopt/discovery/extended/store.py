@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from stiffopt.discovery.comparison.extension import EstimatedEffect
-from stiffopt.discovery.comparison.signals import RobotConstants
+from stiffopt.discovery.comparison.located_effect import EstimatedEffect
 from stiffopt.discovery.extended.made_for import made_for
 from stiffopt.discovery.extended.schema import LeftOpenSection
+from stiffopt.discovery.signals import RobotConstants
 from stiffopt.recording.schema import NominalSection
 
 if TYPE_CHECKING:

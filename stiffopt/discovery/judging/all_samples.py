@@ -15,7 +15,7 @@ from dataclasses import replace
 import numpy as np
 
 from stiffopt.discovery.comparison.comparison import Comparison
-from stiffopt.discovery.comparison.extension import EstimatedEffect, Extension
+from stiffopt.discovery.comparison.located_effect import EstimatedEffect, Extension
 from stiffopt.discovery.proof.predict import Predictor
 from stiffopt.discovery.proof.proof import used_samples
 from stiffopt.discovery.search.left_out import parts_a_run

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stiffopt.discovery.comparison.extension import Extension
+from stiffopt.discovery.comparison.located_effect import Extension
 from stiffopt.discovery.judging.random_features import SmoothFunction, smooth_function
 from stiffopt.discovery.proof.predict import Prediction, Predictor
 from stiffopt.discovery.proof.proof import used_samples

@@ -16,10 +16,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stiffopt.discovery.comparison.extended_run import extended
-from stiffopt.discovery.comparison.extension import Extension
-from stiffopt.discovery.comparison.filtering import derivative
-from stiffopt.discovery.comparison.prepare import PreparedRun, near_gaps, whole
+from stiffopt.discovery.comparison.extended_run import extend_run
+from stiffopt.discovery.comparison.filtering import bridge_gaps, derivative, near_gaps
+from stiffopt.discovery.comparison.located_effect import Extension
+from stiffopt.discovery.comparison.prepared_run import PreparedRun
 from stiffopt.discovery.judging.unexplained import Unexplained
 from stiffopt.discovery.thresholds import BURST_RATIO, BURSTING_RATIO
 from stiffopt.discovery.training import Training
@@ -42,8 +42,8 @@ class _Channel:
     """
 
     residual: np.ndarray
-    swung: np.ndarray
-    followed: dict[str, np.ndarray]
+    extension_cache: np.ndarray
+    motion_filter: dict[str, np.ndarray]
 
     @property
     def usual(self) -> float:
@@ -77,12 +77,12 @@ def bursts(training: Training, extensions: Sequence[Extension]) -> Unexplained |
         # What the model that is started from left of its own recordings is nothing new.
         noise = noise * np.nan_to_num(training.least[: training.robot.n], nan=1.0)
     for recorded, run in zip(training.recorded, training.runs, strict=True):
-        if run.swing is None:
+        if run.vibration is None:
             return None
-        predicted = extended(run, training.robot, *extensions)
+        predicted = extend_run(run, training.robot, *extensions)
         drive = predicted.signals.drive_torque
-        kept_noise = noise * run.followed.noise_gain
-        left = (run.followed(whole(run.torque)) - drive) / kept_noise
+        kept_noise = noise * run.motion_filter.noise_gain
+        left = (run.motion_filter(bridge_gaps(run.torque)) - drive) / kept_noise
         swung = _swung(predicted) / kept_noise
         rate = derivative(drive, run.signals.dt)
         used = run.moving & _known(recorded, run)
@@ -99,7 +99,9 @@ def bursts(training: Training, extensions: Sequence[Extension]) -> Unexplained |
     worst = int(np.argmax(ratios))
     if ratios[worst] < BURSTING_RATIO:
         return None
-    held = {name: _held(channels[worst], size) for name, size in channels[worst].followed.items()}
+    held = {
+        name: _held(channels[worst], size) for name, size in channels[worst].motion_filter.items()
+    }
     name = max(held, key=lambda each: held[each][0])
     if held[name][1] < BURST_RATIO or _of_links(channels[worst], name) > _SWUNG:
         return None
@@ -115,7 +117,7 @@ def bursts(training: Training, extensions: Sequence[Extension]) -> Unexplained |
 
 def _known(recorded: RecordedRun, run: PreparedRun) -> np.ndarray:
     """Samples (K, n) that were read, away from gaps and ends, which the filter makes up in part."""
-    reach, count = run.followed.settling, len(run.time)
+    reach, count = run.motion_filter.settling, len(run.time)
     inside = np.zeros(count, dtype=bool)
     inside[reach : max(count - reach, 0)] = True
     inside &= ~near_gaps(recorded.time, recorded.step, run.time, reach)
@@ -127,26 +129,26 @@ def _swung(predicted: PreparedRun) -> np.ndarray:
 
     Zero where no encoder tells where they are.
     """
-    assert predicted.swing is not None
-    measured = predicted.followed(whole(predicted.deflection))
-    apart = measured - predicted.signals.windup - predicted.beside
-    return np.asarray(np.nan_to_num(predicted.swing.stiffness * apart))
+    assert predicted.vibration is not None
+    measured = predicted.motion_filter(bridge_gaps(predicted.deflection))
+    apart = measured - predicted.signals.windup - predicted.added_deflection
+    return np.asarray(np.nan_to_num(predicted.vibration.stiffness * apart))
 
 
 def _of_links(channel: _Channel, name: str) -> float:
     """Share of the square of bursts that links which swing otherwise account for."""
-    there = _largest(channel.followed[name])
+    there = _largest(channel.motion_filter[name])
     left = channel.residual[there]
     # The noise of both sensors is independent: of a drive's bursts the product is none.
-    return float(left @ channel.swung[there] / max(left @ left, 1e-12))
+    return float(left @ channel.extension_cache[there] / max(left @ left, 1e-12))
 
 
 def _begun_with(
     run: PreparedRun, left: np.ndarray, used: np.ndarray, noise: np.ndarray
 ) -> np.ndarray:
     """Part of a residual (K, n) over noise (n,) that the swing may be which the run begins with."""
-    assert run.swing is not None
-    torque, _ = run.swing.left_alone(run.starts(run.followed.cutoff))
+    assert run.vibration is not None
+    torque, _ = run.vibration.free_vibration(run.initial_states(run.motion_filter.cutoff))
     swings = [each / noise for each in np.moveaxis(torque, 2, 0)]
     if not swings or not used.any():
         return np.zeros_like(left)
@@ -162,11 +164,11 @@ def _begun_with(
 
 
 def _joined(parts: Sequence[_Channel]) -> _Channel:
-    names = parts[0].followed
+    names = parts[0].motion_filter
     return _Channel(
         np.concatenate([p.residual for p in parts]),
-        np.concatenate([p.swung for p in parts]),
-        {name: np.concatenate([p.followed[name] for p in parts]) for name in names},
+        np.concatenate([p.extension_cache for p in parts]),
+        {name: np.concatenate([p.motion_filter[name] for p in parts]) for name in names},
     )
 
 

@@ -14,10 +14,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from stiffopt.discovery.comparison.extension import Extension
-from stiffopt.discovery.comparison.signals import RobotConstants, smooth_sign
+from stiffopt.discovery.comparison.located_effect import Extension
 from stiffopt.discovery.proof.proof import RunProof, used_samples
 from stiffopt.discovery.settings import MOVING
+from stiffopt.discovery.signals import RobotConstants, smooth_sign
 
 # Share of what is left that one value explains, and how far above the noise what is left must be.
 _SHARE, _ABOVE = 0.5, 2.0

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stiffopt.discovery.catalogue.common import WEIGHT
-from stiffopt.discovery.comparison.located_effect import LocatedEffect, places
+from stiffopt.discovery.comparison.located_effect import LocatedEffect, effect_places
 from stiffopt.discovery.effect import Effect
 from stiffopt.discovery.search.candidates import Scorer
 from stiffopt.discovery.thresholds import NAMED_DEVIATIONS, NAMED_EVIDENCE
@@ -78,7 +78,7 @@ def _of_effect(
     constants = scorer.comparison.constants
     runs = [run.name for run in scorer.comparison.runs]
     by_place: dict[tuple[int | None, str | None], list[LocatedEffect]] = {}
-    for located in places(effect, constants, runs):
+    for located in effect_places(effect, constants, runs):
         if not any(located.same_place(other) for other in (*scorer.base, *seen)):
             by_place.setdefault((located.joint, located.run), []).append(located)
     for (joint, run), tried in by_place.items():

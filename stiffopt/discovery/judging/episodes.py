@@ -15,12 +15,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial import cKDTree
 
+from stiffopt.discovery.comparison.channel_rows import ChannelNoise
 from stiffopt.discovery.comparison.comparison import Comparison, Fit
-from stiffopt.discovery.comparison.prepare import PreparedRun
-from stiffopt.discovery.comparison.rows import ChannelNoise
-from stiffopt.discovery.comparison.signals import RobotConstants, RobotSignals
+from stiffopt.discovery.comparison.prepared_run import PreparedRun
 from stiffopt.discovery.proof.predict import Prediction, Predictor
 from stiffopt.discovery.proof.proof import used_samples
+from stiffopt.discovery.signals import RobotConstants, RobotSignals
 from stiffopt.recording.channel import MAD
 from stiffopt.recording.run import RecordedRun
 
@@ -132,8 +132,8 @@ def training_tracks(comparison: Comparison, fit: Fit) -> list[Track]:
     def place(run: PreparedRun) -> np.ndarray:
         return np.arange(len(run.time))
 
-    number = rows.sampled(lambda run: np.full(len(run.time), comparison.runs.index(run)))
-    places = rows.sampled(place)
+    number = rows.sample_signal(lambda run: np.full(len(run.time), comparison.runs.index(run)))
+    places = rows.sample_signal(place)
     tracks = []
     for index, run in enumerate(comparison.runs):
         own = number == index

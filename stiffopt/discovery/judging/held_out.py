@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from stiffopt.discovery.comparison.extension import Extension
+from stiffopt.discovery.comparison.located_effect import Extension
 from stiffopt.discovery.judging.black_box import BlackBox, MeasuringRod
 from stiffopt.discovery.judging.episodes import (
     Episode,
@@ -111,7 +111,7 @@ class HeldOut:
     @property
     def measurable(self) -> bool:
         """Whether a black box is asked what could be explained: where anything may be missing."""
-        return self._training.free_bodies and not self._training.robot.swings
+        return self._training.free_bodies and not self._training.robot.vibrates
 
     def fit_rod(self, say: Say) -> None:
         """Fit that black box to the training runs."""
@@ -131,7 +131,7 @@ class HeldOut:
         self._files = [entry.file for entry in entries]
         if hurried:
             say("stopped: runs left out are predicted still; Ctrl-C again leaves that out")
-        swinging = _predicted_swinging(training, settings, extensions)
+        vibrating = _predicted_swinging(training, settings, extensions)
         for entry in entries:
             say(f"predict {entry.file}")
             run = thinned(recordings.open(entry), self._every)
@@ -139,7 +139,7 @@ class HeldOut:
                 self.unusable.append(entry.file)
                 continue
             predictor = Predictor(
-                training.robot, run, training.constants, settings, swinging=swinging
+                training.robot, run, training.constants, settings, vibrating=vibrating
             )
             before, after = predictor.predict_each([self._start, extensions])
             track = held_out_track(run, predictor, after, training.noise.channels)
@@ -189,12 +189,12 @@ def _predicted_swinging(
 
     Where nothing was found they do: nominal values alone move no joint beyond its law.
     """
-    if not training.robot.swings:
+    if not training.robot.vibrates:
         return False
     if not any(extension.effects for extension in extensions):
-        return training.runs[0].swing is not None
+        return training.runs[0].vibration is not None
     left = {}
-    for swinging in (True, False):
+    for vibrating in (True, False):
         proofs = []
         for run, prepared in zip(training.recorded, training.runs, strict=True):
             # Where links swing it is the motion that was fitted.
@@ -203,10 +203,10 @@ def _predicted_swinging(
                 run,
                 training.constants,
                 settings,
-                prepared if swinging else None,
-                swinging=swinging,
+                prepared if vibrating else None,
+                vibrating=vibrating,
             )
             after = predictor.predict(*extensions)
             proofs.append(prove(run, predictor.velocity, after, after, training.noise))
-        left[swinging] = nrmse(proofs, "after")
+        left[vibrating] = nrmse(proofs, "after")
     return left[True] <= left[False]

@@ -7,9 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from stiffopt.discovery.comparison.evidence import Added
-from stiffopt.discovery.comparison.extension import Extension
-from stiffopt.discovery.comparison.located_effect import places
+from stiffopt.discovery.comparison.evidence import AddedPosterior
+from stiffopt.discovery.comparison.located_effect import Extension, effect_places
 from stiffopt.discovery.effect import Effect
 from stiffopt.discovery.extended.left_open import left_open
 from stiffopt.discovery.extended.schema import LeftOpenSection
@@ -47,12 +46,12 @@ def open_section(
     suspects: dict[str, float] = {}
     leanings: dict[str, tuple[float, ...]] = {}
     if training.free_bodies and catalogue:
-        own = own.moved(Extension(), np.nan_to_num(np.fmax(1.0, ratio), nan=1.0))
+        own = own.with_extension(Extension(), np.nan_to_num(np.fmax(1.0, ratio), nan=1.0))
         scorer, changes = Scorer(own), of_changes(catalogue)
         suspects = {
             candidate.located.label: candidate.evidence / own.rows.size
             for candidate in scan(scorer, changes, refined=_REFINED)
-            if candidate.evidence > _LEAST and not candidate.located.by_run
+            if candidate.evidence > _LEAST and not candidate.located.is_run_specific
         }
         leanings = _leanings(scorer, changes)
     noise, rate = training.noise.channels, sampling_rate(training.recorded)
@@ -77,12 +76,12 @@ def _leanings(scorer: Scorer, catalogue: Sequence[Effect]) -> dict[str, tuple[fl
 
     With the shapes of those that a search starts from that suit best.
     """
-    best: dict[str, Added] = {}
+    best: dict[str, AddedPosterior] = {}
     sizes: dict[str, np.ndarray] = {}
     constants = scorer.comparison.constants
     for effect in catalogue:
-        for located in places(effect, constants, ()):
-            if located.by_run:
+        for located in effect_places(effect, constants, ()):
+            if located.is_run_specific:
                 continue
             found = scorer.unbounded(located) if located.possible(constants) else None
             known = best.get(located.label)

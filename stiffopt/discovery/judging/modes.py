@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stiffopt.discovery.comparison.comparison import Comparison, Fit
-from stiffopt.discovery.comparison.prepare import PreparedRun
+from stiffopt.discovery.comparison.prepared_run import PreparedRun
 
 # Postures that modes are judged in, evenly over every training run.
 _POSTURES = 6
@@ -65,19 +65,19 @@ def mode_shifts(comparison: Comparison, fit: Fit) -> tuple[ModeShift, ...]:
     share in the energy of the mode.
     """
     run, nominal = comparison.runs[0], comparison.nominal_runs[0]
-    if run.swing is None or nominal.swing is None:
+    if run.vibration is None or nominal.vibration is None:
         return ()
     middle = len(run.time) // 2
     names = comparison.nuisance[0]
     places = [names.index(f"stiffness {j + 1}") for j in range(comparison.robot.n)]
     spread = fit.posterior.covariance[np.ix_(places, places)]
-    before, _ = nominal.swing.modes(middle)
-    frequencies, shapes = run.swing.modes(middle)
+    before, _ = nominal.vibration.modes(middle)
+    frequencies, shapes = run.vibration.modes(middle)
     found = []
     for frequency, was, shape in zip(frequencies, before, shapes.T, strict=True):
         if frequency > _SEEN * run.low_pass.cutoff:
             break
-        energy = run.swing.stiffness[middle] * shape**2
+        energy = run.vibration.stiffness[middle] * shape**2
         share = energy / energy.sum()
         sd = 0.5 * float(frequency * np.sqrt(share @ spread @ share))
         joint = int(np.argmax(share)) + 1
@@ -99,9 +99,9 @@ def is_mode(comparison: Comparison, fit: Fit, period: float) -> bool:
 def _ranges(runs: tuple[PreparedRun, ...]) -> Iterator[tuple[float, float]]:
     """Lowest and highest frequency of every mode over the postures of the runs [Hz]."""
     found = [
-        run.swing.modes(int(k))[0]
+        run.vibration.modes(int(k))[0]
         for run in runs
-        if run.swing is not None
+        if run.vibration is not None
         for k in np.linspace(0, len(run.time) - 1, _POSTURES)
     ]
     if not found:  # links in balance have no modes

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from stiffopt.discovery.comparison.comparison import Comparison
-from stiffopt.discovery.comparison.prepare import prepare
+from stiffopt.discovery.comparison.prepared_run import prepare_run
 from stiffopt.discovery.search.uncertainty import Estimate, estimate
 from stiffopt.discovery.training import Training
 
@@ -41,13 +41,13 @@ def doubted_by_band(training: Training, comparison: Comparison, parameters: Esti
         return parameters
     settings = replace(training.settings, cutoff=_NARROWER * training.settings.fit_band)
     runs = [
-        prepare(training.robot, run, k, training.constants, settings)
+        prepare_run(training.robot, run, k, training.constants, settings)
         for k, run in enumerate(training.recorded)
     ]
     if not all((run.torque_used.any() or run.deflection_used.any()) for run in runs):
         return parameters
     other = replace(training, runs=tuple(runs)).comparison().with_bodies(comparison.bodies)
-    other = other.moved(comparison.columns.found, comparison.inflation)
+    other = other.with_extension(comparison.columns.found, comparison.inflation)
     located = [each.located for each in parameters.effects]
     first, last = len(parameters.nuisance), len(parameters.values)
     if comparison.after_model:

@@ -14,8 +14,7 @@ from typing import Literal
 
 import numpy as np
 
-from stiffopt.discovery.comparison.extension import Extension
-from stiffopt.discovery.comparison.located_effect import LocatedEffect
+from stiffopt.discovery.comparison.located_effect import Extension, LocatedEffect
 from stiffopt.discovery.proof.predict import Predictor
 from stiffopt.discovery.proof.proof import RunProof, used_samples
 

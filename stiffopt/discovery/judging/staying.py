@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
-from stiffopt.discovery.comparison.prepare import PreparedRun
+from stiffopt.discovery.comparison.prepared_run import PreparedRun
 from stiffopt.discovery.judging.episodes import Episode, Track
 
 # How near the end of a run counts as it [s], and the shortest that is a change [s].

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import BSpline
 
-from stiffopt.discovery.comparison.channel_noise import above_cutoff
+from stiffopt.discovery.comparison.channel_rows import noise_above_cutoff
 from stiffopt.discovery.comparison.comparison import Comparison
 from stiffopt.discovery.judging.modes import is_mode
 from stiffopt.discovery.search.rivals import Selected
@@ -134,7 +134,7 @@ def _noisier(result: SearchResult) -> float:
     comparison = result.comparison
     worst = int(np.nanargmax(result.after))
     stated = np.concatenate([comparison.noise.torque, comparison.noise.deflection])
-    held = above_cutoff(comparison.nominal_runs)
+    held = noise_above_cutoff(comparison.nominal_runs)
     return float(np.nanmax([1.0, held[worst] / stated[worst]]))
 
 
@@ -146,7 +146,9 @@ def channel_name(channel: int, joints: int) -> str:
 
 def _in_one_run(comparison: Comparison, rows: np.ndarray) -> tuple[str, float] | None:
     """The run in which the nominal model leaves far more of these rows than in all others."""
-    number = comparison.rows.sampled(lambda run: np.full(len(run.time), float(run.index)))[rows]
+    number = comparison.rows.sample_signal(lambda run: np.full(len(run.time), float(run.index)))[
+        rows
+    ]
     left = {
         run.name: float(np.sqrt(np.mean(comparison.target[rows][number == run.index] ** 2)))
         for run in comparison.runs
@@ -165,7 +167,7 @@ def _describe(result: SearchResult, channels: Sequence[int]) -> Unexplained:
     worst = channels[0]
     own = np.flatnonzero(rows.channel == worst)
     residual, block = result.fit.residual[own], rows.block[own]
-    time = rows.sampled(lambda run: run.time)[own]
+    time = rows.sample_signal(lambda run: run.time)[own]
     period = _period(residual, block, time)
     bases = dict(_bases(comparison, own, worst % comparison.robot.n))
     chosen, fitted = _forward(residual, block, bases)
@@ -190,7 +192,7 @@ def _bases(comparison: Comparison, own: np.ndarray, joint: int) -> Iterator[tupl
     n = comparison.robot.n
 
     def samples(name: str) -> np.ndarray:
-        return np.asarray(rows.sampled(lambda run: getattr(run.signals, name))[own])
+        return np.asarray(rows.sample_signal(lambda run: getattr(run.signals, name))[own])
 
     velocity = samples("motor_velocity")
     side = np.sign(velocity[:, joint])

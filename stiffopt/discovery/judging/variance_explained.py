@@ -38,7 +38,7 @@ def variance_explained(
     """
     runs = comparison.rows.block if comparison.blocks > 1 else stretches(comparison)
     # One run cannot be predicted from others where there is none, nor what is of one run alone.
-    by_run = [each.by_run for each in effects]
+    by_run = [each.is_run_specific for each in effects]
     ways = [_left_out(comparison, effects, runs)]
     if any(by_run):
         ways.append(_left_out(comparison, effects, stretches(comparison)))

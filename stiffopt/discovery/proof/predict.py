@@ -7,12 +7,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from stiffopt.discovery.comparison.extended_run import extended
-from stiffopt.discovery.comparison.extension import Extension
+from stiffopt.discovery.comparison.extended_run import extend_run
+from stiffopt.discovery.comparison.located_effect import Extension
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
-from stiffopt.discovery.comparison.prepare import PreparedRun, prepare
-from stiffopt.discovery.comparison.signals import RobotConstants
+from stiffopt.discovery.comparison.prepared_run import PreparedRun, prepare_run
 from stiffopt.discovery.settings import PREDICTED_CUTOFF, Settings
+from stiffopt.discovery.signals import RobotConstants
 from stiffopt.recording.run import RecordedRun
 
 
@@ -46,7 +46,7 @@ class Predictor:
     settings : Settings
     prepared : PreparedRun, optional
         The run as it was prepared for a fit; where links swing, predictions are of the same motion.
-    swinging : bool
+    vibrating : bool
         See `prepare`.
 
     Attributes
@@ -63,15 +63,15 @@ class Predictor:
         settings: Settings,
         prepared: PreparedRun | None = None,
         *,
-        swinging: bool = True,
+        vibrating: bool = True,
     ) -> None:
         self.robot, self.run = robot, run
-        self._constants, self._swinging = constants, swinging
+        self._constants, self._swinging = constants, vibrating
         self._position = _at_stamps(run.time, run.position, run.stamps)
         # Joints whose torque follows another band than the rest.
         self._others: dict[float, list[int]] = {}
         self._settings = settings
-        if prepared is not None and prepared.swing is not None:
+        if prepared is not None and prepared.vibration is not None:
             self.nominal = prepared
             return
         widest = PREDICTED_CUTOFF
@@ -88,7 +88,9 @@ class Predictor:
         run = self.run
         blind = replace(run, torque=np.full_like(run.torque, np.nan), link_position=None)
         settings = replace(self._settings, cutoff=cutoff)
-        return prepare(self.robot, blind, 0, self._constants, settings, swinging=self._swinging)
+        return prepare_run(
+            self.robot, blind, 0, self._constants, settings, vibrating=self._swinging
+        )
 
     @property
     def velocity(self) -> np.ndarray:
@@ -122,8 +124,11 @@ class Predictor:
 
     def _channels(self, extensions: Sequence[Extension]) -> tuple[np.ndarray, np.ndarray]:
         """Drive torque and motor minus link angle (K, n) in the usual band."""
-        prepared = extended(self.nominal, self.robot, *extensions)
-        return prepared.signals.drive_torque.copy(), prepared.signals.windup + prepared.beside
+        prepared = extend_run(self.nominal, self.robot, *extensions)
+        return (
+            prepared.signals.drive_torque.copy(),
+            prepared.signals.windup + prepared.added_deflection,
+        )
 
     def _take_band(
         self,
@@ -135,7 +140,7 @@ class Predictor:
         """Put the torques of joints that follow another band in their place."""
         other = self._along(band)
         for drive, extensions in zip(drives, several, strict=True):
-            along = extended(other, self.robot, *extensions).signals.drive_torque
+            along = extend_run(other, self.robot, *extensions).signals.drive_torque
             drive[:, joints] = along[:, joints]
 
 

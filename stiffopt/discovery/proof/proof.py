@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stiffopt.discovery.comparison.channel_noise import KnownNoise
+from stiffopt.discovery.comparison.channel_rows import KnownNoise
 from stiffopt.discovery.proof.predict import Prediction
 from stiffopt.discovery.settings import MOVING
 from stiffopt.recording.run import RecordedRun

@@ -9,8 +9,8 @@ import numpy as np
 from scipy.optimize import lsq_linear, minimize_scalar
 
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
-from stiffopt.discovery.comparison.signals import smooth_sign
 from stiffopt.discovery.settings import MOVING
+from stiffopt.discovery.signals import smooth_sign
 
 # A stated friction or rotor inertia may be wrong by this much of itself, down and up: far more
 # than drives and cold grease make of it, far less than a unit does.

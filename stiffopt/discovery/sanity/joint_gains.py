@@ -14,9 +14,9 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
-from stiffopt.discovery.comparison.signals import smooth_sign
 from stiffopt.discovery.sanity.samples import Samples
 from stiffopt.discovery.settings import MOVING
+from stiffopt.discovery.signals import smooth_sign
 
 # How far masses may be off, as a share, and over which lever [m].
 _MASS, _LEVER = 0.3, 0.2

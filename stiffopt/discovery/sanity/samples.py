@@ -7,8 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stiffopt.discovery.comparison.filtering import ZeroPhaseFilter, derivative
-from stiffopt.discovery.comparison.prepare import near_gaps, uniform, whole
+from stiffopt.discovery.comparison.filtering import (
+    ZeroPhaseFilter,
+    bridge_gaps,
+    derivative,
+    near_gaps,
+    resample_uniform,
+)
 from stiffopt.recording.run import RecordedRun
 
 # Instants of all runs together: enough for a dozen columns, few enough to try many descriptions.
@@ -69,7 +74,7 @@ def sampled(runs: Sequence[RecordedRun]) -> Samples | None:
     every = max(1, _INSTANTS // max(1, len(usable)))
     motions, series = [], []
     for run in usable:
-        time, position, _, torque = uniform(run)
+        time, position, _, torque = resample_uniform(run)
         dt = float(time[1] - time[0])
         low_pass = ZeroPhaseFilter(1.0 / dt, min(_CUTOFF, 0.2 / dt))
         inside = np.arange(low_pass.settling, len(time) - low_pass.settling)
@@ -78,10 +83,10 @@ def sampled(runs: Sequence[RecordedRun]) -> Samples | None:
         if len(inside) < 20:
             continue
         places = inside[np.linspace(0, len(inside) - 1, min(every, len(inside))).astype(int)]
-        q = low_pass.motion(whole(position))
+        q = low_pass.filter_motion(bridge_gaps(position))
         v = derivative(q, dt)
         motions.append(np.stack([q, v, derivative(v, dt)])[:, places])
-        smooth = low_pass(whole(torque))
+        smooth = low_pass(bridge_gaps(torque))
         series.append(TorqueSeries(time, smooth, time[places]))
     if not motions:
         return None

@@ -11,8 +11,13 @@ import numpy as np
 from scipy.optimize import minimize
 
 from stiffopt.discovery.comparison.comparison import Comparison
-from stiffopt.discovery.comparison.evidence import Added, AddedSums, Beside, posterior
-from stiffopt.discovery.comparison.located_effect import LocatedEffect, places
+from stiffopt.discovery.comparison.evidence import (
+    AddedColumnsPosterior,
+    AddedPosterior,
+    AddedSums,
+    posterior,
+)
+from stiffopt.discovery.comparison.located_effect import LocatedEffect, effect_places
 from stiffopt.discovery.effect import Effect
 from stiffopt.discovery.search.pace import Pace
 from stiffopt.discovery.thresholds import NAMED_DEVIATIONS, NAMED_EVIDENCE
@@ -90,7 +95,7 @@ class Scorer:
         amplitudes = self._sums.own.moment.shape[1] - len(sd)
         self._prior = np.concatenate([sd, np.ones(amplitudes)])
         self.start = posterior(self._sums.own, self._prior, cross_validate=False)
-        self._beside = Beside(self._sums.own, self._prior)
+        self._beside = AddedColumnsPosterior(self._sums.own, self._prior)
         self._freed: dict[tuple[object, ...], Scorer] = {}
         self._freer: dict[tuple[object, ...], float] = {}
 
@@ -119,7 +124,7 @@ class Scorer:
         """
         if not located.possible(self.comparison.constants):
             return None
-        sums = self._sums.beside(located)
+        sums = self._sums.added_sums(located)
         size = np.diag(sums.total[1])
         if not np.isfinite(size).all() or not np.any(size > 1e-12):
             return None
@@ -137,15 +142,15 @@ class Scorer:
             evidence=found.log_evidence
             - self.start.log_evidence
             - price
-            - self.comparison.suspected(located),
+            - self.comparison.inherited_evidence(located),
             deviations=math.sqrt(max(float(found.mean @ found.precision @ found.mean), 0.0)),
             gained=lambda: self._gained(sums, kept),
             change=lambda: self._changed(located, found.base(), mean),
         )
 
-    def unbounded(self, located: LocatedEffect) -> Added | None:
+    def unbounded(self, located: LocatedEffect) -> AddedPosterior | None:
         """Posterior of amplitudes over their sizes, whatever they may be; None if unseen."""
-        sums = self._sums.beside(located)
+        sums = self._sums.added_sums(located)
         _, inner, _ = sums.total
         if not np.isfinite(inner).all() or not np.any(np.diag(inner) > 1e-12):
             return None
@@ -153,7 +158,7 @@ class Scorer:
 
     def deviation(self, located: LocatedEffect) -> float | None:
         """Standard deviation of a single amplitude over its size; None if unseen."""
-        cross, inner, _ = self._sums.beside(located).total
+        cross, inner, _ = self._sums.added_sums(located).total
         if not np.isfinite(inner).all() or not np.any(inner):
             return None
         seen = float(np.sum(inner) - np.sum(cross * (self.start.covariance @ cross)))
@@ -162,10 +167,12 @@ class Scorer:
     def nuisance_beside(self, located: LocatedEffect) -> np.ndarray:
         """Nominal values as they are fitted beside an effect."""
         _, sd, _ = self.comparison.nuisance
-        found, _ = self._bounded(located, self._sums.beside(located))
+        found, _ = self._bounded(located, self._sums.added_sums(located))
         return (self.start.mean if found is None else found.base())[: len(sd)]
 
-    def _bounded(self, located: LocatedEffect, sums: AddedSums) -> tuple[Added | None, np.ndarray]:
+    def _bounded(
+        self, located: LocatedEffect, sums: AddedSums
+    ) -> tuple[AddedPosterior | None, np.ndarray]:
         """Posterior with amplitudes outside their bounds left out one after another."""
         bounds = located.bounds(self.comparison.constants)
         kept = np.arange(len(bounds))
@@ -269,12 +276,12 @@ class Scorer:
         return best
 
 
-def _itself(located: LocatedEffect, found: Added, kept: np.ndarray) -> bool:
+def _itself(located: LocatedEffect, found: AddedPosterior, kept: np.ndarray) -> bool:
     """Whether it shows what it alone has: without that it is another effect with more freedom."""
-    if not located.effect.has_own:
+    if not located.effect.has_distinctive:
         return True
     sure = np.abs(found.mean) > NAMED_DEVIATIONS * np.sqrt(np.diag(found.covariance))
-    return bool(np.any(sure & np.isin(kept, located.effect.telling)))
+    return bool(np.any(sure & np.isin(kept, located.effect.distinctive_amplitudes)))
 
 
 def scan(
@@ -309,15 +316,15 @@ def scan(
     for number, effect in enumerate(catalogue):
         tell(f"try {effect.name}{place} ({pace.words(number)})")
         by_place: dict[tuple[int | None, int | None, str | None], list[LocatedEffect]] = {}
-        for located in places(effect, constants, runs):
-            if about is not None and not located.near(about):
+        for located in effect_places(effect, constants, runs):
+            if about is not None and not located.is_adjacent(about):
                 continue
             by_place.setdefault((located.joint, located.link, located.run), []).append(located)
         for tried in by_place.values():
             if any(tried[0].same_place(other) for other in scorer.base):
                 continue
             price = float(np.log(len(tried)))
-            scorer.comparison.columns.make([e for e in tried if e.possible(constants)])
+            scorer.comparison.columns.prepare_effects([e for e in tried if e.possible(constants)])
             found = []
             for each in tried:
                 tell(f"try {each.label}{place} ({pace.words(number)})")

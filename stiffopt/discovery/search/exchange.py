@@ -71,7 +71,7 @@ def _ranked(
     pace = Pace(len(effects))
     for number, located in enumerate(effects):
         old = known.get(located.key[:-1])
-        if old is not None and not any(located.near(other) for other in changed):
+        if old is not None and not any(located.is_adjacent(other) for other in changed):
             stays = old.likeliest.same_place(located)
             found.append(
                 Ranked(replace(old.selected, located=located), located if stays else old.likeliest)

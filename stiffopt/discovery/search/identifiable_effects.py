@@ -8,11 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from stiffopt.discovery.comparison.extension import Extension
-from stiffopt.discovery.comparison.located_effect import LocatedEffect
-from stiffopt.discovery.comparison.signals import JointConstants
+from stiffopt.discovery.comparison.located_effect import Extension, LocatedEffect
 from stiffopt.discovery.effect import Amplitude, Effect
 from stiffopt.discovery.identifiable import EffectCheck, needs
+from stiffopt.discovery.signals import JointConstants
 from stiffopt.recording.recording_set import RecordingSet
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from stiffopt.discovery.comparison.comparison import Comparison
-from stiffopt.discovery.comparison.located_effect import LocatedEffect, places
+from stiffopt.discovery.comparison.located_effect import LocatedEffect, effect_places
 from stiffopt.discovery.search.candidates import Candidate, Scorer
 from stiffopt.discovery.search.left_out import borne_out, shares_left_out
 from stiffopt.discovery.search.uncertainty import significance
@@ -46,7 +46,7 @@ def fitted_jointly(
     start: Comparison, effects: list[LocatedEffect]
 ) -> tuple[Comparison, list[LocatedEffect]]:
     """Fit all effects together: their shapes in turn, then the noise that is left."""
-    current = start.about(start.fit(effects))
+    current = start.linearised_at(start.fit(effects))
     refined = list(effects)
     for i, located in enumerate(effects):
         if located.effect.shapes:
@@ -55,7 +55,7 @@ def fitted_jointly(
             scored = scorer.score(refined[i]) or _from_starts(scorer, refined[i])
             if scored is not None:
                 refined[i] = scorer.refine(scored).located
-    return start.about(current.fit(refined)), refined
+    return start.linearised_at(current.fit(refined)), refined
 
 
 def _from_starts(scorer: Scorer, located: LocatedEffect) -> Candidate | None:
@@ -68,7 +68,7 @@ def _from_starts(scorer: Scorer, located: LocatedEffect) -> Candidate | None:
     runs = [run.name for run in comparison.runs]
     found = [
         scored
-        for each in places(located.effect, comparison.constants, runs)
+        for each in effect_places(located.effect, comparison.constants, runs)
         if each.same_place(located) and (scored := scorer.score(each)) is not None
     ]
     return max(found, key=lambda each: each.evidence, default=None)
@@ -82,7 +82,7 @@ def pruned(comparison: Comparison, effects: list[LocatedEffect]) -> list[Located
         if Scorer(comparison, [o for o in effects if o is not e]).score(e) is not None
     ]
     while kept:
-        losses = comparison.fit(kept).losses()
+        losses = comparison.fit(kept).evidence_losses()
         worst = int(np.argmin(losses))
         if losses[worst] >= NAMED_EVIDENCE:
             break

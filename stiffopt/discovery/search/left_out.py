@@ -12,10 +12,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from stiffopt.discovery.comparison.columns import FEW_RUNS
 from stiffopt.discovery.comparison.comparison import Comparison
+from stiffopt.discovery.comparison.design_matrix import MIN_RUNS_AS_BLOCKS
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
-from stiffopt.discovery.comparison.prepare import PreparedRun
+from stiffopt.discovery.comparison.prepared_run import PreparedRun
 from stiffopt.discovery.thresholds import (
     BALANCING_RATIO,
     CHANGE_SEEN_SELDOM,
@@ -84,7 +84,7 @@ def borne_out(comparison: Comparison, effects: Sequence[LocatedEffect]) -> list[
     seldom = [
         k
         for k in judged
-        if effects[k].by_run or ways[0].acted(columns[:, owner == k]).sum() < _FEWEST
+        if effects[k].is_run_specific or ways[0].acted(columns[:, owner == k]).sum() < _FEWEST
     ]
     if seldom:
         # As where joints move one a run: nothing but the run itself could say anything of it.
@@ -205,7 +205,7 @@ def repeated(comparison: Comparison, effects: Sequence[LocatedEffect]) -> tuple[
         own = left + part @ fit.posterior.mean[begin : begin + part.shape[1]]
         begin += part.shape[1]
         acted = [float(np.sum(part[half == h] ** 2)) for h in (0, 1)]
-        if located.by_run or min(acted) <= _ACTED * max(acted):
+        if located.is_run_specific or min(acted) <= _ACTED * max(acted):
             found.append(True)
             continue
         found.append(min(_fall(part, own, half == h) for h in (0, 1)) > 0.0)
@@ -326,7 +326,7 @@ def _sums(
 
 def parts_a_run(runs: int) -> int:
     """Parts that each of so many runs is cut into, to leave them out one after another."""
-    return 1 if runs >= 2 * FEW_RUNS else -(-_PARTS // runs)
+    return 1 if runs >= 2 * MIN_RUNS_AS_BLOCKS else -(-_PARTS // runs)
 
 
 def _folds(comparison: Comparison, parts: int | None = None) -> np.ndarray:
@@ -338,7 +338,7 @@ def _folds(comparison: Comparison, parts: int | None = None) -> np.ndarray:
         share = (run.time - run.time[0]) / float(run.time[-1] - run.time[0])
         return np.asarray(runs.index(run) * cut + np.minimum((share * cut).astype(int), cut - 1))
 
-    return np.unique(comparison.rows.sampled(number), return_inverse=True)[1]
+    return np.unique(comparison.rows.sample_signal(number), return_inverse=True)[1]
 
 
 def _halves(comparison: Comparison) -> np.ndarray:
@@ -349,4 +349,4 @@ def _halves(comparison: Comparison) -> np.ndarray:
         late = run.time - run.time[0] >= 0.5 * float(run.time[-1] - run.time[0])
         return late.astype(int) if len(runs) == 1 else np.full(len(late), runs.index(run) % 2)
 
-    return comparison.rows.sampled(number)
+    return comparison.rows.sample_signal(number)

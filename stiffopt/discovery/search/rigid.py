@@ -15,12 +15,13 @@ from itertools import product
 
 import numpy as np
 
-from stiffopt.discovery.comparison.bodies import A_BODY, body_units, nominal_bodies
 from stiffopt.discovery.comparison.comparison import Comparison
-from stiffopt.discovery.comparison.located_effect import LocatedEffect, places
+from stiffopt.discovery.comparison.inertial_parameters import body_units, nominal_bodies
+from stiffopt.discovery.comparison.located_effect import LocatedEffect, effect_places
 from stiffopt.discovery.effect import Effect
 from stiffopt.discovery.search.candidates import Candidate, Scorer
 from stiffopt.discovery.search.left_out import LeftOut
+from stiffopt.discovery.signals import PARAMETERS_PER_BODY
 from stiffopt.discovery.thresholds import NAMED_EVIDENCE, NEAR_CENTRE, SPARSE_SHARE
 
 # Standard deviations of inertial parameters that are tried, over their typical sizes.
@@ -177,7 +178,7 @@ def _widths(
     n = comparison.robot.n
     free = comparison.with_bodies(_deviations(comparison, (WIDTHS[-1],) * n))
     for _ in range(_ROUNDS):
-        free = free.about(free.fit(effects))
+        free = free.linearised_at(free.fit(effects))
     left_out = LeftOut(free, effects)
     widths = [OF_A_BODY[0]] * n
     least = left_out.squares(_deviations(comparison, widths).ravel())
@@ -206,7 +207,11 @@ def _counterweights(
     By what a description is off, no centre of mass goes to the other side of its joint.
     """
     own = free.with_bodies(_deviations(free, widths))
-    moved = own.fit(effects).posterior.mean[: A_BODY * free.robot.n].reshape(-1, A_BODY)
+    moved = (
+        own.fit(effects)
+        .posterior.mean[: PARAMETERS_PER_BODY * free.robot.n]
+        .reshape(-1, PARAMETERS_PER_BODY)
+    )
     bodies = nominal_bodies(free.robot)
     nominal = np.linalg.norm(bodies[:, 1:4], axis=1)
     change = np.linalg.norm(moved[:, 1:4], axis=1)
@@ -217,7 +222,7 @@ def _counterweights(
             LeftOut(free, [*effects, located]).squares(held)
             for entry in catalogue
             if entry.twin
-            for located in places(entry, free.constants, ())
+            for located in effect_places(entry, free.constants, ())
             if located.joint == body
         ]
         gain = squares - min(instead, default=math.inf)
@@ -240,7 +245,7 @@ def _best_single(
     for entry in catalogue:
         if entry.family != "inertial" or entry.scope not in ("link", "robot"):
             continue
-        for located in places(entry, scorer.comparison.constants, ()):
+        for located in effect_places(entry, scorer.comparison.constants, ()):
             if any(located.same_place(other) for other in scorer.base):
                 continue
             tell(f"re-identify the rigid model: {located.label} in place of all")

@@ -10,10 +10,10 @@ from scipy.special import softmax
 
 from stiffopt.discovery.comparison.comparison import Comparison
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
-from stiffopt.discovery.comparison.signals import RobotConstants
 from stiffopt.discovery.effect import Effect
 from stiffopt.discovery.search.candidates import Candidate, Scorer, scan
 from stiffopt.discovery.search.uncertainty import significance
+from stiffopt.discovery.signals import RobotConstants
 from stiffopt.discovery.thresholds import (
     CHANGES_ALIKE,
     DETERMINED_DEVIATIONS,
@@ -94,7 +94,7 @@ def ranked_among_rivals(
         found = [c for c in found if c.evidence >= CHANGES_ALIKE * own.evidence]
     width = float(np.clip(TEMPERED_SHARE * own.evidence, 1.0, TEMPERED_MOST))
     # What a model left open gives to some formula by chance is a unit that evidence counts in.
-    width = max(width, SUSPECT_WIDTH * comparison.most_suspected)
+    width = max(width, SUSPECT_WIDTH * comparison.max_inherited_evidence)
     constants = comparison.constants
     priors = [_log_prior(c, constants, comparison.after_model) for c in (own, *found)]
     ahead = [_ahead(c, own) / width for c in found]
@@ -124,7 +124,7 @@ def _agreed(comparison: Comparison, others: Sequence[LocatedEffect], candidate: 
 
     An effect with more freedom than others is likelier than they are wherever a model is wrong.
     """
-    if not candidate.located.effect.has_own or candidate.evidence < NAMED_EVIDENCE:
+    if not candidate.located.effect.has_distinctive or candidate.evidence < NAMED_EVIDENCE:
         return True
     _, single = significance(comparison, [*others, candidate.located])
     return bool(single[-1] >= DETERMINED_DEVIATIONS)

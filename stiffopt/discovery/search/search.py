@@ -8,8 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from stiffopt.discovery.comparison.comparison import Comparison, Fit
-from stiffopt.discovery.comparison.extension import Extension
-from stiffopt.discovery.comparison.located_effect import LocatedEffect
+from stiffopt.discovery.comparison.located_effect import Extension, LocatedEffect
 from stiffopt.discovery.effect import Effect
 from stiffopt.discovery.search.candidates import Candidate, Scorer, scan
 from stiffopt.discovery.search.changes import changes
@@ -210,7 +209,7 @@ def _search(
         so_far.fitted(_not_stated(so_far.start, [*start, *single], say))
     if about is not None:
         # Slopes about the nominal motion lead away from it.
-        so_far.start = so_far.start.moved(about)
+        so_far.start = so_far.start.with_extension(about)
         current, tried = fitted_jointly(so_far.start, [each.located for each in about.effects])
         so_far.fitted((current, pruned(current, tried)))
     if so_far.current.after_model:
@@ -255,7 +254,7 @@ def _relinearised(
     """Fit taken about itself until it stays: slopes about another motion bias what is found."""
     fit = current.fit(effects)
     for _ in range(SETTLING_ROUNDS if effects else 0):
-        again = start.about(fit, SETTLED)
+        again = start.linearised_at(fit, SETTLED)
         if again.columns is current.columns:
             break
         before, fit, current = fit, again.fit(effects), again
@@ -271,7 +270,7 @@ def _not_stated(
 ) -> tuple[Comparison, list[LocatedEffect]]:
     """Fit what the nominal model does not state, without what the recordings do not bear out."""
     if not start:
-        return comparison.about(comparison.fit(boxed=False)), []
+        return comparison.linearised_at(comparison.fit(boxed=False)), []
     say(f"fit what the nominal model does not state ({len(start)} values)")
     current, effects = fitted_jointly(comparison, start)
     return fitted_jointly(comparison, pruned(current, effects))

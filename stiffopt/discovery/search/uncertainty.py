@@ -10,11 +10,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy import special
 
-from stiffopt.discovery.comparison.columns import FEW_RUNS
 from stiffopt.discovery.comparison.comparison import Comparison
-from stiffopt.discovery.comparison.extension import EstimatedEffect, with_amplitudes
-from stiffopt.discovery.comparison.located_effect import LocatedEffect
-from stiffopt.discovery.comparison.prepare import PreparedRun
+from stiffopt.discovery.comparison.design_matrix import MIN_RUNS_AS_BLOCKS
+from stiffopt.discovery.comparison.located_effect import (
+    EstimatedEffect,
+    LocatedEffect,
+    with_amplitudes,
+)
+from stiffopt.discovery.comparison.prepared_run import PreparedRun
 
 if TYPE_CHECKING:
     from stiffopt.discovery.effect import Constants
@@ -140,7 +143,7 @@ class Estimate:
 
     def _between(self, index: int) -> np.ndarray:
         """Covariance by leaving out whole runs; what is of each run cannot be asked so."""
-        by_run = self.effects[index].located.by_run
+        by_run = self.effects[index].located.is_run_specific
         return self.covariance if by_run else self.between
 
     def moved(self, steps: np.ndarray) -> Estimate:
@@ -244,8 +247,10 @@ def estimate(comparison: Comparison, effects: Sequence[LocatedEffect]) -> Estima
     blocks = stretches(comparison)
     covariance, spread = _jackknife(comparison, matrix, prior, blocks)
     between = covariance
-    if comparison.whole_runs:
-        _, between = _jackknife(comparison, matrix, prior, comparison.rows.block, FEW_RUNS)
+    if comparison.blocks_are_runs:
+        _, between = _jackknife(
+            comparison, matrix, prior, comparison.rows.block, MIN_RUNS_AS_BLOCKS
+        )
     return Estimate(
         nuisance=tuple(names),
         values=fit.posterior.mean,
@@ -315,7 +320,7 @@ def significance(
     for located, own in zip(effects, columns, strict=True):
         values = amplitudes[begin : begin + own.shape[1]]
         begin += own.shape[1]
-        if located.effect.has_own:
+        if located.effect.has_distinctive:
             for i, step in enumerate(_shape_sizes(located)):
                 slopes.append(_shape_slope(comparison, located, values, i, step))
     prior = np.concatenate([prior_sd, np.ones(len(amplitudes)), np.full(len(slopes), _SHAPE_PRIOR)])
@@ -327,7 +332,11 @@ def significance(
         rows = slice(len(prior_sd) + begin, len(prior_sd) + begin + own.shape[1])
         begin += own.shape[1]
         together.append(_from_nothing(values, spread[rows, rows])[0])
-        telling = located.effect.telling if located.effect.has_own else list(range(len(values)))
+        telling = (
+            located.effect.distinctive_amplitudes
+            if located.effect.has_distinctive
+            else list(range(len(values)))
+        )
         single.append(
             _from_nothing(values[telling], spread[rows, rows][np.ix_(telling, telling)])[1]
         )
@@ -397,7 +406,7 @@ def stretches(comparison: Comparison) -> np.ndarray:
         place = (run.time - run.time[0]) / _span(run) * counts[k]
         return np.asarray(first[k] + np.minimum(place.astype(int), counts[k] - 1))
 
-    return np.unique(comparison.rows.sampled(number), return_inverse=True)[1]
+    return np.unique(comparison.rows.sample_signal(number), return_inverse=True)[1]
 
 
 def _span(run: PreparedRun) -> float:

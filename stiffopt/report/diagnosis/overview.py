@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from stiffopt.discovery.comparison.bodies import PARAMETERS
+from stiffopt.discovery.comparison.inertial_parameters import INERTIAL_PARAMETER_NAMES
 from stiffopt.report.common.text import percent
 
 if TYPE_CHECKING:
@@ -128,7 +128,7 @@ def moved_bodies(diagnosis: Diagnosis) -> list[MovedBody]:
         shown = [
             (name, float(value), float(sd), unit)
             for name, value, sd, wide, unit in zip(
-                PARAMETERS, change, spread, prior, _UNITS, strict=True
+                INERTIAL_PARAMETER_NAMES, change, spread, prior, _UNITS, strict=True
             )
             if sd < _VISIBLE * wide
         ]

@@ -182,7 +182,7 @@ def _draw_unexplained(figures: PageFigures, diagnosis: Diagnosis) -> None:
     if unexplained is not None:
         rows = channel_residuals(diagnosis, unexplained.channels[0])
         if unexplained.period is not None:
-            time = diagnosis.search.comparison.rows.sampled(lambda run: run.time)[rows.chosen]
+            time = diagnosis.search.comparison.rows.sample_signal(lambda run: run.time)[rows.chosen]
             spectrum = spectrum_figure(rows, time, unexplained.period)
             figures.draw("spectrum", spectrum, "Share of the residual by frequency")
         figures.draw("outside", regime_figure(diagnosis, rows, None), "What is left by regime")

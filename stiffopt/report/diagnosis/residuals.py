@@ -76,7 +76,7 @@ def channel_residuals(diagnosis: Diagnosis, name: str) -> ChannelResiduals:
     chosen = np.flatnonzero(rows.channel == number)
     noises = comparison.noise
     sd = float((noises.torque if number < rows.n else noises.deflection)[joint])
-    gain = rows.sampled(lambda run: np.full(len(run.time), run.low_pass.noise_gain))[chosen]
+    gain = rows.sample_signal(lambda run: np.full(len(run.time), run.low_pass.noise_gain))[chosen]
     noise = sd * gain
     slides = diagnosis.training.constants.joints[joint].prismatic
     return ChannelResiduals(
@@ -86,7 +86,7 @@ def channel_residuals(diagnosis: Diagnosis, name: str) -> ChannelResiduals:
         before=search.target[chosen] * noise,
         after=search.fit.residual[chosen] * noise,
         noise=noise,
-        run=rows.sampled(lambda run: np.full(len(run.time), run.index))[chosen],
+        run=rows.sample_signal(lambda run: np.full(len(run.time), run.index))[chosen],
         chosen=chosen,
     )
 
@@ -118,7 +118,7 @@ def regimes(
     electrical : bool
         Fold the rotor angle by electrical turns of the motor, where its pole pairs are known.
     """
-    sampled = diagnosis.search.comparison.rows.sampled
+    sampled = diagnosis.search.comparison.rows.sample_signal
     constants = diagnosis.training.constants.joints[rows.joint]
     length = joint_unit("rad", constants.prismatic)
 
@@ -149,7 +149,7 @@ def regimes(
 
 def direction(diagnosis: Diagnosis, rows: ChannelResiduals) -> np.ndarray:
     """Direction of the joint's motion at every row, -1 or 1."""
-    speed = diagnosis.search.comparison.rows.sampled(
+    speed = diagnosis.search.comparison.rows.sample_signal(
         lambda run: run.signals.motor_velocity[:, rows.joint]
     )[rows.chosen]
     return np.where(speed < 0.0, -1, 1)

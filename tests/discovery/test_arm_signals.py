@@ -1,12 +1,11 @@
-"""Torques of single bodies on demand: what is kept of them, and what changed bodies need."""
+"""Body torques on demand: cache and changed bodies."""
 
 import numpy as np
 import pytest
 from swivel_sets import recorded, swivel_model
 
-from stiffopt.discovery.comparison import arm_along
-from stiffopt.discovery.comparison.arm_along import ArmAlong
-from stiffopt.discovery.comparison.nominal_robot import RobotModel
+from stiffopt.discovery.comparison import nominal_robot
+from stiffopt.discovery.comparison.nominal_robot import LazyArmSignals, RobotModel
 from stiffopt.recording.recording_set import load_recordings
 
 COUNT = 50
@@ -21,24 +20,24 @@ def robot(tmp_path):
 @pytest.fixture
 def arms(robot):
     rng = np.random.default_rng(2)
-    return [ArmAlong(robot, *rng.normal(0.0, 1.0, (3, COUNT, robot.n))) for _ in range(3)]
+    return [LazyArmSignals(robot, *rng.normal(0.0, 1.0, (3, COUNT, robot.n))) for _ in range(3)]
 
 
-def test_those_asked_for_last_are_kept(robot, arms, monkeypatch):
-    size = arms[0].body_regressor.of(0).nbytes
-    monkeypatch.setattr(arm_along, "_KEPT_BYTES", 2 * size)
-    first = arms[0].body_regressor.of(0)
-    assert arms[0].body_regressor.of(0) is first
+def test_body_torques_recently_used_stay_cached(robot, arms, monkeypatch):
+    size = arms[0].body_regressor.of_body(0).nbytes
+    monkeypatch.setattr(nominal_robot, "_BODY_TORQUE_CACHE_BYTES", 2 * size)
+    first = arms[0].body_regressor.of_body(0)
+    assert arms[0].body_regressor.of_body(0) is first
     for arm in arms:
-        arm.body_regressor.of(0)
-    assert [regressor for regressor, _ in robot.kept_torques] == [
+        arm.body_regressor.of_body(0)
+    assert [regressor for regressor, _ in robot.body_torque_cache] == [
         arm.body_regressor for arm in arms[1:]
     ]
-    assert sum(each.nbytes for each in robot.kept_torques.values()) <= 2 * size
-    np.testing.assert_array_equal(arms[0].body_regressor.of(0), first)
+    assert sum(each.nbytes for each in robot.body_torque_cache.values()) <= 2 * size
+    np.testing.assert_array_equal(arms[0].body_regressor.of_body(0), first)
 
 
-def test_columns_are_those_of_the_whole(robot, arms):
+def test_body_torques_match_columns_of_full_regressor(robot, arms):
     regressor = arms[0].body_regressor
     whole = np.asarray(regressor)
     assert whole.shape == (COUNT, robot.n, 10 * robot.n)
@@ -47,14 +46,14 @@ def test_columns_are_those_of_the_whole(robot, arms):
     np.testing.assert_array_equal(regressor[:, 0, :3], whole[:, 0, :3])
 
 
-def test_changed_bodies_along_a_motion_and_along_another_one(robot, arms):
+def test_changed_body_torques_match_regressor_on_two_motions(robot, arms):
     change = np.random.default_rng(5).normal(0.0, 1.0, (robot.n, 10))
-    there = [ArmAlong(robot, *arm._motion) for arm in arms]
+    there = [LazyArmSignals(robot, *arm._motion) for arm in arms]
     moved = arms[0].with_bodies(*arms[1]._motion)
     expected = np.asarray(there[1].body_regressor) @ change.ravel()
     np.testing.assert_allclose(moved.body_regressor.torque(change), expected, atol=1e-12)
     # Tool and weight stay those of the motion before.
     np.testing.assert_array_equal(moved.tool_position, there[0].tool_position)
     np.testing.assert_array_equal(moved.tilt, there[0].tilt)
-    few = arms[0].thinned(10)
+    few = arms[0].decimate(10)
     np.testing.assert_array_equal(few.tool_jacobian, there[0].tool_jacobian[::10])

@@ -1,7 +1,4 @@
-"""A run that begins while its links swing is no drive with bursts; a swing out of nothing is.
-
-Unless the link encoders show it too.
-"""
+"""Initial vibration of runs, and bursts of drives that it must not be taken for."""
 
 from dataclasses import replace
 
@@ -10,7 +7,7 @@ import pytest
 from simulated_sets import COULOMB, simulated
 
 from benchmarks.simulator import write_case
-from stiffopt.discovery.comparison.begun import begin_by, begun
+from stiffopt.discovery.comparison.initial_states import estimate_initial_states, with_initial_state
 from stiffopt.discovery.judging.bursts import bursts
 from stiffopt.discovery.settings import Settings
 from stiffopt.discovery.thresholds import BURST_RATIO
@@ -39,14 +36,14 @@ def begun_moving(tmp_path_factory):
     return train(load_recordings(folder), Settings())
 
 
-def swinging(training, begin, *, links=False):
+def vibrating(training, begin, *, links=False):
     """The training with a free swing of the lowest mode in the first run, from an instant on.
 
     In the torque, and where told so in the link encoders.
     """
     run = training.runs[0]
-    shape = run.swing.response.modes(0)[1][:, 0]
-    torque, deflection = run.swing.left_alone(np.append(shape, 0.0 * shape)[:, None])
+    shape = run.vibration.response.modes(0)[1][:, 0]
+    torque, deflection = run.vibration.free_vibration(np.append(shape, 0.0 * shape)[:, None])
     size = SIZE * training.noise.channels.torque[0] / abs(torque[0, 0, 0])
     late = np.searchsorted(run.time, begin)
     added, wound = np.zeros((2, *run.torque.shape))
@@ -58,23 +55,23 @@ def swinging(training, begin, *, links=False):
     return replace(training, runs=(shaken, *training.runs[1:]))
 
 
-def test_a_swing_that_a_run_begins_with_is_no_burst(begun_moving):
-    assert bursts(swinging(begun_moving, BEGIN), ()) is None
+def test_bursts_exclude_initial_vibration(begun_moving):
+    assert bursts(vibrating(begun_moving, BEGIN), ()) is None
 
 
-def test_a_swing_out_of_nothing_is_a_burst(begun_moving):
-    found = bursts(swinging(begun_moving, LATER), ())
+def test_bursts_include_vibration_without_cause(begun_moving):
+    found = bursts(vibrating(begun_moving, LATER), ())
     assert found is not None
     assert found.channels[0] in ("torque_1", "torque_2")
 
 
-def test_links_that_are_seen_to_swing_are_no_drive_with_bursts(begun_moving):
+def test_bursts_exclude_measured_link_vibration(begun_moving):
     """Their encoders show what the torque shows: the arm swings otherwise than modelled."""
-    assert bursts(swinging(begun_moving, LATER, links=True), ()) is None
+    assert bursts(vibrating(begun_moving, LATER, links=True), ()) is None
 
 
-def test_bursts_that_a_model_left_of_its_own_recordings_are_nothing_new(begun_moving):
-    shaken = swinging(begun_moving, LATER)
+def test_bursts_of_the_starting_model_are_not_reported(begun_moving):
+    shaken = vibrating(begun_moving, LATER)
     ratio = bursts(shaken, ()).ratio
     least = np.full(4, 0.5 * ratio / BURST_RATIO)
     assert bursts(replace(shaken, least=least), ()).ratio == pytest.approx(2.0 * BURST_RATIO)
@@ -90,8 +87,8 @@ def heavy(tmp_path_factory):
 
 def shown(training, run):
     """The run as links show it that begin in a swing of two modes, and their true signals."""
-    state = 0.7 * run.starts()[:, 0] + 0.7 * run.starts()[:, 1]
-    true = begin_by(run, training.comparison(), state).signals
+    state = 0.7 * run.initial_states()[:, 0] + 0.7 * run.initial_states()[:, 1]
+    true = with_initial_state(run, training.comparison(), state).signals
     read = replace(
         run,
         torque=run.torque + true.drive_torque - run.signals.drive_torque,
@@ -100,23 +97,23 @@ def shown(training, run):
     return read, true
 
 
-def test_links_of_a_training_run_begin_in_the_swing_that_it_shows(heavy):
+def test_initial_states_recover_vibration_of_a_run(heavy):
     """Springs bend: what a start makes is no free swing of the model."""
     run, *others = heavy.runs
     read, true = shown(heavy, run)
-    found, *_ = begun(heavy.comparison().along((read, *others)))
+    found, *_ = estimate_initial_states(heavy.comparison().with_runs((read, *others)))
     off = run.signals.link_position - true.link_position
     assert np.std(found.signals.link_position - true.link_position) < 0.15 * np.std(off)
 
 
-def test_runs_stay_as_they_are_where_nothing_is_won(heavy):
-    assert begun(heavy.comparison()) == heavy.runs
+def test_initial_states_without_gain_leave_runs_unchanged(heavy):
+    assert estimate_initial_states(heavy.comparison()) == heavy.runs
 
 
-def test_a_start_is_not_told_from_what_is_missing_otherwise(heavy):
+def test_initial_states_ignore_missing_effects(heavy):
     """Beside a friction that nobody told, a start explains a little of what is left."""
     run, *others = heavy.runs
     read, _ = shown(heavy, run)
     rubbing = 40.0 * heavy.noise.channels.torque * np.sign(run.signals.motor_velocity)
     runs = (replace(read, torque=read.torque + rubbing), *others)
-    assert begun(heavy.comparison().along(runs)) == runs
+    assert estimate_initial_states(heavy.comparison().with_runs(runs)) == runs

@@ -1,24 +1,24 @@
-"""Free inertial parameters: bodies that exist, and the same evidence by a shorter way."""
+"""Free inertial parameters: physical consistency, and evidence of added columns."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from stiffopt.discovery.comparison.bodies import (
-    exist,
+from stiffopt.discovery.comparison.evidence import AddedColumnsPosterior, BlockSums, posterior
+from stiffopt.discovery.comparison.inertial_parameters import (
     inertial_parameters,
+    is_consistent,
+    likeliest_consistent_bodies,
     pseudo_inertia,
 )
-from stiffopt.discovery.comparison.evidence import Beside, BlockSums, posterior
-from stiffopt.discovery.comparison.nearest_bodies import nearest_bodies
 
 # A rod of 2 kg along x from its joint's origin: 0.4 m long, its inertia about the origin.
 ROD = np.array([[2.0, 0.4, 0.0, 0.0, 0.002, 0.0, 0.11, 0.0, 0.0, 0.11]])
 UNITS = np.array([[2.0, *[0.4] * 3, *[0.08] * 6]])
 
 
-def test_pseudo_inertia_holds_all_ten_parameters() -> None:
+def test_pseudo_inertia_round_trip() -> None:
     """There and back; the mass stands last, first moments beside it."""
     parameters = np.random.default_rng(1).standard_normal((3, 10))
     there = pseudo_inertia(parameters)
@@ -27,23 +27,25 @@ def test_pseudo_inertia_holds_all_ten_parameters() -> None:
     np.testing.assert_allclose(there[:, 3, 3], parameters[:, 0])
 
 
-def test_what_exists_and_what_does_not() -> None:
+def test_is_consistent_accepts_and_refuses_bodies() -> None:
     """A rod exists; with less inertia than its centre of mass alone needs it does not."""
-    assert exist(ROD, UNITS)
+    assert is_consistent(ROD, UNITS)
     light = ROD.copy()
     light[0, 9] = 0.05
-    assert not exist(light, UNITS)
+    assert not is_consistent(light, UNITS)
 
 
-def test_the_likeliest_bodies_exist() -> None:
+def test_likeliest_consistent_bodies_are_consistent_and_optimal() -> None:
     """Data that ask for a negative moment of inertia are followed as far as matter allows."""
     gram = np.diag([1.0, *[1e4] * 3, *[1e6] * 6, 1.0])
     wanted = np.zeros(11)
     wanted[9] = -0.2
     wanted[10] = 5.0
-    found = nearest_bodies(gram, gram @ wanted, slice(0, 10), ROD, UNITS, np.full(11, 3.0))
+    found = likeliest_consistent_bodies(
+        gram, gram @ wanted, slice(0, 10), ROD, UNITS, np.full(11, 3.0)
+    )
     bodies = ROD + found[:10]
-    assert exist(bodies, UNITS)
+    assert is_consistent(bodies, UNITS)
 
     def cost(x: np.ndarray) -> float:
         return float(0.5 * x @ gram @ x - x @ gram @ wanted)
@@ -55,7 +57,7 @@ def test_the_likeliest_bodies_exist() -> None:
     assert cost(found) <= cost(least) + 1e-6
 
 
-def test_a_few_more_columns_cost_only_themselves() -> None:
+def test_added_columns_posterior_matches_full_posterior() -> None:
     """Posterior, evidence and density of blocks left out are those of a fit of all at once."""
     rng = np.random.default_rng(2)
     base, added = rng.standard_normal((120, 6)), rng.standard_normal((120, 3))
@@ -63,13 +65,13 @@ def test_a_few_more_columns_cost_only_themselves() -> None:
     prior = rng.uniform(0.1, 2.0, 6)
     sums = BlockSums(base, target, block, 4)
     kept = np.array([0, 2])
-    beside = Beside(sums.own, prior)
-    short = beside.added(sums.beside(added), kept)
+    beside = AddedColumnsPosterior(sums.own, prior)
+    short = beside.added(sums.added_sums(added), kept)
     columns = np.column_stack([base, added[:, kept]])
     whole = posterior(BlockSums(columns, target, block, 4).own, np.concatenate([prior, np.ones(2)]))
     np.testing.assert_allclose(short.mean, whole.mean[6:])
     np.testing.assert_allclose(short.base(), whole.mean[:6])
     np.testing.assert_allclose(short.covariance, whole.covariance[6:, 6:])
     assert short.log_evidence == pytest.approx(whole.log_evidence)
-    predicted = beside.log_predictive(sums.beside(added), kept)
+    predicted = beside.log_predictive(sums.added_sums(added), kept)
     assert predicted == pytest.approx(whole.log_predictive)

@@ -1,4 +1,4 @@
-"""Masses that cannot be, as a fit on its way may have them: swings about them are not taken."""
+"""Nonpositive inertia during a fit: no linearisation about it, no initial vibration."""
 
 from copy import copy
 from dataclasses import replace
@@ -9,9 +9,8 @@ from simulated_sets import COULOMB, simulated
 
 from benchmarks.simulator import write_case
 from stiffopt.discovery.catalogue import CATALOGUE
-from stiffopt.discovery.comparison.columns import Columns
-from stiffopt.discovery.comparison.extension import EstimatedEffect, Extension
-from stiffopt.discovery.comparison.located_effect import LocatedEffect
+from stiffopt.discovery.comparison.design_matrix import DesignMatrix
+from stiffopt.discovery.comparison.located_effect import EstimatedEffect, Extension, LocatedEffect
 from stiffopt.discovery.settings import Settings
 from stiffopt.discovery.training import train
 from stiffopt.recording.recording_set import load_recordings
@@ -21,7 +20,7 @@ from stiffopt.recording.recording_set import load_recordings
 def columns(tmp_path_factory):
     """Of a short run whose links swing."""
     small = replace(COULOMB, effects=(), train=1, extrapolate=0, seconds=2.0)
-    folder = write_case(simulated(small), tmp_path_factory.mktemp("swinging") / "set")
+    folder = write_case(simulated(small), tmp_path_factory.mktemp("vibrating") / "set")
     return train(load_recordings(folder), Settings()).comparison().columns
 
 
@@ -32,31 +31,33 @@ def with_payload(mass):
     return Extension(effects=(EstimatedEffect(located=located, amplitudes=amplitudes),))
 
 
-def test_what_swings_is_not_taken_about_them(columns):
-    possible = columns.about(with_payload(1.0))
+def test_design_matrix_is_not_linearised_about_nonpositive_inertia(columns):
+    possible = columns.linearised_at(with_payload(1.0))
     assert possible is not columns
-    assert possible.unknown.shape[1] > 0
+    assert possible.initial_state_columns.shape[1] > 0
     # The arm would have a mass below nothing.
-    assert columns.about(with_payload(-5.0)) is columns
-    assert columns.about(with_payload(1.0)) is possible
+    assert columns.linearised_at(with_payload(-5.0)) is columns
+    assert columns.linearised_at(with_payload(1.0)) is possible
 
 
 @pytest.mark.filterwarnings("ignore:.*encountered in:RuntimeWarning")
-def test_no_run_begins_in_a_swing_of_them(columns):
+def test_initial_states_exclude_nonpositive_inertia(columns):
     own = (columns.robot, columns.nominal_runs, columns.noise, columns.tolerance, columns.start)
-    run = Columns(*own, with_payload(-5.0)).runs[0]
-    frequencies, _ = run.swing.response.modes(0)
+    run = DesignMatrix(*own, with_payload(-5.0)).runs[0]
+    frequencies, _ = run.vibration.response.modes(0)
     assert frequencies[0] == 0.0
     assert 0.0 < frequencies[1] < 100.0
-    torque, deflection = run.swing.left_alone(run.swing.starts(run.signals.windup, 100.0))
+    torque, deflection = run.vibration.free_vibration(
+        run.vibration.initial_states(run.signals.windup, 100.0)
+    )
     assert torque.shape[2] == deflection.shape[2] == 0
 
 
-def test_masses_that_cannot_be_are_seen_wherever_they_are(columns):
-    swing = columns.nominal_runs[0].swing
-    assert swing.possible
+def test_nonpositive_inertia_is_detected_at_any_sample(columns):
+    swing = columns.nominal_runs[0].vibration
+    assert swing.has_positive_inertia
     mobility = swing.response.mobility.copy()
     mobility[-7] = np.diag([1.0, -1.0]) @ mobility[-7]
     response = copy(swing.response)
     response.mobility = mobility
-    assert not replace(swing, response=response).possible
+    assert not replace(swing, response=response).has_positive_inertia

@@ -1,4 +1,4 @@
-"""Links that fly through a play: its law over deflection, and the motion that is found."""
+"""Link motion across a backlash: tabulated spring law and simulated motion."""
 
 from __future__ import annotations
 
@@ -9,10 +9,9 @@ from simulated_sets import short_case
 from benchmarks.simulator import simulate, write_case
 from stiffopt import load_recordings
 from stiffopt.discovery.catalogue.elastic import BACKLASH
-from stiffopt.discovery.comparison.extended_run import around
-from stiffopt.discovery.comparison.extension import EstimatedEffect, Extension
+from stiffopt.discovery.comparison.extended_run import linearise_run
 from stiffopt.discovery.comparison.extension_change import spring_laws
-from stiffopt.discovery.comparison.located_effect import LocatedEffect
+from stiffopt.discovery.comparison.located_effect import EstimatedEffect, Extension, LocatedEffect
 from stiffopt.discovery.settings import Settings
 from stiffopt.discovery.training import train
 
@@ -35,7 +34,7 @@ def law_of(played):
     return law, run.of_joint(1).constants
 
 
-def test_torque_of_a_deflection_is_the_law_turned_round(played):
+def test_spring_law_torque_inverts_deflection(played):
     law, constants = law_of(played)
     width = played[2].effects[0].amplitudes[0]
     torque = np.linspace(-40.0, 40.0, 801)
@@ -45,7 +44,7 @@ def test_torque_of_a_deflection_is_the_law_turned_round(played):
     np.testing.assert_allclose(law.play(deflection), free, atol=1e-7)
 
 
-def test_within_a_play_nothing_is_carried_and_a_rate_is_free_travel(played):
+def test_spring_law_within_play_carries_no_torque(played):
     law, _ = law_of(played)
     inside = 0.4 * played[2].effects[0].amplitudes[0] * np.linspace(-1.0, 1.0, 11)
     assert np.max(np.abs(law.torque(inside))) < 0.01
@@ -53,7 +52,7 @@ def test_within_a_play_nothing_is_carried_and_a_rate_is_free_travel(played):
     assert np.all(law.share_of_play(np.array([-2e-3, 2e-3])) < 1e-4)
 
 
-def test_stiffness_of_a_sample_is_the_mean_over_its_time(played):
+def test_spring_law_compliance_is_mean_over_sample_period(played):
     law, _ = law_of(played)
     edge = 0.5 * played[2].effects[0].amplitudes[0]
     carried = law.torque(np.array([0.0, edge, 2.0 * edge]))
@@ -63,10 +62,10 @@ def test_stiffness_of_a_sample_is_the_mean_over_its_time(played):
     assert slopes[1] == pytest.approx(0.5 * slopes[2], rel=0.1)
 
 
-def test_links_that_fly_through_a_play_are_followed(played):
+def test_simulate_links_across_play_matches_simulator(played):
     case, training, play = played
     for number, run in enumerate(training.runs):
-        found, *_ = around(run, training.robot, Extension(), play)
+        found, *_ = linearise_run(run, training.robot, Extension(), play)
         wound = found.signals.motor_position - found.signals.link_position
         every = slice(None, len(run.time) * case.spec.substeps, case.spec.substeps)
         true = (case.trace.motor - case.trace.link)[number, every]

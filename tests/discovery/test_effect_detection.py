@@ -1,4 +1,4 @@
-"""Every effect of the catalogue hidden in a simulated robot: found, named, placed and sized."""
+"""Every effect of the catalogue in a simulated robot: found, named, located and sized."""
 
 from __future__ import annotations
 
@@ -118,13 +118,13 @@ def finding_of(trial: Trial) -> Finding:
 NOT_SIMULATED = {"coupled_drive", "end_stop", "friction_drift", "joint_damping", "rotor_ripple"}
 
 
-def test_every_entry_of_the_catalogue_is_tried() -> None:
+def test_trials_cover_the_catalogue() -> None:
     names = {entry.name for entry in CATALOGUE}
     assert sorted(trial.name for trial in TRIALS) == sorted(names - NOT_SIMULATED)
 
 
 @pytest.mark.parametrize("trial", trials(), scope="module")
-def test_effect_is_named_at_its_place_before_anything_else(trial: Trial) -> None:
+def test_effect_is_first_finding_at_its_place(trial: Trial) -> None:
     finding = finding_of(trial)
     diagnosis = diagnosed(trial.spec)
     assert diagnosis.verdict == "named"
@@ -133,13 +133,13 @@ def test_effect_is_named_at_its_place_before_anything_else(trial: Trial) -> None
 
 
 @pytest.mark.parametrize("trial", trials(), scope="module")
-def test_nothing_is_named_beside_the_effect(trial: Trial) -> None:
+def test_effect_is_only_finding(trial: Trial) -> None:
     diagnosis = diagnosed(trial.spec)
     assert len(diagnosis.findings) == 1, said(diagnosis)
 
 
 @pytest.mark.parametrize("trial", trials(), scope="module")
-def test_parameters_that_any_model_shares_agree_with_the_truth(trial: Trial) -> None:
+def test_effect_parameters_match_truth(trial: Trial) -> None:
     reported = {p.name: p for p in finding_of(trial).parameters}
     wrong = {
         name: (reported[name].value, reported[name].sd, truth)
@@ -156,6 +156,6 @@ def test_parameters_that_any_model_shares_agree_with_the_truth(trial: Trial) -> 
     ),
     scope="module",
 )
-def test_held_out_run_is_predicted_better(trial: Trial) -> None:
+def test_effect_improves_held_out_prediction(trial: Trial) -> None:
     before, after = diagnosed(trial.spec).nrmse("test")
     assert after < before

@@ -1,15 +1,15 @@
-"""A light drive that turns between two samples has no bursts; one that follows too slowly has."""
+"""Friction reversal of a light drive between two samples, and bursts of a slow drive."""
 
 import numpy as np
 import pytest
 from simulated_sets import simulated
 
 from benchmarks.simulator import CaseSpec, write_case
-from stiffopt.discovery.comparison.followed import followed_to, mean_sign
-from stiffopt.discovery.comparison.prepare import smoothly
-from stiffopt.discovery.comparison.signals import smooth_sign
+from stiffopt.discovery.comparison.filtering import interpolate_motion
+from stiffopt.discovery.comparison.prepared_run import motor_cutoff
 from stiffopt.discovery.judging.bursts import bursts
 from stiffopt.discovery.settings import SIGN_SPEED, Settings
+from stiffopt.discovery.signals import mean_sign, smooth_sign
 from stiffopt.discovery.thresholds import BURST_RATIO
 from stiffopt.discovery.training import train
 from stiffopt.recording.recording_set import load_recordings
@@ -44,12 +44,12 @@ def as_modelled(request, tmp_path_factory):
     return trained(tmp_path_factory.mktemp("modelled"), rate=request.param)
 
 
-def test_friction_that_turns_is_no_burst(as_modelled):
+def test_bursts_exclude_friction_reversal(as_modelled):
     assert bursts(as_modelled, ()) is None
 
 
 @pytest.mark.parametrize("rate", RATES)
-def test_a_drive_that_is_too_slow_bursts_where_its_friction_turns(tmp_path, rate):
+def test_bursts_include_slow_drive_at_friction_reversal(tmp_path, rate):
     found = bursts(trained(tmp_path, ("slew_limit", 4, 0.3), rate=rate), ())
     assert found is not None
     assert found.channels == ("torque_4",)
@@ -57,7 +57,7 @@ def test_a_drive_that_is_too_slow_bursts_where_its_friction_turns(tmp_path, rate
     assert found.ratio > 2.0 * BURST_RATIO
 
 
-def test_what_is_predicted_of_a_turn_is_in_the_band_of_the_motion(as_modelled):
+def test_predicted_reversal_is_within_motion_band(as_modelled):
     """Friction jumps and the motor's acceleration answers: neither may stay alone."""
     ratios = []
     for run in as_modelled.runs:
@@ -67,34 +67,34 @@ def test_what_is_predicted_of_a_turn_is_in_the_band_of_the_motion(as_modelled):
     assert max(ratios) < 1.15
 
 
-def test_a_motion_is_followed_as_high_as_its_encoders_bear(as_modelled):
+def test_motor_cutoff_is_limited_by_encoder_noise(as_modelled):
     run, robot = as_modelled.recorded[0], as_modelled.robot
-    assert followed_to(robot, run.position, 4e-3) == pytest.approx(90.0)
-    assert 90.0 < followed_to(robot, run.position, 1e-3) <= 150.0
+    assert motor_cutoff(robot, run.position, 4e-3) == pytest.approx(90.0)
+    assert 90.0 < motor_cutoff(robot, run.position, 1e-3) <= 150.0
     noise = 2e-5 * np.random.default_rng(1).standard_normal(run.position.shape)
-    assert followed_to(robot, run.position + noise, 1e-3) == 60.0
-    assert followed_to(robot, run.position + noise, 1e-2) == pytest.approx(36.0)
+    assert motor_cutoff(robot, run.position + noise, 1e-3) == 60.0
+    assert motor_cutoff(robot, run.position + noise, 1e-2) == pytest.approx(36.0)
 
 
-def test_a_sample_that_is_missing_is_bridged_along_the_motion():
+def test_interpolate_motion_bridges_missing_sample():
     time = 4e-3 * np.arange(200.0)
     motion = np.column_stack([np.cos(7.0 * time), 0.1 * time**2])
     gappy = motion.copy()
     gappy[[50, 120, 121], 0] = np.nan
-    np.testing.assert_allclose(smoothly(time, gappy, time), motion, atol=1e-6)
+    np.testing.assert_allclose(interpolate_motion(time, gappy, time), motion, atol=1e-6)
     left_out = np.delete(np.arange(200), [0, 30, 90])
     np.testing.assert_allclose(
-        smoothly(time[left_out], motion[left_out], time)[1:], motion[1:], atol=1e-6
+        interpolate_motion(time[left_out], motion[left_out], time)[1:], motion[1:], atol=1e-6
     )
-    assert np.all(np.isnan(smoothly(time, np.full((200, 1), np.nan), time)))
+    assert np.all(np.isnan(interpolate_motion(time, np.full((200, 1), np.nan), time)))
     # A motor that stops, stands still and goes on: its stand was taken out.
     stopped = np.interp(time, [0.0, 0.3, 0.5, 0.8], [0.0, 0.3, 0.3, 0.6])[:, None]
     gappy = stopped.copy()
     gappy[80:120] = np.nan
-    np.testing.assert_allclose(smoothly(time, gappy, time), stopped, atol=1e-12)
+    np.testing.assert_allclose(interpolate_motion(time, gappy, time), stopped, atol=1e-12)
 
 
-def test_the_mean_sign_is_that_of_the_time_of_a_sample():
+def test_mean_sign_is_mean_over_sample_period():
     # Turns at 0.3 of the step after the sixth sample, far faster than signs are smooth.
     velocity = 100.0 * SIGN_SPEED * (np.arange(12.0) - 6.3)[:, None]
     sign = mean_sign(velocity)[:, 0]
@@ -104,7 +104,7 @@ def test_the_mean_sign_is_that_of_the_time_of_a_sample():
     assert sign[6] == pytest.approx(-0.6, abs=1e-3)
 
 
-def test_the_mean_sign_of_a_slow_motion_is_its_sign():
+def test_mean_sign_of_slow_motion_is_smooth_sign():
     velocity = 0.4 * SIGN_SPEED * np.sin(0.01 * np.arange(400.0))[:, None]
     np.testing.assert_allclose(mean_sign(velocity)[1:-1], smooth_sign(velocity)[1:-1], atol=1e-5)
     still = np.zeros((5, 2))

@@ -11,11 +11,10 @@ from simulated_sets import simulated
 
 from benchmarks.simulator import CaseSpec, write_case
 from stiffopt.discovery.catalogue import CATALOGUE
-from stiffopt.discovery.comparison.extension import EstimatedEffect, Extension
 from stiffopt.discovery.comparison.extension_change import added_inertia
-from stiffopt.discovery.comparison.located_effect import LocatedEffect
+from stiffopt.discovery.comparison.located_effect import EstimatedEffect, Extension, LocatedEffect
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
-from stiffopt.discovery.comparison.prepare import prepare
+from stiffopt.discovery.comparison.prepared_run import prepare_run
 from stiffopt.discovery.proof.predict import Predictor
 from stiffopt.discovery.settings import Settings
 from stiffopt.recording.recording_set import load_recordings
@@ -43,13 +42,13 @@ def _opened(spec, folder):
     robot = RobotModel(recordings)
     entries = (*recordings.with_role("train"), *recordings.with_role("test"))
     runs = {entry.file: recordings.open(entry) for entry in entries}
-    ranged = robot.ranged(
-        [prepare(robot, run, 0, None, Settings()).signals for run in runs.values()]
+    ranged = robot.constants_over(
+        [prepare_run(robot, run, 0, None, Settings()).signals for run in runs.values()]
     )
     return recordings, robot, runs, ranged
 
 
-def _errors(spec, folder, *extensions, swinging=True):
+def _errors(spec, folder, *extensions, vibrating=True):
     """Root mean square of prediction less exact signal over noise: torque in motion, links."""
     _, robot, runs, ranged = _opened(spec, folder)
     case = simulated(spec)
@@ -58,9 +57,9 @@ def _errors(spec, folder, *extensions, swinging=True):
         if not name.startswith("test"):
             continue
         predictor = Predictor(robot, run, ranged, Settings())
-        if not swinging:
-            predictor.nominal = prepare(
-                robot, run, 0, ranged, replace(Settings(), cutoff=20.0), swinging=False
+        if not vibrating:
+            predictor.nominal = prepare_run(
+                robot, run, 0, ranged, replace(Settings(), cutoff=20.0), vibrating=False
             )
         found = predictor.predict(*extensions)
         for j in range(robot.n):
@@ -93,44 +92,44 @@ def folder(tmp_path_factory):
     return str(tmp_path_factory.mktemp("resonant"))
 
 
-def test_links_swing_as_the_simulated_ones_do(folder):
+def test_link_vibration_matches_simulator(folder):
     torque, link = _errors(HEALTHY, folder)
-    slow_torque, slow_link = _errors(HEALTHY, folder, swinging=False)
+    slow_torque, slow_link = _errors(HEALTHY, folder, vibrating=False)
     assert torque < HALF
     assert link < 0.25
     assert slow_torque > 1.5 * torque
     assert slow_link > 2.0 * link
 
 
-def test_links_begin_within_a_corner_of_the_motion(folder):
+def test_link_vibration_starts_within_acceleration_phase(folder):
     torque, link = _errors(SHARP, folder)
     assert torque < 0.46
     assert link < 0.22
 
 
-def test_springs_that_were_taken_on_the_way_do_not_matter(folder):
+def test_link_vibration_is_independent_of_initial_linearisation(folder):
     """However soft or stiff they were taken to be first, links end with the same motion."""
     _, robot, runs, _ = _opened(SHARP, folder)
-    run = prepare(robot, next(iter(runs.values())), 0, None, Settings())
-    springs, slow = run.springs(robot), run.swing.begin
+    run = prepare_run(robot, next(iter(runs.values())), 0, None, Settings())
+    springs, slow = run.springs(robot), run.vibration.reference
     found = []
     for softer in (0.7, 1.0, 1.5):
-        wrong = springs.swing(run.links, np.full_like(run.signals.windup, softer))
-        links = springs.follow(slow, replace(wrong, softer=1.0), slow)
+        wrong = springs.linearise(run.links, np.full_like(run.signals.windup, softer))
+        links = springs.solve(slow, replace(wrong, compliance_ratio=1.0), slow)
         for _ in range(2):
-            links = springs.follow(links, springs.swing(links), slow)
+            links = springs.solve(links, springs.linearise(links), slow)
         found.append(links.position)
     assert np.sqrt(np.mean(np.ptp(found, axis=0) ** 2)) < SAME
 
 
-def test_a_payload_that_was_found_makes_them_swing_slower(folder):
+def test_link_vibration_with_payload_is_slower(folder):
     found = _found("payload", tuple(_block(LOADED).toDynamicParameters()))
     torque, link = _errors(LOADED, folder, found)
     assert torque < HALF
     assert link < 0.25
 
 
-def test_a_softer_spring_that_was_found_makes_them_swing_slower(folder):
+def test_link_vibration_with_softer_spring_is_slower(folder):
     (line,) = simulated(SOFTER).truth["effects"]
     found = _found("stiffness_linear", (1.0 / line["params"]["factor"] - 1.0,), joint=1)
     torque, link = _errors(SOFTER, folder, found)
@@ -138,9 +137,9 @@ def test_a_softer_spring_that_was_found_makes_them_swing_slower(folder):
     assert link < 0.25
 
 
-def test_inertia_that_is_added_is_that_of_the_body(folder):
+def test_added_inertia_matches_body(folder):
     _, robot, runs, ranged = _opened(LOADED, folder)
-    run = prepare(robot, next(iter(runs.values())), 0, ranged, Settings())
+    run = prepare_run(robot, next(iter(runs.values())), 0, ranged, Settings())
     block = _block(LOADED)
     found = _found("payload", tuple(block.toDynamicParameters()))
     added = added_inertia(run, robot, [found], every=100)

@@ -1,7 +1,7 @@
-"""Sums of squares by pieces: the rows of one channel in one block, whatever noise it has.
+"""Sums of products by pieces, the rows of one channel in one block.
 
-Noise that is left in a channel changes with every fit, columns do not: sums over pieces are made
-once, and those of a fit are a weighted sum of them. Most effects act on few channels.
+Noise factors of channels change with every fit, columns do not: products are summed once per piece,
+and the sums of a fit are weighted sums of these. Most effects act on few channels.
 """
 
 from __future__ import annotations
@@ -12,22 +12,22 @@ from itertools import pairwise
 
 import numpy as np
 
-from stiffopt.discovery.comparison.evidence import AddedSums, Sums, in_blocks
-from stiffopt.discovery.comparison.rows import ChannelRows
+from stiffopt.discovery.comparison.channel_rows import ChannelRows
+from stiffopt.discovery.comparison.evidence import AddedSums, Sums, sum_by_block
 
 
 @dataclass(frozen=True, eq=False)
 class PieceColumns:
-    """Columns of some values where they are not zero.
+    """Columns on the pieces where they are not zero.
 
     Parameters
     ----------
     acted : array (a,) of int
-        Pieces.
+        Pieces with entries.
     parts : tuple of array (rows, k)
-        Columns there.
+        Columns on these.
     width : int
-        k.
+        Number of columns k.
     """
 
     acted: np.ndarray
@@ -36,19 +36,19 @@ class PieceColumns:
 
     @property
     def nbytes(self) -> int:
-        """Memory that they take."""
+        """Memory of the columns."""
         return sum(part.nbytes for part in self.parts)
 
 
 @dataclass(frozen=True, eq=False)
 class PieceProducts:
-    """Columns of some values, with their products.
+    """Columns with their products.
 
     Parameters
     ----------
     columns : PieceColumns
     cross : array (a, p, k)
-        Products with the columns of the nominal values there.
+        Products with the columns of the nominal values.
     inner : array (a, k, k)
     moment : array (a, k)
         Products with the target.
@@ -70,7 +70,7 @@ class Pieces:
     Attributes
     ----------
     block, channel : array (q,) of int
-        Of every piece.
+        Block and channel of every piece.
     """
 
     def __init__(self, rows: ChannelRows) -> None:
@@ -80,33 +80,33 @@ class Pieces:
         self.block, self.channel = found // (2 * rows.n), found % (2 * rows.n)
         ends = (*self._starts.tolist(), len(number))
         self._slices = [slice(first, last) for first, last in pairwise(ends)]
-        # A piece is one stretch of the rows: of those by their first row, which they are.
+        # Each piece is one contiguous stretch of rows, so its first row identifies it.
         firsts = self._order[self._starts]
-        self._by_first = np.argsort(firsts)
-        self._firsts = firsts[self._by_first]
+        self._pieces_by_row = np.argsort(firsts)
+        self._first_rows = firsts[self._pieces_by_row]
 
     def split(self, columns: np.ndarray) -> PieceColumns:
-        """Columns (m, k) by pieces."""
+        """Return columns (m, k) by pieces."""
         ordered = columns[self._order]
         acted = np.flatnonzero(np.logical_or.reduceat(ordered.any(axis=1), self._starts))
         parts = tuple(ordered[self._slices[q]].copy() for q in acted)
         return PieceColumns(acted, parts, columns.shape[1])
 
     def from_stretches(self, parts: Iterable[tuple[int, np.ndarray]], width: int) -> PieceColumns:
-        """Columns by pieces, as `split` has them, from stretches of rows that are not zero.
+        """Return columns by pieces, as `split` does, from stretches of nonzero rows.
 
         Parameters
         ----------
         parts : iterable of (int, array (rows, k))
             First row, and the columns from there on; whole pieces, each at most once.
         width : int
-            k.
+            Number of columns k.
         """
         found: dict[int, np.ndarray] = {}
         for begin, columns in parts:
-            low, high = np.searchsorted(self._firsts, (begin, begin + len(columns)))
-            pieces = self._by_first[low:high].tolist()
-            for q, first in zip(pieces, (self._firsts[low:high] - begin).tolist(), strict=True):
+            low, high = np.searchsorted(self._first_rows, (begin, begin + len(columns)))
+            pieces = self._pieces_by_row[low:high].tolist()
+            for q, first in zip(pieces, (self._first_rows[low:high] - begin).tolist(), strict=True):
                 own = self._slices[q]
                 part = columns[first : first + own.stop - own.start]
                 if part.any():
@@ -114,8 +114,8 @@ class Pieces:
         acted = sorted(found)
         return PieceColumns(np.array(acted, dtype=int), tuple(found[q] for q in acted), width)
 
-    def joined(self, columns: PieceColumns) -> np.ndarray:
-        """Columns (m, k) of all rows."""
+    def join(self, columns: PieceColumns) -> np.ndarray:
+        """Return columns (m, k) of all rows."""
         ordered = np.zeros((len(self._order), columns.width))
         for q, part in zip(columns.acted, columns.parts, strict=True):
             ordered[self._slices[q]] = part
@@ -124,19 +124,19 @@ class Pieces:
         return out
 
     def cut(self, columns: np.ndarray) -> list[np.ndarray]:
-        """Rows of columns (m, ...) in every piece."""
+        """Return the rows of columns (m, ...) in every piece."""
         ordered = columns[self._order]
         return [ordered[part] for part in self._slices]
 
 
 class PieceSums:
-    """Sums of the nominal values' columns, and of what is put beside them.
+    """Sums of products of the nominal values' columns, and with further columns.
 
     Parameters
     ----------
     pieces : Pieces
     columns : array (m, p)
-        Of the nominal values, over the stated noise.
+        Columns of the nominal values over the stated noise.
     target : array (m,)
     """
 
@@ -149,7 +149,7 @@ class PieceSums:
         self.square = np.array([float(y @ y) for y in self._target])
 
     def products(self, added: PieceColumns) -> PieceProducts:
-        """Products of further columns."""
+        """Return the products of further columns."""
         count, p, k = len(added.acted), self.gram.shape[1], added.width
         cross, inner, moment = (
             np.zeros((count, p, k)),
@@ -163,14 +163,14 @@ class PieceSums:
 
 
 class WeightedSums:
-    """Sums by blocks of nominal values and effects, with a weight for every piece.
+    """Sums by blocks of nominal values and effects, with one weight per piece.
 
     Parameters
     ----------
     sums : PieceSums
     effects : sequence of PieceProducts
     weight : array (q,)
-        Of the squares of each piece.
+        Weight of the squares of each piece.
     """
 
     def __init__(
@@ -179,11 +179,11 @@ class WeightedSums:
         self._sums, self._weight = sums, weight
         self._block = sums.pieces.block
         self._blocks = int(self._block.max()) + 1
-        self._here: dict[int, tuple[np.ndarray, np.ndarray]] = {}
+        self._effect_columns: dict[int, tuple[np.ndarray, np.ndarray]] = {}
         nominal, total = sums.gram.shape[1], sums.gram.shape[1]
         by_piece: dict[int, list[tuple[int, np.ndarray]]] = {}
         gram, moment, square = (
-            in_blocks((weight * x.T).T, self._block, self._blocks)
+            sum_by_block((weight * x.T).T, self._block, self._blocks)
             for x in (sums.gram, sums.moment, sums.square)
         )
         for each in effects:
@@ -192,14 +192,17 @@ class WeightedSums:
             total += each.columns.width
         for q, own in by_piece.items():
             places = np.concatenate([first + np.arange(part.shape[1]) for first, part in own])
-            self._here[q] = (places, np.concatenate([part for _, part in own], axis=1).T.copy())
+            self._effect_columns[q] = (
+                places,
+                np.concatenate([part for _, part in own], axis=1).T.copy(),
+            )
         self._size = total
         whole = np.zeros((self._blocks, total, total))
         moments = np.zeros((self._blocks, total))
         whole[:, :nominal, :nominal], moments[:, :nominal] = gram, moment
         first = nominal
         for each in effects:
-            cross, _, with_target = self.beside(each).by_block
+            cross, _, with_target = self.added_sums(each).by_block
             place = slice(first, first + each.columns.width)
             whole[:, :, place] = cross
             whole[:, place, :] = cross.swapaxes(1, 2)
@@ -207,15 +210,15 @@ class WeightedSums:
             first = place.stop
         self.own = Sums(whole, moments, square)
 
-    def beside(self, added: PieceProducts) -> AddedSums:
-        """Sums that further columns make with those they were made of."""
+    def added_sums(self, added: PieceProducts) -> AddedSums:
+        """Return the sums of further columns with these."""
         acted, parts = added.columns.acted, added.columns.parts
         weight = self._weight[acted]
         cross = np.zeros((len(acted), self._size, added.columns.width))
         cross[:, : added.cross.shape[1]] = added.cross
         for i, (q, part) in enumerate(zip(acted.tolist(), parts, strict=True)):
-            if q in self._here:
-                places, others = self._here[q]
+            if q in self._effect_columns:
+                places, others = self._effect_columns[q]
                 cross[i, places] = others @ part
         return AddedSums(
             weight[:, None, None] * cross,

@@ -1,4 +1,4 @@
-"""Links are followed past a bend of their springs, and with springs that lag their load."""
+"""Link motion with nonlinear springs and with springs that lag their load."""
 
 from dataclasses import replace
 
@@ -8,16 +8,15 @@ from simulated_sets import COULOMB, simulated
 
 from benchmarks.simulator import CaseSpec, write_case
 from stiffopt.discovery.catalogue import effect
-from stiffopt.discovery.comparison import swung_run
-from stiffopt.discovery.comparison.extension import EstimatedEffect, Extension
-from stiffopt.discovery.comparison.extension_change import softer_by
-from stiffopt.discovery.comparison.located_effect import LocatedEffect
+from stiffopt.discovery.comparison import extended_run
+from stiffopt.discovery.comparison.extension_change import relative_compliance
+from stiffopt.discovery.comparison.located_effect import EstimatedEffect, Extension, LocatedEffect
 from stiffopt.discovery.settings import Settings
 from stiffopt.discovery.training import train
 from stiffopt.recording.recording_set import load_recordings
 
 
-def test_to_and_fro_by_less_than_is_let_be_is_a_motion(tmp_path):
+def test_simulate_links_accepts_oscillation_below_tolerance(tmp_path):
     """Joint 6 at a bend, by 0.2 urad: no motion was found, and links counted as in balance."""
     spec = CaseSpec(
         robot="arm7",
@@ -35,7 +34,7 @@ def test_to_and_fro_by_less_than_is_let_be_is_a_motion(tmp_path):
     case = simulated(spec)
     training = train(load_recordings(write_case(case, tmp_path / "set")), Settings())
     (run,) = training.runs
-    assert run.swing is not None
+    assert run.vibration is not None
     true = case.trace.link[0, :: spec.substeps][: len(run.time)]
     off = (run.signals.link_position - true) / training.noise.channels.deflection
     assert np.sqrt(np.mean(off**2)) < 1.5
@@ -57,9 +56,9 @@ def creeping(tmp_path_factory):
     return run, training.robot, Extension(effects=(belt,))
 
 
-def test_a_belt_is_as_soft_as_it_is_at_once(creeping):
+def test_relative_compliance_of_belt_excludes_creep(creeping):
     run, robot, extension = creeping
-    softer = softer_by(run, robot, extension)
+    softer = relative_compliance(run, robot, extension)
     quick = 0.5 * (1.0 - np.exp(-run.signals.dt / 0.15))
     nominal = robot.compliance(run.signals.spring_torque) / robot.compliance(0.0 * run.torque)
     np.testing.assert_allclose(softer[:, 0], 1.0)
@@ -70,18 +69,18 @@ def test_a_belt_is_as_soft_as_it_is_at_once(creeping):
     assert np.max(off) < 0.5
 
 
-def test_links_are_followed_with_a_belt_that_creeps_in_a_few_rounds(creeping, monkeypatch):
+def test_simulate_links_with_creeping_belt_converges_in_few_rounds(creeping, monkeypatch):
     """With the slope of a belt that has settled it took hundreds, and some found no motion."""
     run, robot, extension = creeping
-    rounds, change_of = [], swung_run.change_of
+    rounds, whole_change = [], extended_run.extension_change
 
     def counted(*given):
         rounds.append(1)
-        return change_of(*given)
+        return whole_change(*given)
 
-    monkeypatch.setattr(swung_run, "change_of", counted)
-    found = swung_run.swung(run, robot, extension)
+    monkeypatch.setattr(extended_run, "extension_change", counted)
+    found = extended_run.simulate_links(run, robot, extension)
     (added,) = (e.located.contribution(found, e.amplitudes) for e in extension.effects)
     assert np.max(np.abs(added.deflection)) > 1e-4
-    np.testing.assert_allclose(found.beside, added.deflection, atol=1e-6)
+    np.testing.assert_allclose(found.added_deflection, added.deflection, atol=1e-6)
     assert len(rounds) < 60

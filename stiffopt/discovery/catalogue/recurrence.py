@@ -1,4 +1,4 @@
-"""Effects with a memory: recurrences over samples that CasADi can differentiate."""
+"""Recurrences over samples, differentiable by CasADi, for effects with memory."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ from stiffopt.symbolic import Quantity, array_of, is_symbolic
 Step = Callable[[Quantity, Sequence[Quantity], Sequence[Quantity]], tuple[Quantity, Quantity]]
 
 
-def remember(
+def recurrence_output(
     step: Step,
     inputs: Sequence[Quantity],
     state: Sequence[Quantity],
     parameters: Sequence[Quantity] = (),
 ) -> Quantity:
-    """Output of a recurrence at every sample, in the shape of a term.
+    """Return the output of a recurrence at every sample, in the shape of a term.
 
     Parameters
     ----------
     step : callable
-        As of `scan`.
+        As in `scan`.
     inputs : sequence of array (K,) or SX (K, 1)
-        Symbols are written out sample after sample, which suits short stretches.
+        Symbols are unrolled sample by sample, which suits short stretches.
     state : sequence of float or SX
         Before the first sample.
     parameters : sequence of float or SX or MX
@@ -39,35 +39,35 @@ def remember(
     array (K,) or symbol (K, 1)
     """
     if any(is_symbolic(u) for u in (*inputs, *state)):
-        return _written_out(step, inputs, state, parameters)
+        return _unroll_recurrence(step, inputs, state, parameters)
     output = scan(step, inputs, [float(x) for x in state], parameters)
     return output.T if is_symbolic(output) else output
 
 
-def lagged(values: Quantity, kept: Quantity) -> Quantity:
-    """First-order lag of a signal (K,) whose step keeps a share of the distance, from its begin."""
+def first_order_lag(values: Quantity, kept: Quantity) -> Quantity:
+    """Return the first-order lag of a signal (K,); a step keeps the share `kept`."""
     if is_symbolic(values) or is_symbolic(kept):
-        return remember(_lag, [values], [values[0]], [kept])
+        return recurrence_output(_lag_step, [values], [values[0]], [kept])
     added = (1.0 - kept) * values
     added[0] = values[0]
-    return following(np.full(len(added), float(kept)), added)
+    return linear_recurrence(np.full(len(added), float(kept)), added)
 
 
-def following(kept: np.ndarray, added: np.ndarray) -> np.ndarray:
-    """Values (K,) of x_k = kept_k x_k-1 + added_k from added_0 on: bidiagonal equations."""
+def linear_recurrence(kept: np.ndarray, added: np.ndarray) -> np.ndarray:
+    """Return x_k = kept_k x_k-1 + added_k (K,) from added_0 on, by bidiagonal equations."""
     band = np.ones((2, len(kept)))
     band[1, :-1] = -kept[1:]
     return np.asarray(dtbtrs(band, added, uplo="L", diag="U")[0])
 
 
-def _lag(
+def _lag_step(
     state: Quantity, inputs: Sequence[Quantity], parameters: Sequence[Quantity]
 ) -> tuple[Quantity, Quantity]:
     now = inputs[0] + (state[0] - inputs[0]) * parameters[0]
     return now, now
 
 
-def _written_out(
+def _unroll_recurrence(
     step: Step, inputs: Sequence[Quantity], state: Quantity, parameters: Sequence[Quantity]
 ) -> Quantity:
     now, outputs = ca.vertcat(*state), []
@@ -83,7 +83,7 @@ def scan(
     state: Sequence[float],
     parameters: Sequence[Quantity] = (),
 ) -> Quantity:
-    """Output of a recurrence for every sample.
+    """Return the output of a recurrence for every sample.
 
     Parameters
     ----------
@@ -100,7 +100,7 @@ def scan(
     array (K,), or MX (1, K) where a parameter is symbolic
     """
     count = len(np.asarray(inputs[0]).ravel())
-    mapped = _mapped(step, len(state), len(inputs), len(parameters), count)
+    mapped = _compile_scan(step, len(state), len(inputs), len(parameters), count)
     samples = np.vstack([np.asarray(u, dtype=float).ravel() for u in inputs])
     symbolic = any(is_symbolic(p) for p in parameters)
     own: Any
@@ -113,7 +113,7 @@ def scan(
 
 
 @lru_cache(maxsize=64)
-def _mapped(step: Step, states: int, inputs: int, parameters: int, count: int) -> Any:
+def _compile_scan(step: Step, states: int, inputs: int, parameters: int, count: int) -> Any:
     x = ca.SX.sym("x", states)
     u = ca.SX.sym("u", inputs)
     p = ca.SX.sym("p", parameters)

@@ -1,4 +1,4 @@
-"""An effect is known once: one file of it is seen by everything that speaks of effects."""
+"""A new effect is picked up from its file by every check, report and page."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def wavy(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     return source, effects
 
 
-def test_the_check_of_a_set_asks_for_its_needs(
+def test_recording_check_includes_needs_of_new_effect(
     wavy: tuple[Path, Path], capsys: pytest.CaptureFixture[str]
 ) -> None:
     source, effects = wavy
@@ -82,7 +82,7 @@ def test_the_check_of_a_set_asks_for_its_needs(
     assert "rail_wave: " in capsys.readouterr().out
 
 
-def test_diagnosis_report_file_and_planner_know_it(wavy: tuple[Path, Path]) -> None:
+def test_diagnosis_report_and_planner_include_new_effect(wavy: tuple[Path, Path]) -> None:
     source, effects = wavy
     answer = command(source, "--effects", str(effects), "--no-experiment")
     found = {(f["effect"], f["joint"]): f for f in answer.document["findings"]}
@@ -102,7 +102,7 @@ def test_diagnosis_report_file_and_planner_know_it(wavy: tuple[Path, Path]) -> N
     assert planner.robot.coulomb[1] > robot.coulomb[1] + 0.9 * WAVE
 
 
-def test_the_catalogues_page_has_a_line_of_it(wavy: tuple[Path, Path]) -> None:
+def test_catalogue_page_includes_new_effect(wavy: tuple[Path, Path]) -> None:
     page = catalogue_page((*CATALOGUE, *load_effects(wavy[1])))
     (line,) = [line for line in page.splitlines() if line.startswith("| `rail_wave` |")]
     assert "torque, motion, pole pairs" in line
@@ -110,7 +110,7 @@ def test_the_catalogues_page_has_a_line_of_it(wavy: tuple[Path, Path]) -> None:
     assert "Notes of the workshop" in line
 
 
-def test_the_page_is_the_catalogues() -> None:
+def test_committed_catalogue_page_is_current() -> None:
     written = (ROOT / ".github" / "catalogue.md").read_text(encoding="utf-8")
     assert written == catalogue_page(), "python -m stiffopt.report.catalogue_page writes it anew"
     rows = [line for line in written.splitlines() if line.startswith("| `")]

@@ -1,0 +1,413 @@
+"""Signals and constants that effects depend on: motion and nominal torques."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, Protocol
+
+import numpy as np
+
+from stiffopt.connection.reducer import Reducer
+from stiffopt.discovery.settings import SIGN_SPEED
+from stiffopt.drivetrain.chain import Chain
+from stiffopt.drivetrain.stage import Stage
+from stiffopt.exact.connection import Corners, Slopes, reducer_compliance, reducer_windup
+from stiffopt.symbolic import Quantity
+
+# Inertial parameters of a body: mass, three first moments, six of the inertia.
+PARAMETERS_PER_BODY = 10
+# Share of SIGN_SPEED; the sign is taken as constant over smaller changes of speed [-].
+_MIN_SPEED_CHANGE = 1e-3
+
+
+def smooth_sign(velocity: Quantity) -> Quantity:
+    """Return the direction of motion, -1 to 1, smooth where the joint reverses [rad/s] -> [-]."""
+    return np.tanh(velocity / SIGN_SPEED)
+
+
+def mean_sign(velocity: np.ndarray) -> np.ndarray:
+    """Return the mean of the smooth sign (K, n) over the time of every sample [-].
+
+    A light joint reverses between two samples: sampled, the sign holds for half a sample period at
+    most, and a jump of friction comes up to half a sample early or late. Speeds are linear between
+    the samples and the midpoints, which a cubic through four samples gives.
+
+    Parameters
+    ----------
+    velocity : array (K, n)
+        At equal time steps [rad/s].
+    """
+    if len(velocity) < 4:
+        return np.asarray(smooth_sign(velocity))
+    middle = 0.5 * (velocity[1:] + velocity[:-1])
+    middle[1:-1] += (velocity[1:-2] + velocity[2:-1] - velocity[:-3] - velocity[3:]) / 16.0
+    before = np.concatenate([velocity[:1], middle])
+    after = np.concatenate([middle, velocity[-1:]])
+    return np.asarray(
+        0.5 * (_mean_sign_between(before, velocity) + _mean_sign_between(velocity, after))
+    )
+
+
+def _mean_sign_between(first: np.ndarray, last: np.ndarray) -> np.ndarray:
+    """Return the mean of the smooth sign while the speed changes linearly between two values."""
+    change = last - first
+    steady = np.abs(change) < _MIN_SPEED_CHANGE * SIGN_SPEED
+
+    def integral(velocity: np.ndarray) -> np.ndarray:
+        size = np.abs(velocity)
+        return np.asarray(size + SIGN_SPEED * np.log1p(np.exp(-2.0 * size / SIGN_SPEED)))
+
+    mean = (integral(last) - integral(first)) / np.where(steady, 1.0, change)
+    return np.asarray(np.where(steady, smooth_sign(0.5 * (first + last)), mean))
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointConstants:
+    """Constants of one joint for terms and bounds.
+
+    Parameters
+    ----------
+    joint : int
+        1-based, in the order of the recording set.
+    ratio : float
+        Turns of the motor per turn of the joint.
+    coulomb, viscous : float
+        Nominal friction [N m], [N m s/rad].
+    torque_rated, torque_max : float
+        [N m]
+    rotor_inertia : float
+        Reflected to the joint [kg m^2].
+    joint_damping : float
+        Viscous damping between motor and link [N m s/rad]; 0 where unknown.
+    chain : Chain or None
+        Nominal drivetrain; None where rigid or unknown.
+    pole_pairs : float or None
+    stroke : (lowest, highest)
+        Range of the motor angle in the recordings [rad].
+    fastest : float
+        Largest motor speed in the recordings [rad/s].
+    largest_torque : float
+        Largest nominal spring torque in the recordings [N m].
+    measured_torque : float
+        Largest filtered drive torque measured in the training runs; 0 without measurement [N m].
+    prismatic : bool
+    belt : bool or None
+        True where a belt is among the connections; None where they are unknown.
+    """
+
+    joint: int
+    ratio: float
+    coulomb: float
+    viscous: float
+    torque_rated: float
+    torque_max: float
+    rotor_inertia: float
+    joint_damping: float = 0.0
+    chain: Chain | None = None
+    pole_pairs: float | None = None
+    stroke: tuple[float, float] = (-np.pi, np.pi)
+    fastest: float = 1.0
+    largest_torque: float = 1.0
+    measured_torque: float = 0.0
+    prismatic: bool = False
+    belt: bool | None = None
+
+    @property
+    def elastic(self) -> bool:
+        """True where the nominal joint winds up."""
+        return self.chain is not None and bool(self.chain.stages)
+
+    @cached_property
+    def _series_reducer(self) -> Stage | None:
+        """First reducer in series with all other connections."""
+        groups = [] if self.chain is None else self.chain.groups()
+        alone = (group[0] for group in groups if len(group) == 1)
+        return next((stage for stage in alone if isinstance(stage.element, Reducer)), None)
+
+    @cached_property
+    def _other_connections(self) -> Chain:
+        """Drivetrain without that reducer."""
+        if self.chain is None:
+            return Chain(())
+        stages = tuple(stage for stage in self.chain.stages if stage is not self._series_reducer)
+        return replace(self.chain, stages=stages)
+
+    @cached_property
+    def _reducer_curve(self) -> tuple[Slopes, Corners] | None:
+        if self._series_reducer is None:
+            return None
+        own, down, counts = (
+            self._series_reducer.element,
+            self._series_reducer.reduction,
+            self._series_reducer.counts,
+        )
+        assert isinstance(own, Reducer)
+        slopes = (own.K1, own.K2, own.K3)
+        k1, k2, k3 = (stiffness * down / counts for stiffness in slopes)
+        return (k1, k2, k3), (own.T1 * down, own.T2 * down)
+
+    @property
+    def slopes(self) -> Slopes | None:
+        """Stiffnesses K1, K2, K3 of the reducer at the joint [N m/rad]; None without a reducer."""
+        return None if self._reducer_curve is None else self._reducer_curve[0]
+
+    @property
+    def corners(self) -> Corners | None:
+        """Torques T1, T2 of the reducer's slope changes at the joint [N m]."""
+        return None if self._reducer_curve is None else self._reducer_curve[1]
+
+    @cached_property
+    def contact_stiffness(self) -> float:
+        """Secant stiffness without the reducer at the rated torque [N m/rad]; inf if rigid."""
+        if not self._other_connections.stages:
+            return np.inf
+        return float(self._other_connections.secant_stiffness(self.torque_rated))
+
+    def windup(self, torque: Quantity) -> Quantity:
+        """Return the nominal wind-up [rad] under a spring torque [N m]; takes symbols.
+
+        The three slopes of the reducer are the catalogue's own, without smoothing.
+        """
+        angle = self._other_connections.windup(torque)
+        return (
+            angle
+            if self._reducer_curve is None
+            else angle + reducer_windup(torque, *self._reducer_curve)
+        )
+
+    def compliance(self, torque: Quantity) -> Quantity:
+        """Return the tangent compliance of the nominal wind-up [rad/(N m)]; takes symbols."""
+        slope = self._other_connections.tangent_compliance(torque)
+        return (
+            slope
+            if self._reducer_curve is None
+            else slope + reducer_compliance(torque, *self._reducer_curve)
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class MotionSignals:
+    """Signals of one joint, arrays (K,), or of the robot, (K, n); or CasADi symbols.
+
+    Parameters
+    ----------
+    time, session_time
+        Since the begin of the run, since power-on [s]; (K,) always.
+    run : str
+        Name of the run.
+    dt : float
+        Uniform time step [s].
+    temperature_rise
+        Housing temperature above that at which friction was identified [K]; 0 where unknown.
+    motor_position, motor_velocity, motor_acceleration
+        Reflected to the joint by the ratio [rad], [rad/s], [rad/s^2].
+    motor_direction
+        Smooth sign of the motor velocity; its mean over each sample period where links vibrate [-].
+    link_position, link_velocity, link_acceleration
+        From the motor motion and the nominal wind-up.
+    transmitted_torque
+        Nominal torque between motor and link, of the rigid bodies [N m].
+    spring_torque
+        Transmitted torque less that of the joint damping, where this is known [N m].
+    windup
+        Nominal wind-up under the spring torque [rad].
+    drive_torque, drive_torque_rate
+        Nominal prediction [N m], [N m/s].
+    """
+
+    time: Quantity
+    dt: float
+    session_time: Quantity
+    temperature_rise: Quantity
+    motor_position: Quantity
+    motor_velocity: Quantity
+    motor_acceleration: Quantity
+    motor_direction: Quantity
+    link_position: Quantity
+    link_velocity: Quantity
+    link_acceleration: Quantity
+    transmitted_torque: Quantity
+    spring_torque: Quantity
+    windup: Quantity
+    drive_torque: Quantity
+    drive_torque_rate: Quantity
+    run: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointSignals(MotionSignals):
+    """Signals of one joint.
+
+    Parameters
+    ----------
+    previous_position, previous_velocity, previous_acceleration
+        Motor motion of the previous joint; 0 for the first [rad], [rad/s], [rad/s^2].
+    constants : JointConstants
+    """
+
+    previous_position: Quantity
+    previous_velocity: Quantity
+    previous_acceleration: Quantity
+    constants: JointConstants
+
+
+@dataclass(frozen=True, kw_only=True)
+class RobotConstants:
+    """Constants of the robot as a whole.
+
+    Parameters
+    ----------
+    joints : tuple of JointConstants
+    links : tuple of str
+        Name of the moving link of each joint.
+    masses : array (n,)
+        Nominal masses of the links [kg].
+    centres : array (n, 3)
+        Nominal centres of mass in the joints' frames [m].
+    tool_range : array (2, 3)
+        Lowest and highest tool position in the recordings, base frame [m].
+    """
+
+    joints: tuple[JointConstants, ...]
+    links: tuple[str, ...]
+    masses: np.ndarray
+    centres: np.ndarray
+    tool_range: np.ndarray
+
+
+class ArmSignals(Protocol):
+    """Signals of the arm as a whole, in addition to those of its joints."""
+
+    @property
+    def tool_position(self) -> Quantity:
+        """Tool position in the base frame (K, 3) [m]."""
+
+    @property
+    def tool_velocity(self) -> Quantity:
+        """Tool velocity in the base frame (K, 3) [m/s]."""
+
+    @property
+    def tool_jacobian(self) -> Quantity:
+        """Jacobian of the tool position (K, 3, n)."""
+
+    @property
+    def body_regressor(self) -> Any:
+        """Joint torques per inertial parameter of every body (K, n, 10 n) [N m per unit].
+
+        Parameters (m, m c, I) of the moving bodies, one body after another; entries [..., k] where
+        it is evaluated on demand.
+        """
+
+    @property
+    def tilt(self) -> Quantity:
+        """Change of spring torque per rotation of the base about x and y (K, n, 2) [N m/rad]."""
+
+    def head(self, count: int) -> ArmSignals:
+        """Return the first samples."""
+
+    def decimate(self, every: int) -> ArmSignals:
+        """Return every k-th sample."""
+
+    def with_bodies(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> ArmSignals:
+        """Return the signals with the regressor along another link motion (K, n)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RobotSignals(MotionSignals):
+    """Signals of the whole robot.
+
+    Parameters
+    ----------
+    arm : ArmSignals
+        Signals of the arm, which this class passes on.
+    last_link, link : int
+        Index of the last link, and of the link that an effect is located at.
+    constants : RobotConstants
+    """
+
+    arm: ArmSignals
+    last_link: int
+    link: int
+    constants: RobotConstants
+
+    @property
+    def tool_position(self) -> Quantity:
+        """Tool position in the base frame (K, 3) [m]."""
+        return self.arm.tool_position
+
+    @property
+    def tool_velocity(self) -> Quantity:
+        """Tool velocity in the base frame (K, 3) [m/s]."""
+        return self.arm.tool_velocity
+
+    @property
+    def tool_jacobian(self) -> Quantity:
+        """Jacobian of the tool position (K, 3, n)."""
+        return self.arm.tool_jacobian
+
+    @property
+    def body_regressor(self) -> Any:
+        """Joint torques per inertial parameter of every body (K, n, 10 n) [N m per unit]."""
+        return self.arm.body_regressor
+
+    @property
+    def tilt(self) -> Quantity:
+        """Change of spring torque per rotation of the base about x and y (K, n, 2) [N m/rad]."""
+        return self.arm.tilt
+
+    def head(self, count: int) -> RobotSignals:
+        """Return the first samples."""
+        return self._select_samples(slice(count), self.arm.head(count))
+
+    def decimate(self, every: int) -> RobotSignals:
+        """Return every k-th sample; `dt` is unchanged."""
+        return self._select_samples(slice(None, None, every), self.arm.decimate(every))
+
+    def _select_samples(self, samples: slice, arm: ArmSignals) -> RobotSignals:
+        fields = {name: value for name, value in vars(self).items() if np.ndim(value) > 0}
+        kept: dict[str, Any] = {name: value[samples] for name, value in fields.items()}
+        return replace(self, arm=arm, **kept)
+
+    def of_joint(self, index: int) -> JointSignals:
+        """Return the signals of one joint (0-based)."""
+
+        def of(name: str, joint: int) -> Quantity:
+            column = getattr(self, name)[:, joint]
+            return np.ascontiguousarray(column) if isinstance(column, np.ndarray) else column
+
+        def before(name: str) -> Quantity:
+            return of(name, index - 1) if index else 0.0 * self.time
+
+        def own(name: str) -> Quantity:
+            return of(name, index)
+
+        return JointSignals(
+            time=self.time,
+            run=self.run,
+            dt=self.dt,
+            session_time=self.session_time,
+            previous_position=before("motor_position"),
+            previous_velocity=before("motor_velocity"),
+            previous_acceleration=before("motor_acceleration"),
+            constants=self.constants.joints[index],
+            **{name: own(name) for name in JOINT_SIGNAL_NAMES},
+        )
+
+
+# Fields of `MotionSignals` with one column per joint.
+JOINT_SIGNAL_NAMES = (
+    "temperature_rise",
+    "motor_position",
+    "motor_velocity",
+    "motor_acceleration",
+    "motor_direction",
+    "link_position",
+    "link_velocity",
+    "link_acceleration",
+    "transmitted_torque",
+    "spring_torque",
+    "windup",
+    "drive_torque",
+    "drive_torque_rate",
+)
