@@ -72,30 +72,34 @@ def check_derivative(
     """
     x = np.array(list(points), dtype=float)
     step = 1e-3 * np.maximum(np.abs(x), scale)
-    near = _values(formula, x + step) - _values(formula, x - step)
-    far = _values(formula, x + 2 * step) - _values(formula, x - 2 * step)
+    near = _evaluate_formula(formula, x + step) - _evaluate_formula(formula, x - step)
+    far = _evaluate_formula(formula, x + 2 * step) - _evaluate_formula(formula, x - 2 * step)
     difference = (8 * near - far) / (12 * step)
-    given = _values(derivative, x)
+    given = _evaluate_formula(derivative, x)
     size = np.maximum(np.abs(difference), 1e-6 * np.max(np.abs(difference)))
     size = np.where(size > 0.0, size, 1.0)
-    return _judge("derivative against differences", x, np.abs(given - difference) / size, rtol)
+    return _check_worst_error(
+        "derivative against differences", x, np.abs(given - difference) / size, rtol
+    )
 
 
 def check_odd(formula: Formula, points: Iterable[float], *, rtol: float = 1e-12) -> float:
     """Check f(-x) = -f(x), to `rtol` of |f(x)|, and f(0) = 0."""
     x = np.array(list(points), dtype=float)
-    forward, back = _values(formula, x), _values(formula, -x)
-    origin = float(_values(formula, np.zeros(1))[0])
+    forward, back = _evaluate_formula(formula, x), _evaluate_formula(formula, -x)
+    origin = float(_evaluate_formula(formula, np.zeros(1))[0])
     if origin != 0.0:
         raise CheckFailed("odd function: value at zero", 0.0, abs(origin), 0.0)
     size = np.where(forward != 0.0, np.abs(forward), 1.0)
-    return _judge("odd function: relative mismatch", x, np.abs(forward + back) / size, rtol)
+    return _check_worst_error(
+        "odd function: relative mismatch", x, np.abs(forward + back) / size, rtol
+    )
 
 
 def check_monotone(formula: Formula, points: Iterable[float]) -> float:
     """Check that f grows strictly from point to point; return the least rise."""
     x = np.unique(np.array(list(points), dtype=float))
-    rise = np.diff(_values(formula, x))
+    rise = np.diff(_evaluate_formula(formula, x))
     worst = int(np.argmin(np.where(np.isfinite(rise), rise, -np.inf)))
     if not rise[worst] > 0.0:
         raise CheckFailed("monotone function: rise", float(x[worst]), float(rise[worst]), 0.0)
@@ -125,10 +129,10 @@ def check_smoothed_against_exact(
     torque_max = connection.torque_max
     torques = np.geomspace(max(2.0 * from_torque, 1e-2 * torque_max), torque_max, points)
     exact = _exact_windup(connection, from_torque, torques)
-    start = float(_values(connection.windup, np.array([from_torque]))[0])
-    smooth = _values(connection.windup, torques) - start
+    start = float(_evaluate_formula(connection.windup, np.array([from_torque]))[0])
+    smooth = _evaluate_formula(connection.windup, torques) - start
     error = np.abs(smooth / exact - 1)
-    return _judge("smoothed wind-up against the exact one", torques, error, tolerance)
+    return _check_worst_error("smoothed wind-up against the exact one", torques, error, tolerance)
 
 
 def _exact_windup(connection: Smoothed, start: float, torques: np.ndarray) -> np.ndarray:
@@ -145,11 +149,11 @@ def _exact_windup(connection: Smoothed, start: float, torques: np.ndarray) -> np
     return np.asarray(np.interp(torques, edges, total))
 
 
-def _values(formula: Formula, x: np.ndarray) -> np.ndarray:
+def _evaluate_formula(formula: Formula, x: np.ndarray) -> np.ndarray:
     return np.asarray(np.broadcast_to(np.asarray(formula(x), dtype=float), x.shape))
 
 
-def _judge(what: str, x: np.ndarray, error: np.ndarray, allowed: float) -> float:
+def _check_worst_error(what: str, x: np.ndarray, error: np.ndarray, allowed: float) -> float:
     # A nan counts as the worst value there is.
     worst = int(np.argmax(np.where(np.isnan(error), np.inf, error)))
     if not error[worst] <= allowed:

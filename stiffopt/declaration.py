@@ -104,14 +104,14 @@ def range_text(plausible: Sequence[float]) -> str:
     return f"{low:g} to {high:g}" if low > 0.0 else f"up to {high:g}"
 
 
-_DEGREES = math.pi / 180.0
-_ARC_MINUTES = 10800.0 / math.pi
+_RADIANS_PER_DEGREE = math.pi / 180.0
+_ARC_MINUTES_PER_RADIAN = 10800.0 / math.pi
 
 DIMENSIONS = {
     d.name: d
     for d in (
         Dimension("length", "m", "0.3 mm", 0, (0.0, 100.0), {"mm": 1e-3, "um": 1e-6}),
-        Dimension("angle", "rad", "45 deg", 1, (0.0, 20.0), {"deg": _DEGREES}),
+        Dimension("angle", "rad", "45 deg", 1, (0.0, 20.0), {"deg": _RADIANS_PER_DEGREE}),
         Dimension("mass", "kg", "1.5 kg", 0, (0.0, 2e4), {"g": 1e-3}),
         Dimension(
             "inertia", "kg*m^2", "0.3 kg*m^2", 0, (0.0, 1e5), {"kg*cm^2": 1e-4, "kg*mm^2": 1e-6}
@@ -125,13 +125,37 @@ DIMENSIONS = {
         Dimension("speed", "m/s", "1.5 m/s", 0, (0.0, 50.0), {"mm/s": 1e-3}),
         Dimension("acceleration", "m/s^2", "9.81 m/s^2", 0, (0.0, 1e4), {"mm/s^2": 1e-3}),
         Dimension("jerk", "m/s^3", "50 m/s^3", 0, (0.0, 1e7), {"mm/s^3": 1e-3}),
-        Dimension("angular velocity", "rad/s", "230 deg/s", 1, (0.0, 100.0), {"deg/s": _DEGREES}),
         Dimension(
-            "angular acceleration", "rad/s^2", "20 rad/s^2", 1, (0.0, 1e5), {"deg/s^2": _DEGREES}
+            "angular velocity",
+            "rad/s",
+            "230 deg/s",
+            1,
+            (0.0, 100.0),
+            {"deg/s": _RADIANS_PER_DEGREE},
         ),
-        Dimension("angular jerk", "rad/s^3", "400 rad/s^3", 1, (0.0, 1e8), {"deg/s^3": _DEGREES}),
         Dimension(
-            "stiffness", "N*m/rad", "5 N*m/arcmin", -1, (1e-3, 1e11), {"N*m/arcmin": _ARC_MINUTES}
+            "angular acceleration",
+            "rad/s^2",
+            "20 rad/s^2",
+            1,
+            (0.0, 1e5),
+            {"deg/s^2": _RADIANS_PER_DEGREE},
+        ),
+        Dimension(
+            "angular jerk",
+            "rad/s^3",
+            "400 rad/s^3",
+            1,
+            (0.0, 1e8),
+            {"deg/s^3": _RADIANS_PER_DEGREE},
+        ),
+        Dimension(
+            "stiffness",
+            "N*m/rad",
+            "5 N*m/arcmin",
+            -1,
+            (1e-3, 1e11),
+            {"N*m/arcmin": _ARC_MINUTES_PER_RADIAN},
         ),
         Dimension("linear stiffness", "N/m", "20 N/um", 0, (1e-1, 1e12), {"N/mm": 1e3}),
         Dimension(
@@ -172,7 +196,7 @@ class Doc:
 
 # Keys of a plausible range and of bounds in pydantic's metadata of a quantity; the former also in
 # JSON Schema.
-_PLAUSIBLE, _BOUNDS = "plausible", "bounds"
+_PLAUSIBLE_KEY, _BOUNDS_KEY = "plausible", "bounds"
 
 
 @dataclass(frozen=True)
@@ -213,15 +237,15 @@ class Unit:
         from pydantic_core import core_schema
 
         # `Bounds` around this marker add themselves, and may bring a range of their own.
-        metadata: dict[str, Any] = {_PLAUSIBLE: self.plausible, _BOUNDS: []}
+        metadata: dict[str, Any] = {_PLAUSIBLE_KEY: self.plausible, _BOUNDS_KEY: []}
         kind = DIMENSIONS[self.dimension]
         read = None if self.bare else Unit.reader(self)
 
         def read_and_ask(value: Any) -> float:
             number: float = value if read is None else read(value)
             if not isinstance(value, str):
-                asked = metadata[_PLAUSIBLE]
-                kind.ask(number, asked, si_only=self.bare, bounds=metadata[_BOUNDS])
+                asked = metadata[_PLAUSIBLE_KEY]
+                kind.ask(number, asked, si_only=self.bare, bounds=metadata[_BOUNDS_KEY])
             return number
 
         if self.bare:
@@ -232,7 +256,7 @@ class Unit:
 
     def __get_pydantic_json_schema__(self, core: Any, handler: Any) -> dict[str, Any]:
         kind = DIMENSIONS[self.dimension]
-        schema: dict[str, Any] = {"type": "number", _PLAUSIBLE: list(kind.plausible)}
+        schema: dict[str, Any] = {"type": "number", _PLAUSIBLE_KEY: list(kind.plausible)}
         if not self.bare:
             schema = {"anyOf": [schema, {"type": "string"}]}
         schema["unit"] = self.unit
@@ -271,9 +295,9 @@ class Bounds:
 
     def check(self, name: str, value: object) -> None:
         """Raise `InputError` unless every number in `value` lies within; others pass."""
-        for number in _numbers(value):
+        for number in _iterate_numbers(value):
             if not self.contains(number):
-                self._refuse(name, number)
+                self._raise_out_of_bounds(name, number)
 
     def contains(self, number: float) -> bool:
         """Whether a number lies within."""
@@ -281,7 +305,7 @@ class Bounds:
         high = number <= self.most and (number < self.below or self.below == math.inf)
         return low and high and (math.isfinite(number) or not self.finite)
 
-    def _refuse(self, name: str, number: float) -> None:
+    def _raise_out_of_bounds(self, name: str, number: float) -> None:
         if math.isfinite(self.above) and math.isfinite(self.below):
             hint = "Both bounds are excluded."
             raise OutOfValidityError(name, number, self.above, self.below, hint)
@@ -311,9 +335,9 @@ class Bounds:
             return value
 
         inside = handler(source)
-        for metadata in _quantities(inside):
-            metadata[_BOUNDS].append(self)
-            metadata[_PLAUSIBLE] = self.plausible or metadata[_PLAUSIBLE]
+        for metadata in _quantity_metadata(inside):
+            metadata[_BOUNDS_KEY].append(self)
+            metadata[_PLAUSIBLE_KEY] = self.plausible or metadata[_PLAUSIBLE_KEY]
         return core_schema.with_info_after_validator_function(check, inside)
 
     def __get_pydantic_json_schema__(self, core: Any, handler: Any) -> dict[str, Any]:
@@ -327,34 +351,34 @@ class Bounds:
             word: bound for word, bound in words.items() if math.isfinite(bound)
         }
         if self.plausible is not None:
-            limits[_PLAUSIBLE] = list(self.plausible)
-        return _limited(handler(core), limits)
+            limits[_PLAUSIBLE_KEY] = list(self.plausible)
+        return _add_limits(handler(core), limits)
 
 
-def _quantities(schema: Any) -> Iterator[dict[str, Any]]:
+def _quantity_metadata(schema: Any) -> Iterator[dict[str, Any]]:
     """Metadata of every quantity in a schema of pydantic's core."""
     if isinstance(schema, dict):
-        if _PLAUSIBLE in schema.get("metadata", ()):
+        if _PLAUSIBLE_KEY in schema.get("metadata", ()):
             yield schema["metadata"]
         for word in ("schema", "items_schema", "values_schema", "choices"):
-            yield from _quantities(schema.get(word))
+            yield from _quantity_metadata(schema.get(word))
     elif isinstance(schema, list | tuple):
         for form in schema:
-            yield from _quantities(form)
+            yield from _quantity_metadata(form)
 
 
-def _limited(schema: dict[str, Any], limits: dict[str, Any]) -> dict[str, Any]:
+def _add_limits(schema: dict[str, Any], limits: dict[str, Any]) -> dict[str, Any]:
     """Schema with the limits at every form of it that is a number."""
     if schema.get("type") in ("number", "integer"):
         return {**schema, **limits}
     deeper: dict[str, Any] = {}
     if "anyOf" in schema:
-        deeper["anyOf"] = [_limited(form, limits) for form in schema["anyOf"]]
+        deeper["anyOf"] = [_add_limits(form, limits) for form in schema["anyOf"]]
     for word in ("items", "additionalProperties"):
         if isinstance(schema.get(word), dict):
-            deeper[word] = _limited(schema[word], limits)
+            deeper[word] = _add_limits(schema[word], limits)
     if "prefixItems" in schema:
-        deeper["prefixItems"] = [_limited(item, limits) for item in schema["prefixItems"]]
+        deeper["prefixItems"] = [_add_limits(item, limits) for item in schema["prefixItems"]]
     return {**schema, **deeper}
 
 
@@ -452,7 +476,7 @@ class Declared:
 
 
 @functools.cache
-def _hints(cls: type) -> Mapping[str, Any]:
+def _type_hints(cls: type) -> Mapping[str, Any]:
     """Annotations of a class with their markers."""
     return typing.get_type_hints(cls, include_extras=True)
 
@@ -460,7 +484,7 @@ def _hints(cls: type) -> Mapping[str, Any]:
 @functools.cache
 def declared(cls: type) -> Mapping[str, Declared]:
     """Fields of a dataclass that have a `Doc`, by name."""
-    hints = _hints(cls)
+    hints = _type_hints(cls)
     return {
         field.name: Declared(hints[field.name], field.default, field.default_factory)
         for field in dataclasses.fields(cls)
@@ -470,13 +494,13 @@ def declared(cls: type) -> Mapping[str, Declared]:
 
 def unit(cls: type, name: str) -> Unit:
     """Unit of a field of a dataclass or a section."""
-    parts = _parts(_hints(cls)[name])
+    parts = _annotation_parts(_type_hints(cls)[name])
     return next(part for part in parts if isinstance(part, Unit))
 
 
 def bounds(cls: type, name: str) -> Bounds:
     """Bounds of a field of a dataclass or a section."""
-    parts = _parts(_hints(cls)[name])
+    parts = _annotation_parts(_type_hints(cls)[name])
     return next(part for part in parts if isinstance(part, Bounds))
 
 
@@ -503,7 +527,7 @@ def check_fields(
 
 def _check_fields(instance: Any, owner: str) -> None:
     place = f"{owner}: " if owner else ""
-    for name, limits, words in _checks(instance.__class__):
+    for name, limits, words in _field_checks(instance.__class__):
         value = getattr(instance, name)
         for limit in limits:
             limit.check(f"{place}{name}", value)
@@ -512,12 +536,12 @@ def _check_fields(instance: Any, owner: str) -> None:
 
 
 @functools.cache
-def _checks(cls: type) -> tuple[tuple[str, tuple[Bounds, ...], tuple[str, ...]], ...]:
+def _field_checks(cls: type) -> tuple[tuple[str, tuple[Bounds, ...], tuple[str, ...]], ...]:
     """Name, bounds and allowed words of the fields that have any."""
     found = []
     hints = typing.get_type_hints(cls, include_extras=True)
     for name in (field.name for field in dataclasses.fields(cls)):
-        parts = list(_parts(hints[name]))
+        parts = list(_annotation_parts(hints[name]))
         limits = tuple(part for part in parts if isinstance(part, Bounds))
         words = tuple(part for part in parts if isinstance(part, str))
         if limits or words:
@@ -525,31 +549,31 @@ def _checks(cls: type) -> tuple[tuple[str, tuple[Bounds, ...], tuple[str, ...]],
     return tuple(found)
 
 
-def _parts(annotation: Any) -> Iterator[Any]:
+def _annotation_parts(annotation: Any) -> Iterator[Any]:
     """Markers and allowed words anywhere in an annotation."""
     yield from getattr(annotation, "__metadata__", ())
     origin = typing.get_origin(annotation)
     if origin is typing.Literal:
         yield from typing.get_args(annotation)
     elif origin is Annotated:
-        yield from _parts(typing.get_args(annotation)[0])
+        yield from _annotation_parts(typing.get_args(annotation)[0])
     elif origin in (typing.Union, types.UnionType):
         for form in typing.get_args(annotation):
-            yield from _parts(form)
+            yield from _annotation_parts(form)
     elif origin is not None:
         # Entries of a tuple, a list or a mapping share the bounds of their type.
         for form in typing.get_args(annotation):
-            yield from _parts(form)
+            yield from _annotation_parts(form)
 
 
-def _numbers(value: Any) -> Iterator[float]:
+def _iterate_numbers(value: Any) -> Iterator[float]:
     if isinstance(value, bool) or value is None or isinstance(value, str):
         return
     if isinstance(value, Mapping):
         value = list(value.values())
     if isinstance(value, Sequence):
         for entry in value:
-            yield from _numbers(entry)
+            yield from _iterate_numbers(entry)
     elif hasattr(value, "flat"):
         yield from (float(entry) for entry in value.flat)
     else:

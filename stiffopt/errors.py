@@ -101,22 +101,26 @@ def shortened(value: object) -> str:
         return f"a {type(value).__name__} too long to show"
     text = " ".join(text.split()) if isinstance(value, BaseException) else text
     text = text.rstrip(".") if isinstance(value, BaseException) else text
-    return text if len(text) <= _SHOWN else f"{text[: _SHOWN - 33]}...{text[-30:]}"
+    return (
+        text
+        if len(text) <= _MAX_SHOWN_CHARACTERS
+        else f"{text[: _MAX_SHOWN_CHARACTERS - 33]}...{text[-30:]}"
+    )
 
 
-_SHOWN = 100
+_MAX_SHOWN_CHARACTERS = 100
 
 
-def relative(value: float, places: int = 2, sign: str = "") -> str:
+def format_relative(value: float, places: int = 2, sign: str = "") -> str:
     """Relative value: a percentage with this many decimals, a factor from 1000 % on.
 
     >>> relative(0.0123), relative(0.4, 0, "+"), relative(79926.0)
     ('1.23%', '+40%', '80,000 times')
     """
-    return times(value) if is_factor(value) else f"{value:{sign}.{places}%}"
+    return format_factor(value) if is_factor(value) else f"{value:{sign}.{places}%}"
 
 
-def more(after: float, before: float, digits: int) -> str:
+def format_increase(after: float, before: float, digits: int) -> str:
     """How much more one is than the other, which is not 0.
 
     >>> more(1.1, 1.0, 2), more(0.5, 1.0, 3), more(12.0, 1.0, 2)
@@ -124,26 +128,26 @@ def more(after: float, before: float, digits: int) -> str:
     """
     ratio = after / before
     size = ratio - 1.0
-    return f"{times(ratio)} as much" if is_factor(size) else f"{100.0 * size:+.{digits}g} %"
+    return f"{format_factor(ratio)} as much" if is_factor(size) else f"{100.0 * size:+.{digits}g} %"
 
 
 def is_factor(value: float) -> bool:
     """Whether a relative value is so large that it is told as a factor, not in percent."""
-    return _FACTOR_FROM <= abs(value) < float("inf")
+    return _MIN_FACTOR <= abs(value) < float("inf")
 
 
-def times(value: float) -> str:
+def format_factor(value: float) -> str:
     """Large factor in two digits.
 
     >>> times(12.0), times(79926.2761), times(3.5e9)
     ('12 times', '80,000 times', '3.5e+09 times')
     """
     rounded = float(f"{value:.2g}")
-    return f"{rounded:,.0f} times" if abs(rounded) < _PLAIN_BELOW else f"{rounded:g} times"
+    return f"{rounded:,.0f} times" if abs(rounded) < _MAX_PLAIN_FACTOR else f"{rounded:g} times"
 
 
-_FACTOR_FROM = 10.0
-_PLAIN_BELOW = 1e6
+_MIN_FACTOR = 10.0
+_MAX_PLAIN_FACTOR = 1e6
 
 
 def nearest(name: str, allowed: Iterable[str]) -> str:
@@ -151,11 +155,11 @@ def nearest(name: str, allowed: Iterable[str]) -> str:
     names = sorted(str(a) for a in allowed)
     close = difflib.get_close_matches(name, names, n=1, cutoff=0.5)
     guess = f"Did you mean {close[0]!r}? " if close else ""
-    if len(names) > _LISTED:
+    if len(names) > _MAX_LISTED_NAMES:
         near = sorted(names, key=lambda n: -difflib.SequenceMatcher(None, name, n).ratio())
-        return f"{guess}Allowed are {len(names)}, such as {', '.join(near[:_NEAR])}."
+        return f"{guess}Allowed are {len(names)}, such as {', '.join(near[:_NEAREST_NAMES])}."
     return f"{guess}Allowed: {', '.join(names)}."
 
 
 # Names that a message lists, and how many of more.
-_LISTED, _NEAR = 40, 12
+_MAX_LISTED_NAMES, _NEAREST_NAMES = 40, 12

@@ -21,17 +21,17 @@ from stiffopt.errors import InputFileError, shortened
 from stiffopt.validation import Model, validate
 
 # What a file written by people stays far below; beyond it lie mistakes and attacks.
-LARGEST_TEXT = 32 * 2**20
+MAX_TEXT_BYTES = 32 * 2**20
 # Of a table that a command wrote; an hour at 250 Hz has 500 MB.
-LARGEST_TABLE = 2**29
-DEEPEST = 40
+MAX_TABLE_BYTES = 2**29
+MAX_NESTING = 40
 # A key of more parts than this: tomllib's time grows with their square.
-_LONG_KEY = re.compile(rf"""(?<![\w"'-])(?:[\w"'-]++[ \t]*+\.[ \t]*+){{{DEEPEST}}}""")
+_LONG_KEY = re.compile(rf"""(?<![\w"'-])(?:[\w"'-]++[ \t]*+\.[ \t]*+){{{MAX_NESTING}}}""")
 # Of one text of a TOML file [characters]: what reads such texts may take the square of it.
-MAX_STRING = 10_000
+MAX_STRING_LENGTH = 10_000
 
 # Of an integer of 64 bits, its sign included.
-_MOST_DIGITS = 20
+_MAX_INTEGER_DIGITS = 20
 
 
 def load_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
@@ -53,7 +53,7 @@ def load_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
     key = _LONG_KEY.search(text)
     if key is not None:
         line = text.count("\n", 0, key.start()) + 1
-        raise InputFileError(path, f"line {line}", f"a key has more than {DEEPEST} parts.")
+        raise InputFileError(path, f"line {line}", f"a key has more than {MAX_NESTING} parts.")
     try:
         data = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
@@ -62,35 +62,37 @@ def load_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
         where = f"line {line}"
         raise InputFileError(path, where, f"is not valid TOML: {shortened(error)}.") from error
     except RecursionError as error:
-        raise InputFileError(path, "", _TOO_DEEP) from error
+        raise InputFileError(path, "", _TOO_DEEP_MESSAGE) from error
     except ValueError as error:  # more digits than Python reads
         raise InputFileError(path, "", "has an integer of more than 64 bits.") from error
     _check_values(path, data)
     return data
 
 
-_TOO_DEEP = f"is nested deeper than {DEEPEST} levels. Write it flatter."
+_TOO_DEEP_MESSAGE = f"is nested deeper than {MAX_NESTING} levels. Write it flatter."
 
 
 def _check_values(path: Path, data: object, where: str = "", depth: int = 0) -> None:
     """Depth as any file of people has it, and integers of 64 bits as TOML wants them."""
-    if depth > DEEPEST:
-        raise InputFileError(path, "", _TOO_DEEP)
+    if depth > MAX_NESTING:
+        raise InputFileError(path, "", _TOO_DEEP_MESSAGE)
     if isinstance(data, Mapping):
         for key, value in data.items():
             _check_values(path, value, f"{where}.{key}" if where else str(key), depth + 1)
     elif isinstance(data, list):
         for number, value in enumerate(data, start=1):
             _check_values(path, value, f"{where}[{number}]", depth + 1)
-    elif isinstance(data, str) and len(data) > MAX_STRING:
-        raise InputFileError(path, where, f"this text has more than {MAX_STRING} characters.")
+    elif isinstance(data, str) and len(data) > MAX_STRING_LENGTH:
+        raise InputFileError(
+            path, where, f"this text has more than {MAX_STRING_LENGTH} characters."
+        )
     elif isinstance(data, int) and not -(2**63) <= data < 2**63:
         raise InputFileError(
             path, where, "this integer has more than 64 bits. Write a smaller number."
         )
 
 
-def read_text(path: str | os.PathLike[str], most: int = LARGEST_TEXT) -> str:
+def read_text(path: str | os.PathLike[str], most: int = MAX_TEXT_BYTES) -> str:
     """Text of a file of UTF-8 of at most so many bytes, without a byte order mark.
 
     Raises
@@ -109,7 +111,7 @@ def read_text(path: str | os.PathLike[str], most: int = LARGEST_TEXT) -> str:
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
-def read_bytes(path: str | os.PathLike[str], most: int = LARGEST_TEXT) -> bytes:
+def read_bytes(path: str | os.PathLike[str], most: int = MAX_TEXT_BYTES) -> bytes:
     """Content of a file of at most so many bytes.
 
     Raises
@@ -125,13 +127,13 @@ def read_bytes(path: str | os.PathLike[str], most: int = LARGEST_TEXT) -> bytes:
         raise InputFileError(path, "", f"cannot be read: {error.strerror}.") from error
 
 
-_NO_PLACE = (
+_NO_SUCH_PLACE_MESSAGE = (
     "there is no such place in the file. Sections of a list are counted from 1, such as"
     " minimise[1].weight."
 )
 
 
-def with_changes(data: dict[str, Any], changes: Sequence[str], path: object) -> dict[str, Any]:
+def apply_changes(data: dict[str, Any], changes: Sequence[str], path: object) -> dict[str, Any]:
     """Content of a file with entries changed: "motion.duration=0.5 s", "minimise[1].weight=2".
 
     What is right of "=" is read as TOML; what is none is a text.
@@ -152,7 +154,7 @@ def with_changes(data: dict[str, Any], changes: Sequence[str], path: object) -> 
             value = text.strip()
         held: Any = data
         for key in keys[:-1]:
-            held = _held(held, key, place, path)
+            held = _enter_section(held, key, place, path)
         last = keys[-1]
         if isinstance(held, list) and last.startswith("["):
             number = int(last[1:-1])
@@ -162,31 +164,31 @@ def with_changes(data: dict[str, Any], changes: Sequence[str], path: object) -> 
         elif isinstance(held, dict) and not last.startswith("["):
             held[last] = value
         else:
-            raise InputFileError(path, f"--set {place}", _NO_PLACE)
+            raise InputFileError(path, f"--set {place}", _NO_SUCH_PLACE_MESSAGE)
     return data
 
 
-def _held(held: Any, key: str, place: str, path: object) -> Any:
+def _enter_section(held: Any, key: str, place: str, path: object) -> Any:
     if isinstance(held, dict) and not key.startswith("["):
         return held.setdefault(key, {})
     if isinstance(held, list) and key.startswith("[") and 1 <= int(key[1:-1]) <= len(held):
         return held[int(key[1:-1]) - 1]
-    raise InputFileError(path, f"--set {place}", _NO_PLACE)
+    raise InputFileError(path, f"--set {place}", _NO_SUCH_PLACE_MESSAGE)
 
 
 def load_json(path: str | os.PathLike[str]) -> Any:
     """Content of a JSON file; raises `InputFileError` where there is none."""
     try:
-        return json.loads(read_text(path), parse_int=_integer)
+        return json.loads(read_text(path), parse_int=_parse_integer)
     except InputFileError:
         raise
     except (ValueError, RecursionError) as error:
         raise InputFileError(path, "", f"is no JSON text: {shortened(error)}.") from error
 
 
-def _integer(text: str) -> int:
+def _parse_integer(text: str) -> int:
     """Integer of a JSON text; larger ones are no float either."""
-    if len(text) > _MOST_DIGITS:
+    if len(text) > _MAX_INTEGER_DIGITS:
         raise ValueError("an integer of more than 64 bits")
     return int(text)
 
@@ -224,14 +226,16 @@ def check_file(path: str | os.PathLike[str], most: int | None = None) -> None:
 
 
 # What turns a file of one kind into one of another.
-_NEXT = {("robot", "trajectory"): " `stiffopt init problem ROBOT` writes a problem for it."}
+_CONVERSION_ADVICE = {
+    ("robot", "trajectory"): " `stiffopt init problem ROBOT` writes a problem for it."
+}
 
 
 def check_header(data: Mapping[str, Any], path: object, kind: str, schema: int = 1) -> None:
     """Check the two keys that every file has: `schema` and `kind`."""
     if data.get("kind") != kind:
         got = f"got {shortened(data['kind'])}" if "kind" in data else "the key is missing"
-        step = _NEXT.get((str(data.get("kind")), kind), "")
+        step = _CONVERSION_ADVICE.get((str(data.get("kind")), kind), "")
         raise InputFileError(path, "kind", f'this place needs kind = "{kind}", {got}.{step}')
     if data.get("schema") != schema or isinstance(data.get("schema"), bool):
         got = f"got {shortened(data['schema'])}" if "schema" in data else "the key is missing"
@@ -248,17 +252,17 @@ def read_document(
     InputFileError
         What is wrong with the file, its header, an entry or a change.
     """
-    data = with_changes(load_toml(path), changes, path)
+    data = apply_changes(load_toml(path), changes, path)
     check_header(data, path, kind)
     return validate(model, data, path)
 
 
-def plain(value: object) -> Any:
+def to_json_types(value: object) -> Any:
     """Value as JSON knows it: plain Python types, null for what is not finite."""
     if isinstance(value, Mapping):
-        return {str(key): plain(each) for key, each in value.items()}
+        return {str(key): to_json_types(each) for key, each in value.items()}
     if isinstance(value, np.ndarray | list | tuple):
-        return [plain(each) for each in value]
+        return [to_json_types(each) for each in value]
     if isinstance(value, bool | np.bool_):
         return bool(value)
     if isinstance(value, int | np.integer):
@@ -314,7 +318,7 @@ def read_table(
         number, with the row (the first below the header is 1) and the column.
     """
     path = Path(path)
-    text = read_text(path, LARGEST_TABLE)
+    text = read_text(path, MAX_TABLE_BYTES)
     try:
         rows = list(csv.DictReader(io.StringIO(text, newline="")))
     except csv.Error as error:
@@ -334,12 +338,12 @@ def read_table(
             )
     wanted = [*columns, *(name for name in optional if name in rows[0])]
     return {
-        name: [_number(path, k, name, row[name]) for k, row in enumerate(rows, start=1)]
+        name: [_parse_number(path, k, name, row[name]) for k, row in enumerate(rows, start=1)]
         for name in wanted
     }
 
 
-def _number(path: Path, row: int, column: str, text: str | None) -> float:
+def _parse_number(path: Path, row: int, column: str, text: str | None) -> float:
     try:
         value = float(text or "")
     except ValueError:

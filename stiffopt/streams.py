@@ -23,7 +23,7 @@ class LenientStream(io.TextIOWrapper):
         try:
             return super().write(text)
         except OSError as error:
-            self._drop(error)
+            self._discard_output(error)
             return len(text)
 
     def flush(self) -> None:
@@ -31,9 +31,9 @@ class LenientStream(io.TextIOWrapper):
         try:
             super().flush()
         except OSError as error:
-            self._drop(error)
+            self._discard_output(error)
 
-    def _drop(self, error: OSError) -> None:
+    def _discard_output(self, error: OSError) -> None:
         self.failure = self.failure or error
         # What is buffered goes there as well, and the interpreter's own flush at exit.
         nowhere = os.open(os.devnull, os.O_WRONLY)
@@ -59,7 +59,7 @@ def open_streams() -> None:
             setattr(sys, name, own)
 
 
-def unprinted() -> OSError | None:
+def output_failure() -> OSError | None:
     """Reason why stdout could not be written; None also where its reader had read enough."""
     sys.stdout.flush()
     failure = getattr(sys.stdout, "failure", None)

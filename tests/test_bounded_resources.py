@@ -17,15 +17,15 @@ from stiffopt import compiler
 from stiffopt.discovery import diagnose
 from stiffopt.discovery.comparison.evidence import _Factored
 from stiffopt.errors import InputError, InputFileError, RobotError, UnitError
-from stiffopt.files import MAX_STRING, atomic_write, load_json, load_toml, read_table
+from stiffopt.files import MAX_STRING_LENGTH, atomic_write, load_json, load_toml, read_table
 from stiffopt.folders import check_result
 from stiffopt.recording.clock import read_clock
 from stiffopt.recording.readers.read import read_columns
 from stiffopt.recording.signals import Signals
 from stiffopt.result.store import MAX_SAMPLES, export_times
-from stiffopt.robot.mesh_loading import convex_hull, load_mesh_file
+from stiffopt.robot.meshes import convex_hull, load_mesh_file
 from stiffopt.robot.urdf import MAX_MOVING_JOINTS, load_urdf
-from stiffopt.robot.xml_files import MAX_DEPTH, MAX_ELEMENTS, parse_xml
+from stiffopt.robot.urdf_xml import MAX_DEPTH, MAX_ELEMENTS, parse_xml
 from stiffopt.starter.tables import MAX_LINE, read_any_table
 from stiffopt.starter.writing import quoted
 from stiffopt.units import joint_to_si, to_si
@@ -49,7 +49,7 @@ def test_a_pipe_is_refused_by_every_reader(ending, tmp_path):
     os.mkfifo(path)
     verdict, what = alone(lambda: READERS[ending](path), tmp_path, processor=5)
     assert verdict == "told", what
-    with pytest.raises(InputFileError, match="is a device or a pipe"):
+    with pytest.raises(InputFileError, match="folder, pipe or device"):
         READERS[ending](path)
 
 
@@ -57,7 +57,7 @@ def test_a_pipe_in_a_folder_of_results_is_refused(tmp_path):
     entry = {"by": "solve", "sha256": "0" * 64}
     (tmp_path / "manifest.json").write_text(json.dumps({"files": {"result.json": entry}}))
     os.mkfifo(tmp_path / "result.json")
-    with pytest.raises(InputFileError, match="is a device or a pipe"):
+    with pytest.raises(InputFileError, match="folder, pipe or device"):
         check_result(tmp_path, "result.json")
 
 
@@ -79,7 +79,7 @@ def test_time_of_a_toml_file_grows_with_its_length(word, tmp_path):
 
 def test_texts_of_a_toml_file_have_a_length(tmp_path):
     path = tmp_path / "a.toml"
-    path.write_text(f'a = ["{"x" * (MAX_STRING + 1)}"]')
+    path.write_text(f'a = ["{"x" * (MAX_STRING_LENGTH + 1)}"]')
     with pytest.raises(InputFileError, match=r"a\[1\]: this text has more than 10000 characters"):
         load_toml(path)
 
@@ -117,7 +117,7 @@ def test_a_pause_of_an_hour_is_a_gap(tmp_path):
 @pytest.mark.parametrize("step", [5e-324, 1e-300])
 def test_a_clock_of_denormal_steps_is_no_overflow(step, tmp_path):
     time = np.concatenate([np.arange(30) * step, [1.0]])
-    with pytest.raises(InputFileError, match=r"row 31: time goes on by 1 s|different times"):
+    with pytest.raises(InputFileError, match=r"no motion of a robot|different times"):
         read_clock(time, tmp_path / "run.csv", "t")
 
 
@@ -261,7 +261,7 @@ def test_names_that_are_not_utf8_are_kept_in_json(tmp_path):
     assert load_json(tmp_path / "a.json") == {"file": name}
 
 
-SAID = "from stiffopt.streams import open_streams, unprinted; open_streams(); "
+SAID = "from stiffopt.streams import open_streams, output_failure; open_streams(); "
 
 
 def said(code, stdout=subprocess.PIPE, **environment):
@@ -285,7 +285,7 @@ def test_no_character_loses_an_answer(encoding):
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="the system has no /dev/full")
 def test_a_full_disk_is_told_and_ends_nothing():
     with open("/dev/full", "w") as full:
-        done = said("print('x' * 10**6); raise SystemExit(unprinted().errno)", stdout=full)
+        done = said("print('x' * 10**6); raise SystemExit(output_failure().errno)", stdout=full)
     assert (done.returncode, done.stderr) == (28, b"")
 
 
@@ -293,7 +293,7 @@ def test_a_reader_that_has_read_enough_is_no_fault():
     inward, outward = os.pipe()
     os.close(inward)
     with os.fdopen(outward, "w") as closed:
-        done = said("print('x' * 10**6); assert unprinted() is None", stdout=closed)
+        done = said("print('x' * 10**6); assert output_failure() is None", stdout=closed)
     assert (done.returncode, done.stderr) == (0, b"")
 
 

@@ -1,13 +1,17 @@
-"""What a static set says of an arm: stiffness of its joints, errors, torque dependence."""
+"""Result of a static set: stiffness of the joints, errors, torque dependence, and its files."""
 
 from __future__ import annotations
 
+import dataclasses
+import json
 from dataclasses import dataclass
-from typing import Literal
+from pathlib import Path
+from typing import Any, Literal
 
 import numpy as np
 
-from stiffopt.identification.rows import StaticRows
+from stiffopt.files import atomic_write, write_csv
+from stiffopt.identification.static_rows import StaticRows
 from stiffopt.identification.torque_dependence import TorqueDependence
 from stiffopt.recording.static_set import StaticSet
 
@@ -133,3 +137,104 @@ class StaticStiffness:
     correlation: np.ndarray
     torque_dependence: TorqueDependence
     assumptions: tuple[str, ...]
+
+
+JSON_FILE, CSV_FILE, POSES_FILE = "stiffness.json", "stiffness.csv", "residuals.csv"
+
+_CSV_COLUMNS = (
+    "joint",
+    "name",
+    "status",
+    "stiffness",
+    "sd",
+    "lower",
+    "upper",
+    "least_squares",
+    "nominal",
+    "z_nominal",
+    "compliance",
+    "compliance_sd",
+)
+
+
+def write_static(result: StaticStiffness, folder: Path) -> None:
+    """Write stiffness.json, stiffness.csv and residuals.csv into `folder`."""
+    write_csv(
+        folder / CSV_FILE,
+        _CSV_COLUMNS,
+        [
+            ["" if getattr(joint, name) is None else getattr(joint, name) for name in _CSV_COLUMNS]
+            for joint in result.joints
+        ],
+    )
+    _write_poses(result, folder / POSES_FILE)
+    atomic_write(
+        folder / JSON_FILE, json.dumps(stiffness_document(result), indent=2, allow_nan=False) + "\n"
+    )
+
+
+def stiffness_document(result: StaticStiffness) -> dict[str, Any]:
+    """Content of stiffness.json: SI numbers, null where there is none."""
+    error = np.linalg.norm(result.rows.displacement - result.predicted, axis=1)
+    return {
+        "schema": 1,
+        "kind": "stiffness",
+        "name": result.source.name,
+        "citation": result.source.citation,
+        "poses": len(result.predicted),
+        "joints": [dataclasses.asdict(joint) for joint in result.joints],
+        "rms": {
+            "of": "one component of the displacement",
+            "unit": "m",
+            **dataclasses.asdict(result.errors),
+        },
+        "noise": {"value": result.scale, "unit": "m"},
+        "outliers": [
+            {
+                "pose": pose,
+                "error": float(error[pose - 1]),
+                "weight": float(result.weight[pose - 1]),
+            }
+            for pose in result.outliers
+        ],
+        "correlation": [
+            [None if np.isnan(each) else float(each) for each in row] for row in result.correlation
+        ],
+        "torque_dependence": _torque_dependence_entry(result.torque_dependence),
+        "assumptions": list(result.assumptions),
+    }
+
+
+def _torque_dependence_entry(found: TorqueDependence) -> dict[str, Any]:
+    names = ("name", "formula", "candidate", "shape", "parameters", "fit", "left_out", "gain")
+    return {
+        "verdict": found.verdict,
+        "sentence": found.sentence,
+        "best": found.best or None,
+        "models": [
+            {
+                **{name: getattr(model, name) for name in names},
+                "chance": model.chance if model.candidate else None,
+            }
+            for model in found.models
+        ],
+        "secant_stiffness": [
+            {"joint": joint, "share_of_poses": [0.05, 0.5, 0.95], "stiffness": list(values)}
+            for joint, values in found.secant.items()
+        ],
+    }
+
+
+def _write_poses(result: StaticStiffness, path: Path) -> None:
+    axes = "xyz"
+    columns = (
+        "pose",
+        *(f"measured_{axis}" for axis in axes),
+        *(f"predicted_{axis}" for axis in axes),
+        *(f"left_out_{axis}" for axis in axes),
+        "weight",
+    )
+    table = np.column_stack(
+        [result.rows.displacement, result.predicted, result.left_out, result.weight]
+    )
+    write_csv(path, columns, [[k, *row] for k, row in enumerate(table.tolist(), start=1)])

@@ -12,10 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 
 # Poses off by more than this many standard deviations of one component count less (Huber).
-BEND = 2.5
+HUBER_THRESHOLD = 2.5
 # Root of the median of a chi-squared variable with three degrees of freedom.
-_MEDIAN_NORM = 1.5382
-_ITERATIONS = 60
+_MEDIAN_CHI_3 = 1.5382
+_MAX_REWEIGHTING_STEPS = 60
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -71,21 +71,21 @@ def fit(
     size = np.sqrt(np.mean(np.square(columns), axis=(0, 1)))
     size[size == 0.0] = 1.0
     scaled = columns / size
-    value = _solve(scaled, displacement) if start is None else start.value * size
+    value = _solve_weighted(scaled, displacement) if start is None else start.value * size
     weight = np.ones(len(displacement))
     residual = displacement - scaled @ value
-    scale = _scale(residual, int(np.count_nonzero(value)))
+    scale = _residual_scale(residual, int(np.count_nonzero(value)))
     # Data without error leave nothing to doubt, and no scale to doubt it by.
     exact = 1e-9 * float(np.max(np.abs(displacement), initial=0.0))
-    for _ in range(_ITERATIONS if robust else 0):
+    for _ in range(_MAX_REWEIGHTING_STEPS if robust else 0):
         if scale <= exact:
             break
         norm = np.linalg.norm(residual, axis=1)
-        weight = np.minimum(1.0, BEND * scale / np.maximum(norm, exact))
+        weight = np.minimum(1.0, HUBER_THRESHOLD * scale / np.maximum(norm, exact))
         root = np.sqrt(weight)[:, None]
-        before, value = value, _solve(scaled * root[..., None], displacement * root)
+        before, value = value, _solve_weighted(scaled * root[..., None], displacement * root)
         residual = displacement - scaled @ value
-        scale = _scale(residual, int(np.count_nonzero(value)))
+        scale = _residual_scale(residual, int(np.count_nonzero(value)))
         # Far below any standard deviation; the last digits of weights are worth no time.
         if np.max(np.abs(value - before)) <= 1e-5 * np.max(value, initial=1e-300):
             break
@@ -98,7 +98,9 @@ def loss(error: np.ndarray, scale: float) -> np.ndarray:
     Half the square up to `BEND` standard deviations, linear beyond.
     """
     u = np.linalg.norm(error, axis=-1) / scale
-    return np.asarray(np.where(u <= BEND, 0.5 * u**2, BEND * (u - 0.5 * BEND)))
+    return np.asarray(
+        np.where(u <= HUBER_THRESHOLD, 0.5 * u**2, HUBER_THRESHOLD * (u - 0.5 * HUBER_THRESHOLD))
+    )
 
 
 def without_each(count: int) -> Iterator[np.ndarray]:
@@ -161,13 +163,13 @@ def bootstrap_interval(drawn: np.ndarray, poses: int, confidence: float) -> tupl
     return float(lower), float(upper)
 
 
-def _solve(columns: np.ndarray, displacement: np.ndarray) -> np.ndarray:
+def _solve_weighted(columns: np.ndarray, displacement: np.ndarray) -> np.ndarray:
     from scipy.optimize import nnls
 
     return np.asarray(nnls(columns.reshape(-1, columns.shape[2]), displacement.ravel())[0])
 
 
-def _scale(residual: np.ndarray, fitted: int) -> float:
+def _residual_scale(residual: np.ndarray, fitted: int) -> float:
     rows = residual.size
-    middle = float(np.median(np.linalg.norm(residual, axis=1))) / _MEDIAN_NORM
+    middle = float(np.median(np.linalg.norm(residual, axis=1))) / _MEDIAN_CHI_3
     return middle * float(np.sqrt(rows / max(rows - fitted, 1)))

@@ -15,18 +15,18 @@ from typing import Literal
 import numpy as np
 
 from stiffopt.identification.robust_compliance import RobustFit, fit, loss, without_each
-from stiffopt.identification.rows import StaticRows, Windup
+from stiffopt.identification.static_rows import StaticRows, Windup
 
 Verdict = Literal["supported", "weak", "not supported", "not tested"]
 
 # Supported: adjusted probability of chance below this, and error at least this share lower.
-CHANCE = 0.01
-SMALLEST_GAIN = 0.02
+MAX_CHANCE = 0.01
+MIN_GAIN = 0.02
 # Fewer poses cannot carry a paired test at this level.
-FEWEST_POSES = 8
+MIN_POSES = 8
 # Exponents q that are tried, and torques s0 over the joint's root mean square torque.
 EXPONENTS = (0.14, 0.3, 0.5)
-BENDS = (0.05, 0.1, 0.2, 0.5)
+TANH_TORQUE_SHARES = (0.05, 0.1, 0.2, 0.5)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -100,7 +100,7 @@ UNTESTED = TorqueDependence(
 
 
 @dataclass(frozen=True, eq=False)
-class _Run:
+class _FamilyFit:
     error: np.ndarray
     whole: RobustFit
     shape: WindupForm
@@ -121,10 +121,10 @@ def torque_dependence(rows: StaticRows, kept: Sequence[int] | np.ndarray) -> Tor
     """
     kept = np.asarray(kept)
     m = len(rows.displacement)
-    if m < FEWEST_POSES:
+    if m < MIN_POSES:
         return TorqueDependence(
             verdict="not tested",
-            sentence=f"{m} poses are too few to test it; at least {FEWEST_POSES}, better 20, with "
+            sentence=f"{m} poses are too few to test it; at least {MIN_POSES}, better 20, with "
             "small and large forces in the same pose.",
             models=(),
             best="",
@@ -132,10 +132,10 @@ def torque_dependence(rows: StaticRows, kept: Sequence[int] | np.ndarray) -> Tor
         )
     tried = [f for f in families(rows, kept) if f.shapes[0].columns.shape[2] < 3 * (m - 1)]
     measured = rows.displacement
-    runs = [_left_out(family, measured) for family in tried]
+    runs = [_predict_left_out(family, measured) for family in tried]
     constant = runs[0]
     # Data without error have no scale of their own.
-    scale = max(constant.whole.scale, 1e-9 * _rms(measured))
+    scale = max(constant.whole.scale, 1e-9 * _rms_error(measured))
     losses = [loss(run.error, scale) for run in runs]
     # The strongest rival without torque: a model must beat that, not the weakest.
     plain = [k for k, family in enumerate(tried) if not family.candidate]
@@ -148,10 +148,10 @@ def torque_dependence(rows: StaticRows, kept: Sequence[int] | np.ndarray) -> Tor
             candidate=family.candidate,
             shape=run.shape.label,
             parameters=run.shape.columns.shape[2],
-            fit=_rms(run.whole.residual),
-            left_out=_rms(run.error),
-            gain=1.0 - _rms(run.error) / (_rms(constant.error) or 1.0),
-            chance=min(1.0, candidates * _paired(losses[rival] - losses[k]))
+            fit=_rms_error(run.whole.residual),
+            left_out=_rms_error(run.error),
+            gain=1.0 - _rms_error(run.error) / (_rms_error(constant.error) or 1.0),
+            chance=min(1.0, candidates * _paired_test(losses[rival] - losses[k]))
             if family.candidate
             else 1.0,
             value=run.whole.value,
@@ -172,16 +172,16 @@ def torque_dependence(rows: StaticRows, kept: Sequence[int] | np.ndarray) -> Tor
             best="",
             secant={},
         )
-    verdict, sentence, chosen = _verdict(models, models[rival])
+    verdict, sentence, chosen = _decide_verdict(models, models[rival])
     secant = {}
     if verdict == "supported":
-        secant = _secant(rows, kept, models[best], runs[best].shape)
+        secant = _secant_range(rows, kept, models[best], runs[best].shape)
     return TorqueDependence(
         verdict=verdict, sentence=sentence, models=models, best=chosen.name, secant=secant
     )
 
 
-def _left_out(family: Family, measured: np.ndarray) -> _Run:
+def _predict_left_out(family: Family, measured: np.ndarray) -> _FamilyFit:
     """Errors of poses left out; the form is chosen anew without each pose."""
     whole = [fit(shape.columns, measured) for shape in family.shapes]
     error = np.empty_like(measured)
@@ -190,20 +190,20 @@ def _left_out(family: Family, measured: np.ndarray) -> _Run:
             fit(shape.columns[keep], measured[keep], start=start)
             for shape, start in zip(family.shapes, whole, strict=True)
         ]
-        best = _best(folds)
+        best = _select_form(folds)
         error[k] = measured[k] - family.shapes[best].columns[k] @ folds[best].value
-    best = _best(whole)
-    return _Run(error, whole[best], family.shapes[best])
+    best = _select_form(whole)
+    return _FamilyFit(error, whole[best], family.shapes[best])
 
 
-def _best(fits: list[RobustFit]) -> int:
+def _select_form(fits: list[RobustFit]) -> int:
     if len(fits) == 1:
         return 0
     scale = max(fits[0].scale, 1e-300)
     return int(np.argmin([np.sum(loss(each.residual, scale)) for each in fits]))
 
 
-def _paired(drop: np.ndarray) -> float:
+def _paired_test(drop: np.ndarray) -> float:
     """Probability that the loss drops in so many poses by chance (Wilcoxon's signed ranks).
 
     Ranks, as a few poses with large loads would drown all others in a test of the mean.
@@ -215,18 +215,22 @@ def _paired(drop: np.ndarray) -> float:
     return float(wilcoxon(drop, alternative="greater").pvalue)
 
 
-def _rms(error: np.ndarray) -> float:
+def _rms_error(error: np.ndarray) -> float:
     return float(np.sqrt(np.mean(np.square(error))))
 
 
-def _verdict(models: tuple[Compared, ...], rival: Compared) -> tuple[Verdict, str, Compared]:
+def _decide_verdict(models: tuple[Compared, ...], rival: Compared) -> tuple[Verdict, str, Compared]:
     """Verdict, sentence, and the torque-dependent model that they are about."""
     candidates = [model for model in models if model.candidate]
     sure = min(candidates, key=lambda model: (model.chance, -model.gain))
-    if sure.chance < CHANCE and sure.gain >= SMALLEST_GAIN:
-        return "supported", f"supported by these poses: {_numbers(sure, len(candidates))}.", sure
+    if sure.chance < MAX_CHANCE and sure.gain >= MIN_GAIN:
+        return (
+            "supported",
+            f"supported by these poses: {_parameter_values(sure, len(candidates))}.",
+            sure,
+        )
     best = max(candidates, key=lambda model: model.gain)
-    numbers = _numbers(best, len(candidates))
+    numbers = _parameter_values(best, len(candidates))
     if best.left_out < rival.left_out:
         return "weak", f"weak: {numbers}; not decisive.", best
     than = "constant compliance" if rival is models[0] else "constant compliance with an offset"
@@ -237,14 +241,14 @@ def _verdict(models: tuple[Compared, ...], rival: Compared) -> tuple[Verdict, st
     )
 
 
-def _numbers(model: Compared, tried: int) -> str:
+def _parameter_values(model: Compared, tried: int) -> str:
     return (
         f"{-100 * model.gain:+.1f} % error on poses left out (model: {model.name}), probability "
         f"of chance {model.chance:.2g} with {tried} models tried"
     )
 
 
-def _secant(
+def _secant_range(
     rows: StaticRows, kept: np.ndarray, best: Compared, shape: WindupForm
 ) -> dict[int, tuple[float, float, float]]:
     torque = np.quantile(np.abs(rows.load), [0.05, 0.5, 0.95], axis=0)
@@ -311,8 +315,8 @@ def families(rows: StaticRows, kept: np.ndarray) -> list[Family]:
         ),
     ]
     size = np.sqrt(np.mean(np.square(rows.load), axis=0))
-    powers = [(f"q = {q:g}", _power(q)) for q in EXPONENTS]
-    bends = [(f"s0 = {share:g} of rms s", _tanh(share * size)) for share in BENDS]
+    powers = [(f"q = {q:g}", _power_form(q)) for q in EXPONENTS]
+    bends = [(f"s0 = {share:g} of rms s", _tanh_form(share * size)) for share in TANH_TORQUE_SHARES]
     preloaded = rows.difference and rows.weight is not None and bool(np.any(rows.weight))
     for on_weight in (False, True) if preloaded else (False,):
         place = ", on the weight" if on_weight else ""
@@ -320,12 +324,12 @@ def families(rows: StaticRows, kept: np.ndarray) -> list[Family]:
             ("contact", "c s + b |s|^q sign s", powers),
             ("tanh", "c s + b tanh(s / s0)", bends),
         ):
-            shapes = tuple(_shape(rows, kept, constant, *law, on_weight) for law in laws)
+            shapes = tuple(_fit_shape(rows, kept, constant, *law, on_weight) for law in laws)
             found.append(Family(name + place, formula, True, shapes))
     return found
 
 
-def _shape(
+def _fit_shape(
     rows: StaticRows,
     kept: np.ndarray,
     constant: np.ndarray,
@@ -337,10 +341,10 @@ def _shape(
     return WindupForm(label=label, columns=np.concatenate([constant, added], axis=2), windup=law)
 
 
-def _power(exponent: float) -> Windup:
+def _power_form(exponent: float) -> Windup:
     return lambda s: np.sign(s) * np.abs(s) ** exponent
 
 
-def _tanh(bend: np.ndarray) -> Windup:
+def _tanh_form(bend: np.ndarray) -> Windup:
     bend = np.where(bend > 0.0, bend, 1.0)
     return lambda s: np.tanh(s / bend)

@@ -12,11 +12,11 @@ from stiffopt.declaration import NOT_NEGATIVE, Bounds, Doc, Unit, check_fields
 if TYPE_CHECKING:
     from stiffopt.symbolic import Quantity
 
-_Share = Annotated[float, Unit("ratio", bare=True), NOT_NEGATIVE]
+_RelativeDeviation = Annotated[float, Unit("ratio", bare=True), NOT_NEGATIVE]
 # One standard deviation of a stiffness that leaves a spring.
-_Stiffness = Annotated[float, Unit("ratio", bare=True), Bounds(least=0.0, most=1.0)]
-_Length = Annotated[float, Unit("length", bare=True), NOT_NEGATIVE]
-_Position = Annotated[float, Unit("angle", joint=True, bare=True), NOT_NEGATIVE]
+_StiffnessDeviation = Annotated[float, Unit("ratio", bare=True), Bounds(least=0.0, most=1.0)]
+_LengthDeviation = Annotated[float, Unit("length", bare=True), NOT_NEGATIVE]
+_PositionDeviation = Annotated[float, Unit("angle", joint=True, bare=True), NOT_NEGATIVE]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -87,15 +87,19 @@ class Nominal:
 class Tolerance:
     """One standard deviation of the nominal values; wide defaults hold where none is given."""
 
-    mass: Annotated[_Share | None, Doc("Of masses, relative.")] = None
-    com: Annotated[_Length | None, Doc("Of each coordinate of a centre of mass.")] = None
-    rotor_inertia: Annotated[_Share | None, Doc("Of rotor inertias, relative.")] = None
-    coulomb: Annotated[_Share | None, Doc("Of Coulomb friction, relative.")] = None
-    viscous: Annotated[_Share | None, Doc("Of viscous friction, relative.")] = None
-    stiffness: Annotated[_Stiffness | None, Doc("Of stiffnesses, relative.")] = None
-    joint_damping: Annotated[_Share | None, Doc("Of the damping of joints, relative.")] = None
-    torque_constant: Annotated[_Share | None, Doc("Of torque constants, relative.")] = None
-    encoder_zero: Annotated[_Position | None, Doc("Of the zero of an encoder.")] = None
+    mass: Annotated[_RelativeDeviation | None, Doc("Of masses, relative.")] = None
+    com: Annotated[_LengthDeviation | None, Doc("Of each coordinate of a centre of mass.")] = None
+    rotor_inertia: Annotated[_RelativeDeviation | None, Doc("Of rotor inertias, relative.")] = None
+    coulomb: Annotated[_RelativeDeviation | None, Doc("Of Coulomb friction, relative.")] = None
+    viscous: Annotated[_RelativeDeviation | None, Doc("Of viscous friction, relative.")] = None
+    stiffness: Annotated[_StiffnessDeviation | None, Doc("Of stiffnesses, relative.")] = None
+    joint_damping: Annotated[
+        _RelativeDeviation | None, Doc("Of the damping of joints, relative.")
+    ] = None
+    torque_constant: Annotated[_RelativeDeviation | None, Doc("Of torque constants, relative.")] = (
+        None
+    )
+    encoder_zero: Annotated[_PositionDeviation | None, Doc("Of the zero of an encoder.")] = None
 
     def __post_init__(self) -> None:
         check_fields(self, "tolerance")

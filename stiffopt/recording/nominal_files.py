@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,15 +16,16 @@ from stiffopt.connection.reducer import Reducer
 from stiffopt.drivetrain.chain import Chain
 from stiffopt.drivetrain.stage import Stage
 from stiffopt.errors import InputFileError, nearest
-from stiffopt.recording.nominal import Counterbalance, Noise, Nominal
+from stiffopt.recording.nominal import Counterbalance, Noise, Nominal, Tolerance
 from stiffopt.recording.schema import (
     NoiseSection,
     NominalSection,
+    RecordingsFile,
     ReducerCurvesSection,
     SpringSection,
     TableSection,
 )
-from stiffopt.robot.elements import located
+from stiffopt.robot.elements import locate_errors
 from stiffopt.robot.files import load_robot, shipped_robots
 from stiffopt.robot.frames import frame_names, named_frame
 from stiffopt.robot.robot import Robot
@@ -50,10 +51,10 @@ def per_joint(
     return numbers
 
 
-def as_nominal(section: NominalSection, joints: Sequence[str], path: Path) -> Nominal:
+def build_nominal(section: NominalSection, joints: Sequence[str], path: Path) -> Nominal:
     """What the section says beside the robot, with one entry a joint."""
     n = len(joints)
-    lists = {key: _finite(section, key, n, path) for key in _DRIVE_LISTS}
+    lists = {key: _finite_per_joint(section, key, n, path) for key in _DRIVE_LISTS}
     ratio = lists["gear_ratio"]
     if ratio is not None and not ratio.all():
         raise InputFileError(path, "nominal.gear_ratio", "a ratio of 0 turns nothing.")
@@ -69,7 +70,7 @@ def as_nominal(section: NominalSection, joints: Sequence[str], path: Path) -> No
         pole_pairs=section.pole_pairs,
         connections=section.connections,
         counterbalance=tuple(
-            _counterbalance(one, joints, path)
+            _read_counterbalance(one, joints, path)
             for one in (balance if isinstance(balance, tuple) else (balance,))
         ),
         **lists,
@@ -78,12 +79,12 @@ def as_nominal(section: NominalSection, joints: Sequence[str], path: Path) -> No
 
 def check_nominal(section: NominalSection, joints: Sequence[str], path: Path) -> None:
     """Raise `InputFileError` where a list of the section is of no use for these joints."""
-    as_nominal(section, joints, path)
+    build_nominal(section, joints, path)
     for key in _ROBOT_LISTS:
-        _finite(section, key, len(joints), path)
+        _finite_per_joint(section, key, len(joints), path)
 
 
-def as_nominal_robot(
+def build_nominal_robot(
     described: Robot, order: np.ndarray, section: NominalSection, path: Path
 ) -> Robot:
     """The robot as its file describes it, with all that the section states in its place.
@@ -101,17 +102,17 @@ def as_nominal_robot(
     of_set = np.argsort(order)
     stated: dict[str, Any] = {}
     for key in _ROBOT_LISTS:
-        numbers = _finite(section, key, described.n, path)
+        numbers = _finite_per_joint(section, key, described.n, path)
         if numbers is not None:
             stated[key] = numbers[of_set]
     robot = replace(described, **stated)
-    chains = as_chains(section, robot.torque_max[order], path)
+    chains = build_chains(section, robot.torque_max[order], path)
     if chains is None:
         return robot
     return replace(robot, chains=tuple(chains[j] for j in of_set))
 
 
-def unstated(section: NominalSection, described: Robot) -> tuple[str, ...]:
+def missing_nominal_values(section: NominalSection, described: Robot) -> tuple[str, ...]:
     """Which of coulomb, viscous and rotor_inertia neither a set nor its robot's file gives."""
     return tuple(
         key
@@ -120,7 +121,7 @@ def unstated(section: NominalSection, described: Robot) -> tuple[str, ...]:
     )
 
 
-def as_chains(
+def build_chains(
     section: NominalSection, torque_max: np.ndarray, path: Path
 ) -> tuple[Chain | None, ...] | None:
     """Drivetrain of each joint: its reducer, and its contacts as one spring; None is rigid.
@@ -139,18 +140,20 @@ def as_chains(
     """
     n = len(torque_max)
     contacts = per_joint(section.contact_stiffness, n, path, "nominal.contact_stiffness")
-    curves = None if section.reducer is None else _curves(section.reducer, n, path)
+    curves = None if section.reducer is None else _reducer_curves(section.reducer, n, path)
     if contacts is None and curves is None:
         return None
     chains: list[Chain | None] = []
     for j, most in enumerate(torque_max):
         curve = None if curves is None else curves[:, j]
-        with located(path, f"nominal.reducer, joint {j + 1}"):
-            chains.append(joint_chain(curve, np.inf if contacts is None else contacts[j], most))
+        with locate_errors(path, f"nominal.reducer, joint {j + 1}"):
+            chains.append(
+                build_joint_chain(curve, np.inf if contacts is None else contacts[j], most)
+            )
     return tuple(chains)
 
 
-def joint_chain(
+def build_joint_chain(
     curve: Sequence[float] | np.ndarray | None, contacts: float, torque_max: float
 ) -> Chain | None:
     """Drivetrain of a reducer K1, K2, K3, T1, T2 and a contact stiffness [N m/rad]; None is rigid.
@@ -177,7 +180,7 @@ def joint_chain(
     return Chain(tuple(Stage(element) for element in elements)) if elements else None
 
 
-def as_noise(section: NoiseSection, n: int, path: Path) -> Noise:
+def build_noise(section: NoiseSection, n: int, path: Path) -> Noise:
     """Noise with one entry a joint."""
     return Noise(
         **{
@@ -187,14 +190,14 @@ def as_noise(section: NoiseSection, n: int, path: Path) -> Noise:
     )
 
 
-def _finite(section: NominalSection, key: str, n: int, path: Path) -> np.ndarray | None:
+def _finite_per_joint(section: NominalSection, key: str, n: int, path: Path) -> np.ndarray | None:
     numbers = per_joint(getattr(section, key), n, path, f"nominal.{key}")
     if numbers is not None and not np.isfinite(numbers).all():
         raise InputFileError(path, f"nominal.{key}", f"got {list(numbers)}, not finite.")
     return numbers
 
 
-def _curves(section: ReducerCurvesSection, n: int, path: Path) -> np.ndarray:
+def _reducer_curves(section: ReducerCurvesSection, n: int, path: Path) -> np.ndarray:
     """K1, K2, K3, T1, T2 of all joints (5, n)."""
     rows = []
     for key in ("K1", "K2", "K3", "T1", "T2"):
@@ -206,7 +209,7 @@ def _curves(section: ReducerCurvesSection, n: int, path: Path) -> np.ndarray:
     return np.array(rows)
 
 
-def _counterbalance(
+def _read_counterbalance(
     section: SpringSection | TableSection, joints: Sequence[str], path: Path
 ) -> Counterbalance:
     where = "nominal.counterbalance"
@@ -264,7 +267,7 @@ def load_arm(
     friction that a bare URDF may name is left out: `<dynamics>` is a setting of simulators.
     """
     shipped = source in shipped_robots()
-    robot = load_robot(source if shipped else inside(path, "robot", source), keep=joints)
+    robot = load_robot(source if shipped else path_inside_set(path, "robot", source), keep=joints)
     if not (shipped or source.lower().endswith(".toml")):
         robot = replace(robot, coulomb=np.zeros(robot.n), viscous=np.zeros(robot.n))
     names = robot.joint_names
@@ -295,7 +298,7 @@ def load_arm(
     return replace(robot, tool=named_frame(robot.model, tool_frame)), locked
 
 
-def inside(path: Path, where: str, name: str) -> Path:
+def path_inside_set(path: Path, where: str, name: str) -> Path:
     """Path of a file that a set names, which must lie in the set's own folder."""
     given = Path(name)
     if given.is_absolute() or ".." in given.parts:
@@ -303,3 +306,92 @@ def inside(path: Path, where: str, name: str) -> Path:
             path, where, f"{name!r} lies outside of the set. Copy or link it into {path.parent}."
         )
     return path.parent / given
+
+
+NO_RATIO = "nominal.gear_ratio is not given: nothing periodic in the rotor angle can be named."
+
+
+def assumptions(
+    document: RecordingsFile, described: Robot, locked: Sequence[str]
+) -> tuple[str, ...]:
+    """Sentences, one a thing assumed, in the order of the file.
+
+    Parameters
+    ----------
+    document : RecordingsFile
+    described : Robot
+        As its own file describes it.
+    locked : sequence of str
+        Joints that are not recorded.
+    """
+    found = []
+    if locked:
+        found.append(f"Joints not recorded are held at zero: {', '.join(locked)}.")
+    if document.gravity is None:
+        found.append("Gravity is 9.81 m/s^2 along -z of the base.")
+    if document.signals.torque_side is None:
+        found.append("Torque is the motor's, from current, before friction.")
+    found += nominal_assumptions(
+        document.nominal,
+        document.tolerance,
+        described,
+        links=bool(document.signals.link_position),
+    )
+    if document.noise.torque is None:
+        found.append("Torque noise is not given and is estimated from the recordings.")
+    if document.signals.link_position and document.noise.link_position is None:
+        found.append("Link encoder noise is not given and is estimated from the recordings.")
+    if all(run.session_time is None for run in document.runs):
+        found.append("Session times are not given: all runs are taken as equally warm.")
+    return tuple(found)
+
+
+def nominal_assumptions(
+    nominal: NominalSection, tolerance: Tolerance, described: Robot, *, links: bool
+) -> tuple[str, ...]:
+    """Sentences on the nominal robot and how far it may be off, which an extended model replaces.
+
+    Parameters
+    ----------
+    nominal : NominalSection
+        What the set states.
+    tolerance : Tolerance
+        Likewise.
+    described : Robot
+        As its own file describes it.
+    links : bool
+        Whether link positions are recorded.
+    """
+    found = [*_list_nominal_assumptions(nominal, described, links)]
+    if silent := missing_tolerances(tolerance):
+        found.append(f"Tolerances not given, wide defaults hold: {', '.join(silent)}.")
+    return tuple(found)
+
+
+def missing_tolerances(tolerance: Tolerance) -> list[str]:
+    """Names of tolerances that a set does not give.
+
+    Nobody knows a damping well: that it may differ widely needs no word.
+    """
+    return [k for k, value in vars(tolerance).items() if value is None and k != "joint_damping"]
+
+
+def _list_nominal_assumptions(
+    nominal: NominalSection, described: Robot, links: bool
+) -> Iterator[str]:
+    if nominal.gear_ratio is None:
+        yield NO_RATIO
+    for key, what in (
+        ("rotor_inertia", "the rotor inertia"),
+        ("coulomb", "the Coulomb friction"),
+        ("viscous", "the viscous friction"),
+    ):
+        if key in missing_nominal_values(nominal, described):
+            yield f"nominal.{key} is not given: {what} is not known and is estimated."
+        elif getattr(nominal, key) is None:
+            yield f"nominal.{key} is not given: {what} is that of the robot's file."
+    if nominal.reducer is None:
+        if any(described.chains) and nominal.contact_stiffness is None:
+            yield "nominal.reducer is not given: drivetrains are those of the robot's file."
+        elif links:
+            yield "nominal.reducer is not given: the joints' stiffness is estimated."

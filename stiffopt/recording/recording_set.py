@@ -11,25 +11,25 @@ from pathlib import Path, PurePosixPath
 import numpy as np
 
 from stiffopt.errors import InputFileError
-from stiffopt.files import load_toml, with_changes
-from stiffopt.recording.assumptions import assumptions, of_nominal
-from stiffopt.recording.clean import clean
+from stiffopt.files import apply_changes, load_toml
+from stiffopt.recording.clean import clean_run
 from stiffopt.recording.nominal import Noise, Nominal, Tolerance
 from stiffopt.recording.nominal_files import (
-    as_noise,
-    as_nominal,
-    as_nominal_robot,
-    inside,
+    assumptions,
+    build_noise,
+    build_nominal,
+    build_nominal_robot,
     load_arm,
+    missing_nominal_values,
+    nominal_assumptions,
+    path_inside_set,
     per_joint,
-    unstated,
 )
-from stiffopt.recording.readers.read import read_columns
+from stiffopt.recording.readers.read import find_set_file, read_columns
 from stiffopt.recording.recorded_arm import RecordedArm, joint_order
 from stiffopt.recording.run import RecordedRun, Role
 from stiffopt.recording.schema import NominalSection, RecordingsFile, RunSection
-from stiffopt.recording.set_file import described_by
-from stiffopt.recording.signals import Signals, as_signals
+from stiffopt.recording.signals import Signals, build_signals
 from stiffopt.robot.robot import Robot
 from stiffopt.validation import validate
 
@@ -110,7 +110,7 @@ class RecordingSet(RecordedArm):
     @property
     def unstated(self) -> tuple[str, ...]:
         """Which of coulomb, viscous and rotor_inertia neither the set nor its robot file gives."""
-        return unstated(self.stated, self.described)
+        return missing_nominal_values(self.stated, self.described)
 
     def with_nominal(self, stated: NominalSection, path: str | os.PathLike[str]) -> RecordingSet:
         """The set with another statement of the nominal robot, from the file at `path`.
@@ -119,11 +119,11 @@ class RecordingSet(RecordedArm):
         """
         path = Path(path)
         links = bool(self.signals.link_position)
-        silent = of_nominal(self.stated, self.tolerance, self.described, links=links)
+        silent = nominal_assumptions(self.stated, self.tolerance, self.described, links=links)
         return replace(
             self,
-            robot=as_nominal_robot(self.described, self.order, stated, path),
-            nominal=as_nominal(stated, self.joints, path),
+            robot=build_nominal_robot(self.described, self.order, stated, path),
+            nominal=build_nominal(stated, self.joints, path),
             stated=stated,
             assumptions=tuple(each for each in self.assumptions if each not in silent),
         )
@@ -141,9 +141,9 @@ class RecordingSet(RecordedArm):
             A file that is missing or has other columns, a clock that runs backwards, too few
             samples.
         """
-        path = inside(self.path, "runs", entry.file)
+        path = path_inside_set(self.path, "runs", entry.file)
         columns = self.signals.to_si(read_columns(path, self.signals))
-        return clean(
+        return clean_run(
             columns,
             self.signals,
             path=path,
@@ -166,8 +166,8 @@ def load_recordings(path: str | os.PathLike[str], changes: Sequence[str] = ()) -
     InputFileError, RobotError
         What is wrong, where, and what is allowed.
     """
-    path = described_by(Path(path))
-    data = with_changes(load_toml(path), changes, path)
+    path = find_set_file(Path(path))
+    data = apply_changes(load_toml(path), changes, path)
     if data.get("schema") != 1 or isinstance(data.get("schema"), bool):
         got = f"got {data['schema']!r}" if "schema" in data else "the key is missing"
         raise InputFileError(path, "schema", f"this version reads schema = 1, {got}.")
@@ -177,12 +177,14 @@ def load_recordings(path: str | os.PathLike[str], changes: Sequence[str] = ()) -
         document.robot, document.joints, path, document.tool_frame, document.gravity
     )
     order, stated = joint_order(described, document.joints), document.nominal
-    robot = as_nominal_robot(described, order, stated, path)
-    nominal = as_nominal(stated, document.joints, path)
+    robot = build_nominal_robot(described, order, stated, path)
+    nominal = build_nominal(stated, document.joints, path)
     tolerance = document.tolerance
-    noise = as_noise(document.noise, n, path)
-    signals = as_signals(document.signals, n, path)
-    runs = tuple(_entry(section, n, number, path) for number, section in enumerate(document.runs))
+    noise = build_noise(document.noise, n, path)
+    signals = build_signals(document.signals, n, path)
+    runs = tuple(
+        _run_entry(section, n, number, path) for number, section in enumerate(document.runs)
+    )
     _check_names(runs, path)
     return RecordingSet(
         path=path,
@@ -237,8 +239,8 @@ def require_usable(recordings: RecordingSet, usable: Set[str]) -> None:
             )
 
 
-def _entry(section: RunSection, n: int, number: int, path: Path) -> RunEntry:
-    inside(path, f"runs[{number + 1}].file", section.file)
+def _run_entry(section: RunSection, n: int, number: int, path: Path) -> RunEntry:
+    path_inside_set(path, f"runs[{number + 1}].file", section.file)
     return RunEntry(
         file=section.file,
         role=section.role,

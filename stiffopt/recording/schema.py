@@ -25,7 +25,7 @@ JointViscous = Annotated[float, Unit("viscous friction", joint=True, bare=True)]
 JointStiffness = Annotated[float, Unit("stiffness", joint=True, bare=True)]
 
 # Infinite is rigid.
-_RIGID = Bounds(above=0.0, finite=False)
+_RIGID_BOUNDS = Bounds(above=0.0, finite=False)
 
 _Position = Annotated[JointPosition, NOT_NEGATIVE]
 _Velocity = Annotated[JointVelocity, NOT_NEGATIVE]
@@ -79,25 +79,29 @@ class ReducerCurvesSection(Section):
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=True)
 
-    K1: Annotated[tuple[Annotated[JointStiffness, _RIGID], ...], Doc("Slopes below T1.")]
-    K2: Annotated[tuple[Annotated[JointStiffness, _RIGID], ...], Doc("Slopes between T1 and T2.")]
-    K3: Annotated[tuple[Annotated[JointStiffness, _RIGID], ...], Doc("Slopes above T2.")]
+    K1: Annotated[tuple[Annotated[JointStiffness, _RIGID_BOUNDS], ...], Doc("Slopes below T1.")]
+    K2: Annotated[
+        tuple[Annotated[JointStiffness, _RIGID_BOUNDS], ...], Doc("Slopes between T1 and T2.")
+    ]
+    K3: Annotated[tuple[Annotated[JointStiffness, _RIGID_BOUNDS], ...], Doc("Slopes above T2.")]
     T1: Annotated[
-        tuple[Annotated[JointTorque, _RIGID], ...], Doc("Torques where the first range ends.")
+        tuple[Annotated[JointTorque, _RIGID_BOUNDS], ...],
+        Doc("Torques where the first range ends."),
     ]
     T2: Annotated[
-        tuple[Annotated[JointTorque, _RIGID], ...], Doc("Torques where the second range ends.")
+        tuple[Annotated[JointTorque, _RIGID_BOUNDS], ...],
+        Doc("Torques where the second range ends."),
     ]
 
 
-_BALANCED = Doc("Joint that is balanced: its name, or its number from 1.")
+_BALANCED_JOINT_DOC = Doc("Joint that is balanced: its name, or its number from 1.")
 
 
 class SpringSection(Section):
     """Spring that balances a joint."""
 
     type: Literal["spring"]
-    joint: Annotated[int | str, _BALANCED]
+    joint: Annotated[int | str, _BALANCED_JOINT_DOC]
     stiffness: Annotated[JointStiffness, Doc("Stiffness of the spring.")]
     offset: Annotated[JointPosition, Doc("Position at which it is relaxed.")] = 0.0
 
@@ -106,7 +110,7 @@ class TableSection(Section):
     """Torque that balances a joint, by its position."""
 
     type: Literal["table"]
-    joint: Annotated[int | str, _BALANCED]
+    joint: Annotated[int | str, _BALANCED_JOINT_DOC]
     angle: Annotated[tuple[JointPosition, ...], Doc("Positions, increasing; two or more.")]
     torque: Annotated[
         tuple[JointTorque, ...],
@@ -159,7 +163,7 @@ class NominalSection(Section):
         Doc("Damping of the elastic joints."),
     ] = None
     contact_stiffness: Annotated[
-        tuple[Annotated[JointStiffness, _RIGID], ...] | None,
+        tuple[Annotated[JointStiffness, _RIGID_BOUNDS], ...] | None,
         Doc("Healthy connections of each joint, lumped in series; infinite is rigid."),
     ] = None
     connections: Annotated[

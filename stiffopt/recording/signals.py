@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,7 +17,7 @@ from stiffopt.units import joint_to_si
 
 Kind = Literal["position", "velocity", "link_position", "torque"]
 KINDS: tuple[Kind, ...] = ("position", "velocity", "link_position", "torque")
-_DIMENSIONS = {
+_SIGNAL_DIMENSIONS = {
     "time": "time",
     "position": "angle",
     "velocity": "angular velocity",
@@ -72,7 +74,7 @@ class Signals:
             if kind in self.scale:
                 out[name] = out[name] * self.scale[kind][joint]
             if kind == "torque" and self.torque_delay:
-                out[name] = _earlier(out[self.time], out[name], self.torque_delay)
+                out[name] = _shift_earlier(out[self.time], out[name], self.torque_delay)
         return out
 
     def as_recorded(self, columns: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
@@ -107,7 +109,7 @@ class Signals:
         return tuple(name for _, _, name in self.columns())
 
 
-def as_signals(section: SignalsSection, n: int, path: Path) -> Signals:
+def build_signals(section: SignalsSection, n: int, path: Path) -> Signals:
     """Column names, checked: one a joint, each used once, positions complete, some torque."""
 
     def fail(key: str, reason: str) -> InputFileError:
@@ -132,29 +134,29 @@ def as_signals(section: SignalsSection, n: int, path: Path) -> Signals:
     return Signals(
         time=section.time,
         position=section.position,
-        velocity=_some(section.velocity),
-        link_position=_some(section.link_position),
+        velocity=_none_if_unnamed(section.velocity),
+        link_position=_none_if_unnamed(section.link_position),
         torque=section.torque,
         torque_side=section.torque_side or "motor",
-        scale=_scale(section.scale, n, path),
+        scale=_scale_factors(section.scale, n, path),
         torque_delay=section.torque_delay,
-        currents=any(entry in _CURRENTS for entry in _entries(section.scale.torque)),
+        currents=any(entry in _CURRENT_UNITS for entry in _entry_list(section.scale.torque)),
     )
 
 
 # Currents [A] may stand for torques, but nothing is diagnosed from them until they are torques.
-_CURRENTS = {"A": 1.0, "mA": 1e-3}
+_CURRENT_UNITS = {"A": 1.0, "mA": 1e-3}
 
 
-def _scale(section: ScaleSection, n: int, path: Path) -> dict[str, np.ndarray]:
+def _scale_factors(section: ScaleSection, n: int, path: Path) -> dict[str, np.ndarray]:
     """Factors of the section's entries: numbers, or units by name."""
     factors: dict[str, np.ndarray] = {}
-    for kind, dimension in _DIMENSIONS.items():
+    for kind, dimension in _SIGNAL_DIMENSIONS.items():
         entry = getattr(section, kind)
         if entry is None:
             continue
         where = f"signals.scale.{kind}"
-        entries = _entries(entry)
+        entries = _entry_list(entry)
         if len(entries) == 1 and not isinstance(entry, tuple):
             entries = entries * (1 if kind == "time" else n)
         if kind != "time" and len(entries) != n:
@@ -162,22 +164,22 @@ def _scale(section: ScaleSection, n: int, path: Path) -> dict[str, np.ndarray]:
                 path, where, f"needs one entry, or one a joint ({n}), got {len(entries)}."
             )
         values = [
-            _CURRENTS[str(one)]
-            if kind == "torque" and one in _CURRENTS
-            else _factor(one, dimension, path, where)
+            _CURRENT_UNITS[str(one)]
+            if kind == "torque" and one in _CURRENT_UNITS
+            else _unit_factor(one, dimension, path, where)
             for one in entries
         ]
         factors[kind] = np.array(values[0] if kind == "time" else values)
     return factors
 
 
-def _entries(entry: Any) -> list[float | str]:
+def _entry_list(entry: Any) -> list[float | str]:
     if entry is None:
         return []
     return list(entry) if isinstance(entry, tuple) else [entry]
 
 
-def _factor(entry: float | str, dimension: str, path: Path, where: str) -> float:
+def _unit_factor(entry: float | str, dimension: str, path: Path, where: str) -> float:
     try:
         value = joint_to_si(f"1 {entry}", dimension) if isinstance(entry, str) else entry
     except UnitError as error:
@@ -189,7 +191,7 @@ def _factor(entry: float | str, dimension: str, path: Path, where: str) -> float
     return float(value)
 
 
-def _earlier(time: np.ndarray, values: np.ndarray, delay: float) -> np.ndarray:
+def _shift_earlier(time: np.ndarray, values: np.ndarray, delay: float) -> np.ndarray:
     """What was recorded `delay` later; nan beyond the end of the recording."""
     known = np.isfinite(time) & np.isfinite(values)
     if known.sum() < 2:
@@ -198,5 +200,80 @@ def _earlier(time: np.ndarray, values: np.ndarray, delay: float) -> np.ndarray:
     return np.asarray(later)
 
 
-def _some(names: tuple[str, ...] | None) -> tuple[str, ...] | None:
+def _none_if_unnamed(names: tuple[str, ...] | None) -> tuple[str, ...] | None:
     return names if names is not None and any(names) else None
+
+
+_SET_POINT_WORDS = ("target", "cmd", "command", "desired", "planned", "soll", "setpoint",
+          "consigne", "consigna", "riferimento", "action")  # fmt: skip
+# Of these longer words begin: commanded, setpoints; Sollposition, and not the town of Solleck.
+_SET_POINT_PREFIXES = ("target", "command", "desired", "setpoint", "consign")
+_SOLL_PATTERN = r"soll(wert|pos|winkel|lage|stell|dreh|achs|gelenk|bahn|weg)"
+# Quantities, with which short words stand together or in one: qref1, pos_set, des_angle.
+_QUANTITY_WORDS = ("q", "theta", "phi", "pos", "position", "positions", "angle", "angles")
+_AXIS_WORDS = ("axis", "joint", "jnt", "j", "ax", "achse")
+_SHORT_WORDS = ("soll", "target", "cmd", "des", "ref", "reference", "set")
+_COMPOUND_PATTERN = rf"({'|'.join((*_QUANTITY_WORDS, *_AXIS_WORDS[:3]))})({'|'.join(_SHORT_WORDS)})"
+_UNIT_WORDS = ("deg", "rad", "grad", "m", "mm")
+_REFERENCE_WORDS = ("ref", "reference")
+# Shorter words before "des" are no noun whose genitive follows.
+_MIN_NOUN_LETTERS = 4
+
+
+def is_set_point(name: str) -> bool:
+    """Whether a column's name is that of a set point: "q_cmd_1", "Sollposition A1 [Grad]"."""
+    words = _split_words(name)
+    letters = [word for word in words if word.isalpha()]
+    return (
+        any(word in _SET_POINT_WORDS or word.startswith(_SET_POINT_PREFIXES) for word in letters)
+        or any(
+            re.match(_SOLL_PATTERN, word) or re.fullmatch(_COMPOUND_PATTERN, word)
+            for word in letters
+        )
+        or _has_desired(words)
+        or _has_set(letters, spaced=" " in name.strip())
+        or _is_quantity_reference(letters, spaced=" " in name.strip())
+    )
+
+
+def may_be_set_point(name: str) -> bool:
+    """Whether it is one, or speaks of a reference, which may be a mark or a frame as well."""
+    return is_set_point(name) or bool(set(_split_words(name)) & set(_REFERENCE_WORDS))
+
+
+def _split_words(name: str) -> list[str]:
+    """Words in small letters, and numbers between them."""
+    # QTarget, jointAngle, QSOLL1; a word of capitals stays one.
+    apart = re.sub(r"(?<=[a-z])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", " ", name)
+    return re.findall(r"[a-z]+|\d+", apart.lower())
+
+
+def _has_desired(words: list[str]) -> bool:
+    """Whether "des" is short for desired: no genitive, as in "Winkel_des_Gelenks_1"."""
+    for k, word in enumerate(words):
+        if word != "des":
+            continue
+        after = words[k + 1] if k + 1 < len(words) else ""
+        beside = not after.isalpha() or after in (*_QUANTITY_WORDS, *_AXIS_WORDS, *_UNIT_WORDS)
+        if beside or k == 0 or len(words[k - 1]) < _MIN_NOUN_LETTERS:
+            return True
+    return False
+
+
+def _has_set(letters: list[str], *, spaced: bool) -> bool:
+    """Whether "set" is said of a position: "set_pos_1", "AXIS_SET1", no "data_set_1"."""
+    pairs = list(itertools.pairwise(letters))
+    before = any(
+        one == "set" and two in ("point", "points", *_QUANTITY_WORDS[1:]) for one, two in pairs
+    )
+    last = [word for word in letters if word not in _UNIT_WORDS][-2:]
+    return before or (
+        not spaced and last[-1:] == ["set"] and last[0] in (*_QUANTITY_WORDS, *_AXIS_WORDS)
+    )
+
+
+def _is_quantity_reference(letters: list[str], *, spaced: bool) -> bool:
+    """Whether a reference of a quantity is all that is named: "q_ref_1", no "encoder_ref_1"."""
+    rest = [word for word in letters if word not in (*_REFERENCE_WORDS, *_UNIT_WORDS)]
+    referred = any(word in _REFERENCE_WORDS for word in letters)
+    return referred and not spaced and bool(rest) and all(word in _QUANTITY_WORDS for word in rest)

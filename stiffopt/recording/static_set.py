@@ -11,11 +11,11 @@ import numpy as np
 
 from stiffopt.errors import InputFileError
 from stiffopt.files import load_toml, read_document, read_table
-from stiffopt.recording.nominal_files import inside, load_arm, per_joint
+from stiffopt.recording.nominal_files import load_arm, path_inside_set, per_joint
 from stiffopt.recording.recorded_arm import RecordedArm
 from stiffopt.recording.schema import StaticFile
 
-FILE = "static.toml"
+STATIC_FILE = "static.toml"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -49,8 +49,8 @@ def is_static(path: str | os.PathLike[str]) -> bool:
     """Whether a path is that of a static set: its folder, or a file of its name or kind."""
     path = Path(path)
     if path.is_dir():
-        return (path / FILE).is_file()
-    return path.name == FILE or (path.is_file() and load_toml(path).get("kind") == "static")
+        return (path / STATIC_FILE).is_file()
+    return path.name == STATIC_FILE or (path.is_file() and load_toml(path).get("kind") == "static")
 
 
 def load_static_set(path: str | os.PathLike[str], changes: Sequence[str] = ()) -> StaticSet:
@@ -63,7 +63,7 @@ def load_static_set(path: str | os.PathLike[str], changes: Sequence[str] = ()) -
     """
     path = Path(path)
     if path.is_dir():
-        path = path / FILE
+        path = path / STATIC_FILE
     document = read_document(path, StaticFile, "static", changes)
     n = len(document.joints)
     if len(document.position) != n:
@@ -78,7 +78,7 @@ def load_static_set(path: str | os.PathLike[str], changes: Sequence[str] = ()) -
     columns = (*document.position, *document.force, *document.displacement)
     if len(set(columns)) < len(columns):
         raise InputFileError(path, "", "one column stands for two things. Correct the names.")
-    poses = inside(path, "poses", document.poses)
+    poses = path_inside_set(path, "poses", document.poses)
     table = read_table(poses, columns)
     force = np.column_stack([table[name] for name in document.force])
     if not force.any(axis=1).all():

@@ -1,4 +1,4 @@
-"""The bodies and joints of an arm as plain numbers, for formulas that are no pinocchio's."""
+"""Bodies and joints of an arm as plain numbers, and as capsules where no shapes are known."""
 
 from __future__ import annotations
 
@@ -12,9 +12,12 @@ from stiffopt.errors import RobotError
 if TYPE_CHECKING:
     import pinocchio as pin
 
-_REVOLUTE = ("JointModelRX", "JointModelRY", "JointModelRZ", "JointModelRevoluteUnaligned")
-_PRISMATIC = ("JointModelPX", "JointModelPY", "JointModelPZ", "JointModelPrismaticUnaligned")
-_KINDS = {
+
+from stiffopt.robot.frames import LinkFrame
+
+_REVOLUTE_MODELS = ("JointModelRX", "JointModelRY", "JointModelRZ", "JointModelRevoluteUnaligned")
+_PRISMATIC_MODELS = ("JointModelPX", "JointModelPY", "JointModelPZ", "JointModelPrismaticUnaligned")
+_JOINT_KIND_NAMES = {
     "JointModelFreeFlyer": "floating",
     "JointModelPlanar": "planar",
     "JointModelSpherical": "spherical",
@@ -109,7 +112,7 @@ def body_tree(model: pin.Model) -> BodyTree:
     """
     bodies = []
     for i in range(1, model.njoints):
-        prismatic, axis = _axis(model, i)
+        prismatic, axis = _joint_axis(model, i)
         placement, inertia = model.jointPlacements[i], model.inertias[i]
         bodies.append(
             Body(
@@ -127,20 +130,84 @@ def body_tree(model: pin.Model) -> BodyTree:
     return BodyTree(tuple(bodies), np.array(model.gravity.linear))
 
 
-def _axis(model: pin.Model, i: int) -> tuple[bool, np.ndarray]:
+def _joint_axis(model: pin.Model, i: int) -> tuple[bool, np.ndarray]:
     """Whether a joint slides, and its axis."""
     joint = model.joints[i]
     kind = joint.shortname()
-    if kind in _REVOLUTE or kind in _PRISMATIC:
+    if kind in _REVOLUTE_MODELS or kind in _PRISMATIC_MODELS:
         linear, angular = np.array(joint.createData().S).reshape(2, 3)
-        return kind in _PRISMATIC, linear if kind in _PRISMATIC else angular
+        return kind in _PRISMATIC_MODELS, linear if kind in _PRISMATIC_MODELS else angular
     if kind.startswith("JointModelR") and "U" in kind:
         name = "unbounded revolute (two coordinates)"
         step = "Read it as a revolute joint without position limits."
     else:
-        name = _KINDS.get(kind, kind.removeprefix("JointModel").lower())
+        name = _JOINT_KIND_NAMES.get(kind, kind.removeprefix("JointModel").lower())
         step = "Fix it, or replace it by revolute and prismatic joints."
     raise RobotError(
         f"joint {model.names[i]!r} is of the kind {name}; allowed are revolute and prismatic "
         f"joints (fixed ones are merged into their links). {step}"
     )
+
+
+# Radius of the first and of the last link over the reach: a guess that looks like an arm.
+_BASE_RADIUS_SHARE, _TOOL_RADIUS_SHARE = 0.055, 0.028
+
+
+@dataclass(frozen=True)
+class Capsule:
+    """A round rod with round ends, fixed to a joint's frame.
+
+    Parameters
+    ----------
+    joint : int
+        From 1; 0 is the base.
+    begin, end : array (3,)
+        In the frame of the joint [m].
+    radius : float [m]
+        Guessed from the arm's reach.
+    """
+
+    joint: int
+    begin: np.ndarray
+    end: np.ndarray
+    radius: float
+
+
+def arm_reach(tree: BodyTree, tool: LinkFrame) -> float:
+    """Length of the chain of links from the base to the tool [m]."""
+    steps = [np.linalg.norm(body.translation) for body in tree.bodies]
+    return float(np.sum(steps) + np.linalg.norm(tool.offset))
+
+
+def mounting_distance(tree: BodyTree) -> float:
+    """Distance of the first joint from the origin where no link is as long [m]; else zero.
+
+    An arm under a ceiling or on a gantry is placed by it: there is no part of the arm between.
+    """
+    first, *others = (float(np.linalg.norm(body.translation)) for body in tree.bodies)
+    return first if others and first > max(others) else 0.0
+
+
+def link_capsules(tree: BodyTree, tool: LinkFrame) -> list[Capsule]:
+    """One from every joint to each joint behind it, and one to the tool; none for a mounting."""
+    mounted = mounting_distance(tree) > 0.0
+    radii = joint_radii(tree, tool)
+    rods = [
+        Capsule(
+            body.parent, np.zeros(3), np.array(body.translation), radii[max(body.parent, 1) - 1]
+        )
+        for body in tree.bodies
+        if not (mounted and body.parent == 0)
+    ]
+    end = tool.offset
+    if np.linalg.norm(end) <= 1e-9:
+        # No tool point of its own: the last link is twice as long as to its centre of mass.
+        end = 2.0 * tree.bodies[tool.joint - 1].centre
+    rods.append(Capsule(tool.joint, np.zeros(3), np.array(end), 0.7 * radii[-1]))
+    return [rod for rod in rods if np.linalg.norm(rod.end) > 1e-9]
+
+
+def joint_radii(tree: BodyTree, tool: LinkFrame) -> list[float]:
+    """Radius of the link behind each joint (n,) [m]: thick at the base, thin at the tool."""
+    own = arm_reach(tree, tool) - mounting_distance(tree)
+    return [float(r) for r in own * np.linspace(_BASE_RADIUS_SHARE, _TOOL_RADIUS_SHARE, tree.n)]

@@ -19,9 +19,9 @@ from stiffopt.declaration import (
 )
 from stiffopt.errors import InputError
 
-_Place = tuple[Length, Length, Length]
-_Turn = tuple[Angle, Angle, Angle]
-_FLOOR = "floor"
+_Point = tuple[Length, Length, Length]
+_RollPitchYaw = tuple[Angle, Angle, Angle]
+_FLOOR_NAME = "floor"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,8 +35,8 @@ class Box:
         ],
         Doc("Edges along its axes."),
     ]
-    position: Annotated[_Place, Doc("Centre, base frame.")]
-    rpy: Annotated[_Turn, Doc("Fixed-axis roll, pitch, yaw of its axes.")] = (0.0, 0.0, 0.0)
+    position: Annotated[_Point, Doc("Centre, base frame.")]
+    rpy: Annotated[_RollPitchYaw, Doc("Fixed-axis roll, pitch, yaw of its axes.")] = (0.0, 0.0, 0.0)
 
     def __post_init__(self) -> None:
         check_fields(self, f"box {self.name!r}")
@@ -47,7 +47,7 @@ class Plane:
     """A wall or ceiling of the cell; all behind it is solid."""
 
     name: Annotated[str, Doc("Name in results.")]
-    point: Annotated[_Place, Doc("Any of its points, base frame.")]
+    point: Annotated[_Point, Doc("Any of its points, base frame.")]
     normal: Annotated[tuple[Ratio, Ratio, Ratio], Doc("Direction towards the arm, base axes.")]
 
     def __post_init__(self) -> None:
@@ -62,8 +62,8 @@ class MeshObstacle:
 
     name: Annotated[str, Doc("Name in results.")]
     file: Annotated[str, Doc("Path of the mesh, relative to the problem file.")]
-    position: Annotated[_Place, Doc("Origin, base frame.")] = (0.0, 0.0, 0.0)
-    rpy: Annotated[_Turn, Doc("Fixed-axis roll, pitch, yaw of its axes.")] = (0.0, 0.0, 0.0)
+    position: Annotated[_Point, Doc("Origin, base frame.")] = (0.0, 0.0, 0.0)
+    rpy: Annotated[_RollPitchYaw, Doc("Fixed-axis roll, pitch, yaw of its axes.")] = (0.0, 0.0, 0.0)
     scale: Annotated[Ratio, POSITIVE, Doc("Metres for a unit of the mesh: 0.001 for mm.")] = 1.0
 
     def __post_init__(self) -> None:
@@ -105,7 +105,7 @@ class Cell:
     @property
     def names(self) -> list[str]:
         """All that stands around the arm."""
-        own = [_FLOOR] if self.floor is not None else []
+        own = [_FLOOR_NAME] if self.floor is not None else []
         things: tuple[Box | Plane | MeshObstacle, ...] = (*self.box, *self.plane, *self.mesh)
         return [*own, *(each.name for each in things)]
 

@@ -11,18 +11,17 @@ import numpy as np
 import pinocchio as pin
 
 from stiffopt.errors import InputFileError
+from stiffopt.robot.body_tree import arm_reach, link_capsules
 from stiffopt.robot.cell import Cell
-from stiffopt.robot.frames import first_link_of
+from stiffopt.robot.frames import first_link_of, rotation_from_rpy
 from stiffopt.robot.link_shapes import LinkShape, Purpose, load_mesh
-from stiffopt.robot.mesh_loading import convex_hull, load_mesh_file
-from stiffopt.robot.rotations import rotation_from_rpy
-from stiffopt.robot.skeleton import capsules, reach
+from stiffopt.robot.meshes import convex_hull, load_mesh_file
 
 if TYPE_CHECKING:
     from stiffopt.robot.robot import Robot
 
 # Links that overlap in all of so many poses touch by design: a wrist's housings, say.
-_POSES = 60
+_SAMPLED_POSES = 60
 
 
 @dataclass(frozen=True)
@@ -81,8 +80,8 @@ class ClearanceModel:
     def __init__(self, robot: Robot, cell: Cell) -> None:
         self._model = robot.model.copy()
         missing: list[str] = []
-        links = list(_links(robot, cell, missing))
-        self.solids = solids = [*links, *_obstacles(cell)]
+        links = list(_link_solids(robot, cell, missing))
+        self.solids = solids = [*links, *_cell_solids(cell)]
         self.missing = tuple(dict.fromkeys(missing))
         self.guessed = tuple(dict.fromkeys(each.name for each in links if each.guessed))
         self._geometry = pin.GeometryModel()
@@ -92,13 +91,13 @@ class ClearanceModel:
                     f"{number} {solid.name}", solid.joint, solid.placement, solid.geometry
                 )
             )
-        chosen = list(_pairs(robot, cell, solids))
+        chosen = list(_collision_pairs(robot, cell, solids))
         for a, b in chosen:
             self._geometry.addCollisionPair(pin.CollisionPair(a, b))
         self._make_data()
         named = [(solids[a].name, solids[b].name) for a, b in chosen]
         own = [not solids[b].of_cell for _, b in chosen]
-        designed = self._touching_by_design(robot, np.array(own, dtype=bool), named)
+        designed = self._always_overlapping(robot, np.array(own, dtype=bool), named)
         for a, b in [pair for pair, name in zip(chosen, named, strict=True) if name in designed]:
             self._geometry.removeCollisionPair(pin.CollisionPair(a, b))
         self.couples = [
@@ -109,14 +108,14 @@ class ClearanceModel:
         self.pairs = list(dict.fromkeys(named))
         index = {pair: k for k, pair in enumerate(self.pairs)}
         self.pair_of = np.array([index[name] for name in named], dtype=int)
-        self.arm = reach(robot.tree, robot.tool) + max(map(_extent, links), default=0.0)
+        self.arm = arm_reach(robot.tree, robot.tool) + max(map(_link_extent, links), default=0.0)
         self._prismatic = robot.prismatic
 
     def _make_data(self) -> None:
         self._data = self._model.createData()
         self._geometry_data = pin.GeometryData(self._geometry)
 
-    def _touching_by_design(
+    def _always_overlapping(
         self, robot: Robot, own: np.ndarray, named: list[tuple[str, str]]
     ) -> set[tuple[str, str]]:
         """Pairs of links that overlap in every pose that was tried."""
@@ -125,7 +124,7 @@ class ClearanceModel:
         low, high = robot.position_lower, robot.position_upper
         low = np.where(np.isfinite(low), low, -np.pi)
         high = np.where(np.isfinite(high), high, np.pi)
-        poses = np.random.default_rng(1).uniform(low, high, (_POSES, robot.n))
+        poses = np.random.default_rng(1).uniform(low, high, (_SAMPLED_POSES, robot.n))
         nearest: dict[tuple[str, str], np.ndarray] = {}
         every = np.array([self.couple_distances(q) for q in poses])
         for k in np.flatnonzero(own):
@@ -159,7 +158,7 @@ class ClearanceModel:
         return np.asarray(np.sum(np.abs(speed) * arms, axis=1))
 
 
-def _links(robot: Robot, cell: Cell, missing: list[str]) -> Iterator[Solid]:
+def _link_solids(robot: Robot, cell: Cell, missing: list[str]) -> Iterator[Solid]:
     """Shapes of links: collision, else visual, else rods; adds to `missing` what has no form."""
     shown: set[int] = set()
     purposes: tuple[Purpose, ...] = ("collision", "visual")
@@ -173,7 +172,7 @@ def _links(robot: Robot, cell: Cell, missing: list[str]) -> Iterator[Solid]:
             shown.add(each.joint)
             at = pin.SE3(each.rotation, each.offset)
             yield Solid(each.shape.link, each.joint, at, form)
-    for rod in capsules(robot.tree, robot.tool):
+    for rod in link_capsules(robot.tree, robot.tool):
         if rod.joint in shown or rod.joint == 0:
             continue
         radius = rod.radius if cell.link_radius is None else cell.link_radius
@@ -189,7 +188,7 @@ def _links(robot: Robot, cell: Cell, missing: list[str]) -> Iterator[Solid]:
         )
 
 
-def _extent(solid: Solid) -> float:
+def _link_extent(solid: Solid) -> float:
     """How far a link goes beyond the origin of its joint [m]."""
     form = solid.geometry
     form.computeLocalAABB()
@@ -216,7 +215,7 @@ def coal_form(shape: LinkShape) -> Any:
         return None
 
 
-def _obstacles(cell: Cell) -> Iterator[Solid]:
+def _cell_solids(cell: Cell) -> Iterator[Solid]:
     """What stands around the arm, all fixed to the base."""
     up = np.array([0.0, 0.0, 1.0])
     if cell.floor is not None:
@@ -234,7 +233,7 @@ def _obstacles(cell: Cell) -> Iterator[Solid]:
         yield Solid(mesh.name, 0, at, solid, of_cell=True)
 
 
-def _pairs(robot: Robot, cell: Cell, solids: list[Solid]) -> Iterator[tuple[int, int]]:
+def _collision_pairs(robot: Robot, cell: Cell, solids: list[Solid]) -> Iterator[tuple[int, int]]:
     """Numbers of solids that can collide: links with the cell, links that are no neighbours."""
     parents = {j + 1: body.parent for j, body in enumerate(robot.tree.bodies)}
     for a, one in enumerate(solids):

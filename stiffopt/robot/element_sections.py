@@ -175,7 +175,7 @@ class ReducerLookUp(ElementSection):
         return {} if self.catalogue is None else vars(catalogue.reducer(self.catalogue))
 
 
-_LOOK_UPS: dict[str, type[ElementSection]] = {
+_LOOK_UP_SECTIONS: dict[str, type[ElementSection]] = {
     "key": KeyLookUp,
     "bolted_flange": FlangeLookUp,
     "timing_belt": BeltLookUp,
@@ -183,7 +183,7 @@ _LOOK_UPS: dict[str, type[ElementSection]] = {
 }
 
 
-def section_key(
+def build_section_key(
     field: Declared, *, optional: bool = False, required: bool = False
 ) -> tuple[Any, Any]:
     """Annotation and default of a declared field, as `create_model` takes them.
@@ -200,32 +200,32 @@ def section_key(
     return annotation, field.default
 
 
-def element_section(connection: type[Connection]) -> type[ElementSection]:
+def build_element_section(connection: type[Connection]) -> type[ElementSection]:
     """Section of a kind of connection: its declared fields, those of the stage, its look-up."""
-    base = _LOOK_UPS.get(connection.kind, ElementSection)
+    base = _LOOK_UP_SECTIONS.get(connection.kind, ElementSection)
     stage = declared(Stage)
     keys: dict[str, Any] = {
         "type": (Annotated[Literal[connection.kind], Doc("Kind of element.")], ...),
-        "ratio": section_key(stage["ratio"]),
-        "efficiency": section_key(stage["efficiency"]),
-        "parallel": section_key(stage["group"]),
+        "ratio": build_section_key(stage["ratio"]),
+        "efficiency": build_section_key(stage["efficiency"]),
+        "parallel": build_section_key(stage["group"]),
     }
     for name, field in declared(connection).items():
         if name in base.elsewhere or (name == "preload" and not connection.takes_preload):
             continue
         found = name in base.looked_up
         needed = name == "preload" and connection.needs_preload
-        keys[name] = section_key(field, optional=found, required=needed and not found)
+        keys[name] = build_section_key(field, optional=found, required=needed and not found)
     documented = [connection, *([] if base is ElementSection else [base])]
     section = create_model(
         f"{connection.__name__}Section",
         __base__=base,
-        __doc__=" ".join(_summary(cls) for cls in documented),
+        __doc__=" ".join(_docstring_summary(cls) for cls in documented),
         **keys,
     )
     section.connection = connection
     return section
 
 
-def _summary(cls: type) -> str:
+def _docstring_summary(cls: type) -> str:
     return (inspect.getdoc(cls) or "").partition("\n\n")[0]

@@ -35,8 +35,8 @@ class ElementBuilder:
         self.path, self.assembly = path, assembly
         self.surfaces: dict[str, SurfacePair] = {}
         for name, section in surfaces.items():
-            with located(path, f"surface.{name}"):
-                self.surfaces[name] = _surface(name, section)
+            with locate_errors(path, f"surface.{name}"):
+                self.surfaces[name] = _find_surface(name, section)
 
     def chain(self, joint: JointSection, torque_max: float, prismatic: bool) -> Chain | None:
         """Chain of a joint with the largest torque `torque_max` [N m]; None without elements."""
@@ -44,20 +44,20 @@ class ElementBuilder:
             return None
         stages = []
         for section in joint.element:
-            with located(self.path, f"joint[{joint.name}].element[{section.name}]"):
-                stages.append(self._stage(section, torque_max, prismatic))
-        with located(self.path, f"joint[{joint.name}]"):
+            with locate_errors(self.path, f"joint[{joint.name}].element[{section.name}]"):
+                stages.append(self._build_stage(section, torque_max, prismatic))
+        with locate_errors(self.path, f"joint[{joint.name}]"):
             _check_inputs(joint.element)
             return Chain(tuple(stages), reflect=self.assembly.reflect)
 
-    def _stage(self, section: ElementSection, torque_max: float, prismatic: bool) -> Stage:
+    def _build_stage(self, section: ElementSection, torque_max: float, prismatic: bool) -> Stage:
         kind = section.connection
         values = section.connection_fields()
         for name, value in values.items():
             if isinstance(value, JointNumber):
                 values[name] = fit_joint(value, prismatic, unit(kind, name).dimension, name)
         if "surface" in values:
-            values["surface"] = self._pair(values["surface"])
+            values["surface"] = self._loaded_surface_pair(values["surface"])
         # What the whole robot has in common.
         common = {"contact_law": self.assembly.contact_law, "shear": self.assembly.shear}
         values |= {name: law for name, law in common.items() if name in kind.__dataclass_fields__}
@@ -68,10 +68,10 @@ class ElementBuilder:
         )
         return Stage(element, section.ratio, section.efficiency, section.parallel)
 
-    def _pair(self, name: str) -> SurfacePair:
-        return replace(self._surface(name), loading=self.assembly.loading)
+    def _loaded_surface_pair(self, name: str) -> SurfacePair:
+        return replace(self._find_surface(name), loading=self.assembly.loading)
 
-    def _surface(self, name: str) -> SurfacePair:
+    def _find_surface(self, name: str) -> SurfacePair:
         if name in self.surfaces:
             return self.surfaces[name]
         known = [*self.surfaces, *catalogue.surface_names()]
@@ -104,7 +104,7 @@ def _check_inputs(sections: Sequence[ElementSection]) -> None:
             )
 
 
-def _surface(name: str, section: SurfaceSection) -> SurfacePair:
+def _find_surface(name: str, section: SurfaceSection) -> SurfacePair:
     values: dict[str, Any] = {key: getattr(section, key) for key in declared(SurfacePair)}
     for key, body in values.items():
         if isinstance(body, str):
@@ -113,7 +113,7 @@ def _surface(name: str, section: SurfaceSection) -> SurfacePair:
 
 
 @contextlib.contextmanager
-def located(path: object, where: str) -> Iterator[None]:
+def locate_errors(path: object, where: str) -> Iterator[None]:
     """Add file and key to what the objects inside say about their numbers."""
     try:
         yield

@@ -15,14 +15,14 @@ from stiffopt.declaration import bounds, unit
 from stiffopt.drivetrain import catalogue
 from stiffopt.drivetrain.tables import OwnEntries
 from stiffopt.errors import InputError, InputFileError, nearest
-from stiffopt.files import check_header, load_toml, with_changes
+from stiffopt.files import apply_changes, check_header, load_toml
 from stiffopt.robot.body_tree import body_tree
 from stiffopt.robot.element_sections import Cited
-from stiffopt.robot.elements import ElementBuilder, located
+from stiffopt.robot.elements import ElementBuilder, locate_errors
 from stiffopt.robot.frames import LinkFrame, link_frame, link_names
 from stiffopt.robot.link_shapes import read_link_shapes
 from stiffopt.robot.robot import Robot, Source
-from stiffopt.robot.schema import JointSection, PlaceSection, RobotFile, robot_file
+from stiffopt.robot.schema import JointSection, PlaceSection, RobotFile, robot_file_schema
 from stiffopt.robot.urdf import UNLIMITED, LinkBody, load_urdf
 from stiffopt.units import fit_joint
 from stiffopt.validation import validate
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     import pinocchio as pin
 
 # Links that descriptions use for the mechanical interface of the last joint, first match wins.
-_FLANGES = ("flange", "tool0", "ee_link")
+_FLANGE_LINKS = ("flange", "tool0", "ee_link")
 
 
 def shipped_robots() -> list[str]:
@@ -85,19 +85,19 @@ def load_robot(
         if changes:
             raise InputFileError(path, "--set", "a URDF has no entries to change: give a TOML.")
         document = RobotFile(schema=1, kind="robot", name=path.stem)
-        return _assemble(document, path, path, keep)
+        return _assemble_robot(document, path, path, keep)
     own = Path(drivetrain) if bare and drivetrain is not None else path
-    data = with_changes(load_toml(own), changes, own)
-    entries = _own_entries(data, own)
+    data = apply_changes(load_toml(own), changes, own)
+    entries = _read_own_entries(data, own)
     with catalogue.with_own(entries):
-        document = _document(data, own)
+        document = _validate_document(data, own)
         if not bare and document.urdf is None:
             raise InputFileError(own, "urdf", "this key is required and missing: path of the URDF.")
         urdf = path if bare else own.parent / str(document.urdf)
-        return replace(_assemble(document, own, urdf, keep), own=entries)
+        return replace(_assemble_robot(document, own, urdf, keep), own=entries)
 
 
-def _own_entries(data: Mapping[str, Any], path: Path) -> OwnEntries:
+def _read_own_entries(data: Mapping[str, Any], path: Path) -> OwnEntries:
     """The user's own catalogue, where the file has one: names are checked with the rest."""
     named = data.get("catalogue")
     if not isinstance(named, str):
@@ -108,7 +108,7 @@ def _own_entries(data: Mapping[str, Any], path: Path) -> OwnEntries:
     return read_own_catalogue(path.parent / named)
 
 
-def own_entries_of(source: object, folder: Path) -> OwnEntries:
+def load_own_entries(source: object, folder: Path) -> OwnEntries:
     """Own catalogue of a robot that another file names, for names in that file.
 
     Nothing where the robot is a shipped one or cannot be read, which its own reader says.
@@ -118,15 +118,15 @@ def own_entries_of(source: object, folder: Path) -> OwnEntries:
     path = folder / source
     if path.suffix.lower() != ".toml" or not path.is_file():
         return {}
-    return _own_entries(load_toml(path), path)
+    return _read_own_entries(load_toml(path), path)
 
 
-def _document(data: Mapping[str, Any], path: Path) -> RobotFile:
+def _validate_document(data: Mapping[str, Any], path: Path) -> RobotFile:
     check_header(data, path, "robot")
-    return validate(robot_file(), data, path)
+    return validate(robot_file_schema(), data, path)
 
 
-def _assemble(document: RobotFile, path: Path, urdf: Path, keep: Collection[str]) -> Robot:
+def _assemble_robot(document: RobotFile, path: Path, urdf: Path, keep: Collection[str]) -> Robot:
     loaded = load_urdf(
         urdf,
         lock=document.lock,
@@ -137,28 +137,28 @@ def _assemble(document: RobotFile, path: Path, urdf: Path, keep: Collection[str]
             for section in document.joint
             if section.position_lower is not None and section.position_upper is not None
         },
-        bodies=_bodies(document, path),
+        bodies=_stated_bodies(document, path),
     )
     model, moving = loaded.model, loaded.joints
     names = tuple(model.names)[1:]
     prismatic = body_tree(model).prismatic
-    sections = _sections(document, names, path)
+    sections = _joint_sections(document, names, path)
     limits = [
         _joint_numbers(section, bool(prismatic[j]), moving[names[j]], path)
         for j, section in enumerate(sections)
     ]
     columns: dict[str, Any] = {key: np.array([row[key] for row in limits]) for key in limits[0]}
-    lower, upper = _positions(model, sections, prismatic, path)
+    lower, upper = _position_limits(model, sections, prismatic, path)
     builder = ElementBuilder(path, document.assembly, document.surface)
     chains = tuple(
         builder.chain(section, float(columns["torque_max"][j]), bool(prismatic[j]))
         for j, section in enumerate(sections)
     )
-    with located(path, "tool"):
-        place = document.tool or PlaceSection(link=last_link(model))
+    with locate_errors(path, "tool"):
+        place = document.tool or PlaceSection(link=default_tool_link(model))
         tool = link_frame(model, place.link, place.offset, place.rpy)
-    with located(path, "flange"):
-        flange = _flange(model, document.flange, place.link)
+    with locate_errors(path, "flange"):
+        flange = _flange_frame(model, document.flange, place.link)
     model.name = document.name
     return Robot(
         name=document.name,
@@ -169,7 +169,7 @@ def _assemble(document: RobotFile, path: Path, urdf: Path, keep: Collection[str]
         chains=chains,
         tool=tool,
         flange=flange,
-        sources=tuple(_sources(document)),
+        sources=tuple(_list_sources(document)),
         shapes=read_link_shapes(urdf),
         urdf=urdf,
         held=loaded.held,
@@ -177,7 +177,7 @@ def _assemble(document: RobotFile, path: Path, urdf: Path, keep: Collection[str]
     )
 
 
-def _bodies(document: RobotFile, path: Path) -> dict[str, LinkBody]:
+def _stated_bodies(document: RobotFile, path: Path) -> dict[str, LinkBody]:
     """Masses of links that the file states."""
     found: dict[str, LinkBody] = {}
     for section in document.link:
@@ -197,7 +197,7 @@ def _bodies(document: RobotFile, path: Path) -> dict[str, LinkBody]:
     return found
 
 
-def _sections(document: RobotFile, names: tuple[str, ...], path: Path) -> list[JointSection]:
+def _joint_sections(document: RobotFile, names: tuple[str, ...], path: Path) -> list[JointSection]:
     """One section a moving joint, in the model's order; an empty one where the file is silent."""
     given: dict[str, JointSection] = {}
     for section in document.joint:
@@ -215,7 +215,7 @@ def _sections(document: RobotFile, names: tuple[str, ...], path: Path) -> list[J
 
 
 # Key, where the URDF says it, value where nothing does; None: something has to.
-_NUMBERS: tuple[tuple[str, str, float | None], ...] = (
+_JOINT_NUMBERS: tuple[tuple[str, str, float | None], ...] = (
     ("torque_max", "effort", None),
     ("velocity_max", "velocity", None),
     ("acceleration_max", "", np.inf),
@@ -232,8 +232,8 @@ def _joint_numbers(
     section: JointSection, prismatic: bool, urdf: dict[str, float], path: Path
 ) -> dict[str, float]:
     values = {}
-    for key, fallback, default in _NUMBERS:
-        with located(path, f"joint[{section.name}].{key}"):
+    for key, fallback, default in _JOINT_NUMBERS:
+        with locate_errors(path, f"joint[{section.name}].{key}"):
             given = getattr(section, key)
             if given is not None:
                 values[key] = fit_joint(given, prismatic, unit(JointSection, key).dimension, key)
@@ -247,7 +247,7 @@ def _joint_numbers(
     return values
 
 
-def _positions(
+def _position_limits(
     model: pin.Model, sections: list[JointSection], prismatic: np.ndarray, path: Path
 ) -> tuple[np.ndarray, np.ndarray]:
     lower = np.array(model.lowerPositionLimit, dtype=float)
@@ -257,7 +257,7 @@ def _positions(
         for key, limits in (("position_lower", lower), ("position_upper", upper)):
             given = getattr(section, key)
             if given is not None:
-                with located(path, f"joint[{section.name}].{key}"):
+                with locate_errors(path, f"joint[{section.name}].{key}"):
                     limits[j] = fit_joint(given, bool(prismatic[j]), "angle", key)
         if not lower[j] < upper[j]:
             raise InputFileError(
@@ -268,33 +268,33 @@ def _positions(
     return lower, upper
 
 
-def last_link(model: pin.Model) -> str:
+def default_tool_link(model: pin.Model) -> str:
     """Last moving link that payloads and tools go to when nothing is said."""
     moving = [f.name for f in model.frames if f.parentJoint == model.njoints - 1]
     links = [name for name in link_names(model) if name in moving]
-    return next((name for name in _FLANGES if name in links), links[0])
+    return next((name for name in _FLANGE_LINKS if name in links), links[0])
 
 
-def _flange(model: pin.Model, section: PlaceSection | None, tool_link: str) -> LinkFrame:
+def _flange_frame(model: pin.Model, section: PlaceSection | None, tool_link: str) -> LinkFrame:
     if section is not None:
         return link_frame(model, section.link, section.offset, section.rpy)
-    named = [name for name in _FLANGES if name in link_names(model)]
+    named = [name for name in _FLANGE_LINKS if name in link_names(model)]
     return link_frame(model, named[0] if named else tool_link)
 
 
-def _sources(document: RobotFile) -> Iterable[Source]:
-    yield from _cited(document.assembly, "", "assembly")
+def _list_sources(document: RobotFile) -> Iterable[Source]:
+    yield from _section_sources(document.assembly, "", "assembly")
     for name, surface in document.surface.items():
-        yield from _cited(surface, "", f"surface {name}")
+        yield from _section_sources(surface, "", f"surface {name}")
     for name in sorted(_surfaces_used(document) - set(document.surface)):
         entry = catalogue.surface_entry(name)
         yield Source("", f"surface {name}", "", entry.provenance, entry.source)
     for link in document.link:
-        yield from _cited(link, "", f"link {link.name}")
+        yield from _section_sources(link, "", f"link {link.name}")
     for joint in document.joint:
-        yield from _cited(joint, joint.name, "")
+        yield from _section_sources(joint, joint.name, "")
         for element in joint.element:
-            yield from _cited(element, joint.name, element.name)
+            yield from _section_sources(element, joint.name, element.name)
 
 
 def _surfaces_used(document: RobotFile) -> set[str]:
@@ -302,7 +302,7 @@ def _surfaces_used(document: RobotFile) -> set[str]:
     return {str(e.surface) for e in elements if hasattr(e, "surface")}
 
 
-def _cited(section: Cited, joint: str, element: str) -> Iterable[Source]:
+def _section_sources(section: Cited, joint: str, element: str) -> Iterable[Source]:
     """Rows of a section: the section as a whole, then the keys that are estimates regardless."""
     provenance: str = section.provenance
     source, estimated = section.source, section.estimated

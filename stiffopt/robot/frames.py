@@ -1,4 +1,4 @@
-"""Frames fixed to the links of an arm: tool, flange and what a file names."""
+"""Rotations, and frames fixed to the links of an arm: tool, flange, named frames."""
 
 from __future__ import annotations
 
@@ -9,7 +9,31 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from stiffopt.errors import RobotError, nearest
-from stiffopt.robot.rotations import rotation_from_rpy
+
+
+def rotation_from_rpy(rpy: ArrayLike) -> np.ndarray:
+    """Rotation (3, 3) from roll, pitch, yaw about the fixed x, y, z axes, as in URDF [rad]."""
+    return np.array(pin.rpy.rpyToMatrix(np.asarray(rpy, dtype=float)))
+
+
+def rpy_from_rotation(rotation: np.ndarray) -> np.ndarray:
+    """Roll, pitch, yaw (3,) [rad] of a rotation (3, 3)."""
+    return np.array(pin.rpy.matrixToRpy(rotation))
+
+
+def rotation_about_axis(axis: np.ndarray, angle: float) -> np.ndarray:
+    """Rotation (3, 3) about an axis of unit length (3,) by an angle [rad]."""
+    return np.array(pin.exp3(angle * np.asarray(axis, dtype=float)))
+
+
+def rotation_vector(rotation: np.ndarray) -> np.ndarray:
+    """Axis times angle (3,) [rad] of a rotation (3, 3); the angle is at most pi."""
+    return np.array(pin.log3(rotation))
+
+
+def interpolate_rotation(first: np.ndarray, last: np.ndarray, share: float) -> np.ndarray:
+    """Rotation (3, 3) a share of the way from one to another, about their common axis."""
+    return np.array(first @ pin.exp3(share * rotation_vector(first.T @ last)))
 
 
 @dataclass(frozen=True)
@@ -76,7 +100,7 @@ def link_frame(
             f"a frame at {link!r} needs 3 finite numbers as offset; got {shift.tolist()}."
         )
     placement = frame.placement * pin.SE3(rotation_from_rpy(angles), shift)
-    return _resolved(frame.parentJoint, placement, link)
+    return _build_frame(frame.parentJoint, placement, link)
 
 
 def frame_names(model: pin.Model) -> list[str]:
@@ -88,7 +112,7 @@ def named_frame(model: pin.Model, name: str | None = None) -> LinkFrame:
     """Frame of a pinocchio model by its name, else the last one."""
     index = model.nframes - 1 if name is None else model.getFrameId(name)
     frame = model.frames[index]
-    return _resolved(frame.parentJoint, frame.placement, str(frame.name))
+    return _build_frame(frame.parentJoint, frame.placement, str(frame.name))
 
 
 def first_link_of(model: pin.Model, joint: int) -> str:
@@ -99,5 +123,5 @@ def first_link_of(model: pin.Model, joint: int) -> str:
     return str(model.names[joint])
 
 
-def _resolved(joint: int, placement: pin.SE3, name: str) -> LinkFrame:
+def _build_frame(joint: int, placement: pin.SE3, name: str) -> LinkFrame:
     return LinkFrame(int(joint), placement.translation.copy(), placement.rotation.copy(), name)

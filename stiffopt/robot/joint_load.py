@@ -39,12 +39,12 @@ def joint_wrenches(
         pin.rnea(model, data, position[k], velocity[k], acceleration[k])
         for i in range(model.nv):
             in_link[k, i] = data.f[i + 1].vector
-    own = np.array([_axes(body.axis) for body in robot.tree.bodies])
+    own = np.array([_complete_axes(body.axis) for body in robot.tree.bodies])
     found = np.einsum("nij,knsi->knsj", own, in_link.reshape(*position.shape, 2, 3))
     if np.any(force):
         axes, arm = joint_frames(robot, position)
         pushed = np.stack([np.broadcast_to(force, arm.shape), np.cross(arm, force)], axis=2)
-        held = [i + 1 in _supports(model, robot.tool.joint) for i in range(model.nv)]
+        held = [i + 1 in _supporting_joints(model, robot.tool.joint) for i in range(model.nv)]
         found[:, held] -= np.einsum("knij,knsi->knsj", axes, pushed)[:, held]
     return np.asarray(found.reshape(in_link.shape))
 
@@ -63,8 +63,8 @@ def joint_frames(robot: Robot, position: np.ndarray) -> tuple[np.ndarray, np.nda
         In base axes; the arm is 0 for joints that do not move the tool.
     """
     data = robot.model.createData()
-    own = [_axes(body.axis) for body in robot.tree.bodies]
-    loaded = _supports(robot.model, robot.tool.joint)
+    own = [_complete_axes(body.axis) for body in robot.tree.bodies]
+    loaded = _supporting_joints(robot.model, robot.tool.joint)
     axes, arm = np.empty((*position.shape, 3, 3)), np.zeros((*position.shape, 3))
     for k, pose in enumerate(position):
         pin.forwardKinematics(robot.model, data, pose)
@@ -78,7 +78,7 @@ def joint_frames(robot: Robot, position: np.ndarray) -> tuple[np.ndarray, np.nda
     return axes, arm
 
 
-def at_face(wrench: np.ndarray, position: float) -> np.ndarray:
+def shift_wrench(wrench: np.ndarray, position: float) -> np.ndarray:
     """The same load about a point on the joint's axis.
 
     Parameters
@@ -94,7 +94,7 @@ def at_face(wrench: np.ndarray, position: float) -> np.ndarray:
     return moved
 
 
-def _axes(axis: np.ndarray) -> np.ndarray:
+def _complete_axes(axis: np.ndarray) -> np.ndarray:
     """Right-handed axes as columns, the third along `axis`."""
     other = np.eye(3)[int(np.argmin(np.abs(axis)))]
     first = np.cross(other, axis)
@@ -102,7 +102,7 @@ def _axes(axis: np.ndarray) -> np.ndarray:
     return np.column_stack([first, np.cross(axis, first), axis])
 
 
-def _supports(model: pin.Model, joint: int) -> set[int]:
+def _supporting_joints(model: pin.Model, joint: int) -> set[int]:
     """Joints between the base and a link, that link's own among them."""
     found = set()
     while joint > 0:

@@ -17,16 +17,18 @@ import pinocchio as pin
 
 from stiffopt.errors import RobotError, shortened
 from stiffopt.files import read_bytes
-from stiffopt.robot.mesh_files import find_mesh
-from stiffopt.robot.mesh_loading import MAX_MESH_BYTES, load_mesh_file
-from stiffopt.robot.rotations import rotation_from_rpy
+from stiffopt.robot.frames import rotation_from_rpy
+from stiffopt.robot.meshes import MAX_MESH_BYTES, load_mesh_file
 from stiffopt.robot.urdf import urdf_numbers
-from stiffopt.robot.xml_files import parse_xml
+from stiffopt.robot.urdf_xml import find_mesh, parse_xml
 
 Purpose = Literal["visual", "collision"]
 Kind = Literal["box", "cylinder", "sphere", "mesh"]
 
-_SIZES: dict[str, tuple[str, ...]] = {"cylinder": ("radius", "length"), "sphere": ("radius",)}
+_SIZE_ATTRIBUTES: dict[str, tuple[str, ...]] = {
+    "cylinder": ("radius", "length"),
+    "sphere": ("radius",),
+}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -93,7 +95,7 @@ def read_link_shapes(path: str | os.PathLike[str]) -> tuple[LinkShape, ...]:
     for link in parse_xml(urdf).findall("link"):
         for purpose in ("visual", "collision"):
             for section in link.findall(purpose):
-                shape = _shape(section, link.get("name", ""), purpose, urdf)
+                shape = _read_shape(section, link.get("name", ""), purpose, urdf)
                 if shape is not None:
                     found.append(shape)
     return tuple(found)
@@ -115,7 +117,7 @@ def joint_shapes(
     return placed
 
 
-def triangles(shape: LinkShape) -> tuple[np.ndarray, np.ndarray]:
+def mesh_triangles(shape: LinkShape) -> tuple[np.ndarray, np.ndarray]:
     """Vertices (V, 3) [m] and corners of the triangles (T, 3) of a mesh, scaled.
 
     Raises
@@ -134,7 +136,7 @@ def load_mesh(shape: LinkShape) -> coal.BVHModelBase:
     return load_mesh_file(shape.file, np.array(shape.size))
 
 
-def _shape(section: ET.Element, link: str, purpose: Purpose, urdf: Path) -> LinkShape | None:
+def _read_shape(section: ET.Element, link: str, purpose: Purpose, urdf: Path) -> LinkShape | None:
     """One visual or collision section; None where it holds no shape, or one without extent."""
     geometry = section.find("geometry")
     if geometry is None or len(geometry) == 0:
@@ -154,10 +156,10 @@ def _shape(section: ET.Element, link: str, purpose: Purpose, urdf: Path) -> Link
         if file is not None:
             digest = hashlib.sha256(read_bytes(file, MAX_MESH_BYTES)).hexdigest()
     elif own.tag == "box":
-        size = _extents(own.get("size", ""), 3, f"{place} box size")
-    elif own.tag in _SIZES:
-        keys = _SIZES[own.tag]
-        size = [_extents(own.get(key, ""), 1, f"{place} {own.tag} {key}")[0] for key in keys]
+        size = _read_extents(own.get("size", ""), 3, f"{place} box size")
+    elif own.tag in _SIZE_ATTRIBUTES:
+        keys = _SIZE_ATTRIBUTES[own.tag]
+        size = [_read_extents(own.get(key, ""), 1, f"{place} {own.tag} {key}")[0] for key in keys]
     else:
         return None
     if own.tag != "mesh" and min(size) == 0.0:
@@ -175,7 +177,7 @@ def _shape(section: ET.Element, link: str, purpose: Purpose, urdf: Path) -> Link
     )
 
 
-def _extents(text: str, count: int, place: str) -> list[float]:
+def _read_extents(text: str, count: int, place: str) -> list[float]:
     values = urdf_numbers(text, count, place)
     if min(values) < 0.0:
         raise RobotError(

@@ -13,9 +13,9 @@ from stiffopt.robot.body_tree import BodyTree
 
 _SOURCE = Path(__file__).with_name("bodies.c")
 # Joints that the C code has room for.
-_MOST = 32
+_MAX_JOINTS = 32
 # Instants from which it is worth while, and of which copies are made at once.
-_MANY, _AT_ONCE = 16, 2**14
+_MIN_INSTANTS, _BLOCK_INSTANTS = 16, 2**14
 
 
 class _Bodies(Struct):
@@ -60,13 +60,14 @@ class NativeBodies:
 
     def torque(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray | None:
         """Torques (K, n) along a motion (K, n) each; None where the library was not prepared."""
-        if len(q) < _MANY or self._n > _MOST or (made := _LIBRARY.loaded()) is None:
+        if len(q) < _MIN_INSTANTS or self._n > _MAX_JOINTS or (made := _LIBRARY.loaded()) is None:
             return None
         torque = np.empty(q.shape)
-        for begin in range(0, len(q), _AT_ONCE):
-            part = torque[begin : begin + _AT_ONCE]
+        for begin in range(0, len(q), _BLOCK_INSTANTS):
+            part = torque[begin : begin + _BLOCK_INSTANTS]
             motion = [
-                np.ascontiguousarray(x[begin : begin + _AT_ONCE], dtype=float) for x in (q, v, a)
+                np.ascontiguousarray(x[begin : begin + _BLOCK_INSTANTS], dtype=float)
+                for x in (q, v, a)
             ]
             made.inverse(
                 ctypes.byref(self._own),

@@ -37,9 +37,9 @@ from stiffopt.robot.element_sections import Cited
 from stiffopt.validation import Section
 
 # Of bolts from M1 to M240 [m^2].
-_STRESS_AREA = Bounds(above=0.0, plausible=(1e-7, 0.05))
+_STRESS_AREA_BOUNDS = Bounds(above=0.0, plausible=(1e-7, 0.05))
 # Of an ISO metric thread: pitch and core diameter are d less so many pitches.
-_PITCH_DIAMETER, _CORE_DIAMETER = 0.649519, 1.226869
+_PITCH_DIAMETER_PITCHES, _CORE_DIAMETER_PITCHES = 0.649519, 1.226869
 
 
 class OwnPart(Cited):
@@ -97,7 +97,9 @@ class OwnBolt(OwnPart):
     pitch: Annotated[Length, DETAIL, Doc("Pitch P.")]
     pitch_diameter: Annotated[Length | None, DETAIL, Doc("d2; default d - 0.6495 P.")] = None
     minor_diameter: Annotated[Length | None, DETAIL, Doc("d3; default d - 1.2269 P.")] = None
-    stress_area: Annotated[Area | None, _STRESS_AREA, Doc("A_S; default of (d2 + d3)/2.")] = None
+    stress_area: Annotated[
+        Area | None, _STRESS_AREA_BOUNDS, Doc("A_S; default of (d2 + d3)/2.")
+    ] = None
     head_diameter: Annotated[Length, DETAIL, Doc("d_k, room that the head takes.")]
     bearing_diameter: Annotated[Length, DETAIL, Doc("d_w, of the flat under the head.")]
     hole: Annotated[Length, DETAIL, Doc("d_h, of the clearance hole.")]
@@ -110,8 +112,8 @@ class OwnBolt(OwnPart):
     def entry(self) -> dict[str, Any]:
         """Thread inside the shank, shank inside the hole, hole inside the head."""
         d, pitch = self.diameter, self.pitch
-        d2 = self.pitch_diameter or d - _PITCH_DIAMETER * pitch
-        d3 = self.minor_diameter or d - _CORE_DIAMETER * pitch
+        d2 = self.pitch_diameter or d - _PITCH_DIAMETER_PITCHES * pitch
+        d3 = self.minor_diameter or d - _CORE_DIAMETER_PITCHES * pitch
         area = self.stress_area or math.pi / 16.0 * (d2 + d3) ** 2
         order = {
             "minor_diameter": d3, "pitch_diameter": d2, "diameter": d, "hole": self.hole,
@@ -266,11 +268,11 @@ def read_own_catalogue(path: str | os.PathLike[str]) -> OwnEntries:
             raise InputFileError(path, f"{where}.{key}", text) from error
     with with_own(found):
         for washer in document.washer:
-            _check_bolt_of(washer, path)
+            _check_washer(washer, path)
     return found
 
 
-def _check_bolt_of(washer: OwnWasher, path: Path) -> None:
+def _check_washer(washer: OwnWasher, path: Path) -> None:
     """A washer is for a bolt that there is, whose head it carries."""
     where, sizes = f"washer[{washer.size}]", bolt_sizes()
     if washer.size not in sizes:

@@ -1,13 +1,16 @@
-"""Rigid-body dynamics and kinematics of an arm in numbers, one instant at a time."""
+"""Rigid-body dynamics and kinematics of an arm in numbers: one instant, or whole motions."""
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
+from stiffopt.robot.body_tree import body_tree
 from stiffopt.robot.frames import LinkFrame
+from stiffopt.robot.native_bodies import NativeBodies
 
 
 def without_rotors(model: Any) -> Any:
@@ -102,3 +105,99 @@ class RigidBodies:
         )
         # pin drops the second axis for an arm of one joint.
         return np.array(full).reshape(6, self._model.nv)
+
+
+def inverse_dynamics_along(model: Any, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
+    """Torques (K, n) of a pinocchio model for position, velocity and acceleration (K, n).
+
+    In one call where pinocchio was built for it.
+    """
+    # Its transpose is what pinocchio writes to. That takes a matrix of a single row for one without
+    # gaps, whatever its strides: only an array made here is safe.
+    torque = np.empty(q.shape)
+    if hasattr(pin, "rneaInParallel"):
+        motion = (np.asarray(x, dtype=float).T for x in (q, v, a))
+        pin.rneaInParallel(1, pin.ModelPool(model, 1), *motion, torque.T)
+        return torque
+    data = model.createData()
+    for k in range(len(q)):
+        torque[k] = pin.rnea(model, data, q[k], v[k], a[k])
+    return torque
+
+
+class BodiesInMotion:
+    """Torques along motions and their slopes; no rotors, no friction.
+
+    Parameters
+    ----------
+    model : pinocchio.Model
+        Of revolute and prismatic joints; copied, so that later changes of it do not matter.
+
+    Notes
+    -----
+    The numbers of `RigidBodies`, without a call from Python for every one of them where pinocchio
+    takes many at once. Joints are in the order of the model; torques [N m] are forces [N] where a
+    joint slides.
+    """
+
+    def __init__(self, model: Any) -> None:
+        self._model = without_rotors(model)
+        self._data = self._model.createData()
+
+    @cached_property
+    def _native_bodies(self) -> NativeBodies:
+        return NativeBodies(body_tree(self._model))
+
+    def with_gravity(self, gravity: np.ndarray) -> BodiesInMotion:
+        """The same bodies under another gravity (3,) [m/s^2], base axes."""
+        changed = BodiesInMotion(self._model)
+        changed._model.gravity.linear = np.asarray(gravity, dtype=float)
+        return changed
+
+    def torque(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
+        """Inverse dynamics: position, velocity, acceleration (K, n) -> torque (K, n)."""
+        found = self._native_bodies.torque(q, v, a)
+        return inverse_dynamics_along(self._model, q, v, a) if found is None else found
+
+    def gravity_torque(self, q: np.ndarray) -> np.ndarray:
+        """Torque (K, n) that holds the weight at rest."""
+        rest = np.zeros(q.shape)
+        return self.torque(q, rest, rest)
+
+    def torque_slopes(
+        self, q: np.ndarray, v: np.ndarray, a: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Derivatives (K, n, n) of `torque` by position, velocity and acceleration."""
+        model, data = self._model, self._data
+        count, n = q.shape
+        position, velocity, upper = (np.empty((count, n, n)) for _ in range(3))
+        for k in range(count):
+            pin.computeRNEADerivatives(model, data, q[k], v[k], a[k])
+            position[k], velocity[k], upper[k] = data.dtau_dq, data.dtau_dv, data.M
+        inertia = np.triu(upper)
+        return position, velocity, inertia + np.triu(upper, 1).swapaxes(1, 2)
+
+    def changed_torque(
+        self, change: np.ndarray, q: np.ndarray, v: np.ndarray, a: np.ndarray
+    ) -> np.ndarray:
+        """Torques (K, n) of changed inertial parameters (n, 10): what they add to those of any.
+
+        Parameters
+        ----------
+        change : array (n, 10)
+            In the order of `Body.inertial_parameters`; of bodies that need not exist by themselves.
+        q, v, a : array (K, n)
+        """
+        found = self._native_bodies.with_parameters(change).torque(q, v, a)
+        if found is not None:
+            return found
+        torques = []
+        for times in (1.0, 0.0):
+            model = self._model.copy()
+            for body, values in enumerate(change, start=1):
+                # On top of a mass that none of it can take away.
+                whole = times * values
+                whole[0] += 1.0 + abs(values[0])
+                model.inertias[body] = pin.Inertia.FromDynamicParameters(whole)
+            torques.append(inverse_dynamics_along(model, q, v, a))
+        return np.asarray(torques[0] - torques[1])

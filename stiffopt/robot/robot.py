@@ -14,12 +14,11 @@ import pinocchio as pin
 from stiffopt.drivetrain.chain import Chain
 from stiffopt.drivetrain.tables import OwnEntries
 from stiffopt.errors import RobotError
-from stiffopt.robot.bodies_in_motion import BodiesInMotion
 from stiffopt.robot.body_tree import BodyTree, body_tree
 from stiffopt.robot.frames import LinkFrame, link_frame, named_frame
 from stiffopt.robot.held_joints import HeldJoint
 from stiffopt.robot.link_shapes import JointShape, LinkShape, Purpose, joint_shapes
-from stiffopt.robot.rigid_body import RigidBodies
+from stiffopt.robot.rigid_body import BodiesInMotion, RigidBodies
 
 
 @dataclass(frozen=True)
@@ -34,10 +33,10 @@ class Source:
 
 
 # Joints whose axes pass the tool this near do not move it [m].
-_AXIS = 1e-6
+_MIN_LEVER_ARM = 1e-6
 # Share of a mass that is none.
-_ROUNDING = 1e-12
-_JOINT_ARRAYS = (
+_MASS_ROUND_OFF = 1e-12
+_JOINT_ARRAY_FIELDS = (
     "position_lower",
     "position_upper",
     "velocity_max",
@@ -139,7 +138,7 @@ class Robot:
         springs = np.array([chain is not None and bool(chain.stages) for chain in self.chains])
         bodies = self.rigid_bodies()
         arms = [bodies.jacobian(self.tool, pose)[:3, springs] for pose in poses]
-        return bool(np.max(np.abs(arms), initial=0.0) > _AXIS)
+        return bool(np.max(np.abs(arms), initial=0.0) > _MIN_LEVER_ARM)
 
     @property
     def joint_names(self) -> tuple[str, ...]:
@@ -216,15 +215,15 @@ class Robot:
         if not (np.isfinite(factor) and factor >= 0.0):
             raise RobotError(f"a payload can be 0 or more times what it is, not {factor:g} times.")
         at = pin.SE3(self.flange.rotation, self.flange.offset)
-        carried = at.act(_body(self.payload)).toDynamicParameters()
+        carried = at.act(_inertia_of(self.payload)).toDynamicParameters()
         joint = self.flange.joint
         whole = self.model.inertias[joint].toDynamicParameters()
         own = whole + (factor - 1.0) * carried
-        if own[0] <= _ROUNDING * whole[0]:
+        if own[0] <= _MASS_ROUND_OFF * whole[0]:
             # What rounding leaves of a link without a mass has its centre anywhere.
             own[:4] = 0.0
         model = self.model.copy()
-        model.inertias[joint] = _body(own)
+        model.inertias[joint] = _inertia_of(own)
         return replace(self, model=model, payload=factor * self.payload)
 
     def with_gravity(self, gravity: Sequence[float]) -> Robot:
@@ -256,7 +255,7 @@ class Robot:
         left = np.array([name not in names for name in self.joint_names])
         arrays: dict[str, Any] = {
             name: array[left]
-            for name in _JOINT_ARRAYS
+            for name in _JOINT_ARRAY_FIELDS
             if (array := getattr(self, name)) is not None
         }
         return replace(
@@ -328,7 +327,7 @@ class Robot:
         return replace(self, tool=link_frame(self.model, link or self.tool.link, offset, rpy))
 
 
-def _body(parameters: np.ndarray) -> pin.Inertia:
+def _inertia_of(parameters: np.ndarray) -> pin.Inertia:
     """Body of these dynamic parameters, which may have no mass."""
     if parameters[0] > 0.0:
         return pin.Inertia.FromDynamicParameters(parameters)

@@ -33,7 +33,12 @@ from stiffopt.declaration import (
     Named,
     declared,
 )
-from stiffopt.robot.element_sections import Cited, ElementSection, element_section, section_key
+from stiffopt.robot.element_sections import (
+    Cited,
+    ElementSection,
+    build_element_section,
+    build_section_key,
+)
 from stiffopt.validation import Model, Section
 
 Vector = tuple[Length, Length, Length]
@@ -167,25 +172,25 @@ class RobotFile(Section):
     ] = ()
 
 
-def robot_file() -> type[RobotFile]:
+def robot_file_schema() -> type[RobotFile]:
     """Schema of robot files with every connection that is defined now."""
-    return _robot_file(tuple(connection_kinds().values()))
+    return _robot_file_of(tuple(connection_kinds().values()))
 
 
 @functools.cache
-def _robot_file(kinds: tuple[type[Connection], ...]) -> type[RobotFile]:
+def _robot_file_of(kinds: tuple[type[Connection], ...]) -> type[RobotFile]:
     """`RobotFile` whose elements are of these kinds."""
-    elements: Any = Union[tuple(element_section(kind) for kind in kinds)]  # noqa: UP007
+    elements: Any = Union[tuple(build_element_section(kind) for kind in kinds)]  # noqa: UP007
     element: Any = Annotated[elements, Field(discriminator="type")]
-    joint: Any = _extended(JointSection, element=tuple[element, ...])
+    joint: Any = _replace_key_types(JointSection, element=tuple[element, ...])
     surface: Any = _surface_section()
-    return _extended(RobotFile, joint=tuple[joint, ...], surface=dict[str, surface])
+    return _replace_key_types(RobotFile, joint=tuple[joint, ...], surface=dict[str, surface])
 
 
 def _surface_section() -> type[SurfaceSection]:
     """`SurfaceSection` with the declared fields of a pair of surfaces; materials also by name."""
     keys: dict[str, Any] = {
-        name: section_key(field) for name, field in declared(SurfacePair).items()
+        name: build_section_key(field) for name, field in declared(SurfacePair).items()
     }
     for name in ("first", "second"):
         by_name: Any = Annotated[str, Named("material")]
@@ -196,7 +201,7 @@ def _surface_section() -> type[SurfaceSection]:
     )
 
 
-def _extended(section: type[Model], **keys: Any) -> type[Model]:
+def _replace_key_types(section: type[Model], **keys: Any) -> type[Model]:
     """`section` with other types of some of its keys; their sentences and defaults stay."""
     hints = typing.get_type_hints(section, include_extras=True)
     changed: dict[str, Any] = {

@@ -20,17 +20,17 @@ if TYPE_CHECKING:
 
 # Points of the hull that coal is given; those that it lacks are added while they lie lower than
 # this [m].
-_AXES = np.vstack([np.eye(3), -np.eye(3)])
-_LOWER = 1e-6
-_PASSES = 20
+_AXIS_DIRECTIONS = np.vstack([np.eye(3), -np.eye(3)])
+_HEIGHT_TOLERANCE = 1e-6
+_MAX_HULL_PASSES = 20
 # coal searches the points of a shape one by one up to so many, and needs no edges then.
-_MOST = 32
+_MAX_HULL_POINTS = 32
 # Points on the rim of a round face, for the direction alone: distances are exact.
-_RIM = 8
+_RIM_POINTS = 8
 # Supports of a solid that a plane is kept by, and those that a turn by so much [rad] can make the
 # nearest.
-_SUPPORTS = 6
-_TURN = 0.5
+_MAX_NEAR_SUPPORTS = 6
+_MAX_TURN = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,13 +64,16 @@ class Support:
 
     def points(self) -> np.ndarray:
         """Points (k, 3) whose hull, but for the radius of balls, is nearly the solid."""
-        rims: list[np.ndarray] = [self.centre[~self._discs]]
+        rims: list[np.ndarray] = [self.centre[~self._is_disc]]
         for centre, axis, radius in zip(
-            self.centre[self._discs], self.axis[self._discs], self.radius[self._discs], strict=True
+            self.centre[self._is_disc],
+            self.axis[self._is_disc],
+            self.radius[self._is_disc],
+            strict=True,
         ):
             first = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
             first /= np.linalg.norm(first)
-            angle = np.arange(_RIM) * 2.0 * np.pi / _RIM
+            angle = np.arange(_RIM_POINTS) * 2.0 * np.pi / _RIM_POINTS
             second = np.cross(axis, first)
             rims.append(
                 centre + radius * (np.outer(np.cos(angle), first) + np.outer(np.sin(angle), second))
@@ -78,7 +81,7 @@ class Support:
         return np.asarray(np.concatenate(rims))
 
     @property
-    def _discs(self) -> np.ndarray:
+    def _is_disc(self) -> np.ndarray:
         return np.asarray(np.any(self.axis != 0.0, axis=1))
 
 
@@ -140,8 +143,10 @@ class SeparatingPlanes:
         first, second = self.model.solids[a], self.model.solids[b]
         support = self._supports[a]
         assert support is not None
-        swept = [support.moved(*_relative(each, first.joint, second.joint)) for each in placements]
-        normal, witness = self._normal(swept, second)
+        swept = [
+            support.moved(*_relative_frame(each, first.joint, second.joint)) for each in placements
+        ]
+        normal, witness = self._separating_normal(swept, second)
         other = self._supports[b]
         height = witness
         if other is not None:
@@ -150,26 +155,26 @@ class SeparatingPlanes:
         return SeparatingPlane(
             normal,
             height,
-            _near(support, lowest),
+            _nearest_supports(support, lowest),
             float(lowest.min()) - height,
         )
 
-    def _normal(self, swept: list[Support], second: Solid) -> tuple[np.ndarray, float]:
+    def _separating_normal(self, swept: list[Support], second: Solid) -> tuple[np.ndarray, float]:
         """Direction from the second solid to what the first one sweeps, height of the second."""
         at = second.placement
         if isinstance(second.geometry, coal.Halfspace):
             normal = at.rotation @ np.asarray(second.geometry.n)
             return normal, float(second.geometry.d + normal @ at.translation)
         points = np.concatenate([each.points() for each in swept])
-        chosen = list(dict.fromkeys(int(k) for k in np.argmax(points @ _AXES.T, axis=0)))
-        if len(points) <= _MOST:
+        chosen = list(dict.fromkeys(int(k) for k in np.argmax(points @ _AXIS_DIRECTIONS.T, axis=0)))
+        if len(points) <= _MAX_HULL_POINTS:
             chosen = list(range(len(points)))
         request, result = coal.DistanceRequest(), coal.DistanceResult()
         placed = coal.Transform3s(at.rotation, at.translation)
-        for _ in range(_PASSES):
+        for _ in range(_MAX_HULL_PASSES):
             result.clear()
             coal.distance(
-                _hull(points[chosen]),
+                _convex_hull(points[chosen]),
                 coal.Transform3s.Identity(),
                 second.geometry,
                 placed,
@@ -180,7 +185,10 @@ class SeparatingPlanes:
             normal = -np.asarray(result.normal)
             low = points @ normal
             lowest = int(np.argmin(low))
-            if low[lowest] > low[chosen].min() - _LOWER or len(chosen) == _MOST:
+            if (
+                low[lowest] > low[chosen].min() - _HEIGHT_TOLERANCE
+                or len(chosen) == _MAX_HULL_POINTS
+            ):
                 break
             chosen.append(lowest)
         return normal, float(normal @ np.asarray(result.getNearestPoint2()))
@@ -199,19 +207,19 @@ def support_of(solid: Solid) -> Support | None:
         own = Support(ends, np.tile(disc, (2, 1)), np.full(2, form.radius))
     elif isinstance(form, coal.Box):
         signs = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, 8).T
-        own = _points(signs * np.asarray(form.halfSide))
+        own = _support_of_points(signs * np.asarray(form.halfSide))
     elif isinstance(form, coal.ConvexBase):
-        own = _points(np.array([form.point(k) for k in range(form.num_points)]))
+        own = _support_of_points(np.array([form.point(k) for k in range(form.num_points)]))
     else:
         return None
     return own.moved(solid.placement.rotation, solid.placement.translation)
 
 
-def _points(points: np.ndarray) -> Support:
+def _support_of_points(points: np.ndarray) -> Support:
     return Support(points, np.zeros_like(points), np.zeros(len(points)))
 
 
-def _relative(
+def _relative_frame(
     placed: tuple[np.ndarray, np.ndarray], first: int, second: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """Frame of one joint in that of another."""
@@ -220,16 +228,18 @@ def _relative(
     return back @ rotation[first], back @ (origin[first] - origin[second])
 
 
-def _near(support: Support, lowest: np.ndarray) -> Support:
+def _nearest_supports(support: Support, lowest: np.ndarray) -> Support:
     """What lies lowest, or can come to lie so when the solid turns a little."""
     order = np.argsort(lowest)
     away = np.linalg.norm(support.centre - support.centre[order[0]], axis=1)
     lift = lowest - lowest[order[0]]
-    kept = [k for k in order if lift[k] <= _TURN * away[k] + _LOWER][:_SUPPORTS]
+    kept = [k for k in order if lift[k] <= _MAX_TURN * away[k] + _HEIGHT_TOLERANCE][
+        :_MAX_NEAR_SUPPORTS
+    ]
     return Support(support.centre[kept], support.axis[kept], support.radius[kept])
 
 
-def _hull(points: np.ndarray) -> Any:
+def _convex_hull(points: np.ndarray) -> Any:
     """Hull of a few points, flat or not, as coal has it."""
     corners, faces = coal.StdVec_Vec3s(), coal.StdVec_Triangle()
     for point in points:

@@ -112,8 +112,8 @@ def stiffness_study(
         if chain is None:
             continue
         torque = shares * robot.torque_max[j]
-        for flanks, reading in _readings(chain, both_readings):
-            rows += _rows(j + 1, flanks, reading, shares, torque)
+        for flanks, reading in _flank_readings(chain, both_readings):
+            rows += _joint_rows(j + 1, flanks, reading, shares, torque)
     return rows
 
 
@@ -158,7 +158,7 @@ def with_loading(chain: Chain, loading: Loading) -> Chain:
     return replace(chain, stages=tuple(stages))
 
 
-def _readings(chain: Chain, both: bool) -> list[tuple[str, Chain]]:
+def _flank_readings(chain: Chain, both: bool) -> list[tuple[str, Chain]]:
     kinds = sorted({e.flanks for e in chain.elements.values() if isinstance(e, Key)})
     own = "none" if not kinds else kinds[0] if len(kinds) == 1 else "mixed"
     readings: tuple[Flanks, ...] = ("series", "parallel")
@@ -166,7 +166,7 @@ def _readings(chain: Chain, both: bool) -> list[tuple[str, Chain]]:
     return [(own, chain), *((f, with_flanks(chain, f)) for f in others)]
 
 
-def _rows(
+def _joint_rows(
     joint: int, flanks: str, chain: Chain, ratios: np.ndarray, torque: np.ndarray
 ) -> list[StiffnessRow]:
     compliance = exact_compliance(chain, torque)

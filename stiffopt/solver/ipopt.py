@@ -11,7 +11,7 @@ import casadi as ca
 import numpy as np
 
 from stiffopt.errors import InputError
-from stiffopt.interrupts import handled
+from stiffopt.interrupts import handle_interrupts
 from stiffopt.solver import frontal
 from stiffopt.solver.monitor import Iterate, Monitor, Progress
 from stiffopt.symbolic import array_of
@@ -260,7 +260,7 @@ class IpoptSolver:
         monitor.begin(report, most)
         monitor.patience = self.options.patience
         monitor.overtaken = self._later.is_there if self._later is not None else None
-        with handled(lambda *_: monitor.interrupt.set()):
+        with handle_interrupts(lambda *_: monitor.interrupt.set()):
             outputs = solver(**inputs)
         solve_s = time.perf_counter() - monitor.started
         if monitor.error is not None:

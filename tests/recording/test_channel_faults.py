@@ -9,7 +9,7 @@ import pytest
 from recording_sets import Columns, channels, motion
 
 from stiffopt.errors import InputFileError
-from stiffopt.recording.clean import clean
+from stiffopt.recording.clean import clean_run
 from stiffopt.recording.run import Fault, RecordedRun
 from stiffopt.recording.signals import Signals
 
@@ -23,7 +23,7 @@ SIGNALS = Signals(
 
 
 def cleaned(columns: Columns, signals: Signals = SIGNALS) -> RecordedRun:
-    return clean(
+    return clean_run(
         columns,
         signals,
         path=Path("run.npz"),

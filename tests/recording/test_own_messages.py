@@ -57,16 +57,16 @@ def test_joints_that_no_topic_has(recorded, tmp_path):
 
 def test_a_reader_that_takes_too_long_is_stopped(tmp_path, monkeypatch):
     """As one that follows a loop in a file would."""
+    from stiffopt.recording.readers import checks, read
     from stiffopt.recording.readers import csv as reader
-    from stiffopt.recording.readers import limits, read
     from stiffopt.recording.signals import Signals
 
     def endless(*_):
         while True:
             np.zeros(10)
 
-    for module in (limits, read):
-        monkeypatch.setattr(module, "MOST_SECONDS", 0.3)
+    for module in (checks, read):
+        monkeypatch.setattr(module, "MAX_SECONDS", 0.3)
     monkeypatch.setattr(reader, "read", endless)
     (tmp_path / "run.csv").write_text("t,q,tau\n0,0,0\n")
     signals = Signals(time="t", position=("q",), velocity=None, link_position=None, torque=("tau",))

@@ -14,7 +14,7 @@ from recording_sets import motion
 
 from stiffopt.discovery.identifiable import LACKS, EffectCheck, effect_checks
 from stiffopt.recording.channel import noise_level, resolution
-from stiffopt.recording.channel_faults import slope_to
+from stiffopt.recording.channel_faults import regress_changes
 from stiffopt.recording.check import RecordingReport, check_recordings
 from stiffopt.recording.recording_set import load_recordings
 from stiffopt.report.recording_check import report_lines
@@ -195,7 +195,7 @@ def test_slope_of_two_sensors_ignores_offsets_and_gaps() -> None:
     t = np.concatenate([np.arange(0.0, 3.0, 0.01), np.arange(5.0, 8.0, 0.01)])
     one = np.sin(2.0 * t)
     two = 0.7 * one + np.where(t > 4.0, 9.0, -2.0)
-    slope, correlation = slope_to(one, two, t)
+    slope, correlation = regress_changes(one, two, t)
     assert slope == pytest.approx(0.7)
     assert correlation == pytest.approx(1.0)
 

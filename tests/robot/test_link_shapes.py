@@ -8,8 +8,8 @@ from shaped_arms import BOX, MESH, load, with_shapes, write_stl
 from small_arms import PLANAR
 
 from stiffopt.errors import InputFileError, RobotError
-from stiffopt.robot.link_shapes import LinkShape, triangles
-from stiffopt.robot.skeleton import capsules, mounting_distance, reach
+from stiffopt.robot.body_tree import arm_reach, link_capsules, mounting_distance
+from stiffopt.robot.link_shapes import LinkShape, mesh_triangles
 
 
 def test_shapes_lie_in_the_frame_of_their_joint(tmp_path):
@@ -40,7 +40,7 @@ def test_meshes_are_found_and_scaled(tmp_path, name):
     arm = load(folder, with_shapes("upper", MESH.format(purpose="collision", name=name)))
     (shape,) = arm.shapes
     assert shape.known
-    vertices, corners = triangles(shape)
+    vertices, corners = mesh_triangles(shape)
     assert len(corners) == 4
     np.testing.assert_allclose(np.ptp(vertices, axis=0), 0.1, rtol=1e-6)
 
@@ -66,7 +66,7 @@ def test_what_is_no_mesh_is_named(tmp_path):
     (tmp_path / "link.stl").write_text("nothing")
     arm = load(tmp_path, with_shapes("upper", MESH.format(purpose="visual", name="link.stl")))
     with pytest.raises(InputFileError, match="cannot be read as a mesh"):
-        triangles(arm.shapes[0])
+        mesh_triangles(arm.shapes[0])
 
 
 @pytest.mark.parametrize("size", ["0.1 0.4", "0.1 0.4 -1", "a b c"])
@@ -92,10 +92,10 @@ def test_where_a_mesh_lies_is_no_input(tmp_path):
 def test_capsules_reach_from_base_to_tool(tmp_path):
     arm = load(tmp_path, PLANAR)
     # The shoulder lies in the base's origin: no rod leads to it.
-    rods = capsules(arm.tree, arm.tool)
+    rods = link_capsules(arm.tree, arm.tool)
     assert [rod.joint for rod in rods] == [1, 2]
     np.testing.assert_allclose(rods[1].end, [0.4, 0.0, 0.0])
-    assert reach(arm.tree, arm.tool) == pytest.approx(0.4)
+    assert arm_reach(arm.tree, arm.tool) == pytest.approx(0.4)
     assert rods[0].radius > rods[1].radius > 0
 
 
@@ -107,6 +107,6 @@ def test_a_mounting_far_from_the_origin_is_no_part_of_the_arm(tmp_path):
     )
     assert mounting_distance(arm.tree) == 0.0
     assert mounting_distance(hung) == 2.0
-    plain, below = capsules(arm.tree, arm.tool), capsules(hung, arm.tool)
+    plain, below = link_capsules(arm.tree, arm.tool), link_capsules(hung, arm.tool)
     assert [rod.joint for rod in below] == [rod.joint for rod in plain]
     assert [rod.radius for rod in below] == pytest.approx([rod.radius for rod in plain])

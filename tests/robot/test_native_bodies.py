@@ -7,11 +7,10 @@ import pytest
 from small_arms import write_robot
 
 from stiffopt.robot import native_bodies
-from stiffopt.robot.bodies_in_motion import torques_along
 from stiffopt.robot.body_tree import body_tree
 from stiffopt.robot.files import load_robot
 from stiffopt.robot.native_bodies import NativeBodies
-from stiffopt.robot.rigid_body import without_rotors
+from stiffopt.robot.rigid_body import inverse_dynamics_along, without_rotors
 
 
 @pytest.fixture
@@ -33,7 +32,7 @@ def test_torques_are_those_of_pinocchio(made, tmp_path, name, count):
     q, v, a = (size * random.normal(size=(count, robot.n)) for size in (3.0, 2.0, 30.0))
     # Far angles, and what is no number at all.
     q[3, 0], q[5, -1] = -3e6, 2e4
-    expected = torques_along(model, q, v, a)
+    expected = inverse_dynamics_along(model, q, v, a)
     found = NativeBodies(body_tree(model)).torque(q, v, a)
     assert found is not None
     np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-12 * np.max(np.abs(expected)))
@@ -52,5 +51,5 @@ def test_torques_of_changed_bodies_are_what_they_add(made, monkeypatch):
     q, v, a = random.normal(size=(3, 60, robot.n))
     bodies = robot.bodies_in_motion()
     quick = bodies.changed_torque(change, q, v, a)
-    monkeypatch.setattr(native_bodies, "_MANY", 61)
+    monkeypatch.setattr(native_bodies, "_MIN_INSTANTS", 61)
     np.testing.assert_allclose(quick, bodies.changed_torque(change, q, v, a), rtol=0.0, atol=1e-10)

@@ -10,9 +10,9 @@ from small_arms import ROOT
 from stiffopt.certificate.rigid_body import link_torques
 from stiffopt.errors import RobotError
 from stiffopt.robot.files import load_robot
-from stiffopt.robot.frames import named_frame
-from stiffopt.robot.rotations import (
-    rotation_between,
+from stiffopt.robot.frames import (
+    interpolate_rotation,
+    named_frame,
     rotation_from_rpy,
     rotation_vector,
     rpy_from_rotation,
@@ -124,8 +124,8 @@ def test_frames_by_name_are_pinocchios() -> None:
 def test_rotations_turn_back_and_meet_half_way() -> None:
     first, last = (rotation_from_rpy(rpy) for rpy in ([0.3, -0.5, 1.1], [-0.2, 0.4, 0.1]))
     np.testing.assert_allclose(rpy_from_rotation(first), [0.3, -0.5, 1.1], atol=1e-12)
-    np.testing.assert_allclose(rotation_between(first, last, 1.0), last, atol=1e-12)
-    half = rotation_between(first, last, 0.5)
+    np.testing.assert_allclose(interpolate_rotation(first, last, 1.0), last, atol=1e-12)
+    half = interpolate_rotation(first, last, 0.5)
     np.testing.assert_allclose(
         rotation_vector(first.T @ half), rotation_vector(half.T @ last), atol=1e-12
     )

@@ -9,7 +9,7 @@ import numpy as np
 
 from stiffopt.discovery.comparison.prepare import PreparedRun
 from stiffopt.discovery.comparison.rows import ChannelNoise
-from stiffopt.recording.channel import MAD
+from stiffopt.recording.channel import DEVIATION_PER_MAD
 from stiffopt.recording.nominal import Noise
 
 # Standard deviation of what rounding to one count leaves.
@@ -123,7 +123,7 @@ def _estimate(channels: Sequence[np.ndarray], runs: Sequence[PreparedRun]) -> fl
         pulse = np.zeros(2 * run.low_pass.settling + 201)
         pulse[len(pulse) // 2] = 1.0
         gain = float(np.linalg.norm(pulse - run.low_pass(pulse)))
-        spreads.append(MAD * float(np.median(np.abs(rest - np.median(rest)))) / gain)
+        spreads.append(DEVIATION_PER_MAD * float(np.median(np.abs(rest - np.median(rest)))) / gain)
         extent = max(extent, float(np.ptp(filled)))
     if not spreads:
         return float("nan")

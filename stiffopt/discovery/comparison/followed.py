@@ -9,7 +9,7 @@ import numpy as np
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.comparison.signals import smooth_sign
 from stiffopt.discovery.settings import SIGN_SPEED
-from stiffopt.recording.channel import MAD
+from stiffopt.recording.channel import DEVIATION_PER_MAD
 
 # Of the motors' motion that is followed [Hz], at least and at most: wider than a fit's filter,
 # which all that comes of it passes later.
@@ -55,7 +55,9 @@ def _noise(samples: np.ndarray) -> np.ndarray:
         np.median(np.abs(moved)) if (moved := own[np.isfinite(own) & (own != 0.0)]).size else 0.0
         for own in apart.T
     ]
-    return np.asarray(MAD * np.array(size) / np.sqrt(comb(2 * _DIFFERENCES, _DIFFERENCES)))
+    return np.asarray(
+        DEVIATION_PER_MAD * np.array(size) / np.sqrt(comb(2 * _DIFFERENCES, _DIFFERENCES))
+    )
 
 
 def mean_sign(velocity: np.ndarray) -> np.ndarray:

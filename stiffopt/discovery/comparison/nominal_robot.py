@@ -18,7 +18,7 @@ from stiffopt.discovery.settings import filled
 from stiffopt.recording.recording_set import RecordingSet
 from stiffopt.recording.run import RecordedRun
 from stiffopt.robot import native_bodies
-from stiffopt.robot.along_motion import body_torques, tool_along
+from stiffopt.robot.batched_kinematics import body_torque_regressor, tool_jacobians
 from stiffopt.robot.frames import first_link_of
 
 
@@ -178,7 +178,7 @@ class RobotModel:
     def body_torques(self, body: int, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
         """Spring torques for the inertial parameters of one body (K, n, 10)."""
         motion = (self._of_robot(x) for x in (q, v, a))
-        torques = body_torques(self.arm.tree, int(self.order[body]), *motion)
+        torques = body_torque_regressor(self.arm.tree, int(self.order[body]), *motion)
         # No copy where the set has the robot's order: that is the largest array of a long run.
         return torques if np.all(self.order == np.arange(self.n)) else torques[:, self.order]
 
@@ -203,7 +203,7 @@ class RobotModel:
 
     def tool(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Tool position (K, 3) and its Jacobian (K, 3, n)."""
-        position, jacobian = tool_along(self.arm.tree, self.arm.tool, self._of_robot(q))
+        position, jacobian = tool_jacobians(self.arm.tree, self.arm.tool, self._of_robot(q))
         return position, jacobian[..., self.order]
 
     def temperature_rise(self, run: RecordedRun, count: int) -> np.ndarray:

@@ -22,7 +22,7 @@ from stiffopt.discovery.comparison.spring_law import SpringLaw
 from stiffopt.discovery.comparison.springs import Springs
 from stiffopt.discovery.comparison.swing import LinkMotion, Swing, slow_filter
 from stiffopt.discovery.settings import Settings
-from stiffopt.recording.clock import GAP
+from stiffopt.recording.clock import MIN_GAP_STEPS
 from stiffopt.recording.run import RecordedRun
 
 # Steps between samples up to which a motion is bridged along itself: two may be missing.
@@ -397,6 +397,6 @@ def near_gaps(stamps: np.ndarray, step: float, time: np.ndarray, reach: int) -> 
     """Whether instants (K,) lie between stamps far apart, or within `reach` steps of these."""
     near = np.zeros(len(time), dtype=bool)
     margin = reach * step
-    for k in np.flatnonzero(np.diff(stamps) > GAP * step):
+    for k in np.flatnonzero(np.diff(stamps) > MIN_GAP_STEPS * step):
         near |= (time > stamps[k] - margin) & (time < stamps[k + 1] + margin)
     return near

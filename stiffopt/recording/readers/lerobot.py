@@ -13,13 +13,17 @@ import pyarrow.parquet as parquet
 
 from stiffopt.errors import InputFileError, nearest
 from stiffopt.files import load_json
-from stiffopt.recording.readers.columns import missing, require_time
-from stiffopt.recording.readers.episodes import information, split_episode
-from stiffopt.recording.readers.limits import check_numbers
+from stiffopt.recording.readers.checks import (
+    check_columns,
+    check_numbers,
+    find_dataset_info,
+    require_time,
+    split_episode,
+)
 from stiffopt.recording.signals import Signals
 
-_ENTRY = re.compile(r"(.+)\[([^\]]+)\]")
-_EPISODE = "episode_index"
+_ENTRY_PATTERN = re.compile(r"(.+)\[([^\]]+)\]")
+_EPISODE_COLUMN = "episode_index"
 
 
 def read(path: Path, signals: Signals) -> dict[str, np.ndarray]:
@@ -31,30 +35,30 @@ def read(path: Path, signals: Signals) -> dict[str, np.ndarray]:
     require_time(signals, path)
     file, episode = split_episode(path)
     wanted = (signals.time, *signals.wanted)
-    entries = {name: _ENTRY.fullmatch(name) for name in wanted}
+    entries = {name: _ENTRY_PATTERN.fullmatch(name) for name in wanted}
     needed = [name if match is None else match[1] for name, match in entries.items()]
     with parquet.ParquetFile(file) as source:
         there = source.schema_arrow.names
-        missing(path, needed, there)
+        check_columns(path, needed, there)
         check_numbers(path, source.metadata.num_rows, len(wanted))
-        index = [_EPISODE] if _EPISODE in there else []
+        index = [_EPISODE_COLUMN] if _EPISODE_COLUMN in there else []
         table = source.read(columns=list(dict.fromkeys([*needed, *index])), use_threads=False)
     if index:
-        table = _episode(path, table, episode)
+        table = _select_episode(path, table, episode)
     columns = {}
     for name, match in entries.items():
         if match is None:
-            columns[name] = _numbers(path, name, table.column(name))
+            columns[name] = _scalar_column(path, name, table.column(name))
         else:
-            columns[name] = _entry(
+            columns[name] = _vector_entry(
                 path, table.column(match[1]), match[1], match[2], vector_names(file, match[1])
             )
     return columns
 
 
-def _episode(path: Path, table: arrow.Table, episode: int | None) -> arrow.Table:
+def _select_episode(path: Path, table: arrow.Table, episode: int | None) -> arrow.Table:
     """Rows of the episode."""
-    known = sorted(set(table.column(_EPISODE).to_pylist()))
+    known = sorted(set(table.column(_EPISODE_COLUMN).to_pylist()))
     if episode is None and len(known) > 1:
         raise InputFileError(
             path, "", f"holds the episodes {known[0]} to {known[-1]}. Name one as a run: "
@@ -64,10 +68,10 @@ def _episode(path: Path, table: arrow.Table, episode: int | None) -> arrow.Table
         return table
     if episode not in known:
         raise InputFileError(path, "", f"there is no episode {episode}; it holds {known}.")
-    return table.filter(compute.equal(table.column(_EPISODE), episode))
+    return table.filter(compute.equal(table.column(_EPISODE_COLUMN), episode))
 
 
-def _entry(
+def _vector_entry(
     path: Path, column: arrow.ChunkedArray, feature: str, entry: str, names: list[str]
 ) -> np.ndarray:
     """One entry of a column of vectors."""
@@ -89,10 +93,10 @@ def _entry(
 
 def vector_names(path: Path, feature: str) -> list[str]:
     """Names of the entries of a column of vectors, by the dataset of its file; empty where none."""
-    return _names(_features(path).get(feature))
+    return _entry_names(_dataset_features(path).get(feature))
 
 
-def _names(feature: Any) -> list[str]:
+def _entry_names(feature: Any) -> list[str]:
     """Names of a feature's entries; some datasets keep them one level deeper."""
     names = feature.get("names") if isinstance(feature, dict) else None
     if isinstance(names, dict):
@@ -100,14 +104,14 @@ def _names(feature: Any) -> list[str]:
     return [str(name) for name in names] if isinstance(names, list) else []
 
 
-def _features(path: Path) -> dict[str, Any]:
-    found = information(path)
+def _dataset_features(path: Path) -> dict[str, Any]:
+    found = find_dataset_info(path)
     document = {} if found is None else load_json(found)
     features = document.get("features") if isinstance(document, dict) else None
     return features if isinstance(features, dict) else {}
 
 
-def _numbers(path: Path, name: str, column: arrow.ChunkedArray) -> np.ndarray:
+def _scalar_column(path: Path, name: str, column: arrow.ChunkedArray) -> np.ndarray:
     kind = column.type
     if not (arrow.types.is_integer(kind) or arrow.types.is_floating(kind)):
         raise InputFileError(

@@ -14,8 +14,8 @@ from mcap.records import Channel, Schema
 from mcap_ros2.decoder import DecoderFactory as Ros2DecoderFactory
 
 from stiffopt.errors import InputFileError
-from stiffopt.recording.readers.limits import MOST_BYTES, check_bytes
-from stiffopt.recording.readers.messages import Message, gather, wanted_topics
+from stiffopt.recording.readers.checks import MAX_BYTES, check_bytes
+from stiffopt.recording.readers.messages import Message, gather_columns, wanted_topics
 from stiffopt.recording.signals import Signals
 
 
@@ -34,16 +34,16 @@ def read(path: Path, signals: Signals) -> dict[str, np.ndarray]:
         reader = SeekingReader(
             stream,
             decoder_factories=[Ros2DecoderFactory(), _JsonDecoderFactory()],
-            record_size_limit=MOST_BYTES,
+            record_size_limit=MAX_BYTES,
         )
-        channels = _channels(path, reader)
+        channels = _list_channels(path, reader)
         topics = [channel.topic for channel in channels]
         wanted = wanted_topics(signals, topics, path)
-        _readable(path, [channel for channel in channels if channel.topic in wanted])
-        return gather(path, signals, topics, _messages(reader, wanted))
+        _check_encodings(path, [channel for channel in channels if channel.topic in wanted])
+        return gather_columns(path, signals, topics, _iterate_messages(reader, wanted))
 
 
-def _channels(path: Path, reader: McapReader) -> list[Channel]:
+def _list_channels(path: Path, reader: McapReader) -> list[Channel]:
     summary = reader.get_summary()
     if summary is not None:
         check_bytes(path, sum(chunk.uncompressed_size for chunk in summary.chunk_indexes))
@@ -54,7 +54,7 @@ def _channels(path: Path, reader: McapReader) -> list[Channel]:
     return list(found.values())
 
 
-def _readable(path: Path, channels: list[Channel]) -> None:
+def _check_encodings(path: Path, channels: list[Channel]) -> None:
     for channel in channels:
         if channel.message_encoding not in ("cdr", "json"):
             raise InputFileError(
@@ -65,7 +65,7 @@ def _readable(path: Path, channels: list[Channel]) -> None:
             )
 
 
-def _messages(reader: McapReader, topics: set[str]) -> Iterator[Message]:
+def _iterate_messages(reader: McapReader, topics: set[str]) -> Iterator[Message]:
     for _, channel, message, decoded in reader.iter_decoded_messages(topics=topics):
         yield channel.topic, message.log_time, decoded
 
@@ -76,7 +76,9 @@ def peek(path: Path) -> Iterator[Message]:
         reader = SeekingReader(
             stream,
             decoder_factories=[Ros2DecoderFactory(), _JsonDecoderFactory()],
-            record_size_limit=MOST_BYTES,
+            record_size_limit=MAX_BYTES,
         )
-        known = [c.topic for c in _channels(path, reader) if c.message_encoding in ("cdr", "json")]
-        yield from _messages(reader, set(known))
+        known = [
+            c.topic for c in _list_channels(path, reader) if c.message_encoding in ("cdr", "json")
+        ]
+        yield from _iterate_messages(reader, set(known))

@@ -11,19 +11,19 @@ from typing import Any
 import numpy as np
 
 from stiffopt.errors import InputFileError, nearest
-from stiffopt.recording.readers.limits import check_messages, check_numbers
+from stiffopt.recording.readers.checks import check_messages, check_numbers
 from stiffopt.recording.signals import Signals
 
 # Topic, log time [ns], decoded message.
 Message = tuple[str, int, Any]
 
-_STEP = re.compile(r"\.?([^.\[\]]+)|\[([^\]]+)\]")
+_STEP_PATTERN = re.compile(r"\.?([^.\[\]]+)|\[([^\]]+)\]")
 # Fields in which messages name the entries of their lists.
-_NAMES = ("name", "names", "joint_names")
-_NANO = 1_000_000_000
+_NAME_FIELDS = ("name", "names", "joint_names")
+_NANOSECONDS_PER_SECOND = 1_000_000_000
 # Stamps [s] and [ns] that 64 bits of nanoseconds can count; numbers beyond are of no machine.
-_LATEST = 4e9
-_LARGEST = 1e15
+_MAX_STAMP = 4e9
+_MAX_INTEGER = 1e15
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,9 @@ class Field:
         value, holder = message, message
         for step in self.steps:
             if isinstance(step, str) and step.startswith("["):
-                names = next((n for key in _NAMES if (n := _get(holder, key)) is not None), ())
+                names = next(
+                    (n for key in _NAME_FIELDS if (n := _get_field(holder, key)) is not None), ()
+                )
                 if not isinstance(names, Sequence) or step[1:-1] not in names:
                     return None
                 step = list(names).index(step[1:-1])
@@ -54,10 +56,10 @@ class Field:
                     return None
                 value = value[step]
                 continue
-            holder, value = value, _get(value, step)
+            holder, value = value, _get_field(value, step)
             if value is None:
                 return None
-        return _number(value)
+        return _as_float(value)
 
 
 @dataclass
@@ -74,7 +76,7 @@ class _Topic:
         # Several nodes may write to one topic; messages that lack a field are another's.
         if len(row) == len(values):
             self.logged.append(log_time)
-            self.stamps.append(_stamp(message))
+            self.stamps.append(_header_stamp(message))
             self.rows.append(row)
         elif not self.rows:
             self.seen |= {name for name, value in values.items() if value is not None}
@@ -102,7 +104,7 @@ def parse_field(name: str, topics: Iterable[str], path: Path) -> Field:
         )
     topic = max(fitting, key=len)
     steps: list[str | int] = []
-    for attribute, entry in _STEP.findall(name[len(topic) :]):
+    for attribute, entry in _STEP_PATTERN.findall(name[len(topic) :]):
         if attribute:
             steps.append(attribute)
         else:
@@ -115,7 +117,7 @@ def parse_field(name: str, topics: Iterable[str], path: Path) -> Field:
     return Field(topic, tuple(steps))
 
 
-def gather(
+def gather_columns(
     path: Path, signals: Signals, topics: Iterable[str], messages: Iterable[Message]
 ) -> dict[str, np.ndarray]:
     """Columns of the channels that `signals` names.
@@ -153,10 +155,10 @@ def gather(
         if topic in own:
             own[topic].add(log_time, message)
             check_numbers(path, len(own[topic].rows), len(own[topic].fields))
-    columns = _columns(path, own, base)
+    columns = _topic_columns(path, own, base)
     if not timed:
         clock = own[base].clock
-        columns[signals.time] = (clock - clock[0]) / _NANO
+        columns[signals.time] = (clock - clock[0]) / _NANOSECONDS_PER_SECOND
     return columns
 
 
@@ -165,7 +167,7 @@ def wanted_topics(signals: Signals, topics: Sequence[str], path: Path) -> set[st
     return {parse_field(name, topics, path).topic for name in signals.wanted}
 
 
-def _columns(path: Path, own: Mapping[str, _Topic], base: str) -> dict[str, np.ndarray]:
+def _topic_columns(path: Path, own: Mapping[str, _Topic], base: str) -> dict[str, np.ndarray]:
     columns: dict[str, np.ndarray] = {}
     for topic, held in own.items():
         if not held.rows:
@@ -178,12 +180,12 @@ def _columns(path: Path, own: Mapping[str, _Topic], base: str) -> dict[str, np.n
             )
         for name, column in zip(held.fields, np.array(held.rows).T, strict=True):
             columns[name] = (
-                column if topic == base else _aligned(own[base].clock, held.clock, column)
+                column if topic == base else _resample_to_clock(own[base].clock, held.clock, column)
             )
     return columns
 
 
-def _aligned(clock: np.ndarray, other: np.ndarray, values: np.ndarray) -> np.ndarray:
+def _resample_to_clock(clock: np.ndarray, other: np.ndarray, values: np.ndarray) -> np.ndarray:
     order = np.argsort(other, kind="stable")
     begin = min(int(clock[0]), int(other[order[0]]))
     at, known = clock - begin, (other - begin)[order]
@@ -191,26 +193,26 @@ def _aligned(clock: np.ndarray, other: np.ndarray, values: np.ndarray) -> np.nda
     return aligned
 
 
-def _get(value: Any, key: str) -> Any:
+def _get_field(value: Any, key: str) -> Any:
     return value.get(key) if isinstance(value, Mapping) else getattr(value, key, None)
 
 
-def _stamp(message: Any) -> int:
+def _header_stamp(message: Any) -> int:
     """Header stamp [ns], 0 if there is none."""
-    stamp = _get(_get(message, "header"), "stamp")
-    seconds = _number(_get(stamp, "sec"))
-    rest = next((r for key in ("nanosec", "nsec") if (r := _get(stamp, key)) is not None), 0)
-    nanoseconds = _number(rest)
-    if seconds is None or not abs(seconds) < _LATEST or not abs(nanoseconds or 0.0) < _LATEST:
+    stamp = _get_field(_get_field(message, "header"), "stamp")
+    seconds = _as_float(_get_field(stamp, "sec"))
+    rest = next((r for key in ("nanosec", "nsec") if (r := _get_field(stamp, key)) is not None), 0)
+    nanoseconds = _as_float(rest)
+    if seconds is None or not abs(seconds) < _MAX_STAMP or not abs(nanoseconds or 0.0) < _MAX_STAMP:
         return 0
-    return int(seconds) * _NANO + int(nanoseconds or 0.0)
+    return int(seconds) * _NANOSECONDS_PER_SECOND + int(nanoseconds or 0.0)
 
 
-def _number(value: Any) -> float | None:
+def _as_float(value: Any) -> float | None:
     """A number as a float, None of anything else that a message may hold."""
     if not isinstance(value, int | float | np.number):
         return None
     # An integer of JSON may have any number of digits.
-    if isinstance(value, int) and abs(value) > _LARGEST:
+    if isinstance(value, int) and abs(value) > _MAX_INTEGER:
         return float(np.inf)
     return float(value)

@@ -10,8 +10,7 @@ import numpy as np
 from numpy.lib import format as npy
 
 from stiffopt.errors import InputFileError
-from stiffopt.recording.readers.columns import missing, require_time
-from stiffopt.recording.readers.limits import check_numbers
+from stiffopt.recording.readers.checks import check_columns, check_numbers, require_time
 from stiffopt.recording.signals import Signals
 
 
@@ -21,11 +20,11 @@ def read(path: Path, signals: Signals) -> dict[str, np.ndarray]:
     wanted = (signals.time, *signals.wanted)
     with zipfile.ZipFile(path) as archive:
         held = [name.removesuffix(".npy") for name in archive.namelist()]
-        missing(path, wanted, held)
+        check_columns(path, wanted, held)
         for name in wanted:
             _check_size(path, archive, name, len(wanted))
     with np.load(path, allow_pickle=False) as arrays:
-        return {name: _numbers(path, name, arrays[name]) for name in wanted}
+        return {name: _as_numbers(path, name, arrays[name]) for name in wanted}
 
 
 def _check_size(path: Path, archive: zipfile.ZipFile, name: str, columns: int) -> None:
@@ -39,7 +38,7 @@ def _check_size(path: Path, archive: zipfile.ZipFile, name: str, columns: int) -
     check_numbers(path, math.prod(shape), columns)
 
 
-def _numbers(path: Path, name: str, array: np.ndarray) -> np.ndarray:
+def _as_numbers(path: Path, name: str, array: np.ndarray) -> np.ndarray:
     if array.ndim == 2 and 1 in array.shape:
         array = array.reshape(-1)
     if array.ndim != 1 or array.dtype.kind not in "fiub":

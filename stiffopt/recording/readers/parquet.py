@@ -9,8 +9,7 @@ import pyarrow as arrow
 import pyarrow.parquet as parquet
 
 from stiffopt.errors import InputFileError
-from stiffopt.recording.readers.columns import missing, require_time
-from stiffopt.recording.readers.limits import check_numbers
+from stiffopt.recording.readers.checks import check_columns, check_numbers, require_time
 from stiffopt.recording.signals import Signals
 
 
@@ -19,13 +18,13 @@ def read(path: Path, signals: Signals) -> dict[str, np.ndarray]:
     require_time(signals, path)
     wanted = (signals.time, *signals.wanted)
     with parquet.ParquetFile(path) as file:
-        missing(path, wanted, file.schema_arrow.names)
+        check_columns(path, wanted, file.schema_arrow.names)
         check_numbers(path, file.metadata.num_rows, len(wanted))
         table = file.read(columns=list(wanted), use_threads=False)
-    return {name: numbers(path, name, table.column(name)) for name in wanted}
+    return {name: column_to_numbers(path, name, table.column(name)) for name in wanted}
 
 
-def numbers(path: Path, name: str, column: arrow.ChunkedArray) -> np.ndarray:
+def column_to_numbers(path: Path, name: str, column: arrow.ChunkedArray) -> np.ndarray:
     """A column as numbers (K,), stamps as seconds after the first."""
     kind = column.type
     if len(column) == 0:

@@ -45,7 +45,7 @@ def load_mesh_file(
             path, "", f"has the scale {np.array(scale).tolist()}: give finite factors other than 0."
         )
     # Trees of boxes along the axes stand coordinates that are not finite; others crash.
-    mesh = _load(path, scale, coal.NODE_TYPE.BV_AABB)
+    mesh = _load_mesh(path, scale, coal.NODE_TYPE.BV_AABB)
     vertices = np.atleast_2d(np.array(mesh.vertices(), dtype=float))
     extent = float(np.ptp(vertices, axis=0).max()) if np.isfinite(vertices).all() else np.nan
     if mesh.num_tris == 0 or not MIN_EXTENT <= extent <= MAX_EXTENT:
@@ -53,7 +53,7 @@ def load_mesh_file(
             path, "", f"cannot be used as a mesh: {mesh.num_tris} triangles, {extent:.3g} m from"
             f" end to end; allowed are {MIN_EXTENT:g} to {MAX_EXTENT:g} m. Check its scale."
         )  # fmt: skip
-    return _load(path, scale, coal.NODE_TYPE.BV_OBBRSS) if boxes else mesh
+    return _load_mesh(path, scale, coal.NODE_TYPE.BV_OBBRSS) if boxes else mesh
 
 
 def convex_hull(mesh: coal.BVHModelBase, path: Path | None) -> coal.ConvexBase:
@@ -75,7 +75,7 @@ def convex_hull(mesh: coal.BVHModelBase, path: Path | None) -> coal.ConvexBase:
     return mesh.convex
 
 
-def _load(path: Path, scale: np.ndarray, tree: coal.NODE_TYPE) -> coal.BVHModelBase:
+def _load_mesh(path: Path, scale: np.ndarray, tree: coal.NODE_TYPE) -> coal.BVHModelBase:
     try:
         return coal.MeshLoader(tree).load(str(path), np.asarray(scale, dtype=float))
     except (ValueError, RuntimeError) as error:

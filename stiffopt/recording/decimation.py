@@ -15,12 +15,12 @@ from stiffopt.recording.recording_set import RecordingSet
 from stiffopt.recording.run import RecordedRun
 
 # Samples of all training runs from which on they are thinned, and the slowest clock that is left.
-_MOST, _SLOWEST = 160_000, 200.0
+_MAX_SAMPLES, _MIN_RATE = 160_000, 200.0
 # Spacings that a mean may be over beyond those of its samples: more is a gap.
-_GAP = 1.5
+_MAX_MEAN_SPAN = 1.5
 
 
-def samples_a_mean(runs: Sequence[RecordedRun]) -> int:
+def decimation_factor(runs: Sequence[RecordedRun]) -> int:
     """Samples that means are taken over, an odd number; 1 of all but long recordings.
 
     Parameters
@@ -29,8 +29,8 @@ def samples_a_mean(runs: Sequence[RecordedRun]) -> int:
         Training runs.
     """
     fastest = min((1.0 / run.step for run in runs), default=0.0)
-    most = int(fastest / _SLOWEST)
-    wanted = int(np.ceil(sum(len(run.time) for run in runs) / _MOST))
+    most = int(fastest / _MIN_RATE)
+    wanted = int(np.ceil(sum(len(run.time) for run in runs) / _MAX_SAMPLES))
     every = min(wanted + (wanted % 2 == 0), most - (most % 2 == 0))
     return max(1, every)
 
@@ -40,7 +40,7 @@ def sampling_rate(runs: Sequence[RecordedRun]) -> float:
     return float(sum(len(run.time) for run in runs) / sum(len(run.time) * run.step for run in runs))
 
 
-def thinned(run: RecordedRun, every: int) -> RecordedRun:
+def decimate_run(run: RecordedRun, every: int) -> RecordedRun:
     """A run with means of so many samples at the stamp in the middle of them.
 
     Parameters
@@ -58,7 +58,7 @@ def thinned(run: RecordedRun, every: int) -> RecordedRun:
     if every == 1 or not count:
         return run
     groups = run.time[: count * every].reshape(count, every)
-    whole = np.ptp(groups, axis=1) < _GAP * every * run.step
+    whole = np.ptp(groups, axis=1) < _MAX_MEAN_SPAN * every * run.step
 
     def means(samples: np.ndarray | None) -> np.ndarray | None:
         if samples is None:
@@ -79,7 +79,7 @@ def thinned(run: RecordedRun, every: int) -> RecordedRun:
     )
 
 
-def quieter(recordings: RecordingSet, every: int) -> RecordingSet:
+def decimate_noise(recordings: RecordingSet, every: int) -> RecordingSet:
     """The set with the noise that means of so many samples have."""
     if every == 1:
         return recordings
@@ -92,7 +92,7 @@ def quieter(recordings: RecordingSet, every: int) -> RecordingSet:
     return replace(recordings, noise=replace(noise, **stated))
 
 
-def sentence(runs: Sequence[RecordedRun], every: int) -> str:
+def describe_decimation(runs: Sequence[RecordedRun], every: int) -> str:
     """What is said of runs (before they are thinned) whose samples are taken together."""
     number = sum(len(run.time) for run in runs)
     left = min(1.0 / run.step for run in runs) / every

@@ -1,30 +1,31 @@
-"""What a run may hold at most: sizes that a file declares are compared before they are believed."""
+"""Checks that every reader shares: declared sizes, time and memory, columns, episodes."""
 
 from __future__ import annotations
 
 import signal
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-from stiffopt.errors import InputFileError
+from stiffopt.errors import InputFileError, nearest
+from stiffopt.recording.signals import Signals
 
 # Numbers in one run, 8 bytes each; an hour of six joints with three signals at 500 Hz has 34e6.
-MOST_NUMBERS = 40_000_000
+MAX_NUMBERS = 40_000_000
 # Bytes of messages, unpacked: a bag may hold other topics beside the wanted ones.
-MOST_BYTES = 2**30
+MAX_BYTES = 2**30
 # Messages on the named topics, which can be decoded in a few minutes.
-MOST_MESSAGES = 2_000_000
+MAX_MESSAGES = 2_000_000
 # Beyond what the process holds already, where a format's library believes more than it should.
-MOST_MEMORY = 3 * 2**29
+MAX_MEMORY = 3 * 2**29
 
 # An hour of messages takes a minute or two.
-MOST_SECONDS = 600.0
+MAX_SECONDS = 600.0
 
 
-class OutOfTime(Exception):
+class ReadTimeout(Exception):
     """A reader took longer than `MOST_SECONDS`."""
 
 
@@ -40,10 +41,10 @@ def bounded_time() -> Iterator[None]:
         return
 
     def stop(*_: object) -> None:
-        raise OutOfTime
+        raise ReadTimeout
 
     before = signal.signal(signal.SIGALRM, stop)
-    left, _ = signal.setitimer(signal.ITIMER_REAL, MOST_SECONDS)
+    left, _ = signal.setitimer(signal.ITIMER_REAL, MAX_SECONDS)
     try:
         yield
     finally:
@@ -61,7 +62,7 @@ def bounded_memory() -> Iterator[None]:
     import resource
 
     soft, hard = resource.getrlimit(resource.RLIMIT_DATA)
-    most = held_data() + MOST_MEMORY
+    most = data_segment_size() + MAX_MEMORY
     given = [limit for limit in (soft, hard) if limit != resource.RLIM_INFINITY]
     resource.setrlimit(resource.RLIMIT_DATA, (min([most, *given]), hard))
     try:
@@ -70,7 +71,7 @@ def bounded_memory() -> Iterator[None]:
         resource.setrlimit(resource.RLIMIT_DATA, (soft, hard))
 
 
-def held_data() -> int:
+def data_segment_size() -> int:
     """Bytes of this process that Linux counts against RLIMIT_DATA: without the stack."""
     status = Path("/proc/self/status").read_text(encoding="ascii", errors="replace")
     (line,) = (line for line in status.splitlines() if line.startswith("VmData:"))
@@ -79,32 +80,73 @@ def held_data() -> int:
 
 def check_numbers(path: Path, samples: int, columns: int) -> None:
     """Raise `InputFileError` if so many samples of so many columns are no plausible run."""
-    if samples * columns > MOST_NUMBERS:
+    if samples * columns > MAX_NUMBERS:
         raise InputFileError(
             path,
             "",
             f"declares {samples} samples of {columns} columns, and a run may hold at most "
-            f"{MOST_NUMBERS:.0e} numbers. Split it, or record at a lower rate.",
+            f"{MAX_NUMBERS:.0e} numbers. Split it, or record at a lower rate.",
         )
 
 
 def check_bytes(path: Path, size: int, what: str = "") -> None:
     """Raise `InputFileError` if so many bytes, unpacked, are no plausible run."""
-    if size > MOST_BYTES:
+    if size > MAX_BYTES:
         raise InputFileError(
             path,
             what,
-            f"declares {size / 2**30:.3g} GiB, unpacked, and at most {MOST_BYTES / 2**30:.0f} GiB "
+            f"declares {size / 2**30:.3g} GiB, unpacked, and at most {MAX_BYTES / 2**30:.0f} GiB "
             "is read. Split it, or keep only the topics that are named.",
         )
 
 
 def check_messages(path: Path, count: int) -> None:
     """Raise `InputFileError` if so many messages are no plausible run."""
-    if count > MOST_MESSAGES:
+    if count > MAX_MESSAGES:
         raise InputFileError(
             path,
             "",
-            f"has more than {MOST_MESSAGES} messages on the topics that [signals] names. Split "
+            f"has more than {MAX_MESSAGES} messages on the topics that [signals] names. Split "
             "it, or record at a lower rate.",
         )
+
+
+def require_time(signals: Signals, path: Path) -> None:
+    """Raise `InputFileError` if the set names no time column for a file without own stamps."""
+    if not signals.time:
+        raise InputFileError(
+            path, "", "signals.time is required for this format: the column of the time [s]."
+        )
+
+
+def check_columns(path: Path, wanted: Sequence[str], there: Iterable[str]) -> None:
+    """Raise `InputFileError` if a wanted column is not there."""
+    names = list(there)
+    lacking = [name for name in wanted if name not in names]
+    if lacking:
+        others = f" (nor {', '.join(lacking[1:])})" if len(lacking) > 1 else ""
+        raise InputFileError(
+            path,
+            "",
+            f"has no column {lacking[0]!r}{others}, which [signals] names. "
+            f"{nearest(lacking[0], names)} Correct [signals] or the file.",
+        )
+
+
+def split_episode(path: Path) -> tuple[Path, int | None]:
+    """File and number of the episode of "FILE.parquet#3"."""
+    name, mark, number = path.name.rpartition("#")
+    if not mark or path.exists():
+        return path, None
+    if not number.isdecimal():
+        raise InputFileError(path, "", f"{number!r} is no episode; give its number, as in #0.")
+    return path.parent / name, int(number)
+
+
+def find_dataset_info(path: Path) -> Path | None:
+    """meta/info.json of the dataset that a Parquet file belongs to; None where it has none."""
+    for folder in list(path.resolve().parents)[:4]:
+        found = folder / "meta" / "info.json"
+        if found.is_file():
+            return found
+    return None
