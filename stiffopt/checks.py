@@ -1,4 +1,4 @@
-"""Checks that every connection of a drivetrain has to pass; for one's own subclasses as well.
+"""Checks that every connection of a drivetrain has to pass; for subclasses of users as well.
 
 Each check returns the worst number it found and raises `CheckFailed` with it when that is too
 large. Formulas are taken as plain functions of NumPy arrays.
@@ -22,22 +22,22 @@ class CheckFailed(StiffoptError, AssertionError):
 
     Parameters
     ----------
-    what : str
+    name : str
         The property.
     where : float
         The point where it is violated most.
     found, allowed : float
     """
 
-    def __init__(self, what: str, where: float, found: float, allowed: float) -> None:
-        self.what, self.where, self.found, self.allowed = what, where, found, allowed
-        super().__init__(f"{what}: {found:.3g} at {where:.6g}; allowed is {allowed:.3g}.")
+    def __init__(self, name: str, where: float, found: float, allowed: float) -> None:
+        self.name, self.where, self.found, self.allowed = name, where, found, allowed
+        super().__init__(f"{name}: {found:.3g} at {where:.6g}; allowed is {allowed:.3g}.")
 
 
 class Smoothed(Protocol):
-    """What `check_smoothed_against_exact` needs of a connection.
+    """Methods of a connection that `check_smoothed_against_exact` calls.
 
-    One of a kind of one's own also has `exact_tangent_compliance(torque, preload=...)`, its
+    A connection defined by a user also has `exact_tangent_compliance(torque, preload=...)`, its
     compliance without smoothing [rad/(N m)], and, where that jumps, `breakpoints()` [N m].
     """
 
@@ -136,7 +136,8 @@ def check_smoothed_against_exact(
 
 
 def _exact_windup(connection: Smoothed, start: float, torques: np.ndarray) -> np.ndarray:
-    # Panels shrink towards zero, where contacts change most; jumps fall on panel ends.
+    # Panels shrink towards zero torque, where contact compliance changes most; jumps lie on
+    # panel ends.
     lowest = start if start > 0.0 else 1e-8 * float(torques[-1])
     grid = np.geomspace(lowest, torques[-1], 60)
     jumps = [t for t in breakpoints(connection) if lowest < t < torques[-1]]
@@ -153,9 +154,9 @@ def _evaluate_formula(formula: Formula, x: np.ndarray) -> np.ndarray:
     return np.asarray(np.broadcast_to(np.asarray(formula(x), dtype=float), x.shape))
 
 
-def _check_worst_error(what: str, x: np.ndarray, error: np.ndarray, allowed: float) -> float:
-    # A nan counts as the worst value there is.
+def _check_worst_error(name: str, x: np.ndarray, error: np.ndarray, allowed: float) -> float:
+    # NaN counts as the worst value.
     worst = int(np.argmax(np.where(np.isnan(error), np.inf, error)))
     if not error[worst] <= allowed:
-        raise CheckFailed(what, float(x[worst]), float(error[worst]), allowed)
+        raise CheckFailed(name, float(x[worst]), float(error[worst]), allowed)
     return float(error[worst])

@@ -1,4 +1,4 @@
-"""What a field of a file or of a Python object is, said once, beside the field itself.
+"""Declaration of the fields of files and objects: unit, bounds and description in the annotation.
 
     diameter: Annotated[Length, POSITIVE, Doc("Diameter of the shaft.")]
 
@@ -9,10 +9,10 @@ declares a length in metres above zero. A frozen dataclass whose fields are decl
   units ("8 mm"), checks the same bounds with the same sentence, and gives the object
 - has its keys, units, bounds and sentences in `stiffopt schema` and in the file reference
 
-What concerns several fields is checked in `__post_init__` after `check_fields`; an `InputError`
-from there is reported with the section's place in the file. `declared(cls)` gives the declarations
-to those who build a section from a part of an object. This module knows neither pint nor pydantic:
-`stiffopt.validation` says how texts are read (`Unit.reader`), the catalogue which names it has
+Conditions on several fields are checked in `__post_init__` after `check_fields`; an `InputError`
+raised there is reported with the section's place in the file. `declared(cls)` returns the
+declarations, to build a section from a part of an object. This module imports neither pint nor
+pydantic: `stiffopt.validation` sets the reader of texts (`Unit.reader`), the catalogue its names
 (`Named.tables`).
 """
 
@@ -65,8 +65,8 @@ class Dimension:
     ) -> None:
         """Raise `ImplausibleError` for a bare number in SI whose magnitude is beyond `plausible`.
 
-        `si_only` says that its file takes no texts with units, which are always meant. `bounds` are
-        those that it has to keep besides: a number beyond them in every unit is left to them.
+        `si_only`: the file accepts no texts with units, so the message suggests none. `bounds`:
+        bounds of the field; a number that violates them in every unit is left to their message.
         """
         if _is_within(number, plausible) or not math.isfinite(number):
             return
@@ -95,7 +95,7 @@ def _is_within(number: float, plausible: tuple[float, float]) -> bool:
 
 
 def range_text(plausible: Sequence[float]) -> str:
-    """Words of a range of magnitudes.
+    """Format a range of magnitudes.
 
     >>> range_text((0.001, 1.0)), range_text((0.0, 20.0))
     ('0.001 to 1', 'up to 20')
@@ -165,13 +165,13 @@ DIMENSIONS = {
         ),
         Dimension("viscous friction", "N*m*s/rad", "5 N*m*s/rad", -1, (0.0, 1e6)),
         Dimension("linear viscous friction", "N*s/m", "5 N*s/m", 0, (0.0, 1e7)),
-        # Kelvin are refused with it.
+        # The upper end excludes temperatures in kelvin.
         Dimension("temperature", "degC", "22 degC", 0, (0.0, 200.0)),
         Dimension("ratio", "", "0.12", 0, (0.0, 1e12)),
     )
 }
 
-# What a prismatic joint has where a revolute one has an angle, a torque and so on.
+# Dimension of a prismatic joint by that of a revolute joint.
 PRISMATIC = {
     "angle": "length",
     "angular velocity": "speed",
@@ -186,7 +186,7 @@ PRISMATIC = {
 
 @dataclass(frozen=True)
 class Doc:
-    """The sentence that describes a field."""
+    """Description of a field, one sentence."""
 
     text: str
 
@@ -208,15 +208,15 @@ class Unit:
     dimension : str
         A name in `DIMENSIONS`.
     joint : bool
-        Of a joint: a prismatic one takes the counterpart of the dimension in `PRISMATIC`.
+        Quantity of a joint: for a prismatic one the dimension is that of `PRISMATIC`.
     bare : bool
-        Always in SI, as recordings are: a text is no number.
+        Always in SI, as in recordings: texts with units are rejected.
     """
 
     dimension: str
     joint: bool = False
     bare: bool = False
-    # How a file's entry becomes an SI number; set by `stiffopt.validation`.
+    # Conversion of an entry of a file to an SI number; set by `stiffopt.validation`.
     reader: ClassVar[Callable[[Unit], Callable[[object], float]]]
 
     @property
@@ -269,7 +269,7 @@ class Unit:
 
 @dataclass(frozen=True)
 class Bounds:
-    """Between which values a number must lie.
+    """Range in which a number must lie.
 
     Parameters
     ----------
@@ -278,9 +278,9 @@ class Bounds:
     least, most : float
         Bounds that are included.
     finite : bool
-        Whether it must be finite.
+        The number must be finite.
     hint : str
-        Sentence on what is usually meant by a number beyond them.
+        Sentence on the usual cause of a violation.
     plausible : (float, float) or None
         Magnitudes beyond which a bare number of a file is asked about; default those of its unit.
     """
@@ -294,13 +294,13 @@ class Bounds:
     plausible: tuple[float, float] | None = None
 
     def check(self, name: str, value: object) -> None:
-        """Raise `InputError` unless every number in `value` lies within; others pass."""
+        """Raise `InputError` unless every number in `value` lies within the bounds."""
         for number in _iterate_numbers(value):
             if not self.contains(number):
                 self._raise_out_of_bounds(name, number)
 
     def contains(self, number: float) -> bool:
-        """Whether a number lies within."""
+        """Return whether a number lies within the bounds."""
         low = self.above < number and self.least <= number
         high = number <= self.most and (number < self.below or self.below == math.inf)
         return low and high and (math.isfinite(number) or not self.finite)
@@ -368,7 +368,7 @@ def _quantity_metadata(schema: Any) -> Iterator[dict[str, Any]]:
 
 
 def _add_limits(schema: dict[str, Any], limits: dict[str, Any]) -> dict[str, Any]:
-    """Schema with the limits at every form of it that is a number."""
+    """Add the limits to every numeric alternative of a JSON schema."""
     if schema.get("type") in ("number", "integer"):
         return {**schema, **limits}
     deeper: dict[str, Any] = {}
@@ -384,43 +384,43 @@ def _add_limits(schema: dict[str, Any], limits: dict[str, Any]) -> dict[str, Any
 
 @dataclass(frozen=True)
 class Named:
-    """A name that the catalogue must have; `what` is the kind of thing.
+    """Name of an entry of the catalogue; `table` is the kind of entry.
 
-    Python objects look the name up where they need it; files are checked when they are read.
+    Python objects look the name up when they use it; files are checked when they are read.
     """
 
-    what: str
-    # Names by kind of thing; filled by the catalogue.
+    table: str
+    # Names by kind of entry; filled by the catalogue.
     tables: ClassVar[dict[str, Callable[[], Iterable[str]]]] = {}
 
     def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
         from pydantic_core import core_schema
 
         def check(value: Any) -> Any:
-            names = list(Named.tables[self.what]())
+            names = list(Named.tables[self.table]())
             if value is not None and value not in names:
                 raise InputError(
-                    f"no {self.what} {value!r} in the catalogue. {nearest(value, names)}"
+                    f"no {self.table} {value!r} in the catalogue. {nearest(value, names)}"
                 )
             return value
 
         return core_schema.no_info_after_validator_function(check, handler(source))
 
     def __get_pydantic_json_schema__(self, core: Any, handler: Any) -> dict[str, Any]:
-        return {**handler(core), "examples": list(Named.tables[self.what]())}
+        return {**handler(core), "examples": list(Named.tables[self.table]())}
 
 
 POSITIVE = Bounds(above=0.0)
-# A length of a machine part [m]: larger ones were written in millimetres without saying so.
+# Length of a machine part [m]; larger numbers are usually millimetres without a unit.
 PART = Bounds(
     above=0.0,
     most=3.0,
     hint='A bare number is in m: write a text such as "63 mm".',
     plausible=(1e-5, 1.5),
 )
-# A length of a bolt, or of what is smaller on a part: teeth, keys, threads [m].
+# Length of a bolt or a detail of a part: teeth, keys, threads [m].
 DETAIL = dataclasses.replace(PART, plausible=(1e-5, 0.5))
-# Of a technical surface [m].
+# Roughness of a technical surface [m].
 ROUGHNESS = Bounds(above=0.0, most=1e-2, plausible=(1e-9, 1e-3))
 # Young's modulus, shear modulus or hardness, from rubber to diamond [Pa].
 MODULUS = Bounds(above=0.0, plausible=(1e5, 2e12))
@@ -449,7 +449,7 @@ Stiffness = Annotated[float, Unit("stiffness")]
 WidthStiffness = Annotated[float, Unit("stiffness per width")]
 Ratio = Annotated[float, Unit("ratio")]
 
-# The same for joints that may be revolute or prismatic; `stiffopt.units.fit_joint` settles which.
+# Quantities of joints that are revolute or prismatic; resolved by `stiffopt.units.fit_joint`.
 JointPosition = Annotated[float, Unit("angle", joint=True)]
 JointVelocity = Annotated[float, Unit("angular velocity", joint=True)]
 JointAcceleration = Annotated[float, Unit("angular acceleration", joint=True)]
@@ -470,7 +470,7 @@ class Declared:
 
     @property
     def required(self) -> bool:
-        """Whether there is no default."""
+        """Return whether the field has no default."""
         missing = dataclasses.MISSING
         return self.default is missing and self.default_factory is missing
 
@@ -507,7 +507,7 @@ def bounds(cls: type, name: str) -> Bounds:
 def check_fields(
     instance: Any, owner: str = "", error: Callable[[str], InputError] = InputError
 ) -> None:
-    """Check every field of a dataclass instance against its bounds and words.
+    """Check every field of a dataclass instance against its bounds and allowed words.
 
     Parameters
     ----------
@@ -515,7 +515,7 @@ def check_fields(
     owner : str
         Kind and name of the object, for messages.
     error : type of InputError
-        Raised with the field, its value, and what is allowed.
+        Raised with the field, its value and the allowed range or words.
     """
     try:
         _check_fields(instance, owner)

@@ -1,10 +1,10 @@
-"""Folders for results: a command's files appear together, and a manifest says which they are.
+"""Result folders: files of a command appear together and are listed in a manifest.
 
 Files are written to a hidden folder beside the target (inside it where the target's parent cannot
 be written or is another file system). When all are whole, the files of the earlier answer are
 removed and the new ones are renamed into place, the manifest last: no moment shows files of two
-answers. What a killed process left is completed from the two manifests, whose names and hashes are
-checked, and which reach nothing outside the target. Files that no manifest lists, or that were
+answers. An interrupted replacement is completed from the two manifests, whose names and hashes are
+checked and refer to nothing outside the target. Files that no manifest lists, or that were
 changed since, belong to the user: they keep their content under another name.
 """
 
@@ -27,7 +27,7 @@ from stiffopt.files import atomic_write, load_json
 from stiffopt.interrupts import ignore_interrupts
 
 MANIFEST = "manifest.json"
-# Folders that this process has written, in order.
+# Result folders of this process, in order.
 written: list[Path] = []
 _LOCK_FILE, _INNER_STAGE, _KEPT_SUFFIX = ".stiffopt.lock", ".stiffopt.new", ".kept"
 # In a stage that is complete: hash of the manifest that it replaces.
@@ -47,25 +47,26 @@ _MAX_FILE_SIZE = 2**30
 def output_folder(
     path: Path, command: str, *, of: str = "", maybe: Sequence[str] = ()
 ) -> Iterator[Path]:
-    """A hidden folder to write into, tried before any long work; its files then appear in `path`.
+    """Create a hidden folder to write into; its files appear in `path` at the end.
 
-    What ends with an exception changes nothing, and folders that were made for it are removed.
+    Created before any long work, so that an unwritable folder is reported early. After an
+    exception nothing has changed, and folders made for it are removed.
 
     Parameters
     ----------
     path : Path
     command : str
-        That writes: files of its earlier answer make place for the new.
+        Command that writes; files of its earlier answer are replaced.
     of : str
-        Command whose answer these files go with; a new answer of that takes them away too.
+        Command whose answer these files belong to; a new answer of it removes them too.
     maybe : sequence of str
-        Files that it does not always write: without them, none of an earlier version stays.
+        Files that are not always written; earlier ones of these names are set aside.
 
     Raises
     ------
     InputFileError
-        The folder cannot be written, another process is writing into it, or it holds what no
-        command writes, such as links under names that its manifest lists.
+        The folder cannot be written, another process is writing into it, or it contains entries
+        that no command writes, such as links under names that its manifest lists.
     """
     if "\0" in str(path):
         raise InputFileError(repr(str(path)), "", "is no name of a folder.")
@@ -89,7 +90,7 @@ def output_folder(
 
 
 def check_result(folder: Path, *names: str, edited: bool = False) -> None:
-    """Raise `InputFileError` unless files of a result folder are what one command wrote together.
+    """Raise `InputFileError` unless files of a result folder were written together by one command.
 
     A folder without manifest, from an earlier version or written in Python, is taken as it is, but
     for links, pipes and devices. Files that a user may have `edited` need only be regular files,
@@ -110,12 +111,12 @@ def check_result(folder: Path, *names: str, edited: bool = False) -> None:
         if name not in listed:
             raise InputFileError(
                 path, "", f"is of another run than the rest of this folder: {MANIFEST} does not "
-                "list it. Make the result anew."
+                "list it. Make the result again."
             )  # fmt: skip
         if _hash_file(folder, name) != listed[name]["sha256"]:
             raise InputFileError(
                 path, "", f"was changed since `stiffopt {listed[name]['by']}` wrote it: {MANIFEST} "
-                "has another hash. Make the result anew."
+                "has another hash. Make the result again."
             )  # fmt: skip
     writers = {listed[name]["by"] for name in names if name in listed}
     if len(writers) > 1:
@@ -130,7 +131,7 @@ def is_regular(folder: Path, name: str) -> bool:
 
 
 def _file_mode(path: Path) -> int:
-    """Kind and permissions of what a path names, links not followed; 0 where nothing is there."""
+    """Kind and permissions of a path without following links; 0 where it does not exist."""
     try:
         return path.lstat().st_mode
     except (FileNotFoundError, NotADirectoryError, ValueError):
@@ -138,7 +139,7 @@ def _file_mode(path: Path) -> int:
 
 
 def _check_regular(folder: Path, *names: str) -> None:
-    """Raise `InputFileError` where a name is there as anything but a file of the folder itself."""
+    """Raise `InputFileError` where a name exists, but is no regular file of the folder itself."""
     for name in names:
         if _blocking_path(folder, name) and not is_regular(folder, name):
             raise InputFileError(
@@ -153,12 +154,12 @@ def _check_regular(folder: Path, *names: str) -> None:
 
 
 def _check_control_files(path: Path) -> None:
-    """Raise `InputFileError` where lock or stage are not what commands of this version make."""
+    """Raise `InputFileError` where lock or stage are not of the kind that this version makes."""
     if _file_mode(path / _OBSOLETE_FOLDER):
         raise InputFileError(
             path / _OBSOLETE_FOLDER, "", "was left by an earlier version of stiffopt that was "
             "killed, or came with a foreign folder; nothing of it is carried out. Remove it and "
-            "make the result anew."
+            "make the result again."
         )  # fmt: skip
     for each, is_kind in (
         (path / _LOCK_FILE, stat.S_ISREG),
@@ -166,14 +167,14 @@ def _check_control_files(path: Path) -> None:
     ):
         if _file_mode(each) and not is_kind(_file_mode(each)):
             raise InputFileError(
-                each, "", "is a link or of another kind than what stiffopt makes under this name. "
+                each, "", "is a link or of another kind than stiffopt makes under this name. "
                 "Remove it."
             )  # fmt: skip
 
 
 @contextmanager
 def _folder_lock(path: Path) -> Iterator[None]:
-    """Hold the lock of a folder, which is made where it is missing."""
+    """Hold the lock of a folder, created if missing."""
     from filelock import FileLock, Timeout
 
     lock = FileLock(path / _LOCK_FILE, timeout=0)
@@ -192,7 +193,7 @@ def _folder_lock(path: Path) -> Iterator[None]:
         try:
             yield
         finally:
-            # While it is held: who has opened this file finds that it is no longer the one there.
+            # Remove it while held: a process that opened it meanwhile sees that it was replaced.
             with suppress(OSError):
                 (path / _LOCK_FILE).unlink()
 
@@ -204,14 +205,14 @@ def _not_writable(path: Path, error: OSError) -> InputFileError:
 
 
 def _stage_paths(path: Path) -> tuple[Path, Path]:
-    """Where new files are written: beside the folder, or inside it."""
+    """Folders in which new files are written: beside the target, or inside it."""
     real = Path(os.path.realpath(path))
     return real.parent / f".{real.name}.stiffopt", real / _INNER_STAGE
 
 
 @contextmanager
 def _new_stage(path: Path) -> Iterator[Path]:
-    """An empty stage, after what a killed process left has been completed or cleared."""
+    """Create an empty stage after completing or removing that of an interrupted process."""
     beside, inside = _stage_paths(path)
     try:
         _complete_interrupted(path)
@@ -225,7 +226,7 @@ def _new_stage(path: Path) -> Iterator[Path]:
     try:
         yield stage
     finally:
-        # A complete one stays: whoever next uses the folder puts it in place.
+        # A complete one stays: the next use of the folder moves it into place.
         if not _is_ready(stage, path):
             shutil.rmtree(stage, ignore_errors=True)
 
@@ -239,7 +240,7 @@ def _is_ready(stage: Path, path: Path) -> bool:
 
 
 def _complete_interrupted(path: Path) -> None:
-    """Put in place what a killed process had finished; clear what it had not."""
+    """Move the complete stage of an interrupted process into place; remove an incomplete one."""
     for stage in filter(_file_mode, _stage_paths(path)):
         if stage.lstat().st_uid != os.geteuid():
             raise InputFileError(
@@ -252,14 +253,14 @@ def _complete_interrupted(path: Path) -> None:
 
 
 def _finish_stage(path: Path, stage: Path, command: str, of: str, maybe: Sequence[str]) -> None:
-    """Write manifest and mark of a stage: from here on the new answer is the one that counts."""
+    """Write manifest and mark of a stage, which from then on replaces the earlier answer."""
     coming = sorted(p.relative_to(stage).as_posix() for p in stage.rglob("*") if p.is_file())
     listed = _manifest_entries(path)
     for name in coming:
         if not _FILE_NAME_PATTERN.fullmatch(name):
             raise InputFileError(
                 path / name, "", "this name is hidden or has backslashes or control characters, "
-                "which no result may have. Rename what it was made from."
+                "which no result may have. Rename its source."
             )  # fmt: skip
     files = {
         name: entry
@@ -278,14 +279,14 @@ def _finish_stage(path: Path, stage: Path, command: str, of: str, maybe: Sequenc
 
 
 def _put_in_place(path: Path, stage: Path) -> None:
-    """Remove the old answer, then rename the new one into place; begun anew after a kill."""
+    """Remove the old answer, then rename the new one into place; repeatable after a kill."""
     new, old = _manifest_entries(stage), _manifest_entries(path)
     coming = {n for n, entry in new.items() if entry != old.get(n) or is_regular(stage, n)}
     for name in coming:
         if new[name]["sha256"] not in (_hash_file(stage, name), _hash_file(path, name)):
             raise InputFileError(
                 stage, "", f"holds an answer that a stopped stiffopt left for {path}, whose {name} "
-                "was changed or removed since. Remove this folder and make the result anew."
+                "was changed or removed since. Remove this folder and make the result again."
             )  # fmt: skip
     for name in sorted(coming | (old.keys() - new.keys())):
         digest = _hash_file(path, name)
@@ -338,7 +339,7 @@ def _hash_file(folder: Path, name: str) -> str:
 
 
 def _blocking_path(folder: Path, name: str) -> str:
-    """Name itself or the first of its folders that is no folder; empty where nothing is there."""
+    """Name itself or the first of its parents that is no folder; empty where neither exists."""
     parts = name.split("/")
     for k in range(1, len(parts)):
         above = "/".join(parts[:k])
@@ -348,7 +349,7 @@ def _blocking_path(folder: Path, name: str) -> str:
 
 
 def _set_aside(path: Path, name: str) -> None:
-    """Rename what stands under a name and is the user's, or in the way of it."""
+    """Rename the user's file or folder that occupies a name."""
     blocking = _blocking_path(path, name)
     if not blocking:
         return

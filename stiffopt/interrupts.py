@@ -1,4 +1,4 @@
-"""Who takes Ctrl-C: while something short is done that a long answer needs, or a solve runs."""
+"""Handling of Ctrl-C while a solve runs, or while results are prepared or written."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Answer = TypeVar("Answer")
 
 @dataclass
 class _DeferredInterrupt:
-    """What Ctrl-C did before an answer is prepared, and whether it came meanwhile."""
+    """Handler of Ctrl-C to restore after preparation, and whether Ctrl-C was pressed meanwhile."""
 
     until: Any = None
     stopped: bool = False
@@ -26,7 +26,7 @@ _deferred = _DeferredInterrupt()
 
 @contextmanager
 def handle_interrupts(handler: Callable[..., object] | signal.Handlers) -> Iterator[None]:
-    """Ctrl-C goes to a handler; only the main thread can take signals."""
+    """Send Ctrl-C to a handler; without effect outside the main thread."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -39,9 +39,9 @@ def handle_interrupts(handler: Callable[..., object] | signal.Handlers) -> Itera
 
 @contextmanager
 def defer_until_result() -> Iterator[None]:
-    """While an answer is prepared: the first Ctrl-C waits for something to keep (`delivered`).
+    """Defer the first Ctrl-C until a first result exists (`end_deferral`).
 
-    A second one ends it at once. Within another one it is the same as that.
+    A second one interrupts immediately. Nested use has no further effect.
     """
     before = signal.getsignal(signal.SIGINT)
     if before is signal.SIG_IGN or _deferred.until is not None:
@@ -65,9 +65,9 @@ def defer_until_result() -> Iterator[None]:
 
 
 def end_deferral(*, ended: bool = False) -> None:
-    """There is something to keep: from here on Ctrl-C interrupts, one that waited does now.
+    """End the deferral: Ctrl-C interrupts from now on, a deferred one immediately.
 
-    Where the answer has `ended`, it was too late.
+    A deferred one is dropped where the solve has `ended`.
     """
     if _deferred.until is not None:
         signal.signal(signal.SIGINT, _deferred.until)
@@ -79,7 +79,7 @@ def end_deferral(*, ended: bool = False) -> None:
 
 @contextmanager
 def defer_while_writing() -> Iterator[None]:
-    """While an answer that took long is written: the first Ctrl-C waits, a second one ends it."""
+    """Defer the first Ctrl-C while results are written; a second one interrupts."""
     before = signal.getsignal(signal.SIGINT)
 
     def wait(*_: object) -> None:
@@ -94,15 +94,15 @@ def defer_while_writing() -> Iterator[None]:
 
 @contextmanager
 def ignore_interrupts() -> Iterator[None]:
-    """Ctrl-C waits until something short is done, and is then too late."""
+    """Ignore Ctrl-C during a short operation."""
     with handle_interrupts(signal.SIG_IGN):
         yield
 
 
 def complete_step(step: Callable[[], Answer]) -> tuple[Answer, bool]:
-    """What a short step answers that none can do without, and whether Ctrl-C came meanwhile.
+    """Result of a short indispensable step, and whether Ctrl-C was pressed during it.
 
-    It is done anew then, and a further Ctrl-C throws nothing away.
+    An interrupted step is repeated with Ctrl-C ignored.
     """
     try:
         return step(), False

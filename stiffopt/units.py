@@ -15,9 +15,9 @@ from typing import Any
 from stiffopt.declaration import DIMENSIONS, PRISMATIC, Dimension, Unit
 from stiffopt.errors import UnitError, shortened
 
-# Far above any modulus or stiffness, far below what overflows when multiplied.
+# Far above any modulus or stiffness, and products of a few such numbers do not overflow.
 MAX_MAGNITUDE = 1e15
-# Of a number with its unit [characters]; to take longer texts apart can take their cube in steps.
+# Length of a number with its unit [characters]; parsing may take its cube.
 MAX_NUMBER_LENGTH = 200
 
 _NUMBER_AND_UNIT = re.compile(r"^\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*$")
@@ -33,7 +33,7 @@ _ANGLE_UNITS = (
 
 
 def number_and_unit(value: float | str) -> tuple[float, str | None]:
-    """Number and unit of a value of a file, "" where it is bare; no unit (None) of other texts.
+    """Split a value of a file into number and unit: "" for a bare number, None for other texts.
 
     >>> number_and_unit("0.4 s"), number_and_unit(2), number_and_unit("fast")
     ((0.4, 's'), (2.0, ''), (nan, None))
@@ -53,7 +53,7 @@ def _unit_registry() -> Any:
     return registry
 
 
-# Names joined by "*" and "/", each with a power of one digit: pint would work out any arithmetic.
+# Names joined by "*" and "/", each with a power of one digit: pint would evaluate any arithmetic.
 _NAME_PATTERN = r"(?:1|[^\W\d]\w*|[%°])"
 _POWER_PATTERN = r"(?:\s*(?:\*\*|\^)\s*(?:-?\d|\(-?\d\)))?"
 _UNIT_PATTERN = re.compile(
@@ -63,7 +63,7 @@ _MAX_UNIT_LENGTH = 60
 
 
 def _parse_unit(unit: str) -> Any:
-    """Unit as pint has it; raises ValueError with the reason."""
+    """Unit as an object of pint; raises ValueError with the reason."""
     import pint
 
     if len(unit) > _MAX_UNIT_LENGTH or not _UNIT_PATTERN.fullmatch(unit):
@@ -76,8 +76,8 @@ def _parse_unit(unit: str) -> Any:
         raise ValueError(f"the unit {unit!r} cannot be read") from error
 
 
-# Units that most files are written in, by dimension: pint takes half a second to begin, and is
-# asked only for others. Each is what pint says.
+# Factors of common units by dimension: importing pint takes half a second and is avoided for them.
+# A test compares each with pint.
 _FACTORS_WITHOUT_PINT = {
     "length": {"m": 1.0, "mm": 1e-3, "um": 1e-6},
     "angle": {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180.0},
@@ -118,7 +118,7 @@ def _pint_factor(unit: str, dimension: Dimension) -> float:
 
 
 def to_si(value: object, dimension: str, where: str = "") -> float:
-    """SI value of what a file holds.
+    """Convert an entry of a file to SI.
 
     Parameters
     ----------
@@ -156,7 +156,7 @@ def to_si(value: object, dimension: str, where: str = "") -> float:
         except ValueError as error:
             raise UnitError(f"{place}got {shortened(value)}, but {error}. {allowed}") from error
     else:
-        # An integer of any size is a number to Python, but no float.
+        # Python integers may exceed the range of a float.
         number = float(max(min(value, 10**300), -(10**300)) if isinstance(value, int) else value)
     if not math.isfinite(number):
         got = shortened(value)
@@ -168,12 +168,12 @@ def to_si(value: object, dimension: str, where: str = "") -> float:
 
 
 def convert(value: float, unit: str, target: str) -> float:
-    """Value in another unit of the same kind; equal names need no conversion.
+    """Convert a value to another unit of the same dimension.
 
     Raises
     ------
     UnitError
-        One of the units is unknown, or they are of different kinds.
+        One of the units is unknown, or their dimensions differ.
     """
     if unit == target:
         return value
@@ -192,12 +192,12 @@ def convert(value: float, unit: str, target: str) -> float:
 
 
 def _spell_for_pint(unit: str) -> str:
-    """Spell a unit that is shown to people, such as "N m/rad", as pint reads it."""
+    """Unit as pint reads it, of a displayed one such as "N m/rad"."""
     return unit.replace("N m", "N*m")
 
 
 class JointNumber(float):
-    """A number of a joint whose kind is not known yet: keeps the dimension it was written in.
+    """Number of a joint whose kind is not known yet, with the dimension of its written unit.
 
     `dimension` is "" for a bare number, which fits either kind of joint.
     """
@@ -205,21 +205,21 @@ class JointNumber(float):
     dimension: str
 
     def __new__(cls, value: float, dimension: str = "") -> JointNumber:
-        """Make a float that remembers `dimension`."""
+        """Create a float with the attribute `dimension`."""
         number = super().__new__(cls, value)
         number.dimension = dimension
         return number
 
 
 def joint_to_si(value: object, dimension: str, where: str = "") -> JointNumber:
-    """As `to_si` for a quantity of a revolute joint, or its counterpart of a prismatic joint."""
+    """Convert a quantity of a revolute joint, or its counterpart of a prismatic one, to SI."""
     if not isinstance(value, str):
         return JointNumber(to_si(value, dimension, where))
     try:
         return JointNumber(to_si(value, dimension, where), dimension)
     except UnitError as error:
         other = PRISMATIC.get(dimension)
-        if other is None:  # of a quantity that is the same for either kind of joint
+        if other is None:  # same dimension for both kinds of joint
             raise
         try:
             return JointNumber(to_si(value, other, where), other)
@@ -228,7 +228,7 @@ def joint_to_si(value: object, dimension: str, where: str = "") -> JointNumber:
 
 
 def fit_joint(value: float, prismatic: bool, dimension: str, where: str = "") -> float:
-    """Value as a plain float, after a check that its unit fits the kind of joint."""
+    """Check that the unit of a value fits the kind of joint, and return a plain float."""
     written = getattr(value, "dimension", None)
     wanted = PRISMATIC[dimension] if prismatic else dimension
     if written and written != wanted:
@@ -244,12 +244,12 @@ def fit_joint(value: float, prismatic: bool, dimension: str, where: str = "") ->
 
 
 def entry_reader(declared: Unit) -> Callable[[object], float]:
-    """Reader of a file's entry for a declared quantity: an SI number, or UnitError."""
+    """Conversion of entries of a declared quantity to SI; raises UnitError."""
     convert = joint_to_si if declared.joint else to_si
     return lambda value: convert(value, declared.dimension)
 
 
-# What stands for the unit of a joint that turns where the joint slides.
+# Unit of a prismatic joint by that of a revolute joint.
 _PRISMATIC_UNITS = {
     "N m": "N",
     "N m s/rad": "N s/m",
@@ -265,5 +265,5 @@ _PRISMATIC_UNITS = {
 
 
 def joint_unit(unit: str, prismatic: bool) -> str:
-    """Unit of a joint that turns, or what stands for it where the joint slides."""
+    """Unit of a revolute joint, or its counterpart where the joint is prismatic."""
     return _PRISMATIC_UNITS.get(unit, unit) if prismatic else unit

@@ -1,4 +1,4 @@
-"""Content of files against the sections allowed: all faults in one message, with their places."""
+"""Validation of file content by sections; all faults in one message, with their places."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from stiffopt.units import entry_reader
 
 Model = TypeVar("Model", bound=BaseModel)
 
-# Files are where texts with units become SI numbers.
+# Texts with units become SI numbers when files are validated.
 Unit.reader = entry_reader
 
-# As many of them as anybody reads in one message.
+# Faults that one message lists.
 _MAX_LISTED_FAULTS = 30
-# Errors that say no more than that a value has not this form.
+# pydantic errors that only state that a value does not have this form.
 _FORM_ERRORS = (
     "model_type",
     "dataclass_type",
@@ -34,13 +34,13 @@ _FORM_ERRORS = (
 
 
 class Section(BaseModel):
-    """Base of every file section: unknown keys are errors, values do not change afterwards."""
+    """Base of every file section: unknown keys are errors, instances are immutable."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, defer_build=True)
 
 
 def validate(model: type[Model], data: Mapping[str, Any], path: object) -> Model:
-    """Turn data into an instance of `model`.
+    """Validate data as an instance of `model`.
 
     Raises
     ------
@@ -84,7 +84,7 @@ def dotted(data: object, location: Sequence[str | int]) -> str:
 
 
 def _collect_faults(model: type[BaseModel], data: Any, errors: list[Any]) -> list[tuple[str, str]]:
-    """Place and text of every error; of a key with several forms only what fits best."""
+    """Place and text of every error; of a key with several forms only the best match."""
     keys = [_error_keys(data, error) for error in errors]
     faults = []
     for error, own in zip(errors, keys, strict=True):
@@ -104,7 +104,7 @@ def _collect_faults(model: type[BaseModel], data: Any, errors: list[Any]) -> lis
 
 
 def _error_keys(data: Any, error: Any) -> tuple[str | int, ...]:
-    """Location of an error without the names that pydantic gives to the forms of a key."""
+    """Location of an error without the names that pydantic adds for union members."""
     keys: list[str | int] = []
     last = len(error["loc"]) - 1
     for number, part in enumerate(error["loc"]):
@@ -187,7 +187,7 @@ def _inner_annotation(annotation: Any, part: str | int) -> Any:
             if part in typing.get_args(keys.get("type")) or part == member.__name__:
                 return member
             if "__pydantic_extra__" in member.__annotations__:
-                # What is under a key that the section leaves to the user.
+                # Value type of the keys that the user may choose.
                 return typing.get_args(typing.get_type_hints(member)["__pydantic_extra__"])[1]
         elif isinstance(part, int) and typing.get_origin(member) in (list, tuple):
             return typing.get_args(member)[0]
@@ -197,7 +197,7 @@ def _inner_annotation(annotation: Any, part: str | int) -> Any:
 
 
 def _union_members(annotation: Any) -> list[Any]:
-    """Flat list of what an annotation may be, through Annotated and unions."""
+    """Flat list of the types of an annotation, through Annotated and unions."""
     origin = typing.get_origin(annotation)
     if origin is typing.Annotated:
         return _union_members(typing.get_args(annotation)[0])

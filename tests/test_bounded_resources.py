@@ -49,7 +49,7 @@ def test_a_pipe_is_refused_by_every_reader(ending, tmp_path):
     os.mkfifo(path)
     verdict, what = alone(lambda: READERS[ending](path), tmp_path, processor=5)
     assert verdict == "told", what
-    with pytest.raises(InputFileError, match="folder, pipe or device"):
+    with pytest.raises(InputFileError, match="is a device or a pipe"):
         READERS[ending](path)
 
 

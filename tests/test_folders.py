@@ -333,6 +333,6 @@ def test_what_another_user_left_is_told(tmp_path, monkeypatch):
 
 def test_a_name_that_no_manifest_may_list_changes_nothing(tmp_path):
     write(tmp_path, a="old")
-    with pytest.raises(InputFileError, match="Rename what it was made from"):
+    with pytest.raises(InputFileError, match="Rename its source"):
         write(tmp_path, **{"a\\b": "new"})
     assert tree(tmp_path) == {"a.txt": "old"}

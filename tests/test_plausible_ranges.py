@@ -20,7 +20,7 @@ from stiffopt.recording.schema import RecordingsFile
 from stiffopt.recording.signals import Signals
 from stiffopt.report.explain import explained
 from stiffopt.report.file_reference import file_models, file_schema
-from stiffopt.robot.element_sections import BoltsSection
+from stiffopt.robot.elements import BoltsSection
 from stiffopt.robot.files import load_robot
 from stiffopt.robot.own_catalogue import CatalogueFile
 from stiffopt.robot.schema import SurfaceSection, robot_file_schema

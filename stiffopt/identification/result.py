@@ -20,7 +20,7 @@ Status = Literal["identified", "lower_bound", "not_loaded", "confounded"]
 
 @dataclass(frozen=True, kw_only=True)
 class JointStiffness:
-    """Stiffness of one joint as the poses show it [N m/rad, N/m for a prismatic joint].
+    """Identified stiffness of one joint [N m/rad, N/m for a prismatic joint].
 
     Parameters
     ----------
@@ -29,30 +29,31 @@ class JointStiffness:
     name : str
     unit : str
     status : str
-        "identified"; "lower_bound": the poses do not exclude a rigid joint; "not_loaded" and
-        "confounded": they say nothing of this joint alone.
+        "identified"; "lower_bound": a rigid joint is not excluded; "not_loaded" and "confounded":
+        not identifiable alone.
     reason : str
         A sentence; empty if identified.
     stiffness, sd : float or None
         Estimate and its standard deviation.
     lower, upper : float or None
-        95 % interval; an upper end of None is rigid.
+        95 % confidence interval; an upper end of None is rigid.
     least_squares : float or None
-        Plain least squares, every pose in full.
+        Estimate of unweighted least squares.
     compliance : float or None
         [rad/(N m)]
     compliance_sd, compliance_sd_alike, compliance_sd_bootstrap : float or None
-        By leaving out poses; if all errors were alike; by drawing poses anew. The first two are
-        combined into `sd` and the interval: the larger one counts.
+        By the jackknife; by the covariance of equal independent errors; by the bootstrap. The
+        larger of the first two determines `sd` and the interval.
     bootstrap_lower, bootstrap_upper : float or None
-        Interval of the middle 95 % of the fits to poses drawn anew.
+        95 % bootstrap interval.
     nominal : float or None
     z_nominal : float or None
         Identified less nominal compliance, in standard deviations.
     torque : tuple of 3 float
-        5, 50 and 95 % of the poses load the joint by no more than this (magnitude) [N m].
+        5, 50 and 95 % quantiles of the magnitude of the joint's torque [N m].
     leverage : float
-        How far the joint moves the tool over the joint that moves it most, at equal stiffness.
+        Displacement of the tool by this joint over that by the joint of the largest, at equal
+        stiffness.
     """
 
     joint: int
@@ -114,11 +115,11 @@ class StaticStiffness:
     predicted, left_out : array (m, 3)
         Displacement by the fit, and by the fit without that pose [m].
     weight : array (m,)
-        How far each pose counts.
+        Huber weight of each pose.
     scale : float
         Robust standard deviation of one component [m].
     outliers : tuple of int
-        Poses that do not fit the others, from 1.
+        Numbers of outlying poses, from 1.
     correlation : array (n, n)
         Of the compliances; nan for joints that are not identifiable.
     torque_dependence : TorqueDependence

@@ -1,7 +1,7 @@
-"""Compliances that cannot be negative, from displacements of which some may be wrong.
+"""Non-negative compliances by robust regression of displacements.
 
-A pose is the unit of measurement: its three components are trusted or doubted together, and it is
-left out as a whole when a prediction is tested.
+A pose is the unit of measurement: its three components share one weight, and cross-validation
+leaves out whole poses.
 """
 
 from __future__ import annotations
@@ -11,10 +11,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-# Poses off by more than this many standard deviations of one component count less (Huber).
+# Residual from which Huber's weights decrease [standard deviations of one component].
 HUBER_THRESHOLD = 2.5
 # Root of the median of a chi-squared variable with three degrees of freedom.
 _MEDIAN_CHI_3 = 1.5382
+# Iterations of reweighted least squares; some ten are usual.
 _MAX_REWEIGHTING_STEPS = 60
 
 
@@ -25,9 +26,9 @@ class RobustFit:
     Parameters
     ----------
     value : array (p,)
-        One number a column, none negative.
+        One per column, not negative.
     weight : array (m,)
-        How far each pose counts, 1 in full.
+        Huber weight of each pose, 1 at most.
     residual : array (m, 3)
         Measured less fitted [m].
     scale : float
@@ -58,7 +59,7 @@ def fit(
     robust : bool
         False: plain least squares, all weights one.
     start : RobustFit, optional
-        Values to begin from.
+        Initial values.
 
     Returns
     -------
@@ -75,7 +76,7 @@ def fit(
     weight = np.ones(len(displacement))
     residual = displacement - scaled @ value
     scale = _residual_scale(residual, int(np.count_nonzero(value)))
-    # Data without error leave nothing to doubt, and no scale to doubt it by.
+    # Residuals below this are rounding: data without error need no weights.
     exact = 1e-9 * float(np.max(np.abs(displacement), initial=0.0))
     for _ in range(_MAX_REWEIGHTING_STEPS if robust else 0):
         if scale <= exact:
@@ -86,7 +87,7 @@ def fit(
         before, value = value, _solve_weighted(scaled * root[..., None], displacement * root)
         residual = displacement - scaled @ value
         scale = _residual_scale(residual, int(np.count_nonzero(value)))
-        # Far below any standard deviation; the last digits of weights are worth no time.
+        # Far below any standard deviation of the values.
         if np.max(np.abs(value - before)) <= 1e-5 * np.max(value, initial=1e-300):
             break
     return RobustFit(value=value / size, weight=weight, residual=residual, scale=scale)
@@ -104,7 +105,7 @@ def loss(error: np.ndarray, scale: float) -> np.ndarray:
 
 
 def without_each(count: int) -> Iterator[np.ndarray]:
-    """Masks that leave out one pose each."""
+    """Iterate over masks that leave out one pose each."""
     for k in range(count):
         keep = np.ones(count, dtype=bool)
         keep[k] = False
@@ -114,7 +115,7 @@ def without_each(count: int) -> Iterator[np.ndarray]:
 def model_covariance(columns: np.ndarray, fitted: RobustFit) -> np.ndarray:
     """Covariance of the values if all errors are alike and independent, (p, p).
 
-    All columns count as free, also those that ended at zero: a bound is no knowledge of a value.
+    All columns count as free, also those at the bound zero, which carries no information.
     """
     p = columns.shape[2]
     weight = fitted.weight[:, None, None]
@@ -129,7 +130,7 @@ def model_covariance(columns: np.ndarray, fitted: RobustFit) -> np.ndarray:
 def jackknife_deviation(values: np.ndarray) -> np.ndarray:
     """Standard deviation from fits that leave out one pose each: (m, p) -> (p,).
 
-    Holds also where errors differ between poses or go together within one.
+    Valid also for errors that differ between poses or are correlated within one.
     """
     m = len(values)
     return np.asarray(np.sqrt((m - 1) * np.var(values, axis=0)))
@@ -138,7 +139,7 @@ def jackknife_deviation(values: np.ndarray) -> np.ndarray:
 def bootstrap(
     columns: np.ndarray, displacement: np.ndarray, fitted: RobustFit, draws: int, seed: int
 ) -> np.ndarray:
-    """Values fitted to poses drawn anew with replacement, (draws, p)."""
+    """Values fitted to poses drawn with replacement, (draws, p)."""
     random = np.random.default_rng(seed)
     m = len(displacement)
     chosen = random.integers(0, m, size=(draws, m))
@@ -146,14 +147,14 @@ def bootstrap(
 
 
 def bootstrap_interval(drawn: np.ndarray, poses: int, confidence: float) -> tuple[float, float]:
-    """Ends of an interval for the true value, at that confidence, from drawn values (draws,).
+    """Confidence interval of the true value from bootstrap values (draws,).
 
     Notes
     -----
     Hesterberg, T. C.: What Teachers Should Know About the Bootstrap, The American Statistician
-    (2015): the plain percentiles of few poses are too close together, as a normal interval with
-    the deviation of divisor m in place of Student's with m - 1 is; percentiles further out make up
-    for it. Ranks r of B draws stand for r / (B + 1), so that few draws do not narrow it again.
+    (2015): plain percentiles of few poses are too narrow, like a normal interval with divisor m in
+    place of Student's with m - 1; the levels are widened accordingly. Rank r of B draws has the
+    level r / (B + 1), so that few draws do not narrow the interval.
     """
     from scipy.stats import norm, t
 

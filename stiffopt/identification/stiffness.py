@@ -27,16 +27,16 @@ from stiffopt.recording.static_set import StaticSet
 
 CONFIDENCE = 0.95
 BOOTSTRAP_DRAWS = 400
-# A pose this many standard deviations of one component off is named as an outlier.
+# Residual from which a pose is an outlier [standard deviations of one component].
 OUTLIER_DEVIATIONS = 5.0
-# A weakly loaded joint must stand out of the noise this far to be given a number.
+# Compliance over its standard deviation from which a weakly loaded joint gets an estimate.
 _MIN_WEAK_SIGNIFICANCE = 5.0
 
 
 def identify_stiffness(
     recorded: StaticSet, *, torque: bool = True, draws: int = BOOTSTRAP_DRAWS, seed: int = 1
 ) -> StaticStiffness:
-    """Joint stiffness with standard deviations, and whether it depends on torque.
+    """Identify joint stiffness with standard deviations and test its torque dependence.
 
     Parameters
     ----------
@@ -70,7 +70,7 @@ def identify_stiffness(
     dependence = torque_dependence(rows, kept) if torque else UNTESTED
     left_out = _predict_left_out(used, folds)
     norm = np.linalg.norm(fitted.residual, axis=1)
-    # Rounding alone must not make outliers of data without error.
+    # Rounding must not make outliers of data without error.
     outlying = max(OUTLIER_DEVIATIONS * fitted.scale, 1e-6 * rms(measured))
     return StaticStiffness(
         source=recorded,
@@ -180,7 +180,7 @@ _ESTIMATED_NOTE = (
 
 
 def _geometric_identifiability(can: Identifiable, j: int) -> tuple[Status, str]:
-    """What the geometry of the poses alone says of joint j (from 0)."""
+    """Identifiability of joint j (from 0) by the geometry of the poses."""
     if not can.loaded[j]:
         return "not_loaded", (
             "not identifiable: no pose loads this joint. Pull where the force passes beside its "
@@ -198,10 +198,10 @@ def _geometric_identifiability(can: Identifiable, j: int) -> tuple[Status, str]:
 def _compliance_significance(
     value: float, deviation: float, factor: float, leverage: float
 ) -> tuple[Status, str]:
-    """Whether a compliance stands out of the errors."""
+    """Status of a compliance by its significance."""
     if leverage < MIN_LEVERAGE and value < _MIN_WEAK_SIGNIFICANCE * deviation:
         return "not_loaded", (
-            "not identifiable: the poses load this joint so little that its deflection drowns in "
+            "not identifiable: the poses load this joint so little that its deflection is below "
             "the errors. Pull with a longer lever about its axis."
         )
     if value > factor * deviation:
@@ -223,7 +223,7 @@ def _stiffness_estimate(
     drawn: tuple[float, float],
     spread: float,
 ) -> dict[str, float | None]:
-    """Stiffness with its interval from a compliance; nothing is divided by zero."""
+    """Stiffness and its interval from a compliance; None in place of divisions by zero."""
     guess = value > deviation
     return {
         "stiffness": 1.0 / value if guess else None,
@@ -267,7 +267,7 @@ def _list_assumptions(recorded: StaticSet, rows: StaticRows) -> tuple[str, ...]:
         said.append("Displacements include the deflection under the weight of the links.")
     if recorded.difference and rows.weight is not None:
         said.append(
-            "Torque dependence about the weight that a joint already carries is tested with the "
+            "Torque dependence about the gravity torque of a joint is tested with the "
             "masses of the robot file, without counterbalances."
         )
     if recorded.difference and rows.weight is None:

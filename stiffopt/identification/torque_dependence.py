@@ -1,9 +1,9 @@
-"""Do static deflections say that joint compliance depends on torque? Tested on poses left out.
+"""Test of torque-dependent joint compliance by cross-validation on poses left out.
 
 Contacts under small load are soft, so a joint with contacts winds up as c s + b |s|^q with q < 1,
-or c s + b tanh(s / s0). Both only ever lower the error of the poses they were fitted to. What
-counts is whether they predict a pose that was left out better than constant compliance does, and
-better than a constant error of the displacement sensor, which can look alike.
+or c s + b tanh(s / s0). Both always lower the error on the poses they were fitted to. They are
+accepted where they predict poses left out better than constant compliance, and better than a
+constant error of the displacement sensor, which has a similar effect.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ from stiffopt.identification.static_rows import StaticRows, Windup
 
 Verdict = Literal["supported", "weak", "not supported", "not tested"]
 
-# Supported: adjusted probability of chance below this, and error at least this share lower.
+# Supported: adjusted p-value below this, and error on poses left out lower by at least this share.
 MAX_CHANCE = 0.01
 MIN_GAIN = 0.02
-# Fewer poses cannot carry a paired test at this level.
+# Fewer poses cannot reach this level in a paired test.
 MIN_POSES = 8
 # Exponents q that are tried, and torques s0 over the joint's root mean square torque.
 EXPONENTS = (0.14, 0.3, 0.5)
@@ -31,14 +31,14 @@ TANH_TORQUE_SHARES = (0.05, 0.1, 0.2, 0.5)
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Compared:
-    """One model beside constant compliance.
+    """One model compared with constant compliance.
 
     Parameters
     ----------
     name : str
     formula : str
     candidate : bool
-        Depends on torque; else a rival that explains without it.
+        Depends on torque; else an alternative explanation without torque dependence.
     shape : str
         Form chosen on all poses.
     parameters : int
@@ -113,7 +113,7 @@ def torque_dependence(rows: StaticRows, kept: Sequence[int] | np.ndarray) -> Tor
     ----------
     rows : StaticRows
     kept : sequence of int (k,)
-        Joints (from 0) whose compliances can be told apart.
+        Joints (from 0) whose compliances are identifiable.
 
     Returns
     -------
@@ -134,10 +134,10 @@ def torque_dependence(rows: StaticRows, kept: Sequence[int] | np.ndarray) -> Tor
     measured = rows.displacement
     runs = [_predict_left_out(family, measured) for family in tried]
     constant = runs[0]
-    # Data without error have no scale of their own.
+    # Data without error have a scale of zero.
     scale = max(constant.whole.scale, 1e-9 * _rms_error(measured))
     losses = [loss(run.error, scale) for run in runs]
-    # The strongest rival without torque: a model must beat that, not the weakest.
+    # Candidates are compared with the best model without torque dependence.
     plain = [k for k, family in enumerate(tried) if not family.candidate]
     rival = min(plain, key=lambda k: float(np.sum(losses[k])))
     candidates = len(tried) - len(plain)
@@ -182,7 +182,7 @@ def torque_dependence(rows: StaticRows, kept: Sequence[int] | np.ndarray) -> Tor
 
 
 def _predict_left_out(family: Family, measured: np.ndarray) -> _FamilyFit:
-    """Errors of poses left out; the form is chosen anew without each pose."""
+    """Errors of poses left out; the form is selected without the pose."""
     whole = [fit(shape.columns, measured) for shape in family.shapes]
     error = np.empty_like(measured)
     for k, keep in enumerate(without_each(len(measured))):
@@ -204,9 +204,9 @@ def _select_form(fits: list[RobustFit]) -> int:
 
 
 def _paired_test(drop: np.ndarray) -> float:
-    """Probability that the loss drops in so many poses by chance (Wilcoxon's signed ranks).
+    """One-sided p-value of a decrease of the loss (Wilcoxon's signed-rank test).
 
-    Ranks, as a few poses with large loads would drown all others in a test of the mean.
+    Ranks, since a few poses with large loads would dominate a test of the mean.
     """
     from scipy.stats import wilcoxon
 
@@ -220,7 +220,7 @@ def _rms_error(error: np.ndarray) -> float:
 
 
 def _decide_verdict(models: tuple[Compared, ...], rival: Compared) -> tuple[Verdict, str, Compared]:
-    """Verdict, sentence, and the torque-dependent model that they are about."""
+    """Verdict, sentence, and the torque-dependent model concerned."""
     candidates = [model for model in models if model.candidate]
     sure = min(candidates, key=lambda model: (model.chance, -model.gain))
     if sure.chance < MAX_CHANCE and sure.gain >= MIN_GAIN:
@@ -262,12 +262,9 @@ def _secant_range(
     return result
 
 
-# ---- models, each as columns that are linear in it
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class WindupForm:
-    """One form that a model can take, chosen by the poses that it is fitted to.
+    """One form of a model, selected by the poses that it is fitted to.
 
     Parameters
     ----------
@@ -285,7 +282,7 @@ class WindupForm:
 
 @dataclass(frozen=True)
 class Family:
-    """A model of the wind-up: one form of it, or several to choose from."""
+    """A model of the wind-up with one form or several to select from."""
 
     name: str
     formula: str
@@ -294,7 +291,7 @@ class Family:
 
 
 def families(rows: StaticRows, kept: np.ndarray) -> list[Family]:
-    """Constant compliance, its rival without torque, and the torque-dependent candidates.
+    """Constant compliance, its alternative with sensor offset, and torque-dependent candidates.
 
     Parameters
     ----------

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-# Third differences of white noise have this many times its variance (1 + 9 + 9 + 1).
+# Variance of third differences of white noise over its variance (1 + 9 + 9 + 1).
 _THIRD_DIFFERENCE_VARIANCE = 20.0
-# Standard deviation of a normal variable over its median distance from the median.
+# Standard deviation of a normal variable over its median absolute deviation (MAD).
 DEVIATION_PER_MAD = 1.4826
 
 
@@ -16,7 +16,7 @@ def resolution(values: np.ndarray) -> float | None:
     Parameters
     ----------
     values : array (K,)
-        nan is passed over.
+        NaN is ignored.
 
     Notes
     -----
@@ -27,7 +27,7 @@ def resolution(values: np.ndarray) -> float | None:
     if len(levels) < 3:
         return None
     spacing = np.diff(levels)
-    # Copies of one level that differ by rounding only.
+    # Ignore levels that differ by rounding only.
     spacing = spacing[spacing > 1e-9 * np.abs(levels).max()]
     if len(spacing) < 2:
         return None
@@ -38,7 +38,7 @@ def resolution(values: np.ndarray) -> float | None:
     step = float(np.median(near))
     multiples = spacing / step
     error = np.abs(multiples - np.round(multiples))
-    # Large multiples are whole numbers within 5 % by chance or not at all.
+    # Large multiples are whole numbers within 5 % by chance.
     small = multiples < 20.0
     if small.sum() < 2 or (error[small] < 0.05).mean() < 0.95:
         return None
@@ -51,7 +51,7 @@ def noise_level(values: np.ndarray) -> float:
     Parameters
     ----------
     values : array (K,)
-        In any unit; nan is passed over.
+        In any unit; NaN is ignored.
 
     Returns
     -------
@@ -72,20 +72,22 @@ def noise_level(values: np.ndarray) -> float:
     return float(spread / np.sqrt(_THIRD_DIFFERENCE_VARIANCE))
 
 
+# Shortest interval of one value that may count as stuck [samples].
 _MIN_STUCK_SAMPLES = 10
-# A channel with fewer levels holds each of them for long.
+# A channel with fewer levels holds each of them for long without being stuck.
 _MIN_LEVELS = 50
-# How rarely chance may hold a value that long in one run.
+# Probability that coarse quantisation holds a value that long in one run.
 _MAX_FALSE_ALARM_RATE = 1e-6
+# Length of a spike [samples].
 _MAX_SPIKE_SAMPLES = 2
-# Share of what another sensor travels meanwhile, by which a reading that was stuck jumps at least.
+# Jump at the end of a stuck interval over the travel of the other sensor during it.
 _MIN_JUMP_SHARE = 0.5
-# How many times as much as elsewhere a joint may wind up while its motor stands.
+# Wind-up while the motor is stationary over that in the rest of the run.
 _MAX_WINDUP_RATIO = 2.0
-# A spike in units of what nine of ten samples nearby, or in the whole run, depart by.
+# Least height of a spike over the upper decile of departures nearby, and in the whole run.
 _LOCAL_SPIKE_RATIO, _GLOBAL_SPIKE_RATIO = 6.0, 3.0
 _MIN_SPIKE_COUNTS = 8.0
-# A spike in units of the jump between the samples before it and after it.
+# Least height of a spike over the step between the samples before and after it.
 _MIN_SPIKE_STEP_RATIO = 2.0
 _MIN_SAMPLES = 50
 # Cubic through two samples on each side, at the sample between them.
@@ -93,7 +95,7 @@ _CUBIC_WEIGHTS = np.array([-1.0, 4.0, 0.0, 4.0, -1.0]) / 6.0
 
 
 def true_intervals(marked: np.ndarray) -> list[tuple[int, int]]:
-    """Begin and end (past the last) of every stretch of True in a (K,) of bool."""
+    """Begin and end (exclusive) of every interval of True in an array (K,) of bool."""
     edges = np.diff(np.concatenate(([0], marked.astype(int), [0])))
     begins, ends = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
     return [(int(begin), int(end)) for begin, end in zip(begins, ends, strict=True)]
@@ -102,7 +104,7 @@ def true_intervals(marked: np.ndarray) -> list[tuple[int, int]]:
 def find_stuck_samples(
     values: np.ndarray, position: np.ndarray, still: float, step: float
 ) -> np.ndarray:
-    """Samples of stretches that hold one value while the joint moves.
+    """Mark samples of intervals that hold one value while the joint moves.
 
     Parameters
     ----------
@@ -111,7 +113,7 @@ def find_stuck_samples(
     position : array (K,)
         Of another sensor of the same joint [rad].
     still : float
-        A stretch in which the joint travels less does not count [rad].
+        Intervals in which the joint travels less do not count [rad].
     step : float
         Smallest step of the channel, 0 if it has none.
 
@@ -121,7 +123,7 @@ def find_stuck_samples(
 
     Notes
     -----
-    A stretch counts if it is longer than coarse counts alone would make it once in a million
+    An interval counts if it is longer than coarse quantisation would produce once in a million
     runs, given how often neighbouring samples are equal while the joint moves.
     """
     equal = np.diff(values) == 0.0
@@ -143,22 +145,22 @@ def find_stuck_samples(
         if end - begin < shortest or not np.isfinite(piece).any():
             continue
         if np.nanmax(piece) - np.nanmin(piece) > still:
-            # The first sample of a stretch was measured.
+            # The first sample of an interval was measured.
             found[begin + 1 : end + 1] = True
     return found
 
 
 def is_held_by_friction(values: np.ndarray, link: np.ndarray, begin: int, end: int) -> bool:
-    """Whether a motor held its place itself, while its link went on: friction holds it.
+    """Return whether friction held the motor while its link moved on: the encoder is not stuck.
 
     Parameters
     ----------
     values : array (K,)
-        Of the motor's encoder, that hold one value [rad].
+        Motor encoder, constant in the interval [rad].
     link : array (K,)
-        Of the link's [rad].
+        Link encoder [rad].
     begin, end : int
-        The stretch, `end` past its last sample.
+        Interval, `end` exclusive.
 
     Returns
     -------
@@ -166,9 +168,9 @@ def is_held_by_friction(values: np.ndarray, link: np.ndarray, begin: int, end: i
 
     Notes
     -----
-    A motor starts from rest, an encoder that was stuck comes back with a jump over what it has
-    missed. One that loses counts, or does not come back, parts from the link by far more than
-    the joint winds up elsewhere in the run.
+    A motor starts from rest; a stuck encoder recovers with a jump over the motion that it missed.
+    One that loses counts, or does not recover, departs from the link by far more than the joint
+    winds up elsewhere in the run.
     """
     apart = values - link
     outside = (_finite_range(apart[:begin]), _finite_range(apart[end:]))
@@ -184,7 +186,7 @@ def _finite_range(values: np.ndarray) -> float:
 
 
 def find_saturated_samples(values: np.ndarray, step: float) -> np.ndarray:
-    """Samples that rest on the largest or the smallest value of a channel.
+    """Mark samples saturated at the largest or the smallest value of a channel.
 
     Parameters
     ----------
@@ -198,9 +200,9 @@ def find_saturated_samples(values: np.ndarray, step: float) -> np.ndarray:
 
     Notes
     -----
-    The peak of a smooth signal in coarse counts rests there too, but about as long on the level
-    below; a limit is told by at least five samples in a row and five times as many as in the
-    next hundredth of the range (or the next count, if that is coarser).
+    The peak of a smooth, coarsely quantised signal has about as many samples on the level below;
+    a limit has at least five samples in a row and five times as many as the next hundredth of the
+    range (or the next count, if that is coarser).
     """
     bad = np.zeros(len(values), dtype=bool)
     finite = values[np.isfinite(values)]
@@ -224,16 +226,16 @@ def find_saturated_samples(values: np.ndarray, step: float) -> np.ndarray:
 def find_spikes(
     values: np.ndarray, step: float = 0.0, harmless: float = 0.0
 ) -> tuple[np.ndarray, float]:
-    """Samples that jump away from their neighbours and back.
+    """Mark outliers: samples that jump away from their neighbours and back.
 
     Parameters
     ----------
     values : array (K,)
-        nan is passed over.
+        NaN is ignored.
     step : float
         Smallest step of the channel, 0 if it has none.
     harmless : float
-        Jumps up to this size are left alone.
+        Jumps up to this size are ignored.
 
     Returns
     -------
@@ -244,8 +246,8 @@ def find_spikes(
     Notes
     -----
     A spike lasts one or two samples and departs from the cubic through the two samples on each
-    side by more than samples nearby do, and by twice as much as the two sides are apart once
-    their slopes are followed. A step, as at a reversal or a contact, is none.
+    side by more than samples nearby do, and by twice as much as the two sides differ after
+    extrapolation with their slopes. A step, as at a reversal or a contact, is no spike.
     """
     finite = np.flatnonzero(np.isfinite(values))
     bad = np.zeros(len(values), dtype=bool)
@@ -274,7 +276,7 @@ def find_spikes(
 
 
 def _candidate_spans(k: int, count: int) -> list[tuple[int, int]]:
-    """Spikes that a sample may belong to, with two samples to spare on each side."""
+    """Intervals of spikes that a sample may belong to, with two samples on each side."""
     spans = [
         (first, first + length)
         for length in range(1, _MAX_SPIKE_SAMPLES + 1)
@@ -284,7 +286,7 @@ def _candidate_spans(k: int, count: int) -> list[tuple[int, int]]:
 
 
 def _spike_height(series: np.ndarray, first: int, last: int) -> float:
-    """How far a spike stands out of what is around it, 0 if the two sides disagree."""
+    """Height of a spike over the interpolated signal; 0 if the two sides disagree."""
     a, b, c, d = series[[first - 2, first - 1, last, last + 1]]
     at = np.arange(first, last) - (first - 1)
     width = last - first + 1
@@ -307,7 +309,7 @@ def _local_upper_decile(departs: np.ndarray, width: int = 51) -> np.ndarray:
     blocks = np.pad(departs, (0, count * width - len(departs)), mode="reflect")
     rank = int(0.9 * width)
     level = np.partition(blocks.reshape(count, width), rank, axis=1)[:, rank]
-    # The louder of the block and its neighbours: a quiet block may border on a fast motion.
+    # Largest of the block and its neighbours: a quiet block may border on a fast motion.
     wide = np.pad(level, 1, mode="edge")
     louder = np.maximum(level, np.maximum(wide[:-2], wide[2:]))
     return np.repeat(louder, width)[: len(departs)]

@@ -1,8 +1,8 @@
-"""Faults of the channels of one joint: what is broken is named and left out.
+"""Faults of the channels of one joint: faulty samples or channels are reported and removed.
 
-Order of the checks: samples that are no numbers, angles that wrap, a channel that never changes,
-one that contradicts the motor encoder, stretches that are stuck, spikes, a limit of the sensor,
-coarse counts. Only what cannot be physics is taken out; limits and coarse counts are kept.
+Order of the checks: samples that are no numbers, angles that wrap, constant channels, channels that
+contradict the motor encoder, stuck intervals, spikes, saturation, coarse quantisation. Only
+unphysical values are removed; saturated and coarse ones are kept.
 """
 
 from __future__ import annotations
@@ -22,26 +22,28 @@ from stiffopt.recording.channel import (
 from stiffopt.recording.run import Fault, FaultKind, counted
 from stiffopt.recording.signals import Kind
 
-# A joint that travels less stands still: [rad], [m].
+# Travel below which a joint is stationary: revolute [rad], prismatic [m].
 MIN_TRAVEL = (1e-3, 1e-4)
-# Slope between two sensors of one motion within which neither contradicts the other.
+# Slope and correlation between two sensors of one motion that do not contradict each other.
 _SLOPE_RANGE = (0.8, 1.25)
 _MIN_CORRELATION = 0.8
 _ANGLE_SIGNALS: tuple[Kind, ...] = ("position", "link_position")
 _SECOND_SENSORS: tuple[Kind, ...] = ("velocity", "link_position")
-# Jumps below this share of the range a channel covers do no harm, and clocks make them too.
+# Jumps below this share of a channel's range are harmless; clock jitter causes such too.
 _HARMLESS_JUMP_SHARES = {"position": 2e-4, "link_position": 2e-4, "velocity": 5e-3, "torque": 5e-3}
-# A wrap is a turn within this share of one, for the motion of a sample time.
+# Deviation of a wrap from a whole turn [turns], by the motion within a sample time.
 _WRAP_TOLERANCE = 0.1
+# Levels within the range of a channel below which it is reported as coarse.
 _MIN_FINE_LEVELS = 500
+# Share of faulty samples above which the whole channel is removed.
 _MAX_BAD_SHARE = 0.5
-# An encoder that misses so many counts of a motion is stuck.
+# Counts of motion that an encoder misses where it is stuck.
 _MIN_STUCK_COUNTS = 20.0
 
 
 @dataclass
 class JointChannels:
-    """Channels of one joint while they are being checked; broken samples become nan."""
+    """Channels of one joint during the checks; faulty samples become NaN."""
 
     joint: int
     time: np.ndarray
@@ -51,12 +53,12 @@ class JointChannels:
 
     @property
     def unit(self) -> str:
-        """Of the position."""
+        """Unit of the position."""
         return "m" if self.prismatic else "rad"
 
     @property
     def still(self) -> float:
-        """Travel below which the joint stands still [rad]."""
+        """Travel below which the joint is stationary [rad]."""
         return MIN_TRAVEL[self.prismatic]
 
     def report(
@@ -68,7 +70,7 @@ class JointChannels:
         keep: bool = False,
         ratio: float | None = None,
     ) -> None:
-        """Name a fault; `bad` (K,) marks the samples, None the whole channel."""
+        """Add a fault; `bad` (K,) marks its samples, None the whole channel."""
         values = self.channels[signal]
         share = 1.0 if bad is None else float(bad.mean())
         left_out = not keep and (bad is None or share > _MAX_BAD_SHARE)
@@ -88,13 +90,13 @@ class JointChannels:
         )
 
     def usable(self, signal: Kind) -> np.ndarray | None:
-        """The channel, None if it is not there or was left out."""
+        """Return a channel, None if it is absent or was removed."""
         values = self.channels.get(signal)
         return values if values is not None and np.isfinite(values).any() else None
 
 
 def check_joint_channels(joint: JointChannels) -> list[Fault]:
-    """Run all checks; the channels are changed in place."""
+    """Run all checks; faulty samples are removed in place."""
     for signal in joint.channels:
         _check_finite(joint, signal)
     for signal in _ANGLE_SIGNALS:
@@ -112,7 +114,7 @@ def check_joint_channels(joint: JointChannels) -> list[Fault]:
 
 
 def covered_range(values: np.ndarray | None) -> float:
-    """Range that a channel covers, 0 if it is not there."""
+    """Range of a channel, 0 if it is absent."""
     if values is None or not np.isfinite(values).any():
         return 0.0
     return float(np.nanmax(values) - np.nanmin(values))
@@ -130,14 +132,14 @@ def _check_finite(joint: JointChannels, signal: Kind) -> None:
 
 
 def _check_wrapping(joint: JointChannels, signal: Kind) -> None:
-    """Make an angle continuous that the logger keeps within one turn."""
+    """Unwrap an angle that the logger keeps within one turn."""
     values = joint.usable(signal)
     if values is None or joint.prismatic:
         return
     there = np.flatnonzero(np.isfinite(values))
     turns = np.diff(values[there]) / (2.0 * np.pi)
     jumps = np.abs(turns) > 0.5
-    # Anything else that jumps so far is no angle that wraps.
+    # Other jumps of this size do not come from wrapping.
     if not jumps.any() or (np.abs(np.abs(turns[jumps]) - 1.0) > _WRAP_TOLERANCE).any():
         return
     values[there[1:]] -= 2.0 * np.pi * np.cumsum(np.round(turns))
@@ -176,7 +178,7 @@ def _check_constant(joint: JointChannels) -> None:
         if values is None or covered_range(values) != 0.0:
             continue
         level = float(np.nanmax(values))
-        # A zero that never changes is an empty column, also in a joint that stands still.
+        # A constant zero is an empty column, also where the joint is stationary.
         empty = signal == "link_position" and level == 0.0
         if moved > joint.still or empty:
             joint.report(
@@ -206,7 +208,7 @@ def _check_agreement(joint: JointChannels, signal: Kind) -> None:
         degrees = abs(slope * np.pi / 180.0 - 1.0) < 0.1
         hint = ", as degrees would" if degrees else ""
         text = f"changes {slope:.3g} times as much as the motor encoder{hint}."
-    # Runs too short to compare have no ratio that is a number.
+    # Runs too short to compare have a ratio of NaN.
     known = np.isnan(correlation) or abs(correlation) > _MIN_CORRELATION
     joint.report(signal, "contradicts position", text, ratio=slope if known else None)
 
@@ -292,7 +294,7 @@ def _check_quantisation(joint: JointChannels, signal: Kind) -> None:
 def regress_changes(
     reference: np.ndarray, channel: np.ndarray, time: np.ndarray, window: float = 0.2
 ) -> tuple[float, float]:
-    """Slope and correlation of the changes of two channels over a short window.
+    """Regress the changes of a channel over a short window on those of a reference.
 
     Parameters
     ----------
@@ -303,7 +305,7 @@ def regress_changes(
     Returns
     -------
     slope, correlation : float
-        Of the line through the origin, channel over reference; nan where nothing changes.
+        Slope of the line through the origin, and correlation; NaN where nothing changes.
     """
     lag = max(1, round(window / float(np.median(np.diff(time)))))
     if len(time) <= 2 * lag:
@@ -320,7 +322,7 @@ def regress_changes(
 
 
 def integrate_velocity(velocity: np.ndarray, time: np.ndarray) -> np.ndarray:
-    """Angle travelled, the trapezoidal integral of a velocity (K,) [rad/s] -> (K,) [rad]."""
+    """Trapezoidal integral of a velocity: (K,) [rad/s] -> (K,) [rad]."""
     filled = np.where(np.isfinite(velocity), velocity, 0.0)
     steps = 0.5 * (filled[1:] + filled[:-1]) * np.diff(time)
     return np.concatenate(([0.0], np.cumsum(steps)))

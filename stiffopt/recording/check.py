@@ -1,4 +1,4 @@
-"""What a recording set holds and what it lacks."""
+"""Report on a recording set: runs, channels, faults, missing signals, assumptions."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from stiffopt.recording.recording_set import RecordingSet
 from stiffopt.recording.run import Fault, RecordedRun, Role
 from stiffopt.recording.signals import Kind
 
-# Of a revolute and of a prismatic joint.
+# Units of a revolute and of a prismatic joint.
 _SIGNAL_UNITS: dict[Kind, tuple[str, str]] = {
     "position": ("rad", "m"),
     "velocity": ("rad/s", "m/s"),
@@ -46,7 +46,7 @@ class ChannelCheck:
         From 1.
     column : str
     there : bool
-        False if it was left out as broken.
+        False if it was removed as faulty.
     unit : str
     lowest, highest : float
     used : float or None
@@ -109,7 +109,7 @@ class RunCheck:
 
 @dataclass(frozen=True, kw_only=True)
 class RecordingReport:
-    """What there is and what is missing.
+    """Content of a recording set and its missing signals.
 
     Parameters
     ----------
@@ -117,13 +117,14 @@ class RecordingReport:
     joints : tuple of str (n,)
     runs : tuple of RunCheck
     balances : tuple of tuple of str (n,)
-        Of each joint: motor, link and deflection with a link encoder, torque without.
+        Equations that each joint's signals allow: "motor", "link" and "deflection" with a link
+        encoder, "torque" without.
     facts : tuple of JointFacts (n,)
-        What the runs that a fit may use hold of each joint.
+        Excitation of each joint in the runs that a fit may use.
     missing : tuple of str
         Sentences.
     assumptions : tuple of str
-        What is assumed where the set is silent.
+        Assumptions in place of entries that the set does not give.
     """
 
     name: str
@@ -136,19 +137,19 @@ class RecordingReport:
     assumptions: tuple[str, ...]
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain data for JSON; what is no finite number is None."""
+        """Return JSON data; numbers that are not finite become None."""
         found: dict[str, Any] = to_json_types(asdict(self))
         del found["facts"]
         return found
 
     @property
     def training_runs(self) -> int:
-        """Runs that a fit may use: those of that role, else all."""
+        """Number of runs that a fit may use: those of the role "train", else all."""
         return sum(run.role == "train" for run in self.runs) or len(self.runs)
 
 
 def check_recordings(recordings: RecordingSet) -> RecordingReport:
-    """Open every run of a set and say what it holds.
+    """Open every run of a set and report on its content.
 
     Raises
     ------
@@ -236,7 +237,7 @@ def _used_share(
 
 
 def missing_signals(recordings: RecordingSet, runs: Sequence[RecordedRun]) -> tuple[str, ...]:
-    """What these recordings lack, and what cannot be said without it, a sentence each."""
+    """Sentences on missing signals and roles, each with its consequence."""
     found = []
     for role, loss in (
         ("train", "nothing can be fitted"),
@@ -251,7 +252,7 @@ def missing_signals(recordings: RecordingSet, runs: Sequence[RecordedRun]) -> tu
         )
     signals, nothing = recordings.signals, ("",) * recordings.n
     for kind, names, loss in (
-        ("torque", signals.torque, "they have no balance of torques"),
+        ("torque", signals.torque, "their torque equation cannot be evaluated"),
         (
             "link_position",
             signals.link_position or nothing,

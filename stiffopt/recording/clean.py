@@ -1,4 +1,4 @@
-"""From the raw columns of a run file to a run without what cannot be true."""
+"""Cleaning of the raw columns of a run file: clock, repeated rows, faulty channels."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from stiffopt.recording.clock import Clock, read_clock
 from stiffopt.recording.run import Fault, RecordedRun, Role, counted
 from stiffopt.recording.signals import KINDS, Signals
 
-# An arm that moved on unseen is within this factor of where its speed would have brought it.
+# Motion over repeated rows over its extrapolation by the speeds around, and the reciprocal.
 _MAX_MOTION_RATIO = 1.5
-# Rows that a slowly read channel holds one value; its speed is taken over as many.
+# Rows that a slowly sampled channel holds one value; speeds are taken over as many.
 _MAX_HELD_ROWS = 3
-# A step of no more counts is none.
+# Counts below which a step is no motion.
 _MIN_STEP_COUNTS = 4.0
 
 
@@ -33,7 +33,7 @@ def clean_run(
     temperature: np.ndarray | None = None,
     prismatic: np.ndarray | None = None,
 ) -> RecordedRun:
-    """Check the clock and every channel; name the faults and take them out.
+    """Check the clock and every channel, report faults and remove faulty samples.
 
     Parameters
     ----------
@@ -100,10 +100,10 @@ def _none_if_empty(array: np.ndarray | None) -> np.ndarray | None:
 def _remove_repeated_rows(
     columns: Mapping[str, np.ndarray], signals: Signals, clock: Clock
 ) -> tuple[np.ndarray, list[Fault]]:
-    """Rows without those that repeat the motion of the row before under a new stamp.
+    """Remove rows that repeat the motion of the row before under a new stamp.
 
-    Only where the arm moved on meanwhile; at rest, equal rows are nothing strange. Torque is asked
-    where rows are equal for longer than a slowly read channel holds one value.
+    Only where the arm moved meanwhile; equal rows at rest are kept. Torque must be repeated too
+    where rows are equal for longer than a slowly sampled channel holds one value.
     """
     rows = clock.rows
     named = [(kind, columns[column][rows]) for kind, _, column in signals.columns()]
@@ -123,11 +123,11 @@ def _remove_repeated_rows(
             signal="time",
             joint=None,
             kind="duplicate",
-            detail=f"{what} {counted(int(marked.sum()), 'row')}, left out.",
+            detail=f"{cause} {counted(int(marked.sum()), 'row')}, left out.",
             left_out=False,
             share=float(marked.mean()),
         )
-        for what, marked in (
+        for cause, marked in (
             ("the motion of the row before is repeated in", copies),
             ("all channels read 0, as where nothing was received, in", empty),
         )
@@ -137,7 +137,7 @@ def _remove_repeated_rows(
 
 
 def _mark_repeated_rows(channels: list[np.ndarray]) -> np.ndarray:
-    """Rows (K,) in which all channels, each (K,), read what they read in the row before."""
+    """Mark rows (K,) in which all channels, each (K,), equal the row before."""
     same = np.ones(len(channels[0]), dtype=bool)
     same[0] = False
     for values in channels:
@@ -147,7 +147,7 @@ def _mark_repeated_rows(channels: list[np.ndarray]) -> np.ndarray:
 
 
 class _MotionExtrapolation:
-    """Where the arm would have been behind rows that do not show its motion.
+    """Extrapolation of the arm's motion over rows that repeat or omit it.
 
     Parameters
     ----------
@@ -155,7 +155,7 @@ class _MotionExtrapolation:
         [s].
     positions : array (K, n)
     same : array (K,) of bool
-        Rows whose motion is that of the row before.
+        Rows that repeat the motion of the row before.
     """
 
     def __init__(self, time: np.ndarray, positions: np.ndarray, same: np.ndarray) -> None:
@@ -167,7 +167,7 @@ class _MotionExtrapolation:
         )
 
     def went_on(self, begin: int, end: int) -> bool:
-        """Whether a joint moved before rows `begin` to `end`, behind them, and as much between."""
+        """Return whether a joint moved over rows `begin` to `end` as it did before and after."""
         if begin == 0 or end >= len(self._time):
             return False
         speeds, gap, step = self._surrounding_motion(begin, end)
@@ -180,7 +180,7 @@ class _MotionExtrapolation:
         return bool(np.any(fits & alike))
 
     def left(self, begin: int, end: int) -> bool:
-        """Whether a joint leaps to rows `begin` to `end`, and back to where it would have been."""
+        """Return whether a joint jumps at row `begin` and back at `end` to its extrapolation."""
         if begin == 0 or end >= len(self._time):
             return False
         speeds, gap, step = self._surrounding_motion(begin, end)
@@ -196,13 +196,13 @@ class _MotionExtrapolation:
         )
 
     def _surrounding_motion(self, begin: int, end: int) -> tuple[np.ndarray, float, np.ndarray]:
-        """Speeds (2, n) before and behind, time between [s] and step (n,) of the positions."""
+        """Speeds (2, n) before and after, time between [s] and step (n,) of the positions."""
         speeds = np.stack([self._speed_near(begin - 1, -1), self._speed_near(end, 1)])
         gap = float(self._time[end] - self._time[begin - 1])
         return speeds, gap, self._positions[end] - self._positions[begin - 1]
 
     def _speed_near(self, row: int, way: int) -> np.ndarray:
-        """Speeds (n,) over the rows before (-1) or behind (1) a row; 0 where the arm rests."""
+        """Speeds (n,) over the rows before (-1) or after (1) a row; 0 where the arm is at rest."""
         place = int(np.searchsorted(self._new_rows, row))
         last = row
         while 0 <= place + way < len(self._new_rows) and abs(last - row) < _MAX_HELD_ROWS:
@@ -217,6 +217,6 @@ class _MotionExtrapolation:
 
 
 def _change_threshold(values: np.ndarray) -> float:
-    """Change of a channel (K,) that is none: a count, or its noise."""
+    """Change of a channel (K,) below which it is a count or noise."""
     least = resolution(values) or 1e-9 * covered_range(values)
     return float(np.fmax(least, 3.0 * noise_level(values)))

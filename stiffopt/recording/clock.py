@@ -1,4 +1,4 @@
-"""The clock of a run: which samples can be kept, and how regular it is."""
+"""Clock of a run: usable samples, gaps, dropped samples and jitter."""
 
 from __future__ import annotations
 
@@ -10,26 +10,27 @@ import numpy as np
 from stiffopt.errors import InputFileError
 from stiffopt.recording.run import Fault, FaultKind, counted
 
-# In sample times: longer is a gap, across which nothing is interpolated.
+# Spacing of a gap, across which signals are not interpolated [sample times].
 MIN_GAP_STEPS = 5.0
-# In sample times: longer, up to a gap, means that samples are missing.
+# Spacing from which samples are missing [sample times].
 _MIN_DROPPED_STEPS = 1.7
-# Spacings this far from the usual one, in sample times, make a clock uneven.
+# Deviation from the usual spacing that counts as jitter [sample times].
 _MAX_JITTER = 0.05
-# Instants of an even clock for one recorded sample; beyond, a run is mostly gaps, or its clock
-# jumped, and memory follows the clock.
+# Instants of an even clock per recorded sample; beyond, the run is mostly gaps or its clock jumped,
+# and memory grows with the even clock.
 MAX_GRID_RATIO = 20.0
-# Instants that any run may have: half an hour at 500 Hz.
+# Instants that every run may have: half an hour at 500 Hz.
 MIN_GRID = 1_000_000
+# Samples of a run, and spacing above which no motion is resolved [s].
 _MIN_SAMPLES = 20
 _MAX_STEP = 0.5
-# No drive samples faster than at 1 MHz, no log of one holds less than a thousandth of a second.
+# Drives sample at 1 MHz at most, and a log lasts longer than 1 ms [s].
 _MIN_STEP, _MIN_DURATION = 1e-6, 1e-3
 
 
 @dataclass(frozen=True, eq=False)
 class Clock:
-    """Stamps of a run.
+    """Time stamps of a run.
 
     Parameters
     ----------
@@ -49,12 +50,12 @@ class Clock:
 
 
 def read_clock(stamps: np.ndarray, path: Path, column: str) -> Clock:
-    """Sort out the stamps of a run.
+    """Check the time stamps of a run.
 
     Raises
     ------
     InputFileError
-        Time runs backwards or stands still, samples are too few, or the unit cannot be seconds.
+        Time decreases or is constant, samples are too few, or the unit cannot be seconds.
     """
     where = column or "stamps"
     finite = np.flatnonzero(np.isfinite(stamps))
@@ -152,7 +153,7 @@ def _spacing_faults(spacing: np.ndarray, step: float) -> list[Fault]:
     if gaps.any():
         text = (
             f"{counted(int(gaps.sum()), 'gap')} longer than {MIN_GAP_STEPS:g} sample times, the "
-            f"longest {spacing.max():.3g} s; nothing is interpolated across them."
+            f"longest {spacing.max():.3g} s; signals are not interpolated across them."
         )
         faults.append(_clock_fault("gap", text, float(spacing[gaps].sum() / spacing.sum())))
     dropped = ~gaps & (ratio > _MIN_DROPPED_STEPS)
@@ -176,7 +177,7 @@ def _spacing_faults(spacing: np.ndarray, step: float) -> list[Fault]:
 
 
 def _fill_stamps(stamps: np.ndarray, finite: np.ndarray) -> np.ndarray:
-    """Stamps with the absent ones filled in by row, so that predictions have a time everywhere."""
+    """Stamps with absent ones interpolated by row, since predictions need a time at every row."""
     if len(finite) == len(stamps):
         return stamps
     filled: np.ndarray = np.interp(np.arange(len(stamps)), finite, stamps[finite])

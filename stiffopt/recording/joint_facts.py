@@ -1,4 +1,4 @@
-"""What the motion of a set of runs offers, joint by joint: speeds, directions, loads, warmth."""
+"""Excitation of each joint in a set of runs: speeds, directions, loads, temperatures."""
 
 from __future__ import annotations
 
@@ -11,33 +11,34 @@ from stiffopt.recording.channel_faults import MIN_TRAVEL
 from stiffopt.recording.recording_set import RecordingSet
 from stiffopt.recording.run import RecordedRun
 
-# Slower is rest, up to the second it is slow [rad/s].
+# Speed up to which a joint is at rest, and up to which it is slow [rad/s].
 _MAX_REST_SPEED, _MAX_SLOW_SPEED = 0.005, 0.1
-# Shares of the samples from which something counts as recorded.
+# Shares of the samples from which a condition counts as recorded, common and rare ones.
 _MIN_COMMON_SHARE, _MIN_RARE_SHARE = 0.05, 0.01
-# Of the highest frequency that sampling keeps; periodic torque above it is lost.
+# Of the Nyquist frequency; periodic torque above it is not resolved.
 _MAX_NYQUIST_SHARE = 0.8
+# Gravity changes slowly: one sample of so many suffices.
 _GRAVITY_SAMPLE_STEP = 20
-# Half the time over which speeds give accelerations [s], and the share of the largest load that one
-# beyond zero has at least: what a noisy encoder makes of a load near zero turns none round.
+# Half the window of accelerations from speeds [s], and the least load of the other sign over the
+# largest load: encoder noise near zero is no change of sign.
 _HALF_ACCELERATION_WINDOW, _MIN_REVERSED_SHARE = 0.025, 0.02
 
 
 @dataclass(frozen=True, kw_only=True)
 class JointFacts:
-    """What the runs hold of one joint.
+    """Excitation of one joint in the runs.
 
     Parameters
     ----------
     torque, link : bool
-        There is a torque, a link encoder.
+        Torque or link encoder is recorded.
     windup : bool
-        What winds it up shows: at a link encoder, or in the torque since links swing after it.
+        Its wind-up is observable: by a link encoder, or in the torque through the elastic model.
     moves, reverses, slow, speeds, rests : bool
         It moves; in both directions; between 0.005 and 0.1 rad/s; over a range of speeds of two
-        to one; it stands.
+        to one; it is at rest for a time.
     load_changes_sign : bool
-        Gravity pulls it both ways, or hardly at all, or its links' inertia does beside gravity.
+        Its load changes sign, by gravity or with inertia, or gravity hardly loads it.
     rotor_slow : bool
         Part of the motion is slow enough to resolve two periods a turn of the rotor.
     ripple_slow : bool
@@ -61,26 +62,26 @@ class JointFacts:
 
     @property
     def sensor(self) -> bool:
-        """There is a torque or a link encoder."""
+        """Return whether a torque or a link encoder is recorded."""
         return self.torque or self.link
 
     @property
     def balances(self) -> tuple[str, ...]:
-        """Balances that can be drawn up for the joint."""
+        """Equations that can be evaluated for the joint."""
         if not self.torque:
             return ("deflection",) if self.link else ()
         return ("motor", "link", "deflection") if self.link else ("torque",)
 
 
 def joint_facts(recordings: RecordingSet, runs: Sequence[RecordedRun]) -> tuple[JointFacts, ...]:
-    """Facts of every joint over some runs, in the order of the set."""
+    """Excitation of every joint in some runs, in the order of the set."""
     gravity = [_gravity_torques(recordings, run) for run in runs if run.usable]
     loads = [_inertial_loads(recordings, run) for run in runs if run.usable]
     return tuple(_joint_facts(recordings, runs, gravity, loads, j) for j in range(recordings.n))
 
 
 def velocities(run: RecordedRun) -> np.ndarray:
-    """Recorded velocity, else that of the encoder over 20 ms, (K, n) [rad/s]."""
+    """Recorded velocity, else the slope of the encoder over 20 ms, (K, n) [rad/s]."""
     width = max(1, round(0.01 / run.step))
     slope: np.ndarray = np.full_like(run.position, np.nan)
     span = run.time[2 * width :] - run.time[: -2 * width]
@@ -116,7 +117,7 @@ def _inertial_loads(recordings: RecordingSet, run: RecordedRun) -> np.ndarray:
 
 
 def _changes_sign(load: np.ndarray) -> bool:
-    """Whether a load lies on both sides of zero."""
+    """Return whether a load changes sign."""
     least = _MIN_REVERSED_SHARE * np.abs(load).max(initial=0.0)
     return bool(load.min(initial=0.0) < -least and load.max(initial=0.0) > least)
 

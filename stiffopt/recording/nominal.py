@@ -1,4 +1,4 @@
-"""What a set knows beside its robot: drives, counterbalances, tolerances and sensor noise."""
+"""Nominal values beside the robot: drives, counterbalances, tolerances and sensor noise."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from stiffopt.symbolic import Quantity
 
 _RelativeDeviation = Annotated[float, Unit("ratio", bare=True), NOT_NEGATIVE]
-# One standard deviation of a stiffness that leaves a spring.
+# Relative standard deviation of a stiffness, which must stay positive.
 _StiffnessDeviation = Annotated[float, Unit("ratio", bare=True), Bounds(least=0.0, most=1.0)]
 _LengthDeviation = Annotated[float, Unit("length", bare=True), NOT_NEGATIVE]
 _PositionDeviation = Annotated[float, Unit("angle", joint=True, bare=True), NOT_NEGATIVE]
@@ -34,8 +34,8 @@ class Counterbalance:
 
     Notes
     -----
-    The torque is what the drive no longer has to give: it adds to the drive torque in the
-    balance of the joint. A spring pulls back to its offset.
+    The torque relieves the drive: it adds to the drive torque in the joint's torque equation. A
+    spring pulls towards its offset.
     """
 
     joint: int
@@ -56,21 +56,21 @@ class Counterbalance:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Nominal:
-    """What a set says of its robot that a `Robot` has no place for, None where it is silent.
+    """Nominal values of a set that are no fields of `Robot`; None where not given.
 
     Parameters
     ----------
     gear_ratio : array (n,)
         Turns of the motor for one of the joint.
     friction_temperature : float
-        At which the nominal friction was identified [degC].
+        Temperature at which the nominal friction was identified [degC].
     torque_rated : array (n,)
         [N m]
     pole_pairs : float
     joint_damping : array (n,)
         Of the elastic joint [N m s/rad].
     connections : tuple of str (n,)
-        What each drivetrain is built of, such as "belt+key+bolts".
+        Elements of each drivetrain, such as "belt+key+bolts".
     counterbalance : tuple of Counterbalance
     """
 
@@ -85,7 +85,7 @@ class Nominal:
 
 @dataclass(frozen=True, kw_only=True)
 class Tolerance:
-    """One standard deviation of the nominal values; wide defaults hold where none is given."""
+    """One standard deviation of the nominal values; wide defaults apply where none is given."""
 
     mass: Annotated[_RelativeDeviation | None, Doc("Of masses, relative.")] = None
     com: Annotated[_LengthDeviation | None, Doc("Of each coordinate of a centre of mass.")] = None
@@ -107,7 +107,7 @@ class Tolerance:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Noise:
-    """One standard deviation of the sensors' noise, None where the set is silent.
+    """One standard deviation of the sensors' noise; None where not given.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""A set's robot as its own file and the set describe it; drives and noise of the set file."""
+"""Nominal robot, drives and noise of a recording set, and the assumptions in place of gaps."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from stiffopt.robot.files import load_robot, shipped_robots
 from stiffopt.robot.frames import frame_names, named_frame
 from stiffopt.robot.robot import Robot
 
-# Of the robot, of the drives: lists with a number a joint.
+# Keys with one number per joint: of the robot, of the drives.
 _ROBOT_LISTS = ("rotor_inertia", "coulomb", "viscous", "torque_max")
 _DRIVE_LISTS = ("gear_ratio", "torque_rated", "joint_damping")
 
@@ -38,7 +38,7 @@ _DRIVE_LISTS = ("gear_ratio", "torque_rated", "joint_damping")
 def per_joint(
     value: float | Sequence[float] | None, n: int, path: Path, where: str
 ) -> np.ndarray | None:
-    """Array (n,) of a list, or of one number that holds for all joints."""
+    """Array (n,) of a list, or of one number for all joints."""
     if value is None:
         return None
     numbers = np.array([value] * n if isinstance(value, float) else value, dtype=float)
@@ -52,7 +52,7 @@ def per_joint(
 
 
 def build_nominal(section: NominalSection, joints: Sequence[str], path: Path) -> Nominal:
-    """What the section says beside the robot, with one entry a joint."""
+    """Nominal values of the section beside the robot, one entry per joint."""
     n = len(joints)
     lists = {key: _finite_per_joint(section, key, n, path) for key in _DRIVE_LISTS}
     ratio = lists["gear_ratio"]
@@ -78,7 +78,7 @@ def build_nominal(section: NominalSection, joints: Sequence[str], path: Path) ->
 
 
 def check_nominal(section: NominalSection, joints: Sequence[str], path: Path) -> None:
-    """Raise `InputFileError` where a list of the section is of no use for these joints."""
+    """Raise `InputFileError` where a list of the section does not match these joints."""
     build_nominal(section, joints, path)
     for key in _ROBOT_LISTS:
         _finite_per_joint(section, key, len(joints), path)
@@ -87,7 +87,7 @@ def check_nominal(section: NominalSection, joints: Sequence[str], path: Path) ->
 def build_nominal_robot(
     described: Robot, order: np.ndarray, section: NominalSection, path: Path
 ) -> Robot:
-    """The robot as its file describes it, with all that the section states in its place.
+    """Robot of its own file with the values that the section states.
 
     Parameters
     ----------
@@ -113,7 +113,7 @@ def build_nominal_robot(
 
 
 def missing_nominal_values(section: NominalSection, described: Robot) -> tuple[str, ...]:
-    """Which of coulomb, viscous and rotor_inertia neither a set nor its robot's file gives."""
+    """Keys of coulomb, viscous, rotor_inertia that neither a set nor its robot file gives."""
     return tuple(
         key
         for key in ("coulomb", "viscous", "rotor_inertia")
@@ -136,7 +136,7 @@ def build_chains(
     Returns
     -------
     tuple of Chain or None (n,), or None
-        None where the section says nothing of stiffness.
+        None where the section gives no stiffness.
     """
     n = len(torque_max)
     contacts = per_joint(section.contact_stiffness, n, path, "nominal.contact_stiffness")
@@ -158,7 +158,7 @@ def build_joint_chain(
 ) -> Chain | None:
     """Drivetrain of a reducer K1, K2, K3, T1, T2 and a contact stiffness [N m/rad]; None is rigid.
 
-    A reducer without a finite slope everywhere, and infinite contacts, are rigid.
+    A reducer with an infinite slope, and infinite contacts, are rigid.
     """
     elements: list[Connection] = []
     if curve is not None and np.isfinite(curve[:3]).all():
@@ -170,7 +170,7 @@ def build_joint_chain(
             K2=k2,
             K3=k3,
             T1=t1,
-            # The element has two corners; equal ones stand for a catalogue with two slopes.
+            # The element needs T1 < T2; catalogues with two slopes have equal ones.
             T2=max(t2, t1 * (1.0 + 1e-9)),
         )
         elements.append(reducer)
@@ -181,7 +181,7 @@ def build_joint_chain(
 
 
 def build_noise(section: NoiseSection, n: int, path: Path) -> Noise:
-    """Noise with one entry a joint."""
+    """Sensor noise, one entry per joint."""
     return Noise(
         **{
             key: per_joint(value, n, path, f"noise.{key}")
@@ -241,7 +241,7 @@ def load_arm(
     tool_frame: str | None = None,
     gravity: Sequence[float] | None = None,
 ) -> tuple[Robot, tuple[str, ...]]:
-    """Robot of a recording set, and its joints that the set leaves out.
+    """Load the robot of a recording set, and the names of its joints outside the set.
 
     Parameters
     ----------
@@ -252,7 +252,7 @@ def load_arm(
     path : path
         The set's own file, for messages and to find `source`.
     tool_frame : str, optional
-        Must be a frame of the robot; default the last one.
+        A frame of the robot; default the last one.
     gravity : sequence of float (3,), optional
         [m/s^2]; default 0, 0, -9.81.
 
@@ -263,8 +263,8 @@ def load_arm(
 
     Notes
     -----
-    A robot of the package or of a robot TOML brings its drivetrain, friction and rotor inertia. The
-    friction that a bare URDF may name is left out: `<dynamics>` is a setting of simulators.
+    A shipped robot or a robot TOML has drivetrain, friction and rotor inertia. Friction of a bare
+    URDF is ignored: `<dynamics>` is a setting of simulators.
     """
     shipped = source in shipped_robots()
     robot = load_robot(source if shipped else path_inside_set(path, "robot", source), keep=joints)
@@ -299,7 +299,7 @@ def load_arm(
 
 
 def path_inside_set(path: Path, where: str, name: str) -> Path:
-    """Path of a file that a set names, which must lie in the set's own folder."""
+    """Path of a file named by a set; raises `InputFileError` outside the set's folder."""
     given = Path(name)
     if given.is_absolute() or ".." in given.parts:
         raise InputFileError(
@@ -314,15 +314,15 @@ NO_RATIO = "nominal.gear_ratio is not given: nothing periodic in the rotor angle
 def assumptions(
     document: RecordingsFile, described: Robot, locked: Sequence[str]
 ) -> tuple[str, ...]:
-    """Sentences, one a thing assumed, in the order of the file.
+    """Assumptions in place of missing entries, one sentence each, in the order of the file.
 
     Parameters
     ----------
     document : RecordingsFile
     described : Robot
-        As its own file describes it.
+        Robot of its own file.
     locked : sequence of str
-        Joints that are not recorded.
+        Joints without recordings.
     """
     found = []
     if locked:
@@ -349,18 +349,18 @@ def assumptions(
 def nominal_assumptions(
     nominal: NominalSection, tolerance: Tolerance, described: Robot, *, links: bool
 ) -> tuple[str, ...]:
-    """Sentences on the nominal robot and how far it may be off, which an extended model replaces.
+    """Assumptions on the nominal robot and its tolerances, which an extended model replaces.
 
     Parameters
     ----------
     nominal : NominalSection
-        What the set states.
+        Values of the set.
     tolerance : Tolerance
-        Likewise.
+        Tolerances of the set.
     described : Robot
-        As its own file describes it.
+        Robot of its own file.
     links : bool
-        Whether link positions are recorded.
+        Link positions are recorded.
     """
     found = [*_list_nominal_assumptions(nominal, described, links)]
     if silent := missing_tolerances(tolerance):
@@ -371,7 +371,7 @@ def nominal_assumptions(
 def missing_tolerances(tolerance: Tolerance) -> list[str]:
     """Names of tolerances that a set does not give.
 
-    Nobody knows a damping well: that it may differ widely needs no word.
+    Except that of the damping, which is never known well.
     """
     return [k for k, value in vars(tolerance).items() if value is None and k != "joint_damping"]
 
@@ -381,15 +381,15 @@ def _list_nominal_assumptions(
 ) -> Iterator[str]:
     if nominal.gear_ratio is None:
         yield NO_RATIO
-    for key, what in (
+    for key, quantity in (
         ("rotor_inertia", "the rotor inertia"),
         ("coulomb", "the Coulomb friction"),
         ("viscous", "the viscous friction"),
     ):
         if key in missing_nominal_values(nominal, described):
-            yield f"nominal.{key} is not given: {what} is not known and is estimated."
+            yield f"nominal.{key} is not given: {quantity} is not known and is estimated."
         elif getattr(nominal, key) is None:
-            yield f"nominal.{key} is not given: {what} is that of the robot's file."
+            yield f"nominal.{key} is not given: {quantity} is that of the robot's file."
     if nominal.reducer is None:
         if any(described.chains) and nominal.contact_stiffness is None:
             yield "nominal.reducer is not given: drivetrains are those of the robot's file."

@@ -1,4 +1,4 @@
-"""The arm that a set was recorded on, reduced to the joints that were recorded."""
+"""Arm of a recording set, reduced to the recorded joints."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from stiffopt.robot.robot import Robot
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RecordedArm:
-    """What every set that was recorded on an arm says.
+    """Arm and metadata common to all kinds of recording sets.
 
     Parameters
     ----------
     path : Path
-        Of its TOML file.
+        TOML file of the set.
     name, title, citation, licence : str
     robot : Robot
         Nominal: the recorded joints in the robot's own order, which need not be that of the set.
@@ -45,15 +45,15 @@ class RecordedArm:
 
     @cached_property
     def order(self) -> np.ndarray:
-        """Index of each joint of the set among those of the robot, (n,)."""
+        """Index of each joint of the set in the robot, (n,)."""
         return joint_order(self.robot, self.joints)
 
     @property
     def prismatic(self) -> np.ndarray:
-        """Which joints of the set slide, (n,) of bool."""
+        """Return which joints of the set are prismatic, (n,) of bool."""
         return np.asarray(self.robot.prismatic[self.order])
 
 
 def joint_order(robot: Robot, joints: Sequence[str]) -> np.ndarray:
-    """Index of each of these joints among those of a robot, (n,)."""
+    """Index of each of these joints in a robot, (n,)."""
     return np.array([robot.joint_names.index(name) for name in joints])

@@ -1,4 +1,4 @@
-"""A recording set: the recordings of a robot beside the nominal model of it."""
+"""Recording set: recordings of a robot and its nominal model."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ from stiffopt.validation import validate
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RunEntry:
-    """A run of a set that has not been opened.
+    """Entry of a run in a set; its file is not read yet.
 
     Parameters
     ----------
@@ -44,9 +44,9 @@ class RunEntry:
     role : str
         "train", "test" or "extrapolate".
     session_time : float or None
-        Since the robot was switched on [s].
+        Time since the robot was switched on [s].
     temperature : array (n,) or None
-        Of the housings when the run begins [degC].
+        Temperature of the housings at the start of the run [degC].
     """
 
     file: str
@@ -56,7 +56,7 @@ class RunEntry:
 
     @property
     def name(self) -> str:
-        """File name without its ending, and the number of the episode where one is named."""
+        """File name without ending, with the number of the episode where given."""
         path = PurePosixPath(self.file)
         name, mark, episode = path.name.rpartition("#")
         return f"{PurePosixPath(name).stem}_{episode}" if mark and name else path.stem
@@ -64,7 +64,7 @@ class RunEntry:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RecordingSet(RecordedArm):
-    """Recordings of one robot and what today's simulation knows of it.
+    """Recordings of one robot and the nominal model of its simulation.
 
     Parameters
     ----------
@@ -73,15 +73,15 @@ class RecordingSet(RecordedArm):
         [m/s^2]
     signals : Signals
     described : Robot
-        As its own file describes it, before what the set states of it.
+        Robot of its own file, without the values of the set.
     stated : NominalSection
-        What the set states of the nominal robot.
+        Nominal values that the set gives.
     nominal : Nominal
     tolerance : Tolerance
     noise : Noise
     runs : tuple of RunEntry
     assumptions : tuple of str
-        What was assumed where the set is silent, a sentence each.
+        Assumptions in place of entries that the set does not give, one sentence each.
     """
 
     tool_frame: str | None
@@ -97,25 +97,25 @@ class RecordingSet(RecordedArm):
 
     @property
     def torque_side(self) -> str:
-        """Where torque is measured: "motor" or "link"."""
+        """Side of the torque measurement: "motor" or "link"."""
         return self.signals.torque_side
 
     @property
     def swings(self) -> bool:
-        """Whether springs and damping of all joints are known, so that links can be followed."""
+        """Return whether stiffness and damping of all joints are known, for elastic simulation."""
         chains = self.robot.chains
         sprung = all(chain is not None and bool(chain.stages) for chain in chains)
         return sprung and self.nominal.joint_damping is not None
 
     @property
     def unstated(self) -> tuple[str, ...]:
-        """Which of coulomb, viscous and rotor_inertia neither the set nor its robot file gives."""
+        """Keys of coulomb, viscous, rotor_inertia that neither the set nor its robot file gives."""
         return missing_nominal_values(self.stated, self.described)
 
     def with_nominal(self, stated: NominalSection, path: str | os.PathLike[str]) -> RecordingSet:
-        """The set with another statement of the nominal robot, from the file at `path`.
+        """Recording set with other nominal values, from the file at `path`.
 
-        What the set itself was silent on there is assumed no more.
+        Assumptions on the nominal values of the set itself are removed.
         """
         path = Path(path)
         links = bool(self.signals.link_position)
@@ -129,11 +129,11 @@ class RecordingSet(RecordedArm):
         )
 
     def with_role(self, *roles: Role) -> tuple[RunEntry, ...]:
-        """Runs of these roles, in the order of the set."""
+        """Entries of the runs of these roles, in the order of the set."""
         return tuple(entry for entry in self.runs if entry.role in roles)
 
     def open(self, entry: RunEntry) -> RecordedRun:
-        """Read one run file and clean it.
+        """Read and clean one run.
 
         Raises
         ------
@@ -157,14 +157,14 @@ class RecordingSet(RecordedArm):
 
 
 def load_recordings(path: str | os.PathLike[str], changes: Sequence[str] = ()) -> RecordingSet:
-    """Recording set of a folder or of its recordings.toml; no run file is opened.
+    """Load a recording set by its folder or recordings.toml, without its run files.
 
-    `changes` such as "motion.duration=0.5 s" count in place of what the file says.
+    `changes` such as "noise.torque=0.5" replace entries of the file.
 
     Raises
     ------
     InputFileError, RobotError
-        What is wrong, where, and what is allowed.
+        Fault, place and allowed values.
     """
     path = find_set_file(Path(path))
     data = apply_changes(load_toml(path), changes, path)
@@ -209,7 +209,7 @@ def load_recordings(path: str | os.PathLike[str], changes: Sequence[str] = ()) -
 
 
 def require_test_runs(recordings: RecordingSet) -> None:
-    """Raise `InputFileError` if there is nothing to fit to, or nothing to judge a fit on."""
+    """Raise `InputFileError` without training runs or without test runs."""
     purposes = {
         "train": "The model is fitted to runs of this role",
         "test": "A fit is judged only on runs that it was not fitted to",
@@ -226,7 +226,7 @@ def require_test_runs(recordings: RecordingSet) -> None:
 
 
 def require_usable(recordings: RecordingSet, usable: Set[str]) -> None:
-    """As `require_test_runs`, counting only runs whose files are named as usable."""
+    """Raise `InputFileError` without usable training runs or usable test runs."""
     require_test_runs(recordings)
     for role in ("train", "test"):
         files = [entry.file for entry in recordings.with_role(role)]
@@ -235,7 +235,7 @@ def require_usable(recordings: RecordingSet, usable: Set[str]) -> None:
                 recordings.path,
                 "runs",
                 f'no run of the role "{role}" can be used: in {", ".join(files)} a joint has no'
-                " position that can be trusted. Record anew, or give other runs that role.",
+                " position that can be trusted. Record again, or give other runs that role.",
             )
 
 

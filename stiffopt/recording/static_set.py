@@ -1,4 +1,4 @@
-"""A static set: poses with a known force and the displacement of the tool that was measured."""
+"""Static set: poses with a known force and the measured displacement of the tool."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ class StaticSet(RecordedArm):
     position : array (m, n)
         [rad]
     force : array (m, 3)
-        On the tool, base frame [N].
+        Force on the tool, base frame [N].
     displacement : array (m, 3)
-        Of the tool, base frame [m].
+        Displacement of the tool, base frame [m].
     difference : bool
-        Each line is the difference of two load states: gravity is out.
+        Each line is the difference of two load states, without gravity.
     stiffness : array (n,) or None
         Nominal joint stiffness [N m/rad].
     """
@@ -46,7 +46,7 @@ class StaticSet(RecordedArm):
 
 
 def is_static(path: str | os.PathLike[str]) -> bool:
-    """Whether a path is that of a static set: its folder, or a file of its name or kind."""
+    """Return whether a path is a static set: its folder, or a file of its name or kind."""
     path = Path(path)
     if path.is_dir():
         return (path / STATIC_FILE).is_file()
@@ -54,12 +54,12 @@ def is_static(path: str | os.PathLike[str]) -> bool:
 
 
 def load_static_set(path: str | os.PathLike[str], changes: Sequence[str] = ()) -> StaticSet:
-    """Static set of a folder or of its static.toml, entries changed as `--set` says.
+    """Load a static set by its folder or static.toml, with `changes` of entries.
 
     Raises
     ------
     InputFileError, RobotError
-        What is wrong, where, and what is allowed.
+        Fault, place and allowed values.
     """
     path = Path(path)
     if path.is_dir():
@@ -77,7 +77,7 @@ def load_static_set(path: str | os.PathLike[str], changes: Sequence[str] = ()) -
     )
     columns = (*document.position, *document.force, *document.displacement)
     if len(set(columns)) < len(columns):
-        raise InputFileError(path, "", "one column stands for two things. Correct the names.")
+        raise InputFileError(path, "", "one column is named for two quantities. Correct the names.")
     poses = path_inside_set(path, "poses", document.poses)
     table = read_table(poses, columns)
     force = np.column_stack([table[name] for name in document.force])

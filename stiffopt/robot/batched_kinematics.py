@@ -1,7 +1,7 @@
-"""What single bodies of an arm need along a whole motion, and where its tool is.
+"""Torque regressors of single bodies and poses of frames along a whole motion.
 
-Recursion over the bodies that carry one (Featherstone 2008, chapter 5) in its own frame, many
-instants at once: torques are linear in its inertial parameters (Atkeson, An, Hollerbach 1986).
+Recursion from the base to a body (Featherstone 2008, chapter 5) in body frames, vectorised over
+instants; torques are linear in the inertial parameters (Atkeson, An, Hollerbach 1986).
 """
 
 from __future__ import annotations
@@ -13,32 +13,32 @@ import numpy as np
 from stiffopt.robot.body_tree import Body, BodyTree
 from stiffopt.robot.frames import LinkFrame
 
-# Inertial parameters of a body.
+# Number of inertial parameters of a body.
 _INERTIAL_PARAMETERS = 10
-# Instants that are worked on at once: few enough to stay in the processor's cache.
+# Instants of one block, so that intermediate arrays fit into the processor's cache.
 _BLOCK_INSTANTS = 2048
-# Row and column of each product and moment of inertia among the parameters.
+# Row and column of each element of the inertia among the parameters.
 _INERTIA_ENTRIES = ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))
 
 
 def body_torque_regressor(
     tree: BodyTree, body: int, q: np.ndarray, v: np.ndarray, a: np.ndarray
 ) -> np.ndarray:
-    """Joint torques for a unit of every inertial parameter of one body.
+    """Joint torques per unit of every inertial parameter of one body.
 
     Parameters
     ----------
     tree : BodyTree
     body : int
-        From 0.
+        Index from 0.
     q, v, a : array (K, n)
-        Position, velocity and acceleration of the joints [rad], [rad/s], [rad/s^2]; of joints that
-        slide [m], [m/s], [m/s^2].
+        Position, velocity and acceleration of the joints [rad], [rad/s], [rad/s^2]; of prismatic
+        joints [m], [m/s], [m/s^2].
 
     Returns
     -------
     array (K, n, 10)
-        [N m] per unit of `Body.inertial_parameters`; the instants of each lie in one piece.
+        [N m] per unit of `Body.inertial_parameters`; instants are contiguous in memory.
     """
     out = np.zeros((_INERTIAL_PARAMETERS, tree.n, len(q)))
     for part in _split_blocks(len(q)):
@@ -80,7 +80,7 @@ def frame_positions(tree: BodyTree, frame: LinkFrame, q: np.ndarray) -> np.ndarr
     position = np.zeros((3, len(q)))
     for part in _split_blocks(len(q)):
         place, own = frame.offset[:, None], np.ascontiguousarray(q[part].T)
-        # From the frame towards the base: one vector is turned, no rotation.
+        # From the frame to the base, so that one vector is rotated instead of a matrix.
         for joint in reversed(_supporting_joints(tree, frame.joint - 1)):
             rotation, origin = _frame_in_parent(tree.bodies[joint], own[joint])
             place = np.sum(rotation * place, axis=1) + origin
@@ -90,13 +90,13 @@ def frame_positions(tree: BodyTree, frame: LinkFrame, q: np.ndarray) -> np.ndarr
 
 @dataclass(frozen=True, eq=False)
 class _BodyJacobian:
-    """What the joints that carry a body do with it, in its own frame.
+    """Jacobian of a body's frame by the joints that support it, in its own axes.
 
     Parameters
     ----------
     joints : list of int
     turning, moving : array (j, 3, K)
-        Turning rate, and velocity of the frame's origin, for a unit of each joint's speed.
+        Angular velocity, and velocity of the frame's origin, per unit speed of each joint.
     """
 
     joints: list[int]
@@ -111,7 +111,7 @@ class _BodyJacobian:
         rotation: np.ndarray,
         origin: np.ndarray,
     ) -> _BodyJacobian:
-        """The next body, on those before it."""
+        """Jacobian of the next body from that of its parent."""
         own = np.broadcast_to(body.axis[None, :, None], (1, 3, rotation.shape[2]))
         still = np.zeros_like(own)
         turning, moving = (still, own) if body.prismatic else (own, still)
@@ -124,16 +124,16 @@ class _BodyJacobian:
         )
 
     def shifted(self, place: np.ndarray) -> np.ndarray:
-        """Velocity (j, 3, K) of a place (3, K) of the body for a unit of each joint's speed."""
+        """Velocity (j, 3, K) of a point (3, K) of the body per unit speed of each joint."""
         return np.asarray(self.moving + _cross_product(self.turning, place[None]))
 
 
 def _add_torques(
     out: np.ndarray, tree: BodyTree, number: int, q: np.ndarray, v: np.ndarray, a: np.ndarray
 ) -> None:
-    """Add the torques (10, n, K) of one body; motion by joint (n, K)."""
+    """Add the torque regressor (10, n, K) of one body; motion by joint (n, K)."""
     turning = turning_rate = np.zeros((3, q.shape[1]))
-    # Weight acts as if the base went up.
+    # Gravity acts like an upward acceleration of the base.
     rising = np.broadcast_to(-tree.gravity[:, None], turning.shape)
     carried = None
     for joint in _supporting_joints(tree, number):
@@ -153,14 +153,14 @@ def _add_torques(
         carried = _BodyJacobian.on(carried, body, joint, rotation, origin)
     assert carried is not None
     for j, turned, moved in zip(carried.joints, carried.turning, carried.moving, strict=True):
-        # Of the mass; then of the first moments m c: force A c, torque c x rising, where the
-        # acceleration of a place c beside the origin is A c.
+        # Mass; then first moments m c: force A c, torque c x rising, where A c is the acceleration
+        # of a point c relative to the origin.
         out[0, j] = _dot_product(moved, rising)
         first = _cross_product(moved, turning_rate) + _cross_product(
             _cross_product(moved, turning), turning
         )
         out[1:4, j] = first + _cross_product(rising, turned)
-        # Of the inertia I: torque I turning_rate + turning x I turning.
+        # Inertia I: torque I turning_rate + turning x I turning.
         other = _cross_product(turned, turning)
         for k, (row, column) in enumerate(_INERTIA_ENTRIES, start=4):
             out[k, j] = turned[row] * turning_rate[column] + other[row] * turning[column]
@@ -169,7 +169,7 @@ def _add_torques(
 
 
 def _supporting_joints(tree: BodyTree, body: int) -> list[int]:
-    """Joints (from 0) that a body hangs on, the first at the base."""
+    """Joints (from 0) that support a body, from the base."""
     found = [body]
     while tree.bodies[found[0]].parent:
         found.insert(0, tree.bodies[found[0]].parent - 1)
@@ -177,7 +177,7 @@ def _supporting_joints(tree: BodyTree, body: int) -> list[int]:
 
 
 def _frame_in_parent(body: Body, position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Rotation (3, 3, K) and origin (3, K) of a body's frame in that of its parent."""
+    """Rotation (3, 3, K) and origin (3, K) of a body's frame in its parent's frame."""
     if body.prismatic:
         along = (body.rotation @ body.axis)[:, None] * position
         rotation = np.broadcast_to(body.rotation[..., None], (3, 3, len(position)))
@@ -192,7 +192,7 @@ def _frame_in_parent(body: Body, position: np.ndarray) -> tuple[np.ndarray, np.n
 
 
 def _rotate_vectors(rotation: np.ndarray, vectors: np.ndarray) -> np.ndarray:
-    """Vectors (m, 3, K) of a parent's frame in that of its child."""
+    """Rotate vectors (m, 3, K) from the parent's frame to the child's."""
     return np.asarray(sum(rotation[i] * vectors[:, i, None] for i in range(3)))
 
 

@@ -1,4 +1,4 @@
-"""Distances between an arm's links, and between links and what stands around them, by coal."""
+"""Distances between links of an arm and between links and obstacles, by coal."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from stiffopt.robot.meshes import convex_hull, load_mesh_file
 if TYPE_CHECKING:
     from stiffopt.robot.robot import Robot
 
-# Links that overlap in all of so many poses touch by design: a wrist's housings, say.
+# Links that overlap in all of so many random poses overlap by design, such as wrist housings.
 _SAMPLED_POSES = 60
 
 
 @dataclass(frozen=True)
 class Solid:
-    """Something with a form, fixed to a joint's frame; joint 0 is the base with the cell.
+    """Solid fixed to a joint's frame; joint 0 is the base with the cell.
 
     Parameters
     ----------
@@ -37,7 +37,7 @@ class Solid:
     geometry : coal.CollisionGeometry
     of_cell : bool
     guessed : bool
-        Whether it is a rod of a guessed radius.
+        The solid is a capsule of estimated radius.
     """
 
     name: str
@@ -49,32 +49,32 @@ class Solid:
 
 
 class ClearanceModel:
-    """Distances of all pairs that can collide.
+    """Distances of all pairs of solids that can collide.
 
     Parameters
     ----------
     robot : Robot
-        Its URDF's collision shapes, else its visual ones, else rods from joint to joint. Meshes
-        of links are taken as their convex hulls.
+        Collision shapes of its URDF, else visual ones, else capsules from joint to joint. Meshes
+        of links are replaced by their convex hulls.
     cell : Cell
-        Its meshes are taken as they are.
+        Its meshes are used as they are.
 
     Attributes
     ----------
     pairs : list of (name, name)
-        Links and things of the cell.
+        Names of links and obstacles.
     guessed : tuple of str
-        Links that are rods of a guessed radius.
+        Links that are capsules of estimated radius.
     missing : tuple of str
-        Meshes of the URDF that were not found or are none.
+        Meshes of the URDF that were not found or cannot be read.
     solids : list of Solid
         Links first.
     couples : list of (int, int)
-        Numbers of the solids whose distances are taken; a thing of the cell comes second.
+        Indices of solids whose distance is computed; obstacles come second.
     pair_of : array (len(couples),)
-        Which pair each belongs to.
+        Index of the pair of each couple.
     arm : float
-        Length of the arm with its links' shapes, slides not extended [m].
+        Length of the arm including the shapes of its links, prismatic joints at zero [m].
     """
 
     def __init__(self, robot: Robot, cell: Cell) -> None:
@@ -118,7 +118,7 @@ class ClearanceModel:
     def _always_overlapping(
         self, robot: Robot, own: np.ndarray, named: list[tuple[str, str]]
     ) -> set[tuple[str, str]]:
-        """Pairs of links that overlap in every pose that was tried."""
+        """Pairs of links that overlap in every sampled pose."""
         if not own.any():
             return set()
         low, high = robot.position_lower, robot.position_upper
@@ -149,9 +149,9 @@ class ClearanceModel:
         return np.array([f.rotation for f in frames]), np.array([f.translation for f in frames])
 
     def fastest(self, speed: np.ndarray, position: np.ndarray) -> np.ndarray:
-        """Bound (K,) on how fast any distance changes [m/s], of joint speeds and positions (K, n).
+        """Bound (K,) on the rate of any distance [m/s] for joint speeds and positions (K, n).
 
-        No point of the arm is farther from an axis than the arm is long, slides included.
+        No point is farther from an axis than the length of the arm with its prismatic joints.
         """
         slides = np.abs(position[:, self._prismatic]).sum(axis=1)
         arms = np.where(self._prismatic, 1.0, (self.arm + slides)[:, None])
@@ -159,7 +159,7 @@ class ClearanceModel:
 
 
 def _link_solids(robot: Robot, cell: Cell, missing: list[str]) -> Iterator[Solid]:
-    """Shapes of links: collision, else visual, else rods; adds to `missing` what has no form."""
+    """Solids of links: collision shapes, else visual ones, else capsules; extends `missing`."""
     shown: set[int] = set()
     purposes: tuple[Purpose, ...] = ("collision", "visual")
     for purpose in purposes:
@@ -189,7 +189,7 @@ def _link_solids(robot: Robot, cell: Cell, missing: list[str]) -> Iterator[Solid
 
 
 def _link_extent(solid: Solid) -> float:
-    """How far a link goes beyond the origin of its joint [m]."""
+    """Largest distance of a point of a link from the origin of its joint [m]."""
     form = solid.geometry
     form.computeLocalAABB()
     return float(
@@ -200,7 +200,7 @@ def _link_extent(solid: Solid) -> float:
 
 
 def coal_form(shape: LinkShape) -> Any:
-    """Shape of a link as coal has it; None for a mesh that is not there or cannot be read."""
+    """Convert a shape to coal; None for a mesh that is missing or cannot be read."""
     if shape.kind == "box":
         return coal.Box(*shape.size)
     if shape.kind == "sphere":
@@ -216,7 +216,7 @@ def coal_form(shape: LinkShape) -> Any:
 
 
 def _cell_solids(cell: Cell) -> Iterator[Solid]:
-    """What stands around the arm, all fixed to the base."""
+    """Obstacles of the cell, fixed to the base."""
     up = np.array([0.0, 0.0, 1.0])
     if cell.floor is not None:
         yield Solid("floor", 0, pin.SE3.Identity(), coal.Halfspace(up, cell.floor), of_cell=True)
@@ -234,7 +234,7 @@ def _cell_solids(cell: Cell) -> Iterator[Solid]:
 
 
 def _collision_pairs(robot: Robot, cell: Cell, solids: list[Solid]) -> Iterator[tuple[int, int]]:
-    """Numbers of solids that can collide: links with the cell, links that are no neighbours."""
+    """Indices of solids that can collide: links with obstacles, links that are no neighbours."""
     parents = {j + 1: body.parent for j, body in enumerate(robot.tree.bodies)}
     for a, one in enumerate(solids):
         for b, other in enumerate(solids):

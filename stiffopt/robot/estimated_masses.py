@@ -1,4 +1,4 @@
-"""Masses of links that a URDF leaves out, guessed from their shapes: something to begin with."""
+"""Masses of links without inertials in a URDF, estimated from their shapes."""
 
 from __future__ import annotations
 
@@ -18,34 +18,35 @@ from stiffopt.robot.frames import LinkFrame, first_link_of
 from stiffopt.robot.link_shapes import LinkShape, read_link_shapes
 from stiffopt.robot.urdf import LinkBody, LoadedUrdf
 
-# Of the convex hulls of links [kg/m^3]. The LBR iiwa, all aluminium, has 750 by its published
-# masses; cast arms with their motors have more.
+# Density of the convex hulls of links [kg/m^3]. By published masses the LBR iiwa, of aluminium, has
+# 750; cast arms with their motors have more.
 DENSITY = 1000.0
-# Of a link without any shape: a rod to the next joint and the housing of its own, of so many radii.
-# So the mean (of logarithms) over 19 arms with masses of their makers (URDFs of KUKA, ABB, UR,
-# Franka, Kinova, Rethink, Yaskawa, Staubli) is right; one of three arms is off by more than a
-# factor of 1.55, of those whose torque limits tell something by more than 1.45.
+# Density of a link without shape [kg/m^3]: a rod to the next joint and a housing of so many radii.
+# Fitted to the mean logarithm of 19 arms with published masses (URDFs of KUKA, ABB, UR, Franka,
+# Kinova, Rethink, Yaskawa, Staubli); one of three arms deviates by more than a factor of 1.55, or
+# 1.45 after the fit to torque limits.
 ROD_DENSITY = 850.0
 _HOUSING_RADII = 2.7
-# What arms can bear over what the weight takes, at the joint that carries most of it.
+# Usual torque limit over gravity torque, at the joint of the largest gravity torque.
 _USUAL_TORQUE_RATIO = 2.0
-# Less than this, and an arm could hardly move.
+# Below this an arm could hardly move.
 _MIN_TORQUE_RATIO = 1.2
+# Largest change of a rod's mass by the torque limits.
 _MAX_MASS_FACTOR = 2.0
-# A larger hull [m^3] is in millimetres, or no link.
+# Larger hulls are in millimetres or no links [m^3].
 _MAX_LINK_VOLUME = 8.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class EstimatedBody(LinkBody):
-    """A guessed body.
+    """Estimated body of a link.
 
     Parameters
     ----------
     shaped : bool
-        Whether the URDF has a shape of the link; else it is a rod to the next joint.
+        The URDF has a shape of the link; else it is a rod to the next joint.
     scale : float
-        What the torque limits made of its mass.
+        Factor on its mass by the torque limits.
     """
 
     shaped: bool = True
@@ -53,20 +54,20 @@ class EstimatedBody(LinkBody):
 
 
 def estimate_bodies(arm: LoadedUrdf, urdf: Path, tool: LinkFrame) -> dict[str, EstimatedBody]:
-    """Bodies of links, where all that hangs on a joint has no mass.
+    """Estimate bodies of links where all links of a joint have no mass.
 
     Parameters
     ----------
     arm : LoadedUrdf
     urdf : Path
-        Of the arm, for its shapes.
+        File with the shapes of the arm.
     tool : LinkFrame
-        At the end of the arm; where a link has no shape, it is taken as a rod to the next joint.
+        At the end of the arm, where a last link without shape ends.
 
     Raises
     ------
     RobotError
-        A link without any shape of an arm without length.
+        A link without shape of an arm without length.
     """
     model, tree = arm.model, body_tree(arm.model)
     without = [j for j, body in enumerate(tree.bodies, start=1) if not body.mass > 0.0]
@@ -87,10 +88,10 @@ def estimate_bodies(arm: LoadedUrdf, urdf: Path, tool: LinkFrame) -> dict[str, E
             link = first_link_of(model, joint)
             if not radii[joint - 1] > 0.0:
                 raise RobotError(
-                    f"{urdf}: the mass of link {link!r} cannot be guessed: it has no <inertial> and"
-                    " no shape, and an arm whose joints all lie at one point has no length. Give"
-                    " the link an <inertial>, or a shape, or write [[link]] with its mass, com and"
-                    " inertia into a robot file of your own."
+                    f"{urdf}: the mass of link {link!r} cannot be estimated: it has no <inertial>"
+                    " and no shape, and an arm whose joints all lie at one point has no length."
+                    " Give the link an <inertial>, or a shape, or write [[link]] with its mass,"
+                    " com and inertia into a robot file of your own."
                 )
             rod = rods.get(joint)
             begin, end = (np.zeros(3), np.zeros(3)) if rod is None else (rod.begin, rod.end)
@@ -102,18 +103,18 @@ def estimate_bodies(arm: LoadedUrdf, urdf: Path, tool: LinkFrame) -> dict[str, E
 def fit_to_torque_limits(
     bodies: Mapping[str, EstimatedBody], weight: np.ndarray, torques: np.ndarray
 ) -> dict[str, EstimatedBody]:
-    """Guessed bodies made heavier or lighter by what the drives would usually hold.
+    """Scale estimated bodies to the gravity torque that the drives usually hold.
 
-    Rods go half way there (by logarithms). Shapes are trusted more: they are changed, then all the
-    way, only where the drives could not hold them, since shapes may be envelopes of safety.
+    Rods are scaled half way (by logarithms). Shapes are more reliable: they are scaled, and then
+    fully, only where the drives could not hold them, since shapes may be safety envelopes.
 
     Parameters
     ----------
     bodies : mapping of link to its body
     weight : array (n,)
-        Torque of each joint by the weight of these bodies, at most [N m].
+        Largest gravity torque of each joint by these bodies [N m].
     torques : array (n,)
-        Torque limits, nan where there is none that can be believed [N m].
+        Torque limits, NaN where there is no plausible one [N m].
     """
     carrier = int(np.argmax(weight))
     if not (weight[carrier] > 0.0 and np.isfinite(torques[carrier])):
@@ -166,7 +167,7 @@ def _mass_in_link(
 
 
 def _body_of_rod(begin: np.ndarray, end: np.ndarray, radius: float) -> EstimatedBody:
-    """Body of a rod with round ends and a housing at its begin; of that alone without length."""
+    """Body of a capsule and a housing at its start; of the housing alone without length."""
     length = float(np.linalg.norm(end - begin))
     up = np.array([0.0, 0.0, 1.0])
     housing = _mass_in_link(

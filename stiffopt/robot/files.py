@@ -1,4 +1,4 @@
-"""Robots from files: a shipped name, a robot TOML, or a URDF with or without one."""
+"""Loading of robots: shipped ones by name, robot TOML files, URDFs."""
 
 from __future__ import annotations
 
@@ -17,8 +17,7 @@ from stiffopt.drivetrain.tables import OwnEntries
 from stiffopt.errors import InputError, InputFileError, nearest
 from stiffopt.files import apply_changes, check_header, load_toml
 from stiffopt.robot.body_tree import body_tree
-from stiffopt.robot.element_sections import Cited
-from stiffopt.robot.elements import ElementBuilder, locate_errors
+from stiffopt.robot.elements import Cited, ElementBuilder, locate_errors
 from stiffopt.robot.frames import LinkFrame, link_frame, link_names
 from stiffopt.robot.link_shapes import read_link_shapes
 from stiffopt.robot.robot import Robot, Source
@@ -30,12 +29,12 @@ from stiffopt.validation import validate
 if TYPE_CHECKING:
     import pinocchio as pin
 
-# Links that descriptions use for the mechanical interface of the last joint, first match wins.
+# Usual names of the link at the mechanical interface; the first match is used.
 _FLANGE_LINKS = ("flange", "tool0", "ee_link")
 
 
 def shipped_robots() -> list[str]:
-    """Names of the robots that come with the package."""
+    """Names of the robots of the package."""
     folder = resources.files("stiffopt.robot").joinpath("data")
     return sorted(p.name for p in folder.iterdir() if p.joinpath("robot.toml").is_file())
 
@@ -47,7 +46,7 @@ def load_robot(
     keep: Collection[str] = (),
     changes: Sequence[str] = (),
 ) -> Robot:
-    """Robot by name or from files.
+    """Load a robot by name or from files.
 
     Parameters
     ----------
@@ -55,22 +54,22 @@ def load_robot(
         A shipped robot ("er3a_c60"), a robot TOML, or a URDF.
     drivetrain : path, optional
         Robot TOML for a URDF given as `source`; its own `urdf` key is then not needed. Without
-        it, the joints of a URDF are rigid and its limits are the only ones.
+        it, the joints of a URDF are rigid and only its limits apply.
     keep : collection of str
-        Joints that move also where they do not lead to the tool.
+        Joints that are not fixed although they do not lead to the tool.
     changes : sequence of str
         Entries of the TOML to be changed, such as "joint[1].damping=3".
 
     Returns
     -------
     Robot
-        Limits that the TOML leaves out come from the URDF (effort, velocity, position), friction
-        likewise; acceleration and jerk are then without limit.
+        Limits (effort, velocity, position) and friction that the TOML omits are those of the URDF;
+        omitted limits of acceleration and jerk are infinite.
 
     Raises
     ------
     InputFileError, RobotError
-        What is wrong, where, and what is allowed.
+        Fault, place and allowed values.
     """
     if isinstance(source, str) and source in shipped_robots():
         source = str(resources.files("stiffopt.robot").joinpath("data", source, "robot.toml"))
@@ -98,20 +97,20 @@ def load_robot(
 
 
 def _read_own_entries(data: Mapping[str, Any], path: Path) -> OwnEntries:
-    """The user's own catalogue, where the file has one: names are checked with the rest."""
+    """Read the user's catalogue named by a robot file; empty without one."""
     named = data.get("catalogue")
     if not isinstance(named, str):
         return {}
-    # Its sections need a while to load, and few have one.
+    # Imported here, since its sections load slowly and few robots have a catalogue.
     from stiffopt.robot.own_catalogue import read_own_catalogue
 
     return read_own_catalogue(path.parent / named)
 
 
 def load_own_entries(source: object, folder: Path) -> OwnEntries:
-    """Own catalogue of a robot that another file names, for names in that file.
+    """Load the user's catalogue of a robot that another file names.
 
-    Nothing where the robot is a shipped one or cannot be read, which its own reader says.
+    Empty for a shipped robot, or one that cannot be read, which `load_robot` reports.
     """
     if not isinstance(source, str) or source in shipped_robots():
         return {}
@@ -178,7 +177,7 @@ def _assemble_robot(document: RobotFile, path: Path, urdf: Path, keep: Collectio
 
 
 def _stated_bodies(document: RobotFile, path: Path) -> dict[str, LinkBody]:
-    """Masses of links that the file states."""
+    """Bodies of links that the file gives."""
     found: dict[str, LinkBody] = {}
     for section in document.link:
         if section.name in found:
@@ -198,7 +197,7 @@ def _stated_bodies(document: RobotFile, path: Path) -> dict[str, LinkBody]:
 
 
 def _joint_sections(document: RobotFile, names: tuple[str, ...], path: Path) -> list[JointSection]:
-    """One section a moving joint, in the model's order; an empty one where the file is silent."""
+    """One section per moving joint in the model's order; an empty one where the file has none."""
     given: dict[str, JointSection] = {}
     for section in document.joint:
         where = f"joint[{section.name}]"
@@ -214,7 +213,7 @@ def _joint_sections(document: RobotFile, names: tuple[str, ...], path: Path) -> 
     return [given.get(name, JointSection(name=name)) for name in names]
 
 
-# Key, where the URDF says it, value where nothing does; None: something has to.
+# Key, attribute of the URDF, default value; None: required.
 _JOINT_NUMBERS: tuple[tuple[str, str, float | None], ...] = (
     ("torque_max", "effort", None),
     ("velocity_max", "velocity", None),
@@ -269,7 +268,7 @@ def _position_limits(
 
 
 def default_tool_link(model: pin.Model) -> str:
-    """Last moving link that payloads and tools go to when nothing is said."""
+    """Last moving link, the default for payloads and tools."""
     moving = [f.name for f in model.frames if f.parentJoint == model.njoints - 1]
     links = [name for name in link_names(model) if name in moving]
     return next((name for name in _FLANGE_LINKS if name in links), links[0])
@@ -303,7 +302,7 @@ def _surfaces_used(document: RobotFile) -> set[str]:
 
 
 def _section_sources(section: Cited, joint: str, element: str) -> Iterable[Source]:
-    """Rows of a section: the section as a whole, then the keys that are estimates regardless."""
+    """Sources of a section: as a whole, then keys that are estimates."""
     provenance: str = section.provenance
     source, estimated = section.source, section.estimated
     name = getattr(section, "catalogue", None)

@@ -32,7 +32,7 @@ def rotation_vector(rotation: np.ndarray) -> np.ndarray:
 
 
 def interpolate_rotation(first: np.ndarray, last: np.ndarray, share: float) -> np.ndarray:
-    """Rotation (3, 3) a share of the way from one to another, about their common axis."""
+    """Rotation (3, 3) at a share of the way from one to another, about their common axis."""
     return np.array(first @ pin.exp3(share * rotation_vector(first.T @ last)))
 
 
@@ -49,7 +49,7 @@ class LinkFrame:
     rotation : array (3, 3)
         Axes of the frame, as columns in the joint's frame.
     link : str
-        Link whose frame the offset was given in.
+        Link in whose frame the offset was given.
     """
 
     joint: int
@@ -64,7 +64,7 @@ def link_names(model: pin.Model) -> list[str]:
 
 
 def moving_link_names(model: pin.Model) -> list[str]:
-    """Those of them that a joint moves."""
+    """Links with a frame that a joint moves."""
     moving = (f for f in model.frames if f.type == pin.FrameType.BODY and f.parentJoint > 0)
     return [str(f.name) for f in moving]
 
@@ -72,7 +72,7 @@ def moving_link_names(model: pin.Model) -> list[str]:
 def link_frame(
     model: pin.Model, link: str, offset: ArrayLike | None = None, rpy: ArrayLike | None = None
 ) -> LinkFrame:
-    """Frame fixed to a moving link, resolved to the link's joint.
+    """Frame fixed to a moving link, in the frame of the link's joint.
 
     Parameters
     ----------
@@ -86,7 +86,7 @@ def link_frame(
     Raises
     ------
     RobotError
-        A link that there is not or that does not move, numbers that are no frame.
+        A link that does not exist or does not move, or numbers that are no frame.
     """
     if link not in link_names(model):
         raise RobotError(f"no link {link!r}. {nearest(link, link_names(model))}")
@@ -104,19 +104,19 @@ def link_frame(
 
 
 def frame_names(model: pin.Model) -> list[str]:
-    """All frames of a pinocchio model but that of the ground: of links, joints and fixed joints."""
+    """Names of the frames of a pinocchio model, of links and joints, without that of the ground."""
     return [frame.name for frame in model.frames if frame.name != "universe"]
 
 
 def named_frame(model: pin.Model, name: str | None = None) -> LinkFrame:
-    """Frame of a pinocchio model by its name, else the last one."""
+    """Frame of a pinocchio model by name; default the last one."""
     index = model.nframes - 1 if name is None else model.getFrameId(name)
     frame = model.frames[index]
     return _build_frame(frame.parentJoint, frame.placement, str(frame.name))
 
 
 def first_link_of(model: pin.Model, joint: int) -> str:
-    """Link that a joint (1-based) carries; the joint's own name where its links have no frame."""
+    """First link of a joint (from 1); the joint's name where its links have no frame."""
     for frame in model.frames:
         if frame.type == pin.FrameType.BODY and frame.parentJoint == joint:
             return str(frame.name)

@@ -1,7 +1,7 @@
-"""Joints of a URDF that an arm does not move: locked ones, fingers and what follows them.
+"""Joints of a URDF that are no joints of the arm: locked ones, fingers and their followers.
 
-The arm is the chain of joints from the base to its tip. All others are held where the robot file
-says, else at zero (or the limit nearest to it), and what they carry belongs to the link before.
+The arm is the chain of joints from the base to its tip. All others are fixed at the position of the
+robot file, else at zero (or the limit nearest to it), and their links merge with the link before.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from stiffopt.units import fit_joint
 
 @dataclass(frozen=True)
 class HeldJoint:
-    """A joint that does not move.
+    """A joint that is held fixed.
 
     Parameters
     ----------
@@ -49,27 +49,27 @@ def hold_joints(
     keep: Collection[str],
     followers: bool = False,
 ) -> tuple[HeldJoint, ...]:
-    """Fix the joints of a URDF that the arm does not move; the tree is changed in place.
+    """Fix the joints of a URDF that are no joints of the arm, in place.
 
     Parameters
     ----------
     tree : Element
         `<robot>`, whose joints form a tree.
     path : Path
-        Of the URDF, for messages.
+        File of the URDF, for messages.
     lock : mapping of joint name to float
-        Where a joint is held [rad] or [m].
+        Positions of locked joints [rad] or [m].
     tip : str or None
-        Link at the end of the arm; None takes the arm up to where fingers branch off.
+        Link at the end of the arm; None: up to the branch of the fingers.
     keep : collection of str
-        Joints that move also where they are not on the way to the tip.
+        Joints that are not fixed although they do not lead to the tip.
     followers : bool
-        Hold also joints of the arm that follow another one, in place of an error.
+        Fix joints of the arm that follow another one, in place of an error.
 
     Raises
     ------
     RobotError
-        A locked joint that there is not or that does not move; one of the arm that follows another;
+        A locked joint that does not exist or is fixed; a joint of the arm that follows another;
         several chains of which none is named.
     """
     joints = JointTree(tree)
@@ -102,7 +102,7 @@ def _find_arm(
     lock: Collection[str],
     keep: Collection[str],
 ) -> list[str]:
-    """Joints of the arm where no link that they move is named."""
+    """Joints of the arm where no moved link is named as its tip."""
     arm = joints.arm(keep)
     if arm is None and lock:
         arm = JointTree(joints.tree, still=lock).arm(keep)
@@ -150,7 +150,7 @@ def _hold_followers(
 
 
 def _value_within_limits(joints: JointTree, name: str, value: float | None) -> float:
-    """Value within the limits of a joint; the nearest to zero where none is given."""
+    """Check a value against the limits of a joint; default the value nearest to zero."""
     joint = joints.joints[name]
     limit = joint.find("limit")
     if limit is None or joint.get("type") == "continuous":
@@ -174,7 +174,7 @@ def _number_attribute(element: ET.Element, key: str, default: float) -> float:
 
 
 def _fix_joint(joint: ET.Element, value: float) -> None:
-    """Turn a joint into a fixed one at a position [rad] or [m]."""
+    """Replace a joint by a fixed one at a position [rad] or [m]."""
     origin, axis = joint.find("origin"), joint.find("axis")
     place = np.array(_vector_attribute(origin, "xyz", "0 0 0"))
     turn = rotation_from_rpy(_vector_attribute(origin, "rpy", "0 0 0"))

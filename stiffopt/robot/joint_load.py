@@ -1,4 +1,4 @@
-"""All six components of what each joint carries, not its torque alone."""
+"""Wrench of each joint: force and moment that it transmits."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def joint_wrenches(
     acceleration: np.ndarray,
     force: np.ndarray,
 ) -> np.ndarray:
-    """Force and moment from each joint on the links behind it.
+    """Force and moment of each joint on the links that it carries.
 
     Parameters
     ----------
@@ -24,13 +24,13 @@ def joint_wrenches(
         Payload and tool attached.
     position, velocity, acceleration : array (K, n)
     force : array (3,)
-        Acts ON the tool, base axes [N].
+        Force ON the tool, base axes [N].
 
     Returns
     -------
     array (K, n, 6)
-        [F, M] in N and N m about the joint's origin; axes turn with the link, the third is the
-        joint's. The sixth (of a sliding joint: the third) is the torque in the joint's spring.
+        [F, M] in N and N m about the joint's origin; axes are fixed to the link, the third is the
+        joint's. Component 6 (3 for a prismatic joint) is the torque of the joint's spring.
     """
     model = without_rotors(robot.model)
     data = model.createData()
@@ -50,7 +50,7 @@ def joint_wrenches(
 
 
 def joint_frames(robot: Robot, position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Axes of the joints in which `joint_wrenches` are, and where the tool is from each joint.
+    """Axes of `joint_wrenches`, and vectors from the joints to the tool.
 
     Parameters
     ----------
@@ -79,13 +79,13 @@ def joint_frames(robot: Robot, position: np.ndarray) -> tuple[np.ndarray, np.nda
 
 
 def shift_wrench(wrench: np.ndarray, position: float) -> np.ndarray:
-    """The same load about a point on the joint's axis.
+    """Wrench about another point on the joint's axis.
 
     Parameters
     ----------
     wrench : array (..., 6)
     position : float
-        Of the point along the axis, from the joint's origin [m].
+        Position of the point along the axis, from the joint's origin [m].
     """
     moved = np.array(wrench, dtype=float)
     # M - h e_z x F
@@ -103,7 +103,7 @@ def _complete_axes(axis: np.ndarray) -> np.ndarray:
 
 
 def _supporting_joints(model: pin.Model, joint: int) -> set[int]:
-    """Joints between the base and a link, that link's own among them."""
+    """Joints from the base to that of a link, inclusive."""
     found = set()
     while joint > 0:
         found.add(joint)

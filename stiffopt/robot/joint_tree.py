@@ -1,7 +1,7 @@
-"""Joints of a URDF as a tree: which of them are the arm where nobody names its tip.
+"""Joints of a URDF as a tree, and recognition of the arm where no tip is named.
 
-An arm is the one chain that fingers may end and that heads and wheels may stand beside. Of two
-arms, of legs and of wheels alone none is meant before the others: their tips are offered instead.
+The arm is the only long chain; fingers at its end, and heads or wheels beside it, are recognised.
+Among several arms, legs or wheels none is preferred: the message offers their tips.
 """
 
 from __future__ import annotations
@@ -11,12 +11,12 @@ from collections.abc import Collection
 from functools import cached_property
 
 _MOVING_KINDS = ("revolute", "continuous", "prismatic")
-# A branch of so many joints, behind an arm of so many, is a finger and no second arm; beside an
-# arm of so many, one of so few is a head or a wheel.
+# A branch of at most so many joints at the end of an arm of at least so many is a finger; beside
+# such an arm, one of at most so many is a head or a wheel.
 _MAX_FINGER_JOINTS, _MIN_ARM_JOINTS, _MAX_HEAD_JOINTS = 4, 3, 2
-# What the one joint of a gripper is called.
+# Words in the names of gripper joints.
 _JAW_WORDS = ("gripper", "finger", "jaw", "knuckle", "claw")
-# So many tips are offered.
+# Tips that the message offers at most.
 _MAX_OFFERED_TIPS = 6
 
 
@@ -43,12 +43,12 @@ class JointTree:
             self.above[_link_attribute(joint, "child")] = name
 
     def moves(self, name: str) -> bool:
-        """Whether a joint is none that is fixed."""
+        """Return whether a joint is not fixed."""
         return name not in self.still and self.joints[name].get("type") in _MOVING_KINDS
 
     @property
     def moving(self) -> list[str]:
-        """All joints that are not fixed."""
+        """Names of the joints that are not fixed."""
         return [name for name in self.joints if self.moves(name)]
 
     def path_to(self, link: str) -> list[str]:
@@ -62,11 +62,11 @@ class JointTree:
         return way
 
     def follows(self, name: str) -> bool:
-        """Whether a joint moves with another (mimic)."""
+        """Return whether a joint follows another (mimic)."""
         return self.joints[name].find("mimic") is not None
 
     def next_moving(self, link: str) -> list[str]:
-        """Moving joints that come next behind a link, over fixed ones."""
+        """First moving joints beyond a link, across fixed ones."""
         found, waiting = [], list(reversed(self.below.get(link, [])))
         while waiting:
             name = waiting.pop()
@@ -78,7 +78,7 @@ class JointTree:
 
     @cached_property
     def behind(self) -> dict[str, int]:
-        """Joints of the branch that begins with each joint, which move on their own."""
+        """Number of independent joints in the branch that begins with each joint."""
         counts: dict[str, int] = {}
         order = [name for root in self.roots for name in self.below.get(root, [])]
         for name in order:  # grows: parents before children
@@ -97,17 +97,17 @@ class JointTree:
         )
 
     def arm(self, described: Collection[str] = ()) -> list[str] | None:
-        """Joints of the arm where no tip is named; None where one of several has to be.
+        """Joints of the arm where no tip is named; None where it is ambiguous.
 
         Parameters
         ----------
         described : collection of str
-            Joints that somebody speaks of: of several chains, those that have one are meant.
+            Joints that a file mentions; chains that contain one are selected.
         """
         way, ahead = self._unbranched_chain()
         if not ahead or self._is_hand(way, ahead):
             return way
-        chains = [self._descendants(name) for name in ahead]
+        chains = [self._descendant_joints(name) for name in ahead]
         meant = [chain for chain in chains if not chain.isdisjoint(described)]
         if not meant:
             return None
@@ -115,11 +115,11 @@ class JointTree:
         return [name for name in self.moving if name in wanted and not self.follows(name)]
 
     def describe_branches(self) -> str:
-        """Sentences that ask for the tip of one of several chains; "" for one arm."""
+        """Message that asks for the tip of one of several chains; "" for a single arm."""
         if self.arm() is not None:
             return ""
         way, ahead = self._unbranched_chain()
-        # What comes behind a long chain, or one longer than that, may be fingers.
+        # Short branches at the end of a long chain may be fingers.
         short = bool(way) and all(self.behind[name] < len(way) for name in ahead)
         first = [self._child_link(way[-1])] if len(way) > _MAX_FINGER_JOINTS or short else []
         found = self._chain_ends([] if first else way, ahead)
@@ -131,22 +131,22 @@ class JointTree:
         plural = "" if counts == [1] * len(counts) else "s"
         return (
             f"branches into {len(ends)} chains of {joints} joint{plural}, of which one has to be"
-            f" named: an arm is a single chain on a base that stands still. Name the link at its"
+            f" named: an arm is a single chain on a fixed base. Name the link at its"
             f' end: {offered}{others} of `stiffopt init`, or tool = {{ link = "{ends[0]}" }} in a'
-            " robot file; what is beside it is then held."
+            " robot file; other joints are then held."
         )
 
     def ambiguous_joints(self) -> list[str]:
-        """Joints that move on their own where one of several chains has to be named."""
+        """Independent joints where one of several chains has to be named; else empty."""
         if self.arm() is not None:
             return []
         return [name for name in self.moving if not self.follows(name)]
 
     def _unbranched_chain(self) -> tuple[list[str], list[str]]:
-        """Joints from the base to where the arm branches, and those that come next there.
+        """Joints from the base to the first branch, and the joints that follow it.
 
-        Branches that only follow joints of the way, such as the cylinder of a counterbalance, are
-        no branches; jaws that follow another one make a gripper of both.
+        Branches without independent joints, such as the cylinder of a counterbalance, do not count;
+        jaws that follow another one form a gripper with it.
         """
         way: list[str] = []
         link = self.roots[0] if self.roots else ""
@@ -163,7 +163,7 @@ class JointTree:
             link = self._child_link(ahead[0])
 
     def _arm_beside_heads(self, way: list[str], ahead: list[str]) -> str | None:
-        """The branch that is an arm where all others are heads, wheels or legs beside it."""
+        """Select the branch that is an arm where all others are heads, wheels or legs."""
         long = [name for name in ahead if self.behind[name] > _MAX_FINGER_JOINTS]
         if len(long) == 1:
             return long[0]
@@ -174,28 +174,28 @@ class JointTree:
         return arms[0] if len(arms) == 1 and heads else None
 
     def _is_hand(self, way: list[str], ahead: list[str]) -> bool:
-        """Whether what comes behind an arm are its fingers."""
+        """Return whether the branches at the end of a chain are fingers."""
         short = all(self.behind[name] <= _MAX_FINGER_JOINTS for name in ahead)
         if len(way) >= _MIN_ARM_JOINTS:
             return short
         return bool(way) and all(self._is_jaw(name, ahead) for name in ahead)
 
     def _is_jaw(self, name: str, ahead: list[str]) -> bool:
-        """Whether a joint moves a jaw: by its name, or as others beside it follow it."""
+        """Return whether a joint moves a jaw, by its name or since neighbours follow it."""
         if self.behind[name] > _MAX_FINGER_JOINTS:
             return False
         named = self.behind[name] == 1 and any(word in name.lower() for word in _JAW_WORDS)
         return named or any(mimicked_joint(self.joints[each]) == name for each in ahead)
 
-    def _descendants(self, name: str) -> set[str]:
-        """A joint and all that move behind it."""
+    def _descendant_joints(self, name: str) -> set[str]:
+        """A joint and all moving joints beyond it."""
         found = {name}
         for each in self.next_moving(self._child_link(name)):
-            found |= self._descendants(each)
+            found |= self._descendant_joints(each)
         return found
 
     def _chain_ends(self, way: list[str], ahead: list[str]) -> list[str]:
-        """Links at the ends of chains, before fingers; that before them too where it is long."""
+        """End links of chains without fingers, and of the common chain before them if long."""
         ends = [self._child_link(way[-1])] if len(way) >= _MIN_ARM_JOINTS else []
         for name in ahead:
             branch, after = [name], self._next_independent(name)
@@ -204,7 +204,7 @@ class JointTree:
             ):
                 branch.append(after[0])
                 after = self._next_independent(after[0])
-            # Behind a chain that is too long for a torso comes a hand.
+            # A chain too long for a torso ends in a hand.
             if not after or len(branch) > _MAX_FINGER_JOINTS or self._is_hand(branch, after):
                 ends.append(self._child_link(branch[-1]))
             else:
@@ -216,7 +216,7 @@ class JointTree:
         return any(self._is_jaw(each, ahead) for each in ahead)
 
     def _next_independent(self, name: str) -> list[str]:
-        """Next joints behind a joint that move on their own or carry such."""
+        """Next joints of a joint that are independent or carry such."""
         return [each for each in self.next_moving(self._child_link(name)) if self.behind[each]]
 
     def _child_link(self, name: str) -> str:
@@ -224,7 +224,7 @@ class JointTree:
 
 
 def mimicked_joint(joint: ET.Element) -> str:
-    """Name of the joint that a joint follows; "" where it follows none."""
+    """Name of the joint that a joint follows (mimic); "" for none."""
     mimic = joint.find("mimic")
     return "" if mimic is None else mimic.get("joint", "")
 

@@ -1,4 +1,4 @@
-"""Shapes of an arm's links as its URDF gives them: to be looked at, and to collide with."""
+"""Visual and collision shapes of links in a URDF."""
 
 from __future__ import annotations
 
@@ -46,13 +46,13 @@ class LinkShape:
     offset : array (3,)
         Origin in the link's frame [m].
     rotation : array (3, 3)
-        Axes, as columns in the link's frame.
+        Axes as columns in the link's frame.
     digest : str
-        Of the content of the mesh; "" where the file is not there.
+        SHA-256 of the mesh file; "" where it was not found.
     name : str
-        Of a mesh, as the URDF writes it.
+        Name of the mesh in the URDF.
     file : Path or None
-        Of a mesh, where it was found.
+        Path of the mesh file.
     """
 
     link: str
@@ -63,12 +63,12 @@ class LinkShape:
     rotation: np.ndarray
     digest: str = ""
     name: str = ""
-    # Where it lies is no input: the content is.
+    # Compared by content (digest), not by path.
     file: Path | None = field(default=None, compare=False)
 
     @property
     def known(self) -> bool:
-        """Whether its form is known: False for a mesh that was not found."""
+        """Return whether the geometry is known: False for a mesh that was not found."""
         return self.kind != "mesh" or self.file is not None
 
 
@@ -83,7 +83,7 @@ class JointShape:
 
 
 def read_link_shapes(path: str | os.PathLike[str]) -> tuple[LinkShape, ...]:
-    """All shapes of a URDF, which `load_urdf` has read before.
+    """Read all shapes of a URDF that `load_urdf` has checked.
 
     Raises
     ------
@@ -118,7 +118,7 @@ def joint_shapes(
 
 
 def mesh_triangles(shape: LinkShape) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices (V, 3) [m] and corners of the triangles (T, 3) of a mesh, scaled.
+    """Vertices (V, 3) [m] and triangles (T, 3) of a scaled mesh.
 
     Raises
     ------
@@ -131,13 +131,13 @@ def mesh_triangles(shape: LinkShape) -> tuple[np.ndarray, np.ndarray]:
 
 
 def load_mesh(shape: LinkShape) -> coal.BVHModelBase:
-    """Mesh as coal reads it (STL, OBJ, DAE and others), scaled."""
+    """Load a scaled mesh (STL, OBJ, DAE and others) with coal."""
     assert shape.file is not None
     return load_mesh_file(shape.file, np.array(shape.size))
 
 
 def _read_shape(section: ET.Element, link: str, purpose: Purpose, urdf: Path) -> LinkShape | None:
-    """One visual or collision section; None where it holds no shape, or one without extent."""
+    """Read one visual or collision section; None for no shape or one without extent."""
     geometry = section.find("geometry")
     if geometry is None or len(geometry) == 0:
         return None

@@ -11,10 +11,10 @@ from stiffopt import compiler
 from stiffopt.c_code import ARRAY, WHOLE, Struct, source
 from stiffopt.robot.body_tree import BodyTree
 
-_SOURCE = Path(__file__).with_name("bodies.c")
-# Joints that the C code has room for.
+_C_SOURCE = Path(__file__).with_name("bodies.c")
+# Size of the arrays of the C code [joints].
 _MAX_JOINTS = 32
-# Instants from which it is worth while, and of which copies are made at once.
+# Instants from which compiled code is faster, and instants per contiguous copy.
 _MIN_INSTANTS, _BLOCK_INSTANTS = 16, 2**14
 
 
@@ -33,8 +33,8 @@ class NativeBodies:
     ----------
     tree : BodyTree
     inertial : array (n, 10), optional
-        In place of the bodies' own, in the order of `Body.inertial_parameters`; of bodies that need
-        not exist by themselves.
+        Replace those of the bodies, in the order of `Body.inertial_parameters`; need not be
+        physical.
     """
 
     def __init__(self, tree: BodyTree, inertial: np.ndarray | None = None) -> None:
@@ -60,7 +60,11 @@ class NativeBodies:
 
     def torque(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray | None:
         """Torques (K, n) along a motion (K, n) each; None where the library was not prepared."""
-        if len(q) < _MIN_INSTANTS or self._n > _MAX_JOINTS or (made := _LIBRARY.loaded()) is None:
+        if (
+            len(q) < _MIN_INSTANTS
+            or self._n > _MAX_JOINTS
+            or (made := _BODIES_LIBRARY.loaded()) is None
+        ):
             return None
         torque = np.empty(q.shape)
         for begin in range(0, len(q), _BLOCK_INSTANTS):
@@ -87,14 +91,14 @@ class _Library:
     def loaded(self) -> ctypes.CDLL | None:
         """It, if it is there."""
         if self.wanted and self._loaded is None:
-            path = compiler.library("bodies", source(_SOURCE))
+            path = compiler.library("bodies", source(_C_SOURCE))
             if path is not None:
                 self._loaded = ctypes.CDLL(str(path))
                 self._loaded.inverse.restype = None
         return self._loaded
 
 
-_LIBRARY = _Library()
+_BODIES_LIBRARY = _Library()
 
 
 def prepare() -> None:
@@ -102,5 +106,5 @@ def prepare() -> None:
 
     For many long motions: one by one pinocchio is as good.
     """
-    _LIBRARY.wanted = True
-    _LIBRARY.loaded()
+    _BODIES_LIBRARY.wanted = True
+    _BODIES_LIBRARY.loaded()

@@ -14,9 +14,9 @@ from stiffopt.robot.native_bodies import NativeBodies
 
 
 def without_rotors(model: Any) -> Any:
-    """A copy of a pinocchio model whose joints carry no rotors."""
+    """Copy a pinocchio model without rotor inertia."""
     bodies = model.copy()
-    # A rotor turns with its motor, in front of the spring: it loads the drive alone.
+    # The rotor is on the motor side of the spring and loads only the drive.
     bodies.armature = np.zeros(model.nv)
     return bodies
 
@@ -27,11 +27,11 @@ class RigidBodies:
     Parameters
     ----------
     model : pinocchio.Model
-        Of revolute and prismatic joints; copied, so that later changes of it do not matter.
+        Model of revolute and prismatic joints; copied.
 
     Notes
     -----
-    Joints are in the order of the model; torques [N m] are forces [N] where a joint slides.
+    Joints are in the order of the model; torques [N m] of prismatic joints are forces [N].
     """
 
     def __init__(self, model: Any) -> None:
@@ -39,7 +39,7 @@ class RigidBodies:
         self._data = self._model.createData()
 
     def with_gravity(self, gravity: np.ndarray) -> RigidBodies:
-        """The same bodies under another gravity (3,) [m/s^2], base axes."""
+        """Copy under another gravity (3,) [m/s^2], base axes."""
         changed = RigidBodies(self._model)
         changed._model.gravity.linear = np.asarray(gravity, dtype=float)
         return changed
@@ -53,11 +53,11 @@ class RigidBodies:
         return np.array(pin.aba(self._model, self._data, q, v, torque))
 
     def gravity_torque(self, q: np.ndarray) -> np.ndarray:
-        """Torque (n,) that holds the weight at rest."""
+        """Gravity torque (n,)."""
         return np.array(pin.computeGeneralizedGravity(self._model, self._data, q))
 
     def inertia_matrix(self, q: np.ndarray) -> np.ndarray:
-        """Inertia of the joints (n, n) [kg m^2]."""
+        """Joint-space inertia matrix (n, n) [kg m^2]."""
         return np.array(pin.crba(self._model, self._data, q))
 
     def torque_slopes(
@@ -75,9 +75,9 @@ class RigidBodies:
         return np.array(pin.computeGeneralizedGravityDerivatives(self._model, self._data, q))
 
     def torque_regressor(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
-        """Torques for a unit of every inertial parameter (n, 10 n).
+        """Torques per unit of every inertial parameter (n, 10 n).
 
-        Ten columns a body: its `Body.inertial_parameters`.
+        Ten columns per body in the order of `Body.inertial_parameters`.
         """
         n = self._model.nv
         full = pin.computeJointTorqueRegressor(self._model, self._data, q, v, a)
@@ -94,7 +94,7 @@ class RigidBodies:
         )
 
     def jacobian(self, frame: LinkFrame, q: np.ndarray) -> np.ndarray:
-        """Velocity and turning rate of a frame for a unit of joint velocity (6, n), base axes."""
+        """Jacobian (6, n) of velocity and angular velocity of a frame, base axes."""
         pin.computeJointJacobians(self._model, self._data, q)
         full = pin.getFrameJacobian(
             self._model,
@@ -103,17 +103,14 @@ class RigidBodies:
             pin.SE3(frame.rotation, frame.offset),
             pin.LOCAL_WORLD_ALIGNED,
         )
-        # pin drops the second axis for an arm of one joint.
+        # pinocchio drops the second axis for an arm of one joint.
         return np.array(full).reshape(6, self._model.nv)
 
 
 def inverse_dynamics_along(model: Any, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
-    """Torques (K, n) of a pinocchio model for position, velocity and acceleration (K, n).
-
-    In one call where pinocchio was built for it.
-    """
-    # Its transpose is what pinocchio writes to. That takes a matrix of a single row for one without
-    # gaps, whatever its strides: only an array made here is safe.
+    """Torques (K, n) of a pinocchio model for position, velocity and acceleration (K, n)."""
+    # pinocchio writes to the transpose and ignores the strides of a single row: the array must be
+    # allocated here.
     torque = np.empty(q.shape)
     if hasattr(pin, "rneaInParallel"):
         motion = (np.asarray(x, dtype=float).T for x in (q, v, a))
@@ -126,18 +123,18 @@ def inverse_dynamics_along(model: Any, q: np.ndarray, v: np.ndarray, a: np.ndarr
 
 
 class BodiesInMotion:
-    """Torques along motions and their slopes; no rotors, no friction.
+    """Torques along motions and their derivatives; no rotors, no friction.
 
     Parameters
     ----------
     model : pinocchio.Model
-        Of revolute and prismatic joints; copied, so that later changes of it do not matter.
+        Model of revolute and prismatic joints; copied.
 
     Notes
     -----
-    The numbers of `RigidBodies`, without a call from Python for every one of them where pinocchio
-    takes many at once. Joints are in the order of the model; torques [N m] are forces [N] where a
-    joint slides.
+    The values of `RigidBodies`, without a Python call per instant where compiled code or pinocchio
+    evaluates many at a time. Joints are in the order of the model; torques [N m] of prismatic
+    joints are forces [N].
     """
 
     def __init__(self, model: Any) -> None:
@@ -149,7 +146,7 @@ class BodiesInMotion:
         return NativeBodies(body_tree(self._model))
 
     def with_gravity(self, gravity: np.ndarray) -> BodiesInMotion:
-        """The same bodies under another gravity (3,) [m/s^2], base axes."""
+        """Copy under another gravity (3,) [m/s^2], base axes."""
         changed = BodiesInMotion(self._model)
         changed._model.gravity.linear = np.asarray(gravity, dtype=float)
         return changed
@@ -160,7 +157,7 @@ class BodiesInMotion:
         return inverse_dynamics_along(self._model, q, v, a) if found is None else found
 
     def gravity_torque(self, q: np.ndarray) -> np.ndarray:
-        """Torque (K, n) that holds the weight at rest."""
+        """Gravity torque (K, n)."""
         rest = np.zeros(q.shape)
         return self.torque(q, rest, rest)
 
@@ -180,12 +177,12 @@ class BodiesInMotion:
     def changed_torque(
         self, change: np.ndarray, q: np.ndarray, v: np.ndarray, a: np.ndarray
     ) -> np.ndarray:
-        """Torques (K, n) of changed inertial parameters (n, 10): what they add to those of any.
+        """Change (K, n) of the torques by a change (n, 10) of inertial parameters.
 
         Parameters
         ----------
         change : array (n, 10)
-            In the order of `Body.inertial_parameters`; of bodies that need not exist by themselves.
+            In the order of `Body.inertial_parameters`; need not be those of a physical body.
         q, v, a : array (K, n)
         """
         found = self._native_bodies.with_parameters(change).torque(q, v, a)
@@ -195,7 +192,7 @@ class BodiesInMotion:
         for times in (1.0, 0.0):
             model = self._model.copy()
             for body, values in enumerate(change, start=1):
-                # On top of a mass that none of it can take away.
+                # Added to a mass large enough for a positive total.
                 whole = times * values
                 whole[0] += 1.0 + abs(values[0])
                 model.inertias[body] = pin.Inertia.FromDynamicParameters(whole)

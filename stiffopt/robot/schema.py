@@ -1,4 +1,4 @@
-"""Schema of robot files: the arm, its joints, surfaces and how the elements make a joint."""
+"""Schema of robot files: arm, joints, surfaces and assembly of the elements."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from stiffopt.declaration import (
     Named,
     declared,
 )
-from stiffopt.robot.element_sections import (
+from stiffopt.robot.elements import (
     Cited,
     ElementSection,
     build_element_section,
@@ -45,7 +45,7 @@ Vector = tuple[Length, Length, Length]
 
 
 class JointSection(Cited):
-    """One joint of the URDF; what is left out comes from there or is without limit."""
+    """One joint of the URDF; omitted keys are those of the URDF or without limit."""
 
     name: Annotated[str, Doc("Name of the joint in the URDF.")]
     torque_max: Annotated[
@@ -73,8 +73,8 @@ class JointSection(Cited):
         JointViscous | None,
         NOT_NEGATIVE,
         Doc(
-            "Damping of the joint's spring; default 2 % of what is critical for it swinging alone, "
-            "said in results."
+            "Damping of the joint's spring; default 2 % of the critical damping of this joint "
+            "alone, stated in results."
         ),
     ] = None
     hysteresis: Annotated[
@@ -92,7 +92,7 @@ class JointSection(Cited):
 
 
 class LinkSection(Cited):
-    """What a link weighs, in place of what the URDF says or does not say."""
+    """Mass and inertia of a link, in place of those of the URDF."""
 
     name: Annotated[str, Doc("Name of the link in the URDF.")]
     mass: Annotated[Mass, Bounds(least=0.0, most=1e5), Doc("Mass.")]
@@ -104,11 +104,11 @@ class LinkSection(Cited):
 
 
 class SurfaceSection(Cited):
-    """A pair of surfaces that the catalogue does not have."""
+    """A pair of surfaces outside the catalogue."""
 
 
 class AssemblySection(Cited):
-    """How the elements make a joint."""
+    """Assembly of the elements to a joint."""
 
     reflect: Annotated[
         bool,
@@ -144,13 +144,14 @@ class RobotFile(Section):
     ] = None
     catalogue: Annotated[
         str | None,
-        Doc("Path of one's own catalogue file, relative to this one; its parts come first."),
+        Doc("Path of the user's catalogue file, relative to this one; its parts take precedence."),
     ] = None
     lock: Annotated[
         dict[str, JointPosition],
         Doc(
-            "Joints that are held, and where. Those that do not lead to the tool are held at zero, "
-            "and those that follow a held joint with it, unless a [[joint]] names them."
+            "Joints that are held, and their positions. Others that do not lead to the tool "
+            "are held at zero, and those that follow a held joint with it, unless a "
+            "[[joint]] names them."
         ),
     ] = Field(default_factory=dict)
     tool: Annotated[PlaceSection | None, Doc("Tool point; default the frame of the last link.")] = (
@@ -159,7 +160,9 @@ class RobotFile(Section):
     flange: Annotated[
         PlaceSection | None, Doc("Where payloads are fixed; default the flange of the URDF.")
     ] = None
-    assembly: Annotated[AssemblySection, Doc("How the elements make a joint.")] = AssemblySection()
+    assembly: Annotated[AssemblySection, Doc("Assembly of the elements to a joint.")] = (
+        AssemblySection()
+    )
     link: Annotated[
         tuple[LinkSection, ...],
         Doc("Masses of links, in place of the URDF's; all may be left out."),
@@ -173,7 +176,7 @@ class RobotFile(Section):
 
 
 def robot_file_schema() -> type[RobotFile]:
-    """Schema of robot files with every connection that is defined now."""
+    """Schema of robot files with every connection defined so far."""
     return _robot_file_of(tuple(connection_kinds().values()))
 
 
@@ -202,7 +205,7 @@ def _surface_section() -> type[SurfaceSection]:
 
 
 def _replace_key_types(section: type[Model], **keys: Any) -> type[Model]:
-    """`section` with other types of some of its keys; their sentences and defaults stay."""
+    """Section with other types of some keys and the same descriptions and defaults."""
     hints = typing.get_type_hints(section, include_extras=True)
     changed: dict[str, Any] = {
         name: (Annotated[kind, *hints[name].__metadata__], section.model_fields[name])

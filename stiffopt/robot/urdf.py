@@ -1,4 +1,4 @@
-"""A URDF as a pinocchio model of revolute and prismatic joints, checked before it is read."""
+"""Loading of URDFs as pinocchio models of revolute and prismatic joints, with checks."""
 
 from __future__ import annotations
 
@@ -17,40 +17,39 @@ from stiffopt.robot.held_joints import HeldJoint, hold_joints
 from stiffopt.robot.urdf_xml import read_urdf_tree
 
 _JOINT_KINDS = ("revolute", "continuous", "prismatic", "fixed")
-# Stands in for the limits of a continuous joint, which pinocchio would read as a unit circle.
+# Limits of a continuous joint, which pinocchio would otherwise model by a unit circle.
 UNLIMITED = 1e9
-# Beyond any machine in every unit of a URDF, far below what overflows when multiplied.
+# Beyond any machine in every unit of a URDF; products of a few such numbers do not overflow.
 _MAX_NUMBER = 1e9
-# No arm has joints so far apart [m].
+# Distance of successive joints of an arm [m].
 _MAX_JOINT_DISTANCE = 50.0
 _INERTIA_KEYS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
-# No link of an arm has its mass so far from its centre [m].
+# Radius of gyration of a link [m].
 _MAX_GYRATION_RADIUS = 10.0
-# No body of a robot is smaller than an atom [m].
+# Size of an atom [m].
 _MIN_GYRATION_RADIUS = 1e-10
-# A smaller share of an arm's mass or inertia does not matter.
+# Share of an arm's mass or inertia below which a body is negligible.
 _MIN_INERTIAL_SHARE = 1e-3
-# Share of the largest principal moment by which the least may be below 0: files are rounded.
+# Share of the largest principal moment by which the least may be below 0, by rounding in files.
 _MOMENT_ROUNDING = 1e-2
-# Limits that are meant as none are written larger.
+# Limits are accepted up to here, since files write huge numbers for no limit.
 _MAX_LIMIT = 1e30
 
 
 @dataclass(frozen=True, eq=False)
 class LoadedUrdf:
-    """A URDF as a model.
+    """Model of a URDF and its joints.
 
     Parameters
     ----------
     model : pinocchio.Model
         Fixed and held joints merged; a continuous joint is a revolute one without position limits.
     joints : mapping of joint name to its `effort`, `velocity`, `damping`, `friction`
-        In the model's order; 0 where the URDF is silent. [N m], [rad/s], [N m s/rad], [N m]
+        In the model's order; 0 where not given. [N m], [rad/s], [N m s/rad], [N m]
     held : tuple of HeldJoint
-        Moving joints that the arm does not move.
+        Joints that are held fixed.
     unlimited : tuple of str
-        Joints that need limits of position, which the URDF does not state; without any in the
-        model.
+        Joints without the position limits that they need; unlimited in the model.
     """
 
     model: pin.Model
@@ -59,13 +58,13 @@ class LoadedUrdf:
     unlimited: tuple[str, ...] = ()
 
 
-# Memory of the dynamics grows with their cube: 900 joints take 35 GB.
+# Memory of the dynamics grows with the cube: 900 joints need 35 GB.
 MAX_MOVING_JOINTS = 50
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LinkBody:
-    """What a link weighs, in place of what the URDF says.
+    """Mass and inertia of a link, in place of those of the URDF.
 
     Parameters
     ----------
@@ -91,29 +90,29 @@ def load_urdf(
     bodies: Mapping[str, LinkBody] | None = None,
     followers: bool = False,
 ) -> LoadedUrdf:
-    """Model of a URDF and what it says about each joint.
+    """Load a URDF as a model with the limits and friction of each joint.
 
     Parameters
     ----------
     path : path of a URDF file
     lock : mapping of joint name to float, optional
-        Joints that are held, and where [rad] or [m].
+        Positions of locked joints [rad] or [m].
     tip : str, optional
         Link at the end of the arm; joints that do not lead to it are held.
     keep : collection of str
-        Joints that move all the same.
+        Joints that are not fixed although they do not lead to the tip.
     limited : collection of str or None
-        Joints whose limits of position are given elsewhere; None: all that need some.
+        Joints whose position limits are given elsewhere; None: all that need some.
     bodies : mapping of link name to LinkBody, optional
-        In place of the URDF's inertials.
+        Bodies that replace inertials of the URDF.
     followers : bool
-        Hold joints of the arm that follow another one, in place of an error.
+        Fix joints of the arm that follow another one, in place of an error.
 
     Raises
     ------
     RobotError
         A joint that is neither revolute, prismatic nor fixed, or follows another of the arm; a
-        number that is missing or cannot be.
+        missing or impossible number.
     """
     path = Path(path)
     tree = read_urdf_tree(path)
@@ -147,7 +146,7 @@ def load_urdf(
 
 
 def _check_joint(joint: ET.Element, path: Path) -> dict[str, float] | None:
-    """Check one joint; None if it is fixed."""
+    """Check one joint and read its limits and friction; None if it is fixed."""
     name, kind = joint.get("name", ""), joint.get("type", "")
     if kind not in _JOINT_KINDS:
         raise RobotError(
@@ -212,7 +211,7 @@ def _set_limits(joint: ET.Element, lower: float, upper: float) -> None:
 
 
 def _needs_limits(joint: ET.Element) -> bool:
-    """Whether limits of position are not stated: none, or both zero as exporters leave them."""
+    """Return whether position limits are missing, or both zero as some exporters write."""
     limit = joint.find("limit")
     if joint.get("type") == "fixed":
         return False
@@ -220,7 +219,7 @@ def _needs_limits(joint: ET.Element) -> bool:
 
 
 def _remove_limits(joint: ET.Element, path: Path, limited: Collection[str] | None) -> None:
-    """Take the limits of a joint away that something else gives."""
+    """Remove the limits of a joint whose limits are given elsewhere."""
     name = joint.get("name", "")
     if limited is not None and name not in limited:
         raise RobotError(
@@ -260,7 +259,7 @@ def _check_links(tree: ET.Element, path: Path) -> None:
                 urdf_numbers(origin.get(key, "0 0 0"), 3, f"{place}, origin {key}")
         if mass is not None and urdf_numbers(mass.get("value", ""), 1, f"{place}, mass")[0] < 0.0:
             raise RobotError(f"{place}: the mass {mass.get('value')} is below 0. Correct it.")
-        # A library that misses one would go on with a link that weighs nothing.
+        # Libraries would treat an incomplete inertial as a massless link.
         lacking = [k for k in _INERTIA_KEYS if inertia is None or inertia.get(k) is None]
         if mass is None or lacking:
             absent = "<mass>" if mass is None else ", ".join(lacking)
@@ -276,7 +275,7 @@ def _check_links(tree: ET.Element, path: Path) -> None:
 
 
 def _check_gyrations(tree: ET.Element, path: Path) -> None:
-    """Raise `RobotError` for an inertia that moves, matters and is that of no body, or too wide."""
+    """Raise `RobotError` for an unphysical or too large inertia of a moving link."""
     moved = _moving_links(tree)
     bodies = {
         link.get("name", ""): _mass_and_inertia(inertial)
@@ -292,7 +291,7 @@ def _check_gyrations(tree: ET.Element, path: Path) -> None:
                 f"{path}: link {name!r}: {mass:g} kg with {moment:g} kg m^2 lie within an atom."
                 " Give the moments of the body, or 0 for a mass in one point."
             )
-        # Frames for a tool or a sensor are given some small numbers at times.
+        # Frames of tools or sensors often have arbitrary small numbers.
         others = sum(own for other, own in moments.items() if other != name)
         if not (
             mass > _MIN_INERTIAL_SHARE * arm or np.abs(inertia).max() > _MIN_INERTIAL_SHARE * others
@@ -306,7 +305,7 @@ def _check_gyrations(tree: ET.Element, path: Path) -> None:
             )
         principal = np.linalg.eigvalsh(inertia)
         slack = _MOMENT_ROUNDING * np.abs(principal).max()
-        # One above the sum of the others is found in many files; `questionable_bodies` tells of it.
+        # One above the sum of the others occurs in many files and is only reported.
         if principal[0] < -slack:
             raise RobotError(
                 f"{path}: link {name!r}: its principal moments"
@@ -327,7 +326,7 @@ def _mass_and_inertia(inertial: ET.Element) -> tuple[float, np.ndarray]:
 
 
 def _moving_links(tree: ET.Element) -> set[str]:
-    """Links that a joint which is not fixed carries, itself or through others."""
+    """Links that a moving joint carries, directly or through others."""
     moved: set[str] = set()
     joints = [
         (joint.get("type") != "fixed", joint.find("parent"), joint.find("child"))
@@ -346,7 +345,7 @@ def _moving_links(tree: ET.Element) -> set[str]:
 
 
 def urdf_numbers(text: str, count: int, place: str, most: float = _MAX_NUMBER) -> list[float]:
-    """Finite numbers of an attribute, `count` of them, none larger than `most`."""
+    """Parse `count` finite numbers of an attribute, none larger than `most`."""
     try:
         values = [float(part) for part in text.split()]
     except ValueError:

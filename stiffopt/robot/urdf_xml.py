@@ -15,19 +15,19 @@ from xml.parsers import expat
 from stiffopt.errors import InputFileError, RobotError, nearest, shortened
 from stiffopt.files import read_bytes
 
-# Of elements within one another; a URDF with its extensions for simulators stays below 15.
+# Levels of nested elements; a URDF with its extensions for simulators stays below 15.
 MAX_DEPTH = 40
-# Of elements; an arm of 50 joints with shapes, sensors and transmissions has some 2000.
+# Number of elements; an arm of 50 joints with shapes, sensors and transmissions has some 2000.
 MAX_ELEMENTS = 100_000
 
 
 def parse_xml(path: str | os.PathLike[str], *, comments: bool = False) -> ET.Element:
-    """Root of an XML file, its comments kept where asked for.
+    """Parse an XML file and return its root.
 
     Raises
     ------
     InputFileError
-        No file, no XML, entities of its own, or more or deeper elements than an arm has.
+        No file, no XML, declared entities, or too many or too deep elements.
     """
     path = Path(path)
     content = read_bytes(path)
@@ -38,12 +38,12 @@ def parse_xml(path: str | os.PathLike[str], *, comments: bool = False) -> ET.Ele
     except InputFileError:
         raise
     except (expat.ExpatError, ET.ParseError, LookupError, ValueError) as error:
-        # Encodings that are unknown or of several bytes are no ParseError.
+        # Unknown and multi-byte encodings raise no ParseError.
         raise InputFileError(path, "", f"is not a URDF: {shortened(error)}.") from error
 
 
 def _check_structure(content: bytes, path: Path) -> None:
-    """Raise `InputFileError` before a tree is built that recursion or memory would not stand."""
+    """Raise `InputFileError` for too deep or too many elements before a tree is built."""
     parser: Any = expat.ParserCreate()
     depth = elements = 0
 
@@ -51,7 +51,9 @@ def _check_structure(content: bytes, path: Path) -> None:
         nonlocal depth, elements
         depth, elements = depth + 1, elements + 1
         if depth > MAX_DEPTH:
-            raise InputFileError(path, _line(), f"elements are nested deeper than {MAX_DEPTH}.")
+            raise InputFileError(
+                path, _current_line(), f"elements are nested deeper than {MAX_DEPTH}."
+            )
         if elements > MAX_ELEMENTS:
             raise InputFileError(path, "", f"has more than {MAX_ELEMENTS} elements.")
 
@@ -61,10 +63,12 @@ def _check_structure(content: bytes, path: Path) -> None:
 
     def refuse_entity(name: str, *_: object) -> None:
         raise InputFileError(
-            path, _line(), f"declares the entity {shortened(name)}: write its text in its place."
+            path,
+            _current_line(),
+            f"declares the entity {shortened(name)}: write its text in its place.",
         )
 
-    def _line() -> str:
+    def _current_line() -> str:
         return f"line {parser.CurrentLineNumber}"
 
     parser.StartElementHandler, parser.EndElementHandler = begin, end
@@ -72,13 +76,13 @@ def _check_structure(content: bytes, path: Path) -> None:
     parser.Parse(content, True)
 
 
-# Of links or joints; the loader's time grows with their square.
+# Number of links or joints; the loader's time grows with its square.
 _MAX_NAMED_ELEMENTS = 1000
-# Elements of xacro that only define something: without them the arm is the same.
+# Elements of xacro that only define something and can be ignored.
 _XACRO_DEFINITIONS = ("property", "arg", "macro")
-# Robots in other formats, by the root of their XML.
+# Other robot formats by the root of their XML.
 _OTHER_FORMATS = {"mujoco": "an MJCF (a model of MuJoCo)", "sdf": "an SDF (a model of Gazebo)"}
-# What of a link and of a joint is mechanics; shapes and colours are left out.
+# Mechanical parts of links and joints; shapes and colours are ignored.
 _MECHANICAL_PARTS = {
     "link": ("inertial",),
     "joint": ("parent", "child", "origin", "axis", "limit", "dynamics", "mimic"),
@@ -86,13 +90,13 @@ _MECHANICAL_PARTS = {
 
 
 def read_urdf_tree(path: str | os.PathLike[str]) -> ET.Element:
-    """Mechanics of a URDF: `<robot>` with its links and joints, which make up one tree.
+    """Read the mechanics of a URDF: `<robot>` with links and joints that form one tree.
 
     Raises
     ------
     InputFileError, RobotError
-        No URDF; a name that is missing or given twice; a joint between links that are not there; a
-        link with two parents, a loop, more than one root.
+        No URDF; a missing or repeated name; a joint between unknown links; a link with two parents,
+        a loop, more than one root.
     """
     path = Path(path)
     found = parse_xml(path)
@@ -116,7 +120,7 @@ def read_urdf_tree(path: str | os.PathLike[str]) -> ET.Element:
 
 
 def unsupported_format(kind: str) -> str:
-    """What to do with a robot in a format that is not read."""
+    """Message on a robot in an unsupported format, with the remedy."""
     return (
         f"is {kind}; only URDF is read. Take the URDF that came with the arm or that its CAD"
         " exports, or expand its xacro: `xacro arm.urdf.xacro > arm.urdf`."
@@ -124,7 +128,7 @@ def unsupported_format(kind: str) -> str:
 
 
 def _check_expanded(found: ET.Element, tree: ET.Element, path: Path) -> None:
-    """Raise `InputFileError` for a file that xacro has not expanded."""
+    """Raise `InputFileError` for a file with unexpanded xacro."""
     left = [v for each in tree.iter() for v in each.attrib.values() if "${" in v or "$(" in v]
     called = [name for each in found for name in _xacro_calls(each)]
     if left or called:
@@ -138,7 +142,7 @@ def _check_expanded(found: ET.Element, tree: ET.Element, path: Path) -> None:
 
 
 def _xacro_calls(element: ET.Element) -> Iterator[str]:
-    """Names of what xacro would put in place of an element and its parts."""
+    """Names of the xacro macros called by an element and its parts."""
     if not isinstance(element.tag, str):
         return
     space, _, name = element.tag.rpartition("}")
@@ -151,7 +155,7 @@ def _xacro_calls(element: ET.Element) -> Iterator[str]:
 
 
 def _copy_part(part: ET.Element, bare: ET.Element) -> None:
-    """Add a part with its own parts, which have none again."""
+    """Copy a part with its children."""
     copied = ET.SubElement(bare, part.tag, part.attrib)
     for inner in part:
         if isinstance(inner.tag, str):
@@ -174,7 +178,7 @@ def _check_names(tree: ET.Element, kind: str, path: Path) -> None:
 
 
 def _check_tree(tree: ET.Element, path: Path) -> None:
-    """Raise `RobotError` unless joints lead from one link to every other, to each on one way."""
+    """Raise `RobotError` unless the joints connect all links as one tree."""
     links = [link.get("name", "") for link in tree.findall("link")]
     above: dict[str, tuple[str, str]] = {}
     for joint in tree.findall("joint"):
@@ -221,7 +225,7 @@ def _joint_link(joint: ET.Element, end: str, links: list[str], path: Path) -> st
 
 
 def mesh_files(urdf: Path) -> list[Path]:
-    """Meshes that a URDF names, as far as they are found; none of a file that is no XML."""
+    """Find the mesh files that a URDF names; none for a file that is no XML."""
     try:
         names = {mesh.get("filename", "") for mesh in parse_xml(urdf).iter("mesh")}
     except InputFileError:
@@ -234,10 +238,10 @@ def mesh_files(urdf: Path) -> list[Path]:
 
 
 def find_mesh(name: str, urdf: Path) -> Path | None:
-    """File of a mesh that a URDF names; None where there is none.
+    """Find the file of a mesh that a URDF names; None where it does not exist.
 
-    A path counts from the URDF's folder. Of package://NAME/REST, the folder NAME is sought among
-    the URDF's own folders upwards and what lies in them, then in ROS_PACKAGE_PATH and
+    Paths are relative to the URDF's folder. The folder NAME of package://NAME/REST is searched for
+    among the parent folders of the URDF and their children, then in ROS_PACKAGE_PATH and
     AMENT_PREFIX_PATH.
     """
     url = urlparse(name)

@@ -175,7 +175,7 @@ WRONG = {
         '["q1"]',
         r"signals\.position: needs one column a joint \(2\), got 1",
     ),
-    "twice": ('["qd1", "qd2"]', '["q1", "qd2"]', r"'q1' already stands for position of joint 1"),
+    "twice": ('["qd1", "qd2"]', '["q1", "qd2"]', r"'q1' is already used for position of joint 1"),
     "joint": ('"slide"]', '"slid"]', r"joints\[2\]: .* no moving joint 'slid'.*mean 'slide'"),
     "run with a backslash": ('"one.npz"', '"o\\\\ne.npz"', "backslash or control character"),
     "joint twice": ('"slide"]', '"swing"]', r"'swing' is named twice"),

@@ -55,7 +55,7 @@ def test_what_the_files_say_is_in_the_set(tmp_path: Path) -> None:
             r"nominal\.stiffness\[2\].*finite number above 0",
         ),
         (('["q1", "q2"]', '["q1"]'), ("", ""), r"position: needs one column a joint \(2\), got 1"),
-        (('"fz"]', '"fx"]'), ("", ""), "one column stands for two things"),
+        (('"fz"]', '"fx"]'), ("", ""), "one column is named for two quantities"),
         (('"slide"]', '"elbow"]'), ("", ""), "no moving joint 'elbow'"),
         (("difference = true", ""), ("", ""), "difference: this key is required"),
         (("", ""), ("fz", "f_z"), r"poses\.csv: needs .* the columns"),

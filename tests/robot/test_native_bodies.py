@@ -16,9 +16,9 @@ from stiffopt.robot.rigid_body import inverse_dynamics_along, without_rotors
 @pytest.fixture
 def made(monkeypatch):
     """The library, compiled before the tests; not used any more afterwards."""
-    monkeypatch.setattr(native_bodies, "_LIBRARY", native_bodies._Library())
+    monkeypatch.setattr(native_bodies, "_BODIES_LIBRARY", native_bodies._Library())
     native_bodies.prepare()
-    return native_bodies._LIBRARY.loaded()
+    return native_bodies._BODIES_LIBRARY.loaded()
 
 
 @pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler")

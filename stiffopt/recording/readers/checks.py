@@ -12,28 +12,28 @@ from pathlib import Path
 from stiffopt.errors import InputFileError, nearest
 from stiffopt.recording.signals import Signals
 
-# Numbers in one run, 8 bytes each; an hour of six joints with three signals at 500 Hz has 34e6.
+# Numbers of one run, 8 bytes each; an hour of six joints with three signals at 500 Hz has 34e6.
 MAX_NUMBERS = 40_000_000
-# Bytes of messages, unpacked: a bag may hold other topics beside the wanted ones.
+# Uncompressed messages [bytes]: a bag may contain other topics beside the named ones.
 MAX_BYTES = 2**30
-# Messages on the named topics, which can be decoded in a few minutes.
+# Messages on the named topics; so many are decoded in a few minutes.
 MAX_MESSAGES = 2_000_000
-# Beyond what the process holds already, where a format's library believes more than it should.
+# Memory beyond that of the process [bytes], where a library trusts a faulty file.
 MAX_MEMORY = 3 * 2**29
 
-# An hour of messages takes a minute or two.
+# Time to read a run [s]; an hour of messages takes a minute or two.
 MAX_SECONDS = 600.0
 
 
 class ReadTimeout(Exception):
-    """A reader took longer than `MOST_SECONDS`."""
+    """A reader took longer than `MAX_SECONDS`."""
 
 
 @contextmanager
 def bounded_time() -> Iterator[None]:
-    """Within, what takes longer than `MOST_SECONDS` meets `OutOfTime`, in a process's main thread.
+    """Raise `ReadTimeout` in code that takes longer than `MAX_SECONDS`.
 
-    Elsewhere, and where the system has no timer, nothing is bounded.
+    Only in the main thread of a process, and where the system has a timer.
     """
     main = threading.current_thread() is threading.main_thread()
     if not main or not hasattr(signal, "SIGALRM"):
@@ -48,14 +48,14 @@ def bounded_time() -> Iterator[None]:
     try:
         yield
     finally:
-        # Someone else's timer goes on.
+        # Restore the timer of the caller.
         signal.setitimer(signal.ITIMER_REAL, left)
         signal.signal(signal.SIGALRM, before)
 
 
 @contextmanager
 def bounded_memory() -> Iterator[None]:
-    """Within, what asks for more than `MOST_MEMORY` meets a MemoryError, where the system can."""
+    """Raise MemoryError in code that allocates more than `MAX_MEMORY`; on Linux only."""
     if sys.platform != "linux":
         yield
         return
@@ -72,14 +72,14 @@ def bounded_memory() -> Iterator[None]:
 
 
 def data_segment_size() -> int:
-    """Bytes of this process that Linux counts against RLIMIT_DATA: without the stack."""
+    """Memory of this process that counts against RLIMIT_DATA on Linux [bytes]."""
     status = Path("/proc/self/status").read_text(encoding="ascii", errors="replace")
     (line,) = (line for line in status.splitlines() if line.startswith("VmData:"))
     return 1024 * int(line.split()[1])
 
 
 def check_numbers(path: Path, samples: int, columns: int) -> None:
-    """Raise `InputFileError` if so many samples of so many columns are no plausible run."""
+    """Raise `InputFileError` if samples times columns exceed `MAX_NUMBERS`."""
     if samples * columns > MAX_NUMBERS:
         raise InputFileError(
             path,
@@ -89,19 +89,19 @@ def check_numbers(path: Path, samples: int, columns: int) -> None:
         )
 
 
-def check_bytes(path: Path, size: int, what: str = "") -> None:
-    """Raise `InputFileError` if so many bytes, unpacked, are no plausible run."""
+def check_bytes(path: Path, size: int, where: str = "") -> None:
+    """Raise `InputFileError` if the uncompressed size exceeds `MAX_BYTES`."""
     if size > MAX_BYTES:
         raise InputFileError(
             path,
-            what,
+            where,
             f"declares {size / 2**30:.3g} GiB, unpacked, and at most {MAX_BYTES / 2**30:.0f} GiB "
             "is read. Split it, or keep only the topics that are named.",
         )
 
 
 def check_messages(path: Path, count: int) -> None:
-    """Raise `InputFileError` if so many messages are no plausible run."""
+    """Raise `InputFileError` if the number of messages exceeds `MAX_MESSAGES`."""
     if count > MAX_MESSAGES:
         raise InputFileError(
             path,
@@ -112,7 +112,7 @@ def check_messages(path: Path, count: int) -> None:
 
 
 def require_time(signals: Signals, path: Path) -> None:
-    """Raise `InputFileError` if the set names no time column for a file without own stamps."""
+    """Raise `InputFileError` if the set names no time column and the format has no stamps."""
     if not signals.time:
         raise InputFileError(
             path, "", "signals.time is required for this format: the column of the time [s]."
@@ -120,7 +120,7 @@ def require_time(signals: Signals, path: Path) -> None:
 
 
 def check_columns(path: Path, wanted: Sequence[str], there: Iterable[str]) -> None:
-    """Raise `InputFileError` if a wanted column is not there."""
+    """Raise `InputFileError` if a named column is missing."""
     names = list(there)
     lacking = [name for name in wanted if name not in names]
     if lacking:
@@ -134,7 +134,7 @@ def check_columns(path: Path, wanted: Sequence[str], there: Iterable[str]) -> No
 
 
 def split_episode(path: Path) -> tuple[Path, int | None]:
-    """File and number of the episode of "FILE.parquet#3"."""
+    """Split "FILE.parquet#3" into file and number of the episode, None without one."""
     name, mark, number = path.name.rpartition("#")
     if not mark or path.exists():
         return path, None
@@ -144,7 +144,7 @@ def split_episode(path: Path) -> tuple[Path, int | None]:
 
 
 def find_dataset_info(path: Path) -> Path | None:
-    """meta/info.json of the dataset that a Parquet file belongs to; None where it has none."""
+    """Find meta/info.json of the dataset of a Parquet file; None where it has none."""
     for folder in list(path.resolve().parents)[:4]:
         found = folder / "meta" / "info.json"
         if found.is_file():

@@ -13,14 +13,14 @@ from stiffopt.files import read_text
 from stiffopt.recording.readers.checks import MAX_BYTES, check_columns, check_numbers, require_time
 from stiffopt.recording.signals import Signals
 
-# The blank is what the RTDE recorder of Universal Robots writes.
+# The RTDE recorder of Universal Robots writes blanks.
 _COLUMN_DELIMITERS = (",", ";", "\t", " ")
-# What loggers write for a sample that is not there.
+# Texts of loggers for missing samples.
 _MISSING_TEXTS = ("", "nan", "na", "n/a", "null", "none", "-")
 
 
 def read(path: Path, signals: Signals) -> dict[str, np.ndarray]:
-    """Columns of a CSV file, separated by one of `_COLUMN_DELIMITERS`; "#" may begin the header."""
+    """Read columns of a CSV file with any of `_COLUMN_DELIMITERS`; "#" may precede the header."""
     require_time(signals, path)
     text = read_text(path, MAX_BYTES)
     first, _, body = text.lstrip("\r\n").partition("\n")
@@ -30,7 +30,7 @@ def read(path: Path, signals: Signals) -> dict[str, np.ndarray]:
     header = headers[mark]
     check_columns(path, wanted, header)
     if not body.strip():
-        raise InputFileError(path, "", "holds no rows below its header. Record it anew.")
+        raise InputFileError(path, "", "holds no rows below its header. Record it again.")
     check_numbers(path, body.count("\n"), len(wanted))
     _check_widths(path, body, mark, len(header))
     places = [header.index(name) for name in wanted]
@@ -39,7 +39,7 @@ def read(path: Path, signals: Signals) -> dict[str, np.ndarray]:
             io.StringIO(body), delimiter=mark, usecols=places, comments=None, ndmin=2
         )
     except ValueError:
-        # Slower, but takes empty cells and knows the place of a wrong one.
+        # Slower, but accepts empty cells and reports the place of invalid ones.
         table = _parse_rows(path, body, mark, wanted, places)
     return {name: table[:, number].copy() for number, name in enumerate(wanted)}
 
@@ -50,7 +50,7 @@ def _split_header(line: str, mark: str) -> list[str]:
 
 
 def _check_widths(path: Path, body: str, mark: str, columns: int) -> None:
-    """Raise `InputFileError` for a line of more cells than the header; blank ones may be more."""
+    """Raise `InputFileError` for a line with more cells than the header, unless they are blank."""
     for number, line in enumerate(body.splitlines(), start=1):
         if line.count(mark) < columns:
             continue

@@ -17,7 +17,7 @@ from stiffopt.files import read_bytes
 from stiffopt.recording.readers.checks import check_bytes, check_columns, check_numbers
 from stiffopt.recording.signals import Signals
 
-# Keys of a channel's header: name, kind, type of its values, their number, column, offset, step.
+# Keys of a channel header: name, kind, type and number of values, column, offset, step.
 _NAME_KEY, _KIND_KEY, _TYPE_KEY, _COUNT_KEY, _COLUMN_KEY, _OFFSET_KEY, _STEP_KEY = (
     "200", "210", "214", "220", "221", "240", "241",
 )  # fmt: skip
@@ -26,7 +26,7 @@ _TIME_NAMES = ("Zeit", "Time", "t")
 
 @dataclass
 class _Trace:
-    """One pair of files: values (R, channels) by name, and their step of time [s]."""
+    """One pair of files: values (R, channels), names, and the sample time [s]."""
 
     step: float
     names: list[str]
@@ -38,10 +38,10 @@ class _Trace:
 
 
 def read(path: Path, signals: Signals) -> dict[str, np.ndarray]:
-    """Columns of a trace, given by the .dat of one of its pairs, on the clock of that pair.
+    """Read columns of a trace, given by the .dat of one of its pairs, on the clock of that pair.
 
-    The time is the pair's own, whatever `signals.time` calls it. Channels of other pairs are
-    interpolated linearly, nan outside of their time.
+    The time is that of the pair, under the name `signals.time`. Channels of other pairs are
+    interpolated linearly, NaN outside of their time.
     """
     traces = {"": _read_trace(path)}
     own = traces[""]
@@ -64,14 +64,14 @@ def read(path: Path, signals: Signals) -> dict[str, np.ndarray]:
 
 
 def files_of(path: Path) -> list[Path]:
-    """All files of the trace that a .dat belongs to."""
+    """List all files of the trace that a .dat belongs to."""
     name = path.stem.rpartition("_")[0]
     pairs = sorted(path.parent.glob(f"{escape(name)}_*{path.suffix}")) if name else []
     return [each for pair in (path, *pairs) for each in (pair, pair.with_suffix(".r64"))]
 
 
 def _read_trace(path: Path) -> _Trace:
-    """Header and values of one pair."""
+    """Read header and values of one pair of files."""
     channels = _read_channel_headers(path)
     stored = [each for each in channels if each.get(_KIND_KEY, "").upper().startswith("EXPLI")]
     clock = next((each for each in channels if each.get(_NAME_KEY, "") in _TIME_NAMES), None)
@@ -95,7 +95,7 @@ def _read_trace(path: Path) -> _Trace:
     if rows == 0 or rows * len(stored) != len(numbers):
         raise InputFileError(
             data, "", f"holds {len(numbers)} numbers, no whole rows of the {len(stored)} channels "
-            f"that {path.name} declares. Copy it anew."
+            f"that {path.name} declares. Copy it again."
         )  # fmt: skip
     table = numbers.reshape(rows, len(stored))
     names, columns = [], []
@@ -116,7 +116,7 @@ def _read_trace(path: Path) -> _Trace:
 
 
 def _read_channel_headers(path: Path) -> list[dict[str, str]]:
-    """Headers of all channels, by the numbers of their keys."""
+    """Read the headers of all channels, by key number."""
     channels: list[dict[str, str]] = []
     inside = False
     for line in read_bytes(path).decode("latin-1").splitlines():

@@ -27,7 +27,7 @@ _EPISODE_COLUMN = "episode_index"
 
 
 def read(path: Path, signals: Signals) -> dict[str, np.ndarray]:
-    """Columns of one episode: "FILE.parquet#3" where the file holds more than one.
+    """Read columns of one episode: "FILE.parquet#3" where the file holds more than one.
 
     A channel is a column, or an entry of a vector by number or by name:
     "observation.state[0]", "observation.state[shoulder_pan.pos]".
@@ -57,7 +57,7 @@ def read(path: Path, signals: Signals) -> dict[str, np.ndarray]:
 
 
 def _select_episode(path: Path, table: arrow.Table, episode: int | None) -> arrow.Table:
-    """Rows of the episode."""
+    """Select the rows of the episode."""
     known = sorted(set(table.column(_EPISODE_COLUMN).to_pylist()))
     if episode is None and len(known) > 1:
         raise InputFileError(
@@ -74,7 +74,7 @@ def _select_episode(path: Path, table: arrow.Table, episode: int | None) -> arro
 def _vector_entry(
     path: Path, column: arrow.ChunkedArray, feature: str, entry: str, names: list[str]
 ) -> np.ndarray:
-    """One entry of a column of vectors."""
+    """Extract one entry of a column of vectors."""
     kind = column.type
     lists = arrow.types.is_list(kind) or arrow.types.is_fixed_size_list(kind)
     if not lists:
@@ -92,12 +92,12 @@ def _vector_entry(
 
 
 def vector_names(path: Path, feature: str) -> list[str]:
-    """Names of the entries of a column of vectors, by the dataset of its file; empty where none."""
+    """Names of the entries of a vector column in the file's dataset; empty where not given."""
     return _entry_names(_dataset_features(path).get(feature))
 
 
 def _entry_names(feature: Any) -> list[str]:
-    """Names of a feature's entries; some datasets keep them one level deeper."""
+    """Names of a feature's entries; some datasets nest them one level deeper."""
     names = feature.get("names") if isinstance(feature, dict) else None
     if isinstance(names, dict):
         names = next(iter(names.values()), None)

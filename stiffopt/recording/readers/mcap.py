@@ -20,7 +20,7 @@ from stiffopt.recording.signals import Signals
 
 
 class _JsonDecoderFactory(DecoderFactory):
-    """Decoder of messages that are JSON objects."""
+    """Decoder of JSON messages."""
 
     def decoder_for(
         self, message_encoding: str, schema: Schema | None
@@ -29,7 +29,7 @@ class _JsonDecoderFactory(DecoderFactory):
 
 
 def read(path: Path, signals: Signals) -> dict[str, np.ndarray]:
-    """Columns of an MCAP file."""
+    """Read columns of an MCAP file."""
     with path.open("rb") as stream:
         reader = SeekingReader(
             stream,
@@ -49,7 +49,7 @@ def _list_channels(path: Path, reader: McapReader) -> list[Channel]:
         check_bytes(path, sum(chunk.uncompressed_size for chunk in summary.chunk_indexes))
         if summary.channels:
             return list(summary.channels.values())
-    # A file that was cut off has no summary.
+    # A truncated file has no summary.
     found = {channel.id: channel for _, channel, _ in reader.iter_messages()}
     return list(found.values())
 
@@ -71,7 +71,7 @@ def _iterate_messages(reader: McapReader, topics: set[str]) -> Iterator[Message]
 
 
 def peek(path: Path) -> Iterator[Message]:
-    """Messages that can be decoded, of all topics, in the order of the log."""
+    """Iterate over the decodable messages of all topics in the order of the log."""
     with path.open("rb") as stream:
         reader = SeekingReader(
             stream,

@@ -1,4 +1,4 @@
-"""Channels from recorded messages: fields by topic, stamps, topics brought to one clock."""
+"""Channels from recorded messages: fields by topic, time stamps, resampling to one clock."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from stiffopt.recording.signals import Signals
 Message = tuple[str, int, Any]
 
 _STEP_PATTERN = re.compile(r"\.?([^.\[\]]+)|\[([^\]]+)\]")
-# Fields in which messages name the entries of their lists.
+# Fields of messages with the names of list entries.
 _NAME_FIELDS = ("name", "names", "joint_names")
 _NANOSECONDS_PER_SECOND = 1_000_000_000
-# Stamps [s] and [ns] that 64 bits of nanoseconds can count; numbers beyond are of no machine.
+# Stamps [s] and [ns] that 64 bits of nanoseconds can hold; larger integers become infinite.
 _MAX_STAMP = 4e9
 _MAX_INTEGER = 1e15
 
@@ -34,14 +34,14 @@ class Field:
     ----------
     topic : str
     steps : tuple of str or int
-        Attributes; an entry of a list by number, or by its name as "[elbow]".
+        Attributes; an entry of a list by number, or by name as "[elbow]".
     """
 
     topic: str
     steps: tuple[str | int, ...]
 
     def of(self, message: Any) -> float | None:
-        """The number, None where this message lacks it."""
+        """Return the number in a message, None where it is missing."""
         value, holder = message, message
         for step in self.steps:
             if isinstance(step, str) and step.startswith("["):
@@ -73,7 +73,7 @@ class _Topic:
     def add(self, log_time: int, message: Any) -> None:
         values = {name: one.of(message) for name, one in self.fields.items()}
         row = [value for value in values.values() if value is not None]
-        # Several nodes may write to one topic; messages that lack a field are another's.
+        # Several nodes may publish on one topic: ignore messages without the fields.
         if len(row) == len(values):
             self.logged.append(log_time)
             self.stamps.append(_header_stamp(message))
@@ -83,12 +83,12 @@ class _Topic:
 
     @property
     def clock(self) -> np.ndarray:
-        """Stamps [ns]: of the headers if all messages have one, else when they were logged."""
+        """Stamps [ns]: of the headers if all messages have one, else of the log."""
         return np.array(self.stamps if all(self.stamps) else self.logged, dtype=np.int64)
 
 
 def parse_field(name: str, topics: Iterable[str], path: Path) -> Field:
-    """Topic and field of a channel name.
+    """Parse a channel name into topic and field.
 
     Raises
     ------
@@ -120,22 +120,22 @@ def parse_field(name: str, topics: Iterable[str], path: Path) -> Field:
 def gather_columns(
     path: Path, signals: Signals, topics: Iterable[str], messages: Iterable[Message]
 ) -> dict[str, np.ndarray]:
-    """Columns of the channels that `signals` names.
+    """Collect the columns that `signals` names from messages.
 
     Parameters
     ----------
     path : Path
     signals : Signals
     topics : iterable of str
-        Of the file.
+        Topics of the file.
     messages : iterable of Message
         In the order of the log.
 
     Returns
     -------
     mapping of column name to array (R,)
-        On the clock of the topic that holds the first position, in seconds after its first
-        stamp. Channels of other topics are interpolated linearly, nan outside of their stamps.
+        On the clock of the topic of the first position, in seconds after its first stamp. Channels
+        of other topics are interpolated linearly, NaN outside of their stamps.
     """
     wanted = {name: parse_field(name, topics, path) for name in signals.wanted}
     own: dict[str, _Topic] = {}
@@ -163,7 +163,7 @@ def gather_columns(
 
 
 def wanted_topics(signals: Signals, topics: Sequence[str], path: Path) -> set[str]:
-    """Topics that hold channels of `signals`."""
+    """Topics of the channels of `signals`."""
     return {parse_field(name, topics, path).topic for name in signals.wanted}
 
 
@@ -198,7 +198,7 @@ def _get_field(value: Any, key: str) -> Any:
 
 
 def _header_stamp(message: Any) -> int:
-    """Header stamp [ns], 0 if there is none."""
+    """Stamp of the header [ns], 0 without one."""
     stamp = _get_field(_get_field(message, "header"), "stamp")
     seconds = _as_float(_get_field(stamp, "sec"))
     rest = next((r for key in ("nanosec", "nsec") if (r := _get_field(stamp, key)) is not None), 0)
@@ -209,10 +209,10 @@ def _header_stamp(message: Any) -> int:
 
 
 def _as_float(value: Any) -> float | None:
-    """A number as a float, None of anything else that a message may hold."""
+    """Convert a number to float, None for other content of a message."""
     if not isinstance(value, int | float | np.number):
         return None
-    # An integer of JSON may have any number of digits.
+    # Integers of JSON may exceed the range of a float.
     if isinstance(value, int) and abs(value) > _MAX_INTEGER:
         return float(np.inf)
     return float(value)

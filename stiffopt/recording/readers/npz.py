@@ -1,4 +1,4 @@
-"""Run files of NumPy: one array a column name."""
+"""Run files of NumPy: one array per column."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from stiffopt.recording.signals import Signals
 
 
 def read(path: Path, signals: Signals) -> dict[str, np.ndarray]:
-    """Columns of an .npz file."""
+    """Read columns of an .npz file."""
     require_time(signals, path)
     wanted = (signals.time, *signals.wanted)
     with zipfile.ZipFile(path) as archive:
@@ -28,7 +28,7 @@ def read(path: Path, signals: Signals) -> dict[str, np.ndarray]:
 
 
 def _check_size(path: Path, archive: zipfile.ZipFile, name: str, columns: int) -> None:
-    """Raise `InputFileError` where the header of an array promises more than a run can hold."""
+    """Raise `InputFileError` where the header of an array declares too many numbers."""
     with archive.open(f"{name}.npy") as stream:
         version = npy.read_magic(stream)
         header = npy.read_array_header_1_0 if version == (1, 0) else npy.read_array_header_2_0

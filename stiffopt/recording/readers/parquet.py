@@ -1,4 +1,4 @@
-"""Run files of Parquet: one column a signal."""
+"""Run files of Parquet: one column per signal."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from stiffopt.recording.signals import Signals
 
 
 def read(path: Path, signals: Signals) -> dict[str, np.ndarray]:
-    """Columns of a .parquet file; a time stamp column becomes seconds after its first entry."""
+    """Read columns of a .parquet file; time stamps become seconds after the first."""
     require_time(signals, path)
     wanted = (signals.time, *signals.wanted)
     with parquet.ParquetFile(path) as file:
@@ -25,7 +25,7 @@ def read(path: Path, signals: Signals) -> dict[str, np.ndarray]:
 
 
 def column_to_numbers(path: Path, name: str, column: arrow.ChunkedArray) -> np.ndarray:
-    """A column as numbers (K,), stamps as seconds after the first."""
+    """Convert a column to numbers (K,), time stamps to seconds after the first."""
     kind = column.type
     if len(column) == 0:
         return np.empty(0)

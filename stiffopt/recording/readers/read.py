@@ -1,4 +1,4 @@
-"""Columns of a run file, whatever its format."""
+"""Reading of run files and recognition of their formats."""
 
 from __future__ import annotations
 
@@ -26,15 +26,15 @@ from stiffopt.recording.readers.checks import (
 from stiffopt.recording.readers.messages import Message
 from stiffopt.recording.signals import Signals
 
-# Far beyond any measurement, stamps in nanoseconds included; larger ones overflow when squared.
+# Beyond any measurement and any stamp in nanoseconds; squares do not overflow.
 MAX_MAGNITUDE = 1e30
-# Far below any digit of a sensor.
+# Below any resolution of a sensor.
 MIN_MAGNITUDE = 1e-30
 
 Columns = dict[str, np.ndarray]
 Read = TypeVar("Read")
 
-# Module of each ending; those with libraries of their own are imported only when needed.
+# Module of each ending; imported when needed, since some require optional libraries.
 _READER_OF_ENDING = {
     ".csv": "csv",
     ".txt": "csv",
@@ -61,7 +61,7 @@ _FORMAT_NAMES = {
 
 
 def read_columns(path: str | os.PathLike[str], signals: Signals) -> Columns:
-    """Time and channels of a run file.
+    """Read time and channels of a run file.
 
     Parameters
     ----------
@@ -79,8 +79,8 @@ def read_columns(path: str | os.PathLike[str], signals: Signals) -> Columns:
     Raises
     ------
     InputFileError
-        No such file, a format that is not read, a column missing (with the names there are), or
-        content that is no series of numbers.
+        No such file, an unknown format, a missing column (with those of the file), or content that
+        is no series of numbers.
     InputError
         The format needs libraries that are not installed.
     """
@@ -93,20 +93,20 @@ def read_columns(path: str | os.PathLike[str], signals: Signals) -> Columns:
         listed = ", ".join(f"{name}: {count}" for name, count in lengths.items())
         raise InputFileError(path, "", f"the columns have unequal lengths: {listed}.")
     for name, column in columns.items():
-        # Squares of smaller numbers underflow: they are none of a sensor.
+        # Squares of smaller numbers underflow.
         columns[name] = np.where(np.abs(column) < MIN_MAGNITUDE, 0.0, column)
         senseless = np.isfinite(column) & (np.abs(column) > MAX_MAGNITUDE)
         if senseless.any():
             row = int(np.argmax(senseless))
             raise InputFileError(
                 path, name, f"holds {column[row]:.3g} in row {row + 1}: no measurement is so large."
-                " Mend the file, or put nan where nothing was measured."
+                " Correct the file, or write nan for missing samples."
             )  # fmt: skip
     return columns
 
 
 def files_of(path: Path) -> list[Path]:
-    """Files that a run is read from, with what describes them; none where there is no such run."""
+    """List the files of a run and of its metadata; empty where there is no such run."""
     if path.suffix.lower() == ".db3" and (path.parent / "metadata.yaml").is_file():
         path = path.parent
     if path.is_dir():
@@ -122,7 +122,7 @@ def files_of(path: Path) -> list[Path]:
 
 
 def is_messages(path: Path) -> bool:
-    """Whether a file holds messages by topic: MCAP, or a rosbag2 by its folder or storage."""
+    """Return whether a path is a log of messages: MCAP, or a rosbag2 by folder or storage."""
     return (path.is_dir() and (path / "metadata.yaml").is_file()) or path.suffix.lower() in (
         ".mcap",
         ".db3",
@@ -130,12 +130,12 @@ def is_messages(path: Path) -> bool:
 
 
 def first_messages(path: Path, count: int) -> list[Message]:
-    """The first messages of an MCAP file or a rosbag2: topic, log time [ns], content.
+    """Read the first messages of an MCAP file or a rosbag2: topic, log time [ns], content.
 
     Raises
     ------
     InputFileError, InputError
-        As of `read_columns`.
+        See `read_columns`.
     """
     module = _select_reader(path)
     reader = _import_reader(module, path)
@@ -143,7 +143,7 @@ def first_messages(path: Path, count: int) -> list[Message]:
 
 
 def _select_reader(path: Path) -> str:
-    """Name of the module that reads a file."""
+    """Return the name of the module that reads a file."""
     if path.is_dir() and (path / "metadata.yaml").is_file():
         return _BAG_READER
     file, episode = split_episode(path)
@@ -170,7 +170,7 @@ def _import_reader(module: str, path: Path) -> Any:
 
 
 def read_bounded(read: Callable[[], Read], path: Path, name: str) -> Read:
-    """What a format's reader gives; whatever its library meets in a wrong file is one sentence."""
+    """Run a reader within bounds of time and memory; its errors become an `InputFileError`."""
     try:
         with bounded_memory(), bounded_time():
             return read()
@@ -186,31 +186,31 @@ def read_bounded(read: Callable[[], Read], path: Path, name: str) -> Read:
             path, "", f"cannot be read as {name}: it needs more than "
             f"{MAX_MEMORY / 2**30:.1f} GiB of memory. Split it, or check that it is whole."
         ) from error  # fmt: skip
-    except Exception as error:  # each library has errors of its own, and lets those below through
+    except Exception as error:  # libraries raise errors of many kinds
         reason = shortened(error) or type(error).__name__
         raise InputFileError(
-            path, "", f"cannot be read as {name}: {reason}. Check the file, or record it anew."
+            path, "", f"cannot be read as {name}: {reason}. Check the file, or record it again."
         ) from error
 
 
 def find_set_file(path: Path) -> Path:
-    """The recordings.toml of a set, given by its folder or itself.
+    """Find recordings.toml of a set, given by its folder or its path.
 
     Raises
     ------
     InputFileError
-        For recordings that have none yet, with what to do.
+        Recordings without one; the message names the command that writes it.
     """
     file = path / SET_FILE if path.is_dir() else path
     if path.is_file() and path.suffix.lower() in _RUN_ENDINGS:
         raise InputFileError(
-            path, "", "is a recording, not a recording set, which says what its columns are:"
+            path, "", "is a recording, not a recording set, which names its columns:"
             f" `stiffopt init recording {path} --urdf ROBOT.urdf` writes one."
         )  # fmt: skip
     bare = path.is_dir() and not file.exists()
     if bare and any(each.suffix.lower() in _RUN_ENDINGS for each in path.iterdir()):
         raise InputFileError(
-            path, "", f"holds recordings, but no {SET_FILE} that says what their columns are:"
+            path, "", f"holds recordings, but no {SET_FILE} that names their columns:"
             f" `stiffopt init recording {path} --urdf ROBOT.urdf` writes one."
         )  # fmt: skip
     return file

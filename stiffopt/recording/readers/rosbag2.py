@@ -16,12 +16,12 @@ from stiffopt.recording.readers.checks import check_bytes
 from stiffopt.recording.readers.messages import Message, gather_columns, wanted_topics
 from stiffopt.recording.signals import Signals
 
-# Bytes; YAML is slow to read.
+# YAML is slow to read [bytes].
 _MAX_METADATA_BYTES = 2**20
 
 
 def read(path: Path, signals: Signals) -> dict[str, np.ndarray]:
-    """Columns of a rosbag2, given by its folder or by the storage file in it."""
+    """Read columns of a rosbag2, given by its folder or its storage file."""
     with _open_bag(path) as reader:
         topics = sorted(reader.topics)
         wanted = wanted_topics(signals, topics, path)
@@ -30,7 +30,7 @@ def read(path: Path, signals: Signals) -> dict[str, np.ndarray]:
 
 
 def peek(path: Path) -> Iterator[Message]:
-    """Messages of all topics whose definition is known, in the order of the log."""
+    """Iterate over messages of known definitions of all topics, in the order of the log."""
     with _open_bag(path) as reader:
         known = [c for c in reader.connections if c.msgtype in reader.typestore.types]
         yield from _iterate_messages(reader, known)
@@ -43,7 +43,7 @@ def _open_bag(path: Path) -> Iterator[AnyReader]:
     if not description.is_file():
         raise InputFileError(
             path, "", "a rosbag2 needs its metadata.yaml beside it. Give the folder of the bag, or "
-            "make the file anew with: ros2 bag reindex"
+            "make the file again with: ros2 bag reindex"
         )  # fmt: skip
     if description.stat().st_size > _MAX_METADATA_BYTES:
         raise InputFileError(description, "", "is too large to describe a bag.")
