@@ -28,7 +28,7 @@ def folder_of(
     return path
 
 
-def test_what_the_files_say_is_in_the_set(tmp_path: Path) -> None:
+def test_entries_of_the_files_are_in_the_set(tmp_path: Path) -> None:
     static = load_static_set(folder_of(tmp_path))
     assert static.joints == ("swing", "slide")
     assert static.n == 2
@@ -64,7 +64,7 @@ def test_what_the_files_say_is_in_the_set(tmp_path: Path) -> None:
         (('"poses.csv"', '"../poses.csv"'), ("", ""), "lies outside of the set"),
     ],
 )
-def test_wrong_files(
+def test_wrong_static_sets_are_refused(
     tmp_path: Path, toml: tuple[str, str], poses: tuple[str, str], says: str
 ) -> None:
     with pytest.raises(InputFileError, match=says):

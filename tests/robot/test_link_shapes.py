@@ -12,7 +12,7 @@ from stiffopt.robot.body_tree import arm_reach, link_capsules, mounting_distance
 from stiffopt.robot.link_shapes import LinkShape, mesh_triangles
 
 
-def test_shapes_lie_in_the_frame_of_their_joint(tmp_path):
+def test_shapes_are_in_the_frame_of_their_joint(tmp_path):
     arm = load(tmp_path, with_shapes("fore", BOX))
     (placed,) = arm.joint_shapes("visual")
     assert (placed.joint, placed.shape.kind, placed.shape.size) == (2, "box", (0.1, 0.4, 0.1))
@@ -21,7 +21,7 @@ def test_shapes_lie_in_the_frame_of_their_joint(tmp_path):
     assert arm.joint_shapes("collision") == []
 
 
-def test_shapes_of_what_is_fixed_or_locked_belong_to_the_link_before(tmp_path):
+def test_shapes_of_fixed_links_belong_to_the_link_before(tmp_path):
     tip = '<link name="tip"><visual><geometry><sphere radius="0.05"/></geometry></visual></link>'
     arm = load(tmp_path, PLANAR.replace('<link name="tip"/>', tip))
     (placed,) = arm.joint_shapes("visual")
@@ -56,13 +56,13 @@ def test_meshes_of_ros_packages(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("name", ["package://other/link.stl", "package://[", "x" * 5000, "", "."])
-def test_a_mesh_that_is_not_there_is_told_apart(tmp_path, name):
+def test_missing_mesh_is_not_known(tmp_path, name):
     arm = load(tmp_path, with_shapes("upper", MESH.format(purpose="visual", name=name)))
     assert not arm.shapes[0].known
     assert arm.shapes[0].name == name
 
 
-def test_what_is_no_mesh_is_named(tmp_path):
+def test_file_that_is_no_mesh_is_refused(tmp_path):
     (tmp_path / "link.stl").write_text("nothing")
     arm = load(tmp_path, with_shapes("upper", MESH.format(purpose="visual", name="link.stl")))
     with pytest.raises(InputFileError, match="cannot be read as a mesh"):
@@ -70,12 +70,12 @@ def test_what_is_no_mesh_is_named(tmp_path):
 
 
 @pytest.mark.parametrize("size", ["0.1 0.4", "0.1 0.4 -1", "a b c"])
-def test_sizes_that_cannot_be_are_refused(tmp_path, size):
+def test_impossible_sizes_are_refused(tmp_path, size):
     with pytest.raises(RobotError, match="visual box size"):
         load(tmp_path, with_shapes("fore", BOX.replace("0.1 0.4 0.1", size)))
 
 
-def test_where_a_mesh_lies_is_no_input(tmp_path):
+def test_path_of_a_mesh_does_not_change_the_hash(tmp_path):
     from stiffopt.result.provenance import inputs_hash
 
     one, two = (
@@ -99,7 +99,7 @@ def test_capsules_reach_from_base_to_tool(tmp_path):
     assert rods[0].radius > rods[1].radius > 0
 
 
-def test_a_mounting_far_from_the_origin_is_no_part_of_the_arm(tmp_path):
+def test_distant_mounting_is_no_link_of_the_arm(tmp_path):
     arm = load(tmp_path, PLANAR)
     first, *others = arm.tree.bodies
     hung = replace(

@@ -24,7 +24,7 @@ def made(monkeypatch):
 @pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler")
 @pytest.mark.parametrize("name", ["er3a_c60", "ur10", "planar", "slide", "spatial"])
 @pytest.mark.parametrize("count", [16, 403])
-def test_torques_are_those_of_pinocchio(made, tmp_path, name, count):
+def test_compiled_torques_equal_pinocchio(made, tmp_path, name, count):
     assert made is not None
     robot = load_robot(name if name in ("er3a_c60", "ur10") else write_robot(tmp_path, name))
     model = without_rotors(robot.model)
@@ -44,7 +44,7 @@ def test_torques_are_those_of_pinocchio(made, tmp_path, name, count):
 
 
 @pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler")
-def test_torques_of_changed_bodies_are_what_they_add(made, monkeypatch):
+def test_torque_change_equals_difference_of_models(made, monkeypatch):
     robot = load_robot("ur10")
     random = np.random.default_rng(1)
     change = random.normal(size=(robot.n, 10))

@@ -86,7 +86,7 @@ assert row in page
 """
 
 
-def test_a_class_is_all_that_a_connection_needs(tmp_path):
+def test_connection_is_added_by_one_class(tmp_path):
     done = subprocess.run(
         [sys.executable, "-c", PROGRAM], cwd=tmp_path, capture_output=True, text=True, timeout=120
     )

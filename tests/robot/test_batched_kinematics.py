@@ -47,7 +47,7 @@ def motion(model):
     return np.random.default_rng(3).uniform(-2.0, 2.0, (3, COUNT, model.nv))
 
 
-def test_torques_of_single_bodies_are_columns_of_the_regressor(model, motion) -> None:
+def test_body_torque_regressor_equals_pinocchio(model, motion) -> None:
     tree, exact = body_tree(model), RigidBodies(model)
     own = np.concatenate([body_torque_regressor(tree, b, *motion) for b in range(tree.n)], axis=2)
     for k in (0, 1, COUNT - 1):
@@ -55,7 +55,7 @@ def test_torques_of_single_bodies_are_columns_of_the_regressor(model, motion) ->
         np.testing.assert_allclose(own[k], expected, atol=1e-12 * np.abs(expected).max())
 
 
-def test_changed_bodies_need_what_their_parameters_make_of_the_columns(model, motion) -> None:
+def test_torque_change_equals_regressor_times_parameters(model, motion) -> None:
     tree = body_tree(model)
     change = np.random.default_rng(4).normal(0.0, 1.0, (tree.n, 10))
     change[0] = 0.0
@@ -64,7 +64,7 @@ def test_changed_bodies_need_what_their_parameters_make_of_the_columns(model, mo
     np.testing.assert_allclose(torque, own, atol=1e-11 * np.abs(own).max())
 
 
-def test_tool_and_its_jacobian(model, motion) -> None:
+def test_tool_positions_and_jacobians_equal_pinocchio(model, motion) -> None:
     exact = RigidBodies(model)
     for joint in (1, model.nv):
         frame = LinkFrame(joint, np.array([0.1, -0.2, 0.3]), np.eye(3))

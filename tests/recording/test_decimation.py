@@ -28,13 +28,13 @@ def run_of(time: np.ndarray) -> RecordedRun:
     )
 
 
-def test_usual_recordings_stay() -> None:
+def test_short_recordings_are_not_decimated() -> None:
     usual = run_of(np.arange(5000) / 500.0)
     assert decimation_factor([usual] * 8) == 1
     assert decimate_run(usual, 1) is usual
 
 
-def test_ten_minutes_at_a_kilohertz() -> None:
+def test_ten_minutes_at_a_kilohertz_are_decimated() -> None:
     """Motion stays at its stamps, white noise falls by the root of the number."""
     long = run_of(np.arange(480_000) / 1000.0)
     every = decimation_factor([long])
@@ -48,12 +48,12 @@ def test_ten_minutes_at_a_kilohertz() -> None:
     assert "333 Hz" in describe_decimation([long], every)
 
 
-def test_no_clock_becomes_slower_than_motion_needs() -> None:
+def test_decimated_rate_has_a_minimum() -> None:
     assert decimation_factor([run_of(np.arange(400_000) / 250.0)]) == 1
     assert decimation_factor([run_of(np.arange(4_000_000) / 1000.0)]) == 5
 
 
-def test_no_mean_is_over_a_gap() -> None:
+def test_means_over_gaps_are_removed() -> None:
     time = np.arange(90) / 1000.0
     time[31:] += 0.5
     thin = decimate_run(run_of(time), 3)
