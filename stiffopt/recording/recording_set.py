@@ -19,14 +19,12 @@ from stiffopt.recording.nominal_files import (
     build_noise,
     build_nominal,
     build_nominal_robot,
-    load_arm,
     missing_nominal_values,
     nominal_assumptions,
-    path_inside_set,
     per_joint,
 )
 from stiffopt.recording.readers.read import find_set_file, read_columns
-from stiffopt.recording.recorded_arm import RecordedArm, joint_order
+from stiffopt.recording.recorded_arm import RecordedArm, joint_order, load_arm, path_inside_set
 from stiffopt.recording.run import RecordedRun, Role
 from stiffopt.recording.schema import NominalSection, RecordingsFile, RunSection
 from stiffopt.recording.signals import Signals, build_signals

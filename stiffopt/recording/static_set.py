@@ -11,8 +11,8 @@ import numpy as np
 
 from stiffopt.errors import InputFileError
 from stiffopt.files import load_toml, read_document, read_table
-from stiffopt.recording.nominal_files import load_arm, path_inside_set, per_joint
-from stiffopt.recording.recorded_arm import RecordedArm
+from stiffopt.recording.nominal_files import per_joint
+from stiffopt.recording.recorded_arm import RecordedArm, load_arm, path_inside_set
 from stiffopt.recording.schema import StaticFile
 
 STATIC_FILE = "static.toml"

@@ -20,6 +20,7 @@ from stiffopt.recording.readers.checks import (
     require_time,
     split_episode,
 )
+from stiffopt.recording.readers.parquet import column_to_numbers
 from stiffopt.recording.signals import Signals
 
 _ENTRY_PATTERN = re.compile(r"(.+)\[([^\]]+)\]")
@@ -48,7 +49,7 @@ def read(path: Path, signals: Signals) -> dict[str, np.ndarray]:
     columns = {}
     for name, match in entries.items():
         if match is None:
-            columns[name] = _scalar_column(path, name, table.column(name))
+            columns[name] = column_to_numbers(path, name, table.column(name))
         else:
             columns[name] = _vector_entry(
                 path, table.column(match[1]), match[1], match[2], vector_names(file, match[1])
@@ -109,12 +110,3 @@ def _dataset_features(path: Path) -> dict[str, Any]:
     document = {} if found is None else load_json(found)
     features = document.get("features") if isinstance(document, dict) else None
     return features if isinstance(features, dict) else {}
-
-
-def _scalar_column(path: Path, name: str, column: arrow.ChunkedArray) -> np.ndarray:
-    kind = column.type
-    if not (arrow.types.is_integer(kind) or arrow.types.is_floating(kind)):
-        raise InputFileError(
-            path, name, f"needs a column of numbers, got {kind}. Name an entry: {name}[0]"
-        )
-    return np.asarray(column.to_numpy(), dtype=float)

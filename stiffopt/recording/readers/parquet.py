@@ -35,5 +35,6 @@ def column_to_numbers(path: Path, name: str, column: arrow.ChunkedArray) -> np.n
         seconds: np.ndarray = (stamps - stamps[0]) / np.timedelta64(1, "s")
         return seconds
     if not (arrow.types.is_integer(kind) or arrow.types.is_floating(kind)):
-        raise InputFileError(path, name, f"needs a column of numbers, got {kind}.")
+        hint = f" Name an entry: {name}[0]" if arrow.types.is_nested(kind) else ""
+        raise InputFileError(path, name, f"needs a column of numbers, got {kind}.{hint}")
     return np.asarray(column.to_numpy(), dtype=float)
