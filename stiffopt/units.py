@@ -12,7 +12,8 @@ import re
 from collections.abc import Callable
 from typing import Any
 
-from stiffopt.declaration import DIMENSIONS, PRISMATIC, Dimension, Unit
+from stiffopt.declaration import Unit
+from stiffopt.dimensions import DIMENSIONS, PRISMATIC, Dimension
 from stiffopt.errors import UnitError, shortened
 
 # Far above any modulus or stiffness, and products of a few such numbers do not overflow.
@@ -125,7 +126,7 @@ def to_si(value: object, dimension: str, where: str = "") -> float:
     value : float or str
         A bare number in SI, or a number with a unit such as "45 deg".
     dimension : str
-        A name in `stiffopt.declaration.DIMENSIONS`, for example "angle".
+        A name in `stiffopt.dimensions.DIMENSIONS`, for example "angle".
     where : str
         The key, for messages.
 

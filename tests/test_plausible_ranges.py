@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from stiffopt.declaration import DIMENSIONS, PRISMATIC
+from stiffopt.dimensions import DIMENSIONS, PRISMATIC
 from stiffopt.errors import ImplausibleError, InputFileError, RobotError
 from stiffopt.fastening.tightening import Tightening
 from stiffopt.files import load_toml, read_table

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from stiffopt.declaration import DIMENSIONS
+from stiffopt.dimensions import DIMENSIONS
 from stiffopt.errors import UnitError
 from stiffopt.units import _FACTORS_WITHOUT_PINT, _pint_factor, fit_joint, joint_to_si, to_si
 

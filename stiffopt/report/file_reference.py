@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from stiffopt.declaration import range_text
+from stiffopt.dimensions import range_text
 from stiffopt.discovery.extended.schema import ExtendedFile
 from stiffopt.preload.schema import PreloadFile
 from stiffopt.problem.schema import problem_file
