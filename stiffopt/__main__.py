@@ -4,8 +4,8 @@ import gc
 import sys
 from contextlib import nullcontext
 
-from stiffopt.interrupts import beginning
-from stiffopt.streams import open_streams, unprinted
+from stiffopt.interrupts import defer_until_result
+from stiffopt.streams import open_streams, output_failure
 
 # Of the search for unreachable cycles, of which a command leaves few: at every 700th object, as
 # Python has it, it was a tenth of a solve.
@@ -20,7 +20,7 @@ def main() -> None:
     gc.set_threshold(*_SELDOM)
     open_streams()
     try:
-        with beginning() if sys.argv[1:2] == ["solve"] else nullcontext():
+        with defer_until_result() if sys.argv[1:2] == ["solve"] else nullcontext():
             if sys.argv[1:2] == ["sweep"]:
                 from stiffopt.sweep.processes import load_ahead
 
@@ -31,7 +31,7 @@ def main() -> None:
     except KeyboardInterrupt:
         print("stiffopt: interrupted; nothing was written.", file=sys.stderr)
         code = 130
-    failure = unprinted()
+    failure = output_failure()
     if failure is not None:
         from stiffopt import folders
 

@@ -1,4 +1,4 @@
-"""Checks that every connection of a drivetrain has to pass; for one's own subclasses as well.
+"""Checks that every connection of a drivetrain has to pass; for subclasses of users as well.
 
 Each check returns the worst number it found and raises `CheckFailed` with it when that is too
 large. Formulas are taken as plain functions of NumPy arrays.
@@ -22,22 +22,22 @@ class CheckFailed(StiffoptError, AssertionError):
 
     Parameters
     ----------
-    what : str
+    name : str
         The property.
     where : float
         The point where it is violated most.
     found, allowed : float
     """
 
-    def __init__(self, what: str, where: float, found: float, allowed: float) -> None:
-        self.what, self.where, self.found, self.allowed = what, where, found, allowed
-        super().__init__(f"{what}: {found:.3g} at {where:.6g}; allowed is {allowed:.3g}.")
+    def __init__(self, name: str, where: float, found: float, allowed: float) -> None:
+        self.name, self.where, self.found, self.allowed = name, where, found, allowed
+        super().__init__(f"{name}: {found:.3g} at {where:.6g}; allowed is {allowed:.3g}.")
 
 
 class Smoothed(Protocol):
-    """What `check_smoothed_against_exact` needs of a connection.
+    """Methods of a connection that `check_smoothed_against_exact` calls.
 
-    One of a kind of one's own also has `exact_tangent_compliance(torque, preload=...)`, its
+    A connection defined by a user also has `exact_tangent_compliance(torque, preload=...)`, its
     compliance without smoothing [rad/(N m)], and, where that jumps, `breakpoints()` [N m].
     """
 
@@ -72,30 +72,34 @@ def check_derivative(
     """
     x = np.array(list(points), dtype=float)
     step = 1e-3 * np.maximum(np.abs(x), scale)
-    near = _values(formula, x + step) - _values(formula, x - step)
-    far = _values(formula, x + 2 * step) - _values(formula, x - 2 * step)
+    near = _evaluate_formula(formula, x + step) - _evaluate_formula(formula, x - step)
+    far = _evaluate_formula(formula, x + 2 * step) - _evaluate_formula(formula, x - 2 * step)
     difference = (8 * near - far) / (12 * step)
-    given = _values(derivative, x)
+    given = _evaluate_formula(derivative, x)
     size = np.maximum(np.abs(difference), 1e-6 * np.max(np.abs(difference)))
     size = np.where(size > 0.0, size, 1.0)
-    return _judge("derivative against differences", x, np.abs(given - difference) / size, rtol)
+    return _check_worst_error(
+        "derivative against differences", x, np.abs(given - difference) / size, rtol
+    )
 
 
 def check_odd(formula: Formula, points: Iterable[float], *, rtol: float = 1e-12) -> float:
     """Check f(-x) = -f(x), to `rtol` of |f(x)|, and f(0) = 0."""
     x = np.array(list(points), dtype=float)
-    forward, back = _values(formula, x), _values(formula, -x)
-    origin = float(_values(formula, np.zeros(1))[0])
+    forward, back = _evaluate_formula(formula, x), _evaluate_formula(formula, -x)
+    origin = float(_evaluate_formula(formula, np.zeros(1))[0])
     if origin != 0.0:
         raise CheckFailed("odd function: value at zero", 0.0, abs(origin), 0.0)
     size = np.where(forward != 0.0, np.abs(forward), 1.0)
-    return _judge("odd function: relative mismatch", x, np.abs(forward + back) / size, rtol)
+    return _check_worst_error(
+        "odd function: relative mismatch", x, np.abs(forward + back) / size, rtol
+    )
 
 
 def check_monotone(formula: Formula, points: Iterable[float]) -> float:
     """Check that f grows strictly from point to point; return the least rise."""
     x = np.unique(np.array(list(points), dtype=float))
-    rise = np.diff(_values(formula, x))
+    rise = np.diff(_evaluate_formula(formula, x))
     worst = int(np.argmin(np.where(np.isfinite(rise), rise, -np.inf)))
     if not rise[worst] > 0.0:
         raise CheckFailed("monotone function: rise", float(x[worst]), float(rise[worst]), 0.0)
@@ -125,14 +129,15 @@ def check_smoothed_against_exact(
     torque_max = connection.torque_max
     torques = np.geomspace(max(2.0 * from_torque, 1e-2 * torque_max), torque_max, points)
     exact = _exact_windup(connection, from_torque, torques)
-    start = float(_values(connection.windup, np.array([from_torque]))[0])
-    smooth = _values(connection.windup, torques) - start
+    start = float(_evaluate_formula(connection.windup, np.array([from_torque]))[0])
+    smooth = _evaluate_formula(connection.windup, torques) - start
     error = np.abs(smooth / exact - 1)
-    return _judge("smoothed wind-up against the exact one", torques, error, tolerance)
+    return _check_worst_error("smoothed wind-up against the exact one", torques, error, tolerance)
 
 
 def _exact_windup(connection: Smoothed, start: float, torques: np.ndarray) -> np.ndarray:
-    # Panels shrink towards zero, where contacts change most; jumps fall on panel ends.
+    # Panels shrink towards zero torque, where contact compliance changes most; jumps lie on
+    # panel ends.
     lowest = start if start > 0.0 else 1e-8 * float(torques[-1])
     grid = np.geomspace(lowest, torques[-1], 60)
     jumps = [t for t in breakpoints(connection) if lowest < t < torques[-1]]
@@ -145,13 +150,13 @@ def _exact_windup(connection: Smoothed, start: float, torques: np.ndarray) -> np
     return np.asarray(np.interp(torques, edges, total))
 
 
-def _values(formula: Formula, x: np.ndarray) -> np.ndarray:
+def _evaluate_formula(formula: Formula, x: np.ndarray) -> np.ndarray:
     return np.asarray(np.broadcast_to(np.asarray(formula(x), dtype=float), x.shape))
 
 
-def _judge(what: str, x: np.ndarray, error: np.ndarray, allowed: float) -> float:
-    # A nan counts as the worst value there is.
+def _check_worst_error(name: str, x: np.ndarray, error: np.ndarray, allowed: float) -> float:
+    # NaN counts as the worst value.
     worst = int(np.argmax(np.where(np.isnan(error), np.inf, error)))
     if not error[worst] <= allowed:
-        raise CheckFailed(what, float(x[worst]), float(error[worst]), allowed)
+        raise CheckFailed(name, float(x[worst]), float(error[worst]), allowed)
     return float(error[worst])

@@ -1,4 +1,4 @@
-"""What a field of a file or of a Python object is, said once, beside the field itself.
+"""Declaration of the fields of files and objects: unit, bounds and description in the annotation.
 
     diameter: Annotated[Length, POSITIVE, Doc("Diameter of the shaft.")]
 
@@ -9,10 +9,10 @@ declares a length in metres above zero. A frozen dataclass whose fields are decl
   units ("8 mm"), checks the same bounds with the same sentence, and gives the object
 - has its keys, units, bounds and sentences in `stiffopt schema` and in the file reference
 
-What concerns several fields is checked in `__post_init__` after `check_fields`; an `InputError`
-from there is reported with the section's place in the file. `declared(cls)` gives the declarations
-to those who build a section from a part of an object. This module knows neither pint nor pydantic:
-`stiffopt.validation` says how texts are read (`Unit.reader`), the catalogue which names it has
+Conditions on several fields are checked in `__post_init__` after `check_fields`; an `InputError`
+raised there is reported with the section's place in the file. `declared(cls)` returns the
+declarations, to build a section from a part of an object. This module imports neither pint nor
+pydantic: `stiffopt.validation` sets the reader of texts (`Unit.reader`), the catalogue its names
 (`Named.tables`).
 """
 
@@ -27,142 +27,13 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar
 
-from stiffopt.errors import ImplausibleError, InputError, OutOfValidityError, nearest
-
-
-@dataclass(frozen=True)
-class Dimension:
-    """A kind of quantity.
-
-    Parameters
-    ----------
-    name, unit, example : str
-        Unit in SI; an example for messages.
-    angle : int
-        Power of angle.
-    plausible : (float, float)
-        Between which magnitudes a quantity of a machine lies, from micro-gripper to crane, unless
-        a field's `Bounds` say otherwise; zero is always plausible.
-    slips : mapping of str to float
-        Units that a bare number is given in by mistake, the usual one first, and their factors.
-    """
-
-    name: str
-    unit: str
-    example: str
-    angle: int = 0
-    plausible: tuple[float, float] = (0.0, math.inf)
-    slips: Mapping[str, float] = dataclasses.field(default_factory=dict, compare=False)
-
-    def ask(
-        self,
-        number: float,
-        plausible: tuple[float, float],
-        *,
-        where: str = "",
-        si_only: bool = False,
-        bounds: Sequence[Bounds] = (),
-    ) -> None:
-        """Raise `ImplausibleError` for a bare number in SI whose magnitude is beyond `plausible`.
-
-        `si_only` says that its file takes no texts with units, which are always meant. `bounds` are
-        those that it has to keep besides: a number beyond them in every unit is left to them.
-        """
-        if _is_within(number, plausible) or not math.isfinite(number):
-            return
-        unit = self.unit and f" {self.unit}"
-        shares = ((name, factor * number) for name, factor in self.slips.items())
-        meant = next((name for name, share in shares if _is_within(share, plausible)), "")
-        kept = all(bound.contains(number) for bound in bounds)
-        if not (kept or meant):
-            return
-        if si_only:
-            slip = f" ({number:g} {meant} meant?)" if meant else ""
-            advice = f"Numbers of this file are in SI: correct it{slip}."
-        else:
-            advice = f'Write "{number:g} {meant}" if that is meant' if meant else "Correct it"
-            if kept:
-                advice += f', or write "{number:g}{unit}" to keep it'
-            advice += "."
-        place = f"{where}: " if where else ""
-        raise ImplausibleError(
-            f"{place}{number:g}{unit} is not plausible, {range_text(plausible)}{unit} is. {advice}"
-        )
-
-
-def _is_within(number: float, plausible: tuple[float, float]) -> bool:
-    return number == 0.0 or plausible[0] <= abs(number) <= plausible[1]
-
-
-def range_text(plausible: Sequence[float]) -> str:
-    """Words of a range of magnitudes.
-
-    >>> range_text((0.001, 1.0)), range_text((0.0, 20.0))
-    ('0.001 to 1', 'up to 20')
-    """
-    low, high = plausible
-    return f"{low:g} to {high:g}" if low > 0.0 else f"up to {high:g}"
-
-
-_DEGREES = math.pi / 180.0
-_ARC_MINUTES = 10800.0 / math.pi
-
-DIMENSIONS = {
-    d.name: d
-    for d in (
-        Dimension("length", "m", "0.3 mm", 0, (0.0, 100.0), {"mm": 1e-3, "um": 1e-6}),
-        Dimension("angle", "rad", "45 deg", 1, (0.0, 20.0), {"deg": _DEGREES}),
-        Dimension("mass", "kg", "1.5 kg", 0, (0.0, 2e4), {"g": 1e-3}),
-        Dimension(
-            "inertia", "kg*m^2", "0.3 kg*m^2", 0, (0.0, 1e5), {"kg*cm^2": 1e-4, "kg*mm^2": 1e-6}
-        ),
-        Dimension("force", "N", "12 kN", 0, (0.0, 1e7), {"mN": 1e-3}),
-        Dimension("torque", "N*m", "45 N*m", 0, (0.0, 1e6), {"N*mm": 1e-3}),
-        Dimension("time", "s", "1.6 s", 0, (1e-7, 1e7), {"ms": 1e-3, "us": 1e-6, "ns": 1e-9}),
-        Dimension("frequency", "Hz", "20 Hz", 0, (1e-3, 1e6), {"kHz": 1e3, "mHz": 1e-3}),
-        Dimension("pressure", "Pa", "0.1 MPa", 0, (1.0, 2e12), {"MPa": 1e6, "GPa": 1e9}),
-        Dimension("area", "m^2", "1 cm^2", 0, (0.0, 10.0), {"mm^2": 1e-6}),
-        Dimension("speed", "m/s", "1.5 m/s", 0, (0.0, 50.0), {"mm/s": 1e-3}),
-        Dimension("acceleration", "m/s^2", "9.81 m/s^2", 0, (0.0, 1e4), {"mm/s^2": 1e-3}),
-        Dimension("jerk", "m/s^3", "50 m/s^3", 0, (0.0, 1e7), {"mm/s^3": 1e-3}),
-        Dimension("angular velocity", "rad/s", "230 deg/s", 1, (0.0, 100.0), {"deg/s": _DEGREES}),
-        Dimension(
-            "angular acceleration", "rad/s^2", "20 rad/s^2", 1, (0.0, 1e5), {"deg/s^2": _DEGREES}
-        ),
-        Dimension("angular jerk", "rad/s^3", "400 rad/s^3", 1, (0.0, 1e8), {"deg/s^3": _DEGREES}),
-        Dimension(
-            "stiffness", "N*m/rad", "5 N*m/arcmin", -1, (1e-3, 1e11), {"N*m/arcmin": _ARC_MINUTES}
-        ),
-        Dimension("linear stiffness", "N/m", "20 N/um", 0, (1e-1, 1e12), {"N/mm": 1e3}),
-        Dimension(
-            *("stiffness per width", "N/m^2", "20 N/(mm*um)", 0),
-            (1e5, 1e12),
-            {"N/(mm*um)": 1e9},
-        ),
-        Dimension("viscous friction", "N*m*s/rad", "5 N*m*s/rad", -1, (0.0, 1e6)),
-        Dimension("linear viscous friction", "N*s/m", "5 N*s/m", 0, (0.0, 1e7)),
-        # Kelvin are refused with it.
-        Dimension("temperature", "degC", "22 degC", 0, (0.0, 200.0)),
-        Dimension("ratio", "", "0.12", 0, (0.0, 1e12)),
-    )
-}
-
-# What a prismatic joint has where a revolute one has an angle, a torque and so on.
-PRISMATIC = {
-    "angle": "length",
-    "angular velocity": "speed",
-    "angular acceleration": "acceleration",
-    "angular jerk": "jerk",
-    "torque": "force",
-    "stiffness": "linear stiffness",
-    "viscous friction": "linear viscous friction",
-    "inertia": "mass",
-}
+from stiffopt.dimensions import DIMENSIONS, PRISMATIC
+from stiffopt.errors import InputError, OutOfValidityError, nearest
 
 
 @dataclass(frozen=True)
 class Doc:
-    """The sentence that describes a field."""
+    """Description of a field, one sentence."""
 
     text: str
 
@@ -172,7 +43,7 @@ class Doc:
 
 # Keys of a plausible range and of bounds in pydantic's metadata of a quantity; the former also in
 # JSON Schema.
-_PLAUSIBLE, _BOUNDS = "plausible", "bounds"
+_PLAUSIBLE_KEY, _BOUNDS_KEY = "plausible", "bounds"
 
 
 @dataclass(frozen=True)
@@ -184,15 +55,15 @@ class Unit:
     dimension : str
         A name in `DIMENSIONS`.
     joint : bool
-        Of a joint: a prismatic one takes the counterpart of the dimension in `PRISMATIC`.
+        Quantity of a joint: for a prismatic one the dimension is that of `PRISMATIC`.
     bare : bool
-        Always in SI, as recordings are: a text is no number.
+        Always in SI, as in recordings: texts with units are rejected.
     """
 
     dimension: str
     joint: bool = False
     bare: bool = False
-    # How a file's entry becomes an SI number; set by `stiffopt.validation`.
+    # Conversion of an entry of a file to an SI number; set by `stiffopt.validation`.
     reader: ClassVar[Callable[[Unit], Callable[[object], float]]]
 
     @property
@@ -213,15 +84,15 @@ class Unit:
         from pydantic_core import core_schema
 
         # `Bounds` around this marker add themselves, and may bring a range of their own.
-        metadata: dict[str, Any] = {_PLAUSIBLE: self.plausible, _BOUNDS: []}
+        metadata: dict[str, Any] = {_PLAUSIBLE_KEY: self.plausible, _BOUNDS_KEY: []}
         kind = DIMENSIONS[self.dimension]
         read = None if self.bare else Unit.reader(self)
 
         def read_and_ask(value: Any) -> float:
             number: float = value if read is None else read(value)
             if not isinstance(value, str):
-                asked = metadata[_PLAUSIBLE]
-                kind.ask(number, asked, si_only=self.bare, bounds=metadata[_BOUNDS])
+                asked = metadata[_PLAUSIBLE_KEY]
+                kind.ask(number, asked, si_only=self.bare, bounds=metadata[_BOUNDS_KEY])
             return number
 
         if self.bare:
@@ -232,7 +103,7 @@ class Unit:
 
     def __get_pydantic_json_schema__(self, core: Any, handler: Any) -> dict[str, Any]:
         kind = DIMENSIONS[self.dimension]
-        schema: dict[str, Any] = {"type": "number", _PLAUSIBLE: list(kind.plausible)}
+        schema: dict[str, Any] = {"type": "number", _PLAUSIBLE_KEY: list(kind.plausible)}
         if not self.bare:
             schema = {"anyOf": [schema, {"type": "string"}]}
         schema["unit"] = self.unit
@@ -245,7 +116,7 @@ class Unit:
 
 @dataclass(frozen=True)
 class Bounds:
-    """Between which values a number must lie.
+    """Range in which a number must lie.
 
     Parameters
     ----------
@@ -254,9 +125,9 @@ class Bounds:
     least, most : float
         Bounds that are included.
     finite : bool
-        Whether it must be finite.
+        The number must be finite.
     hint : str
-        Sentence on what is usually meant by a number beyond them.
+        Sentence on the usual cause of a violation.
     plausible : (float, float) or None
         Magnitudes beyond which a bare number of a file is asked about; default those of its unit.
     """
@@ -270,18 +141,18 @@ class Bounds:
     plausible: tuple[float, float] | None = None
 
     def check(self, name: str, value: object) -> None:
-        """Raise `InputError` unless every number in `value` lies within; others pass."""
-        for number in _numbers(value):
+        """Raise `InputError` unless every number in `value` lies within the bounds."""
+        for number in _iterate_numbers(value):
             if not self.contains(number):
-                self._refuse(name, number)
+                self._raise_out_of_bounds(name, number)
 
     def contains(self, number: float) -> bool:
-        """Whether a number lies within."""
+        """Return whether a number lies within the bounds."""
         low = self.above < number and self.least <= number
         high = number <= self.most and (number < self.below or self.below == math.inf)
         return low and high and (math.isfinite(number) or not self.finite)
 
-    def _refuse(self, name: str, number: float) -> None:
+    def _raise_out_of_bounds(self, name: str, number: float) -> None:
         if math.isfinite(self.above) and math.isfinite(self.below):
             hint = "Both bounds are excluded."
             raise OutOfValidityError(name, number, self.above, self.below, hint)
@@ -311,9 +182,9 @@ class Bounds:
             return value
 
         inside = handler(source)
-        for metadata in _quantities(inside):
-            metadata[_BOUNDS].append(self)
-            metadata[_PLAUSIBLE] = self.plausible or metadata[_PLAUSIBLE]
+        for metadata in _quantity_metadata(inside):
+            metadata[_BOUNDS_KEY].append(self)
+            metadata[_PLAUSIBLE_KEY] = self.plausible or metadata[_PLAUSIBLE_KEY]
         return core_schema.with_info_after_validator_function(check, inside)
 
     def __get_pydantic_json_schema__(self, core: Any, handler: Any) -> dict[str, Any]:
@@ -327,76 +198,76 @@ class Bounds:
             word: bound for word, bound in words.items() if math.isfinite(bound)
         }
         if self.plausible is not None:
-            limits[_PLAUSIBLE] = list(self.plausible)
-        return _limited(handler(core), limits)
+            limits[_PLAUSIBLE_KEY] = list(self.plausible)
+        return _add_limits(handler(core), limits)
 
 
-def _quantities(schema: Any) -> Iterator[dict[str, Any]]:
+def _quantity_metadata(schema: Any) -> Iterator[dict[str, Any]]:
     """Metadata of every quantity in a schema of pydantic's core."""
     if isinstance(schema, dict):
-        if _PLAUSIBLE in schema.get("metadata", ()):
+        if _PLAUSIBLE_KEY in schema.get("metadata", ()):
             yield schema["metadata"]
         for word in ("schema", "items_schema", "values_schema", "choices"):
-            yield from _quantities(schema.get(word))
+            yield from _quantity_metadata(schema.get(word))
     elif isinstance(schema, list | tuple):
         for form in schema:
-            yield from _quantities(form)
+            yield from _quantity_metadata(form)
 
 
-def _limited(schema: dict[str, Any], limits: dict[str, Any]) -> dict[str, Any]:
-    """Schema with the limits at every form of it that is a number."""
+def _add_limits(schema: dict[str, Any], limits: dict[str, Any]) -> dict[str, Any]:
+    """Add the limits to every numeric alternative of a JSON schema."""
     if schema.get("type") in ("number", "integer"):
         return {**schema, **limits}
     deeper: dict[str, Any] = {}
     if "anyOf" in schema:
-        deeper["anyOf"] = [_limited(form, limits) for form in schema["anyOf"]]
+        deeper["anyOf"] = [_add_limits(form, limits) for form in schema["anyOf"]]
     for word in ("items", "additionalProperties"):
         if isinstance(schema.get(word), dict):
-            deeper[word] = _limited(schema[word], limits)
+            deeper[word] = _add_limits(schema[word], limits)
     if "prefixItems" in schema:
-        deeper["prefixItems"] = [_limited(item, limits) for item in schema["prefixItems"]]
+        deeper["prefixItems"] = [_add_limits(item, limits) for item in schema["prefixItems"]]
     return {**schema, **deeper}
 
 
 @dataclass(frozen=True)
 class Named:
-    """A name that the catalogue must have; `what` is the kind of thing.
+    """Name of an entry of the catalogue; `table` is the kind of entry.
 
-    Python objects look the name up where they need it; files are checked when they are read.
+    Python objects look the name up when they use it; files are checked when they are read.
     """
 
-    what: str
-    # Names by kind of thing; filled by the catalogue.
+    table: str
+    # Names by kind of entry; filled by the catalogue.
     tables: ClassVar[dict[str, Callable[[], Iterable[str]]]] = {}
 
     def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
         from pydantic_core import core_schema
 
         def check(value: Any) -> Any:
-            names = list(Named.tables[self.what]())
+            names = list(Named.tables[self.table]())
             if value is not None and value not in names:
                 raise InputError(
-                    f"no {self.what} {value!r} in the catalogue. {nearest(value, names)}"
+                    f"no {self.table} {value!r} in the catalogue. {nearest(value, names)}"
                 )
             return value
 
         return core_schema.no_info_after_validator_function(check, handler(source))
 
     def __get_pydantic_json_schema__(self, core: Any, handler: Any) -> dict[str, Any]:
-        return {**handler(core), "examples": list(Named.tables[self.what]())}
+        return {**handler(core), "examples": list(Named.tables[self.table]())}
 
 
 POSITIVE = Bounds(above=0.0)
-# A length of a machine part [m]: larger ones were written in millimetres without saying so.
+# Length of a machine part [m]; larger numbers are usually millimetres without a unit.
 PART = Bounds(
     above=0.0,
     most=3.0,
     hint='A bare number is in m: write a text such as "63 mm".',
     plausible=(1e-5, 1.5),
 )
-# A length of a bolt, or of what is smaller on a part: teeth, keys, threads [m].
+# Length of a bolt or a detail of a part: teeth, keys, threads [m].
 DETAIL = dataclasses.replace(PART, plausible=(1e-5, 0.5))
-# Of a technical surface [m].
+# Roughness of a technical surface [m].
 ROUGHNESS = Bounds(above=0.0, most=1e-2, plausible=(1e-9, 1e-3))
 # Young's modulus, shear modulus or hardness, from rubber to diamond [Pa].
 MODULUS = Bounds(above=0.0, plausible=(1e5, 2e12))
@@ -425,7 +296,7 @@ Stiffness = Annotated[float, Unit("stiffness")]
 WidthStiffness = Annotated[float, Unit("stiffness per width")]
 Ratio = Annotated[float, Unit("ratio")]
 
-# The same for joints that may be revolute or prismatic; `stiffopt.units.fit_joint` settles which.
+# Quantities of joints that are revolute or prismatic; resolved by `stiffopt.units.fit_joint`.
 JointPosition = Annotated[float, Unit("angle", joint=True)]
 JointVelocity = Annotated[float, Unit("angular velocity", joint=True)]
 JointAcceleration = Annotated[float, Unit("angular acceleration", joint=True)]
@@ -446,13 +317,13 @@ class Declared:
 
     @property
     def required(self) -> bool:
-        """Whether there is no default."""
+        """Return whether the field has no default."""
         missing = dataclasses.MISSING
         return self.default is missing and self.default_factory is missing
 
 
 @functools.cache
-def _hints(cls: type) -> Mapping[str, Any]:
+def _type_hints(cls: type) -> Mapping[str, Any]:
     """Annotations of a class with their markers."""
     return typing.get_type_hints(cls, include_extras=True)
 
@@ -460,7 +331,7 @@ def _hints(cls: type) -> Mapping[str, Any]:
 @functools.cache
 def declared(cls: type) -> Mapping[str, Declared]:
     """Fields of a dataclass that have a `Doc`, by name."""
-    hints = _hints(cls)
+    hints = _type_hints(cls)
     return {
         field.name: Declared(hints[field.name], field.default, field.default_factory)
         for field in dataclasses.fields(cls)
@@ -470,20 +341,20 @@ def declared(cls: type) -> Mapping[str, Declared]:
 
 def unit(cls: type, name: str) -> Unit:
     """Unit of a field of a dataclass or a section."""
-    parts = _parts(_hints(cls)[name])
+    parts = _annotation_parts(_type_hints(cls)[name])
     return next(part for part in parts if isinstance(part, Unit))
 
 
 def bounds(cls: type, name: str) -> Bounds:
     """Bounds of a field of a dataclass or a section."""
-    parts = _parts(_hints(cls)[name])
+    parts = _annotation_parts(_type_hints(cls)[name])
     return next(part for part in parts if isinstance(part, Bounds))
 
 
 def check_fields(
     instance: Any, owner: str = "", error: Callable[[str], InputError] = InputError
 ) -> None:
-    """Check every field of a dataclass instance against its bounds and words.
+    """Check every field of a dataclass instance against its bounds and allowed words.
 
     Parameters
     ----------
@@ -491,7 +362,7 @@ def check_fields(
     owner : str
         Kind and name of the object, for messages.
     error : type of InputError
-        Raised with the field, its value, and what is allowed.
+        Raised with the field, its value and the allowed range or words.
     """
     try:
         _check_fields(instance, owner)
@@ -503,7 +374,7 @@ def check_fields(
 
 def _check_fields(instance: Any, owner: str) -> None:
     place = f"{owner}: " if owner else ""
-    for name, limits, words in _checks(instance.__class__):
+    for name, limits, words in _field_checks(instance.__class__):
         value = getattr(instance, name)
         for limit in limits:
             limit.check(f"{place}{name}", value)
@@ -512,12 +383,12 @@ def _check_fields(instance: Any, owner: str) -> None:
 
 
 @functools.cache
-def _checks(cls: type) -> tuple[tuple[str, tuple[Bounds, ...], tuple[str, ...]], ...]:
+def _field_checks(cls: type) -> tuple[tuple[str, tuple[Bounds, ...], tuple[str, ...]], ...]:
     """Name, bounds and allowed words of the fields that have any."""
     found = []
     hints = typing.get_type_hints(cls, include_extras=True)
     for name in (field.name for field in dataclasses.fields(cls)):
-        parts = list(_parts(hints[name]))
+        parts = list(_annotation_parts(hints[name]))
         limits = tuple(part for part in parts if isinstance(part, Bounds))
         words = tuple(part for part in parts if isinstance(part, str))
         if limits or words:
@@ -525,31 +396,31 @@ def _checks(cls: type) -> tuple[tuple[str, tuple[Bounds, ...], tuple[str, ...]],
     return tuple(found)
 
 
-def _parts(annotation: Any) -> Iterator[Any]:
+def _annotation_parts(annotation: Any) -> Iterator[Any]:
     """Markers and allowed words anywhere in an annotation."""
     yield from getattr(annotation, "__metadata__", ())
     origin = typing.get_origin(annotation)
     if origin is typing.Literal:
         yield from typing.get_args(annotation)
     elif origin is Annotated:
-        yield from _parts(typing.get_args(annotation)[0])
+        yield from _annotation_parts(typing.get_args(annotation)[0])
     elif origin in (typing.Union, types.UnionType):
         for form in typing.get_args(annotation):
-            yield from _parts(form)
+            yield from _annotation_parts(form)
     elif origin is not None:
         # Entries of a tuple, a list or a mapping share the bounds of their type.
         for form in typing.get_args(annotation):
-            yield from _parts(form)
+            yield from _annotation_parts(form)
 
 
-def _numbers(value: Any) -> Iterator[float]:
+def _iterate_numbers(value: Any) -> Iterator[float]:
     if isinstance(value, bool) or value is None or isinstance(value, str):
         return
     if isinstance(value, Mapping):
         value = list(value.values())
     if isinstance(value, Sequence):
         for entry in value:
-            yield from _numbers(entry)
+            yield from _iterate_numbers(entry)
     elif hasattr(value, "flat"):
         yield from (float(entry) for entry in value.flat)
     else:

@@ -1,7 +1,7 @@
-"""Errors of stiffopt: each message says what, where, what is allowed and what to do next.
+"""Errors of stiffopt: each message states fault, place, allowed values and remedy.
 
-Everything a user can cause derives from `InputError`; the command line turns it into one message
-and exit code 2. Errors carry the data a program needs to react, not only a text.
+Errors that a user can cause derive from `InputError`; the command line prints their message and
+returns exit code 2. Errors carry their data as attributes for programs.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ class StiffoptError(Exception):
 
 
 class InputError(StiffoptError, ValueError):
-    """Something the user gave cannot be used.
+    """Input that cannot be used.
 
-    Being a ValueError, it is located by pydantic where an object of a file raises it.
+    A ValueError, so that pydantic reports the place in a file at which an object raised it.
     """
 
 
@@ -31,7 +31,7 @@ class InputFileError(InputError):
     where : str
         Dotted key inside the file, "" for the file as a whole.
     reason : str
-        What is wrong, what is allowed, and what to do next.
+        Fault, allowed values and remedy.
     """
 
     def __init__(self, path: object, where: str, reason: str) -> None:
@@ -47,7 +47,7 @@ class UnitError(InputError):
 
 
 class ImplausibleError(InputError):
-    """A bare number of a file that is hardly meant in SI: asked back instead of believed."""
+    """A bare number of a file whose magnitude is implausible in SI units."""
 
 
 class RobotError(InputError):
@@ -55,11 +55,11 @@ class RobotError(InputError):
 
 
 class NotSimulatedError(RobotError):
-    """An arm cannot be simulated as an elastic one, though it can be planned with."""
+    """An arm can be planned with, but not simulated as an elastic one."""
 
 
 class ProblemError(InputError):
-    """A problem is stated in a way that cannot be solved, or not honestly."""
+    """A problem statement that is contradictory or incomplete."""
 
 
 class OutOfValidityError(InputError):
@@ -72,7 +72,7 @@ class OutOfValidityError(InputError):
     value, lower, upper : float
         In SI units.
     hint : str
-        What to do next.
+        Remedy.
     """
 
     def __init__(self, name: str, value: float, lower: float, upper: float, hint: str = "") -> None:
@@ -82,7 +82,7 @@ class OutOfValidityError(InputError):
 
 
 class NoSolutionFound(StiffoptError):
-    """A solve ended without a motion that can be used; `solution` holds the best so far."""
+    """A solve ended without a usable motion; `solution` holds the best iterate."""
 
     def __init__(self, message: str, solution: object = None) -> None:
         self.solution = solution
@@ -90,7 +90,7 @@ class NoSolutionFound(StiffoptError):
 
 
 def shortened(value: object) -> str:
-    """Value or error as a message shows it: what is long loses its middle.
+    """Value or error as messages show it; the middle of long texts is omitted.
 
     >>> shortened("x" * 1000)[:4], len(shortened("x" * 1000))
     ("'xxx", 100)
@@ -101,61 +101,68 @@ def shortened(value: object) -> str:
         return f"a {type(value).__name__} too long to show"
     text = " ".join(text.split()) if isinstance(value, BaseException) else text
     text = text.rstrip(".") if isinstance(value, BaseException) else text
-    return text if len(text) <= _SHOWN else f"{text[: _SHOWN - 33]}...{text[-30:]}"
+    return (
+        text
+        if len(text) <= _MAX_SHOWN_CHARACTERS
+        else f"{text[: _MAX_SHOWN_CHARACTERS - 33]}...{text[-30:]}"
+    )
 
 
-_SHOWN = 100
+# Length of a value in a message [characters].
+_MAX_SHOWN_CHARACTERS = 100
 
 
-def relative(value: float, places: int = 2, sign: str = "") -> str:
-    """Relative value: a percentage with this many decimals, a factor from 1000 % on.
+def format_relative(value: float, places: int = 2, sign: str = "") -> str:
+    """Format a relative value: a percentage with `places` decimals, a factor from 1000 % on.
 
     >>> relative(0.0123), relative(0.4, 0, "+"), relative(79926.0)
     ('1.23%', '+40%', '80,000 times')
     """
-    return times(value) if is_factor(value) else f"{value:{sign}.{places}%}"
+    return format_factor(value) if is_factor(value) else f"{value:{sign}.{places}%}"
 
 
-def more(after: float, before: float, digits: int) -> str:
-    """How much more one is than the other, which is not 0.
+def format_increase(after: float, before: float, digits: int) -> str:
+    """Format the relative increase from `before`, which is not 0, to `after`.
 
     >>> more(1.1, 1.0, 2), more(0.5, 1.0, 3), more(12.0, 1.0, 2)
     ('+10 %', '-50 %', '12 times as much')
     """
     ratio = after / before
     size = ratio - 1.0
-    return f"{times(ratio)} as much" if is_factor(size) else f"{100.0 * size:+.{digits}g} %"
+    return f"{format_factor(ratio)} as much" if is_factor(size) else f"{100.0 * size:+.{digits}g} %"
 
 
 def is_factor(value: float) -> bool:
-    """Whether a relative value is so large that it is told as a factor, not in percent."""
-    return _FACTOR_FROM <= abs(value) < float("inf")
+    """Return whether a relative value is written as a factor, not in percent."""
+    return _MIN_FACTOR <= abs(value) < float("inf")
 
 
-def times(value: float) -> str:
-    """Large factor in two digits.
+def format_factor(value: float) -> str:
+    """Format a large factor with two significant digits.
 
     >>> times(12.0), times(79926.2761), times(3.5e9)
     ('12 times', '80,000 times', '3.5e+09 times')
     """
     rounded = float(f"{value:.2g}")
-    return f"{rounded:,.0f} times" if abs(rounded) < _PLAIN_BELOW else f"{rounded:g} times"
+    return f"{rounded:,.0f} times" if abs(rounded) < _MAX_PLAIN_FACTOR else f"{rounded:g} times"
 
 
-_FACTOR_FROM = 10.0
-_PLAIN_BELOW = 1e6
+# Relative values from here on are written as factors; factors from `_MAX_PLAIN_FACTOR` on in
+# exponential notation.
+_MIN_FACTOR = 10.0
+_MAX_PLAIN_FACTOR = 1e6
 
 
 def nearest(name: str, allowed: Iterable[str]) -> str:
-    """Sentence that names the closest allowed word and lists the rest."""
+    """Sentence that suggests the closest allowed word and lists the others."""
     names = sorted(str(a) for a in allowed)
     close = difflib.get_close_matches(name, names, n=1, cutoff=0.5)
     guess = f"Did you mean {close[0]!r}? " if close else ""
-    if len(names) > _LISTED:
+    if len(names) > _MAX_LISTED_NAMES:
         near = sorted(names, key=lambda n: -difflib.SequenceMatcher(None, name, n).ratio())
-        return f"{guess}Allowed are {len(names)}, such as {', '.join(near[:_NEAR])}."
+        return f"{guess}Allowed are {len(names)}, such as {', '.join(near[:_NEAREST_NAMES])}."
     return f"{guess}Allowed: {', '.join(names)}."
 
 
-# Names that a message lists, and how many of more.
-_LISTED, _NEAR = 40, 12
+# Names that a message lists at most, and those nearest to the given one where there are more.
+_MAX_LISTED_NAMES, _NEAREST_NAMES = 40, 12

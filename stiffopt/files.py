@@ -1,4 +1,4 @@
-"""Reading and writing files: TOML and CSV with messages that help, outputs whole or not at all."""
+"""Reading and writing files: TOML, JSON and CSV with checks, atomic outputs."""
 
 from __future__ import annotations
 
@@ -20,22 +20,23 @@ import numpy as np
 from stiffopt.errors import InputFileError, shortened
 from stiffopt.validation import Model, validate
 
-# What a file written by people stays far below; beyond it lie mistakes and attacks.
-LARGEST_TEXT = 32 * 2**20
-# Of a table that a command wrote; an hour at 250 Hz has 500 MB.
-LARGEST_TABLE = 2**29
-DEEPEST = 40
-# A key of more parts than this: tomllib's time grows with their square.
-_LONG_KEY = re.compile(rf"""(?<![\w"'-])(?:[\w"'-]++[ \t]*+\.[ \t]*+){{{DEEPEST}}}""")
-# Of one text of a TOML file [characters]: what reads such texts may take the square of it.
-MAX_STRING = 10_000
+# Files written by people are far smaller; larger ones are mistakes or attacks [bytes].
+MAX_TEXT_BYTES = 32 * 2**20
+# Size of a table that a command wrote [bytes]; an hour at 250 Hz has 500 MB.
+MAX_TABLE_BYTES = 2**29
+# Levels of sections in a TOML file.
+MAX_NESTING = 40
+# Keys of more parts are rejected beforehand: the time of tomllib grows with their square.
+_LONG_KEY = re.compile(rf"""(?<![\w"'-])(?:[\w"'-]++[ \t]*+\.[ \t]*+){{{MAX_NESTING}}}""")
+# Length of one text of a TOML file [characters]; regular expressions may need its square.
+MAX_STRING_LENGTH = 10_000
 
-# Of an integer of 64 bits, its sign included.
-_MOST_DIGITS = 20
+# Of an integer of 64 bits, including the sign.
+_MAX_INTEGER_DIGITS = 20
 
 
 def load_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
-    """Content of a TOML file.
+    """Read a TOML file.
 
     Raises
     ------
@@ -48,12 +49,12 @@ def load_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
     if text.lstrip("\ufeff \t\r\n").startswith("<"):
         raise InputFileError(
             path, "", "is no TOML but XML, such as a URDF. `stiffopt init robot URDF` writes a"
-            " robot file of it, and `stiffopt init problem ROBOT` a problem to solve."
+            " robot file for it, and `stiffopt init problem ROBOT` a problem to solve."
         )  # fmt: skip
     key = _LONG_KEY.search(text)
     if key is not None:
         line = text.count("\n", 0, key.start()) + 1
-        raise InputFileError(path, f"line {line}", f"a key has more than {DEEPEST} parts.")
+        raise InputFileError(path, f"line {line}", f"a key has more than {MAX_NESTING} parts.")
     try:
         data = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
@@ -62,36 +63,38 @@ def load_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
         where = f"line {line}"
         raise InputFileError(path, where, f"is not valid TOML: {shortened(error)}.") from error
     except RecursionError as error:
-        raise InputFileError(path, "", _TOO_DEEP) from error
+        raise InputFileError(path, "", _TOO_DEEP_MESSAGE) from error
     except ValueError as error:  # more digits than Python reads
         raise InputFileError(path, "", "has an integer of more than 64 bits.") from error
     _check_values(path, data)
     return data
 
 
-_TOO_DEEP = f"is nested deeper than {DEEPEST} levels. Write it flatter."
+_TOO_DEEP_MESSAGE = f"is nested deeper than {MAX_NESTING} levels. Use fewer levels."
 
 
 def _check_values(path: Path, data: object, where: str = "", depth: int = 0) -> None:
-    """Depth as any file of people has it, and integers of 64 bits as TOML wants them."""
-    if depth > DEEPEST:
-        raise InputFileError(path, "", _TOO_DEEP)
+    """Raise `InputFileError` for excessive nesting or text length, or integers over 64 bits."""
+    if depth > MAX_NESTING:
+        raise InputFileError(path, "", _TOO_DEEP_MESSAGE)
     if isinstance(data, Mapping):
         for key, value in data.items():
             _check_values(path, value, f"{where}.{key}" if where else str(key), depth + 1)
     elif isinstance(data, list):
         for number, value in enumerate(data, start=1):
             _check_values(path, value, f"{where}[{number}]", depth + 1)
-    elif isinstance(data, str) and len(data) > MAX_STRING:
-        raise InputFileError(path, where, f"this text has more than {MAX_STRING} characters.")
+    elif isinstance(data, str) and len(data) > MAX_STRING_LENGTH:
+        raise InputFileError(
+            path, where, f"this text has more than {MAX_STRING_LENGTH} characters."
+        )
     elif isinstance(data, int) and not -(2**63) <= data < 2**63:
         raise InputFileError(
             path, where, "this integer has more than 64 bits. Write a smaller number."
         )
 
 
-def read_text(path: str | os.PathLike[str], most: int = LARGEST_TEXT) -> str:
-    """Text of a file of UTF-8 of at most so many bytes, without a byte order mark.
+def read_text(path: str | os.PathLike[str], most: int = MAX_TEXT_BYTES) -> str:
+    """Read a UTF-8 file of at most `most` bytes, without its byte order mark.
 
     Raises
     ------
@@ -109,8 +112,8 @@ def read_text(path: str | os.PathLike[str], most: int = LARGEST_TEXT) -> str:
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
-def read_bytes(path: str | os.PathLike[str], most: int = LARGEST_TEXT) -> bytes:
-    """Content of a file of at most so many bytes.
+def read_bytes(path: str | os.PathLike[str], most: int = MAX_TEXT_BYTES) -> bytes:
+    """Read a file of at most `most` bytes.
 
     Raises
     ------
@@ -125,16 +128,16 @@ def read_bytes(path: str | os.PathLike[str], most: int = LARGEST_TEXT) -> bytes:
         raise InputFileError(path, "", f"cannot be read: {error.strerror}.") from error
 
 
-_NO_PLACE = (
+_NO_SUCH_PLACE_MESSAGE = (
     "there is no such place in the file. Sections of a list are counted from 1, such as"
     " minimise[1].weight."
 )
 
 
-def with_changes(data: dict[str, Any], changes: Sequence[str], path: object) -> dict[str, Any]:
-    """Content of a file with entries changed: "motion.duration=0.5 s", "minimise[1].weight=2".
+def apply_changes(data: dict[str, Any], changes: Sequence[str], path: object) -> dict[str, Any]:
+    """Change entries of a file's content: "motion.duration=0.5 s", "minimise[1].weight=2".
 
-    What is right of "=" is read as TOML; what is none is a text.
+    The value after "=" is read as TOML, else as a text.
 
     Raises
     ------
@@ -152,7 +155,7 @@ def with_changes(data: dict[str, Any], changes: Sequence[str], path: object) -> 
             value = text.strip()
         held: Any = data
         for key in keys[:-1]:
-            held = _held(held, key, place, path)
+            held = _enter_section(held, key, place, path)
         last = keys[-1]
         if isinstance(held, list) and last.startswith("["):
             number = int(last[1:-1])
@@ -162,39 +165,39 @@ def with_changes(data: dict[str, Any], changes: Sequence[str], path: object) -> 
         elif isinstance(held, dict) and not last.startswith("["):
             held[last] = value
         else:
-            raise InputFileError(path, f"--set {place}", _NO_PLACE)
+            raise InputFileError(path, f"--set {place}", _NO_SUCH_PLACE_MESSAGE)
     return data
 
 
-def _held(held: Any, key: str, place: str, path: object) -> Any:
+def _enter_section(held: Any, key: str, place: str, path: object) -> Any:
     if isinstance(held, dict) and not key.startswith("["):
         return held.setdefault(key, {})
     if isinstance(held, list) and key.startswith("[") and 1 <= int(key[1:-1]) <= len(held):
         return held[int(key[1:-1]) - 1]
-    raise InputFileError(path, f"--set {place}", _NO_PLACE)
+    raise InputFileError(path, f"--set {place}", _NO_SUCH_PLACE_MESSAGE)
 
 
 def load_json(path: str | os.PathLike[str]) -> Any:
-    """Content of a JSON file; raises `InputFileError` where there is none."""
+    """Read a JSON file; raises `InputFileError` for other content."""
     try:
-        return json.loads(read_text(path), parse_int=_integer)
+        return json.loads(read_text(path), parse_int=_parse_integer)
     except InputFileError:
         raise
     except (ValueError, RecursionError) as error:
         raise InputFileError(path, "", f"is no JSON text: {shortened(error)}.") from error
 
 
-def _integer(text: str) -> int:
-    """Integer of a JSON text; larger ones are no float either."""
-    if len(text) > _MOST_DIGITS:
+def _parse_integer(text: str) -> int:
+    """Integer of a JSON text; longer ones overflow a float."""
+    if len(text) > _MAX_INTEGER_DIGITS:
         raise ValueError("an integer of more than 64 bits")
     return int(text)
 
 
 def check_file(path: str | os.PathLike[str], most: int | None = None) -> None:
-    """Raise `InputFileError` if `path` is no regular file, or one of more bytes than `most`.
+    """Raise `InputFileError` if `path` is no regular file, or is larger than `most` bytes.
 
-    The message has the nearest file names in that folder.
+    The message suggests similar file names of that folder.
     """
     path = Path(path)
     if path.is_file():
@@ -210,7 +213,7 @@ def check_file(path: str | os.PathLike[str], most: int | None = None) -> None:
             path, "", f"is a link to {os.readlink(path)}, where no file is found. Give the file."
         )
     if path.exists():
-        raise InputFileError(path, "", "is a device or a pipe. Give a file that stays.")
+        raise InputFileError(path, "", "is a device or a pipe. Give a regular file.")
     if path.parent.is_file():
         raise InputFileError(path.parent, "", "is a file: give the folder of the results.")
     if not path.parent.is_dir():
@@ -223,15 +226,17 @@ def check_file(path: str | os.PathLike[str], most: int | None = None) -> None:
     raise InputFileError(path, "", f"no such file.{there} Check the path.")
 
 
-# What turns a file of one kind into one of another.
-_NEXT = {("robot", "trajectory"): " `stiffopt init problem ROBOT` writes a problem for it."}
+# Command that makes a file of the expected kind from one of the given kind.
+_CONVERSION_ADVICE = {
+    ("robot", "trajectory"): " `stiffopt init problem ROBOT` writes a problem for it."
+}
 
 
 def check_header(data: Mapping[str, Any], path: object, kind: str, schema: int = 1) -> None:
-    """Check the two keys that every file has: `schema` and `kind`."""
+    """Check `schema` and `kind`, the keys that every file has."""
     if data.get("kind") != kind:
         got = f"got {shortened(data['kind'])}" if "kind" in data else "the key is missing"
-        step = _NEXT.get((str(data.get("kind")), kind), "")
+        step = _CONVERSION_ADVICE.get((str(data.get("kind")), kind), "")
         raise InputFileError(path, "kind", f'this place needs kind = "{kind}", {got}.{step}')
     if data.get("schema") != schema or isinstance(data.get("schema"), bool):
         got = f"got {shortened(data['schema'])}" if "schema" in data else "the key is missing"
@@ -241,24 +246,24 @@ def check_header(data: Mapping[str, Any], path: object, kind: str, schema: int =
 def read_document(
     path: str | os.PathLike[str], model: type[Model], kind: str, changes: Sequence[str] = ()
 ) -> Model:
-    """Content of a TOML file of one kind, entries changed as `changes` says.
+    """Read a TOML file of one kind, with `changes` of its entries.
 
     Raises
     ------
     InputFileError
-        What is wrong with the file, its header, an entry or a change.
+        Unreadable file, wrong header, or an invalid entry or change.
     """
-    data = with_changes(load_toml(path), changes, path)
+    data = apply_changes(load_toml(path), changes, path)
     check_header(data, path, kind)
     return validate(model, data, path)
 
 
-def plain(value: object) -> Any:
-    """Value as JSON knows it: plain Python types, null for what is not finite."""
+def to_json_types(value: object) -> Any:
+    """Convert a value to JSON types; numbers that are not finite become null."""
     if isinstance(value, Mapping):
-        return {str(key): plain(each) for key, each in value.items()}
+        return {str(key): to_json_types(each) for key, each in value.items()}
     if isinstance(value, np.ndarray | list | tuple):
-        return [plain(each) for each in value]
+        return [to_json_types(each) for each in value]
     if isinstance(value, bool | np.bool_):
         return bool(value)
     if isinstance(value, int | np.integer):
@@ -269,9 +274,9 @@ def plain(value: object) -> Any:
 
 
 def atomic_write(path: str | os.PathLike[str], content: str | bytes) -> None:
-    """Write a file whole or not at all: to a temporary name in the same folder, then renamed."""
+    """Write a file atomically: under a temporary name in the same folder, then renamed."""
     path = Path(path)
-    # Names of files that are not UTF-8 hold surrogates: escaped, as JSON reads them back.
+    # File names that are not UTF-8 contain surrogates: escape them so that JSON can read them.
     binary = content if isinstance(content, bytes) else content.encode("utf-8", "backslashreplace")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -284,7 +289,7 @@ def atomic_write(path: str | os.PathLike[str], content: str | bytes) -> None:
                 stream.write(binary)
         except OSError as error:  # no space left
             raise InputFileError(path, "", f"cannot be written: {error.strerror}.") from error
-        # mkstemp makes files private; give the mode that open() would have given.
+        # mkstemp makes files private: set the mode that open() would set.
         mask = os.umask(0)
         os.umask(mask)
         os.chmod(temporary, 0o666 & ~mask)
@@ -297,24 +302,24 @@ def atomic_write(path: str | os.PathLike[str], content: str | bytes) -> None:
 def read_table(
     path: str | os.PathLike[str], columns: Sequence[str], optional: Sequence[str] = ()
 ) -> dict[str, list[float]]:
-    """Numbers of a CSV file with a header, by column.
+    """Read the numbers of a CSV file with a header, by column.
 
     Parameters
     ----------
     path : path
     columns : sequence of str
-        That the file must have.
+        Required columns.
     optional : sequence of str
-        Read where the file has them.
+        Columns read if present.
 
     Raises
     ------
     InputFileError
-        No such file, no CSV text, a column missing, fewer than two rows, or what is not a finite
-        number, with the row (the first below the header is 1) and the column.
+        No such file, no CSV text, a missing column, fewer than two rows, or an entry that is no
+        finite number, with row (the first below the header is 1) and column.
     """
     path = Path(path)
-    text = read_text(path, LARGEST_TABLE)
+    text = read_text(path, MAX_TABLE_BYTES)
     try:
         rows = list(csv.DictReader(io.StringIO(text, newline="")))
     except csv.Error as error:
@@ -324,7 +329,7 @@ def read_table(
             path, "", f"needs at least two rows and the columns {', '.join(columns)}."
         )
     for number, row in enumerate(rows, start=1):
-        # What is beyond the header is under None.
+        # csv stores cells beyond the header under None.
         if any(cell.strip() for cell in row.get(None, ())):
             raise InputFileError(
                 path,
@@ -334,12 +339,12 @@ def read_table(
             )
     wanted = [*columns, *(name for name in optional if name in rows[0])]
     return {
-        name: [_number(path, k, name, row[name]) for k, row in enumerate(rows, start=1)]
+        name: [_parse_number(path, k, name, row[name]) for k, row in enumerate(rows, start=1)]
         for name in wanted
     }
 
 
-def _number(path: Path, row: int, column: str, text: str | None) -> float:
+def _parse_number(path: Path, row: int, column: str, text: str | None) -> float:
     try:
         value = float(text or "")
     except ValueError:
@@ -354,7 +359,7 @@ def _number(path: Path, row: int, column: str, text: str | None) -> float:
 def write_csv(
     path: str | os.PathLike[str], columns: Sequence[str], rows: Iterable[Sequence[object]]
 ) -> None:
-    """Write a CSV file whole or not at all; floats keep their full precision."""
+    """Write a CSV file atomically; floats keep their full precision."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(columns)

@@ -1,10 +1,10 @@
-"""Folders for results: a command's files appear together, and a manifest says which they are.
+"""Result folders: files of a command appear together and are listed in a manifest.
 
 Files are written to a hidden folder beside the target (inside it where the target's parent cannot
 be written or is another file system). When all are whole, the files of the earlier answer are
 removed and the new ones are renamed into place, the manifest last: no moment shows files of two
-answers. What a killed process left is completed from the two manifests, whose names and hashes are
-checked, and which reach nothing outside the target. Files that no manifest lists, or that were
+answers. An interrupted replacement is completed from the two manifests, whose names and hashes are
+checked and refer to nothing outside the target. Files that no manifest lists, or that were
 changed since, belong to the user: they keep their content under another name.
 """
 
@@ -24,10 +24,10 @@ from typing import Any
 
 from stiffopt.errors import InputFileError
 from stiffopt.files import atomic_write, load_json
-from stiffopt.interrupts import uninterrupted
+from stiffopt.interrupts import ignore_interrupts
 
 MANIFEST = "manifest.json"
-# Folders that this process has written, in order.
+# Result folders of this process, in order.
 written: list[Path] = []
 _LOCK_FILE, _INNER_STAGE, _KEPT_SUFFIX = ".stiffopt.lock", ".stiffopt.new", ".kept"
 # In a stage that is complete: hash of the manifest that it replaces.
@@ -35,10 +35,10 @@ _READY_FILE = ".replaces"
 # Working folder of earlier versions, with a list of moves that those carried out unchecked.
 _OBSOLETE_FOLDER = ".stiffopt"
 # Relative, without empty, hidden or parent folders, backslashes and control characters.
-_PART = r"(?!\.)[^/\\\x00-\x1f\x7f-\x9f]+"
-_NAME = re.compile(rf"{_PART}(/{_PART})*")
-_COMMAND = re.compile(r"[a-z][a-z0-9 -]{0,60}")
-_DIGEST = re.compile(r"[0-9a-f]{64}")
+_PATH_PART_PATTERN = r"(?!\.)[^/\\\x00-\x1f\x7f-\x9f]+"
+_FILE_NAME_PATTERN = re.compile(rf"{_PATH_PART_PATTERN}(/{_PATH_PART_PATTERN})*")
+_COMMAND_PATTERN = re.compile(r"[a-z][a-z0-9 -]{0,60}")
+_HASH_PATTERN = re.compile(r"[0-9a-f]{64}")
 # Above any file that a command writes; hashing more takes seconds [bytes].
 _MAX_FILE_SIZE = 2**30
 
@@ -47,37 +47,38 @@ _MAX_FILE_SIZE = 2**30
 def output_folder(
     path: Path, command: str, *, of: str = "", maybe: Sequence[str] = ()
 ) -> Iterator[Path]:
-    """A hidden folder to write into, tried before any long work; its files then appear in `path`.
+    """Create a hidden folder to write into; its files appear in `path` at the end.
 
-    What ends with an exception changes nothing, and folders that were made for it are removed.
+    Created before any long work, so that an unwritable folder is reported early. After an
+    exception nothing has changed, and folders made for it are removed.
 
     Parameters
     ----------
     path : Path
     command : str
-        That writes: files of its earlier answer make place for the new.
+        Command that writes; files of its earlier answer are replaced.
     of : str
-        Command whose answer these files go with; a new answer of that takes them away too.
+        Command whose answer these files belong to; a new answer of it removes them too.
     maybe : sequence of str
-        Files that it does not always write: without them, none of an earlier version stays.
+        Files that are not always written; earlier ones of these names are set aside.
 
     Raises
     ------
     InputFileError
-        The folder cannot be written, another process is writing into it, or it holds what no
-        command writes, such as links under names that its manifest lists.
+        The folder cannot be written, another process is writing into it, or it contains entries
+        that no command writes, such as links under names that its manifest lists.
     """
     if "\0" in str(path):
         raise InputFileError(repr(str(path)), "", "is no name of a folder.")
     made = [folder for folder in (path, *path.parents) if not folder.exists()]
     try:
-        with ExitStack() as calm, _locked(path), _new_stage(path) as stage:
-            _check_regular(path, *_listed(path))
+        with ExitStack() as calm, _folder_lock(path), _new_stage(path) as stage:
+            _check_regular(path, *_manifest_entries(path))
             try:
                 yield stage
             except InputFileError as error:
-                raise _from_stage(error, stage, path) from error
-            calm.enter_context(uninterrupted())
+                raise _relocate_error(error, stage, path) from error
+            calm.enter_context(ignore_interrupts())
             _finish_stage(path, stage, command, of, maybe)
             _put_in_place(path, stage)
             written.append(path)
@@ -89,17 +90,17 @@ def output_folder(
 
 
 def check_result(folder: Path, *names: str, edited: bool = False) -> None:
-    """Raise `InputFileError` unless files of a result folder are what one command wrote together.
+    """Raise `InputFileError` unless files of a result folder were written together by one command.
 
     A folder without manifest, from an earlier version or written in Python, is taken as it is, but
     for links, pipes and devices. Files that a user may have `edited` need only be regular files,
     and those that the manifest does not list are not checked.
     """
     _check_control_files(folder)
-    if any(_is_ready(stage, folder) for stage in _stages(folder)):
-        with _locked(folder):
-            _complete(folder)
-    listed = _listed(folder)
+    if any(_is_ready(stage, folder) for stage in _stage_paths(folder)):
+        with _folder_lock(folder):
+            _complete_interrupted(folder)
+    listed = _manifest_entries(folder)
     if edited:
         _check_regular(folder, *(name for name in names if name in listed))
         return
@@ -110,12 +111,12 @@ def check_result(folder: Path, *names: str, edited: bool = False) -> None:
         if name not in listed:
             raise InputFileError(
                 path, "", f"is of another run than the rest of this folder: {MANIFEST} does not "
-                "list it. Make the result anew."
+                "list it. Make the result again."
             )  # fmt: skip
-        if _hash(folder, name) != listed[name]["sha256"]:
+        if _hash_file(folder, name) != listed[name]["sha256"]:
             raise InputFileError(
                 path, "", f"was changed since `stiffopt {listed[name]['by']}` wrote it: {MANIFEST} "
-                "has another hash. Make the result anew."
+                "has another hash. Make the result again."
             )  # fmt: skip
     writers = {listed[name]["by"] for name in names if name in listed}
     if len(writers) > 1:
@@ -126,11 +127,11 @@ def check_result(folder: Path, *names: str, edited: bool = False) -> None:
 
 def is_regular(folder: Path, name: str) -> bool:
     """Return whether a name is a regular file that is reached from the folder without links."""
-    return _blocking(folder, name) == name and stat.S_ISREG(_mode(folder / name))
+    return _blocking_path(folder, name) == name and stat.S_ISREG(_file_mode(folder / name))
 
 
-def _mode(path: Path) -> int:
-    """Kind and permissions of what a path names, links not followed; 0 where nothing is there."""
+def _file_mode(path: Path) -> int:
+    """Kind and permissions of a path without following links; 0 where it does not exist."""
     try:
         return path.lstat().st_mode
     except (FileNotFoundError, NotADirectoryError, ValueError):
@@ -138,9 +139,9 @@ def _mode(path: Path) -> int:
 
 
 def _check_regular(folder: Path, *names: str) -> None:
-    """Raise `InputFileError` where a name is there as anything but a file of the folder itself."""
+    """Raise `InputFileError` where a name exists, but is no regular file of the folder itself."""
     for name in names:
-        if _blocking(folder, name) and not is_regular(folder, name):
+        if _blocking_path(folder, name) and not is_regular(folder, name):
             raise InputFileError(
                 folder / name, "", "is reached through a link, or is a folder, pipe or device; a "
                 "result's files are regular files of its own folder. Remove or rename it."
@@ -153,27 +154,27 @@ def _check_regular(folder: Path, *names: str) -> None:
 
 
 def _check_control_files(path: Path) -> None:
-    """Raise `InputFileError` where lock or stage are not what commands of this version make."""
-    if _mode(path / _OBSOLETE_FOLDER):
+    """Raise `InputFileError` where lock or stage are not of the kind that this version makes."""
+    if _file_mode(path / _OBSOLETE_FOLDER):
         raise InputFileError(
             path / _OBSOLETE_FOLDER, "", "was left by an earlier version of stiffopt that was "
             "killed, or came with a foreign folder; nothing of it is carried out. Remove it and "
-            "make the result anew."
+            "make the result again."
         )  # fmt: skip
     for each, is_kind in (
         (path / _LOCK_FILE, stat.S_ISREG),
-        *((stage, stat.S_ISDIR) for stage in _stages(path)),
+        *((stage, stat.S_ISDIR) for stage in _stage_paths(path)),
     ):
-        if _mode(each) and not is_kind(_mode(each)):
+        if _file_mode(each) and not is_kind(_file_mode(each)):
             raise InputFileError(
-                each, "", "is a link or of another kind than what stiffopt makes under this name. "
+                each, "", "is a link or of another kind than stiffopt makes under this name. "
                 "Remove it."
             )  # fmt: skip
 
 
 @contextmanager
-def _locked(path: Path) -> Iterator[None]:
-    """Hold the lock of a folder, which is made where it is missing."""
+def _folder_lock(path: Path) -> Iterator[None]:
+    """Hold the lock of a folder, created if missing."""
     from filelock import FileLock, Timeout
 
     lock = FileLock(path / _LOCK_FILE, timeout=0)
@@ -192,7 +193,7 @@ def _locked(path: Path) -> Iterator[None]:
         try:
             yield
         finally:
-            # While it is held: who has opened this file finds that it is no longer the one there.
+            # Remove it while held: a process that opened it meanwhile sees that it was replaced.
             with suppress(OSError):
                 (path / _LOCK_FILE).unlink()
 
@@ -203,18 +204,18 @@ def _not_writable(path: Path, error: OSError) -> InputFileError:
     )
 
 
-def _stages(path: Path) -> tuple[Path, Path]:
-    """Where new files are written: beside the folder, or inside it."""
+def _stage_paths(path: Path) -> tuple[Path, Path]:
+    """Folders in which new files are written: beside the target, or inside it."""
     real = Path(os.path.realpath(path))
     return real.parent / f".{real.name}.stiffopt", real / _INNER_STAGE
 
 
 @contextmanager
 def _new_stage(path: Path) -> Iterator[Path]:
-    """An empty stage, after what a killed process left has been completed or cleared."""
-    beside, inside = _stages(path)
+    """Create an empty stage after completing or removing that of an interrupted process."""
+    beside, inside = _stage_paths(path)
     try:
-        _complete(path)
+        _complete_interrupted(path)
         inside.mkdir(mode=0o700)
     except OSError as error:
         raise _not_writable(path, error) from error
@@ -225,7 +226,7 @@ def _new_stage(path: Path) -> Iterator[Path]:
     try:
         yield stage
     finally:
-        # A complete one stays: whoever next uses the folder puts it in place.
+        # A complete one stays: the next use of the folder moves it into place.
         if not _is_ready(stage, path):
             shutil.rmtree(stage, ignore_errors=True)
 
@@ -235,12 +236,12 @@ def _is_ready(stage: Path, path: Path) -> bool:
     if not (is_regular(stage, MANIFEST) and is_regular(stage, _READY_FILE)):
         return False
     with (stage / _READY_FILE).open("rb") as stream:
-        return stream.read(65) == _hash(path, MANIFEST).encode()
+        return stream.read(65) == _hash_file(path, MANIFEST).encode()
 
 
-def _complete(path: Path) -> None:
-    """Put in place what a killed process had finished; clear what it had not."""
-    for stage in filter(_mode, _stages(path)):
+def _complete_interrupted(path: Path) -> None:
+    """Move the complete stage of an interrupted process into place; remove an incomplete one."""
+    for stage in filter(_file_mode, _stage_paths(path)):
         if stage.lstat().st_uid != os.geteuid():
             raise InputFileError(
                 stage, "", "was left by a stopped stiffopt of another user. Have it removed, or "
@@ -252,14 +253,14 @@ def _complete(path: Path) -> None:
 
 
 def _finish_stage(path: Path, stage: Path, command: str, of: str, maybe: Sequence[str]) -> None:
-    """Write manifest and mark of a stage: from here on the new answer is the one that counts."""
+    """Write manifest and mark of a stage, which from then on replaces the earlier answer."""
     coming = sorted(p.relative_to(stage).as_posix() for p in stage.rglob("*") if p.is_file())
-    listed = _listed(path)
+    listed = _manifest_entries(path)
     for name in coming:
-        if not _NAME.fullmatch(name):
+        if not _FILE_NAME_PATTERN.fullmatch(name):
             raise InputFileError(
                 path / name, "", "this name is hidden or has backslashes or control characters, "
-                "which no result may have. Rename what it was made from."
+                "which no result may have. Rename its source."
             )  # fmt: skip
     files = {
         name: entry
@@ -267,26 +268,28 @@ def _finish_stage(path: Path, stage: Path, command: str, of: str, maybe: Sequenc
         if command not in (entry["by"], entry.get("of"))
     }
     for name in coming:
-        files[name] = {"by": command, "sha256": _hash(stage, name)} | ({"of": of} if of else {})
+        files[name] = {"by": command, "sha256": _hash_file(stage, name)} | (
+            {"of": of} if of else {}
+        )
     document = {"schema": 1, "files": dict(sorted(files.items()))}
     atomic_write(stage / MANIFEST, json.dumps(document, indent=1) + "\n")
-    atomic_write(stage / _READY_FILE, _hash(path, MANIFEST))
+    atomic_write(stage / _READY_FILE, _hash_file(path, MANIFEST))
     for name in sorted({*maybe} - {*coming, *listed}):
         _set_aside(path, name)
 
 
 def _put_in_place(path: Path, stage: Path) -> None:
-    """Remove the old answer, then rename the new one into place; begun anew after a kill."""
-    new, old = _listed(stage), _listed(path)
+    """Remove the old answer, then rename the new one into place; repeatable after a kill."""
+    new, old = _manifest_entries(stage), _manifest_entries(path)
     coming = {n for n, entry in new.items() if entry != old.get(n) or is_regular(stage, n)}
     for name in coming:
-        if new[name]["sha256"] not in (_hash(stage, name), _hash(path, name)):
+        if new[name]["sha256"] not in (_hash_file(stage, name), _hash_file(path, name)):
             raise InputFileError(
                 stage, "", f"holds an answer that a stopped stiffopt left for {path}, whose {name} "
-                "was changed or removed since. Remove this folder and make the result anew."
+                "was changed or removed since. Remove this folder and make the result again."
             )  # fmt: skip
     for name in sorted(coming | (old.keys() - new.keys())):
-        digest = _hash(path, name)
+        digest = _hash_file(path, name)
         if name in coming and not is_regular(stage, name) and digest == new[name]["sha256"]:
             continue  # in place already
         if digest and digest == old.get(name, {}).get("sha256"):
@@ -303,7 +306,7 @@ def _put_in_place(path: Path, stage: Path) -> None:
     os.replace(stage / MANIFEST, path / MANIFEST)
 
 
-def _listed(path: Path) -> dict[str, dict[str, Any]]:
+def _manifest_entries(path: Path) -> dict[str, dict[str, Any]]:
     """Entries of a folder's manifest by file name; empty where there is none."""
     manifest = path / MANIFEST
     _check_regular(path, MANIFEST)
@@ -315,10 +318,10 @@ def _listed(path: Path) -> dict[str, dict[str, Any]]:
         files = {"": None}
     sound = all(
         isinstance(entry, dict)
-        and _COMMAND.fullmatch(str(entry.get("by")))
-        and _COMMAND.fullmatch(str(entry.get("of", "none")))
-        and _DIGEST.fullmatch(str(entry.get("sha256")))
-        and _NAME.fullmatch(name)
+        and _COMMAND_PATTERN.fullmatch(str(entry.get("by")))
+        and _COMMAND_PATTERN.fullmatch(str(entry.get("of", "none")))
+        and _HASH_PATTERN.fullmatch(str(entry.get("sha256")))
+        and _FILE_NAME_PATTERN.fullmatch(name)
         and name != MANIFEST
         for name, entry in files.items()
     )
@@ -327,7 +330,7 @@ def _listed(path: Path) -> dict[str, dict[str, Any]]:
     return {name: dict(entry) for name, entry in files.items()}
 
 
-def _hash(folder: Path, name: str) -> str:
+def _hash_file(folder: Path, name: str) -> str:
     """SHA-256 of a regular file of a folder; empty where there is none."""
     if not is_regular(folder, name):
         return ""
@@ -335,23 +338,23 @@ def _hash(folder: Path, name: str) -> str:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
-def _blocking(folder: Path, name: str) -> str:
-    """Name itself or the first of its folders that is no folder; empty where nothing is there."""
+def _blocking_path(folder: Path, name: str) -> str:
+    """Name itself or the first of its parents that is no folder; empty where neither exists."""
     parts = name.split("/")
     for k in range(1, len(parts)):
         above = "/".join(parts[:k])
-        if not stat.S_ISDIR(_mode(folder / above)):
-            return above if _mode(folder / above) else ""
-    return name if _mode(folder / name) else ""
+        if not stat.S_ISDIR(_file_mode(folder / above)):
+            return above if _file_mode(folder / above) else ""
+    return name if _file_mode(folder / name) else ""
 
 
 def _set_aside(path: Path, name: str) -> None:
-    """Rename what stands under a name and is the user's, or in the way of it."""
-    blocking = _blocking(path, name)
+    """Rename the user's file or folder that occupies a name."""
+    blocking = _blocking_path(path, name)
     if not blocking:
         return
     number, kept = 1, blocking + _KEPT_SUFFIX
-    while _mode(path / kept):
+    while _file_mode(path / kept):
         number += 1
         kept = f"{blocking}{_KEPT_SUFFIX}{number}"
     print(f"stiffopt: {path / blocking} was not written by stiffopt, or was changed since: it is "
@@ -359,7 +362,7 @@ def _set_aside(path: Path, name: str) -> None:
     (path / blocking).rename(path / kept)
 
 
-def _from_stage(error: InputFileError, stage: Path, path: Path) -> InputFileError:
+def _relocate_error(error: InputFileError, stage: Path, path: Path) -> InputFileError:
     """The error with the place where the file was to appear."""
     if Path(error.path).is_relative_to(stage):
         place = path / Path(error.path).relative_to(stage)

@@ -1,4 +1,4 @@
-"""Who takes Ctrl-C: while something short is done that a long answer needs, or a solve runs."""
+"""Handling of Ctrl-C while a solve runs, or while results are prepared or written."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ Answer = TypeVar("Answer")
 
 
 @dataclass
-class _Preparing:
-    """What Ctrl-C did before an answer is prepared, and whether it came meanwhile."""
+class _DeferredInterrupt:
+    """Handler of Ctrl-C to restore after preparation, and whether Ctrl-C was pressed meanwhile."""
 
     until: Any = None
     stopped: bool = False
 
 
-_preparing = _Preparing()
+_deferred = _DeferredInterrupt()
 
 
 @contextmanager
-def handled(handler: Callable[..., object] | signal.Handlers) -> Iterator[None]:
-    """Ctrl-C goes to a handler; only the main thread can take signals."""
+def handle_interrupts(handler: Callable[..., object] | signal.Handlers) -> Iterator[None]:
+    """Send Ctrl-C to a handler; without effect outside the main thread."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -38,48 +38,48 @@ def handled(handler: Callable[..., object] | signal.Handlers) -> Iterator[None]:
 
 
 @contextmanager
-def beginning() -> Iterator[None]:
-    """While an answer is prepared: the first Ctrl-C waits for something to keep (`delivered`).
+def defer_until_result() -> Iterator[None]:
+    """Defer the first Ctrl-C until a first result exists (`end_deferral`).
 
-    A second one ends it at once. Within another one it is the same as that.
+    A second one interrupts immediately. Nested use has no further effect.
     """
     before = signal.getsignal(signal.SIGINT)
-    if before is signal.SIG_IGN or _preparing.until is not None:
+    if before is signal.SIG_IGN or _deferred.until is not None:
         yield
         return
 
     def wait(*_: object) -> None:
         signal.signal(signal.SIGINT, before)
-        _preparing.stopped = True
+        _deferred.stopped = True
         print(
             "stiffopt: stops once there is a motion to keep; Ctrl-C again ends it now.",
             file=sys.stderr,
         )
 
-    with handled(wait):
-        _preparing.until, _preparing.stopped = before, False
+    with handle_interrupts(wait):
+        _deferred.until, _deferred.stopped = before, False
         try:
             yield
         finally:
-            _preparing.until, _preparing.stopped = None, False
+            _deferred.until, _deferred.stopped = None, False
 
 
-def delivered(*, ended: bool = False) -> None:
-    """There is something to keep: from here on Ctrl-C interrupts, one that waited does now.
+def end_deferral(*, ended: bool = False) -> None:
+    """End the deferral: Ctrl-C interrupts from now on, a deferred one immediately.
 
-    Where the answer has `ended`, it was too late.
+    A deferred one is dropped where the solve has `ended`.
     """
-    if _preparing.until is not None:
-        signal.signal(signal.SIGINT, _preparing.until)
-        _preparing.until = None
-    stopped, _preparing.stopped = _preparing.stopped, False
+    if _deferred.until is not None:
+        signal.signal(signal.SIGINT, _deferred.until)
+        _deferred.until = None
+    stopped, _deferred.stopped = _deferred.stopped, False
     if stopped and not ended:
         raise KeyboardInterrupt
 
 
 @contextmanager
-def finishing() -> Iterator[None]:
-    """While an answer that took long is written: the first Ctrl-C waits, a second one ends it."""
+def defer_while_writing() -> Iterator[None]:
+    """Defer the first Ctrl-C while results are written; a second one interrupts."""
     before = signal.getsignal(signal.SIGINT)
 
     def wait(*_: object) -> None:
@@ -88,24 +88,24 @@ def finishing() -> Iterator[None]:
             "stiffopt: the answer is being written; Ctrl-C again throws it away.", file=sys.stderr
         )
 
-    with handled(wait):
+    with handle_interrupts(wait):
         yield
 
 
 @contextmanager
-def uninterrupted() -> Iterator[None]:
-    """Ctrl-C waits until something short is done, and is then too late."""
-    with handled(signal.SIG_IGN):
+def ignore_interrupts() -> Iterator[None]:
+    """Ignore Ctrl-C during a short operation."""
+    with handle_interrupts(signal.SIG_IGN):
         yield
 
 
-def finished(step: Callable[[], Answer]) -> tuple[Answer, bool]:
-    """What a short step answers that none can do without, and whether Ctrl-C came meanwhile.
+def complete_step(step: Callable[[], Answer]) -> tuple[Answer, bool]:
+    """Result of a short indispensable step, and whether Ctrl-C was pressed during it.
 
-    It is done anew then, and a further Ctrl-C throws nothing away.
+    An interrupted step is repeated with Ctrl-C ignored.
     """
     try:
         return step(), False
     except KeyboardInterrupt:
-        with uninterrupted():
+        with ignore_interrupts():
             return step(), True

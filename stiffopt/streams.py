@@ -1,4 +1,4 @@
-"""Standard output and error that take any text: no character or closed pipe loses an answer."""
+"""Standard output and error that accept any character and survive a closed pipe."""
 
 from __future__ import annotations
 
@@ -8,34 +8,34 @@ import sys
 
 
 class LenientStream(io.TextIOWrapper):
-    """Text stream of a program that goes on where nothing can be written any more.
+    """Text stream that discards output after the first failed write.
 
     Attributes
     ----------
     failure : OSError or None
-        Of the first write that failed; what follows is dropped.
+        Of the first write that failed.
     """
 
     failure: OSError | None = None
 
     def write(self, text: str, /) -> int:
-        """Write text, or drop it."""
+        """Write text, or discard it."""
         try:
             return super().write(text)
         except OSError as error:
-            self._drop(error)
+            self._discard_output(error)
             return len(text)
 
     def flush(self) -> None:
-        """Hand on what was written, or drop it."""
+        """Flush the buffer, or discard it."""
         try:
             super().flush()
         except OSError as error:
-            self._drop(error)
+            self._discard_output(error)
 
-    def _drop(self, error: OSError) -> None:
+    def _discard_output(self, error: OSError) -> None:
         self.failure = self.failure or error
-        # What is buffered goes there as well, and the interpreter's own flush at exit.
+        # Buffered text and the flush of the interpreter at exit go to the null device.
         nowhere = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nowhere, self.fileno())
         os.close(nowhere)
@@ -44,8 +44,8 @@ class LenientStream(io.TextIOWrapper):
 def open_streams() -> None:
     """Replace stdout and stderr by streams whose failures do not end the program.
 
-    What a terminal's encoding lacks is escaped, as are names of files that are not UTF-8; what is
-    said to a closed stream is dropped.
+    Characters that the terminal's encoding lacks, and file names that are not UTF-8, are escaped;
+    output to a closed stream is discarded.
     """
     for name in ("stdout", "stderr"):
         stream = getattr(sys, name)
@@ -59,8 +59,8 @@ def open_streams() -> None:
             setattr(sys, name, own)
 
 
-def unprinted() -> OSError | None:
-    """Reason why stdout could not be written; None also where its reader had read enough."""
+def output_failure() -> OSError | None:
+    """Return the error of standard output; None also for a pipe that its reader closed."""
     sys.stdout.flush()
     failure = getattr(sys.stdout, "failure", None)
     return None if isinstance(failure, BrokenPipeError) else failure

@@ -12,13 +12,14 @@ import re
 from collections.abc import Callable
 from typing import Any
 
-from stiffopt.declaration import DIMENSIONS, PRISMATIC, Dimension, Unit
+from stiffopt.declaration import Unit
+from stiffopt.dimensions import DIMENSIONS, PRISMATIC, Dimension
 from stiffopt.errors import UnitError, shortened
 
-# Far above any modulus or stiffness, far below what overflows when multiplied.
-LARGEST = 1e15
-# Of a number with its unit [characters]; to take longer texts apart can take their cube in steps.
-MAX_TEXT = 200
+# Far above any modulus or stiffness, and products of a few such numbers do not overflow.
+MAX_MAGNITUDE = 1e15
+# Length of a number with its unit [characters]; parsing may take its cube.
+MAX_NUMBER_LENGTH = 200
 
 _NUMBER_AND_UNIT = re.compile(r"^\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*$")
 _ANGLE_UNITS = (
@@ -33,19 +34,19 @@ _ANGLE_UNITS = (
 
 
 def number_and_unit(value: float | str) -> tuple[float, str | None]:
-    """Number and unit of a value of a file, "" where it is bare; no unit (None) of other texts.
+    """Split a value of a file into number and unit: "" for a bare number, None for other texts.
 
     >>> number_and_unit("0.4 s"), number_and_unit(2), number_and_unit("fast")
     ((0.4, 's'), (2.0, ''), (nan, None))
     """
     if not isinstance(value, str):
         return float(value), ""
-    match = _NUMBER_AND_UNIT.match(value) if len(value) <= MAX_TEXT else None
+    match = _NUMBER_AND_UNIT.match(value) if len(value) <= MAX_NUMBER_LENGTH else None
     return (float(match[1]), match[2]) if match else (math.nan, None)
 
 
 @functools.cache
-def _registry() -> Any:
+def _unit_registry() -> Any:
     import pint
 
     registry: Any = pint.UnitRegistry()
@@ -53,32 +54,32 @@ def _registry() -> Any:
     return registry
 
 
-# Names joined by "*" and "/", each with a power of one digit: pint would work out any arithmetic.
-_NAME = r"(?:1|[^\W\d]\w*|[%°])"
-_POWER = r"(?:\s*(?:\*\*|\^)\s*(?:-?\d|\(-?\d\)))?"
-_UNIT = re.compile(
-    rf"[\s(]*{_NAME}[\s)]*{_POWER}(?:(?:\s*[*/]\s*|\s+)[\s(]*{_NAME}[\s)]*{_POWER})*"
+# Names joined by "*" and "/", each with a power of one digit: pint would evaluate any arithmetic.
+_NAME_PATTERN = r"(?:1|[^\W\d]\w*|[%°])"
+_POWER_PATTERN = r"(?:\s*(?:\*\*|\^)\s*(?:-?\d|\(-?\d\)))?"
+_UNIT_PATTERN = re.compile(
+    rf"[\s(]*{_NAME_PATTERN}[\s)]*{_POWER_PATTERN}(?:(?:\s*[*/]\s*|\s+)[\s(]*{_NAME_PATTERN}[\s)]*{_POWER_PATTERN})*"
 )
-_LONGEST = 60
+_MAX_UNIT_LENGTH = 60
 
 
-def _parsed(unit: str) -> Any:
-    """Unit as pint has it; raises ValueError with the reason."""
+def _parse_unit(unit: str) -> Any:
+    """Unit as an object of pint; raises ValueError with the reason."""
     import pint
 
-    if len(unit) > _LONGEST or not _UNIT.fullmatch(unit):
+    if len(unit) > _MAX_UNIT_LENGTH or not _UNIT_PATTERN.fullmatch(unit):
         raise ValueError(f"the unit {shortened(unit)} cannot be read")
     try:
-        return _registry().parse_units(unit)
+        return _unit_registry().parse_units(unit)
     except (pint.UndefinedUnitError, pint.errors.DefinitionSyntaxError) as error:
         raise ValueError(f"the unit {unit!r} is not known") from error
     except Exception as error:  # pint's parser lets Python's tokenizer errors through
         raise ValueError(f"the unit {unit!r} cannot be read") from error
 
 
-# Units that most files are written in, by dimension: pint takes half a second to begin, and is
-# asked only for others. Each is what pint says.
-_USUAL = {
+# Factors of common units by dimension: importing pint takes half a second and is avoided for them.
+# A test compares each with pint.
+_FACTORS_WITHOUT_PINT = {
     "length": {"m": 1.0, "mm": 1e-3, "um": 1e-6},
     "angle": {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180.0},
     "mass": {"kg": 1.0, "g": 1e-3},
@@ -100,32 +101,32 @@ _USUAL = {
 
 
 @functools.lru_cache(maxsize=1024)
-def _factor(unit: str, dimension: Dimension) -> float:
+def _conversion_factor(unit: str, dimension: Dimension) -> float:
     """Factor from `unit` to the SI unit of `dimension`; raises ValueError with the reason."""
-    usual = _USUAL.get(dimension.name, {}).get(unit)
-    return _by_pint(unit, dimension) if usual is None else usual
+    usual = _FACTORS_WITHOUT_PINT.get(dimension.name, {}).get(unit)
+    return _pint_factor(unit, dimension) if usual is None else usual
 
 
-def _by_pint(unit: str, dimension: Dimension) -> float:
-    parsed = _parsed(unit)
+def _pint_factor(unit: str, dimension: Dimension) -> float:
+    parsed = _parse_unit(unit)
     if dimension.unit == "degC" and unit != "degC":
         raise ValueError(f"temperatures are given in degC, not in {unit!r}")
     angle = sum(power for name, power in parsed._units.items() if str(name).endswith(_ANGLE_UNITS))
-    target = _registry().parse_units(dimension.unit)
+    target = _unit_registry().parse_units(dimension.unit)
     if parsed.dimensionality != target.dimensionality or angle != dimension.angle:
         raise ValueError(f"the unit {unit!r} is not one of {dimension.name}")
-    return float(_registry().Quantity(1.0, parsed).to(target).magnitude)
+    return float(_unit_registry().Quantity(1.0, parsed).to(target).magnitude)
 
 
 def to_si(value: object, dimension: str, where: str = "") -> float:
-    """SI value of what a file holds.
+    """Convert an entry of a file to SI.
 
     Parameters
     ----------
     value : float or str
         A bare number in SI, or a number with a unit such as "45 deg".
     dimension : str
-        A name in `stiffopt.declaration.DIMENSIONS`, for example "angle".
+        A name in `stiffopt.dimensions.DIMENSIONS`, for example "angle".
     where : str
         The key, for messages.
 
@@ -146,58 +147,58 @@ def to_si(value: object, dimension: str, where: str = "") -> float:
     if isinstance(value, bool) or not isinstance(value, int | float | str):
         raise UnitError(f"{place}expected {kind.name}, got {shortened(value)}. {allowed}")
     if isinstance(value, str):
-        match = _NUMBER_AND_UNIT.match(value) if len(value) <= MAX_TEXT else None
+        match = _NUMBER_AND_UNIT.match(value) if len(value) <= MAX_NUMBER_LENGTH else None
         if match is None:
             raise UnitError(f"{place}expected {kind.name}, got {shortened(value)}. {allowed}")
         if not match[2] and kind.unit:
             raise UnitError(f"{place}{shortened(value)} has no unit. {allowed}")
         try:
-            number = float(match[1]) * (_factor(match[2], kind) if match[2] else 1.0)
+            number = float(match[1]) * (_conversion_factor(match[2], kind) if match[2] else 1.0)
         except ValueError as error:
             raise UnitError(f"{place}got {shortened(value)}, but {error}. {allowed}") from error
     else:
-        # An integer of any size is a number to Python, but no float.
+        # Python integers may exceed the range of a float.
         number = float(max(min(value, 10**300), -(10**300)) if isinstance(value, int) else value)
     if not math.isfinite(number):
         got = shortened(value)
         raise UnitError(f"{place}{kind.name} must be a finite number, got {got}. {allowed}")
-    if abs(number) > LARGEST:
+    if abs(number) > MAX_MAGNITUDE:
         got = shortened(value)
-        raise UnitError(f"{place}{got} is beyond any machine, at most {LARGEST:g}. {allowed}")
+        raise UnitError(f"{place}{got} is beyond any machine, at most {MAX_MAGNITUDE:g}. {allowed}")
     return number
 
 
 def convert(value: float, unit: str, target: str) -> float:
-    """Value in another unit of the same kind; equal names need no conversion.
+    """Convert a value to another unit of the same dimension.
 
     Raises
     ------
     UnitError
-        One of the units is unknown, or they are of different kinds.
+        One of the units is unknown, or their dimensions differ.
     """
     if unit == target:
         return value
-    for usual in _USUAL.values():
+    for usual in _FACTORS_WITHOUT_PINT.values():
         if unit in usual and target in usual:
             return value * (usual[unit] / usual[target])
     import pint
 
     try:
-        held = _registry().Quantity(1.0, _parsed(_spelled(unit)))
-        factor = float(held.to(_parsed(_spelled(target))).magnitude)
+        held = _unit_registry().Quantity(1.0, _parse_unit(_spell_for_pint(unit)))
+        factor = float(held.to(_parse_unit(_spell_for_pint(target))).magnitude)
     except (pint.PintError, TypeError, ValueError, ArithmeticError) as error:
         reason = shortened(error)
         raise UnitError(f"{unit!r} cannot be converted to {shortened(target)}: {reason}") from error
     return value * factor
 
 
-def _spelled(unit: str) -> str:
-    """Spell a unit that is shown to people, such as "N m/rad", as pint reads it."""
+def _spell_for_pint(unit: str) -> str:
+    """Unit as pint reads it, of a displayed one such as "N m/rad"."""
     return unit.replace("N m", "N*m")
 
 
 class JointNumber(float):
-    """A number of a joint whose kind is not known yet: keeps the dimension it was written in.
+    """Number of a joint whose kind is not known yet, with the dimension of its written unit.
 
     `dimension` is "" for a bare number, which fits either kind of joint.
     """
@@ -205,21 +206,21 @@ class JointNumber(float):
     dimension: str
 
     def __new__(cls, value: float, dimension: str = "") -> JointNumber:
-        """Make a float that remembers `dimension`."""
+        """Create a float with the attribute `dimension`."""
         number = super().__new__(cls, value)
         number.dimension = dimension
         return number
 
 
 def joint_to_si(value: object, dimension: str, where: str = "") -> JointNumber:
-    """As `to_si` for a quantity of a revolute joint, or its counterpart of a prismatic joint."""
+    """Convert a quantity of a revolute joint, or its counterpart of a prismatic one, to SI."""
     if not isinstance(value, str):
         return JointNumber(to_si(value, dimension, where))
     try:
         return JointNumber(to_si(value, dimension, where), dimension)
     except UnitError as error:
         other = PRISMATIC.get(dimension)
-        if other is None:  # of a quantity that is the same for either kind of joint
+        if other is None:  # same dimension for both kinds of joint
             raise
         try:
             return JointNumber(to_si(value, other, where), other)
@@ -228,7 +229,7 @@ def joint_to_si(value: object, dimension: str, where: str = "") -> JointNumber:
 
 
 def fit_joint(value: float, prismatic: bool, dimension: str, where: str = "") -> float:
-    """Value as a plain float, after a check that its unit fits the kind of joint."""
+    """Check that the unit of a value fits the kind of joint, and return a plain float."""
     written = getattr(value, "dimension", None)
     wanted = PRISMATIC[dimension] if prismatic else dimension
     if written and written != wanted:
@@ -243,14 +244,14 @@ def fit_joint(value: float, prismatic: bool, dimension: str, where: str = "") ->
     return float(value)
 
 
-def reader(declared: Unit) -> Callable[[object], float]:
-    """Reader of a file's entry for a declared quantity: an SI number, or UnitError."""
+def entry_reader(declared: Unit) -> Callable[[object], float]:
+    """Conversion of entries of a declared quantity to SI; raises UnitError."""
     convert = joint_to_si if declared.joint else to_si
     return lambda value: convert(value, declared.dimension)
 
 
-# What stands for the unit of a joint that turns where the joint slides.
-_SLIDING = {
+# Unit of a prismatic joint by that of a revolute joint.
+_PRISMATIC_UNITS = {
     "N m": "N",
     "N m s/rad": "N s/m",
     "kg m^2": "kg",
@@ -265,5 +266,5 @@ _SLIDING = {
 
 
 def joint_unit(unit: str, prismatic: bool) -> str:
-    """Unit of a joint that turns, or what stands for it where the joint slides."""
-    return _SLIDING.get(unit, unit) if prismatic else unit
+    """Unit of a revolute joint, or its counterpart where the joint is prismatic."""
+    return _PRISMATIC_UNITS.get(unit, unit) if prismatic else unit

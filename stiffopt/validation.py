@@ -1,4 +1,4 @@
-"""Content of files against the sections allowed: all faults in one message, with their places."""
+"""Validation of file content by sections; all faults in one message, with their places."""
 
 from __future__ import annotations
 
@@ -13,27 +13,34 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from stiffopt.declaration import Unit
 from stiffopt.errors import InputError, InputFileError, nearest, shortened
-from stiffopt.units import reader
+from stiffopt.units import entry_reader
 
 Model = TypeVar("Model", bound=BaseModel)
 
-# Files are where texts with units become SI numbers.
-Unit.reader = reader
+# Texts with units become SI numbers when files are validated.
+Unit.reader = entry_reader
 
-# As many of them as anybody reads in one message.
-_MOST_FAULTS = 30
-# Errors that say no more than that a value has not this form.
-_FORMS = ("model_type", "dataclass_type", "list_type", "dict_type", "literal_error", "tuple_type")
+# Faults that one message lists.
+_MAX_LISTED_FAULTS = 30
+# pydantic errors that only state that a value does not have this form.
+_FORM_ERRORS = (
+    "model_type",
+    "dataclass_type",
+    "list_type",
+    "dict_type",
+    "literal_error",
+    "tuple_type",
+)
 
 
 class Section(BaseModel):
-    """Base of every file section: unknown keys are errors, values do not change afterwards."""
+    """Base of every file section: unknown keys are errors, instances are immutable."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, defer_build=True)
 
 
 def validate(model: type[Model], data: Mapping[str, Any], path: object) -> Model:
-    """Turn data into an instance of `model`.
+    """Validate data as an instance of `model`.
 
     Raises
     ------
@@ -44,11 +51,11 @@ def validate(model: type[Model], data: Mapping[str, Any], path: object) -> Model
         return model.model_validate(data)
     except ValidationError as error:
         errors = error.errors(include_url=False)
-    faults = _faults(model, data, errors[:_MOST_FAULTS])
+    faults = _collect_faults(model, data, errors[:_MAX_LISTED_FAULTS])
     where, reason = faults[0]
     more = "".join(f"\nAlso {place}: {text}" for place, text in faults[1:])
-    if len(errors) > _MOST_FAULTS:
-        more += f"\nAnd {len(errors) - _MOST_FAULTS} more."
+    if len(errors) > _MAX_LISTED_FAULTS:
+        more += f"\nAnd {len(errors) - _MAX_LISTED_FAULTS} more."
     raise InputFileError(path, where, reason + more)
 
 
@@ -76,9 +83,9 @@ def dotted(data: object, location: Sequence[str | int]) -> str:
     return text
 
 
-def _faults(model: type[BaseModel], data: Any, errors: list[Any]) -> list[tuple[str, str]]:
-    """Place and text of every error; of a key with several forms only what fits best."""
-    keys = [_keys(data, error) for error in errors]
+def _collect_faults(model: type[BaseModel], data: Any, errors: list[Any]) -> list[tuple[str, str]]:
+    """Place and text of every error; of a key with several forms only the best match."""
+    keys = [_error_keys(data, error) for error in errors]
     faults = []
     for error, own in zip(errors, keys, strict=True):
         rivals = [
@@ -87,17 +94,17 @@ def _faults(model: type[BaseModel], data: Any, errors: list[Any]) -> list[tuple[
             if other is not error and place[: len(own)] == own
         ]
         deeper = any(len(place) > len(own) for _, place in rivals)
-        form = error["type"] in _FORMS
-        if deeper or (form and any(other["type"] not in _FORMS for other, _ in rivals)):
+        form = error["type"] in _FORM_ERRORS
+        if deeper or (form and any(other["type"] not in _FORM_ERRORS for other, _ in rivals)):
             continue
-        fault = _fault(model, dotted(data, own), error)
+        fault = _describe_fault(model, dotted(data, own), error)
         if fault not in faults:
             faults.append(fault)
     return faults
 
 
-def _keys(data: Any, error: Any) -> tuple[str | int, ...]:
-    """Location of an error without the names that pydantic gives to the forms of a key."""
+def _error_keys(data: Any, error: Any) -> tuple[str | int, ...]:
+    """Location of an error without the names that pydantic adds for union members."""
     keys: list[str | int] = []
     last = len(error["loc"]) - 1
     for number, part in enumerate(error["loc"]):
@@ -113,10 +120,10 @@ def _keys(data: Any, error: Any) -> tuple[str | int, ...]:
     return tuple(keys)
 
 
-def _fault(model: type[BaseModel], where: str, error: Any) -> tuple[str, str]:
+def _describe_fault(model: type[BaseModel], where: str, error: Any) -> tuple[str, str]:
     kind, given = error["type"], error.get("input")
     if kind in ("extra_forbidden", "unexpected_keyword_argument"):
-        allowed = _fields(model, error["loc"][:-1])
+        allowed = _allowed_keys(model, error["loc"][:-1])
         return (
             where,
             f"unknown key {shortened(error['loc'][-1])}. {nearest(error['loc'][-1], allowed)}",
@@ -139,7 +146,7 @@ def _fault(model: type[BaseModel], where: str, error: Any) -> tuple[str, str]:
         if allowed:
             return where, f"got {shortened(given)}. {nearest(str(given), allowed)}"
     if kind in ("model_type", "dataclass_type", "model_attributes_type"):
-        inside = ", ".join(_fields(model, error["loc"]))
+        inside = ", ".join(_allowed_keys(model, error["loc"]))
         keys = f" Its keys: {inside}." if inside else ""
         return where, f"needs a section with keys of its own, got {shortened(given)}.{keys}"
     if kind == "value_error":
@@ -151,18 +158,18 @@ def _fault(model: type[BaseModel], where: str, error: Any) -> tuple[str, str]:
     return where, f"{error['msg']}, got {shortened(given)}."
 
 
-def _fields(model: Any, location: Sequence[str | int]) -> list[str]:
+def _allowed_keys(model: Any, location: Sequence[str | int]) -> list[str]:
     """Names of the keys allowed at `location` inside `model`."""
     for part in location:
-        model = _inside(model, part)
-    for candidate in _members(model):
-        keys = _annotations(candidate)
+        model = _inner_annotation(model, part)
+    for candidate in _union_members(model):
+        keys = _key_annotations(candidate)
         if keys:
             return list(keys)
     return []
 
 
-def _annotations(section: Any) -> dict[str, Any]:
+def _key_annotations(section: Any) -> dict[str, Any]:
     """Annotations by key of a section: a pydantic model, or a dataclass."""
     if not isinstance(section, type):
         return {}
@@ -171,16 +178,16 @@ def _annotations(section: Any) -> dict[str, Any]:
     return typing.get_type_hints(section) if dataclasses.is_dataclass(section) else {}
 
 
-def _inside(annotation: Any, part: str | int) -> Any:
-    for member in _members(annotation):
-        keys = _annotations(member)
+def _inner_annotation(annotation: Any, part: str | int) -> Any:
+    for member in _union_members(annotation):
+        keys = _key_annotations(member)
         if keys:
             if part in keys:
                 return keys[str(part)]
             if part in typing.get_args(keys.get("type")) or part == member.__name__:
                 return member
             if "__pydantic_extra__" in member.__annotations__:
-                # What is under a key that the section leaves to the user.
+                # Value type of the keys that the user may choose.
                 return typing.get_args(typing.get_type_hints(member)["__pydantic_extra__"])[1]
         elif isinstance(part, int) and typing.get_origin(member) in (list, tuple):
             return typing.get_args(member)[0]
@@ -189,11 +196,11 @@ def _inside(annotation: Any, part: str | int) -> Any:
     return None
 
 
-def _members(annotation: Any) -> list[Any]:
-    """Flat list of what an annotation may be, through Annotated and unions."""
+def _union_members(annotation: Any) -> list[Any]:
+    """Flat list of the types of an annotation, through Annotated and unions."""
     origin = typing.get_origin(annotation)
     if origin is typing.Annotated:
-        return _members(typing.get_args(annotation)[0])
+        return _union_members(typing.get_args(annotation)[0])
     if origin in (typing.Union, types.UnionType):
-        return [m for a in typing.get_args(annotation) for m in _members(a)]
+        return [m for a in typing.get_args(annotation) for m in _union_members(a)]
     return [annotation]

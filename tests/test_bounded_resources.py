@@ -15,15 +15,15 @@ from benchmarks.reliability.mutants import alone
 from stiffopt.discovery import diagnose
 from stiffopt.discovery.comparison.evidence import _FactoredSums
 from stiffopt.errors import InputError, InputFileError, RobotError, UnitError
-from stiffopt.files import MAX_STRING, atomic_write, load_json, load_toml, read_table
+from stiffopt.files import MAX_STRING_LENGTH, atomic_write, load_json, load_toml, read_table
 from stiffopt.folders import check_result
 from stiffopt.recording.clock import read_clock
 from stiffopt.recording.readers.read import read_columns
 from stiffopt.recording.signals import Signals
 from stiffopt.result.store import MAX_SAMPLES, export_times
-from stiffopt.robot.mesh_loading import convex_hull, load_mesh_file
+from stiffopt.robot.meshes import convex_hull, load_mesh_file
 from stiffopt.robot.urdf import MAX_MOVING_JOINTS, load_urdf
-from stiffopt.robot.xml_files import MAX_DEPTH, MAX_ELEMENTS, parse_xml
+from stiffopt.robot.urdf_xml import MAX_DEPTH, MAX_ELEMENTS, parse_xml
 from stiffopt.starter.tables import MAX_LINE, read_any_table
 from stiffopt.starter.writing import quoted
 from stiffopt.units import joint_to_si, to_si
@@ -77,7 +77,7 @@ def test_time_of_a_toml_file_grows_with_its_length(word, tmp_path):
 
 def test_texts_of_a_toml_file_have_a_length(tmp_path):
     path = tmp_path / "a.toml"
-    path.write_text(f'a = ["{"x" * (MAX_STRING + 1)}"]')
+    path.write_text(f'a = ["{"x" * (MAX_STRING_LENGTH + 1)}"]')
     with pytest.raises(InputFileError, match=r"a\[1\]: this text has more than 10000 characters"):
         load_toml(path)
 
@@ -259,7 +259,7 @@ def test_names_that_are_not_utf8_are_kept_in_json(tmp_path):
     assert load_json(tmp_path / "a.json") == {"file": name}
 
 
-SAID = "from stiffopt.streams import open_streams, unprinted; open_streams(); "
+SAID = "from stiffopt.streams import open_streams, output_failure; open_streams(); "
 
 
 def said(code, stdout=subprocess.PIPE, **environment):
@@ -283,7 +283,7 @@ def test_no_character_loses_an_answer(encoding):
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="the system has no /dev/full")
 def test_a_full_disk_is_told_and_ends_nothing():
     with open("/dev/full", "w") as full:
-        done = said("print('x' * 10**6); raise SystemExit(unprinted().errno)", stdout=full)
+        done = said("print('x' * 10**6); raise SystemExit(output_failure().errno)", stdout=full)
     assert (done.returncode, done.stderr) == (28, b"")
 
 
@@ -291,7 +291,7 @@ def test_a_reader_that_has_read_enough_is_no_fault():
     inward, outward = os.pipe()
     os.close(inward)
     with os.fdopen(outward, "w") as closed:
-        done = said("print('x' * 10**6); assert unprinted() is None", stdout=closed)
+        done = said("print('x' * 10**6); assert output_failure() is None", stdout=closed)
     assert (done.returncode, done.stderr) == (0, b"")
 
 

@@ -17,13 +17,13 @@ from stiffopt.errors import StiffoptError
 POINTS = np.linspace(-2.0, 2.0, 9)
 
 
-def test_right_formulas_pass() -> None:
+def test_correct_formulas_pass() -> None:
     assert check_derivative(np.sin, np.cos, POINTS, scale=1.0) < 1e-9
     assert check_odd(np.sinh, POINTS) == 0.0
     assert check_monotone(lambda x: 3 * x, POINTS) == pytest.approx(1.5)
 
 
-def test_wrong_derivative_is_found_where_it_is() -> None:
+def test_wrong_derivative_is_located() -> None:
     with pytest.raises(CheckFailed, match="derivative against differences") as caught:
         check_derivative(np.sin, lambda x: np.cos(x) + 1e-3 * (x > 1.7), POINTS, scale=1.0)
     assert caught.value.where == 2.0
@@ -31,7 +31,7 @@ def test_wrong_derivative_is_found_where_it_is() -> None:
     assert caught.value.allowed == 1e-6
 
 
-def test_failures_are_both_assertions_and_own_errors() -> None:
+def test_failures_are_assertion_and_stiffopt_errors() -> None:
     with pytest.raises(AssertionError):
         check_odd(np.cosh, POINTS)
     with pytest.raises(StiffoptError, match="value at zero"):
@@ -63,7 +63,7 @@ class Stepped:
         return (2.0,)
 
 
-def test_smoothed_against_exact_knows_jumps() -> None:
+def test_smoothed_against_exact_handles_jumps() -> None:
     assert check_smoothed_against_exact(Stepped(), 1e-12) < 1e-12
     assert check_smoothed_against_exact(Stepped(), 1e-12, from_torque=1.0) < 1e-12
     with pytest.raises(CheckFailed) as caught:

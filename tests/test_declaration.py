@@ -52,7 +52,7 @@ def read(**keys):
     return validate(BeamFile, {"beam": keys}, "beam.toml").beam
 
 
-def test_a_section_is_the_object():
+def test_section_of_a_file_is_the_dataclass():
     beam = read(length="300 mm", supports={2: "20 N/um"}, cuts=[0.1, "20 cm"])
     assert beam == Beam(length=0.3, supports={2: 2e7}, cuts=(0.1, 0.2))
     assert dataclasses.replace(beam, length=0.4).length == 0.4
@@ -69,7 +69,7 @@ def test_a_section_is_the_object():
         ({"cuts": (2.0,)}, "beam", "cuts must lie on the beam. Correct them."),
     ],
 )
-def test_the_same_sentence_in_python_and_in_files(changes, where, sentence):
+def test_bounds_have_the_same_message_in_python_and_files(changes, where, sentence):
     values = {"length": 1.0} | changes
     with pytest.raises(InputError) as told:
         Beam(**values)
@@ -80,7 +80,7 @@ def test_the_same_sentence_in_python_and_in_files(changes, where, sentence):
     assert sentence in told.value.reason
 
 
-def test_words_and_keys_name_the_nearest():
+def test_unknown_words_and_keys_suggest_the_nearest():
     with pytest.raises(InputError, match=r"beam: ends = 'hold' is not known. Did you mean 'held'"):
         Beam(length=1.0, ends="hold")
     with pytest.raises(InputFileError, match=r"beam\.ends: got 'hold'\. Did you mean 'held'"):
@@ -93,7 +93,7 @@ def test_words_and_keys_name_the_nearest():
         read(length="3 deg")
 
 
-def test_the_schema_has_unit_bounds_words_and_sentence():
+def test_schema_has_unit_bounds_words_and_description():
     schema = BeamFile.model_json_schema()["$defs"]["Beam"]
     assert schema["description"] == "Beam between two walls."
     length, cuts = schema["properties"]["length"], schema["properties"]["cuts"]
@@ -123,7 +123,7 @@ def test_bounds():
         rigid.check("x", math.nan)
 
 
-def test_bare_numbers_are_never_texts():
+def test_bare_quantities_refuse_texts():
     class Run(Section):
         temperature: Annotated[float, Unit("temperature", bare=True), Doc("Of the housing.")]
 

@@ -36,12 +36,12 @@ def fails(data):
     return error.value
 
 
-def test_valid():
+def test_valid_document_is_read():
     drawing = validate(Drawing, {"title": "t", "shape": [{"type": "circle", "radius": "3 mm"}]}, "")
     assert drawing.shape[0].radius == 3e-3
 
 
-def test_unknown_keys_at_every_level():
+def test_unknown_keys_are_refused_at_every_level():
     error = fails({"title": "t", "colur": "red"})
     assert error.where == "colur"
     assert "unknown key 'colur'. Did you mean 'colour'?" in error.reason
@@ -54,7 +54,7 @@ def test_unknown_keys_at_every_level():
     assert error.where == "sizes.big.widht"
 
 
-def test_other_faults():
+def test_other_faults_are_refused():
     error = fails({"shape": [{"type": "circel", "radius": 1}]})
     assert "this key is required" in error.reason
     assert "title" in str(error)
@@ -69,7 +69,7 @@ def test_other_faults():
     assert "finite" in str(error)
 
 
-def test_missing_file_names_its_neighbours(tmp_path):
+def test_missing_file_suggests_similar_names(tmp_path):
     (tmp_path / "robot.toml").write_text("")
     with pytest.raises(InputFileError, match=r"no such file\. That folder holds: robot\.toml"):
         load_toml(tmp_path / "robto.toml")
@@ -90,7 +90,7 @@ def test_syntax_errors_name_the_line(tmp_path):
         load_toml(path)
 
 
-def test_json_texts(tmp_path):
+def test_invalid_json_is_refused(tmp_path):
     path = tmp_path / "a.json"
     with pytest.raises(InputFileError, match=r"a\.json: no such file"):
         load_json(path)
@@ -101,7 +101,7 @@ def test_json_texts(tmp_path):
     assert load_json(path) == {"a": -(2**63)}
 
 
-def test_header():
+def test_wrong_header_is_refused():
     check_header({"schema": 1, "kind": "robot"}, "a.toml", "robot")
     with pytest.raises(InputFileError, match=r'needs kind = "robot", got \'sweep\''):
         check_header({"schema": 1, "kind": "sweep"}, "a.toml", "robot")
@@ -111,7 +111,7 @@ def test_header():
         check_header({"schema": 2, "kind": "robot"}, "a.toml", "robot")
 
 
-def test_files_appear_whole_or_not_at_all(tmp_path):
+def test_files_are_written_atomically(tmp_path):
     path = tmp_path / "out" / "table.csv"
     write_csv(path, ["a", "b"], [(1, 0.1), (2, 1 / 3)])
     assert path.read_text() == "a,b\n1,0.1\n2,0.3333333333333333\n"

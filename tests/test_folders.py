@@ -15,7 +15,7 @@ import pytest
 from stiffopt import folders
 from stiffopt.errors import InputFileError
 from stiffopt.folders import MANIFEST, check_result, output_folder
-from stiffopt.interrupts import finishing
+from stiffopt.interrupts import defer_while_writing
 
 
 def tree(path):
@@ -170,7 +170,7 @@ def own_files(path):
 def test_killed_before_each_change(tmp_path, monkeypatch, capsys, inside, first, reads):
     """Never old beside new; whoever comes next, killed itself or not, completes or clears it."""
     if inside:  # as where the folder's parent cannot be written
-        monkeypatch.setattr(folders, "_stages", lambda path: (Path("/proc/no"), path / ".s"))
+        monkeypatch.setattr(folders, "_stage_paths", lambda path: (Path("/proc/no"), path / ".s"))
     old, ends = {} if first else OLD, Counter()
     for step in range(200):
         path = tmp_path / str(step)
@@ -248,7 +248,7 @@ def test_no_space_left(tmp_path, monkeypatch):
 
 
 def test_ctrl_c_waits_for_an_answer_that_is_being_written(tmp_path, capsys):
-    with output_folder(tmp_path, "solve") as stage, finishing():
+    with output_folder(tmp_path, "solve") as stage, defer_while_writing():
         signal.raise_signal(signal.SIGINT)
         (stage / "a.txt").write_text("new")
     assert tree(tmp_path) == {"a.txt": "new"}
@@ -258,7 +258,7 @@ def test_ctrl_c_waits_for_an_answer_that_is_being_written(tmp_path, capsys):
 
 def test_a_second_ctrl_c_throws_the_answer_away(tmp_path):
     def twice():
-        with output_folder(tmp_path, "solve") as stage, finishing():
+        with output_folder(tmp_path, "solve") as stage, defer_while_writing():
             (stage / "a.txt").write_text("new")
             signal.raise_signal(signal.SIGINT)
             signal.raise_signal(signal.SIGINT)
@@ -333,6 +333,6 @@ def test_what_another_user_left_is_told(tmp_path, monkeypatch):
 
 def test_a_name_that_no_manifest_may_list_changes_nothing(tmp_path):
     write(tmp_path, a="old")
-    with pytest.raises(InputFileError, match="Rename what it was made from"):
+    with pytest.raises(InputFileError, match="Rename its source"):
         write(tmp_path, **{"a\\b": "new"})
     assert tree(tmp_path) == {"a.txt": "old"}

@@ -16,7 +16,7 @@ from benchmarks.reliability.mutators import json_messages, mcap_of_json
 from stiffopt.cli import run
 from stiffopt.errors import InputError, InputFileError, RobotError, shortened
 from stiffopt.files import load_toml
-from stiffopt.recording.readers import limits
+from stiffopt.recording.readers import checks
 from stiffopt.recording.readers.read import read_columns
 from stiffopt.recording.signals import Signals
 from stiffopt.robot.urdf import load_urdf
@@ -172,15 +172,15 @@ def test_chunks_that_unpack_to_too_much(tmp_path, monkeypatch):
     path = tmp_path / "a.mcap"
     path.write_bytes(mcap_of_json(json_messages()))
     assert len(read_columns(path, SPOKEN)[""]) == 60
-    monkeypatch.setattr(limits, "MOST_BYTES", 1000)
+    monkeypatch.setattr(checks, "MAX_BYTES", 1000)
     with pytest.raises(InputFileError, match="GiB, unpacked"):
         read_columns(path, SPOKEN)
     monkeypatch.undo()
-    monkeypatch.setattr(limits, "MOST_MESSAGES", 50)
+    monkeypatch.setattr(checks, "MAX_MESSAGES", 50)
     with pytest.raises(InputFileError, match="has more than 50 messages"):
         read_columns(path, SPOKEN)
     monkeypatch.undo()
-    monkeypatch.setattr(limits, "MOST_NUMBERS", 50)
+    monkeypatch.setattr(checks, "MAX_NUMBERS", 50)
     with pytest.raises(InputFileError, match="samples of 2 columns"):
         read_columns(path, SPOKEN)
 
@@ -206,9 +206,9 @@ def test_a_reader_that_wants_all_memory_is_stopped(tmp_path):
     def greedy(*_):
         # More than the tens of megabytes that malloc may keep free of what the process holds, and
         # less than the child's own limit.
-        return {"t": np.zeros((limits.MOST_MEMORY + 2**28) // 8)}
+        return {"t": np.zeros((checks.MAX_MEMORY + 2**28) // 8)}
 
-    assert limits.MOST_MEMORY + 2**28 < BYTES
+    assert checks.MAX_MEMORY + 2**28 < BYTES
     kept = np.ones(30 * 2**17)
     del kept  # malloc keeps blocks of that size on its heap from now on
     kept = np.ones(25 * 2**17)
@@ -223,7 +223,7 @@ def test_a_reader_that_wants_all_memory_is_stopped(tmp_path):
         reload(npz)
     assert verdict == ("told", "")
     before = resource.getrlimit(resource.RLIMIT_DATA)
-    with limits.bounded_memory():
+    with checks.bounded_memory():
         assert resource.getrlimit(resource.RLIMIT_DATA) != before
     assert resource.getrlimit(resource.RLIMIT_DATA) == before
 
@@ -237,12 +237,12 @@ def test_a_deep_stack_is_no_room_for_data():
         lines = Path("/proc/self/status").read_text().splitlines()
         return next(1024 * int(each.split()[1]) for each in lines if each.startswith("VmStk:"))
 
-    before = limits.held_data()
+    before = checks.data_segment_size()
     under(250)
     assert stack() > 2**20
-    with limits.bounded_memory():
+    with checks.bounded_memory():
         most, _ = resource.getrlimit(resource.RLIMIT_DATA)
-    assert most - limits.MOST_MEMORY - before < 2**19
+    assert most - checks.MAX_MEMORY - before < 2**19
 
 
 def test_no_file_runs_code(tmp_path):

@@ -4,7 +4,7 @@ import signal
 
 import pytest
 
-from stiffopt.interrupts import beginning, delivered
+from stiffopt.interrupts import defer_until_result, end_deferral
 
 
 @pytest.fixture(autouse=True)
@@ -14,56 +14,56 @@ def as_in_a_terminal():
     signal.signal(signal.SIGINT, before)
 
 
-def test_the_first_one_waits_for_something_to_keep(capsys):
-    with beginning():
+def test_first_interrupt_is_deferred_until_a_result(capsys):
+    with defer_until_result():
         signal.raise_signal(signal.SIGINT)
         assert "once there is a motion to keep" in capsys.readouterr().err
         with pytest.raises(KeyboardInterrupt):
-            delivered()
-        delivered()
+            end_deferral()
+        end_deferral()
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
-def test_a_second_one_ends_it_at_once():
-    with beginning():
+def test_second_interrupt_is_immediate():
+    with defer_until_result():
         signal.raise_signal(signal.SIGINT)
         with pytest.raises(KeyboardInterrupt):
             signal.raise_signal(signal.SIGINT)
 
 
-def test_once_there_is_something_it_interrupts():
-    with beginning():
-        delivered()
+def test_interrupt_after_a_result_is_immediate():
+    with defer_until_result():
+        end_deferral()
         with pytest.raises(KeyboardInterrupt):
             signal.raise_signal(signal.SIGINT)
-    delivered()
+    end_deferral()
 
 
-def test_what_was_too_late_for_one_answer_is_not_of_the_next():
-    with beginning():
+def test_late_interrupt_does_not_affect_the_next_solve():
+    with defer_until_result():
         signal.raise_signal(signal.SIGINT)
-    delivered()
+    end_deferral()
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
-def test_a_shell_that_ignores_it_is_heeded():
+def test_ignored_sigint_stays_ignored():
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    with beginning():
+    with defer_until_result():
         signal.raise_signal(signal.SIGINT)
-        delivered()
+        end_deferral()
 
 
-def test_within_another_one_it_is_the_same(capsys):
-    with beginning():
+def test_nested_deferral_has_no_effect(capsys):
+    with defer_until_result():
         signal.raise_signal(signal.SIGINT)
-        with beginning(), pytest.raises(KeyboardInterrupt):
-            delivered()
+        with defer_until_result(), pytest.raises(KeyboardInterrupt):
+            end_deferral()
         assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
     assert capsys.readouterr().err.count("to keep") == 1
 
 
-def test_an_answer_that_has_ended_is_not_interrupted():
-    with beginning():
+def test_ended_solve_is_not_interrupted():
+    with defer_until_result():
         signal.raise_signal(signal.SIGINT)
-        delivered(ended=True)
+        end_deferral(ended=True)
         assert signal.getsignal(signal.SIGINT) is signal.default_int_handler

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from stiffopt.declaration import DIMENSIONS, PRISMATIC
+from stiffopt.dimensions import DIMENSIONS, PRISMATIC
 from stiffopt.errors import ImplausibleError, InputFileError, RobotError
 from stiffopt.fastening.tightening import Tightening
 from stiffopt.files import load_toml, read_table
@@ -20,10 +20,10 @@ from stiffopt.recording.schema import RecordingsFile
 from stiffopt.recording.signals import Signals
 from stiffopt.report.explain import explained
 from stiffopt.report.file_reference import file_models, file_schema
-from stiffopt.robot.element_sections import BoltsSection
+from stiffopt.robot.elements import BoltsSection
 from stiffopt.robot.files import load_robot
 from stiffopt.robot.own_catalogue import CatalogueFile
-from stiffopt.robot.schema import SurfaceSection, robot_file
+from stiffopt.robot.schema import SurfaceSection, robot_file_schema
 from stiffopt.units import JointNumber, fit_joint
 from stiffopt.validation import Section, validate
 
@@ -95,7 +95,7 @@ def test_a_bare_number_beyond_its_range_is_asked_about(content, where, sentence)
 def test_a_friction_of_15_is_refused_however_it_is_written(friction):
     surface = {"first": "steel", "second": "steel", "fractal_dimension": 2.5,
                "fractal_roughness": 1e-11, "friction": friction}  # fmt: skip
-    model = robot_file().model_fields["surface"].annotation.__args__[1]
+    model = robot_file_schema().model_fields["surface"].annotation.__args__[1]
     assert issubclass(model, SurfaceSection)
     with pytest.raises(InputFileError, match=r"at most 5\..* Metals have 0\.05 to 0\.3"):
         read(model, **surface)
@@ -110,7 +110,7 @@ def test_with_its_unit_a_number_is_meant_up_to_the_bounds():
 
 
 def test_joints_are_asked_when_it_is_known_whether_they_turn():
-    read(robot_file(), **robot({"position_upper": 90}))
+    read(robot_file_schema(), **robot({"position_upper": 90}))
     with pytest.raises(ImplausibleError, match=r'upper: 90 rad is .*Write "90 deg" if that is mea'):
         fit_joint(JointNumber(90.0), False, "angle", "upper")
     assert fit_joint(JointNumber(90.0), True, "angle", "upper") == 90.0
@@ -352,7 +352,7 @@ OTHERS = {
 @pytest.mark.parametrize("name", JOINTS)
 def test_unusual_joints_are_taken(name):
     sliding = "gantry" in name
-    joint = read(robot_file(), **robot(JOINTS[name])).joint[0]
+    joint = read(robot_file_schema(), **robot(JOINTS[name])).joint[0]
     for key, dimension in {
         "torque_max": "torque", "velocity_max": "angular velocity",
         "acceleration_max": "angular acceleration", "jerk_max": "angular jerk",
@@ -366,7 +366,7 @@ def test_unusual_joints_are_taken(name):
 @pytest.mark.parametrize("name", ELEMENTS)
 def test_unusual_elements_are_taken(name):
     element = {"name": "one", **ELEMENTS[name]}
-    (joint,) = read(robot_file(), **robot({"element": [element]})).joint
+    (joint,) = read(robot_file_schema(), **robot({"element": [element]})).joint
     assert joint.element[0].name == "one"
 
 

@@ -295,7 +295,7 @@ def test_where_the_parent_cannot_be_written(tmp_path):
     (tmp_path / ".out.stiffopt").mkdir()
     (tmp_path / ".out.stiffopt" / "x").write_text("")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(folders, "_complete", lambda path: None)
+        patch.setattr(folders, "_complete_interrupted", lambda path: None)
         with output_folder(folder, "solve") as stage:
             (stage / "a").write_text("new")
             assert stage.parent == Path(os.path.realpath(folder))

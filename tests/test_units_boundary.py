@@ -4,9 +4,9 @@ import math
 
 import pytest
 
-from stiffopt.declaration import DIMENSIONS
+from stiffopt.dimensions import DIMENSIONS
 from stiffopt.errors import UnitError
-from stiffopt.units import _USUAL, _by_pint, fit_joint, joint_to_si, to_si
+from stiffopt.units import _FACTORS_WITHOUT_PINT, _pint_factor, fit_joint, joint_to_si, to_si
 
 
 @pytest.mark.parametrize(
@@ -83,6 +83,6 @@ def test_joint_quantities_fit_the_kind_of_joint():
 
 
 def test_usual_units_are_what_pint_says():
-    for name, units in _USUAL.items():
+    for name, units in _FACTORS_WITHOUT_PINT.items():
         for unit, factor in units.items():
-            assert factor == pytest.approx(_by_pint(unit, DIMENSIONS[name]), rel=3e-16), unit
+            assert factor == pytest.approx(_pint_factor(unit, DIMENSIONS[name]), rel=3e-16), unit

@@ -250,9 +250,9 @@ def _import_all() -> None:
 
 def _limited(processor: int | None) -> None:
     """Memory beyond what the process has, seconds of processor time, and silence."""
-    from stiffopt.recording.readers.limits import held_data
+    from stiffopt.recording.readers.checks import data_segment_size
 
-    most = held_data() + BYTES
+    most = data_segment_size() + BYTES
     resource.setrlimit(resource.RLIMIT_DATA, (most, most))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     if processor is not None:

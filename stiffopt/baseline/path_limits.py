@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from stiffopt.certificate.rigid_body import link_torques, rigid_body_history
-from stiffopt.errors import is_factor, times
+from stiffopt.errors import format_factor, is_factor
 from stiffopt.problem.limits.velocity_by_position import velocity_at
 from stiffopt.result.joint_path import JointPath
 
@@ -69,7 +69,7 @@ class PathLimits:
         worst = np.unravel_index(int(np.argmax(c)), c.shape)
         if c[worst] <= 1.0:
             return ""
-        size = times(c[worst]) if is_factor(c[worst]) else f"{100 * c[worst]:.0f} % of"
+        size = format_factor(c[worst]) if is_factor(c[worst]) else f"{100 * c[worst]:.0f} % of"
         return (
             f"At rest at {100 * self.grid[worst[0]]:.0f} % of the path the {self.labels[worst[1]]} "
             f"would be {size} its limit."

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from stiffopt.certificate.assess import assess, drive_history, joint_windup
-from stiffopt.errors import relative
+from stiffopt.errors import format_relative
 from stiffopt.result.believed import Believed
 
 if TYPE_CHECKING:
@@ -64,7 +64,8 @@ class Disagreement:
     def describe(self) -> str:
         """Text for messages: "wind-up of joint 2 at 0.210 s by +12 %"."""
         owner = f" of joint {self.joint}" if self.joint else ""
-        return f"{self.quantity}{owner} at {self.time:.3f} s by {relative(self.value, sign='+')}"
+        excess = format_relative(self.value, sign="+")
+        return f"{self.quantity}{owner} at {self.time:.3f} s by {excess}"
 
 
 def differences(

@@ -17,8 +17,7 @@ from stiffopt.certificate.moving_joints import (
     moving_joints,
     point_jacobian,
 )
-from stiffopt.robot.bodies_in_motion import torques_along
-from stiffopt.robot.rigid_body import without_rotors
+from stiffopt.robot.rigid_body import inverse_dynamics_along, without_rotors
 
 if TYPE_CHECKING:
     from stiffopt.robot.robot import Robot
@@ -62,7 +61,7 @@ def rigid_body_history(
         along[block] = point.T
         gravity_torque[block] = holding_torques(joints, weight)
         jacobian[block] = point_jacobian(joints, tool.joint, point)
-    link_torque = torques_along(model, position, velocity, acceleration)
+    link_torque = inverse_dynamics_along(model, position, velocity, acceleration)
     return RigidBodyHistory(link_torque, gravity_torque, along, jacobian)
 
 
@@ -70,7 +69,7 @@ def link_torques(
     robot: Robot, position: np.ndarray, velocity: np.ndarray, acceleration: np.ndarray
 ) -> np.ndarray:
     """`RigidBodyHistory.link_torque` alone; arrays (K, n)."""
-    return torques_along(without_rotors(robot.model), position, velocity, acceleration)
+    return inverse_dynamics_along(without_rotors(robot.model), position, velocity, acceleration)
 
 
 def tool_positions(robot: Robot, position: np.ndarray) -> np.ndarray:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from stiffopt.cli.base import Changes, Open, Out, app, default_folder, show_report
 from stiffopt.errors import InputError, InputFileError
 from stiffopt.folders import output_folder
-from stiffopt.interrupts import beginning, delivered, finishing
+from stiffopt.interrupts import defer_until_result, defer_while_writing, end_deferral
 
 if TYPE_CHECKING:
     from stiffopt.problem.trajectory import TrajectoryProblem
@@ -53,7 +53,7 @@ def solve(
     quiet
         No progress display.
     """
-    with beginning():
+    with defer_until_result():
         from stiffopt.certificate.assess import assess
         from stiffopt.problem.files import load_problem
         from stiffopt.result.compensation_store import write_command
@@ -90,13 +90,13 @@ def solve(
                     loop = solve_extended(stated, found, progress=progress)
                     stated = loop.problem
                     solution = with_simulation(stated, loop.solution, progress)
-            delivered(ended=True)
+            end_deferral(ended=True)
             stopped = solution.status is SolveStatus.INTERRUPTED
             if stopped and not solution.solver.iterations and (folder / RESULT_FILE).exists():
                 raise KeyboardInterrupt(
                     f"the optimiser had no motion yet, and the earlier answer in {folder} stays."
                 )
-            with finishing():
+            with defer_while_writing():
                 # Figures need a while to load: not before the solve.
                 from stiffopt.report.solve.page import write_solve_report
                 from stiffopt.report.solve.terminal import print_solution
@@ -161,7 +161,7 @@ def preload(
                 front_points=loaded.front_points,
                 progress=_study_progress(display),
             )
-        with finishing():
+        with defer_while_writing():
             write_preload_report(result, stage)
             write_curves(result, stage)
             write_study(result, stage)

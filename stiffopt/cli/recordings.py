@@ -11,7 +11,7 @@ from cyclopts import App, Parameter
 from stiffopt.cli.base import Changes, Open, Out, app, default_folder, print_json, show_report
 from stiffopt.errors import InputError, InputFileError
 from stiffopt.folders import output_folder
-from stiffopt.interrupts import finishing
+from stiffopt.interrupts import defer_while_writing
 
 recording = App(name="recording", help="Look at recordings before they are used.")
 app.command(recording)
@@ -115,7 +115,7 @@ def diagnose(
                 progress=progress,
                 despite_doubts=despite_doubts,
             )
-        with finishing():
+        with defer_while_writing():
             if report:
                 from stiffopt.report.diagnosis.page import write_diagnosis_report
 
@@ -211,8 +211,8 @@ def identify_stiffness(
     out
         Default: out/NAME of the folder, with what --set changes.
     """
+    from stiffopt.identification.result import write_static
     from stiffopt.identification.stiffness import identify_stiffness as identify
-    from stiffopt.identification.store import write_static
     from stiffopt.recording.static_set import load_static_set
     from stiffopt.report.identification.page import write_static_report
     from stiffopt.report.identification.terminal import print_static

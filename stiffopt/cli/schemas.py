@@ -68,7 +68,7 @@ def catalogue(
     """
     from contextlib import nullcontext
 
-    from stiffopt.drivetrain.catalogue import with_own
+    from stiffopt.drivetrain.tables import with_own
     from stiffopt.report.catalogue_tables import catalogue_table, kinds
     from stiffopt.report.common.terminal import print_table
     from stiffopt.robot.own_catalogue import read_own_catalogue

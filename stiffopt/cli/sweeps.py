@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from stiffopt.cli.base import Changes, Open, Out, app, show_report
 from stiffopt.errors import InputError
 from stiffopt.folders import output_folder
-from stiffopt.interrupts import finishing
+from stiffopt.interrupts import defer_while_writing
 
 if TYPE_CHECKING:
     from stiffopt.sweep.cases import Sweep
@@ -86,7 +86,7 @@ def swept(sweep: Sweep, folder: Path, pool: Workers, *, open_report: bool, quiet
             raise InputError(
                 f"{sweep.path}: none of the cases can be stated. The first: {first['message']}"
             )
-        with finishing():
+        with defer_while_writing():
             write_sweep(summary, stage)
             write_sweep_report(summary, stage)
     print_sweep(summary, folder)

@@ -67,10 +67,16 @@ from stiffopt.discovery.stopping import (
 from stiffopt.discovery.training import Training, train, training_runs
 from stiffopt.discovery.user_effects import load_effects
 from stiffopt.errors import InputFileError
-from stiffopt.interrupts import finished
-from stiffopt.recording.facts import joint_facts
+from stiffopt.interrupts import complete_step
+from stiffopt.recording.decimation import (
+    decimate_noise,
+    decimate_run,
+    decimation_factor,
+    describe_decimation,
+    sampling_rate,
+)
+from stiffopt.recording.joint_facts import joint_facts
 from stiffopt.recording.recording_set import RecordingSet, load_recordings, require_test_runs
-from stiffopt.recording.thinning import quieter, samples_a_mean, sampling_rate, sentence, thinned
 
 Say = Callable[[str], object]
 
@@ -156,11 +162,11 @@ def _diagnosed(
         recordings = base.applied_to(recordings)
     runs = training_runs(recordings, say)
     catalogue = effects_of_runs((*CATALOGUE, *extra), [run.name for run in runs])
-    every = samples_a_mean(runs)
-    thin = () if every == 1 else (sentence(runs, every),)
+    every = decimation_factor(runs)
+    thin = () if every == 1 else (describe_decimation(runs, every),)
     clock = sampling_rate(runs)
     base = _at_rate(_at_rate(base, clock), clock / every)
-    recordings, runs = quieter(recordings, every), [thinned(run, every) for run in runs]
+    recordings, runs = decimate_noise(recordings, every), [decimate_run(run, every) for run in runs]
     say("check units, signs and orders")
     gate = SanityGate(recordings, runs)
     doubted = gate.doubts
@@ -268,7 +274,7 @@ def _diagnosed(
         )
 
     # All is known by now: Ctrl-C comes too late to leave anything out.
-    return finished(concluded)[0]
+    return complete_step(concluded)[0]
 
 
 def _at_rate(base: ExtendedModel | None, rate: float) -> ExtendedModel | None:

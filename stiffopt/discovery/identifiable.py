@@ -11,7 +11,7 @@ import numpy as np
 from stiffopt.discovery.catalogue import CATALOGUE
 from stiffopt.discovery.effect import Effect, Need
 from stiffopt.discovery.soundness import probed
-from stiffopt.recording.facts import JointFacts
+from stiffopt.recording.joint_facts import JointFacts
 from stiffopt.recording.recording_set import RecordingSet
 
 # Without these there is nothing more to ask.

@@ -28,7 +28,7 @@ from stiffopt.discovery.search.search import SearchResult, search
 from stiffopt.discovery.settings import Settings
 from stiffopt.discovery.thresholds import SWING_MISFIT, TOUCHED_ROUNDS
 from stiffopt.discovery.training import Training, train
-from stiffopt.interrupts import finished
+from stiffopt.interrupts import complete_step
 from stiffopt.recording.recording_set import RecordingSet
 
 Say = Callable[[str], object]
@@ -129,7 +129,7 @@ def _untouched(
     for _ in range(TOUCHED_ROUNDS):
         if result.stopped or result.hurried:
             break
-        new, hurried = finished(partial(_touched, result))
+        new, hurried = complete_step(partial(_touched, result))
         if hurried:
             result = replace(result, hurried=True)
         if hurried or not new:

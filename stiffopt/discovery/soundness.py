@@ -18,7 +18,7 @@ from stiffopt.discovery.signals import (
     RobotSignals,
     smooth_sign,
 )
-from stiffopt.recording.nominal_files import joint_chain
+from stiffopt.recording.nominal_files import build_joint_chain
 from stiffopt.symbolic import Quantity, is_symbolic
 
 PARTS = ("drive_torque", "link_torque", "deflection", "reading", "previous_torque")
@@ -121,7 +121,7 @@ def sample_constants(
             torque_max=120.0,
             rotor_inertia=0.36,
             joint_damping=60.0,
-            chain=joint_chain((1.6e4, 2.5e4, 2.9e4, 7.0, 25.0), 6.5e4, 120.0),
+            chain=build_joint_chain((1.6e4, 2.5e4, 2.9e4, 7.0, 25.0), 6.5e4, 120.0),
             pole_pairs=4.0,
             stroke=(float(position[:, j].min()), float(position[:, j].max())),
             fastest=float(np.abs(velocity[:, j]).max()),

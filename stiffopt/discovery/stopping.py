@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import TypeVar
 
 from stiffopt.discovery.search.search import SearchResult
-from stiffopt.interrupts import finished
+from stiffopt.interrupts import complete_step
 
 Answer = TypeVar("Answer")
 
@@ -40,7 +40,7 @@ def stopped_in(result: SearchResult) -> list[str]:
 
 def even_if_stopped(stopped: list[str], step: Callable[[], Answer]) -> Answer:
     """What a short step behind the search answers: Ctrl-C ends what comes later."""
-    answer, hurried = finished(step)
+    answer, hurried = complete_step(step)
     if hurried and not stopped:
         stopped.append(_HURRIED)
     return answer

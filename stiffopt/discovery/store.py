@@ -18,7 +18,7 @@ from stiffopt.discovery.judging.shares import Share
 from stiffopt.discovery.judging.unexplained import Unexplained
 from stiffopt.discovery.proof.predict import Prediction
 from stiffopt.discovery.signals import RobotConstants
-from stiffopt.files import atomic_write, plain
+from stiffopt.files import atomic_write, to_json_types
 from stiffopt.recording.signals import Signals
 
 SCHEMA = 1
@@ -104,7 +104,7 @@ def answer(diagnosis: Diagnosis) -> dict[str, Any]:
             for run, fault in diagnosis.faults
         ],
     }
-    found: dict[str, Any] = plain(document)
+    found: dict[str, Any] = to_json_types(document)
     return found
 
 

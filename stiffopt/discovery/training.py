@@ -23,8 +23,8 @@ from stiffopt.discovery.settings import FIXED, PREDICTED_CUTOFF, Settings
 from stiffopt.discovery.signals import RobotConstants
 from stiffopt.discovery.thresholds import MOST_EFFECTS, MOST_EFFECTS_FREE
 from stiffopt.errors import InputFileError
-from stiffopt.recording.assumptions import NO_RATIO
 from stiffopt.recording.nominal import Tolerance
+from stiffopt.recording.nominal_files import NO_RATIO
 from stiffopt.recording.recording_set import RecordingSet
 from stiffopt.recording.run import RecordedRun
 from stiffopt.units import joint_unit

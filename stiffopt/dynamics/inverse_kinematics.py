@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from stiffopt.errors import ProblemError
-from stiffopt.robot.rotations import rotation_vector
+from stiffopt.robot.frames import rotation_vector
 
 if TYPE_CHECKING:
     from stiffopt.robot.frames import LinkFrame

@@ -13,7 +13,7 @@ import numpy as np
 
 from stiffopt.elastic.springs import JointSpring, joint_springs
 from stiffopt.errors import NotSimulatedError, RobotError
-from stiffopt.robot.along_motion import places_along
+from stiffopt.robot.batched_kinematics import frame_positions
 from stiffopt.units import joint_unit
 
 if TYPE_CHECKING:
@@ -239,7 +239,7 @@ class ElasticArm:
 
     def tool(self, q: np.ndarray) -> np.ndarray:
         """Tool positions (K, 3) [m] of link positions (K, n)."""
-        return places_along(self.robot.tree, self.robot.tool, q)
+        return frame_positions(self.robot.tree, self.robot.tool, q)
 
     def _critical_damping(self, at: np.ndarray) -> np.ndarray:
         """Critical damping (n,) of each joint swinging alone, at rest with the motors at `at`."""

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from stiffopt.certificate.violations import CERTIFIED
-from stiffopt.errors import InputFileError, relative
+from stiffopt.errors import InputFileError, format_relative
 from stiffopt.export.format import FORMATS
 from stiffopt.export.motion import read_motion
 from stiffopt.export.seal import is_whole, read_seal
@@ -119,8 +119,9 @@ def check_file(file: Path, result: Path, problem: Path | None = None) -> Checked
 def _margin(value: float) -> str:
     """Return a violation within the certificate's tolerance, in words."""
     if value > 0.0:
-        return f"over by {relative(value)}, within the certificate's tolerance of {CERTIFIED:.1%}"
-    return f"{relative(-value)} left"
+        tolerance = f"the certificate's tolerance of {CERTIFIED:.1%}"
+        return f"over by {format_relative(value)}, within {tolerance}"
+    return f"{format_relative(-value)} left"
 
 
 def _rate_of(entries: dict[str, str]) -> float | None:

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.interpolate import BPoly, CubicSpline, make_interp_spline
 
 from stiffopt.certificate.violations import CERTIFIED
-from stiffopt.errors import InputError, InputFileError, relative
+from stiffopt.errors import InputError, InputFileError, format_relative
 from stiffopt.export.judged import (
     SampledRows,
     judge_plan,
@@ -239,8 +239,8 @@ def _certified_duration(path: Path, document: dict[str, Any]) -> float:
         raise InputFileError(
             path,
             "certificate",
-            f"the motion exceeds {limit.replace('_', ' ')} by {relative(worst)}, so it is not "
-            "exported. Solve again until every limit holds.",
+            f"the motion exceeds {limit.replace('_', ' ')} by {format_relative(worst)}, so it is "
+            "not exported. Solve again until every limit holds.",
         )
     return duration
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from stiffopt.connection import Bolt
 from stiffopt.drivetrain import catalogue
-from stiffopt.drivetrain.catalogue import BoltData
+from stiffopt.drivetrain.fasteners import BoltData
 from stiffopt.errors import InputError
 
 # Clamp length where none is given, in bolt diameters.

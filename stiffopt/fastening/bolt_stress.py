@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from stiffopt.drivetrain.catalogue import BoltData
+from stiffopt.drivetrain.fasteners import BoltData
 from stiffopt.symbolic import Quantity
 
 # k_tau: part of the torsion that counts in service (VDI 2230 R8; 1 where the joint slips).

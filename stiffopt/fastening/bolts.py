@@ -8,7 +8,7 @@ import numpy as np
 
 from stiffopt.connection import Bolt, BoltedFlange
 from stiffopt.drivetrain import catalogue
-from stiffopt.drivetrain.catalogue import BoltData
+from stiffopt.drivetrain.fasteners import BoltData
 from stiffopt.errors import InputError
 from stiffopt.fastening.bolt_geometry import bolt_data, clamp_length
 from stiffopt.fastening.compliance import (

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from typing import Literal
 
-from stiffopt.drivetrain.catalogue import BoltData
+from stiffopt.drivetrain.fasteners import BoltData
 
 # VDI 2230: lengths, in bolt diameters, that stand for the parts of a bolt beyond the clamp length:
 # its head, its engaged thread, the thread around it in a tapped hole or in a nut.

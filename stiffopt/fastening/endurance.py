@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Literal
 
-from stiffopt.drivetrain.catalogue import BoltData
+from stiffopt.drivetrain.fasteners import BoltData
 from stiffopt.symbolic import Quantity
 
 # Asked for in design [-]; VDI 2230 leaves S_D to the engineer and names 1.2.

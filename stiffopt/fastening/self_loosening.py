@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from stiffopt.drivetrain.catalogue import BoltData
+from stiffopt.drivetrain.fasteners import BoltData
 
 
 def transverse_slip_limit(

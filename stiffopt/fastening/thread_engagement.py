@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from stiffopt.drivetrain.catalogue import BoltData, ClampedMaterial
+from stiffopt.drivetrain.fasteners import BoltData, ClampedMaterial
 
 # Shear over tensile strength of bolts.
 _BOLT_SHEAR = 0.6

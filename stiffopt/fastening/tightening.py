@@ -10,7 +10,7 @@ import numpy as np
 
 from stiffopt.contact.validate import require_positive
 from stiffopt.declaration import FRICTION, Bounds, Doc, Length, Ratio, check_fields
-from stiffopt.drivetrain.catalogue import BoltData
+from stiffopt.drivetrain.fasteners import BoltData
 from stiffopt.symbolic import Quantity
 
 # alpha_A = F_max/F_min at assembly, by method: the unfavourable end of VDI 2230 Table A8. A torque

@@ -1,13 +1,17 @@
-"""What a static set says of an arm: stiffness of its joints, errors, torque dependence."""
+"""Result of a static set: stiffness of the joints, errors, torque dependence, and its files."""
 
 from __future__ import annotations
 
+import dataclasses
+import json
 from dataclasses import dataclass
-from typing import Literal
+from pathlib import Path
+from typing import Any, Literal
 
 import numpy as np
 
-from stiffopt.identification.rows import StaticRows
+from stiffopt.files import atomic_write, write_csv
+from stiffopt.identification.static_rows import StaticRows
 from stiffopt.identification.torque_dependence import TorqueDependence
 from stiffopt.recording.static_set import StaticSet
 
@@ -16,7 +20,7 @@ Status = Literal["identified", "lower_bound", "not_loaded", "confounded"]
 
 @dataclass(frozen=True, kw_only=True)
 class JointStiffness:
-    """Stiffness of one joint as the poses show it [N m/rad, N/m for a prismatic joint].
+    """Identified stiffness of one joint [N m/rad, N/m for a prismatic joint].
 
     Parameters
     ----------
@@ -25,30 +29,31 @@ class JointStiffness:
     name : str
     unit : str
     status : str
-        "identified"; "lower_bound": the poses do not exclude a rigid joint; "not_loaded" and
-        "confounded": they say nothing of this joint alone.
+        "identified"; "lower_bound": a rigid joint is not excluded; "not_loaded" and "confounded":
+        not identifiable alone.
     reason : str
         A sentence; empty if identified.
     stiffness, sd : float or None
         Estimate and its standard deviation.
     lower, upper : float or None
-        95 % interval; an upper end of None is rigid.
+        95 % confidence interval; an upper end of None is rigid.
     least_squares : float or None
-        Plain least squares, every pose in full.
+        Estimate of unweighted least squares.
     compliance : float or None
         [rad/(N m)]
     compliance_sd, compliance_sd_alike, compliance_sd_bootstrap : float or None
-        By leaving out poses; if all errors were alike; by drawing poses anew. The first two are
-        combined into `sd` and the interval: the larger one counts.
+        By the jackknife; by the covariance of equal independent errors; by the bootstrap. The
+        larger of the first two determines `sd` and the interval.
     bootstrap_lower, bootstrap_upper : float or None
-        Interval of the middle 95 % of the fits to poses drawn anew.
+        95 % bootstrap interval.
     nominal : float or None
     z_nominal : float or None
         Identified less nominal compliance, in standard deviations.
     torque : tuple of 3 float
-        5, 50 and 95 % of the poses load the joint by no more than this (magnitude) [N m].
+        5, 50 and 95 % quantiles of the magnitude of the joint's torque [N m].
     leverage : float
-        How far the joint moves the tool over the joint that moves it most, at equal stiffness.
+        Displacement of the tool by this joint over that by the joint of the largest, at equal
+        stiffness.
     """
 
     joint: int
@@ -110,11 +115,11 @@ class StaticStiffness:
     predicted, left_out : array (m, 3)
         Displacement by the fit, and by the fit without that pose [m].
     weight : array (m,)
-        How far each pose counts.
+        Huber weight of each pose.
     scale : float
         Robust standard deviation of one component [m].
     outliers : tuple of int
-        Poses that do not fit the others, from 1.
+        Numbers of outlying poses, from 1.
     correlation : array (n, n)
         Of the compliances; nan for joints that are not identifiable.
     torque_dependence : TorqueDependence
@@ -133,3 +138,104 @@ class StaticStiffness:
     correlation: np.ndarray
     torque_dependence: TorqueDependence
     assumptions: tuple[str, ...]
+
+
+JSON_FILE, CSV_FILE, POSES_FILE = "stiffness.json", "stiffness.csv", "residuals.csv"
+
+_CSV_COLUMNS = (
+    "joint",
+    "name",
+    "status",
+    "stiffness",
+    "sd",
+    "lower",
+    "upper",
+    "least_squares",
+    "nominal",
+    "z_nominal",
+    "compliance",
+    "compliance_sd",
+)
+
+
+def write_static(result: StaticStiffness, folder: Path) -> None:
+    """Write stiffness.json, stiffness.csv and residuals.csv into `folder`."""
+    write_csv(
+        folder / CSV_FILE,
+        _CSV_COLUMNS,
+        [
+            ["" if getattr(joint, name) is None else getattr(joint, name) for name in _CSV_COLUMNS]
+            for joint in result.joints
+        ],
+    )
+    _write_poses(result, folder / POSES_FILE)
+    atomic_write(
+        folder / JSON_FILE, json.dumps(stiffness_document(result), indent=2, allow_nan=False) + "\n"
+    )
+
+
+def stiffness_document(result: StaticStiffness) -> dict[str, Any]:
+    """Content of stiffness.json: SI numbers, null where there is none."""
+    error = np.linalg.norm(result.rows.displacement - result.predicted, axis=1)
+    return {
+        "schema": 1,
+        "kind": "stiffness",
+        "name": result.source.name,
+        "citation": result.source.citation,
+        "poses": len(result.predicted),
+        "joints": [dataclasses.asdict(joint) for joint in result.joints],
+        "rms": {
+            "of": "one component of the displacement",
+            "unit": "m",
+            **dataclasses.asdict(result.errors),
+        },
+        "noise": {"value": result.scale, "unit": "m"},
+        "outliers": [
+            {
+                "pose": pose,
+                "error": float(error[pose - 1]),
+                "weight": float(result.weight[pose - 1]),
+            }
+            for pose in result.outliers
+        ],
+        "correlation": [
+            [None if np.isnan(each) else float(each) for each in row] for row in result.correlation
+        ],
+        "torque_dependence": _torque_dependence_entry(result.torque_dependence),
+        "assumptions": list(result.assumptions),
+    }
+
+
+def _torque_dependence_entry(found: TorqueDependence) -> dict[str, Any]:
+    names = ("name", "formula", "candidate", "shape", "parameters", "fit", "left_out", "gain")
+    return {
+        "verdict": found.verdict,
+        "sentence": found.sentence,
+        "best": found.best or None,
+        "models": [
+            {
+                **{name: getattr(model, name) for name in names},
+                "chance": model.chance if model.candidate else None,
+            }
+            for model in found.models
+        ],
+        "secant_stiffness": [
+            {"joint": joint, "share_of_poses": [0.05, 0.5, 0.95], "stiffness": list(values)}
+            for joint, values in found.secant.items()
+        ],
+    }
+
+
+def _write_poses(result: StaticStiffness, path: Path) -> None:
+    axes = "xyz"
+    columns = (
+        "pose",
+        *(f"measured_{axis}" for axis in axes),
+        *(f"predicted_{axis}" for axis in axes),
+        *(f"left_out_{axis}" for axis in axes),
+        "weight",
+    )
+    table = np.column_stack(
+        [result.rows.displacement, result.predicted, result.left_out, result.weight]
+    )
+    write_csv(path, columns, [[k, *row] for k, row in enumerate(table.tolist(), start=1)])

@@ -1,7 +1,7 @@
-"""Compliances that cannot be negative, from displacements of which some may be wrong.
+"""Non-negative compliances by robust regression of displacements.
 
-A pose is the unit of measurement: its three components are trusted or doubted together, and it is
-left out as a whole when a prediction is tested.
+A pose is the unit of measurement: its three components share one weight, and cross-validation
+leaves out whole poses.
 """
 
 from __future__ import annotations
@@ -11,11 +11,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-# Poses off by more than this many standard deviations of one component count less (Huber).
-BEND = 2.5
+# Residual from which Huber's weights decrease [standard deviations of one component].
+HUBER_THRESHOLD = 2.5
 # Root of the median of a chi-squared variable with three degrees of freedom.
-_MEDIAN_NORM = 1.5382
-_ITERATIONS = 60
+_MEDIAN_CHI_3 = 1.5382
+# Iterations of reweighted least squares; some ten are usual.
+_MAX_REWEIGHTING_STEPS = 60
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -25,9 +26,9 @@ class RobustFit:
     Parameters
     ----------
     value : array (p,)
-        One number a column, none negative.
+        One per column, not negative.
     weight : array (m,)
-        How far each pose counts, 1 in full.
+        Huber weight of each pose, 1 at most.
     residual : array (m, 3)
         Measured less fitted [m].
     scale : float
@@ -58,7 +59,7 @@ def fit(
     robust : bool
         False: plain least squares, all weights one.
     start : RobustFit, optional
-        Values to begin from.
+        Initial values.
 
     Returns
     -------
@@ -71,22 +72,22 @@ def fit(
     size = np.sqrt(np.mean(np.square(columns), axis=(0, 1)))
     size[size == 0.0] = 1.0
     scaled = columns / size
-    value = _solve(scaled, displacement) if start is None else start.value * size
+    value = _solve_weighted(scaled, displacement) if start is None else start.value * size
     weight = np.ones(len(displacement))
     residual = displacement - scaled @ value
-    scale = _scale(residual, int(np.count_nonzero(value)))
-    # Data without error leave nothing to doubt, and no scale to doubt it by.
+    scale = _residual_scale(residual, int(np.count_nonzero(value)))
+    # Residuals below this are rounding: data without error need no weights.
     exact = 1e-9 * float(np.max(np.abs(displacement), initial=0.0))
-    for _ in range(_ITERATIONS if robust else 0):
+    for _ in range(_MAX_REWEIGHTING_STEPS if robust else 0):
         if scale <= exact:
             break
         norm = np.linalg.norm(residual, axis=1)
-        weight = np.minimum(1.0, BEND * scale / np.maximum(norm, exact))
+        weight = np.minimum(1.0, HUBER_THRESHOLD * scale / np.maximum(norm, exact))
         root = np.sqrt(weight)[:, None]
-        before, value = value, _solve(scaled * root[..., None], displacement * root)
+        before, value = value, _solve_weighted(scaled * root[..., None], displacement * root)
         residual = displacement - scaled @ value
-        scale = _scale(residual, int(np.count_nonzero(value)))
-        # Far below any standard deviation; the last digits of weights are worth no time.
+        scale = _residual_scale(residual, int(np.count_nonzero(value)))
+        # Far below any standard deviation of the values.
         if np.max(np.abs(value - before)) <= 1e-5 * np.max(value, initial=1e-300):
             break
     return RobustFit(value=value / size, weight=weight, residual=residual, scale=scale)
@@ -98,11 +99,13 @@ def loss(error: np.ndarray, scale: float) -> np.ndarray:
     Half the square up to `BEND` standard deviations, linear beyond.
     """
     u = np.linalg.norm(error, axis=-1) / scale
-    return np.asarray(np.where(u <= BEND, 0.5 * u**2, BEND * (u - 0.5 * BEND)))
+    return np.asarray(
+        np.where(u <= HUBER_THRESHOLD, 0.5 * u**2, HUBER_THRESHOLD * (u - 0.5 * HUBER_THRESHOLD))
+    )
 
 
 def without_each(count: int) -> Iterator[np.ndarray]:
-    """Masks that leave out one pose each."""
+    """Iterate over masks that leave out one pose each."""
     for k in range(count):
         keep = np.ones(count, dtype=bool)
         keep[k] = False
@@ -112,7 +115,7 @@ def without_each(count: int) -> Iterator[np.ndarray]:
 def model_covariance(columns: np.ndarray, fitted: RobustFit) -> np.ndarray:
     """Covariance of the values if all errors are alike and independent, (p, p).
 
-    All columns count as free, also those that ended at zero: a bound is no knowledge of a value.
+    All columns count as free, also those at the bound zero, which carries no information.
     """
     p = columns.shape[2]
     weight = fitted.weight[:, None, None]
@@ -127,7 +130,7 @@ def model_covariance(columns: np.ndarray, fitted: RobustFit) -> np.ndarray:
 def jackknife_deviation(values: np.ndarray) -> np.ndarray:
     """Standard deviation from fits that leave out one pose each: (m, p) -> (p,).
 
-    Holds also where errors differ between poses or go together within one.
+    Valid also for errors that differ between poses or are correlated within one.
     """
     m = len(values)
     return np.asarray(np.sqrt((m - 1) * np.var(values, axis=0)))
@@ -136,7 +139,7 @@ def jackknife_deviation(values: np.ndarray) -> np.ndarray:
 def bootstrap(
     columns: np.ndarray, displacement: np.ndarray, fitted: RobustFit, draws: int, seed: int
 ) -> np.ndarray:
-    """Values fitted to poses drawn anew with replacement, (draws, p)."""
+    """Values fitted to poses drawn with replacement, (draws, p)."""
     random = np.random.default_rng(seed)
     m = len(displacement)
     chosen = random.integers(0, m, size=(draws, m))
@@ -144,14 +147,14 @@ def bootstrap(
 
 
 def bootstrap_interval(drawn: np.ndarray, poses: int, confidence: float) -> tuple[float, float]:
-    """Ends of an interval for the true value, at that confidence, from drawn values (draws,).
+    """Confidence interval of the true value from bootstrap values (draws,).
 
     Notes
     -----
     Hesterberg, T. C.: What Teachers Should Know About the Bootstrap, The American Statistician
-    (2015): the plain percentiles of few poses are too close together, as a normal interval with
-    the deviation of divisor m in place of Student's with m - 1 is; percentiles further out make up
-    for it. Ranks r of B draws stand for r / (B + 1), so that few draws do not narrow it again.
+    (2015): plain percentiles of few poses are too narrow, like a normal interval with divisor m in
+    place of Student's with m - 1; the levels are widened accordingly. Rank r of B draws has the
+    level r / (B + 1), so that few draws do not narrow the interval.
     """
     from scipy.stats import norm, t
 
@@ -161,13 +164,13 @@ def bootstrap_interval(drawn: np.ndarray, poses: int, confidence: float) -> tupl
     return float(lower), float(upper)
 
 
-def _solve(columns: np.ndarray, displacement: np.ndarray) -> np.ndarray:
+def _solve_weighted(columns: np.ndarray, displacement: np.ndarray) -> np.ndarray:
     from scipy.optimize import nnls
 
     return np.asarray(nnls(columns.reshape(-1, columns.shape[2]), displacement.ravel())[0])
 
 
-def _scale(residual: np.ndarray, fitted: int) -> float:
+def _residual_scale(residual: np.ndarray, fitted: int) -> float:
     rows = residual.size
-    middle = float(np.median(np.linalg.norm(residual, axis=1))) / _MEDIAN_NORM
+    middle = float(np.median(np.linalg.norm(residual, axis=1))) / _MEDIAN_CHI_3
     return middle * float(np.sqrt(rows / max(rows - fitted, 1)))

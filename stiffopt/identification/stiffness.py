@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from stiffopt.errors import InputFileError
-from stiffopt.identification.identifiable import WEAK, Identifiable, identifiable
 from stiffopt.identification.result import Errors, JointStiffness, StaticStiffness, Status
 from stiffopt.identification.robust_compliance import (
     RobustFit,
@@ -16,22 +15,28 @@ from stiffopt.identification.robust_compliance import (
     model_covariance,
     without_each,
 )
-from stiffopt.identification.rows import StaticRows, static_rows
+from stiffopt.identification.static_rows import (
+    MIN_LEVERAGE,
+    Identifiable,
+    StaticRows,
+    identifiable,
+    static_rows,
+)
 from stiffopt.identification.torque_dependence import UNTESTED, torque_dependence
 from stiffopt.recording.static_set import StaticSet
 
 CONFIDENCE = 0.95
-DRAWS = 400
-# A pose this many standard deviations of one component off is named as an outlier.
-OUTLYING = 5.0
-# A weakly loaded joint must stand out of the noise this far to be given a number.
-_WEAK_RATIO = 5.0
+BOOTSTRAP_DRAWS = 400
+# Residual from which a pose is an outlier [standard deviations of one component].
+OUTLIER_DEVIATIONS = 5.0
+# Compliance over its standard deviation from which a weakly loaded joint gets an estimate.
+_MIN_WEAK_SIGNIFICANCE = 5.0
 
 
 def identify_stiffness(
-    recorded: StaticSet, *, torque: bool = True, draws: int = DRAWS, seed: int = 1
+    recorded: StaticSet, *, torque: bool = True, draws: int = BOOTSTRAP_DRAWS, seed: int = 1
 ) -> StaticStiffness:
-    """Joint stiffness with standard deviations, and whether it depends on torque.
+    """Identify joint stiffness with standard deviations and test its torque dependence.
 
     Parameters
     ----------
@@ -65,12 +70,12 @@ def identify_stiffness(
     dependence = torque_dependence(rows, kept) if torque else UNTESTED
     left_out = _predict_left_out(used, folds)
     norm = np.linalg.norm(fitted.residual, axis=1)
-    # Rounding alone must not make outliers of data without error.
-    outlying = max(OUTLYING * fitted.scale, 1e-6 * rms(measured))
+    # Rounding must not make outliers of data without error.
+    outlying = max(OUTLIER_DEVIATIONS * fitted.scale, 1e-6 * rms(measured))
     return StaticStiffness(
         source=recorded,
         rows=rows,
-        joints=_joints(recorded, rows, can, fitted, plain, folds, drawn),
+        joints=_joint_estimates(recorded, rows, can, fitted, plain, folds, drawn),
         errors=Errors(
             displacement=rms(measured),
             fit=rms(fitted.residual),
@@ -86,9 +91,9 @@ def identify_stiffness(
         weight=fitted.weight,
         scale=fitted.scale,
         outliers=tuple(int(k) + 1 for k in np.flatnonzero(norm > outlying)),
-        correlation=_correlation(used, fitted, can, recorded.n),
+        correlation=_largest_correlation(used, fitted, can, recorded.n),
         torque_dependence=dependence,
-        assumptions=_assumptions(recorded, rows),
+        assumptions=_list_assumptions(recorded, rows),
     )
 
 
@@ -101,7 +106,7 @@ def _predict_left_out(columns: np.ndarray, folds: list[RobustFit]) -> np.ndarray
     return np.array([columns[k] @ fold.value for k, fold in enumerate(folds)])
 
 
-def _joints(
+def _joint_estimates(
     recorded: StaticSet,
     rows: StaticRows,
     can: Identifiable,
@@ -120,15 +125,17 @@ def _joints(
     place = {int(j): k for k, j in enumerate(can.kept)}
     joints = []
     for j, name in enumerate(recorded.joints):
-        status, reason = _structure(can, j)
+        status, reason = _geometric_identifiability(can, j)
         nominal = None if recorded.stiffness is None else float(recorded.stiffness[j])
-        estimate: dict[str, float | None] = dict.fromkeys(_ESTIMATED)
+        estimate: dict[str, float | None] = dict.fromkeys(_ESTIMATED_NOTE)
         if status == "identified":
             k = place[j]
             value, deviation = float(fitted.value[k]), float(max(alike[k], jackknife[k]))
-            status, reason = _significance(value, deviation, factor, float(can.leverage[j]))
+            status, reason = _compliance_significance(
+                value, deviation, factor, float(can.leverage[j])
+            )
             if status != "not_loaded":
-                estimate = _estimate(
+                estimate = _stiffness_estimate(
                     value,
                     deviation,
                     factor,
@@ -156,7 +163,7 @@ def _joints(
     return tuple(joints)
 
 
-_ESTIMATED = (
+_ESTIMATED_NOTE = (
     "stiffness",
     "sd",
     "lower",
@@ -172,8 +179,8 @@ _ESTIMATED = (
 )
 
 
-def _structure(can: Identifiable, j: int) -> tuple[Status, str]:
-    """What the geometry of the poses alone says of joint j (from 0)."""
+def _geometric_identifiability(can: Identifiable, j: int) -> tuple[Status, str]:
+    """Identifiability of joint j (from 0) by the geometry of the poses."""
     if not can.loaded[j]:
         return "not_loaded", (
             "not identifiable: no pose loads this joint. Pull where the force passes beside its "
@@ -188,13 +195,13 @@ def _structure(can: Identifiable, j: int) -> tuple[Status, str]:
     return "identified", ""
 
 
-def _significance(
+def _compliance_significance(
     value: float, deviation: float, factor: float, leverage: float
 ) -> tuple[Status, str]:
-    """Whether a compliance stands out of the errors."""
-    if leverage < WEAK and value < _WEAK_RATIO * deviation:
+    """Status of a compliance by its significance."""
+    if leverage < MIN_LEVERAGE and value < _MIN_WEAK_SIGNIFICANCE * deviation:
         return "not_loaded", (
-            "not identifiable: the poses load this joint so little that its deflection drowns in "
+            "not identifiable: the poses load this joint so little that its deflection is below "
             "the errors. Pull with a longer lever about its axis."
         )
     if value > factor * deviation:
@@ -207,7 +214,7 @@ def _significance(
     return "lower_bound", "too stiff for these poses: only a lower bound can be given."
 
 
-def _estimate(
+def _stiffness_estimate(
     value: float,
     deviation: float,
     factor: float,
@@ -216,27 +223,29 @@ def _estimate(
     drawn: tuple[float, float],
     spread: float,
 ) -> dict[str, float | None]:
-    """Stiffness with its interval from a compliance; nothing is divided by zero."""
+    """Stiffness and its interval from a compliance; None in place of divisions by zero."""
     guess = value > deviation
     return {
         "stiffness": 1.0 / value if guess else None,
         "sd": deviation / value**2 if guess else None,
-        "lower": _inverse(value + factor * deviation),
-        "upper": _inverse(value - factor * deviation),
-        "least_squares": _inverse(plain),
+        "lower": _invert_compliance(value + factor * deviation),
+        "upper": _invert_compliance(value - factor * deviation),
+        "least_squares": _invert_compliance(plain),
         "compliance": value,
         "compliance_sd_bootstrap": spread,
-        "bootstrap_lower": _inverse(drawn[1]),
-        "bootstrap_upper": _inverse(drawn[0]),
+        "bootstrap_lower": _invert_compliance(drawn[1]),
+        "bootstrap_upper": _invert_compliance(drawn[0]),
         "z_nominal": (value - 1.0 / nominal) / deviation if nominal and deviation else None,
     }
 
 
-def _inverse(compliance: float) -> float | None:
+def _invert_compliance(compliance: float) -> float | None:
     return 1.0 / compliance if compliance > 0.0 else None
 
 
-def _correlation(columns: np.ndarray, fitted: RobustFit, can: Identifiable, n: int) -> np.ndarray:
+def _largest_correlation(
+    columns: np.ndarray, fitted: RobustFit, can: Identifiable, n: int
+) -> np.ndarray:
     covariance = model_covariance(columns, fitted)
     deviation = np.sqrt(np.diag(covariance))
     full = np.full((n, n), np.nan)
@@ -246,7 +255,7 @@ def _correlation(columns: np.ndarray, fitted: RobustFit, can: Identifiable, n: i
     return full
 
 
-def _assumptions(recorded: StaticSet, rows: StaticRows) -> tuple[str, ...]:
+def _list_assumptions(recorded: StaticSet, rows: StaticRows) -> tuple[str, ...]:
     said = [
         "Links, base and bearings are rigid: all compliance is about the joint axes.",
         "Joint angles and forces are exact; all error is in the displacements.",
@@ -258,7 +267,7 @@ def _assumptions(recorded: StaticSet, rows: StaticRows) -> tuple[str, ...]:
         said.append("Displacements include the deflection under the weight of the links.")
     if recorded.difference and rows.weight is not None:
         said.append(
-            "Torque dependence about the weight that a joint already carries is tested with the "
+            "Torque dependence about the gravity torque of a joint is tested with the "
             "masses of the robot file, without counterbalances."
         )
     if recorded.difference and rows.weight is None:

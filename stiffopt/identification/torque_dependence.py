@@ -1,9 +1,9 @@
-"""Do static deflections say that joint compliance depends on torque? Tested on poses left out.
+"""Test of torque-dependent joint compliance by cross-validation on poses left out.
 
 Contacts under small load are soft, so a joint with contacts winds up as c s + b |s|^q with q < 1,
-or c s + b tanh(s / s0). Both only ever lower the error of the poses they were fitted to. What
-counts is whether they predict a pose that was left out better than constant compliance does, and
-better than a constant error of the displacement sensor, which can look alike.
+or c s + b tanh(s / s0). Both always lower the error on the poses they were fitted to. They are
+accepted where they predict poses left out better than constant compliance, and better than a
+constant error of the displacement sensor, which has a similar effect.
 """
 
 from __future__ import annotations
@@ -15,30 +15,30 @@ from typing import Literal
 import numpy as np
 
 from stiffopt.identification.robust_compliance import RobustFit, fit, loss, without_each
-from stiffopt.identification.rows import StaticRows, Windup
+from stiffopt.identification.static_rows import StaticRows, Windup
 
 Verdict = Literal["supported", "weak", "not supported", "not tested"]
 
-# Supported: adjusted probability of chance below this, and error at least this share lower.
-CHANCE = 0.01
-SMALLEST_GAIN = 0.02
-# Fewer poses cannot carry a paired test at this level.
-FEWEST_POSES = 8
+# Supported: adjusted p-value below this, and error on poses left out lower by at least this share.
+MAX_CHANCE = 0.01
+MIN_GAIN = 0.02
+# Fewer poses cannot reach this level in a paired test.
+MIN_POSES = 8
 # Exponents q that are tried, and torques s0 over the joint's root mean square torque.
 EXPONENTS = (0.14, 0.3, 0.5)
-BENDS = (0.05, 0.1, 0.2, 0.5)
+TANH_TORQUE_SHARES = (0.05, 0.1, 0.2, 0.5)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Compared:
-    """One model beside constant compliance.
+    """One model compared with constant compliance.
 
     Parameters
     ----------
     name : str
     formula : str
     candidate : bool
-        Depends on torque; else a rival that explains without it.
+        Depends on torque; else an alternative explanation without torque dependence.
     shape : str
         Form chosen on all poses.
     parameters : int
@@ -100,7 +100,7 @@ UNTESTED = TorqueDependence(
 
 
 @dataclass(frozen=True, eq=False)
-class _Run:
+class _FamilyFit:
     error: np.ndarray
     whole: RobustFit
     shape: WindupForm
@@ -113,7 +113,7 @@ def torque_dependence(rows: StaticRows, kept: Sequence[int] | np.ndarray) -> Tor
     ----------
     rows : StaticRows
     kept : sequence of int (k,)
-        Joints (from 0) whose compliances can be told apart.
+        Joints (from 0) whose compliances are identifiable.
 
     Returns
     -------
@@ -121,10 +121,10 @@ def torque_dependence(rows: StaticRows, kept: Sequence[int] | np.ndarray) -> Tor
     """
     kept = np.asarray(kept)
     m = len(rows.displacement)
-    if m < FEWEST_POSES:
+    if m < MIN_POSES:
         return TorqueDependence(
             verdict="not tested",
-            sentence=f"{m} poses are too few to test it; at least {FEWEST_POSES}, better 20, with "
+            sentence=f"{m} poses are too few to test it; at least {MIN_POSES}, better 20, with "
             "small and large forces in the same pose.",
             models=(),
             best="",
@@ -132,12 +132,12 @@ def torque_dependence(rows: StaticRows, kept: Sequence[int] | np.ndarray) -> Tor
         )
     tried = [f for f in families(rows, kept) if f.shapes[0].columns.shape[2] < 3 * (m - 1)]
     measured = rows.displacement
-    runs = [_left_out(family, measured) for family in tried]
+    runs = [_predict_left_out(family, measured) for family in tried]
     constant = runs[0]
-    # Data without error have no scale of their own.
-    scale = max(constant.whole.scale, 1e-9 * _rms(measured))
+    # Data without error have a scale of zero.
+    scale = max(constant.whole.scale, 1e-9 * _rms_error(measured))
     losses = [loss(run.error, scale) for run in runs]
-    # The strongest rival without torque: a model must beat that, not the weakest.
+    # Candidates are compared with the best model without torque dependence.
     plain = [k for k, family in enumerate(tried) if not family.candidate]
     rival = min(plain, key=lambda k: float(np.sum(losses[k])))
     candidates = len(tried) - len(plain)
@@ -148,10 +148,10 @@ def torque_dependence(rows: StaticRows, kept: Sequence[int] | np.ndarray) -> Tor
             candidate=family.candidate,
             shape=run.shape.label,
             parameters=run.shape.columns.shape[2],
-            fit=_rms(run.whole.residual),
-            left_out=_rms(run.error),
-            gain=1.0 - _rms(run.error) / (_rms(constant.error) or 1.0),
-            chance=min(1.0, candidates * _paired(losses[rival] - losses[k]))
+            fit=_rms_error(run.whole.residual),
+            left_out=_rms_error(run.error),
+            gain=1.0 - _rms_error(run.error) / (_rms_error(constant.error) or 1.0),
+            chance=min(1.0, candidates * _paired_test(losses[rival] - losses[k]))
             if family.candidate
             else 1.0,
             value=run.whole.value,
@@ -172,17 +172,17 @@ def torque_dependence(rows: StaticRows, kept: Sequence[int] | np.ndarray) -> Tor
             best="",
             secant={},
         )
-    verdict, sentence, chosen = _verdict(models, models[rival])
+    verdict, sentence, chosen = _decide_verdict(models, models[rival])
     secant = {}
     if verdict == "supported":
-        secant = _secant(rows, kept, models[best], runs[best].shape)
+        secant = _secant_range(rows, kept, models[best], runs[best].shape)
     return TorqueDependence(
         verdict=verdict, sentence=sentence, models=models, best=chosen.name, secant=secant
     )
 
 
-def _left_out(family: Family, measured: np.ndarray) -> _Run:
-    """Errors of poses left out; the form is chosen anew without each pose."""
+def _predict_left_out(family: Family, measured: np.ndarray) -> _FamilyFit:
+    """Errors of poses left out; the form is selected without the pose."""
     whole = [fit(shape.columns, measured) for shape in family.shapes]
     error = np.empty_like(measured)
     for k, keep in enumerate(without_each(len(measured))):
@@ -190,23 +190,23 @@ def _left_out(family: Family, measured: np.ndarray) -> _Run:
             fit(shape.columns[keep], measured[keep], start=start)
             for shape, start in zip(family.shapes, whole, strict=True)
         ]
-        best = _best(folds)
+        best = _select_form(folds)
         error[k] = measured[k] - family.shapes[best].columns[k] @ folds[best].value
-    best = _best(whole)
-    return _Run(error, whole[best], family.shapes[best])
+    best = _select_form(whole)
+    return _FamilyFit(error, whole[best], family.shapes[best])
 
 
-def _best(fits: list[RobustFit]) -> int:
+def _select_form(fits: list[RobustFit]) -> int:
     if len(fits) == 1:
         return 0
     scale = max(fits[0].scale, 1e-300)
     return int(np.argmin([np.sum(loss(each.residual, scale)) for each in fits]))
 
 
-def _paired(drop: np.ndarray) -> float:
-    """Probability that the loss drops in so many poses by chance (Wilcoxon's signed ranks).
+def _paired_test(drop: np.ndarray) -> float:
+    """One-sided p-value of a decrease of the loss (Wilcoxon's signed-rank test).
 
-    Ranks, as a few poses with large loads would drown all others in a test of the mean.
+    Ranks, since a few poses with large loads would dominate a test of the mean.
     """
     from scipy.stats import wilcoxon
 
@@ -215,18 +215,22 @@ def _paired(drop: np.ndarray) -> float:
     return float(wilcoxon(drop, alternative="greater").pvalue)
 
 
-def _rms(error: np.ndarray) -> float:
+def _rms_error(error: np.ndarray) -> float:
     return float(np.sqrt(np.mean(np.square(error))))
 
 
-def _verdict(models: tuple[Compared, ...], rival: Compared) -> tuple[Verdict, str, Compared]:
-    """Verdict, sentence, and the torque-dependent model that they are about."""
+def _decide_verdict(models: tuple[Compared, ...], rival: Compared) -> tuple[Verdict, str, Compared]:
+    """Verdict, sentence, and the torque-dependent model concerned."""
     candidates = [model for model in models if model.candidate]
     sure = min(candidates, key=lambda model: (model.chance, -model.gain))
-    if sure.chance < CHANCE and sure.gain >= SMALLEST_GAIN:
-        return "supported", f"supported by these poses: {_numbers(sure, len(candidates))}.", sure
+    if sure.chance < MAX_CHANCE and sure.gain >= MIN_GAIN:
+        return (
+            "supported",
+            f"supported by these poses: {_parameter_values(sure, len(candidates))}.",
+            sure,
+        )
     best = max(candidates, key=lambda model: model.gain)
-    numbers = _numbers(best, len(candidates))
+    numbers = _parameter_values(best, len(candidates))
     if best.left_out < rival.left_out:
         return "weak", f"weak: {numbers}; not decisive.", best
     than = "constant compliance" if rival is models[0] else "constant compliance with an offset"
@@ -237,14 +241,14 @@ def _verdict(models: tuple[Compared, ...], rival: Compared) -> tuple[Verdict, st
     )
 
 
-def _numbers(model: Compared, tried: int) -> str:
+def _parameter_values(model: Compared, tried: int) -> str:
     return (
         f"{-100 * model.gain:+.1f} % error on poses left out (model: {model.name}), probability "
         f"of chance {model.chance:.2g} with {tried} models tried"
     )
 
 
-def _secant(
+def _secant_range(
     rows: StaticRows, kept: np.ndarray, best: Compared, shape: WindupForm
 ) -> dict[int, tuple[float, float, float]]:
     torque = np.quantile(np.abs(rows.load), [0.05, 0.5, 0.95], axis=0)
@@ -258,12 +262,9 @@ def _secant(
     return result
 
 
-# ---- models, each as columns that are linear in it
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class WindupForm:
-    """One form that a model can take, chosen by the poses that it is fitted to.
+    """One form of a model, selected by the poses that it is fitted to.
 
     Parameters
     ----------
@@ -281,7 +282,7 @@ class WindupForm:
 
 @dataclass(frozen=True)
 class Family:
-    """A model of the wind-up: one form of it, or several to choose from."""
+    """A model of the wind-up with one form or several to select from."""
 
     name: str
     formula: str
@@ -290,7 +291,7 @@ class Family:
 
 
 def families(rows: StaticRows, kept: np.ndarray) -> list[Family]:
-    """Constant compliance, its rival without torque, and the torque-dependent candidates.
+    """Constant compliance, its alternative with sensor offset, and torque-dependent candidates.
 
     Parameters
     ----------
@@ -311,8 +312,8 @@ def families(rows: StaticRows, kept: np.ndarray) -> list[Family]:
         ),
     ]
     size = np.sqrt(np.mean(np.square(rows.load), axis=0))
-    powers = [(f"q = {q:g}", _power(q)) for q in EXPONENTS]
-    bends = [(f"s0 = {share:g} of rms s", _tanh(share * size)) for share in BENDS]
+    powers = [(f"q = {q:g}", _power_form(q)) for q in EXPONENTS]
+    bends = [(f"s0 = {share:g} of rms s", _tanh_form(share * size)) for share in TANH_TORQUE_SHARES]
     preloaded = rows.difference and rows.weight is not None and bool(np.any(rows.weight))
     for on_weight in (False, True) if preloaded else (False,):
         place = ", on the weight" if on_weight else ""
@@ -320,12 +321,12 @@ def families(rows: StaticRows, kept: np.ndarray) -> list[Family]:
             ("contact", "c s + b |s|^q sign s", powers),
             ("tanh", "c s + b tanh(s / s0)", bends),
         ):
-            shapes = tuple(_shape(rows, kept, constant, *law, on_weight) for law in laws)
+            shapes = tuple(_fit_shape(rows, kept, constant, *law, on_weight) for law in laws)
             found.append(Family(name + place, formula, True, shapes))
     return found
 
 
-def _shape(
+def _fit_shape(
     rows: StaticRows,
     kept: np.ndarray,
     constant: np.ndarray,
@@ -337,10 +338,10 @@ def _shape(
     return WindupForm(label=label, columns=np.concatenate([constant, added], axis=2), windup=law)
 
 
-def _power(exponent: float) -> Windup:
+def _power_form(exponent: float) -> Windup:
     return lambda s: np.sign(s) * np.abs(s) ** exponent
 
 
-def _tanh(bend: np.ndarray) -> Windup:
+def _tanh_form(bend: np.ndarray) -> Windup:
     bend = np.where(bend > 0.0, bend, 1.0)
     return lambda s: np.tanh(s / bend)

@@ -16,13 +16,13 @@ from stiffopt.connection import Bolt, BoltedFlange, ClampingPins
 from stiffopt.drivetrain import catalogue
 from stiffopt.drivetrain.stage import Stage
 from stiffopt.fastening.limits import (
-    PreloadLimit,
     fastener_count,
     preload_limits,
     preload_loss,
     scatter,
     workshop_torque,
 )
+from stiffopt.fastening.preload_limit import PreloadLimit
 from stiffopt.fastening.tightening import standard_torques
 from stiffopt.fastening.vdi_rows import vdi_rows
 from stiffopt.preload.flange_loads import slip_safety, verification

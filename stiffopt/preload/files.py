@@ -14,7 +14,7 @@ from stiffopt.drivetrain.tables import with_own
 from stiffopt.dynamics.inverse_kinematics import solve_pose
 from stiffopt.errors import InputFileError, nearest
 from stiffopt.fastening.limits import check_preload
-from stiffopt.files import load_toml, read_document, with_changes
+from stiffopt.files import apply_changes, load_toml, read_document
 from stiffopt.preload.load_case import LoadCase, LoadHistory
 from stiffopt.preload.load_sources import pose_case, trajectory_history
 from stiffopt.preload.problem import PreloadProblem
@@ -27,10 +27,10 @@ from stiffopt.preload.schema import (
 from stiffopt.preload.study import value_units
 from stiffopt.problem.files import JointLists, load_problem, read_robot
 from stiffopt.problem.trajectory import TrajectoryProblem
-from stiffopt.robot.elements import located
-from stiffopt.robot.files import own_entries_of
+from stiffopt.robot.elements import locate_errors
+from stiffopt.robot.files import load_own_entries
+from stiffopt.robot.frames import rotation_from_rpy
 from stiffopt.robot.robot import Robot
-from stiffopt.robot.rotations import rotation_from_rpy
 from stiffopt.units import convert, fit_joint
 
 
@@ -71,15 +71,15 @@ def load_study(path: str | os.PathLike[str], changes: Sequence[str] = ()) -> Loa
         With the file, the key, what is allowed and what to do next.
     """
     path = Path(path)
-    named = with_changes(load_toml(path), changes, path).get("robot")
-    with with_own(own_entries_of(named, path.parent)):
+    named = apply_changes(load_toml(path), changes, path).get("robot")
+    with with_own(load_own_entries(named, path.parent)):
         return _loaded(path, changes)
 
 
 def _loaded(path: Path, changes: Sequence[str]) -> LoadedStudy:
     document = read_document(path, PreloadFile, "preload", changes)
     robot = read_robot(document.robot, document.payload, document.tool, path)
-    with located(path, ""):
+    with locate_errors(path, ""):
         problem = _build(document, robot, path)
     _check_present_preloads(problem, path)
     motion, rounds = None, 1
@@ -152,7 +152,7 @@ class _LoadCases:
         where = f"load_case[{section.name or number}]"
         if section.torque is not None:
             return self._torques(section, where)
-        with located(self.path, where):
+        with locate_errors(self.path, where):
             force = np.array(self.force if section.force is None else section.force)
             if section.trajectory is not None:
                 return trajectory_history(
@@ -254,7 +254,7 @@ def _by_joint(values: Mapping[int, float], lists: JointLists, where: str) -> dic
     found = {}
     for joint, value in values.items():
         lists.check_number(joint, where)
-        with located(lists.path, where):
+        with locate_errors(lists.path, where):
             name = lists.names[joint - 1]
             found[joint] = fit_joint(value, bool(lists.prismatic[joint - 1]), "stiffness", name)
     return found
@@ -263,12 +263,12 @@ def _by_joint(values: Mapping[int, float], lists: JointLists, where: str) -> dic
 def _check_present_preloads(problem: PreloadProblem, path: Path) -> None:
     """What the robot has now must be possible, or the comparison with it means nothing."""
     for element in problem.elements:
-        with located(path, f"robot, joint {element.joint}"):
+        with locate_errors(path, f"robot, joint {element.joint}"):
             check_preload(element.stage.element, problem.tightening)
 
 
 def _motion(section: StudyMotionSection, robot: Robot, path: Path) -> TrajectoryProblem:
-    with located(path, "motion.problem"):
+    with locate_errors(path, "motion.problem"):
         motion = load_problem(path.parent / section.problem).problem
     if motion.robot.name != robot.name:
         raise InputFileError(
@@ -292,5 +292,5 @@ def _check_expected(
             raise InputFileError(
                 path, where, f"the study has no value {name!r}. {nearest(name, units)}"
             )
-        with located(path, f"{where}.unit"):
+        with locate_errors(path, f"{where}.unit"):
             convert(1.0, units[name], expected.unit)

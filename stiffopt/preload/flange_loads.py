@@ -12,7 +12,7 @@ from stiffopt.fastening.flange_load import FlangeLoads
 from stiffopt.fastening.tightening import Tightening
 from stiffopt.fastening.verification import SLIP_ALTERNATING, SLIP_STATIC, Verification
 from stiffopt.preload.load_case import LoadCase, LoadHistory
-from stiffopt.robot.joint_load import at_face
+from stiffopt.robot.joint_load import shift_wrench
 
 
 def flange_values(
@@ -39,7 +39,7 @@ def flange_values(
     flange = stage.element
     assert isinstance(flange, BoltedFlange)
     if wrench is not None and stage.ratio == 1.0:
-        values = at_face(wrench[:, joint - 1], flange.face_position)
+        values = shift_wrench(wrench[:, joint - 1], flange.face_position)
     values[:, 5] = torque[:, joint - 1] / stage.reduction
     return values
 

@@ -26,13 +26,13 @@ from stiffopt.drivetrain.stage import Stage
 from stiffopt.drivetrain.tables import with_own
 from stiffopt.errors import ProblemError, nearest
 from stiffopt.fastening.limits import (
-    PreloadLimit,
     fastener_count,
     preload_limits,
     preload_loss,
     scatter,
     workshop_torque,
 )
+from stiffopt.fastening.preload_limit import PreloadLimit
 from stiffopt.fastening.tightening import SCATTER, Tightening
 from stiffopt.preload.load_case import LoadCase, LoadHistory
 from stiffopt.preload.step_cost import StepCost

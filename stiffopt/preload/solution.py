@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from stiffopt.connection import ClampingPins
-from stiffopt.fastening.limits import WorkshopTorque, workshop_torque
-from stiffopt.fastening.tightening import Tightening
+from stiffopt.fastening.limits import workshop_torque
+from stiffopt.fastening.tightening import Tightening, WorkshopTorque
 from stiffopt.fastening.utilisation_row import UtilisationRow
 from stiffopt.preload.infeasibility import Stopper
 from stiffopt.preload.load_case import LoadCase

@@ -17,7 +17,7 @@ from stiffopt.connection import Bolt
 from stiffopt.drivetrain.tables import with_own
 from stiffopt.fastening.safety_factor import SAFETY_FACTORS
 from stiffopt.fastening.utilisation_row import UtilisationRow
-from stiffopt.files import atomic_write, plain, write_csv
+from stiffopt.files import atomic_write, to_json_types, write_csv
 from stiffopt.preload.bolt_sheet import BoltSheet, bolt_sheets
 from stiffopt.preload.catalogue_choice import CatalogueChoice
 from stiffopt.preload.catalogue_designs import CatalogueDesign
@@ -110,7 +110,7 @@ def _document(study: PreloadStudy) -> dict[str, Any]:
         "inputs_hash": study_hash(problem),
         "versions": study.versions,
     }
-    return {key: plain(value) for key, value in document.items()}
+    return {key: to_json_types(value) for key, value in document.items()}
 
 
 def study_hash(problem: PreloadProblem) -> str:

@@ -12,7 +12,7 @@ from stiffopt.connection import BoltedFlange
 from stiffopt.drivetrain.stage import Stage
 from stiffopt.fastening.tilting import tilting_flange
 from stiffopt.preload.load_case import LoadCase, LoadHistory
-from stiffopt.robot.joint_load import at_face
+from stiffopt.robot.joint_load import shift_wrench
 
 
 def tilts(stage: Stage) -> bool:
@@ -50,7 +50,7 @@ def tool_levers(
     reference = load.reference_wrench
     loads = [load.wrench, np.zeros_like(load.wrench) if reference is None else reference]
     moments = np.stack(
-        [at_face(w[..., place, :], flange.face_position)[..., 3:5] for w in loads], -2
+        [shift_wrench(w[..., place, :], flange.face_position)[..., 3:5] for w in loads], -2
     )
     turned = np.einsum("...ij,...mj->...mi", frame[..., :2], moments)
     return turned, load.arm[..., place, :] - flange.face_position * frame[..., 2]

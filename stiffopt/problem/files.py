@@ -30,10 +30,10 @@ from stiffopt.problem.trajectory import (
     Target,
     TrajectoryProblem,
 )
-from stiffopt.robot.elements import located
+from stiffopt.robot.elements import locate_errors
 from stiffopt.robot.files import load_robot, shipped_robots
+from stiffopt.robot.frames import rotation_from_rpy
 from stiffopt.robot.robot import Robot
-from stiffopt.robot.rotations import rotation_from_rpy
 from stiffopt.units import convert, fit_joint
 
 
@@ -71,10 +71,10 @@ def load_problem(
     """
     path = Path(path)
     document = read_document(path, problem_file(), "trajectory", changes)
-    with located(path, ""):
+    with locate_errors(path, ""):
         problem = _build(document, path, robots)
     if document.expected is not None and len(problem.objectives) == 1:
-        with located(path, "expected.unit"):
+        with locate_errors(path, "expected.unit"):
             convert(1.0, problem.objectives[0].unit, document.expected.unit)
     return LoadedProblem(problem, document.expected, path)
 
@@ -181,13 +181,13 @@ def read_robot(
     """
     beside = path.parent / name
     source = name if name in shipped_robots() else beside if beside.exists() else name
-    with located(path, "robot"):
+    with locate_errors(path, "robot"):
         robot = robots(source)
     if payload is not None:
-        with located(path, "payload"):
+        with locate_errors(path, "payload"):
             robot = robot.with_payload(payload.mass, payload.com, payload.inertia)
     if tool.link is not None or tool.offset is not None:
-        with located(path, "tool"):
+        with locate_errors(path, "tool"):
             robot = robot.with_tool(tool.link, tool.offset)
     return robot
 
@@ -211,7 +211,7 @@ class JointLists:
             )
         numbers = []
         for j, value in enumerate(values):
-            with located(self.path, f"{where}[{j + 1}]"):
+            with locate_errors(self.path, f"{where}[{j + 1}]"):
                 numbers.append(fit_joint(value, bool(self.prismatic[j]), dimension, self.names[j]))
         return np.array(numbers)
 
@@ -228,7 +228,7 @@ def _target(section: TargetSection, joints: JointLists, where: str) -> Target:
         return None if values is None else joints(values, "angle", f"{where}.{key}")
 
     extra = {} if section.tolerance is None else {"tolerance": float(section.tolerance)}
-    with located(joints.path, where):
+    with locate_errors(joints.path, where):
         return Target(
             joints=angles(section.joints, "joints"),
             position=None if section.position is None else np.array(section.position),
@@ -255,7 +255,7 @@ def tool_waypoints(section: PathSection, joints: JointLists) -> tuple[np.ndarray
         )
         for each in section.segment
     ]
-    with located(joints.path, ""):
+    with locate_errors(joints.path, ""):
         path = ToolPath(np.array(start.position), rotation_from_rpy(start.rpy), segments)
         waypoints, error = joint_waypoints(robot, path, near, section.tolerance)
     return waypoints, (

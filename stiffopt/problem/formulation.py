@@ -24,7 +24,7 @@ from stiffopt.problem.smoothing import Smoothing
 from stiffopt.problem.stage_model import StageModel
 from stiffopt.problem.stage_terms import IntegralRow, ObjectiveTerms, PathRows, StaticVariable
 from stiffopt.problem.trajectory import Target, TrajectoryProblem
-from stiffopt.robot.rotations import rotation_from_rpy
+from stiffopt.robot.frames import rotation_from_rpy
 from stiffopt.symbolic import Quantity
 from stiffopt.transcription.ocp import OptimalControlProblem, Rows, Waypoint
 

@@ -16,7 +16,7 @@ from stiffopt.errors import ProblemError
 from stiffopt.problem.plausible import check_plausible
 from stiffopt.problem.rest import gravity_torque
 from stiffopt.problem.trajectory import Target, TrajectoryProblem
-from stiffopt.robot.rotations import rotation_between, rotation_from_rpy, rpy_from_rotation
+from stiffopt.robot.frames import interpolate_rotation, rotation_from_rpy, rpy_from_rotation
 from stiffopt.units import joint_unit
 
 if TYPE_CHECKING:
@@ -125,7 +125,7 @@ def _with_orientation(
     (first, first_turn), (last, last_turn) = bodies.pose(tool, start), bodies.pose(tool, end)
     before = float(np.linalg.norm(via.position - first))
     after = float(np.linalg.norm(last - via.position))
-    rotation = rotation_between(first_turn, last_turn, before / max(before + after, 1e-12))
+    rotation = interpolate_rotation(first_turn, last_turn, before / max(before + after, 1e-12))
     oriented = replace(via, rpy=rpy_from_rotation(rotation))
     try:
         solve_pose(_within_limits(problem), oriented.position, rotation, start)

@@ -1,8 +1,8 @@
-"""Faults of the channels of one joint: what is broken is named and left out.
+"""Faults of the channels of one joint: faulty samples or channels are reported and removed.
 
-Order of the checks: samples that are no numbers, angles that wrap, a channel that never changes,
-one that contradicts the motor encoder, stretches that are stuck, spikes, a limit of the sensor,
-coarse counts. Only what cannot be physics is taken out; limits and coarse counts are kept.
+Order of the checks: samples that are no numbers, angles that wrap, constant channels, channels that
+contradict the motor encoder, stuck intervals, spikes, saturation, coarse quantisation. Only
+unphysical values are removed; saturated and coarse ones are kept.
 """
 
 from __future__ import annotations
@@ -11,31 +11,39 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from stiffopt.recording.bad_samples import at_limit, spikes, stands, stretches, stuck
-from stiffopt.recording.channel import resolution
+from stiffopt.recording.channel import (
+    find_saturated_samples,
+    find_spikes,
+    find_stuck_samples,
+    is_held_by_friction,
+    resolution,
+    true_intervals,
+)
 from stiffopt.recording.run import Fault, FaultKind, counted
 from stiffopt.recording.signals import Kind
 
-# A joint that travels less stands still: [rad], [m].
-STILL = (1e-3, 1e-4)
-# Slope between two sensors of one motion within which neither contradicts the other.
-_AGREES = (0.8, 1.25)
-_FOLLOWS = 0.8
-_ANGLES: tuple[Kind, ...] = ("position", "link_position")
-_SECOND: tuple[Kind, ...] = ("velocity", "link_position")
-# Jumps below this share of the range a channel covers do no harm, and clocks make them too.
-_HARMLESS = {"position": 2e-4, "link_position": 2e-4, "velocity": 5e-3, "torque": 5e-3}
-# A wrap is a turn within this share of one, for the motion of a sample time.
-_WRAP = 0.1
-_COARSE = 500
-_MOSTLY = 0.5
-# An encoder that misses so many counts of a motion is stuck.
-_STUCK_COUNTS = 20.0
+# Travel below which a joint is stationary: revolute [rad], prismatic [m].
+MIN_TRAVEL = (1e-3, 1e-4)
+# Slope and correlation between two sensors of one motion that do not contradict each other.
+_SLOPE_RANGE = (0.8, 1.25)
+_MIN_CORRELATION = 0.8
+_ANGLE_SIGNALS: tuple[Kind, ...] = ("position", "link_position")
+_SECOND_SENSORS: tuple[Kind, ...] = ("velocity", "link_position")
+# Jumps below this share of a channel's range are harmless; clock jitter causes such too.
+_HARMLESS_JUMP_SHARES = {"position": 2e-4, "link_position": 2e-4, "velocity": 5e-3, "torque": 5e-3}
+# Deviation of a wrap from a whole turn [turns], by the motion within a sample time.
+_WRAP_TOLERANCE = 0.1
+# Levels within the range of a channel below which it is reported as coarse.
+_MIN_FINE_LEVELS = 500
+# Share of faulty samples above which the whole channel is removed.
+_MAX_BAD_SHARE = 0.5
+# Counts of motion that an encoder misses where it is stuck.
+_MIN_STUCK_COUNTS = 20.0
 
 
 @dataclass
 class JointChannels:
-    """Channels of one joint while they are being checked; broken samples become nan."""
+    """Channels of one joint during the checks; faulty samples become NaN."""
 
     joint: int
     time: np.ndarray
@@ -45,13 +53,13 @@ class JointChannels:
 
     @property
     def unit(self) -> str:
-        """Of the position."""
+        """Unit of the position."""
         return "m" if self.prismatic else "rad"
 
     @property
     def still(self) -> float:
-        """Travel below which the joint stands still [rad]."""
-        return STILL[self.prismatic]
+        """Travel below which the joint is stationary [rad]."""
+        return MIN_TRAVEL[self.prismatic]
 
     def report(
         self,
@@ -62,10 +70,10 @@ class JointChannels:
         keep: bool = False,
         ratio: float | None = None,
     ) -> None:
-        """Name a fault; `bad` (K,) marks the samples, None the whole channel."""
+        """Add a fault; `bad` (K,) marks its samples, None the whole channel."""
         values = self.channels[signal]
         share = 1.0 if bad is None else float(bad.mean())
-        left_out = not keep and (bad is None or share > _MOSTLY)
+        left_out = not keep and (bad is None or share > _MAX_BAD_SHARE)
         if not keep:
             values[slice(None) if left_out or bad is None else bad] = np.nan
         ending = " Left out." if left_out else "" if keep else " These samples are left out."
@@ -82,37 +90,37 @@ class JointChannels:
         )
 
     def usable(self, signal: Kind) -> np.ndarray | None:
-        """The channel, None if it is not there or was left out."""
+        """Return a channel, None if it is absent or was removed."""
         values = self.channels.get(signal)
         return values if values is not None and np.isfinite(values).any() else None
 
 
-def check_joint(joint: JointChannels) -> list[Fault]:
-    """Run all checks; the channels are changed in place."""
+def check_joint_channels(joint: JointChannels) -> list[Fault]:
+    """Run all checks; faulty samples are removed in place."""
     for signal in joint.channels:
-        _finite(joint, signal)
-    for signal in _ANGLES:
-        _wrapped(joint, signal)
-    _constant(joint)
-    for signal in _SECOND:
-        _contradicts(joint, signal)
+        _check_finite(joint, signal)
+    for signal in _ANGLE_SIGNALS:
+        _check_wrapping(joint, signal)
+    _check_constant(joint)
+    for signal in _SECOND_SENSORS:
+        _check_agreement(joint, signal)
     for signal in joint.channels:
-        _stuck(joint, signal)
-        _spikes(joint, signal)
-    _saturated(joint)
+        _check_stuck(joint, signal)
+        _check_spikes(joint, signal)
+    _check_saturation(joint)
     for signal in joint.channels:
-        _quantised(joint, signal)
+        _check_quantisation(joint, signal)
     return joint.faults
 
 
-def travel(values: np.ndarray | None) -> float:
-    """Range that a channel covers, 0 if it is not there."""
+def covered_range(values: np.ndarray | None) -> float:
+    """Range of a channel, 0 if it is absent."""
     if values is None or not np.isfinite(values).any():
         return 0.0
     return float(np.nanmax(values) - np.nanmin(values))
 
 
-def _finite(joint: JointChannels, signal: Kind) -> None:
+def _check_finite(joint: JointChannels, signal: Kind) -> None:
     bad = ~np.isfinite(joint.channels[signal])
     joint.channels[signal][bad] = np.nan
     if bad.all():
@@ -123,16 +131,16 @@ def _finite(joint: JointChannels, signal: Kind) -> None:
         )
 
 
-def _wrapped(joint: JointChannels, signal: Kind) -> None:
-    """Make an angle continuous that the logger keeps within one turn."""
+def _check_wrapping(joint: JointChannels, signal: Kind) -> None:
+    """Unwrap an angle that the logger keeps within one turn."""
     values = joint.usable(signal)
     if values is None or joint.prismatic:
         return
     there = np.flatnonzero(np.isfinite(values))
     turns = np.diff(values[there]) / (2.0 * np.pi)
     jumps = np.abs(turns) > 0.5
-    # Anything else that jumps so far is no angle that wraps.
-    if not jumps.any() or (np.abs(np.abs(turns[jumps]) - 1.0) > _WRAP).any():
+    # Other jumps of this size do not come from wrapping.
+    if not jumps.any() or (np.abs(np.abs(turns[jumps]) - 1.0) > _WRAP_TOLERANCE).any():
         return
     values[there[1:]] -= 2.0 * np.pi * np.cumsum(np.round(turns))
     marked = np.zeros(len(values), dtype=bool)
@@ -141,20 +149,22 @@ def _wrapped(joint: JointChannels, signal: Kind) -> None:
     joint.report(signal, "wrapped", text, marked, keep=True)
 
 
-def _constant(joint: JointChannels) -> None:
+def _check_constant(joint: JointChannels) -> None:
     position, link = joint.usable("position"), joint.usable("link_position")
     velocity, torque = joint.usable("velocity"), joint.usable("torque")
-    by_velocity = 0.0 if velocity is None else travel(travelled(velocity, joint.time))
-    by_other = max(travel(link), by_velocity)
-    if position is not None and travel(position) == 0.0 and by_other > 10.0 * joint.still:
+    by_velocity = (
+        0.0 if velocity is None else covered_range(integrate_velocity(velocity, joint.time))
+    )
+    by_other = max(covered_range(link), by_velocity)
+    if position is not None and covered_range(position) == 0.0 and by_other > 10.0 * joint.still:
         joint.report(
             "position",
             "constant",
             f"stays at {position[0]:g} {joint.unit} while other sensors of the joint travel "
             f"{by_other:.3g} {joint.unit}.",
         )
-    moved = max(travel(position), by_other)
-    if torque is not None and travel(torque) == 0.0:
+    moved = max(covered_range(position), by_other)
+    if torque is not None and covered_range(torque) == 0.0:
         joint.report(
             "torque",
             "constant",
@@ -165,10 +175,10 @@ def _constant(joint: JointChannels) -> None:
         ("link_position", link),
     )
     for signal, values in second:
-        if values is None or travel(values) != 0.0:
+        if values is None or covered_range(values) != 0.0:
             continue
         level = float(np.nanmax(values))
-        # A zero that never changes is an empty column, also in a joint that stands still.
+        # A constant zero is an empty column, also where the joint is stationary.
         empty = signal == "link_position" and level == 0.0
         if moved > joint.still or empty:
             joint.report(
@@ -179,27 +189,31 @@ def _constant(joint: JointChannels) -> None:
             )
 
 
-def _contradicts(joint: JointChannels, signal: Kind) -> None:
+def _check_agreement(joint: JointChannels, signal: Kind) -> None:
     position, values = joint.usable("position"), joint.usable(signal)
-    if position is None or values is None or travel(position) < 10.0 * joint.still:
+    if position is None or values is None or covered_range(position) < 10.0 * joint.still:
         return
-    path = travelled(values, joint.time) if signal == "velocity" else values
-    slope, correlation = slope_to(position, path, joint.time)
-    if _AGREES[0] <= slope <= _AGREES[1] and correlation > _FOLLOWS:
+    path = integrate_velocity(values, joint.time) if signal == "velocity" else values
+    slope, correlation = regress_changes(position, path, joint.time)
+    if _SLOPE_RANGE[0] <= slope <= _SLOPE_RANGE[1] and correlation > _MIN_CORRELATION:
         return
-    if not correlation > _FOLLOWS:
-        hint = "the other way round" if correlation < -_FOLLOWS else "or belongs to another joint"
+    if not correlation > _MIN_CORRELATION:
+        hint = (
+            "the other way round"
+            if correlation < -_MIN_CORRELATION
+            else "or belongs to another joint"
+        )
         text = f"does not follow the motor encoder (correlation {correlation:.2f}), {hint}."
     else:
         degrees = abs(slope * np.pi / 180.0 - 1.0) < 0.1
         hint = ", as degrees would" if degrees else ""
         text = f"changes {slope:.3g} times as much as the motor encoder{hint}."
-    # Runs too short to compare have no ratio that is a number.
-    known = np.isnan(correlation) or abs(correlation) > _FOLLOWS
+    # Runs too short to compare have a ratio of NaN.
+    known = np.isnan(correlation) or abs(correlation) > _MIN_CORRELATION
     joint.report(signal, "contradicts position", text, ratio=slope if known else None)
 
 
-def _stuck(joint: JointChannels, signal: Kind) -> None:
+def _check_stuck(joint: JointChannels, signal: Kind) -> None:
     values = joint.usable(signal)
     if values is None or signal == "velocity":
         return
@@ -208,15 +222,15 @@ def _stuck(joint: JointChannels, signal: Kind) -> None:
         return
     least, step = joint.still, resolution(values) or 0.0
     if signal != "torque":
-        least = max(least, _STUCK_COUNTS * step)
-    bad = stuck(values, other, least, step)
+        least = max(least, _MIN_STUCK_COUNTS * step)
+    bad = find_stuck_samples(values, other, least, step)
     if signal == "torque":
-        bad &= ~at_limit(values, step)
+        bad &= ~find_saturated_samples(values, step)
     if signal == "position":
-        for begin, end in stretches(bad):
-            bad[begin:end] = not stands(values, other, begin, end)
+        for begin, end in true_intervals(bad):
+            bad[begin:end] = not is_held_by_friction(values, other, begin, end)
     if bad.any():
-        found = stretches(bad)
+        found = true_intervals(bad)
         longest = max(joint.time[end - 1] - joint.time[begin] for begin, end in found)
         joint.report(
             signal,
@@ -227,13 +241,15 @@ def _stuck(joint: JointChannels, signal: Kind) -> None:
         )
 
 
-def _spikes(joint: JointChannels, signal: Kind) -> None:
+def _check_spikes(joint: JointChannels, signal: Kind) -> None:
     values = joint.usable(signal)
     if values is None:
         return
-    if signal == "velocity" and travel(joint.usable("position")) < 10.0 * joint.still:
+    if signal == "velocity" and covered_range(joint.usable("position")) < 10.0 * joint.still:
         return
-    bad, size = spikes(values, resolution(values) or 0.0, _HARMLESS[signal] * travel(values))
+    bad, size = find_spikes(
+        values, resolution(values) or 0.0, _HARMLESS_JUMP_SHARES[signal] * covered_range(values)
+    )
     if bad.any():
         joint.report(
             signal,
@@ -243,11 +259,11 @@ def _spikes(joint: JointChannels, signal: Kind) -> None:
         )
 
 
-def _saturated(joint: JointChannels) -> None:
+def _check_saturation(joint: JointChannels) -> None:
     torque = joint.usable("torque")
     if torque is None:
         return
-    bad = at_limit(torque, resolution(torque) or 0.0)
+    bad = find_saturated_samples(torque, resolution(torque) or 0.0)
     if bad.any():
         joint.report(
             "torque",
@@ -259,25 +275,26 @@ def _saturated(joint: JointChannels) -> None:
         )
 
 
-def _quantised(joint: JointChannels, signal: Kind) -> None:
+def _check_quantisation(joint: JointChannels, signal: Kind) -> None:
     values = joint.usable(signal)
-    if values is None or travel(joint.usable("position")) < 10.0 * joint.still:
+    if values is None or covered_range(joint.usable("position")) < 10.0 * joint.still:
         return
     step = resolution(values)
-    if step is not None and travel(values) < _COARSE * step:
+    if step is not None and covered_range(values) < _MIN_FINE_LEVELS * step:
         joint.report(
             signal,
             "quantised",
-            f"has only {round(travel(values) / step) + 1} levels, steps of {step:.3g}. Kept.",
+            f"has only {round(covered_range(values) / step) + 1} levels, steps of {step:.3g}. "
+            "Kept.",
             np.isfinite(values),
             keep=True,
         )
 
 
-def slope_to(
+def regress_changes(
     reference: np.ndarray, channel: np.ndarray, time: np.ndarray, window: float = 0.2
 ) -> tuple[float, float]:
-    """Slope and correlation of the changes of two channels over a short window.
+    """Regress the changes of a channel over a short window on those of a reference.
 
     Parameters
     ----------
@@ -288,7 +305,7 @@ def slope_to(
     Returns
     -------
     slope, correlation : float
-        Of the line through the origin, channel over reference; nan where nothing changes.
+        Slope of the line through the origin, and correlation; NaN where nothing changes.
     """
     lag = max(1, round(window / float(np.median(np.diff(time)))))
     if len(time) <= 2 * lag:
@@ -304,8 +321,8 @@ def slope_to(
     return float(one @ two) / power, float(one @ two) / float(np.sqrt(power * other))
 
 
-def travelled(velocity: np.ndarray, time: np.ndarray) -> np.ndarray:
-    """Angle travelled, the trapezoidal integral of a velocity (K,) [rad/s] -> (K,) [rad]."""
+def integrate_velocity(velocity: np.ndarray, time: np.ndarray) -> np.ndarray:
+    """Trapezoidal integral of a velocity: (K,) [rad/s] -> (K,) [rad]."""
     filled = np.where(np.isfinite(velocity), velocity, 0.0)
     steps = 0.5 * (filled[1:] + filled[:-1]) * np.diff(time)
     return np.concatenate(([0.0], np.cumsum(steps)))

@@ -1,4 +1,4 @@
-"""What a recording set holds and what it lacks."""
+"""Report on a recording set: runs, channels, faults, missing signals, assumptions."""
 
 from __future__ import annotations
 
@@ -9,27 +9,27 @@ from typing import Any
 
 import numpy as np
 
-from stiffopt.files import plain
+from stiffopt.files import to_json_types
 from stiffopt.recording.channel import noise_level, resolution
-from stiffopt.recording.clock import GAP
-from stiffopt.recording.facts import JointFacts, joint_facts
+from stiffopt.recording.clock import MIN_GAP_STEPS
+from stiffopt.recording.joint_facts import JointFacts, joint_facts
 from stiffopt.recording.recording_set import RecordingSet
 from stiffopt.recording.run import Fault, RecordedRun, Role
 from stiffopt.recording.signals import Kind
 
-# Of a revolute and of a prismatic joint.
-_UNITS: dict[Kind, tuple[str, str]] = {
+# Units of a revolute and of a prismatic joint.
+_SIGNAL_UNITS: dict[Kind, tuple[str, str]] = {
     "position": ("rad", "m"),
     "velocity": ("rad/s", "m/s"),
     "link_position": ("rad", "m"),
     "torque": ("N m", "N"),
 }
-_STATED = {
+_NOISE_KEYS = {
     "velocity": "velocity",
     "link_position": "link_position",
     "torque": "torque",
 }
-_RESOLUTION = {
+_RESOLUTION_KEYS = {
     "position": "position_resolution",
     "link_position": "link_position_resolution",
 }
@@ -46,7 +46,7 @@ class ChannelCheck:
         From 1.
     column : str
     there : bool
-        False if it was left out as broken.
+        False if it was removed as faulty.
     unit : str
     lowest, highest : float
     used : float or None
@@ -109,7 +109,7 @@ class RunCheck:
 
 @dataclass(frozen=True, kw_only=True)
 class RecordingReport:
-    """What there is and what is missing.
+    """Content of a recording set and its missing signals.
 
     Parameters
     ----------
@@ -117,13 +117,14 @@ class RecordingReport:
     joints : tuple of str (n,)
     runs : tuple of RunCheck
     balances : tuple of tuple of str (n,)
-        Of each joint: motor, link and deflection with a link encoder, torque without.
+        Equations that each joint's signals allow: "motor", "link" and "deflection" with a link
+        encoder, "torque" without.
     facts : tuple of JointFacts (n,)
-        What the runs that a fit may use hold of each joint.
+        Excitation of each joint in the runs that a fit may use.
     missing : tuple of str
         Sentences.
     assumptions : tuple of str
-        What is assumed where the set is silent.
+        Assumptions in place of entries that the set does not give.
     """
 
     name: str
@@ -136,19 +137,19 @@ class RecordingReport:
     assumptions: tuple[str, ...]
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain data for JSON; what is no finite number is None."""
-        found: dict[str, Any] = plain(asdict(self))
+        """Return JSON data; numbers that are not finite become None."""
+        found: dict[str, Any] = to_json_types(asdict(self))
         del found["facts"]
         return found
 
     @property
     def training_runs(self) -> int:
-        """Runs that a fit may use: those of that role, else all."""
+        """Number of runs that a fit may use: those of the role "train", else all."""
         return sum(run.role == "train" for run in self.runs) or len(self.runs)
 
 
 def check_recordings(recordings: RecordingSet) -> RecordingReport:
-    """Open every run of a set and say what it holds.
+    """Open every run of a set and report on its content.
 
     Raises
     ------
@@ -162,7 +163,7 @@ def check_recordings(recordings: RecordingSet) -> RecordingReport:
         name=recordings.name,
         title=recordings.title,
         joints=recordings.joints,
-        runs=tuple(_run(recordings, run) for run in runs),
+        runs=tuple(_check_run(recordings, run) for run in runs),
         balances=tuple(one.balances for one in facts),
         facts=facts,
         missing=missing_signals(recordings, runs),
@@ -170,14 +171,14 @@ def check_recordings(recordings: RecordingSet) -> RecordingReport:
     )
 
 
-def _run(recordings: RecordingSet, run: RecordedRun) -> RunCheck:
+def _check_run(recordings: RecordingSet, run: RecordedRun) -> RunCheck:
     spacing = np.diff(run.time)
-    ordinary = spacing[spacing <= GAP * run.step]
+    ordinary = spacing[spacing <= MIN_GAP_STEPS * run.step]
     channels = []
     for kind, j, column in recordings.signals.columns():
         array = run.signal(kind)
         values = np.full(len(run.time), np.nan) if array is None else array[:, j]
-        channels.append(_channel(recordings, kind, j, column, values))
+        channels.append(_check_channel(recordings, kind, j, column, values))
     return RunCheck(
         name=run.name,
         file=run.file,
@@ -193,7 +194,7 @@ def _run(recordings: RecordingSet, run: RecordedRun) -> RunCheck:
     )
 
 
-def _channel(
+def _check_channel(
     recordings: RecordingSet, kind: Kind, j: int, column: str, values: np.ndarray
 ) -> ChannelCheck:
     there = bool(np.isfinite(values).any())
@@ -204,23 +205,25 @@ def _channel(
         joint=j + 1,
         column=column,
         there=there,
-        unit=_UNITS[kind][bool(recordings.prismatic[j])],
+        unit=_SIGNAL_UNITS[kind][bool(recordings.prismatic[j])],
         lowest=low,
         highest=high,
-        used=_used(recordings, kind, j, low, high),
+        used=_used_share(recordings, kind, j, low, high),
         noise=noise_level(values),
-        stated_noise=_stated(noise, _STATED.get(kind), j),
+        stated_noise=_stated_value(noise, _NOISE_KEYS.get(kind), j),
         step=resolution(values),
-        stated_step=_stated(noise, _RESOLUTION.get(kind), j),
+        stated_step=_stated_value(noise, _RESOLUTION_KEYS.get(kind), j),
     )
 
 
-def _stated(noise: object, key: str | None, j: int) -> float | None:
+def _stated_value(noise: object, key: str | None, j: int) -> float | None:
     values = None if key is None else getattr(noise, key)
     return None if values is None else float(values[j])
 
 
-def _used(recordings: RecordingSet, kind: Kind, j: int, low: float, high: float) -> float | None:
+def _used_share(
+    recordings: RecordingSet, kind: Kind, j: int, low: float, high: float
+) -> float | None:
     robot, row, largest = recordings.robot, recordings.order[j], max(abs(low), abs(high))
     if kind == "velocity":
         limit = float(robot.velocity_max[row])
@@ -234,7 +237,7 @@ def _used(recordings: RecordingSet, kind: Kind, j: int, low: float, high: float)
 
 
 def missing_signals(recordings: RecordingSet, runs: Sequence[RecordedRun]) -> tuple[str, ...]:
-    """What these recordings lack, and what cannot be said without it, a sentence each."""
+    """Sentences on missing signals and roles, each with its consequence."""
     found = []
     for role, loss in (
         ("train", "nothing can be fitted"),
@@ -249,7 +252,7 @@ def missing_signals(recordings: RecordingSet, runs: Sequence[RecordedRun]) -> tu
         )
     signals, nothing = recordings.signals, ("",) * recordings.n
     for kind, names, loss in (
-        ("torque", signals.torque, "they have no balance of torques"),
+        ("torque", signals.torque, "their torque equation cannot be evaluated"),
         (
             "link_position",
             signals.link_position or nothing,

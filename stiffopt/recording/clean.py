@@ -1,4 +1,4 @@
-"""From the raw columns of a run file to a run without what cannot be true."""
+"""Cleaning of the raw columns of a run file: clock, repeated rows, faulty channels."""
 
 from __future__ import annotations
 
@@ -7,22 +7,21 @@ from pathlib import Path
 
 import numpy as np
 
-from stiffopt.recording.bad_samples import stretches
-from stiffopt.recording.channel import noise_level, resolution
-from stiffopt.recording.channel_faults import JointChannels, check_joint, travel
+from stiffopt.recording.channel import noise_level, resolution, true_intervals
+from stiffopt.recording.channel_faults import JointChannels, check_joint_channels, covered_range
 from stiffopt.recording.clock import Clock, read_clock
 from stiffopt.recording.run import Fault, RecordedRun, Role, counted
 from stiffopt.recording.signals import KINDS, Signals
 
-# An arm that moved on unseen is within this factor of where its speed would have brought it.
-_UNSEEN = 1.5
-# Rows that a slowly read channel holds one value; its speed is taken over as many.
-_HELD = 3
-# A step of no more counts is none.
-_COUNTS = 4.0
+# Motion over repeated rows over its extrapolation by the speeds around, and the reciprocal.
+_MAX_MOTION_RATIO = 1.5
+# Rows that a slowly sampled channel holds one value; speeds are taken over as many.
+_MAX_HELD_ROWS = 3
+# Counts below which a step is no motion.
+_MIN_STEP_COUNTS = 4.0
 
 
-def clean(
+def clean_run(
     columns: Mapping[str, np.ndarray],
     signals: Signals,
     *,
@@ -34,7 +33,7 @@ def clean(
     temperature: np.ndarray | None = None,
     prismatic: np.ndarray | None = None,
 ) -> RecordedRun:
-    """Check the clock and every channel; name the faults and take them out.
+    """Check the clock and every channel, report faults and remove faulty samples.
 
     Parameters
     ----------
@@ -53,7 +52,7 @@ def clean(
     """
     n = len(signals.position)
     clock = read_clock(columns[signals.time], path, signals.time)
-    rows, stale = _without_copies(columns, signals, clock)
+    rows, stale = _remove_repeated_rows(columns, signals, clock)
     time = clock.stamps[rows]
     faults = [*clock.faults, *stale]
     arrays = {
@@ -70,7 +69,7 @@ def clean(
             channels=channels,
             prismatic=bool(prismatic is not None and prismatic[j]),
         )
-        faults += check_joint(joint)
+        faults += check_joint_channels(joint)
         for kind, values in channels.items():
             array = arrays[kind]
             if array is not None:
@@ -87,48 +86,48 @@ def clean(
         stamps=clock.stamps,
         time=time,
         position=position,
-        velocity=_any(arrays["velocity"]),
-        link_position=_any(arrays["link_position"]),
+        velocity=_none_if_empty(arrays["velocity"]),
+        link_position=_none_if_empty(arrays["link_position"]),
         torque=torque,
         faults=tuple(faults),
     )
 
 
-def _any(array: np.ndarray | None) -> np.ndarray | None:
+def _none_if_empty(array: np.ndarray | None) -> np.ndarray | None:
     return array if array is not None and np.isfinite(array).any() else None
 
 
-def _without_copies(
+def _remove_repeated_rows(
     columns: Mapping[str, np.ndarray], signals: Signals, clock: Clock
 ) -> tuple[np.ndarray, list[Fault]]:
-    """Rows without those that repeat the motion of the row before under a new stamp.
+    """Remove rows that repeat the motion of the row before under a new stamp.
 
-    Only where the arm moved on meanwhile; at rest, equal rows are nothing strange. Torque is asked
-    where rows are equal for longer than a slowly read channel holds one value.
+    Only where the arm moved meanwhile; equal rows at rest are kept. Torque must be repeated too
+    where rows are equal for longer than a slowly sampled channel holds one value.
     """
     rows = clock.rows
     named = [(kind, columns[column][rows]) for kind, _, column in signals.columns()]
     positions = np.column_stack([values for kind, values in named if kind == "position"])
-    motion = _repeated([values for kind, values in named if kind != "torque"])
-    frozen = _repeated([values for _, values in named])
+    motion = _mark_repeated_rows([values for kind, values in named if kind != "torque"])
+    frozen = _mark_repeated_rows([values for _, values in named])
     zero = np.all([values == 0.0 for _, values in named], axis=0)
-    ride = _Ride(clock.stamps[rows], positions, motion)
+    ride = _MotionExtrapolation(clock.stamps[rows], positions, motion)
     copies, empty = np.zeros(len(rows), dtype=bool), np.zeros(len(rows), dtype=bool)
-    for begin, end in stretches(zero):
+    for begin, end in true_intervals(zero):
         empty[begin:end] = ride.left(begin, end)
-    for begin, end in stretches(motion & ~zero):
-        known = end - begin <= _HELD or frozen[begin:end].all()
+    for begin, end in true_intervals(motion & ~zero):
+        known = end - begin <= _MAX_HELD_ROWS or frozen[begin:end].all()
         copies[begin:end] = known and ride.went_on(begin, end)
     faults = [
         Fault(
             signal="time",
             joint=None,
             kind="duplicate",
-            detail=f"{what} {counted(int(marked.sum()), 'row')}, left out.",
+            detail=f"{cause} {counted(int(marked.sum()), 'row')}, left out.",
             left_out=False,
             share=float(marked.mean()),
         )
-        for what, marked in (
+        for cause, marked in (
             ("the motion of the row before is repeated in", copies),
             ("all channels read 0, as where nothing was received, in", empty),
         )
@@ -137,8 +136,8 @@ def _without_copies(
     return rows[~copies & ~empty], faults
 
 
-def _repeated(channels: list[np.ndarray]) -> np.ndarray:
-    """Rows (K,) in which all channels, each (K,), read what they read in the row before."""
+def _mark_repeated_rows(channels: list[np.ndarray]) -> np.ndarray:
+    """Mark rows (K,) in which all channels, each (K,), equal the row before."""
     same = np.ones(len(channels[0]), dtype=bool)
     same[0] = False
     for values in channels:
@@ -147,8 +146,8 @@ def _repeated(channels: list[np.ndarray]) -> np.ndarray:
     return same
 
 
-class _Ride:
-    """Where the arm would have been behind rows that do not show its motion.
+class _MotionExtrapolation:
+    """Extrapolation of the arm's motion over rows that repeat or omit it.
 
     Parameters
     ----------
@@ -156,60 +155,68 @@ class _Ride:
         [s].
     positions : array (K, n)
     same : array (K,) of bool
-        Rows whose motion is that of the row before.
+        Rows that repeat the motion of the row before.
     """
 
     def __init__(self, time: np.ndarray, positions: np.ndarray, same: np.ndarray) -> None:
         self._time = time
         self._positions = np.where(np.isfinite(positions), positions, np.nan)
-        self._fresh = np.flatnonzero(~same)
-        self._none = np.array([_COUNTS * _count(values) for values in positions.T])
+        self._new_rows = np.flatnonzero(~same)
+        self._thresholds = np.array(
+            [_MIN_STEP_COUNTS * _change_threshold(values) for values in positions.T]
+        )
 
     def went_on(self, begin: int, end: int) -> bool:
-        """Whether a joint moved before rows `begin` to `end`, behind them, and as much between."""
+        """Return whether a joint moved over rows `begin` to `end` as it did before and after."""
         if begin == 0 or end >= len(self._time):
             return False
-        speeds, gap, step = self._around(begin, end)
+        speeds, gap, step = self._surrounding_motion(begin, end)
         least, most = np.sort(np.abs(speeds), axis=0) * gap
         size, way = np.abs(step), np.sign(step)
-        fits = (size > least / _UNSEEN - self._none) & (size < most * _UNSEEN + self._none)
-        alike = np.all(np.sign(speeds) == way, axis=0) & (size > self._none)
+        fits = (size > least / _MAX_MOTION_RATIO - self._thresholds) & (
+            size < most * _MAX_MOTION_RATIO + self._thresholds
+        )
+        alike = np.all(np.sign(speeds) == way, axis=0) & (size > self._thresholds)
         return bool(np.any(fits & alike))
 
     def left(self, begin: int, end: int) -> bool:
-        """Whether a joint leaps to rows `begin` to `end`, and back to where it would have been."""
+        """Return whether a joint jumps at row `begin` and back at `end` to its extrapolation."""
         if begin == 0 or end >= len(self._time):
             return False
-        speeds, gap, step = self._around(begin, end)
+        speeds, gap, step = self._surrounding_motion(begin, end)
         most = np.abs(speeds).max(axis=0)
         usual = np.median(np.diff(self._time))
-        leap = _HELD * most * usual + self._none
+        leap = _MAX_HELD_ROWS * most * usual + self._thresholds
         there = np.abs(self._positions[begin] - self._positions[begin - 1]) > leap
         back = np.abs(self._positions[end] - self._positions[end - 1]) > leap
-        return bool(np.any(there & back & (np.abs(step) < _UNSEEN * most * gap + self._none)))
+        return bool(
+            np.any(
+                there & back & (np.abs(step) < _MAX_MOTION_RATIO * most * gap + self._thresholds)
+            )
+        )
 
-    def _around(self, begin: int, end: int) -> tuple[np.ndarray, float, np.ndarray]:
-        """Speeds (2, n) before and behind, time between [s] and step (n,) of the positions."""
-        speeds = np.stack([self._speed(begin - 1, -1), self._speed(end, 1)])
+    def _surrounding_motion(self, begin: int, end: int) -> tuple[np.ndarray, float, np.ndarray]:
+        """Speeds (2, n) before and after, time between [s] and step (n,) of the positions."""
+        speeds = np.stack([self._speed_near(begin - 1, -1), self._speed_near(end, 1)])
         gap = float(self._time[end] - self._time[begin - 1])
         return speeds, gap, self._positions[end] - self._positions[begin - 1]
 
-    def _speed(self, row: int, way: int) -> np.ndarray:
-        """Speeds (n,) over the rows before (-1) or behind (1) a row; 0 where the arm rests."""
-        place = int(np.searchsorted(self._fresh, row))
+    def _speed_near(self, row: int, way: int) -> np.ndarray:
+        """Speeds (n,) over the rows before (-1) or after (1) a row; 0 where the arm is at rest."""
+        place = int(np.searchsorted(self._new_rows, row))
         last = row
-        while 0 <= place + way < len(self._fresh) and abs(last - row) < _HELD:
+        while 0 <= place + way < len(self._new_rows) and abs(last - row) < _MAX_HELD_ROWS:
             place += way
-            if abs(int(self._fresh[place]) - last) > _HELD + 1:
+            if abs(int(self._new_rows[place]) - last) > _MAX_HELD_ROWS + 1:
                 break
-            last = int(self._fresh[place])
+            last = int(self._new_rows[place])
         if last == row:
             return np.zeros(self._positions.shape[1])
         moved = self._positions[last] - self._positions[row]
         return np.asarray(moved / (self._time[last] - self._time[row]))
 
 
-def _count(values: np.ndarray) -> float:
-    """Change of a channel (K,) that is none: a count, or its noise."""
-    least = resolution(values) or 1e-9 * travel(values)
+def _change_threshold(values: np.ndarray) -> float:
+    """Change of a channel (K,) below which it is a count or noise."""
+    least = resolution(values) or 1e-9 * covered_range(values)
     return float(np.fmax(least, 3.0 * noise_level(values)))

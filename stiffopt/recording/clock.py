@@ -1,4 +1,4 @@
-"""The clock of a run: which samples can be kept, and how regular it is."""
+"""Clock of a run: usable samples, gaps, dropped samples and jitter."""
 
 from __future__ import annotations
 
@@ -10,26 +10,27 @@ import numpy as np
 from stiffopt.errors import InputFileError
 from stiffopt.recording.run import Fault, FaultKind, counted
 
-# In sample times: longer is a gap, across which nothing is interpolated.
-GAP = 5.0
-# In sample times: longer, up to a gap, means that samples are missing.
-_DROPPED = 1.7
-# Spacings this far from the usual one, in sample times, make a clock uneven.
-_UNEVEN = 0.05
-# Instants of an even clock for one recorded sample; beyond, a run is mostly gaps, or its clock
-# jumped, and memory follows the clock.
+# Spacing of a gap, across which signals are not interpolated [sample times].
+MIN_GAP_STEPS = 5.0
+# Spacing from which samples are missing [sample times].
+_MIN_DROPPED_STEPS = 1.7
+# Deviation from the usual spacing that counts as jitter [sample times].
+_MAX_JITTER = 0.05
+# Instants of an even clock per recorded sample; beyond, the run is mostly gaps or its clock jumped,
+# and memory grows with the even clock.
 MAX_GRID_RATIO = 20.0
-# Instants that any run may have: half an hour at 500 Hz.
+# Instants that every run may have: half an hour at 500 Hz.
 MIN_GRID = 1_000_000
-_FEWEST = 20
-_LONGEST_STEP = 0.5
-# No drive samples faster than at 1 MHz, no log of one holds less than a thousandth of a second.
-_SHORTEST_STEP, _SHORTEST_RUN = 1e-6, 1e-3
+# Samples of a run, and spacing above which no motion is resolved [s].
+_MIN_SAMPLES = 20
+_MAX_STEP = 0.5
+# Drives sample at 1 MHz at most, and a log lasts longer than 1 ms [s].
+_MIN_STEP, _MIN_DURATION = 1e-6, 1e-3
 
 
 @dataclass(frozen=True, eq=False)
 class Clock:
-    """Stamps of a run.
+    """Time stamps of a run.
 
     Parameters
     ----------
@@ -49,18 +50,18 @@ class Clock:
 
 
 def read_clock(stamps: np.ndarray, path: Path, column: str) -> Clock:
-    """Sort out the stamps of a run.
+    """Check the time stamps of a run.
 
     Raises
     ------
     InputFileError
-        Time runs backwards or stands still, samples are too few, or the unit cannot be seconds.
+        Time decreases or is constant, samples are too few, or the unit cannot be seconds.
     """
     where = column or "stamps"
     finite = np.flatnonzero(np.isfinite(stamps))
-    if len(finite) < _FEWEST:
+    if len(finite) < _MIN_SAMPLES:
         raise InputFileError(
-            path, where, f"has {len(finite)} time stamps; a run needs {_FEWEST} or more."
+            path, where, f"has {len(finite)} time stamps; a run needs {_MIN_SAMPLES} or more."
         )
     spacing = np.diff(stamps[finite])
     back = np.flatnonzero(spacing < 0.0)
@@ -74,33 +75,34 @@ def read_clock(stamps: np.ndarray, path: Path, column: str) -> Clock:
             "Cut the file there, or write it in the order of time.",
         )
     rows = finite[np.concatenate(([True], spacing > 0.0))]
-    if len(rows) < _FEWEST:
+    if len(rows) < _MIN_SAMPLES:
         raise InputFileError(
             path,
             where,
-            f"holds only {len(rows)} different times in {len(stamps)} rows; a run needs {_FEWEST}.",
+            f"holds only {len(rows)} different times in {len(stamps)} rows; "
+            f"a run needs {_MIN_SAMPLES}.",
         )
     spacing = np.diff(stamps[rows])
     step = float(np.median(spacing))
-    if step > _LONGEST_STEP:
+    if step > _MAX_STEP:
         raise InputFileError(
             path,
             where,
             f"its usual spacing is {step:g}; in seconds that is too slow to hold a motion "
-            f"(allowed: up to {_LONGEST_STEP:g} s). Convert the column to seconds.",
+            f"(allowed: up to {_MAX_STEP:g} s). Convert the column to seconds.",
         )
-    if step < _SHORTEST_STEP or stamps[rows[-1]] - stamps[rows[0]] < _SHORTEST_RUN:
+    if step < _MIN_STEP or stamps[rows[-1]] - stamps[rows[0]] < _MIN_DURATION:
         raise InputFileError(
             path,
             where,
             f"its usual spacing is {step:g} and all of it {stamps[rows[-1]] - stamps[rows[0]]:g};"
-            f" in seconds that is no motion of a robot (allowed: from {_SHORTEST_STEP:g} s a sample"
-            f" and {_SHORTEST_RUN:g} s in all). Convert the column to seconds, or say its unit in"
+            f" in seconds that is no motion of a robot (allowed: from {_MIN_STEP:g} s a sample"
+            f" and {_MIN_DURATION:g} s in all). Convert the column to seconds, or say its unit in"
             " signals.scale.time.",
         )
     _check_grid(spacing, step, rows, path, where)
-    faults = [*_lost(stamps, finite, rows), *_spacing(spacing, step)]
-    return Clock(_complete(stamps, finite), rows, step, tuple(faults))
+    faults = [*_lost_stamp_faults(stamps, finite, rows), *_spacing_faults(spacing, step)]
+    return Clock(_fill_stamps(stamps, finite), rows, step, tuple(faults))
 
 
 def _check_grid(spacing: np.ndarray, step: float, rows: np.ndarray, path: Path, where: str) -> None:
@@ -118,7 +120,7 @@ def _check_grid(spacing: np.ndarray, step: float, rows: np.ndarray, path: Path, 
         )
 
 
-def _fault(kind: FaultKind, detail: str, share: float) -> Fault:
+def _clock_fault(kind: FaultKind, detail: str, share: float) -> Fault:
     return Fault(
         signal="time",
         joint=None,
@@ -129,53 +131,53 @@ def _fault(kind: FaultKind, detail: str, share: float) -> Fault:
     )
 
 
-def _lost(stamps: np.ndarray, finite: np.ndarray, rows: np.ndarray) -> list[Fault]:
+def _lost_stamp_faults(stamps: np.ndarray, finite: np.ndarray, rows: np.ndarray) -> list[Fault]:
     faults = []
     absent, repeated = len(stamps) - len(finite), len(finite) - len(rows)
     if absent:
         share = absent / len(stamps)
         faults.append(
-            _fault("not finite", f"no stamp in {counted(absent, 'row')}, left out.", share)
+            _clock_fault("not finite", f"no stamp in {counted(absent, 'row')}, left out.", share)
         )
     if repeated:
         share = repeated / len(stamps)
         text = f"the stamp before is repeated in {counted(repeated, 'row')}, left out."
-        faults.append(_fault("duplicate", text, share))
+        faults.append(_clock_fault("duplicate", text, share))
     return faults
 
 
-def _spacing(spacing: np.ndarray, step: float) -> list[Fault]:
+def _spacing_faults(spacing: np.ndarray, step: float) -> list[Fault]:
     faults = []
     ratio = spacing / step
-    gaps = ratio > GAP
+    gaps = ratio > MIN_GAP_STEPS
     if gaps.any():
         text = (
-            f"{counted(int(gaps.sum()), 'gap')} longer than {GAP:g} sample times, the longest "
-            f"{spacing.max():.3g} s; nothing is interpolated across them."
+            f"{counted(int(gaps.sum()), 'gap')} longer than {MIN_GAP_STEPS:g} sample times, the "
+            f"longest {spacing.max():.3g} s; signals are not interpolated across them."
         )
-        faults.append(_fault("gap", text, float(spacing[gaps].sum() / spacing.sum())))
-    dropped = ~gaps & (ratio > _DROPPED)
+        faults.append(_clock_fault("gap", text, float(spacing[gaps].sum() / spacing.sum())))
+    dropped = ~gaps & (ratio > _MIN_DROPPED_STEPS)
     if dropped.any():
         count = int(np.round(ratio[dropped] - 1.0).sum())
         text = (
             f"about {counted(count, 'sample')} lost in waits of up to "
             f"{1e3 * spacing[dropped].max():.3g} ms."
         )
-        faults.append(_fault("dropped", text, count / (count + len(spacing) + 1)))
+        faults.append(_clock_fault("dropped", text, count / (count + len(spacing) + 1)))
     rest = spacing[~gaps & ~dropped]
-    uneven = np.abs(rest / step - 1.0) > _UNEVEN
+    uneven = np.abs(rest / step - 1.0) > _MAX_JITTER
     if uneven.any():
         text = (
             f"the spacing varies from {1e3 * rest.min():.3g} to {1e3 * rest.max():.3g} ms around "
             f"{1e3 * step:.3g} ms (standard deviation {1e3 * rest.std():.2g} ms); "
             "resampled before it is differentiated."
         )
-        faults.append(_fault("jitter", text, float(uneven.mean())))
+        faults.append(_clock_fault("jitter", text, float(uneven.mean())))
     return faults
 
 
-def _complete(stamps: np.ndarray, finite: np.ndarray) -> np.ndarray:
-    """Stamps with the absent ones filled in by row, so that predictions have a time everywhere."""
+def _fill_stamps(stamps: np.ndarray, finite: np.ndarray) -> np.ndarray:
+    """Stamps with absent ones interpolated by row, since predictions need a time at every row."""
     if len(finite) == len(stamps):
         return stamps
     filled: np.ndarray = np.interp(np.arange(len(stamps)), finite, stamps[finite])

@@ -1,4 +1,4 @@
-"""What a set knows beside its robot: drives, counterbalances, tolerances and sensor noise."""
+"""Nominal values beside the robot: drives, counterbalances, tolerances and sensor noise."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from stiffopt.declaration import NOT_NEGATIVE, Bounds, Doc, Unit, check_fields
 if TYPE_CHECKING:
     from stiffopt.symbolic import Quantity
 
-_Share = Annotated[float, Unit("ratio", bare=True), NOT_NEGATIVE]
-# One standard deviation of a stiffness that leaves a spring.
-_Stiffness = Annotated[float, Unit("ratio", bare=True), Bounds(least=0.0, most=1.0)]
-_Length = Annotated[float, Unit("length", bare=True), NOT_NEGATIVE]
-_Position = Annotated[float, Unit("angle", joint=True, bare=True), NOT_NEGATIVE]
+_RelativeDeviation = Annotated[float, Unit("ratio", bare=True), NOT_NEGATIVE]
+# Relative standard deviation of a stiffness, which must stay positive.
+_StiffnessDeviation = Annotated[float, Unit("ratio", bare=True), Bounds(least=0.0, most=1.0)]
+_LengthDeviation = Annotated[float, Unit("length", bare=True), NOT_NEGATIVE]
+_PositionDeviation = Annotated[float, Unit("angle", joint=True, bare=True), NOT_NEGATIVE]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -34,8 +34,8 @@ class Counterbalance:
 
     Notes
     -----
-    The torque is what the drive no longer has to give: it adds to the drive torque in the
-    balance of the joint. A spring pulls back to its offset.
+    The torque relieves the drive: it adds to the drive torque in the joint's torque equation. A
+    spring pulls towards its offset.
     """
 
     joint: int
@@ -56,21 +56,21 @@ class Counterbalance:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Nominal:
-    """What a set says of its robot that a `Robot` has no place for, None where it is silent.
+    """Nominal values of a set that are no fields of `Robot`; None where not given.
 
     Parameters
     ----------
     gear_ratio : array (n,)
         Turns of the motor for one of the joint.
     friction_temperature : float
-        At which the nominal friction was identified [degC].
+        Temperature at which the nominal friction was identified [degC].
     torque_rated : array (n,)
         [N m]
     pole_pairs : float
     joint_damping : array (n,)
         Of the elastic joint [N m s/rad].
     connections : tuple of str (n,)
-        What each drivetrain is built of, such as "belt+key+bolts".
+        Elements of each drivetrain, such as "belt+key+bolts".
     counterbalance : tuple of Counterbalance
     """
 
@@ -85,17 +85,21 @@ class Nominal:
 
 @dataclass(frozen=True, kw_only=True)
 class Tolerance:
-    """One standard deviation of the nominal values; wide defaults hold where none is given."""
+    """One standard deviation of the nominal values; wide defaults apply where none is given."""
 
-    mass: Annotated[_Share | None, Doc("Of masses, relative.")] = None
-    com: Annotated[_Length | None, Doc("Of each coordinate of a centre of mass.")] = None
-    rotor_inertia: Annotated[_Share | None, Doc("Of rotor inertias, relative.")] = None
-    coulomb: Annotated[_Share | None, Doc("Of Coulomb friction, relative.")] = None
-    viscous: Annotated[_Share | None, Doc("Of viscous friction, relative.")] = None
-    stiffness: Annotated[_Stiffness | None, Doc("Of stiffnesses, relative.")] = None
-    joint_damping: Annotated[_Share | None, Doc("Of the damping of joints, relative.")] = None
-    torque_constant: Annotated[_Share | None, Doc("Of torque constants, relative.")] = None
-    encoder_zero: Annotated[_Position | None, Doc("Of the zero of an encoder.")] = None
+    mass: Annotated[_RelativeDeviation | None, Doc("Of masses, relative.")] = None
+    com: Annotated[_LengthDeviation | None, Doc("Of each coordinate of a centre of mass.")] = None
+    rotor_inertia: Annotated[_RelativeDeviation | None, Doc("Of rotor inertias, relative.")] = None
+    coulomb: Annotated[_RelativeDeviation | None, Doc("Of Coulomb friction, relative.")] = None
+    viscous: Annotated[_RelativeDeviation | None, Doc("Of viscous friction, relative.")] = None
+    stiffness: Annotated[_StiffnessDeviation | None, Doc("Of stiffnesses, relative.")] = None
+    joint_damping: Annotated[
+        _RelativeDeviation | None, Doc("Of the damping of joints, relative.")
+    ] = None
+    torque_constant: Annotated[_RelativeDeviation | None, Doc("Of torque constants, relative.")] = (
+        None
+    )
+    encoder_zero: Annotated[_PositionDeviation | None, Doc("Of the zero of an encoder.")] = None
 
     def __post_init__(self) -> None:
         check_fields(self, "tolerance")
@@ -103,7 +107,7 @@ class Tolerance:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Noise:
-    """One standard deviation of the sensors' noise, None where the set is silent.
+    """One standard deviation of the sensors' noise; None where not given.
 
     Parameters
     ----------

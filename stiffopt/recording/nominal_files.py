@@ -1,9 +1,8 @@
-"""A set's robot as its own file and the set describe it; drives and noise of the set file."""
+"""Nominal robot, drives and noise of a recording set, and the assumptions in place of gaps."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,20 +15,19 @@ from stiffopt.connection.reducer import Reducer
 from stiffopt.drivetrain.chain import Chain
 from stiffopt.drivetrain.stage import Stage
 from stiffopt.errors import InputFileError, nearest
-from stiffopt.recording.nominal import Counterbalance, Noise, Nominal
+from stiffopt.recording.nominal import Counterbalance, Noise, Nominal, Tolerance
 from stiffopt.recording.schema import (
     NoiseSection,
     NominalSection,
+    RecordingsFile,
     ReducerCurvesSection,
     SpringSection,
     TableSection,
 )
-from stiffopt.robot.elements import located
-from stiffopt.robot.files import load_robot, shipped_robots
-from stiffopt.robot.frames import frame_names, named_frame
+from stiffopt.robot.elements import locate_errors
 from stiffopt.robot.robot import Robot
 
-# Of the robot, of the drives: lists with a number a joint.
+# Keys with one number per joint: of the robot, of the drives.
 _ROBOT_LISTS = ("rotor_inertia", "coulomb", "viscous", "torque_max")
 _DRIVE_LISTS = ("gear_ratio", "torque_rated", "joint_damping")
 
@@ -37,7 +35,7 @@ _DRIVE_LISTS = ("gear_ratio", "torque_rated", "joint_damping")
 def per_joint(
     value: float | Sequence[float] | None, n: int, path: Path, where: str
 ) -> np.ndarray | None:
-    """Array (n,) of a list, or of one number that holds for all joints."""
+    """Array (n,) of a list, or of one number for all joints."""
     if value is None:
         return None
     numbers = np.array([value] * n if isinstance(value, float) else value, dtype=float)
@@ -50,10 +48,10 @@ def per_joint(
     return numbers
 
 
-def as_nominal(section: NominalSection, joints: Sequence[str], path: Path) -> Nominal:
-    """What the section says beside the robot, with one entry a joint."""
+def build_nominal(section: NominalSection, joints: Sequence[str], path: Path) -> Nominal:
+    """Nominal values of the section beside the robot, one entry per joint."""
     n = len(joints)
-    lists = {key: _finite(section, key, n, path) for key in _DRIVE_LISTS}
+    lists = {key: _finite_per_joint(section, key, n, path) for key in _DRIVE_LISTS}
     ratio = lists["gear_ratio"]
     if ratio is not None and not ratio.all():
         raise InputFileError(path, "nominal.gear_ratio", "a ratio of 0 turns nothing.")
@@ -69,7 +67,7 @@ def as_nominal(section: NominalSection, joints: Sequence[str], path: Path) -> No
         pole_pairs=section.pole_pairs,
         connections=section.connections,
         counterbalance=tuple(
-            _counterbalance(one, joints, path)
+            _read_counterbalance(one, joints, path)
             for one in (balance if isinstance(balance, tuple) else (balance,))
         ),
         **lists,
@@ -77,16 +75,16 @@ def as_nominal(section: NominalSection, joints: Sequence[str], path: Path) -> No
 
 
 def check_nominal(section: NominalSection, joints: Sequence[str], path: Path) -> None:
-    """Raise `InputFileError` where a list of the section is of no use for these joints."""
-    as_nominal(section, joints, path)
+    """Raise `InputFileError` where a list of the section does not match these joints."""
+    build_nominal(section, joints, path)
     for key in _ROBOT_LISTS:
-        _finite(section, key, len(joints), path)
+        _finite_per_joint(section, key, len(joints), path)
 
 
-def as_nominal_robot(
+def build_nominal_robot(
     described: Robot, order: np.ndarray, section: NominalSection, path: Path
 ) -> Robot:
-    """The robot as its file describes it, with all that the section states in its place.
+    """Robot of its own file with the values that the section states.
 
     Parameters
     ----------
@@ -101,18 +99,18 @@ def as_nominal_robot(
     of_set = np.argsort(order)
     stated: dict[str, Any] = {}
     for key in _ROBOT_LISTS:
-        numbers = _finite(section, key, described.n, path)
+        numbers = _finite_per_joint(section, key, described.n, path)
         if numbers is not None:
             stated[key] = numbers[of_set]
     robot = replace(described, **stated)
-    chains = as_chains(section, robot.torque_max[order], path)
+    chains = build_chains(section, robot.torque_max[order], path)
     if chains is None:
         return robot
     return replace(robot, chains=tuple(chains[j] for j in of_set))
 
 
-def unstated(section: NominalSection, described: Robot) -> tuple[str, ...]:
-    """Which of coulomb, viscous and rotor_inertia neither a set nor its robot's file gives."""
+def missing_nominal_values(section: NominalSection, described: Robot) -> tuple[str, ...]:
+    """Keys of coulomb, viscous, rotor_inertia that neither a set nor its robot file gives."""
     return tuple(
         key
         for key in ("coulomb", "viscous", "rotor_inertia")
@@ -120,7 +118,7 @@ def unstated(section: NominalSection, described: Robot) -> tuple[str, ...]:
     )
 
 
-def as_chains(
+def build_chains(
     section: NominalSection, torque_max: np.ndarray, path: Path
 ) -> tuple[Chain | None, ...] | None:
     """Drivetrain of each joint: its reducer, and its contacts as one spring; None is rigid.
@@ -135,27 +133,29 @@ def as_chains(
     Returns
     -------
     tuple of Chain or None (n,), or None
-        None where the section says nothing of stiffness.
+        None where the section gives no stiffness.
     """
     n = len(torque_max)
     contacts = per_joint(section.contact_stiffness, n, path, "nominal.contact_stiffness")
-    curves = None if section.reducer is None else _curves(section.reducer, n, path)
+    curves = None if section.reducer is None else _reducer_curves(section.reducer, n, path)
     if contacts is None and curves is None:
         return None
     chains: list[Chain | None] = []
     for j, most in enumerate(torque_max):
         curve = None if curves is None else curves[:, j]
-        with located(path, f"nominal.reducer, joint {j + 1}"):
-            chains.append(joint_chain(curve, np.inf if contacts is None else contacts[j], most))
+        with locate_errors(path, f"nominal.reducer, joint {j + 1}"):
+            chains.append(
+                build_joint_chain(curve, np.inf if contacts is None else contacts[j], most)
+            )
     return tuple(chains)
 
 
-def joint_chain(
+def build_joint_chain(
     curve: Sequence[float] | np.ndarray | None, contacts: float, torque_max: float
 ) -> Chain | None:
     """Drivetrain of a reducer K1, K2, K3, T1, T2 and a contact stiffness [N m/rad]; None is rigid.
 
-    A reducer without a finite slope everywhere, and infinite contacts, are rigid.
+    A reducer with an infinite slope, and infinite contacts, are rigid.
     """
     elements: list[Connection] = []
     if curve is not None and np.isfinite(curve[:3]).all():
@@ -167,7 +167,7 @@ def joint_chain(
             K2=k2,
             K3=k3,
             T1=t1,
-            # The element has two corners; equal ones stand for a catalogue with two slopes.
+            # The element needs T1 < T2; catalogues with two slopes have equal ones.
             T2=max(t2, t1 * (1.0 + 1e-9)),
         )
         elements.append(reducer)
@@ -177,8 +177,8 @@ def joint_chain(
     return Chain(tuple(Stage(element) for element in elements)) if elements else None
 
 
-def as_noise(section: NoiseSection, n: int, path: Path) -> Noise:
-    """Noise with one entry a joint."""
+def build_noise(section: NoiseSection, n: int, path: Path) -> Noise:
+    """Sensor noise, one entry per joint."""
     return Noise(
         **{
             key: per_joint(value, n, path, f"noise.{key}")
@@ -187,14 +187,14 @@ def as_noise(section: NoiseSection, n: int, path: Path) -> Noise:
     )
 
 
-def _finite(section: NominalSection, key: str, n: int, path: Path) -> np.ndarray | None:
+def _finite_per_joint(section: NominalSection, key: str, n: int, path: Path) -> np.ndarray | None:
     numbers = per_joint(getattr(section, key), n, path, f"nominal.{key}")
     if numbers is not None and not np.isfinite(numbers).all():
         raise InputFileError(path, f"nominal.{key}", f"got {list(numbers)}, not finite.")
     return numbers
 
 
-def _curves(section: ReducerCurvesSection, n: int, path: Path) -> np.ndarray:
+def _reducer_curves(section: ReducerCurvesSection, n: int, path: Path) -> np.ndarray:
     """K1, K2, K3, T1, T2 of all joints (5, n)."""
     rows = []
     for key in ("K1", "K2", "K3", "T1", "T2"):
@@ -206,7 +206,7 @@ def _curves(section: ReducerCurvesSection, n: int, path: Path) -> np.ndarray:
     return np.array(rows)
 
 
-def _counterbalance(
+def _read_counterbalance(
     section: SpringSection | TableSection, joints: Sequence[str], path: Path
 ) -> Counterbalance:
     where = "nominal.counterbalance"
@@ -231,75 +231,90 @@ def _counterbalance(
     return Counterbalance(joint=joint - 1, angle=angle, torque=torque)
 
 
-def load_arm(
-    source: str,
-    joints: Sequence[str],
-    path: Path,
-    tool_frame: str | None = None,
-    gravity: Sequence[float] | None = None,
-) -> tuple[Robot, tuple[str, ...]]:
-    """Robot of a recording set, and its joints that the set leaves out.
+NO_RATIO = "nominal.gear_ratio is not given: nothing periodic in the rotor angle can be named."
+
+
+def assumptions(
+    document: RecordingsFile, described: Robot, locked: Sequence[str]
+) -> tuple[str, ...]:
+    """Assumptions in place of missing entries, one sentence each, in the order of the file.
 
     Parameters
     ----------
-    source : str
-        Name of a shipped robot, or a URDF or robot TOML beside `path`.
-    joints : sequence of str (n,)
-        Joints of the set, in the set's order.
-    path : path
-        The set's own file, for messages and to find `source`.
-    tool_frame : str, optional
-        Must be a frame of the robot; default the last one.
-    gravity : sequence of float (3,), optional
-        [m/s^2]; default 0, 0, -9.81.
-
-    Raises
-    ------
-    InputFileError, RobotError
-        A joint or frame that the robot lacks, a joint named twice, a robot that cannot be read.
-
-    Notes
-    -----
-    A robot of the package or of a robot TOML brings its drivetrain, friction and rotor inertia. The
-    friction that a bare URDF may name is left out: `<dynamics>` is a setting of simulators.
+    document : RecordingsFile
+    described : Robot
+        Robot of its own file.
+    locked : sequence of str
+        Joints without recordings.
     """
-    shipped = source in shipped_robots()
-    robot = load_robot(source if shipped else inside(path, "robot", source), keep=joints)
-    if not (shipped or source.lower().endswith(".toml")):
-        robot = replace(robot, coulomb=np.zeros(robot.n), viscous=np.zeros(robot.n))
-    names = robot.joint_names
-    for number, name in enumerate(joints):
-        if name not in names:
-            raise InputFileError(
-                path, f"joints[{number + 1}]", f"{source} has no moving joint {name!r}. "
-                f"{nearest(name, names)}"
-            )  # fmt: skip
-        if name in joints[:number]:
-            raise InputFileError(path, f"joints[{number + 1}]", f"{name!r} is named twice.")
-    locked = tuple(name for name in names if name not in joints)
-    robot = robot.with_joints_locked(locked)
-    if gravity is not None and 0.9 < math.hypot(*gravity) < 1.1:
-        raise InputFileError(
-            path,
-            "gravity",
-            f"{list(gravity)} has the length of 1 m/s^2, which looks like units of g. Write it in "
-            "m/s^2, such as [0.0, 0.0, -9.81].",
-        )
-    robot = robot.with_gravity((0.0, 0.0, -9.81) if gravity is None else gravity)
-    frames = frame_names(robot.model)
-    if tool_frame is not None and tool_frame not in frames:
-        raise InputFileError(
-            path, "tool_frame", f"{source} has no frame {tool_frame!r}. "
-            f"{nearest(tool_frame, frames)}"
-        )  # fmt: skip
-    return replace(robot, tool=named_frame(robot.model, tool_frame)), locked
+    found = []
+    if locked:
+        found.append(f"Joints not recorded are held at zero: {', '.join(locked)}.")
+    if document.gravity is None:
+        found.append("Gravity is 9.81 m/s^2 along -z of the base.")
+    if document.signals.torque_side is None:
+        found.append("Torque is the motor's, from current, before friction.")
+    found += nominal_assumptions(
+        document.nominal,
+        document.tolerance,
+        described,
+        links=bool(document.signals.link_position),
+    )
+    if document.noise.torque is None:
+        found.append("Torque noise is not given and is estimated from the recordings.")
+    if document.signals.link_position and document.noise.link_position is None:
+        found.append("Link encoder noise is not given and is estimated from the recordings.")
+    if all(run.session_time is None for run in document.runs):
+        found.append("Session times are not given: all runs are taken as equally warm.")
+    return tuple(found)
 
 
-def inside(path: Path, where: str, name: str) -> Path:
-    """Path of a file that a set names, which must lie in the set's own folder."""
-    given = Path(name)
-    if given.is_absolute() or ".." in given.parts:
-        raise InputFileError(
-            path, where, f"{name!r} lies outside of the set. Copy or link it into {path.parent}."
-        )
-    return path.parent / given
+def nominal_assumptions(
+    nominal: NominalSection, tolerance: Tolerance, described: Robot, *, links: bool
+) -> tuple[str, ...]:
+    """Assumptions on the nominal robot and its tolerances, which an extended model replaces.
+
+    Parameters
+    ----------
+    nominal : NominalSection
+        Values of the set.
+    tolerance : Tolerance
+        Tolerances of the set.
+    described : Robot
+        Robot of its own file.
+    links : bool
+        Link positions are recorded.
+    """
+    found = [*_list_nominal_assumptions(nominal, described, links)]
+    if silent := missing_tolerances(tolerance):
+        found.append(f"Tolerances not given, wide defaults hold: {', '.join(silent)}.")
+    return tuple(found)
+
+
+def missing_tolerances(tolerance: Tolerance) -> list[str]:
+    """Names of tolerances that a set does not give.
+
+    Except that of the damping, which is never known well.
+    """
+    return [k for k, value in vars(tolerance).items() if value is None and k != "joint_damping"]
+
+
+def _list_nominal_assumptions(
+    nominal: NominalSection, described: Robot, links: bool
+) -> Iterator[str]:
+    if nominal.gear_ratio is None:
+        yield NO_RATIO
+    for key, quantity in (
+        ("rotor_inertia", "the rotor inertia"),
+        ("coulomb", "the Coulomb friction"),
+        ("viscous", "the viscous friction"),
+    ):
+        if key in missing_nominal_values(nominal, described):
+            yield f"nominal.{key} is not given: {quantity} is not known and is estimated."
+        elif getattr(nominal, key) is None:
+            yield f"nominal.{key} is not given: {quantity} is that of the robot's file."
+    if nominal.reducer is None:
+        if any(described.chains) and nominal.contact_stiffness is None:
+            yield "nominal.reducer is not given: drivetrains are those of the robot's file."
+        elif links:
+            yield "nominal.reducer is not given: the joints' stiffness is estimated."

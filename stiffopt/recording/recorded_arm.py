@@ -1,25 +1,29 @@
-"""The arm that a set was recorded on, reduced to the joints that were recorded."""
+"""Arm of a recording set, reduced to the recorded joints."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 
+from stiffopt.errors import InputFileError, nearest
+from stiffopt.robot.files import load_robot, shipped_robots
+from stiffopt.robot.frames import frame_names, named_frame
 from stiffopt.robot.robot import Robot
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RecordedArm:
-    """What every set that was recorded on an arm says.
+    """Arm and metadata common to all kinds of recording sets.
 
     Parameters
     ----------
     path : Path
-        Of its TOML file.
+        TOML file of the set.
     name, title, citation, licence : str
     robot : Robot
         Nominal: the recorded joints in the robot's own order, which need not be that of the set.
@@ -45,15 +49,89 @@ class RecordedArm:
 
     @cached_property
     def order(self) -> np.ndarray:
-        """Index of each joint of the set among those of the robot, (n,)."""
+        """Index of each joint of the set in the robot, (n,)."""
         return joint_order(self.robot, self.joints)
 
     @property
     def prismatic(self) -> np.ndarray:
-        """Which joints of the set slide, (n,) of bool."""
+        """Return which joints of the set are prismatic, (n,) of bool."""
         return np.asarray(self.robot.prismatic[self.order])
 
 
 def joint_order(robot: Robot, joints: Sequence[str]) -> np.ndarray:
-    """Index of each of these joints among those of a robot, (n,)."""
+    """Index of each of these joints in a robot, (n,)."""
     return np.array([robot.joint_names.index(name) for name in joints])
+
+
+def load_arm(
+    source: str,
+    joints: Sequence[str],
+    path: Path,
+    tool_frame: str | None = None,
+    gravity: Sequence[float] | None = None,
+) -> tuple[Robot, tuple[str, ...]]:
+    """Load the robot of a recording set, and the names of its joints outside the set.
+
+    Parameters
+    ----------
+    source : str
+        Name of a shipped robot, or a URDF or robot TOML beside `path`.
+    joints : sequence of str (n,)
+        Joints of the set, in the set's order.
+    path : path
+        The set's own file, for messages and to find `source`.
+    tool_frame : str, optional
+        A frame of the robot; default the last one.
+    gravity : sequence of float (3,), optional
+        [m/s^2]; default 0, 0, -9.81.
+
+    Raises
+    ------
+    InputFileError, RobotError
+        A joint or frame that the robot lacks, a joint named twice, a robot that cannot be read.
+
+    Notes
+    -----
+    A shipped robot or a robot TOML has drivetrain, friction and rotor inertia. Friction of a bare
+    URDF is ignored: `<dynamics>` is a setting of simulators.
+    """
+    shipped = source in shipped_robots()
+    robot = load_robot(source if shipped else path_inside_set(path, "robot", source), keep=joints)
+    if not (shipped or source.lower().endswith(".toml")):
+        robot = replace(robot, coulomb=np.zeros(robot.n), viscous=np.zeros(robot.n))
+    names = robot.joint_names
+    for number, name in enumerate(joints):
+        if name not in names:
+            raise InputFileError(
+                path, f"joints[{number + 1}]", f"{source} has no moving joint {name!r}. "
+                f"{nearest(name, names)}"
+            )  # fmt: skip
+        if name in joints[:number]:
+            raise InputFileError(path, f"joints[{number + 1}]", f"{name!r} is named twice.")
+    locked = tuple(name for name in names if name not in joints)
+    robot = robot.with_joints_locked(locked)
+    if gravity is not None and 0.9 < math.hypot(*gravity) < 1.1:
+        raise InputFileError(
+            path,
+            "gravity",
+            f"{list(gravity)} has the length of 1 m/s^2, which looks like units of g. Write it in "
+            "m/s^2, such as [0.0, 0.0, -9.81].",
+        )
+    robot = robot.with_gravity((0.0, 0.0, -9.81) if gravity is None else gravity)
+    frames = frame_names(robot.model)
+    if tool_frame is not None and tool_frame not in frames:
+        raise InputFileError(
+            path, "tool_frame", f"{source} has no frame {tool_frame!r}. "
+            f"{nearest(tool_frame, frames)}"
+        )  # fmt: skip
+    return replace(robot, tool=named_frame(robot.model, tool_frame)), locked
+
+
+def path_inside_set(path: Path, where: str, name: str) -> Path:
+    """Path of a file named by a set; raises `InputFileError` outside the set's folder."""
+    given = Path(name)
+    if given.is_absolute() or ".." in given.parts:
+        raise InputFileError(
+            path, where, f"{name!r} lies outside of the set. Copy or link it into {path.parent}."
+        )
+    return path.parent / given

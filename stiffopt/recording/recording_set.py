@@ -1,4 +1,4 @@
-"""A recording set: the recordings of a robot beside the nominal model of it."""
+"""Recording set: recordings of a robot and its nominal model."""
 
 from __future__ import annotations
 
@@ -11,32 +11,30 @@ from pathlib import Path, PurePosixPath
 import numpy as np
 
 from stiffopt.errors import InputFileError
-from stiffopt.files import load_toml, with_changes
-from stiffopt.recording.assumptions import assumptions, of_nominal
-from stiffopt.recording.clean import clean
+from stiffopt.files import apply_changes, load_toml
+from stiffopt.recording.clean import clean_run
 from stiffopt.recording.nominal import Noise, Nominal, Tolerance
 from stiffopt.recording.nominal_files import (
-    as_noise,
-    as_nominal,
-    as_nominal_robot,
-    inside,
-    load_arm,
+    assumptions,
+    build_noise,
+    build_nominal,
+    build_nominal_robot,
+    missing_nominal_values,
+    nominal_assumptions,
     per_joint,
-    unstated,
 )
-from stiffopt.recording.readers.read import read_columns
-from stiffopt.recording.recorded_arm import RecordedArm, joint_order
+from stiffopt.recording.readers.read import find_set_file, read_columns
+from stiffopt.recording.recorded_arm import RecordedArm, joint_order, load_arm, path_inside_set
 from stiffopt.recording.run import RecordedRun, Role
 from stiffopt.recording.schema import NominalSection, RecordingsFile, RunSection
-from stiffopt.recording.set_file import described_by
-from stiffopt.recording.signals import Signals, as_signals
+from stiffopt.recording.signals import Signals, build_signals
 from stiffopt.robot.robot import Robot
 from stiffopt.validation import validate
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RunEntry:
-    """A run of a set that has not been opened.
+    """Entry of a run in a set; its file is not read yet.
 
     Parameters
     ----------
@@ -44,9 +42,9 @@ class RunEntry:
     role : str
         "train", "test" or "extrapolate".
     session_time : float or None
-        Since the robot was switched on [s].
+        Time since the robot was switched on [s].
     temperature : array (n,) or None
-        Of the housings when the run begins [degC].
+        Temperature of the housings at the start of the run [degC].
     """
 
     file: str
@@ -56,7 +54,7 @@ class RunEntry:
 
     @property
     def name(self) -> str:
-        """File name without its ending, and the number of the episode where one is named."""
+        """File name without ending, with the number of the episode where given."""
         path = PurePosixPath(self.file)
         name, mark, episode = path.name.rpartition("#")
         return f"{PurePosixPath(name).stem}_{episode}" if mark and name else path.stem
@@ -64,7 +62,7 @@ class RunEntry:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RecordingSet(RecordedArm):
-    """Recordings of one robot and what today's simulation knows of it.
+    """Recordings of one robot and the nominal model of its simulation.
 
     Parameters
     ----------
@@ -73,15 +71,15 @@ class RecordingSet(RecordedArm):
         [m/s^2]
     signals : Signals
     described : Robot
-        As its own file describes it, before what the set states of it.
+        Robot of its own file, without the values of the set.
     stated : NominalSection
-        What the set states of the nominal robot.
+        Nominal values that the set gives.
     nominal : Nominal
     tolerance : Tolerance
     noise : Noise
     runs : tuple of RunEntry
     assumptions : tuple of str
-        What was assumed where the set is silent, a sentence each.
+        Assumptions in place of entries that the set does not give, one sentence each.
     """
 
     tool_frame: str | None
@@ -97,43 +95,43 @@ class RecordingSet(RecordedArm):
 
     @property
     def torque_side(self) -> str:
-        """Where torque is measured: "motor" or "link"."""
+        """Side of the torque measurement: "motor" or "link"."""
         return self.signals.torque_side
 
     @property
     def swings(self) -> bool:
-        """Whether springs and damping of all joints are known, so that links can be followed."""
+        """Return whether stiffness and damping of all joints are known, for elastic simulation."""
         chains = self.robot.chains
         sprung = all(chain is not None and bool(chain.stages) for chain in chains)
         return sprung and self.nominal.joint_damping is not None
 
     @property
     def unstated(self) -> tuple[str, ...]:
-        """Which of coulomb, viscous and rotor_inertia neither the set nor its robot file gives."""
-        return unstated(self.stated, self.described)
+        """Keys of coulomb, viscous, rotor_inertia that neither the set nor its robot file gives."""
+        return missing_nominal_values(self.stated, self.described)
 
     def with_nominal(self, stated: NominalSection, path: str | os.PathLike[str]) -> RecordingSet:
-        """The set with another statement of the nominal robot, from the file at `path`.
+        """Recording set with other nominal values, from the file at `path`.
 
-        What the set itself was silent on there is assumed no more.
+        Assumptions on the nominal values of the set itself are removed.
         """
         path = Path(path)
         links = bool(self.signals.link_position)
-        silent = of_nominal(self.stated, self.tolerance, self.described, links=links)
+        silent = nominal_assumptions(self.stated, self.tolerance, self.described, links=links)
         return replace(
             self,
-            robot=as_nominal_robot(self.described, self.order, stated, path),
-            nominal=as_nominal(stated, self.joints, path),
+            robot=build_nominal_robot(self.described, self.order, stated, path),
+            nominal=build_nominal(stated, self.joints, path),
             stated=stated,
             assumptions=tuple(each for each in self.assumptions if each not in silent),
         )
 
     def with_role(self, *roles: Role) -> tuple[RunEntry, ...]:
-        """Runs of these roles, in the order of the set."""
+        """Entries of the runs of these roles, in the order of the set."""
         return tuple(entry for entry in self.runs if entry.role in roles)
 
     def open(self, entry: RunEntry) -> RecordedRun:
-        """Read one run file and clean it.
+        """Read and clean one run.
 
         Raises
         ------
@@ -141,9 +139,9 @@ class RecordingSet(RecordedArm):
             A file that is missing or has other columns, a clock that runs backwards, too few
             samples.
         """
-        path = inside(self.path, "runs", entry.file)
+        path = path_inside_set(self.path, "runs", entry.file)
         columns = self.signals.to_si(read_columns(path, self.signals))
-        return clean(
+        return clean_run(
             columns,
             self.signals,
             path=path,
@@ -157,17 +155,17 @@ class RecordingSet(RecordedArm):
 
 
 def load_recordings(path: str | os.PathLike[str], changes: Sequence[str] = ()) -> RecordingSet:
-    """Recording set of a folder or of its recordings.toml; no run file is opened.
+    """Load a recording set by its folder or recordings.toml, without its run files.
 
-    `changes` such as "motion.duration=0.5 s" count in place of what the file says.
+    `changes` such as "noise.torque=0.5" replace entries of the file.
 
     Raises
     ------
     InputFileError, RobotError
-        What is wrong, where, and what is allowed.
+        Fault, place and allowed values.
     """
-    path = described_by(Path(path))
-    data = with_changes(load_toml(path), changes, path)
+    path = find_set_file(Path(path))
+    data = apply_changes(load_toml(path), changes, path)
     if data.get("schema") != 1 or isinstance(data.get("schema"), bool):
         got = f"got {data['schema']!r}" if "schema" in data else "the key is missing"
         raise InputFileError(path, "schema", f"this version reads schema = 1, {got}.")
@@ -177,12 +175,14 @@ def load_recordings(path: str | os.PathLike[str], changes: Sequence[str] = ()) -
         document.robot, document.joints, path, document.tool_frame, document.gravity
     )
     order, stated = joint_order(described, document.joints), document.nominal
-    robot = as_nominal_robot(described, order, stated, path)
-    nominal = as_nominal(stated, document.joints, path)
+    robot = build_nominal_robot(described, order, stated, path)
+    nominal = build_nominal(stated, document.joints, path)
     tolerance = document.tolerance
-    noise = as_noise(document.noise, n, path)
-    signals = as_signals(document.signals, n, path)
-    runs = tuple(_entry(section, n, number, path) for number, section in enumerate(document.runs))
+    noise = build_noise(document.noise, n, path)
+    signals = build_signals(document.signals, n, path)
+    runs = tuple(
+        _run_entry(section, n, number, path) for number, section in enumerate(document.runs)
+    )
     _check_names(runs, path)
     return RecordingSet(
         path=path,
@@ -207,7 +207,7 @@ def load_recordings(path: str | os.PathLike[str], changes: Sequence[str] = ()) -
 
 
 def require_test_runs(recordings: RecordingSet) -> None:
-    """Raise `InputFileError` if there is nothing to fit to, or nothing to judge a fit on."""
+    """Raise `InputFileError` without training runs or without test runs."""
     purposes = {
         "train": "The model is fitted to runs of this role",
         "test": "A fit is judged only on runs that it was not fitted to",
@@ -224,7 +224,7 @@ def require_test_runs(recordings: RecordingSet) -> None:
 
 
 def require_usable(recordings: RecordingSet, usable: Set[str]) -> None:
-    """As `require_test_runs`, counting only runs whose files are named as usable."""
+    """Raise `InputFileError` without usable training runs or usable test runs."""
     require_test_runs(recordings)
     for role in ("train", "test"):
         files = [entry.file for entry in recordings.with_role(role)]
@@ -233,12 +233,12 @@ def require_usable(recordings: RecordingSet, usable: Set[str]) -> None:
                 recordings.path,
                 "runs",
                 f'no run of the role "{role}" can be used: in {", ".join(files)} a joint has no'
-                " position that can be trusted. Record anew, or give other runs that role.",
+                " position that can be trusted. Record again, or give other runs that role.",
             )
 
 
-def _entry(section: RunSection, n: int, number: int, path: Path) -> RunEntry:
-    inside(path, f"runs[{number + 1}].file", section.file)
+def _run_entry(section: RunSection, n: int, number: int, path: Path) -> RunEntry:
+    path_inside_set(path, f"runs[{number + 1}].file", section.file)
     return RunEntry(
         file=section.file,
         role=section.role,

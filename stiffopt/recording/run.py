@@ -1,4 +1,4 @@
-"""One recorded run and the faults that were found in it."""
+"""Recorded run and the faults found in it."""
 
 from __future__ import annotations
 
@@ -26,30 +26,30 @@ FaultKind = Literal[
 
 
 def counted(number: int, noun: str) -> str:
-    """Number and noun: "1 sample", "3 samples"."""
+    """Format a number with a noun: "1 sample", "3 samples"."""
     return f"{number} {noun}{'' if number == 1 else 's'}"
 
 
 @dataclass(frozen=True, kw_only=True)
 class Fault:
-    """Something wrong with one signal of a run.
+    """Fault of one signal of a run.
 
     Parameters
     ----------
     signal : str
         "time" or the kind of channel.
     joint : int or None
-        From 1; None where all joints are meant.
+        From 1; None for all joints.
     kind : str
     detail : str
         One sentence with the numbers.
     left_out : bool
-        The whole channel was replaced by nan.
+        The whole channel was replaced by NaN.
     share : float
-        Of the samples that have the fault, 0 to 1.
+        Share of the samples that have the fault, 0 to 1.
     ratio : float or None
-        Of a second sensor's motion to that of the position, where it contradicts it but follows it;
-        nan where the run is too short to tell.
+        Motion by a second sensor over that of the position, where both correlate but differ;
+        NaN where the run is too short.
     """
 
     signal: Kind | Literal["time"]
@@ -71,24 +71,24 @@ class Fault:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RecordedRun:
-    """A recording of one motion, cleaned of what cannot be true.
+    """Recording of one motion after removal of faulty samples.
 
     Parameters
     ----------
     name : str
-        Of the file, without its ending.
+        File name without ending.
     file : str
-        As the set names it.
+        Path of the file in the set.
     role : str
         "train", "test" (never used to fit) or "extrapolate" (a test outside the training range).
     session_time : float or None
-        Since the robot was switched on [s].
+        Time since the robot was switched on [s].
     temperature : array (n,) or None
-        Of the housings when the run begins [degC].
+        Temperature of the housings at the start of the run [degC].
     stamps : array (R,)
-        Every time stamp of the file [s]; predictions are given on these.
+        Every time stamp of the file [s]; predictions use these.
     time : array (K,)
-        Stamps of the samples that were kept, strictly increasing [s].
+        Stamps of the usable samples, strictly increasing [s].
     position : array (K, n)
         Motor encoder through the ratio [rad].
     velocity, link_position : array (K, n) or None
@@ -99,9 +99,9 @@ class RecordedRun:
 
     Notes
     -----
-    A column of nan is a signal that this joint lacks, or one that was left out as broken; a
-    single nan is a sample that was taken out. `faults` tells which. A prismatic joint has metres
-    for radians and newtons for newton metres.
+    A column of NaN is a signal that this joint lacks, or one removed as faulty; a single NaN is a
+    removed sample; see `faults`. A prismatic joint has metres for radians and newtons for newton
+    metres.
     """
 
     name: str
@@ -129,15 +129,15 @@ class RecordedRun:
 
     @property
     def duration(self) -> float:
-        """From the first sample to the last [s]."""
+        """Time from the first sample to the last [s]."""
         return float(self.time[-1] - self.time[0])
 
     @property
     def usable(self) -> bool:
-        """Whether every joint has a position, without which no torque can be predicted."""
+        """Return whether every joint has a position, which every prediction needs."""
         return bool(np.isfinite(self.position).any(axis=0).all())
 
     def signal(self, name: Kind) -> np.ndarray | None:
-        """Channels of one kind, (K, n), by the name of the field."""
+        """Return the channels of one kind, (K, n), by the name of the field."""
         value: np.ndarray | None = getattr(self, name)
         return value

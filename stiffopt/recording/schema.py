@@ -1,4 +1,4 @@
-"""Schema of recordings.toml and static.toml; numbers are bare, in SI, one a joint in lists."""
+"""Schema of recordings.toml and static.toml; bare numbers in SI, lists with one per joint."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ JointInertia = Annotated[float, Unit("inertia", joint=True, bare=True)]
 JointViscous = Annotated[float, Unit("viscous friction", joint=True, bare=True)]
 JointStiffness = Annotated[float, Unit("stiffness", joint=True, bare=True)]
 
-# Infinite is rigid.
-_RIGID = Bounds(above=0.0, finite=False)
+# An infinite stiffness is rigid.
+_RIGID_BOUNDS = Bounds(above=0.0, finite=False)
 
 _Position = Annotated[JointPosition, NOT_NEGATIVE]
 _Velocity = Annotated[JointVelocity, NOT_NEGATIVE]
@@ -37,9 +37,9 @@ Factors = Factor | tuple[Factor, ...]
 
 
 class ScaleSection(Section):
-    """What columns are multiplied with to be SI: a number, or the unit they are recorded in.
+    """Factors of columns to SI: a number, or the unit of the recording.
 
-    One entry holds for all joints, a list has one a joint; a negative number turns a sign round.
+    One entry applies to all joints, a list has one per joint; a negative number reverses the sign.
     """
 
     time: Annotated[Factor | None, Doc('Of the time, such as "ms".')] = None
@@ -50,7 +50,7 @@ class ScaleSection(Section):
         Factors | None,
         Doc(
             'Of torques: "mN*m", or N m per recorded unit, as of a motor current in A; "A" where '
-            "that is not known yet, to be told what the arm's weight suggests."
+            "that is not known yet, to have it estimated from the arm's weight."
         ),
     ] = None
 
@@ -79,25 +79,29 @@ class ReducerCurvesSection(Section):
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=True)
 
-    K1: Annotated[tuple[Annotated[JointStiffness, _RIGID], ...], Doc("Slopes below T1.")]
-    K2: Annotated[tuple[Annotated[JointStiffness, _RIGID], ...], Doc("Slopes between T1 and T2.")]
-    K3: Annotated[tuple[Annotated[JointStiffness, _RIGID], ...], Doc("Slopes above T2.")]
+    K1: Annotated[tuple[Annotated[JointStiffness, _RIGID_BOUNDS], ...], Doc("Slopes below T1.")]
+    K2: Annotated[
+        tuple[Annotated[JointStiffness, _RIGID_BOUNDS], ...], Doc("Slopes between T1 and T2.")
+    ]
+    K3: Annotated[tuple[Annotated[JointStiffness, _RIGID_BOUNDS], ...], Doc("Slopes above T2.")]
     T1: Annotated[
-        tuple[Annotated[JointTorque, _RIGID], ...], Doc("Torques where the first range ends.")
+        tuple[Annotated[JointTorque, _RIGID_BOUNDS], ...],
+        Doc("Torques where the first range ends."),
     ]
     T2: Annotated[
-        tuple[Annotated[JointTorque, _RIGID], ...], Doc("Torques where the second range ends.")
+        tuple[Annotated[JointTorque, _RIGID_BOUNDS], ...],
+        Doc("Torques where the second range ends."),
     ]
 
 
-_BALANCED = Doc("Joint that is balanced: its name, or its number from 1.")
+_BALANCED_JOINT_DOC = Doc("Joint that is balanced: its name, or its number from 1.")
 
 
 class SpringSection(Section):
     """Spring that balances a joint."""
 
     type: Literal["spring"]
-    joint: Annotated[int | str, _BALANCED]
+    joint: Annotated[int | str, _BALANCED_JOINT_DOC]
     stiffness: Annotated[JointStiffness, Doc("Stiffness of the spring.")]
     offset: Annotated[JointPosition, Doc("Position at which it is relaxed.")] = 0.0
 
@@ -106,11 +110,11 @@ class TableSection(Section):
     """Torque that balances a joint, by its position."""
 
     type: Literal["table"]
-    joint: Annotated[int | str, _BALANCED]
+    joint: Annotated[int | str, _BALANCED_JOINT_DOC]
     angle: Annotated[tuple[JointPosition, ...], Doc("Positions, increasing; two or more.")]
     torque: Annotated[
         tuple[JointTorque, ...],
-        Doc("Torques at these positions, which the drive no longer has to give."),
+        Doc("Torques at these positions, of which the drive is relieved."),
     ]
 
 
@@ -118,11 +122,10 @@ CounterbalanceSection = Annotated[SpringSection | TableSection, Field(discrimina
 
 
 class NominalSection(Section):
-    """What today's simulation knows; every key is optional.
+    """Nominal values of the simulation; every key is optional.
 
-    Where it is silent, a shipped robot or a robot TOML counts as it is (drivetrain, friction, rotor
-    inertia), a URDF with its bodies and limits alone. A reducer or a contact stiffness states the
-    whole drivetrain.
+    Defaults are those of a shipped robot or robot TOML (drivetrain, friction, rotor inertia), or
+    bodies and limits of a URDF. A reducer or a contact stiffness replaces the whole drivetrain.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=True)
@@ -159,11 +162,11 @@ class NominalSection(Section):
         Doc("Damping of the elastic joints."),
     ] = None
     contact_stiffness: Annotated[
-        tuple[Annotated[JointStiffness, _RIGID], ...] | None,
+        tuple[Annotated[JointStiffness, _RIGID_BOUNDS], ...] | None,
         Doc("Healthy connections of each joint, lumped in series; infinite is rigid."),
     ] = None
     connections: Annotated[
-        Names | None, Doc('What each drivetrain is built of, such as "belt+key+bolts".')
+        Names | None, Doc('Elements of each drivetrain, such as "belt+key+bolts".')
     ] = None
     reducer: ReducerCurvesSection | None = None
     counterbalance: Annotated[
@@ -247,7 +250,7 @@ class RecordingsFile(ArmSection):
 
 
 class StaticNominalSection(Section):
-    """What is known of the joints' stiffness."""
+    """Nominal stiffness of the joints."""
 
     stiffness: Annotated[
         tuple[Annotated[JointStiffness, POSITIVE], ...] | None, Doc("Stiffness of each joint.")
@@ -268,6 +271,6 @@ class StaticFile(ArmSection):
         tuple[str, str, str], Doc("Columns of the tool's displacement, base frame, in m.")
     ]
     difference: Annotated[
-        bool, Doc("Whether each line is a difference of two load states: gravity is out.")
+        bool, Doc("True: each line is a difference of two load states, without gravity.")
     ]
     nominal: StaticNominalSection = StaticNominalSection()

@@ -1,7 +1,9 @@
-"""Which column of a run file holds which signal."""
+"""Columns and units of the signals in run files; names of set points."""
 
 from __future__ import annotations
 
+import itertools
+import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,7 +17,7 @@ from stiffopt.units import joint_to_si
 
 Kind = Literal["position", "velocity", "link_position", "torque"]
 KINDS: tuple[Kind, ...] = ("position", "velocity", "link_position", "torque")
-_DIMENSIONS = {
+_SIGNAL_DIMENSIONS = {
     "time": "time",
     "position": "angle",
     "velocity": "angular velocity",
@@ -36,17 +38,16 @@ class Signals:
     torque_side : str
         "motor": before friction, from current; "link": a joint torque sensor.
     scale : mapping of kind of signal to array (n,), of "time" to a number
-        What columns are multiplied with to be SI; left out where they are.
+        Factors of columns to SI; absent where they are in SI.
     torque_delay : float
-        By which torques were recorded later than positions [s].
+        Delay of recorded torques after positions [s].
     currents : bool
-        Whether torques are stated in A, without what one A is at the joint.
+        Torques are given in A without a torque constant.
 
     Notes
     -----
-    In a file of messages a name is the topic and a field of its messages:
-    "/joint_states.position[2]", or "/joint_states.position[elbow]" where the message names its
-    entries.
+    In a file of messages a name consists of the topic and a field of its messages:
+    "/joint_states.position[2]", or "/joint_states.position[elbow]" where messages name entries.
     """
 
     time: str
@@ -60,11 +61,11 @@ class Signals:
     currents: bool = False
 
     def scale_of(self, kind: str, n: int) -> np.ndarray:
-        """Factors (n,) that columns of a kind are multiplied with to be SI."""
+        """Factors (n,) of the columns of a kind to SI."""
         return np.asarray(self.scale.get(kind, np.ones(n)))
 
     def to_si(self, columns: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-        """Columns of a file in SI, torques at the time at which they acted."""
+        """Convert columns of a file to SI and remove the delay of torques."""
         out = dict(columns)
         if "time" in self.scale:
             out[self.time] = out[self.time] * float(self.scale["time"])
@@ -72,11 +73,11 @@ class Signals:
             if kind in self.scale:
                 out[name] = out[name] * self.scale[kind][joint]
             if kind == "torque" and self.torque_delay:
-                out[name] = _earlier(out[self.time], out[name], self.torque_delay)
+                out[name] = _shift_earlier(out[self.time], out[name], self.torque_delay)
         return out
 
     def as_recorded(self, columns: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-        """Columns in SI in the units and with the delay of the files: what `to_si` undoes."""
+        """Convert columns in SI to units and delay of the files, the inverse of `to_si`."""
         out = dict(columns)
         for kind, joint, name in self.columns():
             if name not in out:
@@ -95,7 +96,7 @@ class Signals:
         return names
 
     def columns(self) -> Iterator[tuple[Kind, int, str]]:
-        """Kind, joint (from 0) and column name of every channel there is."""
+        """Iterate over kind, joint (from 0) and column name of every recorded channel."""
         for kind in KINDS:
             for joint, name in enumerate(self.of(kind) or ()):
                 if name:
@@ -103,12 +104,12 @@ class Signals:
 
     @property
     def wanted(self) -> tuple[str, ...]:
-        """Every column name but that of the time."""
+        """Column names of all channels, without that of the time."""
         return tuple(name for _, _, name in self.columns())
 
 
-def as_signals(section: SignalsSection, n: int, path: Path) -> Signals:
-    """Column names, checked: one a joint, each used once, positions complete, some torque."""
+def build_signals(section: SignalsSection, n: int, path: Path) -> Signals:
+    """Build and check column names: one per joint, each used once, all positions, some torque."""
 
     def fail(key: str, reason: str) -> InputFileError:
         return InputFileError(path, f"signals.{key}", reason)
@@ -118,7 +119,7 @@ def as_signals(section: SignalsSection, n: int, path: Path) -> Signals:
         names = getattr(section, kind)
         for joint, name in enumerate(names or ()):
             if name and name in used:
-                raise fail(kind, f"the column {name!r} already stands for {used[name]}.")
+                raise fail(kind, f"the column {name!r} is already used for {used[name]}.")
             used[name] = f"{kind} of joint {joint + 1}"
         if names is not None and len(names) != n:
             raise fail(
@@ -128,33 +129,35 @@ def as_signals(section: SignalsSection, n: int, path: Path) -> Signals:
     if not all(section.position):
         raise fail("position", "every joint needs a position; leave other joints out of `joints`.")
     if not any(section.torque):
-        raise fail("torque", "no joint has a torque, and torque is what a recording must explain.")
+        raise fail(
+            "torque", "no joint has a torque, which a diagnosis needs. Name at least one column."
+        )
     return Signals(
         time=section.time,
         position=section.position,
-        velocity=_some(section.velocity),
-        link_position=_some(section.link_position),
+        velocity=_none_if_unnamed(section.velocity),
+        link_position=_none_if_unnamed(section.link_position),
         torque=section.torque,
         torque_side=section.torque_side or "motor",
-        scale=_scale(section.scale, n, path),
+        scale=_scale_factors(section.scale, n, path),
         torque_delay=section.torque_delay,
-        currents=any(entry in _CURRENTS for entry in _entries(section.scale.torque)),
+        currents=any(entry in _CURRENT_UNITS for entry in _entry_list(section.scale.torque)),
     )
 
 
-# Currents [A] may stand for torques, but nothing is diagnosed from them until they are torques.
-_CURRENTS = {"A": 1.0, "mA": 1e-3}
+# Currents [A] are accepted as torques, but a diagnosis needs the torque constant first.
+_CURRENT_UNITS = {"A": 1.0, "mA": 1e-3}
 
 
-def _scale(section: ScaleSection, n: int, path: Path) -> dict[str, np.ndarray]:
-    """Factors of the section's entries: numbers, or units by name."""
+def _scale_factors(section: ScaleSection, n: int, path: Path) -> dict[str, np.ndarray]:
+    """Factors to SI of the section's entries, which are numbers or names of units."""
     factors: dict[str, np.ndarray] = {}
-    for kind, dimension in _DIMENSIONS.items():
+    for kind, dimension in _SIGNAL_DIMENSIONS.items():
         entry = getattr(section, kind)
         if entry is None:
             continue
         where = f"signals.scale.{kind}"
-        entries = _entries(entry)
+        entries = _entry_list(entry)
         if len(entries) == 1 and not isinstance(entry, tuple):
             entries = entries * (1 if kind == "time" else n)
         if kind != "time" and len(entries) != n:
@@ -162,22 +165,22 @@ def _scale(section: ScaleSection, n: int, path: Path) -> dict[str, np.ndarray]:
                 path, where, f"needs one entry, or one a joint ({n}), got {len(entries)}."
             )
         values = [
-            _CURRENTS[str(one)]
-            if kind == "torque" and one in _CURRENTS
-            else _factor(one, dimension, path, where)
+            _CURRENT_UNITS[str(one)]
+            if kind == "torque" and one in _CURRENT_UNITS
+            else _unit_factor(one, dimension, path, where)
             for one in entries
         ]
         factors[kind] = np.array(values[0] if kind == "time" else values)
     return factors
 
 
-def _entries(entry: Any) -> list[float | str]:
+def _entry_list(entry: Any) -> list[float | str]:
     if entry is None:
         return []
     return list(entry) if isinstance(entry, tuple) else [entry]
 
 
-def _factor(entry: float | str, dimension: str, path: Path, where: str) -> float:
+def _unit_factor(entry: float | str, dimension: str, path: Path, where: str) -> float:
     try:
         value = joint_to_si(f"1 {entry}", dimension) if isinstance(entry, str) else entry
     except UnitError as error:
@@ -189,8 +192,8 @@ def _factor(entry: float | str, dimension: str, path: Path, where: str) -> float
     return float(value)
 
 
-def _earlier(time: np.ndarray, values: np.ndarray, delay: float) -> np.ndarray:
-    """What was recorded `delay` later; nan beyond the end of the recording."""
+def _shift_earlier(time: np.ndarray, values: np.ndarray, delay: float) -> np.ndarray:
+    """Interpolate values recorded `delay` [s] later; NaN beyond the end of the recording."""
     known = np.isfinite(time) & np.isfinite(values)
     if known.sum() < 2:
         return values
@@ -198,5 +201,80 @@ def _earlier(time: np.ndarray, values: np.ndarray, delay: float) -> np.ndarray:
     return np.asarray(later)
 
 
-def _some(names: tuple[str, ...] | None) -> tuple[str, ...] | None:
+def _none_if_unnamed(names: tuple[str, ...] | None) -> tuple[str, ...] | None:
     return names if names is not None and any(names) else None
+
+
+_SET_POINT_WORDS = ("target", "cmd", "command", "desired", "planned", "soll", "setpoint",
+          "consigne", "consigna", "riferimento", "action")  # fmt: skip
+# Prefixes of longer words: commanded, setpoints.
+_SET_POINT_PREFIXES = ("target", "command", "desired", "setpoint", "consign")
+_SOLL_PATTERN = r"soll(wert|pos|winkel|lage|stell|dreh|achs|gelenk|bahn|weg)"
+# Quantities with which short words are combined: qref1, pos_set, des_angle.
+_QUANTITY_WORDS = ("q", "theta", "phi", "pos", "position", "positions", "angle", "angles")
+_AXIS_WORDS = ("axis", "joint", "jnt", "j", "ax", "achse")
+_SHORT_WORDS = ("soll", "target", "cmd", "des", "ref", "reference", "set")
+_COMPOUND_PATTERN = rf"({'|'.join((*_QUANTITY_WORDS, *_AXIS_WORDS[:3]))})({'|'.join(_SHORT_WORDS)})"
+_UNIT_WORDS = ("deg", "rad", "grad", "m", "mm")
+_REFERENCE_WORDS = ("ref", "reference")
+# Shorter words before "des" are no German noun followed by a genitive.
+_MIN_NOUN_LETTERS = 4
+
+
+def is_set_point(name: str) -> bool:
+    """Return whether a column name is that of a set point: "q_cmd_1", "Sollposition A1"."""
+    words = _split_words(name)
+    letters = [word for word in words if word.isalpha()]
+    return (
+        any(word in _SET_POINT_WORDS or word.startswith(_SET_POINT_PREFIXES) for word in letters)
+        or any(
+            re.match(_SOLL_PATTERN, word) or re.fullmatch(_COMPOUND_PATTERN, word)
+            for word in letters
+        )
+        or _has_desired(words)
+        or _has_set(letters, spaced=" " in name.strip())
+        or _is_quantity_reference(letters, spaced=" " in name.strip())
+    )
+
+
+def may_be_set_point(name: str) -> bool:
+    """Return whether a column name is that of a set point or contains "ref"."""
+    return is_set_point(name) or bool(set(_split_words(name)) & set(_REFERENCE_WORDS))
+
+
+def _split_words(name: str) -> list[str]:
+    """Split a name into lower-case words and numbers."""
+    # QTarget, jointAngle; a word of capitals such as QSOLL1 stays whole.
+    apart = re.sub(r"(?<=[a-z])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", " ", name)
+    return re.findall(r"[a-z]+|\d+", apart.lower())
+
+
+def _has_desired(words: list[str]) -> bool:
+    """Return whether "des" abbreviates "desired", unlike in "Winkel_des_Gelenks_1"."""
+    for k, word in enumerate(words):
+        if word != "des":
+            continue
+        after = words[k + 1] if k + 1 < len(words) else ""
+        beside = not after.isalpha() or after in (*_QUANTITY_WORDS, *_AXIS_WORDS, *_UNIT_WORDS)
+        if beside or k == 0 or len(words[k - 1]) < _MIN_NOUN_LETTERS:
+            return True
+    return False
+
+
+def _has_set(letters: list[str], *, spaced: bool) -> bool:
+    """Return whether "set" refers to a position: "set_pos_1", "AXIS_SET1", not "data_set_1"."""
+    pairs = list(itertools.pairwise(letters))
+    before = any(
+        one == "set" and two in ("point", "points", *_QUANTITY_WORDS[1:]) for one, two in pairs
+    )
+    last = [word for word in letters if word not in _UNIT_WORDS][-2:]
+    return before or (
+        not spaced and last[-1:] == ["set"] and last[0] in (*_QUANTITY_WORDS, *_AXIS_WORDS)
+    )
+
+
+def _is_quantity_reference(letters: list[str], *, spaced: bool) -> bool:
+    """Return whether only a quantity and "ref" are named: "q_ref_1", not "encoder_ref_1"."""
+    rest = [word for word in letters if word not in (*_REFERENCE_WORDS, *_UNIT_WORDS)]
+    referred = any(word in _REFERENCE_WORDS for word in letters)
+    return referred and not spaced and bool(rest) and all(word in _QUANTITY_WORDS for word in rest)

@@ -1,4 +1,4 @@
-"""A static set: poses with a known force and the displacement of the tool that was measured."""
+"""Static set: poses with a known force and the measured displacement of the tool."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ import numpy as np
 
 from stiffopt.errors import InputFileError
 from stiffopt.files import load_toml, read_document, read_table
-from stiffopt.recording.nominal_files import inside, load_arm, per_joint
-from stiffopt.recording.recorded_arm import RecordedArm
+from stiffopt.recording.nominal_files import per_joint
+from stiffopt.recording.recorded_arm import RecordedArm, load_arm, path_inside_set
 from stiffopt.recording.schema import StaticFile
 
-FILE = "static.toml"
+STATIC_FILE = "static.toml"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -28,11 +28,11 @@ class StaticSet(RecordedArm):
     position : array (m, n)
         [rad]
     force : array (m, 3)
-        On the tool, base frame [N].
+        Force on the tool, base frame [N].
     displacement : array (m, 3)
-        Of the tool, base frame [m].
+        Displacement of the tool, base frame [m].
     difference : bool
-        Each line is the difference of two load states: gravity is out.
+        Each line is the difference of two load states, without gravity.
     stiffness : array (n,) or None
         Nominal joint stiffness [N m/rad].
     """
@@ -46,24 +46,24 @@ class StaticSet(RecordedArm):
 
 
 def is_static(path: str | os.PathLike[str]) -> bool:
-    """Whether a path is that of a static set: its folder, or a file of its name or kind."""
+    """Return whether a path is a static set: its folder, or a file of its name or kind."""
     path = Path(path)
     if path.is_dir():
-        return (path / FILE).is_file()
-    return path.name == FILE or (path.is_file() and load_toml(path).get("kind") == "static")
+        return (path / STATIC_FILE).is_file()
+    return path.name == STATIC_FILE or (path.is_file() and load_toml(path).get("kind") == "static")
 
 
 def load_static_set(path: str | os.PathLike[str], changes: Sequence[str] = ()) -> StaticSet:
-    """Static set of a folder or of its static.toml, entries changed as `--set` says.
+    """Load a static set by its folder or static.toml, with `changes` of entries.
 
     Raises
     ------
     InputFileError, RobotError
-        What is wrong, where, and what is allowed.
+        Fault, place and allowed values.
     """
     path = Path(path)
     if path.is_dir():
-        path = path / FILE
+        path = path / STATIC_FILE
     document = read_document(path, StaticFile, "static", changes)
     n = len(document.joints)
     if len(document.position) != n:
@@ -77,8 +77,8 @@ def load_static_set(path: str | os.PathLike[str], changes: Sequence[str] = ()) -
     )
     columns = (*document.position, *document.force, *document.displacement)
     if len(set(columns)) < len(columns):
-        raise InputFileError(path, "", "one column stands for two things. Correct the names.")
-    poses = inside(path, "poses", document.poses)
+        raise InputFileError(path, "", "one column is named for two quantities. Correct the names.")
+    poses = path_inside_set(path, "poses", document.poses)
     table = read_table(poses, columns)
     force = np.column_stack([table[name] for name in document.force])
     if not force.any(axis=1).all():

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from stiffopt.errors import InputFileError, more
+from stiffopt.errors import InputFileError, format_increase
 from stiffopt.files import load_json
 from stiffopt.folders import check_result
 from stiffopt.report.common.text import DASH, si, words
@@ -124,4 +124,4 @@ def _change(key: str, a: Any, b: Any) -> str:
         # Which one, not how much.
         return ""
     numbers = all(isinstance(v, float | int) and not isinstance(v, bool) for v in (a, b))
-    return more(b, a, 3) if numbers and a else ""
+    return format_increase(b, a, 3) if numbers and a else ""

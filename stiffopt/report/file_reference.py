@@ -9,14 +9,14 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from stiffopt.declaration import range_text
+from stiffopt.dimensions import range_text
 from stiffopt.discovery.extended.schema import ExtendedFile
 from stiffopt.preload.schema import PreloadFile
 from stiffopt.problem.schema import problem_file
 from stiffopt.recording.schema import RecordingsFile, StaticFile
 from stiffopt.result.store import COLUMNS
 from stiffopt.robot.own_catalogue import CatalogueFile
-from stiffopt.robot.schema import robot_file
+from stiffopt.robot.schema import robot_file_schema
 from stiffopt.sweep.schema import SweepFile
 from stiffopt.validation import Section
 
@@ -57,7 +57,7 @@ def file_models() -> dict[str, type[Section]]:
         "trajectory": problem_file(),
         "preload": PreloadFile,
         "sweep": SweepFile,
-        "robot": robot_file(),
+        "robot": robot_file_schema(),
         "catalogue": CatalogueFile,
         "recordings": RecordingsFile,
         "static": StaticFile,

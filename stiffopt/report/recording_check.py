@@ -9,8 +9,12 @@ import numpy as np
 from rich.text import Text
 
 from stiffopt.discovery.identifiable import EffectCheck
-from stiffopt.identification.identifiable import WEAK, Identifiable, identifiable
-from stiffopt.identification.rows import static_rows
+from stiffopt.identification.static_rows import (
+    MIN_LEVERAGE,
+    Identifiable,
+    identifiable,
+    static_rows,
+)
 from stiffopt.recording.check import ChannelCheck, RecordingReport, RunCheck
 from stiffopt.recording.static_set import StaticSet
 from stiffopt.report.common.terminal import print_lines
@@ -175,7 +179,7 @@ def _static_word(joint: dict[str, Any]) -> str:
         return f"no, moves the tool as joint {others} does in these poses"
     if not joint["identifiable"]:
         return "no, no pose loads it"
-    if joint["leverage"] < WEAK:
+    if joint["leverage"] < MIN_LEVERAGE:
         return "hardly, the poses load it little"
     return f"yes, load {joint['leverage']:.2g} of that of the most loaded joint"
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from stiffopt.errors import relative
+from stiffopt.errors import format_relative
 
 if TYPE_CHECKING:
     from stiffopt.result.simulation import SimulatedMotion
@@ -46,9 +46,8 @@ class Violation:
             names = " and ".join(self.pair)
             return f"the clearance of {names} at {self.time:.3f} s: {self.apart()}"
         owner = f" of joint {self.joint}" if self.joint else ""
-        return (
-            f"{self.limit.replace('_', ' ')}{owner} at {self.time:.3f} s by {relative(self.value)}"
-        )
+        excess = format_relative(self.value)
+        return f"{self.limit.replace('_', ' ')}{owner} at {self.time:.3f} s by {excess}"
 
     def apart(self) -> str:
         """How far the two of a collision are apart: "12.3 mm deep", "35.0 mm apart"."""

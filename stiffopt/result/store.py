@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from stiffopt.errors import InputError, InputFileError
-from stiffopt.files import atomic_write, load_json, plain, write_csv
+from stiffopt.files import atomic_write, load_json, to_json_types, write_csv
 from stiffopt.folders import check_result
 from stiffopt.result.assessment import Assessment, LowestStiffness, Violation
 from stiffopt.result.compensation_store import COMMAND_FILE, compensation_document
@@ -97,7 +97,7 @@ def result_document(solution: Solution) -> dict[str, Any]:
         "inputs_hash": solution.inputs_hash,
         "versions": solution.versions,
     }
-    return {key: plain(value) for key, value in document.items()}
+    return {key: to_json_types(value) for key, value in document.items()}
 
 
 def _strict(solution: Solution) -> dict[str, Any] | None:
@@ -310,7 +310,7 @@ def write_simulation(
         # Of a command that exists already.
         led = {**(compensation_document(compensation) or {}), "command": compensation.file}
         content["compensation"] = {**led, "servo": compensation.loop or None}
-    document = plain(content)
+    document = to_json_types(content)
     found = simulation.optimised.simulated
     joints = range(1, found.position.shape[1] + 1)
     names = ["t", *(f"deviation_{axis}" for axis in "xyz")]

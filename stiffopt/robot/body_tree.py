@@ -1,4 +1,4 @@
-"""The bodies and joints of an arm as plain numbers, for formulas that are no pinocchio's."""
+"""Bodies and joints of an arm as plain numbers, and as capsules where no shapes are known."""
 
 from __future__ import annotations
 
@@ -12,9 +12,12 @@ from stiffopt.errors import RobotError
 if TYPE_CHECKING:
     import pinocchio as pin
 
-_REVOLUTE = ("JointModelRX", "JointModelRY", "JointModelRZ", "JointModelRevoluteUnaligned")
-_PRISMATIC = ("JointModelPX", "JointModelPY", "JointModelPZ", "JointModelPrismaticUnaligned")
-_KINDS = {
+
+from stiffopt.robot.frames import LinkFrame
+
+_REVOLUTE_MODELS = ("JointModelRX", "JointModelRY", "JointModelRZ", "JointModelRevoluteUnaligned")
+_PRISMATIC_MODELS = ("JointModelPX", "JointModelPY", "JointModelPZ", "JointModelPrismaticUnaligned")
+_JOINT_KIND_NAMES = {
     "JointModelFreeFlyer": "floating",
     "JointModelPlanar": "planar",
     "JointModelSpherical": "spherical",
@@ -27,26 +30,26 @@ _KINDS = {
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Body:
-    """One moving body and the joint it hangs on.
+    """Moving body and its joint.
 
     Parameters
     ----------
     name : str
-        Of the joint.
+        Name of the joint.
     parent : int
-        Number of the joint it hangs on, from 1; 0 is the base.
+        Number of the parent joint, from 1; 0 is the base.
     prismatic : bool
-        The joint slides along its axis instead of turning about it.
+        The joint is prismatic, else revolute.
     axis : array (3,)
-        Of unit length, in the joint's frame.
+        Unit vector of the joint axis in the joint's frame.
     rotation : array (3, 3)
-        Joint frame at zero position seen from the parent's joint frame.
+        Axes of the joint frame at zero position in the parent's joint frame.
     translation : array (3,)
         Origin of the joint frame in the parent's joint frame, at zero position [m].
     mass : float
-        With everything fixed to the body [kg].
+        Including everything fixed to the body [kg].
     centre : array (3,)
-        Of mass, in the joint's frame [m].
+        Centre of mass in the joint's frame [m].
     inertia : array (3, 3)
         About the centre of mass, in the axes of the joint's frame [kg m^2].
     """
@@ -75,12 +78,12 @@ class Body:
 
 @dataclass(frozen=True, eq=False)
 class BodyTree:
-    """All moving bodies of an arm.
+    """Moving bodies of an arm and gravity.
 
     Parameters
     ----------
     bodies : tuple of Body (n,)
-        Body i - 1 hangs on joint i; a parent comes before its children.
+        Body i - 1 belongs to joint i; parents come before children.
     gravity : array (3,)
         In the base frame [m/s^2].
     """
@@ -95,12 +98,12 @@ class BodyTree:
 
     @property
     def prismatic(self) -> np.ndarray:
-        """Which joints slide, (n,) of bool."""
+        """Return which joints are prismatic, (n,) of bool."""
         return np.array([body.prismatic for body in self.bodies])
 
 
 def body_tree(model: pin.Model) -> BodyTree:
-    """Bodies of a pinocchio model, whose fixed joints are merged already.
+    """Read the bodies of a pinocchio model with merged fixed joints.
 
     Raises
     ------
@@ -109,7 +112,7 @@ def body_tree(model: pin.Model) -> BodyTree:
     """
     bodies = []
     for i in range(1, model.njoints):
-        prismatic, axis = _axis(model, i)
+        prismatic, axis = _joint_axis(model, i)
         placement, inertia = model.jointPlacements[i], model.inertias[i]
         bodies.append(
             Body(
@@ -127,20 +130,84 @@ def body_tree(model: pin.Model) -> BodyTree:
     return BodyTree(tuple(bodies), np.array(model.gravity.linear))
 
 
-def _axis(model: pin.Model, i: int) -> tuple[bool, np.ndarray]:
-    """Whether a joint slides, and its axis."""
+def _joint_axis(model: pin.Model, i: int) -> tuple[bool, np.ndarray]:
+    """Return whether a joint is prismatic, and its axis."""
     joint = model.joints[i]
     kind = joint.shortname()
-    if kind in _REVOLUTE or kind in _PRISMATIC:
+    if kind in _REVOLUTE_MODELS or kind in _PRISMATIC_MODELS:
         linear, angular = np.array(joint.createData().S).reshape(2, 3)
-        return kind in _PRISMATIC, linear if kind in _PRISMATIC else angular
+        return kind in _PRISMATIC_MODELS, linear if kind in _PRISMATIC_MODELS else angular
     if kind.startswith("JointModelR") and "U" in kind:
         name = "unbounded revolute (two coordinates)"
         step = "Read it as a revolute joint without position limits."
     else:
-        name = _KINDS.get(kind, kind.removeprefix("JointModel").lower())
+        name = _JOINT_KIND_NAMES.get(kind, kind.removeprefix("JointModel").lower())
         step = "Fix it, or replace it by revolute and prismatic joints."
     raise RobotError(
         f"joint {model.names[i]!r} is of the kind {name}; allowed are revolute and prismatic "
         f"joints (fixed ones are merged into their links). {step}"
     )
+
+
+# Radius of the first and of the last link over the reach, estimated for typical arms.
+_BASE_RADIUS_SHARE, _TOOL_RADIUS_SHARE = 0.055, 0.028
+
+
+@dataclass(frozen=True)
+class Capsule:
+    """Cylinder with hemispherical ends, fixed to a joint's frame.
+
+    Parameters
+    ----------
+    joint : int
+        From 1; 0 is the base.
+    begin, end : array (3,)
+        In the frame of the joint [m].
+    radius : float [m]
+        Estimated from the arm's reach.
+    """
+
+    joint: int
+    begin: np.ndarray
+    end: np.ndarray
+    radius: float
+
+
+def arm_reach(tree: BodyTree, tool: LinkFrame) -> float:
+    """Length of the chain of links from the base to the tool [m]."""
+    steps = [np.linalg.norm(body.translation) for body in tree.bodies]
+    return float(np.sum(steps) + np.linalg.norm(tool.offset))
+
+
+def mounting_distance(tree: BodyTree) -> float:
+    """Distance of the first joint from the origin where it exceeds every link [m]; else zero.
+
+    It places an arm under a ceiling or on a gantry and is no link of the arm.
+    """
+    first, *others = (float(np.linalg.norm(body.translation)) for body in tree.bodies)
+    return first if others and first > max(others) else 0.0
+
+
+def link_capsules(tree: BodyTree, tool: LinkFrame) -> list[Capsule]:
+    """Capsules from every joint to its child joints and to the tool; none for a mounting."""
+    mounted = mounting_distance(tree) > 0.0
+    radii = joint_radii(tree, tool)
+    rods = [
+        Capsule(
+            body.parent, np.zeros(3), np.array(body.translation), radii[max(body.parent, 1) - 1]
+        )
+        for body in tree.bodies
+        if not (mounted and body.parent == 0)
+    ]
+    end = tool.offset
+    if np.linalg.norm(end) <= 1e-9:
+        # Without a tool point: twice the distance to the centre of mass of the last link.
+        end = 2.0 * tree.bodies[tool.joint - 1].centre
+    rods.append(Capsule(tool.joint, np.zeros(3), np.array(end), 0.7 * radii[-1]))
+    return [rod for rod in rods if np.linalg.norm(rod.end) > 1e-9]
+
+
+def joint_radii(tree: BodyTree, tool: LinkFrame) -> list[float]:
+    """Estimated radius of the link of each joint (n,) [m], decreasing towards the tool."""
+    own = arm_reach(tree, tool) - mounting_distance(tree)
+    return [float(r) for r in own * np.linspace(_BASE_RADIUS_SHARE, _TOOL_RADIUS_SHARE, tree.n)]

@@ -1,4 +1,4 @@
-"""What stands around an arm: floor, boxes, planes and meshes, and how near the arm may come."""
+"""Robot cell: floor, boxes, planes and meshes around an arm, and the clearance to keep."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from stiffopt.declaration import (
 )
 from stiffopt.errors import InputError
 
-_Place = tuple[Length, Length, Length]
-_Turn = tuple[Angle, Angle, Angle]
-_FLOOR = "floor"
+_Point = tuple[Length, Length, Length]
+_RollPitchYaw = tuple[Angle, Angle, Angle]
+_FLOOR_NAME = "floor"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,8 +35,8 @@ class Box:
         ],
         Doc("Edges along its axes."),
     ]
-    position: Annotated[_Place, Doc("Centre, base frame.")]
-    rpy: Annotated[_Turn, Doc("Fixed-axis roll, pitch, yaw of its axes.")] = (0.0, 0.0, 0.0)
+    position: Annotated[_Point, Doc("Centre, base frame.")]
+    rpy: Annotated[_RollPitchYaw, Doc("Fixed-axis roll, pitch, yaw of its axes.")] = (0.0, 0.0, 0.0)
 
     def __post_init__(self) -> None:
         check_fields(self, f"box {self.name!r}")
@@ -44,10 +44,10 @@ class Box:
 
 @dataclass(frozen=True, kw_only=True)
 class Plane:
-    """A wall or ceiling of the cell; all behind it is solid."""
+    """A wall or ceiling of the cell; the half-space behind it is solid."""
 
     name: Annotated[str, Doc("Name in results.")]
-    point: Annotated[_Place, Doc("Any of its points, base frame.")]
+    point: Annotated[_Point, Doc("Any of its points, base frame.")]
     normal: Annotated[tuple[Ratio, Ratio, Ratio], Doc("Direction towards the arm, base axes.")]
 
     def __post_init__(self) -> None:
@@ -62,8 +62,8 @@ class MeshObstacle:
 
     name: Annotated[str, Doc("Name in results.")]
     file: Annotated[str, Doc("Path of the mesh, relative to the problem file.")]
-    position: Annotated[_Place, Doc("Origin, base frame.")] = (0.0, 0.0, 0.0)
-    rpy: Annotated[_Turn, Doc("Fixed-axis roll, pitch, yaw of its axes.")] = (0.0, 0.0, 0.0)
+    position: Annotated[_Point, Doc("Origin, base frame.")] = (0.0, 0.0, 0.0)
+    rpy: Annotated[_RollPitchYaw, Doc("Fixed-axis roll, pitch, yaw of its axes.")] = (0.0, 0.0, 0.0)
     scale: Annotated[Ratio, POSITIVE, Doc("Metres for a unit of the mesh: 0.001 for mm.")] = 1.0
 
     def __post_init__(self) -> None:
@@ -72,7 +72,7 @@ class MeshObstacle:
 
 @dataclass(frozen=True, kw_only=True)
 class Cell:
-    """What the arm must not touch, itself included."""
+    """Obstacles of the arm and its clearance, self-collision included."""
 
     floor: Annotated[
         Length | None, Doc("Height of the floor, base frame; the link at the base may touch it.")
@@ -81,14 +81,14 @@ class Cell:
         Length, NOT_NEGATIVE, Doc("Least distance to everything, and between the arm's links.")
     ] = 0.0
     self_collision: Annotated[
-        bool, Doc("Whether links are checked against each other; neighbours never are.")
+        bool, Doc("True: links are checked against each other, except neighbours.")
     ] = True
     link_radius: Annotated[
         Length | None,
         POSITIVE,
         Doc(
             "Radius of links that the URDF gives no shape, as rods from joint to joint; default "
-            "guessed from the reach, and then not used between links."
+            "estimated from the reach, and then not used between links."
         ),
     ] = None
     box: Annotated[tuple[Box, ...], Doc("Boxes.")] = ()
@@ -100,17 +100,17 @@ class Cell:
         names = self.names
         for name in names:
             if names.count(name) > 1:
-                raise InputError(f"two things of the cell are named {name!r}. Rename one.")
+                raise InputError(f"two obstacles of the cell are named {name!r}. Rename one.")
 
     @property
     def names(self) -> list[str]:
-        """All that stands around the arm."""
-        own = [_FLOOR] if self.floor is not None else []
+        """Names of all obstacles."""
+        own = [_FLOOR_NAME] if self.floor is not None else []
         things: tuple[Box | Plane | MeshObstacle, ...] = (*self.box, *self.plane, *self.mesh)
         return [*own, *(each.name for each in things)]
 
     def found_in(self, folder: Path) -> Cell:
-        """The cell with the files of its meshes as absolute paths."""
+        """Cell with absolute paths of its mesh files."""
         return replace(
             self,
             mesh=tuple(

@@ -1,4 +1,4 @@
-"""Distances between an arm's links, and between links and what stands around them, by coal."""
+"""Distances between links of an arm and between links and obstacles, by coal."""
 
 from __future__ import annotations
 
@@ -11,23 +11,22 @@ import numpy as np
 import pinocchio as pin
 
 from stiffopt.errors import InputFileError
+from stiffopt.robot.body_tree import arm_reach, link_capsules
 from stiffopt.robot.cell import Cell
-from stiffopt.robot.frames import first_link_of
+from stiffopt.robot.frames import first_link_of, rotation_from_rpy
 from stiffopt.robot.link_shapes import LinkShape, Purpose, load_mesh
-from stiffopt.robot.mesh_loading import convex_hull, load_mesh_file
-from stiffopt.robot.rotations import rotation_from_rpy
-from stiffopt.robot.skeleton import capsules, reach
+from stiffopt.robot.meshes import convex_hull, load_mesh_file
 
 if TYPE_CHECKING:
     from stiffopt.robot.robot import Robot
 
-# Links that overlap in all of so many poses touch by design: a wrist's housings, say.
-_POSES = 60
+# Links that overlap in all of so many random poses overlap by design, such as wrist housings.
+_SAMPLED_POSES = 60
 
 
 @dataclass(frozen=True)
 class Solid:
-    """Something with a form, fixed to a joint's frame; joint 0 is the base with the cell.
+    """Solid fixed to a joint's frame; joint 0 is the base with the cell.
 
     Parameters
     ----------
@@ -38,7 +37,7 @@ class Solid:
     geometry : coal.CollisionGeometry
     of_cell : bool
     guessed : bool
-        Whether it is a rod of a guessed radius.
+        The solid is a capsule of estimated radius.
     """
 
     name: str
@@ -50,39 +49,39 @@ class Solid:
 
 
 class ClearanceModel:
-    """Distances of all pairs that can collide.
+    """Distances of all pairs of solids that can collide.
 
     Parameters
     ----------
     robot : Robot
-        Its URDF's collision shapes, else its visual ones, else rods from joint to joint. Meshes
-        of links are taken as their convex hulls.
+        Collision shapes of its URDF, else visual ones, else capsules from joint to joint. Meshes
+        of links are replaced by their convex hulls.
     cell : Cell
-        Its meshes are taken as they are.
+        Its meshes are used as they are.
 
     Attributes
     ----------
     pairs : list of (name, name)
-        Links and things of the cell.
+        Names of links and obstacles.
     guessed : tuple of str
-        Links that are rods of a guessed radius.
+        Links that are capsules of estimated radius.
     missing : tuple of str
-        Meshes of the URDF that were not found or are none.
+        Meshes of the URDF that were not found or cannot be read.
     solids : list of Solid
         Links first.
     couples : list of (int, int)
-        Numbers of the solids whose distances are taken; a thing of the cell comes second.
+        Indices of solids whose distance is computed; obstacles come second.
     pair_of : array (len(couples),)
-        Which pair each belongs to.
+        Index of the pair of each couple.
     arm : float
-        Length of the arm with its links' shapes, slides not extended [m].
+        Length of the arm including the shapes of its links, prismatic joints at zero [m].
     """
 
     def __init__(self, robot: Robot, cell: Cell) -> None:
         self._model = robot.model.copy()
         missing: list[str] = []
-        links = list(_links(robot, cell, missing))
-        self.solids = solids = [*links, *_obstacles(cell)]
+        links = list(_link_solids(robot, cell, missing))
+        self.solids = solids = [*links, *_cell_solids(cell)]
         self.missing = tuple(dict.fromkeys(missing))
         self.guessed = tuple(dict.fromkeys(each.name for each in links if each.guessed))
         self._geometry = pin.GeometryModel()
@@ -92,13 +91,13 @@ class ClearanceModel:
                     f"{number} {solid.name}", solid.joint, solid.placement, solid.geometry
                 )
             )
-        chosen = list(_pairs(robot, cell, solids))
+        chosen = list(_collision_pairs(robot, cell, solids))
         for a, b in chosen:
             self._geometry.addCollisionPair(pin.CollisionPair(a, b))
         self._make_data()
         named = [(solids[a].name, solids[b].name) for a, b in chosen]
         own = [not solids[b].of_cell for _, b in chosen]
-        designed = self._touching_by_design(robot, np.array(own, dtype=bool), named)
+        designed = self._always_overlapping(robot, np.array(own, dtype=bool), named)
         for a, b in [pair for pair, name in zip(chosen, named, strict=True) if name in designed]:
             self._geometry.removeCollisionPair(pin.CollisionPair(a, b))
         self.couples = [
@@ -109,23 +108,23 @@ class ClearanceModel:
         self.pairs = list(dict.fromkeys(named))
         index = {pair: k for k, pair in enumerate(self.pairs)}
         self.pair_of = np.array([index[name] for name in named], dtype=int)
-        self.arm = reach(robot.tree, robot.tool) + max(map(_extent, links), default=0.0)
+        self.arm = arm_reach(robot.tree, robot.tool) + max(map(_link_extent, links), default=0.0)
         self._prismatic = robot.prismatic
 
     def _make_data(self) -> None:
         self._data = self._model.createData()
         self._geometry_data = pin.GeometryData(self._geometry)
 
-    def _touching_by_design(
+    def _always_overlapping(
         self, robot: Robot, own: np.ndarray, named: list[tuple[str, str]]
     ) -> set[tuple[str, str]]:
-        """Pairs of links that overlap in every pose that was tried."""
+        """Pairs of links that overlap in every sampled pose."""
         if not own.any():
             return set()
         low, high = robot.position_lower, robot.position_upper
         low = np.where(np.isfinite(low), low, -np.pi)
         high = np.where(np.isfinite(high), high, np.pi)
-        poses = np.random.default_rng(1).uniform(low, high, (_POSES, robot.n))
+        poses = np.random.default_rng(1).uniform(low, high, (_SAMPLED_POSES, robot.n))
         nearest: dict[tuple[str, str], np.ndarray] = {}
         every = np.array([self.couple_distances(q) for q in poses])
         for k in np.flatnonzero(own):
@@ -150,17 +149,17 @@ class ClearanceModel:
         return np.array([f.rotation for f in frames]), np.array([f.translation for f in frames])
 
     def fastest(self, speed: np.ndarray, position: np.ndarray) -> np.ndarray:
-        """Bound (K,) on how fast any distance changes [m/s], of joint speeds and positions (K, n).
+        """Bound (K,) on the rate of any distance [m/s] for joint speeds and positions (K, n).
 
-        No point of the arm is farther from an axis than the arm is long, slides included.
+        No point is farther from an axis than the length of the arm with its prismatic joints.
         """
         slides = np.abs(position[:, self._prismatic]).sum(axis=1)
         arms = np.where(self._prismatic, 1.0, (self.arm + slides)[:, None])
         return np.asarray(np.sum(np.abs(speed) * arms, axis=1))
 
 
-def _links(robot: Robot, cell: Cell, missing: list[str]) -> Iterator[Solid]:
-    """Shapes of links: collision, else visual, else rods; adds to `missing` what has no form."""
+def _link_solids(robot: Robot, cell: Cell, missing: list[str]) -> Iterator[Solid]:
+    """Solids of links: collision shapes, else visual ones, else capsules; extends `missing`."""
     shown: set[int] = set()
     purposes: tuple[Purpose, ...] = ("collision", "visual")
     for purpose in purposes:
@@ -173,7 +172,7 @@ def _links(robot: Robot, cell: Cell, missing: list[str]) -> Iterator[Solid]:
             shown.add(each.joint)
             at = pin.SE3(each.rotation, each.offset)
             yield Solid(each.shape.link, each.joint, at, form)
-    for rod in capsules(robot.tree, robot.tool):
+    for rod in link_capsules(robot.tree, robot.tool):
         if rod.joint in shown or rod.joint == 0:
             continue
         radius = rod.radius if cell.link_radius is None else cell.link_radius
@@ -189,8 +188,8 @@ def _links(robot: Robot, cell: Cell, missing: list[str]) -> Iterator[Solid]:
         )
 
 
-def _extent(solid: Solid) -> float:
-    """How far a link goes beyond the origin of its joint [m]."""
+def _link_extent(solid: Solid) -> float:
+    """Largest distance of a point of a link from the origin of its joint [m]."""
     form = solid.geometry
     form.computeLocalAABB()
     return float(
@@ -201,7 +200,7 @@ def _extent(solid: Solid) -> float:
 
 
 def coal_form(shape: LinkShape) -> Any:
-    """Shape of a link as coal has it; None for a mesh that is not there or cannot be read."""
+    """Convert a shape to coal; None for a mesh that is missing or cannot be read."""
     if shape.kind == "box":
         return coal.Box(*shape.size)
     if shape.kind == "sphere":
@@ -216,8 +215,8 @@ def coal_form(shape: LinkShape) -> Any:
         return None
 
 
-def _obstacles(cell: Cell) -> Iterator[Solid]:
-    """What stands around the arm, all fixed to the base."""
+def _cell_solids(cell: Cell) -> Iterator[Solid]:
+    """Obstacles of the cell, fixed to the base."""
     up = np.array([0.0, 0.0, 1.0])
     if cell.floor is not None:
         yield Solid("floor", 0, pin.SE3.Identity(), coal.Halfspace(up, cell.floor), of_cell=True)
@@ -234,8 +233,8 @@ def _obstacles(cell: Cell) -> Iterator[Solid]:
         yield Solid(mesh.name, 0, at, solid, of_cell=True)
 
 
-def _pairs(robot: Robot, cell: Cell, solids: list[Solid]) -> Iterator[tuple[int, int]]:
-    """Numbers of solids that can collide: links with the cell, links that are no neighbours."""
+def _collision_pairs(robot: Robot, cell: Cell, solids: list[Solid]) -> Iterator[tuple[int, int]]:
+    """Indices of solids that can collide: links with obstacles, links that are no neighbours."""
     parents = {j + 1: body.parent for j, body in enumerate(robot.tree.bodies)}
     for a, one in enumerate(solids):
         for b, other in enumerate(solids):

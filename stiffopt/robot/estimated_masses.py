@@ -1,4 +1,4 @@
-"""Masses of links that a URDF leaves out, guessed from their shapes: something to begin with."""
+"""Masses of links without inertials in a URDF, estimated from their shapes."""
 
 from __future__ import annotations
 
@@ -12,69 +12,69 @@ import numpy as np
 import pinocchio as pin
 
 from stiffopt.errors import RobotError
-from stiffopt.robot.body_tree import body_tree
+from stiffopt.robot.body_tree import body_tree, joint_radii, link_capsules
 from stiffopt.robot.clearance import coal_form
 from stiffopt.robot.frames import LinkFrame, first_link_of
 from stiffopt.robot.link_shapes import LinkShape, read_link_shapes
-from stiffopt.robot.skeleton import capsules, joint_radii
 from stiffopt.robot.urdf import LinkBody, LoadedUrdf
 
-# Of the convex hulls of links [kg/m^3]. The LBR iiwa, all aluminium, has 750 by its published
-# masses; cast arms with their motors have more.
+# Density of the convex hulls of links [kg/m^3]. By published masses the LBR iiwa, of aluminium, has
+# 750; cast arms with their motors have more.
 DENSITY = 1000.0
-# Of a link without any shape: a rod to the next joint and the housing of its own, of so many radii.
-# So the mean (of logarithms) over 19 arms with masses of their makers (URDFs of KUKA, ABB, UR,
-# Franka, Kinova, Rethink, Yaskawa, Staubli) is right; one of three arms is off by more than a
-# factor of 1.55, of those whose torque limits tell something by more than 1.45.
+# Density of a link without shape [kg/m^3]: a rod to the next joint and a housing of so many radii.
+# Fitted to the mean logarithm of 19 arms with published masses (URDFs of KUKA, ABB, UR, Franka,
+# Kinova, Rethink, Yaskawa, Staubli); one of three arms deviates by more than a factor of 1.55, or
+# 1.45 after the fit to torque limits.
 ROD_DENSITY = 850.0
-_HOUSING = 2.7
-# What arms can bear over what the weight takes, at the joint that carries most of it.
-_USUAL_STRENGTH = 2.0
-# Less than this, and an arm could hardly move.
-_LEAST_STRENGTH = 1.2
-_MOST_SCALE = 2.0
-# A larger hull [m^3] is in millimetres, or no link.
-_LARGEST = 8.0
+_HOUSING_RADII = 2.7
+# Usual torque limit over gravity torque, at the joint of the largest gravity torque.
+_USUAL_TORQUE_RATIO = 2.0
+# Below this an arm could hardly move.
+_MIN_TORQUE_RATIO = 1.2
+# Largest change of a rod's mass by the torque limits.
+_MAX_MASS_FACTOR = 2.0
+# Larger hulls are in millimetres or no links [m^3].
+_MAX_LINK_VOLUME = 8.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class EstimatedBody(LinkBody):
-    """A guessed body.
+    """Estimated body of a link.
 
     Parameters
     ----------
     shaped : bool
-        Whether the URDF has a shape of the link; else it is a rod to the next joint.
+        The URDF has a shape of the link; else it is a rod to the next joint.
     scale : float
-        What the torque limits made of its mass.
+        Factor on its mass by the torque limits.
     """
 
     shaped: bool = True
     scale: float = 1.0
 
 
-def estimated_bodies(arm: LoadedUrdf, urdf: Path, tool: LinkFrame) -> dict[str, EstimatedBody]:
-    """Bodies of links, where all that hangs on a joint has no mass.
+def estimate_bodies(arm: LoadedUrdf, urdf: Path, tool: LinkFrame) -> dict[str, EstimatedBody]:
+    """Estimate bodies of links where all links of a joint have no mass.
 
     Parameters
     ----------
     arm : LoadedUrdf
     urdf : Path
-        Of the arm, for its shapes.
+        File with the shapes of the arm.
     tool : LinkFrame
-        At the end of the arm; where a link has no shape, it is taken as a rod to the next joint.
+        At the end of the arm, where a last link without shape ends.
 
     Raises
     ------
     RobotError
-        A link without any shape of an arm without length.
+        A link without shape of an arm without length.
     """
     model, tree = arm.model, body_tree(arm.model)
     without = [j for j, body in enumerate(tree.bodies, start=1) if not body.mass > 0.0]
     if not without:
         return {}
     shapes = read_link_shapes(urdf)
-    rods = {rod.joint: rod for rod in capsules(tree, tool)}
+    rods = {rod.joint: rod for rod in link_capsules(tree, tool)}
     radii = joint_radii(tree, tool)
     found: dict[str, EstimatedBody] = {}
     for joint in without:
@@ -83,71 +83,76 @@ def estimated_bodies(arm: LoadedUrdf, urdf: Path, tool: LinkFrame) -> dict[str, 
             for frame in model.frames
             if frame.type == pin.FrameType.BODY and frame.parentJoint == joint
         ]
-        own = {name: body for name in links if (body := _of_shapes(name, shapes)) is not None}
+        own = {name: body for name in links if (body := _body_of_shapes(name, shapes)) is not None}
         if not own:
             link = first_link_of(model, joint)
             if not radii[joint - 1] > 0.0:
                 raise RobotError(
-                    f"{urdf}: the mass of link {link!r} cannot be guessed: it has no <inertial> and"
-                    " no shape, and an arm whose joints all lie at one point has no length. Give"
-                    " the link an <inertial>, or a shape, or write [[link]] with its mass, com and"
-                    " inertia into a robot file of your own."
+                    f"{urdf}: the mass of link {link!r} cannot be estimated: it has no <inertial>"
+                    " and no shape, and an arm whose joints all lie at one point has no length."
+                    " Give the link an <inertial>, or a shape, or write [[link]] with its mass,"
+                    " com and inertia into a robot file of your own."
                 )
             rod = rods.get(joint)
             begin, end = (np.zeros(3), np.zeros(3)) if rod is None else (rod.begin, rod.end)
-            own = {link: _of_rod(begin, end, radii[joint - 1])}
+            own = {link: _body_of_rod(begin, end, radii[joint - 1])}
         found |= own
     return found
 
 
-def fitted_to_torques(
+def fit_to_torque_limits(
     bodies: Mapping[str, EstimatedBody], weight: np.ndarray, torques: np.ndarray
 ) -> dict[str, EstimatedBody]:
-    """Guessed bodies made heavier or lighter by what the drives would usually hold.
+    """Scale estimated bodies to the gravity torque that the drives usually hold.
 
-    Rods go half way there (by logarithms). Shapes are trusted more: they are changed, then all the
-    way, only where the drives could not hold them, since shapes may be envelopes of safety.
+    Rods are scaled half way (by logarithms). Shapes are more reliable: they are scaled, and then
+    fully, only where the drives could not hold them, since shapes may be safety envelopes.
 
     Parameters
     ----------
     bodies : mapping of link to its body
     weight : array (n,)
-        Torque of each joint by the weight of these bodies, at most [N m].
+        Largest gravity torque of each joint by these bodies [N m].
     torques : array (n,)
-        Torque limits, nan where there is none that can be believed [N m].
+        Torque limits, NaN where there is no plausible one [N m].
     """
     carrier = int(np.argmax(weight))
     if not (weight[carrier] > 0.0 and np.isfinite(torques[carrier])):
         return dict(bodies)
     strength = float(torques[carrier] / weight[carrier])
-    usual = strength / _USUAL_STRENGTH
-    rods = float(np.clip(np.sqrt(usual), 1.0 / _MOST_SCALE, _MOST_SCALE))
+    usual = strength / _USUAL_TORQUE_RATIO
+    rods = float(np.clip(np.sqrt(usual), 1.0 / _MAX_MASS_FACTOR, _MAX_MASS_FACTOR))
     shapes = 1.0
-    if strength < _LEAST_STRENGTH:
-        shapes, rods = usual, min(rods, strength / _LEAST_STRENGTH)
-    return {name: _scaled(body, shapes if body.shaped else rods) for name, body in bodies.items()}
+    if strength < _MIN_TORQUE_RATIO:
+        shapes, rods = usual, min(rods, strength / _MIN_TORQUE_RATIO)
+    return {
+        name: _scale_body(body, shapes if body.shaped else rods) for name, body in bodies.items()
+    }
 
 
-def _scaled(body: EstimatedBody, scale: float) -> EstimatedBody:
+def _scale_body(body: EstimatedBody, scale: float) -> EstimatedBody:
     if scale == 1.0:
         return body
     return replace(body, mass=scale * body.mass, inertia=scale * body.inertia, scale=scale)
 
 
-def _of_shapes(link: str, shapes: tuple[LinkShape, ...]) -> EstimatedBody | None:
+def _body_of_shapes(link: str, shapes: tuple[LinkShape, ...]) -> EstimatedBody | None:
     """Body of a link by its collision shapes, else its visual ones; None without any."""
     for purpose in ("collision", "visual"):
         parts = [
-            part for s in shapes if s.link == link and s.purpose == purpose for part in _parts(s)
+            part
+            for s in shapes
+            if s.link == link and s.purpose == purpose
+            for part in _shape_masses(s)
         ]
         if parts:
-            return _together(parts)
+            return _combine_masses(parts)
     return None
 
 
-def _parts(shape: LinkShape) -> Iterator[tuple[float, np.ndarray, np.ndarray]]:
+def _shape_masses(shape: LinkShape) -> Iterator[tuple[float, np.ndarray, np.ndarray]]:
     form: Any = coal_form(shape)
-    if form is not None and 0.0 < form.computeVolume() < _LARGEST:
+    if form is not None and 0.0 < form.computeVolume() < _MAX_LINK_VOLUME:
         yield _mass_in_link(form, DENSITY, shape.rotation, shape.offset)
 
 
@@ -161,20 +166,22 @@ def _mass_in_link(
     return mass, centre, rotation @ inertia @ rotation.T
 
 
-def _of_rod(begin: np.ndarray, end: np.ndarray, radius: float) -> EstimatedBody:
-    """Body of a rod with round ends and a housing at its begin; of that alone without length."""
+def _body_of_rod(begin: np.ndarray, end: np.ndarray, radius: float) -> EstimatedBody:
+    """Body of a capsule and a housing at its start; of the housing alone without length."""
     length = float(np.linalg.norm(end - begin))
     up = np.array([0.0, 0.0, 1.0])
-    housing = _mass_in_link(coal.Cylinder(radius, _HOUSING * radius), ROD_DENSITY, np.eye(3), begin)
+    housing = _mass_in_link(
+        coal.Cylinder(radius, _HOUSING_RADII * radius), ROD_DENSITY, np.eye(3), begin
+    )
     if length == 0.0:
-        return _together([housing], shaped=False)
+        return _combine_masses([housing], shaped=False)
     turn = pin.Quaternion.FromTwoVectors(up, (end - begin) / length).matrix()
     middle = 0.5 * (begin + end)
     rod = _mass_in_link(coal.Capsule(radius, length), ROD_DENSITY, turn, middle)
-    return _together([housing, rod], shaped=False)
+    return _combine_masses([housing, rod], shaped=False)
 
 
-def _together(
+def _combine_masses(
     parts: list[tuple[float, np.ndarray, np.ndarray]], *, shaped: bool = True
 ) -> EstimatedBody:
     mass = sum(part[0] for part in parts)

@@ -1,4 +1,4 @@
-"""Robots from files: a shipped name, a robot TOML, or a URDF with or without one."""
+"""Loading of robots: shipped ones by name, robot TOML files, URDFs."""
 
 from __future__ import annotations
 
@@ -15,14 +15,13 @@ from stiffopt.declaration import bounds, unit
 from stiffopt.drivetrain import catalogue
 from stiffopt.drivetrain.tables import OwnEntries
 from stiffopt.errors import InputError, InputFileError, nearest
-from stiffopt.files import check_header, load_toml, with_changes
+from stiffopt.files import apply_changes, check_header, load_toml
 from stiffopt.robot.body_tree import body_tree
-from stiffopt.robot.element_sections import Cited
-from stiffopt.robot.elements import ElementBuilder, located
+from stiffopt.robot.elements import Cited, ElementBuilder, locate_errors
 from stiffopt.robot.frames import LinkFrame, link_frame, link_names
 from stiffopt.robot.link_shapes import read_link_shapes
 from stiffopt.robot.robot import Robot, Source
-from stiffopt.robot.schema import JointSection, PlaceSection, RobotFile, robot_file
+from stiffopt.robot.schema import JointSection, PlaceSection, RobotFile, robot_file_schema
 from stiffopt.robot.urdf import UNLIMITED, LinkBody, load_urdf
 from stiffopt.units import fit_joint
 from stiffopt.validation import validate
@@ -30,12 +29,12 @@ from stiffopt.validation import validate
 if TYPE_CHECKING:
     import pinocchio as pin
 
-# Links that descriptions use for the mechanical interface of the last joint, first match wins.
-_FLANGES = ("flange", "tool0", "ee_link")
+# Usual names of the link at the mechanical interface; the first match is used.
+_FLANGE_LINKS = ("flange", "tool0", "ee_link")
 
 
 def shipped_robots() -> list[str]:
-    """Names of the robots that come with the package."""
+    """Names of the robots of the package."""
     folder = resources.files("stiffopt.robot").joinpath("data")
     return sorted(p.name for p in folder.iterdir() if p.joinpath("robot.toml").is_file())
 
@@ -47,7 +46,7 @@ def load_robot(
     keep: Collection[str] = (),
     changes: Sequence[str] = (),
 ) -> Robot:
-    """Robot by name or from files.
+    """Load a robot by name or from files.
 
     Parameters
     ----------
@@ -55,22 +54,22 @@ def load_robot(
         A shipped robot ("er3a_c60"), a robot TOML, or a URDF.
     drivetrain : path, optional
         Robot TOML for a URDF given as `source`; its own `urdf` key is then not needed. Without
-        it, the joints of a URDF are rigid and its limits are the only ones.
+        it, the joints of a URDF are rigid and only its limits apply.
     keep : collection of str
-        Joints that move also where they do not lead to the tool.
+        Joints that are not fixed although they do not lead to the tool.
     changes : sequence of str
         Entries of the TOML to be changed, such as "joint[1].damping=3".
 
     Returns
     -------
     Robot
-        Limits that the TOML leaves out come from the URDF (effort, velocity, position), friction
-        likewise; acceleration and jerk are then without limit.
+        Limits (effort, velocity, position) and friction that the TOML omits are those of the URDF;
+        omitted limits of acceleration and jerk are infinite.
 
     Raises
     ------
     InputFileError, RobotError
-        What is wrong, where, and what is allowed.
+        Fault, place and allowed values.
     """
     if isinstance(source, str) and source in shipped_robots():
         source = str(resources.files("stiffopt.robot").joinpath("data", source, "robot.toml"))
@@ -85,48 +84,48 @@ def load_robot(
         if changes:
             raise InputFileError(path, "--set", "a URDF has no entries to change: give a TOML.")
         document = RobotFile(schema=1, kind="robot", name=path.stem)
-        return _assemble(document, path, path, keep)
+        return _assemble_robot(document, path, path, keep)
     own = Path(drivetrain) if bare and drivetrain is not None else path
-    data = with_changes(load_toml(own), changes, own)
-    entries = _own_entries(data, own)
+    data = apply_changes(load_toml(own), changes, own)
+    entries = _read_own_entries(data, own)
     with catalogue.with_own(entries):
-        document = _document(data, own)
+        document = _validate_document(data, own)
         if not bare and document.urdf is None:
             raise InputFileError(own, "urdf", "this key is required and missing: path of the URDF.")
         urdf = path if bare else own.parent / str(document.urdf)
-        return replace(_assemble(document, own, urdf, keep), own=entries)
+        return replace(_assemble_robot(document, own, urdf, keep), own=entries)
 
 
-def _own_entries(data: Mapping[str, Any], path: Path) -> OwnEntries:
-    """The user's own catalogue, where the file has one: names are checked with the rest."""
+def _read_own_entries(data: Mapping[str, Any], path: Path) -> OwnEntries:
+    """Read the user's catalogue named by a robot file; empty without one."""
     named = data.get("catalogue")
     if not isinstance(named, str):
         return {}
-    # Its sections need a while to load, and few have one.
+    # Imported here, since its sections load slowly and few robots have a catalogue.
     from stiffopt.robot.own_catalogue import read_own_catalogue
 
     return read_own_catalogue(path.parent / named)
 
 
-def own_entries_of(source: object, folder: Path) -> OwnEntries:
-    """Own catalogue of a robot that another file names, for names in that file.
+def load_own_entries(source: object, folder: Path) -> OwnEntries:
+    """Load the user's catalogue of a robot that another file names.
 
-    Nothing where the robot is a shipped one or cannot be read, which its own reader says.
+    Empty for a shipped robot, or one that cannot be read, which `load_robot` reports.
     """
     if not isinstance(source, str) or source in shipped_robots():
         return {}
     path = folder / source
     if path.suffix.lower() != ".toml" or not path.is_file():
         return {}
-    return _own_entries(load_toml(path), path)
+    return _read_own_entries(load_toml(path), path)
 
 
-def _document(data: Mapping[str, Any], path: Path) -> RobotFile:
+def _validate_document(data: Mapping[str, Any], path: Path) -> RobotFile:
     check_header(data, path, "robot")
-    return validate(robot_file(), data, path)
+    return validate(robot_file_schema(), data, path)
 
 
-def _assemble(document: RobotFile, path: Path, urdf: Path, keep: Collection[str]) -> Robot:
+def _assemble_robot(document: RobotFile, path: Path, urdf: Path, keep: Collection[str]) -> Robot:
     loaded = load_urdf(
         urdf,
         lock=document.lock,
@@ -137,28 +136,28 @@ def _assemble(document: RobotFile, path: Path, urdf: Path, keep: Collection[str]
             for section in document.joint
             if section.position_lower is not None and section.position_upper is not None
         },
-        bodies=_bodies(document, path),
+        bodies=_stated_bodies(document, path),
     )
     model, moving = loaded.model, loaded.joints
     names = tuple(model.names)[1:]
     prismatic = body_tree(model).prismatic
-    sections = _sections(document, names, path)
+    sections = _joint_sections(document, names, path)
     limits = [
         _joint_numbers(section, bool(prismatic[j]), moving[names[j]], path)
         for j, section in enumerate(sections)
     ]
     columns: dict[str, Any] = {key: np.array([row[key] for row in limits]) for key in limits[0]}
-    lower, upper = _positions(model, sections, prismatic, path)
+    lower, upper = _position_limits(model, sections, prismatic, path)
     builder = ElementBuilder(path, document.assembly, document.surface)
     chains = tuple(
         builder.chain(section, float(columns["torque_max"][j]), bool(prismatic[j]))
         for j, section in enumerate(sections)
     )
-    with located(path, "tool"):
-        place = document.tool or PlaceSection(link=last_link(model))
+    with locate_errors(path, "tool"):
+        place = document.tool or PlaceSection(link=default_tool_link(model))
         tool = link_frame(model, place.link, place.offset, place.rpy)
-    with located(path, "flange"):
-        flange = _flange(model, document.flange, place.link)
+    with locate_errors(path, "flange"):
+        flange = _flange_frame(model, document.flange, place.link)
     model.name = document.name
     return Robot(
         name=document.name,
@@ -169,7 +168,7 @@ def _assemble(document: RobotFile, path: Path, urdf: Path, keep: Collection[str]
         chains=chains,
         tool=tool,
         flange=flange,
-        sources=tuple(_sources(document)),
+        sources=tuple(_list_sources(document)),
         shapes=read_link_shapes(urdf),
         urdf=urdf,
         held=loaded.held,
@@ -177,8 +176,8 @@ def _assemble(document: RobotFile, path: Path, urdf: Path, keep: Collection[str]
     )
 
 
-def _bodies(document: RobotFile, path: Path) -> dict[str, LinkBody]:
-    """Masses of links that the file states."""
+def _stated_bodies(document: RobotFile, path: Path) -> dict[str, LinkBody]:
+    """Bodies of links that the file gives."""
     found: dict[str, LinkBody] = {}
     for section in document.link:
         if section.name in found:
@@ -197,8 +196,8 @@ def _bodies(document: RobotFile, path: Path) -> dict[str, LinkBody]:
     return found
 
 
-def _sections(document: RobotFile, names: tuple[str, ...], path: Path) -> list[JointSection]:
-    """One section a moving joint, in the model's order; an empty one where the file is silent."""
+def _joint_sections(document: RobotFile, names: tuple[str, ...], path: Path) -> list[JointSection]:
+    """One section per moving joint in the model's order; an empty one where the file has none."""
     given: dict[str, JointSection] = {}
     for section in document.joint:
         where = f"joint[{section.name}]"
@@ -214,8 +213,8 @@ def _sections(document: RobotFile, names: tuple[str, ...], path: Path) -> list[J
     return [given.get(name, JointSection(name=name)) for name in names]
 
 
-# Key, where the URDF says it, value where nothing does; None: something has to.
-_NUMBERS: tuple[tuple[str, str, float | None], ...] = (
+# Key, attribute of the URDF, default value; None: required.
+_JOINT_NUMBERS: tuple[tuple[str, str, float | None], ...] = (
     ("torque_max", "effort", None),
     ("velocity_max", "velocity", None),
     ("acceleration_max", "", np.inf),
@@ -232,8 +231,8 @@ def _joint_numbers(
     section: JointSection, prismatic: bool, urdf: dict[str, float], path: Path
 ) -> dict[str, float]:
     values = {}
-    for key, fallback, default in _NUMBERS:
-        with located(path, f"joint[{section.name}].{key}"):
+    for key, fallback, default in _JOINT_NUMBERS:
+        with locate_errors(path, f"joint[{section.name}].{key}"):
             given = getattr(section, key)
             if given is not None:
                 values[key] = fit_joint(given, prismatic, unit(JointSection, key).dimension, key)
@@ -247,7 +246,7 @@ def _joint_numbers(
     return values
 
 
-def _positions(
+def _position_limits(
     model: pin.Model, sections: list[JointSection], prismatic: np.ndarray, path: Path
 ) -> tuple[np.ndarray, np.ndarray]:
     lower = np.array(model.lowerPositionLimit, dtype=float)
@@ -257,7 +256,7 @@ def _positions(
         for key, limits in (("position_lower", lower), ("position_upper", upper)):
             given = getattr(section, key)
             if given is not None:
-                with located(path, f"joint[{section.name}].{key}"):
+                with locate_errors(path, f"joint[{section.name}].{key}"):
                     limits[j] = fit_joint(given, bool(prismatic[j]), "angle", key)
         if not lower[j] < upper[j]:
             raise InputFileError(
@@ -268,33 +267,33 @@ def _positions(
     return lower, upper
 
 
-def last_link(model: pin.Model) -> str:
-    """Last moving link that payloads and tools go to when nothing is said."""
+def default_tool_link(model: pin.Model) -> str:
+    """Last moving link, the default for payloads and tools."""
     moving = [f.name for f in model.frames if f.parentJoint == model.njoints - 1]
     links = [name for name in link_names(model) if name in moving]
-    return next((name for name in _FLANGES if name in links), links[0])
+    return next((name for name in _FLANGE_LINKS if name in links), links[0])
 
 
-def _flange(model: pin.Model, section: PlaceSection | None, tool_link: str) -> LinkFrame:
+def _flange_frame(model: pin.Model, section: PlaceSection | None, tool_link: str) -> LinkFrame:
     if section is not None:
         return link_frame(model, section.link, section.offset, section.rpy)
-    named = [name for name in _FLANGES if name in link_names(model)]
+    named = [name for name in _FLANGE_LINKS if name in link_names(model)]
     return link_frame(model, named[0] if named else tool_link)
 
 
-def _sources(document: RobotFile) -> Iterable[Source]:
-    yield from _cited(document.assembly, "", "assembly")
+def _list_sources(document: RobotFile) -> Iterable[Source]:
+    yield from _section_sources(document.assembly, "", "assembly")
     for name, surface in document.surface.items():
-        yield from _cited(surface, "", f"surface {name}")
+        yield from _section_sources(surface, "", f"surface {name}")
     for name in sorted(_surfaces_used(document) - set(document.surface)):
         entry = catalogue.surface_entry(name)
         yield Source("", f"surface {name}", "", entry.provenance, entry.source)
     for link in document.link:
-        yield from _cited(link, "", f"link {link.name}")
+        yield from _section_sources(link, "", f"link {link.name}")
     for joint in document.joint:
-        yield from _cited(joint, joint.name, "")
+        yield from _section_sources(joint, joint.name, "")
         for element in joint.element:
-            yield from _cited(element, joint.name, element.name)
+            yield from _section_sources(element, joint.name, element.name)
 
 
 def _surfaces_used(document: RobotFile) -> set[str]:
@@ -302,8 +301,8 @@ def _surfaces_used(document: RobotFile) -> set[str]:
     return {str(e.surface) for e in elements if hasattr(e, "surface")}
 
 
-def _cited(section: Cited, joint: str, element: str) -> Iterable[Source]:
-    """Rows of a section: the section as a whole, then the keys that are estimates regardless."""
+def _section_sources(section: Cited, joint: str, element: str) -> Iterable[Source]:
+    """Sources of a section: as a whole, then keys that are estimates."""
     provenance: str = section.provenance
     source, estimated = section.source, section.estimated
     name = getattr(section, "catalogue", None)

@@ -1,4 +1,4 @@
-"""Frames fixed to the links of an arm: tool, flange and what a file names."""
+"""Rotations, and frames fixed to the links of an arm: tool, flange, named frames."""
 
 from __future__ import annotations
 
@@ -9,7 +9,31 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from stiffopt.errors import RobotError, nearest
-from stiffopt.robot.rotations import rotation_from_rpy
+
+
+def rotation_from_rpy(rpy: ArrayLike) -> np.ndarray:
+    """Rotation (3, 3) from roll, pitch, yaw about the fixed x, y, z axes, as in URDF [rad]."""
+    return np.array(pin.rpy.rpyToMatrix(np.asarray(rpy, dtype=float)))
+
+
+def rpy_from_rotation(rotation: np.ndarray) -> np.ndarray:
+    """Roll, pitch, yaw (3,) [rad] of a rotation (3, 3)."""
+    return np.array(pin.rpy.matrixToRpy(rotation))
+
+
+def rotation_about_axis(axis: np.ndarray, angle: float) -> np.ndarray:
+    """Rotation (3, 3) about an axis of unit length (3,) by an angle [rad]."""
+    return np.array(pin.exp3(angle * np.asarray(axis, dtype=float)))
+
+
+def rotation_vector(rotation: np.ndarray) -> np.ndarray:
+    """Axis times angle (3,) [rad] of a rotation (3, 3); the angle is at most pi."""
+    return np.array(pin.log3(rotation))
+
+
+def interpolate_rotation(first: np.ndarray, last: np.ndarray, share: float) -> np.ndarray:
+    """Rotation (3, 3) at a share of the way from one to another, about their common axis."""
+    return np.array(first @ pin.exp3(share * rotation_vector(first.T @ last)))
 
 
 @dataclass(frozen=True)
@@ -25,7 +49,7 @@ class LinkFrame:
     rotation : array (3, 3)
         Axes of the frame, as columns in the joint's frame.
     link : str
-        Link whose frame the offset was given in.
+        Link in whose frame the offset was given.
     """
 
     joint: int
@@ -40,7 +64,7 @@ def link_names(model: pin.Model) -> list[str]:
 
 
 def moving_link_names(model: pin.Model) -> list[str]:
-    """Those of them that a joint moves."""
+    """Links with a frame that a joint moves."""
     moving = (f for f in model.frames if f.type == pin.FrameType.BODY and f.parentJoint > 0)
     return [str(f.name) for f in moving]
 
@@ -48,7 +72,7 @@ def moving_link_names(model: pin.Model) -> list[str]:
 def link_frame(
     model: pin.Model, link: str, offset: ArrayLike | None = None, rpy: ArrayLike | None = None
 ) -> LinkFrame:
-    """Frame fixed to a moving link, resolved to the link's joint.
+    """Frame fixed to a moving link, in the frame of the link's joint.
 
     Parameters
     ----------
@@ -62,7 +86,7 @@ def link_frame(
     Raises
     ------
     RobotError
-        A link that there is not or that does not move, numbers that are no frame.
+        A link that does not exist or does not move, or numbers that are no frame.
     """
     if link not in link_names(model):
         raise RobotError(f"no link {link!r}. {nearest(link, link_names(model))}")
@@ -76,28 +100,28 @@ def link_frame(
             f"a frame at {link!r} needs 3 finite numbers as offset; got {shift.tolist()}."
         )
     placement = frame.placement * pin.SE3(rotation_from_rpy(angles), shift)
-    return _resolved(frame.parentJoint, placement, link)
+    return _build_frame(frame.parentJoint, placement, link)
 
 
 def frame_names(model: pin.Model) -> list[str]:
-    """All frames of a pinocchio model but that of the ground: of links, joints and fixed joints."""
+    """Names of the frames of a pinocchio model, of links and joints, without that of the ground."""
     return [frame.name for frame in model.frames if frame.name != "universe"]
 
 
 def named_frame(model: pin.Model, name: str | None = None) -> LinkFrame:
-    """Frame of a pinocchio model by its name, else the last one."""
+    """Frame of a pinocchio model by name; default the last one."""
     index = model.nframes - 1 if name is None else model.getFrameId(name)
     frame = model.frames[index]
-    return _resolved(frame.parentJoint, frame.placement, str(frame.name))
+    return _build_frame(frame.parentJoint, frame.placement, str(frame.name))
 
 
 def first_link_of(model: pin.Model, joint: int) -> str:
-    """Link that a joint (1-based) carries; the joint's own name where its links have no frame."""
+    """First link of a joint (from 1); the joint's name where its links have no frame."""
     for frame in model.frames:
         if frame.type == pin.FrameType.BODY and frame.parentJoint == joint:
             return str(frame.name)
     return str(model.names[joint])
 
 
-def _resolved(joint: int, placement: pin.SE3, name: str) -> LinkFrame:
+def _build_frame(joint: int, placement: pin.SE3, name: str) -> LinkFrame:
     return LinkFrame(int(joint), placement.translation.copy(), placement.rotation.copy(), name)

@@ -1,7 +1,7 @@
-"""Joints of a URDF that an arm does not move: locked ones, fingers and what follows them.
+"""Joints of a URDF that are no joints of the arm: locked ones, fingers and their followers.
 
-The arm is the chain of joints from the base to its tip. All others are held where the robot file
-says, else at zero (or the limit nearest to it), and what they carry belongs to the link before.
+The arm is the chain of joints from the base to its tip. All others are fixed at the position of the
+robot file, else at zero (or the limit nearest to it), and their links merge with the link before.
 """
 
 from __future__ import annotations
@@ -14,14 +14,14 @@ from pathlib import Path
 import numpy as np
 
 from stiffopt.errors import RobotError, nearest
-from stiffopt.robot.joint_tree import JointTree, leader
-from stiffopt.robot.rotations import about_axis, rotation_from_rpy, rpy_from_rotation
+from stiffopt.robot.frames import rotation_about_axis, rotation_from_rpy, rpy_from_rotation
+from stiffopt.robot.joint_tree import JointTree, mimicked_joint
 from stiffopt.units import fit_joint
 
 
 @dataclass(frozen=True)
 class HeldJoint:
-    """A joint that does not move.
+    """A joint that is held fixed.
 
     Parameters
     ----------
@@ -49,27 +49,27 @@ def hold_joints(
     keep: Collection[str],
     followers: bool = False,
 ) -> tuple[HeldJoint, ...]:
-    """Fix the joints of a URDF that the arm does not move; the tree is changed in place.
+    """Fix the joints of a URDF that are no joints of the arm, in place.
 
     Parameters
     ----------
     tree : Element
         `<robot>`, whose joints form a tree.
     path : Path
-        Of the URDF, for messages.
+        File of the URDF, for messages.
     lock : mapping of joint name to float
-        Where a joint is held [rad] or [m].
+        Positions of locked joints [rad] or [m].
     tip : str or None
-        Link at the end of the arm; None takes the arm up to where fingers branch off.
+        Link at the end of the arm; None: up to the branch of the fingers.
     keep : collection of str
-        Joints that move also where they are not on the way to the tip.
+        Joints that are not fixed although they do not lead to the tip.
     followers : bool
-        Hold also joints of the arm that follow another one, in place of an error.
+        Fix joints of the arm that follow another one, in place of an error.
 
     Raises
     ------
     RobotError
-        A locked joint that there is not or that does not move; one of the arm that follows another;
+        A locked joint that does not exist or is fixed; a joint of the arm that follows another;
         several chains of which none is named.
     """
     joints = JointTree(tree)
@@ -79,30 +79,30 @@ def hold_joints(
             raise RobotError(
                 f"{path}: lock names no moving joint {name!r}. {nearest(name, moving)}"
             )
-    arm = joints.way_to(tip) if tip in joints.above else _arm(joints, path, tip, lock, keep)
+    arm = joints.path_to(tip) if tip in joints.above else _find_arm(joints, path, tip, lock, keep)
     held = {}
     for name, given in lock.items():
         slides = joints.joints[name].get("type") == "prismatic"
         value = fit_joint(given, slides, "angle", f"lock.{name}")
-        held[name] = HeldJoint(name, _in_range(joints, name, value), "locked")
+        held[name] = HeldJoint(name, _value_within_limits(joints, name, value), "locked")
     for name in moving:
         if name not in arm and name not in keep and name not in held:
-            rest = _in_range(joints, name, None)
+            rest = _value_within_limits(joints, name, None)
             held[name] = HeldJoint(name, rest, "not on the way to the tool")
     _hold_followers(joints, held, path, explicitly=set(lock), all_=followers)
     for each in held.values():
-        _fix(joints.joints[each.name], each.value)
+        _fix_joint(joints.joints[each.name], each.value)
     return tuple(held.values())
 
 
-def _arm(
+def _find_arm(
     joints: JointTree,
     path: Path,
     tip: str | None,
     lock: Collection[str],
     keep: Collection[str],
 ) -> list[str]:
-    """Joints of the arm where no link that they move is named."""
+    """Joints of the arm where no moved link is named as its tip."""
     arm = joints.arm(keep)
     if arm is None and lock:
         arm = JointTree(joints.tree, still=lock).arm(keep)
@@ -110,7 +110,7 @@ def _arm(
         return arm
     if tip is not None and tip not in joints.links:
         raise RobotError(f"{path}: there is no link {tip!r}. {nearest(tip, joints.links)}")
-    raise RobotError(f"{path}: {joints.which_arm()}")
+    raise RobotError(f"{path}: {joints.describe_branches()}")
 
 
 def _hold_followers(
@@ -120,7 +120,7 @@ def _hold_followers(
         mimic = joint.find("mimic")
         if mimic is None or name in explicitly or not joints.moves(name):
             continue
-        first = leader(joint)
+        first = mimicked_joint(joint)
         if first not in joints.joints:
             raise RobotError(
                 f"{path}: joint {name!r} follows {first!r} (mimic), which there is not."
@@ -133,10 +133,12 @@ def _hold_followers(
             )
         if first in held or not joints.moves(first):
             at = held[first].value if first in held else 0.0
-            value = _number(mimic, "multiplier", 1.0) * at + _number(mimic, "offset", 0.0)
+            value = _number_attribute(mimic, "multiplier", 1.0) * at + _number_attribute(
+                mimic, "offset", 0.0
+            )
             held[name] = HeldJoint(name, value, f"follows {first}")
         elif name in held or all_:
-            rest = _in_range(joints, name, None)
+            rest = _value_within_limits(joints, name, None)
             held[name] = HeldJoint(name, rest, f"follows {first}, which moves")
         else:
             raise RobotError(
@@ -147,13 +149,13 @@ def _hold_followers(
             )
 
 
-def _in_range(joints: JointTree, name: str, value: float | None) -> float:
-    """Value within the limits of a joint; the nearest to zero where none is given."""
+def _value_within_limits(joints: JointTree, name: str, value: float | None) -> float:
+    """Check a value against the limits of a joint; default the value nearest to zero."""
     joint = joints.joints[name]
     limit = joint.find("limit")
     if limit is None or joint.get("type") == "continuous":
         return value or 0.0
-    low, high = (_number(limit, key, 0.0) for key in ("lower", "upper"))
+    low, high = (_number_attribute(limit, key, 0.0) for key in ("lower", "upper"))
     if value is None:
         return min(max(0.0, low), high) if low < high else 0.0
     if low < high and not low - 1e-9 <= value <= high + 1e-9:
@@ -164,24 +166,24 @@ def _in_range(joints: JointTree, name: str, value: float | None) -> float:
     return value
 
 
-def _number(element: ET.Element, key: str, default: float) -> float:
+def _number_attribute(element: ET.Element, key: str, default: float) -> float:
     try:
         return float(element.get(key, default))
     except ValueError:
         return default
 
 
-def _fix(joint: ET.Element, value: float) -> None:
-    """Turn a joint into a fixed one at a position [rad] or [m]."""
+def _fix_joint(joint: ET.Element, value: float) -> None:
+    """Replace a joint by a fixed one at a position [rad] or [m]."""
     origin, axis = joint.find("origin"), joint.find("axis")
-    place = np.array(_vector(origin, "xyz", "0 0 0"))
-    turn = rotation_from_rpy(_vector(origin, "rpy", "0 0 0"))
-    along = np.array(_vector(axis, "xyz", "1 0 0"))
+    place = np.array(_vector_attribute(origin, "xyz", "0 0 0"))
+    turn = rotation_from_rpy(_vector_attribute(origin, "rpy", "0 0 0"))
+    along = np.array(_vector_attribute(axis, "xyz", "1 0 0"))
     along = along / max(float(np.linalg.norm(along)), 1e-300)
     if joint.get("type") == "prismatic":
         place = place + turn @ along * value
     else:
-        turn = turn @ about_axis(along, value)
+        turn = turn @ rotation_about_axis(along, value)
     joint.set("type", "fixed")
     for part in ("axis", "limit", "dynamics", "mimic", "origin"):
         for found in joint.findall(part):
@@ -192,6 +194,6 @@ def _fix(joint: ET.Element, value: float) -> None:
     )
 
 
-def _vector(element: ET.Element | None, key: str, default: str) -> list[float]:
+def _vector_attribute(element: ET.Element | None, key: str, default: str) -> list[float]:
     text = default if element is None else element.get(key, default)
     return [float(part) for part in text.split()]

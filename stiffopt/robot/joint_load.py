@@ -1,4 +1,4 @@
-"""All six components of what each joint carries, not its torque alone."""
+"""Wrench of each joint: force and moment that it transmits."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def joint_wrenches(
     acceleration: np.ndarray,
     force: np.ndarray,
 ) -> np.ndarray:
-    """Force and moment from each joint on the links behind it.
+    """Force and moment of each joint on the links that it carries.
 
     Parameters
     ----------
@@ -24,13 +24,13 @@ def joint_wrenches(
         Payload and tool attached.
     position, velocity, acceleration : array (K, n)
     force : array (3,)
-        Acts ON the tool, base axes [N].
+        Force ON the tool, base axes [N].
 
     Returns
     -------
     array (K, n, 6)
-        [F, M] in N and N m about the joint's origin; axes turn with the link, the third is the
-        joint's. The sixth (of a sliding joint: the third) is the torque in the joint's spring.
+        [F, M] in N and N m about the joint's origin; axes are fixed to the link, the third is the
+        joint's. Component 6 (3 for a prismatic joint) is the torque of the joint's spring.
     """
     model = without_rotors(robot.model)
     data = model.createData()
@@ -39,18 +39,18 @@ def joint_wrenches(
         pin.rnea(model, data, position[k], velocity[k], acceleration[k])
         for i in range(model.nv):
             in_link[k, i] = data.f[i + 1].vector
-    own = np.array([_axes(body.axis) for body in robot.tree.bodies])
+    own = np.array([_complete_axes(body.axis) for body in robot.tree.bodies])
     found = np.einsum("nij,knsi->knsj", own, in_link.reshape(*position.shape, 2, 3))
     if np.any(force):
         axes, arm = joint_frames(robot, position)
         pushed = np.stack([np.broadcast_to(force, arm.shape), np.cross(arm, force)], axis=2)
-        held = [i + 1 in _supports(model, robot.tool.joint) for i in range(model.nv)]
+        held = [i + 1 in _supporting_joints(model, robot.tool.joint) for i in range(model.nv)]
         found[:, held] -= np.einsum("knij,knsi->knsj", axes, pushed)[:, held]
     return np.asarray(found.reshape(in_link.shape))
 
 
 def joint_frames(robot: Robot, position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Axes of the joints in which `joint_wrenches` are, and where the tool is from each joint.
+    """Axes of `joint_wrenches`, and vectors from the joints to the tool.
 
     Parameters
     ----------
@@ -63,8 +63,8 @@ def joint_frames(robot: Robot, position: np.ndarray) -> tuple[np.ndarray, np.nda
         In base axes; the arm is 0 for joints that do not move the tool.
     """
     data = robot.model.createData()
-    own = [_axes(body.axis) for body in robot.tree.bodies]
-    loaded = _supports(robot.model, robot.tool.joint)
+    own = [_complete_axes(body.axis) for body in robot.tree.bodies]
+    loaded = _supporting_joints(robot.model, robot.tool.joint)
     axes, arm = np.empty((*position.shape, 3, 3)), np.zeros((*position.shape, 3))
     for k, pose in enumerate(position):
         pin.forwardKinematics(robot.model, data, pose)
@@ -78,14 +78,14 @@ def joint_frames(robot: Robot, position: np.ndarray) -> tuple[np.ndarray, np.nda
     return axes, arm
 
 
-def at_face(wrench: np.ndarray, position: float) -> np.ndarray:
-    """The same load about a point on the joint's axis.
+def shift_wrench(wrench: np.ndarray, position: float) -> np.ndarray:
+    """Wrench about another point on the joint's axis.
 
     Parameters
     ----------
     wrench : array (..., 6)
     position : float
-        Of the point along the axis, from the joint's origin [m].
+        Position of the point along the axis, from the joint's origin [m].
     """
     moved = np.array(wrench, dtype=float)
     # M - h e_z x F
@@ -94,7 +94,7 @@ def at_face(wrench: np.ndarray, position: float) -> np.ndarray:
     return moved
 
 
-def _axes(axis: np.ndarray) -> np.ndarray:
+def _complete_axes(axis: np.ndarray) -> np.ndarray:
     """Right-handed axes as columns, the third along `axis`."""
     other = np.eye(3)[int(np.argmin(np.abs(axis)))]
     first = np.cross(other, axis)
@@ -102,8 +102,8 @@ def _axes(axis: np.ndarray) -> np.ndarray:
     return np.column_stack([first, np.cross(axis, first), axis])
 
 
-def _supports(model: pin.Model, joint: int) -> set[int]:
-    """Joints between the base and a link, that link's own among them."""
+def _supporting_joints(model: pin.Model, joint: int) -> set[int]:
+    """Joints from the base to that of a link, inclusive."""
     found = set()
     while joint > 0:
         found.add(joint)

@@ -1,4 +1,4 @@
-"""Shapes of an arm's links as its URDF gives them: to be looked at, and to collide with."""
+"""Visual and collision shapes of links in a URDF."""
 
 from __future__ import annotations
 
@@ -17,16 +17,18 @@ import pinocchio as pin
 
 from stiffopt.errors import RobotError, shortened
 from stiffopt.files import read_bytes
-from stiffopt.robot.mesh_files import find_mesh
-from stiffopt.robot.mesh_loading import MAX_MESH_BYTES, load_mesh_file
-from stiffopt.robot.rotations import rotation_from_rpy
+from stiffopt.robot.frames import rotation_from_rpy
+from stiffopt.robot.meshes import MAX_MESH_BYTES, load_mesh_file
 from stiffopt.robot.urdf import urdf_numbers
-from stiffopt.robot.xml_files import parse_xml
+from stiffopt.robot.urdf_xml import find_mesh, parse_xml
 
 Purpose = Literal["visual", "collision"]
 Kind = Literal["box", "cylinder", "sphere", "mesh"]
 
-_SIZES: dict[str, tuple[str, ...]] = {"cylinder": ("radius", "length"), "sphere": ("radius",)}
+_SIZE_ATTRIBUTES: dict[str, tuple[str, ...]] = {
+    "cylinder": ("radius", "length"),
+    "sphere": ("radius",),
+}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -44,13 +46,13 @@ class LinkShape:
     offset : array (3,)
         Origin in the link's frame [m].
     rotation : array (3, 3)
-        Axes, as columns in the link's frame.
+        Axes as columns in the link's frame.
     digest : str
-        Of the content of the mesh; "" where the file is not there.
+        SHA-256 of the mesh file; "" where it was not found.
     name : str
-        Of a mesh, as the URDF writes it.
+        Name of the mesh in the URDF.
     file : Path or None
-        Of a mesh, where it was found.
+        Path of the mesh file.
     """
 
     link: str
@@ -61,12 +63,12 @@ class LinkShape:
     rotation: np.ndarray
     digest: str = ""
     name: str = ""
-    # Where it lies is no input: the content is.
+    # Compared by content (digest), not by path.
     file: Path | None = field(default=None, compare=False)
 
     @property
     def known(self) -> bool:
-        """Whether its form is known: False for a mesh that was not found."""
+        """Return whether the geometry is known: False for a mesh that was not found."""
         return self.kind != "mesh" or self.file is not None
 
 
@@ -81,7 +83,7 @@ class JointShape:
 
 
 def read_link_shapes(path: str | os.PathLike[str]) -> tuple[LinkShape, ...]:
-    """All shapes of a URDF, which `load_urdf` has read before.
+    """Read all shapes of a URDF that `load_urdf` has checked.
 
     Raises
     ------
@@ -93,7 +95,7 @@ def read_link_shapes(path: str | os.PathLike[str]) -> tuple[LinkShape, ...]:
     for link in parse_xml(urdf).findall("link"):
         for purpose in ("visual", "collision"):
             for section in link.findall(purpose):
-                shape = _shape(section, link.get("name", ""), purpose, urdf)
+                shape = _read_shape(section, link.get("name", ""), purpose, urdf)
                 if shape is not None:
                     found.append(shape)
     return tuple(found)
@@ -115,8 +117,8 @@ def joint_shapes(
     return placed
 
 
-def triangles(shape: LinkShape) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices (V, 3) [m] and corners of the triangles (T, 3) of a mesh, scaled.
+def mesh_triangles(shape: LinkShape) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices (V, 3) [m] and triangles (T, 3) of a scaled mesh.
 
     Raises
     ------
@@ -129,13 +131,13 @@ def triangles(shape: LinkShape) -> tuple[np.ndarray, np.ndarray]:
 
 
 def load_mesh(shape: LinkShape) -> coal.BVHModelBase:
-    """Mesh as coal reads it (STL, OBJ, DAE and others), scaled."""
+    """Load a scaled mesh (STL, OBJ, DAE and others) with coal."""
     assert shape.file is not None
     return load_mesh_file(shape.file, np.array(shape.size))
 
 
-def _shape(section: ET.Element, link: str, purpose: Purpose, urdf: Path) -> LinkShape | None:
-    """One visual or collision section; None where it holds no shape, or one without extent."""
+def _read_shape(section: ET.Element, link: str, purpose: Purpose, urdf: Path) -> LinkShape | None:
+    """Read one visual or collision section; None for no shape or one without extent."""
     geometry = section.find("geometry")
     if geometry is None or len(geometry) == 0:
         return None
@@ -154,10 +156,10 @@ def _shape(section: ET.Element, link: str, purpose: Purpose, urdf: Path) -> Link
         if file is not None:
             digest = hashlib.sha256(read_bytes(file, MAX_MESH_BYTES)).hexdigest()
     elif own.tag == "box":
-        size = _extents(own.get("size", ""), 3, f"{place} box size")
-    elif own.tag in _SIZES:
-        keys = _SIZES[own.tag]
-        size = [_extents(own.get(key, ""), 1, f"{place} {own.tag} {key}")[0] for key in keys]
+        size = _read_extents(own.get("size", ""), 3, f"{place} box size")
+    elif own.tag in _SIZE_ATTRIBUTES:
+        keys = _SIZE_ATTRIBUTES[own.tag]
+        size = [_read_extents(own.get(key, ""), 1, f"{place} {own.tag} {key}")[0] for key in keys]
     else:
         return None
     if own.tag != "mesh" and min(size) == 0.0:
@@ -175,7 +177,7 @@ def _shape(section: ET.Element, link: str, purpose: Purpose, urdf: Path) -> Link
     )
 
 
-def _extents(text: str, count: int, place: str) -> list[float]:
+def _read_extents(text: str, count: int, place: str) -> list[float]:
     values = urdf_numbers(text, count, place)
     if min(values) < 0.0:
         raise RobotError(

@@ -1,4 +1,4 @@
-"""The user's own catalogue: parts that the package does not have, beside a robot file."""
+"""Catalogue of the user: parts that the package does not have, named by a robot file."""
 
 from __future__ import annotations
 
@@ -33,41 +33,41 @@ from stiffopt.drivetrain.fasteners import bolt, bolt_sizes
 from stiffopt.drivetrain.tables import OwnEntries, with_own
 from stiffopt.errors import InputError, InputFileError, nearest
 from stiffopt.files import read_document
-from stiffopt.robot.element_sections import Cited
+from stiffopt.robot.elements import Cited
 from stiffopt.validation import Section
 
-# Of bolts from M1 to M240 [m^2].
-_STRESS_AREA = Bounds(above=0.0, plausible=(1e-7, 0.05))
-# Of an ISO metric thread: pitch and core diameter are d less so many pitches.
-_PITCH_DIAMETER, _CORE_DIAMETER = 0.649519, 1.226869
+# Bolts from M1 to M240 [m^2].
+_STRESS_AREA_BOUNDS = Bounds(above=0.0, plausible=(1e-7, 0.05))
+# ISO metric thread: pitch and core diameter are d less so many pitches.
+_PITCH_DIAMETER_PITCHES, _CORE_DIAMETER_PITCHES = 0.649519, 1.226869
 
 
 class OwnPart(Cited):
-    """A part of a kind; `entry` is a row as the packaged tables have it."""
+    """Part of a kind; `entry` returns a row of the form of the packaged tables."""
 
     kind: ClassVar[str]
 
     @property
     def called(self) -> str:
-        """What other files call it."""
+        """Name of the part in other files."""
         return str(getattr(self, "name"))  # noqa: B009
 
     def entry(self) -> dict[str, Any]:
-        """Fields of the part with what follows from others.
+        """Return the fields of the part with derived ones.
 
         Raises
         ------
         InputError
-            Numbers that no such part has, beginning with the key.
+            Impossible numbers; the message begins with the key.
         """
         return self.model_dump()
 
 
 class OwnReducer(OwnPart):
-    """A reducer by the three slopes of its torsion; equal slopes are one."""
+    """A reducer by the three slopes of its torsional stiffness; they may be equal."""
 
     kind = "reducer"
-    name: Annotated[str, Doc("What robot files call it.")]
+    name: Annotated[str, Doc("Name in robot files.")]
     ratio: Annotated[int, POSITIVE, Doc("Turns of the input for one turn of the output.")]
     K1: Annotated[JointStiffness, POSITIVE, Doc("Slope up to T1.")]
     K2: Annotated[JointStiffness, POSITIVE, Doc("Slope from T1 to T2.")]
@@ -80,7 +80,7 @@ class OwnReducer(OwnPart):
     ] = None
 
     def entry(self) -> dict[str, Any]:
-        """Corners and ratings rise."""
+        """Check that corners and ratings increase."""
         if self.T2 < self.T1:
             raise InputError(f"T2: must not be below T1 = {self.T1:g}.")
         if self.ratings is not None and np.any(np.diff(self.ratings) < 0.0):
@@ -89,29 +89,31 @@ class OwnReducer(OwnPart):
 
 
 class OwnBolt(OwnPart):
-    """A bolt; what is left out of its thread is that of an ISO metric one."""
+    """A bolt; omitted values of its thread are those of an ISO metric one."""
 
     kind = "bolt"
-    size: Annotated[str, Doc("What robot and study files call it.")]
+    size: Annotated[str, Doc("Name in robot and study files.")]
     diameter: Annotated[Length, PART, Doc("Nominal diameter d.")]
     pitch: Annotated[Length, DETAIL, Doc("Pitch P.")]
     pitch_diameter: Annotated[Length | None, DETAIL, Doc("d2; default d - 0.6495 P.")] = None
     minor_diameter: Annotated[Length | None, DETAIL, Doc("d3; default d - 1.2269 P.")] = None
-    stress_area: Annotated[Area | None, _STRESS_AREA, Doc("A_S; default of (d2 + d3)/2.")] = None
-    head_diameter: Annotated[Length, DETAIL, Doc("d_k, room that the head takes.")]
-    bearing_diameter: Annotated[Length, DETAIL, Doc("d_w, of the flat under the head.")]
-    hole: Annotated[Length, DETAIL, Doc("d_h, of the clearance hole.")]
+    stress_area: Annotated[
+        Area | None, _STRESS_AREA_BOUNDS, Doc("A_S; default of (d2 + d3)/2.")
+    ] = None
+    head_diameter: Annotated[Length, DETAIL, Doc("d_k, diameter of the space of the head.")]
+    bearing_diameter: Annotated[Length, DETAIL, Doc("d_w, diameter of the bearing face.")]
+    hole: Annotated[Length, DETAIL, Doc("d_h, diameter of the clearance hole.")]
 
     @property
     def called(self) -> str:
-        """Its size."""
+        """Size of the bolt."""
         return self.size
 
     def entry(self) -> dict[str, Any]:
-        """Thread inside the shank, shank inside the hole, hole inside the head."""
+        """Check that diameters increase from thread to shank, hole and head; derive the thread."""
         d, pitch = self.diameter, self.pitch
-        d2 = self.pitch_diameter or d - _PITCH_DIAMETER * pitch
-        d3 = self.minor_diameter or d - _CORE_DIAMETER * pitch
+        d2 = self.pitch_diameter or d - _PITCH_DIAMETER_PITCHES * pitch
+        d3 = self.minor_diameter or d - _CORE_DIAMETER_PITCHES * pitch
         area = self.stress_area or math.pi / 16.0 * (d2 + d3) ** 2
         order = {
             "minor_diameter": d3, "pitch_diameter": d2, "diameter": d, "hole": self.hole,
@@ -138,11 +140,11 @@ class OwnWasher(OwnPart):
     """A hardened washer; without one a bolt has that of ISO 7089 for its diameter."""
 
     kind = "washer"
-    size: Annotated[str, Doc("Of the bolt that it is for, one's own or a packaged one.")]
+    size: Annotated[str, Doc("Size of its bolt, of this file or packaged.")]
     diameter: Annotated[Length, PART, Doc("Outer diameter.")]
     thickness: Annotated[Length, DETAIL, Doc("Thickness h_S.")]
     pressure: Annotated[
-        Pressure | None, MODULUS, Doc("That it bears under the head; default that of 300 HV.")
+        Pressure | None, MODULUS, Doc("Permissible pressure; default that of 300 HV.")
     ] = None
 
     @property
@@ -157,20 +159,20 @@ class OwnKey(OwnPart):
     kind = "key"
     width: Annotated[Length, DETAIL, Doc("Width.")]
     height: Annotated[Length, DETAIL, Doc("Height.")]
-    shaft_min: Annotated[Length, PART, Doc("Diameter of the shafts it belongs to, above.")]
-    shaft_max: Annotated[Length, PART, Doc("And up to.")]
+    shaft_min: Annotated[Length, PART, Doc("Least shaft diameter, exclusive.")]
+    shaft_max: Annotated[Length, PART, Doc("Largest shaft diameter, inclusive.")]
     shaft_depth: Annotated[Length, DETAIL, Doc("Depth of the keyway in the shaft.")]
     hub_depth: Annotated[Length, DETAIL, Doc("Depth of the keyway in the hub.")]
-    shaft_flank_height: Annotated[Length, DETAIL, Doc("Height that bears in the shaft.")]
-    hub_flank_height: Annotated[Length, DETAIL, Doc("Height that bears in the hub.")]
+    shaft_flank_height: Annotated[Length, DETAIL, Doc("Bearing flank height in the shaft.")]
+    hub_flank_height: Annotated[Length, DETAIL, Doc("Bearing flank height in the hub.")]
 
     @property
     def called(self) -> str:
-        """Its section in mm."""
+        """Width and height in mm."""
         return f"{self.width * 1e3:g}x{self.height * 1e3:g}"
 
     def entry(self) -> dict[str, Any]:
-        """Heights within the key, shafts from small to large."""
+        """Check that flanks fit the key and the range of shafts is not empty."""
         if self.shaft_flank_height + self.hub_flank_height > self.height * (1.0 + 1e-9):
             raise InputError("hub_flank_height: both flanks together are higher than the key.")
         if self.shaft_max <= self.shaft_min:
@@ -182,11 +184,11 @@ class OwnBelt(OwnPart):
     """A synchronous belt profile."""
 
     kind = "belt"
-    name: Annotated[str, Doc("Profile, as robot files call it.")]
-    pitch: Annotated[Length, PART, Doc("Of the teeth.")]
+    name: Annotated[str, Doc("Name of the profile in robot files.")]
+    pitch: Annotated[Length, PART, Doc("Pitch of the teeth.")]
     tooth_height: Annotated[Length, DETAIL, Doc("Height of a tooth.")]
     tooth_root_width: Annotated[Length, DETAIL, Doc("Width of a tooth at its root.")]
-    flank_angle: Annotated[Angle, POSITIVE, Doc("Of a flank against the height.")]
+    flank_angle: Annotated[Angle, POSITIVE, Doc("Angle of a flank against the height.")]
     tooth_modulus: Annotated[Pressure, MODULUS, Doc("Young's modulus of the teeth.")]
     tooth_poisson: Annotated[Ratio, POSITIVE, Doc("Poisson's ratio of the teeth.")] = 0.48
     teeth_in_mesh_max: Annotated[float, POSITIVE, Doc("Teeth counted in mesh, at most.")] = 6.0
@@ -198,7 +200,7 @@ class OwnBelt(OwnPart):
     ]
 
     def entry(self) -> dict[str, Any]:
-        """Widths are numbers."""
+        """Check that widths are numbers."""
         for width in self.span_stiffness:
             try:
                 wide = float(width)
@@ -213,7 +215,7 @@ class OwnSurface(OwnPart):
     """A pair of rough surfaces."""
 
     kind = "surface"
-    name: Annotated[str, Doc("What robot files call it.")]
+    name: Annotated[str, Doc("Name in robot files.")]
     first: Annotated[str, Named("material"), Doc("Material of one body.")]
     second: Annotated[str, Named("material"), Doc("Material of the other.")]
     fractal_dimension: Annotated[float, Doc("D of the combined surface, above 2, below 3.")]
@@ -221,19 +223,21 @@ class OwnSurface(OwnPart):
     friction: Annotated[Ratio, FRICTION, Doc("Coefficient of static friction.")]
 
     def entry(self) -> dict[str, Any]:
-        """A dimension of a surface."""
+        """Check the fractal dimension."""
         if not 2.0 < self.fractal_dimension < 3.0:
             raise InputError("fractal_dimension: must lie between 2 and 3.")
         return super().entry()
 
 
 class CatalogueFile(Section):
-    """Parts of one's own, named by `catalogue` of a robot file."""
+    """Parts of the user, named by `catalogue` of a robot file."""
 
     schema_: Annotated[int, Doc("Version of the format: 1.")] = Field(alias="schema")
     kind: Annotated[Literal["catalogue"], Doc("Kind of file.")]
-    reducer: Annotated[tuple[OwnReducer, ...], Doc("Reducers; their names come first.")] = ()
-    bolt: Annotated[tuple[OwnBolt, ...], Doc("Bolts; their sizes come first.")] = ()
+    reducer: Annotated[
+        tuple[OwnReducer, ...], Doc("Reducers, before packaged ones of the same name.")
+    ] = ()
+    bolt: Annotated[tuple[OwnBolt, ...], Doc("Bolts, before packaged ones of the same size.")] = ()
     washer: Annotated[tuple[OwnWasher, ...], Doc("Washers, by the size of their bolts.")] = ()
     key: Annotated[tuple[OwnKey, ...], Doc("Keys, by width and height.")] = ()
     belt: Annotated[tuple[OwnBelt, ...], Doc("Belt profiles.")] = ()
@@ -241,12 +245,12 @@ class CatalogueFile(Section):
 
 
 def read_own_catalogue(path: str | os.PathLike[str]) -> OwnEntries:
-    """Parts of a catalogue file by kind and name, as rows of the packaged tables.
+    """Read a catalogue file: rows of the form of the packaged tables, by kind and name.
 
     Raises
     ------
     InputFileError
-        What is wrong, where, and what is allowed.
+        Fault, place and allowed values.
     """
     path = Path(path)
     document = read_document(path, CatalogueFile, "catalogue")
@@ -266,12 +270,12 @@ def read_own_catalogue(path: str | os.PathLike[str]) -> OwnEntries:
             raise InputFileError(path, f"{where}.{key}", text) from error
     with with_own(found):
         for washer in document.washer:
-            _check_bolt_of(washer, path)
+            _check_washer(washer, path)
     return found
 
 
-def _check_bolt_of(washer: OwnWasher, path: Path) -> None:
-    """A washer is for a bolt that there is, whose head it carries."""
+def _check_washer(washer: OwnWasher, path: Path) -> None:
+    """Raise `InputFileError` unless a washer has a bolt and is as wide as its head."""
     where, sizes = f"washer[{washer.size}]", bolt_sizes()
     if washer.size not in sizes:
         raise InputFileError(

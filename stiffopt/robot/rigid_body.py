@@ -1,19 +1,22 @@
-"""Rigid-body dynamics and kinematics of an arm in numbers, one instant at a time."""
+"""Rigid-body dynamics and kinematics of an arm in numbers: one instant, or whole motions."""
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
+from stiffopt.robot.body_tree import body_tree
 from stiffopt.robot.frames import LinkFrame
+from stiffopt.robot.native_bodies import NativeBodies
 
 
 def without_rotors(model: Any) -> Any:
-    """A copy of a pinocchio model whose joints carry no rotors."""
+    """Copy a pinocchio model without rotor inertia."""
     bodies = model.copy()
-    # A rotor turns with its motor, in front of the spring: it loads the drive alone.
+    # The rotor is on the motor side of the spring and loads only the drive.
     bodies.armature = np.zeros(model.nv)
     return bodies
 
@@ -24,11 +27,11 @@ class RigidBodies:
     Parameters
     ----------
     model : pinocchio.Model
-        Of revolute and prismatic joints; copied, so that later changes of it do not matter.
+        Model of revolute and prismatic joints; copied.
 
     Notes
     -----
-    Joints are in the order of the model; torques [N m] are forces [N] where a joint slides.
+    Joints are in the order of the model; torques [N m] of prismatic joints are forces [N].
     """
 
     def __init__(self, model: Any) -> None:
@@ -36,7 +39,7 @@ class RigidBodies:
         self._data = self._model.createData()
 
     def with_gravity(self, gravity: np.ndarray) -> RigidBodies:
-        """The same bodies under another gravity (3,) [m/s^2], base axes."""
+        """Copy under another gravity (3,) [m/s^2], base axes."""
         changed = RigidBodies(self._model)
         changed._model.gravity.linear = np.asarray(gravity, dtype=float)
         return changed
@@ -50,11 +53,11 @@ class RigidBodies:
         return np.array(pin.aba(self._model, self._data, q, v, torque))
 
     def gravity_torque(self, q: np.ndarray) -> np.ndarray:
-        """Torque (n,) that holds the weight at rest."""
+        """Gravity torque (n,)."""
         return np.array(pin.computeGeneralizedGravity(self._model, self._data, q))
 
     def inertia_matrix(self, q: np.ndarray) -> np.ndarray:
-        """Inertia of the joints (n, n) [kg m^2]."""
+        """Joint-space inertia matrix (n, n) [kg m^2]."""
         return np.array(pin.crba(self._model, self._data, q))
 
     def torque_slopes(
@@ -72,9 +75,9 @@ class RigidBodies:
         return np.array(pin.computeGeneralizedGravityDerivatives(self._model, self._data, q))
 
     def torque_regressor(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
-        """Torques for a unit of every inertial parameter (n, 10 n).
+        """Torques per unit of every inertial parameter (n, 10 n).
 
-        Ten columns a body: its `Body.inertial_parameters`.
+        Ten columns per body in the order of `Body.inertial_parameters`.
         """
         n = self._model.nv
         full = pin.computeJointTorqueRegressor(self._model, self._data, q, v, a)
@@ -91,7 +94,7 @@ class RigidBodies:
         )
 
     def jacobian(self, frame: LinkFrame, q: np.ndarray) -> np.ndarray:
-        """Velocity and turning rate of a frame for a unit of joint velocity (6, n), base axes."""
+        """Jacobian (6, n) of velocity and angular velocity of a frame, base axes."""
         pin.computeJointJacobians(self._model, self._data, q)
         full = pin.getFrameJacobian(
             self._model,
@@ -100,5 +103,98 @@ class RigidBodies:
             pin.SE3(frame.rotation, frame.offset),
             pin.LOCAL_WORLD_ALIGNED,
         )
-        # pin drops the second axis for an arm of one joint.
+        # pinocchio drops the second axis for an arm of one joint.
         return np.array(full).reshape(6, self._model.nv)
+
+
+def inverse_dynamics_along(model: Any, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
+    """Torques (K, n) of a pinocchio model for position, velocity and acceleration (K, n)."""
+    # pinocchio writes to the transpose and ignores the strides of a single row: the array must be
+    # allocated here.
+    torque = np.empty(q.shape)
+    if hasattr(pin, "rneaInParallel"):
+        motion = (np.asarray(x, dtype=float).T for x in (q, v, a))
+        pin.rneaInParallel(1, pin.ModelPool(model, 1), *motion, torque.T)
+        return torque
+    data = model.createData()
+    for k in range(len(q)):
+        torque[k] = pin.rnea(model, data, q[k], v[k], a[k])
+    return torque
+
+
+class BodiesInMotion:
+    """Torques along motions and their derivatives; no rotors, no friction.
+
+    Parameters
+    ----------
+    model : pinocchio.Model
+        Model of revolute and prismatic joints; copied.
+
+    Notes
+    -----
+    The values of `RigidBodies`, without a Python call per instant where compiled code or pinocchio
+    evaluates many at a time. Joints are in the order of the model; torques [N m] of prismatic
+    joints are forces [N].
+    """
+
+    def __init__(self, model: Any) -> None:
+        self._model = without_rotors(model)
+        self._data = self._model.createData()
+
+    @cached_property
+    def _native_bodies(self) -> NativeBodies:
+        return NativeBodies(body_tree(self._model))
+
+    def with_gravity(self, gravity: np.ndarray) -> BodiesInMotion:
+        """Copy under another gravity (3,) [m/s^2], base axes."""
+        changed = BodiesInMotion(self._model)
+        changed._model.gravity.linear = np.asarray(gravity, dtype=float)
+        return changed
+
+    def torque(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
+        """Inverse dynamics: position, velocity, acceleration (K, n) -> torque (K, n)."""
+        found = self._native_bodies.torque(q, v, a)
+        return inverse_dynamics_along(self._model, q, v, a) if found is None else found
+
+    def gravity_torque(self, q: np.ndarray) -> np.ndarray:
+        """Gravity torque (K, n)."""
+        rest = np.zeros(q.shape)
+        return self.torque(q, rest, rest)
+
+    def torque_slopes(
+        self, q: np.ndarray, v: np.ndarray, a: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Derivatives (K, n, n) of `torque` by position, velocity and acceleration."""
+        model, data = self._model, self._data
+        count, n = q.shape
+        position, velocity, upper = (np.empty((count, n, n)) for _ in range(3))
+        for k in range(count):
+            pin.computeRNEADerivatives(model, data, q[k], v[k], a[k])
+            position[k], velocity[k], upper[k] = data.dtau_dq, data.dtau_dv, data.M
+        inertia = np.triu(upper)
+        return position, velocity, inertia + np.triu(upper, 1).swapaxes(1, 2)
+
+    def changed_torque(
+        self, change: np.ndarray, q: np.ndarray, v: np.ndarray, a: np.ndarray
+    ) -> np.ndarray:
+        """Change (K, n) of the torques by a change (n, 10) of inertial parameters.
+
+        Parameters
+        ----------
+        change : array (n, 10)
+            In the order of `Body.inertial_parameters`; need not be those of a physical body.
+        q, v, a : array (K, n)
+        """
+        found = self._native_bodies.with_parameters(change).torque(q, v, a)
+        if found is not None:
+            return found
+        torques = []
+        for times in (1.0, 0.0):
+            model = self._model.copy()
+            for body, values in enumerate(change, start=1):
+                # Added to a mass large enough for a positive total.
+                whole = times * values
+                whole[0] += 1.0 + abs(values[0])
+                model.inertias[body] = pin.Inertia.FromDynamicParameters(whole)
+            torques.append(inverse_dynamics_along(model, q, v, a))
+        return np.asarray(torques[0] - torques[1])

@@ -14,17 +14,16 @@ import pinocchio as pin
 from stiffopt.drivetrain.chain import Chain
 from stiffopt.drivetrain.tables import OwnEntries
 from stiffopt.errors import RobotError
-from stiffopt.robot.bodies_in_motion import BodiesInMotion
 from stiffopt.robot.body_tree import BodyTree, body_tree
 from stiffopt.robot.frames import LinkFrame, link_frame, named_frame
 from stiffopt.robot.held_joints import HeldJoint
 from stiffopt.robot.link_shapes import JointShape, LinkShape, Purpose, joint_shapes
-from stiffopt.robot.rigid_body import RigidBodies
+from stiffopt.robot.rigid_body import BodiesInMotion, RigidBodies
 
 
 @dataclass(frozen=True)
 class Source:
-    """Where a number of the robot comes from; a row of reports."""
+    """Provenance of a number of the robot, a row of reports."""
 
     joint: str
     element: str
@@ -33,11 +32,11 @@ class Source:
     source: str
 
 
-# Joints whose axes pass the tool this near do not move it [m].
-_AXIS = 1e-6
-# Share of a mass that is none.
-_ROUNDING = 1e-12
-_JOINT_ARRAYS = (
+# Lever arm below which a joint does not move the tool [m].
+_MIN_LEVER_ARM = 1e-6
+# Relative rounding of a mass difference.
+_MASS_ROUND_OFF = 1e-12
+_JOINT_ARRAY_FIELDS = (
     "position_lower",
     "position_upper",
     "velocity_max",
@@ -54,7 +53,7 @@ _JOINT_ARRAYS = (
 
 @dataclass(frozen=True, kw_only=True)
 class Robot:
-    """An arm whose joints yield under load.
+    """A robot arm with elastic or rigid joints.
 
     Parameters
     ----------
@@ -62,36 +61,36 @@ class Robot:
     model : pinocchio.Model
         Revolute and prismatic joints; gravity included, rotor inertia not.
     position_lower, position_upper : array (n,)
-        [rad] or [m]; infinite where a joint turns without end.
+        [rad] or [m]; infinite for continuous joints.
     velocity_max, acceleration_max, jerk_max : array (n,)
         [rad/s], [rad/s^2], [rad/s^3]; infinite where there is no limit.
     torque_max : array (n,)
-        Of the drive at the joint's output [N m]; 100 % of the torque ratio.
+        Torque limit of the drive at the joint's output [N m]; 100 % of the torque ratio.
     rotor_inertia : array (n,)
-        Of the motor, at the joint's output [kg m^2].
+        Inertia of the rotor at the joint's output [kg m^2].
     coulomb, viscous : array (n,)
         Friction at the joint's output [N m], [N m s/rad].
     chains : tuple of Chain or None
         Drivetrain of each joint; None is rigid.
     tool, flange : LinkFrame
-        Where the tool point is, and where payloads are fixed.
+        Tool point, and frame to which payloads are fixed.
     sources : tuple of Source
     title : str
     damping : array (n,), optional
-        Of the joint's spring [N m s/rad]; NaN where it is not known.
+        Damping of the joint's spring [N m s/rad]; NaN where unknown.
     hysteresis : array (n,), optional
-        Half width of the loop that wind-up describes over torque [rad]; default none.
+        Half width of the hysteresis loop of wind-up over torque [rad]; default none.
     held : tuple of HeldJoint
-        Joints of the URDF that the arm does not move.
+        Joints of the URDF that are held fixed.
     shapes : tuple of LinkShape
-        What the links look like and collide with, as far as the URDF says it.
+        Visual and collision shapes of the links.
     urdf : Path or None
         File that describes the arm.
     payload : array (10,), optional
-        Inertial parameters (mass, first moments, inertia) in the axes of the flange of what
-        `with_payload` has put there; the model holds it.
+        Inertial parameters (mass, first moments, inertia) of the payload in the axes of the flange;
+        included in the model.
     own : mapping of kind to mapping of name to row
-        Parts of the user's own catalogue, which stand before those of the package.
+        Parts of the user's catalogue, which take precedence over those of the package.
 
     Notes
     -----
@@ -117,11 +116,11 @@ class Robot:
     damping: np.ndarray | None = None
     hysteresis: np.ndarray | None = None
     shapes: tuple[LinkShape, ...] = ()
-    # Where it lies is no input: what it says is.
+    # Not compared: only the content of the URDF is an input.
     urdf: Path | None = field(default=None, compare=False)
     payload: np.ndarray | None = None
     held: tuple[HeldJoint, ...] = ()
-    # Parts that are used are in the chains: of the others no result knows.
+    # Not compared: parts in use are in the chains, others have no effect.
     own: OwnEntries = field(default_factory=dict, compare=False)
 
     @property
@@ -131,15 +130,15 @@ class Robot:
 
     @property
     def yields(self) -> bool:
-        """Whether any joint has a spring, so that what it carries can swing."""
+        """Return whether any joint is elastic."""
         return any(chain is not None and chain.stages for chain in self.chains)
 
     def tool_yields(self, poses: np.ndarray) -> bool:
-        """Whether in any of some poses (K, n) a joint with a spring moves the tool."""
+        """Return whether an elastic joint moves the tool in any of some poses (K, n)."""
         springs = np.array([chain is not None and bool(chain.stages) for chain in self.chains])
         bodies = self.rigid_bodies()
         arms = [bodies.jacobian(self.tool, pose)[:3, springs] for pose in poses]
-        return bool(np.max(np.abs(arms), initial=0.0) > _AXIS)
+        return bool(np.max(np.abs(arms), initial=0.0) > _MIN_LEVER_ARM)
 
     @property
     def joint_names(self) -> tuple[str, ...]:
@@ -148,7 +147,7 @@ class Robot:
 
     @property
     def prismatic(self) -> np.ndarray:
-        """Which joints slide, (n,) of bool."""
+        """Return which joints are prismatic, (n,) of bool."""
         return self.tree.prismatic
 
     @cached_property
@@ -157,11 +156,11 @@ class Robot:
         return body_tree(self.model)
 
     def rigid_bodies(self) -> RigidBodies:
-        """Dynamics and kinematics of links and payload in numbers."""
+        """Numeric dynamics and kinematics of links and payload."""
         return RigidBodies(self.model)
 
     def bodies_in_motion(self) -> BodiesInMotion:
-        """Rigid-body dynamics of links and payload in numbers, along whole motions."""
+        """Numeric rigid-body dynamics of links and payload along whole motions."""
         return BodiesInMotion(self.model)
 
     def joint_shapes(self, purpose: Purpose) -> list[JointShape]:
@@ -169,7 +168,7 @@ class Robot:
         return joint_shapes(self.model, self.shapes, purpose)
 
     def estimated(self) -> list[Source]:
-        """Numbers that are estimates, for reports to mark."""
+        """Sources of estimated numbers, marked in reports."""
         return [s for s in self.sources if s.provenance == "estimated"]
 
     def with_payload(
@@ -210,21 +209,23 @@ class Robot:
         return replace(self, model=model, payload=held)
 
     def with_payload_times(self, factor: float) -> Robot:
-        """Copy whose payload has `factor` times its mass and inertia, 0 or above."""
+        """Copy with the payload's mass and inertia times `factor`, 0 or above."""
         if self.payload is None or factor == 1.0:
             return self
         if not (np.isfinite(factor) and factor >= 0.0):
-            raise RobotError(f"a payload can be 0 or more times what it is, not {factor:g} times.")
+            raise RobotError(
+                f"the factor of a payload must be finite and 0 or above, got {factor:g}."
+            )
         at = pin.SE3(self.flange.rotation, self.flange.offset)
-        carried = at.act(_body(self.payload)).toDynamicParameters()
+        carried = at.act(_inertia_of(self.payload)).toDynamicParameters()
         joint = self.flange.joint
         whole = self.model.inertias[joint].toDynamicParameters()
         own = whole + (factor - 1.0) * carried
-        if own[0] <= _ROUNDING * whole[0]:
-            # What rounding leaves of a link without a mass has its centre anywhere.
+        if own[0] <= _MASS_ROUND_OFF * whole[0]:
+            # The rounding residue of a massless link has an arbitrary centre.
             own[:4] = 0.0
         model = self.model.copy()
-        model.inertias[joint] = _body(own)
+        model.inertias[joint] = _inertia_of(own)
         return replace(self, model=model, payload=factor * self.payload)
 
     def with_gravity(self, gravity: Sequence[float]) -> Robot:
@@ -234,12 +235,12 @@ class Robot:
         return replace(self, model=model)
 
     def with_joints_locked(self, names: Sequence[str]) -> Robot:
-        """Copy in which some joints are held at zero; what they carry belongs to the link before.
+        """Copy with some joints fixed at zero, their links merged with the link before.
 
         Parameters
         ----------
         names : sequence of str
-            Of moving joints, not all of them.
+            Names of moving joints, not of all.
         """
         if not names:
             return self
@@ -256,7 +257,7 @@ class Robot:
         left = np.array([name not in names for name in self.joint_names])
         arrays: dict[str, Any] = {
             name: array[left]
-            for name in _JOINT_ARRAYS
+            for name in _JOINT_ARRAY_FIELDS
             if (array := getattr(self, name)) is not None
         }
         return replace(
@@ -269,15 +270,15 @@ class Robot:
         )
 
     def with_inertial_parameters(self, joint: int, parameters: np.ndarray) -> Robot:
-        """Copy with another body behind a joint.
+        """Copy with other inertial parameters of a joint's body.
 
         Parameters
         ----------
         joint : int
             From 1.
         parameters : array (10,)
-            As `Body.inertial_parameters`, with a mass above 0. Where their inertia belongs to no
-            body, the inertia about the centre of mass stays what it was.
+            As `Body.inertial_parameters`, with a mass above 0. The inertia about the centre of mass
+            stays the same where the given one is not physical.
         """
         if not parameters[0] > 0.0:
             raise RobotError(f"a link needs a mass above 0, got {parameters[0]:g} kg.")
@@ -295,7 +296,7 @@ class Robot:
         Parameters
         ----------
         preloads : mapping of joint number to mapping of element name to float
-            Joints are numbered from 1; of one bolt or pin [N]. All others stay as they are.
+            Joints from 1; preload of one bolt or pin [N]. Others are unchanged.
         """
         chains = list(self.chains)
         for joint, own in preloads.items():
@@ -328,11 +329,11 @@ class Robot:
         return replace(self, tool=link_frame(self.model, link or self.tool.link, offset, rpy))
 
 
-def _body(parameters: np.ndarray) -> pin.Inertia:
-    """Body of these dynamic parameters, which may have no mass."""
+def _inertia_of(parameters: np.ndarray) -> pin.Inertia:
+    """Inertia of these dynamic parameters; the mass may be zero."""
     if parameters[0] > 0.0:
         return pin.Inertia.FromDynamicParameters(parameters)
-    # Of an inertia about the origin, as where there is no centre of mass.
+    # Inertia about the origin, since there is no centre of mass.
     inertia = np.zeros((3, 3))
     rows, columns = (0, 0, 1, 0, 1, 2), (0, 1, 1, 2, 2, 2)
     inertia[rows, columns] = inertia[columns, rows] = parameters[4:]

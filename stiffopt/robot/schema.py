@@ -1,4 +1,4 @@
-"""Schema of robot files: the arm, its joints, surfaces and how the elements make a joint."""
+"""Schema of robot files: arm, joints, surfaces and assembly of the elements."""
 
 from __future__ import annotations
 
@@ -33,14 +33,19 @@ from stiffopt.declaration import (
     Named,
     declared,
 )
-from stiffopt.robot.element_sections import Cited, ElementSection, element_section, section_key
+from stiffopt.robot.elements import (
+    Cited,
+    ElementSection,
+    build_element_section,
+    build_section_key,
+)
 from stiffopt.validation import Model, Section
 
 Vector = tuple[Length, Length, Length]
 
 
 class JointSection(Cited):
-    """One joint of the URDF; what is left out comes from there or is without limit."""
+    """One joint of the URDF; omitted keys are those of the URDF or without limit."""
 
     name: Annotated[str, Doc("Name of the joint in the URDF.")]
     torque_max: Annotated[
@@ -68,8 +73,8 @@ class JointSection(Cited):
         JointViscous | None,
         NOT_NEGATIVE,
         Doc(
-            "Damping of the joint's spring; default 2 % of what is critical for it swinging alone, "
-            "said in results."
+            "Damping of the joint's spring; default 2 % of the critical damping of this joint "
+            "alone, stated in results."
         ),
     ] = None
     hysteresis: Annotated[
@@ -87,7 +92,7 @@ class JointSection(Cited):
 
 
 class LinkSection(Cited):
-    """What a link weighs, in place of what the URDF says or does not say."""
+    """Mass and inertia of a link, in place of those of the URDF."""
 
     name: Annotated[str, Doc("Name of the link in the URDF.")]
     mass: Annotated[Mass, Bounds(least=0.0, most=1e5), Doc("Mass.")]
@@ -99,11 +104,11 @@ class LinkSection(Cited):
 
 
 class SurfaceSection(Cited):
-    """A pair of surfaces that the catalogue does not have."""
+    """A pair of surfaces outside the catalogue."""
 
 
 class AssemblySection(Cited):
-    """How the elements make a joint."""
+    """Assembly of the elements to a joint."""
 
     reflect: Annotated[
         bool,
@@ -139,13 +144,14 @@ class RobotFile(Section):
     ] = None
     catalogue: Annotated[
         str | None,
-        Doc("Path of one's own catalogue file, relative to this one; its parts come first."),
+        Doc("Path of the user's catalogue file, relative to this one; its parts take precedence."),
     ] = None
     lock: Annotated[
         dict[str, JointPosition],
         Doc(
-            "Joints that are held, and where. Those that do not lead to the tool are held at zero, "
-            "and those that follow a held joint with it, unless a [[joint]] names them."
+            "Joints that are held, and their positions. Others that do not lead to the tool "
+            "are held at zero, and those that follow a held joint with it, unless a "
+            "[[joint]] names them."
         ),
     ] = Field(default_factory=dict)
     tool: Annotated[PlaceSection | None, Doc("Tool point; default the frame of the last link.")] = (
@@ -154,7 +160,9 @@ class RobotFile(Section):
     flange: Annotated[
         PlaceSection | None, Doc("Where payloads are fixed; default the flange of the URDF.")
     ] = None
-    assembly: Annotated[AssemblySection, Doc("How the elements make a joint.")] = AssemblySection()
+    assembly: Annotated[AssemblySection, Doc("Assembly of the elements to a joint.")] = (
+        AssemblySection()
+    )
     link: Annotated[
         tuple[LinkSection, ...],
         Doc("Masses of links, in place of the URDF's; all may be left out."),
@@ -167,25 +175,25 @@ class RobotFile(Section):
     ] = ()
 
 
-def robot_file() -> type[RobotFile]:
-    """Schema of robot files with every connection that is defined now."""
-    return _robot_file(tuple(connection_kinds().values()))
+def robot_file_schema() -> type[RobotFile]:
+    """Schema of robot files with every connection defined so far."""
+    return _robot_file_of(tuple(connection_kinds().values()))
 
 
 @functools.cache
-def _robot_file(kinds: tuple[type[Connection], ...]) -> type[RobotFile]:
+def _robot_file_of(kinds: tuple[type[Connection], ...]) -> type[RobotFile]:
     """`RobotFile` whose elements are of these kinds."""
-    elements: Any = Union[tuple(element_section(kind) for kind in kinds)]  # noqa: UP007
+    elements: Any = Union[tuple(build_element_section(kind) for kind in kinds)]  # noqa: UP007
     element: Any = Annotated[elements, Field(discriminator="type")]
-    joint: Any = _extended(JointSection, element=tuple[element, ...])
+    joint: Any = _replace_key_types(JointSection, element=tuple[element, ...])
     surface: Any = _surface_section()
-    return _extended(RobotFile, joint=tuple[joint, ...], surface=dict[str, surface])
+    return _replace_key_types(RobotFile, joint=tuple[joint, ...], surface=dict[str, surface])
 
 
 def _surface_section() -> type[SurfaceSection]:
     """`SurfaceSection` with the declared fields of a pair of surfaces; materials also by name."""
     keys: dict[str, Any] = {
-        name: section_key(field) for name, field in declared(SurfacePair).items()
+        name: build_section_key(field) for name, field in declared(SurfacePair).items()
     }
     for name in ("first", "second"):
         by_name: Any = Annotated[str, Named("material")]
@@ -196,8 +204,8 @@ def _surface_section() -> type[SurfaceSection]:
     )
 
 
-def _extended(section: type[Model], **keys: Any) -> type[Model]:
-    """`section` with other types of some of its keys; their sentences and defaults stay."""
+def _replace_key_types(section: type[Model], **keys: Any) -> type[Model]:
+    """Section with other types of some keys and the same descriptions and defaults."""
     hints = typing.get_type_hints(section, include_extras=True)
     changed: dict[str, Any] = {
         name: (Annotated[kind, *hints[name].__metadata__], section.model_fields[name])

@@ -1,9 +1,9 @@
-"""Planes that keep two convex solids apart while the arm goes from one pose to another.
+"""Planes that separate two convex solids while the arm moves from one pose to another.
 
-A plane is fixed to the second solid. All of the first solid, in all poses of the step, lies on its
-far side, as far from it as can be: the plane is that of the least distance between the second solid
-and the hull of what the first one sweeps, by coal. A motion whose steps all keep their planes keeps
-the distance, and planes that are laid anew on it are kept by it as well.
+A plane is fixed to the second solid. The first solid lies on its far side in all poses of the step
+at the largest possible distance: the plane is that of the least distance between the second solid
+and the convex hull of the first one in these poses, by coal. A motion that satisfies the planes of
+all steps keeps the distance, and also satisfies planes computed from the motion itself.
 """
 
 from __future__ import annotations
@@ -18,24 +18,25 @@ import numpy as np
 if TYPE_CHECKING:
     from stiffopt.robot.clearance import ClearanceModel, Solid
 
-# Points of the hull that coal is given; those that it lacks are added while they lie lower than
-# this [m].
-_AXES = np.vstack([np.eye(3), -np.eye(3)])
-_LOWER = 1e-6
-_PASSES = 20
-# coal searches the points of a shape one by one up to so many, and needs no edges then.
-_MOST = 32
-# Points on the rim of a round face, for the direction alone: distances are exact.
-_RIM = 8
-# Supports of a solid that a plane is kept by, and those that a turn by so much [rad] can make the
-# nearest.
-_SUPPORTS = 6
-_TURN = 0.5
+# Directions of the initial points of the hull; further points are added while they lie lower than
+# it by more than this [m].
+_AXIS_DIRECTIONS = np.vstack([np.eye(3), -np.eye(3)])
+_HEIGHT_TOLERANCE = 1e-6
+# Rounds of added points; a few are usual.
+_MAX_HULL_PASSES = 20
+# Up to so many points coal searches them one by one and needs no edges.
+_MAX_HULL_POINTS = 32
+# Points on the rim of a disc, for the direction only: distances are exact.
+_RIM_POINTS = 8
+# Supports of a solid that are constrained by a plane: those that are nearest, or become so by a
+# rotation of so much [rad].
+_MAX_NEAR_SUPPORTS = 6
+_MAX_TURN = 0.5
 
 
 @dataclass(frozen=True, eq=False)
 class Support:
-    """What a convex solid reaches to in any direction: points, balls and discs.
+    """Support of a convex solid: points, balls and discs whose convex hull it is.
 
     Parameters
     ----------
@@ -52,25 +53,28 @@ class Support:
     radius: np.ndarray
 
     def lowest(self, normal: np.ndarray) -> np.ndarray:
-        """How low each reaches along a direction (3,) (m,) [m]."""
+        """Least height of each along a direction (3,): (m,) [m]."""
         along = self.axis @ normal
         return np.asarray(
             self.centre @ normal - self.radius * np.sqrt(np.maximum(1.0 - along**2, 0.0))
         )
 
     def moved(self, rotation: np.ndarray, origin: np.ndarray) -> Support:
-        """The same in another frame."""
+        """Support in another frame."""
         return Support(self.centre @ rotation.T + origin, self.axis @ rotation.T, self.radius)
 
     def points(self) -> np.ndarray:
-        """Points (k, 3) whose hull, but for the radius of balls, is nearly the solid."""
-        rims: list[np.ndarray] = [self.centre[~self._discs]]
+        """Points (k, 3) whose hull approximates the solid without the radius of balls."""
+        rims: list[np.ndarray] = [self.centre[~self._is_disc]]
         for centre, axis, radius in zip(
-            self.centre[self._discs], self.axis[self._discs], self.radius[self._discs], strict=True
+            self.centre[self._is_disc],
+            self.axis[self._is_disc],
+            self.radius[self._is_disc],
+            strict=True,
         ):
             first = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
             first /= np.linalg.norm(first)
-            angle = np.arange(_RIM) * 2.0 * np.pi / _RIM
+            angle = np.arange(_RIM_POINTS) * 2.0 * np.pi / _RIM_POINTS
             second = np.cross(axis, first)
             rims.append(
                 centre + radius * (np.outer(np.cos(angle), first) + np.outer(np.sin(angle), second))
@@ -78,24 +82,24 @@ class Support:
         return np.asarray(np.concatenate(rims))
 
     @property
-    def _discs(self) -> np.ndarray:
+    def _is_disc(self) -> np.ndarray:
         return np.asarray(np.any(self.axis != 0.0, axis=1))
 
 
 @dataclass(frozen=True, eq=False)
 class SeparatingPlane:
-    """A plane in the frame of the second solid's joint, and what of the first one keeps to it.
+    """Plane in the frame of the second solid's joint, and the nearest supports of the first.
 
     Parameters
     ----------
     normal : array (3,)
-        Towards the first solid.
+        Unit vector towards the first solid.
     height : float
-        Of the second solid along the normal [m].
+        Height of the second solid along the normal [m].
     near : Support
-        Of the first solid, in the frame of its own joint.
+        Nearest supports of the first solid, in the frame of its joint.
     distance : float
-        Between plane and the first solid, in all poses [m].
+        Least distance between plane and first solid over all poses [m].
     """
 
     normal: np.ndarray
@@ -117,7 +121,7 @@ class SeparatingPlanes:
         self._supports = [support_of(solid) for solid in model.solids]
 
     def supports(self, couple: int) -> int:
-        """Of how many points, balls and discs the first solid of a couple is the hull."""
+        """Number of supports of the first solid of a couple."""
         support = self._supports[self.model.couples[couple][0]]
         assert support is not None
         return len(support.radius)
@@ -127,21 +131,23 @@ class SeparatingPlanes:
         couple: int,
         placements: Sequence[tuple[np.ndarray, np.ndarray]],
     ) -> SeparatingPlane:
-        """The plane of a couple over a step.
+        """Separating plane of a couple over a step.
 
         Parameters
         ----------
         couple : int
-            Its number.
+            Index of the couple.
         placements : sequence of (array (n + 1, 3, 3), array (n + 1, 3))
-            Of the joints, in every pose of the step.
+            Frames of the joints in every pose of the step.
         """
         a, b = self.model.couples[couple]
         first, second = self.model.solids[a], self.model.solids[b]
         support = self._supports[a]
         assert support is not None
-        swept = [support.moved(*_relative(each, first.joint, second.joint)) for each in placements]
-        normal, witness = self._normal(swept, second)
+        swept = [
+            support.moved(*_relative_frame(each, first.joint, second.joint)) for each in placements
+        ]
+        normal, witness = self._separating_normal(swept, second)
         other = self._supports[b]
         height = witness
         if other is not None:
@@ -150,44 +156,47 @@ class SeparatingPlanes:
         return SeparatingPlane(
             normal,
             height,
-            _near(support, lowest),
+            _nearest_supports(support, lowest),
             float(lowest.min()) - height,
         )
 
-    def _normal(self, swept: list[Support], second: Solid) -> tuple[np.ndarray, float]:
-        """Direction from the second solid to what the first one sweeps, height of the second."""
+    def _separating_normal(self, swept: list[Support], second: Solid) -> tuple[np.ndarray, float]:
+        """Direction from the second solid to the swept first one, and height of the second."""
         at = second.placement
         if isinstance(second.geometry, coal.Halfspace):
             normal = at.rotation @ np.asarray(second.geometry.n)
             return normal, float(second.geometry.d + normal @ at.translation)
         points = np.concatenate([each.points() for each in swept])
-        chosen = list(dict.fromkeys(int(k) for k in np.argmax(points @ _AXES.T, axis=0)))
-        if len(points) <= _MOST:
+        chosen = list(dict.fromkeys(int(k) for k in np.argmax(points @ _AXIS_DIRECTIONS.T, axis=0)))
+        if len(points) <= _MAX_HULL_POINTS:
             chosen = list(range(len(points)))
         request, result = coal.DistanceRequest(), coal.DistanceResult()
         placed = coal.Transform3s(at.rotation, at.translation)
-        for _ in range(_PASSES):
+        for _ in range(_MAX_HULL_PASSES):
             result.clear()
             coal.distance(
-                _hull(points[chosen]),
+                _convex_hull(points[chosen]),
                 coal.Transform3s.Identity(),
                 second.geometry,
                 placed,
                 request,
                 result,
             )
-            # From the first to the second.
+            # coal's normal points from the first to the second.
             normal = -np.asarray(result.normal)
             low = points @ normal
             lowest = int(np.argmin(low))
-            if low[lowest] > low[chosen].min() - _LOWER or len(chosen) == _MOST:
+            if (
+                low[lowest] > low[chosen].min() - _HEIGHT_TOLERANCE
+                or len(chosen) == _MAX_HULL_POINTS
+            ):
                 break
             chosen.append(lowest)
         return normal, float(normal @ np.asarray(result.getNearestPoint2()))
 
 
 def support_of(solid: Solid) -> Support | None:
-    """The support of a solid in the frame of its joint; None of one that is not convex or ends."""
+    """Support of a solid in the frame of its joint; None if not convex or not bounded."""
     form = solid.geometry
     axes = np.zeros((1, 3))
     up = np.array([0.0, 0.0, 1.0])
@@ -199,38 +208,40 @@ def support_of(solid: Solid) -> Support | None:
         own = Support(ends, np.tile(disc, (2, 1)), np.full(2, form.radius))
     elif isinstance(form, coal.Box):
         signs = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, 8).T
-        own = _points(signs * np.asarray(form.halfSide))
+        own = _support_of_points(signs * np.asarray(form.halfSide))
     elif isinstance(form, coal.ConvexBase):
-        own = _points(np.array([form.point(k) for k in range(form.num_points)]))
+        own = _support_of_points(np.array([form.point(k) for k in range(form.num_points)]))
     else:
         return None
     return own.moved(solid.placement.rotation, solid.placement.translation)
 
 
-def _points(points: np.ndarray) -> Support:
+def _support_of_points(points: np.ndarray) -> Support:
     return Support(points, np.zeros_like(points), np.zeros(len(points)))
 
 
-def _relative(
+def _relative_frame(
     placed: tuple[np.ndarray, np.ndarray], first: int, second: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Frame of one joint in that of another."""
+    """Frame of one joint relative to that of another."""
     rotation, origin = placed
     back = rotation[second].T
     return back @ rotation[first], back @ (origin[first] - origin[second])
 
 
-def _near(support: Support, lowest: np.ndarray) -> Support:
-    """What lies lowest, or can come to lie so when the solid turns a little."""
+def _nearest_supports(support: Support, lowest: np.ndarray) -> Support:
+    """Supports that are lowest, or can become so by a small rotation of the solid."""
     order = np.argsort(lowest)
     away = np.linalg.norm(support.centre - support.centre[order[0]], axis=1)
     lift = lowest - lowest[order[0]]
-    kept = [k for k in order if lift[k] <= _TURN * away[k] + _LOWER][:_SUPPORTS]
+    kept = [k for k in order if lift[k] <= _MAX_TURN * away[k] + _HEIGHT_TOLERANCE][
+        :_MAX_NEAR_SUPPORTS
+    ]
     return Support(support.centre[kept], support.axis[kept], support.radius[kept])
 
 
-def _hull(points: np.ndarray) -> Any:
-    """Hull of a few points, flat or not, as coal has it."""
+def _convex_hull(points: np.ndarray) -> Any:
+    """Convex hull of a few points, flat or not, for coal."""
     corners, faces = coal.StdVec_Vec3s(), coal.StdVec_Triangle()
     for point in points:
         corners.append(point)

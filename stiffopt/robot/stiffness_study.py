@@ -1,4 +1,4 @@
-"""Joint stiffness against torque, with and without contacts, by the unsmoothed law."""
+"""Joint stiffness over torque, with and without contacts, by the unsmoothed law."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from stiffopt.exact.chain import compliance_shares, exact_compliance, exact_wind
 from stiffopt.files import write_csv
 from stiffopt.robot.robot import Robot
 
-# Geometric between a thousandth and all of the largest torque: contacts act at the low end.
+# Geometric from a thousandth of the largest torque: contacts matter at low torque.
 DEFAULT_RATIOS: tuple[float, ...] = tuple(
     sorted({*(10.0 ** np.linspace(-3.0, 0.0, 61)).round(12).tolist(), 0.005, 0.02, 0.05, 0.2})
 )
@@ -49,11 +49,11 @@ class StiffnessRow:
     ratio_to_reducer_only : float
         Tangent stiffness with contacts over that of the reducer alone [-].
     first_loading_stiffness, cyclic_stiffness : float
-        Tangent stiffness with contacts loaded for the first time, and with contacts that had a
-        larger load before, which a robot's have after its first motions [N m/rad].
+        Tangent stiffness with contacts under first loading, and with contacts that had a larger
+        load before, as in a robot after its first motions [N m/rad].
     flanks : str
-        How the flanks of the keys act: "series", "parallel", "mixed" as the robot has it, or
-        "none" for a joint without keys.
+        Arrangement of the flanks of the keys: "series", "parallel", "mixed", or "none" for a joint
+        without keys.
     """
 
     joint: int
@@ -83,13 +83,12 @@ def stiffness_study(
     ratios : sequence of float, optional
         Torques over `torque_max`, above 0 [-]; default `DEFAULT_RATIOS`.
     both_readings : bool
-        Also the other reading of the key flanks: in parallel where the robot has them in series,
-        and the reverse.
+        Also compute the other arrangement of the key flanks, parallel for series and the reverse.
 
     Returns
     -------
     list of StiffnessRow
-        By joint, then reading (the robot's own first), then ratio. Rigid joints have none.
+        By joint, then arrangement (that of the robot first), then ratio; none for rigid joints.
 
     Raises
     ------
@@ -112,13 +111,13 @@ def stiffness_study(
         if chain is None:
             continue
         torque = shares * robot.torque_max[j]
-        for flanks, reading in _readings(chain, both_readings):
-            rows += _rows(j + 1, flanks, reading, shares, torque)
+        for flanks, reading in _flank_readings(chain, both_readings):
+            rows += _joint_rows(j + 1, flanks, reading, shares, torque)
     return rows
 
 
 def write_stiffness_csv(rows: Sequence[StiffnessRow], path: str | os.PathLike[str]) -> None:
-    """Write the rows as `stiffness.csv`, whole or not at all."""
+    """Write the rows as `stiffness.csv`, atomically."""
     write_csv(path, COLUMNS, [dataclasses.astuple(row) for row in rows])
 
 
@@ -138,7 +137,7 @@ def compliance_by_element(robot: Robot, ratio: float) -> dict[int, dict[str, flo
 
 
 def with_flanks(chain: Chain, flanks: Flanks) -> Chain:
-    """Copy of a chain with the flanks of all its keys in "series" or in "parallel"."""
+    """Copy a chain with the flanks of all keys in "series" or "parallel"."""
     stages = tuple(
         replace(s, element=replace(s.element, flanks=flanks)) if isinstance(s.element, Key) else s
         for s in chain.stages
@@ -147,7 +146,7 @@ def with_flanks(chain: Chain, flanks: Flanks) -> Chain:
 
 
 def with_loading(chain: Chain, loading: Loading) -> Chain:
-    """Copy of a chain with all its rough contacts loaded for the "first" time or "cyclic"."""
+    """Copy a chain with all rough contacts under "first" or "cyclic" loading."""
     stages = []
     for stage in chain.stages:
         surface = getattr(stage.element, "surface", None)
@@ -158,7 +157,7 @@ def with_loading(chain: Chain, loading: Loading) -> Chain:
     return replace(chain, stages=tuple(stages))
 
 
-def _readings(chain: Chain, both: bool) -> list[tuple[str, Chain]]:
+def _flank_readings(chain: Chain, both: bool) -> list[tuple[str, Chain]]:
     kinds = sorted({e.flanks for e in chain.elements.values() if isinstance(e, Key)})
     own = "none" if not kinds else kinds[0] if len(kinds) == 1 else "mixed"
     readings: tuple[Flanks, ...] = ("series", "parallel")
@@ -166,7 +165,7 @@ def _readings(chain: Chain, both: bool) -> list[tuple[str, Chain]]:
     return [(own, chain), *((f, with_flanks(chain, f)) for f in others)]
 
 
-def _rows(
+def _joint_rows(
     joint: int, flanks: str, chain: Chain, ratios: np.ndarray, torque: np.ndarray
 ) -> list[StiffnessRow]:
     compliance = exact_compliance(chain, torque)

@@ -1,4 +1,4 @@
-"""A URDF as a pinocchio model of revolute and prismatic joints, checked before it is read."""
+"""Loading of URDFs as pinocchio models of revolute and prismatic joints, with checks."""
 
 from __future__ import annotations
 
@@ -14,43 +14,42 @@ import pinocchio as pin
 
 from stiffopt.errors import InputFileError, RobotError, nearest, shortened
 from stiffopt.robot.held_joints import HeldJoint, hold_joints
-from stiffopt.robot.urdf_tree import read_tree
+from stiffopt.robot.urdf_xml import read_urdf_tree
 
-_KINDS = ("revolute", "continuous", "prismatic", "fixed")
-# Stands in for the limits of a continuous joint, which pinocchio would read as a unit circle.
+_JOINT_KINDS = ("revolute", "continuous", "prismatic", "fixed")
+# Limits of a continuous joint, which pinocchio would otherwise model by a unit circle.
 UNLIMITED = 1e9
-# Beyond any machine in every unit of a URDF, far below what overflows when multiplied.
-_LARGEST = 1e9
-# No arm has joints so far apart [m].
-_FAR = 50.0
-_INERTIA = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
-# No link of an arm has its mass so far from its centre [m].
-_WIDE = 10.0
-# No body of a robot is smaller than an atom [m].
-_ATOM = 1e-10
-# A smaller share of an arm's mass or inertia does not matter.
-_MATTERS = 1e-3
-# Share of the largest principal moment by which the least may be below 0: files are rounded.
-_ROUNDED = 1e-2
-# Limits that are meant as none are written larger.
-_NO_LIMIT = 1e30
+# Beyond any machine in every unit of a URDF; products of a few such numbers do not overflow.
+_MAX_NUMBER = 1e9
+# Distance of successive joints of an arm [m].
+_MAX_JOINT_DISTANCE = 50.0
+_INERTIA_KEYS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+# Radius of gyration of a link [m].
+_MAX_GYRATION_RADIUS = 10.0
+# Size of an atom [m].
+_MIN_GYRATION_RADIUS = 1e-10
+# Share of an arm's mass or inertia below which a body is negligible.
+_MIN_INERTIAL_SHARE = 1e-3
+# Share of the largest principal moment by which the least may be below 0, by rounding in files.
+_MOMENT_ROUNDING = 1e-2
+# Limits are accepted up to here, since files write huge numbers for no limit.
+_MAX_LIMIT = 1e30
 
 
 @dataclass(frozen=True, eq=False)
 class LoadedUrdf:
-    """A URDF as a model.
+    """Model of a URDF and its joints.
 
     Parameters
     ----------
     model : pinocchio.Model
         Fixed and held joints merged; a continuous joint is a revolute one without position limits.
     joints : mapping of joint name to its `effort`, `velocity`, `damping`, `friction`
-        In the model's order; 0 where the URDF is silent. [N m], [rad/s], [N m s/rad], [N m]
+        In the model's order; 0 where not given. [N m], [rad/s], [N m s/rad], [N m]
     held : tuple of HeldJoint
-        Moving joints that the arm does not move.
+        Joints that are held fixed.
     unlimited : tuple of str
-        Joints that need limits of position, which the URDF does not state; without any in the
-        model.
+        Joints without the position limits that they need; unlimited in the model.
     """
 
     model: pin.Model
@@ -59,13 +58,13 @@ class LoadedUrdf:
     unlimited: tuple[str, ...] = ()
 
 
-# Memory of the dynamics grows with their cube: 900 joints take 35 GB.
+# Memory of the dynamics grows with the cube: 900 joints need 35 GB.
 MAX_MOVING_JOINTS = 50
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LinkBody:
-    """What a link weighs, in place of what the URDF says.
+    """Mass and inertia of a link, in place of those of the URDF.
 
     Parameters
     ----------
@@ -91,37 +90,37 @@ def load_urdf(
     bodies: Mapping[str, LinkBody] | None = None,
     followers: bool = False,
 ) -> LoadedUrdf:
-    """Model of a URDF and what it says about each joint.
+    """Load a URDF as a model with the limits and friction of each joint.
 
     Parameters
     ----------
     path : path of a URDF file
     lock : mapping of joint name to float, optional
-        Joints that are held, and where [rad] or [m].
+        Positions of locked joints [rad] or [m].
     tip : str, optional
         Link at the end of the arm; joints that do not lead to it are held.
     keep : collection of str
-        Joints that move all the same.
+        Joints that are not fixed although they do not lead to the tip.
     limited : collection of str or None
-        Joints whose limits of position are given elsewhere; None: all that need some.
+        Joints whose position limits are given elsewhere; None: all that need some.
     bodies : mapping of link name to LinkBody, optional
-        In place of the URDF's inertials.
+        Bodies that replace inertials of the URDF.
     followers : bool
-        Hold joints of the arm that follow another one, in place of an error.
+        Fix joints of the arm that follow another one, in place of an error.
 
     Raises
     ------
     RobotError
         A joint that is neither revolute, prismatic nor fixed, or follows another of the arm; a
-        number that is missing or cannot be.
+        missing or impossible number.
     """
     path = Path(path)
-    tree = read_tree(path)
+    tree = read_urdf_tree(path)
     _check_links(tree, path)
-    _put_bodies(tree, bodies or {}, path)
+    _replace_inertials(tree, bodies or {}, path)
     moving = {}
     for joint in tree.findall("joint"):
-        found = _joint(joint, path)
+        found = _check_joint(joint, path)
         if found is not None:
             moving[joint.get("name", "")] = found
     held = hold_joints(tree, path, lock=lock or {}, tip=tip, keep=keep, followers=followers)
@@ -129,7 +128,7 @@ def load_urdf(
         del moving[each.name]
     unlimited = [joint for joint in tree.findall("joint") if _needs_limits(joint)]
     for joint in unlimited:
-        _free(joint, path, limited)
+        _remove_limits(joint, path, limited)
     if not moving:
         raise RobotError(f"{path}: no joint moves. Give an arm with revolute or prismatic joints.")
     if len(moving) > MAX_MOVING_JOINTS:
@@ -146,13 +145,13 @@ def load_urdf(
     return LoadedUrdf(model, joints, held, tuple(joint.get("name", "") for joint in unlimited))
 
 
-def _joint(joint: ET.Element, path: Path) -> dict[str, float] | None:
-    """Check one joint; None if it is fixed."""
+def _check_joint(joint: ET.Element, path: Path) -> dict[str, float] | None:
+    """Check one joint and read its limits and friction; None if it is fixed."""
     name, kind = joint.get("name", ""), joint.get("type", "")
-    if kind not in _KINDS:
+    if kind not in _JOINT_KINDS:
         raise RobotError(
             f"{path}: joint {name!r} is of the kind {kind!r}; allowed are "
-            f"{', '.join(_KINDS)}. Fix it, or replace it by several of these."
+            f"{', '.join(_JOINT_KINDS)}. Fix it, or replace it by several of these."
         )
     _check_origin(joint, path)
     if kind == "fixed":
@@ -166,7 +165,7 @@ def _joint(joint: ET.Element, path: Path) -> dict[str, float] | None:
     values = {}
     for key in ("effort", "velocity", "lower", "upper"):
         text = "0" if limit is None else limit.get(key, "0")
-        values[key] = urdf_numbers(text, 1, f"{path}: joint {name!r}, limit {key}", _NO_LIMIT)[0]
+        values[key] = urdf_numbers(text, 1, f"{path}: joint {name!r}, limit {key}", _MAX_LIMIT)[0]
         if key in ("effort", "velocity") and values[key] < 0.0:
             raise RobotError(
                 f"{path}: joint {name!r}, limit {key} = {text} is below 0. Correct the URDF."
@@ -195,7 +194,7 @@ def _check_origin(joint: ET.Element, path: Path) -> None:
         return
     for key in ("xyz", "rpy"):
         at = urdf_numbers(origin.get(key, "0 0 0"), 3, f"{path}: joint {name!r}, origin {key}")
-        if key == "xyz" and math.hypot(*at) > _FAR:
+        if key == "xyz" and math.hypot(*at) > _MAX_JOINT_DISTANCE:
             raise RobotError(
                 f"{path}: joint {name!r} lies {math.hypot(*at):g} m from the one before."
                 " Lengths of a URDF are in m: was it exported in mm?"
@@ -212,15 +211,15 @@ def _set_limits(joint: ET.Element, lower: float, upper: float) -> None:
 
 
 def _needs_limits(joint: ET.Element) -> bool:
-    """Whether limits of position are not stated: none, or both zero as exporters leave them."""
+    """Return whether position limits are missing, or both zero as some exporters write."""
     limit = joint.find("limit")
     if joint.get("type") == "fixed":
         return False
     return limit is None or float(limit.get("lower", 0)) == float(limit.get("upper", 0)) == 0.0
 
 
-def _free(joint: ET.Element, path: Path, limited: Collection[str] | None) -> None:
-    """Take the limits of a joint away that something else gives."""
+def _remove_limits(joint: ET.Element, path: Path, limited: Collection[str] | None) -> None:
+    """Remove the limits of a joint whose limits are given elsewhere."""
     name = joint.get("name", "")
     if limited is not None and name not in limited:
         raise RobotError(
@@ -231,7 +230,7 @@ def _free(joint: ET.Element, path: Path, limited: Collection[str] | None) -> Non
     _set_limits(joint, -UNLIMITED, UNLIMITED)
 
 
-def _put_bodies(tree: ET.Element, bodies: Mapping[str, LinkBody], path: Path) -> None:
+def _replace_inertials(tree: ET.Element, bodies: Mapping[str, LinkBody], path: Path) -> None:
     links = {link.get("name", ""): link for link in tree.findall("link")}
     for name, body in bodies.items():
         if name not in links:
@@ -260,12 +259,13 @@ def _check_links(tree: ET.Element, path: Path) -> None:
                 urdf_numbers(origin.get(key, "0 0 0"), 3, f"{place}, origin {key}")
         if mass is not None and urdf_numbers(mass.get("value", ""), 1, f"{place}, mass")[0] < 0.0:
             raise RobotError(f"{place}: the mass {mass.get('value')} is below 0. Correct it.")
-        # A library that misses one would go on with a link that weighs nothing.
-        lacking = [k for k in _INERTIA if inertia is None or inertia.get(k) is None]
+        # Libraries would treat an incomplete inertial as a massless link.
+        lacking = [k for k in _INERTIA_KEYS if inertia is None or inertia.get(k) is None]
         if mass is None or lacking:
-            what = "<mass>" if mass is None else ", ".join(lacking)
+            absent = "<mass>" if mass is None else ", ".join(lacking)
             raise RobotError(
-                f"{place}: its <inertial> lacks {what}. Give mass and all of {', '.join(_INERTIA)}."
+                f"{place}: its <inertial> lacks {absent}. Give mass and all of"
+                f" {', '.join(_INERTIA_KEYS)}."
             )
         for key, text in () if inertia is None else inertia.attrib.items():
             value = urdf_numbers(text, 1, f"{place}, inertia {key}")[0]
@@ -275,8 +275,8 @@ def _check_links(tree: ET.Element, path: Path) -> None:
 
 
 def _check_gyrations(tree: ET.Element, path: Path) -> None:
-    """Raise `RobotError` for an inertia that moves, matters and is that of no body, or too wide."""
-    moved = _moved_links(tree)
+    """Raise `RobotError` for an unphysical or too large inertia of a moving link."""
+    moved = _moving_links(tree)
     bodies = {
         link.get("name", ""): _mass_and_inertia(inertial)
         for link in tree.findall("link")
@@ -286,24 +286,26 @@ def _check_gyrations(tree: ET.Element, path: Path) -> None:
     moments = {name: float(inertia.diagonal().max()) for name, (_, inertia) in bodies.items()}
     for name, (mass, inertia) in bodies.items():
         moment = moments[name]
-        if 0.0 < moment < mass * _ATOM**2:
+        if 0.0 < moment < mass * _MIN_GYRATION_RADIUS**2:
             raise RobotError(
                 f"{path}: link {name!r}: {mass:g} kg with {moment:g} kg m^2 lie within an atom."
                 " Give the moments of the body, or 0 for a mass in one point."
             )
-        # Frames for a tool or a sensor are given some small numbers at times.
+        # Frames of tools or sensors often have arbitrary small numbers.
         others = sum(own for other, own in moments.items() if other != name)
-        if not (mass > _MATTERS * arm or np.abs(inertia).max() > _MATTERS * others):
+        if not (
+            mass > _MIN_INERTIAL_SHARE * arm or np.abs(inertia).max() > _MIN_INERTIAL_SHARE * others
+        ):
             continue
-        if mass * _WIDE**2 < moment and mass > 0.0:
+        if mass * _MAX_GYRATION_RADIUS**2 < moment and mass > 0.0:
             raise RobotError(
                 f"{path}: link {name!r}: {mass:g} kg with {moment:g} kg m^2 lie"
                 f" {math.sqrt(moment / mass):.3g} m from their centre. Inertias of a URDF are in"
                 " kg m^2: were they exported in kg mm^2 or g mm^2?"
             )
         principal = np.linalg.eigvalsh(inertia)
-        slack = _ROUNDED * np.abs(principal).max()
-        # One above the sum of the others is found in many files; `questionable_bodies` tells of it.
+        slack = _MOMENT_ROUNDING * np.abs(principal).max()
+        # One above the sum of the others occurs in many files and is only reported.
         if principal[0] < -slack:
             raise RobotError(
                 f"{path}: link {name!r}: its principal moments"
@@ -318,13 +320,13 @@ def _mass_and_inertia(inertial: ET.Element) -> tuple[float, np.ndarray]:
     mass, inertia = inertial.find("mass"), inertial.find("inertia")
     assert mass is not None
     assert inertia is not None
-    xx, xy, xz, yy, yz, zz = (float(inertia.get(key, 0.0)) for key in _INERTIA)
+    xx, xy, xz, yy, yz, zz = (float(inertia.get(key, 0.0)) for key in _INERTIA_KEYS)
     tensor = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
     return float(mass.get("value", 0.0)), tensor
 
 
-def _moved_links(tree: ET.Element) -> set[str]:
-    """Links that a joint which is not fixed carries, itself or through others."""
+def _moving_links(tree: ET.Element) -> set[str]:
+    """Links that a moving joint carries, directly or through others."""
     moved: set[str] = set()
     joints = [
         (joint.get("type") != "fixed", joint.find("parent"), joint.find("child"))
@@ -342,8 +344,8 @@ def _moved_links(tree: ET.Element) -> set[str]:
     return moved
 
 
-def urdf_numbers(text: str, count: int, place: str, most: float = _LARGEST) -> list[float]:
-    """Finite numbers of an attribute, `count` of them, none larger than `most`."""
+def urdf_numbers(text: str, count: int, place: str, most: float = _MAX_NUMBER) -> list[float]:
+    """Parse `count` finite numbers of an attribute, none larger than `most`."""
     try:
         values = [float(part) for part in text.split()]
     except ValueError:

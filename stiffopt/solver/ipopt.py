@@ -13,7 +13,7 @@ import numpy as np
 from stiffopt import native
 from stiffopt.errors import InputError
 from stiffopt.frontal import ipopt_options
-from stiffopt.interrupts import handled
+from stiffopt.interrupts import handle_interrupts
 from stiffopt.solver.monitor import Iterate, Monitor, Progress
 from stiffopt.symbolic import array_of
 from stiffopt.transcription.nlp import Nlp, NlpEntry, RowViolation
@@ -235,7 +235,7 @@ class IpoptSolver:
         limit = self.options.max_seconds if max_seconds is None else max_seconds
         monitor.begin(report, limit)
         monitor.patience = self.options.patience
-        with handled(lambda *_: monitor.interrupt.set()):
+        with handle_interrupts(lambda *_: monitor.interrupt.set()):
             outputs = solver(**inputs)
         solve_s = time.perf_counter() - monitor.started
         if monitor.error is not None:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from stiffopt.elastic.arm import ElasticArm
 from stiffopt.elastic.motor import MotorMotion
 from stiffopt.elastic.simulate import simulate
-from stiffopt.errors import relative
+from stiffopt.errors import format_relative
 from stiffopt.problem.limit import LIMITS
 
 if TYPE_CHECKING:
@@ -55,7 +55,9 @@ def other_damping_note(problem: TrajectoryProblem, motion: Assessment) -> str:
     found = exceeded_otherwise(problem, motion)
     if not found:
         return ""
-    listed = " and ".join(f"what {name} allows by {relative(over)}" for name, over in found.items())
+    listed = " and ".join(
+        f"what {name} allows by {format_relative(over)}" for name, over in found.items()
+    )
     return (
         "Limits after arrival hold with the damping that is assumed. With half of it, or half as "
         f"much again, the tool's swing exceeds {listed}: state the joints' measured damping in the "

@@ -22,7 +22,7 @@ from stiffopt.elastic.motor import MotorMotion
 from stiffopt.elastic.simulate import check_reach, simulate, typical_hysteresis
 from stiffopt.elastic.uncertainty import AssumedUncertainty
 from stiffopt.errors import NotSimulatedError
-from stiffopt.interrupts import delivered
+from stiffopt.interrupts import end_deferral
 from stiffopt.problem.formulation import smoothing_stages
 from stiffopt.problem.resolve import ResolvedMotion, resolve
 from stiffopt.result.assessment import PeakRms
@@ -253,7 +253,7 @@ def with_simulation(
     if not problem.robot.tool_yields(assessment.position):
         return _noted(solution, "Not simulated: no joint that yields moves the tool.")
     try:
-        delivered()
+        end_deferral()
         arm = elastic_arm(problem, assessment.position[0])
         counted = assessment.feasible(CERTIFIED)
         own = PlannedMotion.of("optimised", assessment, counted)

@@ -25,7 +25,7 @@ from stiffopt.certificate.slipping import slip_text, slips
 from stiffopt.certificate.violations import CERTIFIED
 from stiffopt.elastic.arm import questionable_springs
 from stiffopt.errors import NoSolutionFound, ProblemError
-from stiffopt.interrupts import delivered
+from stiffopt.interrupts import end_deferral
 from stiffopt.problem.bounds import check_bounds, shortest_duration
 from stiffopt.problem.clear_poses import check_clear_poses
 from stiffopt.problem.files import LoadedProblem
@@ -160,7 +160,7 @@ def solve_keeping(
     else:
         rival = better_baseline(problem, beside)
         try:
-            delivered()
+            end_deferral()
             begin = _begin(problem, motion, beside, guess)
             if start:
                 random = np.random.default_rng([problem.method.seed, start])

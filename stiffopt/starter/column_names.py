@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 
-from stiffopt.recording.set_points import may_be_set_point
+from stiffopt.recording.signals import may_be_set_point
 from stiffopt.starter.tables import UNITS
 
 KINDS = ("velocity", "torque", "link_position", "position")

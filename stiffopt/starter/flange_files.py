@@ -8,7 +8,7 @@ from pathlib import Path
 
 from stiffopt.declaration import PART
 from stiffopt.drivetrain import catalogue
-from stiffopt.drivetrain.catalogue import with_own
+from stiffopt.drivetrain.tables import with_own
 from stiffopt.errors import InputError, InputFileError, nearest
 from stiffopt.robot.own_catalogue import read_own_catalogue
 from stiffopt.starter.writing import beside, number, quoted, write_new

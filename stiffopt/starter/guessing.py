@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from stiffopt.errors import InputError
-from stiffopt.recording.set_points import may_be_set_point
+from stiffopt.recording.signals import may_be_set_point
 from stiffopt.robot.robot import Robot
 from stiffopt.starter.column_names import (
     CURRENT,

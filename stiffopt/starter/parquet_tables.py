@@ -10,7 +10,7 @@ import pyarrow.parquet as parquet
 
 from stiffopt.errors import InputFileError
 from stiffopt.recording.readers.lerobot import vector_names
-from stiffopt.recording.readers.parquet import numbers
+from stiffopt.recording.readers.parquet import column_to_numbers
 
 # Longer vectors are no signals of an arm's joints.
 _LONGEST = 64
@@ -33,7 +33,7 @@ def parquet_columns(path: Path) -> dict[str, np.ndarray]:
                     found |= _entries(path, field.name, column)
                 elif _is_number(field.type):
                     column = file.read(columns=[field.name], use_threads=False).column(0)
-                    found[field.name] = numbers(path, field.name, column)
+                    found[field.name] = column_to_numbers(path, field.name, column)
     except (arrow.ArrowException, OSError) as error:
         raise InputFileError(path, "", f"cannot be read as Parquet: {error}") from error
     return found

@@ -15,7 +15,7 @@ from stiffopt.robot.files import load_robot
 from stiffopt.robot.joint_tree import JointTree
 from stiffopt.robot.robot import Robot
 from stiffopt.robot.urdf import load_urdf
-from stiffopt.robot.urdf_tree import read_tree
+from stiffopt.robot.urdf_xml import read_urdf_tree
 from stiffopt.starter.robot_file import robot_text
 from stiffopt.starter.writing import quoted
 
@@ -68,7 +68,7 @@ def store_robot(source: Path, folder: Path, tip: str | None = None) -> RecordedR
         _copy_robot_file(source, folder)
         return RecordedRobot(robot=robot, file=FILE)
     # Of several arms all can have been recorded.
-    every = [] if tip else JointTree(read_tree(source)).branch_joints()
+    every = [] if tip else JointTree(read_urdf_tree(source)).ambiguous_joints()
     if tip is None and not _has_gaps(source, every):
         robot = load_robot(source, keep=every)
         shutil.copyfile(source, folder / _URDF)

@@ -16,7 +16,7 @@ import numpy as np
 from stiffopt.errors import InputError, InputFileError
 from stiffopt.recording.readers.read import is_messages
 from stiffopt.robot.joint_tree import JointTree
-from stiffopt.robot.urdf_tree import read_tree
+from stiffopt.robot.urdf_xml import read_urdf_tree
 from stiffopt.starter.guessing import (
     FACTORS,
     GuessedColumns,
@@ -91,7 +91,11 @@ def start_recording_set(
         try:
             return _started(data, arm, Path(beside), folder, rate)
         except UnrecognisedError as error:
-            which = "" if tip or arm.file == FILE else JointTree(read_tree(urdf)).which_arm()
+            which = (
+                ""
+                if tip or arm.file == FILE
+                else JointTree(read_urdf_tree(urdf)).describe_branches()
+            )
             if not which:
                 raise
             raise InputError(f"{error} {urdf.name} {which}") from error

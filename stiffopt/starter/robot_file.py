@@ -10,22 +10,23 @@ from pathlib import Path
 
 import numpy as np
 
-from stiffopt.drivetrain.catalogue import reducer, reducer_names, with_own
+from stiffopt.drivetrain.catalogue import reducer, reducer_names
+from stiffopt.drivetrain.tables import with_own
 from stiffopt.errors import InputFileError, RobotError, nearest
 from stiffopt.robot.body_tree import Body, body_tree
 from stiffopt.robot.estimated_masses import (
     DENSITY,
     ROD_DENSITY,
     EstimatedBody,
-    estimated_bodies,
-    fitted_to_torques,
+    estimate_bodies,
+    fit_to_torque_limits,
 )
-from stiffopt.robot.files import last_link
+from stiffopt.robot.files import default_tool_link
 from stiffopt.robot.frames import LinkFrame, link_frame, link_names, moving_link_names
 from stiffopt.robot.own_catalogue import read_own_catalogue
 from stiffopt.robot.rigid_body import RigidBodies
 from stiffopt.robot.urdf import UNLIMITED, LoadedUrdf, load_urdf
-from stiffopt.robot.urdf_tree import unread_model
+from stiffopt.robot.urdf_xml import unsupported_format
 from stiffopt.starter.placeholders import (
     Placeholder,
     credible_torques,
@@ -110,11 +111,11 @@ def robot_text(
     names = link_names(arm.model)
     if tip is not None and tip not in names:
         raise RobotError(f"{urdf}: there is no link {tip!r}. {nearest(tip, names)}")
-    tool = link_frame(arm.model, tip or last_link(arm.model))
-    bodies = estimated_bodies(arm, urdf, tool)
+    tool = link_frame(arm.model, tip or default_tool_link(arm.model))
+    bodies = estimate_bodies(arm, urdf, tool)
     if bodies:
         arm = load_urdf(urdf, tip=tip, limited=None, followers=True, bodies=bodies)
-        fitted = fitted_to_torques(bodies, _weights(arm), credible_torques(arm))
+        fitted = fit_to_torque_limits(bodies, _weights(arm), credible_torques(arm))
         if fitted != bodies:
             bodies = fitted
             arm = load_urdf(urdf, tip=tip, limited=None, followers=True, bodies=bodies)
@@ -161,7 +162,7 @@ def _check_format(urdf: Path) -> None:
     """Raise `InputFileError` for a file whose name says that it is no URDF."""
     kind = "xacro" if urdf.name.endswith(".urdf.xacro") else _NOT_READ.get(urdf.suffix.lower())
     if kind is not None:
-        raise InputFileError(urdf, "", unread_model(kind))
+        raise InputFileError(urdf, "", unsupported_format(kind))
     if urdf.suffix.lower() == ".toml":
         raise InputFileError(
             urdf, "", f"is a robot file already: go on with `stiffopt init problem {urdf}`."

@@ -11,7 +11,7 @@ import numpy as np
 
 from stiffopt.errors import InputError, InputFileError
 from stiffopt.files import check_file
-from stiffopt.recording.readers.read import bounded
+from stiffopt.recording.readers.read import read_bounded
 from stiffopt.starter.clocks import stamps, with_joined_stamps
 
 # Words for units as loggers write them, and what `[signals.scale]` calls them; "" is SI. What is no
@@ -51,7 +51,7 @@ def read_any_table(path: Path) -> dict[str, np.ndarray]:
     """
     check_file(path, _LARGEST)
     read = {".npz": _npz, ".parquet": _parquet}.get(path.suffix.lower(), _text)
-    return bounded(lambda: read(path), path, "a table")
+    return read_bounded(lambda: read(path), path, "a table")
 
 
 def _npz(path: Path) -> dict[str, np.ndarray]:

@@ -19,11 +19,10 @@ import numpy as np
 
 from stiffopt import __version__
 from stiffopt.errors import InputError, InputFileError, shortened
-from stiffopt.files import check_file, load_toml, read_document, with_changes
-from stiffopt.recording.readers.read import files_of
-from stiffopt.recording.set_file import FILE as RECORDINGS
-from stiffopt.recording.set_file import described_by
-from stiffopt.robot.mesh_files import mesh_files
+from stiffopt.files import apply_changes, check_file, load_toml, read_document
+from stiffopt.recording.readers.read import SET_FILE as RECORDINGS
+from stiffopt.recording.readers.read import files_of, find_set_file
+from stiffopt.robot.urdf_xml import mesh_files
 from stiffopt.sweep.schema import MOST_CASES, RangeSection, SweepFile
 from stiffopt.units import number_and_unit
 
@@ -134,7 +133,7 @@ def fleet_of(sets: Sequence[Path], changes: Sequence[str] = ()) -> Sweep:
     InputFileError
         A set cannot be read, is named twice, or is none.
     """
-    bases = [described_by(each).resolve() for each in sets]
+    bases = [find_set_file(each).resolve() for each in sets]
     for base in bases:
         kind = load_toml(base).get("kind", "recordings")
         if kind != "recordings":
@@ -180,7 +179,7 @@ def sweep_of(document: SweepFile, path: Path, changes: Sequence[str] = ()) -> Sw
         content = load_toml(base)
         for parts in itertools.product(*axes):
             own = tuple(change for part in parts for change in part)
-            changed = with_changes(copy.deepcopy(content), [*changes, *_settings(own)], base)
+            changed = apply_changes(copy.deepcopy(content), [*changes, *_settings(own)], base)
             given = [change.partition("=")[2].strip(" \"'") for change in changes]
             chosen = _named(base.parent, [value for _, value in own] + given)
             inputs = "".join(digest(each) for each in (base, *chosen))

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from stiffopt.errors import InputError
-from stiffopt.files import plain
+from stiffopt.files import to_json_types
 from stiffopt.result.status import SolveStatus
 from stiffopt.sweep.cases import Case
 from stiffopt.units import joint_unit
@@ -84,7 +84,7 @@ def solve_case(case: Case, warm: bytes | None = None) -> tuple[dict[str, Any], b
 
 def document(case: Case, found: CaseResult, seconds: float) -> dict[str, Any]:
     """Content of a case's file."""
-    content: dict[str, Any] = plain(
+    content: dict[str, Any] = to_json_types(
         {
             "schema": SCHEMA,
             "key": case.key,

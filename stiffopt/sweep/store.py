@@ -6,7 +6,7 @@ import io
 import json
 from pathlib import Path
 
-from stiffopt.files import atomic_write, plain, write_csv
+from stiffopt.files import atomic_write, to_json_types, write_csv
 from stiffopt.sweep.summary import SweepSummary
 
 SUMMARY_FILE = "sweep.json"
@@ -36,6 +36,8 @@ def write_sweep(summary: SweepSummary, directory: str | Path) -> Path:
         stream = io.BytesIO()
         parquet.write_table(pyarrow.table(uniform), stream)
         atomic_write(folder / PARQUET_FILE, stream.getvalue())
-    text = json.dumps(plain(summary.document()), indent=1, ensure_ascii=False, allow_nan=False)
+    text = json.dumps(
+        to_json_types(summary.document()), indent=1, ensure_ascii=False, allow_nan=False
+    )
     atomic_write(folder / SUMMARY_FILE, text + "\n")
     return folder / TABLE_FILE

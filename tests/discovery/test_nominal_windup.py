@@ -9,7 +9,7 @@ import pytest
 from stiffopt.discovery.signals import JointConstants
 from stiffopt.drivetrain.chain import Chain
 from stiffopt.exact.chain import exact_compliance, exact_windup
-from stiffopt.recording.nominal_files import joint_chain
+from stiffopt.recording.nominal_files import build_joint_chain
 from stiffopt.robot.files import load_robot
 
 CURVE = (1.6e4, 2.5e4, 2.9e4, 7.0, 25.0)
@@ -34,7 +34,7 @@ def constants(chain: Chain | None) -> JointConstants:
 def test_windup_of_reducer_and_spring_is_exact(
     curve: tuple[float, ...] | None, contacts: float
 ) -> None:
-    chain = joint_chain(curve, contacts, 90.0)
+    chain = build_joint_chain(curve, contacts, 90.0)
     own = constants(chain)
     if chain is None:
         assert not own.elastic
@@ -46,7 +46,7 @@ def test_windup_of_reducer_and_spring_is_exact(
 
 
 def test_windup_with_symbols_matches_arrays() -> None:
-    own = constants(joint_chain(CURVE, 6.5e4, 90.0))
+    own = constants(build_joint_chain(CURVE, 6.5e4, 90.0))
     torque = ca.SX.sym("torque")
     function = ca.Function("windup", [torque], [own.windup(torque), own.compliance(torque)])
     for value in TORQUE:

@@ -103,7 +103,7 @@ def test_what_is_left_open_is_that_of_samples_however_many_are_taken_together(
     # At five times the rate the same torque is more noise of a sample.
     section = model.left_open.model_copy(update={"sampling_rate": 100.0})
     for every in (1, 3):
-        monkeypatch.setattr(diagnosing, "samples_a_mean", lambda runs, every=every: every)
+        monkeypatch.setattr(diagnosing, "decimation_factor", lambda runs, every=every: every)
         found = diagnose(source, model=replace(model, left_open=section), experiment=False)
         assert found.verdict == "nothing_missing"
         left.append(found.left_open.torque[0])

@@ -12,7 +12,7 @@ from synthetic_solution import solution as synthetic
 
 from stiffopt.cli import run
 from stiffopt.errors import InputError, InputFileError
-from stiffopt.files import with_changes
+from stiffopt.files import apply_changes
 from stiffopt.problem.files import load_problem
 from stiffopt.report.compare import compared
 from stiffopt.solver.solve import solve
@@ -80,7 +80,7 @@ def test_a_diagnosis_shows_itself():
 )
 def test_changes_of_a_file(change, place, value):
     data = {"motion": {"duration": 1.0}, "minimise": [{}], "list": [0, 0]}
-    held = with_changes(data, [change], "p.toml")
+    held = apply_changes(data, [change], "p.toml")
     for key in place:
         held = held[key]
     assert held == value
@@ -89,7 +89,7 @@ def test_changes_of_a_file(change, place, value):
 @pytest.mark.parametrize("change", ["duration", "=3", "minimise[4].weight=2", "motion[1]=2"])
 def test_changes_that_have_no_place(change):
     with pytest.raises(InputFileError, match="--set"):
-        with_changes({"motion": {}, "minimise": [{}]}, [change], "p.toml")
+        apply_changes({"motion": {}, "minimise": [{}]}, [change], "p.toml")
 
 
 def test_one_entry_changed_for_a_run_and_the_answers_compared(tmp_path, capsys):

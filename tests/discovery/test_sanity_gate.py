@@ -28,7 +28,7 @@ from stiffopt.discovery.sanity.joint_gains import _CommonFit, joint_gains
 from stiffopt.discovery.sanity.samples import sampled
 from stiffopt.discovery.training import training_runs
 from stiffopt.recording.recording_set import load_recordings
-from stiffopt.recording.set_points import is_set_point
+from stiffopt.recording.signals import is_set_point
 
 PUBLISHED = ROOT.parent / "shared" / "recordings"
 OPEN_CASES = ROOT.parent / "shared" / "blind" / "open"

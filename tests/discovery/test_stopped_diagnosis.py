@@ -143,7 +143,7 @@ def test_wherever_ctrl_c_comes_a_run_was_opened_as_a_whole(monkeypatch):
     """At every line of the loop over runs left out."""
     names = ("a.npz", "b.npz")
     stands_for = SimpleNamespace
-    for name in ("held_out_track", "without", "thinned", "_predicted_swinging"):
+    for name in ("held_out_track", "without", "decimate_run", "_predicted_swinging"):
         monkeypatch.setattr(held_out, name, lambda *_: stands_for(usable=True))
     monkeypatch.setattr(held_out, "episodes_in", lambda *_: ())
     monkeypatch.setattr(held_out, "prove", lambda *_: stands_for())

@@ -13,9 +13,8 @@ from stiffopt.dynamics.inverse_kinematics import (
 )
 from stiffopt.errors import ProblemError
 from stiffopt.robot.body_tree import body_tree
-from stiffopt.robot.frames import LinkFrame
+from stiffopt.robot.frames import LinkFrame, rotation_from_rpy
 from stiffopt.robot.rigid_body import RigidBodies
-from stiffopt.robot.rotations import rotation_from_rpy
 
 
 def robot(name: str, bound: float = 3.0) -> SimpleNamespace:

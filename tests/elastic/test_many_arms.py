@@ -77,7 +77,7 @@ def test_a_heavier_payload_winds_up_more(tmp_path):
     more = heavier.held_torque(q) - elastic.held_torque(q)
     empty = elastic.departed(Departure(stiffness=np.ones(2), payload=0.0)).held_torque(q)
     assert more == pytest.approx(0.5 * (elastic.held_torque(q) - empty), rel=1e-9)
-    with pytest.raises(RobotError, match="0 or more times"):
+    with pytest.raises(RobotError, match="the factor of a payload"):
         elastic.robot.with_payload_times(-0.1)
 
 

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from stiffopt.checks import check_derivative
 from stiffopt.drivetrain import catalogue
-from stiffopt.drivetrain.catalogue import BoltData
+from stiffopt.drivetrain.fasteners import BoltData
 from stiffopt.errors import InputError
 from stiffopt.fastening.bolts import permissible_assembly_preload
 from stiffopt.fastening.limits import workshop_torque

@@ -11,7 +11,7 @@ from fastened_parts import flange
 
 from stiffopt.connection import Bolt
 from stiffopt.drivetrain import catalogue
-from stiffopt.drivetrain.catalogue import BoltData
+from stiffopt.drivetrain.fasteners import BoltData
 from stiffopt.errors import InputError, OutOfValidityError
 from stiffopt.fastening import bolts
 from stiffopt.fastening.bolt_stress import largest_working_preload, working_stress

@@ -31,7 +31,7 @@ def contact_law(stiffness, share, bend):
     return law
 
 
-def test_stiffness_is_found_from_displacements_without_error(tmp_path):
+def test_exact_displacements_give_exact_stiffness(tmp_path):
     result = identify(measure(SIX, 20, 1, noise=0.0), tmp_path, torque=False)
     found = [joint.stiffness for joint in result.joints]
     # Finite rotations of up to a few mrad remain.
@@ -40,7 +40,7 @@ def test_stiffness_is_found_from_displacements_without_error(tmp_path):
     assert result.errors.left_out < 3e-3 * result.errors.displacement
 
 
-def test_intervals_hold_the_truth_as_often_as_they_say(tmp_path):
+def test_confidence_intervals_have_their_coverage(tmp_path):
     inside, total, drawn, scaled = 0, 0, 0, []
     for seed in range(20):
         measured = measure(SIX, 24, seed, noise=1e-4)
@@ -56,7 +56,7 @@ def test_intervals_hold_the_truth_as_often_as_they_say(tmp_path):
     assert 0.8 < np.std(scaled) < 1.2
 
 
-def test_standard_deviation_is_that_of_repeated_measurements(tmp_path):
+def test_standard_deviation_matches_repeated_measurements(tmp_path):
     one = measure(THREE, 20, 3, noise=0.0)
     random = np.random.default_rng(0)
     results = []
@@ -70,7 +70,7 @@ def test_standard_deviation_is_that_of_repeated_measurements(tmp_path):
         np.testing.assert_allclose(np.median(told, axis=0), values.std(axis=0), rtol=0.35)
 
 
-def test_wrong_measurements_are_named_and_do_not_spoil_the_others(tmp_path):
+def test_outliers_are_named_and_downweighted(tmp_path):
     measured = measure(SIX, 30, 4, noise=5e-5)
     wrong = measured.displacement.copy()
     wrong[7] *= -1.0
@@ -86,7 +86,7 @@ def test_wrong_measurements_are_named_and_do_not_spoil_the_others(tmp_path):
     assert error_plain.max() > 3.0 * error.max()
 
 
-def test_a_joint_through_which_every_force_passes_gets_no_number(tmp_path):
+def test_unloaded_joint_is_not_identified(tmp_path):
     on_axis = replace(SIX, tool=(0.3, 0.0, 0.0))
     result = identify(measure(on_axis, 20, 5), tmp_path, torque=False)
     last = result.joints[5]
@@ -99,14 +99,14 @@ def test_a_joint_through_which_every_force_passes_gets_no_number(tmp_path):
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_a_joint_with_hardly_a_lever_gets_no_number(tmp_path, seed):
+def test_joint_of_small_leverage_is_not_identified(tmp_path, seed):
     nearly = replace(SIX, tool=(0.3, 0.004, 0.0))
     result = identify(measure(nearly, 20, seed), tmp_path, torque=False)
     assert result.joints[5].status == "not_loaded"
     assert result.joints[5].stiffness is None
 
 
-def test_joints_that_move_the_tool_alike_are_said_to_be_confounded(tmp_path):
+def test_collinear_joints_are_confounded(tmp_path):
     measured = measure(SIX, 20, 6)
     straight = measured.q.copy()
     straight[:, 4] = 0.0
@@ -125,7 +125,7 @@ def test_joints_that_move_the_tool_alike_are_said_to_be_confounded(tmp_path):
     np.testing.assert_allclose(rest, np.array(SIX.stiffness)[[0, 1, 2, 4]], rtol=5e-3)
 
 
-def test_a_joint_that_is_rigid_has_only_a_lower_bound(tmp_path):
+def test_rigid_joint_has_only_a_lower_bound(tmp_path):
     stiff = replace(SIX, stiffness=(9e5, 2e6, 1.5e6, 2.5e5, 3e5, 1e10))
     result = identify(measure(stiff, 24, 7, noise=1e-4), tmp_path, torque=False)
     last = result.joints[5]
@@ -143,7 +143,7 @@ def test_nominal_values_are_compared_in_standard_deviations(tmp_path):
     assert result.errors.nominal > 2.0 * result.errors.left_out
 
 
-def test_weight_in_the_displacements_is_taken_into_account(tmp_path):
+def test_gravity_in_displacements_is_modelled(tmp_path):
     heavy = replace(SIX, masses=(250.0, 150.0, 150.0, 20.0, 10.0, 5.0))
     measured = measure(heavy, 24, 9, noise=5e-6, difference=False)
     result = identify(measured, tmp_path, torque=False)
@@ -152,7 +152,7 @@ def test_weight_in_the_displacements_is_taken_into_account(tmp_path):
     assert any("weight" in each for each in result.assumptions)
 
 
-def test_a_slide_is_told_in_newtons_per_metre(tmp_path):
+def test_prismatic_joint_has_stiffness_in_newtons_per_metre(tmp_path):
     gantry = BentArm(
         axes=("x", "z", "y"),
         offsets=((0.0, 0.0, 0.5), (0.3, 0.0, 0.2), (0.0, 0.0, 0.3)),
@@ -166,7 +166,7 @@ def test_a_slide_is_told_in_newtons_per_metre(tmp_path):
     np.testing.assert_allclose(found, gantry.stiffness, rtol=5e-3)
 
 
-def test_contacts_that_are_soft_under_small_load_are_recognised(tmp_path):
+def test_torque_dependence_of_contacts_is_supported(tmp_path):
     law = contact_law(THREE.stiffness, 0.4, 60.0)
     result = identify(measure(THREE, 24, 11, noise=2e-5, law=law), tmp_path)
     found = result.torque_dependence
@@ -179,7 +179,7 @@ def test_contacts_that_are_soft_under_small_load_are_recognised(tmp_path):
         np.testing.assert_allclose((middle, high), true[1:], rtol=0.1)
 
 
-def test_contacts_about_the_weight_are_recognised(tmp_path):
+def test_torque_dependence_about_gravity_torque_is_supported(tmp_path):
     heavy = replace(THREE, masses=(50.0, 40.0, 20.0))
     law = contact_law(THREE.stiffness, 0.5, 60.0)
     result = identify(measure(heavy, 24, 12, noise=1e-5, law=law), tmp_path)
@@ -188,12 +188,12 @@ def test_contacts_about_the_weight_are_recognised(tmp_path):
 
 
 @pytest.mark.parametrize("seed", range(20, 23))
-def test_constant_stiffness_is_not_called_torque_dependent(tmp_path, seed):
+def test_constant_stiffness_is_not_torque_dependent(tmp_path, seed):
     result = identify(measure(THREE, 20, seed, noise=1e-4), tmp_path)
     assert result.torque_dependence.verdict in ("weak", "not supported")
 
 
-def test_a_sensor_offset_is_not_called_torque_dependent(tmp_path):
+def test_sensor_offset_is_not_torque_dependent(tmp_path):
     measured = measure(THREE, 20, 13, noise=2e-5)
     moved = measured.displacement + np.array([2e-4, -1e-4, 1e-4])
     result = identify(replace(measured, displacement=moved), tmp_path)
@@ -201,13 +201,13 @@ def test_a_sensor_offset_is_not_called_torque_dependent(tmp_path):
     assert "offset" in result.torque_dependence.sentence
 
 
-def test_few_poses_do_not_decide_on_torque_dependence(tmp_path):
+def test_few_poses_leave_torque_dependence_untested(tmp_path):
     result = identify(measure(THREE, 6, 14), tmp_path)
     assert result.torque_dependence.verdict == "not tested"
     assert "too few" in result.torque_dependence.sentence
 
 
-def test_command_writes_numbers_and_a_page_of_one_file(tmp_path, capsys):
+def test_command_writes_files_and_a_single_page(tmp_path, capsys):
     source = replace(measure(THREE, 14, 15), nominal=THREE.stiffness).write(tmp_path / "set")
     before = {path.name: path.read_bytes() for path in source.iterdir()}
     out = tmp_path / "out"
@@ -236,7 +236,7 @@ def test_command_writes_numbers_and_a_page_of_one_file(tmp_path, capsys):
     assert {path.name: path.read_bytes() for path in source.iterdir()} == before
 
 
-def test_published_robot(tmp_path):
+def test_published_static_set_gives_published_stiffness(tmp_path):
     """FANUC R-2000iC: plain least squares as refitted by hand, and the verdict on torque."""
     default = Path(__file__).parents[2] / ".." / "shared" / "recordings"
     folder = Path(os.environ.get("STIFFOPT_RECORDINGS", default)) / "fanuc_r2000_static"
@@ -281,7 +281,7 @@ def _text(folder, name, before, after):
         ("poses.csv", "dz\n1,", "dz\n1,x", "row 1, q1"),
     ],
 )
-def test_wrong_files_are_explained(tmp_path, capsys, name, before, after, message):
+def test_wrong_static_files_are_refused(tmp_path, capsys, name, before, after, message):
     source = measure(THREE, 8, 16).write(tmp_path / "set")
     _text(source, name, before, after)
     assert run(["identify-stiffness", str(source), "--out", str(tmp_path / "out")]) == 2
@@ -289,17 +289,17 @@ def test_wrong_files_are_explained(tmp_path, capsys, name, before, after, messag
     assert not (tmp_path / "out").exists()
 
 
-def test_a_folder_without_a_static_set(tmp_path, capsys):
+def test_folder_without_static_set_is_refused(tmp_path, capsys):
     assert run(["identify-stiffness", str(tmp_path)]) == 2
     assert "static.toml" in capsys.readouterr().err
 
 
-def test_too_few_poses(tmp_path):
+def test_too_few_poses_are_refused(tmp_path):
     with pytest.raises(InputFileError, match=r"2 poses .* Measure at least 3"):
         identify(measure(THREE, 2, 17), tmp_path)
 
 
-def test_forces_that_load_no_joint(tmp_path):
+def test_forces_through_all_axes_are_refused(tmp_path):
     measured = measure(THREE, 8, 18)
     column = Measured(
         replace(THREE, axes=("z", "z", "z")),

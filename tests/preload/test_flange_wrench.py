@@ -26,7 +26,7 @@ from stiffopt.preload.model import PreloadModel
 from stiffopt.preload.optimise import optimise_preloads
 from stiffopt.preload.problem import Choice, PreloadProblem
 from stiffopt.result.status import SolveStatus
-from stiffopt.robot.joint_load import at_face, joint_wrenches
+from stiffopt.robot.joint_load import joint_wrenches, shift_wrench
 
 ROBOT = load_robot("er3a_c60").with_payload(3.0, (0.0, 0.0, 0.1))
 RNG = np.random.default_rng(7)
@@ -69,10 +69,10 @@ def test_first_joint_bears_weight_and_tool_force():
 def test_moving_the_face_moves_the_moment():
     wrench = np.array([3.0, -2.0, 10.0, 1.0, 4.0, 7.0])
     lever = np.array([0.0, 0.0, 0.05])
-    moved = at_face(wrench, 0.05)
+    moved = shift_wrench(wrench, 0.05)
     assert moved[:3] == pytest.approx(wrench[:3])
     assert moved[3:] == pytest.approx(wrench[3:] - np.cross(lever, wrench[:3]))
-    assert np.array_equal(at_face(wrench, 0.0), wrench)
+    assert np.array_equal(shift_wrench(wrench, 0.0), wrench)
 
 
 # ---- in a study

@@ -9,7 +9,7 @@ from stiffopt.problem.files import load_problem
 from stiffopt.problem.tool_path import ToolPath, ToolSegment, joint_waypoints
 from stiffopt.result.joint_path import JointPath
 from stiffopt.robot.files import load_robot
-from stiffopt.robot.rotations import rotation_from_rpy
+from stiffopt.robot.frames import rotation_from_rpy
 
 ORIGIN, X, Y = np.zeros(3), np.array([1.0, 0, 0]), np.array([0, 1.0, 0])
 FRAME = np.eye(3)

@@ -9,7 +9,7 @@ import pytest
 from recording_sets import Columns, channels, motion
 
 from stiffopt.errors import InputFileError
-from stiffopt.recording.clean import clean
+from stiffopt.recording.clean import clean_run
 from stiffopt.recording.run import Fault, RecordedRun
 from stiffopt.recording.signals import Signals
 
@@ -23,7 +23,7 @@ SIGNALS = Signals(
 
 
 def cleaned(columns: Columns, signals: Signals = SIGNALS) -> RecordedRun:
-    return clean(
+    return clean_run(
         columns,
         signals,
         path=Path("run.npz"),
@@ -41,13 +41,13 @@ def only_fault(run: RecordedRun) -> Fault:
 
 @pytest.mark.parametrize("seed", range(6))
 @pytest.mark.parametrize("rate", [100.0, 500.0])
-def test_a_sound_run_has_no_fault(seed: int, rate: float) -> None:
+def test_valid_run_has_no_fault(seed: int, rate: float) -> None:
     run = cleaned(motion(rate=rate, seed=seed))
     assert run.faults == ()
     assert np.isfinite(run.torque).all()
 
 
-def test_zeros_in_an_unused_channel_are_left_out(columns: Columns) -> None:
+def test_unused_zero_channel_is_removed(columns: Columns) -> None:
     signals = Signals(
         time="t",
         position=("q1", "q2"),
@@ -76,7 +76,7 @@ def test_zeros_in_an_unused_channel_are_left_out(columns: Columns) -> None:
 
 @pytest.mark.parametrize(("column", "signal"), [("tau2", "torque"), ("qd1", "velocity")])
 @pytest.mark.parametrize("level", [0.0, 3.7])
-def test_a_constant_channel_is_left_out(
+def test_constant_channel_is_removed(
     columns: Columns, column: str, signal: str, level: float
 ) -> None:
     columns[column] = np.full_like(columns["t"], level)
@@ -90,14 +90,14 @@ def test_a_constant_channel_is_left_out(
     assert np.isfinite(array[:, 1 - j]).all()
 
 
-def test_a_joint_that_stands_still_is_no_fault(columns: Columns) -> None:
+def test_stationary_joint_is_no_fault(columns: Columns) -> None:
     rng = np.random.default_rng(3)
     columns["q2"] = 0.2 + 1e-6 * rng.integers(-1, 2, len(columns["t"]))
     columns["qd2"] = np.zeros_like(columns["t"])
     assert cleaned(columns).faults == ()
 
 
-def test_a_dead_motor_encoder_makes_the_run_unusable(columns: Columns) -> None:
+def test_constant_motor_encoder_makes_the_run_unusable(columns: Columns) -> None:
     columns["q1"] = np.full_like(columns["t"], 0.4)
     run = cleaned(columns)
     assert (run.faults[0].signal, run.faults[0].kind) == ("position", "constant")
@@ -113,7 +113,7 @@ def test_a_dead_motor_encoder_makes_the_run_unusable(columns: Columns) -> None:
         ("ql1", -1.0, "the other way round"),
     ],
 )
-def test_sensors_that_contradict_the_motor_encoder(
+def test_contradicting_sensors_are_removed(
     columns: Columns, column: str, factor: float, says: str
 ) -> None:
     columns[column] *= factor
@@ -125,14 +125,14 @@ def test_sensors_that_contradict_the_motor_encoder(
     assert re.search(says, fault.detail)
 
 
-def test_swapped_encoders_are_told(columns: Columns) -> None:
+def test_swapped_encoders_are_reported(columns: Columns) -> None:
     columns["ql1"] = columns["q2"] + 1e-5 * np.random.default_rng(0).normal(size=2500)
     fault = only_fault(cleaned(columns))
     assert (fault.signal, fault.kind) == ("link_position", "contradicts position")
     assert "another joint" in fault.detail
 
 
-def test_a_stuck_torque_loses_the_stuck_samples_only(columns: Columns) -> None:
+def test_stuck_torque_samples_are_removed(columns: Columns) -> None:
     columns["tau1"][700:900] = columns["tau1"][700]
     fault = only_fault(run := cleaned(columns))
     assert (fault.kind, fault.left_out) == ("constant", False)
@@ -141,14 +141,14 @@ def test_a_stuck_torque_loses_the_stuck_samples_only(columns: Columns) -> None:
     assert fault.share == pytest.approx(199 / 2500)
 
 
-def test_a_stuck_link_encoder(columns: Columns) -> None:
+def test_stuck_link_encoder_samples_are_removed(columns: Columns) -> None:
     columns["ql1"][1000:1100] = columns["ql1"][1000]
     fault = only_fault(cleaned(columns))
     assert (fault.signal, fault.kind) == ("link_position", "constant")
     assert fault.share == pytest.approx(99 / 2500)
 
 
-def test_a_stuck_motor_encoder(columns: Columns) -> None:
+def test_stuck_motor_encoder_samples_are_removed(columns: Columns) -> None:
     columns["q1"][1000:1100] = columns["q1"][1000]
     fault = only_fault(cleaned(columns))
     assert (fault.signal, fault.kind) == ("position", "constant")
@@ -169,12 +169,12 @@ def stuck_faults(columns: Columns) -> list[Fault]:
     return [fault for fault in cleaned(columns).faults if "stuck" in fault.detail]
 
 
-def test_a_motor_that_friction_holds_is_not_stuck(columns: Columns) -> None:
+def test_motor_held_by_friction_is_not_stuck(columns: Columns) -> None:
     held_by_friction(columns)
     assert cleaned(columns).faults == ()
 
 
-def test_a_motor_encoder_that_comes_back_with_a_jump_is_stuck(columns: Columns) -> None:
+def test_motor_encoder_recovering_with_a_jump_is_stuck(columns: Columns) -> None:
     held_by_friction(columns)
     columns["q1"][columns["t"] > 4.4] += 0.004
     (fault,) = stuck_faults(columns)
@@ -182,9 +182,7 @@ def test_a_motor_encoder_that_comes_back_with_a_jump_is_stuck(columns: Columns) 
 
 
 @pytest.mark.parametrize(("begin", "until"), [(3.3, 4.3), (9.0, 99.0)])
-def test_a_motor_encoder_that_loses_counts_is_stuck(
-    columns: Columns, begin: float, until: float
-) -> None:
+def test_motor_encoder_losing_counts_is_stuck(columns: Columns, begin: float, until: float) -> None:
     held_by_friction(columns)
     t, motor = columns["t"], columns["q1"]
     held = (t > begin) & (t < until)
@@ -194,7 +192,7 @@ def test_a_motor_encoder_that_loses_counts_is_stuck(
     assert (fault.signal, fault.joint) == ("position", 1)
 
 
-def test_spikes_are_taken_out_one_by_one(columns: Columns) -> None:
+def test_spikes_are_removed_individually(columns: Columns) -> None:
     places = [200, 777, 778, 1500]
     columns["tau1"][places] += [6.0, -9.0, -9.0, 25.0]
     columns["q1"][[444]] += 0.002
@@ -214,7 +212,7 @@ def test_friction_steps_and_contacts_are_no_spikes(columns: Columns) -> None:
     assert cleaned(columns).faults == ()
 
 
-def test_a_torque_limit_is_named_and_kept(columns: Columns) -> None:
+def test_torque_saturation_is_reported_and_kept(columns: Columns) -> None:
     columns["tau1"] = np.clip(columns["tau1"], -6.0, 6.0)
     fault = only_fault(run := cleaned(columns))
     assert (fault.kind, fault.left_out) == ("saturated", False)
@@ -222,7 +220,7 @@ def test_a_torque_limit_is_named_and_kept(columns: Columns) -> None:
     np.testing.assert_array_equal(run.torque[:, 0], columns["tau1"])
 
 
-def test_angles_that_wrap_are_made_continuous(columns: Columns) -> None:
+def test_wrapped_angles_are_unwrapped(columns: Columns) -> None:
     t = columns["t"]
     angle = 0.5 + 2.5 * np.sin(1.3 * t) + 1.5 * t
     rng = np.random.default_rng(7)
@@ -240,7 +238,7 @@ def test_angles_that_wrap_are_made_continuous(columns: Columns) -> None:
     np.testing.assert_allclose(run.link_position[:, 0], angle, atol=1e-4)
 
 
-def test_coarse_counts_are_named_and_kept(columns: Columns) -> None:
+def test_coarse_quantisation_is_reported_and_kept(columns: Columns) -> None:
     step = 0.2
     columns["tau2"] = np.round(columns["tau2"] / step) * step
     fault = only_fault(run := cleaned(columns))
@@ -249,7 +247,7 @@ def test_coarse_counts_are_named_and_kept(columns: Columns) -> None:
     assert np.isfinite(run.torque).all()
 
 
-def test_samples_that_are_no_numbers(columns: Columns) -> None:
+def test_samples_that_are_no_numbers_are_reported(columns: Columns) -> None:
     columns["tau1"][5:9] = np.nan
     columns["ql1"][:] = np.inf
     run = cleaned(columns)
@@ -265,7 +263,7 @@ def stamped(stamps: np.ndarray) -> Columns:
     return {"t": stamps, **channels(stamps, np.random.default_rng(4))}
 
 
-def test_jitter_is_named_with_its_size() -> None:
+def test_jitter_is_reported_with_its_size() -> None:
     rng = np.random.default_rng(5)
     stamps = np.cumsum(np.full(2000, 0.004) + 0.0006 * rng.uniform(-1.0, 1.0, 2000))
     fault = only_fault(cleaned(stamped(stamps)))
@@ -273,7 +271,7 @@ def test_jitter_is_named_with_its_size() -> None:
     assert fault.share > 0.5
 
 
-def test_missing_samples_and_gaps_are_told_apart() -> None:
+def test_dropped_samples_and_gaps_are_distinguished() -> None:
     keep = np.ones(2500, dtype=bool)
     keep[[300, 901, 902, 1500]] = False
     keep[2000:2100] = False
@@ -294,7 +292,7 @@ def test_repeated_stamps_keep_the_first_row(columns: Columns) -> None:
     np.testing.assert_array_equal(run.stamps, repeated["t"])
 
 
-def test_stale_rows_under_new_stamps_are_left_out(columns: Columns) -> None:
+def test_repeated_rows_under_new_stamps_are_removed(columns: Columns) -> None:
     stale = [250, 251, 1200]
     for name, values in columns.items():
         if name != "t":
@@ -327,12 +325,12 @@ def test_the_motion_of_a_run_does_not_depend_on_its_torque(columns: Columns) -> 
         (np.arange(100.0) * 4e6, "usual spacing is 4e.06; .*Convert the column to seconds"),
     ],
 )
-def test_clocks_that_cannot_be_used(stamps: np.ndarray, says: str) -> None:
+def test_unusable_clocks_are_refused(stamps: np.ndarray, says: str) -> None:
     with pytest.raises(InputFileError, match=says):
         cleaned({"t": stamps, **{name: np.arange(float(len(stamps))) for name in SIGNALS.wanted}})
 
 
-def test_rows_without_a_stamp_get_one_for_predictions(columns: Columns) -> None:
+def test_missing_stamps_are_interpolated(columns: Columns) -> None:
     columns["t"][[40, 41]] = np.nan
     run = cleaned(columns)
     assert {fault.kind for fault in run.faults} == {"not finite", "dropped"}
@@ -341,7 +339,7 @@ def test_rows_without_a_stamp_get_one_for_predictions(columns: Columns) -> None:
 
 
 @pytest.mark.parametrize("held", [True, False], ids=["the row before", "zeros"])
-def test_rows_of_a_connection_that_was_lost_are_left_out(columns: Columns, held: bool) -> None:
+def test_rows_of_a_lost_connection_are_removed(columns: Columns, held: bool) -> None:
     """All of them, though nothing moves between them: the arm is elsewhere behind them."""
     before = {name: values.copy() for name, values in columns.items()}
     lost = slice(1000, 1030)
@@ -376,9 +374,7 @@ def resting(t: np.ndarray, progress: np.ndarray) -> RecordedRun:
     [(100.0, 8e-4, 1), (1000.0, 8e-4, 1), (20.0, 0.01, 1), (10.0, 0.02, 2)],
     ids=["stick-slip", "stick-slip, fast", "inching", "inching in two samples"],
 )
-def test_an_arm_that_rests_between_short_moves_is_not_taken_for_lost_data(
-    rate: float, length: float, samples: int
-) -> None:
+def test_rest_between_short_moves_is_no_lost_data(rate: float, length: float, samples: int) -> None:
     t = np.arange(0.0, 20.0, 1.0 / rate)
     seconds = np.maximum(0.0, t - 10.0)
     moved = np.floor(seconds) + np.minimum(1.0, ((seconds % 1.0) * rate + 1.0) / samples)
@@ -388,7 +384,7 @@ def test_an_arm_that_rests_between_short_moves_is_not_taken_for_lost_data(
 
 
 @pytest.mark.parametrize("rate", [5.0, 10.0, 100.0])
-def test_an_arm_that_picks_and_places_is_not_taken_for_lost_data(rate: float) -> None:
+def test_pick_and_place_is_no_lost_data(rate: float) -> None:
     t = np.arange(0.0, 40.0, 1.0 / rate)
     s = np.minimum(1.0, (t % 2.0) / 0.25)
     s = s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
@@ -396,7 +392,7 @@ def test_an_arm_that_picks_and_places_is_not_taken_for_lost_data(rate: float) ->
     np.testing.assert_array_equal(run.time, t)
 
 
-def test_equal_positions_under_live_torques_are_no_lost_connection(columns: Columns) -> None:
+def test_constant_positions_with_changing_torque_are_kept(columns: Columns) -> None:
     """Only what nothing shows a change of was not received."""
     for name, values in columns.items():
         if not name.startswith("t"):
@@ -404,7 +400,7 @@ def test_equal_positions_under_live_torques_are_no_lost_connection(columns: Colu
     assert len(cleaned(columns).time) == 2500
 
 
-def test_a_joint_whose_positions_are_absent_is_told_without_warnings(columns: Columns) -> None:
+def test_missing_positions_are_reported_without_warnings(columns: Columns) -> None:
     """A warning of the numbers' library would fail."""
     columns["q1"][:] = np.nan
     for name, values in columns.items():

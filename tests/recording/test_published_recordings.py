@@ -65,14 +65,14 @@ def test_every_run_is_read_and_usable(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["dfki_a0815", "ur10e"])
-def test_uneven_clocks_are_named(name: str) -> None:
+def test_jitter_of_published_clocks_is_reported(name: str) -> None:
     _, report = checked(folder(name))
     for run in report.runs:
         assert any(fault.kind == "jitter" for fault in run.faults)
 
 
 @pytest.mark.parametrize("name", ["emps", "kuka_kr300", "tx40_first", "unisa_ur10"])
-def test_even_clocks_are_not(name: str) -> None:
+def test_even_clocks_have_no_jitter(name: str) -> None:
     _, report = checked(folder(name))
     assert kinds(report, "time") == set()
 
@@ -84,7 +84,7 @@ def test_the_spread_of_the_ur10e_clock() -> None:
     assert fourier.jitter == pytest.approx(0.9e-3, rel=0.15)
 
 
-def test_joints_of_the_ur10e_that_stand_still_have_no_fault() -> None:
+def test_stationary_joints_of_the_ur10e_have_no_fault() -> None:
     """In these runs one joint moves; velocities of the others are zero throughout."""
     _, report = checked(folder("ur10e"))
     for moving in (1, 2, 3):
@@ -92,7 +92,7 @@ def test_joints_of_the_ur10e_that_stand_still_have_no_fault() -> None:
         assert {fault.joint for fault in run.faults if fault.kind == "constant"} == set()
 
 
-def test_coarse_current_of_the_dfki_arm_is_named() -> None:
+def test_coarse_current_of_the_dfki_arm_is_reported() -> None:
     _, report = checked(folder("dfki_a0815"))
     step = next(c for c in report.runs[0].channels if c.signal == "torque").step
     assert step == pytest.approx(0.00586, rel=0.01)
@@ -105,7 +105,7 @@ def test_kuka_has_link_encoders_on_three_joints() -> None:
     assert kinds(report, "link_position") == set()
 
 
-def test_zeros_of_the_kuka_source_are_left_out_if_somebody_maps_them(tmp_path: Path) -> None:
+def test_zero_columns_of_the_kuka_source_are_removed(tmp_path: Path) -> None:
     """The source holds zeros where joints 4 to 6 have no second encoder."""
     source = folder("kuka_kr300")
     text = (source / "recordings.toml").read_text()
@@ -123,7 +123,7 @@ def test_zeros_of_the_kuka_source_are_left_out_if_somebody_maps_them(tmp_path: P
         assert left_out == {("link_position", j) for j in (4, 5, 6)}
 
 
-def test_the_static_set() -> None:
+def test_published_static_set_loads() -> None:
     static = load_static_set(folder("fanuc_r2000_static"))
     assert static.position.shape == (43, 6)
     assert static.stiffness is not None
@@ -131,7 +131,7 @@ def test_the_static_set() -> None:
     assert np.abs(static.displacement).max() < 0.01
 
 
-def test_a_simulated_case_is_free_of_faults() -> None:
+def test_simulated_case_has_no_faults() -> None:
     cases = sorted((FOLDER.parent / "blind" / "open").glob("case_*"))
     if not cases:
         pytest.skip(f"no simulated cases at {FOLDER.parent / 'blind' / 'open'}")

@@ -14,7 +14,7 @@ from recording_sets import motion
 
 from stiffopt.discovery.identifiable import LACKS, EffectCheck, effect_checks
 from stiffopt.recording.channel import noise_level, resolution
-from stiffopt.recording.channel_faults import slope_to
+from stiffopt.recording.channel_faults import regress_changes
 from stiffopt.recording.check import RecordingReport, check_recordings
 from stiffopt.recording.recording_set import load_recordings
 from stiffopt.report.recording_check import report_lines
@@ -40,7 +40,7 @@ def why(checks: Sequence[EffectCheck], effect: str, joint: int | None) -> tuple[
     return next(c.lacks for c in checks if (c.effect.name, c.joint) == (effect, joint))
 
 
-def test_numbers_of_a_run(make_set: MakeSet) -> None:
+def test_check_reports_numbers_of_a_run(make_set: MakeSet) -> None:
     run = check(make_set()).runs[0]
     assert (run.samples, run.role, run.usable) == (2500, "train", True)
     assert run.duration == pytest.approx(9.996)
@@ -61,7 +61,7 @@ def test_numbers_of_a_run(make_set: MakeSet) -> None:
     assert channels["qd1"].used == pytest.approx(2.05 / 4.0, rel=0.02)
 
 
-def test_what_can_be_told_with_and_without_a_link_encoder(make_set: MakeSet) -> None:
+def test_identifiable_effects_with_and_without_link_encoder(make_set: MakeSet) -> None:
     folder = make_set()
     report, checks = check(folder), effects_of(folder)
     assert report.balances == (("motor", "link", "deflection"), ("torque",))
@@ -81,7 +81,7 @@ def test_what_can_be_told_with_and_without_a_link_encoder(make_set: MakeSet) -> 
     assert any("three training runs" in s for s in report.missing)
 
 
-def test_test_runs_do_not_add_to_what_can_be_told(make_set: MakeSet) -> None:
+def test_test_runs_do_not_make_effects_identifiable(make_set: MakeSet) -> None:
     """Only training runs are fitted to: warmth seen in a test run teaches nothing."""
     warm = ('role = "test"', 'role = "test"\nsession_time = 3600.0')
     assert possible(effects_of(make_set(warm)), "thermal_friction") == []
@@ -91,7 +91,7 @@ def test_test_runs_do_not_add_to_what_can_be_told(make_set: MakeSet) -> None:
     assert any("role test" in s for s in check(folder).missing)
 
 
-def test_motions_that_cannot_tell(make_set: MakeSet) -> None:
+def test_unsuitable_motions_make_effects_unidentifiable(make_set: MakeSet) -> None:
     data = motion()
     t = data["t"]
     rng = np.random.default_rng(1)
@@ -120,7 +120,7 @@ def test_gravity_that_never_changes_sign_hides_backlash(make_set: MakeSet) -> No
     assert possible(checks, "stiffness_linear") == [1]
 
 
-def test_inertia_turns_a_load_round_that_gravity_does_not(make_set: MakeSet) -> None:
+def test_inertial_load_changes_sign_where_gravity_does_not(make_set: MakeSet) -> None:
     """A backlash that shows there must be able to stand beside what looks like it."""
     data = motion()
     for turns, told in ((1.0, []), (15.0, [1])):
@@ -129,14 +129,14 @@ def test_inertia_turns_a_load_round_that_gravity_does_not(make_set: MakeSet) -> 
         assert possible(effects_of(make_set(one=one)), "backlash") == told
 
 
-def test_a_noisy_velocity_turns_no_load_round(make_set: MakeSet) -> None:
+def test_velocity_noise_is_no_change_of_load_sign(make_set: MakeSet) -> None:
     data, rng = motion(), np.random.default_rng(1)
     data["q1"] = data["ql1"] = 1.3 + 0.2 * np.sin(data["t"])
     data["qd1"] = 0.2 * np.cos(data["t"]) + 0.002 * rng.normal(size=len(data["t"]))
     assert possible(effects_of(make_set(one=data)), "backlash") == []
 
 
-def test_a_broken_channel_takes_its_effects_along(make_set: MakeSet) -> None:
+def test_faulty_channel_makes_its_effects_unidentifiable(make_set: MakeSet) -> None:
     data = motion()
     data["ql1"] = np.zeros_like(data["t"])
     folder = make_set(one=data)
@@ -150,7 +150,7 @@ def test_a_broken_channel_takes_its_effects_along(make_set: MakeSet) -> None:
     assert "! link_position of joint 1: stays at 0" in text
 
 
-def test_text_and_json_say_the_same(make_set: MakeSet) -> None:
+def test_text_and_json_agree(make_set: MakeSet) -> None:
     folder = make_set()
     report, checks = check(folder), effects_of(folder)
     data = json.loads(json.dumps(report.as_dict(), allow_nan=False))
@@ -168,7 +168,7 @@ def test_text_and_json_say_the_same(make_set: MakeSet) -> None:
 
 @settings(max_examples=40, deadline=None)
 @given(st.floats(1e-7, 10.0), st.integers(5, 3000), st.integers(0, 99))
-def test_the_step_of_counts_is_found(step: float, levels: int, seed: int) -> None:
+def test_resolution_of_counts_is_found(step: float, levels: int, seed: int) -> None:
     values = step * np.random.default_rng(seed).integers(-levels, levels, 4000)
     found = resolution(values + 17.0 * step)
     assert found == pytest.approx(step, rel=1e-3)
@@ -176,7 +176,7 @@ def test_the_step_of_counts_is_found(step: float, levels: int, seed: int) -> Non
 
 @settings(max_examples=20, deadline=None)
 @given(st.integers(0, 99))
-def test_numbers_on_no_grid_have_no_step(seed: int) -> None:
+def test_unquantised_numbers_have_no_resolution(seed: int) -> None:
     values = np.random.default_rng(seed).normal(size=4000)
     assert resolution(values) is None
     assert resolution(np.full(10, 3.0)) is None
@@ -184,23 +184,23 @@ def test_numbers_on_no_grid_have_no_step(seed: int) -> None:
 
 @settings(max_examples=20, deadline=None)
 @given(st.floats(1e-4, 1e-2), st.integers(0, 99))
-def test_noise_is_told_from_the_motion_and_from_jumps(level: float, seed: int) -> None:
+def test_noise_level_ignores_motion_and_jumps(level: float, seed: int) -> None:
     t = np.arange(5000) / 500.0
     noise = level * np.random.default_rng(seed).normal(size=5000)
     values = np.sin(5.0 * t) + np.sign(np.sin(3.0 * t)) + noise
     assert noise_level(values) == pytest.approx(level, rel=0.1)
 
 
-def test_slope_of_two_sensors_ignores_offsets_and_gaps() -> None:
+def test_slope_between_sensors_ignores_offsets_and_gaps() -> None:
     t = np.concatenate([np.arange(0.0, 3.0, 0.01), np.arange(5.0, 8.0, 0.01)])
     one = np.sin(2.0 * t)
     two = 0.7 * one + np.where(t > 4.0, 9.0, -2.0)
-    slope, correlation = slope_to(one, two, t)
+    slope, correlation = regress_changes(one, two, t)
     assert slope == pytest.approx(0.7)
     assert correlation == pytest.approx(1.0)
 
 
-def test_links_that_swing_show_their_wind_up_in_the_torque(make_set: MakeSet) -> None:
+def test_elastic_model_makes_wind_up_observable_in_torque(make_set: MakeSet) -> None:
     given = "coulomb = [1.0, 2.0]"
     sprung = f"{given}\njoint_damping = [1.0, 20.0]\ncontact_stiffness = [1e4, 1e6]"
     checks = effects_of(make_set((given, sprung)))

@@ -49,20 +49,20 @@ def write_csv(path: Path, run: Columns, mark: str = ",", head: str = "") -> None
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
-def test_npz_keeps_every_bit(tmp_path: Path) -> None:
+def test_npz_is_read_exactly(tmp_path: Path) -> None:
     run = short()
     np.savez(tmp_path / "run.npz", **run, unused=np.zeros(3))
     same(read_columns(tmp_path / "run.npz", PLAIN), run)
 
 
 @pytest.mark.parametrize(("mark", "head"), [(",", ""), (";", ""), ("\t", "# "), (",", "﻿")])
-def test_csv_keeps_every_bit(tmp_path: Path, mark: str, head: str) -> None:
+def test_csv_is_read_exactly(tmp_path: Path, mark: str, head: str) -> None:
     run = {"label": np.arange(100.0), **short()}
     write_csv(tmp_path / "run.csv", run, mark, head)
     same(read_columns(tmp_path / "run.csv", PLAIN), run)
 
 
-def test_csv_takes_empty_cells_as_absent_samples(tmp_path: Path) -> None:
+def test_csv_empty_cells_are_missing_samples(tmp_path: Path) -> None:
     run = short()
     write_csv(tmp_path / "run.csv", run)
     lines = (tmp_path / "run.csv").read_text().splitlines()
@@ -75,7 +75,7 @@ def test_csv_takes_empty_cells_as_absent_samples(tmp_path: Path) -> None:
     assert np.isfinite(found["tau1"]).all()
 
 
-def test_parquet_keeps_every_bit_and_takes_time_stamps(tmp_path: Path) -> None:
+def test_parquet_is_read_exactly_with_time_stamps(tmp_path: Path) -> None:
     import pyarrow as arrow
     import pyarrow.parquet as parquet
 
@@ -161,7 +161,7 @@ def test_rosbag2_by_name_and_by_header_stamp(tmp_path: Path, sqlite: bool) -> No
         )
 
 
-def test_rosbag2_brings_another_topic_to_the_clock_of_the_joints(tmp_path: Path) -> None:
+def test_rosbag2_resamples_topics_to_the_joint_clock(tmp_path: Path) -> None:
     run = short()
     write_bag(tmp_path / "bag", run, sqlite=True, others=False)
     signals = Signals(
@@ -268,13 +268,13 @@ def edited(name: str) -> Signals:
         ("/joint_states.angle[1]", r"has /joint_states.angle\[1\]\. Correct"),
     ],
 )
-def test_wrong_fields_are_named(tmp_path: Path, name: str, says: str) -> None:
+def test_wrong_message_fields_are_named(tmp_path: Path, name: str, says: str) -> None:
     write_json_mcap(tmp_path / "run.mcap", short())
     with pytest.raises(InputFileError, match=says):
         read_columns(tmp_path / "run.mcap", edited(name))
 
 
-def test_other_encodings_and_broken_files_are_named(tmp_path: Path) -> None:
+def test_unknown_encodings_and_broken_files_are_refused(tmp_path: Path) -> None:
     write_json_mcap(tmp_path / "run.mcap", short(), encoding="protobuf")
     with pytest.raises(InputFileError, match="'protobuf'; allowed are cdr"):
         read_columns(tmp_path / "run.mcap", JOINTS)
@@ -292,7 +292,7 @@ def test_other_encodings_and_broken_files_are_named(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["run.csv", "run.npz", "run.parquet"])
-def test_a_missing_column_is_named_with_the_nearest(tmp_path: Path, name: str) -> None:
+def test_missing_column_suggests_the_nearest(tmp_path: Path, name: str) -> None:
     run = short()
     run["tau_1"] = run.pop("tau1")
     write = {
@@ -312,7 +312,7 @@ def _write_parquet(path: Path, run: Columns) -> None:
     parquet.write_table(arrow.table(run), path)
 
 
-def test_what_is_no_table_of_numbers_is_refused(tmp_path: Path) -> None:
+def test_content_that_is_no_table_of_numbers_is_refused(tmp_path: Path) -> None:
     run = short()
     np.savez(tmp_path / "shape.npz", **{**run, "q1": np.zeros((100, 2))})
     with pytest.raises(InputFileError, match=r"shape.npz, q1: needs a list of numbers"):
@@ -334,9 +334,7 @@ def test_what_is_no_table_of_numbers_is_refused(tmp_path: Path) -> None:
         read_columns(tmp_path / "run.csv", JOINTS)
 
 
-def test_a_library_that_is_not_installed_is_named(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_missing_library_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def absent(name: str) -> Callable[..., None]:
         raise ModuleNotFoundError(f"No module named {name!r}", name="mcap")
 
@@ -346,7 +344,7 @@ def test_a_library_that_is_not_installed_is_named(
         read_columns(tmp_path / "run.mcap", JOINTS)
 
 
-def test_numbers_that_no_sensor_gives_are_told(tmp_path: Path) -> None:
+def test_implausibly_large_numbers_are_refused(tmp_path: Path) -> None:
     """Bytes that were lost or shifted; their squares would be infinite."""
     run = short()
     run["q2"][30] = -1.7e274

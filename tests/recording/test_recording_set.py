@@ -19,7 +19,7 @@ from stiffopt.robot.files import load_robot
 MakeSet = Callable[..., Path]
 
 
-def test_what_the_file_says_is_in_the_set(make_set: MakeSet) -> None:
+def test_entries_of_the_file_are_in_the_set(make_set: MakeSet) -> None:
     recordings = load_recordings(make_set())
     assert recordings.joints == ("swing", "slide")
     assert recordings.prismatic.tolist() == [False, True]
@@ -41,7 +41,7 @@ def test_what_the_file_says_is_in_the_set(make_set: MakeSet) -> None:
     assert "nominal.coulomb" not in silent
 
 
-def test_an_opened_run_holds_the_columns_as_recorded(make_set: MakeSet) -> None:
+def test_opened_run_has_the_recorded_columns(make_set: MakeSet) -> None:
     recordings = load_recordings(make_set())
     run = recordings.open(recordings.runs[0])
     data = motion(seed=1)
@@ -56,7 +56,7 @@ def test_an_opened_run_holds_the_columns_as_recorded(make_set: MakeSet) -> None:
     assert run.usable
 
 
-def test_predictions_are_written_as_the_set_was_recorded(make_set: MakeSet) -> None:
+def test_predictions_have_units_and_delay_of_the_set(make_set: MakeSet) -> None:
     """In its units, one a joint where they differ, and as late as its torques."""
     signals = load_recordings(make_set()).signals
     scaled = replace(
@@ -82,7 +82,7 @@ def test_predictions_are_written_as_the_set_was_recorded(make_set: MakeSet) -> N
     assert signals.as_recorded(channels).keys() == channels.keys()
 
 
-def test_the_set_may_list_joints_in_another_order(make_set: MakeSet) -> None:
+def test_set_may_list_joints_in_another_order(make_set: MakeSet) -> None:
     """Gravity torque in the set's order, against a balance of forces by hand."""
     folder = make_set(
         ('joints = ["swing", "slide"]', 'joints = ["slide", "swing"]'),
@@ -102,7 +102,7 @@ def test_the_set_may_list_joints_in_another_order(make_set: MakeSet) -> None:
     )
 
 
-def test_joints_that_were_not_recorded_are_locked(make_set: MakeSet) -> None:
+def test_unrecorded_joints_are_locked(make_set: MakeSet) -> None:
     edits = [
         ('joints = ["swing", "slide"]', 'joints = ["slide"]'),
         ('position = ["q1", "q2"]', 'position = ["q2"]'),
@@ -118,7 +118,7 @@ def test_joints_that_were_not_recorded_are_locked(make_set: MakeSet) -> None:
     np.testing.assert_array_equal(recordings.runs[0].temperature, [25.0])
 
 
-def test_a_shipped_robot_by_name_without_its_rotors(make_set: MakeSet) -> None:
+def test_shipped_robot_is_loaded_without_rotors(make_set: MakeSet) -> None:
     names = ["joint_1", "joint_2"]
     folder = make_set(
         ('robot = "robot.urdf"', 'robot = "er3a_c60"'),
@@ -137,7 +137,7 @@ def test_a_shipped_robot_by_name_without_its_rotors(make_set: MakeSet) -> None:
     assert not np.any(recordings.robot.model.armature)
 
 
-def test_counterbalances_push_back_to_their_offset(make_set: MakeSet) -> None:
+def test_counterbalance_spring_pulls_to_its_offset(make_set: MakeSet) -> None:
     spring = (
         '[nominal.counterbalance]\njoint = "swing"\ntype = "spring"\nstiffness = 20.0\n'
         "offset = 0.1\n\n[tolerance]"
@@ -157,7 +157,7 @@ def test_counterbalances_push_back_to_their_offset(make_set: MakeSet) -> None:
 REDUCER = "[nominal.reducer]\nK1 = [{0}, 1e4]\nK2 = [2e4, 2e4]\nK3 = [3e4, inf]\nT1 = [7.0, 7.0]\n"
 
 
-def test_a_rigid_reducer_is_infinite(make_set: MakeSet) -> None:
+def test_infinite_reducer_slope_is_rigid(make_set: MakeSet) -> None:
     text = REDUCER.format("1e4") + "T2 = [25.0, 25.0]\n\n[tolerance]"
     swing, slide = load_recordings(make_set(("[tolerance]", text))).robot.chains
     assert swing is not None
@@ -175,7 +175,7 @@ WRONG = {
         '["q1"]',
         r"signals\.position: needs one column a joint \(2\), got 1",
     ),
-    "twice": ('["qd1", "qd2"]', '["q1", "qd2"]', r"'q1' already stands for position of joint 1"),
+    "twice": ('["qd1", "qd2"]', '["q1", "qd2"]', r"'q1' is already used for position of joint 1"),
     "joint": ('"slide"]', '"slid"]', r"joints\[2\]: .* no moving joint 'slid'.*mean 'slide'"),
     "run with a backslash": ('"one.npz"', '"o\\\\ne.npz"', "backslash or control character"),
     "joint twice": ('"slide"]', '"swing"]', r"'swing' is named twice"),
@@ -200,14 +200,14 @@ WRONG = {
 
 
 @pytest.mark.parametrize("case", WRONG)
-def test_a_wrong_file_gets_one_clear_message(make_set: MakeSet, case: str) -> None:
+def test_wrong_recording_files_are_refused(make_set: MakeSet, case: str) -> None:
     old, new, says = WRONG[case]
     with pytest.raises(InputError, match=r"(?s)(recordings\.toml|robots\.urdf).*") as caught:
         load_recordings(make_set((old, new)))
     caught.match(says)
 
 
-def test_no_run_to_judge_on(make_set: MakeSet) -> None:
+def test_set_without_test_runs_is_refused(make_set: MakeSet) -> None:
     recordings = load_recordings(make_set(('role = "test"', 'role = "train"')))
     with pytest.raises(InputFileError, match=r'runs: none of the 2 runs has role = "test"'):
         require_test_runs(recordings)
@@ -216,7 +216,7 @@ def test_no_run_to_judge_on(make_set: MakeSet) -> None:
         require_test_runs(recordings)
 
 
-def test_runs_are_opened_one_at_a_time(make_set: MakeSet) -> None:
+def test_runs_are_opened_individually(make_set: MakeSet) -> None:
     """A set whose test run is absent can be read until that run is asked for."""
     folder = make_set()
     (folder / "two.npz").unlink()
@@ -226,7 +226,7 @@ def test_runs_are_opened_one_at_a_time(make_set: MakeSet) -> None:
         recordings.open(recordings.runs[1])
 
 
-def test_a_run_with_other_columns(make_set: MakeSet) -> None:
+def test_run_with_other_columns_is_refused(make_set: MakeSet) -> None:
     data = motion()
     data["torque_1"] = data.pop("tau1")
     recordings = load_recordings(make_set(two=data))
@@ -234,7 +234,7 @@ def test_a_run_with_other_columns(make_set: MakeSet) -> None:
         recordings.open(recordings.runs[1])
 
 
-def test_no_set_at_all(tmp_path: Path) -> None:
+def test_folder_without_set_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputFileError, match=r"recordings\.toml: no such file"):
         load_recordings(tmp_path)
     with pytest.raises(InputFileError, match="there is no folder"):
@@ -252,7 +252,7 @@ def shipped(make_set: MakeSet, *edits: tuple[str, str]) -> Path:
     )
 
 
-def test_a_robot_file_counts_where_the_set_is_silent(make_set: MakeSet) -> None:
+def test_robot_file_supplies_values_that_the_set_omits(make_set: MakeSet) -> None:
     own = load_robot("er3a_c60")
     recordings = load_recordings(shipped(make_set))
     assert recordings.robot.joint_names == own.joint_names[1:3]
@@ -263,7 +263,7 @@ def test_a_robot_file_counts_where_the_set_is_silent(make_set: MakeSet) -> None:
     assert "drivetrains are those of the robot's file" in " ".join(recordings.assumptions)
 
 
-def test_a_set_that_states_stiffness_states_the_whole_drivetrain(make_set: MakeSet) -> None:
+def test_stiffness_of_the_set_replaces_the_whole_drivetrain(make_set: MakeSet) -> None:
     stated = ("[tolerance]", "contact_stiffness = [2e4, inf]\n\n[tolerance]")
     first, second = load_recordings(shipped(make_set, stated)).robot.chains
     assert first is None

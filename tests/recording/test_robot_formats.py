@@ -23,7 +23,7 @@ def signals(time: str, position: tuple[str, str], torque: tuple[str, str]) -> Si
     return Signals(time=time, position=position, velocity=None, link_position=None, torque=torque)
 
 
-def test_csv_of_the_rtde_recorder_of_universal_robots(tmp_path: Path) -> None:
+def test_csv_of_the_rtde_recorder_is_read(tmp_path: Path) -> None:
     # record.py of RTDE writes one blank between columns, and vectors as NAME_0, NAME_1, ...
     run = short()
     kinds = {"actual_q": ("q1", "q2"), "actual_current": ("tau1", "tau2")}
@@ -61,7 +61,7 @@ def write_trace(
     rows.astype("<f8").tofile(path.with_suffix(".r64"))
 
 
-def test_kuka_trace_of_axes_and_drives(tmp_path: Path) -> None:
+def test_kuka_trace_of_axes_and_drives_is_read(tmp_path: Path) -> None:
     run = short()
     axes = {"AxisPos_Act1": run["q1"], "AxisPos_Act2": run["q2"]}
     write_trace(tmp_path / "run_KRCIpo.dat", 0.01, axes)
@@ -83,7 +83,7 @@ def test_kuka_trace_of_axes_and_drives(tmp_path: Path) -> None:
     np.testing.assert_allclose(found["NextGenDrive#2.Istmoment"], run["tau2"], atol=1e-12)
 
 
-def test_kuka_traces_that_are_not_whole(tmp_path: Path) -> None:
+def test_incomplete_kuka_traces_are_refused(tmp_path: Path) -> None:
     run, path = short(), tmp_path / "run_KRCIpo.dat"
     write_trace(path, 0.01, {"AxisPos_Act1": run["q1"], "AxisPos_Act2": run["q2"]})
     two = ("AxisPos_Act1", "AxisPos_Act2")
@@ -101,7 +101,7 @@ def test_kuka_traces_that_are_not_whole(tmp_path: Path) -> None:
         read_columns(path, signals("t", two, ("AxisPos_Act1", "")))
 
 
-def test_bytes_that_are_no_numbers_are_absent_samples(tmp_path: Path) -> None:
+def test_kuka_bytes_that_are_no_numbers_are_missing_samples(tmp_path: Path) -> None:
     """A NaN that signals makes NumPy warn; bytes beyond any measurement are told."""
     run, path = short(), tmp_path / "run_KRCIpo.dat"
     write_trace(path, 0.01, {"AxisPos_Act1": run["q1"], "AxisPos_Act2": run["q2"]})
@@ -154,7 +154,7 @@ STATE = signals(
 )
 
 
-def test_episodes_of_a_lerobot_dataset(tmp_path: Path) -> None:
+def test_episodes_of_a_lerobot_dataset_are_read(tmp_path: Path) -> None:
     first, second = short(), {name: values[:70] * 0.5 for name, values in short().items()}
     path = write_dataset(tmp_path / "set", [first, second])
     for number, run in enumerate((first, second)):
@@ -173,7 +173,7 @@ def test_episodes_of_one_file_are_runs_of_one_set() -> None:
     assert names == ["file-000_0", "file-000_12", "file-000"]
 
 
-def test_what_a_lerobot_dataset_lacks_is_named(tmp_path: Path) -> None:
+def test_missing_entries_of_a_lerobot_dataset_are_named(tmp_path: Path) -> None:
     path = write_dataset(tmp_path / "set", [short(), short()])
     for file, words in ((f"{path}", "episodes 0 to 1"), (f"{path}#7", "no episode 7"),
                         (f"{path}#x", "is no episode")):  # fmt: skip
@@ -185,6 +185,6 @@ def test_what_a_lerobot_dataset_lacks_is_named(tmp_path: Path) -> None:
         read_columns(f"{path}#0", signals("timestamp", ("observation.state", ""), ("", "")))
 
 
-def test_one_episode_a_file_needs_no_number(tmp_path: Path) -> None:
+def test_file_with_one_episode_needs_no_number(tmp_path: Path) -> None:
     path = write_dataset(tmp_path / "set", [short()])
     assert len(read_columns(path, STATE)["timestamp"]) == len(short()["t"])

@@ -28,7 +28,7 @@ def folder_of(
     return path
 
 
-def test_what_the_files_say_is_in_the_set(tmp_path: Path) -> None:
+def test_entries_of_the_files_are_in_the_set(tmp_path: Path) -> None:
     static = load_static_set(folder_of(tmp_path))
     assert static.joints == ("swing", "slide")
     assert static.n == 2
@@ -55,7 +55,7 @@ def test_what_the_files_say_is_in_the_set(tmp_path: Path) -> None:
             r"nominal\.stiffness\[2\].*finite number above 0",
         ),
         (('["q1", "q2"]', '["q1"]'), ("", ""), r"position: needs one column a joint \(2\), got 1"),
-        (('"fz"]', '"fx"]'), ("", ""), "one column stands for two things"),
+        (('"fz"]', '"fx"]'), ("", ""), "one column is named for two quantities"),
         (('"slide"]', '"elbow"]'), ("", ""), "no moving joint 'elbow'"),
         (("difference = true", ""), ("", ""), "difference: this key is required"),
         (("", ""), ("fz", "f_z"), r"poses\.csv: needs .* the columns"),
@@ -64,7 +64,7 @@ def test_what_the_files_say_is_in_the_set(tmp_path: Path) -> None:
         (('"poses.csv"', '"../poses.csv"'), ("", ""), "lies outside of the set"),
     ],
 )
-def test_wrong_files(
+def test_wrong_static_sets_are_refused(
     tmp_path: Path, toml: tuple[str, str], poses: tuple[str, str], says: str
 ) -> None:
     with pytest.raises(InputFileError, match=says):

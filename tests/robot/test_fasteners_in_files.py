@@ -60,7 +60,7 @@ def load(tmp_path):
     return read
 
 
-def test_left_out(load):
+def test_omitted_fasteners_have_defaults(load):
     elements = load()
     assert elements["pins"].screw is None
     assert elements["key"].hub_material == "steel"
@@ -72,7 +72,7 @@ def test_left_out(load):
     assert elements["flange"].tightening_torque == 9.0
 
 
-def test_given(load):
+def test_given_fasteners_are_used(load):
     more = (
         ', grade = "10.9", clamp_length = "8 mm", engagement = "10 mm",'
         ' head_material = "aluminium", thread_material = "iron"'
@@ -120,7 +120,7 @@ def test_given(load):
         ("flange", {"more": ', rolled = "never"'}, "rolled"),
     ],
 )
-def test_wrong(load, where, changes, text):
+def test_wrong_fasteners_are_refused(load, where, changes, text):
     more = changes.pop("more", None)
     if more is not None:
         changes["flange"] = GIVEN.format(more=more)
@@ -128,7 +128,7 @@ def test_wrong(load, where, changes, text):
         load(**changes)
 
 
-def test_unknown_size_names_the_known_ones(load):
+def test_unknown_bolt_size_lists_known_ones(load):
     flange = GIVEN.format(more="").replace("M5", "M7")
     with pytest.raises(InputError, match=r"no bolt 'M7' in the catalogue.*M3, M4, M5, M6, M8"):
         load(flange=flange)

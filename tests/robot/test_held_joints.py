@@ -34,7 +34,7 @@ def test_fingers_are_no_joints_of_the_arm(tmp_path):
     ]
 
 
-def test_a_held_joint_stays_where_it_is_held(tmp_path):
+def test_locked_joint_keeps_its_position(tmp_path):
     arm = robot(tmp_path, 'lock = { axis_3 = "30 deg", finger_1 = "20 mm" }\n')
     assert arm.joint_names == tuple(name for name in ARM if name != "axis_3")
     full = pin.buildModelFromXML(gripper_urdf(""))
@@ -51,13 +51,13 @@ def test_a_held_joint_stays_where_it_is_held(tmp_path):
     assert ours == pytest.approx(np.delete(gravity[:7], 2), abs=1e-10)
 
 
-def test_a_joint_that_the_file_describes_moves(tmp_path):
+def test_joint_described_in_the_file_moves(tmp_path):
     text = '[[joint]]\nname = "finger_2"\n'
     arm = robot(tmp_path, text, follower="")
     assert arm.joint_names == (*ARM, "finger_2")
 
 
-def test_joints_behind_the_tool_are_held(tmp_path):
+def test_joints_beyond_the_tool_are_held(tmp_path):
     arm = robot(tmp_path, '[tool]\nlink = "link_5"\n')
     assert arm.joint_names == ARM[:5]
     assert {h.name for h in arm.held} == {"axis_6", "axis_7", "finger_1", "finger_2"}
@@ -72,12 +72,12 @@ def test_joints_behind_the_tool_are_held(tmp_path):
         ("", '<mimic joint="thumb"/>', "follows 'thumb' (mimic), which there is not"),
     ],
 )
-def test_what_is_said(tmp_path, text, follower, said):
+def test_held_joint_messages(tmp_path, text, follower, said):
     with pytest.raises(InputError, match=re.escape(said)):
         robot(tmp_path, text, follower)
 
 
-def test_a_joint_of_the_arm_that_follows_another_can_be_held(tmp_path):
+def test_following_joint_of_the_arm_can_be_held(tmp_path):
     write_gripper_urdf(tmp_path)
     urdf = tmp_path / "seven.urdf"
     text = urdf.read_text().replace(

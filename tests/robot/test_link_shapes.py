@@ -8,11 +8,11 @@ from shaped_arms import BOX, MESH, load, with_shapes, write_stl
 from small_arms import PLANAR
 
 from stiffopt.errors import InputFileError, RobotError
-from stiffopt.robot.link_shapes import LinkShape, triangles
-from stiffopt.robot.skeleton import capsules, mounting_distance, reach
+from stiffopt.robot.body_tree import arm_reach, link_capsules, mounting_distance
+from stiffopt.robot.link_shapes import LinkShape, mesh_triangles
 
 
-def test_shapes_lie_in_the_frame_of_their_joint(tmp_path):
+def test_shapes_are_in_the_frame_of_their_joint(tmp_path):
     arm = load(tmp_path, with_shapes("fore", BOX))
     (placed,) = arm.joint_shapes("visual")
     assert (placed.joint, placed.shape.kind, placed.shape.size) == (2, "box", (0.1, 0.4, 0.1))
@@ -21,7 +21,7 @@ def test_shapes_lie_in_the_frame_of_their_joint(tmp_path):
     assert arm.joint_shapes("collision") == []
 
 
-def test_shapes_of_what_is_fixed_or_locked_belong_to_the_link_before(tmp_path):
+def test_shapes_of_fixed_links_belong_to_the_link_before(tmp_path):
     tip = '<link name="tip"><visual><geometry><sphere radius="0.05"/></geometry></visual></link>'
     arm = load(tmp_path, PLANAR.replace('<link name="tip"/>', tip))
     (placed,) = arm.joint_shapes("visual")
@@ -40,7 +40,7 @@ def test_meshes_are_found_and_scaled(tmp_path, name):
     arm = load(folder, with_shapes("upper", MESH.format(purpose="collision", name=name)))
     (shape,) = arm.shapes
     assert shape.known
-    vertices, corners = triangles(shape)
+    vertices, corners = mesh_triangles(shape)
     assert len(corners) == 4
     np.testing.assert_allclose(np.ptp(vertices, axis=0), 0.1, rtol=1e-6)
 
@@ -56,26 +56,26 @@ def test_meshes_of_ros_packages(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("name", ["package://other/link.stl", "package://[", "x" * 5000, "", "."])
-def test_a_mesh_that_is_not_there_is_told_apart(tmp_path, name):
+def test_missing_mesh_is_not_known(tmp_path, name):
     arm = load(tmp_path, with_shapes("upper", MESH.format(purpose="visual", name=name)))
     assert not arm.shapes[0].known
     assert arm.shapes[0].name == name
 
 
-def test_what_is_no_mesh_is_named(tmp_path):
+def test_file_that_is_no_mesh_is_refused(tmp_path):
     (tmp_path / "link.stl").write_text("nothing")
     arm = load(tmp_path, with_shapes("upper", MESH.format(purpose="visual", name="link.stl")))
     with pytest.raises(InputFileError, match="cannot be read as a mesh"):
-        triangles(arm.shapes[0])
+        mesh_triangles(arm.shapes[0])
 
 
 @pytest.mark.parametrize("size", ["0.1 0.4", "0.1 0.4 -1", "a b c"])
-def test_sizes_that_cannot_be_are_refused(tmp_path, size):
+def test_impossible_sizes_are_refused(tmp_path, size):
     with pytest.raises(RobotError, match="visual box size"):
         load(tmp_path, with_shapes("fore", BOX.replace("0.1 0.4 0.1", size)))
 
 
-def test_where_a_mesh_lies_is_no_input(tmp_path):
+def test_path_of_a_mesh_does_not_change_the_hash(tmp_path):
     from stiffopt.result.provenance import inputs_hash
 
     one, two = (
@@ -92,14 +92,14 @@ def test_where_a_mesh_lies_is_no_input(tmp_path):
 def test_capsules_reach_from_base_to_tool(tmp_path):
     arm = load(tmp_path, PLANAR)
     # The shoulder lies in the base's origin: no rod leads to it.
-    rods = capsules(arm.tree, arm.tool)
+    rods = link_capsules(arm.tree, arm.tool)
     assert [rod.joint for rod in rods] == [1, 2]
     np.testing.assert_allclose(rods[1].end, [0.4, 0.0, 0.0])
-    assert reach(arm.tree, arm.tool) == pytest.approx(0.4)
+    assert arm_reach(arm.tree, arm.tool) == pytest.approx(0.4)
     assert rods[0].radius > rods[1].radius > 0
 
 
-def test_a_mounting_far_from_the_origin_is_no_part_of_the_arm(tmp_path):
+def test_distant_mounting_is_no_link_of_the_arm(tmp_path):
     arm = load(tmp_path, PLANAR)
     first, *others = arm.tree.bodies
     hung = replace(
@@ -107,6 +107,6 @@ def test_a_mounting_far_from_the_origin_is_no_part_of_the_arm(tmp_path):
     )
     assert mounting_distance(arm.tree) == 0.0
     assert mounting_distance(hung) == 2.0
-    plain, below = capsules(arm.tree, arm.tool), capsules(hung, arm.tool)
+    plain, below = link_capsules(arm.tree, arm.tool), link_capsules(hung, arm.tool)
     assert [rod.joint for rod in below] == [rod.joint for rod in plain]
     assert [rod.radius for rod in below] == pytest.approx([rod.radius for rod in plain])

@@ -18,7 +18,7 @@ from stiffopt.errors import InputError
 from stiffopt.report.common.citations import robot_references
 from stiffopt.report.common.robot import element_colour
 from stiffopt.report.file_reference import reference_page
-from stiffopt.robot.schema import robot_file
+from stiffopt.robot.schema import robot_file_schema
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,7 +71,7 @@ for make in (lambda: load_robot("one.toml"), lambda: LeafSpring(torque_max=1, fo
     else:
         raise AssertionError("accepted")
 
-schema = robot_file().model_json_schema()["$defs"]["LeafSpringSection"]
+schema = robot_file_schema().model_json_schema()["$defs"]["LeafSpringSection"]
 assert schema["description"] == "Leaf at the end of a lever."
 assert schema["properties"]["lever"]["unit"] == "m"
 assert schema["properties"]["lever"]["description"] == "Lever of the leaf."
@@ -86,7 +86,7 @@ assert row in page
 """
 
 
-def test_a_class_is_all_that_a_connection_needs(tmp_path):
+def test_connection_is_added_by_one_class(tmp_path):
     done = subprocess.run(
         [sys.executable, "-c", PROGRAM], cwd=tmp_path, capture_output=True, text=True, timeout=120
     )

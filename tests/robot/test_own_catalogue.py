@@ -63,7 +63,7 @@ def folder(tmp_path):
     return tmp_path
 
 
-def test_a_robot_takes_its_reducers_from_there(folder):
+def test_robot_uses_reducers_of_its_catalogue(folder):
     arm = load_robot(folder / "robot.toml")
     [chain] = [chain for chain in arm.chains if chain is not None and chain.stages]
     assert chain.stages[0].element.K3 == 9e3
@@ -74,7 +74,7 @@ def test_a_robot_takes_its_reducers_from_there(folder):
     assert "sesame_87" not in catalogue.reducer_names()
 
 
-def test_candidates_of_init_robot(folder, capsys):
+def test_init_robot_considers_reducers_of_the_catalogue(folder, capsys):
     out = folder / "new.toml"
     own = ["--catalogue", str(folder / "own.toml")]
     assert run(["init", "robot", str(folder / "seven.urdf"), *own, "--out", str(out)]) == 0
@@ -98,7 +98,7 @@ def test_candidates_of_init_robot(folder, capsys):
         (OWN[OWN.index("[[") :], OWN[OWN.index("[[") :] * 2, "is given twice"),
     ],
 )
-def test_faults(old, new, said, tmp_path):
+def test_faulty_catalogue_files_are_refused(old, new, said, tmp_path):
     assert old in OWN
     (tmp_path / "own.toml").write_text(OWN.replace(old, new))
     with pytest.raises(InputError, match=re.escape(said)):
@@ -145,7 +145,7 @@ friction = 0.14
 """
 
 
-def test_every_kind_of_part_is_shown(tmp_path, capsys):
+def test_every_kind_of_part_is_listed(tmp_path, capsys):
     own = tmp_path / "own.toml"
     own.write_text(OWN + PARTS)
     for kind, name in (("bolts", "K5"), ("keys", "5x4"), ("belts", "AT7"), ("surfaces", "ground")):
@@ -176,14 +176,14 @@ def test_every_kind_of_part_is_shown(tmp_path, capsys):
         ('size = "K5"', 'size = "K5"\nlength = 3', "unknown key"),
     ],
 )
-def test_faults_of_parts(old, new, said, tmp_path):
+def test_faulty_parts_are_refused(old, new, said, tmp_path):
     assert old in PARTS
     (tmp_path / "own.toml").write_text(OWN + PARTS.replace(old, new))
     with pytest.raises(InputError, match=re.escape(said)):
         read_own_catalogue(tmp_path / "own.toml")
 
 
-def test_a_study_tightens_and_chooses_bolts_of_ones_own(tmp_path):
+def test_study_tightens_and_selects_bolts_of_the_user(tmp_path):
     """The same numbers under another name give the same preloads."""
     study = (ROOT / "problems" / "er3a_preload_j2_flexspline.toml").read_text()
     (tmp_path / "own.toml").write_text(OWN + PARTS)
@@ -218,7 +218,7 @@ def hash_with(study, size, diameter):
     return study_hash(replace(study, robot=replace(study.robot, own=own)))
 
 
-def test_results_stay_those_of_their_inputs_beside_parts_that_nobody_uses(folder):
+def test_unused_parts_do_not_change_the_hash_of_inputs(folder):
     robot = load_robot(folder / "robot.toml")
     assert inputs_hash(replace(robot, own={})) == inputs_hash(robot)
     (folder / "own.toml").write_text(OWN + PARTS)
@@ -227,7 +227,7 @@ def test_results_stay_those_of_their_inputs_beside_parts_that_nobody_uses(folder
     assert inputs_hash(load_robot(folder / "robot.toml")) != inputs_hash(robot)
 
 
-def test_the_hash_of_a_shipped_problem_does_not_depend_on_ones_own_parts():
+def test_hash_of_a_shipped_problem_is_independent_of_user_parts():
     problem = load_problem(ROOT / "problems" / "ur10_torque_squared.toml").problem
     robot = replace(problem.robot, own={"bolt": {"K5": {"size": "K5"}}})
     assert inputs_hash(replace(problem, robot=robot)) == inputs_hash(problem)

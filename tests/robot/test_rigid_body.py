@@ -10,9 +10,9 @@ from small_arms import ROOT
 from stiffopt.certificate.rigid_body import link_torques
 from stiffopt.errors import RobotError
 from stiffopt.robot.files import load_robot
-from stiffopt.robot.frames import named_frame
-from stiffopt.robot.rotations import (
-    rotation_between,
+from stiffopt.robot.frames import (
+    interpolate_rotation,
+    named_frame,
     rotation_from_rpy,
     rotation_vector,
     rpy_from_rotation,
@@ -33,7 +33,7 @@ def test_inertial_parameters_are_those_of_pinocchio_and_give_the_torque() -> Non
     np.testing.assert_allclose(torque, bodies.torque(Q, V, A), atol=1e-11)
 
 
-def test_torque_is_inertia_times_acceleration_beside_what_the_speed_takes() -> None:
+def test_torque_is_inertia_times_acceleration_plus_bias() -> None:
     bodies = ROBOT.rigid_bodies()
     added = bodies.torque(Q, V, A) - bodies.torque(Q, V, np.zeros(6))
     np.testing.assert_allclose(bodies.inertia_matrix(Q) @ A, added, atol=1e-11)
@@ -59,7 +59,7 @@ def test_torques_of_many_instants_with_and_without_the_parallel_call(
     np.testing.assert_allclose(link_torques(robot, *motion), expected, atol=1e-11)
 
 
-def test_another_gravity_leaves_the_robot_as_it_was() -> None:
+def test_changed_gravity_applies_to_a_copy() -> None:
     bodies, before = ROBOT.rigid_bodies(), ROBOT.rigid_bodies().gravity_torque(Q)
     np.testing.assert_allclose(
         bodies.with_gravity(np.array([0.0, 0.0, 4.905])).gravity_torque(Q), -0.5 * before
@@ -79,7 +79,7 @@ def test_jacobian_is_the_change_of_the_pose() -> None:
         np.testing.assert_allclose(jacobian[3:, j], rate, atol=1e-8)
 
 
-def test_joints_held_at_zero_leave_a_robot_of_the_others() -> None:
+def test_locked_joints_give_a_reduced_robot() -> None:
     names = ROBOT.joint_names
     held = ROBOT.with_joints_locked((names[5], names[2]))
     left = np.array([0, 1, 3, 4])
@@ -98,7 +98,7 @@ def test_joints_held_at_zero_leave_a_robot_of_the_others() -> None:
     assert ROBOT.with_joints_locked(()) is ROBOT
 
 
-def test_a_body_with_an_inertia_of_none_keeps_its_own() -> None:
+def test_unphysical_inertia_keeps_that_of_the_body() -> None:
     body = ROBOT.tree.bodies[2]
     heavier = ROBOT.with_inertial_parameters(3, 2.0 * body.inertial_parameters).tree.bodies[2]
     assert heavier.mass == pytest.approx(2.0 * body.mass)
@@ -111,7 +111,7 @@ def test_a_body_with_an_inertia_of_none_keeps_its_own() -> None:
         ROBOT.with_inertial_parameters(3, 0.0 * impossible)
 
 
-def test_frames_by_name_are_pinocchios() -> None:
+def test_named_frames_equal_pinocchio() -> None:
     data = ROBOT.model.createData()
     pin.framesForwardKinematics(ROBOT.model, data, Q)
     bodies = ROBOT.rigid_bodies()
@@ -121,17 +121,17 @@ def test_frames_by_name_are_pinocchios() -> None:
         np.testing.assert_allclose(rotation, data.oMf[index].rotation, atol=1e-12)
 
 
-def test_rotations_turn_back_and_meet_half_way() -> None:
+def test_rotation_conversions_are_inverse_and_interpolate() -> None:
     first, last = (rotation_from_rpy(rpy) for rpy in ([0.3, -0.5, 1.1], [-0.2, 0.4, 0.1]))
     np.testing.assert_allclose(rpy_from_rotation(first), [0.3, -0.5, 1.1], atol=1e-12)
-    np.testing.assert_allclose(rotation_between(first, last, 1.0), last, atol=1e-12)
-    half = rotation_between(first, last, 0.5)
+    np.testing.assert_allclose(interpolate_rotation(first, last, 1.0), last, atol=1e-12)
+    half = interpolate_rotation(first, last, 0.5)
     np.testing.assert_allclose(
         rotation_vector(first.T @ half), rotation_vector(half.T @ last), atol=1e-12
     )
 
 
-def test_a_body_smaller_than_an_atom_is_refused(tmp_path):
+def test_inertia_below_atomic_size_is_refused(tmp_path):
     text = (ROOT / "problems" / "two_link.urdf").read_text()
     assert '"0.5"' in text
     path = tmp_path / "tiny.urdf"

@@ -95,7 +95,7 @@ def test_shipped_robots_load():
             assert min(chain.slip_torques().values()) > 1.2 * limit
 
 
-def test_limits_come_from_the_urdf_where_the_file_is_silent(folder):
+def test_omitted_limits_are_those_of_the_urdf(folder):
     robot = load_robot(write(folder, '[[joint]]\nname = "push"\nvelocity_max = "200 mm/s"\n'))
     assert robot.joint_names == ("turn", "push")
     np.testing.assert_allclose(robot.torque_max, [50, 200])
@@ -109,7 +109,7 @@ def test_limits_come_from_the_urdf_where_the_file_is_silent(folder):
     assert robot.tool.joint == 2
 
 
-def test_bare_urdf_and_urdf_with_drivetrain(folder):
+def test_urdf_with_and_without_drivetrain(folder):
     robot = load_robot(folder / "pair.urdf")
     assert robot.chains == (None, None)
     drivetrain = write(folder, REDUCER, 'schema = 1\nkind = "robot"\nname = "geared"\n')
@@ -119,7 +119,7 @@ def test_bare_urdf_and_urdf_with_drivetrain(folder):
     assert pytest.approx(3 * 60 * 180 / np.pi) == element.K1
 
 
-def test_continuous_joints_turn_without_end(folder):
+def test_continuous_joints_have_no_position_limits(folder):
     (folder / "pair.urdf").write_text(URDF.format(kind="continuous"))
     robot = load_robot(folder / "pair.urdf")
     assert robot.model.nq == robot.model.nv == 2
@@ -128,7 +128,7 @@ def test_continuous_joints_turn_without_end(folder):
     assert robot.torque_max[0] == 50
 
 
-def test_every_kind_of_element(folder):
+def test_every_kind_of_element_is_built(folder):
     text = """
 [assembly]
 reflect = false
@@ -262,14 +262,14 @@ stiffness = "20 N/um"
         ("a = ", ["line 5", "not valid TOML"]),
     ],
 )  # fmt: skip
-def test_messages(folder, text, parts):
+def test_faulty_robot_files_are_refused(folder, text, parts):
     message = fails(folder, text)
     assert "pair.toml" in message
     for part in parts:
         assert part in message
 
 
-def test_messages_about_files(folder):
+def test_missing_robot_files_are_refused(folder):
     with pytest.raises(InputFileError, match=r"no such file\. That folder holds: .*pair\.urdf"):
         load_robot(write(folder, "", HEAD.replace("pair.urdf", "piar.urdf")))
     with pytest.raises(InputError, match="Did you mean 'er3a_c60'"):
@@ -287,7 +287,7 @@ def test_messages_about_files(folder):
 
 
 @pytest.mark.parametrize("kind", ["floating", "planar", "spherical"])
-def test_unsupported_kinds_of_joint(folder, kind):
+def test_unsupported_joint_kinds_are_refused(folder, kind):
     (folder / "pair.urdf").write_text(URDF.format(kind=kind))
     with pytest.raises(RobotError) as error:
         load_robot(folder / "pair.urdf")
@@ -311,7 +311,7 @@ def test_unsupported_kinds_of_joint(folder, kind):
         ('effort="50"', 'effort="0"', "has no effort for it"),
     ],
 )
-def test_faults_of_the_urdf(folder, old, new, text):
+def test_faulty_urdfs_are_refused(folder, old, new, text):
     (folder / "pair.urdf").write_text(URDF.format(kind="revolute").replace(old, new, 1))
     with pytest.raises(InputError) as error:
         load_robot(folder / "pair.urdf")

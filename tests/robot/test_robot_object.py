@@ -10,7 +10,7 @@ from stiffopt.errors import RobotError
 from stiffopt.robot.files import load_robot
 
 
-def test_ur10_with_payload_is_the_benchmark_arm():
+def test_ur10_with_payload_matches_the_benchmark_arm():
     path = Path(__file__).parents[3] / "shared" / "benchmarks" / "ur10_5kg.urdf"
     if not path.is_file():
         pytest.skip("ur10_5kg.urdf is not beside the repository")
@@ -25,7 +25,7 @@ def test_ur10_with_payload_is_the_benchmark_arm():
 
 
 @pytest.mark.parametrize("mass", [0.0, 2.0])
-def test_multiples_of_a_payload_that_may_weigh_nothing(mass):
+def test_payload_factor_may_be_zero(mass):
     robot = load_robot("ur10")
     centre, inertia = [0.01, 0.02, 0.03], [1e-3, 2e-3, 2.5e-3]
     times = robot.with_payload(mass, centre, inertia).with_payload_times(1.5)
@@ -48,7 +48,7 @@ def test_ur10_tool_is_in_the_frame_of_joint_6():
     np.testing.assert_allclose(robot.flange.rotation[:, 2], [0, 1, 0], atol=1e-12)
 
 
-def test_payload_sits_at_the_flange_and_leaves_the_robot_alone():
+def test_payload_is_at_the_flange_of_a_copy():
     robot = load_robot("er3a_c60")
     loaded = robot.with_payload(2.0, [0.01, 0.02, 0.03], [1e-3, 2e-3, 2.5e-3])
     assert robot.model.inertias[6].mass == pytest.approx(0.137)
@@ -83,13 +83,13 @@ def test_tool_is_resolved_to_its_joint():
         ((1.0, [0, 0, 0], [-1, 1, 1]), "none may be below 0"),
     ],
 )
-def test_impossible_payloads(arguments, text):
+def test_impossible_payloads_are_refused(arguments, text):
     with pytest.raises(RobotError) as error:
         load_robot("ur10").with_payload(*arguments)
     assert text in str(error.value)
 
 
-def test_impossible_tools():
+def test_impossible_tools_are_refused():
     with pytest.raises(RobotError, match="Did you mean 'link_6'"):
         load_robot("er3a_c60").with_tool("link6")
     with pytest.raises(RobotError, match="does not move"):
@@ -98,7 +98,7 @@ def test_impossible_tools():
         load_robot("er3a_c60").with_tool("link_6", [0, 0])
 
 
-def test_estimates_are_named():
+def test_estimated_numbers_are_listed():
     rows = load_robot("er3a_c60").estimated()
     elements = {(r.joint, r.element) for r in rows}
     assert ("joint_1", "motor_key") in elements

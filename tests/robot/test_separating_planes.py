@@ -45,7 +45,7 @@ def poses(robot, count, seed=0):
     return np.random.default_rng(seed).uniform(-1.5, 1.5, (count, robot.n))
 
 
-def test_planes_are_as_far_as_coal_measures(model):
+def test_plane_distance_equals_distance_by_coal(model):
     robot, cell = model
     clear = ClearanceModel(robot, cell)
     separating = SeparatingPlanes(clear)
@@ -65,7 +65,7 @@ def test_planes_are_as_far_as_coal_measures(model):
     assert ("post", "fore") in seen
 
 
-def test_a_step_keeps_its_plane_all_along(model):
+def test_plane_holds_in_all_poses_of_a_step(model):
     robot, cell = model
     clear = ClearanceModel(robot, cell)
     separating = SeparatingPlanes(clear)
@@ -80,7 +80,7 @@ def test_a_step_keeps_its_plane_all_along(model):
             assert plane.distance <= separating.plane(k, ends[:1]).distance + 1e-4
 
 
-def test_rows_are_the_height_over_the_plane(model):
+def test_constraint_rows_are_heights_over_the_plane(model):
     robot, cell = model
     clear = ClearanceModel(robot, cell)
     separating = SeparatingPlanes(clear)

@@ -55,7 +55,7 @@ def test_rows_agree_with_the_chain(robot):
     assert len(stiffness_study(robot, [0.5], both_readings=False)) == 6
 
 
-def test_default_ratios_reach_from_a_thousandth_to_all(robot):
+def test_default_ratios_cover_a_thousandth_to_one(robot):
     single = replace(robot, chains=(robot.chains[0], *(None,) * 5))
     ratios = [r.torque_ratio for r in stiffness_study(single, both_readings=False)]
     assert ratios == sorted(ratios)
@@ -63,7 +63,7 @@ def test_default_ratios_reach_from_a_thousandth_to_all(robot):
     assert ratios[-1] == 1.0
 
 
-def test_csv_is_written_whole(robot, tmp_path):
+def test_csv_has_all_rows(robot, tmp_path):
     rows = stiffness_study(robot, [0.1, 1.0])
     write_stiffness_csv(rows, tmp_path / "stiffness.csv")
     with (tmp_path / "stiffness.csv").open() as stream:
@@ -80,7 +80,7 @@ def test_shares_sum_to_one(robot):
         assert sum(parts.values()) == pytest.approx(1.0, abs=1e-12)
 
 
-def test_bad_requests(robot):
+def test_invalid_ratios_are_refused(robot):
     with pytest.raises(RobotError, match="no joint has a drivetrain"):
         stiffness_study(replace(robot, chains=(None,) * 6))
     for ratios in ([0.0, 1.0], [-0.1], [float("nan")]):
@@ -88,7 +88,7 @@ def test_bad_requests(robot):
             stiffness_study(robot, ratios)
 
 
-def test_a_robot_file_says_how_its_contacts_are_loaded(robot, tmp_path):
+def test_robot_file_sets_the_loading_of_contacts(robot, tmp_path):
     text = (Path(stiffopt.robot.__file__).parent / "data/er3a_c60/robot.toml").read_text()
     shutil.copytree(Path(stiffopt.robot.__file__).parent / "data/er3a_c60", tmp_path / "arm")
     changed = text.replace("[assembly]", '[assembly]\nloading = "cyclic"', 1)

@@ -16,7 +16,7 @@ from stiffopt.cli import run
 from stiffopt.errors import InputError, ProblemError, RobotError
 from stiffopt.problem.files import load_problem
 from stiffopt.problem.resolve import resolve
-from stiffopt.robot.estimated_masses import estimated_bodies, fitted_to_torques
+from stiffopt.robot.estimated_masses import estimate_bodies, fit_to_torque_limits
 from stiffopt.robot.files import load_robot
 from stiffopt.robot.frames import link_frame
 from stiffopt.robot.urdf import load_urdf
@@ -179,13 +179,13 @@ def test_a_mass_that_nothing_tells_is_no_guess(tmp_path, capfd):
 def test_guessed_masses_are_scaled_to_what_the_drives_hold(tmp_path):
     """The same arm without masses, with weak, usual and strong drives."""
     arm = load_urdf(written(tmp_path, chain(3, mass="")), limited=None)
-    rods = estimated_bodies(arm, tmp_path / "arm.urdf", link_frame(arm.model, "link3"))
+    rods = estimate_bodies(arm, tmp_path / "arm.urdf", link_frame(arm.model, "link3"))
     assert not any(body.shaped for body in rods.values())
     shapes = {name: replace(body, shaped=True) for name, body in rods.items()}
     weight = np.array([0.0, 60.0, 20.0])
 
     def scale(bodies, torque):
-        found = fitted_to_torques(bodies, weight, np.array([5.0, torque, np.nan]))
+        found = fit_to_torque_limits(bodies, weight, np.array([5.0, torque, np.nan]))
         for name, body in found.items():
             assert body.inertia == pytest.approx(body.mass / rods[name].mass * rods[name].inertia)
         return sum(body.mass for body in found.values()) / sum(b.mass for b in rods.values())

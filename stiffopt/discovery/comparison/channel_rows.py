@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stiffopt.discovery.comparison.prepared_run import PreparedRun
-from stiffopt.recording.channel import MAD
+from stiffopt.recording.channel import DEVIATION_PER_MAD
 from stiffopt.recording.nominal import Noise
 
 
@@ -299,7 +299,7 @@ def _estimate_noise(channels: Sequence[np.ndarray], runs: Sequence[PreparedRun])
         pulse = np.zeros(2 * run.low_pass.settling + 201)
         pulse[len(pulse) // 2] = 1.0
         gain = float(np.linalg.norm(pulse - run.low_pass(pulse)))
-        spreads.append(MAD * float(np.median(np.abs(rest - np.median(rest)))) / gain)
+        spreads.append(DEVIATION_PER_MAD * float(np.median(np.abs(rest - np.median(rest)))) / gain)
         extent = max(extent, float(np.ptp(filled)))
     if not spreads:
         return float("nan")

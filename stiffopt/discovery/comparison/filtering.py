@@ -9,7 +9,7 @@ import numpy as np
 from scipy import fft
 from scipy.interpolate import CubicSpline
 
-from stiffopt.recording.clock import GAP
+from stiffopt.recording.clock import MIN_GAP_STEPS
 from stiffopt.recording.run import RecordedRun
 
 # Half length of the kernel in cycles of the cutoff; short, to lose few samples at the ends.
@@ -212,6 +212,6 @@ def near_gaps(stamps: np.ndarray, step: float, time: np.ndarray, reach: int) -> 
     """Return True for instants (K,) within gaps between stamps or within `reach` steps of these."""
     near = np.zeros(len(time), dtype=bool)
     margin = reach * step
-    for k in np.flatnonzero(np.diff(stamps) > GAP * step):
+    for k in np.flatnonzero(np.diff(stamps) > MIN_GAP_STEPS * step):
         near |= (time > stamps[k] - margin) & (time < stamps[k + 1] + margin)
     return near

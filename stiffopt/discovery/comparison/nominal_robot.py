@@ -20,7 +20,7 @@ from stiffopt.discovery.signals import (
 )
 from stiffopt.recording.recording_set import RecordingSet
 from stiffopt.recording.run import RecordedRun
-from stiffopt.robot.along_motion import body_torques, tool_along
+from stiffopt.robot.batched_kinematics import body_torque_regressor, tool_jacobians
 from stiffopt.robot.frames import first_link_of
 
 
@@ -179,7 +179,7 @@ class RobotModel:
     def body_torques(self, body: int, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
         """Return the spring torques per inertial parameter of one body (K, n, 10)."""
         motion = (self._to_robot_order(x) for x in (q, v, a))
-        torques = body_torques(self.arm.tree, int(self.order[body]), *motion)
+        torques = body_torque_regressor(self.arm.tree, int(self.order[body]), *motion)
         # Avoid a copy of the largest array of a long run where both orders agree.
         return torques if np.all(self.order == np.arange(self.n)) else torques[:, self.order]
 
@@ -204,7 +204,7 @@ class RobotModel:
 
     def tool(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the tool position (K, 3) and its Jacobian (K, 3, n)."""
-        position, jacobian = tool_along(self.arm.tree, self.arm.tool, self._to_robot_order(q))
+        position, jacobian = tool_jacobians(self.arm.tree, self.arm.tool, self._to_robot_order(q))
         return position, jacobian[..., self.order]
 
     def temperature_rise(self, run: RecordedRun, count: int) -> np.ndarray:

@@ -26,7 +26,7 @@ from stiffopt.discovery.signals import (
     mean_sign,
     smooth_sign,
 )
-from stiffopt.recording.channel import MAD
+from stiffopt.recording.channel import DEVIATION_PER_MAD
 from stiffopt.recording.run import RecordedRun
 
 # Range of the cutoff of the motors' motion [Hz]: wider than the fit's filter, which all derived
@@ -80,7 +80,9 @@ def _sample_noise(samples: np.ndarray) -> np.ndarray:
         for own in apart.T
     ]
     return np.asarray(
-        MAD * np.array(size) / np.sqrt(comb(2 * _NOISE_DIFFERENCES, _NOISE_DIFFERENCES))
+        DEVIATION_PER_MAD
+        * np.array(size)
+        / np.sqrt(comb(2 * _NOISE_DIFFERENCES, _NOISE_DIFFERENCES))
     )
 
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from stiffopt.discovery.extended.schema import LeftOpenSection
-from stiffopt.recording.assumptions import not_given
+from stiffopt.recording.nominal_files import missing_tolerances
 from stiffopt.units import joint_unit
 
 if TYPE_CHECKING:
@@ -123,7 +123,7 @@ def assumed(
     prismatic : array (n,) of bool
     """
     found = []
-    if silent := ", ".join(not_given(tolerance)):
+    if silent := ", ".join(missing_tolerances(tolerance)):
         kept = "nominal values stay as the model has them"
         near = "narrow defaults about the values of the model hold"
         found.append(f"Tolerances not given, {near if least is None else kept}: {silent}.")

@@ -66,7 +66,7 @@ from stiffopt.drivetrain.chain import Chain
 from stiffopt.errors import InputFileError, nearest
 from stiffopt.files import read_document
 from stiffopt.folders import check_result
-from stiffopt.recording.nominal_files import as_chains, check_nominal
+from stiffopt.recording.nominal_files import build_chains, check_nominal
 from stiffopt.recording.recording_set import RecordingSet
 from stiffopt.recording.schema import NominalSection
 
@@ -185,7 +185,7 @@ def load_extended(path: str | os.PathLike[str], effects: Sequence[Effect] = ()) 
         joints=document.joints,
         robot=document.robot,
         nominal=document.nominal,
-        chains=as_chains(document.nominal, np.array(scales["torque_max"]), Path(path)),
+        chains=build_chains(document.nominal, np.array(scales["torque_max"]), Path(path)),
         scales=scales,
         extension=Extension(calibration=document.calibration, effects=tuple(read)),
         parameters=tuple(

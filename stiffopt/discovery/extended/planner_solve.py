@@ -14,7 +14,7 @@ from stiffopt.discovery.extended.model import ExtendedModel, load_extended
 from stiffopt.discovery.extended.planner_model import PlannerModel, planner_model
 from stiffopt.discovery.user_effects import load_effects
 from stiffopt.elastic.uncertainty import of_deviations
-from stiffopt.errors import more
+from stiffopt.errors import format_increase
 from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.result.assessment import Assessment
 from stiffopt.result.solution import Solution
@@ -144,4 +144,4 @@ def _objective(loop: ClosedLoop, carried: Assessment) -> str:
 
 
 def _change(after: float, before: float) -> str:
-    return f" ({more(after, before, 2)})" if before > 0.0 else ""
+    return f" ({format_increase(after, before, 2)})" if before > 0.0 else ""

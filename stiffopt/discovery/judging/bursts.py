@@ -23,7 +23,7 @@ from stiffopt.discovery.comparison.prepared_run import PreparedRun
 from stiffopt.discovery.judging.unexplained import Unexplained
 from stiffopt.discovery.thresholds import BURST_RATIO, BURSTING_RATIO
 from stiffopt.discovery.training import Training
-from stiffopt.recording.channel import MAD
+from stiffopt.recording.channel import DEVIATION_PER_MAD
 from stiffopt.recording.run import RecordedRun
 
 # Share of the samples that bursts are sought in.
@@ -48,7 +48,7 @@ class _Channel:
     @property
     def usual(self) -> float:
         """Standard deviation, whatever bursts there are."""
-        return MAD * float(np.median(np.abs(self.residual)))
+        return DEVIATION_PER_MAD * float(np.median(np.abs(self.residual)))
 
     @property
     def bursting(self) -> float:
@@ -158,7 +158,7 @@ def _begun_with(
     for _ in range(_WEIGHINGS):
         sizes = np.linalg.lstsq(weight[:, None] * columns, weight * target)[0]
         off = np.abs(target - columns @ sizes)
-        far = _FAR * MAD * max(float(np.median(off)), 1e-12)
+        far = _FAR * DEVIATION_PER_MAD * max(float(np.median(off)), 1e-12)
         weight = np.minimum(1.0, far / np.maximum(off, far))
     return np.tensordot(sizes, np.stack(swings), axes=1)
 

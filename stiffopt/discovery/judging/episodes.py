@@ -21,7 +21,7 @@ from stiffopt.discovery.comparison.prepared_run import PreparedRun
 from stiffopt.discovery.proof.predict import Prediction, Predictor
 from stiffopt.discovery.proof.proof import used_samples
 from stiffopt.discovery.signals import RobotConstants, RobotSignals
-from stiffopt.recording.channel import MAD
+from stiffopt.recording.channel import DEVIATION_PER_MAD
 from stiffopt.recording.run import RecordedRun
 
 # Rms over what is usual in a channel from which something happens there, and down to which it goes
@@ -110,7 +110,9 @@ class Track:
     def usual(self) -> np.ndarray:
         """Size of what is left in each channel, whatever happens for a while (2 n,)."""
         sizes = [np.abs(c[np.isfinite(c)]) for c in self.left.T]
-        return np.array([max(1.0, MAD * np.median(s)) if s.size else 1.0 for s in sizes])
+        return np.array(
+            [max(1.0, DEVIATION_PER_MAD * np.median(s)) if s.size else 1.0 for s in sizes]
+        )
 
     def strength(self) -> np.ndarray:
         """Rms about every moment over what is usual (K, 2 n); 0 where nothing is judged."""

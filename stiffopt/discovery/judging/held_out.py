@@ -22,8 +22,8 @@ from stiffopt.discovery.proof.predict import Predictor
 from stiffopt.discovery.proof.proof import RunProof, nrmse, prove
 from stiffopt.discovery.settings import Settings
 from stiffopt.discovery.training import Training
+from stiffopt.recording.decimation import decimate_run
 from stiffopt.recording.recording_set import RecordingSet
-from stiffopt.recording.thinning import thinned
 
 Say = Callable[[str], object]
 
@@ -134,7 +134,7 @@ class HeldOut:
         vibrating = _predicted_swinging(training, settings, extensions)
         for entry in entries:
             say(f"predict {entry.file}")
-            run = thinned(recordings.open(entry), self._every)
+            run = decimate_run(recordings.open(entry), self._every)
             if not run.usable:
                 self.unusable.append(entry.file)
                 continue

@@ -17,7 +17,7 @@ from stiffopt.discovery.search.identifiable_effects import of_changes
 from stiffopt.discovery.search.uncertainty import Estimate
 from stiffopt.discovery.settings import FIXED
 from stiffopt.discovery.training import Training
-from stiffopt.recording.thinning import sampling_rate
+from stiffopt.recording.decimation import sampling_rate
 
 # Shapes of the likeliest suspects are fitted; log evidence below which nothing is suspected.
 _REFINED, _LEAST = 12, 2.0

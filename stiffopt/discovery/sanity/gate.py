@@ -24,7 +24,7 @@ from stiffopt.discovery.sanity.samples import sampled
 from stiffopt.discovery.sanity.second_sensors import second_sensors
 from stiffopt.recording.recording_set import RecordingSet
 from stiffopt.recording.run import RecordedRun
-from stiffopt.recording.set_points import is_set_point, may_be_set_point
+from stiffopt.recording.signals import is_set_point, may_be_set_point
 
 # Share of a torque's variance that is open where single runs are looked at, and how many.
 _OPEN, _MOST_RUNS = 0.04, 12

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from stiffopt.errors import times
+from stiffopt.errors import format_factor
 from stiffopt.recording.recording_set import RecordingSet
 
 # Signals that are read together with the position, and what their unit adds to its unit.
@@ -63,5 +63,5 @@ def share_words(before: np.ndarray, after: np.ndarray, joints: Sequence[int]) ->
 
 def _share(value: float) -> str:
     if value >= 2.0:
-        return f"{times(value) if value >= 10.0 else f'{value:.2g} times'} all"
+        return f"{format_factor(value) if value >= 10.0 else f'{value:.2g} times'} all"
     return f"{100.0 * value:.0f} %" if value >= 0.1 else f"{100.0 * value:.2g} %"

@@ -31,7 +31,7 @@ from stiffopt.discovery.thresholds import (
     SETTLED_DEVIATIONS,
     SETTLING_ROUNDS,
 )
-from stiffopt.interrupts import finished
+from stiffopt.interrupts import complete_step
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,7 +127,7 @@ def search(
         located = tuple(each.located for each in selected)
         return selected, weighed, *_relinearised(so_far.start, so_far.current, located)
 
-    (selected, weighed, current, fit), hurried = finished(answer)
+    (selected, weighed, current, fit), hurried = complete_step(answer)
     return SearchResult(
         selected,
         current,

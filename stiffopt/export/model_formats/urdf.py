@@ -9,7 +9,7 @@ import numpy as np
 from stiffopt.export.found import FoundRobot
 from stiffopt.export.model_format import MODEL_FORMATS, ModelFormat, notes
 from stiffopt.robot.body_tree import Body
-from stiffopt.robot.xml_files import parse_xml
+from stiffopt.robot.urdf_xml import parse_xml
 
 
 class Urdf(ModelFormat):

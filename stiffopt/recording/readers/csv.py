@@ -10,28 +10,27 @@ import numpy as np
 
 from stiffopt.errors import InputFileError, shortened
 from stiffopt.files import read_text
-from stiffopt.recording.readers.columns import missing, require_time
-from stiffopt.recording.readers.limits import MOST_BYTES, check_numbers
+from stiffopt.recording.readers.checks import MAX_BYTES, check_columns, check_numbers, require_time
 from stiffopt.recording.signals import Signals
 
-# The blank is what the RTDE recorder of Universal Robots writes.
-_DELIMITERS = (",", ";", "\t", " ")
-# What loggers write for a sample that is not there.
-_EMPTY = ("", "nan", "na", "n/a", "null", "none", "-")
+# The RTDE recorder of Universal Robots writes blanks.
+_COLUMN_DELIMITERS = (",", ";", "\t", " ")
+# Texts of loggers for missing samples.
+_MISSING_TEXTS = ("", "nan", "na", "n/a", "null", "none", "-")
 
 
 def read(path: Path, signals: Signals) -> dict[str, np.ndarray]:
-    """Columns of a CSV file, separated by one of `_DELIMITERS`; "#" may begin the header."""
+    """Read columns of a CSV file with any of `_COLUMN_DELIMITERS`; "#" may precede the header."""
     require_time(signals, path)
-    text = read_text(path, MOST_BYTES)
+    text = read_text(path, MAX_BYTES)
     first, _, body = text.lstrip("\r\n").partition("\n")
     wanted = (signals.time, *signals.wanted)
-    headers = {mark: _header(first, mark) for mark in _DELIMITERS}
+    headers = {mark: _split_header(first, mark) for mark in _COLUMN_DELIMITERS}
     mark = max(headers, key=lambda m: (sum(name in headers[m] for name in wanted), len(headers[m])))
     header = headers[mark]
-    missing(path, wanted, header)
+    check_columns(path, wanted, header)
     if not body.strip():
-        raise InputFileError(path, "", "holds no rows below its header. Record it anew.")
+        raise InputFileError(path, "", "holds no rows below its header. Record it again.")
     check_numbers(path, body.count("\n"), len(wanted))
     _check_widths(path, body, mark, len(header))
     places = [header.index(name) for name in wanted]
@@ -40,18 +39,18 @@ def read(path: Path, signals: Signals) -> dict[str, np.ndarray]:
             io.StringIO(body), delimiter=mark, usecols=places, comments=None, ndmin=2
         )
     except ValueError:
-        # Slower, but takes empty cells and knows the place of a wrong one.
-        table = _parse(path, body, mark, wanted, places)
+        # Slower, but accepts empty cells and reports the place of invalid ones.
+        table = _parse_rows(path, body, mark, wanted, places)
     return {name: table[:, number].copy() for number, name in enumerate(wanted)}
 
 
-def _header(line: str, mark: str) -> list[str]:
+def _split_header(line: str, mark: str) -> list[str]:
     row = next(csv.reader([line.lstrip("# ").rstrip("\r")], delimiter=mark), [])
     return [name.strip() for name in row]
 
 
 def _check_widths(path: Path, body: str, mark: str, columns: int) -> None:
-    """Raise `InputFileError` for a line of more cells than the header; blank ones may be more."""
+    """Raise `InputFileError` for a line with more cells than the header, unless they are blank."""
     for number, line in enumerate(body.splitlines(), start=1):
         if line.count(mark) < columns:
             continue
@@ -65,7 +64,7 @@ def _check_widths(path: Path, body: str, mark: str, columns: int) -> None:
             )
 
 
-def _parse(
+def _parse_rows(
     path: Path, body: str, mark: str, wanted: tuple[str, ...], places: list[int]
 ) -> np.ndarray:
     rows = []
@@ -80,14 +79,17 @@ def _parse(
                 "Complete or delete the line.",
             )
         rows.append(
-            [_number(path, number, name, cells[k]) for name, k in zip(wanted, places, strict=True)]
+            [
+                _parse_cell(path, number, name, cells[k])
+                for name, k in zip(wanted, places, strict=True)
+            ]
         )
     return np.array(rows, dtype=float).reshape(-1, len(wanted))
 
 
-def _number(path: Path, row: int, column: str, text: str) -> float:
+def _parse_cell(path: Path, row: int, column: str, text: str) -> float:
     text = text.strip()
-    if text.lower() in _EMPTY:
+    if text.lower() in _MISSING_TEXTS:
         return np.nan
     try:
         return float(text)

@@ -14,20 +14,19 @@ import numpy as np
 
 from stiffopt.errors import InputFileError
 from stiffopt.files import read_bytes
-from stiffopt.recording.readers.columns import missing
-from stiffopt.recording.readers.limits import check_bytes, check_numbers
+from stiffopt.recording.readers.checks import check_bytes, check_columns, check_numbers
 from stiffopt.recording.signals import Signals
 
-# Keys of a channel's header: name, kind, type of its values, their number, column, offset, step.
-_NAME, _KIND, _TYPE, _COUNT, _COLUMN, _OFFSET, _STEP = (
+# Keys of a channel header: name, kind, type and number of values, column, offset, step.
+_NAME_KEY, _KIND_KEY, _TYPE_KEY, _COUNT_KEY, _COLUMN_KEY, _OFFSET_KEY, _STEP_KEY = (
     "200", "210", "214", "220", "221", "240", "241",
 )  # fmt: skip
-_TIME = ("Zeit", "Time", "t")
+_TIME_NAMES = ("Zeit", "Time", "t")
 
 
 @dataclass
 class _Trace:
-    """One pair of files: values (R, channels) by name, and their step of time [s]."""
+    """One pair of files: values (R, channels), names, and the sample time [s]."""
 
     step: float
     names: list[str]
@@ -39,12 +38,12 @@ class _Trace:
 
 
 def read(path: Path, signals: Signals) -> dict[str, np.ndarray]:
-    """Columns of a trace, given by the .dat of one of its pairs, on the clock of that pair.
+    """Read columns of a trace, given by the .dat of one of its pairs, on the clock of that pair.
 
-    The time is the pair's own, whatever `signals.time` calls it. Channels of other pairs are
-    interpolated linearly, nan outside of their time.
+    The time is that of the pair, under the name `signals.time`. Channels of other pairs are
+    interpolated linearly, NaN outside of their time.
     """
-    traces = {"": _trace(path)}
+    traces = {"": _read_trace(path)}
     own = traces[""]
     columns: dict[str, np.ndarray] = {signals.time: own.time}
     for name in signals.wanted:
@@ -54,35 +53,35 @@ def read(path: Path, signals: Signals) -> dict[str, np.ndarray]:
         other, _, channel = name.partition(".")
         beside = path.with_name(f"{path.stem.rpartition('_')[0]}_{other}{path.suffix}")
         if not channel or not beside.is_file():
-            missing(path, [name], own.names)
+            check_columns(path, [name], own.names)
         if other not in traces:
-            traces[other] = _trace(beside)
+            traces[other] = _read_trace(beside)
         found = traces[other]
-        missing(beside, [channel], found.names)
+        check_columns(beside, [channel], found.names)
         values = found.values[:, found.names.index(channel)]
         columns[name] = np.interp(own.time, found.time, values, left=np.nan, right=np.nan)
     return columns
 
 
 def files_of(path: Path) -> list[Path]:
-    """All files of the trace that a .dat belongs to."""
+    """List all files of the trace that a .dat belongs to."""
     name = path.stem.rpartition("_")[0]
     pairs = sorted(path.parent.glob(f"{escape(name)}_*{path.suffix}")) if name else []
     return [each for pair in (path, *pairs) for each in (pair, pair.with_suffix(".r64"))]
 
 
-def _trace(path: Path) -> _Trace:
-    """Header and values of one pair."""
-    channels = _channels(path)
-    stored = [each for each in channels if each.get(_KIND, "").upper().startswith("EXPLI")]
-    clock = next((each for each in channels if each.get(_NAME, "") in _TIME), None)
-    step = 0.0 if clock is None else _number(path, clock, _STEP, 0.0)
+def _read_trace(path: Path) -> _Trace:
+    """Read header and values of one pair of files."""
+    channels = _read_channel_headers(path)
+    stored = [each for each in channels if each.get(_KIND_KEY, "").upper().startswith("EXPLI")]
+    clock = next((each for each in channels if each.get(_NAME_KEY, "") in _TIME_NAMES), None)
+    step = 0.0 if clock is None else _header_number(path, clock, _STEP_KEY, 0.0)
     if not stored or not step > 0.0:
         raise InputFileError(path, "", "is no KUKA trace: it declares no channels over time.")
     for each in stored:
-        if each.get(_TYPE, "REAL64").upper() != "REAL64":
+        if each.get(_TYPE_KEY, "REAL64").upper() != "REAL64":
             raise InputFileError(
-                path, each.get(_NAME, ""), f"holds {each[_TYPE]} values; REAL64 is read."
+                path, each.get(_NAME_KEY, ""), f"holds {each[_TYPE_KEY]} values; REAL64 is read."
             )
     data = path.with_suffix(".r64")
     if not data.is_file():
@@ -96,23 +95,28 @@ def _trace(path: Path) -> _Trace:
     if rows == 0 or rows * len(stored) != len(numbers):
         raise InputFileError(
             data, "", f"holds {len(numbers)} numbers, no whole rows of the {len(stored)} channels "
-            f"that {path.name} declares. Copy it anew."
+            f"that {path.name} declares. Copy it again."
         )  # fmt: skip
     table = numbers.reshape(rows, len(stored))
     names, columns = [], []
     for k, each in enumerate(stored, start=1):
-        column = int(_number(path, each, _COLUMN, k))
+        column = int(_header_number(path, each, _COLUMN_KEY, k))
         if not 1 <= column <= len(stored):
-            raise InputFileError(path, each.get(_NAME, ""), f"has no column {column} in the data.")
-        names.append(each.get(_NAME, ""))
-        offset, scale = _number(path, each, _OFFSET, 0.0), _number(path, each, _STEP, 1.0)
+            raise InputFileError(
+                path, each.get(_NAME_KEY, ""), f"has no column {column} in the data."
+            )
+        names.append(each.get(_NAME_KEY, ""))
+        offset, scale = (
+            _header_number(path, each, _OFFSET_KEY, 0.0),
+            _header_number(path, each, _STEP_KEY, 1.0),
+        )
         with np.errstate(invalid="ignore", over="ignore"):  # bytes that are no numbers
             columns.append(offset + scale * table[:, column - 1])
     return _Trace(step, names, np.stack(columns, axis=1))
 
 
-def _channels(path: Path) -> list[dict[str, str]]:
-    """Headers of all channels, by the numbers of their keys."""
+def _read_channel_headers(path: Path) -> list[dict[str, str]]:
+    """Read the headers of all channels, by key number."""
     channels: list[dict[str, str]] = []
     inside = False
     for line in read_bytes(path).decode("latin-1").splitlines():
@@ -126,10 +130,10 @@ def _channels(path: Path) -> list[dict[str, str]]:
     return channels
 
 
-def _number(path: Path, channel: dict[str, str], key: str, default: float) -> float:
+def _header_number(path: Path, channel: dict[str, str], key: str, default: float) -> float:
     try:
         return float(channel.get(key) or default)
     except ValueError:
         raise InputFileError(
-            path, channel.get(_NAME, ""), f"{channel[key]!r} is no number (key {key})."
+            path, channel.get(_NAME_KEY, ""), f"{channel[key]!r} is no number (key {key})."
         ) from None

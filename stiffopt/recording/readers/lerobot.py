@@ -13,17 +13,22 @@ import pyarrow.parquet as parquet
 
 from stiffopt.errors import InputFileError, nearest
 from stiffopt.files import load_json
-from stiffopt.recording.readers.columns import missing, require_time
-from stiffopt.recording.readers.episodes import information, split_episode
-from stiffopt.recording.readers.limits import check_numbers
+from stiffopt.recording.readers.checks import (
+    check_columns,
+    check_numbers,
+    find_dataset_info,
+    require_time,
+    split_episode,
+)
+from stiffopt.recording.readers.parquet import column_to_numbers
 from stiffopt.recording.signals import Signals
 
-_ENTRY = re.compile(r"(.+)\[([^\]]+)\]")
-_EPISODE = "episode_index"
+_ENTRY_PATTERN = re.compile(r"(.+)\[([^\]]+)\]")
+_EPISODE_COLUMN = "episode_index"
 
 
 def read(path: Path, signals: Signals) -> dict[str, np.ndarray]:
-    """Columns of one episode: "FILE.parquet#3" where the file holds more than one.
+    """Read columns of one episode: "FILE.parquet#3" where the file holds more than one.
 
     A channel is a column, or an entry of a vector by number or by name:
     "observation.state[0]", "observation.state[shoulder_pan.pos]".
@@ -31,30 +36,30 @@ def read(path: Path, signals: Signals) -> dict[str, np.ndarray]:
     require_time(signals, path)
     file, episode = split_episode(path)
     wanted = (signals.time, *signals.wanted)
-    entries = {name: _ENTRY.fullmatch(name) for name in wanted}
+    entries = {name: _ENTRY_PATTERN.fullmatch(name) for name in wanted}
     needed = [name if match is None else match[1] for name, match in entries.items()]
     with parquet.ParquetFile(file) as source:
         there = source.schema_arrow.names
-        missing(path, needed, there)
+        check_columns(path, needed, there)
         check_numbers(path, source.metadata.num_rows, len(wanted))
-        index = [_EPISODE] if _EPISODE in there else []
+        index = [_EPISODE_COLUMN] if _EPISODE_COLUMN in there else []
         table = source.read(columns=list(dict.fromkeys([*needed, *index])), use_threads=False)
     if index:
-        table = _episode(path, table, episode)
+        table = _select_episode(path, table, episode)
     columns = {}
     for name, match in entries.items():
         if match is None:
-            columns[name] = _numbers(path, name, table.column(name))
+            columns[name] = column_to_numbers(path, name, table.column(name))
         else:
-            columns[name] = _entry(
+            columns[name] = _vector_entry(
                 path, table.column(match[1]), match[1], match[2], vector_names(file, match[1])
             )
     return columns
 
 
-def _episode(path: Path, table: arrow.Table, episode: int | None) -> arrow.Table:
-    """Rows of the episode."""
-    known = sorted(set(table.column(_EPISODE).to_pylist()))
+def _select_episode(path: Path, table: arrow.Table, episode: int | None) -> arrow.Table:
+    """Select the rows of the episode."""
+    known = sorted(set(table.column(_EPISODE_COLUMN).to_pylist()))
     if episode is None and len(known) > 1:
         raise InputFileError(
             path, "", f"holds the episodes {known[0]} to {known[-1]}. Name one as a run: "
@@ -64,13 +69,13 @@ def _episode(path: Path, table: arrow.Table, episode: int | None) -> arrow.Table
         return table
     if episode not in known:
         raise InputFileError(path, "", f"there is no episode {episode}; it holds {known}.")
-    return table.filter(compute.equal(table.column(_EPISODE), episode))
+    return table.filter(compute.equal(table.column(_EPISODE_COLUMN), episode))
 
 
-def _entry(
+def _vector_entry(
     path: Path, column: arrow.ChunkedArray, feature: str, entry: str, names: list[str]
 ) -> np.ndarray:
-    """One entry of a column of vectors."""
+    """Extract one entry of a column of vectors."""
     kind = column.type
     lists = arrow.types.is_list(kind) or arrow.types.is_fixed_size_list(kind)
     if not lists:
@@ -88,29 +93,20 @@ def _entry(
 
 
 def vector_names(path: Path, feature: str) -> list[str]:
-    """Names of the entries of a column of vectors, by the dataset of its file; empty where none."""
-    return _names(_features(path).get(feature))
+    """Names of the entries of a vector column in the file's dataset; empty where not given."""
+    return _entry_names(_dataset_features(path).get(feature))
 
 
-def _names(feature: Any) -> list[str]:
-    """Names of a feature's entries; some datasets keep them one level deeper."""
+def _entry_names(feature: Any) -> list[str]:
+    """Names of a feature's entries; some datasets nest them one level deeper."""
     names = feature.get("names") if isinstance(feature, dict) else None
     if isinstance(names, dict):
         names = next(iter(names.values()), None)
     return [str(name) for name in names] if isinstance(names, list) else []
 
 
-def _features(path: Path) -> dict[str, Any]:
-    found = information(path)
+def _dataset_features(path: Path) -> dict[str, Any]:
+    found = find_dataset_info(path)
     document = {} if found is None else load_json(found)
     features = document.get("features") if isinstance(document, dict) else None
     return features if isinstance(features, dict) else {}
-
-
-def _numbers(path: Path, name: str, column: arrow.ChunkedArray) -> np.ndarray:
-    kind = column.type
-    if not (arrow.types.is_integer(kind) or arrow.types.is_floating(kind)):
-        raise InputFileError(
-            path, name, f"needs a column of numbers, got {kind}. Name an entry: {name}[0]"
-        )
-    return np.asarray(column.to_numpy(), dtype=float)

@@ -14,13 +14,13 @@ from mcap.records import Channel, Schema
 from mcap_ros2.decoder import DecoderFactory as Ros2DecoderFactory
 
 from stiffopt.errors import InputFileError
-from stiffopt.recording.readers.limits import MOST_BYTES, check_bytes
-from stiffopt.recording.readers.messages import Message, gather, wanted_topics
+from stiffopt.recording.readers.checks import MAX_BYTES, check_bytes
+from stiffopt.recording.readers.messages import Message, gather_columns, wanted_topics
 from stiffopt.recording.signals import Signals
 
 
 class _JsonDecoderFactory(DecoderFactory):
-    """Decoder of messages that are JSON objects."""
+    """Decoder of JSON messages."""
 
     def decoder_for(
         self, message_encoding: str, schema: Schema | None
@@ -29,32 +29,32 @@ class _JsonDecoderFactory(DecoderFactory):
 
 
 def read(path: Path, signals: Signals) -> dict[str, np.ndarray]:
-    """Columns of an MCAP file."""
+    """Read columns of an MCAP file."""
     with path.open("rb") as stream:
         reader = SeekingReader(
             stream,
             decoder_factories=[Ros2DecoderFactory(), _JsonDecoderFactory()],
-            record_size_limit=MOST_BYTES,
+            record_size_limit=MAX_BYTES,
         )
-        channels = _channels(path, reader)
+        channels = _list_channels(path, reader)
         topics = [channel.topic for channel in channels]
         wanted = wanted_topics(signals, topics, path)
-        _readable(path, [channel for channel in channels if channel.topic in wanted])
-        return gather(path, signals, topics, _messages(reader, wanted))
+        _check_encodings(path, [channel for channel in channels if channel.topic in wanted])
+        return gather_columns(path, signals, topics, _iterate_messages(reader, wanted))
 
 
-def _channels(path: Path, reader: McapReader) -> list[Channel]:
+def _list_channels(path: Path, reader: McapReader) -> list[Channel]:
     summary = reader.get_summary()
     if summary is not None:
         check_bytes(path, sum(chunk.uncompressed_size for chunk in summary.chunk_indexes))
         if summary.channels:
             return list(summary.channels.values())
-    # A file that was cut off has no summary.
+    # A truncated file has no summary.
     found = {channel.id: channel for _, channel, _ in reader.iter_messages()}
     return list(found.values())
 
 
-def _readable(path: Path, channels: list[Channel]) -> None:
+def _check_encodings(path: Path, channels: list[Channel]) -> None:
     for channel in channels:
         if channel.message_encoding not in ("cdr", "json"):
             raise InputFileError(
@@ -65,18 +65,20 @@ def _readable(path: Path, channels: list[Channel]) -> None:
             )
 
 
-def _messages(reader: McapReader, topics: set[str]) -> Iterator[Message]:
+def _iterate_messages(reader: McapReader, topics: set[str]) -> Iterator[Message]:
     for _, channel, message, decoded in reader.iter_decoded_messages(topics=topics):
         yield channel.topic, message.log_time, decoded
 
 
 def peek(path: Path) -> Iterator[Message]:
-    """Messages that can be decoded, of all topics, in the order of the log."""
+    """Iterate over the decodable messages of all topics in the order of the log."""
     with path.open("rb") as stream:
         reader = SeekingReader(
             stream,
             decoder_factories=[Ros2DecoderFactory(), _JsonDecoderFactory()],
-            record_size_limit=MOST_BYTES,
+            record_size_limit=MAX_BYTES,
         )
-        known = [c.topic for c in _channels(path, reader) if c.message_encoding in ("cdr", "json")]
-        yield from _messages(reader, set(known))
+        known = [
+            c.topic for c in _list_channels(path, reader) if c.message_encoding in ("cdr", "json")
+        ]
+        yield from _iterate_messages(reader, set(known))

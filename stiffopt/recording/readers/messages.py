@@ -1,4 +1,4 @@
-"""Channels from recorded messages: fields by topic, stamps, topics brought to one clock."""
+"""Channels from recorded messages: fields by topic, time stamps, resampling to one clock."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ from typing import Any
 import numpy as np
 
 from stiffopt.errors import InputFileError, nearest
-from stiffopt.recording.readers.limits import check_messages, check_numbers
+from stiffopt.recording.readers.checks import check_messages, check_numbers
 from stiffopt.recording.signals import Signals
 
 # Topic, log time [ns], decoded message.
 Message = tuple[str, int, Any]
 
-_STEP = re.compile(r"\.?([^.\[\]]+)|\[([^\]]+)\]")
-# Fields in which messages name the entries of their lists.
-_NAMES = ("name", "names", "joint_names")
-_NANO = 1_000_000_000
-# Stamps [s] and [ns] that 64 bits of nanoseconds can count; numbers beyond are of no machine.
-_LATEST = 4e9
-_LARGEST = 1e15
+_STEP_PATTERN = re.compile(r"\.?([^.\[\]]+)|\[([^\]]+)\]")
+# Fields of messages with the names of list entries.
+_NAME_FIELDS = ("name", "names", "joint_names")
+_NANOSECONDS_PER_SECOND = 1_000_000_000
+# Stamps [s] and [ns] that 64 bits of nanoseconds can hold; larger integers become infinite.
+_MAX_STAMP = 4e9
+_MAX_INTEGER = 1e15
 
 
 @dataclass(frozen=True)
@@ -34,18 +34,20 @@ class Field:
     ----------
     topic : str
     steps : tuple of str or int
-        Attributes; an entry of a list by number, or by its name as "[elbow]".
+        Attributes; an entry of a list by number, or by name as "[elbow]".
     """
 
     topic: str
     steps: tuple[str | int, ...]
 
     def of(self, message: Any) -> float | None:
-        """The number, None where this message lacks it."""
+        """Return the number in a message, None where it is missing."""
         value, holder = message, message
         for step in self.steps:
             if isinstance(step, str) and step.startswith("["):
-                names = next((n for key in _NAMES if (n := _get(holder, key)) is not None), ())
+                names = next(
+                    (n for key in _NAME_FIELDS if (n := _get_field(holder, key)) is not None), ()
+                )
                 if not isinstance(names, Sequence) or step[1:-1] not in names:
                     return None
                 step = list(names).index(step[1:-1])
@@ -54,10 +56,10 @@ class Field:
                     return None
                 value = value[step]
                 continue
-            holder, value = value, _get(value, step)
+            holder, value = value, _get_field(value, step)
             if value is None:
                 return None
-        return _number(value)
+        return _as_float(value)
 
 
 @dataclass
@@ -71,22 +73,22 @@ class _Topic:
     def add(self, log_time: int, message: Any) -> None:
         values = {name: one.of(message) for name, one in self.fields.items()}
         row = [value for value in values.values() if value is not None]
-        # Several nodes may write to one topic; messages that lack a field are another's.
+        # Several nodes may publish on one topic: ignore messages without the fields.
         if len(row) == len(values):
             self.logged.append(log_time)
-            self.stamps.append(_stamp(message))
+            self.stamps.append(_header_stamp(message))
             self.rows.append(row)
         elif not self.rows:
             self.seen |= {name for name, value in values.items() if value is not None}
 
     @property
     def clock(self) -> np.ndarray:
-        """Stamps [ns]: of the headers if all messages have one, else when they were logged."""
+        """Stamps [ns]: of the headers if all messages have one, else of the log."""
         return np.array(self.stamps if all(self.stamps) else self.logged, dtype=np.int64)
 
 
 def parse_field(name: str, topics: Iterable[str], path: Path) -> Field:
-    """Topic and field of a channel name.
+    """Parse a channel name into topic and field.
 
     Raises
     ------
@@ -102,7 +104,7 @@ def parse_field(name: str, topics: Iterable[str], path: Path) -> Field:
         )
     topic = max(fitting, key=len)
     steps: list[str | int] = []
-    for attribute, entry in _STEP.findall(name[len(topic) :]):
+    for attribute, entry in _STEP_PATTERN.findall(name[len(topic) :]):
         if attribute:
             steps.append(attribute)
         else:
@@ -115,25 +117,25 @@ def parse_field(name: str, topics: Iterable[str], path: Path) -> Field:
     return Field(topic, tuple(steps))
 
 
-def gather(
+def gather_columns(
     path: Path, signals: Signals, topics: Iterable[str], messages: Iterable[Message]
 ) -> dict[str, np.ndarray]:
-    """Columns of the channels that `signals` names.
+    """Collect the columns that `signals` names from messages.
 
     Parameters
     ----------
     path : Path
     signals : Signals
     topics : iterable of str
-        Of the file.
+        Topics of the file.
     messages : iterable of Message
         In the order of the log.
 
     Returns
     -------
     mapping of column name to array (R,)
-        On the clock of the topic that holds the first position, in seconds after its first
-        stamp. Channels of other topics are interpolated linearly, nan outside of their stamps.
+        On the clock of the topic of the first position, in seconds after its first stamp. Channels
+        of other topics are interpolated linearly, NaN outside of their stamps.
     """
     wanted = {name: parse_field(name, topics, path) for name in signals.wanted}
     own: dict[str, _Topic] = {}
@@ -153,19 +155,19 @@ def gather(
         if topic in own:
             own[topic].add(log_time, message)
             check_numbers(path, len(own[topic].rows), len(own[topic].fields))
-    columns = _columns(path, own, base)
+    columns = _topic_columns(path, own, base)
     if not timed:
         clock = own[base].clock
-        columns[signals.time] = (clock - clock[0]) / _NANO
+        columns[signals.time] = (clock - clock[0]) / _NANOSECONDS_PER_SECOND
     return columns
 
 
 def wanted_topics(signals: Signals, topics: Sequence[str], path: Path) -> set[str]:
-    """Topics that hold channels of `signals`."""
+    """Topics of the channels of `signals`."""
     return {parse_field(name, topics, path).topic for name in signals.wanted}
 
 
-def _columns(path: Path, own: Mapping[str, _Topic], base: str) -> dict[str, np.ndarray]:
+def _topic_columns(path: Path, own: Mapping[str, _Topic], base: str) -> dict[str, np.ndarray]:
     columns: dict[str, np.ndarray] = {}
     for topic, held in own.items():
         if not held.rows:
@@ -178,12 +180,12 @@ def _columns(path: Path, own: Mapping[str, _Topic], base: str) -> dict[str, np.n
             )
         for name, column in zip(held.fields, np.array(held.rows).T, strict=True):
             columns[name] = (
-                column if topic == base else _aligned(own[base].clock, held.clock, column)
+                column if topic == base else _resample_to_clock(own[base].clock, held.clock, column)
             )
     return columns
 
 
-def _aligned(clock: np.ndarray, other: np.ndarray, values: np.ndarray) -> np.ndarray:
+def _resample_to_clock(clock: np.ndarray, other: np.ndarray, values: np.ndarray) -> np.ndarray:
     order = np.argsort(other, kind="stable")
     begin = min(int(clock[0]), int(other[order[0]]))
     at, known = clock - begin, (other - begin)[order]
@@ -191,26 +193,26 @@ def _aligned(clock: np.ndarray, other: np.ndarray, values: np.ndarray) -> np.nda
     return aligned
 
 
-def _get(value: Any, key: str) -> Any:
+def _get_field(value: Any, key: str) -> Any:
     return value.get(key) if isinstance(value, Mapping) else getattr(value, key, None)
 
 
-def _stamp(message: Any) -> int:
-    """Header stamp [ns], 0 if there is none."""
-    stamp = _get(_get(message, "header"), "stamp")
-    seconds = _number(_get(stamp, "sec"))
-    rest = next((r for key in ("nanosec", "nsec") if (r := _get(stamp, key)) is not None), 0)
-    nanoseconds = _number(rest)
-    if seconds is None or not abs(seconds) < _LATEST or not abs(nanoseconds or 0.0) < _LATEST:
+def _header_stamp(message: Any) -> int:
+    """Stamp of the header [ns], 0 without one."""
+    stamp = _get_field(_get_field(message, "header"), "stamp")
+    seconds = _as_float(_get_field(stamp, "sec"))
+    rest = next((r for key in ("nanosec", "nsec") if (r := _get_field(stamp, key)) is not None), 0)
+    nanoseconds = _as_float(rest)
+    if seconds is None or not abs(seconds) < _MAX_STAMP or not abs(nanoseconds or 0.0) < _MAX_STAMP:
         return 0
-    return int(seconds) * _NANO + int(nanoseconds or 0.0)
+    return int(seconds) * _NANOSECONDS_PER_SECOND + int(nanoseconds or 0.0)
 
 
-def _number(value: Any) -> float | None:
-    """A number as a float, None of anything else that a message may hold."""
+def _as_float(value: Any) -> float | None:
+    """Convert a number to float, None for other content of a message."""
     if not isinstance(value, int | float | np.number):
         return None
-    # An integer of JSON may have any number of digits.
-    if isinstance(value, int) and abs(value) > _LARGEST:
+    # Integers of JSON may exceed the range of a float.
+    if isinstance(value, int) and abs(value) > _MAX_INTEGER:
         return float(np.inf)
     return float(value)

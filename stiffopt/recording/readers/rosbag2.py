@@ -12,40 +12,40 @@ from rosbags.interfaces import Connection
 from rosbags.typesys import Stores, get_typestore
 
 from stiffopt.errors import InputFileError
-from stiffopt.recording.readers.limits import check_bytes
-from stiffopt.recording.readers.messages import Message, gather, wanted_topics
+from stiffopt.recording.readers.checks import check_bytes
+from stiffopt.recording.readers.messages import Message, gather_columns, wanted_topics
 from stiffopt.recording.signals import Signals
 
-# Bytes; YAML is slow to read.
-_LARGEST_DESCRIPTION = 2**20
+# YAML is slow to read [bytes].
+_MAX_METADATA_BYTES = 2**20
 
 
 def read(path: Path, signals: Signals) -> dict[str, np.ndarray]:
-    """Columns of a rosbag2, given by its folder or by the storage file in it."""
-    with _opened(path) as reader:
+    """Read columns of a rosbag2, given by its folder or its storage file."""
+    with _open_bag(path) as reader:
         topics = sorted(reader.topics)
         wanted = wanted_topics(signals, topics, path)
         chosen = [one for one in reader.connections if one.topic in wanted]
-        return gather(path, signals, topics, _messages(reader, chosen))
+        return gather_columns(path, signals, topics, _iterate_messages(reader, chosen))
 
 
 def peek(path: Path) -> Iterator[Message]:
-    """Messages of all topics whose definition is known, in the order of the log."""
-    with _opened(path) as reader:
+    """Iterate over messages of known definitions of all topics, in the order of the log."""
+    with _open_bag(path) as reader:
         known = [c for c in reader.connections if c.msgtype in reader.typestore.types]
-        yield from _messages(reader, known)
+        yield from _iterate_messages(reader, known)
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[AnyReader]:
+def _open_bag(path: Path) -> Iterator[AnyReader]:
     folder = path if path.is_dir() else path.parent
     description = folder / "metadata.yaml"
     if not description.is_file():
         raise InputFileError(
             path, "", "a rosbag2 needs its metadata.yaml beside it. Give the folder of the bag, or "
-            "make the file anew with: ros2 bag reindex"
+            "make the file again with: ros2 bag reindex"
         )  # fmt: skip
-    if description.stat().st_size > _LARGEST_DESCRIPTION:
+    if description.stat().st_size > _MAX_METADATA_BYTES:
         raise InputFileError(description, "", "is too large to describe a bag.")
     # Bags written before Jazzy do not hold the definitions of their messages.
     store = get_typestore(Stores.LATEST)
@@ -55,6 +55,6 @@ def _opened(path: Path) -> Iterator[AnyReader]:
         yield reader
 
 
-def _messages(reader: AnyReader, connections: list[Connection]) -> Iterator[Message]:
+def _iterate_messages(reader: AnyReader, connections: list[Connection]) -> Iterator[Message]:
     for connection, log_time, raw in reader.messages(connections=connections):
         yield connection.topic, log_time, reader.deserialize(raw, connection.msgtype)

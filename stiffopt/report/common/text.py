@@ -11,7 +11,7 @@ from collections.abc import Iterable
 
 from markupsafe import Markup
 
-from stiffopt.errors import is_factor, times
+from stiffopt.errors import format_factor, is_factor
 from stiffopt.units import joint_unit
 
 DASH = "–"
@@ -148,7 +148,7 @@ def percent(value: float | None, digits: int = 2) -> str:
     """
     if value is None or not math.isfinite(value):
         return DASH
-    return times(value) if is_factor(value) else f"{significant(100 * value, digits)} %"
+    return format_factor(value) if is_factor(value) else f"{significant(100 * value, digits)} %"
 
 
 def change(ratio: float) -> str:
@@ -163,7 +163,7 @@ def change(ratio: float) -> str:
     if abs(size) < UNCHANGED:
         return "0 %"
     if is_factor(size):
-        return f"{times(ratio)} as much"
+        return f"{format_factor(ratio)} as much"
     return f"{'+' if size > 0 else '−'}{significant(100 * abs(size), 2)} %"
 
 

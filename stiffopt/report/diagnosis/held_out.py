@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from stiffopt.discovery.settings import MOVING
-from stiffopt.recording.facts import velocities
+from stiffopt.recording.joint_facts import velocities
 from stiffopt.report.common.svg import BLUE, INK, PALE, VERMILLION, WIDTH, house_style, thin
 from stiffopt.report.common.text import scale, significant
 from stiffopt.units import joint_unit

@@ -12,7 +12,7 @@ from stiffopt.discovery.extended.changes import ValueChange, extended_model, val
 from stiffopt.discovery.extended.planner_model import planner_model
 from stiffopt.discovery.identifiable import effect_checks
 from stiffopt.recording.check import missing_signals
-from stiffopt.recording.facts import joint_facts
+from stiffopt.recording.joint_facts import joint_facts
 from stiffopt.recording.run import counted
 from stiffopt.report.common.citations import diagnosis_references
 from stiffopt.report.common.page import Filters, PageFigures, write_page

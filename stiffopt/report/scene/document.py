@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from stiffopt.errors import InputFileError
-from stiffopt.files import plain
+from stiffopt.files import to_json_types
 from stiffopt.report.scene.mesh import compact_mesh
 from stiffopt.report.scene.poses import Poses
 from stiffopt.report.scene.surroundings import shapes_around
+from stiffopt.robot.body_tree import arm_reach, joint_radii, link_capsules
 from stiffopt.robot.link_shapes import JointShape
-from stiffopt.robot.skeleton import capsules, joint_radii, reach
 
 if TYPE_CHECKING:
     from stiffopt.robot.cell import Cell
@@ -74,7 +74,9 @@ def scene_document(
 
 def scene_json(document: Mapping[str, Any]) -> str:
     """Text that may stand inside a script element of a page."""
-    text = json.dumps(plain(document), separators=(",", ":"), ensure_ascii=False, allow_nan=False)
+    text = json.dumps(
+        to_json_types(document), separators=(",", ":"), ensure_ascii=False, allow_nan=False
+    )
     return text.replace("<", "\\u003c")
 
 
@@ -100,7 +102,7 @@ def _shapes(robot: Robot) -> list[dict[str, Any]]:
         with suppress(InputFileError):
             shapes.append(_shape(each, _TRIANGLES // meshes))
     shown = {shape["joint"] for shape in shapes}
-    for rod in capsules(robot.tree, robot.tool):
+    for rod in link_capsules(robot.tree, robot.tool):
         # What carries shapes needs no capsule; the base is shown where the rest is not.
         if rod.joint in shown or (rod.joint == 0 and shown):
             continue
@@ -117,7 +119,7 @@ def _shapes(robot: Robot) -> list[dict[str, Any]]:
 
 
 def _around(robot: Robot, cell: Cell | None) -> list[dict[str, Any]]:
-    placed = shapes_around(cell, reach(robot.tree, robot.tool))
+    placed = shapes_around(cell, arm_reach(robot.tree, robot.tool))
     meshes = max(sum(each.shape.kind == "mesh" for each in placed), 1)
     found = []
     for each in placed:

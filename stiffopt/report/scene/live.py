@@ -15,8 +15,8 @@ from scipy.spatial.transform import Rotation
 from stiffopt.errors import InputError, InputFileError
 from stiffopt.report.scene.poses import Poses, joint_frames, tool_positions
 from stiffopt.report.scene.surroundings import shapes_around
-from stiffopt.robot.link_shapes import JointShape, triangles
-from stiffopt.robot.skeleton import Capsule, capsules, reach
+from stiffopt.robot.body_tree import Capsule, arm_reach, link_capsules
+from stiffopt.robot.link_shapes import JointShape, mesh_triangles
 
 if TYPE_CHECKING:
     from stiffopt.robot.cell import Cell
@@ -79,7 +79,7 @@ class LiveScene:
         }
         if ghost is not None:
             self._arms["/ghost"] = _Arm(self.server, robot, "/ghost", _GHOST, 0.25)
-        for number, solid in enumerate(shapes_around(cell, reach(robot.tree, robot.tool))):
+        for number, solid in enumerate(shapes_around(cell, arm_reach(robot.tree, robot.tool))):
             wall = solid.shape.kind == "box" and solid.shape.size[2] < _THIN
             _add_shape(self.server.scene, f"/cell/{number}", solid, _GHOST, 0.2 if wall else 0.45)
         path = tool_positions(robot.tree, robot.tool, poses.position)
@@ -202,7 +202,7 @@ class _Arm:
             place = f"{name}/J{each.joint}" if each.joint else name
             if _add_shape(server.scene, f"{place}/shape{number}", each, color, opacity):
                 shown.add(each.joint)
-        for number, rod in enumerate(capsules(robot.tree, robot.tool)):
+        for number, rod in enumerate(link_capsules(robot.tree, robot.tool)):
             # What carries shapes needs no rod; the base is shown where the rest is not.
             if rod.joint in shown or (rod.joint == 0 and shown):
                 continue
@@ -241,7 +241,7 @@ def _add_shape(
         scene.add_cylinder(name, radius=shape.size[0], height=shape.size[1], **looks)
     else:
         try:
-            vertices, corners = triangles(shape)
+            vertices, corners = mesh_triangles(shape)
         except InputFileError:
             return False
         scene.add_mesh_simple(name, vertices, corners, side="double", **looks)

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from stiffopt.robot.link_shapes import LinkShape, triangles
+from stiffopt.robot.link_shapes import LinkShape, mesh_triangles
 
 # Triangles of one shape, and cells of the grid along the longest edge to begin with.
 _TRIANGLES = 6000
@@ -30,7 +30,7 @@ def compact_mesh(shape: LinkShape, most: int = _TRIANGLES) -> dict[str, Any]:
         `origin` [m] and `step` [m] of the grid; `vertices` and `triangles`, little-endian
         16-bit numbers in base 64.
     """
-    vertices, corners = triangles(shape)
+    vertices, corners = mesh_triangles(shape)
     low = vertices.min(axis=0)
     longest = max(float(np.ptp(vertices, axis=0).max()), 1e-9)
     cells = _CELLS

@@ -14,9 +14,8 @@ from stiffopt.report.common.svg import BLUE, GREY, PALE, VERMILLION, WIDTH, hous
 from stiffopt.report.common.text import si
 from stiffopt.report.scene.poses import Poses, joint_frames, tool_positions
 from stiffopt.report.scene.surroundings import edges_around
-from stiffopt.robot.body_tree import BodyTree
+from stiffopt.robot.body_tree import BodyTree, joint_radii, link_capsules
 from stiffopt.robot.frames import LinkFrame
-from stiffopt.robot.skeleton import capsules, joint_radii
 
 if TYPE_CHECKING:
     from stiffopt.robot.cell import Cell
@@ -128,7 +127,7 @@ def _rods(
     """Ends and radius of the arm's capsules in the base frame."""
     rotations, origins = joint_frames(tree, q[None])
     rods = []
-    for rod in capsules(tree, tool):
+    for rod in link_capsules(tree, tool):
         turn, at = np.eye(3), np.zeros(3)
         if rod.joint > 0:
             turn, at = rotations[0, rod.joint - 1], origins[0, rod.joint - 1]

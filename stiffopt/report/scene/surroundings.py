@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from stiffopt.robot.frames import rotation_from_rpy
 from stiffopt.robot.link_shapes import JointShape, Kind, LinkShape
-from stiffopt.robot.rotations import rotation_from_rpy
 
 if TYPE_CHECKING:
     from stiffopt.robot.cell import Cell

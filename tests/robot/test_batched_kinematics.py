@@ -7,12 +7,11 @@ import pinocchio as pin
 import pytest
 from gantry_arm import gantry
 
-from stiffopt.robot.along_motion import body_torques, places_along, tool_along
-from stiffopt.robot.bodies_in_motion import BodiesInMotion
+from stiffopt.robot.batched_kinematics import body_torque_regressor, frame_positions, tool_jacobians
 from stiffopt.robot.body_tree import body_tree
 from stiffopt.robot.files import load_robot
 from stiffopt.robot.frames import LinkFrame
-from stiffopt.robot.rigid_body import RigidBodies
+from stiffopt.robot.rigid_body import BodiesInMotion, RigidBodies
 
 # A column that turns, carries the gantry askew, and beside it an arm of its own.
 BRANCHED = (
@@ -48,30 +47,30 @@ def motion(model):
     return np.random.default_rng(3).uniform(-2.0, 2.0, (3, COUNT, model.nv))
 
 
-def test_torques_of_single_bodies_are_columns_of_the_regressor(model, motion) -> None:
+def test_body_torque_regressor_equals_pinocchio(model, motion) -> None:
     tree, exact = body_tree(model), RigidBodies(model)
-    own = np.concatenate([body_torques(tree, b, *motion) for b in range(tree.n)], axis=2)
+    own = np.concatenate([body_torque_regressor(tree, b, *motion) for b in range(tree.n)], axis=2)
     for k in (0, 1, COUNT - 1):
         expected = exact.torque_regressor(*motion[:, k])
         np.testing.assert_allclose(own[k], expected, atol=1e-12 * np.abs(expected).max())
 
 
-def test_changed_bodies_need_what_their_parameters_make_of_the_columns(model, motion) -> None:
+def test_torque_change_equals_regressor_times_parameters(model, motion) -> None:
     tree = body_tree(model)
     change = np.random.default_rng(4).normal(0.0, 1.0, (tree.n, 10))
     change[0] = 0.0
-    own = sum(body_torques(tree, b, *motion) @ change[b] for b in range(tree.n))
+    own = sum(body_torque_regressor(tree, b, *motion) @ change[b] for b in range(tree.n))
     torque = BodiesInMotion(model).changed_torque(change, *motion)
     np.testing.assert_allclose(torque, own, atol=1e-11 * np.abs(own).max())
 
 
-def test_tool_and_its_jacobian(model, motion) -> None:
+def test_tool_positions_and_jacobians_equal_pinocchio(model, motion) -> None:
     exact = RigidBodies(model)
     for joint in (1, model.nv):
         frame = LinkFrame(joint, np.array([0.1, -0.2, 0.3]), np.eye(3))
-        position, jacobian = tool_along(body_tree(model), frame, motion[0])
+        position, jacobian = tool_jacobians(body_tree(model), frame, motion[0])
         np.testing.assert_allclose(
-            places_along(body_tree(model), frame, motion[0]), position, atol=1e-14
+            frame_positions(body_tree(model), frame, motion[0]), position, atol=1e-14
         )
         for k in (0, COUNT - 1):
             q = motion[0, k]

@@ -1,7 +1,7 @@
-"""What single bodies of an arm need along a whole motion, and where its tool is.
+"""Torque regressors of single bodies and poses of frames along a whole motion.
 
-Recursion over the bodies that carry one (Featherstone 2008, chapter 5) in its own frame, many
-instants at once: torques are linear in its inertial parameters (Atkeson, An, Hollerbach 1986).
+Recursion from the base to a body (Featherstone 2008, chapter 5) in body frames, vectorised over
+instants; torques are linear in the inertial parameters (Atkeson, An, Hollerbach 1986).
 """
 
 from __future__ import annotations
@@ -13,41 +13,43 @@ import numpy as np
 from stiffopt.robot.body_tree import Body, BodyTree
 from stiffopt.robot.frames import LinkFrame
 
-# Inertial parameters of a body.
-_PARAMETERS = 10
-# Instants that are worked on at once: few enough to stay in the processor's cache.
-_AT_ONCE = 2048
-# Row and column of each product and moment of inertia among the parameters.
-_INERTIA = ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))
+# Number of inertial parameters of a body.
+_INERTIAL_PARAMETERS = 10
+# Instants of one block, so that intermediate arrays fit into the processor's cache.
+_BLOCK_INSTANTS = 2048
+# Row and column of each element of the inertia among the parameters.
+_INERTIA_ENTRIES = ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))
 
 
-def body_torques(
+def body_torque_regressor(
     tree: BodyTree, body: int, q: np.ndarray, v: np.ndarray, a: np.ndarray
 ) -> np.ndarray:
-    """Joint torques for a unit of every inertial parameter of one body.
+    """Joint torques per unit of every inertial parameter of one body.
 
     Parameters
     ----------
     tree : BodyTree
     body : int
-        From 0.
+        Index from 0.
     q, v, a : array (K, n)
-        Position, velocity and acceleration of the joints [rad], [rad/s], [rad/s^2]; of joints that
-        slide [m], [m/s], [m/s^2].
+        Position, velocity and acceleration of the joints [rad], [rad/s], [rad/s^2]; of prismatic
+        joints [m], [m/s], [m/s^2].
 
     Returns
     -------
     array (K, n, 10)
-        [N m] per unit of `Body.inertial_parameters`; the instants of each lie in one piece.
+        [N m] per unit of `Body.inertial_parameters`; instants are contiguous in memory.
     """
-    out = np.zeros((_PARAMETERS, tree.n, len(q)))
-    for part in _parts(len(q)):
+    out = np.zeros((_INERTIAL_PARAMETERS, tree.n, len(q)))
+    for part in _split_blocks(len(q)):
         motion = [np.ascontiguousarray(x[part].T) for x in (q, v, a)]
         _add_torques(out[:, :, part], tree, body, *motion)
     return out.T
 
 
-def tool_along(tree: BodyTree, frame: LinkFrame, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def tool_jacobians(
+    tree: BodyTree, frame: LinkFrame, q: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Position (K, 3) [m] of a frame in the base, and its Jacobian (K, 3, n), base axes.
 
     Parameters
@@ -57,15 +59,15 @@ def tool_along(tree: BodyTree, frame: LinkFrame, q: np.ndarray) -> tuple[np.ndar
     q : array (K, n)
     """
     position, jacobian = np.zeros((3, len(q))), np.zeros((3, tree.n, len(q)))
-    for part in _parts(len(q)):
+    for part in _split_blocks(len(q)):
         own = np.ascontiguousarray(q[part].T)
         carried, turned = None, np.eye(3)[..., None]
-        for joint in _carriers(tree, frame.joint - 1):
+        for joint in _supporting_joints(tree, frame.joint - 1):
             body = tree.bodies[joint]
             rotation, origin = _frame_in_parent(body, own[joint])
             position[:, part] += np.sum(turned * origin, axis=1)
             turned = np.sum(turned[:, :, None] * rotation, axis=1)
-            carried = _Carried.on(carried, body, joint, rotation, origin)
+            carried = _BodyJacobian.on(carried, body, joint, rotation, origin)
         assert carried is not None
         position[:, part] += np.sum(turned * frame.offset[:, None], axis=1)
         moved = carried.shifted(frame.offset[:, None])
@@ -73,13 +75,13 @@ def tool_along(tree: BodyTree, frame: LinkFrame, q: np.ndarray) -> tuple[np.ndar
     return position.T, np.moveaxis(jacobian, 2, 0)
 
 
-def places_along(tree: BodyTree, frame: LinkFrame, q: np.ndarray) -> np.ndarray:
+def frame_positions(tree: BodyTree, frame: LinkFrame, q: np.ndarray) -> np.ndarray:
     """Positions (K, 3) [m] of a frame in the base at joint positions (K, n)."""
     position = np.zeros((3, len(q)))
-    for part in _parts(len(q)):
+    for part in _split_blocks(len(q)):
         place, own = frame.offset[:, None], np.ascontiguousarray(q[part].T)
-        # From the frame towards the base: one vector is turned, no rotation.
-        for joint in reversed(_carriers(tree, frame.joint - 1)):
+        # From the frame to the base, so that one vector is rotated instead of a matrix.
+        for joint in reversed(_supporting_joints(tree, frame.joint - 1)):
             rotation, origin = _frame_in_parent(tree.bodies[joint], own[joint])
             place = np.sum(rotation * place, axis=1) + origin
         position[:, part] = place
@@ -87,14 +89,14 @@ def places_along(tree: BodyTree, frame: LinkFrame, q: np.ndarray) -> np.ndarray:
 
 
 @dataclass(frozen=True, eq=False)
-class _Carried:
-    """What the joints that carry a body do with it, in its own frame.
+class _BodyJacobian:
+    """Jacobian of a body's frame by the joints that support it, in its own axes.
 
     Parameters
     ----------
     joints : list of int
     turning, moving : array (j, 3, K)
-        Turning rate, and velocity of the frame's origin, for a unit of each joint's speed.
+        Angular velocity, and velocity of the frame's origin, per unit speed of each joint.
     """
 
     joints: list[int]
@@ -103,63 +105,71 @@ class _Carried:
 
     @staticmethod
     def on(
-        before: _Carried | None, body: Body, joint: int, rotation: np.ndarray, origin: np.ndarray
-    ) -> _Carried:
-        """The next body, on those before it."""
+        before: _BodyJacobian | None,
+        body: Body,
+        joint: int,
+        rotation: np.ndarray,
+        origin: np.ndarray,
+    ) -> _BodyJacobian:
+        """Jacobian of the next body from that of its parent."""
         own = np.broadcast_to(body.axis[None, :, None], (1, 3, rotation.shape[2]))
         still = np.zeros_like(own)
         turning, moving = (still, own) if body.prismatic else (own, still)
         if before is None:
-            return _Carried([joint], turning, moving)
-        return _Carried(
+            return _BodyJacobian([joint], turning, moving)
+        return _BodyJacobian(
             [*before.joints, joint],
-            np.concatenate([_turned(rotation, before.turning), turning]),
-            np.concatenate([_turned(rotation, before.shifted(origin)), moving]),
+            np.concatenate([_rotate_vectors(rotation, before.turning), turning]),
+            np.concatenate([_rotate_vectors(rotation, before.shifted(origin)), moving]),
         )
 
     def shifted(self, place: np.ndarray) -> np.ndarray:
-        """Velocity (j, 3, K) of a place (3, K) of the body for a unit of each joint's speed."""
-        return np.asarray(self.moving + _cross(self.turning, place[None]))
+        """Velocity (j, 3, K) of a point (3, K) of the body per unit speed of each joint."""
+        return np.asarray(self.moving + _cross_product(self.turning, place[None]))
 
 
 def _add_torques(
     out: np.ndarray, tree: BodyTree, number: int, q: np.ndarray, v: np.ndarray, a: np.ndarray
 ) -> None:
-    """Add the torques (10, n, K) of one body; motion by joint (n, K)."""
+    """Add the torque regressor (10, n, K) of one body; motion by joint (n, K)."""
     turning = turning_rate = np.zeros((3, q.shape[1]))
-    # Weight acts as if the base went up.
+    # Gravity acts like an upward acceleration of the base.
     rising = np.broadcast_to(-tree.gravity[:, None], turning.shape)
     carried = None
-    for joint in _carriers(tree, number):
+    for joint in _supporting_joints(tree, number):
         body = tree.bodies[joint]
         rotation, origin = _frame_in_parent(body, q[joint])
-        rising = rising + _cross(turning_rate, origin)
-        rising = rising + _cross(turning, _cross(turning, origin))
-        turning, turning_rate, rising = _turned(rotation, np.stack([turning, turning_rate, rising]))
+        rising = rising + _cross_product(turning_rate, origin)
+        rising = rising + _cross_product(turning, _cross_product(turning, origin))
+        turning, turning_rate, rising = _rotate_vectors(
+            rotation, np.stack([turning, turning_rate, rising])
+        )
         speed, rate = (body.axis[:, None] * x[joint] for x in (v, a))
         if body.prismatic:
-            rising = rising + rate + 2.0 * _cross(turning, speed)
+            rising = rising + rate + 2.0 * _cross_product(turning, speed)
         else:
-            turning_rate = turning_rate + rate + _cross(turning, speed)
+            turning_rate = turning_rate + rate + _cross_product(turning, speed)
             turning = turning + speed
-        carried = _Carried.on(carried, body, joint, rotation, origin)
+        carried = _BodyJacobian.on(carried, body, joint, rotation, origin)
     assert carried is not None
     for j, turned, moved in zip(carried.joints, carried.turning, carried.moving, strict=True):
-        # Of the mass; then of the first moments m c: force A c, torque c x rising, where the
-        # acceleration of a place c beside the origin is A c.
-        out[0, j] = _dot(moved, rising)
-        first = _cross(moved, turning_rate) + _cross(_cross(moved, turning), turning)
-        out[1:4, j] = first + _cross(rising, turned)
-        # Of the inertia I: torque I turning_rate + turning x I turning.
-        other = _cross(turned, turning)
-        for k, (row, column) in enumerate(_INERTIA, start=4):
+        # Mass; then first moments m c: force A c, torque c x rising, where A c is the acceleration
+        # of a point c relative to the origin.
+        out[0, j] = _dot_product(moved, rising)
+        first = _cross_product(moved, turning_rate) + _cross_product(
+            _cross_product(moved, turning), turning
+        )
+        out[1:4, j] = first + _cross_product(rising, turned)
+        # Inertia I: torque I turning_rate + turning x I turning.
+        other = _cross_product(turned, turning)
+        for k, (row, column) in enumerate(_INERTIA_ENTRIES, start=4):
             out[k, j] = turned[row] * turning_rate[column] + other[row] * turning[column]
             if row != column:
                 out[k, j] += turned[column] * turning_rate[row] + other[column] * turning[row]
 
 
-def _carriers(tree: BodyTree, body: int) -> list[int]:
-    """Joints (from 0) that a body hangs on, the first at the base."""
+def _supporting_joints(tree: BodyTree, body: int) -> list[int]:
+    """Joints (from 0) that support a body, from the base."""
     found = [body]
     while tree.bodies[found[0]].parent:
         found.insert(0, tree.bodies[found[0]].parent - 1)
@@ -167,7 +177,7 @@ def _carriers(tree: BodyTree, body: int) -> list[int]:
 
 
 def _frame_in_parent(body: Body, position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Rotation (3, 3, K) and origin (3, K) of a body's frame in that of its parent."""
+    """Rotation (3, 3, K) and origin (3, K) of a body's frame in its parent's frame."""
     if body.prismatic:
         along = (body.rotation @ body.axis)[:, None] * position
         rotation = np.broadcast_to(body.rotation[..., None], (3, 3, len(position)))
@@ -181,20 +191,20 @@ def _frame_in_parent(body: Body, position: np.ndarray) -> tuple[np.ndarray, np.n
     return rotation, np.broadcast_to(body.translation[:, None], (3, len(position)))
 
 
-def _turned(rotation: np.ndarray, vectors: np.ndarray) -> np.ndarray:
-    """Vectors (m, 3, K) of a parent's frame in that of its child."""
+def _rotate_vectors(rotation: np.ndarray, vectors: np.ndarray) -> np.ndarray:
+    """Rotate vectors (m, 3, K) from the parent's frame to the child's."""
     return np.asarray(sum(rotation[i] * vectors[:, i, None] for i in range(3)))
 
 
-def _cross(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+def _cross_product(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Vector product along the axis before the last."""
     (x0, x1, x2), (y0, y1, y2) = (np.moveaxis(z, -2, 0) for z in (x, y))
     return np.stack([x1 * y2 - x2 * y1, x2 * y0 - x0 * y2, x0 * y1 - x1 * y0], axis=-2)
 
 
-def _dot(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+def _dot_product(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     return np.asarray(x[0] * y[0] + x[1] * y[1] + x[2] * y[2])
 
 
-def _parts(count: int) -> list[slice]:
-    return [slice(first, first + _AT_ONCE) for first in range(0, count, _AT_ONCE)]
+def _split_blocks(count: int) -> list[slice]:
+    return [slice(first, first + _BLOCK_INSTANTS) for first in range(0, count, _BLOCK_INSTANTS)]

@@ -1,4 +1,4 @@
-"""What the motion of a set of runs offers, joint by joint: speeds, directions, loads, warmth."""
+"""Excitation of each joint in a set of runs: speeds, directions, loads, temperatures."""
 
 from __future__ import annotations
 
@@ -7,37 +7,38 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stiffopt.recording.channel_faults import STILL
+from stiffopt.recording.channel_faults import MIN_TRAVEL
 from stiffopt.recording.recording_set import RecordingSet
 from stiffopt.recording.run import RecordedRun
 
-# Slower is rest, up to the second it is slow [rad/s].
-_REST, _SLOW = 0.005, 0.1
-# Shares of the samples from which something counts as recorded.
-_SOME, _LITTLE = 0.05, 0.01
-# Of the highest frequency that sampling keeps; periodic torque above it is lost.
-_KEPT = 0.8
-_GRAVITY_EVERY = 20
-# Half the time over which speeds give accelerations [s], and the share of the largest load that one
-# beyond zero has at least: what a noisy encoder makes of a load near zero turns none round.
-_ACCELERATING, _TURNED = 0.025, 0.02
+# Speed up to which a joint is at rest, and up to which it is slow [rad/s].
+_MAX_REST_SPEED, _MAX_SLOW_SPEED = 0.005, 0.1
+# Shares of the samples from which a condition counts as recorded, common and rare ones.
+_MIN_COMMON_SHARE, _MIN_RARE_SHARE = 0.05, 0.01
+# Of the Nyquist frequency; periodic torque above it is not resolved.
+_MAX_NYQUIST_SHARE = 0.8
+# Gravity changes slowly: one sample of so many suffices.
+_GRAVITY_SAMPLE_STEP = 20
+# Half the window of accelerations from speeds [s], and the least load of the other sign over the
+# largest load: encoder noise near zero is no change of sign.
+_HALF_ACCELERATION_WINDOW, _MIN_REVERSED_SHARE = 0.025, 0.02
 
 
 @dataclass(frozen=True, kw_only=True)
 class JointFacts:
-    """What the runs hold of one joint.
+    """Excitation of one joint in the runs.
 
     Parameters
     ----------
     torque, link : bool
-        There is a torque, a link encoder.
+        Torque or link encoder is recorded.
     windup : bool
-        What winds it up shows: at a link encoder, or in the torque since links swing after it.
+        Its wind-up is observable: by a link encoder, or in the torque through the elastic model.
     moves, reverses, slow, speeds, rests : bool
         It moves; in both directions; between 0.005 and 0.1 rad/s; over a range of speeds of two
-        to one; it stands.
+        to one; it is at rest for a time.
     load_changes_sign : bool
-        Gravity pulls it both ways, or hardly at all, or its links' inertia does beside gravity.
+        Its load changes sign, by gravity or with inertia, or gravity hardly loads it.
     rotor_slow : bool
         Part of the motion is slow enough to resolve two periods a turn of the rotor.
     ripple_slow : bool
@@ -61,26 +62,26 @@ class JointFacts:
 
     @property
     def sensor(self) -> bool:
-        """There is a torque or a link encoder."""
+        """Return whether a torque or a link encoder is recorded."""
         return self.torque or self.link
 
     @property
     def balances(self) -> tuple[str, ...]:
-        """Balances that can be drawn up for the joint."""
+        """Equations that can be evaluated for the joint."""
         if not self.torque:
             return ("deflection",) if self.link else ()
         return ("motor", "link", "deflection") if self.link else ("torque",)
 
 
 def joint_facts(recordings: RecordingSet, runs: Sequence[RecordedRun]) -> tuple[JointFacts, ...]:
-    """Facts of every joint over some runs, in the order of the set."""
-    gravity = [_gravity(recordings, run) for run in runs if run.usable]
-    loads = [_loads(recordings, run) for run in runs if run.usable]
-    return tuple(_facts(recordings, runs, gravity, loads, j) for j in range(recordings.n))
+    """Excitation of every joint in some runs, in the order of the set."""
+    gravity = [_gravity_torques(recordings, run) for run in runs if run.usable]
+    loads = [_inertial_loads(recordings, run) for run in runs if run.usable]
+    return tuple(_joint_facts(recordings, runs, gravity, loads, j) for j in range(recordings.n))
 
 
 def velocities(run: RecordedRun) -> np.ndarray:
-    """Recorded velocity, else that of the encoder over 20 ms, (K, n) [rad/s]."""
+    """Recorded velocity, else the slope of the encoder over 20 ms, (K, n) [rad/s]."""
     width = max(1, round(0.01 / run.step))
     slope: np.ndarray = np.full_like(run.position, np.nan)
     span = run.time[2 * width :] - run.time[: -2 * width]
@@ -91,20 +92,20 @@ def velocities(run: RecordedRun) -> np.ndarray:
     return slope
 
 
-def _gravity(recordings: RecordingSet, run: RecordedRun) -> np.ndarray:
+def _gravity_torques(recordings: RecordingSet, run: RecordedRun) -> np.ndarray:
     """Gravity torque of the nominal model at some samples, (m, n) [N m]."""
     order = recordings.order
-    rows = run.position[::_GRAVITY_EVERY]
+    rows = run.position[::_GRAVITY_SAMPLE_STEP]
     rows = rows[np.isfinite(rows).all(axis=1)]
     position = np.zeros(rows.shape)
     position[:, order] = rows
     return recordings.robot.bodies_in_motion().gravity_torque(position)[:, order]
 
 
-def _loads(recordings: RecordingSet, run: RecordedRun) -> np.ndarray:
+def _inertial_loads(recordings: RecordingSet, run: RecordedRun) -> np.ndarray:
     """Torque of weight and inertia of the nominal model at some samples, (m, n) [N m]."""
     order, speed = recordings.order, velocities(run)
-    width = max(1, round(_ACCELERATING / run.step))
+    width = max(1, round(_HALF_ACCELERATION_WINDOW / run.step))
     middle = np.arange(width, len(run.time) - width, width)
     span = (run.time[middle + width] - run.time[middle - width])[:, None]
     rate = (speed[middle + width] - speed[middle - width]) / span
@@ -115,27 +116,27 @@ def _loads(recordings: RecordingSet, run: RecordedRun) -> np.ndarray:
     return recordings.robot.bodies_in_motion().torque(*placed)[:, order]
 
 
-def _both_sides(load: np.ndarray) -> bool:
-    """Whether a load lies on both sides of zero."""
-    least = _TURNED * np.abs(load).max(initial=0.0)
+def _changes_sign(load: np.ndarray) -> bool:
+    """Return whether a load changes sign."""
+    least = _MIN_REVERSED_SHARE * np.abs(load).max(initial=0.0)
     return bool(load.min(initial=0.0) < -least and load.max(initial=0.0) > least)
 
 
-def _facts(
+def _joint_facts(
     recordings: RecordingSet,
     runs: Sequence[RecordedRun],
     gravity: Sequence[np.ndarray],
     loads: Sequence[np.ndarray],
     j: int,
 ) -> JointFacts:
-    torque = _there([run.torque[:, j] for run in runs])
+    torque = _finite_values([run.torque[:, j] for run in runs])
     links = [run.link_position[:, j] for run in runs if run.link_position is not None]
     velocity = np.concatenate([np.zeros(0), *(velocities(run)[:, j] for run in runs)])
     velocity = velocity[np.isfinite(velocity)]
     speed = np.abs(velocity)
-    moving = speed > _REST
+    moving = speed > _MAX_REST_SPEED
     travel = [np.ptp(run.position[:, j]) for run in runs if np.isfinite(run.position[:, j]).all()]
-    still = 10.0 * STILL[bool(recordings.prismatic[j])]
+    still = 10.0 * MIN_TRAVEL[bool(recordings.prismatic[j])]
     moves = bool(moving.any() and (not travel or max(travel) > still))
     count = max(1, int(moving.sum()))
     quick, usual = np.quantile(speed[moving], (0.95, 0.1)) if moving.any() else (0.0, 1.0)
@@ -143,35 +144,38 @@ def _facts(
     largest = float(np.abs(torque).max(initial=0.0))
     light = np.abs(weight).max(initial=0.0) < 0.3 * largest
     poles = recordings.nominal.pole_pairs
-    link = len(_there(links)) > 0
+    link = len(_finite_values(links)) > 0
     return JointFacts(
         torque=len(torque) > 0,
         link=link,
         windup=link or (len(torque) > 0 and recordings.swings),
         moves=moves,
-        reverses=moves and min((velocity > _REST).sum(), (velocity < -_REST).sum()) > _SOME * count,
-        slow=moves and ((speed > _REST) & (speed < _SLOW)).sum() > _LITTLE * count,
+        reverses=moves
+        and min((velocity > _MAX_REST_SPEED).sum(), (velocity < -_MAX_REST_SPEED).sum())
+        > _MIN_COMMON_SHARE * count,
+        slow=moves
+        and ((speed > _MAX_REST_SPEED) & (speed < _MAX_SLOW_SPEED)).sum() > _MIN_RARE_SHARE * count,
         speeds=moves and bool(quick > 2.0 * usual),
-        rests=bool((~moving).sum() > _LITTLE * max(1, len(speed))),
+        rests=bool((~moving).sum() > _MIN_RARE_SHARE * max(1, len(speed))),
         load_changes_sign=moves
         and bool(
             light
             or weight.min(initial=0.0) < 0.0 < weight.max(initial=0.0)
-            or _both_sides(np.concatenate([np.zeros(0), *(load[:, j] for load in loads)]))
+            or _changes_sign(np.concatenate([np.zeros(0), *(load[:, j] for load in loads)]))
         ),
-        rotor_slow=moves and _resolved(recordings, runs, speed[moving], j, 2.0),
-        ripple_slow=moves and _resolved(recordings, runs, speed[moving], j, poles or 1.0),
-        warmer=_warmer(runs, j),
+        rotor_slow=moves and _resolves_periods(recordings, runs, speed[moving], j, 2.0),
+        ripple_slow=moves and _resolves_periods(recordings, runs, speed[moving], j, poles or 1.0),
+        warmer=_differs_in_temperature(runs, j),
     )
 
 
-def _there(channels: Sequence[np.ndarray]) -> np.ndarray:
+def _finite_values(channels: Sequence[np.ndarray]) -> np.ndarray:
     values = np.concatenate([np.zeros(0), *channels])
     finite: np.ndarray = values[np.isfinite(values)]
     return finite
 
 
-def _resolved(
+def _resolves_periods(
     recordings: RecordingSet, runs: Sequence[RecordedRun], speed: np.ndarray, j: int, order: float
 ) -> bool:
     ratio = recordings.nominal.gear_ratio
@@ -179,10 +183,10 @@ def _resolved(
         return False
     rate = 1.0 / max(run.step for run in runs)
     frequency = order * abs(ratio[j]) * speed / (2.0 * np.pi)
-    return bool((frequency < 0.5 * _KEPT * rate).mean() > _SOME)
+    return bool((frequency < 0.5 * _MAX_NYQUIST_SHARE * rate).mean() > _MIN_COMMON_SHARE)
 
 
-def _warmer(runs: Sequence[RecordedRun], j: int) -> bool:
+def _differs_in_temperature(runs: Sequence[RecordedRun], j: int) -> bool:
     degrees = [float(run.temperature[j]) for run in runs if run.temperature is not None]
     times = [run.session_time for run in runs if run.session_time is not None]
     return (bool(degrees) and max(degrees) - min(degrees) >= 3.0) or (

@@ -6,7 +6,7 @@ from benchmarks.reliability.documents import sets
 from stiffopt.cli import run
 
 
-def test_noise_alone_identifies_no_joint(tmp_path, capsys):
+def test_noise_only_identifies_no_joint(tmp_path, capsys):
     subject = next(each for each in sets(tmp_path) if each.kind == "static")
     with warnings.catch_warnings():
         warnings.simplefilter("error", UserWarning)

@@ -1,7 +1,7 @@
-"""Long recordings at fast clocks, with means of a few samples in the place of each few.
+"""Decimation of long recordings: means of several samples in place of the samples.
 
-Joint motion and what brakes it lie below some tens of hertz: ten minutes at 1 kHz hold it no better
-than at a third of that, and take three times the memory and time.
+Joint motion and friction lie below some tens of hertz: ten minutes at 1 kHz contain no more of them
+than at a third of the rate, at three times the memory and time.
 """
 
 from __future__ import annotations
@@ -14,14 +14,14 @@ import numpy as np
 from stiffopt.recording.recording_set import RecordingSet
 from stiffopt.recording.run import RecordedRun
 
-# Samples of all training runs from which on they are thinned, and the slowest clock that is left.
-_MOST, _SLOWEST = 160_000, 200.0
-# Spacings that a mean may be over beyond those of its samples: more is a gap.
-_GAP = 1.5
+# Samples of all training runs above which they are decimated, and the lowest decimated rate [Hz].
+_MAX_SAMPLES, _MIN_RATE = 160_000, 200.0
+# Duration of the samples of a mean over that without gaps; means over gaps are removed.
+_MAX_MEAN_SPAN = 1.5
 
 
-def samples_a_mean(runs: Sequence[RecordedRun]) -> int:
-    """Samples that means are taken over, an odd number; 1 of all but long recordings.
+def decimation_factor(runs: Sequence[RecordedRun]) -> int:
+    """Odd number of samples per mean; 1 except for long recordings.
 
     Parameters
     ----------
@@ -29,36 +29,36 @@ def samples_a_mean(runs: Sequence[RecordedRun]) -> int:
         Training runs.
     """
     fastest = min((1.0 / run.step for run in runs), default=0.0)
-    most = int(fastest / _SLOWEST)
-    wanted = int(np.ceil(sum(len(run.time) for run in runs) / _MOST))
+    most = int(fastest / _MIN_RATE)
+    wanted = int(np.ceil(sum(len(run.time) for run in runs) / _MAX_SAMPLES))
     every = min(wanted + (wanted % 2 == 0), most - (most % 2 == 0))
     return max(1, every)
 
 
 def sampling_rate(runs: Sequence[RecordedRun]) -> float:
-    """Samples of all runs over the time that they take [Hz]."""
+    """Mean sampling rate of some runs [Hz]."""
     return float(sum(len(run.time) for run in runs) / sum(len(run.time) * run.step for run in runs))
 
 
-def thinned(run: RecordedRun, every: int) -> RecordedRun:
-    """A run with means of so many samples at the stamp in the middle of them.
+def decimate_run(run: RecordedRun, every: int) -> RecordedRun:
+    """Decimate a run to means of `every` samples at their middle stamp.
 
     Parameters
     ----------
     run : RecordedRun
     every : int
-        Odd; 1 leaves the run as it is.
+        Odd; 1 returns the run unchanged.
 
     Notes
     -----
-    All stamps stay, for predictions. A sample that is missing is missing in its mean; a mean over
-    a gap is left out.
+    All stamps are kept for predictions. A mean that contains a NaN is NaN; means over gaps are
+    removed.
     """
     count = len(run.time) // every
     if every == 1 or not count:
         return run
     groups = run.time[: count * every].reshape(count, every)
-    whole = np.ptp(groups, axis=1) < _GAP * every * run.step
+    whole = np.ptp(groups, axis=1) < _MAX_MEAN_SPAN * every * run.step
 
     def means(samples: np.ndarray | None) -> np.ndarray | None:
         if samples is None:
@@ -79,8 +79,8 @@ def thinned(run: RecordedRun, every: int) -> RecordedRun:
     )
 
 
-def quieter(recordings: RecordingSet, every: int) -> RecordingSet:
-    """The set with the noise that means of so many samples have."""
+def decimate_noise(recordings: RecordingSet, every: int) -> RecordingSet:
+    """Recording set with the sensor noise of means of `every` samples."""
     if every == 1:
         return recordings
     root = np.sqrt(every)
@@ -92,8 +92,8 @@ def quieter(recordings: RecordingSet, every: int) -> RecordingSet:
     return replace(recordings, noise=replace(noise, **stated))
 
 
-def sentence(runs: Sequence[RecordedRun], every: int) -> str:
-    """What is said of runs (before they are thinned) whose samples are taken together."""
+def describe_decimation(runs: Sequence[RecordedRun], every: int) -> str:
+    """Sentence of the report on the decimation of these runs (before it)."""
     number = sum(len(run.time) for run in runs)
     left = min(1.0 / run.step for run in runs) / every
     return (

@@ -1,4 +1,4 @@
-"""Deflection of an arm at rest as rows that are linear in the compliances of its joints.
+"""Deflection of an arm at rest as rows linear in joint compliances, and their identifiability.
 
 The torque that winds a joint up is that of the weight less that of the force on the tool,
 s = g(q) - J^T f, and the tool moves by -J phi(s). With phi = c s, one column a joint.
@@ -19,14 +19,14 @@ Windup = Callable[[np.ndarray], np.ndarray]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class StaticRows:
-    """Loads of every pose and what they move.
+    """Loads and measured displacements of all poses.
 
     Parameters
     ----------
     jacobian : array (m, 3, n)
         Of the tool's position, base frame [m/rad].
     pull : array (m, n)
-        Torque of the force on the tool, J^T f [N m].
+        Joint torque of the force on the tool, J^T f [N m].
     weight : array (m, n) or None
         Torque that holds the weight of the links, g(q) [N m]; None without masses.
     displacement : array (m, 3)
@@ -43,7 +43,7 @@ class StaticRows:
 
     @property
     def load(self) -> np.ndarray:
-        """Torque that a constant compliance turns into the measured displacement, (m, n) [N m].
+        """Joint torques that caused the measured displacement, (m, n) [N m].
 
         Positive in the direction of the deflection.
         """
@@ -52,7 +52,7 @@ class StaticRows:
         return np.asarray(self.pull - self.weight)
 
     def compliance_columns(self) -> np.ndarray:
-        """Displacement of the tool for a compliance of one, per joint: (m, 3, n)."""
+        """Displacement of the tool for unit compliance of each joint, (m, 3, n)."""
         return np.asarray(self.jacobian * self.load[:, None, :])
 
     def windup_columns(self, windup: Windup, *, on_weight: bool) -> np.ndarray:
@@ -63,7 +63,7 @@ class StaticRows:
         windup : function (m, n) -> (m, n)
             Odd in the torque [N m].
         on_weight : bool
-            The difference is taken about the weight that the joint already carries; else about
+            The difference is taken about the gravity torque of the pose; else about
             an unloaded joint.
 
         Returns
@@ -114,3 +114,71 @@ def static_rows(recorded: StaticSet) -> StaticRows:
         displacement=recorded.displacement,
         difference=recorded.difference,
     )
+
+
+# Columns below this share of the largest are rounding, not load; likewise residuals of
+# one column on others.
+ROUND_OFF_SHARE = 1e-6
+# Leverage below which a joint is loaded too weakly for its estimate to be accepted as it is.
+MIN_LEVERAGE = 1e-3
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Identifiable:
+    """Identifiability of joint compliances from the columns of a static set.
+
+    Parameters
+    ----------
+    leverage : array (n,)
+        Size of each joint's column over the largest [-].
+    loaded : array (n,) of bool
+    group : array (n,) of int
+        Joints with the same number above 0 are confounded; 0: not confounded.
+    kept : array (k,) of int
+        Joints of a full-rank subset, without one of each confounded direction.
+    """
+
+    leverage: np.ndarray
+    loaded: np.ndarray
+    group: np.ndarray
+    kept: np.ndarray
+
+
+def identifiable(columns: np.ndarray) -> Identifiable:
+    """Analyse rank and leverage of the compliance columns.
+
+    Parameters
+    ----------
+    columns : array (m, 3, n)
+    """
+    n = columns.shape[2]
+    rows = columns.reshape(-1, n)
+    size = np.linalg.norm(rows, axis=0)
+    leverage = size / (np.max(size, initial=0.0) or 1.0)
+    loaded = leverage > ROUND_OFF_SHARE
+    unit = rows / np.where(loaded, size, 1.0)
+    group = np.zeros(n, dtype=int)
+    here = [int(j) for j in np.flatnonzero(loaded)]
+    kept: list[int] = []
+    # Largest leverage first, so that the weakly loaded joint of a confounded group is left out.
+    for j in sorted(here, key=lambda j: -float(leverage[j])):
+        if _unexplained_norm(unit[:, j], unit[:, kept]) > ROUND_OFF_SHARE:
+            kept.append(j)
+    for j in sorted(set(here) - set(kept)):
+        combination = np.linalg.lstsq(unit[:, kept], unit[:, j], rcond=None)[0]
+        members = [j, *(k for k, c in zip(kept, combination, strict=True) if abs(c) > 1e-3)]
+        known = [int(group[k]) for k in members if group[k]]
+        number = min(known) if known else int(group.max()) + 1
+        group[np.isin(group, known)] = number
+        group[members] = number
+    return Identifiable(
+        leverage=leverage, loaded=loaded, group=group, kept=np.array(sorted(kept), dtype=int)
+    )
+
+
+def _unexplained_norm(column: np.ndarray, others: np.ndarray) -> float:
+    """Norm of the part of a unit column that other columns do not explain."""
+    if not others.shape[1]:
+        return 1.0
+    combination = np.linalg.lstsq(others, column, rcond=None)[0]
+    return float(np.linalg.norm(column - others @ combination))

@@ -1,4 +1,4 @@
-"""Meshes from files, checked before coal builds trees or hulls of them, where it would crash."""
+"""Loading of meshes, with checks of inputs on which coal would crash."""
 
 from __future__ import annotations
 
@@ -11,31 +11,31 @@ import numpy as np
 from stiffopt.errors import InputFileError, shortened
 from stiffopt.files import check_file
 
-# Of a mesh [bytes]; a link of a million triangles has 50 MB.
+# Size of a mesh file [bytes]; a link of a million triangles has 50 MB.
 MAX_MESH_BYTES = 2**26
-# Of the longest edge of the box around a mesh [m]: beyond any cell, and below any part.
+# Longest edge of the bounding box of a mesh [m]: beyond any cell, and below any part.
 MAX_EXTENT, MIN_EXTENT = 1e4, 1e-6
-# Of the thinnest to the longest extent of a body along its principal axes; Qhull crashes on plates
-# without thickness, whose shares are the 1e-8 that single precision leaves.
+# Smallest over largest extent along the principal axes; Qhull crashes on plates without thickness,
+# for which single precision leaves ratios of 1e-8.
 MIN_THICKNESS = 1e-5
 
 
 def load_mesh_file(
     path: str | os.PathLike[str], scale: np.ndarray, *, boxes: bool = False
 ) -> coal.BVHModelBase:
-    """Mesh (STL, OBJ, DAE and others) scaled along its axes (3,).
+    """Load a mesh (STL, OBJ, DAE and others) scaled along its axes (3,).
 
     Parameters
     ----------
     path : path
     scale : array (3,)
     boxes : bool
-        With the tree of boxes that distances to the mesh itself need.
+        Build the bounding-volume tree for distances to the mesh itself.
 
     Raises
     ------
     InputFileError
-        No mesh, one of no finite size, or a scale that leaves no size.
+        No mesh, a size that is not plausible, or a scale of zero.
     """
     path = Path(path)
     check_file(path, MAX_MESH_BYTES)
@@ -44,8 +44,8 @@ def load_mesh_file(
         raise InputFileError(
             path, "", f"has the scale {np.array(scale).tolist()}: give finite factors other than 0."
         )
-    # Trees of boxes along the axes stand coordinates that are not finite; others crash.
-    mesh = _load(path, scale, coal.NODE_TYPE.BV_AABB)
+    # Axis-aligned trees accept coordinates that are not finite; others crash.
+    mesh = _load_mesh(path, scale, coal.NODE_TYPE.BV_AABB)
     vertices = np.atleast_2d(np.array(mesh.vertices(), dtype=float))
     extent = float(np.ptp(vertices, axis=0).max()) if np.isfinite(vertices).all() else np.nan
     if mesh.num_tris == 0 or not MIN_EXTENT <= extent <= MAX_EXTENT:
@@ -53,7 +53,7 @@ def load_mesh_file(
             path, "", f"cannot be used as a mesh: {mesh.num_tris} triangles, {extent:.3g} m from"
             f" end to end; allowed are {MIN_EXTENT:g} to {MAX_EXTENT:g} m. Check its scale."
         )  # fmt: skip
-    return _load(path, scale, coal.NODE_TYPE.BV_OBBRSS) if boxes else mesh
+    return _load_mesh(path, scale, coal.NODE_TYPE.BV_OBBRSS) if boxes else mesh
 
 
 def convex_hull(mesh: coal.BVHModelBase, path: Path | None) -> coal.ConvexBase:
@@ -70,12 +70,12 @@ def convex_hull(mesh: coal.BVHModelBase, path: Path | None) -> coal.ConvexBase:
         raise InputFileError(
             path, "", "is flat, and a body that collides needs a volume. Give the link a box."
         )
-    # Qhull's default options, and vertices are kept.
+    # Default options of Qhull; vertices are kept.
     mesh.buildConvexHull(True, "Qt")
     return mesh.convex
 
 
-def _load(path: Path, scale: np.ndarray, tree: coal.NODE_TYPE) -> coal.BVHModelBase:
+def _load_mesh(path: Path, scale: np.ndarray, tree: coal.NODE_TYPE) -> coal.BVHModelBase:
     try:
         return coal.MeshLoader(tree).load(str(path), np.asarray(scale, dtype=float))
     except (ValueError, RuntimeError) as error:

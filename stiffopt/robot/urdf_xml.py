@@ -1,0 +1,258 @@
+"""XML of a URDF, bounded in size and without entities: one tree of links and joints, its meshes."""
+
+from __future__ import annotations
+
+import os
+import xml.etree.ElementTree as ET
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+from urllib.parse import unquote, urlparse
+from xml.parsers import expat
+
+from stiffopt.errors import InputFileError, RobotError, nearest, shortened
+from stiffopt.files import read_bytes
+
+# Levels of nested elements; a URDF with its extensions for simulators stays below 15.
+MAX_DEPTH = 40
+# Number of elements; an arm of 50 joints with shapes, sensors and transmissions has some 2000.
+MAX_ELEMENTS = 100_000
+
+
+def parse_xml(path: str | os.PathLike[str], *, comments: bool = False) -> ET.Element:
+    """Parse an XML file and return its root.
+
+    Raises
+    ------
+    InputFileError
+        No file, no XML, declared entities, or too many or too deep elements.
+    """
+    path = Path(path)
+    content = read_bytes(path)
+    try:
+        _check_structure(content, path)
+        parser = ET.XMLParser(target=ET.TreeBuilder(insert_comments=comments))
+        return ET.fromstring(content, parser)
+    except InputFileError:
+        raise
+    except (expat.ExpatError, ET.ParseError, LookupError, ValueError) as error:
+        # Unknown and multi-byte encodings raise no ParseError.
+        raise InputFileError(path, "", f"is not a URDF: {shortened(error)}.") from error
+
+
+def _check_structure(content: bytes, path: Path) -> None:
+    """Raise `InputFileError` for too deep or too many elements before a tree is built."""
+    parser: Any = expat.ParserCreate()
+    depth = elements = 0
+
+    def begin(*_: object) -> None:
+        nonlocal depth, elements
+        depth, elements = depth + 1, elements + 1
+        if depth > MAX_DEPTH:
+            raise InputFileError(
+                path, _current_line(), f"elements are nested deeper than {MAX_DEPTH}."
+            )
+        if elements > MAX_ELEMENTS:
+            raise InputFileError(path, "", f"has more than {MAX_ELEMENTS} elements.")
+
+    def end(_: object) -> None:
+        nonlocal depth
+        depth -= 1
+
+    def refuse_entity(name: str, *_: object) -> None:
+        raise InputFileError(
+            path,
+            _current_line(),
+            f"declares the entity {shortened(name)}: write its text in its place.",
+        )
+
+    def _current_line() -> str:
+        return f"line {parser.CurrentLineNumber}"
+
+    parser.StartElementHandler, parser.EndElementHandler = begin, end
+    parser.EntityDeclHandler = refuse_entity
+    parser.Parse(content, True)
+
+
+# Number of links or joints; the loader's time grows with its square.
+_MAX_NAMED_ELEMENTS = 1000
+# Elements of xacro that only define something and can be ignored.
+_XACRO_DEFINITIONS = ("property", "arg", "macro")
+# Other robot formats by the root of their XML.
+_OTHER_FORMATS = {"mujoco": "an MJCF (a model of MuJoCo)", "sdf": "an SDF (a model of Gazebo)"}
+# Mechanical parts of links and joints; shapes and colours are ignored.
+_MECHANICAL_PARTS = {
+    "link": ("inertial",),
+    "joint": ("parent", "child", "origin", "axis", "limit", "dynamics", "mimic"),
+}
+
+
+def read_urdf_tree(path: str | os.PathLike[str]) -> ET.Element:
+    """Read the mechanics of a URDF: `<robot>` with links and joints that form one tree.
+
+    Raises
+    ------
+    InputFileError, RobotError
+        No URDF; a missing or repeated name; a joint between unknown links; a link with two parents,
+        a loop, more than one root.
+    """
+    path = Path(path)
+    found = parse_xml(path)
+    if found.tag != "robot":
+        tag = shortened(found.tag)[1:-1]
+        if tag in _OTHER_FORMATS:
+            raise InputFileError(path, "", unsupported_format(_OTHER_FORMATS[tag]))
+        raise InputFileError(path, "", f"is not a URDF: the root is <{tag}>, not <robot>.")
+    tree = ET.Element("robot", name=found.get("name", "robot"))
+    for kind, kept in _MECHANICAL_PARTS.items():
+        for each in found.findall(kind):
+            bare = ET.SubElement(tree, kind, each.attrib)
+            for name in kept:
+                part = each.find(name)
+                if part is not None:
+                    _copy_part(part, bare)
+        _check_names(tree, kind, path)
+    _check_expanded(found, tree, path)
+    _check_tree(tree, path)
+    return tree
+
+
+def unsupported_format(kind: str) -> str:
+    """Message on a robot in an unsupported format, with the remedy."""
+    return (
+        f"is {kind}; only URDF is read. Take the URDF that came with the arm or that its CAD"
+        " exports, or expand its xacro: `xacro arm.urdf.xacro > arm.urdf`."
+    )
+
+
+def _check_expanded(found: ET.Element, tree: ET.Element, path: Path) -> None:
+    """Raise `InputFileError` for a file with unexpanded xacro."""
+    left = [v for each in tree.iter() for v in each.attrib.values() if "${" in v or "$(" in v]
+    called = [name for each in found for name in _xacro_calls(each)]
+    if left or called:
+        shown = shortened(left[0]) if left else f"<xacro:{called[0]}>"
+        raise InputFileError(
+            path,
+            "",
+            f"holds xacro that is not expanded, such as {shown}. Expand it first:"
+            f" `xacro {path.name} > robot.urdf`.",
+        )
+
+
+def _xacro_calls(element: ET.Element) -> Iterator[str]:
+    """Names of the xacro macros called by an element and its parts."""
+    if not isinstance(element.tag, str):
+        return
+    space, _, name = element.tag.rpartition("}")
+    if "xacro" in space:
+        if name not in _XACRO_DEFINITIONS:
+            yield name
+        return
+    for inner in element:
+        yield from _xacro_calls(inner)
+
+
+def _copy_part(part: ET.Element, bare: ET.Element) -> None:
+    """Copy a part with its children."""
+    copied = ET.SubElement(bare, part.tag, part.attrib)
+    for inner in part:
+        if isinstance(inner.tag, str):
+            ET.SubElement(copied, inner.tag, inner.attrib)
+
+
+def _check_names(tree: ET.Element, kind: str, path: Path) -> None:
+    names = Counter(each.get("name", "") for each in tree.findall(kind))
+    if names.total() > _MAX_NAMED_ELEMENTS:
+        raise RobotError(
+            f"{path}: has {names.total()} {kind}s; at most {_MAX_NAMED_ELEMENTS} are read."
+        )
+    for name, count in names.items():
+        if not name:
+            raise RobotError(f"{path}: a {kind} has no name. Give each a name of its own.")
+        if count > 1:
+            raise RobotError(
+                f"{path}: {count} {kind}s are named {shortened(name)}. Give each a name of its own."
+            )
+
+
+def _check_tree(tree: ET.Element, path: Path) -> None:
+    """Raise `RobotError` unless the joints connect all links as one tree."""
+    links = [link.get("name", "") for link in tree.findall("link")]
+    above: dict[str, tuple[str, str]] = {}
+    for joint in tree.findall("joint"):
+        name = joint.get("name", "")
+        parent, child = (_joint_link(joint, end, links, path) for end in ("parent", "child"))
+        if child in above:
+            raise RobotError(
+                f"{path}: link {child!r} is the child of two joints, {above[child][1]!r} and "
+                f"{name!r}. An arm is a tree: keep one."
+            )
+        above[child] = (parent, name)
+    roots = [link for link in links if link not in above]
+    reached, waiting = set(), roots[:1]
+    below: dict[str, list[str]] = {}
+    for child, (parent, _) in above.items():
+        below.setdefault(parent, []).append(child)
+    while waiting:
+        link = waiting.pop()
+        reached.add(link)
+        waiting += below.get(link, [])
+    if len(roots) > 1:
+        raise RobotError(
+            f"{path}: the links {', '.join(map(repr, roots[:5]))} have no joint to a parent. An "
+            "arm has one such link, its base: join the others to it, or remove them."
+        )
+    lost = [link for link in links if link not in reached]
+    if lost:
+        joints = [above[link][1] for link in lost if link in above]
+        raise RobotError(
+            f"{path}: the joints {', '.join(map(repr, joints[:5]))} form a loop. An arm is a tree "
+            "that begins at its base: correct a parent."
+        )
+
+
+def _joint_link(joint: ET.Element, end: str, links: list[str], path: Path) -> str:
+    found = joint.find(end)
+    link = "" if found is None else found.get("link", "")
+    if link not in links:
+        raise RobotError(
+            f"{path}: joint {joint.get('name')!r} names the {end} {shortened(link)}, which is no "
+            f"link. {nearest(link, links)}"
+        )
+    return link
+
+
+def mesh_files(urdf: Path) -> list[Path]:
+    """Find the mesh files that a URDF names; none for a file that is no XML."""
+    try:
+        names = {mesh.get("filename", "") for mesh in parse_xml(urdf).iter("mesh")}
+    except InputFileError:
+        return []
+    found = []
+    for name in sorted(names):
+        with suppress(OSError, ValueError):
+            found.append(find_mesh(name, urdf))
+    return [file for file in found if file is not None]
+
+
+def find_mesh(name: str, urdf: Path) -> Path | None:
+    """Find the file of a mesh that a URDF names; None where it does not exist.
+
+    Paths are relative to the URDF's folder. The folder NAME of package://NAME/REST is searched for
+    among the parent folders of the URDF and their children, then in ROS_PACKAGE_PATH and
+    AMENT_PREFIX_PATH.
+    """
+    url = urlparse(name)
+    folder = urdf.resolve().parent
+    if url.scheme != "package":
+        path = Path(unquote(url.path)) if url.scheme == "file" else folder / name
+        return path if path.is_file() else None
+    package, rest = url.netloc, unquote(url.path).lstrip("/")
+    roots = [place for up in (folder, *folder.parents) for place in (up, up / package)]
+    roots = [root for root in roots if root.name == package]
+    for variable, share in (("ROS_PACKAGE_PATH", ""), ("AMENT_PREFIX_PATH", "share")):
+        for root in filter(None, os.environ.get(variable, "").split(os.pathsep)):
+            roots += [Path(root) / share / package, Path(root)]
+    return next((root / rest for root in roots if (root / rest).is_file()), None)
