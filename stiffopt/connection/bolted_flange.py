@@ -143,22 +143,22 @@ class BoltedFlange(ContactConnection):
 
     def pressure(self, torque: Quantity, preload: Quantity | None = None) -> Quantity:
         """Pressure n F/A of the ring [Pa], whatever the torque."""
-        return self.bolt_count * self._preload(preload) / self.area + 0.0 * torque
+        return self.bolt_count * self._preload_or_own(preload) / self.area + 0.0 * torque
 
     def slip_torque(self, preload: Quantity | None = None) -> Quantity:
         """Torque at which the whole ring slips, mu p 2 pi/3 (Ro^3 - Ri^3) [N m]."""
-        pressure = self.bolt_count * self._preload(preload) / self.area
+        pressure = self.bolt_count * self._preload_or_own(preload) / self.area
         lever = 2 * math.pi / 3 * (self.outer_radius**3 - self.inner_radius**3) / self.sectors
         return self.friction_coefficient * pressure * lever
 
     def slip_torque_circle(self, preload: Quantity | None = None) -> Quantity:
         """Slip torque with all friction on the bolt circle, mu n F PCD/2 [N m]."""
-        force = self.bolt_count * self._preload(preload)
+        force = self.bolt_count * self._preload_or_own(preload)
         return self.friction_coefficient * force * self.circle_diameter / 2
 
     def first_slip_torque(self, preload: Quantity | None = None) -> Quantity:
         """Torque at which the rim begins to slip, mu p J_p/Ro [N m]."""
-        pressure = self.bolt_count * self._preload(preload) / self.area
+        pressure = self.bolt_count * self._preload_or_own(preload) / self.area
         return self.friction_coefficient * pressure * self.polar_moment / self.outer_radius
 
     def _unsheared_stiffness(self, preload: Quantity) -> Quantity:

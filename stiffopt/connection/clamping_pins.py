@@ -115,11 +115,11 @@ class ClampingPins(ContactConnection):
 
     def pressure(self, torque: Quantity, preload: Quantity | None = None) -> Quantity:
         """Pressure under one tip [Pa], whatever the torque."""
-        return self._preload(preload) / self.tip_area + 0.0 * torque
+        return self._preload_or_own(preload) / self.tip_area + 0.0 * torque
 
     def slip_torque(self, preload: Quantity | None = None) -> Quantity:
         """Torque at which all contacts slip, mu F r n [N m]."""
-        force = self.contact_count * self._preload(preload)
+        force = self.contact_count * self._preload_or_own(preload)
         return self.friction_coefficient * force * self.shaft_radius
 
     def _face_stiffness(self, preload: Quantity) -> Quantity:

@@ -14,7 +14,7 @@ from stiffopt.errors import InputError
 from stiffopt.symbolic import Quantity, smooth_abs
 
 # Width of the smoothed |T| as a share of torque_max.
-_WIDTH = 1e-3
+_RELATIVE_SMOOTHING_WIDTH = 1e-3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,7 +100,7 @@ class Connection(abc.ABC):
         """Copy with another preload [N]."""
         return dataclasses.replace(self, preload=preload)
 
-    def _preload(self, preload: Quantity | None) -> Quantity:
+    def _preload_or_own(self, preload: Quantity | None) -> Quantity:
         return self.preload if preload is None else preload
 
 
@@ -138,22 +138,22 @@ class ContactConnection(Connection):
     def loading_compliance(self, torque: Quantity, preload: Quantity) -> Quantity:
         """dF/du [rad/(N m)] for u > 0 [N m]."""
 
-    def _magnitude(self, torque: Quantity, smoothing: Quantity) -> Quantity:
-        return smooth_abs(torque, _WIDTH * self.torque_max * smoothing)
+    def _smooth_magnitude(self, torque: Quantity, smoothing: Quantity) -> Quantity:
+        return smooth_abs(torque, _RELATIVE_SMOOTHING_WIDTH * self.torque_max * smoothing)
 
     def windup(
         self, torque: Quantity, *, preload: Quantity | None = None, smoothing: Quantity = 1.0
     ) -> Quantity:
         """Wind-up angle [rad]; see `Connection.windup`."""
-        size = self._magnitude(torque, smoothing)
-        return torque / size * self.loading_windup(size, self._preload(preload))
+        size = self._smooth_magnitude(torque, smoothing)
+        return torque / size * self.loading_windup(size, self._preload_or_own(preload))
 
     def tangent_compliance(
         self, torque: Quantity, *, preload: Quantity | None = None, smoothing: Quantity = 1.0
     ) -> Quantity:
         """Compliance d phi/dT [rad/(N m)], in closed form."""
-        force = self._preload(preload)
-        size = self._magnitude(torque, smoothing)
+        force = self._preload_or_own(preload)
+        size = self._smooth_magnitude(torque, smoothing)
         share = (torque / size) ** 2
         secant = self.loading_windup(size, force) / size
         return (1 - share) * secant + share * self.loading_compliance(size, force)

@@ -16,7 +16,7 @@ from stiffopt.declaration import DETAIL, NOT_NEGATIVE, PART, Doc, Length, Named,
 from stiffopt.symbolic import Quantity
 
 # Flanks in parallel have no sum of integrals: six Gauss-Legendre points in ln(1 + T/Tc), to 1e-9.
-_NODES, _WEIGHTS = (array.tolist() for array in np.polynomial.legendre.leggauss(6))
+_GAUSS_NODES, _GAUSS_WEIGHTS = (array.tolist() for array in np.polynomial.legendre.leggauss(6))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -139,7 +139,7 @@ class Key(ContactConnection):
         origin = np.log(start + shift)
         span = np.log((end + shift) / (start + shift))
         total = 0.0
-        for node, weight in zip(_NODES, _WEIGHTS, strict=True):
+        for node, weight in zip(_GAUSS_NODES, _GAUSS_WEIGHTS, strict=True):
             shifted = np.exp(origin + 0.5 * (1 + node) * span)
             total = total + 0.5 * weight * shifted * self.loading_compliance(shifted - shift, None)
         return span * total

@@ -13,7 +13,7 @@ from stiffopt.declaration import POSITIVE, Doc, Stiffness, Torque
 from stiffopt.symbolic import Quantity, softplus
 
 # Corner width as a share of the corner's torque: 2.1 % error in wind-up at most, 24 % in slope.
-_WIDTH = 0.08
+_RELATIVE_CORNER_WIDTH = 0.08
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,12 +46,12 @@ class Reducer(Connection):
         """False."""
         return False
 
-    def _corners(self, smoothing: Quantity) -> list[tuple[float, Quantity, float]]:
+    def _slope_changes(self, smoothing: Quantity) -> list[tuple[float, Quantity, float]]:
         """Torque, width and step of the compliance at each corner."""
         c1, c2, c3 = 1 / self.K1, 1 / self.K2, 1 / self.K3
         return [
-            (self.T1, _WIDTH * self.T1 * smoothing, c2 - c1),
-            (self.T2, _WIDTH * self.T2 * smoothing, c3 - c2),
+            (self.T1, _RELATIVE_CORNER_WIDTH * self.T1 * smoothing, c2 - c1),
+            (self.T2, _RELATIVE_CORNER_WIDTH * self.T2 * smoothing, c3 - c2),
         ]
 
     def windup(
@@ -59,7 +59,7 @@ class Reducer(Connection):
     ) -> Quantity:
         """Wind-up angle at the output [rad]."""
         angle = torque / self.K1
-        for corner, width, step in self._corners(smoothing):
+        for corner, width, step in self._slope_changes(smoothing):
             above = softplus((torque - corner) / width)
             below = softplus((-torque - corner) / width)
             angle = angle + step * width * (above - below)
@@ -70,7 +70,7 @@ class Reducer(Connection):
     ) -> Quantity:
         """Compliance d phi/dT [rad/(N m)]."""
         compliance = 1 / self.K1
-        for corner, width, step in self._corners(smoothing):
+        for corner, width, step in self._slope_changes(smoothing):
             # The logistic function in its tanh form does not overflow.
             above = 0.5 * (1 + np.tanh(0.5 * (torque - corner) / width))
             below = 0.5 * (1 + np.tanh(0.5 * (-torque - corner) / width))

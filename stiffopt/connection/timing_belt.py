@@ -25,8 +25,8 @@ from stiffopt.declaration import (
 from stiffopt.symbolic import Quantity
 
 # Force per unit strain [N], from rubber of 1 mm^2 to wide steel.
-_SPAN = Bounds(above=0.0, plausible=(1.0, 1e9))
-_TURN = Bounds(above=0.0, below=2 * math.pi)
+_SPAN_STIFFNESS_BOUNDS = Bounds(above=0.0, plausible=(1.0, 1e9))
+_WRAP_ANGLE_BOUNDS = Bounds(above=0.0, below=2 * math.pi)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,10 +52,14 @@ class TimingBelt(LinearConnection):
     width: Annotated[Length, PART, Doc("Width b of the belt.")]
     tooth_height: Annotated[Length, DETAIL, Doc("Height h of a belt tooth.")]
     tooth_root_width: Annotated[Length, DETAIL, Doc("Width w of a belt tooth at its root.")]
-    span_stiffness: Annotated[Force, _SPAN, Doc("Force per unit strain of one span.")]
+    span_stiffness: Annotated[
+        Force, _SPAN_STIFFNESS_BOUNDS, Doc("Force per unit strain of one span.")
+    ]
     span_length: Annotated[Length, PART, Doc("Free length of one span.")]
-    wrap: Annotated[Angle, _TURN, Doc("Wrap angle on the first pulley.")] = math.pi
-    wrap_driven: Annotated[Angle, _TURN, Doc("Wrap angle on the second pulley.")] = math.pi
+    wrap: Annotated[Angle, _WRAP_ANGLE_BOUNDS, Doc("Wrap angle on the first pulley.")] = math.pi
+    wrap_driven: Annotated[Angle, _WRAP_ANGLE_BOUNDS, Doc("Wrap angle on the second pulley.")] = (
+        math.pi
+    )
     flank_angle: Annotated[
         Angle,
         Bounds(above=-0.1, below=math.pi / 2),
@@ -111,5 +115,5 @@ class TimingBelt(LinearConnection):
 
     def slack_torque(self, preload: Quantity | None = None) -> Quantity:
         """Torque at which the slack span loses its tension, 2 F R [N m]; nan without preload."""
-        force = self._preload(preload)
+        force = self._preload_or_own(preload)
         return math.nan if force is None else 2 * force * self.radius

@@ -10,14 +10,14 @@ from stiffopt.drivetrain.catalogue import BoltData
 from stiffopt.errors import InputError
 
 # Clamp length where none is given, in bolt diameters.
-CLAMP_LENGTH = 2.0
+DEFAULT_CLAMP_LENGTH_RATIO = 2.0
 
 
 def clamp_length(bolt: Bolt) -> float:
     """l_K in use [m]."""
     if bolt.clamp_length is not None:
         return bolt.clamp_length
-    return CLAMP_LENGTH * catalogue.bolt(bolt.size).diameter
+    return DEFAULT_CLAMP_LENGTH_RATIO * catalogue.bolt(bolt.size).diameter
 
 
 def bolt_data(bolt: Bolt) -> BoltData:

@@ -8,7 +8,7 @@ from stiffopt.drivetrain.catalogue import BoltData
 from stiffopt.symbolic import Quantity
 
 # k_tau: part of the torsion that counts in service (VDI 2230 R8; 1 where the joint slips).
-TORSION_LEFT = 0.5
+RESIDUAL_TORSION_SHARE = 0.5
 
 
 def thread_torque(bolt: BoltData, preload: Quantity, friction: float) -> Quantity:
@@ -38,7 +38,7 @@ def working_stress(
         mu_G.
     """
     tension = (preload + additional) / bolt.stress_area
-    twist = TORSION_LEFT * torsion_stress(bolt, preload, friction)
+    twist = RESIDUAL_TORSION_SHARE * torsion_stress(bolt, preload, friction)
     return (tension**2 + 3 * twist**2) ** 0.5
 
 
@@ -46,7 +46,7 @@ def largest_working_preload(
     bolt: BoltData, proof_stress: float, additional: float, friction: float
 ) -> float:
     """Preload at which the working stress reaches R_p0.2 [N]; 0 where the load alone does."""
-    twist = 3 * (TORSION_LEFT * float(torsion_stress(bolt, 1.0, friction))) ** 2
+    twist = 3 * (RESIDUAL_TORSION_SHARE * float(torsion_stress(bolt, 1.0, friction))) ** 2
     square = 1 / bolt.stress_area**2 + twist
     half = additional / bolt.stress_area**2
     rest = (additional / bolt.stress_area) ** 2 - proof_stress**2

@@ -26,7 +26,7 @@ from stiffopt.symbolic import Quantity
 
 # Room between two heads, as a share of the head: the closest screw circles at reducers (nine M3 on
 # 17 mm) leave 5.7 %.
-_HEAD_GAP = 0.05
+_MIN_HEAD_GAP_RATIO = 0.05
 
 
 def flange_bolt(flange: BoltedFlange) -> Bolt:
@@ -89,7 +89,7 @@ def _engagement_limits(bolt: Bolt, data: catalogue.BoltData) -> tuple[PreloadLim
     strips = stripping_length(catalogue.bolt(bolt.size), strength, thread) / data.diameter
     needed, present = (
         max(thread.engagement_for(bolt.grade), strips),
-        engagement(bolt) / data.diameter,
+        engagement_length(bolt) / data.diameter,
     )
     how = "assumed" if bolt.engagement is None else "given"
     limit = PreloadLimit(
@@ -126,22 +126,27 @@ def _spacing_limits(flange: BoltedFlange, data: catalogue.BoltData) -> tuple[Pre
         PreloadLimit(
             name="bolt spacing",
             capacity=math.inf,
-            fixed=(1 + _HEAD_GAP) * _room(flange_bolt(flange), data) / chord,
+            fixed=(1 + _MIN_HEAD_GAP_RATIO)
+            * _largest_head_width(flange_bolt(flange), data)
+            / chord,
             provenance="estimated",
-            source=f"heads and nuts with {100 * _HEAD_GAP:g} % of their diameter between them",
+            source=(
+                f"heads and nuts with {100 * _MIN_HEAD_GAP_RATIO:g} % of their diameter between"
+                " them"
+            ),
             remedy="fewer or smaller bolts, or a larger bolt circle",
         ),
         in_ring,
     )
 
 
-def _room(bolt: Bolt, data: BoltData) -> float:
+def _largest_head_width(bolt: Bolt, data: BoltData) -> float:
     """Diameter that head and nut take [m]."""
     nut = catalogue.hexagon(bolt.size).corners if bolt.nut else 0.0
     return max(data.head_diameter, nut)
 
 
-def engagement(bolt: Bolt) -> float:
+def engagement_length(bolt: Bolt) -> float:
     """m_eff in use [m]."""
     if bolt.engagement is not None:
         return bolt.engagement
@@ -154,7 +159,7 @@ def assumed_lengths(flange: BoltedFlange) -> dict[str, float]:
     bolt = flange_bolt(flange)
     present = {"clamp_length": clamp_length(bolt)}
     if not bolt.nut:
-        present["engagement"] = engagement(bolt)
+        present["engagement"] = engagement_length(bolt)
     return {name: value for name, value in present.items() if getattr(bolt, name) is None}
 
 

@@ -12,9 +12,9 @@ from stiffopt.drivetrain.catalogue import BoltData
 
 # VDI 2230: lengths, in bolt diameters, that stand for the parts of a bolt beyond the clamp length:
 # its head, its engaged thread, the thread around it in a tapped hole or in a nut.
-HEAD_LENGTH = {"socket": 0.4, "hexagon": 0.5}
-ENGAGED_LENGTH = 0.5
-TAPPED_LENGTH, NUT_LENGTH = 0.33, 0.4
+HEAD_LENGTH_RATIO = {"socket": 0.4, "hexagon": 0.5}
+ENGAGED_LENGTH_RATIO = 0.5
+TAPPED_LENGTH_RATIO, NUT_LENGTH_RATIO = 0.33, 0.4
 
 
 def bolt_compliance(
@@ -48,8 +48,10 @@ def bolt_compliance(
     rod = sum(
         length / (math.pi / 4 * diameter**2) for length, diameter in bolt.sections(clamp_length)
     )
-    within = HEAD_LENGTH[head] * d / bolt.nominal_area + ENGAGED_LENGTH * d / bolt.minor_area
-    around = (NUT_LENGTH if nut else TAPPED_LENGTH) * d / bolt.nominal_area
+    within = (
+        HEAD_LENGTH_RATIO[head] * d / bolt.nominal_area + ENGAGED_LENGTH_RATIO * d / bolt.minor_area
+    )
+    around = (NUT_LENGTH_RATIO if nut else TAPPED_LENGTH_RATIO) * d / bolt.nominal_area
     return (rod + within) / bolt_modulus + around / thread_modulus
 
 

@@ -17,11 +17,11 @@ from stiffopt.drivetrain import catalogue
 from stiffopt.fastening import bolts
 from stiffopt.fastening.flange_load import bolt_angles
 
-_POISSON = 0.3
+_POISSON_RATIO = 0.3
 # Waves round the ring: its compliance falls with the fourth power of their number.
-_WAVES = 120
+_WAVE_NUMBER_END = 120
 # How ribs stand to bolts is not known: so many standings over half of what repeats.
-_STANDINGS = 9
+_RIB_ANGLE_COUNT = 9
 
 
 @dataclass(frozen=True)
@@ -57,15 +57,15 @@ class ElasticRing:
         bolted = bolt_angles(self.count)
         ribbed = standing + bolt_angles(self.supports)
         n, s = self.count, self.supports
-        at_bolts, at_ribs = _rigid(bolted), _rigid(ribbed)
+        at_bolts, at_ribs = _rigid_body_modes(bolted), _rigid_body_modes(ribbed)
         matrix = np.zeros((n + s + 6, n + s + 6))
         # Bolts: w - F/k = 0 with w = B q + G_br r - G_bb F.
-        matrix[:n, :n] = -self._compliance(bolted, bolted) - np.eye(n) / self.spring
-        matrix[:n, n : n + s] = self._compliance(bolted, ribbed)
+        matrix[:n, :n] = -self._elastic_compliance(bolted, bolted) - np.eye(n) / self.spring
+        matrix[:n, n : n + s] = self._elastic_compliance(bolted, ribbed)
         matrix[:n, n + s : n + s + 3] = at_bolts
         # Ribs: w = R p, the link's motion.
-        matrix[n : n + s, :n] = -self._compliance(ribbed, bolted)
-        matrix[n : n + s, n : n + s] = self._compliance(ribbed, ribbed)
+        matrix[n : n + s, :n] = -self._elastic_compliance(ribbed, bolted)
+        matrix[n : n + s, n : n + s] = self._elastic_compliance(ribbed, ribbed)
         matrix[n : n + s, n + s : n + s + 3] = at_ribs
         matrix[n : n + s, n + s + 3 :] = -at_ribs
         # Balance of the ring, and of the link under its load.
@@ -79,13 +79,13 @@ class ElasticRing:
         load[n + s + 4, 2] = -1.0 / self.radius
         return np.asarray(np.linalg.solve(matrix, load)[:n])
 
-    def _compliance(self, at: np.ndarray, of: np.ndarray) -> np.ndarray:
+    def _elastic_compliance(self, at: np.ndarray, of: np.ndarray) -> np.ndarray:
         """Deflection at some places for unit forces at others, beyond rigid motion [m/N].
 
         A wave w = W cos(m t) has the energy 1/2 S_m W^2 with
         S_m = pi/R^3 m^2 (m^2 - 1)^2 EI GJ/(EI + GJ m^2), its twist taken to be the easiest.
         """
-        m = np.arange(2, _WAVES)
+        m = np.arange(2, _WAVE_NUMBER_END)
         stiffness = math.pi / self.radius**3 * m**2 * (m**2 - 1.0) ** 2
         stiffness = stiffness * self.bending * self.torsion / (self.bending + self.torsion * m**2)
         return np.asarray(np.cos((at[:, None] - of)[..., None] * m) @ (1.0 / stiffness))
@@ -93,7 +93,9 @@ class ElasticRing:
     @cached_property
     def standings(self) -> np.ndarray:
         """Angles of the first rib that are looked at [rad]."""
-        return math.pi / math.lcm(self.count, self.supports) * np.linspace(0.0, 1.0, _STANDINGS)
+        return (
+            math.pi / math.lcm(self.count, self.supports) * np.linspace(0.0, 1.0, _RIB_ANGLE_COUNT)
+        )
 
     @cached_property
     def factors(self) -> tuple[float, float]:
@@ -121,18 +123,18 @@ def elastic_ring(flange: BoltedFlange) -> ElasticRing | None:
     bolt = bolts.flange_bolt(flange)
     modulus = catalogue.clamped_material(bolt.head_material).modulus
     width, height = flange.outer_radius - flange.inner_radius, flange.ring.thickness
-    return _ring(
+    return _cached_ring(
         count,
         flange.ring.supports,
         flange.circle_diameter / 2,
         modulus * width * height**3 / 12,
-        modulus / (2 * (1 + _POISSON)) * torsion_constant(width, height),
+        modulus / (2 * (1 + _POISSON_RATIO)) * torsion_constant(width, height),
         sum(1.0 / compliance for compliance in bolts.joint_compliances(flange)),
     )
 
 
 @lru_cache(maxsize=256)
-def _ring(
+def _cached_ring(
     count: int, supports: int, radius: float, bending: float, torsion: float, spring: float
 ) -> ElasticRing:
     """The same ring for the same numbers, so that its factors are worked out once."""
@@ -146,6 +148,6 @@ def torsion_constant(width: float, height: float) -> float:
     return long * short**3 * (1 / 3 - 0.21 * ratio * (1 - ratio**4 / 12))
 
 
-def _rigid(angles: np.ndarray) -> np.ndarray:
+def _rigid_body_modes(angles: np.ndarray) -> np.ndarray:
     """Axial motion of places on the circle as the ring moves and tilts (k, 3)."""
     return np.stack([np.ones_like(angles), np.cos(angles), np.sin(angles)], axis=-1)

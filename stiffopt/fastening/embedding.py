@@ -6,7 +6,7 @@ from stiffopt.connection import BoltedFlange
 from stiffopt.errors import OutOfValidityError
 
 # Roughness Rz up to [m], then um in the thread, at each head or nut, at each inner face; by load.
-_TABLE = {
+_EMBEDDING_BY_ROUGHNESS = {
     "axial": ((10e-6, 3.0, 2.5, 1.5), (40e-6, 3.0, 3.0, 2.0), (160e-6, 3.0, 4.0, 3.0)),
     "shear": ((10e-6, 3.0, 3.0, 2.0), (40e-6, 3.0, 4.5, 2.5), (160e-6, 3.0, 6.5, 3.5)),
 }
@@ -28,7 +28,7 @@ def embedding(
     nut : bool
         Settles as a head does; in a tapped hole nothing does but the thread.
     """
-    for bound, thread, head, inner in _TABLE[load]:
+    for bound, thread, head, inner in _EMBEDDING_BY_ROUGHNESS[load]:
         if roughness < bound:
             bearing = 2 if nut else 1
             return 1e-6 * (thread + bearing * head + interfaces * inner)

@@ -8,7 +8,7 @@ from stiffopt.drivetrain.catalogue import BoltData
 from stiffopt.symbolic import Quantity
 
 # Asked for in design [-]; VDI 2230 leaves S_D to the engineer and names 1.2.
-SAFETY = 1.2
+MIN_ENDURANCE_SAFETY = 1.2
 
 
 def endurance_limit(

@@ -10,7 +10,7 @@ from stiffopt.drivetrain import catalogue
 from stiffopt.fastening.bolt_geometry import bolt_data
 
 # A load spreads in a washer under 39 degrees: d_Wa = d_w + 1.6 h_S (VDI 2230 R10).
-_SPREAD = 1.6
+_WASHER_SPREAD_RATIO = 1.6
 
 
 @dataclass(frozen=True)
@@ -32,15 +32,15 @@ class HeadBearing:
 def head_bearing(bolt: Bolt) -> HeadBearing:
     """Largest force under head and nut, p_G A_p (R10/1 and R10/2)."""
     data = bolt_data(bolt)
-    found = _bearing(bolt, bolt.head_material, data.bearing_diameter, "head")
+    found = _bearing_capacity(bolt, bolt.head_material, data.bearing_diameter, "head")
     if bolt.nut:
         face = catalogue.hexagon(bolt.size).bearing_diameter
-        nut = _bearing(bolt, bolt.thread_material, face, "nut")
+        nut = _bearing_capacity(bolt, bolt.thread_material, face, "nut")
         found = min(found, nut, key=lambda each: each.capacity)
     return found
 
 
-def _bearing(bolt: Bolt, material: str, face: float, what: str) -> HeadBearing:
+def _bearing_capacity(bolt: Bolt, material: str, face: float, what: str) -> HeadBearing:
     """Force that a part bears under a face of diameter d_w [m]."""
     part, hole = catalogue.clamped_material(material), catalogue.bolt(bolt.size).hole
     area = math.pi / 4 * (face**2 - hole**2)
@@ -54,7 +54,7 @@ def _bearing(bolt: Bolt, material: str, face: float, what: str) -> HeadBearing:
             ),
         )
     washer = catalogue.washer(bolt.size)
-    outer = min(washer.diameter, face + _SPREAD * washer.thickness)
+    outer = min(washer.diameter, face + _WASHER_SPREAD_RATIO * washer.thickness)
     below = part.head_pressure * math.pi / 4 * (outer**2 - hole**2)
     above = washer.pressure * area
     if above < below:

@@ -16,7 +16,7 @@ from stiffopt.fastening.tightening import Tightening
 from stiffopt.fastening.tightening import WorkshopTorque as WorkshopTorque
 
 
-def _fastened(element: Connection) -> BoltedFlange | ClampingPins:
+def _require_fasteners(element: Connection) -> BoltedFlange | ClampingPins:
     if isinstance(element, BoltedFlange | ClampingPins):
         return element
     raise InputError(
@@ -27,7 +27,7 @@ def _fastened(element: Connection) -> BoltedFlange | ClampingPins:
 
 def fastener_count(element: Connection) -> int:
     """Number of bolts or pins."""
-    fastened = _fastened(element)
+    fastened = _require_fasteners(element)
     return fastened.bolt_count if isinstance(fastened, BoltedFlange) else fastened.count
 
 
@@ -45,7 +45,7 @@ def preload_limits(element: Connection, tightening: Tightening) -> tuple[Preload
         Bolts: bolt utilisation, head pressure, thread engagement, bolt spacing, hole in ring.
         Pins: screw torque (where the screw is known), tip indentation.
     """
-    fastened = _fastened(element)
+    fastened = _require_fasteners(element)
     if isinstance(fastened, BoltedFlange):
         return bolts.limits(fastened, tightening)
     return set_screws.limits(fastened)
@@ -53,7 +53,7 @@ def preload_limits(element: Connection, tightening: Tightening) -> tuple[Preload
 
 def assumed_lengths(element: Connection) -> dict[str, float]:
     """Lengths that nobody gave and that are estimated here, by their key in the robot file [m]."""
-    fastened = _fastened(element)
+    fastened = _require_fasteners(element)
     if isinstance(fastened, BoltedFlange):
         return bolts.assumed_lengths(fastened)
     return set_screws.assumed_lengths(fastened)
@@ -71,7 +71,7 @@ def check_preload(
     preload : float or None
         [N]; None: the element's own.
     """
-    fastened = _fastened(element)
+    fastened = _require_fasteners(element)
     force = fastened.preload if preload is None else preload
     assert force is not None  # both kinds refuse to be built without
     require_positive(element.owner, preload=force)
@@ -96,7 +96,7 @@ def check_preload(
 
 def preload_loss(element: Connection, tightening: Tightening) -> float:
     """Preload that one bolt or pin loses after assembly [N]: faces settle, parts warm (R4)."""
-    fastened = _fastened(element)
+    fastened = _require_fasteners(element)
     if isinstance(fastened, BoltedFlange):
         return bolts.preload_loss(fastened, tightening)
     return set_screws.preload_loss(fastened, tightening)
@@ -104,7 +104,7 @@ def preload_loss(element: Connection, tightening: Tightening) -> float:
 
 def scatter(element: Connection, tightening: Tightening) -> float:
     """alpha_A, largest over least preload of a bolt or pin at assembly [-] (R1)."""
-    fastened = _fastened(element)
+    fastened = _require_fasteners(element)
     if isinstance(fastened, BoltedFlange):
         return bolts.scatter(fastened, tightening)
     return tightening.alpha
@@ -112,7 +112,7 @@ def scatter(element: Connection, tightening: Tightening) -> float:
 
 def workshop_torque(element: Connection, preload: float, tightening: Tightening) -> WorkshopTorque:
     """Torque to set for the largest preload of one bolt or pin [N]; see `WorkshopTorque`."""
-    fastened = _fastened(element)
+    fastened = _require_fasteners(element)
     require_positive(element.owner, preload=preload)
     if isinstance(fastened, BoltedFlange):
         return bolts.workshop_torque(fastened, preload, tightening)

@@ -8,8 +8,8 @@ import numpy as np
 
 # Load introduction factor n by type of joint: rows l_A/h = 0, 0.1, 0.2, 0.3, columns
 # a_k/h = 0, 0.1, 0.3, 0.5 (VDI 2230 Table 2).
-_RATIO_A, _RATIO_L = (0.0, 0.1, 0.3, 0.5), (0.0, 0.1, 0.2, 0.3)
-_TABLE = {
+_CONNECTION_DISTANCE_RATIOS, _CONNECTION_LENGTH_RATIOS = (0.0, 0.1, 0.3, 0.5), (0.0, 0.1, 0.2, 0.3)
+_LOAD_INTRODUCTION_FACTORS = {
     "SV1": ((0.70, 0.55, 0.30, 0.13), (0.52, 0.41, 0.22, 0.10), (0.34, 0.28, 0.16, 0.07),
             (0.16, 0.14, 0.12, 0.04)),
     "SV2": ((0.57, 0.46, 0.30, 0.13), (0.44, 0.36, 0.21, 0.10), (0.30, 0.25, 0.16, 0.07),
@@ -36,9 +36,9 @@ def load_introduction_factor(kind: str, a_over_h: float, l_over_h: float) -> flo
         Distance of the connected body from the bolt and its length, over the height h of the
         clamped parts; beyond the table its last value.
     """
-    table = np.array(_TABLE[kind])
-    rows = [np.interp(a_over_h, _RATIO_A, row) for row in table]
-    return float(np.interp(l_over_h, _RATIO_L, rows))
+    table = np.array(_LOAD_INTRODUCTION_FACTORS[kind])
+    rows = [np.interp(a_over_h, _CONNECTION_DISTANCE_RATIOS, row) for row in table]
+    return float(np.interp(l_over_h, _CONNECTION_LENGTH_RATIOS, rows))
 
 
 @dataclass(frozen=True)

@@ -12,13 +12,13 @@ from stiffopt.fastening.preload_limit import PreloadLimit
 from stiffopt.fastening.tightening import Tightening, WorkshopTorque
 
 # A flat tip sinks in at about 2.8 times the yield strength; 0.9 of it is permitted.
-_INDENTATION = 0.9 * 2.8
+_INDENTATION_PRESSURE_RATIO = 0.9 * 2.8
 # Screw length in diameters, and screw diameter in tip diameters, where they are not given.
-_LENGTH, _DIAMETER = 1.5, 2.0
+_DEFAULT_LENGTH_RATIO, _DEFAULT_DIAMETER_RATIO = 1.5, 2.0
 # By which thread and tip settle [m]: those of thread and head in VDI 2230 Table 5, Rz below 10 um.
-_SETTLED = 6e-6
+_THREAD_AND_TIP_EMBEDDING = 6e-6
 # Shaft where no screw tells: the softer one.
-_SHAFT = "steel_45"
+_DEFAULT_SHAFT_MATERIAL = "steel_45"
 
 
 def torque_capacity(pins: ClampingPins) -> float:
@@ -31,8 +31,8 @@ def torque_capacity(pins: ClampingPins) -> float:
 
 def limits(pins: ClampingPins) -> tuple[PreloadLimit, ...]:
     """Bounds on the preload of one pin; the first is what the screw bears, where it is known."""
-    shaft = _SHAFT if pins.screw is None else pins.screw.shaft_material
-    pressure = _INDENTATION * catalogue.shaft_proof_stress(shaft)
+    shaft = _DEFAULT_SHAFT_MATERIAL if pins.screw is None else pins.screw.shaft_material
+    pressure = _INDENTATION_PRESSURE_RATIO * catalogue.shaft_proof_stress(shaft)
     assumed = ", assumed because the element names no screw" if pins.screw is None else ""
     indentation = PreloadLimit(
         name="tip indentation",
@@ -57,9 +57,9 @@ def limits(pins: ClampingPins) -> tuple[PreloadLimit, ...]:
 def screw_length(pins: ClampingPins) -> float:
     """Length in use, from the tip to where the thread holds [m]."""
     if pins.screw is None:
-        return _LENGTH * _DIAMETER * pins.tip_diameter
+        return _DEFAULT_LENGTH_RATIO * _DEFAULT_DIAMETER_RATIO * pins.tip_diameter
     if pins.screw.length is None:
-        return _LENGTH * catalogue.set_screw(pins.screw.size).diameter
+        return _DEFAULT_LENGTH_RATIO * catalogue.set_screw(pins.screw.size).diameter
     return pins.screw.length
 
 
@@ -72,7 +72,7 @@ def assumed_lengths(pins: ClampingPins) -> dict[str, float]:
 def pin_compliance(pins: ClampingPins) -> float:
     """Screw over its length and half space under the tip, one after the other [m/N]."""
     if pins.screw is None:
-        area = math.pi / 4 * (_DIAMETER * pins.tip_diameter) ** 2
+        area = math.pi / 4 * (_DEFAULT_DIAMETER_RATIO * pins.tip_diameter) ** 2
     else:
         area = catalogue.set_screw(pins.screw.size).minor_area
     screw = screw_length(pins) / (catalogue.set_screw_modulus() * area)
@@ -81,7 +81,7 @@ def pin_compliance(pins: ClampingPins) -> float:
 
 def preload_loss(pins: ClampingPins, tightening: Tightening) -> float:
     """Preload that one pin loses as its thread and its tip settle [N]."""
-    settled = _SETTLED if tightening.embedding is None else tightening.embedding
+    settled = _THREAD_AND_TIP_EMBEDDING if tightening.embedding is None else tightening.embedding
     return settled / pin_compliance(pins)
 
 

@@ -8,7 +8,7 @@ from stiffopt.drivetrain.catalogue import BoltData, ClampedMaterial
 
 # Shear over tensile strength of bolts.
 _BOLT_SHEAR = 0.6
-_TANGENT = math.tan(math.pi / 6)
+_TAN_FLANK_ANGLE = math.tan(math.pi / 6)
 
 
 def stripping_length(bolt: BoltData, tensile_strength: float, material: ClampedMaterial) -> float:
@@ -33,8 +33,8 @@ def stripping_length(bolt: BoltData, tensile_strength: float, material: ClampedM
     d, pitch, middle = bolt.diameter, bolt.pitch, bolt.pitch_diameter
     inner = d - 1.0825 * pitch
     # Shear areas a length of thread [m].
-    tapped = math.pi * d * (0.5 + (d - middle) * _TANGENT / pitch)
-    own = math.pi * inner * (0.5 + (middle - inner) * _TANGENT / pitch)
+    tapped = math.pi * d * (0.5 + (d - middle) * _TAN_FLANK_ANGLE / pitch)
+    own = math.pi * inner * (0.5 + (middle - inner) * _TAN_FLANK_ANGLE / pitch)
     strip_tapped = tapped * material.shear_ratio * material.strength
     strip_own = own * _BOLT_SHEAR * tensile_strength
     ratio = strip_tapped / strip_own

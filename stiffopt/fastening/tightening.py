@@ -16,7 +16,7 @@ from stiffopt.symbolic import Quantity
 # alpha_A = F_max/F_min at assembly, by method: the unfavourable end of VDI 2230 Table A8. A torque
 # wrench has 1.6 to 2.0 where friction is estimated (class B), 1.4 to 1.6 where tests on the parts
 # themselves tell it.
-SCATTER = {
+SCATTER_BY_METHOD = {
     "torque_wrench": 2.0,
     "torque_wrench_tested": 1.6,
     "angle": 1.4,
@@ -26,13 +26,13 @@ SCATTER = {
     "impact": 4.0,
 }
 # What a torque wrench adds to the scatter of friction: +-5 %.
-_WRENCH = 1.05 / 0.95
+_WRENCH_SCATTER = 1.05 / 0.95
 
 # Customary are 0.08 to 0.2.
-_FRICTION = Bounds(above=0.0, below=1.0, plausible=FRICTION.plausible)
+_FRICTION_BOUNDS = Bounds(above=0.0, below=1.0, plausible=FRICTION.plausible)
 
 # Preferred numbers R20 of ISO 3 between 1 and 10.
-_R20 = (
+_R20_PREFERRED_NUMBERS = (
     *(1.0, 1.12, 1.25, 1.4, 1.6, 1.8, 2.0, 2.24, 2.5, 2.8),
     *(3.15, 3.55, 4.0, 4.5, 5.0, 5.6, 6.3, 7.1, 8.0, 9.0),
 )
@@ -61,17 +61,17 @@ class Tightening:
     ] = None
     thread_friction: Annotated[
         Ratio,
-        _FRICTION,
+        _FRICTION_BOUNDS,
         Doc("Lowest coefficient to be expected in the thread; higher is part of the scatter."),
     ] = 0.12
     head_friction: Annotated[
         Ratio,
-        _FRICTION,
+        _FRICTION_BOUNDS,
         Doc("Lowest coefficient to be expected under the head; higher is part of the scatter."),
     ] = 0.12
     friction_highest: Annotated[
         Ratio | None,
-        _FRICTION,
+        _FRICTION_BOUNDS,
         Doc(
             "Highest coefficient in thread and head to be expected: with it alpha_A is at least "
             "what this friction and a wrench of +-5 % leave, bolt by bolt."
@@ -97,7 +97,7 @@ class Tightening:
     @property
     def alpha(self) -> float:
         """alpha_A of the method, or as stated: F_max/F_min at assembly [-]."""
-        return SCATTER[self.method] if self.scatter is None else self.scatter
+        return SCATTER_BY_METHOD[self.method] if self.scatter is None else self.scatter
 
     def alpha_of(self, bolt: BoltData | None) -> float:
         """alpha_A of a bolt [-] (R1), more where `friction_highest` asks for it; None: a screw."""
@@ -105,10 +105,10 @@ class Tightening:
             return self.alpha
         high = max(self.friction_highest, self.thread_friction)
         levers = [
-            float(_lever(bolt, high, max(self.friction_highest, self.head_friction))),
-            float(_lever(bolt, self.thread_friction, self.head_friction)),
+            float(_torque_per_preload(bolt, high, max(self.friction_highest, self.head_friction))),
+            float(_torque_per_preload(bolt, self.thread_friction, self.head_friction)),
         ]
-        return max(self.alpha, _WRENCH * levers[0] / levers[1])
+        return max(self.alpha, _WRENCH_SCATTER * levers[0] / levers[1])
 
 
 @dataclass(frozen=True)
@@ -138,7 +138,9 @@ class WorkshopTorque:
     friction_factor: float
 
 
-def _lever(bolt: BoltData, thread_friction: Quantity, head_friction: Quantity) -> Quantity:
+def _torque_per_preload(
+    bolt: BoltData, thread_friction: Quantity, head_friction: Quantity
+) -> Quantity:
     """Torque over preload [m]."""
     return (
         bolt.pitch / (2 * math.pi)
@@ -165,14 +167,14 @@ def tightening_torque(
     -------
     scalar or (n,) [N m]
     """
-    return preload * _lever(bolt, thread_friction, head_friction)
+    return preload * _torque_per_preload(bolt, thread_friction, head_friction)
 
 
 def preload_at_torque(
     bolt: BoltData, torque: Quantity, thread_friction: Quantity, head_friction: Quantity
 ) -> Quantity:
     """Preload [N] that a tightening torque [N m] leaves; inverse of `tightening_torque`."""
-    return torque / _lever(bolt, thread_friction, head_friction)
+    return torque / _torque_per_preload(bolt, thread_friction, head_friction)
 
 
 def standard_torques(lower: float, upper: float) -> np.ndarray:
@@ -190,6 +192,8 @@ def standard_torques(lower: float, upper: float) -> np.ndarray:
     require_positive("standard torques", lower=lower, upper=upper)
     decades = range(math.floor(math.log10(lower)) - 1, math.floor(math.log10(upper)) + 2)
     # Rounding keeps 0.28 and 2.8 the decimal numbers that are printed on wrenches.
-    torques = np.array([round(step * 10.0**e, 3 - e) for e in decades for step in _R20])
+    torques = np.array(
+        [round(step * 10.0**e, 3 - e) for e in decades for step in _R20_PREFERRED_NUMBERS]
+    )
     slack = 1e-9
     return torques[(torques >= lower * (1 - slack)) & (torques <= upper * (1 + slack))]

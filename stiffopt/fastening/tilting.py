@@ -14,7 +14,7 @@ from stiffopt.fastening import bolts
 from stiffopt.fastening.clamp_load import ring_section
 from stiffopt.symbolic import Quantity
 
-_PLACES = 180
+_SPRING_COUNT = 180
 
 
 @dataclass(frozen=True)
@@ -76,18 +76,20 @@ class TiltingFlange:
             return moment / self.closed_stiffness
         most = abs(moment) / self.open_stiffness
         least = abs(moment) / self.closed_stiffness
-        found = brentq(lambda angle: self._moment(angle) - abs(moment), least, most, rtol=1e-12)
+        found = brentq(
+            lambda angle: self._restoring_moment(angle) - abs(moment), least, most, rtol=1e-12
+        )
         return math.copysign(float(found), moment)
 
-    def _moment(self, angle: float) -> float:
+    def _restoring_moment(self, angle: float) -> float:
         """Moment of the springs at an angle, the axial balance kept."""
-        cosine = np.cos(2 * np.pi * (np.arange(_PLACES) + 0.5) / _PLACES)
+        cosine = np.cos(2 * np.pi * (np.arange(_SPRING_COUNT) + 0.5) / _SPRING_COUNT)
         pressed = self.clamp / self.face
         reach = angle * self.radius
 
         def forces(lift: float) -> np.ndarray:
             # Compression of the face where it is left; the bolts lengthen by as much.
-            return self.face / _PLACES * np.maximum(pressed - lift - reach * cosine, 0.0)
+            return self.face / _SPRING_COUNT * np.maximum(pressed - lift - reach * cosine, 0.0)
 
         def surplus(lift: float) -> float:
             return float(self.clamp + self.bolts * lift - forces(lift).sum())

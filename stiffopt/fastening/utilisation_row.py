@@ -8,7 +8,7 @@ from stiffopt.fastening.safety_factor import SafetyFactor
 
 # A row this close to its limit is called active: less than reports show of a utilisation, more than
 # the optimiser leaves.
-ACTIVE = 1e-4
+ACTIVE_TOLERANCE = 1e-4
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,7 +68,7 @@ class UtilisationRow:
     @property
     def active(self) -> bool:
         """Whether the design lies at this limit."""
-        return self.binding and self.utilisation >= 1.0 - ACTIVE
+        return self.binding and self.utilisation >= 1.0 - ACTIVE_TOLERANCE
 
     @property
     def kept(self) -> bool:

@@ -10,20 +10,20 @@ import numpy as np
 from stiffopt.drivetrain import catalogue
 from stiffopt.fastening.bolt_geometry import clamp_length
 from stiffopt.fastening.bolt_stress import working_stress
-from stiffopt.fastening.endurance import SAFETY as ENDURANCE_SAFETY
+from stiffopt.fastening.endurance import MIN_ENDURANCE_SAFETY as ENDURANCE_SAFETY
 from stiffopt.fastening.endurance import endurance_limit
 from stiffopt.fastening.flange_load import transverse_forces
 from stiffopt.fastening.head_pressure import head_bearing
 from stiffopt.fastening.safety_factor import SafetyFactor
 from stiffopt.fastening.self_loosening import transverse_slip_limit
 from stiffopt.fastening.utilisation_row import UtilisationRow
-from stiffopt.fastening.verification import SLIP_ALTERNATING, Verification
+from stiffopt.fastening.verification import MIN_ALTERNATING_SLIP_SAFETY, Verification
 
 # Required safety against yield in service (R8), surface pressure (R10), shear after slip (R12).
-YIELD, PRESSURE, SHEAR = 1.0, 1.0, 1.1
+MIN_YIELD_SAFETY, MIN_PRESSURE_SAFETY, MIN_SHEAR_SAFETY = 1.0, 1.0, 1.1
 # Shear over tensile strength of bolts, and the extent of a face over the head's for which its
 # pressure still is even (limit G'' of a tapped hole: 1.5 to 2, the near end).
-_SHEAR_STRENGTH, _EXTENT = 0.6, 1.5
+_SHEAR_STRENGTH, _MAX_FACE_WIDTH_RATIO = 0.6, 1.5
 
 
 def vdi_rows(
@@ -45,27 +45,27 @@ def vdi_rows(
     if least is None:
         least = preload / steps.scatter - steps.loss
     return (
-        *_clamp(steps, least),
-        *_stress(steps, preload, least),
-        *_after_slip(steps),
-        *_warnings(steps, least, shift),
+        *_clamp_load_rows(steps, least),
+        *_stress_rows(steps, preload, least),
+        *_shear_rows(steps),
+        *_warning_rows(steps, least, shift),
     )
 
 
-def _worst(steps: Verification, values: np.ndarray) -> tuple[int, str]:
+def _worst_case(steps: Verification, values: np.ndarray) -> tuple[int, str]:
     index = int(np.argmax(values))
     return index, steps.loads.names[index]
 
 
-def _clamp(steps: Verification, least: float) -> Iterator[UtilisationRow]:
+def _clamp_load_rows(steps: Verification, least: float) -> Iterator[UtilisationRow]:
     unloaded = (1.0 - steps.factor.least) * np.maximum(steps.opening, 0.0)
     needed = steps.slip_safety * steps.clamp_against_slip + unloaded
-    index, case = _worst(steps, needed.max(axis=1))
+    index, case = _worst_case(steps, needed.max(axis=1))
     place = int(np.argmax(needed[index]))
     left = least - float(unloaded[index, place])
     friction = float(steps.clamp_against_slip[index, place])
     most = float(needed[index, place])
-    kind = "alternating" if steps.slip_safety == SLIP_ALTERNATING else "static"
+    kind = "alternating" if steps.slip_safety == MIN_ALTERNATING_SLIP_SAFETY else "static"
     if not steps.loads.more_than_torque:
         # The torque alone: the slip safety of the connection says the same.
         return
@@ -79,7 +79,7 @@ def _clamp(steps: Verification, least: float) -> Iterator[UtilisationRow]:
         value=slips,
         limit=steps.slip_safety,
         unit="",
-        utilisation=_share(most, least),
+        utilisation=_required_over_available(most, least),
         case=case,
         source=(
             f"{kind}: shear and torque as vectors, tension of the bolt taken off; friction at "
@@ -88,7 +88,7 @@ def _clamp(steps: Verification, least: float) -> Iterator[UtilisationRow]:
         provenance="catalogue",
         remedy="more friction, more or larger bolts, a larger circle, or less scatter",
     )
-    index, case = _worst(steps, steps.clamp_against_opening)
+    index, case = _worst_case(steps, steps.clamp_against_opening)
     opens = float(steps.clamp_against_opening[index])
     if opens > 0.0:
         yield UtilisationRow(
@@ -97,7 +97,7 @@ def _clamp(steps: Verification, least: float) -> Iterator[UtilisationRow]:
             value=least,
             limit=opens,
             unit="N",
-            utilisation=_share(opens, least),
+            utilisation=_required_over_available(opens, least),
             case=case,
             source="pressure at the rim of the ring less its holes, axial force and tilting",
             provenance="catalogue",
@@ -105,20 +105,23 @@ def _clamp(steps: Verification, least: float) -> Iterator[UtilisationRow]:
         )
 
 
-def _stress(steps: Verification, preload: float, least: float) -> Iterator[UtilisationRow]:
-    _, case = _worst(steps, steps.opening.max(axis=1))
+def _stress_rows(steps: Verification, preload: float, least: float) -> Iterator[UtilisationRow]:
+    _, case = _worst_case(steps, steps.opening.max(axis=1))
     friction = steps.tightening.thread_friction
     stress = float(working_stress(steps.data, preload, steps.additional, friction))
     yield UtilisationRow(
         kind="working stress",
         equation="R8/5",
-        safety=SafetyFactor("S_F", steps.proof_stress / stress, YIELD),
+        safety=SafetyFactor("S_F", steps.proof_stress / stress, MIN_YIELD_SAFETY),
         value=stress,
         limit=steps.proof_stress,
         unit="Pa",
         utilisation=stress / steps.proof_stress,
         case=case,
-        source=f"R_p0.2 of {steps.bolt.grade}, half of the torsion of tightening, safety {YIELD:g}",
+        source=(
+            f"R_p0.2 of {steps.bolt.grade}, half of the torsion of tightening, safety "
+            f"{MIN_YIELD_SAFETY:g}"
+        ),
         provenance="catalogue",
         remedy="a larger bolt, a higher grade or less load",
     )
@@ -127,7 +130,7 @@ def _stress(steps: Verification, preload: float, least: float) -> Iterator[Utili
     yield UtilisationRow(
         kind="head pressure in service",
         equation="R10/2",
-        safety=SafetyFactor("S_P", bearing.capacity / force, PRESSURE),
+        safety=SafetyFactor("S_P", bearing.capacity / force, MIN_PRESSURE_SAFETY),
         value=force,
         limit=bearing.capacity,
         unit="N",
@@ -151,7 +154,7 @@ def _stress(steps: Verification, preload: float, least: float) -> Iterator[Utili
             utilisation=ENDURANCE_SAFETY * amplitude / limit,
             case=case,
             source=(
-                f"{_thread_words(steps)}, endurance limit over {ENDURANCE_SAFETY:g}; load on and"
+                f"{_describe_thread(steps)}, endurance limit over {ENDURANCE_SAFETY:g}; load on and"
                 " off among what alternates"
             ),
             provenance="catalogue" if steps.grade.heat_treated else "estimated",
@@ -159,13 +162,13 @@ def _stress(steps: Verification, preload: float, least: float) -> Iterator[Utili
         )
 
 
-def _after_slip(steps: Verification) -> Iterator[UtilisationRow]:
+def _shear_rows(steps: Verification) -> Iterator[UtilisationRow]:
     """What the bolts bear should the face slip all the same."""
     force = transverse_forces(
         steps.loads.values, steps.count, steps.flange.circle_diameter / 2, steps.angles
     )
     sizes = np.linalg.norm(force, axis=-1)
-    index, case = _worst(steps, sizes.max(axis=1))
+    index, case = _worst_case(steps, sizes.max(axis=1))
     most = float(sizes[index].max())
     if most <= 0.0:
         return
@@ -174,11 +177,11 @@ def _after_slip(steps: Verification) -> Iterator[UtilisationRow]:
     yield UtilisationRow(
         kind="bolt shear",
         equation="R12",
-        safety=SafetyFactor("S_A", strength / stress, SHEAR),
+        safety=SafetyFactor("S_A", strength / stress, MIN_SHEAR_SAFETY),
         value=stress,
-        limit=strength / SHEAR,
+        limit=strength / MIN_SHEAR_SAFETY,
         unit="Pa",
-        utilisation=SHEAR * stress / strength,
+        utilisation=MIN_SHEAR_SAFETY * stress / strength,
         case=case,
         source="after slip, thread in the face: core area, 0.6 R_m, safety 1.1",
         provenance="catalogue",
@@ -200,9 +203,9 @@ def _after_slip(steps: Verification) -> Iterator[UtilisationRow]:
     )
 
 
-def _warnings(steps: Verification, least: float, shift: float) -> Iterator[UtilisationRow]:
+def _warning_rows(steps: Verification, least: float, shift: float) -> Iterator[UtilisationRow]:
     extent = steps.flange.outer_radius - steps.flange.inner_radius
-    spread = _EXTENT * steps.data.bearing_diameter
+    spread = _MAX_FACE_WIDTH_RATIO * steps.data.bearing_diameter
     yield UtilisationRow(
         kind="validity of even pressure",
         equation="R0, limit G",
@@ -246,13 +249,13 @@ def _warnings(steps: Verification, least: float, shift: float) -> Iterator[Utili
         )
 
 
-def _thread_words(steps: Verification) -> str:
+def _describe_thread(steps: Verification) -> str:
     if steps.grade.heat_treated:
         return f"thread rolled {steps.bolt.rolled} heat treatment"
     return "formula of heat-treated bolts, no published one for stainless"
 
 
-def _share(needed: float, present: float) -> float:
+def _required_over_available(needed: float, present: float) -> float:
     """Utilisation of a need that what is present has to cover."""
     if needed <= 0.0:
         return 0.0

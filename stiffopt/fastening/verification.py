@@ -19,7 +19,7 @@ from stiffopt.fastening.bolt_geometry import bolt_data
 from stiffopt.fastening.bolt_stress import largest_working_preload
 from stiffopt.fastening.clamp_load import friction_clamp_load, ring_opening_load
 from stiffopt.fastening.elastic_ring import elastic_ring
-from stiffopt.fastening.endurance import SAFETY as ENDURANCE_SAFETY
+from stiffopt.fastening.endurance import MIN_ENDURANCE_SAFETY as ENDURANCE_SAFETY
 from stiffopt.fastening.endurance import endurance_limit
 from stiffopt.fastening.flange_load import FlangeLoads, axial_forces, transverse_forces
 from stiffopt.fastening.head_pressure import head_bearing
@@ -27,10 +27,10 @@ from stiffopt.fastening.load_factor import LoadFactor, load_factor
 from stiffopt.fastening.tightening import Tightening
 
 # Places on the bolt circle that are looked at; between two of them a cosine is off by this much.
-_PLACES = 360
-_BETWEEN = 1.0 / math.cos(math.pi / _PLACES)
+_ANGLE_COUNT = 360
+_MAX_INTERPOLATION_FACTOR = 1.0 / math.cos(math.pi / _ANGLE_COUNT)
 # Safety against slip (VDI 2230 R12).
-SLIP_STATIC, SLIP_ALTERNATING = 1.2, 1.8
+MIN_STATIC_SLIP_SAFETY, MIN_ALTERNATING_SLIP_SAFETY = 1.2, 1.8
 
 
 class Verification:
@@ -64,7 +64,7 @@ class Verification:
                 f"{flange.owner}: {self.count} bolts bear no tilting moment about every axis. Give "
                 'the flange three or more, or say `bearing = "beside"` in the robot file.'
             )
-        usual = SLIP_ALTERNATING if loads.alternating else SLIP_STATIC
+        usual = MIN_ALTERNATING_SLIP_SAFETY if loads.alternating else MIN_STATIC_SLIP_SAFETY
         self.slip_safety = usual if slip_safety is None else slip_safety
         self.grade = catalogue.bolt_grade(self.bolt.grade)
         self.proof_stress = self.grade.proof_stress
@@ -74,7 +74,7 @@ class Verification:
     @cached_property
     def angles(self) -> np.ndarray:
         """Places on the bolt circle that are looked at (m,) [rad]."""
-        return 2 * math.pi / _PLACES * np.arange(_PLACES)
+        return 2 * math.pi / _ANGLE_COUNT * np.arange(_ANGLE_COUNT)
 
     @cached_property
     def sharing(self) -> tuple[float, float]:
@@ -88,7 +88,7 @@ class Verification:
         values = self.loads.values.copy()
         pull, tilt = self.sharing
         values[:, 2] *= pull
-        values[:, 3:5] *= tilt * _BETWEEN
+        values[:, 3:5] *= tilt * _MAX_INTERPOLATION_FACTOR
         return axial_forces(values, self.count, self.flange.circle_diameter, self.angles)
 
     @cached_property

@@ -125,7 +125,7 @@ def bolt_sheets(model: PreloadModel, preloads: np.ndarray) -> tuple[BoltSheet, .
                 additional=steps.additional,
                 case=steps.loads.names[worst],
                 angles=angles,
-                axial=_axial(steps, load, angles),
+                axial=_bolt_axial_forces(steps, load, angles),
                 transverse=transverse_forces(
                     load, steps.count, steps.flange.circle_diameter / 2, angles
                 ),
@@ -140,7 +140,7 @@ def bolt_sheets(model: PreloadModel, preloads: np.ndarray) -> tuple[BoltSheet, .
     return tuple(found)
 
 
-def _axial(steps: Verification, load: np.ndarray, angles: np.ndarray) -> np.ndarray:
+def _bolt_axial_forces(steps: Verification, load: np.ndarray, angles: np.ndarray) -> np.ndarray:
     """F_A of each bolt where it stands (n,) [N]."""
     ring = elastic_ring(steps.flange)
     if ring is not None:

@@ -14,7 +14,7 @@ from stiffopt.errors import ProblemError
 from stiffopt.fastening.tightening import Tightening
 from stiffopt.preload.catalogue_designs import CatalogueDesign, catalogue_designs
 from stiffopt.preload.catalogue_programme import ChoiceProgramme, choice_programme
-from stiffopt.preload.catalogue_search import CombinationSearch, Found, Goal
+from stiffopt.preload.catalogue_search import CombinationSearch, Goal, SearchResult
 from stiffopt.preload.catalogue_table import (
     TableRow,
     best_torques,
@@ -26,13 +26,13 @@ from stiffopt.preload.load_case import LoadCase
 from stiffopt.preload.model import PreloadModel
 from stiffopt.preload.optimise import (
     WORST_INSTANT_ROUNDS,
-    Report,
-    levels_of,
+    ProgressReport,
+    objective_levels,
     optimise_preloads,
     with_worst_instants,
 )
 from stiffopt.preload.problem import PreloadProblem
-from stiffopt.preload.search_proof import SearchProof, account
+from stiffopt.preload.search_proof import SearchProof, describe_proof
 from stiffopt.preload.solution import PreloadSolution, evaluate_design
 from stiffopt.preload.tightening_ways import TighteningWay, ways_to_tighten
 from stiffopt.result.status import SolveStatus
@@ -97,7 +97,9 @@ class CatalogueChoice:
     cost: float = float("nan")
 
 
-def choose_design(problem: PreloadProblem, progress: Report | None = None) -> CatalogueChoice:
+def choose_design(
+    problem: PreloadProblem, progress: ProgressReport | None = None
+) -> CatalogueChoice:
     """Find the best design that the catalogue has.
 
     Every bolted flange takes each size, grade and count of `problem.choose` in its present ring;
@@ -126,14 +128,14 @@ def choose_design(problem: PreloadProblem, progress: Report | None = None) -> Ca
     problem = replace(problem, individual=False)
     found = []
     for way, cost in ways_to_tighten(problem.tightening, choose):
-        own = _choose(replace(problem, tightening=way), progress)
+        own = _choose_for_tightening(replace(problem, tightening=way), progress)
         found.append((way, replace(own, cost=own.cost + cost)))
     if len(found) == 1:
         return found[0][1]
-    return _best_way(problem, found)
+    return _best_tightening_choice(problem, found)
 
 
-def _best_way(
+def _best_tightening_choice(
     problem: PreloadProblem, found: list[tuple[Tightening, CatalogueChoice]]
 ) -> CatalogueChoice:
     """Best of several ways to tighten, with what each of them reaches."""
@@ -160,11 +162,13 @@ def _best_way(
     return replace(best, ways=ways, message=text + best.message)
 
 
-def _choose(problem: PreloadProblem, progress: Report | None) -> CatalogueChoice:
+def _choose_for_tightening(
+    problem: PreloadProblem, progress: ProgressReport | None
+) -> CatalogueChoice:
     """Best design for one way to tighten."""
     cases = with_worst_instants(problem, problem.load_cases, PreloadModel(problem).design)
     for _ in range(WORST_INSTANT_ROUNDS):
-        choice = _Choosing(problem, cases).run()
+        choice = _ChoiceSearch(problem, cases).run()
         if choice.problem is None or choice.solution is None:
             return choice
         more = with_worst_instants(choice.problem, cases, choice.solution.vector)
@@ -173,10 +177,12 @@ def _choose(problem: PreloadProblem, progress: Report | None) -> CatalogueChoice
         cases = more
     assert choice.problem is not None
     fixed = replace(choice.problem, load_cases=cases, histories=())
-    return _beside_real_numbers(choice, optimise_preloads(fixed, progress=progress, throw=False))
+    return _compare_with_continuous(
+        choice, optimise_preloads(fixed, progress=progress, throw=False)
+    )
 
 
-class _Choosing:
+class _ChoiceSearch:
     """One search under fixed load cases."""
 
     def __init__(self, problem: PreloadProblem, cases: tuple[LoadCase, ...]) -> None:
@@ -187,7 +193,7 @@ class _Choosing:
         self.excluded: Counter[str] = Counter()
         self.broken: list[dict[int, str]] = []
         self.sizes = [len(own) for own in self.designs]
-        self._exclude(
+        self._count_excluded(
             [
                 Counter(f"{d.stopper}, {d.key}" for d in own if not d.feasible)
                 for own in self.designs
@@ -197,20 +203,24 @@ class _Choosing:
     def run(self) -> CatalogueChoice:
         if not all(self.feasible):
             stoppers = element_stoppers(self.model, self.designs)
-            return self._nothing(stoppers, self._proof(None), None)
-        programme = choice_programme(self.model, self.feasible, levels_of(self.model))
+            return self._infeasible_choice(stoppers, self._search_proof(None), None)
+        programme = choice_programme(self.model, self.feasible, objective_levels(self.model))
         self.broken = programme.broken_alone()
-        self._exclude([Counter(each.values()) for each in self.broken])
+        self._count_excluded([Counter(each.values()) for each in self.broken])
         search = CombinationSearch(programme)
-        founds = _minimised(search, _goals(self.problem, programme)) if all(self.sizes) else []
-        proof = self._proof(founds[0] if founds else None)
+        founds = (
+            _minimise_in_order(search, _ordered_goals(self.problem, programme))
+            if all(self.sizes)
+            else []
+        )
+        proof = self._search_proof(founds[0] if founds else None)
         picks = next((f.picks for f in reversed(founds) if f.picks is not None), None)
         if picks is None:
             rows = search.conflicting_rows() if proof.complete else ()
-            return self._nothing(requirement_stoppers(programme, rows), proof, programme)
-        return self._chosen(programme, proof, founds[1:], picks)
+            return self._infeasible_choice(requirement_stoppers(programme, rows), proof, programme)
+        return self._feasible_choice(programme, proof, founds[1:], picks)
 
-    def _exclude(self, reasons: list[Counter[str]]) -> None:
+    def _count_excluded(self, reasons: list[Counter[str]]) -> None:
         """Count the combinations that lose a design, with the first element that loses one."""
         for index, counts in enumerate(reasons):
             others = math.prod(self.sizes[:index]) * math.prod(self.sizes[index + 1 :])
@@ -219,7 +229,7 @@ class _Choosing:
                     self.excluded[reason] += count * others
             self.sizes[index] -= counts.total()
 
-    def _proof(self, found: Found | None) -> SearchProof:
+    def _search_proof(self, found: SearchResult | None) -> SearchProof:
         """Close the account."""
         evaluated = [
             picks
@@ -240,11 +250,11 @@ class _Choosing:
             gap=found.gap if found else float("inf"),
         )
 
-    def _chosen(
+    def _feasible_choice(
         self,
         programme: ChoiceProgramme,
         proof: SearchProof,
-        ties: list[Found],
+        ties: list[SearchResult],
         picks: tuple[int, ...],
     ) -> CatalogueChoice:
         chosen = [own[i] for own, i in zip(self.feasible, picks, strict=True)]
@@ -255,7 +265,7 @@ class _Choosing:
         )
         return CatalogueChoice(
             status=solution.status,
-            message=account(proof, chosen, solution),
+            message=describe_proof(proof, chosen, solution),
             designs={d.key: d for d in chosen},
             objective=solution.objective,
             cost=sum(d.cost for d in chosen),
@@ -265,10 +275,10 @@ class _Choosing:
             problem=study,
             table=best_torques(self.model, self.designs, programme, picks),
             proof=proof,
-            tie_proofs=tuple(self._proof(found) for found in ties),
+            tie_proofs=tuple(self._search_proof(found) for found in ties),
         )
 
-    def _nothing(
+    def _infeasible_choice(
         self,
         stoppers: tuple[Stopper, ...],
         proof: SearchProof,
@@ -296,12 +306,12 @@ class _Choosing:
         )
 
 
-def _goals(problem: PreloadProblem, programme: ChoiceProgramme) -> list[Goal]:
+def _ordered_goals(problem: PreloadProblem, programme: ChoiceProgramme) -> list[Goal]:
     """The objective, then what decides between combinations that are equal in it."""
     cost, tie = Goal(cost=programme.cost), Goal(cost=programme.tie)
     if problem.choose is not None and problem.choose.cost is not None:
         unpriced = replace(problem, choose=replace(problem.choose, cost=None))
-        return [Goal(cost=programme.price), *_goals(unpriced, programme)]
+        return [Goal(cost=programme.price), *_ordered_goals(unpriced, programme)]
     if problem.objective == "total_preload":
         return [cost, tie]
     weights = [programme.weight]
@@ -311,7 +321,7 @@ def _goals(problem: PreloadProblem, programme: ChoiceProgramme) -> list[Goal]:
     return [*(Goal(weight=weight) for weight in weights), tie, cost]
 
 
-def _minimised(search: CombinationSearch, goals: list[Goal]) -> list[Found]:
+def _minimise_in_order(search: CombinationSearch, goals: list[Goal]) -> list[SearchResult]:
     """End of each goal's search, up to the first that was not reached."""
     founds = []
     for goal in goals:
@@ -333,7 +343,9 @@ def _with_designs(robot: Robot, chosen: list[CatalogueDesign]) -> Robot:
     return replace(robot, chains=tuple(chains))
 
 
-def _beside_real_numbers(choice: CatalogueChoice, continuous: PreloadSolution) -> CatalogueChoice:
+def _compare_with_continuous(
+    choice: CatalogueChoice, continuous: PreloadSolution
+) -> CatalogueChoice:
     """Compare with the best preloads of the same bolts, were every torque possible."""
     if not continuous.status.usable:
         return replace(choice, continuous=continuous)

@@ -31,9 +31,9 @@ from stiffopt.preload.problem import Choice, FreeElement, PreloadProblem
 from stiffopt.preload.step_cost import design_cost
 
 # Room for rounding in limits that a design may touch.
-_TOUCH = 1.0 + 1e-9
+_MAX_UTILISATION = 1.0 + 1e-9
 SLIP, LEAST, EMBEDDING = "slip safety", "least preload", "embedding loss"
-_REMEDIES = {
+_REMEDY_BY_LIMIT = {
     SLIP: "more friction, more or larger bolts, a larger circle, or less scatter",
     LEAST: "a smaller require.least_preload, or a smaller bolt",
     "slip under the whole load": "more friction, more or larger bolts, or a larger circle",
@@ -111,7 +111,7 @@ class CatalogueDesign:
     @property
     def exceeded(self) -> tuple[str, ...]:
         """Limits that do not hold."""
-        return tuple(name for name, used in self.utilisations.items() if used > _TOUCH)
+        return tuple(name for name, used in self.utilisations.items() if used > _MAX_UTILISATION)
 
     @property
     def stopper(self) -> str:
@@ -139,7 +139,7 @@ class CatalogueDesign:
     def remedy(self, name: str) -> str:
         """What to change where a limit of this connection stops the study."""
         own = {limit.name: limit.remedy for limit in self.limits}
-        return own.get(name) or _REMEDIES[name]
+        return own.get(name) or _REMEDY_BY_LIMIT[name]
 
 
 def catalogue_designs(
@@ -166,12 +166,12 @@ def catalogue_designs(
     Pins always have these.
     """
     found: list[CatalogueDesign] = []
-    for stage in _variants(element.stage, problem.choose or Choice()):
-        found += _tightened(problem, element, stage, cases)
+    for stage in _stage_variants(element.stage, problem.choose or Choice()):
+        found += _designs_by_torque(problem, element, stage, cases)
     return tuple(found)
 
 
-def _variants(stage: Stage, choose: Choice) -> Iterator[Stage]:
+def _stage_variants(stage: Stage, choose: Choice) -> Iterator[Stage]:
     flange = stage.element
     if not isinstance(flange, BoltedFlange):
         yield stage
@@ -205,7 +205,7 @@ def _variants(stage: Stage, choose: Choice) -> Iterator[Stage]:
         yield replace(stage, element=changed)
 
 
-def _tightened(
+def _designs_by_torque(
     problem: PreloadProblem, element: FreeElement, stage: Stage, cases: tuple[LoadCase, ...]
 ) -> Iterator[CatalogueDesign]:
     """Designs of one kind of bolts, by torque."""
@@ -225,7 +225,7 @@ def _tightened(
     floor = problem.requirements.least_preload * min(ends)
     given = problem.choose.torques if problem.choose and fastened.kind == "bolted_flange" else ()
     torques = sorted(set(given)) or standard_torques(floor * lever, max(ends) * lever)
-    size, grade = _screw(fastened)
+    size, grade = _size_and_grade(fastened)
     choose = problem.choose or Choice()
     cost = design_cost(choose, stage, element.stage)
     circle = None
@@ -235,11 +235,11 @@ def _tightened(
         preload = float(torque) / lever
         least = preload / alpha - loss
         utilisations = {
-            limit.name: float(limit.utilisation(preload)) / _allowed(problem, limit)
+            limit.name: float(limit.utilisation(preload)) / _allowed_utilisation(problem, limit)
             for limit in limits
         }
         utilisations[EMBEDDING] = loss * alpha / preload
-        utilisations[SLIP] = _slip(problem, element, stage, least, cases)
+        utilisations[SLIP] = _slip_utilisation(problem, element, stage, least, cases)
         utilisations[LEAST] = floor / preload
         rows = vdi_rows(steps, preload) if steps is not None else ()
         utilisations |= {row.kind: row.utilisation for row in rows if row.binding}
@@ -260,7 +260,7 @@ def _tightened(
         )
 
 
-def _screw(fastened: object) -> tuple[str, str]:
+def _size_and_grade(fastened: object) -> tuple[str, str]:
     """Size and grade of one bolt or set screw."""
     if isinstance(fastened, BoltedFlange) and fastened.bolt is not None:
         return fastened.bolt.size, fastened.bolt.grade
@@ -269,12 +269,12 @@ def _screw(fastened: object) -> tuple[str, str]:
     return fastened.screw.size, ""
 
 
-def _allowed(problem: PreloadProblem, limit: PreloadLimit) -> float:
+def _allowed_utilisation(problem: PreloadProblem, limit: PreloadLimit) -> float:
     bolt = limit.name == "bolt utilisation"
     return problem.requirements.bolt_utilisation if bolt else 1.0
 
 
-def _slip(
+def _slip_utilisation(
     problem: PreloadProblem,
     element: FreeElement,
     stage: Stage,

@@ -21,10 +21,10 @@ from stiffopt.preload.catalogue_designs import CatalogueDesign
 from stiffopt.preload.load_case import LoadCase
 from stiffopt.preload.model import PreloadModel
 from stiffopt.preload.nlp import Levels
-from stiffopt.preload.tilted_tool import tilted_tool
+from stiffopt.preload.tilted_tool import tilt_deflection
 
 # Sums of the same designs in another order are equal.
-ROUNDING = 1e-12
+RELATIVE_ROUNDING = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,11 +79,11 @@ class ChoiceProgramme:
     @property
     def ends(self) -> np.ndarray:
         """Largest amounts, with room for rounding."""
-        return np.asarray(self.cap * (1.0 + ROUNDING))
+        return np.asarray(self.cap * (1.0 + RELATIVE_ROUNDING))
 
     def least_amounts(self) -> np.ndarray:
         """No combination uses less of a row than this (r + k,)."""
-        base, parts = self._along_middle()
+        base, parts = self._project_on_middle()
         return np.asarray(np.maximum(base + sum(own.min(axis=0) for own in parts), 0.0))
 
     def broken_alone(self) -> list[dict[int, str]]:
@@ -91,7 +91,7 @@ class ChoiceProgramme:
 
         By position, with the name of the row.
         """
-        base, parts = self._along_middle()
+        base, parts = self._project_on_middle()
         found: list[dict[int, str]] = []
         whole = base + sum(own.min(axis=0) for own in parts)
         for own in parts:
@@ -100,7 +100,7 @@ class ChoiceProgramme:
             found.append({int(i): self.names[int(np.argmax(over[i]))] for i in broken})
         return found
 
-    def _along_middle(self) -> tuple[np.ndarray, list[np.ndarray]]:
+    def _project_on_middle(self) -> tuple[np.ndarray, list[np.ndarray]]:
         """What all else (r + k,) and the designs (m, r + k) add, vectors along one direction."""
         toward = self.middle_directions()
         base = np.concatenate([self.base, np.einsum("ki,ki->k", toward, self.rest)])
@@ -130,7 +130,7 @@ def choice_programme(
     levels : Levels
         Weights of the stiffnesses.
     """
-    sites = [_site(model, index) for index in range(len(model.elements))]
+    sites = [_parallel_stages(model, index) for index in range(len(model.elements))]
     compliance = _compliance_rows(model, designs, sites, levels)
     utilisation = _utilisation_rows(model, designs)
     deflection = _deflection_rows(model, designs, sites)
@@ -140,7 +140,7 @@ def choice_programme(
         joints=(*compliance.joints, *utilisation.joints, *deflection.joints),
         cost=tuple(np.array([d.total_preload for d in own]) for own in designs),
         price=tuple(np.array([d.cost for d in own]) for own in designs),
-        tie=_ties(designs),
+        tie=_tie_break_costs(designs),
         use=tuple(np.hstack([rows.added[i] for rows in linear]) for i in range(len(designs))),
         vectors=deflection.added,
         base=np.concatenate([rows.base for rows in linear]),
@@ -162,9 +162,9 @@ class _Rows:
     added: tuple[np.ndarray, ...]
 
 
-def _ties(designs: Sequence[Sequence[CatalogueDesign]]) -> tuple[np.ndarray, ...]:
+def _tie_break_costs(designs: Sequence[Sequence[CatalogueDesign]]) -> tuple[np.ndarray, ...]:
     """Bolts, then ranks of size and grade among each element's designs, as digits of one number."""
-    digits = [_digits(own) for own in designs]
+    digits = [_tie_break_digits(own) for own in designs]
     largest = sum(own.max(axis=0) for own in digits)
     grade = 1.0
     size = grade * (1.0 + largest[2])
@@ -172,7 +172,7 @@ def _ties(designs: Sequence[Sequence[CatalogueDesign]]) -> tuple[np.ndarray, ...
     return tuple(own @ np.array([count, size, grade]) for own in digits)
 
 
-def _digits(designs: Sequence[CatalogueDesign]) -> np.ndarray:
+def _tie_break_digits(designs: Sequence[CatalogueDesign]) -> np.ndarray:
     """Count, rank of size and rank of grade (m, 3); set screws keep size and have no grade."""
     bolts = [d for d in designs if d.grade]
     sizes = sorted({d.size for d in bolts}, key=lambda s: catalogue.bolt(s).diameter)
@@ -186,7 +186,7 @@ def _digits(designs: Sequence[CatalogueDesign]) -> np.ndarray:
     )
 
 
-def _site(model: PreloadModel, index: int) -> tuple[Stage, ...]:
+def _parallel_stages(model: PreloadModel, index: int) -> tuple[Stage, ...]:
     """Stages that are parallel to an element, itself among them."""
     element = model.elements[index]
     if element.stage.group is None:
@@ -205,7 +205,7 @@ def _site(model: PreloadModel, index: int) -> tuple[Stage, ...]:
     return stages
 
 
-def _chain(design: CatalogueDesign, site: tuple[Stage, ...]) -> Chain:
+def _chain_with_design(design: CatalogueDesign, site: tuple[Stage, ...]) -> Chain:
     """What a design makes of its site, at its least preload."""
     least = design.stage.element.with_preload(design.least_preload)
     name = least.name
@@ -216,7 +216,7 @@ def _chain(design: CatalogueDesign, site: tuple[Stage, ...]) -> Chain:
     return Chain(tuple(stages), reflect=site[0].reflect)
 
 
-def _distinct(
+def _evaluate_distinct(
     designs: Sequence[CatalogueDesign], value: Callable[[CatalogueDesign], np.ndarray]
 ) -> np.ndarray:
     """Values of all designs; those of the same number and preload are worked out once."""
@@ -246,9 +246,9 @@ def _compliance_rows(
         if element.joint in joints:
             start = joints.index(element.joint) * len(cases)
             at = torques[element.joint]
-            use[:, start : start + len(cases)] = _distinct(
+            use[:, start : start + len(cases)] = _evaluate_distinct(
                 own,
-                lambda d, site=site, at=at: exact_compliance(_chain(d, site), at),  # type: ignore[misc]
+                lambda d, site=site, at=at: exact_compliance(_chain_with_design(d, site), at),  # type: ignore[misc]
             )
         uses.append(use)
     rest = [model.rest_compliance(j, torques[j]) for j in joints]
@@ -299,21 +299,21 @@ def _deflection_rows(
     for k, case in enumerate(cases):
         assert case.jacobian is not None
         fixed = [
-            _net(case, j, lambda at, j=j: model.rest_windup(j, at)[None, :])[0]  # type: ignore[misc]
+            _net_windups(case, j, lambda at, j=j: model.rest_windup(j, at)[None, :])[0]  # type: ignore[misc]
             for j in range(1, model.problem.robot.n + 1)
         ]
         rest[k] = -(case.jacobian @ np.array(fixed) + model.fixed_tilt(case))
         for element, own, site, vectors in zip(model.elements, designs, sites, added, strict=True):
-            windups = _net(
+            windups = _net_windups(
                 case,
                 element.joint,
-                lambda at, own=own, site=site: _distinct(  # type: ignore[misc]
-                    own, lambda each: exact_windup(_chain(each, site), at)
+                lambda at, own=own, site=site: _evaluate_distinct(  # type: ignore[misc]
+                    own, lambda each: exact_windup(_chain_with_design(each, site), at)
                 ),
             )
             vectors[:, k] = -np.outer(windups, case.jacobian[:, element.joint - 1])
             vectors[:, k] -= [
-                tilted_tool(d.stage, element.joint, case, d.least_preload) for d in own
+                tilt_deflection(d.stage, element.joint, case, d.least_preload) for d in own
             ]
     return _Rows(
         names=[f"tool deflection, {case.name}" for case in cases],
@@ -325,7 +325,9 @@ def _deflection_rows(
     )
 
 
-def _net(case: LoadCase, joint: int, windup: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
+def _net_windups(
+    case: LoadCase, joint: int, windup: Callable[[np.ndarray], np.ndarray]
+) -> np.ndarray:
     """Wind-ups (m,) beyond those of the reference torque [rad]; `windup` gives (m, torques)."""
     torques = [case.torque[joint - 1]]
     if case.reference_torque is not None:

@@ -17,13 +17,13 @@ import numpy as np
 from stiffopt.preload.catalogue_programme import ChoiceProgramme
 
 # Time for all goals of a study [s]; what is left open then is said.
-SECONDS = 30.0
+MAX_SEARCH_SECONDS = 30.0
 # HiGHS keeps rows to 1e-6 and stops at a gap of 1e-6, both absolute: numbers of this size make that
 # 1e-10 of them.
-_SIZE = 1e4
+_SOLVER_SCALE = 1e4
 # Relative distance from the bound below which a combination is best, and values are equal: ten
 # times what the programme resolves.
-_EQUAL = 1e-9
+_RELATIVE_TOLERANCE = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +50,7 @@ class Goal:
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
+class SearchResult:
     """End of a search.
 
     Parameters
@@ -94,14 +94,14 @@ class _Constraints:
 
     def add(self, coefficients: np.ndarray, upper: float, level: float = 0.0) -> None:
         largest = max(abs(upper), float(np.abs(coefficients).max()), abs(level))
-        size = _SIZE / (largest or 1.0)
+        size = _SOLVER_SCALE / (largest or 1.0)
         self.matrix.append(coefficients * size)
         self.level.append(level * size)
         self.upper.append(upper * size)
 
 
 @dataclass(frozen=True)
-class _Step:
+class _ProgrammeResult:
     """End of one mixed-integer programme."""
 
     picks: tuple[int, ...] | None
@@ -120,52 +120,54 @@ class CombinationSearch:
         For all goals together.
     """
 
-    def __init__(self, programme: ChoiceProgramme, seconds: float = SECONDS) -> None:
+    def __init__(self, programme: ChoiceProgramme, seconds: float = MAX_SEARCH_SECONDS) -> None:
         self.programme = programme
-        self._sizes = [len(c) for c in programme.cost]
-        self._ends = np.cumsum(self._sizes)
-        self._until = time.monotonic() + seconds
-        self._kept: list[tuple[Goal, float]] = []
+        self._block_sizes = [len(c) for c in programme.cost]
+        self._block_ends = np.cumsum(self._block_sizes)
+        self._deadline = time.monotonic() + seconds
+        self._reached_goals: list[tuple[Goal, float]] = []
         # Directions along which each vector was looked at (k lists of unit vectors).
         self._directions = [[u] for u in programme.middle_directions()]
-        self._left_out: list[np.ndarray] = []
+        self._excluded_combinations: list[np.ndarray] = []
 
-    def minimise(self, goal: Goal) -> Found:
+    def minimise(self, goal: Goal) -> SearchResult:
         """Find the best combination that keeps all rows and the goals reached before."""
         best, best_value, bound = None, math.inf, -math.inf
         evaluated: set[tuple[int, ...]] = set()
         nodes, complete = 0, False
         while not complete:
-            result = self._solve(goal)
+            result = self._solve_programme(goal)
             nodes += result.nodes
             bound = max(bound, result.bound)
             if result.picks is not None:
                 evaluated.add(result.picks)
                 value = goal.value(self.programme, result.picks)
-                if value < best_value and self._keeps(result.picks):
+                if value < best_value and self._is_feasible(result.picks):
                     best, best_value = result.picks, value
-            complete = bound >= best_value - _EQUAL * abs(best_value) or result.infeasible
-            if result.picks is None or time.monotonic() > self._until:
+            complete = (
+                bound >= best_value - _RELATIVE_TOLERANCE * abs(best_value) or result.infeasible
+            )
+            if result.picks is None or time.monotonic() > self._deadline:
                 break
-            if not complete and not self._cut(result.picks):
-                self._left_out.append(self._marks(result.picks))
+            if not complete and not self._add_cuts(result.picks):
+                self._excluded_combinations.append(self._mark_designs(result.picks))
         if best is not None:
-            self._kept.append((goal, best_value))
+            self._reached_goals.append((goal, best_value))
         if complete:
             bound = best_value
-        return Found(best, best_value, bound, evaluated, nodes, complete)
+        return SearchResult(best, best_value, bound, evaluated, nodes, complete)
 
     def conflicting_rows(self) -> tuple[str, ...]:
         """Rows to relax where no combination keeps all: those that the least excess is in."""
         programme, picks = self.programme, None
         while True:
-            result = self._solve(None)
+            result = self._solve_programme(None)
             # The solver fails now and then on rows that nearly coincide; what it found before
             # breaks rows as well.
             picks = picks if result.picks is None else result.picks
-            if result.picks is None or not self._cut(result.picks):
+            if result.picks is None or not self._add_cuts(result.picks):
                 break
-            if time.monotonic() > self._until:
+            if time.monotonic() > self._deadline:
                 break
         if picks is None:
             return ()
@@ -175,28 +177,28 @@ class CombinationSearch:
 
     # ---- the programme
 
-    def _solve(self, goal: Goal | None) -> _Step:
+    def _solve_programme(self, goal: Goal | None) -> _ProgrammeResult:
         """Solve the linear programme with the cuts so far; no goal: the least excess of rows."""
         from scipy.optimize import Bounds, LinearConstraint, milp
 
-        count = int(self._ends[-1])
+        count = int(self._block_ends[-1])
         rows = _Constraints()
-        for coefficients, base, row in self._expressions():
+        for coefficients, base, row in self._row_expressions():
             cap = float(self.programme.cap[row])
             if np.isfinite(cap):
                 rows.add(coefficients, cap - base, level=0.0 if goal else -cap)
-        for kept, value in self._kept:
-            self._bound_goal(rows, kept, value * (1.0 + _EQUAL))
-        for marks in self._left_out:
-            rows.add(marks, len(self._sizes) - 1.0)
-        cost, unit = self._objective(rows, goal)
-        seconds = max(self._until - time.monotonic(), 0.0)
+        for kept, value in self._reached_goals:
+            self._bound_goal(rows, kept, value * (1.0 + _RELATIVE_TOLERANCE))
+        for marks in self._excluded_combinations:
+            rows.add(marks, len(self._block_sizes) - 1.0)
+        cost, unit = self._goal_costs(rows, goal)
+        seconds = max(self._deadline - time.monotonic(), 0.0)
         result = milp(
             cost,
             integrality=np.append(np.ones(count), 0),
             bounds=Bounds(0.0, np.append(np.ones(count), np.inf)),
             constraints=[
-                LinearConstraint(self._one_each(), 1.0, 1.0),
+                LinearConstraint(self._one_design_rows(), 1.0, 1.0),
                 *(
                     [
                         LinearConstraint(
@@ -210,28 +212,28 @@ class CombinationSearch:
             options={"mip_rel_gap": 0.0, "time_limit": seconds},
         )
         dual = result.get("mip_dual_bound")
-        return _Step(
-            picks=None if result.x is None else self._picks(result.x),
+        return _ProgrammeResult(
+            picks=None if result.x is None else self._read_picks(result.x),
             bound=-math.inf if dual is None else float(dual) / unit,
             nodes=int(result.get("mip_node_count") or 0),
             infeasible=result.status == 2,
         )
 
-    def _objective(self, rows: _Constraints, goal: Goal | None) -> tuple[np.ndarray, float]:
+    def _goal_costs(self, rows: _Constraints, goal: Goal | None) -> tuple[np.ndarray, float]:
         """Costs of designs and level, and the solver's size of one unit of the goal."""
-        count = int(self._ends[-1])
+        count = int(self._block_ends[-1])
         if goal is None:
-            return np.append(np.zeros(count), _SIZE), _SIZE
+            return np.append(np.zeros(count), _SOLVER_SCALE), _SOLVER_SCALE
         if goal.cost is not None:
             cost = np.concatenate(goal.cost)
             least = sum(float(np.abs(c).min()) for c in goal.cost)
-            unit = _SIZE / (least or float(np.abs(cost).max()) or 1.0)
+            unit = _SOLVER_SCALE / (least or float(np.abs(cost).max()) or 1.0)
             return np.append(cost * unit, 0.0), unit
         assert goal.weight is not None
         least = float((self.programme.least_amounts() * goal.weight).max())
         scale = least if least > 0.0 else 1.0
         self._bound_goal(rows, goal, 0.0, level=-scale)
-        return np.append(np.zeros(count), _SIZE), _SIZE / scale
+        return np.append(np.zeros(count), _SOLVER_SCALE), _SOLVER_SCALE / scale
 
     def _bound_goal(self, rows: _Constraints, goal: Goal, value: float, level: float = 0.0) -> None:
         """Rows that keep a goal at or below a value plus `level` times the level variable."""
@@ -239,12 +241,12 @@ class CombinationSearch:
             rows.add(np.concatenate(goal.cost), value)
             return
         assert goal.weight is not None
-        for coefficients, base, row in self._expressions():
+        for coefficients, base, row in self._row_expressions():
             weight = float(goal.weight[row])
             if weight > 0.0:
                 rows.add(weight * coefficients, value - weight * base, level)
 
-    def _expressions(self) -> list[tuple[np.ndarray, float, int]]:
+    def _row_expressions(self) -> list[tuple[np.ndarray, float, int]]:
         """Coefficients, constant and row of every linear expression that bounds an amount."""
         programme = self.programme
         linear = np.concatenate(programme.use)
@@ -257,37 +259,37 @@ class CombinationSearch:
             ]
         return found
 
-    def _one_each(self) -> np.ndarray:
+    def _one_design_rows(self) -> np.ndarray:
         """One design an element (elements, designs + 1)."""
-        own = np.repeat(np.eye(len(self._sizes)), self._sizes, axis=1)
-        return np.column_stack([own, np.zeros(len(self._sizes))])
+        own = np.repeat(np.eye(len(self._block_sizes)), self._block_sizes, axis=1)
+        return np.column_stack([own, np.zeros(len(self._block_sizes))])
 
-    def _picks(self, x: np.ndarray) -> tuple[int, ...]:
-        return tuple(int(np.argmax(own)) for own in np.split(x[:-1], self._ends[:-1]))
+    def _read_picks(self, x: np.ndarray) -> tuple[int, ...]:
+        return tuple(int(np.argmax(own)) for own in np.split(x[:-1], self._block_ends[:-1]))
 
-    def _marks(self, picks: Sequence[int]) -> np.ndarray:
+    def _mark_designs(self, picks: Sequence[int]) -> np.ndarray:
         """Ones at the designs of a combination."""
-        marks = np.zeros(int(self._ends[-1]))
-        marks[self._ends - self._sizes + np.array(picks)] = 1.0
+        marks = np.zeros(int(self._block_ends[-1]))
+        marks[self._block_ends - self._block_sizes + np.array(picks)] = 1.0
         return marks
 
-    def _keeps(self, picks: Sequence[int]) -> bool:
+    def _is_feasible(self, picks: Sequence[int]) -> bool:
         """Whether a combination keeps all rows and the goals reached before."""
         if (self.programme.amounts(picks) > self.programme.ends).any():
             return False
         return all(
-            goal.value(self.programme, picks) <= value + 2.0 * _EQUAL * abs(value)
-            for goal, value in self._kept
+            goal.value(self.programme, picks) <= value + 2.0 * _RELATIVE_TOLERANCE * abs(value)
+            for goal, value in self._reached_goals
         )
 
-    def _cut(self, picks: Sequence[int]) -> bool:
+    def _add_cuts(self, picks: Sequence[int]) -> bool:
         """Add the directions of this combination's vectors; whether any is longer than was seen."""
         new = False
         for vector, directions in zip(
             self.programme.deflections(picks), self._directions, strict=True
         ):
             size = float(np.linalg.norm(vector))
-            if size - max(float(u @ vector) for u in directions) > 0.1 * _EQUAL * size:
+            if size - max(float(u @ vector) for u in directions) > 0.1 * _RELATIVE_TOLERANCE * size:
                 directions.append(vector / size)
                 new = True
         return new

@@ -67,18 +67,18 @@ def best_torques(
         for bolts in dict.fromkeys(d.bolts for d in own):
             kind = [d for d in own if d.bolts == bolts]
             if programme is None or picks is None:
-                rows.append(_by_own_limits(kind))
+                rows.append(_limit_row(kind))
                 continue
             swaps = [
-                (_Swap(model, programme, picks, index, kept.index(d)), d)
+                (_SwappedDesign(model, programme, picks, index, kept.index(d)), d)
                 for d in kind
                 if d.feasible
             ]
-            rows.append(_by_study(kind, swaps, kept[picks[index]]))
+            rows.append(_study_row(kind, swaps, kept[picks[index]]))
     return tuple(rows)
 
 
-class _Swap:
+class _SwappedDesign:
     """The chosen combination with another design in one place."""
 
     def __init__(
@@ -105,14 +105,14 @@ class _Swap:
             self.value = self.level = float(peaked.max())
 
 
-def _by_study(
+def _study_row(
     kind: Sequence[CatalogueDesign],
-    swaps: Sequence[tuple[_Swap, CatalogueDesign]],
+    swaps: Sequence[tuple[_SwappedDesign, CatalogueDesign]],
     chosen: CatalogueDesign,
 ) -> TableRow:
     able = [(swap, d) for swap, d in swaps if not swap.stopper]
     if not able and not swaps:
-        return _by_own_limits(kind)
+        return _limit_row(kind)
     # Without any that will do, the stiffest is nearest to what the study asks for.
     swap, design = (
         min(able, key=lambda each: each[0].level)
@@ -131,8 +131,8 @@ def _by_study(
     )
 
 
-def _by_own_limits(kind: Sequence[CatalogueDesign]) -> TableRow:
-    nearest = _nearest(kind)
+def _limit_row(kind: Sequence[CatalogueDesign]) -> TableRow:
+    nearest = _nearest_design(kind)
     return TableRow(
         design=nearest,
         objective=float("nan"),
@@ -143,7 +143,7 @@ def _by_own_limits(kind: Sequence[CatalogueDesign]) -> TableRow:
     )
 
 
-def _nearest(designs: Sequence[CatalogueDesign]) -> CatalogueDesign:
+def _nearest_design(designs: Sequence[CatalogueDesign]) -> CatalogueDesign:
     """Design with the fewest limits exceeded, and these least; of feasible ones the loosest."""
     feasible = [d for d in designs if d.feasible]
     if feasible:
@@ -157,7 +157,7 @@ def element_stoppers(model: PreloadModel, designs: Designs) -> tuple[Stopper, ..
     for own in designs:
         if any(d.feasible for d in own):
             continue
-        nearest = _nearest(own)
+        nearest = _nearest_design(own)
         name = nearest.stopper
         used = nearest.utilisations[name]
         slips = name == SLIP
@@ -200,10 +200,14 @@ def requirement_stoppers(programme: ChoiceProgramme, found: tuple[str, ...]) -> 
         if alone
         else "it can be met alone, but not with the other requirements"
     )
-    return tuple(_requirement(programme, i, float(least[i]), against) for i in worst.values())
+    return tuple(
+        _requirement_stopper(programme, i, float(least[i]), against) for i in worst.values()
+    )
 
 
-def _requirement(programme: ChoiceProgramme, row: int, least: float, against: str) -> Stopper:
+def _requirement_stopper(
+    programme: ChoiceProgramme, row: int, least: float, against: str
+) -> Stopper:
     fixed = np.concatenate([programme.base, np.linalg.norm(programme.rest, axis=1)])[row]
     share = max(1.0 - float(fixed) / least, 0.0) if least > 0.0 else 0.0
     remedy = (

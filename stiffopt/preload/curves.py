@@ -26,7 +26,7 @@ FLOORS = (
     "tool deflection",
 )
 # Curves run from this share of the largest permissible preload to this one.
-_SHOWN = (0.05, 1.1)
+_PRELOAD_RANGE = (0.05, 1.1)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -109,27 +109,29 @@ def preload_curves(
         softest = model.cases[int(np.argmin(row))]
         cases = dict.fromkeys((softest.name, largest_torque(model, element.joint).name))
         curves += [
-            _curve(model, preloads, index, case, points)
+            _preload_curve(model, preloads, index, case, points)
             for case in model.cases
             if case.name in cases
         ]
     return tuple(curves)
 
 
-def _curve(
+def _preload_curve(
     model: PreloadModel, preloads: np.ndarray, index: int, case: LoadCase, points: int
 ) -> PreloadCurve:
     element = model.elements[index]
     torque = float(case.torque[element.joint - 1])
-    first, last = (share * element.capacity for share in _SHOWN)
+    first, last = (share * element.capacity for share in _PRELOAD_RANGE)
     # Below the embedding loss nothing is left after tightening.
     first = max(first, 1.02 * element.largest(0.0))
     force = np.linspace(first, last, points)
     own = float(np.mean(preloads[model.slices[index]]))
-    slip = np.array([model.slip_torque(_with(model, preloads, index, f), index) for f in force])
+    slip = np.array(
+        [model.slip_torque(_with_preload(model, preloads, index, f), index) for f in force]
+    )
     with np.errstate(divide="ignore"):
         safety = slip / abs(torque)
-    stiffness = _stiffness(model, preloads, index, torque, force)
+    stiffness = _stiffness_curve(model, preloads, index, torque, force)
     return PreloadCurve(
         key=element.key,
         joint=element.joint,
@@ -138,25 +140,27 @@ def _curve(
         design=own,
         preload=force,
         stiffness=stiffness,
-        stiffness_high=_stiffness(model, preloads, index, torque, element.largest(force)),
+        stiffness_high=_stiffness_curve(model, preloads, index, torque, element.largest(force)),
         slip_safety=safety,
         utilisation={
             limit.name: np.asarray(limit.utilisation(force))
             for limit in element.limits
             if limit.depends_on_preload
         },
-        safety=_safety(model, preloads, index, force),
+        safety=_safety_curves(model, preloads, index, force),
         limits={
             **binding_preloads(model, index, abs(torque)),
-            **_yielding(model, preloads, index, force, stiffness),
+            **_stiffness_binding_preloads(model, preloads, index, force, stiffness),
         },
     )
 
 
-def _safety(
+def _safety_curves(
     model: PreloadModel, preloads: np.ndarray, index: int, forces: np.ndarray
 ) -> dict[str, np.ndarray]:
-    found = [governing_safety(model, _with(model, preloads, index, f), index) for f in forces]
+    found = [
+        governing_safety(model, _with_preload(model, preloads, index, f), index) for f in forces
+    ]
     return {
         symbol: np.array(
             [math.nan if not (s := rows[symbol].safety) else s.value for rows in found]
@@ -182,18 +186,18 @@ def binding_preloads(model: PreloadModel, index: int, torque: float) -> dict[str
     """
     element, needs = model.elements[index], model.problem.requirements
     # The slip torque is proportional to the least preload.
-    at_one = _with(model, model.design, index, float(element.largest(1.0)))
+    at_one = _with_preload(model, model.design, index, float(element.largest(1.0)))
     unit = float(model.slip_torque(at_one, index))
     return {
         "slip": float(element.largest(torque / unit)),
         "slip safety": float(element.largest(model.slip_safety(element.joint) * torque / unit)),
         "least preload": needs.least_preload * element.capacity,
         **element.ends(needs.bolt_utilisation),
-        **_loaded(model.verifications[index]),
+        **_vdi_binding_preloads(model.verifications[index]),
     }
 
 
-def _loaded(steps: Verification | None) -> dict[str, float]:
+def _vdi_binding_preloads(steps: Verification | None) -> dict[str, float]:
     """Preload at which a step of VDI 2230 under the load binds, the first of each side [N]."""
     if steps is None:
         return {}
@@ -208,7 +212,7 @@ def _loaded(steps: Verification | None) -> dict[str, float]:
     return found
 
 
-def _yielding(
+def _stiffness_binding_preloads(
     model: PreloadModel,
     preloads: np.ndarray,
     index: int,
@@ -219,19 +223,19 @@ def _yielding(
     needs, found = model.problem.requirements, {}
     needed = needs.joint_stiffness.get(model.elements[index].joint)
     if needed is not None and stiffness.min() < needed <= stiffness.max():
-        found["joint stiffness"] = _crossing(stiffness, forces, needed)
+        found["joint stiffness"] = _first_crossing(stiffness, forces, needed)
     if needs.tool_deflection is not None:
         sizes = [
             np.nanmax(np.linalg.norm(model.exact_deflection(each), axis=1))
-            for each in (_with(model, preloads, index, force) for force in forces)
+            for each in (_with_preload(model, preloads, index, force) for force in forces)
         ]
         compliant = -np.array(sizes)
         if compliant.min() < -needs.tool_deflection <= compliant.max():
-            found["tool deflection"] = _crossing(compliant, forces, -needs.tool_deflection)
+            found["tool deflection"] = _first_crossing(compliant, forces, -needs.tool_deflection)
     return found
 
 
-def _crossing(values: np.ndarray, forces: np.ndarray, level: float) -> float:
+def _first_crossing(values: np.ndarray, forces: np.ndarray, level: float) -> float:
     """First force at which rising values reach a level, between two points on a straight line."""
     after = int(np.argmax(values >= level))
     low, high = values[after - 1], values[after]
@@ -241,19 +245,21 @@ def _crossing(values: np.ndarray, forces: np.ndarray, level: float) -> float:
     return float(forces[after - 1] + share * (forces[after] - forces[after - 1]))
 
 
-def _with(model: PreloadModel, preloads: np.ndarray, index: int, force: float) -> np.ndarray:
+def _with_preload(
+    model: PreloadModel, preloads: np.ndarray, index: int, force: float
+) -> np.ndarray:
     """Design vector with another preload in all bolts or pins of an element."""
     changed = preloads.copy()
     changed[model.slices[index]] = force
     return changed
 
 
-def _stiffness(
+def _stiffness_curve(
     model: PreloadModel, preloads: np.ndarray, index: int, torque: float, forces: np.ndarray
 ) -> np.ndarray:
     joint, at = model.elements[index].joint, np.array([torque])
     compliance = [
-        float(model.exact_compliance(_with(model, preloads, index, force), joint, at)[0])
+        float(model.exact_compliance(_with_preload(model, preloads, index, force), joint, at)[0])
         for force in forces
     ]
     return np.asarray(1.0 / np.array(compliance))

@@ -15,11 +15,11 @@ import numpy as np
 from stiffopt.preload.model import PreloadModel
 
 # Step of the differences, as a share of a preload: the laws bend over the preload itself.
-_STEP = 1e-3
+_RELATIVE_STEP = 1e-3
 # Relative difference below which preloads of one connection have one slope.
-_ALIKE = 1e-5
+_EQUAL_PRELOAD_TOLERANCE = 1e-5
 # Largest correction of a slope, as a share of it: at slip the exact slope has no end.
-_MOST = 0.5
+_MAX_SLOPE_CORRECTION = 0.5
 
 # Design vector -> smooth and exact values of one joint, (cases,) each.
 _Laws = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
@@ -73,22 +73,22 @@ def exact_shift(
         np.zeros(len(model.elements)),
     )
     for row, joint in enumerate(joints) if compliances else ():
-        found = _linear(model, joint, preloads, partial(_compliances, model, joint))
+        found = _linear_shift(model, joint, preloads, partial(_compliance_laws, model, joint))
         shift.compliance[row] = found[0]
-        _spread(model, joint, found[1], shift.compliance_slope)
+        _store_slopes(model, joint, found[1], shift.compliance_slope)
     for joint in range(1, n + 1) if windups else ():
         if joint not in joints:
             shift.windup[joint - 1] = model.net_windups(preloads, joint)
             continue
-        found = _linear(model, joint, preloads, partial(_windups, model, joint))
+        found = _linear_shift(model, joint, preloads, partial(_windup_laws, model, joint))
         shift.windup[joint - 1] = found[0]
-        _spread(model, joint, found[1], shift.windup_slope)
+        _store_slopes(model, joint, found[1], shift.windup_slope)
     for index in np.flatnonzero(model.tilt_vectors.any(axis=(1, 2))) if windups else ():
-        shift.tilt[index], shift.tilt_slope[index] = _tilt(model, preloads, int(index))
+        shift.tilt[index], shift.tilt_slope[index] = _tilt_shift(model, preloads, int(index))
     return shift
 
 
-def _tilt(model: PreloadModel, preloads: np.ndarray, index: int) -> tuple[float, float]:
+def _tilt_shift(model: PreloadModel, preloads: np.ndarray, index: int) -> tuple[float, float]:
     """Constant and slope of exact minus smooth tilting compliance of an element."""
     part = model.slices[index]
     mean = float(np.mean(preloads[part]))
@@ -99,60 +99,67 @@ def _tilt(model: PreloadModel, preloads: np.ndarray, index: int) -> tuple[float,
         smooth = float(model.tilt_compliance(scaled, index))
         return model.exact_tilt_compliance(scaled, index) - smooth
 
-    slope = (missing(1.0 + _STEP) - missing(1.0 - _STEP)) / (2.0 * _STEP * mean)
+    slope = (missing(1.0 + _RELATIVE_STEP) - missing(1.0 - _RELATIVE_STEP)) / (
+        2.0 * _RELATIVE_STEP * mean
+    )
     return missing(1.0) - slope * mean, slope
 
 
-def _compliances(
+def _compliance_laws(
     model: PreloadModel, joint: int, preloads: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     smooth = np.asarray(model.compliances(preloads, joint))
     return smooth, model.exact_compliance(preloads, joint, model.torques(joint)[0])
 
 
-def _windups(
+def _windup_laws(
     model: PreloadModel, joint: int, preloads: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     return np.asarray(model.windups(preloads, joint)), model.net_windups(preloads, joint)
 
 
-def _linear(
+def _linear_shift(
     model: PreloadModel, joint: int, preloads: np.ndarray, laws: _Laws
 ) -> tuple[np.ndarray, np.ndarray]:
     """Constant (cases,) and slopes (own preloads, cases) of exact minus smooth."""
     smooth, exact = laws(preloads)
     slopes: list[np.ndarray] = []
-    own = _own(model, joint)
+    own = _joint_positions(model, joint)
     for place, i in enumerate(own):
-        twin = _twin(model, preloads, own[:place], i)
+        twin = _find_equal_preload(model, preloads, own[:place], i)
         if twin is not None:
             slopes.append(slopes[twin])
             continue
         step = np.zeros(model.size)
-        step[i] = _STEP * preloads[i]
+        step[i] = _RELATIVE_STEP * preloads[i]
         (smooth_up, exact_up), (smooth_down, exact_down) = (
             laws(preloads + step),
             laws(preloads - step),
         )
         with np.errstate(invalid="ignore"):
             missing = (exact_up - smooth_up) - (exact_down - smooth_down)
-        most = _MOST * np.abs(smooth_up - smooth_down)
+        most = _MAX_SLOPE_CORRECTION * np.abs(smooth_up - smooth_down)
         missing = np.where(np.isfinite(missing), missing, 0.0)
         slopes.append(np.clip(missing, -most, most) / (2.0 * step[i]))
     found = np.array(slopes).reshape(-1, len(model.cases))
     return exact - smooth - preloads[own] @ found, found
 
 
-def _twin(model: PreloadModel, preloads: np.ndarray, before: list[int], i: int) -> int | None:
+def _find_equal_preload(
+    model: PreloadModel, preloads: np.ndarray, before: list[int], i: int
+) -> int | None:
     """Place of an equal preload of the same connection: fasteners of one are alike."""
     ends = next(s for s in model.slices if s.start <= i < s.stop)
     for place, k in enumerate(before):
-        if ends.start <= k and abs(preloads[k] - preloads[i]) < _ALIKE * preloads[i]:
+        if (
+            ends.start <= k
+            and abs(preloads[k] - preloads[i]) < _EQUAL_PRELOAD_TOLERANCE * preloads[i]
+        ):
             return place
     return None
 
 
-def _own(model: PreloadModel, joint: int) -> list[int]:
+def _joint_positions(model: PreloadModel, joint: int) -> list[int]:
     """Positions of a joint's preloads in the design vector."""
     return [
         i
@@ -161,5 +168,5 @@ def _own(model: PreloadModel, joint: int) -> list[int]:
     ]
 
 
-def _spread(model: PreloadModel, joint: int, slopes: np.ndarray, whole: np.ndarray) -> None:
-    whole[_own(model, joint)] = slopes
+def _store_slopes(model: PreloadModel, joint: int, slopes: np.ndarray, whole: np.ndarray) -> None:
+    whole[_joint_positions(model, joint)] = slopes

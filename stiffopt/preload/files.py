@@ -73,18 +73,18 @@ def load_study(path: str | os.PathLike[str], changes: Sequence[str] = ()) -> Loa
     path = Path(path)
     named = with_changes(load_toml(path), changes, path).get("robot")
     with with_own(own_entries_of(named, path.parent)):
-        return _loaded(path, changes)
+        return _load_study(path, changes)
 
 
-def _loaded(path: Path, changes: Sequence[str]) -> LoadedStudy:
+def _load_study(path: Path, changes: Sequence[str]) -> LoadedStudy:
     document = read_document(path, PreloadFile, "preload", changes)
     robot = read_robot(document.robot, document.payload, document.tool, path)
     with located(path, ""):
-        problem = _build(document, robot, path)
+        problem = _build_problem(document, robot, path)
     _check_present_preloads(problem, path)
     motion, rounds = None, 1
     if document.motion is not None:
-        motion, rounds = _motion(document.motion, robot, path), document.motion.rounds
+        motion, rounds = _load_motion(document.motion, robot, path), document.motion.rounds
     _check_expected(document, problem, motion is not None, path)
     return LoadedStudy(
         problem=problem,
@@ -96,7 +96,7 @@ def _loaded(path: Path, changes: Sequence[str]) -> LoadedStudy:
     )
 
 
-def _build(document: PreloadFile, robot: Robot, path: Path) -> PreloadProblem:
+def _build_problem(document: PreloadFile, robot: Robot, path: Path) -> PreloadProblem:
     lists = JointLists(robot, path)
     joints = document.joints
     if joints is None:
@@ -104,9 +104,9 @@ def _build(document: PreloadFile, robot: Robot, path: Path) -> PreloadProblem:
     for joint in joints:
         lists.check_number(joint, "joints")
     objective, needs = document.minimise[0], document.require
-    stiffness = _by_joint(needs.joint_stiffness, lists, "require.joint_stiffness")
+    stiffness = _stiffness_by_joint(needs.joint_stiffness, lists, "require.joint_stiffness")
     wanted = objective.objective == "tool_deflection" or needs.tool_deflection is not None
-    builder = _LoadCases(document, lists, wanted, _takes_all(document, robot, joints))
+    builder = _LoadCases(document, lists, wanted, _needs_wrench(document, robot, joints))
     loads = [builder(case, k) for k, case in enumerate(document.load_case, start=1)]
     if wanted:
         builder.check_deflection(loads)
@@ -117,7 +117,9 @@ def _build(document: PreloadFile, robot: Robot, path: Path) -> PreloadProblem:
         histories=tuple(load for load in loads if isinstance(load, LoadHistory)),
         tightening=document.tightening,
         objective=objective.objective,
-        joint_weights=_by_joint(objective.joint_weights, lists, "minimise[1].joint_weights"),
+        joint_weights=_stiffness_by_joint(
+            objective.joint_weights, lists, "minimise[1].joint_weights"
+        ),
         requirements=replace(needs, joint_stiffness=stiffness),
         free=document.free,
         individual=document.individual,
@@ -126,7 +128,7 @@ def _build(document: PreloadFile, robot: Robot, path: Path) -> PreloadProblem:
     )
 
 
-def _takes_all(document: PreloadFile, robot: Robot, joints: Sequence[int]) -> bool:
+def _needs_wrench(document: PreloadFile, robot: Robot, joints: Sequence[int]) -> bool:
     """Whether a flange of the study carries more than torque."""
     return any(
         isinstance(stage.element, BoltedFlange)
@@ -151,7 +153,7 @@ class _LoadCases:
     def __call__(self, section: LoadCaseSection, number: int) -> LoadCase | LoadHistory:
         where = f"load_case[{section.name or number}]"
         if section.torque is not None:
-            return self._torques(section, where)
+            return self._torque_case(section, where)
         with located(self.path, where):
             force = np.array(self.force if section.force is None else section.force)
             if section.trajectory is not None:
@@ -163,7 +165,7 @@ class _LoadCases:
                     self.deflection if self.wanted else None,
                     self.whole,
                 )
-            angles = self._pose(section, where)
+            angles = self._read_pose(section, where)
             return pose_case(self.robot, section.name, angles, force, self.deflection)
 
     def check_deflection(self, loads: list[LoadCase | LoadHistory]) -> None:
@@ -186,7 +188,7 @@ class _LoadCases:
             f"{allowed[self.deflection]}; joint torques alone say nothing of the tool.",
         )
 
-    def _torques(self, section: LoadCaseSection, where: str) -> LoadCase:
+    def _torque_case(self, section: LoadCaseSection, where: str) -> LoadCase:
         assert section.torque is not None
         torque = self.lists(section.torque, "torque", f"{where}.torque")
         for j in np.flatnonzero(torque < 0):
@@ -204,11 +206,11 @@ class _LoadCases:
         return LoadCase(
             name=section.name,
             torque=torque,
-            wrench=self._wrench(torque, beside, where) if any(beside.values()) else None,
+            wrench=self._worst_wrench(torque, beside, where) if any(beside.values()) else None,
             reversing=np.full(len(torque), True) if section.reversing else None,
         )
 
-    def _wrench(
+    def _worst_wrench(
         self, torque: np.ndarray, beside: Mapping[str, Sequence[float] | None], where: str
     ) -> np.ndarray:
         """Loads of the joints (n, 6) from magnitudes, all at their worst at one bolt."""
@@ -232,7 +234,7 @@ class _LoadCases:
             wrench[:, column] = sign * np.asarray(given, dtype=float)
         return wrench
 
-    def _pose(self, section: LoadCaseSection, where: str) -> np.ndarray:
+    def _read_pose(self, section: LoadCaseSection, where: str) -> np.ndarray:
         if section.joints is not None:
             angles = self.lists(section.joints, "angle", f"{where}.joints")
         else:
@@ -250,7 +252,9 @@ class _LoadCases:
         return angles
 
 
-def _by_joint(values: Mapping[int, float], lists: JointLists, where: str) -> dict[int, float]:
+def _stiffness_by_joint(
+    values: Mapping[int, float], lists: JointLists, where: str
+) -> dict[int, float]:
     found = {}
     for joint, value in values.items():
         lists.check_number(joint, where)
@@ -267,7 +271,7 @@ def _check_present_preloads(problem: PreloadProblem, path: Path) -> None:
             check_preload(element.stage.element, problem.tightening)
 
 
-def _motion(section: StudyMotionSection, robot: Robot, path: Path) -> TrajectoryProblem:
+def _load_motion(section: StudyMotionSection, robot: Robot, path: Path) -> TrajectoryProblem:
     with located(path, "motion.problem"):
         motion = load_problem(path.parent / section.problem).problem
     if motion.robot.name != robot.name:

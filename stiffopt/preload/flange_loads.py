@@ -10,7 +10,11 @@ from stiffopt.connection import BoltedFlange
 from stiffopt.drivetrain.stage import Stage
 from stiffopt.fastening.flange_load import FlangeLoads
 from stiffopt.fastening.tightening import Tightening
-from stiffopt.fastening.verification import SLIP_ALTERNATING, SLIP_STATIC, Verification
+from stiffopt.fastening.verification import (
+    MIN_ALTERNATING_SLIP_SAFETY,
+    MIN_STATIC_SLIP_SAFETY,
+    Verification,
+)
 from stiffopt.preload.load_case import LoadCase, LoadHistory
 from stiffopt.robot.joint_load import at_face
 
@@ -44,7 +48,7 @@ def flange_values(
     return values
 
 
-def turns_back(cases: Sequence[LoadCase], joint: int) -> bool:
+def torque_reverses(cases: Sequence[LoadCase], joint: int) -> bool:
     """Whether the torque of a joint changes its sign in one of the motions that cases are of."""
     return any(c.reversing is not None and bool(c.reversing[joint - 1]) for c in cases)
 
@@ -53,7 +57,7 @@ def slip_safety(asked: float | None, cases: Sequence[LoadCase], joint: int) -> f
     """Safety against slip in a joint [-] (R12): what is asked for, else by whether it reverses."""
     if asked is not None:
         return asked
-    return SLIP_ALTERNATING if turns_back(cases, joint) else SLIP_STATIC
+    return MIN_ALTERNATING_SLIP_SAFETY if torque_reverses(cases, joint) else MIN_STATIC_SLIP_SAFETY
 
 
 def case_loads(stage: Stage, joint: int, cases: Sequence[LoadCase]) -> FlangeLoads:
@@ -67,7 +71,7 @@ def case_loads(stage: Stage, joint: int, cases: Sequence[LoadCase]) -> FlangeLoa
     return FlangeLoads(
         names=tuple(case.name for case in cases),
         values=np.concatenate(values),
-        alternating=turns_back(cases, joint),
+        alternating=torque_reverses(cases, joint),
     )
 
 

@@ -53,21 +53,21 @@ class Stopper:
         A safety against slip of no more than zero is a connection without clamp force.
         """
         if not self.unit and self.best <= 0.0:
-            return _significant(self.required, 4), "0, as it opens"
-        factor, unit = _READ_IN.get(self.unit, (1.0, self.unit))
+            return _format_significant(self.required, 4), "0, as it opens"
+        factor, unit = _DISPLAY_UNITS.get(self.unit, (1.0, self.unit))
         for digits in range(4, 10):
-            required = f"{_significant(factor * self.required, digits)} {unit}".rstrip()
-            best = f"{_significant(factor * self.best, digits)} {unit}".rstrip()
+            required = f"{_format_significant(factor * self.required, digits)} {unit}".rstrip()
+            best = f"{_format_significant(factor * self.best, digits)} {unit}".rstrip()
             if required != best:
                 break
         return required, best
 
 
 # Units that read better than SI, with their factor.
-_READ_IN = {"m": (1e3, "mm"), "Pa": (1e-6, "MPa")}
+_DISPLAY_UNITS = {"m": (1e3, "mm"), "Pa": (1e-6, "MPa")}
 
 
-def _significant(value: float, digits: int) -> str:
+def _format_significant(value: float, digits: int) -> str:
     """Without an exponent for what bolts and joints have."""
     text = f"{value:.{digits}g}"
     return f"{value:.0f}" if "e+" in text and abs(value) < 1e9 else text
@@ -91,17 +91,20 @@ def find_stoppers(nlp: PreloadNlp) -> tuple[Stopper, ...]:
     fixed = {
         limit.name for e in model.elements for limit in e.limits if not limit.depends_on_preload
     }
-    found = [_fixed(row) for row in _worst_by_owner(model, upper, ("key pressure", *fixed))]
+    found = [_fixed_stopper(row) for row in _worst_by_owner(model, upper, ("key pressure", *fixed))]
     for index, element in enumerate(model.elements):
-        stop = _slip(model, upper, index, element)
+        stop = _slip_stopper(model, upper, index, element)
         if stop is not None:
             found.append(stop)
         else:
-            found += _in_service(model, upper, index)
-    found += [_floor(model, row) for row in _worst_by_owner(model, upper, ("least preload",))]
+            found += _service_stoppers(model, upper, index)
+    found += [
+        _floor_stopper(model, row) for row in _worst_by_owner(model, upper, ("least preload",))
+    ]
     if not found:
         found = [
-            _reach(model, row, upper) for row in _worst_by_owner(model, upper, ("joint stiffness",))
+            _stiffness_stopper(model, row, upper)
+            for row in _worst_by_owner(model, upper, ("joint stiffness",))
         ]
     return tuple(found)
 
@@ -120,7 +123,7 @@ def _worst_by_owner(
     return list(worst.values())
 
 
-def _fixed(row: UtilisationRow) -> Stopper:
+def _fixed_stopper(row: UtilisationRow) -> Stopper:
     return Stopper(
         limit=row.name,
         best=row.value,
@@ -131,7 +134,7 @@ def _fixed(row: UtilisationRow) -> Stopper:
     )
 
 
-def _floor(model: PreloadModel, row: UtilisationRow) -> Stopper:
+def _floor_stopper(model: PreloadModel, row: UtilisationRow) -> Stopper:
     """A preload that may not reach what has to be tightened at least."""
     element = next(e for e in model.elements if e.key == row.element)
     return Stopper(
@@ -139,19 +142,19 @@ def _floor(model: PreloadModel, row: UtilisationRow) -> Stopper:
         best=row.value,
         required=row.limit,
         unit=row.unit,
-        against=limiting(element, model.problem.requirements.bolt_utilisation),
+        against=describe_limit(element, model.problem.requirements.bolt_utilisation),
         remedy="a smaller require.least_preload or a larger require.bolt_utilisation",
     )
 
 
-def limiting(element: FreeElement, bolt_utilisation: float) -> str:
+def describe_limit(element: FreeElement, bolt_utilisation: float) -> str:
     """Name of the limit that ends an element's preload, with that preload."""
     ends = element.ends(bolt_utilisation)
     name = min(ends, key=lambda each: ends[each])
     return f"{name} of {element.key} (at most {ends[name]:.0f} N)"
 
 
-def _slip(
+def _slip_stopper(
     model: PreloadModel, upper: np.ndarray, index: int, element: FreeElement
 ) -> Stopper | None:
     needs, safety = model.problem.requirements, model.slip_safety(element.joint)
@@ -170,7 +173,7 @@ def _slip(
         best=slip / torque,
         required=safety,
         unit="",
-        against=limiting(element, needs.bolt_utilisation),
+        against=describe_limit(element, needs.bolt_utilisation),
         remedy=(
             f"{stronger}, more bolts, more friction, or less scatter"
             if isinstance(element.stage.element, BoltedFlange)
@@ -179,7 +182,7 @@ def _slip(
     )
 
 
-def _in_service(model: PreloadModel, upper: np.ndarray, index: int) -> list[Stopper]:
+def _service_stoppers(model: PreloadModel, upper: np.ndarray, index: int) -> list[Stopper]:
     """Steps of VDI 2230 that the largest preload does not keep."""
     element = model.elements[index]
     bound = model.problem.requirements.bolt_utilisation
@@ -189,7 +192,7 @@ def _in_service(model: PreloadModel, upper: np.ndarray, index: int) -> list[Stop
             best=row.value,
             required=row.limit,
             unit=row.unit,
-            against=limiting(element, bound),
+            against=describe_limit(element, bound),
             remedy=row.remedy,
         )
         for row in model.vdi_rows(upper, index)
@@ -197,7 +200,7 @@ def _in_service(model: PreloadModel, upper: np.ndarray, index: int) -> list[Stop
     ]
 
 
-def _reach(model: PreloadModel, row: UtilisationRow, upper: np.ndarray) -> Stopper:
+def _stiffness_stopper(model: PreloadModel, row: UtilisationRow, upper: np.ndarray) -> Stopper:
     """A stiffness that even the largest preloads do not give, with what yields most there."""
     assert row.joint is not None
     case = next(c for c in model.cases if c.name == row.case)
@@ -207,7 +210,7 @@ def _reach(model: PreloadModel, row: UtilisationRow, upper: np.ndarray) -> Stopp
     whole = float(model.exact_compliance(upper, row.joint, torques)[0])
     share = 1.0 - float(model.rest_compliance(row.joint, torques)[0]) / whole
     ends = [
-        limiting(e, model.problem.requirements.bolt_utilisation)
+        describe_limit(e, model.problem.requirements.bolt_utilisation)
         for e in model.elements
         if e.joint == row.joint
     ]

@@ -11,9 +11,9 @@ import numpy as np
 from stiffopt.errors import ProblemError
 
 # Share of the largest torque of a joint below which one is zero but for rounding, and no reversal.
-_NO_TORQUE = 1e-9
+_ZERO_TORQUE_SHARE = 1e-9
 # What a load may have at each instant besides its torques.
-_OPTIONAL = ("reference_torque", "jacobian", "wrench", "reference_wrench", "frames", "arm")
+_OPTIONAL_FIELDS = ("reference_torque", "jacobian", "wrench", "reference_wrench", "frames", "arm")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -104,7 +104,7 @@ class LoadHistory:
     @cached_property
     def reversing(self) -> np.ndarray:
         """Joints whose torque changes its sign (n,) of bool; rounding about zero is no change."""
-        noise = _NO_TORQUE * np.abs(self.torque).max(axis=0)
+        noise = _ZERO_TORQUE_SHARE * np.abs(self.torque).max(axis=0)
         return np.asarray((self.torque.min(axis=0) < -noise) & (self.torque.max(axis=0) > noise))
 
     def at(self, index: int) -> LoadCase:
@@ -114,7 +114,7 @@ class LoadHistory:
             torque=self.torque[index],
             **{
                 key: None if (values := getattr(self, key)) is None else values[index]
-                for key in _OPTIONAL
+                for key in _OPTIONAL_FIELDS
             },
             reversing=self.reversing,
             time=float(self.time[index]),
@@ -153,10 +153,10 @@ class LoadHistory:
             found.add(int(np.argmax(np.abs(torque))))
             found.add(int(np.argmax(compliance(joint, torque))))
         if self.jacobian is not None:
-            found.add(int(np.argmax(self._deflection(windup, tilted))))
+            found.add(int(np.argmax(self._deflection_sizes(windup, tilted))))
         return tuple(self.at(index) for index in sorted(found))
 
-    def _deflection(
+    def _deflection_sizes(
         self,
         windup: Callable[[int, np.ndarray], np.ndarray],
         tilted: Callable[[LoadHistory], np.ndarray] | None,
@@ -180,7 +180,7 @@ class LoadHistory:
 
 def _require_finite(loads: LoadCase | LoadHistory, owner: str) -> None:
     """Turn the array fields into arrays and refuse what is not a finite number."""
-    for key in ("time", "torque", *_OPTIONAL):
+    for key in ("time", "torque", *_OPTIONAL_FIELDS):
         value = getattr(loads, key)
         if value is None or isinstance(value, float):
             continue

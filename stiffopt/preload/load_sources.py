@@ -27,13 +27,13 @@ if TYPE_CHECKING:
 DEFLECTIONS = ("total", "dynamic", "process")
 
 # Written positions of a tool agree better than this where the tool is the same [m].
-_SAME_TOOL = 1e-6
+_TOOL_POSITION_TOLERANCE = 1e-6
 # Written torques agree better than this share of the largest where arm and load are the same.
-_SAME_TORQUE = 1e-3
+_TORQUE_TOLERANCE = 1e-3
 # Torques of the joints' own motion within this share are those of links that follow at once.
-_SAME_MOTION = 0.01
+_MOTION_TORQUE_TOLERANCE = 0.01
 # Of the spline through a written motion of links.
-_DEGREE = 5
+_SPLINE_DEGREE = 5
 
 
 def pose_case(
@@ -113,11 +113,11 @@ def trajectory_history(
         The file does not belong to this robot, or is no such file.
     """
     path = Path(path)
-    table = _Table(path, robot.n)
+    table = _TrajectoryTable(path, robot.n)
     source = f"trajectory {path.name}"
     position, velocity, acceleration = table.links(robot)
     # Accelerations of a spline through samples are less exact than written ones.
-    share = _SAME_TORQUE if position is table.position else _SAME_MOTION
+    share = _TORQUE_TOLERANCE if position is table.position else _MOTION_TORQUE_TOLERANCE
     wrench = frames = arm = None
     if whole:
         if velocity is None or acceleration is None:
@@ -153,7 +153,7 @@ def trajectory_history(
             own = rigid_body_history(robot, table.position, rest, rest).tool
         _check_tool(path, robot, own, tool)
     pushed = np.einsum("kin,i->kn", body.jacobian, force)
-    reference = _reference(deflection, table.spring, pushed, body)
+    reference = _reference_torque(deflection, table.spring, pushed, body)
     if reference is not None and known:
         _check_torque(path, robot, table.spring, body.link_torque - pushed, share)
     return LoadHistory(
@@ -208,7 +208,7 @@ def motion_histories(
             torque=torque,
             reference_torque=reference,
             jacobian=body.jacobian,
-            wrench=_wrench(problem, motion, torque is motion.spring_torque),
+            wrench=_motion_wrench(problem, motion, torque is motion.spring_torque),
             reference_wrench=_reference_wrench(
                 objective.removesuffix("_deflection"),
                 problem.robot,
@@ -227,14 +227,14 @@ def motion_histories(
                 name="motion under the process force",
                 time=motion.time,
                 torque=motion.spring_torque,
-                wrench=_wrench(problem, motion, True),
+                wrench=_motion_wrench(problem, motion, True),
                 source="motion of this study",
             )
         )
     return tuple(found)
 
 
-def _wrench(problem: TrajectoryProblem, motion: Assessment, pushed: bool) -> np.ndarray:
+def _motion_wrench(problem: TrajectoryProblem, motion: Assessment, pushed: bool) -> np.ndarray:
     """Loads of the joints along a motion (K, n, 6), with the process force or without."""
     return joint_wrenches(
         problem.robot,
@@ -245,7 +245,7 @@ def _wrench(problem: TrajectoryProblem, motion: Assessment, pushed: bool) -> np.
     )
 
 
-def _reference(
+def _reference_torque(
     deflection: str, spring: np.ndarray, pushed: np.ndarray, body: RigidBodyHistory
 ) -> np.ndarray | None:
     """Torques whose wind-up does not count (K, n) [N m]."""
@@ -284,7 +284,7 @@ def _reference_wrench(
     return None
 
 
-class _Table:
+class _TrajectoryTable:
     """Columns of a trajectory file as arrays."""
 
     def __init__(self, path: Path, joints: int) -> None:
@@ -338,14 +338,14 @@ class _Table:
         derivatives are those of a spline through it.
         """
         link, velocity, acceleration = (self.get(each) for each in ("link", "qd", "qdd"))
-        if link is None or velocity is None or acceleration is None or len(link) <= _DEGREE:
+        if link is None or velocity is None or acceleration is None or len(link) <= _SPLINE_DEGREE:
             return self.position, velocity, acceleration
         turning = ~robot.prismatic
         torque = joint_wrenches(robot, self.position, velocity, acceleration, np.zeros(3))[..., 5]
         own = np.abs(torque - self.spring)[:, turning].max(initial=0.0)
-        if own <= _SAME_MOTION * np.abs(self.spring[:, turning]).max(initial=0.0):
+        if own <= _MOTION_TORQUE_TOLERANCE * np.abs(self.spring[:, turning]).max(initial=0.0):
             return self.position, velocity, acceleration
-        spline = make_interp_spline(self.time, link, _DEGREE)
+        spline = make_interp_spline(self.time, link, _SPLINE_DEGREE)
         rate, second = (spline.derivative(order)(self.time) for order in (1, 2))
         return link, np.asarray(rate), np.asarray(second)
 
@@ -356,7 +356,7 @@ class _Table:
 
 def _check_tool(path: Path, robot: Robot, own: np.ndarray, written: np.ndarray) -> None:
     miss = float(np.linalg.norm(own - written, axis=1).max())
-    if miss > _SAME_TOOL:
+    if miss > _TOOL_POSITION_TOLERANCE:
         raise InputFileError(
             path,
             "tool_x, tool_y, tool_z",
@@ -371,7 +371,7 @@ def _check_torque(
     miss = np.abs(own - written)
     joint = int(np.argmax(miss.max(axis=0)))
     worst, largest = float(miss[:, joint].max()), float(np.abs(written[:, joint]).max())
-    if worst > share * max(largest, float(np.abs(written).max()) * _SAME_TORQUE):
+    if worst > share * max(largest, float(np.abs(written).max()) * _TORQUE_TOLERANCE):
         raise InputFileError(
             path,
             f"tau_spring{joint + 1}",

@@ -14,7 +14,7 @@ from stiffopt.preload.sensitivity import largest_torque
 
 
 @dataclass(frozen=True, kw_only=True)
-class Loosened:
+class LoosenedConnection:
     """A joint with one connection at a fraction of its preload, under its largest torque.
 
     Parameters
@@ -62,7 +62,7 @@ class Loosening:
         largest torque [-]; above 1 where it slips when tight already.
     """
 
-    rows: tuple[Loosened, ...]
+    rows: tuple[LoosenedConnection, ...]
     first_slip_fraction: dict[str, float]
     slip_fraction: dict[str, float]
 
@@ -94,14 +94,16 @@ def loosening(
             )
     rims = [first_slip_torque(model, preloads, i) for i in range(len(model.elements))]
     slips = [float(model.slip_torque(preloads, i)) for i in range(len(model.elements))]
-    rows: list[Loosened] = []
+    rows: list[LoosenedConnection] = []
     first: dict[str, float] = {}
     whole: dict[str, float] = {}
     for index, (element, rim, slip) in enumerate(zip(model.elements, rims, slips, strict=True)):
         torque = abs(float(largest_torque(model, element.joint).torque[element.joint - 1]))
         # Both slip torques are proportional to the preload that is left.
         first[element.key], whole[element.key] = torque / rim, torque / slip
-        rows += _rows(model, preloads, index, fractions, first[element.key], whole[element.key])
+        rows += _loosened_rows(
+            model, preloads, index, fractions, first[element.key], whole[element.key]
+        )
     return Loosening(tuple(rows), first, whole)
 
 
@@ -119,7 +121,9 @@ def first_slip_torque(model: PreloadModel, preloads: np.ndarray, index: int) -> 
     return float(connection.first_slip_torque(least)) * element.stage.reduction
 
 
-def loosened(model: PreloadModel, preloads: np.ndarray, index: int, fraction: float) -> np.ndarray:
+def loosen_element(
+    model: PreloadModel, preloads: np.ndarray, index: int, fraction: float
+) -> np.ndarray:
     """Design vector whose least preloads are a fraction of the tight ones in one element [N]."""
     element, part = model.elements[index], model.slices[index]
     changed = preloads.copy()
@@ -127,14 +131,14 @@ def loosened(model: PreloadModel, preloads: np.ndarray, index: int, fraction: fl
     return changed
 
 
-def _rows(
+def _loosened_rows(
     model: PreloadModel,
     preloads: np.ndarray,
     index: int,
     fractions: Sequence[float],
     first: float,
     whole: float,
-) -> Iterator[Loosened]:
+) -> Iterator[LoosenedConnection]:
     element = model.elements[index]
     case = largest_torque(model, element.joint)
     torque = np.array([case.torque[element.joint - 1]])
@@ -143,9 +147,9 @@ def _rows(
         slips = fraction <= whole
         left = 0.0
         if not slips:
-            changed = loosened(model, preloads, index, fraction)
+            changed = loosen_element(model, preloads, index, fraction)
             left = 1.0 / float(model.exact_compliance(changed, element.joint, torque)[0])
-        yield Loosened(
+        yield LoosenedConnection(
             key=element.key,
             joint=element.joint,
             fraction=float(fraction),

@@ -27,12 +27,12 @@ from stiffopt.fastening.verification import Verification
 from stiffopt.preload.flange_loads import slip_safety, verification
 from stiffopt.preload.load_case import LoadCase, LoadHistory
 from stiffopt.preload.problem import FreeElement, PreloadProblem
-from stiffopt.preload.tilted_tool import tilt_vector, tilted_tool, tilts
+from stiffopt.preload.tilted_tool import carries_tilting, tilt_deflection, tilt_vector
 from stiffopt.symbolic import Quantity, is_symbolic
 
 
 @dataclass(frozen=True)
-class _Joint:
+class _SplitDrivetrain:
     """Drivetrain of a joint, parted by whether the study changes it."""
 
     varying: Chain
@@ -74,7 +74,7 @@ class PreloadModel:
         edges = np.concatenate([[0], np.cumsum(widths)])
         self.slices = tuple(slice(int(a), int(b)) for a, b in pairwise(edges))
         self.size = int(edges[-1])
-        self._joints = {joint: self._parted(joint) for joint in problem.joints}
+        self._joints = {joint: self._split_drivetrain(joint) for joint in problem.joints}
         self._rest: dict[tuple[str, int, bytes], np.ndarray] = {}
 
     # ---- design vector
@@ -159,15 +159,15 @@ class PreloadModel:
 
     def compliances(self, preloads: Quantity, joint: int) -> Quantity:
         """Tangent compliances of what the study changes, of all load cases [rad/(N m)]."""
-        least = self._least(preloads, joint)
-        torques = _like(preloads, self.torques(joint)[0])
+        least = self._least_preloads(preloads, joint)
+        torques = _match_type(preloads, self.torques(joint)[0])
         return self._joints[joint].varying.tangent_compliance(torques, preloads=least)
 
     def windups(self, preloads: Quantity, joint: int) -> Quantity:
         """Wind-ups of what the study changes beyond those of the reference torques [rad]."""
-        least = self._least(preloads, joint)
+        least = self._least_preloads(preloads, joint)
         loaded, unloaded = (
-            self._joints[joint].varying.windup(_like(preloads, torques), preloads=least)
+            self._joints[joint].varying.windup(_match_type(preloads, torques), preloads=least)
             for torques in self.torques(joint)
         )
         return loaded - unloaded
@@ -175,20 +175,20 @@ class PreloadModel:
     def slip_torque(self, preloads: Quantity, index: int) -> Quantity:
         """Joint torque at which an element slips [N m]; linear in its preloads."""
         element = self.elements[index]
-        least = self._mean_least(preloads, index)
+        least = self._mean_least_preload(preloads, index)
         return element.stage.element.slip_torque(least) * element.stage.reduction
 
     # ---- exact law
 
     def rest_compliance(self, joint: int, torques: np.ndarray) -> np.ndarray:
         """Exact tangent compliance of all other elements (k,) [rad/(N m)]."""
-        return self._kept("compliance", joint, np.asarray(torques, dtype=float))
+        return self._cached_rest("compliance", joint, np.asarray(torques, dtype=float))
 
     def rest_windup(self, joint: int, torques: np.ndarray) -> np.ndarray:
         """Exact wind-up of all other elements (k,) [rad]; also of joints outside the study."""
-        return self._kept("windup", joint, np.asarray(torques, dtype=float))
+        return self._cached_rest("windup", joint, np.asarray(torques, dtype=float))
 
-    def _kept(self, what: str, joint: int, torques: np.ndarray) -> np.ndarray:
+    def _cached_rest(self, what: str, joint: int, torques: np.ndarray) -> np.ndarray:
         """Exact law of what no preload changes; the same torques are asked for at every design."""
         key = (what, joint, torques.tobytes())
         if key not in self._rest:
@@ -208,7 +208,7 @@ class PreloadModel:
         """Exact tangent compliance of a whole joint (k,) [rad/(N m)]; infinite where it slips."""
         parts = self._joints[joint]
         varying = exact_compliance(
-            parts.varying, np.asarray(torques), preloads=self._least(preloads, joint)
+            parts.varying, np.asarray(torques), preloads=self._least_preloads(preloads, joint)
         )
         return np.asarray(varying + self.rest_compliance(joint, torques))
 
@@ -218,7 +218,9 @@ class PreloadModel:
         if joint not in self._joints:
             return rest
         varying = exact_windup(
-            self._joints[joint].varying, np.asarray(torques), preloads=self._least(preloads, joint)
+            self._joints[joint].varying,
+            np.asarray(torques),
+            preloads=self._least_preloads(preloads, joint),
         )
         return np.asarray(varying + rest)
 
@@ -240,7 +242,7 @@ class PreloadModel:
             angles = np.array([self.net_windups(preloads, joint) for joint in joints])
             for k, case in enumerate(self.cases):
                 if case.jacobian is not None:
-                    turned = self.tilted_tool(case, preloads)
+                    turned = self.tilt_deflection(case, preloads)
                     held = bool(np.isfinite(angles[:, k]).all() and np.isfinite(turned).all())
                     found[k] = -(case.jacobian @ angles[:, k] + turned) if held else np.inf
         return found
@@ -256,7 +258,7 @@ class PreloadModel:
             for joint, chain in enumerate(self.problem.robot.chains, start=1)
             if chain is not None
             for stage in chain.stages
-            if tilts(stage) and (joint, stage.element.name) not in free
+            if carries_tilting(stage) and (joint, stage.element.name) not in free
         )
 
     def fixed_tilt(self, load: LoadCase | LoadHistory) -> np.ndarray:
@@ -265,29 +267,32 @@ class PreloadModel:
         for joint, stage in self.fixed_flanges:
             preload = stage.element.preload
             assert preload is not None
-            total = total + tilted_tool(stage, joint, load, preload)
+            total = total + tilt_deflection(stage, joint, load, preload)
         return total
 
-    def tilted_tool(self, load: LoadCase | LoadHistory, preloads: np.ndarray) -> np.ndarray:
+    def tilt_deflection(self, load: LoadCase | LoadHistory, preloads: np.ndarray) -> np.ndarray:
         """What all flanges add to the tool's deflection by the exact law (..., 3) [m]."""
         total = self.fixed_tilt(load)
         for index, element in enumerate(self.elements):
-            left = float(self._mean_least(preloads, index))
-            total = total + tilted_tool(element.stage, element.joint, load, left)
+            left = float(self._mean_least_preload(preloads, index))
+            total = total + tilt_deflection(element.stage, element.joint, load, left)
         return total
 
     def tilt_compliance(self, preloads: Quantity, index: int) -> Quantity:
         """Smooth tilting compliance of an element's closed face [rad/(N m)]."""
         flange = self.elements[index].stage.element
         assert isinstance(flange, BoltedFlange)
-        return closed_compliance(flange, self._mean_least(preloads, index))
+        return closed_compliance(flange, self._mean_least_preload(preloads, index))
 
     def exact_tilt_compliance(self, preloads: np.ndarray, index: int) -> float:
         """The same by the exact law."""
         flange = self.elements[index].stage.element
         assert isinstance(flange, BoltedFlange)
         return (
-            1.0 / tilting_flange(flange, float(self._mean_least(preloads, index))).closed_stiffness
+            1.0
+            / tilting_flange(
+                flange, float(self._mean_least_preload(preloads, index))
+            ).closed_stiffness
         )
 
     @cached_property
@@ -297,7 +302,7 @@ class PreloadModel:
             [[tilt_vector(e.stage, e.joint, case) for case in self.cases] for e in self.elements]
         ).reshape(len(self.elements), len(self.cases), 3)
 
-    def _mean_least(self, preloads: Quantity, index: int) -> Quantity:
+    def _mean_least_preload(self, preloads: Quantity, index: int) -> Quantity:
         """Mean of what an element's fasteners are left with [N]."""
         own = self.of_element(preloads, index)
         return self.elements[index].least(sum(own[1:], own[0]) / len(own))
@@ -319,7 +324,7 @@ class PreloadModel:
         parts, chain = self._joints[joint], self.problem.robot.chains[joint - 1]
         assert chain is not None
         owners, places = self.owners(joint), list(chain.elements)
-        varying = parts.varying.with_preloads(self._least(preloads, joint))
+        varying = parts.varying.with_preloads(self._least_preloads(preloads, joint))
         stages = sorted(
             (*varying.stages, *parts.rest.stages),
             key=lambda stage: places.index(owners[stage.element.name]),
@@ -335,7 +340,7 @@ class PreloadModel:
             found[stage.element.name] = stage.element.name
         for index in self.indices[joint]:
             element = self.elements[index]
-            found |= dict.fromkeys(self._names(element), element.name)
+            found |= dict.fromkeys(self._fastener_names(element), element.name)
         return found
 
     @cached_property
@@ -346,28 +351,28 @@ class PreloadModel:
             for joint in self.problem.joints
         }
 
-    def _parted(self, joint: int) -> _Joint:
+    def _split_drivetrain(self, joint: int) -> _SplitDrivetrain:
         chain = self.problem.robot.chains[joint - 1]
         assert chain is not None
         own = [e for e in self.elements if e.joint == joint]
         varying, rest = chain.split(e.name for e in own)
         if self.problem.individual:
-            stages = [s for stage in varying.stages for s in _individually(stage, own)]
+            stages = [s for stage in varying.stages for s in _split_fasteners(stage, own)]
             varying = replace(varying, stages=tuple(stages))
-        return _Joint(varying, rest)
+        return _SplitDrivetrain(varying, rest)
 
-    def _least(self, preloads: Quantity, joint: int) -> dict[str, Quantity]:
+    def _least_preloads(self, preloads: Quantity, joint: int) -> dict[str, Quantity]:
         """Least preloads of a joint's elements, by the names in its varying chain."""
         least: dict[str, Quantity] = {}
         for index in self.indices[joint]:
             element = self.elements[index]
             for name, own in zip(
-                self._names(element), self.of_element(preloads, index), strict=True
+                self._fastener_names(element), self.of_element(preloads, index), strict=True
             ):
                 least[name] = element.least(own)
         return least
 
-    def _names(self, element: FreeElement) -> Iterator[str]:
+    def _fastener_names(self, element: FreeElement) -> Iterator[str]:
         if not self.problem.individual:
             return iter((element.name,))
         return (f"{element.name} {i}" for i in range(1, element.count + 1))
@@ -384,7 +389,7 @@ def preload_of(element: FreeElement) -> float:
     return float(element.largest(fastened.preload) if net else fastened.preload)
 
 
-def _like(preloads: Quantity, torques: np.ndarray) -> Quantity:
+def _match_type(preloads: Quantity, torques: np.ndarray) -> Quantity:
     """Torques as what the preloads are: arrays, or constants of SX."""
     return ca.SX(torques) if is_symbolic(preloads) else torques
 
@@ -397,7 +402,7 @@ def _one_fastener(element: Connection) -> Connection:
     return replace(element, count=1, sharing=element.count)
 
 
-def _individually(stage: Stage, own: Sequence[FreeElement]) -> list[Stage]:
+def _split_fasteners(stage: Stage, own: Sequence[FreeElement]) -> list[Stage]:
     """One stage a bolt or pin, in parallel: they turn together and their torques add."""
     names = [e.name for e in own]
     if stage.element.name not in names:

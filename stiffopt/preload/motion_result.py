@@ -12,9 +12,9 @@ from stiffopt.result.solution import Solution
 from stiffopt.result.status import SolveStatus
 
 # A gain below this is called not worth the effort.
-_WORTH = 0.01
+_MIN_USEFUL_GAIN = 0.01
 # Less than what is written of it.
-_SEEN = 5e-5
+_MIN_REPORTED_GAIN = 5e-5
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -84,18 +84,18 @@ class MotionStudy:
     seconds: float
 
 
-def meaning(status: SolveStatus, gain: float) -> str:
+def describe_gain(status: SolveStatus, gain: float) -> str:
     """Tell a designer what the gain of a joint study means."""
     if not np.isfinite(gain):
         return "Stopped by the user before the preloads were optimised."
-    if gain < _SEEN:
+    if gain < _MIN_REPORTED_GAIN:
         text = "Optimised together, preloads and motion deflect no less than one after another"
     else:
         text = (
             f"Optimised together, preloads and motion deflect {100 * gain:.2f} % less than one "
             "after another"
         )
-    if gain < _WORTH:
+    if gain < _MIN_USEFUL_GAIN:
         text += ": a gain below 1 %, so the joint study is not worth it here"
     ends = {
         SolveStatus.INTERRUPTED: " Stopped by the user; this is the best so far.",

@@ -18,7 +18,7 @@ from stiffopt.errors import NoSolutionFound, ProblemError
 from stiffopt.preload.load_case import LoadHistory
 from stiffopt.preload.load_sources import motion_histories
 from stiffopt.preload.model import PreloadModel
-from stiffopt.preload.motion_result import MotionRound, MotionStudy, meaning
+from stiffopt.preload.motion_result import MotionRound, MotionStudy, describe_gain
 from stiffopt.preload.optimise import optimise_preloads
 from stiffopt.preload.problem import PreloadProblem
 from stiffopt.preload.solution import PreloadSolution
@@ -34,7 +34,7 @@ from stiffopt.solver.solve_run import ProgressCallback, SolveProgress
 # Relative change of the deflection that ends a repetition: a tenth of what reports write of a gain.
 _DEFLECTION_TOLERANCE = 1e-4
 # Times that preloads are raised because the motion made a connection slip.
-_RAISES = 3
+_MAX_PRELOAD_RAISES = 3
 
 
 def motion_study(
@@ -71,7 +71,7 @@ def motion_study(
     NoSolutionFound
         No motion, or no preloads for it.
     """
-    return _Study(problem, trajectory_problem, progress).run(rounds)
+    return _JointStudy(problem, trajectory_problem, progress).run(rounds)
 
 
 def deflection_objective(problem: TrajectoryProblem) -> str:
@@ -108,7 +108,7 @@ class _Design:
     end: WarmStart | None = None
 
 
-class _Study:
+class _JointStudy:
     """One joint study in progress."""
 
     def __init__(
@@ -124,7 +124,7 @@ class _Study:
                 f"{trajectory.robot.name!r}. Give both the same robot."
             )
         self.trajectory, self.progress = trajectory, progress
-        self.problem = _for_motion(problem)
+        self.problem = _motion_subproblem(problem)
         self.model = PreloadModel(self.problem)
         # Motions for other preloads are one programme with other numbers.
         self.family = ProblemFamily()
@@ -134,17 +134,17 @@ class _Study:
 
     def run(self, rounds: int) -> MotionStudy:
         self.stage = "motion with the present preloads"
-        first = self._start()
-        separate = None if self.interrupted else self._with_best_preloads(first)
+        first = self._initial_design()
+        separate = None if self.interrupted else self._optimise_preloads(first)
         if separate is None:
-            return self._result(first, None, first, ())
+            return self._study_result(first, None, first, ())
         last, pairs = separate, []
         for number in range(1, rounds + 1):
             self.stage = f"round {number} of {rounds}"
-            moved = self._moved(last.vector, last.end)
-            tightened = self._with_best_preloads(moved) if self._usable(moved) else None
+            moved = self._optimise_motion(last.vector, last.end)
+            tightened = self._optimise_preloads(moved) if self._is_usable(moved) else None
             if tightened is None:
-                self._say_end(moved)
+                self._note_end(moved)
                 break
             pairs.append((moved, tightened))
             self.converged = (
@@ -160,10 +160,10 @@ class _Study:
                 "No round came below the motion and preloads optimised one after another; the best "
                 f"of them deflects {100 * nearest:.2f} % more."
             )
-        first, separate = self._best_apart(first, separate, pairs)
-        return self._result(first, separate, best, pairs)
+        first, separate = self._best_separate(first, separate, pairs)
+        return self._study_result(first, separate, best, pairs)
 
-    def _best_apart(
+    def _best_separate(
         self, first: _Design, separate: _Design, pairs: Sequence[tuple[_Design, _Design]]
     ) -> tuple[_Design, _Design]:
         """The best motion for the start preloads, wherever it was found, then its best preloads.
@@ -172,7 +172,7 @@ class _Study:
         the joint study.
         """
         found = [(first, separate)]
-        found += [(self._rated(first.vector, moved.motion), best) for moved, best in pairs]
+        found += [(self._certify_design(first.vector, moved.motion), best) for moved, best in pairs]
         best = min(found, key=lambda pair: pair[0].deflection)
         if best[0].deflection < first.deflection * (1.0 - _DEFLECTION_TOLERANCE):
             self.remarks.append(
@@ -185,16 +185,16 @@ class _Study:
 
     # ---- motion
 
-    def _start(self) -> _Design:
+    def _initial_design(self) -> _Design:
         """Motion with the present preloads, raised where they let a connection slip."""
         present = self.model.design
         floor = self.problem.requirements.least_preload
         vector = np.maximum(
             present, self.model.spread([floor * e.capacity for e in self.model.elements])
         )
-        for _ in range(_RAISES):
-            design = self._moved(vector)
-            slips = self._slipping(design)
+        for _ in range(_MAX_PRELOAD_RAISES):
+            design = self._optimise_motion(vector)
+            slips = self._slipping_connections(design)
             if self.interrupted or not slips:
                 break
             least = self._least_preload(design)
@@ -205,32 +205,34 @@ class _Study:
                 "motion more time, or the connections more or larger bolts.",
                 design.motion,
             )
-        if not (self._usable(design) or self.interrupted):
+        if not (self._is_usable(design) or self.interrupted):
             raise NoSolutionFound(design.motion.message, design.motion)
-        self._say_raised(vector)
+        self._note_raised(vector)
         return design
 
-    def _moved(self, vector: np.ndarray, warm: WarmStart | None = None) -> _Design:
+    def _optimise_motion(self, vector: np.ndarray, warm: WarmStart | None = None) -> _Design:
         """Motion optimised for these preloads, from where a former one ended if there is one.
 
         From there on the same mesh, so that a gain is one of the preloads and not of more solving.
         """
         problem = self._with_preloads(vector)
-        found, end = self.family.solve(problem, warm, progress=self._reporter())
+        found, end = self.family.solve(problem, warm, progress=self._progress_callback())
         self.interrupted |= found.status is SolveStatus.INTERRUPTED
         if found.objective is None:
             raise NoSolutionFound(found.message, found)
         return _Design(vector, found, found.objective.value, end=end)
 
-    def _usable(self, design: _Design) -> bool:
+    def _is_usable(self, design: _Design) -> bool:
         return design.motion.status.usable and bool(np.isfinite(design.deflection))
 
     def _with_preloads(self, vector: np.ndarray) -> TrajectoryProblem:
         """The motion's problem with what tightening leaves of these preloads."""
         robot = replace(self.trajectory.robot, chains=self.problem.robot.chains)
-        return replace(self.trajectory, robot=robot.with_preloads(self._by_joint(vector, True)))
+        return replace(
+            self.trajectory, robot=robot.with_preloads(self._preloads_by_joint(vector, True))
+        )
 
-    def _by_joint(self, vector: np.ndarray, least: bool) -> dict[int, dict[str, float]]:
+    def _preloads_by_joint(self, vector: np.ndarray, least: bool) -> dict[int, dict[str, float]]:
         """Largest or least preloads by joint and element [N]."""
         found: dict[int, dict[str, float]] = {}
         for index, element in enumerate(self.model.elements):
@@ -241,7 +243,7 @@ class _Study:
 
     # ---- preloads
 
-    def _loads(self, design: _Design) -> tuple[LoadHistory, ...]:
+    def _motion_loads(self, design: _Design) -> tuple[LoadHistory, ...]:
         assert design.motion.assessment is not None
         problem = self._with_preloads(design.vector)
         return motion_histories(problem, design.motion.assessment, self.objective)
@@ -252,23 +254,23 @@ class _Study:
         """The preloads' problem under the loads of a motion, from that motion's preloads."""
         return replace(
             self.problem,
-            robot=self.problem.robot.with_preloads(self._by_joint(design.vector, False)),
+            robot=self.problem.robot.with_preloads(self._preloads_by_joint(design.vector, False)),
             objective=objective,
             histories=(*self.problem.histories, *loads),
         )
 
-    def _with_best_preloads(self, design: _Design) -> _Design | None:
+    def _optimise_preloads(self, design: _Design) -> _Design | None:
         """The same motion with the preloads that are best for it; None where stopped."""
-        problem = self._preload_problem(design, "tool_deflection", self._loads(design))
-        found = optimise_preloads(problem, progress=self._reporter(), throw=False)
+        problem = self._preload_problem(design, "tool_deflection", self._motion_loads(design))
+        found = optimise_preloads(problem, progress=self._progress_callback(), throw=False)
         if found.status is SolveStatus.INTERRUPTED:
             self.interrupted = True
             return None
         if not found.status.usable:
             raise NoSolutionFound(found.message, found)
-        return replace(self._rated(found.vector, design.motion, found), end=design.end)
+        return replace(self._certify_design(found.vector, design.motion, found), end=design.end)
 
-    def _rated(
+    def _certify_design(
         self, vector: np.ndarray, motion: Solution, preloads: PreloadSolution | None = None
     ) -> _Design:
         """A motion, certified anew with other preloads."""
@@ -281,9 +283,9 @@ class _Study:
         )
         return _Design(vector, own, value.value, preloads)
 
-    def _slipping(self, design: _Design) -> list[str]:
+    def _slipping_connections(self, design: _Design) -> list[str]:
         """Free connections that the motion makes slip with the least preload."""
-        largest = np.max([np.abs(h.torque).max(axis=0) for h in self._loads(design)], axis=0)
+        largest = np.max([np.abs(h.torque).max(axis=0) for h in self._motion_loads(design)], axis=0)
         return [
             element.key
             for index, element in enumerate(self.model.elements)
@@ -291,24 +293,24 @@ class _Study:
         ]
 
     def _least_preload(self, design: _Design) -> np.ndarray:
-        loads = tuple(replace(load, jacobian=None) for load in self._loads(design))
+        loads = tuple(replace(load, jacobian=None) for load in self._motion_loads(design))
         problem = self._preload_problem(design, "total_preload", loads)
-        return optimise_preloads(problem, progress=self._reporter()).vector
+        return optimise_preloads(problem, progress=self._progress_callback()).vector
 
     # ---- telling
 
-    def _named(self, vector: np.ndarray) -> dict[str, float]:
+    def _preloads_by_key(self, vector: np.ndarray) -> dict[str, float]:
         return {
             e.key: float(self.model.of_element(vector, index)[0])
             for index, e in enumerate(self.model.elements)
         }
 
-    def _say_raised(self, vector: np.ndarray) -> None:
+    def _note_raised(self, vector: np.ndarray) -> None:
         """Which of the present preloads could not be the start."""
-        present = self._named(self.model.design)
+        present = self._preloads_by_key(self.model.design)
         raised = [
             f"{key} from {present[key]:.0f} to {preload:.0f} N"
-            for key, preload in self._named(vector).items()
+            for key, preload in self._preloads_by_key(vector).items()
             if preload > present[key]
         ]
         if raised:
@@ -317,11 +319,11 @@ class _Study:
                 f"least that does not: {', '.join(raised)}."
             )
 
-    def _say_end(self, moved: _Design) -> None:
-        if not (self.interrupted or self._usable(moved)):
+    def _note_end(self, moved: _Design) -> None:
+        if not (self.interrupted or self._is_usable(moved)):
             self.remarks.append(f"The rounds ended: {moved.motion.message}")
 
-    def _reporter(self) -> Callable[[SolveProgress | Progress], object] | None:
+    def _progress_callback(self) -> Callable[[SolveProgress | Progress], object] | None:
         """Both kinds of progress as that of a solve, with the part of the study before it."""
         if self.progress is None:
             return None
@@ -342,7 +344,7 @@ class _Study:
 
         return forward
 
-    def _result(
+    def _study_result(
         self,
         first: _Design,
         separate: _Design | None,
@@ -366,22 +368,22 @@ class _Study:
                 MotionRound(
                     deflection_before_preload=moved.deflection,
                     deflection_after=tightened.deflection,
-                    preloads=self._named(tightened.vector),
+                    preloads=self._preloads_by_key(tightened.vector),
                 )
                 for moved, tightened in pairs
             ),
-            start_preloads=self._named(first.vector),
-            separate_preloads=self._named(apart.vector),
-            preloads=self._named(best.vector),
+            start_preloads=self._preloads_by_key(first.vector),
+            separate_preloads=self._preloads_by_key(apart.vector),
+            preloads=self._preloads_by_key(best.vector),
             trajectory=best.motion,
             separate_trajectory=apart.motion,
             preload_solution=best.preloads,
-            note=" ".join([*self.remarks, meaning(status, gain)]),
+            note=" ".join([*self.remarks, describe_gain(status, gain)]),
             seconds=time.perf_counter() - self.begin,
         )
 
 
-def _for_motion(problem: PreloadProblem) -> PreloadProblem:
+def _motion_subproblem(problem: PreloadProblem) -> PreloadProblem:
     """Keep what bounds the preloads; the study's own loads must be borne, but do not deflect."""
     needs = replace(problem.requirements, joint_stiffness={}, tool_deflection=None)
     return replace(

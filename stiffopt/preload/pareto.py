@@ -18,16 +18,16 @@ from stiffopt.preload.infeasibility import find_stoppers
 from stiffopt.preload.load_case import LoadCase
 from stiffopt.preload.model import PreloadModel
 from stiffopt.preload.nlp import Levels, PreloadNlp
-from stiffopt.preload.optimise import Optimum, Report, levels_of, optimum
+from stiffopt.preload.optimise import Optimum, ProgressReport, objective_levels, optimum
 from stiffopt.preload.problem import PreloadProblem
 from stiffopt.preload.utilisation import utilisation_rows
 
 # Levels closer than this, relative, are one.
-_SAME = 1e-6
+_LEVEL_TOLERANCE = 1e-6
 # Rounds in which the intervals beside the knee are halved.
 _KNEE_ROUNDS = 2
 # A stiffness gain along the whole front below this is called hardly any.
-_FLAT = 0.05
+_FLAT_FRONT_GAIN = 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +92,7 @@ def pareto_front(
     cases: Sequence[LoadCase],
     points: int = 15,
     *,
-    progress: Report | None = None,
+    progress: ProgressReport | None = None,
 ) -> ParetoFront:
     """Trace the least total preload against the stiffness that is asked for.
 
@@ -117,38 +117,38 @@ def pareto_front(
     NoSolutionFound
         No preload keeps the other requirements, with the reason.
     """
-    trace = _Trace(problem, tuple(cases), progress)
+    trace = _FrontTrace(problem, tuple(cases), progress)
     least, most = trace.least_level, trace.most_level
-    if most - least <= _SAME * most:
+    if most - least <= _LEVEL_TOLERANCE * most:
         found = [trace.least]
     else:
         levels = np.linspace(least, most, max(points, 2))[1:-1]
         found = [trace.least, *trace.points(levels), *trace.end()]
         for _ in range(_KNEE_ROUNDS):
-            at = _knee(found)
+            at = _knee_position(found)
             beside = [(a.level + b.level) / 2 for a, b in pairwise(found[max(at - 1, 0) : at + 2])]
             found = sorted([*found, *trace.points(beside)], key=lambda p: p.level)
-    knee = _knee(found)
+    knee = _knee_position(found)
     return ParetoFront(
         points=tuple(found),
         knee=knee,
         knee_reason=_knee_reason(found, knee),
-        note=" ".join(filter(None, (_note(found), trace.left_out))),
+        note=" ".join(filter(None, (_describe_front(found), trace.left_out))),
         weights=trace.levels.stiffness,
         interrupted=trace.interrupted,
     )
 
 
-class _Trace:
+class _FrontTrace:
     """Points of one front and what they share."""
 
     def __init__(
-        self, problem: PreloadProblem, cases: tuple[LoadCase, ...], progress: Report | None
+        self, problem: PreloadProblem, cases: tuple[LoadCase, ...], progress: ProgressReport | None
     ) -> None:
         self.progress, self.cases = progress, cases
         self.problem = _without_stiffness(problem)
         model = PreloadModel(self.problem, cases)
-        self.levels: Levels = levels_of(model)
+        self.levels: Levels = objective_levels(model)
         self.model = model
         self.unproved, self.interrupted = 0, False
         nlp = PreloadNlp(model, "total_preload", self.levels)
@@ -158,15 +158,15 @@ class _Trace:
                 "No preload keeps the limits, so there is no front. "
                 + " ".join(str(stop) for stop in stoppers)
             )
-        end = self._solve(model, "total_preload")
+        end = self._solve_proved(model, "total_preload")
         if end is None:
             raise NoSolutionFound(
                 "The least preload of the front was not found. Where nobody stopped it, the "
                 "requirements conflict: solve the study alone to see which."
             )
-        self.least = self._point(model, end.preloads, end.kkt_residual)
+        self.least = self._pareto_point(model, end.preloads, end.kkt_residual)
         self.least_level = self.least.level
-        self.most_level = float(np.min(self._levels(nlp.bounds()[1])))
+        self.most_level = float(np.min(self._stiffness_levels(nlp.bounds()[1])))
 
     def points(self, levels: Sequence[float] | np.ndarray) -> list[ParetoPoint]:
         """Optima for these levels; those without proof are left out and counted."""
@@ -175,9 +175,9 @@ class _Trace:
             if self.interrupted:
                 break
             model = self._at_level(float(level), self.problem.joints)
-            best = self._solve(model, "total_preload")
+            best = self._solve_proved(model, "total_preload")
             if best is not None:
-                found.append(self._point(model, best.preloads, best.kkt_residual))
+                found.append(self._pareto_point(model, best.preloads, best.kkt_residual))
         return found
 
     def end(self) -> list[ParetoPoint]:
@@ -186,29 +186,29 @@ class _Trace:
         Limits and level meet in one point there, which an interior method cannot enter: the joints
         that end the front get their stiffest preloads, the others the least for the same level.
         """
-        most = None if self.interrupted else self._solve(self.model, "joint_stiffness")
+        most = None if self.interrupted else self._solve_proved(self.model, "joint_stiffness")
         if most is None:
             return []
-        levels, preloads = self._levels(most.preloads), most.preloads.copy()
+        levels, preloads = self._stiffness_levels(most.preloads), most.preloads.copy()
         level, residual = float(levels.min()), most.kkt_residual
-        ends = levels <= level * (1.0 + _SAME)
+        ends = levels <= level * (1.0 + _LEVEL_TOLERANCE)
         others = tuple(j for j, end in zip(self.problem.joints, ends, strict=True) if not end)
         if others:
-            rest = self._solve(self._at_level(level, others), "total_preload")
+            rest = self._solve_proved(self._at_level(level, others), "total_preload")
             if rest is None:
                 return []
             for element, part in zip(self.model.elements, self.model.slices, strict=True):
                 if element.joint in others:
                     preloads[part] = rest.preloads[part]
             residual = max(residual, rest.kkt_residual)
-        return [self._point(self._at_level(level, self.problem.joints), preloads, residual)]
+        return [self._pareto_point(self._at_level(level, self.problem.joints), preloads, residual)]
 
     def _at_level(self, level: float, joints: tuple[int, ...]) -> PreloadModel:
         needed = {joint: level * self.levels.stiffness[joint] for joint in joints}
         needs = replace(self.problem.requirements, joint_stiffness=needed)
         return PreloadModel(replace(self.problem, requirements=needs), self.cases)
 
-    def _solve(self, model: PreloadModel, objective: str) -> Optimum | None:
+    def _solve_proved(self, model: PreloadModel, objective: str) -> Optimum | None:
         """An optimum with its proof; one without is counted."""
         found = optimum(model, objective, levels=self.levels, progress=self.progress)
         if found.proved:
@@ -226,12 +226,14 @@ class _Trace:
             return f"Points that did not converge and are left out: {self.unproved}."
         return ""
 
-    def _levels(self, preloads: np.ndarray) -> np.ndarray:
+    def _stiffness_levels(self, preloads: np.ndarray) -> np.ndarray:
         """Least stiffness of each joint over its weight (joints,)."""
         weights = [self.levels.stiffness[joint] for joint in self.problem.joints]
         return np.asarray(self.model.exact_stiffness(preloads).min(axis=1) / weights)
 
-    def _point(self, model: PreloadModel, preloads: np.ndarray, residual: float) -> ParetoPoint:
+    def _pareto_point(
+        self, model: PreloadModel, preloads: np.ndarray, residual: float
+    ) -> ParetoPoint:
         means = {
             e.key: float(np.mean(preloads[part]))
             for e, part in zip(model.elements, model.slices, strict=True)
@@ -239,7 +241,7 @@ class _Trace:
         stiffness = model.exact_stiffness(preloads).min(axis=1)
         return ParetoPoint(
             total_preload=sum(e.count * means[e.key] for e in model.elements),
-            level=float(self._levels(preloads).min()),
+            level=float(self._stiffness_levels(preloads).min()),
             stiffness=tuple(float(k) for k in stiffness),
             preloads=means,
             active=tuple(r.name for r in utilisation_rows(model, preloads) if r.active),
@@ -252,7 +254,7 @@ def _without_stiffness(problem: PreloadProblem) -> PreloadProblem:
     return replace(problem, requirements=needs)
 
 
-def _distances(points: Sequence[ParetoPoint]) -> np.ndarray:
+def _chord_distances(points: Sequence[ParetoPoint]) -> np.ndarray:
     """Distance of each point above the chord between the ends, both axes from 0 to 1."""
     total = np.array([p.total_preload for p in points])
     level = np.array([p.level for p in points])
@@ -261,27 +263,27 @@ def _distances(points: Sequence[ParetoPoint]) -> np.ndarray:
     return np.asarray((y - x) / np.sqrt(2.0))
 
 
-def _knee(points: Sequence[ParetoPoint]) -> int:
-    return int(np.argmax(_distances(points))) if len(points) > 2 else 0
+def _knee_position(points: Sequence[ParetoPoint]) -> int:
+    return int(np.argmax(_chord_distances(points))) if len(points) > 2 else 0
 
 
 def _knee_reason(points: Sequence[ParetoPoint], knee: int) -> str:
     at = points[knee]
-    place = f"{at.total_preload / 1e3:.1f} kN in all, {_percent(at.level, points[-1].level)}"
+    place = f"{at.total_preload / 1e3:.1f} kN in all, {_format_percent(at.level, points[-1].level)}"
     if len(points) < 3:
         return f"Too few points for a knee; the least preload stands for it: {place}."
-    distance = float(_distances(points)[knee])
+    distance = float(_chord_distances(points)[knee])
     return (
         "The knee is the point farthest from the chord between the ends, with both axes scaled to "
         f"run from 0 to 1 (distance {distance:.2f}; 0 is a straight front, 0.71 a corner): {place}."
     )
 
 
-def _percent(level: float, most: float) -> str:
+def _format_percent(level: float, most: float) -> str:
     return f"{100 * level / most:.2f} % of the largest stiffness"
 
 
-def _note(points: Sequence[ParetoPoint]) -> str:
+def _describe_front(points: Sequence[ParetoPoint]) -> str:
     first, last = points[0], points[-1]
     if len(points) == 1:
         return (
@@ -300,6 +302,6 @@ def _note(points: Sequence[ParetoPoint]) -> str:
         f"From the least to the most preload, {100 * more:.0f} % more in all, {what} rises by "
         f"{100 * gain:.1f} %"
     )
-    if gain < _FLAT:
+    if gain < _FLAT_FRONT_GAIN:
         return f"{text}: the front is nearly flat, so tightening buys hardly any stiffness."
     return f"{text}."

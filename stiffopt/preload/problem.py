@@ -33,7 +33,7 @@ from stiffopt.fastening.limits import (
     scatter,
     workshop_torque,
 )
-from stiffopt.fastening.tightening import SCATTER, Tightening
+from stiffopt.fastening.tightening import SCATTER_BY_METHOD, Tightening
 from stiffopt.preload.load_case import LoadCase, LoadHistory
 from stiffopt.preload.step_cost import StepCost
 from stiffopt.symbolic import Quantity
@@ -153,9 +153,10 @@ class Choice:
     def __post_init__(self) -> None:
         check_fields(self, "choose")
         for method in self.methods:
-            if method not in SCATTER:
+            if method not in SCATTER_BY_METHOD:
                 raise ProblemError(
-                    f"choose.methods: no tightening method {method!r}. {nearest(method, SCATTER)}"
+                    f"choose.methods: no tightening method {method!r}. "
+                    f"{nearest(method, SCATTER_BY_METHOD)}"
                 )
 
 
@@ -352,7 +353,9 @@ class PreloadProblem:
     @cached_property
     def elements(self) -> tuple[FreeElement, ...]:
         """Connections whose preload is chosen, joint by joint from motor to link."""
-        candidates = [(joint, stage) for joint in self.joints for stage in self._stages(joint)]
+        candidates = [
+            (joint, stage) for joint in self.joints for stage in self._fastened_stages(joint)
+        ]
         known = {stage.element.name for _, stage in candidates}
         for name in self.free:
             if name not in known:
@@ -361,17 +364,17 @@ class PreloadProblem:
                     f"{nearest(name, known)}"
                 )
         return tuple(
-            self._element(joint, stage)
+            self._free_element(joint, stage)
             for joint, stage in candidates
             if not self.free or stage.element.name in self.free
         )
 
-    def _stages(self, joint: int) -> list[Stage]:
+    def _fastened_stages(self, joint: int) -> list[Stage]:
         chain = self.robot.chains[joint - 1]
         assert chain is not None
         return [s for s in chain.stages if s.element.kind in ("bolted_flange", "clamping_pins")]
 
-    def _element(self, joint: int, stage: Stage) -> FreeElement:
+    def _free_element(self, joint: int, stage: Stage) -> FreeElement:
         name = stage.element.name
         return FreeElement(
             joint=joint,

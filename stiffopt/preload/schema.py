@@ -24,9 +24,9 @@ from stiffopt.problem.schema import PayloadSection, ToolSection, Vector3
 from stiffopt.validation import Section
 
 # Keys of a load case of which exactly one says where its torques come from.
-_KINDS = ("torque", "trajectory", "joints", "position")
+_LOAD_SOURCES = ("torque", "trajectory", "joints", "position")
 # What a load case given by hand may say of a joint's load beside its torque.
-_BESIDE = ("axial_force", "shear_force", "tilting_moment")
+_LOADS_BESIDE_TORQUE = ("axial_force", "shear_force", "tilting_moment")
 
 
 class LoadCaseSection(Section):
@@ -66,13 +66,13 @@ class LoadCaseSection(Section):
 
     @model_validator(mode="after")
     def _one_kind(self) -> LoadCaseSection:
-        given = [key for key in _KINDS if getattr(self, key) is not None]
+        given = [key for key in _LOAD_SOURCES if getattr(self, key) is not None]
         if len(given) != 1:
             raise ValueError(
                 "give one of `torque`, `trajectory`, `joints` or `position`, not "
                 + (" and ".join(f"`{key}`" for key in given) or "none")
             )
-        for key in (*_BESIDE, "reversing"):
+        for key in (*_LOADS_BESIDE_TORQUE, "reversing"):
             if getattr(self, key) and self.torque is None:
                 raise ValueError(
                     f"`{key}` needs a `torque` beside it: a pose or a trajectory tells it itself"

@@ -53,7 +53,7 @@ class SearchProof:
         return sum(self.excluded.values()) + self.evaluated + self.unvisited
 
 
-def account(
+def describe_proof(
     proof: SearchProof, chosen: Sequence[CatalogueDesign], solution: PreloadSolution
 ) -> str:
     """Sentences about the design and the search."""

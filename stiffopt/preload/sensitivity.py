@@ -105,13 +105,13 @@ def sensitivity(model: PreloadModel, preloads: np.ndarray) -> Sensitivity:
     Stiffness and shares are of the exact law. The slope is -K^2 dC/dF with the derivative of the
     smooth law, which holds up to 0.95 of the slip torque.
     """
-    shares = tuple(_shares(model, preloads))
+    shares = tuple(_windup_shares(model, preloads))
     weakest = {}
     for joint in model.problem.joints:
         case = largest_torque(model, joint).name
         own = [s for s in shares if s.joint == joint and s.case == case]
         weakest[joint] = max(own, key=lambda s: s.share).element
-    return Sensitivity(tuple(_worth(model, preloads)), shares, weakest)
+    return Sensitivity(tuple(_preload_worths(model, preloads)), shares, weakest)
 
 
 def largest_torque(model: PreloadModel, joint: int) -> LoadCase:
@@ -119,7 +119,7 @@ def largest_torque(model: PreloadModel, joint: int) -> LoadCase:
     return max(model.cases, key=lambda case: abs(float(case.torque[joint - 1])))
 
 
-def _worth(model: PreloadModel, preloads: np.ndarray) -> Iterator[PreloadWorth]:
+def _preload_worths(model: PreloadModel, preloads: np.ndarray) -> Iterator[PreloadWorth]:
     slopes = compliance_slopes(model, preloads)
     stiffness = model.exact_stiffness(preloads)
     for index, element in enumerate(model.elements):
@@ -159,7 +159,7 @@ def compliance_slopes(model: PreloadModel, preloads: np.ndarray) -> np.ndarray:
     return np.asarray(function(preloads)).reshape(len(joints), len(model.cases), model.size)
 
 
-def _shares(model: PreloadModel, preloads: np.ndarray) -> Iterator[WindupShare]:
+def _windup_shares(model: PreloadModel, preloads: np.ndarray) -> Iterator[WindupShare]:
     for joint in model.problem.joints:
         chain = model.drivetrain(preloads, joint)
         owners, kinds = model.owners(joint), {}

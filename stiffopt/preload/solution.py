@@ -18,7 +18,7 @@ from stiffopt.preload.problem import FreeElement
 from stiffopt.preload.utilisation import utilisation_rows
 from stiffopt.result.status import SolveStatus
 
-_SENTENCES = {
+_MESSAGE_BY_STATUS = {
     SolveStatus.OPTIMAL: "Solved; every requirement holds by the exact law.",
     SolveStatus.ACCEPTABLE: "Solved to the looser tolerance; every requirement holds.",
     SolveStatus.ITERATION_LIMIT: "The solver ended before the optimum; do not use these preloads.",
@@ -120,10 +120,10 @@ def evaluate_design(
     means = {key: float(np.mean(each)) for key, each in own.items()}
     total = sum(e.count * means[e.key] for e in model.elements)
     stiffness = model.exact_stiffness(preloads)
-    deflection = _sizes(model, preloads)
+    deflection = _deflection_sizes(model, preloads)
     return PreloadSolution(
         status=status,
-        message=_message(model, status, rows, stoppers),
+        message=_compose_message(model, status, rows, stoppers),
         preloads=means,
         individual=own if model.problem.individual else {},
         tightening={
@@ -137,12 +137,12 @@ def evaluate_design(
         stiffness=stiffness,
         stiffness_before=model.exact_stiffness(model.design),
         deflection=deflection,
-        deflection_before=_sizes(model, model.design),
+        deflection_before=_deflection_sizes(model, model.design),
         objective={
             "total_preload": total,
             "bolt_utilisation": largest_utilisation(model, preloads),
             "joint_stiffness": float(stiffness.min()),
-            "tool_deflection": _largest(deflection),
+            "tool_deflection": _largest_deflection(deflection),
         }[model.problem.objective],
         total_preload=total,
         kkt_residual=kkt_residual,
@@ -172,16 +172,16 @@ def _workshop_torque(
     return workshop_torque(fastened, preload, tightening)
 
 
-def _sizes(model: PreloadModel, preloads: np.ndarray) -> np.ndarray:
+def _deflection_sizes(model: PreloadModel, preloads: np.ndarray) -> np.ndarray:
     return np.asarray(np.linalg.norm(model.exact_deflection(preloads), axis=1))
 
 
-def _largest(deflection: np.ndarray) -> float:
+def _largest_deflection(deflection: np.ndarray) -> float:
     posed = deflection[np.isfinite(deflection)]
     return float(posed.max()) if posed.size else float("nan")
 
 
-def _message(
+def _compose_message(
     model: PreloadModel,
     status: SolveStatus,
     rows: tuple[UtilisationRow, ...],
@@ -195,7 +195,7 @@ def _message(
             "The solver finished, but the exact law finds a requirement exceeded: "
             f"{worst.name}, utilisation {worst.utilisation:.4f}. Do not use these preloads."
         )
-    text = _SENTENCES[status]
+    text = _MESSAGE_BY_STATUS[status]
     if not status.usable:
         return text
     binding = list(dict.fromkeys(row.kind for row in rows if row.active))

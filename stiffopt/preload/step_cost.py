@@ -55,7 +55,11 @@ def design_cost(choose: Choice, stage: Stage, present: Stage) -> float:
     cost, bolt = choose.cost, flange.bolt
     sizes = sorted(set(choose.sizes), key=lambda size: catalogue.bolt(size).diameter)
     grades = sorted(set(choose.grades), key=catalogue.bolt_grades().index)
-    one = cost.bolt + cost.size * _place(sizes, bolt.size) + cost.grade * _place(grades, bolt.grade)
+    one = (
+        cost.bolt
+        + cost.size * _position_in(sizes, bolt.size)
+        + cost.grade * _position_in(grades, bolt.grade)
+    )
     one += cost.washer * bolt.washer + cost.nut * bolt.nut
     moved = flange.circle_diameter != before.circle_diameter
     return flange.bolt_count * one + cost.circle * moved
@@ -68,6 +72,6 @@ def way_cost(choose: Choice, method: int, coating: int) -> float:
     return choose.cost.method * method + choose.cost.coating * coating
 
 
-def _place(among: Sequence[object], what: object) -> int:
+def _position_in(among: Sequence[object], what: object) -> int:
     """Position in a list; 0 in none."""
     return list(among).index(what) if what in among else 0

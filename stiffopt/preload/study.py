@@ -106,10 +106,10 @@ def preload_study(
         Of any status; a study that cannot be met has no front and no joint study.
     """
     with with_own(problem.robot.own):
-        return _studied(problem, motion, rounds, front_points, progress)
+        return _run_study(problem, motion, rounds, front_points, progress)
 
 
-def _studied(
+def _run_study(
     problem: PreloadProblem,
     motion: TrajectoryProblem | None,
     rounds: int,
@@ -179,7 +179,7 @@ def value_units(
     for joint in problem.joints:
         units[f"stiffness_joint_{joint}"] = "N m/rad"
     for element in problem.elements:
-        name = _name(element)
+        name = _value_name(element)
         units |= {
             f"preload_{name}": "N",
             f"least_preload_{name}": "N",
@@ -232,7 +232,7 @@ def named_values(study: PreloadStudy) -> dict[str, tuple[float, str]]:
     for joint, row in zip(problem.joints, solution.stiffness, strict=True):
         values[f"stiffness_joint_{joint}"] = float(row.min())
     for element in problem.elements:
-        values |= _of_element(study, element)
+        values |= _element_values(study, element)
     if study.front is not None:
         knee = study.front.points[study.front.knee]
         values |= {"knee_total_preload": knee.total_preload, "knee_level": knee.level}
@@ -249,12 +249,12 @@ def named_values(study: PreloadStudy) -> dict[str, tuple[float, str]]:
     return {name: (values.get(name, np.nan), unit) for name, unit in units.items()}
 
 
-def _name(element: FreeElement) -> str:
+def _value_name(element: FreeElement) -> str:
     return element.key.replace(".", "_")
 
 
-def _of_element(study: PreloadStudy, element: FreeElement) -> dict[str, float]:
-    solution, key, name = study.solution, element.key, _name(element)
+def _element_values(study: PreloadStudy, element: FreeElement) -> dict[str, float]:
+    solution, key, name = study.solution, element.key, _value_name(element)
     torque = solution.tightening[key]
     own = [r.value for r in solution.rows if r.kind == "slip safety" and r.element == key]
     least = element.least(solution.preloads[key])

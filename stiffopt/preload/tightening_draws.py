@@ -11,9 +11,9 @@ from stiffopt.fastening.tightening import preload_at_torque, tightening_torque
 from stiffopt.fastening.verification import Verification
 
 # What is stated as a range spans so many standard deviations to either side.
-_SPAN = 2.0
+_DEVIATIONS_PER_SIDE = 2.0
 # Of a torque wrench: +-5 %.
-_WRENCH = 0.05
+_WRENCH_ACCURACY = 0.05
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,9 +78,9 @@ def slip_probability(
     # At the other end of the scatter all friction is so many times the lowest.
     factor = (steps.scatter * setting / preload - pitch) / (setting / preload - pitch)
     means = [mu * (1.0 + factor) / 2.0 for mu in lowest]
-    deviations = [mu * (factor - 1.0) / (2.0 * _SPAN) for mu in lowest]
-    wrench = setting * _WRENCH / _SPAN
-    needed = _needed(steps)
+    deviations = [mu * (factor - 1.0) / (2.0 * _DEVIATIONS_PER_SIDE) for mu in lowest]
+    wrench = setting * _WRENCH_ACCURACY / _DEVIATIONS_PER_SIDE
+    needed = _needed_preload(steps)
     force = needed + steps.loss
     mean = setting - force * (pitch + sum(a * mu for a, mu in zip(levers, means, strict=True)))
     spread = math.hypot(wrench, *(force * a * sd for a, sd in zip(levers, deviations, strict=True)))
@@ -100,7 +100,7 @@ def slip_probability(
     )
 
 
-def _needed(steps: Verification) -> float:
+def _needed_preload(steps: Verification) -> float:
     """Preload in service that the worst bolt needs, without any safety [N]."""
     unloaded = (1.0 - steps.factor.least) * np.maximum(steps.opening, 0.0)
     slip = float((steps.clamp_against_slip + unloaded).max())

@@ -15,7 +15,7 @@ from stiffopt.preload.load_case import LoadCase, LoadHistory
 from stiffopt.robot.joint_load import at_face
 
 
-def tilts(stage: Stage) -> bool:
+def carries_tilting(stage: Stage) -> bool:
     """Whether a stage is a flange that carries its joint's moments, and its bolts are known."""
     flange = stage.element
     if not isinstance(flange, BoltedFlange) or flange.bolt is None:
@@ -41,7 +41,7 @@ def tool_levers(
         First of all that acts, then of what does not count in the deflection. None where the load
         has no moments, or the flange carries none.
     """
-    if load.wrench is None or load.frames is None or load.arm is None or not tilts(stage):
+    if load.wrench is None or load.frames is None or load.arm is None or not carries_tilting(stage):
         return None
     flange = stage.element
     assert isinstance(flange, BoltedFlange)
@@ -65,7 +65,7 @@ def tilt_vector(stage: Stage, joint: int, load: LoadCase | LoadHistory) -> np.nd
     return np.asarray(np.cross(moments[..., 0, :] - moments[..., 1, :], arm))
 
 
-def tilted_tool(
+def tilt_deflection(
     stage: Stage, joint: int, load: LoadCase | LoadHistory, preload: float
 ) -> np.ndarray:
     """Movement of the tool by one flange with a preload left in service (..., 3) [m].

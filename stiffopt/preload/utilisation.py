@@ -14,7 +14,7 @@ from stiffopt.fastening.vdi_rows import vdi_rows
 from stiffopt.preload.model import PreloadModel
 
 # Share of the largest torque of a joint below which one is zero but for rounding, and no reversal.
-_NO_TORQUE = 1e-9
+_ZERO_TORQUE_SHARE = 1e-9
 
 
 def utilisation_rows(model: PreloadModel, preloads: np.ndarray) -> tuple[UtilisationRow, ...]:
@@ -27,12 +27,12 @@ def utilisation_rows(model: PreloadModel, preloads: np.ndarray) -> tuple[Utilisa
         Largest preloads [N].
     """
     return (
-        *_slip(model, preloads, range(len(model.elements))),
-        *_fasteners(model, preloads),
+        *_slip_rows(model, preloads, range(len(model.elements))),
+        *_fastener_rows(model, preloads),
         *(row for index in range(len(model.elements)) for row in model.vdi_rows(preloads, index)),
-        *_keys(model),
-        *_stiffness(model, preloads),
-        *_deflection(model, preloads),
+        *_key_rows(model),
+        *_stiffness_rows(model, preloads),
+        *_deflection_rows(model, preloads),
     )
 
 
@@ -46,10 +46,10 @@ def governing_safety(
     own = np.asarray(model.of_element(preloads, index))
     least = float(model.elements[index].least(float(own.min())))
     rows = vdi_rows(steps, float(own.max()), least=least)
-    return governing_rows((*_slip(model, preloads, (index,)), *rows))
+    return governing_rows((*_slip_rows(model, preloads, (index,)), *rows))
 
 
-def _slip(
+def _slip_rows(
     model: PreloadModel, preloads: np.ndarray, indices: Iterable[int]
 ) -> Iterator[UtilisationRow]:
     for index in indices:
@@ -75,7 +75,7 @@ def _slip(
 
 
 # Steps of VDI 2230 that bound the preload at assembly.
-_STEPS = {
+_VDI_STEP_BY_LIMIT = {
     "bolt utilisation": "R7/2",
     "head pressure": "R10/1",
     "thread engagement": "R11",
@@ -83,7 +83,7 @@ _STEPS = {
 }
 
 
-def _fasteners(model: PreloadModel, preloads: np.ndarray) -> Iterator[UtilisationRow]:
+def _fastener_rows(model: PreloadModel, preloads: np.ndarray) -> Iterator[UtilisationRow]:
     needs = model.problem.requirements
     for index, element in enumerate(model.elements):
         largest = float(max(model.of_element(preloads, index)))
@@ -103,7 +103,7 @@ def _fasteners(model: PreloadModel, preloads: np.ndarray) -> Iterator[Utilisatio
                 provenance=limit.provenance,
                 source=limit.source,
                 remedy=limit.remedy,
-                equation=_STEPS.get(limit.name, ""),
+                equation=_VDI_STEP_BY_LIMIT.get(limit.name, ""),
             )
         floor = needs.least_preload * element.capacity
         yield UtilisationRow(
@@ -121,13 +121,13 @@ def _fasteners(model: PreloadModel, preloads: np.ndarray) -> Iterator[Utilisatio
         )
 
 
-def _keys(model: PreloadModel) -> Iterator[UtilisationRow]:
+def _key_rows(model: PreloadModel) -> Iterator[UtilisationRow]:
     """Flank pressures of the keys: no preload changes them, but a design must keep them."""
     for joint in model.problem.joints:
         chain = model.problem.robot.chains[joint - 1]
         assert chain is not None
         torques = [float(case.torque[joint - 1]) for case in model.cases]
-        noise = _NO_TORQUE * max(abs(torque) for torque in torques)
+        noise = _ZERO_TORQUE_SHARE * max(abs(torque) for torque in torques)
         reversing = min(torques) < -noise and max(torques) > noise
         for stage in chain.stages:
             key = stage.element
@@ -153,7 +153,7 @@ def _keys(model: PreloadModel) -> Iterator[UtilisationRow]:
                 )
 
 
-def _stiffness(model: PreloadModel, preloads: np.ndarray) -> Iterator[UtilisationRow]:
+def _stiffness_rows(model: PreloadModel, preloads: np.ndarray) -> Iterator[UtilisationRow]:
     needed = model.problem.requirements.joint_stiffness
     if not needed:
         return
@@ -174,7 +174,7 @@ def _stiffness(model: PreloadModel, preloads: np.ndarray) -> Iterator[Utilisatio
             )
 
 
-def _deflection(model: PreloadModel, preloads: np.ndarray) -> Iterator[UtilisationRow]:
+def _deflection_rows(model: PreloadModel, preloads: np.ndarray) -> Iterator[UtilisationRow]:
     allowed = model.problem.requirements.tool_deflection
     if allowed is None:
         return

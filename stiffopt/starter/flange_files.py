@@ -11,7 +11,7 @@ from stiffopt.drivetrain import catalogue
 from stiffopt.drivetrain.catalogue import with_own
 from stiffopt.errors import InputError, InputFileError, nearest
 from stiffopt.robot.own_catalogue import read_own_catalogue
-from stiffopt.starter.writing import beside, number, quoted, write_new
+from stiffopt.starter.writing import relative_path, toml_number, toml_string, write_new
 
 
 def write_flange(
@@ -64,7 +64,7 @@ def write_flange(
             f"--count: {count} bolts bear no tilting moment about every axis; three or more do."
         )
     with with_own({} if own is None else read_own_catalogue(own)):
-        texts = _texts(
+        texts = _file_texts(
             torque=torque,
             size=size,
             grade=grade,
@@ -72,12 +72,14 @@ def write_flange(
             circle=circle,
             nut=nut,
             beside_torque=beside_torque,
-            catalogue_line="" if own is None else f"catalogue = {quoted(beside(own, folder))}\n",
+            catalogue_line=""
+            if own is None
+            else f"catalogue = {toml_string(relative_path(own, folder))}\n",
         )
     return [write_new(folder / name, text) for name, text in texts.items()]
 
 
-def _texts(
+def _file_texts(
     *,
     torque: float,
     size: str,
@@ -114,38 +116,40 @@ def _texts(
     half = math.floor(min(15e3 * bolt, 7.4e3 * data.bearing_diameter)) / 1e4
     inner, outer = circle / 2.0 - half, circle / 2.0 + half
     loads = "\n".join(
-        f"{name} = [{number(value)}]{' ' * (17 - len(name))}# {_LOADS[name]}"
+        f"{name} = [{toml_number(value)}]{' ' * (17 - len(name))}# {_LOAD_COMMENTS[name]}"
         for name, value in beside_torque.items()
         if value > 0.0
     )
     return {
-        "flange.urdf": _URDF.format(torque=f"{torque:g}"),
-        "flange_robot.toml": _ROBOT.format(
+        "flange.urdf": _URDF_TEMPLATE.format(torque=f"{torque:g}"),
+        "flange_robot.toml": _ROBOT_TEMPLATE.format(
             catalogue=catalogue_line,
-            torque=number(torque),
-            inner=number(inner),
-            outer=number(outer),
-            size=quoted(size),
-            grade=quoted(grade),
+            torque=toml_number(torque),
+            inner=toml_number(inner),
+            outer=toml_number(outer),
+            size=toml_string(size),
+            grade=toml_string(grade),
             count=count,
-            circle=number(circle),
+            circle=toml_number(circle),
             nut=", nut = true" if nut else "",
             # Somewhat below what the bolt bears: a study only needs where to start.
-            preload=number(round(0.4 * catalogue.proof_stress(grade) * data.stress_area, -1)),
+            preload=toml_number(round(0.4 * catalogue.proof_stress(grade) * data.stress_area, -1)),
         ),
-        "flange.toml": _STUDY.format(torque=number(torque), loads=loads or _NO_LOADS),
+        "flange.toml": _STUDY_TEMPLATE.format(
+            torque=toml_number(torque), loads=loads or _NO_LOADS_TEXT
+        ),
     }
 
 
-_LOADS = {
+_LOAD_COMMENTS = {
     "axial_force": "[N] along the axis, taken to pull",
     "shear_force": "[N] across the axis",
     "tilting_moment": "[N m] about axes across the flange's: bends it open on one side",
 }
-_NO_LOADS = "\n".join(
-    f"# {name} = [0.0]{' ' * (15 - len(name))}# {said}" for name, said in _LOADS.items()
+_NO_LOADS_TEXT = "\n".join(
+    f"# {name} = [0.0]{' ' * (15 - len(name))}# {said}" for name, said in _LOAD_COMMENTS.items()
 )
-_URDF = """<!-- Stands in for the machine: one joint that the flange is in. -->
+_URDF_TEMPLATE = """<!-- Stands in for the machine: one joint that the flange is in. -->
 <robot name="flange">
 <link name="base"/>
 <link name="part"><inertial><mass value="1.0"/>
@@ -154,7 +158,8 @@ _URDF = """<!-- Stands in for the machine: one joint that the flange is in. -->
 <axis xyz="0 0 1"/><limit lower="-3.14" upper="3.14" effort="{torque}" velocity="1"/></joint>
 </robot>
 """
-_ROBOT = """# The flange, written by `stiffopt init flange`. Estimated: put yours in its place.
+_ROBOT_TEMPLATE = """\
+# The flange, written by `stiffopt init flange`. Estimated: put yours in its place.
 schema = 1
 kind = "robot"
 name = "flange"
@@ -178,7 +183,7 @@ preload_is = "assumed"          # with the present preload in its place: "assemb
 provenance = "estimated"
 source = "init flange"
 """
-_STUDY = """# How tight must the bolts of the flange be? Written by `stiffopt init flange`.
+_STUDY_TEMPLATE = """# How tight must the bolts of the flange be? Written by `stiffopt init flange`.
 schema = 1
 kind = "preload"
 title = "Flange"

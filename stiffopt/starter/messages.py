@@ -13,13 +13,13 @@ from stiffopt.recording.readers.read import first_messages, read_columns
 from stiffopt.recording.signals import Signals
 
 # Messages that are looked at for topics.
-_LOOKED_AT = 2000
-_NAMES = ("name", "names", "joint_names")
-_LISTS = ("position", "velocity", "effort", "torque", "current", "positions", "velocities",
+_MAX_PROBED_MESSAGES = 2000
+_NAME_FIELDS = ("name", "names", "joint_names")
+_VALUE_FIELDS = ("position", "velocity", "effort", "torque", "current", "positions", "velocities",
           "efforts", "accelerations", "q", "qd", "tau")  # fmt: skip
 # Parts of controller messages that hold such lists, measured before wanted.
-_PARTS = ("", "actual", "feedback", "measured", "state")
-TIME = "stamp"
+_MESSAGE_PARTS = ("", "actual", "feedback", "measured", "state")
+STAMP_COLUMN = "stamp"
 
 
 def read_message_table(path: Path, joints: Sequence[str]) -> dict[str, np.ndarray]:
@@ -33,10 +33,10 @@ def read_message_table(path: Path, joints: Sequence[str]) -> dict[str, np.ndarra
         No topic has a list of numbers for each joint, with the topics there are.
     """
     found: dict[str, list[str]] = {}
-    for topic, _, message in first_messages(path, _LOOKED_AT):
+    for topic, _, message in first_messages(path, _MAX_PROBED_MESSAGES):
         # A gripper may write to the topic of the arm.
         if not found.get(topic):
-            found[topic] = _fields(topic, message, joints)
+            found[topic] = _joint_fields(topic, message, joints)
     best = max(found, key=lambda topic: len(found[topic]), default="")
     if not found.get(best):
         raise InputFileError(
@@ -48,23 +48,25 @@ def read_message_table(path: Path, joints: Sequence[str]) -> dict[str, np.ndarra
         )
     fields = found[best]
     signals = Signals(
-        time=TIME, position=tuple(fields), velocity=None, link_position=None, torque=()
+        time=STAMP_COLUMN, position=tuple(fields), velocity=None, link_position=None, torque=()
     )
     return dict(read_columns(path, signals))
 
 
-def _fields(topic: str, message: Any, joints: Sequence[str]) -> list[str]:
+def _joint_fields(topic: str, message: Any, joints: Sequence[str]) -> list[str]:
     """Names of the fields of a message that hold a number for each joint."""
-    stated: Any = next((n for key in _NAMES if (n := _get(message, key)) is not None), ())
+    stated: Any = next(
+        (n for key in _NAME_FIELDS if (n := _get_field(message, key)) is not None), ()
+    )
     # Anyone's message may have a name that is none of joints.
     listed = isinstance(stated, Sequence) and not isinstance(stated, str)
     names = list(stated) if listed and all(isinstance(n, str) for n in stated) else []
     named = set(joints) <= set(names)
     found: list[str] = []
-    for part in _PARTS:
-        holder = _get(message, part) if part else message
-        for key in _LISTS:
-            values = _get(holder, key)
+    for part in _MESSAGE_PARTS:
+        holder = _get_field(message, part) if part else message
+        for key in _VALUE_FIELDS:
+            values = _get_field(holder, key)
             if not isinstance(values, Sequence | np.ndarray) or isinstance(values, str):
                 continue
             place = f"{topic}.{part}.{key}" if part else f"{topic}.{key}"
@@ -77,5 +79,5 @@ def _fields(topic: str, message: Any, joints: Sequence[str]) -> list[str]:
     return found
 
 
-def _get(value: Any, key: str) -> Any:
+def _get_field(value: Any, key: str) -> Any:
     return value.get(key) if isinstance(value, Mapping) else getattr(value, key, None)

@@ -8,7 +8,7 @@ import numpy as np
 
 from stiffopt.robot.robot import Robot
 from stiffopt.starter.first_motion import first_motion
-from stiffopt.starter.writing import beside, listed, number, quoted
+from stiffopt.starter.writing import relative_path, toml_list, toml_number, toml_string
 
 
 def problem_text(robot: Robot, file: str | Path, folder: Path) -> str:
@@ -28,7 +28,7 @@ def problem_text(robot: Robot, file: str | Path, folder: Path) -> str:
         No pose was found that the drives can hold and where links do not meet.
     """
     motion = first_motion(robot)
-    named = beside(file, folder) if isinstance(file, Path) else file
+    named = relative_path(file, folder) if isinstance(file, Path) else file
     if not motion.yields:
         objective = ['"torque_squared"']
         why = "a rigid tool: least heat. With joints that yield, minimise shaped_deviation"
@@ -51,8 +51,8 @@ def problem_text(robot: Robot, file: str | Path, folder: Path) -> str:
         "# middle of the joints' ranges. Collisions of your cell are not known to it.",
         "schema = 1",
         'kind = "trajectory"',
-        f"title = {quoted(f'First motion of {robot.name}')}",
-        f"robot = {quoted(named)}",
+        f"title = {toml_string(f'First motion of {robot.name}')}",
+        f"robot = {toml_string(named)}",
         "",
         "# [payload]",
         "# mass = 1.0                  # [kg], at the flange",
@@ -64,8 +64,8 @@ def problem_text(robot: Robot, file: str | Path, folder: Path) -> str:
         '# clearance = "20 mm"',
         "",
         "[motion]",
-        f"start = {{ joints = {_pose(robot, motion.start)} }}",
-        f"end = {{ joints = {_pose(robot, motion.end)} }}",
+        f"start = {{ joints = {_format_pose(robot, motion.start)} }}",
+        f"end = {{ joints = {_format_pose(robot, motion.end)} }}",
         f'duration = "{motion.duration:.3g} s"',
         "",
         "[[minimise]]",
@@ -78,8 +78,8 @@ def problem_text(robot: Robot, file: str | Path, folder: Path) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _pose(robot: Robot, pose: np.ndarray) -> str:
-    return listed(
-        number(value) if slides else quoted(f"{np.degrees(value):.1f} deg")
+def _format_pose(robot: Robot, pose: np.ndarray) -> str:
+    return toml_list(
+        toml_number(value) if slides else toml_string(f"{np.degrees(value):.1f} deg")
         for value, slides in zip(pose, robot.prismatic, strict=True)
     )

@@ -17,12 +17,12 @@ from stiffopt.robot.robot import Robot
 from stiffopt.robot.urdf import load_urdf
 from stiffopt.robot.urdf_tree import read_tree
 from stiffopt.starter.robot_file import robot_text
-from stiffopt.starter.writing import quoted
+from stiffopt.starter.writing import toml_string
 
-FILE = "robot.toml"
-_URDF, _CATALOGUE = "robot.urdf", "catalogue.toml"
+ROBOT_FILE = "robot.toml"
+_URDF_FILE, _CATALOGUE_FILE = "robot.urdf", "catalogue.toml"
 # Names of files in a robot file.
-_ENTRIES = {"urdf": _URDF, "catalogue": _CATALOGUE}
+_FILE_ENTRIES = {"urdf": _URDF_FILE, "catalogue": _CATALOGUE_FILE}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,17 +66,21 @@ def store_robot(source: Path, folder: Path, tip: str | None = None) -> RecordedR
             raise InputFileError(source, "", "names its tool itself: leave out --tip.")
         robot = load_robot(source)
         _copy_robot_file(source, folder)
-        return RecordedRobot(robot=robot, file=FILE)
+        return RecordedRobot(robot=robot, file=ROBOT_FILE)
     # Of several arms all can have been recorded.
     every = [] if tip else JointTree(read_tree(source)).branch_joints()
     if tip is None and not _has_gaps(source, every):
         robot = load_robot(source, keep=every)
-        shutil.copyfile(source, folder / _URDF)
-        return RecordedRobot(robot=robot, file=_URDF)
+        shutil.copyfile(source, folder / _URDF_FILE)
+        return RecordedRobot(robot=robot, file=_URDF_FILE)
     started = robot_text(source, folder, tip, bare=True)
-    shutil.copyfile(source, folder / _URDF)
-    (folder / FILE).write_text(_renamed(started.text, "urdf", _URDF), encoding="utf-8")
-    return RecordedRobot(robot=load_robot(folder / FILE), file=FILE, notes=started.notes)
+    shutil.copyfile(source, folder / _URDF_FILE)
+    (folder / ROBOT_FILE).write_text(
+        _replace_entry(started.text, "urdf", _URDF_FILE), encoding="utf-8"
+    )
+    return RecordedRobot(
+        robot=load_robot(folder / ROBOT_FILE), file=ROBOT_FILE, notes=started.notes
+    )
 
 
 def _has_gaps(urdf: Path, keep: Collection[str]) -> bool:
@@ -89,13 +93,13 @@ def _has_gaps(urdf: Path, keep: Collection[str]) -> bool:
 
 def _copy_robot_file(source: Path, folder: Path) -> None:
     text, entries = read_text(source), load_toml(source)
-    for entry, name in _ENTRIES.items():
+    for entry, name in _FILE_ENTRIES.items():
         if entry in entries:
             shutil.copyfile(source.parent / entries[entry], folder / name)
-            text = _renamed(text, entry, name)
-    (folder / FILE).write_text(text, encoding="utf-8")
+            text = _replace_entry(text, entry, name)
+    (folder / ROBOT_FILE).write_text(text, encoding="utf-8")
 
 
-def _renamed(text: str, entry: str, name: str) -> str:
+def _replace_entry(text: str, entry: str, name: str) -> str:
     """Text of a robot file whose entry names another file."""
-    return re.sub(rf"(?m)^{entry}\s*=.*$", f"{entry} = {quoted(name)}", text, count=1)
+    return re.sub(rf"(?m)^{entry}\s*=.*$", f"{entry} = {toml_string(name)}", text, count=1)

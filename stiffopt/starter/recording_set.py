@@ -18,23 +18,23 @@ from stiffopt.recording.readers.read import is_messages
 from stiffopt.robot.joint_tree import JointTree
 from stiffopt.robot.urdf_tree import read_tree
 from stiffopt.starter.guessing import (
-    FACTORS,
+    FACTOR_REQUESTS,
     GuessedColumns,
     UnrecognisedError,
-    guess,
+    guess_columns,
     with_time,
 )
 from stiffopt.starter.messages import read_message_table
-from stiffopt.starter.recorded_robot import FILE, RecordedRobot, store_robot
+from stiffopt.starter.recorded_robot import ROBOT_FILE, RecordedRobot, store_robot
 from stiffopt.starter.tables import read_any_table
-from stiffopt.starter.writing import listed, quoted, write_new
+from stiffopt.starter.writing import toml_list, toml_string, write_new
 
-_ENDINGS = (".csv", ".txt", ".tsv", ".dat", ".log", ".npz", ".parquet")
+_TABLE_SUFFIXES = (".csv", ".txt", ".tsv", ".dat", ".log", ".npz", ".parquet")
 # Share of a single recording that is fitted to; the rest is for judging.
-_TRAIN = 0.7
-_FEWEST = 400
+_TRAINING_SHARE = 0.7
+_MIN_TRAINING_ROWS = 400
 # Rows of each part of a recording whose clock begins anew.
-_FEWEST_OF_PART = 100
+_MIN_PART_ROWS = 100
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,25 +84,25 @@ def start_recording_set(
     """
     if (folder / "recordings.toml").exists():
         raise InputFileError(folder / "recordings.toml", "", "is there already and is kept.")
-    if urdf.suffix.lower() in _ENDINGS:
+    if urdf.suffix.lower() in _TABLE_SUFFIXES:
         raise InputFileError(urdf, "", "is a recording, not a URDF. Give the arm's as --urdf.")
     with tempfile.TemporaryDirectory() as beside:
         arm = store_robot(urdf, Path(beside), tip)
         try:
-            return _started(data, arm, Path(beside), folder, rate)
+            return _write_set(data, arm, Path(beside), folder, rate)
         except UnrecognisedError as error:
-            which = "" if tip or arm.file == FILE else JointTree(read_tree(urdf)).which_arm()
+            which = "" if tip or arm.file == ROBOT_FILE else JointTree(read_tree(urdf)).which_arm()
             if not which:
                 raise
             raise InputError(f"{error} {urdf.name} {which}") from error
 
 
-def _started(
+def _write_set(
     data: Sequence[Path], arm: RecordedRobot, beside: Path, folder: Path, rate: float | None
 ) -> StartedSet:
     """Write the set of an arm whose files lie in the folder `beside`."""
     robot = arm.robot
-    files = _files(data)
+    files = _find_files(data)
     tables = {
         path: read_message_table(path, robot.joint_names)
         if is_messages(path)
@@ -113,7 +113,7 @@ def _started(
         if not 0.0 < rate < 1e6:
             raise InputError(f"--rate {rate:g} must be above 0 and below 1e6 rows a second.")
         tables = {path: with_time(table, rate) for path, table in tables.items()}
-    first = guess(tables[files[0]], robot, rate)
+    first = guess_columns(tables[files[0]], robot, rate)
     wanted = [first.time, *(c for columns in first.columns.values() for c in columns if c)]
     notes = list(arm.notes)
     for path, table in tables.items():
@@ -123,17 +123,18 @@ def _started(
                 path, "", f"lacks {', '.join(lacking)}, which {files[0].name} has."
             )
     runs: list[tuple[str, str, dict[str, np.ndarray]]] = []
-    parts, begun = _parts(tables, first.time, [*wanted, *first.asked])
+    parts, begun = _split_runs(tables, first.time, [*wanted, *first.asked])
     notes += begun
     if len(parts) == 1:
         _, stem, table = parts[0]
-        cut = int(_TRAIN * len(table[first.time]))
-        if cut < _FEWEST:
+        cut = int(_TRAINING_SHARE * len(table[first.time]))
+        if cut < _MIN_TRAINING_ROWS:
             raise InputFileError(
                 files[0],
                 "",
                 f"has {len(table[first.time])} rows; a single recording is cut in two and needs"
-                f" {math.ceil(_FEWEST / _TRAIN)}. Record more, or a second one.",
+                f" {math.ceil(_MIN_TRAINING_ROWS / _TRAINING_SHARE)}. Record more, or a second"
+                " one.",
             )
         runs.append((f"{stem}_train", "train", {k: v[:cut] for k, v in table.items()}))
         runs.append((f"{stem}_test", "test", {k: v[cut:] for k, v in table.items()}))
@@ -153,22 +154,24 @@ def _started(
     for name, _, table in runs:
         columns: dict[str, Any] = dict(table)
         np.savez_compressed(folder / f"{name}.npz", **columns)
-    text = _text(folder.resolve().name, arm, first, [(n, r) for n, r, _ in runs])
+    text = _set_text(folder.resolve().name, arm, first, [(n, r) for n, r, _ in runs])
     return StartedSet(
         path=write_new(folder / "recordings.toml", text), guess=first, notes=tuple(notes)
     )
 
 
-def _parts(
+def _split_runs(
     tables: Mapping[Path, Mapping[str, np.ndarray]], time: str, names: Sequence[str]
 ) -> tuple[list[tuple[Path, str, dict[str, np.ndarray]]], list[str]]:
     """File, name and columns of each run, one for each clock of a file; what is to be said."""
     parts: list[tuple[Path, str, dict[str, np.ndarray]]] = []
     notes: list[str] = []
-    taken = {_stem(path) for path in tables}
+    taken = {_run_name(path) for path in tables}
     for path, table in tables.items():
-        own = list(_clocks(_kept(table, names), time))
-        called = [_stem(path)] if len(own) == 1 else _part_names(_stem(path), len(own), taken)
+        own = list(_split_at_clock_resets(_select_columns(table, names), time))
+        called = (
+            [_run_name(path)] if len(own) == 1 else _part_names(_run_name(path), len(own), taken)
+        )
         taken.update(called)
         parts += [(path, name, part) for name, part in zip(called, own, strict=True)]
         if len(own) > 1:
@@ -188,27 +191,29 @@ def _part_names(stem: str, count: int, taken: Container[str]) -> list[str]:
         stem += "_part"
 
 
-def _clocks(table: Mapping[str, np.ndarray], time: str) -> Iterator[dict[str, np.ndarray]]:
+def _split_at_clock_resets(
+    table: Mapping[str, np.ndarray], time: str
+) -> Iterator[dict[str, np.ndarray]]:
     """Parts between which the clock goes back to its beginning; the table where it does not."""
     stamps = table[time]
     steps = np.diff(stamps)
     known = steps[np.isfinite(steps) & (steps > 0.0)]
     usual = float(np.median(known)) if known.size else 0.0
     # What goes back by a few rows is no new beginning, and is told by who reads the run.
-    cuts = np.flatnonzero(steps < -_FEWEST_OF_PART * usual) + 1
+    cuts = np.flatnonzero(steps < -_MIN_PART_ROWS * usual) + 1
     ends = [0, *(int(cut) for cut in cuts), len(stamps)]
-    if any(np.diff(ends) < _FEWEST_OF_PART):
+    if any(np.diff(ends) < _MIN_PART_ROWS):
         yield dict(table)
         return
     for begin, end in itertools.pairwise(ends):
         yield {name: column[begin:end] for name, column in table.items()}
 
 
-def _kept(table: Mapping[str, np.ndarray], names: Sequence[str]) -> dict[str, np.ndarray]:
+def _select_columns(table: Mapping[str, np.ndarray], names: Sequence[str]) -> dict[str, np.ndarray]:
     return {name: table[name] for name in names if name in table}
 
 
-def _files(data: Sequence[Path]) -> list[Path]:
+def _find_files(data: Sequence[Path]) -> list[Path]:
     found: list[Path] = []
     for path in data:
         if (path / "meta" / "info.json").is_file():
@@ -216,27 +221,27 @@ def _files(data: Sequence[Path]) -> list[Path]:
             found += sorted(path.glob("data/**/*.parquet"))
         elif path.is_dir() and not is_messages(path):
             found += sorted(
-                p for p in path.iterdir() if p.suffix.lower() in _ENDINGS or is_messages(p)
+                p for p in path.iterdir() if p.suffix.lower() in _TABLE_SUFFIXES or is_messages(p)
             )
         else:
             found.append(path)
     if not found:
         raise InputError(
-            f"no recordings in {', '.join(map(str, data))}: {', '.join(_ENDINGS)}, MCAP, rosbag2"
-            " and LeRobot datasets are read."
+            f"no recordings in {', '.join(map(str, data))}: {', '.join(_TABLE_SUFFIXES)}, MCAP,"
+            " rosbag2 and LeRobot datasets are read."
         )
-    stems = [_stem(path) for path in found]
+    stems = [_run_name(path) for path in found]
     twice = [path for path, stem in zip(found, stems, strict=True) if stems.count(stem) > 1]
     if twice:
         raise InputFileError(twice[0], "", "has the name of another run. Rename one.")
     return found
 
 
-def _stem(path: Path) -> str:
+def _run_name(path: Path) -> str:
     return "".join(c if c.isalnum() or c in "-_" else "_" for c in path.stem) or "run"
 
 
-def _text(
+def _set_text(
     name: str, arm: RecordedRobot, found: GuessedColumns, runs: Sequence[tuple[str, str]]
 ) -> str:
     joints = arm.robot.joint_names
@@ -246,37 +251,42 @@ def _text(
         f"#   rate: {found.rate:.4g} Hz",
         "# Check it: `stiffopt recording check` of this folder.",
         "schema = 1",
-        f"name = {quoted(name)}",
-        f"robot = {quoted(arm.file)}",
-        f"joints = {listed(map(quoted, joints))}",
+        f"name = {toml_string(name)}",
+        f"robot = {toml_string(arm.file)}",
+        f"joints = {toml_list(map(toml_string, joints))}",
         "",
         "[signals]",
-        f"time = {quoted(found.time)}",
+        f"time = {toml_string(found.time)}",
     ]
     for kind in ("position", "velocity", "link_position", "torque"):
         if kind in found.columns:
-            lines.append(f"{kind} = {listed(map(quoted, found.columns[kind]))}")
+            lines.append(f"{kind} = {toml_list(map(toml_string, found.columns[kind]))}")
     lines.append('torque_side = "motor"  # "link" with joint torque sensors')
     scaled = {kind: unit for kind, unit in found.units.items() if unit}
     if scaled:
         lines += ["", "[signals.scale]"]
         for kind, unit in scaled.items():
             if not isinstance(unit, str):
-                each = ("1.0" if not one else quoted(one) for one in unit)
-                lines.append(f"{kind} = {listed(each)}")
-            elif unit in FACTORS:
+                each = ("1.0" if not one else toml_string(one) for one in unit)
+                lines.append(f"{kind} = {toml_list(each)}")
+            elif unit in FACTOR_REQUESTS:
                 # Stops whoever reads it until a factor stands there.
-                lines.append(f"{kind} = {quoted(unit)}  # {FACTORS[unit]} here")
+                lines.append(f"{kind} = {toml_string(unit)}  # {FACTOR_REQUESTS[unit]} here")
             else:
-                lines.append(f"{kind} = {quoted(unit)}")
+                lines.append(f"{kind} = {toml_string(unit)}")
     lines += [
         "",
         "# [nominal]                 # what today's simulation knows, one number a joint, SI",
-        f"# gear_ratio = {listed(['100.0'] * len(joints))}",
-        f"# rotor_inertia = {listed(['0.1'] * len(joints))}",
-        f"# coulomb = {listed(['1.0'] * len(joints))}",
-        f"# viscous = {listed(['1.0'] * len(joints))}",
+        f"# gear_ratio = {toml_list(['100.0'] * len(joints))}",
+        f"# rotor_inertia = {toml_list(['0.1'] * len(joints))}",
+        f"# coulomb = {toml_list(['1.0'] * len(joints))}",
+        f"# viscous = {toml_list(['1.0'] * len(joints))}",
     ]
     for run, role in runs:
-        lines += ["", "[[runs]]", f"file = {quoted(run + '.npz')}", f"role = {quoted(role)}"]
+        lines += [
+            "",
+            "[[runs]]",
+            f"file = {toml_string(run + '.npz')}",
+            f"role = {toml_string(role)}",
+        ]
     return "\n".join(lines) + "\n"

@@ -11,7 +11,7 @@ import numpy as np
 
 from stiffopt.errors import InputError, InputFileError
 from stiffopt.files import check_file
-from stiffopt.starter.clocks import stamps, with_joined_stamps
+from stiffopt.starter.clocks import join_split_stamps, parse_stamps
 
 # Words for units as loggers write them, and what `[signals.scale]` calls them; "" is SI. What is no
 # unit of the kind there ("A", "%", "counts") needs a factor that only the user knows.
@@ -26,16 +26,16 @@ UNITS = {
     "ns": "ns", "s": "", "sec": "", "m": "", "mm": "mm", "cm": "cm", "mm/s": "mm/s", "m/s": "",
     "n": "", "kn": "kN", "-": "",
 }  # fmt: skip
-_MARKS = (";", "\t", ",", "|")
-_NUMBER = re.compile(r"^[+-]?(\d+[.,]?\d*|[.,]\d+)([eE][+-]?\d+)?$")
+_SEPARATORS = (";", "\t", ",", "|")
+_NUMBER_PATTERN = re.compile(r"^[+-]?(\d+[.,]?\d*|[.,]\d+)([eE][+-]?\d+)?$")
 # Thousands set off by a mark that is not the decimal one, which follows or cannot be meant:
 # 1.234,5 and 1,234.5, and with apostrophes or spaces 1'234.5 and 1 234. A mere 1.234 is no such.
-_GROUPED = re.compile(
+_GROUPED_PATTERN = re.compile(
     r"^[+-]?\d{1,3}((\.\d{3})+,\d*|(,\d{3})+\.\d*|([.,]\d{3}){2,}"
     r"|(['\u2019 \u00a0\u202f]\d{3})+([.,]\d*)?)$"
 )
 # Far above what one recording holds.
-_LARGEST = 2**30
+_MAX_FILE_BYTES = 2**30
 
 
 def read_any_table(path: Path) -> dict[str, np.ndarray]:
@@ -47,17 +47,17 @@ def read_any_table(path: Path) -> dict[str, np.ndarray]:
         No table of numbers, with what was found.
     """
     check_file(path)
-    if path.stat().st_size > _LARGEST:
+    if path.stat().st_size > _MAX_FILE_BYTES:
         raise InputFileError(path, "", "is larger than 1 GiB. Cut it into runs.")
     ending = path.suffix.lower()
     if ending == ".npz":
-        return _npz(path)
+        return _read_npz(path)
     if ending == ".parquet":
-        return _parquet(path)
-    return _text(path)
+        return _read_parquet(path)
+    return _read_text(path)
 
 
-def _npz(path: Path) -> dict[str, np.ndarray]:
+def _read_npz(path: Path) -> dict[str, np.ndarray]:
     try:
         with np.load(path, allow_pickle=False) as stored:
             arrays = {name: np.asarray(stored[name]) for name in stored.files}
@@ -72,33 +72,33 @@ def _npz(path: Path) -> dict[str, np.ndarray]:
             found |= {
                 f"{name}_{k + 1}": columns[:, k].astype(float) for k in range(columns.shape[1])
             }
-    return _checked(found, path)
+    return _check_table(found, path)
 
 
-def _parquet(path: Path) -> dict[str, np.ndarray]:
+def _read_parquet(path: Path) -> dict[str, np.ndarray]:
     try:
         from stiffopt.starter.parquet_tables import parquet_columns
     except ModuleNotFoundError as error:
         raise InputError(
             f"{path}: reading it needs pyarrow. Install it: pip install 'stiffopt[recordings]'"
         ) from error
-    return _checked(parquet_columns(path), path)
+    return _check_table(parquet_columns(path), path)
 
 
-def _text(path: Path) -> dict[str, np.ndarray]:
+def _read_text(path: Path) -> dict[str, np.ndarray]:
     raw = path.read_bytes()
-    lines = [line for line in _decoded(raw).splitlines() if line.strip()]
+    lines = [line for line in _decode_text(raw).splitlines() if line.strip()]
     comments = [line for line in lines if line.lstrip()[:1] in "#%"]
     body = [line for line in lines if line.lstrip()[:1] not in "#%"]
     if not body:
         raise InputFileError(path, "", "holds no numbers.")
-    mark = _separator(body)
-    rows = [_cells(line, mark) for line in body]
+    mark = _find_separator(body)
+    rows = [_split_cells(line, mark) for line in body]
     width = Counter(len(row) for row in rows).most_common(1)[0][0]
     first = next((k for k, row in enumerate(rows) if len(row) == width and _is_data(row)), None)
     if first is None:
         raise InputFileError(path, "", f"holds no row of numbers. It begins: {body[0][:80]!r}.")
-    names = _names(rows[:first], comments, width, mark)
+    names = _find_names(rows[:first], comments, width, mark)
     if names is None:
         raise InputFileError(
             path,
@@ -107,29 +107,33 @@ def _text(path: Path) -> dict[str, np.ndarray]:
             " t, q1, q2, tau1, tau2, above the numbers.",
         )
     cells = rows[first:]
-    table = np.array([_numbers(row, width) for row in cells])
+    table = np.array([_parse_row(row, width) for row in cells])
     for k in np.flatnonzero(np.all(np.isnan(table), axis=0)):
-        seconds = stamps([row[k] if k < len(row) else "" for row in cells])
+        seconds = parse_stamps([row[k] if k < len(row) else "" for row in cells])
         if seconds is not None:
             table[:, k] = seconds
     keep = ~np.all(np.isnan(table), axis=0)
-    return _checked({name: table[:, k] for k, name in enumerate(names) if keep[k]}, path)
+    return _check_table({name: table[:, k] for k, name in enumerate(names) if keep[k]}, path)
 
 
-def _names(head: list[list[str]], comments: list[str], width: int, mark: str) -> list[str] | None:
+def _find_names(
+    head: list[list[str]], comments: list[str], width: int, mark: str
+) -> list[str] | None:
     """Names of the columns: the last row of words, its units added where another row has them."""
     # A last column that holds nothing may have a name all the same, and lack a unit.
     words = [row[:width] for row in head if width <= len(row) <= width + 1]
     words += [[*row, ""] for row in head[-1:] if len(row) == width - 1 and _is_units(row)]
     if not words and comments:
-        words = [row for row in [_cells(comments[-1].lstrip("#% "), mark)] if len(row) == width]
+        words = [
+            row for row in [_split_cells(comments[-1].lstrip("#% "), mark)] if len(row) == width
+        ]
     if not words:
         return None
     names = words[-1]
     if len(words) > 1 and _is_units(names):
         units = [unit.strip("[]() ") for unit in names]
         names = [f"{n} [{u}]" if u else n for n, u in zip(words[-2], units, strict=True)]
-    return _distinct(names)
+    return _number_duplicates(names)
 
 
 def _is_units(cells: list[str]) -> bool:
@@ -140,7 +144,7 @@ def _is_units(cells: list[str]) -> bool:
     return 2 * len(known) >= len(there) > 0 and len({*known, *bracketed}) == len(set(there))
 
 
-def _distinct(names: list[str]) -> list[str]:
+def _number_duplicates(names: list[str]) -> list[str]:
     """Names with a number behind those that several columns have: none may hide another."""
     count = Counter(names)
     seen: Counter[str] = Counter()
@@ -154,7 +158,7 @@ def _distinct(names: list[str]) -> list[str]:
     return found
 
 
-def _decoded(raw: bytes) -> str:
+def _decode_text(raw: bytes) -> str:
     if raw[:2] in (b"\xff\xfe", b"\xfe\xff"):
         return raw.decode("utf-16", errors="replace")
     for encoding in ("utf-8-sig", "latin-1"):
@@ -165,17 +169,17 @@ def _decoded(raw: bytes) -> str:
     return raw.decode("latin-1", errors="replace")
 
 
-def _separator(body: list[str]) -> str:
+def _find_separator(body: list[str]) -> str:
     """The mark that cuts the lines into most cells alike; "" is white space."""
     probe = body[len(body) // 2 : len(body) // 2 + 20]
-    for mark in _MARKS:
+    for mark in _SEPARATORS:
         counts = {len(next(csv.reader([line], delimiter=mark), [])) for line in probe}
         if len(counts) == 1 and max(counts) > 1:
             return mark
     return ""
 
 
-def _cells(line: str, mark: str) -> list[str]:
+def _split_cells(line: str, mark: str) -> list[str]:
     if not mark:
         return line.split()
     cells = [cell.strip() for cell in next(csv.reader([line], delimiter=mark), [])]
@@ -183,24 +187,24 @@ def _cells(line: str, mark: str) -> list[str]:
 
 
 def _is_data(row: list[str]) -> bool:
-    numbers = sum(bool(_NUMBER.match(cell) or _GROUPED.match(cell)) for cell in row)
+    numbers = sum(bool(_NUMBER_PATTERN.match(cell) or _GROUPED_PATTERN.match(cell)) for cell in row)
     return numbers * 2 > len(row)
 
 
-def _numbers(row: list[str], width: int) -> list[float]:
-    return [_number(row[k]) if k < len(row) else np.nan for k in range(width)]
+def _parse_row(row: list[str], width: int) -> list[float]:
+    return [_parse_number(row[k]) if k < len(row) else np.nan for k in range(width)]
 
 
-def _number(cell: str) -> float:
-    if _GROUPED.match(cell):
-        cell = _ungrouped(cell)
+def _parse_number(cell: str) -> float:
+    if _GROUPED_PATTERN.match(cell):
+        cell = _remove_grouping(cell)
     try:
         return float(cell.replace(",", "."))
     except ValueError:
         return float("nan")
 
 
-def _ungrouped(cell: str) -> str:
+def _remove_grouping(cell: str) -> str:
     """A number with its thousands no longer set off."""
     bare = re.sub(r"[^\d.,+-]", "", cell)
     marks = [mark for mark in bare if mark in ".,"]
@@ -210,8 +214,8 @@ def _ungrouped(cell: str) -> str:
     return bare
 
 
-def _checked(columns: dict[str, np.ndarray], path: Path) -> dict[str, np.ndarray]:
-    columns = with_joined_stamps(columns)
+def _check_table(columns: dict[str, np.ndarray], path: Path) -> dict[str, np.ndarray]:
+    columns = join_split_stamps(columns)
     lengths = {len(column) for column in columns.values()}
     if len(columns) < 3 or len(lengths) != 1:
         raise InputFileError(

@@ -25,28 +25,28 @@ def write_new(path: Path, text: str) -> Path:
     return path
 
 
-def quoted(text: str) -> str:
+def toml_string(text: str) -> str:
     """Text as TOML and JSON have it."""
     return json.dumps(text, ensure_ascii=False)
 
 
-def listed(values: Iterable[str]) -> str:
+def toml_list(values: Iterable[str]) -> str:
     """List of entries that are TOML already."""
     return f"[{', '.join(values)}]"
 
 
-def number(value: float, digits: int = 6) -> str:
+def toml_number(value: float, digits: int = 6) -> str:
     """Number as TOML has it, always with a point or an exponent."""
     text = f"{value:.{digits}g}"
     return text if any(mark in text for mark in ".en") else f"{text}.0"
 
 
-def beside(path: Path, folder: Path) -> str:
+def relative_path(path: Path, folder: Path) -> str:
     """Path relative to a folder, with slashes."""
     return Path(os.path.relpath(path, folder)).as_posix()
 
 
-def key(name: str) -> str:
+def toml_key(name: str) -> str:
     """Key of a TOML table, quoted where it has to be."""
     plain = name.isascii() and name.replace("_", "").replace("-", "").isalnum()
-    return name if plain else quoted(name)
+    return name if plain else toml_string(name)

@@ -294,19 +294,19 @@ def test_scatter_free_tightening_needs_less():
 
 @pytest.mark.parametrize(("found", "status"), [(False, "iteration_limit"), (True, "acceptable")])
 def test_a_search_that_is_cut_short_says_so(monkeypatch, found, status):
-    solved = CombinationSearch._solve
+    solved = CombinationSearch._solve_programme
 
     def cut_short(search, goal):
         """Time is up with the first solve, which has not shown that there is nothing better."""
         step = solved(search, goal)
-        search._until = 0.0
+        search._deadline = 0.0
         return replace(step, picks=step.picks if found else None, bound=0.9 * step.bound)
 
     needs = {"joint_stiffness": {2: 56_450.0}}
     choose = Choice(sizes=("M3", "M4", "M5"), counts=(8, 9, 12))
     problem = study(case(j2=100.0), needs=needs, choose=choose)
     best = choose_design(problem)
-    monkeypatch.setattr(CombinationSearch, "_solve", cut_short)
+    monkeypatch.setattr(CombinationSearch, "_solve_programme", cut_short)
     choice = choose_design(problem)
     assert choice.status == status
     assert not choice.proof.complete

@@ -16,7 +16,7 @@ from stiffopt.preload.files import load_study
 from stiffopt.preload.load_case import LoadCase
 from stiffopt.preload.load_sources import motion_histories
 from stiffopt.preload.model import PreloadModel
-from stiffopt.preload.motion_result import meaning
+from stiffopt.preload.motion_result import describe_gain
 from stiffopt.preload.motion_study import deflection_objective, motion_study
 from stiffopt.preload.problem import PreloadProblem, Requirements
 from stiffopt.problem.files import load_problem
@@ -325,10 +325,10 @@ def test_robot_takes_preloads_by_joint_and_name(tmp_path):
 
 
 def test_meaning_of_a_gain():
-    assert "3.00 % less" in meaning(SolveStatus.OPTIMAL, 0.03)
-    assert "not worth it" not in meaning(SolveStatus.OPTIMAL, 0.03)
-    assert "no less than" in meaning(SolveStatus.OPTIMAL, 1e-8)
-    assert "before the deflection settled" in meaning(SolveStatus.ACCEPTABLE, 0.03)
+    assert "3.00 % less" in describe_gain(SolveStatus.OPTIMAL, 0.03)
+    assert "not worth it" not in describe_gain(SolveStatus.OPTIMAL, 0.03)
+    assert "no less than" in describe_gain(SolveStatus.OPTIMAL, 1e-8)
+    assert "before the deflection settled" in describe_gain(SolveStatus.ACCEPTABLE, 0.03)
 
 
 def test_the_er3a_gains_less_than_one_percent():

@@ -14,7 +14,7 @@ from stiffopt.exact.chain import exact_compliance, exact_windup, stage_windup, t
 from stiffopt.fastening.tightening import Tightening
 from stiffopt.preload.model import PreloadModel
 from stiffopt.preload.nlp import PreloadNlp
-from stiffopt.preload.optimise import levels_of
+from stiffopt.preload.optimise import objective_levels
 from stiffopt.preload.utilisation import utilisation_rows
 
 CASES = (case("lift", j2=60.0), case("rest"), case("back", j2=-25.0))
@@ -140,7 +140,7 @@ def exercised(objective, individual=False):
     )
     model = PreloadModel(problem)
     ceiling = ("bolt_utilisation", 0.9) if objective == "total_preload" else None
-    return PreloadNlp(model, objective, levels_of(model), ceiling=ceiling)
+    return PreloadNlp(model, objective, objective_levels(model), ceiling=ceiling)
 
 
 @pytest.mark.parametrize(

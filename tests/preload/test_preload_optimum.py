@@ -18,7 +18,7 @@ from stiffopt.preload.files import load_study
 from stiffopt.preload.load_case import LoadCase, LoadHistory
 from stiffopt.preload.model import PreloadModel
 from stiffopt.preload.nlp import PreloadNlp
-from stiffopt.preload.optimise import levels_of, optimise_preloads
+from stiffopt.preload.optimise import objective_levels, optimise_preloads
 from stiffopt.preload.problem import PreloadProblem
 from stiffopt.preload.study import preload_study
 from stiffopt.preload.utilisation import utilisation_rows
@@ -227,7 +227,7 @@ def test_pins_are_never_loosened_below_what_carries_the_torque(load, floor):
     problem = study(case("turn", j3=load), case("less", j3=0.2), joints=(3,), needs=needs)
     problem = replace(problem, free=("pulley_pins",))
     model = PreloadModel(problem)
-    lower, _ = PreloadNlp(model, "total_preload", levels_of(model)).bounds()
+    lower, _ = PreloadNlp(model, "total_preload", objective_levels(model)).bounds()
     (element,) = model.elements
     at_floor = floor * element.capacity
     # Two tips at 90 degrees and their reaction, on a shaft of 8 mm that turns 100 times.
@@ -369,7 +369,7 @@ def test_end_without_small_residual_is_no_optimum(monkeypatch):
 
 def test_residual_of_a_multiplier_at_no_bound_is_its_own_size():
     model = PreloadModel(study(case(j2=58.0)))
-    nlp = PreloadNlp(model, "bolt_utilisation", levels_of(model))
+    nlp = PreloadNlp(model, "bolt_utilisation", objective_levels(model))
     end = optimise._exact_optimum(nlp, None)
     multipliers = end.raw.multipliers_g.copy()
     # The rows have upper bounds alone, and IPOPT may leave rounding of the other sign.

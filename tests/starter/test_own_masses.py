@@ -20,7 +20,7 @@ from stiffopt.robot.estimated_masses import estimated_bodies, fitted_to_torques
 from stiffopt.robot.files import load_robot
 from stiffopt.robot.frames import link_frame
 from stiffopt.robot.urdf import load_urdf
-from stiffopt.starter.placeholders import credible_torques, why_no_body
+from stiffopt.starter.placeholders import credible_torques, inertia_fault
 
 
 def test_an_arm_without_masses(tmp_path, capsys):
@@ -221,7 +221,7 @@ def test_which_inertias_are_of_no_body(moments, why):
     for _ in range(50):
         turned, _ = np.linalg.qr(rng.normal(size=(3, 3)))
         found = np.linalg.eigvalsh(turned @ np.diag(moments) @ turned.T)
-        assert why_no_body(found) == why
+        assert inertia_fault(found) == why
 
 
 def test_an_inertia_of_no_body_is_asked_about(tmp_path, capsys):

@@ -15,9 +15,9 @@ from stiffopt.cli import run
 from stiffopt.errors import InputError
 from stiffopt.recording.recording_set import load_recordings
 from stiffopt.robot.files import load_robot
-from stiffopt.starter.clocks import stamps
-from stiffopt.starter.guessing import guess
-from stiffopt.starter.messages import _fields
+from stiffopt.starter.clocks import parse_stamps
+from stiffopt.starter.guessing import guess_columns
+from stiffopt.starter.messages import _joint_fields
 from stiffopt.starter.tables import read_any_table
 
 URDF = ROOT / "problems" / "recordings" / "two_link_friction" / "robot.urdf"
@@ -39,7 +39,7 @@ def table(folder, text):
 
 
 def guessed(folder, text):
-    return guess(table(folder, text), load_robot(URDF))
+    return guess_columns(table(folder, text), load_robot(URDF))
 
 
 def comma(text):
@@ -60,7 +60,7 @@ def comma(text):
     ids=["excel", "prose", "units", "quotes", "quoted decimal commas", "cut off"],
 )
 def test_heads(text, tmp_path):
-    found = guess(table(tmp_path, text), load_robot(URDF))
+    found = guess_columns(table(tmp_path, text), load_robot(URDF))
     assert [found.columns["torque"][k][:4] for k in (0, 1)] == ["tau1", "tau2"]
     assert found.rate == pytest.approx(200.0)
     assert not any(found.units.values())
@@ -103,16 +103,16 @@ def test_minutes_and_seconds_of_a_spreadsheet(mark):
     begin = datetime(2024, 5, 1, 10, 59, 58)
     cells = [f"{begin + timedelta(seconds=float(t)):%M:%S.%f}".replace(".", mark) for t in TIME]
     assert (cells[0][:5], cells[-1][:5]) == ("59:58", "00:01")
-    assert stamps(cells) == pytest.approx(TIME, abs=1e-6)
-    assert stamps(["00:01.5", "00:01.6", "00:02.0"]) == pytest.approx([0.0, 0.1, 0.5])
+    assert parse_stamps(cells) == pytest.approx(TIME, abs=1e-6)
+    assert parse_stamps(["00:01.5", "00:01.6", "00:02.0"]) == pytest.approx([0.0, 0.1, 0.5])
     # Hours and minutes have no decimals.
-    assert stamps(["00:01", "00:03"]) == pytest.approx([0.0, 120.0])
+    assert parse_stamps(["00:01", "00:03"]) == pytest.approx([0.0, 120.0])
 
 
 @pytest.mark.parametrize("form", ["%Y-%m-%d %H:%M:%S", "%d.%m.%Y %H:%M:%S", "%m/%d/%Y %H:%M:%S"])
 def test_dates_that_step_back_stay_as_they_are(form):
     at = [datetime(2024, 5, day, 12) for day in (2, 3, 1, 2)]
-    found = stamps([each.strftime(form) for each in at])
+    found = parse_stamps([each.strftime(form) for each in at])
     assert np.any(np.diff(found) < 0.0)
     if form.startswith("%Y"):
         assert found == pytest.approx([0.0, 86400.0, -86400.0, 0.0])
@@ -244,7 +244,7 @@ def test_the_unit_of_speeds_is_claimed_where_positions_show_it(
 
 @pytest.mark.parametrize("name", [[["x"]], [{"a": 1}], np.array([1.0, 2.0]), 5, "arm"])
 def test_names_of_messages_that_are_none_of_joints(name):
-    found = _fields("/t", {"name": name, "position": [1.0, 2.0]}, ["a", "b"])
+    found = _joint_fields("/t", {"name": name, "position": [1.0, 2.0]}, ["a", "b"])
     assert found == ["/t.position[0]", "/t.position[1]"]
 
 
@@ -415,7 +415,7 @@ def test_zeros_and_columns_without_numbers_are_no_warnings(tmp_path):
     robot = load_robot("er3a_c60")
     signals = {"q": [degrees, VALUES[1], absent], "qd": [*speeds, absent], "tau": VALUES[:3]}
     table = {f"{name}{k + 1}": (own * 2)[k] for name, own in signals.items() for k in range(6)}
-    found = guess({"t": TIME, **table}, robot)
+    found = guess_columns({"t": TIME, **table}, robot)
     assert "QUESTION: q2, q5 reach no more than 0.8: in rad?" in " ".join(found.reasons)
 
 
