@@ -8,7 +8,7 @@ from typing import Annotated, ClassVar
 
 import numpy as np
 
-from stiffopt.connection.linear import LinearConnection
+from stiffopt.connection.connection import LinearConnection
 from stiffopt.declaration import (
     DETAIL,
     MODULUS,

@@ -11,17 +11,16 @@ from stiffopt.drivetrain import catalogue
 from stiffopt.drivetrain.catalogue import BoltData
 from stiffopt.errors import InputError
 from stiffopt.fastening.bolt_geometry import bolt_data, clamp_length
+from stiffopt.fastening.bolt_strength import head_bearing, stripping_length
 from stiffopt.fastening.compliance import (
     bolt_compliance,
     clamped_compliance,
+    flange_embedding,
+    thermal_change,
     through_bolted_compliance,
 )
-from stiffopt.fastening.embedding import flange_embedding
-from stiffopt.fastening.head_pressure import head_bearing
-from stiffopt.fastening.preload_limit import PreloadLimit
-from stiffopt.fastening.thermal import thermal_change
-from stiffopt.fastening.thread_engagement import stripping_length
 from stiffopt.fastening.tightening import Tightening, WorkshopTorque, tightening_torque
+from stiffopt.fastening.utilisation import PreloadLimit
 from stiffopt.symbolic import Quantity
 
 # Room between two heads, as a share of the head: the closest screw circles at reducers (nine M3 on

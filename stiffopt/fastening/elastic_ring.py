@@ -47,7 +47,7 @@ class ElasticRing:
     torsion: float
     spring: float
 
-    def shares(self, standing: float) -> np.ndarray:
+    def shares(self, rib_angle: float) -> np.ndarray:
         """Force of each bolt for F_z = 1, M_x = 1 and M_y = 1 (n, 3), the first rib at an angle.
 
         Unknown are the forces of bolts and ribs and how ring and link move as rigid bodies. The
@@ -55,7 +55,7 @@ class ElasticRing:
         spring; the link moves the ribs; ring and link are in balance.
         """
         bolted = bolt_angles(self.count)
-        ribbed = standing + bolt_angles(self.supports)
+        ribbed = rib_angle + bolt_angles(self.supports)
         n, s = self.count, self.supports
         at_bolts, at_ribs = _rigid_body_modes(bolted), _rigid_body_modes(ribbed)
         matrix = np.zeros((n + s + 6, n + s + 6))
@@ -91,7 +91,7 @@ class ElasticRing:
         return np.asarray(np.cos((at[:, None] - of)[..., None] * m) @ (1.0 / stiffness))
 
     @cached_property
-    def standings(self) -> np.ndarray:
+    def rib_angles(self) -> np.ndarray:
         """Angles of the first rib that are looked at [rad]."""
         return (
             math.pi / math.lcm(self.count, self.supports) * np.linspace(0.0, 1.0, _RIB_ANGLE_COUNT)
@@ -100,14 +100,14 @@ class ElasticRing:
     @cached_property
     def factors(self) -> tuple[float, float]:
         """Largest force of a bolt over that on a rigid flange: axial force, tilting moment."""
-        found = np.array([self.shares(standing) for standing in self.standings])
+        found = np.array([self.shares(rib_angle) for rib_angle in self.rib_angles])
         axial = float(np.abs(found[..., 0]).max()) * self.count
         tilting = float(np.hypot(found[..., 1], found[..., 2]).max())
         return max(axial, 1.0), max(tilting * self.count * self.radius / 2, 1.0)
 
     def bolt_forces(self, load: np.ndarray) -> np.ndarray:
         """F_A of each bolt (n,) [N] under a load (6,), ribs where the largest is most."""
-        every = [self.shares(standing) @ load[2:5] for standing in self.standings]
+        every = [self.shares(rib_angle) @ load[2:5] for rib_angle in self.rib_angles]
         return max(every, key=lambda forces: float(forces.max()))
 
 

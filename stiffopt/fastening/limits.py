@@ -11,9 +11,9 @@ from stiffopt.contact.validate import require_positive
 from stiffopt.drivetrain import catalogue
 from stiffopt.errors import InputError
 from stiffopt.fastening import bolts, set_screws
-from stiffopt.fastening.preload_limit import PreloadLimit as PreloadLimit
 from stiffopt.fastening.tightening import Tightening
 from stiffopt.fastening.tightening import WorkshopTorque as WorkshopTorque
+from stiffopt.fastening.utilisation import PreloadLimit as PreloadLimit
 
 
 def _require_fasteners(element: Connection) -> BoltedFlange | ClampingPins:

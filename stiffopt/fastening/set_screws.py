@@ -8,8 +8,8 @@ from stiffopt.connection import ClampingPins
 from stiffopt.drivetrain import catalogue
 from stiffopt.errors import InputError
 from stiffopt.fastening.compliance import tip_compliance
-from stiffopt.fastening.preload_limit import PreloadLimit
 from stiffopt.fastening.tightening import Tightening, WorkshopTorque
+from stiffopt.fastening.utilisation import PreloadLimit
 
 # A flat tip sinks in at about 2.8 times the yield strength; 0.9 of it is permitted.
 _INDENTATION_PRESSURE_RATIO = 0.9 * 2.8

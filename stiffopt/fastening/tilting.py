@@ -11,7 +11,7 @@ from scipy.optimize import brentq
 from stiffopt.connection import BoltedFlange
 from stiffopt.contact.fractal import FractalLaw
 from stiffopt.fastening import bolts
-from stiffopt.fastening.clamp_load import ring_section
+from stiffopt.fastening.flange_load import ring_section
 from stiffopt.symbolic import Quantity
 
 _SPRING_COUNT = 180

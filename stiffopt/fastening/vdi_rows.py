@@ -9,14 +9,15 @@ import numpy as np
 
 from stiffopt.drivetrain import catalogue
 from stiffopt.fastening.bolt_geometry import clamp_length
-from stiffopt.fastening.bolt_stress import working_stress
-from stiffopt.fastening.endurance import MIN_ENDURANCE_SAFETY as ENDURANCE_SAFETY
-from stiffopt.fastening.endurance import endurance_limit
+from stiffopt.fastening.bolt_strength import MIN_ENDURANCE_SAFETY as ENDURANCE_SAFETY
+from stiffopt.fastening.bolt_strength import (
+    endurance_limit,
+    head_bearing,
+    transverse_slip_limit,
+    working_stress,
+)
 from stiffopt.fastening.flange_load import transverse_forces
-from stiffopt.fastening.head_pressure import head_bearing
-from stiffopt.fastening.safety_factor import SafetyFactor
-from stiffopt.fastening.self_loosening import transverse_slip_limit
-from stiffopt.fastening.utilisation_row import UtilisationRow
+from stiffopt.fastening.utilisation import SafetyFactor, UtilisationRow
 from stiffopt.fastening.verification import MIN_ALTERNATING_SLIP_SAFETY, Verification
 
 # Required safety against yield in service (R8), surface pressure (R10), shear after slip (R12).
@@ -66,7 +67,7 @@ def _clamp_load_rows(steps: Verification, least: float) -> Iterator[UtilisationR
     friction = float(steps.clamp_against_slip[index, place])
     most = float(needed[index, place])
     kind = "alternating" if steps.slip_safety == MIN_ALTERNATING_SLIP_SAFETY else "static"
-    if not steps.loads.more_than_torque:
+    if not steps.loads.has_force_or_tilting:
         # The torque alone: the slip safety of the connection says the same.
         return
     # Faces that open rub no more.
@@ -140,10 +141,10 @@ def _stress_rows(steps: Verification, preload: float, least: float) -> Iterator[
         provenance=bearing.provenance,
         remedy="a harder part or a hard washer under the head, or a larger bolt",
     )
-    if steps.swing > 0.0:
-        mean = preload + steps.swing / 2
+    if steps.alternating_force > 0.0:
+        mean = preload + steps.alternating_force / 2
         limit = float(endurance_limit(steps.data, steps.bolt.rolled, mean, steps.proof_stress))
-        amplitude = steps.swing / (2 * steps.data.stress_area)
+        amplitude = steps.alternating_force / (2 * steps.data.stress_area)
         yield UtilisationRow(
             kind="alternating stress",
             equation="R9/4",

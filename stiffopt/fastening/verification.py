@@ -16,14 +16,17 @@ from stiffopt.drivetrain import catalogue
 from stiffopt.errors import InputError
 from stiffopt.fastening import bolts
 from stiffopt.fastening.bolt_geometry import bolt_data
-from stiffopt.fastening.bolt_stress import largest_working_preload
-from stiffopt.fastening.clamp_load import friction_clamp_load, ring_opening_load
+from stiffopt.fastening.bolt_strength import MIN_ENDURANCE_SAFETY as ENDURANCE_SAFETY
+from stiffopt.fastening.bolt_strength import endurance_limit, head_bearing, largest_working_preload
+from stiffopt.fastening.compliance import LoadFactor, load_factor
 from stiffopt.fastening.elastic_ring import elastic_ring
-from stiffopt.fastening.endurance import MIN_ENDURANCE_SAFETY as ENDURANCE_SAFETY
-from stiffopt.fastening.endurance import endurance_limit
-from stiffopt.fastening.flange_load import FlangeLoads, axial_forces, transverse_forces
-from stiffopt.fastening.head_pressure import head_bearing
-from stiffopt.fastening.load_factor import LoadFactor, load_factor
+from stiffopt.fastening.flange_load import (
+    FlangeLoads,
+    axial_forces,
+    friction_clamp_load,
+    ring_opening_load,
+    transverse_forces,
+)
 from stiffopt.fastening.tightening import Tightening
 
 # Places on the bolt circle that are looked at; between two of them a cosine is off by this much.
@@ -55,7 +58,7 @@ class Verification:
         slip_safety: float | None = None,
     ) -> None:
         self.flange, self.tightening = flange, tightening
-        self.loads = loads if flange.bearing == "none" else loads.torque_alone()
+        self.loads = loads if flange.bearing == "none" else loads.torque_only()
         self.bolt = bolts.flange_bolt(flange)
         self.data = bolt_data(self.bolt)
         self.count = flange.bolt_count * flange.sectors
@@ -77,7 +80,7 @@ class Verification:
         return 2 * math.pi / _ANGLE_COUNT * np.arange(_ANGLE_COUNT)
 
     @cached_property
-    def sharing(self) -> tuple[float, float]:
+    def bending_factors(self) -> tuple[float, float]:
         """What a bolt bears over its part on a rigid flange: of axial force, of tilting [-]."""
         ring = elastic_ring(self.flange)
         return (1.0, 1.0) if ring is None else ring.factors
@@ -86,7 +89,7 @@ class Verification:
     def axial(self) -> np.ndarray:
         """F_A (K, m) [N] with either sign of the axial force as it comes."""
         values = self.loads.values.copy()
-        pull, tilt = self.sharing
+        pull, tilt = self.bending_factors
         values[:, 2] *= pull
         values[:, 3:5] *= tilt * _MAX_INTERPOLATION_FACTOR
         return axial_forces(values, self.count, self.flange.circle_diameter, self.angles)
@@ -98,7 +101,7 @@ class Verification:
         On which side of the face the carried part lies is not known, and with it not which way
         opens: a moment pulls at one place or at the one opposite, where shear and torque meet it.
         """
-        share = self.sharing[0] * self.loads.values[:, 2:3] / self.count
+        share = self.bending_factors[0] * self.loads.values[:, 2:3] / self.count
         return np.asarray(np.abs(self.axial - share) + np.abs(share))
 
     @property
@@ -119,8 +122,8 @@ class Verification:
         """Clamp load of one bolt at which the rim opens (K,) [N] (R2/3)."""
         flange = self.flange
         return ring_opening_load(
-            self.sharing[0] * self.loads.axial,
-            self.sharing[1] * self.loads.tilting,
+            self.bending_factors[0] * self.loads.axial,
+            self.bending_factors[1] * self.loads.tilting,
             inner=flange.inner_radius,
             outer=flange.outer_radius,
             count=self.count,
@@ -157,7 +160,7 @@ class Verification:
         return self.factor.most * pull + bolts.thermal_preload(self.flange, self.tightening)
 
     @cached_property
-    def swing(self) -> float:
+    def alternating_force(self) -> float:
         """Largest F_SAo - F_SAu of any bolt, load on and off among what alternates [N] (R9)."""
         upper = np.maximum(self.axial.max(axis=0), 0.0)
         lower = np.minimum(self.axial.min(axis=0), 0.0)
@@ -187,7 +190,7 @@ class Verification:
             head_bearing(self.bolt).capacity - self.additional,
         ]
         before = float(endurance_limit(self.data, "before"))
-        needed = ENDURANCE_SAFETY * self.swing / (2 * self.data.stress_area)
+        needed = ENDURANCE_SAFETY * self.alternating_force / (2 * self.data.stress_area)
         if self.bolt.rolled == "after" and needed > before:
             share = 2.0 - needed / before
             ends.append(share * self.proof_stress * self.data.stress_area if share > 0.3 else 0.0)

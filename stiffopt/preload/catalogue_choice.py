@@ -10,11 +10,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from stiffopt.drivetrain import catalogue
 from stiffopt.errors import ProblemError
 from stiffopt.fastening.tightening import Tightening
-from stiffopt.preload.catalogue_designs import CatalogueDesign, catalogue_designs
+from stiffopt.preload.catalogue_designs import CatalogueDesign, catalogue_designs, way_cost
 from stiffopt.preload.catalogue_programme import ChoiceProgramme, choice_programme
-from stiffopt.preload.catalogue_search import CombinationSearch, Goal, SearchResult
+from stiffopt.preload.catalogue_search import (
+    CombinationSearch,
+    Goal,
+    SearchProof,
+    SearchResult,
+    describe_proof,
+)
 from stiffopt.preload.catalogue_table import (
     TableRow,
     best_torques,
@@ -31,14 +38,13 @@ from stiffopt.preload.optimise import (
     optimise_preloads,
     with_worst_instants,
 )
-from stiffopt.preload.problem import PreloadProblem
-from stiffopt.preload.search_proof import SearchProof, describe_proof
+from stiffopt.preload.problem import Choice, PreloadProblem
 from stiffopt.preload.solution import PreloadSolution, evaluate_design
-from stiffopt.preload.tightening_ways import TighteningWay, ways_to_tighten
 from stiffopt.result.status import SolveStatus
 
 if TYPE_CHECKING:
     from stiffopt.robot.robot import Robot
+
 
 NO_BETTER = "bound: no better than the best found"
 NONE_KEEPS_ALL = "bound: no combination keeps all requirements"
@@ -360,3 +366,39 @@ def _compare_with_continuous(
         what = "With its bolts and any torque the design would be better by"
     text = f"{choice.message} {what} {100 * max(gap, 0.0):.2f} %."
     return replace(choice, continuous=continuous, gap=gap, message=text)
+
+
+@dataclass(frozen=True, kw_only=True)
+class TighteningWay:
+    """Best for one method and coating; lowest and highest friction [-], cost in steps."""
+
+    method: str
+    friction: float
+    friction_highest: float | None
+    status: SolveStatus
+    objective: float
+    cost: float = float("nan")
+
+
+def ways_to_tighten(tightening: Tightening, choose: Choice) -> list[tuple[Tightening, float]]:
+    """Every method with every coating that the study names, and what it costs in steps."""
+    methods = [
+        replace(tightening, method=method, scatter=None)  # type: ignore[arg-type]
+        for method in choose.methods
+    ] or [tightening]
+    coatings = [catalogue.coating(name) for name in choose.coatings]
+    if not coatings:
+        return [(method, way_cost(choose, i, 0)) for i, method in enumerate(methods)]
+    return [
+        (
+            replace(
+                method,
+                thread_friction=coating.least,
+                head_friction=coating.least,
+                friction_highest=coating.largest,
+            ),
+            way_cost(choose, i, k),
+        )
+        for i, method in enumerate(methods)
+        for k, coating in enumerate(coatings)
+    ]

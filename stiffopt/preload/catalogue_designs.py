@@ -8,7 +8,7 @@ torque is chosen.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 
@@ -28,7 +28,6 @@ from stiffopt.fastening.vdi_rows import vdi_rows
 from stiffopt.preload.flange_loads import slip_safety, verification
 from stiffopt.preload.load_case import LoadCase
 from stiffopt.preload.problem import Choice, FreeElement, PreloadProblem
-from stiffopt.preload.step_cost import design_cost
 
 # Room for rounding in limits that a design may touch.
 _MAX_UTILISATION = 1.0 + 1e-9
@@ -289,3 +288,42 @@ def _slip_utilisation(
         return math.inf
     slip = float(stage.element.slip_torque(least)) * stage.reduction
     return slip_safety(problem.requirements.slip_safety, cases, element.joint) * torque / slip
+
+
+def design_cost(choose: Choice, stage: Stage, present: Stage) -> float:
+    """Cost of the bolts of one connection.
+
+    Parameters
+    ----------
+    choose : Choice
+    stage, present : Stage
+        The connection with these bolts, and as it is; pins cost nothing.
+    """
+    flange, before = stage.element, present.element
+    if choose.cost is None or not isinstance(flange, BoltedFlange):
+        return 0.0
+    assert isinstance(before, BoltedFlange)
+    assert flange.bolt is not None
+    cost, bolt = choose.cost, flange.bolt
+    sizes = sorted(set(choose.sizes), key=lambda size: catalogue.bolt(size).diameter)
+    grades = sorted(set(choose.grades), key=catalogue.bolt_grades().index)
+    one = (
+        cost.bolt
+        + cost.size * _position_in(sizes, bolt.size)
+        + cost.grade * _position_in(grades, bolt.grade)
+    )
+    one += cost.washer * bolt.washer + cost.nut * bolt.nut
+    moved = flange.circle_diameter != before.circle_diameter
+    return flange.bolt_count * one + cost.circle * moved
+
+
+def way_cost(choose: Choice, method: int, coating: int) -> float:
+    """Cost of a tightening method and a coating by their places in the lists, for the study."""
+    if choose.cost is None:
+        return 0.0
+    return choose.cost.method * method + choose.cost.coating * coating
+
+
+def _position_in(among: Sequence[object], what: object) -> int:
+    """Position in a list; 0 in none."""
+    return list(among).index(what) if what in among else 0

@@ -18,10 +18,10 @@ from stiffopt.drivetrain.stage import Stage
 from stiffopt.errors import ProblemError
 from stiffopt.exact.chain import exact_compliance, exact_windup
 from stiffopt.preload.catalogue_designs import CatalogueDesign
+from stiffopt.preload.flange_loads import tilt_deflection
 from stiffopt.preload.load_case import LoadCase
 from stiffopt.preload.model import PreloadModel
 from stiffopt.preload.nlp import Levels
-from stiffopt.preload.tilted_tool import tilt_deflection
 
 # Sums of the same designs in another order are equal.
 RELATIVE_ROUNDING = 1e-12

@@ -202,7 +202,7 @@ def _vdi_binding_preloads(steps: Verification | None) -> dict[str, float]:
     if steps is None:
         return {}
     found = {}
-    if steps.loads.more_than_torque:
+    if steps.loads.has_force_or_tilting:
         opening = float(steps.clamp_against_opening.max())
         governs = opening >= float(steps.clamp_needed.max())
         found["one-sided opening" if governs else "slip under the whole load"] = steps.least_preload

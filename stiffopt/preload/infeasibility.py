@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stiffopt.connection import BoltedFlange
-from stiffopt.fastening.utilisation_row import UtilisationRow
+from stiffopt.fastening.utilisation import UtilisationRow
 from stiffopt.preload.model import PreloadModel
 from stiffopt.preload.nlp import PreloadNlp
 from stiffopt.preload.problem import FreeElement
@@ -116,7 +116,7 @@ def _worst_by_owner(
     worst: dict[tuple[str, str, int | None], UtilisationRow] = {}
     for row in utilisation_rows(model, preloads):
         owner = (row.kind, row.element, row.joint)
-        if row.kind not in kinds or row.kept:
+        if row.kind not in kinds or row.satisfied:
             continue
         if owner not in worst or row.utilisation > worst[owner].utilisation:
             worst[owner] = row
@@ -196,7 +196,7 @@ def _service_stoppers(model: PreloadModel, upper: np.ndarray, index: int) -> lis
             remedy=row.remedy,
         )
         for row in model.vdi_rows(upper, index)
-        if row.binding and not row.kept
+        if row.binding and not row.satisfied
     ]
 
 

@@ -21,13 +21,18 @@ from stiffopt.drivetrain.stage import Stage
 from stiffopt.errors import ProblemError
 from stiffopt.exact.chain import exact_compliance, exact_windup, stage_windup
 from stiffopt.fastening.tilting import closed_compliance, tilting_flange
-from stiffopt.fastening.utilisation_row import UtilisationRow
+from stiffopt.fastening.utilisation import UtilisationRow
 from stiffopt.fastening.vdi_rows import vdi_rows
 from stiffopt.fastening.verification import Verification
-from stiffopt.preload.flange_loads import slip_safety, verification
+from stiffopt.preload.flange_loads import (
+    carries_tilting,
+    slip_safety,
+    tilt_deflection,
+    tilt_vector,
+    verification,
+)
 from stiffopt.preload.load_case import LoadCase, LoadHistory
 from stiffopt.preload.problem import FreeElement, PreloadProblem
-from stiffopt.preload.tilted_tool import carries_tilting, tilt_deflection, tilt_vector
 from stiffopt.symbolic import Quantity, is_symbolic
 
 

@@ -7,7 +7,7 @@ each from where the last one ended. Compared with the two done once, one after t
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,7 +18,6 @@ from stiffopt.errors import NoSolutionFound, ProblemError
 from stiffopt.preload.load_case import LoadHistory
 from stiffopt.preload.load_sources import motion_histories
 from stiffopt.preload.model import PreloadModel
-from stiffopt.preload.motion_result import MotionRound, MotionStudy, describe_gain
 from stiffopt.preload.optimise import optimise_preloads
 from stiffopt.preload.problem import PreloadProblem
 from stiffopt.preload.solution import PreloadSolution
@@ -395,3 +394,96 @@ def _motion_subproblem(problem: PreloadProblem) -> PreloadProblem:
         load_cases=tuple(replace(case, jacobian=None) for case in problem.load_cases),
         histories=tuple(replace(history, jacobian=None) for history in problem.histories),
     )
+
+
+# A gain below this is called not worth the effort.
+_MIN_USEFUL_GAIN = 0.01
+# Less than what is written of it.
+_MIN_REPORTED_GAIN = 5e-5
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class MotionRound:
+    """One round of the alternation.
+
+    Parameters
+    ----------
+    deflection_before_preload, deflection_after : float
+        Of the new motion, with the preloads it was optimised for and with those then found [m].
+    preloads : mapping of element key to float
+        Largest preload that tightening leaves, after the round [N].
+    """
+
+    deflection_before_preload: float
+    deflection_after: float
+    preloads: Mapping[str, float]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class MotionStudy:
+    """What optimising preloads and motion together is worth.
+
+    Parameters
+    ----------
+    status : SolveStatus
+        acceptable where the rounds ended before the deflection settled.
+    objective_name : str
+        Deflection whose peak counts, by the exact law with the least preloads.
+    start : float
+        Of the motion optimised with the start preloads, before preloads change [m].
+    separate : float
+        The same motion after its preloads were optimised [m]; nan where the study was stopped
+        before.
+    joint : float
+        Both together [m]; never above `separate`, where the rounds begin.
+    gain : float
+        1 - joint/separate.
+    rounds : tuple of MotionRound
+    start_preloads, separate_preloads, preloads : mapping of element key to float
+        Largest preload that tightening leaves [N].
+    trajectory : Solution
+        The motion of `joint`, assessed with its preloads.
+    separate_trajectory : Solution
+        The motion of `start` and `separate`, assessed with the preloads of `separate`.
+    preload_solution : PreloadSolution or None
+        Rows and limits of `joint`.
+    note : str
+        What it means.
+    seconds : float
+    """
+
+    status: SolveStatus
+    objective_name: str
+    start: float
+    separate: float
+    joint: float
+    gain: float
+    rounds: tuple[MotionRound, ...]
+    start_preloads: Mapping[str, float]
+    separate_preloads: Mapping[str, float]
+    preloads: Mapping[str, float]
+    trajectory: Solution
+    separate_trajectory: Solution
+    preload_solution: PreloadSolution | None
+    note: str
+    seconds: float
+
+
+def describe_gain(status: SolveStatus, gain: float) -> str:
+    """Tell a designer what the gain of a joint study means."""
+    if not np.isfinite(gain):
+        return "Stopped by the user before the preloads were optimised."
+    if gain < _MIN_REPORTED_GAIN:
+        text = "Optimised together, preloads and motion deflect no less than one after another"
+    else:
+        text = (
+            f"Optimised together, preloads and motion deflect {100 * gain:.2f} % less than one "
+            "after another"
+        )
+    if gain < _MIN_USEFUL_GAIN:
+        text += ": a gain below 1 %, so the joint study is not worth it here"
+    ends = {
+        SolveStatus.INTERRUPTED: " Stopped by the user; this is the best so far.",
+        SolveStatus.ACCEPTABLE: " The rounds ended before the deflection settled.",
+    }
+    return f"{text}.{ends.get(status, '')}"

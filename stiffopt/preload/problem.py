@@ -12,6 +12,7 @@ import numpy as np
 from stiffopt.connection import BoltedFlange
 from stiffopt.declaration import (
     FRACTION,
+    NOT_NEGATIVE,
     POSITIVE,
     Bounds,
     Doc,
@@ -35,7 +36,6 @@ from stiffopt.fastening.limits import (
 )
 from stiffopt.fastening.tightening import SCATTER_BY_METHOD, Tightening
 from stiffopt.preload.load_case import LoadCase, LoadHistory
-from stiffopt.preload.step_cost import StepCost
 from stiffopt.symbolic import Quantity
 
 if TYPE_CHECKING:
@@ -91,6 +91,29 @@ class Requirements:
 
     def __post_init__(self) -> None:
         check_fields(self, "require")
+
+
+@dataclass(frozen=True, kw_only=True)
+class StepCost:
+    """Cost of one step of each kind, in a unit of one's own; what is left out costs nothing."""
+
+    bolt: Annotated[Ratio, NOT_NEGATIVE, Doc("Of one bolt: hole, thread, tightening.")] = 0.0
+    size: Annotated[Ratio, NOT_NEGATIVE, Doc("Of each bolt, for one place up in `sizes`.")] = 0.0
+    grade: Annotated[Ratio, NOT_NEGATIVE, Doc("Of each bolt, for one place up in `grades`.")] = 0.0
+    washer: Annotated[Ratio, NOT_NEGATIVE, Doc("Of the washers of one bolt.")] = 0.0
+    nut: Annotated[Ratio, NOT_NEGATIVE, Doc("Of one nut.")] = 0.0
+    circle: Annotated[
+        Ratio, NOT_NEGATIVE, Doc("Of a flange with another pitch circle than at present.")
+    ] = 0.0
+    method: Annotated[Ratio, NOT_NEGATIVE, Doc("Of the study, for one place on in `methods`.")] = (
+        0.0
+    )
+    coating: Annotated[
+        Ratio, NOT_NEGATIVE, Doc("Of the study, for one place on in `coatings`.")
+    ] = 0.0
+
+    def __post_init__(self) -> None:
+        check_fields(self, "choose.cost")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,7 +10,7 @@ import numpy as np
 from stiffopt.connection import ClampingPins
 from stiffopt.fastening.limits import WorkshopTorque, workshop_torque
 from stiffopt.fastening.tightening import Tightening
-from stiffopt.fastening.utilisation_row import UtilisationRow
+from stiffopt.fastening.utilisation import UtilisationRow
 from stiffopt.preload.infeasibility import Stopper
 from stiffopt.preload.load_case import LoadCase
 from stiffopt.preload.model import PreloadModel
@@ -111,7 +111,7 @@ def evaluate_design(
         requirement exceeded.
     """
     rows = utilisation_rows(model, preloads)
-    if status.usable and not all(row.kept for row in rows):
+    if status.usable and not all(row.satisfied for row in rows):
         status = SolveStatus.CERTIFICATE_FAILED
     own = {
         e.key: tuple(float(f) for f in preloads[part])

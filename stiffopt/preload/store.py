@@ -15,15 +15,14 @@ import numpy as np
 
 from stiffopt.connection import Bolt
 from stiffopt.drivetrain.tables import with_own
-from stiffopt.fastening.safety_factor import SAFETY_FACTORS
-from stiffopt.fastening.utilisation_row import UtilisationRow
+from stiffopt.fastening.utilisation import SAFETY_FACTORS, UtilisationRow
 from stiffopt.files import atomic_write, plain, write_csv
 from stiffopt.preload.bolt_sheet import BoltSheet, bolt_sheets
 from stiffopt.preload.catalogue_choice import CatalogueChoice
 from stiffopt.preload.catalogue_designs import CatalogueDesign
 from stiffopt.preload.curves import curve_rows
 from stiffopt.preload.model import PreloadModel
-from stiffopt.preload.motion_result import MotionStudy
+from stiffopt.preload.motion_study import MotionStudy
 from stiffopt.preload.pareto import ParetoFront
 from stiffopt.preload.problem import OBJECTIVES, PreloadProblem
 from stiffopt.preload.solution import PreloadSolution

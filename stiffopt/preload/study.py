@@ -12,14 +12,12 @@ import numpy as np
 from stiffopt.drivetrain.tables import with_own
 from stiffopt.preload.catalogue_choice import CatalogueChoice, choose_design
 from stiffopt.preload.curves import PreloadCurve, preload_curves
-from stiffopt.preload.loosening import Loosening, loosening
 from stiffopt.preload.model import PreloadModel
-from stiffopt.preload.motion_result import MotionStudy
-from stiffopt.preload.motion_study import motion_study
+from stiffopt.preload.motion_study import MotionStudy, motion_study
 from stiffopt.preload.optimise import optimise_preloads
 from stiffopt.preload.pareto import ParetoFront, pareto_front
 from stiffopt.preload.problem import OBJECTIVES, FreeElement, PreloadProblem
-from stiffopt.preload.sensitivity import Sensitivity, sensitivity
+from stiffopt.preload.sensitivity import Loosening, Sensitivity, loosening, sensitivity
 from stiffopt.preload.solution import PreloadSolution
 from stiffopt.result.provenance import versions
 from stiffopt.result.status import SolveStatus

@@ -8,8 +8,7 @@ import numpy as np
 
 from stiffopt.connection import Key
 from stiffopt.fastening.limits import key_pressure_limit
-from stiffopt.fastening.safety_factor import SafetyFactor, governing_rows
-from stiffopt.fastening.utilisation_row import UtilisationRow
+from stiffopt.fastening.utilisation import SafetyFactor, UtilisationRow, governing_rows
 from stiffopt.fastening.vdi_rows import vdi_rows
 from stiffopt.preload.model import PreloadModel
 

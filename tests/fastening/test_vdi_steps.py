@@ -14,22 +14,25 @@ from stiffopt.drivetrain import catalogue
 from stiffopt.drivetrain.catalogue import BoltData
 from stiffopt.errors import InputError, OutOfValidityError
 from stiffopt.fastening import bolts
-from stiffopt.fastening.bolt_stress import largest_working_preload, working_stress
+from stiffopt.fastening.bolt_strength import (
+    endurance_limit,
+    head_bearing,
+    largest_working_preload,
+    stress_amplitude,
+    transverse_slip_limit,
+    working_stress,
+)
 from stiffopt.fastening.bolts import permissible_assembly_preload
-from stiffopt.fastening.clamp_load import eccentric_opening_load, friction_clamp_load
-from stiffopt.fastening.embedding import embedding
-from stiffopt.fastening.endurance import endurance_limit, stress_amplitude
-from stiffopt.fastening.flange_load import FlangeLoads
-from stiffopt.fastening.head_pressure import head_bearing
-from stiffopt.fastening.load_factor import (
+from stiffopt.fastening.compliance import (
     eccentric_load_factor,
+    embedding,
     load_factor,
     load_introduction_factor,
+    thermal_change,
 )
-from stiffopt.fastening.self_loosening import transverse_slip_limit
-from stiffopt.fastening.thermal import thermal_change
+from stiffopt.fastening.flange_load import FlangeLoads, eccentric_opening_load, friction_clamp_load
 from stiffopt.fastening.tightening import Tightening, preload_at_torque, tightening_torque
-from stiffopt.fastening.utilisation_row import UtilisationRow
+from stiffopt.fastening.utilisation import UtilisationRow
 from stiffopt.fastening.vdi_rows import vdi_rows
 from stiffopt.fastening.verification import Verification
 
@@ -314,9 +317,9 @@ def test_wrench_by_hand():
     phi = compliance[1] / sum(compliance)
     assert steps.additional == pytest.approx(phi * pull, rel=1e-4)
     # Tilting there and back: the amplitude is of the load on and off.
-    assert steps.swing == pytest.approx(phi * pull, rel=1e-4)
+    assert steps.alternating_force == pytest.approx(phi * pull, rel=1e-4)
     back = Verification(ring, TESTED, loads([0, 0, 0, 60.0, 0, 0], [0, 0, 0, -60.0, 0, 0]))
-    assert back.swing == pytest.approx(2 * phi * 4 * 60.0 / (9 * 30e-3), rel=1e-4)
+    assert back.alternating_force == pytest.approx(2 * phi * 4 * 60.0 / (9 * 30e-3), rel=1e-4)
 
 
 def test_bounds_are_where_the_checks_reach_one():
@@ -352,11 +355,11 @@ def test_warnings_stop_nothing():
 
 def test_a_row_is_kept_up_to_its_limit_but_for_rounding():
     row = UtilisationRow(kind="slip safety", value=1.0, limit=1.0, unit="", utilisation=1.0)
-    assert row.kept
+    assert row.satisfied
     assert row.active
-    assert replace(row, utilisation=1.0 + 5e-7).kept
-    assert not replace(row, utilisation=1.0 + 2e-6).kept
-    assert replace(row, utilisation=2.0, binding=False).kept
+    assert replace(row, utilisation=1.0 + 5e-7).satisfied
+    assert not replace(row, utilisation=1.0 + 2e-6).satisfied
+    assert replace(row, utilisation=2.0, binding=False).satisfied
     assert not replace(row, utilisation=2.0, binding=False).active
     assert not replace(row, utilisation=0.999).active
 

@@ -42,7 +42,7 @@ def everything(problem, choose):
         model = PreloadModel(replace(problem, robot=robot))
         preloads = np.array(preloads)
         least = [f / 1.6 - e.loss for f, e in zip(preloads, model.elements, strict=True)]
-        if min(least) <= 0 or not all(row.kept for row in utilisation_rows(model, preloads)):
+        if min(least) <= 0 or not all(row.satisfied for row in utilisation_rows(model, preloads)):
             continue
         feasible += 1
         bolts = sum(design[2] for design in designs)
@@ -265,7 +265,7 @@ def test_bolts_of_the_whole_robot_for_several_motions():
 
     whole = chosen((1, 2, 3, 4, 5, 6), motions)
     assert len(whole.designs) == 15
-    assert all(row.kept for row in whole.solution.rows)
+    assert all(row.satisfied for row in whole.solution.rows)
     instants = {each.name for each in whole.solution.cases}
     assert {"lift at 0.500 s", "sweep at 0.500 s"} <= instants
     for joint in range(1, 7):
@@ -313,7 +313,7 @@ def test_a_search_that_is_cut_short_says_so(monkeypatch, found, status):
     assert choice.proof.accounted == choice.proof.combinations
     assert "ended" in choice.message
     if choice.designs:
-        assert all(row.kept for row in choice.solution.rows)
+        assert all(row.satisfied for row in choice.solution.rows)
         assert choice.proof.bound <= best.objective <= choice.objective
 
 

@@ -180,7 +180,7 @@ def test_the_motion_brings_its_worst_instants():
     assert solution.vector[0] >= whole.least_preload * (1 - 1e-9)
     (steps,) = PreloadModel(problem, solution.cases).verifications
     assert steps.slip_safety == 1.8
-    assert steps.swing == pytest.approx(whole.swing, rel=1e-12)
+    assert steps.alternating_force == pytest.approx(whole.alternating_force, rel=1e-12)
     assert steps.additional == pytest.approx(whole.additional, rel=1e-12)
     assert len(solution.cases) < 12
 

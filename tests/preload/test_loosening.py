@@ -6,8 +6,8 @@ from preload_studies import Ring, case, study
 
 from stiffopt.errors import ProblemError
 from stiffopt.exact.chain import exact_compliance
-from stiffopt.preload.loosening import first_slip_torque, loosen_element, loosening
 from stiffopt.preload.model import PreloadModel
+from stiffopt.preload.sensitivity import first_slip_torque, loosen_element, loosening
 
 LOADS = (case("lift", j2=40.0, j3=-12.0), case("back", j2=-15.0, j3=5.0))
 

@@ -131,7 +131,7 @@ def test_no_design_of_a_dense_grid_is_better(objective, free, needs):
     solution = optimise_preloads(problem)
     assert solution.status is SolveStatus.OPTIMAL
     assert solution.kkt_residual < KKT
-    assert all(row.kept for row in solution.rows)
+    assert all(row.satisfied for row in solution.rows)
     grid = Grid(problem, points=4000 if free else 400)
     inside, values = grid.feasible, grid.objective()
     assert inside.any()

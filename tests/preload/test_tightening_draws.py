@@ -9,7 +9,7 @@ from stiffopt.drivetrain import catalogue
 from stiffopt.fastening.flange_load import FlangeLoads
 from stiffopt.fastening.tightening import Tightening, preload_at_torque
 from stiffopt.fastening.verification import Verification
-from stiffopt.preload.tightening_draws import SlipProbability, slip_probability
+from stiffopt.preload.bolt_sheet import SlipProbability, slip_probability
 
 FLANGE = er3a().chains[1].elements["flexspline_flange"]
 

@@ -11,7 +11,7 @@ from stiffopt.cli import run
 from stiffopt.connection import Bolt
 from stiffopt.drivetrain import catalogue
 from stiffopt.errors import InputError
-from stiffopt.fastening.head_pressure import head_bearing
+from stiffopt.fastening.bolt_strength import head_bearing
 from stiffopt.fastening.verification import Verification
 from stiffopt.preload.files import load_study
 from stiffopt.preload.flange_loads import case_loads

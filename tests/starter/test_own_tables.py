@@ -17,8 +17,7 @@ from stiffopt.recording.recording_set import load_recordings
 from stiffopt.robot.files import load_robot
 from stiffopt.starter.clocks import parse_stamps
 from stiffopt.starter.guessing import guess_columns
-from stiffopt.starter.messages import _joint_fields
-from stiffopt.starter.tables import read_any_table
+from stiffopt.starter.tables import _joint_fields, read_any_table
 
 URDF = ROOT / "problems" / "recordings" / "two_link_friction" / "robot.urdf"
 NAMES = ["t", "q1", "q2", "tau1", "tau2"]

@@ -22,7 +22,7 @@ from stiffopt.problem.resolve import resolve
 from stiffopt.robot.cell import Cell
 from stiffopt.robot.clearance import ClearanceModel
 from stiffopt.robot.files import load_robot
-from stiffopt.starter.first_motion import first_motion
+from stiffopt.starter.problem_file import first_motion
 
 
 def test_a_cylinder_that_follows_is_no_branch(tmp_path):

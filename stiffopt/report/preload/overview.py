@@ -13,11 +13,16 @@ from stiffopt.report.common.robot import EstimatedInputs, estimated_inputs
 from stiffopt.report.preload.words import MARK, owner_name, readable
 
 if TYPE_CHECKING:
-    from stiffopt.fastening.utilisation_row import UtilisationRow
+    from stiffopt.fastening.utilisation import UtilisationRow
     from stiffopt.preload.bolt_sheet import BoltSheet
-    from stiffopt.preload.loosening import LoosenedConnection, Loosening
     from stiffopt.preload.problem import FreeElement, PreloadProblem
-    from stiffopt.preload.sensitivity import PreloadWorth, Sensitivity, WindupShare
+    from stiffopt.preload.sensitivity import (
+        LoosenedConnection,
+        Loosening,
+        PreloadWorth,
+        Sensitivity,
+        WindupShare,
+    )
     from stiffopt.preload.solution import PreloadSolution
 
 Item = TypeVar("Item")
