@@ -1,4 +1,4 @@
-"""Spring of a given stiffness."""
+"""Linear torsional spring of given stiffness."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Strain-wave reducer: three slopes of the catalogue."""
+"""Strain-wave reducer with the three stiffnesses of its catalogue."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from stiffopt.contact.validate import require_ordered
 from stiffopt.declaration import POSITIVE, Doc, Stiffness, Torque
 from stiffopt.symbolic import Quantity, softplus
 
-# Corner width as a share of the corner's torque: 2.1 % error in wind-up at most, 24 % in slope.
+# Smoothing width over T1 or T2 [-]: errors of at most 2.1 % in wind-up and 24 % in slope.
 _RELATIVE_CORNER_WIDTH = 0.08
 
 
@@ -47,7 +47,7 @@ class Reducer(Connection):
         return False
 
     def _slope_changes(self, smoothing: Quantity) -> list[tuple[float, Quantity, float]]:
-        """Torque, width and step of the compliance at each corner."""
+        """Return torque, smoothing width and step of compliance at T1 and T2."""
         c1, c2, c3 = 1 / self.K1, 1 / self.K2, 1 / self.K3
         return [
             (self.T1, _RELATIVE_CORNER_WIDTH * self.T1 * smoothing, c2 - c1),
@@ -57,7 +57,7 @@ class Reducer(Connection):
     def windup(
         self, torque: Quantity, *, preload: Quantity | None = None, smoothing: Quantity = 1.0
     ) -> Quantity:
-        """Wind-up angle at the output [rad]."""
+        """Return the wind-up angle at the output [rad]."""
         angle = torque / self.K1
         for corner, width, step in self._slope_changes(smoothing):
             above = softplus((torque - corner) / width)
@@ -71,7 +71,7 @@ class Reducer(Connection):
         """Compliance d phi/dT [rad/(N m)]."""
         compliance = 1 / self.K1
         for corner, width, step in self._slope_changes(smoothing):
-            # The logistic function in its tanh form does not overflow.
+            # The tanh form of the logistic function does not overflow.
             above = 0.5 * (1 + np.tanh(0.5 * (torque - corner) / width))
             below = 0.5 * (1 + np.tanh(0.5 * (-torque - corner) / width))
             compliance = compliance + step * (above + below)

@@ -15,25 +15,25 @@ from stiffopt.drivetrain.catalogue import BoltData, ClampedMaterial
 from stiffopt.fastening.bolt_geometry import bolt_data
 from stiffopt.symbolic import Quantity
 
-# k_tau: part of the torsion that counts in service (VDI 2230 R8; 1 where the joint slips).
+# k_tau [-]: share of the tightening torsion left in service (VDI 2230 R8; 1 if the joint slips).
 RESIDUAL_TORSION_SHARE = 0.5
 
 
 def thread_torque(bolt: BoltData, preload: Quantity, friction: float) -> Quantity:
-    """M_G = F_M d2/2 (P/(pi d2) + 1.155 mu_G) [N m], which twists the bolt (R8/3)."""
+    """Return the thread torque M_G = F_M d2/2 (P/(pi d2) + 1.155 mu_G) [N m] (R8/3)."""
     lever = bolt.pitch / (2 * math.pi) + bolt.pitch_diameter / 2 * friction / math.cos(math.pi / 6)
     return preload * lever
 
 
 def torsion_stress(bolt: BoltData, preload: Quantity, friction: float) -> Quantity:
-    """Tau = M_G/W_P with W_P = pi/16 d_S^3 [Pa] (R8/3)."""
+    """Return the torsional stress tau = M_G/W_P with W_P = pi/16 d_S^3 [Pa] (R8/3)."""
     return thread_torque(bolt, preload, friction) / (math.pi / 16 * bolt.stress_diameter**3)
 
 
 def working_stress(
     bolt: BoltData, preload: Quantity, additional: Quantity, friction: float
 ) -> Quantity:
-    """sigma_red,B = sqrt(sigma_z^2 + 3 (k_tau tau)^2) [Pa] (R8/4).
+    """Return the working stress sigma_red,B = sqrt(sigma_z^2 + 3 (k_tau tau)^2) [Pa] (R8/4).
 
     Parameters
     ----------
@@ -41,7 +41,7 @@ def working_stress(
     preload : scalar
         Largest assembly preload F_M [N].
     additional : scalar
-        F_SA + what warming adds [N].
+        F_SA and the thermal force [N].
     friction : float
         mu_G.
     """
@@ -53,7 +53,7 @@ def working_stress(
 def largest_working_preload(
     bolt: BoltData, proof_stress: float, additional: float, friction: float
 ) -> float:
-    """Preload at which the working stress reaches R_p0.2 [N]; 0 where the load alone does."""
+    """Return the preload at a working stress of R_p0.2 [N]; 0 if the load alone exceeds it."""
     twist = 3 * (RESIDUAL_TORSION_SHARE * float(torsion_stress(bolt, 1.0, friction))) ** 2
     square = 1 / bolt.stress_area**2 + twist
     half = additional / bolt.stress_area**2
@@ -63,7 +63,7 @@ def largest_working_preload(
     return (-half + math.sqrt(half**2 - square * rest)) / square
 
 
-# Asked for in design [-]; VDI 2230 leaves S_D to the engineer and names 1.2.
+# Required S_D against fatigue [-]; VDI 2230 leaves it to the engineer and names 1.2.
 MIN_ENDURANCE_SAFETY = 1.2
 
 
@@ -73,7 +73,7 @@ def endurance_limit(
     mean_force: Quantity = 0.0,
     proof_stress: float = 1.0,
 ) -> Quantity:
-    """Stress amplitude that a thread endures, 2e6 cycles and more [Pa].
+    """Return the endurance limit of a thread, stress amplitude at 2e6 cycles and more [Pa].
 
     Rolled before heat treatment sigma_ASV = 0.85 (150/d + 45) MPa with d in mm (R9/5); after it
     sigma_ASG = (2 - F_Sm/F_0.2) sigma_ASV (R9/6), here never below sigma_ASV.
@@ -83,8 +83,7 @@ def endurance_limit(
     bolt : BoltData
     rolled : {"before", "after"}
     mean_force : scalar
-        F_Sm [N]; matters for "after" alone. Valid for 0.3 to 1 of F_0.2; below 0.3 what it has
-        there is taken.
+        F_Sm [N]; used for "after" only. Valid for 0.3 to 1 of F_0.2 and clipped to that range.
     proof_stress : float
         R_p0.2 [Pa].
     """
@@ -97,22 +96,22 @@ def endurance_limit(
 
 
 def stress_amplitude(bolt: BoltData, upper: Quantity, lower: Quantity) -> Quantity:
-    """sigma_a = (F_SAo - F_SAu)/(2 A_S) [Pa] (R9/1), for the bolt's parts of the working load."""
+    """Return sigma_a = (F_SAo - F_SAu)/(2 A_S) [Pa] (R9/1) from the bolt's share of the load."""
     return (upper - lower) / (2 * bolt.stress_area)
 
 
-# A load spreads in a washer under 39 degrees: d_Wa = d_w + 1.6 h_S (VDI 2230 R10).
+# Load spreads in a washer at 39 degrees: d_Wa = d_w + 1.6 h_S (VDI 2230 R10).
 _WASHER_SPREAD_RATIO = 1.6
 
 
 @dataclass(frozen=True)
 class HeadBearing:
-    """Force that the parts under a head or nut bear [N], and where that comes from.
+    """Permissible force on the bearing face of a head or nut, with its source.
 
     Parameters
     ----------
     capacity : float
-        p_G A_p, the least of head on washer and washer on part [N].
+        p_G A_p [N], the smaller of head on washer and washer on part.
     provenance, source : str
     """
 
@@ -122,7 +121,7 @@ class HeadBearing:
 
 
 def head_bearing(bolt: Bolt) -> HeadBearing:
-    """Largest force under head and nut, p_G A_p (R10/1 and R10/2)."""
+    """Return the permissible force under head and nut, p_G A_p (R10/1 and R10/2)."""
     data = bolt_data(bolt)
     found = _bearing_capacity(bolt, bolt.head_material, data.bearing_diameter, "head")
     if bolt.nut:
@@ -132,8 +131,8 @@ def head_bearing(bolt: Bolt) -> HeadBearing:
     return found
 
 
-def _bearing_capacity(bolt: Bolt, material: str, face: float, what: str) -> HeadBearing:
-    """Force that a part bears under a face of diameter d_w [m]."""
+def _bearing_capacity(bolt: Bolt, material: str, face: float, side: str) -> HeadBearing:
+    """Return the permissible force on a part under a bearing face of diameter d_w [m]."""
     part, hole = catalogue.clamped_material(material), catalogue.bolt(bolt.size).hole
     area = math.pi / 4 * (face**2 - hole**2)
     if not bolt.washer:
@@ -141,7 +140,7 @@ def _bearing_capacity(bolt: Bolt, material: str, face: float, what: str) -> Head
             capacity=part.head_pressure * area,
             provenance=part.provenance,
             source=(
-                f"permissible pressure on {part.name}, {part.source}; under the {what},"
+                f"permissible pressure on {part.name}, {part.source}; under the {side},"
                 f" {1e3 * face:g} mm wide"
             ),
         )
@@ -150,7 +149,7 @@ def _bearing_capacity(bolt: Bolt, material: str, face: float, what: str) -> Head
     below = part.head_pressure * math.pi / 4 * (outer**2 - hole**2)
     above = washer.pressure * area
     if above < below:
-        return HeadBearing(above, washer.provenance, f"{what} on its washer, {washer.source}")
+        return HeadBearing(above, washer.provenance, f"{side} on its washer, {washer.source}")
     return HeadBearing(
         below,
         part.provenance,
@@ -158,17 +157,17 @@ def _bearing_capacity(bolt: Bolt, material: str, face: float, what: str) -> Head
     )
 
 
-# Shear over tensile strength of bolts.
-_BOLT_SHEAR = 0.6
+# Shear strength of bolts over R_m [-].
+BOLT_SHEAR_RATIO = 0.6
 _TAN_FLANK_ANGLE = math.tan(math.pi / 6)
 
 
 def stripping_length(bolt: BoltData, tensile_strength: float, material: ClampedMaterial) -> float:
-    """m_eff of a tapped hole at which either thread strips at R_m A_S of the bolt [m] (R11/1).
+    """Return the engagement m_eff at which a thread strips at R_m A_S of the bolt [m] (R11/1).
 
-    m_eff = R_m A_S P/(C_3 tau_BM (P/2 + (d - D_2) tan 30 deg) pi d), and the like with C_2 for the
-    bolt's own thread at D_1; C_2, C_3 by the ratio of strengths R_S. Run-out and chamfer, about
-    two pitches, come on top.
+    m_eff = R_m A_S P/(C_3 tau_BM (P/2 + (d - D_2) tan 30 deg) pi d) for the tapped thread; the
+    bolt's thread likewise with C_2 at D_1. C_2 and C_3 follow from the strength ratio R_S.
+    Run-out and chamfer, about two pitches, are not included.
 
     Parameters
     ----------
@@ -176,7 +175,7 @@ def stripping_length(bolt: BoltData, tensile_strength: float, material: ClampedM
     tensile_strength : float
         R_m of the bolt [Pa].
     material : ClampedMaterial
-        With the thread.
+        Of the tapped part.
 
     References
     ----------
@@ -184,18 +183,18 @@ def stripping_length(bolt: BoltData, tensile_strength: float, material: ClampedM
     """
     d, pitch, middle = bolt.diameter, bolt.pitch, bolt.pitch_diameter
     inner = d - 1.0825 * pitch
-    # Shear areas a length of thread [m].
+    # Shear areas per length of thread [m].
     tapped = math.pi * d * (0.5 + (d - middle) * _TAN_FLANK_ANGLE / pitch)
     own = math.pi * inner * (0.5 + (middle - inner) * _TAN_FLANK_ANGLE / pitch)
     strip_tapped = tapped * material.shear_ratio * material.strength
-    strip_own = own * _BOLT_SHEAR * tensile_strength
+    strip_own = own * BOLT_SHEAR_RATIO * tensile_strength
     ratio = strip_tapped / strip_own
     strength = min(_tapped_factor(ratio) * strip_tapped, _bolt_factor(ratio) * strip_own)
     return tensile_strength * bolt.stress_area / strength
 
 
 def _tapped_factor(ratio: float) -> float:
-    """C_3 by R_S, the weaker the part."""
+    """Return C_3, the reduction for bending of the tapped thread, from R_S."""
     if ratio >= 1.0:
         return 0.897
     r = max(ratio, 0.4)
@@ -203,7 +202,7 @@ def _tapped_factor(ratio: float) -> float:
 
 
 def _bolt_factor(ratio: float) -> float:
-    """C_2 by R_S, the stronger the part."""
+    """Return C_2, the reduction for bending of the bolt thread, from R_S."""
     if ratio <= 1.0:
         return 0.897
     r = min(ratio, 2.2)
@@ -213,11 +212,11 @@ def _bolt_factor(ratio: float) -> float:
 def transverse_slip_limit(
     bolt: BoltData, length: float, preload: float, head_friction: float, modulus: float
 ) -> float:
-    """Movement of the parts at which the head slips on them [m].
+    """Return the transverse displacement of the parts at which the head slips [m].
 
-    Both ends of the bolt clamped against rotation, a beam of cylinders bends by s = F_Q c; c is
-    l_K^3/(12 E I_3) where the thread is all. The head slips where F_Q reaches mu_K F_V. Slip there
-    again and again turns the bolt loose, whatever the torque.
+    The bolt is a beam of cylinders, clamped against rotation at both ends: s = F_Q c, with
+    c = l_K^3/(12 E I_3) for a full thread. The head slips at F_Q = mu_K F_V. Repeated head slip
+    loosens the bolt at any tightening torque.
 
     Parameters
     ----------
@@ -235,8 +234,8 @@ def transverse_slip_limit(
     ----------
     [Junker1969]_, [VDI2230]_ on self-loosening.
     """
-    # Rotation by a unit moment, by a unit force at the end, and deflection by that force: integrals
-    # of 1, x and x^2 over 1/(E I).
+    # Rotation per unit moment, rotation and deflection per unit end force: integrals of 1, x and
+    # x^2 over E I.
     turn, both, moved, start = 0.0, 0.0, 0.0, 0.0
     for part, diameter in bolt.sections(length):
         stiffness, end = modulus * math.pi / 64 * diameter**4, start + part

@@ -12,8 +12,8 @@ from stiffopt.connection import BoltedFlange
 from stiffopt.drivetrain.catalogue import BoltData
 from stiffopt.errors import OutOfValidityError
 
-# VDI 2230: lengths, in bolt diameters, that stand for the parts of a bolt beyond the clamp length:
-# its head, its engaged thread, the thread around it in a tapped hole or in a nut.
+# Substitute lengths in bolt diameters of the parts beyond the clamp length (VDI 2230 R3): head,
+# engaged thread, tapped hole, nut.
 HEAD_LENGTH_RATIO = {"socket": 0.4, "hexagon": 0.5}
 ENGAGED_LENGTH_RATIO = 0.5
 TAPPED_LENGTH_RATIO, NUT_LENGTH_RATIO = 0.33, 0.4
@@ -28,16 +28,16 @@ def bolt_compliance(
     head: Literal["socket", "hexagon"] = "socket",
     nut: bool = False,
 ) -> float:
-    """delta_S of a bolt: head, shank, free thread, engaged thread, nut or tapped thread [m/N].
+    """Return delta_S of a bolt: head, shank, free and engaged thread, nut or tapped hole [m/N].
 
     Parameters
     ----------
     bolt : BoltData
-        With its shank, where it has one; else threaded over the whole clamp length.
+        With its shank, if any; else threaded over the whole clamp length.
     clamp_length : float
         l_K [m].
     bolt_modulus, thread_modulus : float
-        Of the bolt, and of the nut or the part with the tapped hole [Pa].
+        Young's moduli of the bolt and of the nut or tapped part [Pa].
     head : {"socket", "hexagon"}
     nut : bool
         A nut in place of a tapped hole.
@@ -60,14 +60,14 @@ def bolt_compliance(
 def cone_compliance(
     bearing: float, hole: float, outer: float, length: float, slope: float, modulus: float
 ) -> float:
-    """Compliance of one cone of pressure, from a head or nut on, and the sleeve beyond it [m/N].
+    """Return the compliance of a deformation cone under a head or nut and of its sleeve [m/N].
 
     Parameters
     ----------
     bearing, hole, outer : float
-        d_w, d_h and D_A, the edge of the part, where the cone ends [m].
+        d_w, d_h and D_A, outer diameter of the part that limits the cone [m].
     length : float
-        Of the cone with its sleeve [m].
+        Length of cone and sleeve [m].
     slope : float
         tan phi.
     modulus : float
@@ -83,10 +83,9 @@ def cone_compliance(
 def clamped_compliance(
     bolt: BoltData, clamp_length: float, outer_diameter: float, modulus: float
 ) -> float:
-    """delta_P of the parts that a bolt in a tapped hole clamps [m/N].
+    """Return delta_P of the clamped parts of a bolt in a tapped hole [m/N].
 
-    One cone of pressure spreads from the head towards the thread; where it meets the edge of the
-    part it goes on as a sleeve.
+    One deformation cone from the head towards the thread; beyond the edge of the part a sleeve.
 
     Parameters
     ----------
@@ -94,8 +93,7 @@ def clamped_compliance(
     clamp_length : float
         l_K [m].
     outer_diameter : float
-        D_A, of the material that belongs to one bolt [m]; what is smaller than the head counts as
-        a sleeve of the head's diameter.
+        D_A, of the material around one bolt [m]; at least the head's bearing diameter.
     modulus : float
         Young's modulus of the clamped part [Pa].
 
@@ -115,19 +113,19 @@ def through_bolted_compliance(
     outer_diameter: float,
     moduli: tuple[float, float],
 ) -> float:
-    """delta_P of the parts between head and nut [m/N]: two cones that meet half way.
+    """Return delta_P of the parts between head and nut, two cones that meet half way [m/N].
 
     Parameters
     ----------
     bolt : BoltData
     nut_bearing : float
-        d_w of the nut [m]; each cone has the slope of its own face.
+        d_w of the nut [m]; each cone has the slope of its own bearing face.
     clamp_length : float
         l_K [m].
     outer_diameter : float
         D_A, as for `clamped_compliance` [m].
     moduli : (float, float)
-        Young's moduli of the half under the head and of that under the nut [Pa].
+        Young's moduli of the half under the head and the half under the nut [Pa].
 
     References
     ----------
@@ -143,7 +141,7 @@ def through_bolted_compliance(
 
 
 def tip_compliance(contact_modulus: float, tip_diameter: float) -> float:
-    """Flat tip pressed on a half space, 1/(2 E* a) with the radius a [m/N].
+    """Return the compliance of a flat tip on a half space, 1/(2 E* a) with the radius a [m/N].
 
     Parameters
     ----------
@@ -175,15 +173,15 @@ _LOAD_INTRODUCTION_FACTORS = {
 
 
 def load_introduction_factor(kind: str, a_over_h: float, l_over_h: float) -> float:
-    """N of a type of joint SV1 to SV6, linear between the rows and columns of Table 2.
+    """Return the load introduction factor n by linear interpolation in Table 2.
 
     Parameters
     ----------
     kind : str
-        SV1 to SV6: where the load enters, from the head (SV1) to the face (SV6).
+        Type of joint: load enters near the head (SV1) to near the interface (SV6).
     a_over_h, l_over_h : float
         Distance of the connected body from the bolt and its length, over the height h of the
-        clamped parts; beyond the table its last value.
+        clamped parts; clipped to the table.
     """
     table = np.array(_LOAD_INTRODUCTION_FACTORS[kind])
     rows = [np.interp(a_over_h, _CONNECTION_DISTANCE_RATIOS, row) for row in table]
@@ -192,14 +190,14 @@ def load_introduction_factor(kind: str, a_over_h: float, l_over_h: float) -> flo
 
 @dataclass(frozen=True)
 class LoadFactor:
-    """Part of F_A that the bolt takes, at both ends of what n may be.
+    """Load factor Phi at both bounds of the load introduction factor n.
 
     Parameters
     ----------
     most : float
-        Phi with the largest n: loads the bolt.
+        Phi at the largest n; loads the bolt most.
     least : float
-        Phi with the smallest n: 1 - Phi unloads the clamped parts.
+        Phi at the smallest n; 1 - Phi unloads the clamped parts most.
     """
 
     most: float
@@ -207,14 +205,14 @@ class LoadFactor:
 
 
 def load_factor(bolt: float, plates: float, introduction: float | None) -> LoadFactor:
-    """Phi_n = n delta_P/(delta_S + delta_P), concentric (R3/1).
+    """Return Phi_n = n delta_P/(delta_S + delta_P) of a concentric joint (R3/1).
 
     Parameters
     ----------
     bolt, plates : float
         delta_S, delta_P [m/N].
     introduction : float or None
-        n; None: unknown, so 1 for the bolt and 0 for the clamped parts.
+        n; None if unknown: then 1 for the bolt and 0 for the clamped parts.
     """
     whole = plates / (bolt + plates)
     if introduction is None:
@@ -233,7 +231,7 @@ def eccentric_load_factor(
     modulus: float,
     bending_moment_of_area: float,
 ) -> float:
-    """Phi*_en = n delta_P**/(delta_S + delta_P*), bolt and load off the axis of the clamped parts.
+    """Return Phi*_en = n delta_P**/(delta_S + delta_P*) of an eccentric joint under eccentric load.
 
     delta_P* = delta_P + s^2 l_K/(E I_Bers), delta_P** = delta_P + a s l_K/(E I_Bers).
 
@@ -244,8 +242,8 @@ def eccentric_load_factor(
     introduction : float
         n.
     bolt_offset, load_offset : float
-        s_sym and a, of the bolt and of the load from the axis of the clamped parts [m]; of one
-        sign on one side.
+        s_sym and a, distances of bolt and load from the axis of the clamped parts [m]; equal signs
+        on the same side.
     length : float
         l_K [m].
     modulus : float
@@ -263,7 +261,8 @@ def eccentric_load_factor(
     return introduction * loaded / (bolt + clamped)
 
 
-# Roughness Rz up to [m], then um in the thread, at each head or nut, at each inner face; by load.
+# By load (VDI 2230 Table 5): upper bound of Rz [m], then embedding [um] of the thread, of each head
+# or nut, of each inner interface.
 _EMBEDDING_BY_ROUGHNESS = {
     "axial": ((10e-6, 3.0, 2.5, 1.5), (40e-6, 3.0, 3.0, 2.0), (160e-6, 3.0, 4.0, 3.0)),
     "shear": ((10e-6, 3.0, 3.0, 2.0), (40e-6, 3.0, 4.5, 2.5), (160e-6, 3.0, 6.5, 3.5)),
@@ -273,18 +272,18 @@ _EMBEDDING_BY_ROUGHNESS = {
 def embedding(
     roughness: float, interfaces: int, load: str = "shear", *, nut: bool = False
 ) -> float:
-    """f_Z of a bolt [m]: thread, head, nut where there is one, and inner faces (Table 5).
+    """Return the embedding f_Z of a bolt: thread, head, nut and inner interfaces [m] (Table 5).
 
     Parameters
     ----------
     roughness : float
         Rz [m], of the roughest face.
     interfaces : int
-        Inner faces, those at washers among them.
+        Number of inner interfaces, including those at washers.
     load : {"shear", "axial"}
-        Working load; shear settles more and is taken where there are both.
+        Working load; "shear" for combined loads, since it settles more.
     nut : bool
-        Settles as a head does; in a tapped hole nothing does but the thread.
+        Counts as another head; a tapped hole adds only the thread.
     """
     for bound, thread, head, inner in _EMBEDDING_BY_ROUGHNESS[load]:
         if roughness < bound:
@@ -294,7 +293,7 @@ def embedding(
 
 
 def flange_embedding(flange: BoltedFlange) -> float:
-    """f_Z of a flange's bolts [m]; torque is a shear load of the face."""
+    """Return f_Z of a flange's bolts under torque, a shear load of the interface [m]."""
     bolt = flange.bolt
     nut = bolt is not None and bolt.nut
     washers = (2 if nut else 1) if bolt is not None and bolt.washer else 0
@@ -304,19 +303,19 @@ def flange_embedding(flange: BoltedFlange) -> float:
 def thermal_change(
     length: float, bolt_expansion: float, part_expansion: float, change: float, compliance: float
 ) -> float:
-    """Delta F_Vth = l_K (alpha_S - alpha_P) Delta T/(delta_S + delta_P) [N] (R4/2).
+    """Return Delta F_Vth = l_K (alpha_S - alpha_P) Delta T/(delta_S + delta_P) [N] (R4/2).
 
-    Preload that is lost, above 0, where a joint as warm as its bolt changes its temperature.
+    Positive values are preload lost; joint and bolt have the same temperature.
 
     Parameters
     ----------
     length : float
         l_K [m].
     bolt_expansion, part_expansion : float
-        alpha_S, alpha_P, for 1 K.
+        alpha_S, alpha_P [1/K].
     change : float
         Delta T from assembly [K].
     compliance : float
-        delta_S + delta_P [m/N]; moduli as at assembly, which errs by 1 % for 30 K.
+        delta_S + delta_P [m/N]; moduli at assembly, an error of 1 % for 30 K.
     """
     return length * (bolt_expansion - part_expansion) * change / compliance

@@ -11,7 +11,7 @@ from stiffopt.symbolic import Quantity
 
 @dataclass(frozen=True, kw_only=True)
 class PreloadLimit:
-    """Bound on the largest preload that assembly leaves in one bolt or pin.
+    """Limit on the largest assembly preload of one bolt or pin.
 
     The utilisation is `fixed` + F/`capacity` and must not exceed 1.
 
@@ -19,14 +19,14 @@ class PreloadLimit:
     ----------
     name : str
     capacity : float
-        [N]; infinite where the preload does not matter.
+        [N]; infinite if the limit does not depend on the preload.
     fixed : float
-        Utilisation whatever the preload [-].
+        Utilisation at zero preload [-].
     provenance : {"catalogue", "paper", "estimated"}
     source : str
-        Where the permissible value comes from.
+        Origin of the permissible value.
     remedy : str
-        What to change where this bound stops a design.
+        Change of the design that relaxes this limit.
     """
 
     name: str
@@ -38,24 +38,24 @@ class PreloadLimit:
 
     @property
     def depends_on_preload(self) -> bool:
-        """Whether a smaller preload helps."""
+        """True if a smaller preload lowers the utilisation."""
         return math.isfinite(self.capacity)
 
     @property
     def largest_preload(self) -> float:
-        """Preload at a utilisation of 1 [N]; infinite, or 0, where the preload does not matter."""
+        """Preload at a utilisation of 1 [N]; infinite or 0 if independent of the preload."""
         if not self.depends_on_preload:
             return math.inf if self.fixed <= 1.0 else 0.0
         return (1.0 - self.fixed) * self.capacity
 
     def utilisation(self, preload: Quantity) -> Quantity:
-        """Share of the bound in use [-], for scalar or (n,) `preload` [N]."""
+        """Return the utilisation [-] for scalar or (n,) `preload` [N]."""
         if not self.depends_on_preload:
             return self.fixed + 0.0 * preload
         return self.fixed + preload / self.capacity
 
 
-# What each is the safety against, and its formula (VDI 2230 part 1, R8 to R12).
+# Failure mode and formula of each safety factor (VDI 2230 part 1, R8 to R12).
 SAFETY_FACTORS = {
     "S_F": ("yield in service", "R_p0.2 / σ_red,B"),
     "S_D": ("fatigue", "σ_AS / σ_a"),
@@ -67,12 +67,12 @@ SAFETY_FACTORS = {
 
 @dataclass(frozen=True)
 class SafetyFactor:
-    """One safety factor of a step.
+    """Safety factor of one verification step.
 
     Parameters
     ----------
     symbol : str
-        Of `SAFETY_FACTORS`.
+        Key of `SAFETY_FACTORS`.
     value : float
         [-]; infinite without load.
     required : float
@@ -84,14 +84,14 @@ class SafetyFactor:
     required: float
 
 
-# A row this close to its limit is called active: less than reports show of a utilisation, more than
-# the optimiser leaves.
+# A row within this of utilisation 1 is active [-]: below the digits of reports, above the accuracy
+# of the optimiser.
 ACTIVE_TOLERANCE = 1e-4
 
 
 @dataclass(frozen=True, kw_only=True)
 class UtilisationRow:
-    """One requirement and how far it is used.
+    """One requirement of a design with its utilisation.
 
     Parameters
     ----------
@@ -100,25 +100,25 @@ class UtilisationRow:
     joint : int or None
         1-based.
     element : str
-        Key of the element, "" where the row is of no single one.
+        Key of the element, "" if the row concerns none in particular.
     case : str
-        Load case, "" where it does not matter.
+        Load case, "" if independent of it.
     value, limit : float
         In `unit`.
     utilisation : float
-        1 at the limit, above where it is exceeded.
+        1 at the limit, above 1 if exceeded [-].
     provenance, source : str
         Of the limit.
     remedy : str
-        What to change where this row stops a study.
+        Change of the design that relaxes this row.
     equation : str
-        Step of VDI 2230, where it is one.
+        Step of VDI 2230, if any.
     safety : SafetyFactor or None
-        Where the step has one.
+        Of the step, if it has one.
     binding : bool
-        False: tells, but stops no design.
+        False: a warning that does not reject a design.
     warns : str
-        Of a row that stops no design: what counts where it is exceeded, the design or the warning.
+        Of a warning: consequence of exceeding it.
     """
 
     kind: str
@@ -139,23 +139,23 @@ class UtilisationRow:
 
     @property
     def name(self) -> str:
-        """Kind, element or joint, and load case."""
+        """Kind, element or joint, and load case, comma-separated."""
         owner = self.element or (f"joint {self.joint}" if self.joint else "")
         return ", ".join(part for part in (self.kind, owner, self.case) if part)
 
     @property
     def active(self) -> bool:
-        """Whether the design lies at this limit."""
+        """True if the design is at this limit."""
         return self.binding and self.utilisation >= 1.0 - ACTIVE_TOLERANCE
 
     @property
     def satisfied(self) -> bool:
-        """Whether the limit holds, but for rounding; a warning is always kept."""
+        """True if the limit holds within rounding; always true for warnings."""
         return not self.binding or self.utilisation <= 1.0 + 1e-6
 
 
 def governing_rows(rows: Iterable[UtilisationRow]) -> dict[str, UtilisationRow]:
-    """Row with the least safety over what is required, by symbol in the order of the steps."""
+    """Return the row of least safety over required safety, by symbol in the order of the steps."""
     found: dict[str, UtilisationRow] = {}
     for row in rows:
         own = row.safety

@@ -1,4 +1,4 @@
-"""The steps of VDI 2230 for one flange at one preload: each with value, limit and utilisation."""
+"""Verification steps of VDI 2230 for one flange at one preload, with value, limit, utilisation."""
 
 from __future__ import annotations
 
@@ -9,28 +9,29 @@ import numpy as np
 
 from stiffopt.drivetrain import catalogue
 from stiffopt.fastening.bolt_geometry import clamp_length
-from stiffopt.fastening.bolt_strength import MIN_ENDURANCE_SAFETY as ENDURANCE_SAFETY
 from stiffopt.fastening.bolt_strength import (
+    BOLT_SHEAR_RATIO,
     endurance_limit,
     head_bearing,
     transverse_slip_limit,
     working_stress,
 )
+from stiffopt.fastening.bolt_strength import MIN_ENDURANCE_SAFETY as ENDURANCE_SAFETY
 from stiffopt.fastening.flange_load import transverse_forces
 from stiffopt.fastening.utilisation import SafetyFactor, UtilisationRow
 from stiffopt.fastening.verification import MIN_ALTERNATING_SLIP_SAFETY, Verification
 
-# Required safety against yield in service (R8), surface pressure (R10), shear after slip (R12).
+# Required safety against yield in service (R8), surface pressure (R10), shear after slip (R12) [-].
 MIN_YIELD_SAFETY, MIN_PRESSURE_SAFETY, MIN_SHEAR_SAFETY = 1.0, 1.0, 1.1
-# Shear over tensile strength of bolts, and the extent of a face over the head's for which its
-# pressure still is even (limit G'' of a tapped hole: 1.5 to 2, the near end).
-_SHEAR_STRENGTH, _MAX_FACE_WIDTH_RATIO = 0.6, 1.5
+# Width of an interface over the head's bearing diameter up to which its pressure is uniform (limit
+# G'' of a tapped hole: 1.5 to 2, the lower end) [-].
+_MAX_FACE_WIDTH_RATIO = 1.5
 
 
 def vdi_rows(
     steps: Verification, preload: float, shift: float = math.nan, least: float | None = None
 ) -> tuple[UtilisationRow, ...]:
-    """Every step at a largest assembly preload.
+    """Return every verification step at a largest assembly preload.
 
     Parameters
     ----------
@@ -38,10 +39,10 @@ def vdi_rows(
     preload : float
         F_M [N].
     shift : float
-        Transverse movement of the bolts by the elasticity of the face [m]; nan leaves the
-        check of self-loosening out.
+        Transverse displacement of the parts at the bolts [m]; nan omits the check of
+        self-loosening.
     least : float, optional
-        F_V that is left in service [N]; default after scatter and losses.
+        Preload F_V in service [N]; default after scatter and losses.
     """
     if least is None:
         least = preload / steps.scatter - steps.loss
@@ -68,9 +69,9 @@ def _clamp_load_rows(steps: Verification, least: float) -> Iterator[UtilisationR
     most = float(needed[index, place])
     kind = "alternating" if steps.slip_safety == MIN_ALTERNATING_SLIP_SAFETY else "static"
     if not steps.loads.has_force_or_tilting:
-        # The torque alone: the slip safety of the connection says the same.
+        # Under torque alone this equals the slip safety of the connection.
         return
-    # Faces that open rub no more.
+    # An open interface has no friction.
     slips = max(left, 0.0) / friction if friction > 0.0 else math.inf
     extra = 100 * (steps.friction_radius / (steps.flange.circle_diameter / 2) - 1)
     yield UtilisationRow(
@@ -83,7 +84,7 @@ def _clamp_load_rows(steps: Verification, least: float) -> Iterator[UtilisationR
         utilisation=_required_over_available(most, least),
         case=case,
         source=(
-            f"{kind}: shear and torque as vectors, tension of the bolt taken off; friction at "
+            f"{kind}: shear and torque as vectors, bolt tension subtracted; friction at "
             f"the mean radius of the ring, {extra:.1f} % outside the bolt circle"
         ),
         provenance="catalogue",
@@ -155,8 +156,8 @@ def _stress_rows(steps: Verification, preload: float, least: float) -> Iterator[
             utilisation=ENDURANCE_SAFETY * amplitude / limit,
             case=case,
             source=(
-                f"{_describe_thread(steps)}, endurance limit over {ENDURANCE_SAFETY:g}; load on and"
-                " off among what alternates"
+                f"{_describe_thread(steps)}, endurance limit over {ENDURANCE_SAFETY:g}; loading and"
+                " unloading included"
             ),
             provenance="catalogue" if steps.grade.heat_treated else "estimated",
             remedy="a larger bolt, a longer one, more bolts, or threads rolled at the end",
@@ -164,7 +165,7 @@ def _stress_rows(steps: Verification, preload: float, least: float) -> Iterator[
 
 
 def _shear_rows(steps: Verification) -> Iterator[UtilisationRow]:
-    """What the bolts bear should the face slip all the same."""
+    """Yield the bolt shear and hole bearing rows in case the interface slips."""
     force = transverse_forces(
         steps.loads.values, steps.count, steps.flange.circle_diameter / 2, steps.angles
     )
@@ -173,7 +174,7 @@ def _shear_rows(steps: Verification) -> Iterator[UtilisationRow]:
     most = float(sizes[index].max())
     if most <= 0.0:
         return
-    strength = _SHEAR_STRENGTH * steps.grade.tensile_strength
+    strength = BOLT_SHEAR_RATIO * steps.grade.tensile_strength
     stress = most / steps.data.core_area
     yield UtilisationRow(
         kind="bolt shear",
@@ -219,8 +220,8 @@ def _warning_rows(steps: Verification, least: float, shift: float) -> Iterator[U
         remedy="a narrower ring, larger heads, washers, or a finite-element model",
         binding=False,
         warns=(
-            "preload and torque are right by the formulas, but so wide a ring is pressed less"
-            " evenly than these take it, and slips and opens earlier. The warning counts: take"
+            "preload and torque follow the formulas, but the pressure on so wide a ring is less"
+            " uniform than these assume, and it slips and opens earlier. The warning counts: take"
             " slip and opening for estimates"
         ),
     )
@@ -244,8 +245,8 @@ def _warning_rows(steps: Verification, least: float, shift: float) -> Iterator[U
             remedy="longer or more slender bolts, more preload, or a locking feature",
             binding=False,
             warns=(
-                "preload and torque stand as they are, but they do not keep bolts from turning"
-                " loose where the load comes again and again. Both count: tighten so, and lock"
+                "preload and torque remain valid, but they do not prevent bolts from turning loose"
+                " under repeated load. Both count: tighten so, and lock"
             ),
         )
 
@@ -257,7 +258,7 @@ def _describe_thread(steps: Verification) -> str:
 
 
 def _required_over_available(needed: float, present: float) -> float:
-    """Utilisation of a need that what is present has to cover."""
+    """Return required over available value; 0 if none is required."""
     if needed <= 0.0:
         return 0.0
     return needed / present if present > 0.0 else math.inf

@@ -1,7 +1,7 @@
-"""One flange under its loads by VDI 2230: what comes to a bolt, and which preloads hold.
+"""Verification of one flange under its loads by VDI 2230: bolt forces and admissible preloads.
 
-Every check takes the worst load case and the worst place on the bolt circle, since how the bolts
-stand to the load changes as the joint turns.
+Every check uses the worst load case and the worst angle on the bolt circle, since the direction of
+the load relative to the bolts changes with the joint angle.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ from stiffopt.fastening.flange_load import (
 )
 from stiffopt.fastening.tightening import Tightening
 
-# Places on the bolt circle that are looked at; between two of them a cosine is off by this much.
+# Sampled angles of the bolt circle, and the largest underestimate of a cosine between two of them.
 _ANGLE_COUNT = 360
 _MAX_INTERPOLATION_FACTOR = 1.0 / math.cos(math.pi / _ANGLE_COUNT)
-# Safety against slip (VDI 2230 R12).
+# Required safety against slip (VDI 2230 R12) [-].
 MIN_STATIC_SLIP_SAFETY, MIN_ALTERNATING_SLIP_SAFETY = 1.2, 1.8
 
 
@@ -45,7 +45,7 @@ class Verification:
         With its bolt.
     tightening : Tightening
     loads : FlangeLoads
-        In the axes of the flange, at its face.
+        In the axes of the flange, at its interface.
     slip_safety : float or None
         None: 1.2 for static, 1.8 for alternating torque.
     """
@@ -64,30 +64,30 @@ class Verification:
         self.count = flange.bolt_count * flange.sectors
         if self.count < 3 and self.loads.tilting.any():
             raise InputError(
-                f"{flange.owner}: {self.count} bolts bear no tilting moment about every axis. Give "
-                'the flange three or more, or say `bearing = "beside"` in the robot file.'
+                f"{flange.owner}: {self.count} bolts carry no tilting moment about every axis. "
+                'Give three or more, or set `bearing = "beside"` in the robot file.'
             )
         usual = MIN_ALTERNATING_SLIP_SAFETY if loads.alternating else MIN_STATIC_SLIP_SAFETY
         self.slip_safety = usual if slip_safety is None else slip_safety
         self.grade = catalogue.bolt_grade(self.bolt.grade)
         self.proof_stress = self.grade.proof_stress
 
-    # ---- what comes to a bolt
+    # ---- forces of one bolt
 
     @cached_property
     def angles(self) -> np.ndarray:
-        """Places on the bolt circle that are looked at (m,) [rad]."""
+        """Sampled angles of the bolt circle (m,) [rad]."""
         return 2 * math.pi / _ANGLE_COUNT * np.arange(_ANGLE_COUNT)
 
     @cached_property
     def bending_factors(self) -> tuple[float, float]:
-        """What a bolt bears over its part on a rigid flange: of axial force, of tilting [-]."""
+        """Bolt force over that of a rigid flange, for axial force and tilting moment [-]."""
         ring = elastic_ring(self.flange)
         return (1.0, 1.0) if ring is None else ring.factors
 
     @cached_property
     def axial(self) -> np.ndarray:
-        """F_A (K, m) [N] with either sign of the axial force as it comes."""
+        """F_A (K, m) [N] with the given sign of the axial force."""
         values = self.loads.values.copy()
         pull, tilt = self.bending_factors
         values[:, 2] *= pull
@@ -96,24 +96,24 @@ class Verification:
 
     @cached_property
     def opening(self) -> np.ndarray:
-        """F_A (K, m) [N] with axial force and tilting moment taken to pull.
+        """F_A (K, m) [N] with axial force and tilting moment taken to open the joint.
 
-        On which side of the face the carried part lies is not known, and with it not which way
-        opens: a moment pulls at one place or at the one opposite, where shear and torque meet it.
+        The side of the carried part is unknown, and with it the opening direction: a moment opens
+        at one angle or the opposite one, where shear and torque may coincide with it.
         """
         share = self.bending_factors[0] * self.loads.values[:, 2:3] / self.count
         return np.asarray(np.abs(self.axial - share) + np.abs(share))
 
     @property
     def friction_radius(self) -> float:
-        """Lever of the friction of an evenly pressed ring [m]."""
+        """Friction radius of a ring under uniform pressure [m]."""
         flange = self.flange
         unit = float(flange.slip_torque(1.0)) * flange.sectors
         return unit / (flange.friction_coefficient * self.count)
 
     @cached_property
     def clamp_against_slip(self) -> np.ndarray:
-        """F_KQ (K, m) [N], shear and torque as vectors (R2/1)."""
+        """F_KQ (K, m) [N], shear and torque added as vectors (R2/1)."""
         force = transverse_forces(self.loads.values, self.count, self.friction_radius, self.angles)
         return friction_clamp_load(force, self.flange.friction_coefficient)
 
@@ -155,22 +155,22 @@ class Verification:
 
     @cached_property
     def additional(self) -> float:
-        """F_SA,max and what warming adds [N] (R8/1)."""
+        """F_SA,max and the thermal force [N] (R8/1)."""
         pull = max(float(self.opening.max()), 0.0)
         return self.factor.most * pull + bolts.thermal_preload(self.flange, self.tightening)
 
     @cached_property
     def alternating_force(self) -> float:
-        """Largest F_SAo - F_SAu of any bolt, load on and off among what alternates [N] (R9)."""
+        """Largest F_SAo - F_SAu of any bolt, loading and unloading included [N] (R9)."""
         upper = np.maximum(self.axial.max(axis=0), 0.0)
         lower = np.minimum(self.axial.min(axis=0), 0.0)
         return self.factor.most * float((upper - lower).max())
 
-    # ---- which preloads hold
+    # ---- admissible preloads
 
     @cached_property
     def clamp_needed(self) -> np.ndarray:
-        """F_V that each case asks for in service (K,) [N], slip with its safety (R2/4, R5/1)."""
+        """Required F_V in service of each case (K,) [N], slip with its safety (R2/4, R5/1)."""
         unloaded = (1.0 - self.factor.least) * np.maximum(self.opening, 0.0)
         slip = (self.slip_safety * self.clamp_against_slip + unloaded).max(axis=1)
         return np.asarray(np.maximum(slip, self.clamp_against_opening))
@@ -182,7 +182,7 @@ class Verification:
 
     @cached_property
     def largest_preload(self) -> float:
-        """Largest F_M that stress in service, head and thread allow [N]; 0: none."""
+        """Largest F_M that working stress, surface pressure and fatigue allow [N]; 0: none."""
         ends = [
             largest_working_preload(
                 self.data, self.proof_stress, self.additional, self.tightening.thread_friction
