@@ -35,7 +35,8 @@ class TimingBelt(LinearConnection):
 
     The pulley flank moves along the tangent, with components normal (cos beta) and parallel
     (sin beta) to the flank of the soft belt tooth. A pulley has
-    K = z_m R^2 (K_n cos^2 beta + K_t sin^2 beta) with K_n = E b h/(w/2) and K_t = G b h/(w/2); both spans act while they are taut.
+    K = z_m R^2 (K_n cos^2 beta + K_t sin^2 beta) with K_n = E b h/(w/2) and
+    K_t = G b h/(w/2); both spans act while they are taut.
 
     Notes
     -----

@@ -1,4 +1,4 @@
-"""Clocks in tables that are no column of seconds: dates, times of day, seconds with nanoseconds."""
+"""Time columns other than seconds: dates, times of day, seconds with nanoseconds."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ import numpy as np
 
 _DATE_PATTERN = re.compile(r"^(\d{1,2})[./-](\d{1,2})[./-](\d{4})\b")
 _HALF_DAY_PATTERN = re.compile(r"\s*([ap])\.?m\.?$", re.IGNORECASE)
-# Minutes and seconds, as spreadsheets show a time: no hours and minutes, which have no decimals.
+# Minutes and seconds as spreadsheets show them; hours and minutes have no decimals.
 _MINUTES_PATTERN = re.compile(r"^(\d{1,3}):(\d{2}\.\d*)$")
-# After which clocks begin anew [s]; those with a date never do.
+# Periods after which clocks restart [s]; those with a date never do.
 _DAY_PERIOD, _HOUR_PERIOD, _NO_PERIOD = 86400.0, 3600.0, float("inf")
 _SECOND_WORDS = ("s", "sec", "secs", "second", "seconds")
 _NANOSECOND_WORDS = ("ns", "nsec", "nsecs", "nanosec", "nanosecs", "nanosecond", "nanoseconds")
@@ -20,10 +20,10 @@ _MICROSECOND_WORDS = ("us", "usec", "usecs", "microsec", "microseconds")
 
 
 def parse_stamps(cells: list[str]) -> np.ndarray | None:
-    """Seconds since the first of dates or times of day; None where the cells are neither.
+    """Return seconds since the first date or time of day; None if the cells are neither.
 
-    Of dates that may begin with the day or with the month, the reading with the shorter span is
-    taken. Times of day begin anew at midnight, minutes and seconds every hour.
+    Of dates with day or month first, the reading with the shorter span is used. Times of day
+    restart at midnight, minutes and seconds every hour.
     """
     readings = [
         seconds
@@ -37,7 +37,7 @@ def parse_stamps(cells: list[str]) -> np.ndarray | None:
 
 
 def _elapsed_seconds(found: list[tuple[datetime, float] | None]) -> np.ndarray | None:
-    """Seconds since the first of the stamps, which are given with when their clock begins anew."""
+    """Return seconds since the first of (stamp, restart period) pairs, unwrapped."""
     known = [stamp for stamp in found if stamp is not None]
     if not known or len(known) < 0.9 * len(found):
         return None
@@ -51,7 +51,7 @@ def _elapsed_seconds(found: list[tuple[datetime, float] | None]) -> np.ndarray |
 
 
 def _parse_stamp(cell: str, day_first: bool) -> tuple[datetime, float] | None:
-    """Date and time, and after how long [s] such a clock begins anew."""
+    """Return date and time of a cell, and the restart period of such a clock [s]."""
     text = cell.strip().replace(",", ".")
     minutes = _MINUTES_PATTERN.match(text)
     if minutes is not None:
@@ -65,7 +65,7 @@ def _parse_stamp(cell: str, day_first: bool) -> tuple[datetime, float] | None:
         one, two, year = date.groups()
         day, month = (one, two) if day_first else (two, one)
         text = f"{year}-{int(month):02}-{int(day):02}{text[date.end() :]}"
-    # Hours as "7:05:01", and more digits than microseconds, are none of ISO's.
+    # ISO 8601 has two-digit hours; Python reads no digits beyond microseconds.
     text = re.sub(r"(^|[ T])(\d):", r"\g<1>0\2:", text)
     text = re.sub(r"(\.\d{6})\d+", r"\1", text)
     for form, period in ((text, _NO_PERIOD), (f"2000-01-01 {text}", _DAY_PERIOD)):
@@ -83,7 +83,7 @@ def _parse_stamp(cell: str, day_first: bool) -> tuple[datetime, float] | None:
 
 
 def join_split_stamps(columns: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Columns with whole seconds and the rest of them, as ROS has stamps, made one of seconds.
+    """Join columns of whole seconds and their fraction, as in ROS stamps, to one of seconds.
 
     "header.stamp.sec" and "header.stamp.nanosec" become "header.stamp", counted from the first.
     """
@@ -106,6 +106,6 @@ def join_split_stamps(columns: Mapping[str, np.ndarray]) -> dict[str, np.ndarray
 
 
 def _is_fraction(values: np.ndarray, factor: float) -> bool:
-    """Whether the values are parts of a second."""
+    """Return True if all values are fractions of a second."""
     known = values[np.isfinite(values)]
     return known.size > 0 and bool(np.all((known >= 0.0) & (factor * known < 1.0)))

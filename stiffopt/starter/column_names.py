@@ -1,4 +1,4 @@
-"""What kind of signal a column is, by its name, and which columns are one a joint."""
+"""Signal kinds of columns by their names, and columns grouped by joint."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ from stiffopt.recording.set_points import may_be_set_point
 from stiffopt.starter.tables import UNITS
 
 KINDS = ("velocity", "torque", "link_position", "position")
-# Words of each kind, the first that fits wins; a name is cut at what is neither letter nor digit.
+# Words of each kind, in order of precedence; names are split at other characters than letters and
+# digits.
 _WORDS_BY_KIND = {
     "velocity": ("velocity", "velocities", "vel", "speed", "qd", "dq", "omega", "geschwindigkeit",
                  "drehzahl", "speeds"),
@@ -22,7 +23,7 @@ _WORDS_BY_KIND = {
                  "ist", "axis", "joint", "a", "j", "state"),
 }  # fmt: skip
 CURRENT_WORDS = ("current", "currents", "strom", "amps", "i")
-# Words that other signals of a joint have, too.
+# Words that other signals of a joint share.
 _VAGUE_WORDS = ("axis", "joint", "a", "j", "state")
 _AMPERE_UNITS = ("a", "ma", "arms")
 _OTHER_SIGNAL_WORDS = (
@@ -65,14 +66,14 @@ _SUFFIX_UNITS = (
 def columns_of_kind(
     names: Sequence[str], kind: str, joints: Sequence[str]
 ) -> list[tuple[str, ...]]:
-    """Columns of a kind, one a joint, for each family that fits; the first is the one to take."""
+    """Return the columns of a kind, one a joint, for each matching family, the best first."""
     fitting = [name for name in names if _is_kind(name, kind)]
-    # i1, i2, ... are currents where nothing is a torque.
+    # i1, i2, ... are currents if there is no torque.
     short = [n for n in names if kind == "torque" and split_words(n)[:1] == ["i"]]
-    # Words of another language are known by their units.
+    # Names in other languages are recognised by their units.
     foreign = [n for n in names if _kind_by_unit(n) == kind]
     measured = [_without_set_points(every) for every in (fitting, foreign)]
-    # A torque that is measured goes before a current.
+    # Measured torque takes precedence over current.
     torques = [[n for n in every if not _is_current(n)] for every in measured]
     plain = [
         n for n in torques[0] if set(split_words(n)) & set(_WORDS_BY_KIND[kind]) - set(_VAGUE_WORDS)
@@ -85,14 +86,14 @@ def columns_of_kind(
 
 
 def split_words(name: str) -> list[str]:
-    """Words of a column's name, its unit left out: "Actual_Q_0 [rad]" is actual, q, 0."""
+    """Split a column name into words without its unit: "Actual_Q_0 [rad]" to actual, q, 0."""
     bare = _BRACKETED_UNIT.sub("", name)
     bare = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", bare)
     return _WORD_PATTERN.findall(bare.lower())
 
 
 def stated_unit(name: str) -> str | None:
-    """Unit in brackets, or as the last word: "q1 [deg]", "q1_deg"; None where none is there."""
+    """Return the unit in brackets or as the last word: "q1 [deg]", "q1_deg"; None without."""
     if _BRACKETED_UNIT.search(name) is not None:
         return UNITS.get(_bracketed_unit(name))
     last = re.split(r"[_\s]", name.strip().lower())[-1]
@@ -100,13 +101,13 @@ def stated_unit(name: str) -> str | None:
 
 
 def _bracketed_unit(name: str) -> str:
-    """What stands in the brackets of a name, "" where it has none."""
+    """Return the text in the brackets of a name, "" without."""
     found = _BRACKETED_UNIT.search(name)
     return "" if found is None else found[1].strip().lower()
 
 
 def _without_set_points(names: Sequence[str]) -> list[str]:
-    """Of several columns of one kind: measured before wanted."""
+    """Return the columns whose names are not those of set points."""
     return [name for name in names if not may_be_set_point(name)]
 
 
@@ -117,7 +118,7 @@ def _is_current(name: str) -> bool:
 
 
 def _column_families(names: Sequence[str], joints: Sequence[str]) -> list[tuple[str, ...]]:
-    """Columns one a joint, of each family whose names differ by the joint alone."""
+    """Return the columns, one a joint, of each family whose names differ by the joint only."""
     families: dict[tuple[str, ...], list[str]] = {}
     for name in names:
         bare = name
@@ -130,13 +131,13 @@ def _column_families(names: Sequence[str], joints: Sequence[str]) -> list[tuple[
         families.setdefault((*family, _bracketed_unit(name)), []).append(name)
     found = [_order_by_joint(own, joints) for own in families.values()]
     fitting = [each for each in found if each is not None]
-    # Families of less than all joints are one where they fit together.
+    # Families that lack joints are combined if they complete each other.
     together = None if fitting else _order_by_joint(names, joints)
     return fitting if together is None else [together]
 
 
 def is_signal(name: str) -> bool:
-    """Whether a column is one of a joint's signals by its name."""
+    """Return True if a column name is that of a joint signal."""
     return any(_is_kind(name, kind) for kind in KINDS)
 
 
@@ -156,7 +157,7 @@ def _is_kind(name: str, kind: str) -> bool:
 
 
 def _kind_by_unit(name: str) -> str | None:
-    """Kind that the unit in the brackets of a name is of: "Achswinkel 1 [°]" is a position."""
+    """Return the kind by the unit in brackets: "Achswinkel 1 [°]" is a position."""
     unit = _bracketed_unit(name)
     if set(split_words(name)) & set(_OTHER_SIGNAL_WORDS):
         return None
@@ -164,7 +165,7 @@ def _kind_by_unit(name: str) -> str | None:
 
 
 def _order_by_joint(names: Sequence[str], joints: Sequence[str]) -> tuple[str, ...] | None:
-    """By the joint's name inside the column's, else by the last number, from 0 or 1."""
+    """Order columns by joint names in them, else by their last number, from 0 or 1."""
     n = len(joints)
     by_name = {}
     for joint in joints:
@@ -189,5 +190,5 @@ def _contains_joint(name: str, joint: str) -> bool:
 
 
 def _word_pattern(joint: str) -> str:
-    """Pattern of a joint's name that stands by itself."""
+    """Return the pattern of a joint name as a whole word."""
     return rf"(?<![a-zA-Z0-9]){re.escape(joint)}(?![a-zA-Z0-9])"

@@ -1,4 +1,4 @@
-"""What the columns of a recording are: by their names; their units by names and by values."""
+"""Guess the signal kinds of a recording's columns by name, and their units by name and value."""
 
 from __future__ import annotations
 
@@ -20,27 +20,27 @@ from stiffopt.starter.column_names import (
 )
 
 _TIME_WORDS = ("t", "time", "timestamp", "stamp", "zeit", "seconds", "clock")
-# What only the user can turn into SI, and what to put there.
+# Units without a known factor to SI, and the factor to ask for.
 FACTOR_REQUESTS = {
     "A": "a current: put N m per A at the joint (torque constant times gear ratio)",
     "mA": "a current: put N m per mA at the joint (torque constant times gear ratio)",
     "%": "a share: put N m per % (a hundredth of the rated torque)",
     "counts": "counts of an encoder: put rad per count, one number a joint",
 }
-# Of a rad (rad/s): positions and speeds whose change is compared.
+# Units per rad and per rad/s, for comparing position changes with speeds.
 _ANGLE_UNITS_PER_RAD = {"": 1.0, "deg": np.degrees(1.0), "mrad": 1e3, "turn": 0.5 / np.pi}
 _SPEED_UNITS_PER_RAD_S = {"": 1.0, "deg/s": np.degrees(1.0)}
-# Logarithms of ratios nearer than this are one unit; columns that reach so many times less than
-# others may be in another one.
+# Largest log ratio of values in the same unit; ratio of magnitudes above which columns may have
+# different units.
 _UNIT_LOG_TOLERANCE, _MIXED_UNIT_RATIO = 0.5, 10.0
-# Rows below which nothing can be told.
+# Fewest rows for guessing.
 _MIN_ROWS = 3
-# A joint turns no farther [rad].
+# Largest plausible joint angle [rad].
 _MAX_JOINT_ANGLE = 40.0 * np.pi
 
 
 class UnrecognisedError(InputError):
-    """No columns of a kind, one a joint."""
+    """A required signal kind has no columns, one a joint."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,16 +51,16 @@ class GuessedColumns:
     ----------
     time : str
     columns : mapping of kind to tuple of str (n,)
-        In the order of the joints; "" where one has none.
+        In the order of the joints; "" for a joint without one.
     units : mapping of "time" or kind to str or tuple of str (n,)
-        Of `[signals.scale]`, one a joint where they differ; "" is SI. "A" and "mA" are no torque
-        yet.
+        Values of `[signals.scale]`, one a joint where they differ; "" is SI. "A" and "mA" still
+        need a torque constant.
     reasons : tuple of str
-        Why, a sentence each.
+        Reason of each choice, one sentence each.
     rate : float
-        Of the samples [Hz].
+        Sampling rate [Hz].
     asked : tuple of str
-        Columns that a person may have to take instead.
+        Alternative columns to ask the user about.
     """
 
     time: str
@@ -74,19 +74,19 @@ class GuessedColumns:
 def guess_columns(
     table: Mapping[str, np.ndarray], robot: Robot, rate: float | None = None
 ) -> GuessedColumns:
-    """GuessedColumns what is what.
+    """Guess kinds and units of the columns of a table.
 
     Parameters
     ----------
     table : mapping of column name to array (K,)
     robot : Robot
     rate : float, optional
-        Of the samples [Hz], where no column is a time; `with_time` adds one.
+        Sampling rate [Hz], if no column is a time; `with_time` adds one.
 
     Raises
     ------
     InputError
-        No time, or not one position and some torque a joint, with the columns there are.
+        No time column, or no position or torque for each joint; lists the columns found.
     """
     reasons: list[str] = []
     time = _find_time_column(table) if rate is None else COUNTED_TIME
@@ -144,7 +144,7 @@ COUNTED_TIME = "counted_time"
 
 
 def _ask_alternatives(kind: str, others: Sequence[tuple[str, ...]]) -> str:
-    """What to ask where other families of columns may be this kind, too."""
+    """Return the question about other column families of the same kind; "" without."""
     if not others:
         return ""
     told = "; or ".join(", ".join(each) for each in others[:3])
@@ -155,24 +155,24 @@ def _ask_alternatives(kind: str, others: Sequence[tuple[str, ...]]) -> str:
 
 
 def _ask_measured_columns(kind: str, names: Sequence[str]) -> str:
-    """What to ask where nothing but set points is there."""
+    """Return the question if all columns are set points; "" otherwise."""
     if not any(name and may_be_set_point(name) for name in names):
         return ""
     return (
-        f". QUESTION: set points by their names, and no measured {kind} was found: what an"
-        " arm is told to do is not what it does. Log what was measured"
+        f". QUESTION: set points by their names, and no measured {kind} was found. A commanded"
+        f" signal is not a measurement: log the measured {kind}"
     )
 
 
 def with_time(table: Mapping[str, np.ndarray], rate: float) -> dict[str, np.ndarray]:
-    """Table with a column `CLOCK` of so many rows a second [Hz]."""
+    """Add a time column `COUNTED_TIME` at a sampling rate [Hz]."""
     rows = len(next(iter(table.values())))
     return {COUNTED_TIME: np.arange(rows) / rate, **table}
 
 
 def _find_time_column(table: Mapping[str, np.ndarray]) -> str:
     named = [name for name in table if set(split_words(name)) & set(_TIME_WORDS)]
-    # Stamps may be repeated; what rises from row to row, and does not begin anew, goes before.
+    # Columns that rise in every row without restart take precedence over repeated stamps.
     for steady in (True, False):
         for name in named:
             steps = np.diff(table[name])
@@ -182,26 +182,26 @@ def _find_time_column(table: Mapping[str, np.ndarray]) -> str:
                 return name
     for name, values in table.items():
         if is_signal(name):
-            # A joint that turns at a steady rate rises like a clock.
+            # A joint at constant speed rises like a clock.
             continue
         steps = np.diff(values)
         even = len(steps) > 1 and np.all(steps > 0.0) and np.std(steps) < 0.5 * np.mean(steps)
-        # What counts the rows is no time.
+        # A row counter is no time.
         if even and not np.all(steps == 1.0):
             return name
     if named:
         raise InputError(
-            f"no column rises as a time does: {named[0]}, one by its name, goes back or stands."
+            f"no column increases as a time does: {named[0]}, a time by its name, does not."
             " Write the rows in the order of time, or give --rate HZ, the rows a second."
         )
     raise InputError(
-        f"no column rises as a time does among {', '.join(list(table)[:40])}. Give --rate HZ, the"
-        " rows a second, or add a column of seconds."
+        f"no column increases as a time does among {', '.join(list(table)[:40])}. Give --rate HZ,"
+        " the rows a second, or add a column of seconds."
     )
 
 
 def _median_step(stamps: np.ndarray) -> float:
-    """Usual step between stamps, repeated ones left out."""
+    """Return the median step between stamps, without repeated ones."""
     steps = np.diff(stamps)
     return float(np.median(steps[steps > 0.0]))
 
@@ -225,7 +225,7 @@ def _guess_unit(
     seconds: np.ndarray,
     units: Mapping[str, str | tuple[str, ...]],
 ) -> tuple[str | tuple[str, ...], str]:
-    """Unit of a kind by the names, else by the values, and why."""
+    """Guess the unit of a kind by names, else by values; return it with the reason."""
     names = [name for name in columns[kind] if name]
     stated = {stated_unit(name) for name in names}
     if len(stated) == 1 and None not in stated:
@@ -254,18 +254,18 @@ def _guess_unit(
 
 
 def _column_values(table: Mapping[str, np.ndarray], names: Sequence[str]) -> np.ndarray:
-    """Columns (K, m); nan where no number stands."""
+    """Return columns (K, m); nan for values that are not finite."""
     values = np.column_stack([table[name] for name in names])
     return np.where(np.isfinite(values), values, np.nan)
 
 
 def _largest_magnitude(values: np.ndarray) -> float:
-    """Largest size of all values; nan where there is none."""
+    """Return the largest magnitude of all values; nan without any."""
     return float(np.fmax.reduce(np.abs(values), axis=None))
 
 
 def _standard_deviations(values: np.ndarray) -> np.ndarray:
-    """Standard deviation of each column of (K, n), over what is there; nan where nothing is."""
+    """Return the standard deviation of each column of (K, n) over its finite values."""
     found = np.full(values.shape[1], np.nan)
     there = np.isfinite(values).any(axis=0)
     found[there] = np.nanstd(values[:, there], axis=0)
@@ -275,7 +275,7 @@ def _standard_deviations(values: np.ndarray) -> np.ndarray:
 def _guess_speed_unit(
     values: np.ndarray, position: np.ndarray, seconds: np.ndarray, unit: str | tuple[str, ...]
 ) -> tuple[str, str]:
-    """Unit of speeds (K, m) beside the change of positions (K, n), and why."""
+    """Guess the unit of speeds (K, m) from the rate of positions (K, n), with the reason."""
     each = (unit,) * position.shape[1] if isinstance(unit, str) else unit
     found = _speed_ratios(values, position, seconds)
     if all(name in _ANGLE_UNITS_PER_RAD for name in each) and np.isfinite(found).any():
@@ -288,13 +288,13 @@ def _guess_speed_unit(
 
 
 def _speed_ratios(values: np.ndarray, position: np.ndarray, seconds: np.ndarray) -> np.ndarray:
-    """Speeds (K, n) over the change of positions (n,); nan where nothing can be told."""
+    """Return the ratio of speeds to the rate of positions (n,); nan if undetermined."""
     new = np.flatnonzero(np.diff(seconds, prepend=-np.inf) > 0.0)
     if len(new) < _MIN_ROWS or values.shape != position.shape:
         return np.full(position.shape[1], np.nan)
     turning = _standard_deviations(np.gradient(position[new], seconds[new], axis=0))
     ratio = _standard_deviations(values[new]) / np.where(turning > 0.0, turning, np.nan)
-    # A speed of zeros tells no unit.
+    # Zero speed determines no unit.
     return np.where(ratio > 0.0, ratio, np.nan)
 
 
@@ -305,7 +305,7 @@ def _guess_mixed_units(
     seconds: np.ndarray,
     why: str,
 ) -> tuple[str | tuple[str, ...], str]:
-    """Degrees for all joints, unless some are in rad beside them; why, and what is open."""
+    """Return degrees for all joints, or a unit each if some are in rad, with the reason."""
     names = [name for name in columns[kind] if name]
     values = _column_values(table, names)
     reach = np.fmax.reduce(np.abs(values), axis=0)
@@ -343,5 +343,5 @@ def _guess_angle_unit(values: np.ndarray, robot: Robot) -> tuple[str, str]:
     if most > np.degrees(_MAX_JOINT_ANGLE):
         return "counts", f"they reach {most:.4g}, {FACTOR_REQUESTS['counts']} in [signals.scale]"
     if most > 4.0 * np.pi or (beyond and most > np.pi):
-        return "deg", f"in deg: they reach {most:.4g}, beyond what rad would be"
+        return "deg", f"in deg: they reach {most:.4g}, beyond plausible rad"
     return "", f"in rad: they reach {most:.3g}"

@@ -18,20 +18,20 @@ from stiffopt.starter.writing import relative_path, toml_list, toml_number, toml
 
 
 def problem_text(robot: Robot, file: str | Path, folder: Path) -> str:
-    """Text of a trajectory problem file.
+    """Return the text of a trajectory problem file.
 
     Parameters
     ----------
     robot : Robot
     file : str or Path
-        Shipped name, or path of the robot's file.
+        Name of a shipped robot, or path of a robot file.
     folder : Path
-        That the problem is to lie in.
+        Folder of the problem file.
 
     Raises
     ------
     RobotError
-        No pose was found that the drives can hold and where links do not meet.
+        No feasible motion was found.
     """
     motion = first_motion(robot)
     named = relative_path(file, folder) if isinstance(file, Path) else file
@@ -46,15 +46,15 @@ def problem_text(robot: Robot, file: str | Path, folder: Path) -> str:
         )
     else:
         objective = ['"shaped_deviation"', 'measure = "peak"']
-        why = "least deviation of the tool, links that swing included; rest after arrival"
+        why = "least tool deviation with vibration suppression; at rest after arrival"
     cell = (
-        "links are kept from each other; state what stands around"
+        "collisions between links are checked; add obstacles"
         if motion.checked
-        else "links are not kept from each other: the URDF has no shapes of any that could meet"
+        else "collisions between links are not checked: the URDF lacks their shapes"
     )
     lines = [
         f"# First problem for {robot.name}, written by `stiffopt init problem`: poses about the",
-        "# middle of the joints' ranges. Collisions of your cell are not known to it.",
+        "# middle of the joints' ranges. Obstacles of your cell are not included.",
         "schema = 1",
         'kind = "trajectory"',
         f"title = {toml_string(f'First motion of {robot.name}')}",
@@ -91,18 +91,18 @@ def _format_pose(robot: Robot, pose: np.ndarray) -> str:
     )
 
 
-# Share of each range that the motion covers, and of an endless joint [rad].
+# Share of each range that the motion covers [-], and range of a joint without limits [rad].
 _RANGE_SHARE, _ENDLESS_RANGE = 0.15, 0.6
-# Over the shortest time that the quintic motion needs.
+# Duration over the shortest of the quintic motion [-].
 _DURATION_MARGIN = 2.0
 _MAX_TRIES = 200
-# Of the torque limits: what weight and Coulomb friction take in a good pose and, if there is none,
-# at most; and what the quintic motion may take from a good one.
+# Largest shares of the torque limits: weight and friction in a preferred pose, in any pose, and the
+# quintic motion from a preferred pose.
 _MAX_WEIGHT_SHARE, _MAX_HOLDING_SHARE, _MAX_TORQUE_SHARE = 0.7, 0.9, 0.8
-# Places on the way that are looked at, and by how much a motion that needs too much is slowed.
+# Samples of the path, factor on the duration of a motion beyond the limits, largest number of them.
 _PATH_SAMPLES, _SLOWDOWN_FACTOR, _MAX_SLOWDOWNS = 21, 1.2, 30
 _QUINTIC_LAW = quintic_law(1.0)
-# Largest speed, acceleration and jerk of the law, within 0.02 %.
+# Peak speed, acceleration and jerk of the quintic law of unit duration, within 0.02 %.
 _PEAK_SPEED, _PEAK_ACCELERATION, _PEAK_JERK = (
     float(np.abs(_QUINTIC_LAW(np.linspace(0.0, 1.0, 101), order)).max()) for order in (1, 2, 3)
 )
@@ -110,19 +110,19 @@ _PEAK_SPEED, _PEAK_ACCELERATION, _PEAK_JERK = (
 
 @dataclass(frozen=True, eq=False)
 class FirstMotion:
-    """Poses (n,) [rad] and a duration [s] that an arm can make.
+    """Feasible motion: poses (n,) [rad] and duration [s].
 
     Parameters
     ----------
     start, end : array (n,)
     duration : float
     yields : bool
-        Whether the tool yields on the way and the arm can swing.
+        The tool deflects along the path and the arm has an elastic mode.
     rigid_joint : str
-        The strongest turning joint where it has no spring though others have; else "". What the arm
-        deviates by is then hardly known, and others' deviation can nearly be taken to nothing.
+        Strongest revolute joint, if it has no spring though others have; else "". The deviation is
+        then not meaningful as an objective.
     checked : bool
-        Whether there are links with shapes that could meet; else no pose was refused for that.
+        There are links with collision shapes; otherwise collisions were not checked.
     """
 
     start: np.ndarray
@@ -134,15 +134,14 @@ class FirstMotion:
 
 
 def first_motion(robot: Robot) -> FirstMotion:
-    """Find a motion that drives hold, without links in each other, above the base if possible.
+    """Find a motion within the drives' limits, free of collisions, above the base if possible.
 
-    Links are looked at as far as the URDF has shapes of them, see `ClearanceModel`.
+    Collisions are checked for links with shapes in the URDF, see `ClearanceModel`.
 
     Raises
     ------
     RobotError
-        No pose was found that the drives can hold, or none without a collision, or the drives
-        cannot make the motion however slow.
+        No pose within the drives' limits, none without a collision, or no feasible duration.
     """
     shapes = ClearanceModel(robot, Cell())
     start, end = _find_poses(robot, shapes)
@@ -159,19 +158,19 @@ def first_motion(robot: Robot) -> FirstMotion:
 
 
 def _rigid_strongest_joint(robot: Robot) -> str:
-    """Name of the strongest turning joint where it has no spring, else ""."""
+    """Return the name of the strongest revolute joint if it has no spring, else ""."""
     strongest = int(np.argmax(np.where(robot.prismatic, 0.0, robot.torque_max)))
     chain = robot.chains[strongest]
     return "" if chain is not None and chain.stages else robot.joint_names[strongest]
 
 
 def _path_poses(start: np.ndarray, end: np.ndarray) -> np.ndarray:
-    """Poses along the straight way (_PATH_SAMPLES, n)."""
+    """Return poses along the straight path (_PATH_SAMPLES, n)."""
     return np.asarray(start + np.linspace(0.0, 1.0, _PATH_SAMPLES)[:, None] * (end - start))
 
 
 def _find_poses(robot: Robot, shapes: ClearanceModel) -> tuple[np.ndarray, np.ndarray]:
-    """Ends of the motion: where the drives have torque to spare, else where they can hold it."""
+    """Return the ends of the motion, preferably with torque to spare."""
     low, high = robot.position_lower, robot.position_upper
     finite = np.isfinite(high - low)
     low, high = np.where(finite, low, 0.0), np.where(finite, high, 0.0)
@@ -228,7 +227,7 @@ def _find_poses(robot: Robot, shapes: ClearanceModel) -> tuple[np.ndarray, np.nd
 
 
 def _lowest_mode_period(robot: Robot, pose: np.ndarray) -> float | None:
-    """Period of the arm's lowest mode [s]; None for an arm that does not swing."""
+    """Return the period of the lowest elastic mode [s]; None for a rigid arm."""
     try:
         found = modes(ElasticArm(robot, pose), pose)
     except NotSimulatedError:
@@ -237,7 +236,7 @@ def _lowest_mode_period(robot: Robot, pose: np.ndarray) -> float | None:
 
 
 def _choose_duration(robot: Robot, start: np.ndarray, end: np.ndarray, swing: float) -> float:
-    """Of a quintic motion within velocity, acceleration, jerk and torque, with room and swings."""
+    """Return a duration within all limits, with margin and two vibration periods [s]."""
     way = np.abs(end - start)
     times = (
         (_PEAK_SPEED * way / robot.velocity_max).max(),
@@ -246,7 +245,7 @@ def _choose_duration(robot: Robot, start: np.ndarray, end: np.ndarray, swing: fl
         0.2,
     )
     duration = float(_DURATION_MARGIN * max(times) + 2.0 * swing)
-    # What no slowness takes away; where that is much, half of what is left is for the motion.
+    # Static share; if it is large, the motion may use half of the remainder.
     still = _torque_share(robot, start, end, np.inf).max()
     allowed = _MAX_TORQUE_SHARE if still <= _MAX_WEIGHT_SHARE else 0.5 * (1.0 + still)
     for _ in range(_MAX_SLOWDOWNS):
@@ -263,7 +262,7 @@ def _choose_duration(robot: Robot, start: np.ndarray, end: np.ndarray, swing: fl
 
 
 def _torque_share(robot: Robot, start: np.ndarray, end: np.ndarray, duration: float) -> np.ndarray:
-    """Largest share of each torque limit (n,) that the quintic motion takes, friction included."""
+    """Return the largest torque of the quintic motion over each limit (n,), with friction."""
     bodies, way = robot.rigid_bodies(), end - start
     places = np.linspace(0.0, 1.0, _PATH_SAMPLES)
     place, speed, rate = (_QUINTIC_LAW(places, order) / duration**order for order in range(3))

@@ -1,4 +1,4 @@
-"""A recording set from one's own tables: columns, units and roles guessed, and said."""
+"""Recording set from user tables: columns, units and roles guessed, with reasons."""
 
 from __future__ import annotations
 
@@ -35,16 +35,16 @@ from stiffopt.starter.tables import read_any_table, read_message_table
 from stiffopt.starter.writing import toml_list, toml_string, write_new
 
 _TABLE_SUFFIXES = (".csv", ".txt", ".tsv", ".dat", ".log", ".npz", ".parquet")
-# Share of a single recording that is fitted to; the rest is for judging.
+# Training share of a single recording; the rest is held out. Fewest rows for training.
 _TRAINING_SHARE = 0.7
 _MIN_TRAINING_ROWS = 400
-# Rows of each part of a recording whose clock begins anew.
+# Fewest rows of a part between clock resets.
 _MIN_PART_ROWS = 100
 
 
 @dataclass(frozen=True, kw_only=True)
 class StartedSet:
-    """What was written and what was guessed.
+    """Written recording set with the guesses in it.
 
     Parameters
     ----------
@@ -66,29 +66,28 @@ def start_recording_set(
     rate: float | None = None,
     tip: str | None = None,
 ) -> StartedSet:
-    """Write a recording set of tables: recordings.toml, a copy of the robot, the runs as NPZ.
+    """Write a recording set: recordings.toml, a copy of the robot, runs as NPZ.
 
     Parameters
     ----------
     data : sequence of Path
-        Files, or folders of them. Values are kept as they are recorded; units stand in
-        `[signals.scale]`.
+        Files, or folders of them. Values are stored as recorded, units in `[signals.scale]`.
     urdf : Path
         URDF of the arm, or its robot file.
     folder : Path
-        Of the set; recordings.toml must not be there yet.
+        Folder of the set, without a recordings.toml.
     rate : float, optional
-        Rows a second [Hz], where no column is a time.
+        Sampling rate [Hz], if no column is a time.
     tip : str, optional
-        Link at the end of the recorded arm; default all of the URDF.
+        Last link of the recorded arm; default the whole URDF.
 
     Raises
     ------
     InputError
-        No table, or columns that are not recognised.
+        No table, or unrecognised columns.
     """
     if (folder / "recordings.toml").exists():
-        raise InputFileError(folder / "recordings.toml", "", "is there already and is kept.")
+        raise InputFileError(folder / "recordings.toml", "", "exists and is kept.")
     if urdf.suffix.lower() in _TABLE_SUFFIXES:
         raise InputFileError(urdf, "", "is a recording, not a URDF. Give the arm's as --urdf.")
     with tempfile.TemporaryDirectory() as beside:
@@ -105,7 +104,7 @@ def start_recording_set(
 def _write_set(
     data: Sequence[Path], arm: RecordedRobot, beside: Path, folder: Path, rate: float | None
 ) -> StartedSet:
-    """Write the set of an arm whose files lie in the folder `beside`."""
+    """Write the set of an arm whose files are in the folder `beside`."""
     robot = arm.robot
     files = _find_files(data)
     tables = {
@@ -144,15 +143,15 @@ def _write_set(
         runs.append((f"{stem}_train", "train", {k: v[:cut] for k, v in table.items()}))
         runs.append((f"{stem}_test", "test", {k: v[cut:] for k, v in table.items()}))
         notes.append(
-            "One recording: its first 70 % are fitted to, the rest judges. Record a second motion"
-            " for a better proof."
+            "One recording: its first 70 % are for training, the rest is held out. Record a second"
+            " motion for a stronger validation."
         )
     else:
         last = files[-1].name if len(files) > 1 else parts[-1][1]
         for path, name, part in parts:
             kept = last == (path.name if len(files) > 1 else name)
             runs.append((name, "test" if kept else "train", part))
-        notes.append(f"{last} is kept for judging (test), the others are fitted to.")
+        notes.append(f"{last} is held out (test), the others are for training.")
     folder.mkdir(parents=True, exist_ok=True)
     for file in beside.iterdir():
         shutil.copyfile(file, folder / file.name)
@@ -168,7 +167,7 @@ def _write_set(
 def _split_runs(
     tables: Mapping[Path, Mapping[str, np.ndarray]], time: str, names: Sequence[str]
 ) -> tuple[list[tuple[Path, str, dict[str, np.ndarray]]], list[str]]:
-    """File, name and columns of each run, one for each clock of a file; what is to be said."""
+    """Return file, name and columns of each run, split at clock resets, and notes."""
     parts: list[tuple[Path, str, dict[str, np.ndarray]]] = []
     notes: list[str] = []
     taken = {_run_name(path) for path in tables}
@@ -181,14 +180,14 @@ def _split_runs(
         parts += [(path, name, part) for name, part in zip(called, own, strict=True)]
         if len(own) > 1:
             notes.append(
-                f"The clock of {path.name} begins anew {len(own) - 1} time(s): it is kept as"
+                f"The clock of {path.name} restarts {len(own) - 1} time(s): it is stored as"
                 f" {len(own)} runs, {', '.join(called)}."
             )
     return parts, notes
 
 
 def _part_names(stem: str, count: int, taken: Container[str]) -> list[str]:
-    """Of the parts of one file: STEM_1 and so on, or STEM_part_1 where a run has such a name."""
+    """Return names STEM_1, ... of the parts of a file, or STEM_part_1, ... if taken."""
     while True:
         names = [f"{stem}_{k}" for k in range(1, count + 1)]
         if not any(name in taken for name in names):
@@ -199,12 +198,12 @@ def _part_names(stem: str, count: int, taken: Container[str]) -> list[str]:
 def _split_at_clock_resets(
     table: Mapping[str, np.ndarray], time: str
 ) -> Iterator[dict[str, np.ndarray]]:
-    """Parts between which the clock goes back to its beginning; the table where it does not."""
+    """Yield the parts between clock resets; the whole table without any."""
     stamps = table[time]
     steps = np.diff(stamps)
     known = steps[np.isfinite(steps) & (steps > 0.0)]
     usual = float(np.median(known)) if known.size else 0.0
-    # What goes back by a few rows is no new beginning, and is told by who reads the run.
+    # A step back by a few rows is no reset; reading the run reports it.
     cuts = np.flatnonzero(steps < -_MIN_PART_ROWS * usual) + 1
     ends = [0, *(int(cut) for cut in cuts), len(stamps)]
     if any(np.diff(ends) < _MIN_PART_ROWS):
@@ -251,7 +250,7 @@ def _set_text(
 ) -> str:
     joints = arm.robot.joint_names
     lines = [
-        "# Written by `stiffopt init recording`; what it guessed, and why:",
+        "# Written by `stiffopt init recording`; guesses and their reasons:",
         *(f"#   {reason}" for reason in found.reasons),
         f"#   rate: {found.rate:.4g} Hz",
         "# Check it: `stiffopt recording check` of this folder.",
@@ -275,13 +274,13 @@ def _set_text(
                 each = ("1.0" if not one else toml_string(one) for one in unit)
                 lines.append(f"{kind} = {toml_list(each)}")
             elif unit in FACTOR_REQUESTS:
-                # Stops whoever reads it until a factor stands there.
+                # Not a valid entry until the user replaces it by a factor.
                 lines.append(f"{kind} = {toml_string(unit)}  # {FACTOR_REQUESTS[unit]} here")
             else:
                 lines.append(f"{kind} = {toml_string(unit)}")
     lines += [
         "",
-        "# [nominal]                 # what today's simulation knows, one number a joint, SI",
+        "# [nominal]                 # parameters of the nominal model, one number a joint, SI",
         f"# gear_ratio = {toml_list(['100.0'] * len(joints))}",
         f"# rotor_inertia = {toml_list(['0.1'] * len(joints))}",
         f"# coulomb = {toml_list(['1.0'] * len(joints))}",
@@ -299,21 +298,21 @@ def _set_text(
 
 ROBOT_FILE = "robot.toml"
 _URDF_FILE, _CATALOGUE_FILE = "robot.urdf", "catalogue.toml"
-# Names of files in a robot file.
+# Entries of a robot file that name files.
 _FILE_ENTRIES = {"urdf": _URDF_FILE, "catalogue": _CATALOGUE_FILE}
 
 
 @dataclass(frozen=True, kw_only=True)
 class RecordedRobot:
-    """Robot of a recording set, and its files.
+    """Robot of a recording set and its file.
 
     Parameters
     ----------
     robot : Robot
     file : str
-        Name of the file in the set that describes it.
+        Name of its file in the set.
     notes : tuple of str
-        What was guessed.
+        Guesses, a sentence each.
     """
 
     robot: Robot
@@ -322,9 +321,9 @@ class RecordedRobot:
 
 
 def store_robot(source: Path, folder: Path, tip: str | None = None) -> RecordedRobot:
-    """Copy a robot into a folder; beside a URDF with gaps, a robot file with guesses in them.
+    """Copy a robot into a folder; add a robot file with guesses for an incomplete URDF.
 
-    Guessed are limits and masses, no drivetrains and no friction: what recordings tell is no guess.
+    Limits and masses are guessed, drivetrains and friction are not: recordings determine them.
 
     Parameters
     ----------
@@ -332,12 +331,12 @@ def store_robot(source: Path, folder: Path, tip: str | None = None) -> RecordedR
         URDF or robot TOML.
     folder : Path
     tip : str, optional
-        Link at the end of the arm, of a URDF that holds more than what was recorded.
+        Last link of the recorded arm, if the URDF holds more.
 
     Raises
     ------
     InputFileError, RobotError
-        No robot that can be read.
+        The robot cannot be read.
     """
     if source.suffix.lower() == ".toml":
         if tip is not None:
@@ -345,7 +344,7 @@ def store_robot(source: Path, folder: Path, tip: str | None = None) -> RecordedR
         robot = load_robot(source)
         _copy_robot_file(source, folder)
         return RecordedRobot(robot=robot, file=ROBOT_FILE)
-    # Of several arms all can have been recorded.
+    # All arms of a URDF may have been recorded.
     every = [] if tip else JointTree(read_tree(source)).branch_joints()
     if tip is None and not _has_gaps(source, every):
         robot = load_robot(source, keep=every)
@@ -362,7 +361,7 @@ def store_robot(source: Path, folder: Path, tip: str | None = None) -> RecordedR
 
 
 def _has_gaps(urdf: Path, keep: Collection[str]) -> bool:
-    """Whether a URDF lacks limits or masses of joints that move."""
+    """Return True if a URDF lacks limits or masses of moving joints."""
     arm = load_urdf(urdf, keep=keep, limited=None, followers=True)
     silent = any(not (each["effort"] and each["velocity"]) for each in arm.joints.values())
     weightless = any(not body.mass > 0.0 for body in body_tree(arm.model).bodies)
@@ -379,5 +378,5 @@ def _copy_robot_file(source: Path, folder: Path) -> None:
 
 
 def _replace_entry(text: str, entry: str, name: str) -> str:
-    """Text of a robot file whose entry names another file."""
+    """Replace the file name of an entry in the text of a robot file."""
     return re.sub(rf"(?m)^{entry}\s*=.*$", f"{entry} = {toml_string(name)}", text, count=1)

@@ -1,4 +1,4 @@
-"""Robot file of a URDF: its limits, candidates of reducers, and what is estimated marked."""
+"""Robot file of a URDF: its limits, candidate reducers, and marked estimates."""
 
 from __future__ import annotations
 
@@ -36,40 +36,39 @@ from stiffopt.starter.placeholders import (
 )
 from stiffopt.starter.writing import relative_path, toml_key, toml_list, toml_number, toml_string
 
-# Of a joint whose limits nobody states: full speed within the first time, full acceleration within
-# the second [s].
+# Times to full speed and to full acceleration that set unstated limits [s].
 _ACCELERATION_TIME, _JERK_TIME = 0.25, 0.05
-# Where the URDF is silent: at least [N m], times what weight and full acceleration take; [rad/s]
-# and the way of a slide [m].
+# Guesses for unstated limits: least torque [N m], torque over demand [-], speed [rad/s], range of a
+# prismatic joint [m].
 _MIN_TORQUE_GUESS, _TORQUE_MARGIN, _DEFAULT_SPEED, _DEFAULT_SLIDE_RANGE = 5.0, 1.5, 2.0, 0.3
 _POSE_COUNT = 200
-# Beyond it [rad] limits may be degrees.
+# Position limits beyond this may be in degrees [rad].
 _MAX_PLAUSIBLE_ANGLE = 12.0 * np.pi
-# Up to this torque strain-wave reducers are usual [N m].
+# Largest torque of usual strain-wave reducers [N m].
 _MAX_STRAIN_WAVE_TORQUE = 350.0
 _MAX_ALTERNATIVES = 3
-# Links this far from the tool are another place [m]; so many of them are told.
+# Least distance of a link from the tool to be listed [m], and largest number listed.
 _MIN_TIP_DISTANCE, _MAX_SHOWN_TIPS = 1e-3, 6
-# How links that tools are meant for are called.
+# Usual names of tool links.
 _TOOL_NAME_PATTERN = re.compile("tcp|tool|flange|effector", re.IGNORECASE)
-# Masses that torque limits change by less than this are as they were.
+# Least relative change of masses by torque limits that is reported [-].
 _MIN_SCALE_CHANGE = 0.05
 _UNREAD_FORMATS = {".sdf": "an SDF", ".mjcf": "an MJCF", ".xacro": "xacro"}
 _SLIDE_COMMENT = (
-    '# A slide: describe its elements, such as type = "constant" with its stiffness.',
+    '# Prismatic joint: describe its elements, such as type = "constant" with its stiffness.',
 )
-_NO_REDUCER_COMMENT = "# No packaged reducer bears"
+_NO_REDUCER_COMMENT = "# No packaged reducer carries"
 
 
 @dataclass(frozen=True, kw_only=True)
 class StartedRobot:
-    """Text of a robot file, and what a person has to know of it.
+    """Text of a robot file, with notes for the user.
 
     Parameters
     ----------
     text : str
     notes : tuple of str
-        What was guessed or left out.
+        Guesses and omissions, a sentence each.
     """
 
     text: str
@@ -85,27 +84,27 @@ def robot_text(
     *,
     bare: bool = False,
 ) -> StartedRobot:
-    """Text of a robot file for a URDF.
+    """Return the text of a robot file for a URDF.
 
     Parameters
     ----------
     urdf : Path
     folder : Path
-        That the file is to lie in.
+        Folder of the file.
     tip : str, optional
-        Link at the end of the arm, which the tool is fixed to; default where fingers branch off.
+        Last link of the arm, which carries the tool; default where fingers branch off.
     name : str, optional
         Default the name of the URDF's file.
     catalogue : Path, optional
-        One's own, whose reducers are candidates too.
+        User catalogue, whose reducers are candidates too.
     bare : bool
-        Without what recordings are to tell: no reducers, and no friction, which in a URDF is a
-        setting of simulators.
+        Without reducers and friction, which recordings determine; friction in a URDF is a setting
+        of simulators.
 
     Raises
     ------
     InputFileError, RobotError
-        No URDF that can be read, a tip that it lacks, or several arms and no tip.
+        Unreadable URDF, unknown tip, or several arms and no tip.
     """
     _check_format(urdf)
     arm = load_urdf(urdf, tip=tip, limited=None, followers=True)
@@ -128,8 +127,8 @@ def robot_text(
     lines = [
         f"# Robot file of {urdf.name}, written by `stiffopt init robot`. Position, velocity and"
         " torque",
-        "# limits are those of the URDF. What is marked estimated is a guess to begin with: put",
-        "# your own numbers in its place before you trust a micrometre.",
+        "# limits are those of the URDF. Values marked estimated are initial guesses: replace them",
+        "# by your own before relying on results.",
         "schema = 1",
         'kind = "robot"',
         f"name = {toml_string(name or urdf.stem)}",
@@ -160,7 +159,7 @@ def robot_text(
 
 
 def _check_format(urdf: Path) -> None:
-    """Raise `InputFileError` for a file whose name says that it is no URDF."""
+    """Raise `InputFileError` for file names of other formats than URDF."""
     kind = (
         "xacro" if urdf.name.endswith(".urdf.xacro") else _UNREAD_FORMATS.get(urdf.suffix.lower())
     )
@@ -168,7 +167,7 @@ def _check_format(urdf: Path) -> None:
         raise InputFileError(urdf, "", unread_model(kind))
     if urdf.suffix.lower() == ".toml":
         raise InputFileError(
-            urdf, "", f"is a robot file already: go on with `stiffopt init problem {urdf}`."
+            urdf, "", f"is a robot file already: continue with `stiffopt init problem {urdf}`."
         )
 
 
@@ -179,15 +178,15 @@ def _describe_guesses(
     doubted: Sequence[Placeholder],
     lines: Sequence[str],
 ) -> Iterator[str]:
-    """What was guessed or left out, a sentence each."""
+    """Yield guesses, omissions and questions, a sentence each."""
     yield f"The arm: {', '.join(arm.joints)}; its tool is fixed to {tool}."
     if arm.held:
         yield f"Held: {'; '.join(map(str, arm.held))}."
     coupled = [h.name for h in arm.held if h.why.endswith("which moves")]
     if coupled:
         yield (
-            f"{', '.join(coupled)} cannot move with the joint that is followed: where that lies on"
-            " the way to the tool, the arm is not the real one."
+            f"{', '.join(coupled)} cannot follow its leading joint: if that joint moves the tool,"
+            " the arm differs from the real one."
         )
     yield from _guessed_masses(bodies)
     names = list(arm.joints)
@@ -205,29 +204,29 @@ def _describe_guesses(
         )
     if arm.unlimited:
         yield f"GUESSED: limits of position of {', '.join(arm.unlimited)}."
-    for what in ("effort", "velocity"):
-        taken = {p.joint: p for p in doubted if p.quantity == what}
-        silent = [name for name, stated in arm.joints.items() if not stated[what]]
+    for quantity in ("effort", "velocity"):
+        taken = {p.joint: p for p in doubted if p.quantity == quantity}
+        silent = [name for name, stated in arm.joints.items() if not stated[quantity]]
         silent = [name for name in silent if name not in taken]
         if silent:
-            yield f"GUESSED: the URDF has no {what} for {', '.join(silent)}."
+            yield f"GUESSED: the URDF has no {quantity} for {', '.join(silent)}."
         if taken:
             said = "; ".join(f"{name}: {each}" for name, each in taken.items())
             yield (
-                f"QUESTION: the {what} of {len(taken)} joints is a placeholder: {said}. Guessed"
-                f" values stand in the file, marked estimated: put those of the data sheet."
+                f"QUESTION: the {quantity} of {len(taken)} joints is a placeholder: {said}. Guessed"
+                f" values are in the file, marked estimated: replace them by the data sheet's."
             )
     bare = [line for line in lines if line.startswith(_NO_REDUCER_COMMENT)]
     if bare:
         yield (
-            f"RIGID: for {len(bare)} of the joints no packaged reducer bears the torque; give yours"
-            " in the file, or what yields there is left out."
+            f"RIGID: for {len(bare)} of the joints no packaged reducer carries the torque; give"
+            " yours in the file, or these joints are rigid."
         )
     yield from open_questions(arm, _weight_torques(arm), bodies)
 
 
 def _list_farther_links(arm: LoadedUrdf, tool: LinkFrame) -> Iterator[str]:
-    """Links fixed to the one of the tool, of which one may be meant."""
+    """Yield a note on other links fixed to that of the tool, which may be meant."""
     frames = [link_frame(arm.model, name) for name in moving_link_names(arm.model)]
     found = {
         frame.link: float(np.linalg.norm(frame.offset - tool.offset))
@@ -248,7 +247,7 @@ def _list_farther_links(arm: LoadedUrdf, tool: LinkFrame) -> Iterator[str]:
 
 
 def _guessed_masses(bodies: Mapping[str, EstimatedBody]) -> Iterator[str]:
-    """Which masses are guessed, from what, and how far off that can be."""
+    """Yield the guessed masses, their source and their uncertainty."""
     shaped = {name: body for name, body in bodies.items() if body.shaped}
     rods = {name: body for name, body in bodies.items() if not body.shaped}
     for own, off in ((shaped, "a factor of two"), (rods, "a factor of two, single links of three")):
@@ -262,16 +261,16 @@ def _guessed_masses(bodies: Mapping[str, EstimatedBody]) -> Iterator[str]:
 
 
 def _describe_mass_source(body: EstimatedBody) -> str:
-    """What a mass was guessed from."""
+    """Return the source of a guessed mass."""
     said = f"the volume of their shapes at {DENSITY:g} kg/m^3"
     if not body.shaped:
         said = (
-            "housings and rods from joint to joint, thick at the base, for want of any shape, at"
+            "housings and rods from joint to joint, since the URDF has no shapes, at"
             f" {ROD_DENSITY:g} kg/m^3"
         )
     if abs(body.scale - 1.0) < _MIN_SCALE_CHANGE:
         return said
-    return f"{said}, times {body.scale:.2g} for what the torque limits can hold"
+    return f"{said}, times {body.scale:.2g} to match the torque limits"
 
 
 def _link_lines(name: str, body: EstimatedBody) -> Iterator[str]:
@@ -286,7 +285,7 @@ def _link_lines(name: str, body: EstimatedBody) -> Iterator[str]:
 
 
 def _torque_demands(arm: LoadedUrdf) -> np.ndarray:
-    """Torque (n,) that full acceleration and the weight take, at most of random poses."""
+    """Return the largest torque of weight and full acceleration over random poses (n,)."""
     speed = np.array([stated["velocity"] or _DEFAULT_SPEED for stated in arm.joints.values()])
     bodies = RigidBodies(arm.model)
     most = np.zeros(len(speed))
@@ -297,7 +296,7 @@ def _torque_demands(arm: LoadedUrdf) -> np.ndarray:
 
 
 def _weight_torques(arm: LoadedUrdf) -> np.ndarray:
-    """Torque (n,) that the weight takes, at most of random poses."""
+    """Return the largest gravity torque over random poses (n,)."""
     bodies = RigidBodies(arm.model)
     most = np.zeros(len(arm.joints))
     for q in _random_poses(arm):
@@ -306,7 +305,7 @@ def _weight_torques(arm: LoadedUrdf) -> np.ndarray:
 
 
 def _random_poses(arm: LoadedUrdf) -> np.ndarray:
-    """Random poses (K, n) within the limits."""
+    """Return random poses (K, n) within the limits."""
     low, high = (np.array(x) for x in (arm.model.lowerPositionLimit, arm.model.upperPositionLimit))
     endless = (low <= -UNLIMITED) | (high >= UNLIMITED)
     slides = body_tree(arm.model).prismatic
@@ -336,7 +335,7 @@ def _joint_lines(
     acceleration = speed / _ACCELERATION_TIME
     yield "[[joint]]"
     if body.name in arm.unlimited:
-        # Angles as texts: what a person changes is in degrees.
+        # Angles as texts, since users edit degrees.
         ends = ("0.0", f"{_DEFAULT_SLIDE_RANGE}") if body.prismatic else ('"-170 deg"', '"170 deg"')
         yield f"name = {toml_string(body.name)}"
         yield f"position_lower = {ends[0]}  # GUESSED: the URDF has no limits of position"
@@ -352,7 +351,7 @@ def _joint_lines(
         if not stated[key_]:
             where = f"GUESSED: {doubted.get(key_, f'the URDF has no {key_}')}"
             if key_ == "effort":
-                where += "; this is its weight and full acceleration with room"
+                where += "; this is weight and full acceleration with margin"
         yield f"{name} = {toml_number(value)}  # [{per}], {where}"
     yield f"acceleration_max = {toml_number(acceleration, 3)}  # estimated: full speed in 0.25 s"
     yield f"jerk_max = {toml_number(acceleration / _JERK_TIME, 3)}  # estimated: that in 50 ms"
@@ -368,19 +367,19 @@ def _joint_lines(
 
 
 def _torque_limit(arm: LoadedUrdf, body: Body, demand: float) -> float:
-    """Torque limit of a joint; where nothing states it, what it needs, rounded to two digits."""
+    """Return the torque limit of a joint; if not stated, its demand to two digits."""
     return arm.joints[body.name]["effort"] or float(
         f"{max(_TORQUE_MARGIN * demand, _MIN_TORQUE_GUESS):.2g}"
     )
 
 
 def _reducer_lines(torque: float) -> Iterator[str]:
-    """Smallest packaged reducer that bears the torque, and the next ones."""
+    """Yield the smallest packaged reducer for the torque, and the next ones."""
     fitting = reducers_for(torque)
     yield ""
     if not fitting:
         yield (
-            f"{_NO_REDUCER_COMMENT} {toml_number(torque)} N m again and again. Give yours:"
+            f"{_NO_REDUCER_COMMENT} {toml_number(torque)} N m repeatedly. Give yours:"
             " the joint is rigid until then."
         )
         yield "# [[joint.element]]"
@@ -400,7 +399,7 @@ def _reducer_lines(torque: float) -> Iterator[str]:
 
 
 def reducers_for(torque: float) -> list[tuple[str, float]]:
-    """Packaged reducers of ratio 80 or more with a repeated peak torque above this [N m]."""
+    """Return packaged reducers of ratio 80 or more for a repeated peak torque [N m]."""
     entries = [reducer(name) for name in reducer_names()]
     found = [
         (entry.name, entry.ratings[1], entry.ratio)
@@ -409,7 +408,7 @@ def reducers_for(torque: float) -> list[tuple[str, float]]:
     ]
 
     def order(entry: tuple[str, float, float]) -> tuple[bool, float, float]:
-        # Cycloidal ones belong to the large joints.
+        # Cycloidal reducers are for large joints.
         name, peak, ratio = entry
         return name.startswith("rv_") == (torque <= _MAX_STRAIN_WAVE_TORQUE), peak, -ratio
 

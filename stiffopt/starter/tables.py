@@ -17,8 +17,8 @@ from stiffopt.recording.readers.read import first_messages, read_columns
 from stiffopt.recording.signals import Signals
 from stiffopt.starter.clocks import join_split_stamps, parse_stamps
 
-# Words for units as loggers write them, and what `[signals.scale]` calls them; "" is SI. What is no
-# unit of the kind there ("A", "%", "counts") needs a factor that only the user knows.
+# Unit names of loggers and their names in `[signals.scale]`; "" is SI. "A", "%" and "counts" need a
+# factor from the user.
 UNITS = {
     "deg": "deg", "degree": "deg", "degrees": "deg", "°": "deg", "grad": "deg", "rad": "",
     "mrad": "mrad", "rev": "turn", "revs": "turn", "turn": "turn", "turns": "turn", "u": "turn",
@@ -30,25 +30,25 @@ UNITS = {
     "ns": "ns", "s": "", "sec": "", "m": "", "mm": "mm", "cm": "cm", "mm/s": "mm/s", "m/s": "",
     "n": "", "kn": "kN", "-": "",
 }  # fmt: skip
-_SEPARATORS = (";", "\t", ",", "|")
+_CELL_SEPARATORS = (";", "\t", ",", "|")
 _NUMBER_PATTERN = re.compile(r"^[+-]?(\d+[.,]?\d*|[.,]\d+)([eE][+-]?\d+)?$")
-# Thousands set off by a mark that is not the decimal one, which follows or cannot be meant:
-# 1.234,5 and 1,234.5, and with apostrophes or spaces 1'234.5 and 1 234. A mere 1.234 is no such.
+# Numbers with unambiguous thousands separators: 1.234,5 and 1,234.5, and with apostrophes or spaces
+# 1'234.5 and 1 234; not 1.234.
 _GROUPED_PATTERN = re.compile(
     r"^[+-]?\d{1,3}((\.\d{3})+,\d*|(,\d{3})+\.\d*|([.,]\d{3}){2,}"
     r"|(['\u2019 \u00a0\u202f]\d{3})+([.,]\d*)?)$"
 )
-# Far above what one recording holds.
+# Upper bound of the file size [bytes], far above that of one recording.
 _MAX_FILE_BYTES = 2**30
 
 
 def read_any_table(path: Path) -> dict[str, np.ndarray]:
-    """Columns of numbers of a text table, an NPZ or a Parquet file, under their own names.
+    """Read the numeric columns of a text table, an NPZ or a Parquet file by their names.
 
     Raises
     ------
     InputFileError
-        No table of numbers, with what was found.
+        Not a table of numbers.
     """
     check_file(path)
     if path.stat().st_size > _MAX_FILE_BYTES:
@@ -123,8 +123,8 @@ def _read_text(path: Path) -> dict[str, np.ndarray]:
 def _find_names(
     head: list[list[str]], comments: list[str], width: int, mark: str
 ) -> list[str] | None:
-    """Names of the columns: the last row of words, its units added where another row has them."""
-    # A last column that holds nothing may have a name all the same, and lack a unit.
+    """Return the column names from the last header row, with units of a unit row added."""
+    # An empty last column may have a name and lack a unit.
     words = [row[:width] for row in head if width <= len(row) <= width + 1]
     words += [[*row, ""] for row in head[-1:] if len(row) == width - 1 and _is_units(row)]
     if not words and comments:
@@ -141,7 +141,7 @@ def _find_names(
 
 
 def _is_units(cells: list[str]) -> bool:
-    """Whether a row holds units: in brackets or known, and half of them known."""
+    """Return True for a row of units: bracketed or known, at least half of them known."""
     there = [cell for cell in cells if cell]
     known = [cell for cell in there if cell.strip("[]() ").lower() in UNITS]
     bracketed = [cell for cell in there if cell[0] in "[(" and cell[-1] in ")]"]
@@ -149,7 +149,7 @@ def _is_units(cells: list[str]) -> bool:
 
 
 def _number_duplicates(names: list[str]) -> list[str]:
-    """Names with a number behind those that several columns have: none may hide another."""
+    """Number duplicate names so that no column hides another."""
     count = Counter(names)
     seen: Counter[str] = Counter()
     found = []
@@ -174,9 +174,9 @@ def _decode_text(raw: bytes) -> str:
 
 
 def _find_separator(body: list[str]) -> str:
-    """The mark that cuts the lines into most cells alike; "" is white space."""
+    """Return the separator that splits all lines into equally many cells; "" is white space."""
     probe = body[len(body) // 2 : len(body) // 2 + 20]
-    for mark in _SEPARATORS:
+    for mark in _CELL_SEPARATORS:
         counts = {len(next(csv.reader([line], delimiter=mark), [])) for line in probe}
         if len(counts) == 1 and max(counts) > 1:
             return mark
@@ -209,11 +209,11 @@ def _parse_number(cell: str) -> float:
 
 
 def _remove_grouping(cell: str) -> str:
-    """A number with its thousands no longer set off."""
+    """Remove the thousands separators of a number."""
     bare = re.sub(r"[^\d.,+-]", "", cell)
     marks = [mark for mark in bare if mark in ".,"]
     if len(set(marks)) < len(marks) or len(set(marks)) == 2:
-        # The first mark sets off thousands; another one, at the end, is the decimal one.
+        # The first mark separates thousands; a different last one is the decimal mark.
         bare = bare.replace(marks[0], "")
     return bare
 
@@ -228,29 +228,29 @@ def _check_table(columns: dict[str, np.ndarray], path: Path) -> dict[str, np.nda
     return columns
 
 
-# Messages that are looked at for topics.
+# Number of messages searched for topics.
 _MAX_PROBED_MESSAGES = 2000
 _NAME_FIELDS = ("name", "names", "joint_names")
 _VALUE_FIELDS = ("position", "velocity", "effort", "torque", "current", "positions", "velocities",
           "efforts", "accelerations", "q", "qd", "tau")  # fmt: skip
-# Parts of controller messages that hold such lists, measured before wanted.
+# Parts of controller messages with such lists, measured before commanded.
 _MESSAGE_PARTS = ("", "actual", "feedback", "measured", "state")
 STAMP_COLUMN = "stamp"
 
 
 def read_message_table(path: Path, joints: Sequence[str]) -> dict[str, np.ndarray]:
-    """Columns of the topic that holds the joints, under names such as "/js.position[elbow]".
+    """Read the columns of the joint topic, under names such as "/js.position[elbow]".
 
     The stamps [s] are under `TIME`.
 
     Raises
     ------
     InputFileError
-        No topic has a list of numbers for each joint, with the topics there are.
+        No topic has a number for each joint; lists the topics found.
     """
     found: dict[str, list[str]] = {}
     for topic, _, message in first_messages(path, _MAX_PROBED_MESSAGES):
-        # A gripper may write to the topic of the arm.
+        # A gripper may publish on the topic of the arm.
         if not found.get(topic):
             found[topic] = _joint_fields(topic, message, joints)
     best = max(found, key=lambda topic: len(found[topic]), default="")
@@ -270,11 +270,11 @@ def read_message_table(path: Path, joints: Sequence[str]) -> dict[str, np.ndarra
 
 
 def _joint_fields(topic: str, message: Any, joints: Sequence[str]) -> list[str]:
-    """Names of the fields of a message that hold a number for each joint."""
+    """Return the names of message fields with a number for each joint."""
     stated: Any = next(
         (n for key in _NAME_FIELDS if (n := _get_field(message, key)) is not None), ()
     )
-    # Anyone's message may have a name that is none of joints.
+    # A field called "name" need not list joints.
     listed = isinstance(stated, Sequence) and not isinstance(stated, str)
     names = list(stated) if listed and all(isinstance(n, str) for n in stated) else []
     named = set(joints) <= set(names)

@@ -181,7 +181,7 @@ def test_shipped_robots_are_within_their_limits(name):
         (lambda: preload_limits(flange(thread_material="wood"), WRENCH), "no material 'wood'"),
         (
             lambda: preload_limits(flange(bolt=None), WRENCH),
-            "bolted_flange 'flexspline_flange': which bolts hold it is not known.*Add `bolt =",
+            "bolted_flange 'flexspline_flange': its bolts are not given.*Add `bolt =",
         ),
         (lambda: preload_loss(flange(bolt=None), WRENCH), "Add `bolt ="),
         (lambda: workshop_torque(flange(bolt=None), 1e3, WRENCH), "Add `bolt ="),

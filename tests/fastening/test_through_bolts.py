@@ -207,7 +207,7 @@ def test_stainless_bolts_yield_more_and_lose_preload_by_warmth():
     [
         ({"shank_length": 20e-3, "clamp_length": 15e-3}, "shank_length = 20 mm must be at most"),
         ({"shank_diameter": 9e-3}, "shank_diameter = 9 mm must be at most"),
-        ({"nut": True, "engagement": 8e-3}, "engagement is that of a tapped hole"),
+        ({"nut": True, "engagement": 8e-3}, "engagement belongs to a tapped hole"),
         ({"grade": "A2-70", "rolled": "after"}, "stainless bolts have none"),
     ],
 )

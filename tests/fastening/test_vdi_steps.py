@@ -342,7 +342,7 @@ def test_a_bearing_beside_takes_all_but_the_torque():
 
 
 def test_two_bolts_bear_no_tilting():
-    with pytest.raises(InputError, match="2 bolts bear no tilting moment"):
+    with pytest.raises(InputError, match="2 bolts carry no tilting moment"):
         Verification(flange(bolt_count=2), TESTED, loads([0, 0, 0, 60.0, 0, 20.0]))
 
 

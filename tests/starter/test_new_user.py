@@ -49,7 +49,7 @@ def test_a_robot_file_of_a_urdf_is_read_as_it_is(tmp_path, capsys):
     assert document["lock"] == {"finger_1": 0.0, "finger_2": 0.0}
     capsys.readouterr()
     assert run(["init", "robot", str(urdf)]) == 2
-    assert "is there already and is kept" in capsys.readouterr().err
+    assert "exists and is kept" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -59,7 +59,7 @@ def test_a_robot_file_of_a_urdf_is_read_as_it_is(tmp_path, capsys):
         ("arm.xml", "<mujoco/>", "is an MJCF (a model of MuJoCo); only URDF is read"),
         ("arm.urdf", "<sdf/>", "is an SDF (a model of Gazebo); only URDF is read"),
         ("arm.urdf.xacro", "<robot/>", "expand its xacro: `xacro arm.urdf.xacro > arm.urdf`"),
-        ("arm.toml", "schema = 1", "is a robot file already: go on with `stiffopt init problem"),
+        ("arm.toml", "schema = 1", "is a robot file already: continue with `stiffopt init problem"),
     ],
 )
 def test_what_is_no_urdf_is_said(name, text, said, tmp_path, capsys):
@@ -186,7 +186,7 @@ def test_one_recording_is_cut_in_two(tmp_path, capsys):
     np.savez(tmp_path / "one.npz", **columns)
     arguments = ["init", "recording", str(tmp_path / "one.npz"), "--urdf"]
     assert run([*arguments, str(SHIPPED / "robot.urdf")]) == 0
-    assert "its first 70 % are fitted to" in capsys.readouterr().out
+    assert "its first 70 % are for training" in capsys.readouterr().out
     text = (tmp_path / "one_set" / "recordings.toml").read_text()
     assert 'link_position = ["ql1", "ql2"]' in text
     assert 'velocity = ["qd1", "qd2"]' in text

@@ -195,7 +195,7 @@ def test_a_table_without_names_is_told_what_to_write(tmp_path):
 
 
 def test_a_table_of_one_row_is_no_recording(tmp_path):
-    with pytest.raises(InputError, match="no column rises as a time"):
+    with pytest.raises(InputError, match="no column increases as a time"):
         guessed(tmp_path, lines()[:2])
 
 
@@ -210,7 +210,7 @@ def test_a_clock_that_stands_or_begins_anew_is_not_taken_before_one_that_rises(t
     names = ["stamp.sec", "stamp.nsec", "stamp", *NAMES[1:]]
     seconds, rest = np.floor(TIME), np.round(1e9 * (TIME % 1.0))
     assert guessed(tmp_path, lines(names, [seconds, rest, TIME, *VALUES])).time == "stamp"
-    with pytest.raises(InputError, match="no column rises as a time"):
+    with pytest.raises(InputError, match="no column increases as a time"):
         guessed(tmp_path, lines(columns=[0.0 * TIME, *VALUES]))
 
 
@@ -427,7 +427,7 @@ def test_a_clock_that_begins_anew_makes_runs_of_its_own(tmp_path, capsys):
     log = str(tmp_path / "log.csv")
     assert run(["init", "recording", log, "--urdf", str(URDF), "-o", str(out)]) == 0
     said = capsys.readouterr().out
-    assert "The clock of log.csv begins anew 1 time(s): it is kept as 2 runs, log_1, log_2" in said
+    assert "The clock of log.csv restarts 1 time(s): it is stored as 2 runs, log_1, log_2" in said
     document = tomllib.loads((out / "recordings.toml").read_text())
     assert [(each["file"], each["role"]) for each in document["runs"]] == [
         ("log_1.npz", "train"),
@@ -520,7 +520,7 @@ def test_a_lerobot_dataset_is_a_recording_set(named, tmp_path, capsys):
     out = tmp_path / "out"
     arguments = ["init", "recording", str(tmp_path / "set"), "--urdf", str(URDF)]
     assert run([*arguments, "--out", str(out)]) == 0
-    assert "begins anew 1 time(s): it is kept as 2 runs" in capsys.readouterr().out
+    assert "restarts 1 time(s): it is stored as 2 runs" in capsys.readouterr().out
     signals = tomllib.loads((out / "recordings.toml").read_text())["signals"]
     entries = ["pan.pos", "lift.pos"] if named else ["0", "1"]
     assert signals["position"] == [f"observation.state.{entry}" for entry in entries]

@@ -76,7 +76,7 @@ def test_a_follower_of_the_way_is_held_and_said(tmp_path, capsys):
     with pytest.raises(RobotError, match="'5' follows '4'"):
         load_robot(urdf)
     assert run(["init", "robot", str(urdf)]) == 0
-    assert "the arm is not the real one" in capsys.readouterr().out
+    assert "the arm differs from the real one" in capsys.readouterr().out
     assert load_robot(tmp_path / "arm_robot.toml").joint_names == tuple("12346")
 
 
@@ -314,10 +314,12 @@ def test_a_motion_that_no_slowness_makes_is_refused(tmp_path):
 def test_a_first_problem_says_whether_links_are_kept_from_each_other(tmp_path):
     path = tmp_path / "p.toml"
     assert run(["init", "problem", "ur10", "-o", str(path)]) == 0
-    assert "links are not kept from each other: the URDF has no shapes" in path.read_text()
+    assert (
+        "collisions between links are not checked: the URDF lacks their shapes" in path.read_text()
+    )
     path.unlink()
     assert run(["init", "problem", str(folded(tmp_path)), "-o", str(path)]) == 0
-    assert "# links are kept from each other;" in path.read_text()
+    assert "# collisions between links are checked;" in path.read_text()
 
 
 def test_a_link_that_is_called_as_a_joint(tmp_path, capsys):
