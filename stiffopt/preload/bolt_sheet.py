@@ -31,14 +31,14 @@ class BoltSheet:
     Parameters
     ----------
     key : str
-        Of the element.
+        Key of the element.
     flange : BoltedFlange
     scatter : float
         alpha_A (R1).
     bolt_compliance, plate_compliance : float
         delta_S, delta_P (R3) [m/N].
     factor_most, factor_least : float
-        Phi at both ends of what the load introduction may be (R3).
+        Phi at both bounds of the load introduction factor (R3).
     loss : float
         F_Z and Delta F_Vth (R4).
     clamp_needed : float
@@ -48,26 +48,26 @@ class BoltSheet:
     in_service : float
         F_Vmin, after all losses.
     working_load, additional : float
-        Largest F_A and what the bolt takes of it, with warmth (R8).
+        Largest F_A, and F_SA with the thermal force (R8).
     case : str
-        Load case that asks for the most clamp load.
+        Load case that requires the largest clamp load.
     angles : array (n,)
-        Places of the bolts, the first on the x axis [rad].
+        Angles of the bolts, the first on the x axis [rad].
     axial : array (n,)
-        F_A of each bolt in that case; of a ring that bends with its ribs where they do most.
+        F_A of each bolt in that case; for an elastic ring at the least favourable rib angle.
     transverse : array (n, 2)
         F_Q of each bolt in that case.
     tilting_stiffness, opening_moment : float
-        Of the flange while its face is closed, and moment that opens its edge, with F_Vmin
-        [N m/rad], [N m]; 0 where nothing is left of the preload.
+        Stiffness of the closed flange and moment that opens its edge, at F_Vmin [N m/rad], [N m];
+        0 if no preload is left.
     tilt : float
-        Angle by which the largest tilting moment turns it [rad].
+        Tilting angle under the largest tilting moment [rad].
     chance : SlipProbability
-        That a bolt is left with less than its share of the load asks for.
+        Of a bolt whose remaining preload is below its share of the load.
     loads : FlangeLoads
-        What all load cases bring to the face.
+        Loads of all load cases at the interface.
     safety : mapping of symbol to UtilisationRow
-        Step of each safety factor of VDI 2230 that is least over what is required.
+        Step with the least value over required value of each safety factor.
     """
 
     key: str
@@ -97,7 +97,7 @@ class BoltSheet:
 
 
 def bolt_sheets(model: PreloadModel, preloads: np.ndarray) -> tuple[BoltSheet, ...]:
-    """Sheets of all bolted flanges of a study at a design."""
+    """Return the sheets of all bolted flanges of a study at a design."""
     found = []
     for index, (element, steps) in enumerate(zip(model.elements, model.verifications, strict=True)):
         if steps is None:
@@ -142,32 +142,32 @@ def bolt_sheets(model: PreloadModel, preloads: np.ndarray) -> tuple[BoltSheet, .
 
 
 def _bolt_axial_forces(steps: Verification, load: np.ndarray, angles: np.ndarray) -> np.ndarray:
-    """F_A of each bolt where it stands (n,) [N]."""
+    """Return F_A of each bolt at its angle (n,) [N]."""
     ring = elastic_ring(steps.flange)
     if ring is not None:
         return ring.bolt_forces(load)
     return axial_forces(load, steps.count, steps.flange.circle_diameter, angles)
 
 
-# What is stated as a range spans so many standard deviations to either side.
+# Standard deviations from the mean to either end of a stated range.
 _DEVIATIONS_PER_SIDE = 2.0
-# Of a torque wrench: +-5 %.
+# Accuracy of a torque wrench, +-5 %.
 _WRENCH_ACCURACY = 0.05
 
 
 @dataclass(frozen=True, kw_only=True)
 class SlipProbability:
-    """How often a bolt is left with less preload than its share of the load asks for.
+    """Probability that the remaining preload of a bolt is below its share of the load.
 
     Parameters
     ----------
     stated : float
         In closed form.
     drawn : float
-        Share of the draws.
+        Share of random draws.
     draws : int
     needed : float
-        Preload in service below which the bolt's part of the face slips or opens, safety 1 [N].
+        Preload in service at which the bolt's share of the interface slips or opens, safety 1 [N].
     least, largest : float
         Of the draws, in service [N].
     """
@@ -181,7 +181,7 @@ class SlipProbability:
 
     @property
     def agrees(self) -> bool:
-        """Whether the draws are within four standard deviations of what is stated."""
+        """True if the draws are within four standard deviations of the stated probability."""
         spread = math.sqrt(self.stated * (1.0 - self.stated) / self.draws)
         return abs(self.drawn - self.stated) <= 4.0 * spread + 1.0 / self.draws
 
@@ -189,12 +189,12 @@ class SlipProbability:
 def slip_probability(
     steps: Verification, preload: float, *, draws: int = 1000, seed: int = 0
 ) -> SlipProbability:
-    """State how often a bolt is too loose, and draw the tightening to confirm it.
+    """Compute the probability of too little preload, and confirm it by random tightening.
 
-    The wrench is set so that the stated friction leaves `preload`. Friction in thread and under the
-    head is independent and normal: two standard deviations below its mean lies the stated, lowest
-    one, two above it so much that the preload is `preload`/alpha_A. The wrench is off by +-5 %,
-    two standard deviations. Settling and warmth take their part.
+    The wrench setting gives `preload` at the stated friction. Friction in thread and under the head
+    is independent and normal: two standard deviations below the mean is the stated, lowest value,
+    two above it the value that leaves `preload`/alpha_A. The wrench error of +-5 % is two standard
+    deviations. Embedding and thermal losses are subtracted.
 
     Parameters
     ----------
@@ -206,15 +206,15 @@ def slip_probability(
     Notes
     -----
     A preload is below F where the torque M is less than F times the lever, which is linear in both
-    frictions: M - F lever is normal, so the closed form is exact. A flange holds by the sum of its
-    bolts, so that it slips less often than one bolt is too loose.
+    frictions: M - F lever is normal, so the closed form is exact. A flange carries by the sum of
+    its bolts, so it slips less often than a single bolt is too loose.
     """
     tightening, bolt = steps.tightening, steps.data
     lowest = (tightening.thread_friction, tightening.head_friction)
     setting = float(tightening_torque(bolt, preload, *lowest))
     pitch = float(tightening_torque(bolt, 1.0, 0.0, 0.0))
     levers = [float(tightening_torque(bolt, 1.0, *unit)) - pitch for unit in ((1, 0), (0, 1))]
-    # At the other end of the scatter all friction is so many times the lowest.
+    # Factor on the lowest friction at the upper end of the scatter.
     factor = (steps.scatter * setting / preload - pitch) / (setting / preload - pitch)
     means = [mu * (1.0 + factor) / 2.0 for mu in lowest]
     deviations = [mu * (factor - 1.0) / (2.0 * _DEVIATIONS_PER_SIDE) for mu in lowest]
@@ -240,7 +240,7 @@ def slip_probability(
 
 
 def _needed_preload(steps: Verification) -> float:
-    """Preload in service that the worst bolt needs, without any safety [N]."""
+    """Return the required preload in service of the worst bolt at safety 1 [N]."""
     unloaded = (1.0 - steps.factor.least) * np.maximum(steps.opening, 0.0)
     slip = float((steps.clamp_against_slip + unloaded).max())
     return max(slip, float(steps.clamp_against_opening.max()))

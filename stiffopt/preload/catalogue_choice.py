@@ -1,4 +1,4 @@
-"""The best design of a catalogue: bolt size, grade, number and tightening torque, with proof."""
+"""Optimum design from a catalogue: bolt size, grade, number and torque, with proof."""
 
 from __future__ import annotations
 
@@ -52,39 +52,39 @@ NONE_KEEPS_ALL = "bound: no combination keeps all requirements"
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CatalogueChoice:
-    """Best design that the catalogue has for a study, with the proof.
+    """Optimum catalogue design of a study, with the proof.
 
     Parameters
     ----------
     status : SolveStatus
-        optimal: nothing in the catalogue is better. acceptable: the best that was found; what is
-        possible is bounded by `proof.bound`. infeasible: the catalogue has nothing for this study,
-        see `stoppers`. iteration_limit: nothing was found before the search ended.
+        optimal: no better design in the catalogue. acceptable: best design found, optimum bounded
+        by `proof.bound`. infeasible: no feasible design, see `stoppers`. iteration_limit: none
+        found before the search ended.
     message : str
     designs : mapping of element key to CatalogueDesign
-        Empty where the catalogue has nothing.
+        Empty if infeasible.
     objective : float
-        Of the study, in its unit; nan where there is no design.
+        Of the study, in its unit; nan without a design.
     cost : float
-        In steps, the way to tighten among it; nan where there is no design.
+        In steps, including the tightening method; nan without a design.
     solution : PreloadSolution or None
-        The chosen design by the exact law: rows, stiffness, deflection.
+        The chosen design evaluated by the exact law.
     continuous : PreloadSolution or None
-        Best real numbers for the preloads of the same bolts.
+        Optimum preloads of the same bolts at arbitrary torques.
     gap : float
-        By how much the catalogue design is worse than those [-].
+        Relative loss of the catalogue design against `continuous` [-].
     problem : PreloadProblem or None
         The study with the chosen bolts in the robot.
     table : tuple of TableRow
         One for each element, size, grade and count.
     proof : SearchProof
-        Account of the search for the best objective.
+        Of the search for the best objective.
     tie_proofs : tuple of SearchProof
-        Accounts of the searches among designs of equal objective, where there were any.
+        Of the searches among designs of equal objective, if any.
     stoppers : tuple of Stopper
-        Why the catalogue has nothing; empty where it has.
+        Reasons of infeasibility; empty if feasible.
     ways : tuple of TighteningWay
-        What each way to tighten reaches, where the study lets choose; else empty.
+        Optimum of each tightening method and coating, if the study varies them; else empty.
     """
 
     status: SolveStatus
@@ -106,27 +106,26 @@ class CatalogueChoice:
 def choose_design(
     problem: PreloadProblem, progress: ProgressReport | None = None
 ) -> CatalogueChoice:
-    """Find the best design that the catalogue has.
+    """Find the optimum catalogue design.
 
-    Every bolted flange takes each size, grade and count of `problem.choose` in its present ring;
-    set screws stay. All are tightened with standard torques. The result is the best by the
-    study's objective, or the best of the cheapest where steps have a cost, of all combinations
-    that keep every limit and requirement by the exact law;
-    of equals the one with fewer bolts, then smaller sizes, then lower grades. Where the objective
-    is the stiffness of several joints, each joint is the stiffest that leaves the worst as good.
+    Sizes, grades and counts of `problem.choose` are combined in the present ring of every bolted
+    flange; set screws stay. Torques are standard ones. The result is the best by the objective, or
+    the best of the cheapest if steps have a cost, of all combinations that satisfy every limit and
+    requirement by the exact law; of equals the one with fewer bolts, then smaller sizes, then lower
+    grades. With the stiffness of several joints as objective, each joint is the stiffest that does
+    not lower the least relative stiffness.
 
     Parameters
     ----------
     problem : PreloadProblem
-        With `choose`. Preloads are one a connection, whatever `individual` says.
+        With `choose`. `individual` is ignored: one preload a connection.
     progress : callable, optional
-        Called with a `Progress` in every iteration of the solve for the best real numbers.
+        Called with a `Progress` in every iteration of the continuous solve.
 
     Returns
     -------
     CatalogueChoice
-        With status infeasible where the catalogue has nothing. Where the study lets choose how to
-        tighten, of the first of its ways that is best.
+        Of the best tightening method and coating, the first of equals.
     """
     choose = problem.choose
     if choose is None:
@@ -144,7 +143,7 @@ def choose_design(
 def _best_tightening_choice(
     problem: PreloadProblem, found: list[tuple[Tightening, CatalogueChoice]]
 ) -> CatalogueChoice:
-    """Best of several ways to tighten, with what each of them reaches."""
+    """Return the best choice over the tightening methods, with the optimum of each."""
     sign = -1.0 if problem.objective == "joint_stiffness" else 1.0
     able = [(way, choice) for way, choice in found if choice.status.usable]
     ways = tuple(
@@ -171,7 +170,7 @@ def _best_tightening_choice(
 def _choose_for_tightening(
     problem: PreloadProblem, progress: ProgressReport | None
 ) -> CatalogueChoice:
-    """Best design for one way to tighten."""
+    """Return the optimum design for one tightening method."""
     cases = with_worst_instants(problem, problem.load_cases, PreloadModel(problem).design)
     for _ in range(WORST_INSTANT_ROUNDS):
         choice = _ChoiceSearch(problem, cases).run()
@@ -189,7 +188,7 @@ def _choose_for_tightening(
 
 
 class _ChoiceSearch:
-    """One search under fixed load cases."""
+    """Search for the optimum catalogue design under fixed load cases."""
 
     def __init__(self, problem: PreloadProblem, cases: tuple[LoadCase, ...]) -> None:
         self.problem, self.cases = problem, cases
@@ -227,7 +226,7 @@ class _ChoiceSearch:
         return self._feasible_choice(programme, proof, founds[1:], picks)
 
     def _count_excluded(self, reasons: list[Counter[str]]) -> None:
-        """Count the combinations that lose a design, with the first element that loses one."""
+        """Count excluded combinations by reason, each at the first element that excludes it."""
         for index, counts in enumerate(reasons):
             others = math.prod(self.sizes[:index]) * math.prod(self.sizes[index + 1 :])
             for reason, count in counts.items():
@@ -236,7 +235,7 @@ class _ChoiceSearch:
             self.sizes[index] -= counts.total()
 
     def _search_proof(self, found: SearchResult | None) -> SearchProof:
-        """Close the account."""
+        """Return the account of all combinations."""
         evaluated = [
             picks
             for picks in (found.evaluated if found else ())
@@ -293,7 +292,7 @@ class _ChoiceSearch:
         reasons = " ".join(str(stop) for stop in stoppers)
         status = SolveStatus.INFEASIBLE if proof.complete else SolveStatus.ITERATION_LIMIT
         begin = (
-            "The catalogue has nothing for this study."
+            "No catalogue design satisfies this study."
             if proof.complete
             else "The search ended before it found a design."
         )
@@ -313,7 +312,7 @@ class _ChoiceSearch:
 
 
 def _ordered_goals(problem: PreloadProblem, programme: ChoiceProgramme) -> list[Goal]:
-    """The objective, then what decides between combinations that are equal in it."""
+    """Return the objective and then the tie-breaking goals."""
     cost, tie = Goal(cost=programme.cost), Goal(cost=programme.tie)
     if problem.choose is not None and problem.choose.cost is not None:
         unpriced = replace(problem, choose=replace(problem.choose, cost=None))
@@ -328,7 +327,7 @@ def _ordered_goals(problem: PreloadProblem, programme: ChoiceProgramme) -> list[
 
 
 def _minimise_in_order(search: CombinationSearch, goals: list[Goal]) -> list[SearchResult]:
-    """End of each goal's search, up to the first that was not reached."""
+    """Minimise the goals in order, up to the first that was not reached."""
     founds = []
     for goal in goals:
         founds.append(search.minimise(goal))
@@ -338,7 +337,7 @@ def _minimise_in_order(search: CombinationSearch, goals: list[Goal]) -> list[Sea
 
 
 def _with_designs(robot: Robot, chosen: list[CatalogueDesign]) -> Robot:
-    """Copy of the robot with the chosen bolts, at their largest preloads."""
+    """Return a copy of the robot with the chosen bolts at their largest preloads."""
     chains = list(robot.chains)
     for design in chosen:
         chain = chains[design.joint - 1]
@@ -352,7 +351,7 @@ def _with_designs(robot: Robot, chosen: list[CatalogueDesign]) -> Robot:
 def _compare_with_continuous(
     choice: CatalogueChoice, continuous: PreloadSolution
 ) -> CatalogueChoice:
-    """Compare with the best preloads of the same bolts, were every torque possible."""
+    """Compare with the optimum preloads of the same bolts at arbitrary torques."""
     if not continuous.status.usable:
         return replace(choice, continuous=continuous)
     assert choice.problem is not None
@@ -361,16 +360,16 @@ def _compare_with_continuous(
         worse = -worse
     gap = worse / continuous.objective
     if choice.proof.complete:
-        what = "Any torque instead of a standard one would gain"
+        gain = "Arbitrary instead of standard torques would gain"
     else:
-        what = "With its bolts and any torque the design would be better by"
-    text = f"{choice.message} {what} {100 * max(gap, 0.0):.2f} %."
+        gain = "With the same bolts and arbitrary torques the design would be better by"
+    text = f"{choice.message} {gain} {100 * max(gap, 0.0):.2f} %."
     return replace(choice, continuous=continuous, gap=gap, message=text)
 
 
 @dataclass(frozen=True, kw_only=True)
 class TighteningWay:
-    """Best for one method and coating; lowest and highest friction [-], cost in steps."""
+    """Optimum for one method and coating; lowest and highest friction [-], cost in steps."""
 
     method: str
     friction: float
@@ -381,7 +380,7 @@ class TighteningWay:
 
 
 def ways_to_tighten(tightening: Tightening, choose: Choice) -> list[tuple[Tightening, float]]:
-    """Every method with every coating that the study names, and what it costs in steps."""
+    """Return every combination of method and coating of the study with its cost in steps."""
     methods = [
         replace(tightening, method=method, scatter=None)  # type: ignore[arg-type]
         for method in choose.methods

@@ -1,8 +1,7 @@
-"""Catalogue designs of one connection: bolts that fit its ring, and torques to tighten them with.
+"""Catalogue designs of one connection: bolts that fit its ring, with their tightening torques.
 
-The ring stays as it is; bolts of another size, grade or number take the places of the present
-ones, and lengths that the robot file leaves open follow their diameter. Set screws stay, only their
-torque is chosen.
+The ring is fixed; bolts of another size, grade or number replace the present ones, and lengths not
+given in the robot file scale with their diameter. Of set screws only the torque is chosen.
 """
 
 from __future__ import annotations
@@ -29,7 +28,7 @@ from stiffopt.preload.flange_loads import slip_safety, verification
 from stiffopt.preload.load_case import LoadCase
 from stiffopt.preload.problem import Choice, FreeElement, PreloadProblem
 
-# Room for rounding in limits that a design may touch.
+# Largest utilisation of a feasible design [-], with rounding.
 _MAX_UTILISATION = 1.0 + 1e-9
 SLIP, LEAST, EMBEDDING = "slip safety", "least preload", "embedding loss"
 _REMEDY_BY_LIMIT = {
@@ -48,12 +47,12 @@ _REMEDY_BY_LIMIT = {
 
 @dataclass(frozen=True, kw_only=True)
 class CatalogueDesign:
-    """Bolts or pins of one connection and the torque that tightens them.
+    """Bolts or pins of one connection with their tightening torque.
 
     Parameters
     ----------
     key : str
-        Of the element.
+        Key of the element.
     joint : int
         1-based.
     size, grade : str
@@ -63,16 +62,16 @@ class CatalogueDesign:
     torque : float
         Setting of the wrench [N m].
     preload, least_preload : float
-        Largest and least preload of one bolt or pin that it leaves [N].
+        Largest and least preload of one bolt or pin [N].
     stage : Stage
         The connection with these bolts and `preload`.
     limits : tuple of PreloadLimit
     cost : float
         In steps (`Choice.cost`).
     circle : float or None
-        Pitch circle [m] where the study lets choose it.
+        Bolt circle diameter [m], if the study varies it.
     utilisations : mapping of str to float
-        Of every limit that concerns this connection alone, by name; above 1 where exceeded.
+        Of every limit of this connection, by name; above 1 if exceeded.
     """
 
     key: str
@@ -109,22 +108,22 @@ class CatalogueDesign:
 
     @property
     def exceeded(self) -> tuple[str, ...]:
-        """Limits that do not hold."""
+        """Names of exceeded limits."""
         return tuple(name for name, used in self.utilisations.items() if used > _MAX_UTILISATION)
 
     @property
     def stopper(self) -> str:
-        """Limit that is exceeded most; "" where none is."""
+        """Name of the limit exceeded most; "" if none."""
         return max(self.exceeded, key=lambda name: self.utilisations[name], default="")
 
     @property
     def feasible(self) -> bool:
-        """Whether every limit of this connection alone holds."""
+        """True if every limit of this connection holds."""
         return not self.stopper
 
     @property
     def total_preload(self) -> float:
-        """Of all bolts or pins of the connection [N]."""
+        """Sum of the preloads of all bolts or pins [N]."""
         return self.count * self.preload
 
     @property
@@ -136,7 +135,7 @@ class CatalogueDesign:
         )
 
     def remedy(self, name: str) -> str:
-        """What to change where a limit of this connection stops the study."""
+        """Return the change of the design that relaxes a limit."""
         own = {limit.name: limit.remedy for limit in self.limits}
         return own.get(name) or _REMEDY_BY_LIMIT[name]
 
@@ -144,7 +143,7 @@ class CatalogueDesign:
 def catalogue_designs(
     problem: PreloadProblem, element: FreeElement, cases: tuple[LoadCase, ...]
 ) -> tuple[CatalogueDesign, ...]:
-    """All designs of one element that the study lets choose from, feasible or not.
+    """Return all designs of one element in the study's catalogue, feasible or not.
 
     Parameters
     ----------
@@ -160,9 +159,8 @@ def catalogue_designs(
 
     Notes
     -----
-    Without torques in `choose` they are the R20 preferred numbers from the least preload that the
-    study asks for to the largest that any limit allows: no preferred number outside is feasible.
-    Pins always have these.
+    Without torques in `choose`, and for pins, these are the R20 preferred numbers from the least
+    required preload to the largest that any limit allows; none outside is feasible.
     """
     found: list[CatalogueDesign] = []
     for stage in _stage_variants(element.stage, problem.choose or Choice()):
@@ -176,8 +174,8 @@ def _stage_variants(stage: Stage, choose: Choice) -> Iterator[Stage]:
         yield stage
         return
     bolt = flange.bolt
-    assert isinstance(bolt, Bolt)  # limits of the element exist, so its bolt is known
-    # The holes of a purchased part are where they are; other bolts fit them, other holes do not.
+    assert isinstance(bolt, Bolt)  # an element with limits has a bolt
+    # Holes of a purchased part are fixed: other bolts must fit them.
     free = choose.redrill or not flange.fixed_pattern
     sizes = sorted(
         set((choose.sizes if free else ()) or (bolt.size,)),
@@ -187,14 +185,14 @@ def _stage_variants(stage: Stage, choose: Choice) -> Iterator[Stage]:
     counts = sorted(set((choose.counts if free else ()) or (flange.bolt_count,)))
     circles = sorted(set((choose.circles if free else ()) or (flange.circle_diameter,)))
     washers = (False, True) if choose.washers else (bolt.washer,)
-    # Tapped holes of a purchased part stay what they are.
+    # Tapped holes of a purchased part cannot become through holes.
     nuts = (False, True) if choose.nuts and free else (bolt.nut,)
     for size, grade, count, circle, washer, nut in product(
         sizes, grades, counts, circles, washers, nuts
     ):
         held = replace(bolt, size=size, grade=grade, washer=washer, nut=nut)
         if size != bolt.size:
-            # A shank belongs to a size.
+            # Shank dimensions are those of the former size.
             held = replace(held, shank_diameter=None, shank_length=None)
         if nut:
             held = replace(held, engagement=None)
@@ -207,7 +205,7 @@ def _stage_variants(stage: Stage, choose: Choice) -> Iterator[Stage]:
 def _designs_by_torque(
     problem: PreloadProblem, element: FreeElement, stage: Stage, cases: tuple[LoadCase, ...]
 ) -> Iterator[CatalogueDesign]:
-    """Designs of one kind of bolts, by torque."""
+    """Yield the designs of one kind of bolts, by torque."""
     fastened, tightening = stage.element, problem.tightening
     limits = preload_limits(fastened, tightening)
     loss, count = preload_loss(fastened, tightening), fastener_count(fastened)
@@ -260,11 +258,11 @@ def _designs_by_torque(
 
 
 def _size_and_grade(fastened: object) -> tuple[str, str]:
-    """Size and grade of one bolt or set screw."""
+    """Return size and grade of one bolt or set screw."""
     if isinstance(fastened, BoltedFlange) and fastened.bolt is not None:
         return fastened.bolt.size, fastened.bolt.grade
     assert isinstance(fastened, ClampingPins)
-    assert fastened.screw is not None  # a torque was worked out, so the screw is known
+    assert fastened.screw is not None  # an element with torques has a screw
     return fastened.screw.size, ""
 
 
@@ -280,7 +278,7 @@ def _slip_utilisation(
     least: float,
     cases: tuple[LoadCase, ...],
 ) -> float:
-    """Torque with the asked safety over the torque at which the connection slips."""
+    """Return required slip safety times torque over slip torque [-]."""
     torque = max(abs(float(case.torque[element.joint - 1])) for case in cases)
     if torque == 0.0:
         return 0.0
@@ -291,13 +289,13 @@ def _slip_utilisation(
 
 
 def design_cost(choose: Choice, stage: Stage, present: Stage) -> float:
-    """Cost of the bolts of one connection.
+    """Return the cost of the bolts of one connection.
 
     Parameters
     ----------
     choose : Choice
     stage, present : Stage
-        The connection with these bolts, and as it is; pins cost nothing.
+        The connection with these bolts, and the present one; pins cost nothing.
     """
     flange, before = stage.element, present.element
     if choose.cost is None or not isinstance(flange, BoltedFlange):
@@ -318,12 +316,12 @@ def design_cost(choose: Choice, stage: Stage, present: Stage) -> float:
 
 
 def way_cost(choose: Choice, method: int, coating: int) -> float:
-    """Cost of a tightening method and a coating by their places in the lists, for the study."""
+    """Return the cost of a tightening method and a coating by their list positions."""
     if choose.cost is None:
         return 0.0
     return choose.cost.method * method + choose.cost.coating * coating
 
 
-def _position_in(among: Sequence[object], what: object) -> int:
-    """Position in a list; 0 in none."""
-    return list(among).index(what) if what in among else 0
+def _position_in(among: Sequence[object], item: object) -> int:
+    """Return the position in a list; 0 if absent."""
+    return list(among).index(item) if item in among else 0

@@ -1,8 +1,8 @@
-"""Best combination of catalogue designs by mixed-integer programming (HiGHS).
+"""Optimum combination of catalogue designs by mixed-integer programming (HiGHS).
 
-One binary variable a design, one design an element. The size of a deflection vector is the largest
-of its parts along all directions, so directions in which a combination exceeds what the programme
-saw are added as linear cuts until the two agree; no cut removes a combination that it should not.
+One binary variable per design, one design per element. The norm of a deflection vector is the
+largest projection on any direction: directions in which a combination exceeds its linear rows are
+added as cuts until both agree. No cut removes a feasible combination.
 """
 
 from __future__ import annotations
@@ -18,33 +18,32 @@ from stiffopt.preload.catalogue_designs import CatalogueDesign
 from stiffopt.preload.catalogue_programme import ChoiceProgramme
 from stiffopt.preload.solution import PreloadSolution
 
-# Time for all goals of a study [s]; what is left open then is said.
+# Time limit for all goals of a study [s]; open combinations are reported.
 MAX_SEARCH_SECONDS = 30.0
-# HiGHS keeps rows to 1e-6 and stops at a gap of 1e-6, both absolute: numbers of this size make that
-# 1e-10 of them.
+# HiGHS has absolute tolerances of 1e-6 on rows and gap: numbers of this size make them 1e-10
+# relative.
 _SOLVER_SCALE = 1e4
-# Relative distance from the bound below which a combination is best, and values are equal: ten
-# times what the programme resolves.
+# Relative tolerance of optimality and of equal values: ten times the resolution of the programme.
 _RELATIVE_TOLERANCE = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
 class Goal:
-    """What a search minimises: a sum over the elements, or the largest of weight times amount.
+    """Goal of a search: a sum over the elements, or the largest weighted row value.
 
     Parameters
     ----------
     cost : sequence of array (m,), optional
-        Of each element's designs.
+        Cost of each element's designs.
     weight : array (rows,), optional
-        Of the rows.
+        Weights of the rows.
     """
 
     cost: Sequence[np.ndarray] | None = None
     weight: np.ndarray | None = None
 
     def value(self, programme: ChoiceProgramme, picks: Sequence[int]) -> float:
-        """Of a combination."""
+        """Return the goal's value for a combination."""
         if self.cost is not None:
             return float(sum(c[i] for c, i in zip(self.cost, picks, strict=True)))
         assert self.weight is not None
@@ -53,22 +52,22 @@ class Goal:
 
 @dataclass(frozen=True, eq=False)
 class SearchResult:
-    """End of a search.
+    """Result of one search.
 
     Parameters
     ----------
     picks : tuple of int or None
-        Position of each element's design; None: no combination was found.
+        Position of each element's design; None if none was found.
     value : float
         Of the goal.
     bound : float
-        The solver's; infinite where no combination will do.
+        Lower bound by the solver; infinite if infeasible.
     evaluated : set of tuple
-        Combinations whose goal and rows were worked out.
+        Combinations whose goal and rows were evaluated.
     nodes : int
         Of the branch-and-bound trees.
     complete : bool
-        Whether the search ended by itself.
+        The search ended before the time limit.
     """
 
     picks: tuple[int, ...] | None
@@ -88,7 +87,7 @@ class SearchResult:
 
 @dataclass
 class _Constraints:
-    """Linear rows A x + level column <= upper, in the solver's size."""
+    """Linear rows A x + level column <= upper, in the solver's scale."""
 
     matrix: list[np.ndarray] = field(default_factory=list)
     level: list[float] = field(default_factory=list)
@@ -104,7 +103,7 @@ class _Constraints:
 
 @dataclass(frozen=True)
 class _ProgrammeResult:
-    """End of one mixed-integer programme."""
+    """Result of one mixed-integer programme."""
 
     picks: tuple[int, ...] | None
     bound: float
@@ -113,13 +112,13 @@ class _ProgrammeResult:
 
 
 class CombinationSearch:
-    """Minimises one goal after the other; what is reached is kept.
+    """Lexicographic minimisation: each goal keeps the values of the former ones.
 
     Parameters
     ----------
     programme : ChoiceProgramme
     seconds : float
-        For all goals together.
+        Time limit for all goals together.
     """
 
     def __init__(self, programme: ChoiceProgramme, seconds: float = MAX_SEARCH_SECONDS) -> None:
@@ -128,12 +127,12 @@ class CombinationSearch:
         self._block_ends = np.cumsum(self._block_sizes)
         self._deadline = time.monotonic() + seconds
         self._reached_goals: list[tuple[Goal, float]] = []
-        # Directions along which each vector was looked at (k lists of unit vectors).
+        # Cut directions of each vector (k lists of unit vectors).
         self._directions = [[u] for u in programme.middle_directions()]
         self._excluded_combinations: list[np.ndarray] = []
 
     def minimise(self, goal: Goal) -> SearchResult:
-        """Find the best combination that keeps all rows and the goals reached before."""
+        """Find the best combination that satisfies all rows and the former goals."""
         best, best_value, bound = None, math.inf, -math.inf
         evaluated: set[tuple[int, ...]] = set()
         nodes, complete = 0, False
@@ -160,12 +159,12 @@ class CombinationSearch:
         return SearchResult(best, best_value, bound, evaluated, nodes, complete)
 
     def conflicting_rows(self) -> tuple[str, ...]:
-        """Rows to relax where no combination keeps all: those that the least excess is in."""
+        """Return the rows exceeded by the combination of least excess, the largest first."""
         programme, picks = self.programme, None
         while True:
             result = self._solve_programme(None)
-            # The solver fails now and then on rows that nearly coincide; what it found before
-            # breaks rows as well.
+            # The solver may fail on nearly parallel rows; the former combination exceeds rows as
+            # well.
             picks = picks if result.picks is None else result.picks
             if result.picks is None or not self._add_cuts(result.picks):
                 break
@@ -180,7 +179,7 @@ class CombinationSearch:
     # ---- the programme
 
     def _solve_programme(self, goal: Goal | None) -> _ProgrammeResult:
-        """Solve the linear programme with the cuts so far; no goal: the least excess of rows."""
+        """Solve the programme with the present cuts; without a goal for the least excess."""
         from scipy.optimize import Bounds, LinearConstraint, milp
 
         count = int(self._block_ends[-1])
@@ -222,7 +221,7 @@ class CombinationSearch:
         )
 
     def _goal_costs(self, rows: _Constraints, goal: Goal | None) -> tuple[np.ndarray, float]:
-        """Costs of designs and level, and the solver's size of one unit of the goal."""
+        """Return costs of designs and level, and the solver's scale of the goal."""
         count = int(self._block_ends[-1])
         if goal is None:
             return np.append(np.zeros(count), _SOLVER_SCALE), _SOLVER_SCALE
@@ -238,7 +237,7 @@ class CombinationSearch:
         return np.append(np.zeros(count), _SOLVER_SCALE), _SOLVER_SCALE / scale
 
     def _bound_goal(self, rows: _Constraints, goal: Goal, value: float, level: float = 0.0) -> None:
-        """Rows that keep a goal at or below a value plus `level` times the level variable."""
+        """Add rows that bound a goal by a value plus `level` times the level variable."""
         if goal.cost is not None:
             rows.add(np.concatenate(goal.cost), value)
             return
@@ -249,7 +248,7 @@ class CombinationSearch:
                 rows.add(weight * coefficients, value - weight * base, level)
 
     def _row_expressions(self) -> list[tuple[np.ndarray, float, int]]:
-        """Coefficients, constant and row of every linear expression that bounds an amount."""
+        """Return coefficients, constant and row of every linear lower bound of a row value."""
         programme = self.programme
         linear = np.concatenate(programme.use)
         found = [(linear[:, r], float(programme.base[r]), r) for r in range(linear.shape[1])]
@@ -262,7 +261,7 @@ class CombinationSearch:
         return found
 
     def _one_design_rows(self) -> np.ndarray:
-        """One design an element (elements, designs + 1)."""
+        """Return the rows of one design per element (elements, designs + 1)."""
         own = np.repeat(np.eye(len(self._block_sizes)), self._block_sizes, axis=1)
         return np.column_stack([own, np.zeros(len(self._block_sizes))])
 
@@ -270,13 +269,13 @@ class CombinationSearch:
         return tuple(int(np.argmax(own)) for own in np.split(x[:-1], self._block_ends[:-1]))
 
     def _mark_designs(self, picks: Sequence[int]) -> np.ndarray:
-        """Ones at the designs of a combination."""
+        """Return a vector with ones at the designs of a combination."""
         marks = np.zeros(int(self._block_ends[-1]))
         marks[self._block_ends - self._block_sizes + np.array(picks)] = 1.0
         return marks
 
     def _is_feasible(self, picks: Sequence[int]) -> bool:
-        """Whether a combination keeps all rows and the goals reached before."""
+        """Return True if a combination satisfies all rows and the former goals."""
         if (self.programme.amounts(picks) > self.programme.ends).any():
             return False
         return all(
@@ -285,7 +284,7 @@ class CombinationSearch:
         )
 
     def _add_cuts(self, picks: Sequence[int]) -> bool:
-        """Add the directions of this combination's vectors; whether any is longer than was seen."""
+        """Add this combination's vectors as cut directions; return True if any is new."""
         new = False
         for vector, directions in zip(
             self.programme.deflections(picks), self._directions, strict=True
@@ -299,27 +298,26 @@ class CombinationSearch:
 
 @dataclass(frozen=True, kw_only=True)
 class SearchProof:
-    """Account of a finished search; every combination is in exactly one place.
+    """Account of a finished search; every combination is counted exactly once.
 
     Parameters
     ----------
     combinations : int
-        Of the designs of all elements.
+        Number of combinations of all elements' designs.
     excluded : mapping of str to int
-        Combinations left out without looking at them one by one, by the limit or rule that does
-        it. A combination that several would exclude counts with the first that was applied.
+        Combinations excluded without evaluation, by limit or rule; the first applicable one
+        counts.
     evaluated : int
-        Combinations whose objective and rows were worked out.
+        Combinations whose objective and rows were evaluated.
     unvisited : int
-        Combinations that the time limit left open; 0 for a proof.
+        Combinations left open by the time limit; 0 for a proof.
     nodes : int
         Nodes of the branch-and-bound tree.
     bound : float
-        No combination has less than this of what the search minimises: the total preload [N], the
-        largest utilisation [-], the largest deflection [m], the largest weight over stiffness [-].
+        Lower bound of the minimised quantity: total preload [N], largest utilisation [-], largest
+        deflection [m], largest weight over stiffness [-].
     gap : float
-        Distance of the best combination from the solver's bound, relative; infinite where nothing
-        was found.
+        Relative distance of the best combination from the bound; infinite without one.
     """
 
     combinations: int
@@ -332,25 +330,25 @@ class SearchProof:
 
     @property
     def complete(self) -> bool:
-        """Whether nothing was left open."""
+        """True if no combination is left open."""
         return self.unvisited == 0
 
     @property
     def accounted(self) -> int:
-        """Sum of all parts; equal to `combinations`."""
+        """Sum of all counts; equal to `combinations`."""
         return sum(self.excluded.values()) + self.evaluated + self.unvisited
 
 
 def describe_proof(
     proof: SearchProof, chosen: Sequence[CatalogueDesign], solution: PreloadSolution
 ) -> str:
-    """Sentences about the design and the search."""
+    """Return a message about the design and the search."""
     bolts = "; ".join(f"{d.key}: {d.label}" for d in chosen)
     if not proof.complete:
         return (
-            f"Best design found: {bolts}. It keeps every limit, but the search ended with "
-            f"{proof.unvisited:,} of {proof.combinations:,} combinations undecided; none of them "
-            f"is below {proof.bound:.6g} in what the search minimises."
+            f"Best design found: {bolts}. It satisfies every limit, but the search ended with "
+            f"{proof.unvisited:,} of {proof.combinations:,} combinations undecided; their "
+            f"lower bound of the minimised quantity is {proof.bound:.6g}."
         )
     out = sum(proof.excluded.values())
     text = (

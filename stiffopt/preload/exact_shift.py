@@ -1,7 +1,7 @@
-"""What lies between the smooth law and the exact one at a design, as a linear term.
+"""Linear correction from the smooth law to the exact law at a design.
 
-With it the smooth law has the value and the slope of the exact law there, so an optimum that the
-shift no longer moves is an optimum of the exact law. It stays convex.
+The corrected smooth law has value and slope of the exact law at the design, so a fixed point of
+correction and optimisation is an optimum of the exact law. It remains convex.
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ import numpy as np
 
 from stiffopt.preload.model import PreloadModel
 
-# Step of the differences, as a share of a preload: the laws bend over the preload itself.
+# Relative step of finite differences: the laws vary on the scale of the preload.
 _RELATIVE_STEP = 1e-3
-# Relative difference below which preloads of one connection have one slope.
+# Relative difference of preloads of one connection that share a slope.
 _EQUAL_PRELOAD_TOLERANCE = 1e-5
-# Largest correction of a slope, as a share of it: at slip the exact slope has no end.
+# Largest relative correction of a slope: the exact slope is infinite at slip.
 _MAX_SLOPE_CORRECTION = 0.5
 
 # Design vector -> smooth and exact values of one joint, (cases,) each.
@@ -27,20 +27,20 @@ _Laws = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 @dataclass(frozen=True)
 class ExactShift:
-    """Constants and slopes to add to the smooth law.
+    """Constants and slopes of the correction to the smooth law.
 
     Parameters
     ----------
     compliance : array (joints, cases)
-        [rad/(N m)], with all that no preload of the study changes.
+        [rad/(N m)], including all elements independent of the preloads.
     compliance_slope : array (size, cases)
-        Over the preload of the joint it belongs to [rad/(N m) per N].
+        By the preloads of the same joint [rad/(N m) per N].
     windup : array (n, cases)
-        Beyond the reference torque [rad]; of all joints of the robot.
+        Less that at the reference torque, of all joints of the robot [rad].
     windup_slope : array (size, cases)
         [rad per N]
     tilt, tilt_slope : array (elements,)
-        Of the tilting compliances [rad/(N m)] and over the mean preload of an element [.. per N].
+        Of the tilting compliances [rad/(N m)], and by the mean preload of an element [.. per N].
     """
 
     compliance: np.ndarray
@@ -54,14 +54,14 @@ class ExactShift:
 def exact_shift(
     model: PreloadModel, preloads: np.ndarray, *, compliances: bool = True, windups: bool = True
 ) -> ExactShift:
-    """Difference of the two laws at a design.
+    """Return the linearised difference of exact and smooth law at a design.
 
     Parameters
     ----------
     model : PreloadModel
     preloads : array (size,) [N]
     compliances, windups : bool
-        Which of them are asked for; the others are left at zero.
+        Quantities to compute; the others are zero.
     """
     n, cases, joints = model.problem.robot.n, len(model.cases), model.problem.joints
     shift = ExactShift(
@@ -89,7 +89,7 @@ def exact_shift(
 
 
 def _tilt_shift(model: PreloadModel, preloads: np.ndarray, index: int) -> tuple[float, float]:
-    """Constant and slope of exact minus smooth tilting compliance of an element."""
+    """Return constant and slope of exact minus smooth tilting compliance of an element."""
     part = model.slices[index]
     mean = float(np.mean(preloads[part]))
 
@@ -121,7 +121,7 @@ def _windup_laws(
 def _linear_shift(
     model: PreloadModel, joint: int, preloads: np.ndarray, laws: _Laws
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Constant (cases,) and slopes (own preloads, cases) of exact minus smooth."""
+    """Return constant (cases,) and slopes (own preloads, cases) of exact minus smooth law."""
     smooth, exact = laws(preloads)
     slopes: list[np.ndarray] = []
     own = _joint_positions(model, joint)
@@ -148,7 +148,7 @@ def _linear_shift(
 def _find_equal_preload(
     model: PreloadModel, preloads: np.ndarray, before: list[int], i: int
 ) -> int | None:
-    """Place of an equal preload of the same connection: fasteners of one are alike."""
+    """Return the position of an equal preload of the same connection; None without."""
     ends = next(s for s in model.slices if s.start <= i < s.stop)
     for place, k in enumerate(before):
         if (
@@ -160,7 +160,7 @@ def _find_equal_preload(
 
 
 def _joint_positions(model: PreloadModel, joint: int) -> list[int]:
-    """Positions of a joint's preloads in the design vector."""
+    """Return the positions of a joint's preloads in the design vector."""
     return [
         i
         for index in model.indices[joint]

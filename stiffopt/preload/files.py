@@ -36,20 +36,20 @@ from stiffopt.units import convert, fit_joint
 
 @dataclass(frozen=True, kw_only=True)
 class LoadedStudy:
-    """A preload study with what its file says beside the problem.
+    """Preload study file: the problem and the settings beside it.
 
     Parameters
     ----------
     problem : PreloadProblem
     expected : mapping of name to ExpectedValueSection
-        Results that a verification compares; for the names see `value_units`.
+        Expected results of a verification; names as in `value_units`.
     path : Path
     front_points : int
         Of the Pareto front; 0 leaves it out.
     motion : TrajectoryProblem or None
-        To be optimised together with the preloads.
+        Optimised together with the preloads.
     rounds : int
-        Of that.
+        Largest number of rounds of the joint study.
     """
 
     problem: PreloadProblem
@@ -63,12 +63,12 @@ class LoadedStudy:
 def load_study(path: str | os.PathLike[str], changes: Sequence[str] = ()) -> LoadedStudy:
     """Read a preload study file.
 
-    `changes` such as "motion.duration=0.5 s" count in place of what the file says.
+    `changes` such as "motion.duration=0.5 s" override entries of the file.
 
     Raises
     ------
     InputFileError
-        With the file, the key, what is allowed and what to do next.
+        Invalid entry, with file, key, allowed values and remedy.
     """
     path = Path(path)
     named = with_changes(load_toml(path), changes, path).get("robot")
@@ -129,7 +129,7 @@ def _build_problem(document: PreloadFile, robot: Robot, path: Path) -> PreloadPr
 
 
 def _needs_wrench(document: PreloadFile, robot: Robot, joints: Sequence[int]) -> bool:
-    """Whether a flange of the study carries more than torque."""
+    """Return True if a flange of the study carries more than torque."""
     return any(
         isinstance(stage.element, BoltedFlange)
         and stage.element.bearing == "none"
@@ -142,7 +142,7 @@ def _needs_wrench(document: PreloadFile, robot: Robot, joints: Sequence[int]) ->
 
 
 class _LoadCases:
-    """Turns the load case sections of a file into load cases."""
+    """Conversion of load case sections of a file to load cases."""
 
     def __init__(self, document: PreloadFile, lists: JointLists, wanted: bool, whole: bool) -> None:
         self.whole = whole
@@ -169,7 +169,7 @@ class _LoadCases:
             return pose_case(self.robot, section.name, angles, force, self.deflection)
 
     def check_deflection(self, loads: list[LoadCase | LoadHistory]) -> None:
-        """At rest and without force there is nothing but the sag."""
+        """Raise `InputFileError` if no load case deflects the tool beyond the static sag."""
         for load in loads:
             reference, jacobian = load.reference_torque, load.jacobian
             if jacobian is not None and (
@@ -185,7 +185,7 @@ class _LoadCases:
             self.path,
             "load_case",
             f"no load case gives the tool a {self.deflection} deflection. Give "
-            f"{allowed[self.deflection]}; joint torques alone say nothing of the tool.",
+            f"{allowed[self.deflection]}; joint torques alone do not determine it.",
         )
 
     def _torque_case(self, section: LoadCaseSection, where: str) -> LoadCase:
@@ -213,10 +213,10 @@ class _LoadCases:
     def _worst_wrench(
         self, torque: np.ndarray, beside: Mapping[str, Sequence[float] | None], where: str
     ) -> np.ndarray:
-        """Loads of the joints (n, 6) from magnitudes, all at their worst at one bolt."""
+        """Return joint loads (n, 6) from magnitudes, all least favourable at one bolt."""
         wrench = np.zeros((len(torque), 6))
         wrench[:, 5] = torque
-        # A moment about x loads the bolt on the y axis most, where the torque acts along -x.
+        # A moment about x loads the bolt on the y axis most, where torque forces act along -x.
         for column, sign, key in (
             (2, 1, "axial_force"),
             (0, -1, "shear_force"),
@@ -265,7 +265,7 @@ def _stiffness_by_joint(
 
 
 def _check_present_preloads(problem: PreloadProblem, path: Path) -> None:
-    """What the robot has now must be possible, or the comparison with it means nothing."""
+    """Raise `InputError` if a present preload exceeds its limit."""
     for element in problem.elements:
         with located(path, f"robot, joint {element.joint}"):
             check_preload(element.stage.element, problem.tightening)
@@ -278,7 +278,7 @@ def _load_motion(section: StudyMotionSection, robot: Robot, path: Path) -> Traje
         raise InputFileError(
             path,
             "motion.problem",
-            f"is about {motion.robot.name}, the study about {robot.name}. Give a trajectory "
+            f"is of robot {motion.robot.name}, the study of {robot.name}. Give a trajectory "
             "problem of the same robot.",
         )
     if section.intervals is not None:

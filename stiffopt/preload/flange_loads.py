@@ -23,13 +23,12 @@ from stiffopt.robot.joint_load import at_face
 def flange_values(
     stage: Stage, joint: int, torque: np.ndarray, wrench: np.ndarray | None
 ) -> np.ndarray:
-    """Loads of a flange in its own axes, at its face.
+    """Return the loads of a flange in its own axes, at its interface.
 
     Parameters
     ----------
     stage : Stage
-        Of a bolted flange. Where it turns faster than its joint, on the motor's side, it carries
-        its part of the torque alone.
+        Of a bolted flange. On the motor side of a reducer it carries its share of the torque only.
     joint : int
         1-based.
     torque : array (K, n)
@@ -50,19 +49,19 @@ def flange_values(
 
 
 def torque_reverses(cases: Sequence[LoadCase], joint: int) -> bool:
-    """Whether the torque of a joint changes its sign in one of the motions that cases are of."""
+    """Return True if the torque of a joint changes its sign in a motion of the load cases."""
     return any(c.reversing is not None and bool(c.reversing[joint - 1]) for c in cases)
 
 
 def slip_safety(asked: float | None, cases: Sequence[LoadCase], joint: int) -> float:
-    """Safety against slip in a joint [-] (R12): what is asked for, else by whether it reverses."""
+    """Return the required slip safety of a joint [-] (R12): given, static or alternating."""
     if asked is not None:
         return asked
     return MIN_ALTERNATING_SLIP_SAFETY if torque_reverses(cases, joint) else MIN_STATIC_SLIP_SAFETY
 
 
 def case_loads(stage: Stage, joint: int, cases: Sequence[LoadCase]) -> FlangeLoads:
-    """Loads of a flange in all load cases; those without a wrench have their torque alone."""
+    """Return the loads of a flange in all load cases; torque only without a wrench."""
     values = [
         flange_values(
             stage, joint, case.torque[None], None if case.wrench is None else case.wrench[None]
@@ -83,7 +82,7 @@ def verification(
     tightening: Tightening,
     slip_safety: float | None,
 ) -> Verification | None:
-    """VDI 2230 of a flange under the load cases; None for pins."""
+    """Return the VDI 2230 verification of a flange under the load cases; None for pins."""
     if not isinstance(stage.element, BoltedFlange):
         return None
     loads = case_loads(stage, joint, cases)
@@ -93,7 +92,7 @@ def verification(
 def critical_instants(
     stage: Stage, joint: int, history: LoadHistory, tightening: Tightening
 ) -> set[int]:
-    """Instants of a motion that are worst for some check of a flange."""
+    """Return the instants of a motion that are worst for any check of a flange."""
     if not isinstance(stage.element, BoltedFlange) or history.wrench is None:
         return set()
     if stage.element.bearing == "beside":
@@ -115,7 +114,7 @@ def critical_instants(
 
 
 def carries_tilting(stage: Stage) -> bool:
-    """Whether a stage is a flange that carries its joint's moments, and its bolts are known."""
+    """Return True for a flange with given bolts that carries the joint's tilting moment."""
     flange = stage.element
     if not isinstance(flange, BoltedFlange) or flange.bolt is None:
         return False
@@ -125,7 +124,7 @@ def carries_tilting(stage: Stage) -> bool:
 def tool_levers(
     stage: Stage, joint: int, load: LoadCase | LoadHistory
 ) -> tuple[np.ndarray, np.ndarray] | None:
-    """Moments across a flange and where the tool is from its face, in base axes.
+    """Return tilting moments of a flange and the vector from it to the tool, in base axes.
 
     Parameters
     ----------
@@ -137,8 +136,8 @@ def tool_levers(
     Returns
     -------
     (moments (..., 2, 3) [N m], arm (..., 3) [m]) or None
-        First of all that acts, then of what does not count in the deflection. None where the load
-        has no moments, or the flange carries none.
+        Moments of the full load and of the reference load, which does not count in the deflection.
+        None if the load has no moments or the flange carries none.
     """
     if load.wrench is None or load.frames is None or load.arm is None or not carries_tilting(stage):
         return None
@@ -156,7 +155,7 @@ def tool_levers(
 
 
 def tilt_vector(stage: Stage, joint: int, load: LoadCase | LoadHistory) -> np.ndarray:
-    """Movement of the tool for a compliance of 1 rad/(N m) (..., 3) [m N m/rad]; 0 without."""
+    """Return the tool displacement at a compliance of 1 rad/(N m) (..., 3) [m N m/rad]."""
     found = tool_levers(stage, joint, load)
     if found is None:
         return np.zeros((*load.torque.shape[:-1], 3))
@@ -167,10 +166,9 @@ def tilt_vector(stage: Stage, joint: int, load: LoadCase | LoadHistory) -> np.nd
 def tilt_deflection(
     stage: Stage, joint: int, load: LoadCase | LoadHistory, preload: float
 ) -> np.ndarray:
-    """Movement of the tool by one flange with a preload left in service (..., 3) [m].
+    """Return the tool displacement by one flange at a preload in service (..., 3) [m].
 
-    Along the reaction of the joint, as its wind-up is; infinite where nothing is left of the
-    preload of a flange that has to bear a moment.
+    Signed along the joint's reaction, like its wind-up; infinite without preload under a moment.
     """
     found = tool_levers(stage, joint, load)
     if found is None:

@@ -1,4 +1,4 @@
-"""Why a study cannot be met: the requirement, the best value within the limits, what to change."""
+"""Reasons of infeasibility: requirement, best reachable value, limiting condition, remedy."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from stiffopt.preload.utilisation import utilisation_rows
 
 @dataclass(frozen=True)
 class Stopper:
-    """Why no preload meets the study.
+    """Requirement that no preload meets.
 
     Parameters
     ----------
     limit : str
-        Name of the requirement that cannot be met.
+        Name of the requirement.
     best, required : float
         Best reachable and required value, in `unit`.
     unit : str
     against : str
-        What stands against it; "" where nothing more is to be said.
+        Limiting condition; "" if none.
     remedy : str
-        What to change.
+        Change of the design or study.
     """
 
     limit: str
@@ -40,7 +40,7 @@ class Stopper:
 
     def __str__(self) -> str:
         required, best = self.amounts
-        stop = f" What stops it: {self.against}." if self.against else ""
+        stop = f" Limited by: {self.against}." if self.against else ""
         return (
             f"{self.limit[:1].upper()}{self.limit[1:]}: required {required}, best reachable "
             f"{best}.{stop} To change: {self.remedy}."
@@ -48,9 +48,9 @@ class Stopper:
 
     @property
     def amounts(self) -> tuple[str, str]:
-        """Required and best value with unit, with the digits at which they differ.
+        """Required and best value with unit, with enough digits to differ.
 
-        A safety against slip of no more than zero is a connection without clamp force.
+        A slip safety of zero or less means no clamp force.
         """
         if not self.unit and self.best <= 0.0:
             return _format_significant(self.required, 4), "0, as it opens"
@@ -63,18 +63,18 @@ class Stopper:
         return required, best
 
 
-# Units that read better than SI, with their factor.
+# Display units in place of SI, with their factor.
 _DISPLAY_UNITS = {"m": (1e3, "mm"), "Pa": (1e-6, "MPa")}
 
 
 def _format_significant(value: float, digits: int) -> str:
-    """Without an exponent for what bolts and joints have."""
+    """Return significant digits, without an exponent below 1e9."""
     text = f"{value:.{digits}g}"
     return f"{value:.0f}" if "e+" in text and abs(value) < 1e9 else text
 
 
 def find_stoppers(nlp: PreloadNlp) -> tuple[Stopper, ...]:
-    """Requirements that no preload within the limits can meet.
+    """Return requirements that no preload within the limits can meet.
 
     Parameters
     ----------
@@ -83,8 +83,8 @@ def find_stoppers(nlp: PreloadNlp) -> tuple[Stopper, ...]:
     Returns
     -------
     tuple of Stopper
-        First what no preload changes, then slip and the floor of the preload, then stiffness
-        with every preload at its largest. Empty where each requirement alone can be met.
+        First rows independent of the preload, then slip and least preload, then stiffness at the
+        largest preloads. Empty if each requirement alone can be met.
     """
     model = nlp.model
     _, upper = nlp.bounds()
@@ -112,7 +112,7 @@ def find_stoppers(nlp: PreloadNlp) -> tuple[Stopper, ...]:
 def _worst_by_owner(
     model: PreloadModel, preloads: np.ndarray, kinds: tuple[str, ...]
 ) -> list[UtilisationRow]:
-    """Rows of some kinds that a design exceeds, the worst load case of each owner."""
+    """Return exceeded rows of some kinds, the worst load case of each owner."""
     worst: dict[tuple[str, str, int | None], UtilisationRow] = {}
     for row in utilisation_rows(model, preloads):
         owner = (row.kind, row.element, row.joint)
@@ -135,7 +135,7 @@ def _fixed_stopper(row: UtilisationRow) -> Stopper:
 
 
 def _floor_stopper(model: PreloadModel, row: UtilisationRow) -> Stopper:
-    """A preload that may not reach what has to be tightened at least."""
+    """Return the stopper of a least preload above the permissible one."""
     element = next(e for e in model.elements if e.key == row.element)
     return Stopper(
         limit=row.name,
@@ -148,7 +148,7 @@ def _floor_stopper(model: PreloadModel, row: UtilisationRow) -> Stopper:
 
 
 def describe_limit(element: FreeElement, bolt_utilisation: float) -> str:
-    """Name of the limit that ends an element's preload, with that preload."""
+    """Return the name of the limit on an element's preload, with that preload."""
     ends = element.ends(bolt_utilisation)
     name = min(ends, key=lambda each: ends[each])
     return f"{name} of {element.key} (at most {ends[name]:.0f} N)"
@@ -166,7 +166,7 @@ def _slip_stopper(
     ends = element.ends(needs.bolt_utilisation)
     stronger = "a larger bolt or a higher grade"
     if min(ends, key=lambda each: ends[each]) == "head pressure":
-        # A higher grade presses the part under the head no less.
+        # A higher grade does not lower the surface pressure.
         stronger = "hard washers (`washer = true`), a harder part under the heads or a larger bolt"
     return Stopper(
         limit=f"slip safety, {element.key}, {case.name}",
@@ -183,7 +183,7 @@ def _slip_stopper(
 
 
 def _service_stoppers(model: PreloadModel, upper: np.ndarray, index: int) -> list[Stopper]:
-    """Steps of VDI 2230 that the largest preload does not keep."""
+    """Return the steps of VDI 2230 that fail at the largest preload."""
     element = model.elements[index]
     bound = model.problem.requirements.bolt_utilisation
     return [
@@ -201,7 +201,7 @@ def _service_stoppers(model: PreloadModel, upper: np.ndarray, index: int) -> lis
 
 
 def _stiffness_stopper(model: PreloadModel, row: UtilisationRow, upper: np.ndarray) -> Stopper:
-    """A stiffness that even the largest preloads do not give, with what yields most there."""
+    """Return the stopper of a stiffness above that at the largest preloads."""
     assert row.joint is not None
     case = next(c for c in model.cases if c.name == row.case)
     chain = model.problem.robot.chains[row.joint - 1]
@@ -222,8 +222,8 @@ def _stiffness_stopper(model: PreloadModel, row: UtilisationRow, upper: np.ndarr
         unit=row.unit,
         against=stop,
         remedy=(
-            f"the preloaded connections hold {100 * share:.1f} % of the compliance there, so "
-            "larger bolts gain at most that; beyond it a stiffer reducer or stiffer elements, or "
-            "less stiffness"
+            f"the preloaded connections have {100 * share:.1f} % of the compliance, so larger "
+            "bolts gain at most that; beyond it a stiffer reducer, stiffer elements, or a lower "
+            "requirement"
         ),
     )

@@ -1,7 +1,7 @@
-"""Preloads and motion together, for the least deflection of the tool.
+"""Joint optimisation of preloads and motion for the least tool deflection.
 
-Alternating: the motion for the preloads, the preloads for the motion's worst instants, and again,
-each from where the last one ended. Compared with the two done once, one after the other.
+Alternates between the motion for fixed preloads and the preloads for the motion's worst instants,
+each warm-started, and compares with one pass of both.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ from stiffopt.solver.family import ProblemFamily, WarmStart
 from stiffopt.solver.monitor import Progress
 from stiffopt.solver.solve_run import ProgressCallback, SolveProgress
 
-# Relative change of the deflection that ends a repetition: a tenth of what reports write of a gain.
+# Relative change of the deflection that ends the alternation: a tenth of the reported digits.
 _DEFLECTION_TOLERANCE = 1e-4
-# Times that preloads are raised because the motion made a connection slip.
+# Largest number of preload increases against slip under the motion.
 _MAX_PRELOAD_RAISES = 3
 
 
@@ -48,33 +48,32 @@ def motion_study(
     Parameters
     ----------
     problem : PreloadProblem
-        Which preloads are free, and slip safety, bolt utilisation and least preload, which every
-        design keeps under the motion and under the study's own load cases. Equal preloads within
-        each connection.
+        Free preloads, and requirements on slip safety, bolt utilisation and least preload under the
+        motion and the study's load cases. Preloads within a connection are equal.
     trajectory_problem : TrajectoryProblem
-        Minimises the peak of one deflection, which is what preloads are chosen for as well.
+        Minimises the peak of one deflection, which is the objective of the preloads as well.
     rounds : int
-        At most.
+        Largest number.
     progress : callable, optional
         Called with a `SolveProgress` in every iteration of every solve.
 
     Returns
     -------
     MotionStudy
-        Stopped by Ctrl-C: the best so far, with the status interrupted.
+        After Ctrl-C the best so far, with the status interrupted.
 
     Raises
     ------
     ProblemError
-        Preloads do not touch what the motion minimises, or the two are of different robots.
+        The motion's objective does not depend on preloads, or the robots differ.
     NoSolutionFound
-        No motion, or no preloads for it.
+        No feasible motion, or no feasible preloads for it.
     """
     return _JointStudy(problem, trajectory_problem, progress).run(rounds)
 
 
 def deflection_objective(problem: TrajectoryProblem) -> str:
-    """Name of the deflection that a motion minimises, which preloads must be able to change.
+    """Return the name of the tool deflection that a motion minimises.
 
     Raises
     ------
@@ -86,7 +85,9 @@ def deflection_objective(problem: TrajectoryProblem) -> str:
         return first.name
     reason = "preloads are chosen for the instant of the largest deflection"
     if not any(objective.kind.deflection_part for objective in problem.objectives):
-        reason = "preloads do not change it, or are best at their limits whatever the motion"
+        reason = (
+            "it does not depend on the preloads, or their optimum is at the limits for any motion"
+        )
     asked = [f"{o.shown_measure} {o.name}".strip() for o in problem.objectives]
     deflections = [name for name, kind in OBJECTIVES.items() if kind.deflection_part]
     raise ProblemError(
@@ -98,7 +99,7 @@ def deflection_objective(problem: TrajectoryProblem) -> str:
 
 @dataclass(frozen=True)
 class _Design:
-    """A motion with preloads, certified together; `end` is where the motion's solve ended."""
+    """Certified motion with its preloads; `end` is the warm start of the next solve."""
 
     vector: np.ndarray
     motion: Solution
@@ -108,7 +109,7 @@ class _Design:
 
 
 class _JointStudy:
-    """One joint study in progress."""
+    """State of a joint study."""
 
     def __init__(
         self,
@@ -125,7 +126,7 @@ class _JointStudy:
         self.trajectory, self.progress = trajectory, progress
         self.problem = _motion_subproblem(problem)
         self.model = PreloadModel(self.problem)
-        # Motions for other preloads are one programme with other numbers.
+        # Motions for other preloads share one programme with other parameters.
         self.family = ProblemFamily()
         self.begin, self.stage = time.perf_counter(), ""
         self.interrupted = self.converged = False
@@ -165,10 +166,10 @@ class _JointStudy:
     def _best_separate(
         self, first: _Design, separate: _Design, pairs: Sequence[tuple[_Design, _Design]]
     ) -> tuple[_Design, _Design]:
-        """The best motion for the start preloads, wherever it was found, then its best preloads.
+        """Return the best motion for the start preloads of all rounds, and its best preloads.
 
-        More solving finds better motions whatever the preloads: that must not count as a gain of
-        the joint study.
+        More solves find better motions for any preloads; that must not count as a gain of the joint
+        study.
         """
         found = [(first, separate)]
         found += [(self._certify_design(first.vector, moved.motion), best) for moved, best in pairs]
@@ -176,8 +177,8 @@ class _JointStudy:
         if best[0].deflection < first.deflection * (1.0 - _DEFLECTION_TOLERANCE):
             self.remarks.append(
                 "A motion of the rounds suits the start preloads better than the one found for "
-                f"them ({100 * (1.0 - best[0].deflection / first.deflection):.2f} %); it stands "
-                "for the motion optimised alone."
+                f"them ({100 * (1.0 - best[0].deflection / first.deflection):.2f} %); it is "
+                "used as the separately optimised motion."
             )
             return best
         return first, separate
@@ -185,7 +186,7 @@ class _JointStudy:
     # ---- motion
 
     def _initial_design(self) -> _Design:
-        """Motion with the present preloads, raised where they let a connection slip."""
+        """Optimise the motion at the present preloads, raised where a connection slips."""
         present = self.model.design
         floor = self.problem.requirements.least_preload
         vector = np.maximum(
@@ -210,9 +211,9 @@ class _JointStudy:
         return design
 
     def _optimise_motion(self, vector: np.ndarray, warm: WarmStart | None = None) -> _Design:
-        """Motion optimised for these preloads, from where a former one ended if there is one.
+        """Optimise the motion for these preloads, from a warm start if given.
 
-        From there on the same mesh, so that a gain is one of the preloads and not of more solving.
+        A warm start keeps the mesh, so that a gain is due to the preloads.
         """
         problem = self._with_preloads(vector)
         found, end = self.family.solve(problem, warm, progress=self._progress_callback())
@@ -225,14 +226,14 @@ class _JointStudy:
         return design.motion.status.usable and bool(np.isfinite(design.deflection))
 
     def _with_preloads(self, vector: np.ndarray) -> TrajectoryProblem:
-        """The motion's problem with what tightening leaves of these preloads."""
+        """Return the motion's problem at the least preloads in service."""
         robot = replace(self.trajectory.robot, chains=self.problem.robot.chains)
         return replace(
             self.trajectory, robot=robot.with_preloads(self._preloads_by_joint(vector, True))
         )
 
     def _preloads_by_joint(self, vector: np.ndarray, least: bool) -> dict[int, dict[str, float]]:
-        """Largest or least preloads by joint and element [N]."""
+        """Return largest or least preloads by joint and element [N]."""
         found: dict[int, dict[str, float]] = {}
         for index, element in enumerate(self.model.elements):
             own = float(self.model.of_element(vector, index)[0])
@@ -250,7 +251,7 @@ class _JointStudy:
     def _preload_problem(
         self, design: _Design, objective: str, loads: tuple[LoadHistory, ...]
     ) -> PreloadProblem:
-        """The preloads' problem under the loads of a motion, from that motion's preloads."""
+        """Return the preload problem under the loads of a motion, at its preloads."""
         return replace(
             self.problem,
             robot=self.problem.robot.with_preloads(self._preloads_by_joint(design.vector, False)),
@@ -259,7 +260,7 @@ class _JointStudy:
         )
 
     def _optimise_preloads(self, design: _Design) -> _Design | None:
-        """The same motion with the preloads that are best for it; None where stopped."""
+        """Optimise the preloads for a motion; None if interrupted."""
         problem = self._preload_problem(design, "tool_deflection", self._motion_loads(design))
         found = optimise_preloads(problem, progress=self._progress_callback(), throw=False)
         if found.status is SolveStatus.INTERRUPTED:
@@ -272,7 +273,7 @@ class _JointStudy:
     def _certify_design(
         self, vector: np.ndarray, motion: Solution, preloads: PreloadSolution | None = None
     ) -> _Design:
-        """A motion, certified anew with other preloads."""
+        """Certify a motion with other preloads."""
         assert motion.trajectory is not None
         problem = self._with_preloads(vector)
         assessment = assess(problem, motion.trajectory)
@@ -283,7 +284,7 @@ class _JointStudy:
         return _Design(vector, own, value.value, preloads)
 
     def _slipping_connections(self, design: _Design) -> list[str]:
-        """Free connections that the motion makes slip with the least preload."""
+        """Return the free connections that slip under the motion at the least preload."""
         largest = np.max([np.abs(h.torque).max(axis=0) for h in self._motion_loads(design)], axis=0)
         return [
             element.key
@@ -296,7 +297,7 @@ class _JointStudy:
         problem = self._preload_problem(design, "total_preload", loads)
         return optimise_preloads(problem, progress=self._progress_callback()).vector
 
-    # ---- telling
+    # ---- reporting
 
     def _preloads_by_key(self, vector: np.ndarray) -> dict[str, float]:
         return {
@@ -305,7 +306,7 @@ class _JointStudy:
         }
 
     def _note_raised(self, vector: np.ndarray) -> None:
-        """Which of the present preloads could not be the start."""
+        """Add a remark on present preloads that were raised."""
         present = self._preloads_by_key(self.model.design)
         raised = [
             f"{key} from {present[key]:.0f} to {preload:.0f} N"
@@ -314,8 +315,8 @@ class _JointStudy:
         ]
         if raised:
             self.remarks.append(
-                "With its present preload a connection slips or hardly holds, so the start is the "
-                f"least that does not: {', '.join(raised)}."
+                "A connection slips or nearly slips at its present preload, so the start preload "
+                f"is raised: {', '.join(raised)}."
             )
 
     def _note_end(self, moved: _Design) -> None:
@@ -323,7 +324,7 @@ class _JointStudy:
             self.remarks.append(f"The rounds ended: {moved.motion.message}")
 
     def _progress_callback(self) -> Callable[[SolveProgress | Progress], object] | None:
-        """Both kinds of progress as that of a solve, with the part of the study before it."""
+        """Return a callback that reports the stage of the study with a solve's progress."""
         if self.progress is None:
             return None
         report, stage = self.progress, self.stage
@@ -383,7 +384,7 @@ class _JointStudy:
 
 
 def _motion_subproblem(problem: PreloadProblem) -> PreloadProblem:
-    """Keep what bounds the preloads; the study's own loads must be borne, but do not deflect."""
+    """Return the study without stiffness and deflection requirements, for use with a motion."""
     needs = replace(problem.requirements, joint_stiffness={}, tool_deflection=None)
     return replace(
         problem,
@@ -396,22 +397,22 @@ def _motion_subproblem(problem: PreloadProblem) -> PreloadProblem:
     )
 
 
-# A gain below this is called not worth the effort.
+# Least relative gain that is worth a joint study.
 _MIN_USEFUL_GAIN = 0.01
-# Less than what is written of it.
+# Least relative gain that is reported, below the written digits.
 _MIN_REPORTED_GAIN = 5e-5
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MotionRound:
-    """One round of the alternation.
+    """Round of the alternation.
 
     Parameters
     ----------
     deflection_before_preload, deflection_after : float
-        Of the new motion, with the preloads it was optimised for and with those then found [m].
+        Of the new motion, with the preloads before and after their optimisation [m].
     preloads : mapping of element key to float
-        Largest preload that tightening leaves, after the round [N].
+        Largest assembly preload after the round [N].
     """
 
     deflection_before_preload: float
@@ -421,34 +422,33 @@ class MotionRound:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MotionStudy:
-    """What optimising preloads and motion together is worth.
+    """Result of a joint optimisation of preloads and motion.
 
     Parameters
     ----------
     status : SolveStatus
-        acceptable where the rounds ended before the deflection settled.
+        acceptable if the rounds ended before the deflection converged.
     objective_name : str
-        Deflection whose peak counts, by the exact law with the least preloads.
+        Deflection whose peak is minimised, by the exact law at the least preloads.
     start : float
-        Of the motion optimised with the start preloads, before preloads change [m].
+        Of the motion optimised at the start preloads, with these [m].
     separate : float
-        The same motion after its preloads were optimised [m]; nan where the study was stopped
-        before.
+        Of the same motion with optimised preloads [m]; nan if interrupted before.
     joint : float
-        Both together [m]; never above `separate`, where the rounds begin.
+        Of both optimised together [m]; at most `separate`.
     gain : float
         1 - joint/separate.
     rounds : tuple of MotionRound
     start_preloads, separate_preloads, preloads : mapping of element key to float
-        Largest preload that tightening leaves [N].
+        Largest assembly preload [N].
     trajectory : Solution
         The motion of `joint`, assessed with its preloads.
     separate_trajectory : Solution
         The motion of `start` and `separate`, assessed with the preloads of `separate`.
     preload_solution : PreloadSolution or None
-        Rows and limits of `joint`.
+        Preload solution of `joint`.
     note : str
-        What it means.
+        Interpretation of the result.
     seconds : float
     """
 
@@ -470,20 +470,20 @@ class MotionStudy:
 
 
 def describe_gain(status: SolveStatus, gain: float) -> str:
-    """Tell a designer what the gain of a joint study means."""
+    """Return the interpretation of the gain of a joint study."""
     if not np.isfinite(gain):
         return "Stopped by the user before the preloads were optimised."
     if gain < _MIN_REPORTED_GAIN:
-        text = "Optimised together, preloads and motion deflect no less than one after another"
+        text = "Joint optimisation of preloads and motion does not lower the deflection"
     else:
         text = (
-            f"Optimised together, preloads and motion deflect {100 * gain:.2f} % less than one "
-            "after another"
+            f"Joint optimisation of preloads and motion lowers the deflection by {100 * gain:.2f} "
+            "% against separate optimisation"
         )
     if gain < _MIN_USEFUL_GAIN:
         text += ": a gain below 1 %, so the joint study is not worth it here"
     ends = {
         SolveStatus.INTERRUPTED: " Stopped by the user; this is the best so far.",
-        SolveStatus.ACCEPTABLE: " The rounds ended before the deflection settled.",
+        SolveStatus.ACCEPTABLE: " The rounds ended before the deflection converged.",
     }
     return f"{text}.{ends.get(status, '')}"

@@ -1,7 +1,7 @@
-"""Optimise the preloads of a study, with proof and with the reason where none will do.
+"""Optimisation of the preloads of a study, with proof or reason of infeasibility.
 
-The smooth law is shifted onto the exact one at each solution and solved again until the two agree
-there, so the optimum holds for the exact law.
+The smooth law is corrected to the exact one at each solution and solved again until converged, so
+the optimum is that of the exact law.
 """
 
 from __future__ import annotations
@@ -28,22 +28,22 @@ ProgressReport = Callable[[Progress], object]
 _IPOPT_OPTIONS = IpoptOptions(
     tol=1e-10, acceptable_tol=1e-8, max_iterations=300, extra={"bound_relax_factor": 0.0}
 )
-# Shifts of the smooth law at most, and the change of a preload, as a share of its capacity, that
-# ends them: IPOPT leaves as much.
+# Largest number of corrections of the smooth law, and change of a preload over its capacity that
+# ends them, the accuracy of IPOPT [-].
 _MAX_SHIFTS = 12
 _SHIFT_TOLERANCE = 1e-8
-# Share of an objective that may be lost where that saves preload.
+# Relative loss of an objective allowed for less preload [-].
 _MAX_OBJECTIVE_LOSS = 1e-9
 # Largest KKT residual of an optimum [-], with rows and multipliers of order one: IPOPT ends between
-# 1e-12 and 1e-8, and rows count as kept to 1e-6.
+# 1e-12 and 1e-8, and rows are satisfied to 1e-6.
 _MAX_KKT_RESIDUAL = 1e-6
-# Rounds in which worst instants of a motion are looked for anew; a design moves them once or twice.
+# Largest number of updates of a motion's worst instants; one or two suffice.
 WORST_INSTANT_ROUNDS = 6
 
 
 @dataclass(frozen=True, eq=False)
 class Optimum:
-    """End of one optimisation under fixed load cases."""
+    """Result of one optimisation under fixed load cases."""
 
     preloads: np.ndarray
     raw: RawSolution
@@ -52,12 +52,12 @@ class Optimum:
 
     @property
     def proved(self) -> bool:
-        """Whether the solver finished and fresh derivatives agree; nan is no proof."""
+        """True if the solver converged and the recomputed KKT residual is small."""
         return self.raw.converged and self.kkt_residual <= _MAX_KKT_RESIDUAL
 
     @property
     def status(self) -> SolveStatus:
-        """What the end is worth: without the proof it is no optimum."""
+        """Status of the result; not optimal without proof."""
         if self.raw.converged and not self.proved:
             return SolveStatus.ITERATION_LIMIT
         return _STATUS_BY_RESULT.get(self.raw.status, SolveStatus.ITERATION_LIMIT)
@@ -66,7 +66,7 @@ class Optimum:
 def optimise_preloads(
     problem: PreloadProblem, *, progress: ProgressReport | None = None, throw: bool = True
 ) -> PreloadSolution:
-    """Find the best preloads of a study.
+    """Find the optimum preloads of a study.
 
     Parameters
     ----------
@@ -83,7 +83,7 @@ def optimise_preloads(
     Raises
     ------
     NoSolutionFound
-        No preload meets the requirements, with the reason; `solution` holds the best reachable.
+        No preload meets the requirements; `solution` has the reasons and the best reachable.
     """
     cases = with_worst_instants(problem, problem.load_cases, PreloadModel(problem).design)
     solution = _solve_under_cases(PreloadModel(problem, cases), progress)
@@ -111,7 +111,7 @@ def optimise_preloads(
 def with_worst_instants(
     problem: PreloadProblem, cases: tuple[LoadCase, ...], preloads: np.ndarray
 ) -> tuple[LoadCase, ...]:
-    """Add the instants of the study's motions that are worst with these preloads."""
+    """Add the worst instants of the study's motions at these preloads."""
     model = PreloadModel(problem, cases)
     found = {case.name: case for case in cases}
     for history in problem.histories:
@@ -128,7 +128,7 @@ def with_worst_instants(
 
 
 def _critical_instants(model: PreloadModel, motion: LoadHistory) -> set[int]:
-    """Instants that are worst for some check of some flange."""
+    """Return the instants that are worst for any check of any flange."""
     tightening = model.problem.tightening
     return set().union(
         *(critical_instants(e.stage, e.joint, motion, tightening) for e in model.elements)
@@ -136,10 +136,10 @@ def _critical_instants(model: PreloadModel, motion: LoadHistory) -> set[int]:
 
 
 def objective_levels(model: PreloadModel) -> Levels:
-    """Weights of the stiffnesses and scale of the deflection: what the joints have without slip.
+    """Return weights of the stiffnesses and scale of the deflection at the largest preloads.
 
-    With every preload at its largest the connections hold where they can hold at all, so the
-    stiffnesses there compare joints of different size.
+    At the largest preloads no connection slips unless it must, so these stiffnesses compare joints
+    of different size.
     """
     upper = model.spread([e.capacity for e in model.elements])
     stiffness = model.exact_stiffness(upper).min(axis=1)
@@ -162,8 +162,8 @@ def optimum(
 ) -> Optimum:
     """Optimise one objective under the model's load cases, by the exact law.
 
-    Two objectives leave preloads undetermined that do not matter to them; of these designs the one
-    with the least total preload is taken.
+    Minimax objectives leave some preloads undetermined; of the optimal designs the one of least
+    total preload is returned.
     """
     levels = levels or objective_levels(model)
     first = _exact_optimum(PreloadNlp(model, objective, levels), progress)
@@ -180,7 +180,7 @@ def optimum(
 def _exact_optimum(
     nlp: PreloadNlp, progress: ProgressReport | None, start: np.ndarray | None = None
 ) -> Optimum:
-    """Solve and shift the smooth law until its optimum is that of the exact law."""
+    """Solve and correct the smooth law until its optimum is that of the exact law."""
     solver = IpoptSolver(nlp.nlp, _IPOPT_OPTIONS)
     size = nlp.model.size
     lower, upper = nlp.bounds()
@@ -234,7 +234,7 @@ _STATUS_BY_RESULT = {
 def _deflection_stopper(
     model: PreloadModel, progress: ProgressReport | None
 ) -> tuple[Stopper, ...]:
-    """The least deflection within all other limits, where it is still too large."""
+    """Return the stopper if the least deflection within all other limits is too large."""
     needs = model.problem.requirements
     allowed = needs.tool_deflection
     assert allowed is not None
@@ -254,7 +254,7 @@ def _deflection_stopper(
             best=float(sizes[worst]),
             required=allowed,
             unit="m",
-            against="bolts and pins bear no larger preloads",
+            against="bolts and pins are at their largest preloads",
             remedy="a smaller load, another pose, larger bolts, or stiffer reducers",
         ),
     )

@@ -1,8 +1,7 @@
-"""Front between the least total preload and the most stiffness, with its knee.
+"""Pareto front between total preload and stiffness, with its knee.
 
-Epsilon-constraint: the least total preload for a stiffness level, over levels from what the least
-preloads give to the most that the limits leave. Each point is an optimum of its own, with its
-residual.
+Epsilon-constraint method: the least total preload for a stiffness level, over levels from that of
+the least preloads to the largest within the limits. Each point is an optimum with its residual.
 """
 
 from __future__ import annotations
@@ -22,30 +21,30 @@ from stiffopt.preload.optimise import Optimum, ProgressReport, objective_levels,
 from stiffopt.preload.problem import PreloadProblem
 from stiffopt.preload.utilisation import utilisation_rows
 
-# Levels closer than this, relative, are one.
+# Relative difference of equal levels.
 _LEVEL_TOLERANCE = 1e-6
-# Rounds in which the intervals beside the knee are halved.
+# Number of bisections of the intervals beside the knee.
 _KNEE_ROUNDS = 2
-# A stiffness gain along the whole front below this is called hardly any.
+# Relative stiffness gain along the front below which it is called flat.
 _FLAT_FRONT_GAIN = 0.05
 
 
 @dataclass(frozen=True, eq=False)
 class ParetoPoint:
-    """The least preloads for a level of stiffness.
+    """Least preloads for a level of stiffness.
 
     Parameters
     ----------
     total_preload : float
-        Clamping forces of all bolts and pins together [N].
+        Sum of the preloads of all bolts and pins [N].
     level : float
         Least k_j / weight_j over joints and load cases [-].
     stiffness : tuple of float
-        Of each joint of the study, the least over the load cases, by the exact law [N m/rad].
+        Least over the load cases of each joint, by the exact law [N m/rad].
     preloads : mapping of element key to float
-        Largest preload that tightening leaves [N]; of individual preloads the mean.
+        Largest assembly preload, mean of individual ones [N].
     active : tuple of str
-        Names of the requirements that the point lies at.
+        Names of the active requirements.
     kkt_residual : float
         See `stiffopt.solver.ipopt.kkt_residual`.
     """
@@ -60,23 +59,22 @@ class ParetoPoint:
 
 @dataclass(frozen=True, eq=False)
 class ParetoFront:
-    """Designs of which none is both less tight and stiffer than another.
+    """Designs of which none has both less preload and more stiffness than another.
 
     Parameters
     ----------
     points : tuple of ParetoPoint
-        In rising total preload.
+        By ascending total preload.
     knee : int
         Position of the knee in `points`.
     knee_reason : str
-        How the knee was chosen, and where it lies.
+        Definition and location of the knee.
     note : str
-        What a user gains along the front.
+        Gain along the front.
     weights : mapping of joint number to float
-        Stiffness that stands for level 1 [N m/rad]: that with every preload at its largest, where
-        the study gives no weights of its own.
+        Stiffness of level 1 [N m/rad]: given, or that at the largest preloads.
     interrupted : bool
-        Stopped by Ctrl-C: the points found so far.
+        Stopped by Ctrl-C; the points are those found so far.
     """
 
     points: tuple[ParetoPoint, ...]
@@ -94,28 +92,28 @@ def pareto_front(
     *,
     progress: ProgressReport | None = None,
 ) -> ParetoFront:
-    """Trace the least total preload against the stiffness that is asked for.
+    """Compute the front of least total preload over required stiffness.
 
     Parameters
     ----------
     problem : PreloadProblem
-        All its requirements hold along the front but the joint stiffness, which is what varies.
+        Its requirements hold along the front, except joint stiffness, which is varied.
     cases : sequence of LoadCase
-        Torques that the designs carry; motions are not looked at again.
+        Loads of the designs; worst instants of motions are not updated.
     points : int
-        Evenly spaced levels, 2 or more; a few more are put beside the knee.
+        Evenly spaced levels, 2 or more; some more are added beside the knee.
     progress : callable, optional
         Called with a `Progress` in every iteration.
 
     Returns
     -------
     ParetoFront
-        Of one point where the limits leave the stiffness no room.
+        A single point if the limits fix the stiffness.
 
     Raises
     ------
     NoSolutionFound
-        No preload keeps the other requirements, with the reason.
+        No preload satisfies the other requirements.
     """
     trace = _FrontTrace(problem, tuple(cases), progress)
     least, most = trace.least_level, trace.most_level
@@ -140,7 +138,7 @@ def pareto_front(
 
 
 class _FrontTrace:
-    """Points of one front and what they share."""
+    """Solver of the points of one front."""
 
     def __init__(
         self, problem: PreloadProblem, cases: tuple[LoadCase, ...], progress: ProgressReport | None
@@ -155,7 +153,7 @@ class _FrontTrace:
         stoppers = find_stoppers(nlp)
         if stoppers:
             raise NoSolutionFound(
-                "No preload keeps the limits, so there is no front. "
+                "No preload satisfies the limits, so there is no front. "
                 + " ".join(str(stop) for stop in stoppers)
             )
         end = self._solve_proved(model, "total_preload")
@@ -169,7 +167,7 @@ class _FrontTrace:
         self.most_level = float(np.min(self._stiffness_levels(nlp.bounds()[1])))
 
     def points(self, levels: Sequence[float] | np.ndarray) -> list[ParetoPoint]:
-        """Optima for these levels; those without proof are left out and counted."""
+        """Return proved optima at these levels; others are omitted and counted."""
         found = []
         for level in levels:
             if self.interrupted:
@@ -181,10 +179,10 @@ class _FrontTrace:
         return found
 
     def end(self) -> list[ParetoPoint]:
-        """The most stiffness that the limits leave, with no more preload than that takes.
+        """Return the point of largest stiffness within the limits, at least preload.
 
-        Limits and level meet in one point there, which an interior method cannot enter: the joints
-        that end the front get their stiffest preloads, the others the least for the same level.
+        Limits and level leave no interior there for an interior-point method: the joints that limit
+        the level get their stiffest preloads, the others the least for the same level.
         """
         most = None if self.interrupted else self._solve_proved(self.model, "joint_stiffness")
         if most is None:
@@ -209,7 +207,7 @@ class _FrontTrace:
         return PreloadModel(replace(self.problem, requirements=needs), self.cases)
 
     def _solve_proved(self, model: PreloadModel, objective: str) -> Optimum | None:
-        """An optimum with its proof; one without is counted."""
+        """Return a proved optimum; None and counted without proof."""
         found = optimum(model, objective, levels=self.levels, progress=self.progress)
         if found.proved:
             return found
@@ -219,7 +217,7 @@ class _FrontTrace:
 
     @property
     def left_out(self) -> str:
-        """What is missing from the front."""
+        """Message about omitted points; "" without any."""
         if self.interrupted:
             return "Stopped by the user; the front holds the points found so far."
         if self.unproved:
@@ -227,7 +225,7 @@ class _FrontTrace:
         return ""
 
     def _stiffness_levels(self, preloads: np.ndarray) -> np.ndarray:
-        """Least stiffness of each joint over its weight (joints,)."""
+        """Return the least stiffness of each joint over its weight (joints,)."""
         weights = [self.levels.stiffness[joint] for joint in self.problem.joints]
         return np.asarray(self.model.exact_stiffness(preloads).min(axis=1) / weights)
 
@@ -255,7 +253,7 @@ def _without_stiffness(problem: PreloadProblem) -> PreloadProblem:
 
 
 def _chord_distances(points: Sequence[ParetoPoint]) -> np.ndarray:
-    """Distance of each point above the chord between the ends, both axes from 0 to 1."""
+    """Return the distance of each point from the chord, both axes scaled to 0 to 1."""
     total = np.array([p.total_preload for p in points])
     level = np.array([p.level for p in points])
     x = (total - total[0]) / (total[-1] - total[0])
@@ -271,7 +269,7 @@ def _knee_reason(points: Sequence[ParetoPoint], knee: int) -> str:
     at = points[knee]
     place = f"{at.total_preload / 1e3:.1f} kN in all, {_format_percent(at.level, points[-1].level)}"
     if len(points) < 3:
-        return f"Too few points for a knee; the least preload stands for it: {place}."
+        return f"Too few points for a knee; the least preload is used: {place}."
     distance = float(_chord_distances(points)[knee])
     return (
         "The knee is the point farthest from the chord between the ends, with both axes scaled to "
@@ -287,19 +285,19 @@ def _describe_front(points: Sequence[ParetoPoint]) -> str:
     first, last = points[0], points[-1]
     if len(points) == 1:
         return (
-            "The front is a single point: at the least preload the stiffness is already the most "
-            "that the limits leave."
+            "The front is a single point: at the least preload the stiffness is already the "
+            "largest within the limits."
         )
     if not first.level > 0.0:
-        # A joint without a load holds nothing at the least preload after scatter and losses.
+        # A joint without load may have no preload left after scatter and losses.
         return (
-            "At the least preload a connection without a load keeps no clamp force, so no relative"
-            " gain in stiffness can be told."
+            "At the least preload a connection without load has no clamp force, so the relative"
+            " gain in stiffness is undefined."
         )
-    what = "stiffness" if len(first.stiffness) == 1 else "the least relative stiffness"
+    quantity = "stiffness" if len(first.stiffness) == 1 else "the least relative stiffness"
     gain, more = last.level / first.level - 1.0, last.total_preload / first.total_preload - 1.0
     text = (
-        f"From the least to the most preload, {100 * more:.0f} % more in all, {what} rises by "
+        f"From the least to the most preload, {100 * more:.0f} % more in all, {quantity} rises by "
         f"{100 * gain:.1f} %"
     )
     if gain < _FLAT_FRONT_GAIN:

@@ -17,22 +17,22 @@ from stiffopt.preload.model import PreloadModel
 
 @dataclass(frozen=True, kw_only=True)
 class PreloadWorth:
-    """Gain in a joint's stiffness from one more newton in every bolt or pin of an element.
+    """Sensitivity of a joint's stiffness to the preload of an element's bolts or pins.
 
     Parameters
     ----------
     key : str
-        Of the element.
+        Key of the element.
     joint : int
         1-based.
     case : str
     stiffness : float
         Exact tangent stiffness K of the joint [N m/rad].
     slope : float
-        dK/dF [N m/rad per N], F the largest preload of one bolt or pin that tightening leaves; 0
-        where a connection slips and no stiffness is left to gain from.
+        dK/dF [N m/rad per N], F the largest assembly preload of one bolt or pin; 0 where a
+        connection slips.
     elasticity : float
-        d ln K/d ln F [-]: per cent of stiffness for one per cent of preload.
+        d ln K/d ln F [-].
     """
 
     key: str
@@ -45,7 +45,7 @@ class PreloadWorth:
 
 @dataclass(frozen=True, kw_only=True)
 class WindupShare:
-    """Part of an element in the yielding of its joint.
+    """Share of an element in wind-up and compliance of its joint.
 
     Parameters
     ----------
@@ -71,14 +71,14 @@ class WindupShare:
 
 @dataclass(frozen=True)
 class Sensitivity:
-    """Worth of the preloads and shares of the elements at one design.
+    """Sensitivities to the preloads and shares of the elements at one design.
 
     Parameters
     ----------
     worth : tuple of PreloadWorth
         Every free element in every load case.
     shares : tuple of WindupShare
-        Every element of the study's joints in every load case, from motor to link; the shares of a
+        Every element of the study's joints in every load case, from motor to link; shares of a
         joint and case sum to 1.
     weakest : dict of joint number to element name
         Largest share of the wind-up under the largest torque of the joint.
@@ -90,7 +90,7 @@ class Sensitivity:
 
 
 def sensitivity(model: PreloadModel, preloads: np.ndarray) -> Sensitivity:
-    """Evaluate what each preload is worth and where the joints yield.
+    """Compute sensitivities to the preloads and shares of the elements in wind-up.
 
     Parameters
     ----------
@@ -104,8 +104,8 @@ def sensitivity(model: PreloadModel, preloads: np.ndarray) -> Sensitivity:
 
     Notes
     -----
-    Stiffness and shares are of the exact law. The slope is -K^2 dC/dF with the derivative of the
-    smooth law, which holds up to 0.95 of the slip torque.
+    Stiffness and shares follow the exact law. The slope is -K^2 dC/dF with the derivative of the
+    smooth law, valid up to 0.95 of the slip torque.
     """
     shares = tuple(_windup_shares(model, preloads))
     weakest = {}
@@ -117,7 +117,7 @@ def sensitivity(model: PreloadModel, preloads: np.ndarray) -> Sensitivity:
 
 
 def largest_torque(model: PreloadModel, joint: int) -> LoadCase:
-    """Load case with the largest torque at a joint (1-based), where slip is nearest."""
+    """Return the load case with the largest torque at a joint (1-based), nearest to slip."""
     return max(model.cases, key=lambda case: abs(float(case.torque[joint - 1])))
 
 
@@ -142,7 +142,7 @@ def _preload_worths(model: PreloadModel, preloads: np.ndarray) -> Iterator[Prelo
 
 
 def compliance_slopes(model: PreloadModel, preloads: np.ndarray) -> np.ndarray:
-    """Derivatives of the joints' tangent compliances with respect to the preloads.
+    """Return the derivatives of the joints' tangent compliances by the preloads.
 
     Parameters
     ----------
@@ -188,28 +188,28 @@ def _windup_shares(model: PreloadModel, preloads: np.ndarray) -> Iterator[Windup
 
 @dataclass(frozen=True, kw_only=True)
 class LoosenedConnection:
-    """A joint with one connection at a fraction of its preload, under its largest torque.
+    """Joint with one connection at a fraction of its preload, under its largest torque.
 
     Parameters
     ----------
     key : str
-        Of the element.
+        Key of the element.
     joint : int
         1-based.
     fraction : float
-        Of the least preload that tightening leaves, for all bolts or pins of the element [-].
+        Of the least preload in service, for all bolts or pins of the element [-].
     case : str
         Load case with the largest torque at the joint.
     slip_safety : float
         Slip torque over torque [-]; infinite without torque.
     first_slip : bool
-        The rim of the ring slips. Pins bear at one radius, so all of them slip at once.
+        The rim of the ring slips; pins at one radius slip simultaneously.
     slips : bool
         The whole connection slips.
     stiffness : float
-        Tangent stiffness of the joint by the exact law [N m/rad]; 0 where the connection slips.
+        Tangent stiffness of the joint by the exact law [N m/rad]; 0 in slip.
     lost : float
-        Part of the tight joint's stiffness that is gone [-].
+        Relative loss of the joint stiffness [-].
     """
 
     key: str
@@ -225,14 +225,14 @@ class LoosenedConnection:
 
 @dataclass(frozen=True)
 class Loosening:
-    """All connections of a study as they work loose, one at a time.
+    """Joints of a study with one connection loosened at a time.
 
     Parameters
     ----------
     rows : tuple of Loosened
     first_slip_fraction, slip_fraction : dict of element key to float
         Fraction of the least preload below which the rim, or the whole connection, slips under the
-        largest torque [-]; above 1 where it slips when tight already.
+        largest torque [-]; above 1 if it slips at full preload.
     """
 
     rows: tuple[LoosenedConnection, ...]
@@ -245,15 +245,15 @@ def loosening(
     preloads: np.ndarray,
     fractions: Sequence[float] = (1.0, 0.8, 0.5, 0.3),
 ) -> Loosening:
-    """Loosen each connection while the others stay tight.
+    """Loosen one connection at a time.
 
     Parameters
     ----------
     model : PreloadModel
     preloads : array (size,)
-        Largest preloads as tightened [N].
+        Largest assembly preloads [N].
     fractions : sequence of float
-        Of the least preload that is left of them, above 0 and at most 1.
+        Of the least preload in service, above 0 and at most 1.
 
     Returns
     -------
@@ -262,8 +262,8 @@ def loosening(
     for fraction in fractions:
         if not 0.0 < fraction <= 1.0:
             raise ProblemError(
-                f"loosening: fraction = {fraction:g} must be above 0 and at most 1, the part of "
-                "the preload that is left. Leave it out."
+                f"loosening: fraction = {fraction:g} of the remaining preload must be above 0 and "
+                "at most 1. Leave it out."
             )
     rims = [first_slip_torque(model, preloads, i) for i in range(len(model.elements))]
     slips = [float(model.slip_torque(preloads, i)) for i in range(len(model.elements))]
@@ -272,7 +272,7 @@ def loosening(
     whole: dict[str, float] = {}
     for index, (element, rim, slip) in enumerate(zip(model.elements, rims, slips, strict=True)):
         torque = abs(float(largest_torque(model, element.joint).torque[element.joint - 1]))
-        # Both slip torques are proportional to the preload that is left.
+        # Both slip torques are proportional to the remaining preload.
         first[element.key], whole[element.key] = torque / rim, torque / slip
         rows += _loosened_rows(
             model, preloads, index, fractions, first[element.key], whole[element.key]
@@ -281,9 +281,9 @@ def loosening(
 
 
 def first_slip_torque(model: PreloadModel, preloads: np.ndarray, index: int) -> float:
-    """Joint torque at which an element begins to slip [N m]: a ring at its rim, pins all at once.
+    """Return the joint torque at first slip of an element at the least mean preload [N m].
 
-    With the least preload, even over the ring.
+    A ring slips first at its rim; pins slip simultaneously.
     """
     element = model.elements[index]
     connection = element.stage.element
@@ -297,7 +297,7 @@ def first_slip_torque(model: PreloadModel, preloads: np.ndarray, index: int) -> 
 def loosen_element(
     model: PreloadModel, preloads: np.ndarray, index: int, fraction: float
 ) -> np.ndarray:
-    """Design vector whose least preloads are a fraction of the tight ones in one element [N]."""
+    """Return the design vector with a fraction of the least preloads of one element [N]."""
     element, part = model.elements[index], model.slices[index]
     changed = preloads.copy()
     changed[part] = element.largest(fraction * element.least(preloads[part]))

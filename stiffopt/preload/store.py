@@ -1,6 +1,6 @@
-"""study.json and study.csv: the files a preload study leaves behind.
+"""Result files of a preload study: study.json and study.csv.
 
-Values are SI with full precision; what is not a finite number is null in JSON. Joint numbers are
+Values are SI with full precision; values that are not finite are null in JSON. Joint numbers are
 1-based.
 """
 
@@ -35,12 +35,12 @@ CURVES_FILE = "study.csv"
 
 
 def study_document(study: PreloadStudy) -> dict[str, Any]:
-    """Content of study.json.
+    """Return the content of study.json.
 
     Parameters
     ----------
     study : PreloadStudy
-        Of any status; what does not exist (no front, no choice, no motion) is None.
+        Of any status; missing parts (front, choice, motion) are None.
 
     Returns
     -------
@@ -113,7 +113,7 @@ def _compose_document(study: PreloadStudy) -> dict[str, Any]:
 
 
 def study_hash(problem: PreloadProblem) -> str:
-    """`inputs_hash` of a study, with the numbers of bolts that it knows by their size alone."""
+    """Return `inputs_hash` of a study, including user data of its bolt sizes."""
     sizes = set() if problem.choose is None else set(problem.choose.sizes)
     for joint in problem.joints:
         chain = problem.robot.chains[joint - 1]
@@ -144,19 +144,19 @@ def write_curves(study: PreloadStudy, directory: str | Path) -> Path:
 
 
 def _record_fields(record: Any) -> dict[str, Any]:
-    """Fields of a flat dataclass."""
+    """Return the fields of a flat dataclass."""
     return dict(vars(record))
 
 
 def _values_by_case(
     solution: PreloadSolution, values: Sequence[float] | np.ndarray
 ) -> dict[str, Any]:
-    """Values of the load cases by their name."""
+    """Return the values by name of load case."""
     return {case.name: value for case, value in zip(solution.cases, values, strict=True)}
 
 
 def _stiffness_entries(study: PreloadStudy) -> dict[str, Any]:
-    """Of every joint: the least over the load cases, and that of each; now and before."""
+    """Return present and former stiffness of every joint: least, and by load case."""
     document: dict[str, Any] = {}
     now, before = study.solution.stiffness, study.solution.stiffness_before
     for when, table in (("", now), ("_before", before)):
@@ -174,7 +174,7 @@ def _study_sheets(study: PreloadStudy) -> tuple[BoltSheet, ...]:
 
 
 def _sheet_entry(sheet: BoltSheet) -> dict[str, Any]:
-    """Forces of one bolt step by step, and the load of each."""
+    """Return the entries of one bolt sheet."""
     left_out = ("key", "flange", "loads", "chance", "safety")
     own = {key: value for key, value in vars(sheet).items() if key not in left_out}
     loads = dict(zip(sheet.loads.names, sheet.loads.values, strict=True))
@@ -190,8 +190,8 @@ def _row_entry(row: UtilisationRow) -> dict[str, Any]:
 
 
 def _safety_entry(row: UtilisationRow) -> dict[str, Any]:
-    """One safety factor with its formula and the load case that it is least in."""
-    assert row.safety is not None  # rows without one are not asked for
+    """Return a safety factor with its formula and governing load case."""
+    assert row.safety is not None  # governing rows have one
     against, formula = SAFETY_FACTORS[row.safety.symbol]
     return {
         "value": row.safety.value,

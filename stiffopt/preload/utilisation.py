@@ -1,4 +1,4 @@
-"""Everything a preload design has to keep, by name and with its utilisation, by the exact law."""
+"""Utilisation rows of a preload design: all requirements, by the exact law."""
 
 from __future__ import annotations
 
@@ -10,14 +10,12 @@ from stiffopt.connection import Key
 from stiffopt.fastening.limits import key_pressure_limit
 from stiffopt.fastening.utilisation import SafetyFactor, UtilisationRow, governing_rows
 from stiffopt.fastening.vdi_rows import vdi_rows
+from stiffopt.preload.load_case import ZERO_TORQUE_SHARE
 from stiffopt.preload.model import PreloadModel
-
-# Share of the largest torque of a joint below which one is zero but for rounding, and no reversal.
-_ZERO_TORQUE_SHARE = 1e-9
 
 
 def utilisation_rows(model: PreloadModel, preloads: np.ndarray) -> tuple[UtilisationRow, ...]:
-    """All rows of a design by the exact law.
+    """Return all rows of a design by the exact law.
 
     Parameters
     ----------
@@ -38,7 +36,7 @@ def utilisation_rows(model: PreloadModel, preloads: np.ndarray) -> tuple[Utilisa
 def governing_safety(
     model: PreloadModel, preloads: np.ndarray, index: int
 ) -> dict[str, UtilisationRow]:
-    """Steps of VDI 2230 with the least of each safety factor of an element, by symbol."""
+    """Return the rows with the least of each safety factor of an element, by symbol."""
     steps = model.verifications[index]
     if steps is None:
         return {}
@@ -73,7 +71,7 @@ def _slip_rows(
             )
 
 
-# Steps of VDI 2230 that bound the preload at assembly.
+# Steps of VDI 2230 that limit the preload at assembly.
 _VDI_STEP_BY_LIMIT = {
     "bolt utilisation": "R7/2",
     "head pressure": "R10/1",
@@ -115,18 +113,18 @@ def _fastener_rows(model: PreloadModel, preloads: np.ndarray) -> Iterator[Utilis
             unit="N",
             utilisation=floor / lowest if lowest > 0.0 else np.inf,
             provenance="estimated",
-            source="a hardly tightened bolt works loose; the share is our choice",
+            source="a bolt with little preload works loose; the share is an assumption",
             remedy="a smaller require.least_preload, or a smaller bolt",
         )
 
 
 def _key_rows(model: PreloadModel) -> Iterator[UtilisationRow]:
-    """Flank pressures of the keys: no preload changes them, but a design must keep them."""
+    """Yield the flank pressures of keys, which do not depend on preloads."""
     for joint in model.problem.joints:
         chain = model.problem.robot.chains[joint - 1]
         assert chain is not None
         torques = [float(case.torque[joint - 1]) for case in model.cases]
-        noise = _ZERO_TORQUE_SHARE * max(abs(torque) for torque in torques)
+        noise = ZERO_TORQUE_SHARE * max(abs(torque) for torque in torques)
         reversing = min(torques) < -noise and max(torques) > noise
         for stage in chain.stages:
             key = stage.element
@@ -169,7 +167,7 @@ def _stiffness_rows(model: PreloadModel, preloads: np.ndarray) -> Iterator[Utili
                 limit=needed[joint],
                 unit="N m/rad",
                 utilisation=needed[joint] / float(stiffness) if stiffness > 0.0 else np.inf,
-                remedy="a stiffer reducer or stiffer elements: look at the shares of the wind-up",
+                remedy="a stiffer reducer or stiffer elements: see the shares of the wind-up",
             )
 
 

@@ -96,7 +96,7 @@ def test_each_step_lowers_the_deflection(rough):
     assert study.status is SolveStatus.OPTIMAL
     assert study.joint <= study.separate < study.start
     assert study.gain == pytest.approx(1.0 - study.joint / study.separate, abs=1e-15)
-    assert f"{100 * study.gain:.2f} % less" in study.note
+    assert f"{100 * study.gain:.2f} %" in study.note
     # The start is what the robot has.
     assert study.start_preloads == {e.key: e.stage.element.preload for e in problem.elements}
 
@@ -249,8 +249,8 @@ def test_ctrl_c_once_is_enough_in_a_round(tmp_path):
 @pytest.mark.parametrize(
     ("objectives", "reason"),
     [
-        ((Objective(name="torque_squared"),), "preloads do not change it"),
-        ((Objective(name="joint_stiffness"),), "best at their limits whatever the motion"),
+        ((Objective(name="torque_squared"),), "it does not depend on the preloads"),
+        ((Objective(name="joint_stiffness"),), "their optimum is at the limits for any motion"),
         ((Objective(name="dynamic_deflection", measure="rms"),), "rms dynamic_deflection"),
         (
             (Objective(name="dynamic_deflection"), Objective(name="torque_squared", weight=1e-6)),
@@ -324,7 +324,7 @@ def test_robot_takes_preloads_by_joint_and_name(tmp_path):
 
 
 def test_meaning_of_a_gain():
-    assert "3.00 % less" in describe_gain(SolveStatus.OPTIMAL, 0.03)
+    assert "3.00 %" in describe_gain(SolveStatus.OPTIMAL, 0.03)
     assert "not worth it" not in describe_gain(SolveStatus.OPTIMAL, 0.03)
     assert "no less than" in describe_gain(SolveStatus.OPTIMAL, 1e-8)
     assert "before the deflection settled" in describe_gain(SolveStatus.ACCEPTABLE, 0.03)
