@@ -165,7 +165,7 @@ def test_nut_presses_its_part_and_strips_no_thread():
     assert room[1] / room[0] == pytest.approx(14.38 / 13.0)
 
 
-def test_nut_settles_as_a_head_does():
+def test_nut_embeds_like_a_head():
     assert embedding(6.3e-6, 1, nut=True) == pytest.approx(11e-6)
     assert embedding(6.3e-6, 1) == pytest.approx(8e-6)
 
@@ -211,7 +211,7 @@ def test_stainless_bolts_yield_more_and_lose_preload_by_warmth():
         ({"grade": "A2-70", "rolled": "after"}, "stainless bolts have none"),
     ],
 )
-def test_bolts_that_cannot_be(changes, said):
+def test_impossible_bolts_are_refused(changes, said):
     with pytest.raises(InputError, match=said):
         bolts.permissible_preload(flange(bolt=Bolt(size="M8", **changes)), Tightening())
 

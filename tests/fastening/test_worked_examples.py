@@ -151,7 +151,7 @@ def test_necked_down_bolts_with_fine_threads(pitch, friction):
     assert found == printed(force)
 
 
-def test_a_waist_bears_less_and_yields_more():
+def test_necked_shank_is_weaker_and_more_compliant():
     full = flange(bolt=Bolt(size="M6"))
     thin = flange(bolt=Bolt(size="M6", shank_diameter=4.3e-3))
     load = FlangeLoads(names=("load",), values=np.array([[300.0, 0, 900.0, 60.0, 0, 20.0]]))

@@ -131,7 +131,7 @@ def test_flexspline_of_joint_2(j2):
     assert cheaper == []
 
 
-def test_table_has_every_kind_of_bolts_with_what_stops_it(j2):
+def test_table_has_every_kind_of_bolts_with_limit(j2):
     assert len(j2.table) == 3 * 2 * 4
     assert sum(row.torques for row in j2.table) == j2.proof.combinations
     (chosen,) = [row for row in j2.table if row.chosen]
@@ -168,7 +168,7 @@ def test_torques_beyond_the_preferred_numbers_of_the_search_are_infeasible():
         ({"tool_deflection": 1e-4}, "tool deflection, peak", "m"),
     ],
 )
-def test_an_empty_catalogue_says_what_stops_it(needs, limit, unit):
+def test_empty_catalogue_names_the_limit(needs, limit, unit):
     problem = study(
         case(j2=110.0, jacobian=JACOBIAN),
         needs=needs,
@@ -293,7 +293,7 @@ def test_scatter_free_tightening_needs_less():
 
 
 @pytest.mark.parametrize(("found", "status"), [(False, "iteration_limit"), (True, "acceptable")])
-def test_a_search_that_is_cut_short_says_so(monkeypatch, found, status):
+def test_interrupted_search_is_reported(monkeypatch, found, status):
     solved = CombinationSearch._solve_programme
 
     def cut_short(search, goal):
@@ -320,7 +320,7 @@ def test_a_search_that_is_cut_short_says_so(monkeypatch, found, status):
 # ---- how to tighten
 
 
-def test_way_to_tighten_is_chosen_with_the_bolts():
+def test_tightening_method_is_chosen_with_the_bolts():
     choose = Choice(methods=("torque_wrench", "angle"), coatings=("oiled", "MoS2"), washers=True)
     problem = study(
         case(j2=80.0),
@@ -360,7 +360,7 @@ def test_way_to_tighten_is_chosen_with_the_bolts():
         Choice(methods=("angel",))
 
 
-def test_bolts_of_an_empty_catalogue_are_shown_as_loose_as_their_own_limits_allow():
+def test_empty_catalogue_shows_least_preload_within_limits():
     """The stiffness is out of reach, though each flange alone could be tightened."""
     choose = Choice(sizes=("M4", "M5"), counts=(8, 12))
     problem = study(

@@ -12,7 +12,7 @@ from stiffopt.preload.nlp import PreloadNlp
 from stiffopt.preload.optimise import objective_levels, optimise_preloads
 
 
-def test_each_newton_of_clamping_force_is_worth_the_same_at_the_optimum():
+def test_marginal_gains_are_equal_at_the_optimum():
     """Where stiffness alone holds two preloads, dC/dF over the bolts is equal for both."""
     loose = optimise_preloads(study(case(j2=20.0))).stiffness[0, 0]
     tight = optimise_preloads(study(case(j2=20.0), objective="joint_stiffness")).stiffness[0, 0]
@@ -68,7 +68,7 @@ def test_shifted_rows_have_the_value_and_the_slope_of_the_exact_law(objective):
         assert slopes[0] == pytest.approx(slopes[1], rel=1e-4, abs=1e-14)
 
 
-def test_what_does_not_deflect_the_tool_is_not_tightened_for_it():
+def test_joints_without_deflection_keep_least_preload():
     loads = (case("hold", JACOBIAN, j2=40.0), case("peak", j6=3.0))
     problem = study(*loads, joints=(2, 6), objective="tool_deflection")
     solution = optimise_preloads(problem)

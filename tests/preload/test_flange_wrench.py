@@ -257,7 +257,7 @@ def test_net_preload_is_not_diminished_again():
     assert rows["bolt utilisation"].value < 1.0
 
 
-def test_purchased_pattern_is_left_alone_unless_told():
+def test_purchased_pattern_is_fixed_unless_redrilled():
     robot = load_robot("er3a_c60")
     problem = PreloadProblem(
         robot=robot,

@@ -101,7 +101,7 @@ def test_each_step_lowers_the_deflection(rough):
     assert study.start_preloads == {e.key: e.stage.element.preload for e in problem.elements}
 
 
-def test_the_gain_is_not_one_of_more_solving(rough):
+def test_gain_excludes_effect_of_more_solves(rough):
     # With the start preloads the joint motion is no better than the one found for them.
     motion, problem, study, _ = rough
     moved = certified(motion, problem, study.start_preloads, study.trajectory.trajectory)
@@ -126,7 +126,7 @@ def test_no_preloads_of_a_grid_deflect_less(rough):
                 assert other >= reached * (1.0 - 1e-6)
 
 
-def test_rounds_follow_one_another(rough):
+def test_rounds_continue_from_each_other(rough):
     _, _, study, _ = rough
     assert 1 <= len(study.rounds) <= 3
     for each in study.rounds:
@@ -173,7 +173,7 @@ def test_a_small_gain_is_called_not_worth_it(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_start_that_slips_is_raised_to_the_least_that_holds(tmp_path):
+def test_slipping_start_preload_is_raised_to_least_feasible(tmp_path):
     motion = arm(tmp_path, preload="0.9 kN")
     problem = study_of(motion)
     study = motion_study(problem, motion, rounds=1)
@@ -258,7 +258,7 @@ def test_ctrl_c_once_is_enough_in_a_round(tmp_path):
         ),
     ],
 )
-def test_objectives_that_preloads_cannot_serve_are_refused(tmp_path, objectives, reason):
+def test_objectives_independent_of_preloads_are_refused(tmp_path, objectives, reason):
     motion = replace(arm(tmp_path), objectives=objectives)
     with pytest.raises(ProblemError, match=f"{reason}.*Minimise one of dynamic_deflection"):
         motion_study(study_of(motion), motion)
@@ -323,10 +323,10 @@ def test_robot_takes_preloads_by_joint_and_name(tmp_path):
         robot.with_preloads({3: {"flange": 1.0}})
 
 
-def test_meaning_of_a_gain():
+def test_gain_is_described():
     assert "3.00 %" in describe_gain(SolveStatus.OPTIMAL, 0.03)
     assert "not worth it" not in describe_gain(SolveStatus.OPTIMAL, 0.03)
-    assert "no less than" in describe_gain(SolveStatus.OPTIMAL, 1e-8)
+    assert "does not lower" in describe_gain(SolveStatus.OPTIMAL, 1e-8)
     assert "before the deflection settled" in describe_gain(SolveStatus.ACCEPTABLE, 0.03)
 
 

@@ -359,7 +359,7 @@ def test_requirements_that_exclude_each_other_are_no_optimum():
     assert solution.tightening
 
 
-def test_end_without_small_residual_is_no_optimum(monkeypatch):
+def test_large_residual_is_not_optimal(monkeypatch):
     monkeypatch.setattr(optimise, "kkt_residual", lambda *_: 0.0346)
     solution = optimise_preloads(study(case(j2=58.0)), throw=False)
     assert solution.status is SolveStatus.ITERATION_LIMIT
@@ -497,7 +497,7 @@ def test_a_joint_without_load_keeps_something_of_its_preload(tmp_path):
     assert write_preload_report(study, tmp_path).is_file()
 
 
-def test_what_an_unloaded_flange_keeps_leaves_room_for_a_low_utilisation(tmp_path):
+def test_unloaded_flange_preload_allows_low_utilisation(tmp_path):
     """Somewhat above what scatter and settling take, below two hundredths of what a bolt bears."""
     assert run(["init", "flange", "-o", str(tmp_path), "--torque", "0.001 N*m"]) == 0
     problem = load_study(tmp_path / "flange.toml").problem

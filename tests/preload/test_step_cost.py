@@ -45,7 +45,7 @@ def test_cheapest_of_all_designs_that_hold(problem):
     assert design.total_preload == pytest.approx(least)
 
 
-def test_cost_comes_before_the_aim():
+def test_cost_precedes_objective():
     plain = study(case(j2=90.0), free=("flexspline_flange",), choose=replace(MENU, cost=None))
     aim = choose_design(plain)
     assert aim.cost == 0.0

@@ -62,13 +62,13 @@ def test_a_robot_file_of_a_urdf_is_read_as_it_is(tmp_path, capsys):
         ("arm.toml", "schema = 1", "is a robot file already: continue with `stiffopt init problem"),
     ],
 )
-def test_what_is_no_urdf_is_said(name, text, said, tmp_path, capsys):
+def test_other_formats_than_urdf_are_refused(name, text, said, tmp_path, capsys):
     (tmp_path / name).write_text(text)
     assert run(["init", "robot", str(tmp_path / name)]) == 2
     assert said in capsys.readouterr().err
 
 
-def test_the_reducer_bears_the_torque():
+def test_reducer_carries_the_torque():
     from stiffopt.starter.robot_file import reducers_for
 
     assert reducers_for(87.0)[0][0] == "harmonic_25_80"
@@ -78,7 +78,7 @@ def test_the_reducer_bears_the_torque():
 
 
 @pytest.mark.parametrize("source", ["er3a_c60", "ur10", "two_link"])
-def test_a_first_problem_can_be_made(source, tmp_path):
+def test_first_problem_is_feasible(source, tmp_path):
     robot = str(ROOT / "problems" / "two_link_robot.toml") if source == "two_link" else source
     path = tmp_path / "first.toml"
     assert run(["init", "problem", robot, "--out", str(path)]) == 0
@@ -99,7 +99,7 @@ def test_a_flange_without_a_urdf(tmp_path, capsys):
     assert "no bolt 'M7'" in capsys.readouterr().err
 
 
-def test_own_table_to_a_set_that_is_believed(tmp_path, capsys):
+def test_table_to_a_checked_recording_set(tmp_path, capsys):
     german_tables(tmp_path / "data")
     folder = tmp_path / "set"
     arguments = ["init", "recording", str(tmp_path / "data"), "--urdf", str(SHIPPED / "robot.urdf")]
@@ -114,7 +114,7 @@ def test_own_table_to_a_set_that_is_believed(tmp_path, capsys):
     assert run([*arguments, "--out", str(folder)]) == 2
 
 
-def test_own_table_of_an_arm_whose_urdf_has_gaps(tmp_path, capsys):
+def test_table_of_an_arm_with_an_incomplete_urdf(tmp_path, capsys):
     """As URDFs of industrial arms: no torque limits, a link without mass; guessed and said."""
     german_tables(tmp_path / "data")
     urdf = tmp_path / "arm.urdf"
