@@ -16,10 +16,10 @@ from stiffopt.fastening.tightening import Tightening
 from stiffopt.preload.catalogue_designs import CatalogueDesign, catalogue_designs, way_cost
 from stiffopt.preload.catalogue_programme import ChoiceProgramme, choice_programme
 from stiffopt.preload.catalogue_search import (
+    CombinationResult,
     CombinationSearch,
     Goal,
     SearchProof,
-    SearchResult,
     describe_proof,
 )
 from stiffopt.preload.catalogue_table import (
@@ -234,7 +234,7 @@ class _ChoiceSearch:
                     self.excluded[reason] += count * others
             self.sizes[index] -= counts.total()
 
-    def _search_proof(self, found: SearchResult | None) -> SearchProof:
+    def _search_proof(self, found: CombinationResult | None) -> SearchProof:
         """Return the account of all combinations."""
         evaluated = [
             picks
@@ -259,7 +259,7 @@ class _ChoiceSearch:
         self,
         programme: ChoiceProgramme,
         proof: SearchProof,
-        ties: list[SearchResult],
+        ties: list[CombinationResult],
         picks: tuple[int, ...],
     ) -> CatalogueChoice:
         chosen = [own[i] for own, i in zip(self.feasible, picks, strict=True)]
@@ -326,7 +326,7 @@ def _ordered_goals(problem: PreloadProblem, programme: ChoiceProgramme) -> list[
     return [*(Goal(weight=weight) for weight in weights), tie, cost]
 
 
-def _minimise_in_order(search: CombinationSearch, goals: list[Goal]) -> list[SearchResult]:
+def _minimise_in_order(search: CombinationSearch, goals: list[Goal]) -> list[CombinationResult]:
     """Minimise the goals in order, up to the first that was not reached."""
     founds = []
     for goal in goals:

@@ -51,7 +51,7 @@ class Goal:
 
 
 @dataclass(frozen=True, eq=False)
-class SearchResult:
+class CombinationResult:
     """Result of one search.
 
     Parameters
@@ -131,7 +131,7 @@ class CombinationSearch:
         self._directions = [[u] for u in programme.middle_directions()]
         self._excluded_combinations: list[np.ndarray] = []
 
-    def minimise(self, goal: Goal) -> SearchResult:
+    def minimise(self, goal: Goal) -> CombinationResult:
         """Find the best combination that satisfies all rows and the former goals."""
         best, best_value, bound = None, math.inf, -math.inf
         evaluated: set[tuple[int, ...]] = set()
@@ -156,7 +156,7 @@ class CombinationSearch:
             self._reached_goals.append((goal, best_value))
         if complete:
             bound = best_value
-        return SearchResult(best, best_value, bound, evaluated, nodes, complete)
+        return CombinationResult(best, best_value, bound, evaluated, nodes, complete)
 
     def conflicting_rows(self) -> tuple[str, ...]:
         """Return the rows exceeded by the combination of least excess, the largest first."""

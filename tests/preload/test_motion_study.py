@@ -327,7 +327,7 @@ def test_gain_is_described():
     assert "3.00 %" in describe_gain(SolveStatus.OPTIMAL, 0.03)
     assert "not worth it" not in describe_gain(SolveStatus.OPTIMAL, 0.03)
     assert "does not lower" in describe_gain(SolveStatus.OPTIMAL, 1e-8)
-    assert "before the deflection settled" in describe_gain(SolveStatus.ACCEPTABLE, 0.03)
+    assert "before the deflection converged" in describe_gain(SolveStatus.ACCEPTABLE, 0.03)
 
 
 def test_the_er3a_gains_less_than_one_percent():
