@@ -25,7 +25,7 @@ from stiffopt.robot.meshes import convex_hull, load_mesh_file
 from stiffopt.robot.urdf import MAX_MOVING_JOINTS, load_urdf
 from stiffopt.robot.urdf_xml import MAX_DEPTH, MAX_ELEMENTS, parse_xml
 from stiffopt.starter.tables import MAX_LINE, read_any_table
-from stiffopt.starter.writing import quoted
+from stiffopt.starter.writing import toml_string
 from stiffopt.units import joint_to_si, to_si
 
 TABLE = Signals(time="t", position=("q",), velocity=None, link_position=None, torque=("tau",))
@@ -248,9 +248,9 @@ def test_a_sound_mesh_has_its_hull(tmp_path):
 
 
 def test_a_toml_file_names_no_file_that_it_cannot():
-    assert quoted("é") == '"é"'
+    assert toml_string("é") == '"é"'
     with pytest.raises(InputError, match="is not UTF-8, which a TOML file cannot hold"):
-        quoted(os.fsdecode(b"bras_\xff.urdf"))
+        toml_string(os.fsdecode(b"bras_\xff.urdf"))
 
 
 def test_names_that_are_not_utf8_are_kept_in_json(tmp_path):

@@ -103,7 +103,7 @@ def test_tips_that_are_none(tmp_path, capsys):
         ("base", "the link 'base' does not move"),
     ):
         assert what in told(capsys, "init", "robot", URDF, "--tip", tip, "-o", out)
-    assert "is there already and is kept" in told(capsys, "init", "robot", URDF, "-o", URDF)
+    assert "exists and is kept" in told(capsys, "init", "robot", URDF, "-o", URDF)
 
 
 def spoiled(folder: Path, name: str, columns: object) -> Path:
@@ -143,14 +143,14 @@ def rows(row: Callable[[int], str]) -> str:
     [
         ("", "holds no numbers"),
         ("t,q1,q2,tau1,tau2\n", "holds no row of numbers"),
-        ("t,q1,q2,tau1,tau2\n0,1,2,3,4", "t, one by its name, goes back or stands"),
+        ("t,q1,q2,tau1,tau2\n0,1,2,3,4", "t, a time by its name, does not"),
         (
             rows(lambda k: f"{9 - 0.01 * k},{0.001 * k},{0.002 * k},{k % 9},2"),
-            "t, one by its name, goes back or stands",
+            "t, a time by its name, does not",
         ),
         (
             rows(lambda k: f"5,{0.001 * k},{0.002 * k},{k % 9},2"),
-            "t, one by its name, goes back or stands",
+            "t, a time by its name, does not",
         ),
         (rows(lambda _: "a,b,c,d,e"), "holds no row of numbers"),
     ],
@@ -171,7 +171,7 @@ def test_a_table_is_no_urdf_and_a_file_no_folder(tmp_path, capsys):
     assert "is a file. Give a folder as --out" in told(capsys, "init", "flange", "-o", table)
     options = ["--count", 2, "--tilting-moment", "5 N*m"]
     said = told(capsys, "init", "flange", "-o", tmp_path / "f", *options)
-    assert "2 bolts bear no tilting moment about every axis" in said
+    assert "2 bolts carry no tilting moment about every axis" in said
 
 
 def test_a_folder_without_a_name_is_not_the_current_one(tmp_path, capsys, monkeypatch):

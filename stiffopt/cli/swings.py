@@ -230,7 +230,7 @@ def _poses(
     from stiffopt.problem.files import load_problem
     from stiffopt.problem.resolve import resolve
     from stiffopt.robot.files import load_robot
-    from stiffopt.starter.first_motion import first_motion
+    from stiffopt.starter.problem_file import first_motion
 
     path = Path(source)
     if path.suffix == ".toml" and path.is_file() and load_toml(path).get("kind") == "trajectory":

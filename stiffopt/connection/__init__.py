@@ -8,12 +8,11 @@ from pkgutil import iter_modules
 
 from stiffopt.connection.bolted_flange import BoltedFlange
 from stiffopt.connection.clamping_pins import ClampingPins
-from stiffopt.connection.connection import Connection, ContactConnection
+from stiffopt.connection.connection import Connection, ContactConnection, LinearConnection
 from stiffopt.connection.constant import Constant
 from stiffopt.connection.fastener import Bolt, FlangeRing, SetScrew
 from stiffopt.connection.gear_pair import GearPair
 from stiffopt.connection.key import Key
-from stiffopt.connection.linear import LinearConnection
 from stiffopt.connection.reducer import Reducer
 from stiffopt.connection.shaft import Shaft
 from stiffopt.connection.timing_belt import TimingBelt

@@ -1,4 +1,4 @@
-"""Ring face held by bolts: friction carries the torque, rough surfaces yield a little."""
+"""Bolted ring interface: friction carries the torque, rough surfaces are compliant."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from stiffopt.declaration import (
 )
 from stiffopt.symbolic import Quantity
 
-# Ring faces of reducers are pressed harder than key flanks.
+# Upper end of the fitted contact law [Pa]: ring interfaces of reducers exceed key flanks.
 _HIGHEST_PRESSURE = 1e9
 
 BoltCount = Annotated[int, POSITIVE, Doc("Number of bolts.")]
@@ -35,7 +35,7 @@ CircleDiameter = Annotated[Length, PART, Doc("Pitch circle of the bolts.")]
 
 @dataclass(frozen=True, kw_only=True)
 class BoltedFlange(ContactConnection):
-    """Annular face under the even pressure p = n F/A of its bolts.
+    """Annular interface under the uniform pressure p = n F/A of its bolts.
 
     Without slip the torsional stiffness is k_t(p) J_p with J_p = pi/2 (Ro^4 - Ri^4); towards the
     slip torque it falls by the shear law. A sector of the ring has its share of A and J_p.
@@ -64,38 +64,38 @@ class BoltedFlange(ContactConnection):
     contact_law: LawName | ContactLaw = "log_cubic"
     bolt: Annotated[
         Bolt | None,
-        Doc("What one of the bolts is; sets its limits and its loss of preload, not stiffness."),
+        Doc("One of the bolts; sets limits and loss of the preload, not the stiffness."),
     ] = None
     preload_is: Annotated[
         Literal["assembly", "net", "assumed"],
         Doc(
-            "What `preload` means: the largest that assembly leaves, or the least that is there in "
-            "service, scatter and embedding taken off, as a maker's transmissible torque implies; "
-            "or a number to begin with, at assembly, where nobody knows the present one."
+            "Meaning of `preload`: the largest at assembly, or the least in service after scatter "
+            "and embedding, as a maker's transmissible torque implies, or an assumed value at "
+            "assembly if the present one is unknown."
         ),
     ] = "assembly"
     tightening_torque: Annotated[
         Torque | None,
         POSITIVE,
-        Doc("Setting of the wrench for the present bolts, where their maker states it."),
+        Doc("Wrench setting of the present bolts, if their maker states it."),
     ] = None
     bearing: Annotated[
         Literal["none", "beside"],
         Doc(
-            "Whether the ring carries all six components of the joint's load, which is taken "
-            "where nothing is known, or a bearing beside it all but the torque."
+            "none: the ring carries all six components of the joint's load. beside: a bearing "
+            "beside it carries all but the torque."
         ),
     ] = "none"
     face_position: Annotated[
         Length,
-        Doc("Of the pressed face along the joint's axis, from the origin of the joint."),
+        Doc("Position of the interface along the joint's axis, from the origin of the joint."),
     ] = 0.0
     fixed_pattern: Annotated[
         bool,
-        Doc("Whether a purchased part fixes size, number and circle of the bolts."),
+        Doc("A purchased part fixes size, number and circle of the bolts."),
     ] = False
     roughness: Annotated[
-        Length, ROUGHNESS, Doc("Rz of the faces; sets how far they settle, not the stiffness.")
+        Length, ROUGHNESS, Doc("Rz of the faces; sets the embedding, not the stiffness.")
     ] = 16e-6
     interfaces: Annotated[
         int, Bounds(least=1), Doc("Faces between the clamped parts that settle.")
@@ -104,16 +104,16 @@ class BoltedFlange(ContactConnection):
         Ratio | None,
         Bounds(least=0.0, most=1.0),
         Doc(
-            "n, how far from the face the load enters; default the unfavourable end of every "
-            "check: 1 for the bolt, 0 for what it clamps."
+            "Load introduction factor n; default the unfavourable bound of every check: 1 for the "
+            "bolt, 0 for the clamped parts."
         ),
     ] = None
     ring: Annotated[
         FlangeRing | None,
-        Doc("Where the flange bends: bolts near the ribs bear more; default a rigid flange."),
+        Doc("Elastic flange, whose bolts near the ribs carry more; default a rigid flange."),
     ] = None
-    # How many such connections share the ring: with bolt_count 1 and as many sectors as there are
-    # bolts this is the sector that one bolt presses. Sectors are parallel springs.
+    # Number of equal parallel connections that share the ring: with bolt_count 1 and one sector a
+    # bolt this is the sector of one bolt.
     sectors: Annotated[int, Bounds(least=1)] = 1
 
     def __post_init__(self) -> None:
@@ -123,7 +123,7 @@ class BoltedFlange(ContactConnection):
 
     @cached_property
     def law(self) -> ContactLaw:
-        """Smooth contact law of the face."""
+        """Smooth contact law of the interface."""
         return contact_law(self.surface, self.contact_law, LOWEST_PRESSURE, _HIGHEST_PRESSURE)
 
     @property
@@ -142,23 +142,23 @@ class BoltedFlange(ContactConnection):
         return math.pi / 2 * (self.outer_radius**4 - self.inner_radius**4) / self.sectors
 
     def pressure(self, torque: Quantity, preload: Quantity | None = None) -> Quantity:
-        """Pressure n F/A of the ring [Pa], whatever the torque."""
-        return self.bolt_count * self._preload(preload) / self.area + 0.0 * torque
+        """Return the pressure n F/A of the ring, independent of torque [Pa]."""
+        return self.bolt_count * self._preload_or_own(preload) / self.area + 0.0 * torque
 
     def slip_torque(self, preload: Quantity | None = None) -> Quantity:
-        """Torque at which the whole ring slips, mu p 2 pi/3 (Ro^3 - Ri^3) [N m]."""
-        pressure = self.bolt_count * self._preload(preload) / self.area
+        """Return the torque of full slip, mu p 2 pi/3 (Ro^3 - Ri^3) [N m]."""
+        pressure = self.bolt_count * self._preload_or_own(preload) / self.area
         lever = 2 * math.pi / 3 * (self.outer_radius**3 - self.inner_radius**3) / self.sectors
         return self.friction_coefficient * pressure * lever
 
     def slip_torque_circle(self, preload: Quantity | None = None) -> Quantity:
-        """Slip torque with all friction on the bolt circle, mu n F PCD/2 [N m]."""
-        force = self.bolt_count * self._preload(preload)
+        """Return the slip torque with all friction on the bolt circle, mu n F PCD/2 [N m]."""
+        force = self.bolt_count * self._preload_or_own(preload)
         return self.friction_coefficient * force * self.circle_diameter / 2
 
     def first_slip_torque(self, preload: Quantity | None = None) -> Quantity:
-        """Torque at which the rim begins to slip, mu p J_p/Ro [N m]."""
-        pressure = self.bolt_count * self._preload(preload) / self.area
+        """Return the torque at which the rim begins to slip, mu p J_p/Ro [N m]."""
+        pressure = self.bolt_count * self._preload_or_own(preload) / self.area
         return self.friction_coefficient * pressure * self.polar_moment / self.outer_radius
 
     def _unsheared_stiffness(self, preload: Quantity) -> Quantity:
@@ -166,14 +166,14 @@ class BoltedFlange(ContactConnection):
         return self.surface.shear_ratio * self.law.stiffness(pressure) * self.polar_moment
 
     def loading_windup(self, torque: Quantity, preload: Quantity) -> Quantity:
-        """T_slip/K0 times the shear travel [rad]."""
+        """Return T_slip/K0 times the normalised shear travel [rad]."""
         slip = self.slip_torque(preload)
         pressure = self.bolt_count * preload / self.area
         travel = shear_travel(self.law, pressure, torque / slip, self.shear)
         return slip / self._unsheared_stiffness(preload) * travel
 
     def loading_compliance(self, torque: Quantity, preload: Quantity) -> Quantity:
-        """Softening by shear over K0 [rad/(N m)]."""
+        """Return the shear softening over K0 [rad/(N m)]."""
         ratio = torque / self.slip_torque(preload)
         pressure = self.bolt_count * preload / self.area
         softening = shear_softening(self.law, pressure, ratio, self.shear)

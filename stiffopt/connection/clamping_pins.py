@@ -1,4 +1,4 @@
-"""Set screws or pins that press on a shaft and hold it by friction."""
+"""Set screws or pins that clamp a shaft by friction."""
 
 from __future__ import annotations
 
@@ -26,17 +26,17 @@ from stiffopt.declaration import (
 )
 from stiffopt.symbolic import Quantity
 
-# Pin tips work at hundreds of MPa, up to indentation of a hardened shaft.
+# Range of the fitted contact law [Pa]: tips work at hundreds of MPa, up to indentation.
 _LOWEST_PRESSURE = 1e6
 _HIGHEST_PRESSURE = 2e9
 
 
 @dataclass(frozen=True, kw_only=True)
 class ClampingPins(ContactConnection):
-    """Pins with flat tips, all with the same preload, at the surface of a shaft.
+    """Pins with flat tips and equal preloads on the surface of a shaft.
 
-    Each contact yields tangentially by its rough face and by the half space under the small tip,
-    1/(8 G* a) with a the tip radius, one after the other.
+    The tangential compliance of a contact is that of its rough face in series with the half space
+    under the tip, 1/(8 G* a) with a the tip radius.
 
     Notes
     -----
@@ -47,7 +47,7 @@ class ClampingPins(ContactConnection):
     takes_preload: ClassVar[bool] = True
     needs_preload: ClassVar[bool] = True
     count: Annotated[int, POSITIVE, Doc("Number of pins.")]
-    shaft_diameter: Annotated[Length, PART, Doc("Diameter of the shaft that they press on.")]
+    shaft_diameter: Annotated[Length, PART, Doc("Diameter of the clamped shaft.")]
     tip_diameter: Annotated[Length, DETAIL, Doc("Diameter of the flat tip of a pin.")]
     surface: Annotated[SurfacePair, Doc("Pair of surfaces of tip and shaft.")]
     friction: Annotated[
@@ -70,10 +70,10 @@ class ClampingPins(ContactConnection):
     contact_law: LawName | ContactLaw = "log_cubic"
     screw: Annotated[
         SetScrew | None,
-        Doc("What presses one tip; sets its limits and its loss of preload, not the stiffness."),
+        Doc("Screw behind one tip; sets limits and loss of the preload, not the stiffness."),
     ] = None
 
-    # How many such pins share the bore: with count 1 and as many as there are screws, one of them.
+    # Number of equal connections that share the bore: with count 1, the share of one screw.
     sharing: Annotated[int, Bounds(least=1)] = 1
 
     def __post_init__(self) -> None:
@@ -97,7 +97,7 @@ class ClampingPins(ContactConnection):
 
     @property
     def contact_count(self) -> float:
-        """Pressed contacts, that at the bore by its force: |sin(n g/2)/sin(g/2)| times one screw's.
+        """Equivalent number of contacts; the bore counts |sin(n g/2)/sin(g/2)| times one screw.
 
         Two screws at an angle g of 90 degrees press the bore with 1.41 times the force of one.
         """
@@ -114,16 +114,16 @@ class ClampingPins(ContactConnection):
         return math.pi * self.tip_diameter**2 / 4
 
     def pressure(self, torque: Quantity, preload: Quantity | None = None) -> Quantity:
-        """Pressure under one tip [Pa], whatever the torque."""
-        return self._preload(preload) / self.tip_area + 0.0 * torque
+        """Return the pressure under one tip, independent of torque [Pa]."""
+        return self._preload_or_own(preload) / self.tip_area + 0.0 * torque
 
     def slip_torque(self, preload: Quantity | None = None) -> Quantity:
-        """Torque at which all contacts slip, mu F r n [N m]."""
-        force = self.contact_count * self._preload(preload)
+        """Return the torque of full slip, mu F r n [N m]."""
+        force = self.contact_count * self._preload_or_own(preload)
         return self.friction_coefficient * force * self.shaft_radius
 
     def _face_stiffness(self, preload: Quantity) -> Quantity:
-        """Torsional stiffness of the rough faces without shear load [N m/rad]."""
+        """Return the torsional stiffness of the rough faces at zero shear [N m/rad]."""
         per_area = self.surface.shear_ratio * self.law.stiffness(preload / self.tip_area)
         return self.contact_count * self.shaft_radius**2 * per_area * self.tip_area
 
@@ -135,13 +135,13 @@ class ClampingPins(ContactConnection):
         return 1 / (self.contact_count * self.shaft_radius**2 * one)
 
     def loading_windup(self, torque: Quantity, preload: Quantity) -> Quantity:
-        """Wind-up of faces and half spaces [rad]."""
+        """Return the wind-up of faces and half spaces [rad]."""
         slip = self.slip_torque(preload)
         travel = shear_travel(self.law, preload / self.tip_area, torque / slip, self.shear)
         return slip / self._face_stiffness(preload) * travel + self._half_space_compliance * torque
 
     def loading_compliance(self, torque: Quantity, preload: Quantity) -> Quantity:
-        """Compliance of faces and half spaces [rad/(N m)]."""
+        """Return the compliance of faces and half spaces [rad/(N m)]."""
         ratio = torque / self.slip_torque(preload)
         softening = shear_softening(self.law, preload / self.tip_area, ratio, self.shear)
         return softening / self._face_stiffness(preload) + self._half_space_compliance

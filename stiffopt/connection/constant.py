@@ -1,11 +1,11 @@
-"""Spring of a given stiffness."""
+"""Linear torsional spring of given stiffness."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
-from stiffopt.connection.linear import LinearConnection
+from stiffopt.connection.connection import LinearConnection
 from stiffopt.declaration import POSITIVE, Doc, JointStiffness
 
 

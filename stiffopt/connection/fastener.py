@@ -1,4 +1,4 @@
-"""What holds a bolted flange or a pinned shaft together: one bolt, one set screw."""
+"""Fasteners of connections: bolt, elastic flange ring, set screw."""
 
 from __future__ import annotations
 
@@ -20,8 +20,7 @@ from stiffopt.declaration import (
 class Bolt:
     """One of the equal bolts of a flange, in a tapped hole or through both parts with a nut.
 
-    Names of sizes, grades and materials are those of the catalogue; they are looked up where they
-    are needed.
+    Sizes, grades and materials are names of the catalogue.
     """
 
     size: Annotated[str, Named("bolt"), Doc("Size, such as M5.")]
@@ -33,29 +32,23 @@ class Bolt:
     clamp_length: Annotated[
         Length | None,
         DETAIL,
-        Doc("Thickness l_K that the bolt clamps; default two bolt diameters, an estimate."),
+        Doc("Clamp length l_K; default two bolt diameters, an estimate."),
     ] = None
     engagement: Annotated[
         Length | None,
         DETAIL,
         Doc(
-            "Length m_eff of thread that carries; default by the material of the thread, an "
-            "estimate."
+            "Effective thread engagement m_eff; default by the material of the thread, an estimate."
         ),
     ] = None
-    washer: Annotated[
-        bool, Doc("Whether a hardened washer lies under head and nut: ISO 7089, 300 HV.")
-    ] = False
+    washer: Annotated[bool, Doc("Hardened washers under head and nut: ISO 7089, 300 HV.")] = False
     head: Annotated[
         Literal["socket", "hexagon"],
         Doc("Head of the bolt: socket head of ISO 4762, hexagon head of ISO 4014."),
     ] = "socket"
     nut: Annotated[
         bool,
-        Doc(
-            "Whether a hexagon nut of the bolt's own class (ISO 4032) holds it, in place of a "
-            "tapped hole."
-        ),
+        Doc("Hexagon nut of the bolt's class (ISO 4032) in place of a tapped hole."),
     ] = False
     shank_length: Annotated[
         Length | None,
@@ -75,7 +68,7 @@ class Bolt:
     ] = None
     rolled: Annotated[
         Literal["before", "after"],
-        Doc("Thread rolled before or after heat treatment; after bears more alternating stress."),
+        Doc("Thread rolled before or after heat treatment; after has the higher endurance limit."),
     ] = "before"
     head_material: Annotated[
         str, Named("clamped material"), Doc("Material of the part under the head.")
@@ -91,20 +84,20 @@ class Bolt:
 
     @property
     def added(self) -> str:
-        """Parts beside the bolt itself: "with nuts and washers"; "" in a tapped hole without."""
+        """Further parts, such as "with nuts and washers"; "" if there are none."""
         parts = [name for name, has in (("nuts", self.nut), ("washers", self.washer)) if has]
         return f"with {' and '.join(parts)}" if parts else ""
 
 
 @dataclass(frozen=True, kw_only=True)
 class FlangeRing:
-    """Flange that is not rigid: a ring, and how its link is joined to it."""
+    """Elastic flange ring with the supports of its link."""
 
     thickness: Annotated[Length, DETAIL, Doc("Thickness of the flange, along the joint's axis.")]
     supports: Annotated[
         int,
         Bounds(least=3),
-        Doc("Ribs or walls of the link, at even distances, that bring the load to the ring."),
+        Doc("Evenly spaced ribs or walls of the link that load the ring."),
     ]
 
     def __post_init__(self) -> None:
@@ -113,7 +106,7 @@ class FlangeRing:
 
 @dataclass(frozen=True, kw_only=True)
 class SetScrew:
-    """Set screw that presses the tip of a pin on a shaft, or is the pin itself."""
+    """Set screw behind the tip of a pin, or used as the pin."""
 
     size: Annotated[str, Named("set screw"), Doc("Size, such as M4.")]
     length: Annotated[

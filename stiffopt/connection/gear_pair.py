@@ -26,12 +26,13 @@ from stiffopt.declaration import (
 )
 from stiffopt.symbolic import Quantity
 
+# Upper end of the fitted contact law [Pa]: Hertz pressure of hardened flanks.
 _HIGHEST_PRESSURE = 2e9
 
 
 @dataclass(frozen=True, kw_only=True)
 class GearPair(ContactConnection):
-    """Spur gears, described on the shaft of the first one.
+    """Spur gears, referred to the shaft of the first one.
 
     Each of the `contact_ratio` tooth pairs in mesh carries an equal share of the normal force
     T/r_b on a Hertz strip of area A_H; its rough surfaces give
@@ -63,12 +64,12 @@ class GearPair(ContactConnection):
 
     @property
     def pitch_radius(self) -> float:
-        """Of the first gear [m]."""
+        """Pitch radius of the first gear [m]."""
         return self.module * self.teeth / 2
 
     @property
     def pitch_radius_driven(self) -> float:
-        """Of the second gear [m]."""
+        """Pitch radius of the second gear [m]."""
         return self.module * self.teeth_driven / 2
 
     @cached_property
@@ -97,21 +98,21 @@ class GearPair(ContactConnection):
         return 1 / (self.mesh_stiffness * self.face_width * self.base_radius**2)
 
     def pressure(self, torque: Quantity, preload: Quantity | None = None) -> Quantity:
-        """Mean pressure on the strip of one tooth pair [Pa]."""
+        """Return the mean pressure on the strip of one tooth pair [Pa]."""
         force = np.absolute(torque) / (self.base_radius * self.contact_ratio)
         return mean_pressure(
             force / self.face_width, self.flank_curvature_radius, self.surface.contact_modulus
         )
 
     def loading_windup(self, torque: Quantity, preload: Quantity) -> Quantity:
-        """Wind-up of flanks and teeth [rad]."""
+        """Return the wind-up of flanks and teeth [rad]."""
         # p grows with sqrt(T) and so does the strip: dT/(k_n A_H) = 2 F/T dp/k_n, F/T constant.
         approach = self.law.approach(0.0, self.pressure(torque))
         contact = 2 * self.base_radius / self._lever_square * approach
         return contact + self._bending_compliance * torque
 
     def loading_compliance(self, torque: Quantity, preload: Quantity) -> Quantity:
-        """Compliance of flanks and teeth [rad/(N m)]."""
+        """Return the compliance of flanks and teeth [rad/(N m)]."""
         pressure = self.pressure(torque)
         area = torque / (self.base_radius * self.contact_ratio) / pressure
         mesh = self.contact_ratio * self.law.stiffness(pressure) * area * self._lever_square

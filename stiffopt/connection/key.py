@@ -15,8 +15,8 @@ from stiffopt.contact.validate import require_ordered
 from stiffopt.declaration import DETAIL, NOT_NEGATIVE, PART, Doc, Length, Named, Pressure
 from stiffopt.symbolic import Quantity
 
-# Flanks in parallel have no sum of integrals: six Gauss-Legendre points in ln(1 + T/Tc), to 1e-9.
-_NODES, _WEIGHTS = (array.tolist() for array in np.polynomial.legendre.leggauss(6))
+# Parallel flanks need quadrature: six Gauss-Legendre points in ln(1 + T/Tc) are accurate to 1e-9.
+_GAUSS_NODES, _GAUSS_WEIGHTS = (array.tolist() for array in np.polynomial.legendre.leggauss(6))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,8 +51,8 @@ class Key(ContactConnection):
     flanks: Annotated[
         Literal["series", "parallel"],
         Doc(
-            "Series: shaft, key, hub, one load path. Parallel: the stiffnesses of the flanks add, "
-            "as some literature has it; roughly four times stiffer."
+            "Series: shaft, key and hub in one load path. Parallel: flank stiffnesses add, as in "
+            "some literature; roughly four times stiffer."
         ),
     ] = "series"
     # Smooth law of the optimisation; the exact compliance always uses the fractal law.
@@ -78,7 +78,7 @@ class Key(ContactConnection):
 
     @property
     def radii(self) -> tuple[float, float]:
-        """Middle of the flank in the shaft and in the hub [m]."""
+        """Mean radii of the flanks in shaft and hub [m]."""
         half = self.shaft_diameter / 2
         return half - self.shaft_flank_height / 2, half + self.hub_flank_height / 2
 
@@ -88,26 +88,26 @@ class Key(ContactConnection):
         return self.length * self.shaft_flank_height, self.length * self.hub_flank_height
 
     def flank_pressures(self, torque: Quantity) -> tuple[Quantity, Quantity]:
-        """Pressures in the shaft's and the hub's flank [Pa] for torque >= 0."""
+        """Return the pressures of shaft and hub flank [Pa] for torque >= 0."""
         (r1, r2), (a1, a2) = self.radii, self.areas
         return torque / (r1 * a1) + self.prepressure, torque / (r2 * a2) + self.prepressure
 
     def pressure(self, torque: Quantity, preload: Quantity | None = None) -> Quantity:
-        """Pressure of the flank that carries more [Pa]."""
+        """Return the larger flank pressure [Pa]."""
         return np.maximum(*self.flank_pressures(np.absolute(torque)))
 
     def loading_windup(self, torque: Quantity, preload: Quantity) -> Quantity:
-        """Integral of the flank compliances from 0 to `torque` [rad]."""
+        """Return the integral of the flank compliances from 0 to `torque` [rad]."""
         if self.flanks == "parallel":
             return self._parallel_windup(torque)
-        # Over pressure instead of torque the area cancels: phi_i = (1/r_i) int dp/k_n.
+        # Integrated over pressure the area cancels: phi_i = (1/r_i) int dp/k_n.
         return sum(
             self.law.approach(self.prepressure, pressure) / radius
             for pressure, radius in zip(self.flank_pressures(torque), self.radii, strict=True)
         )
 
     def loading_compliance(self, torque: Quantity, preload: Quantity) -> Quantity:
-        """Compliance of the two flanks [rad/(N m)]."""
+        """Return the compliance of the two flanks [rad/(N m)]."""
         k1, k2 = (
             self.law.stiffness(pressure) * area * radius**2
             for pressure, area, radius in zip(
@@ -118,12 +118,12 @@ class Key(ContactConnection):
 
     def _parallel_windup(self, torque: Quantity) -> Quantity:
         reach = [radius * area for radius, area in zip(self.radii, self.areas, strict=True)]
-        # A flank changes its law where its pressure enters the range of the fit: panels end there.
+        # Panels end where a flank pressure enters the range of the fitted law.
         room = self.law.lower - self.prepressure
         edges = [room * lever for lever in sorted(reach)] if room > 0.0 else []
         start, total = 0.0, 0.0
         if self.prepressure == 0.0:
-            # Up to the first edge both flanks follow one power: closed form from zero.
+            # Up to the first edge both flanks follow one power law: closed form from zero.
             start = np.minimum(torque, edges.pop(0))
             exponent = self.law.log_slope(self.law.lower)
             total = start * self.loading_compliance(start, None) / (1 - exponent)
@@ -134,12 +134,12 @@ class Key(ContactConnection):
         return total + self._parallel_panel(start, torque, min(reach))
 
     def _parallel_panel(self, start: Quantity, end: Quantity, reach: float) -> Quantity:
-        """Quadrature of the compliance between two torques, in ln(p0 r A + T)."""
+        """Return the integral of the compliance between two torques, in ln(p0 r A + T) [rad]."""
         shift = self.prepressure * reach
         origin = np.log(start + shift)
         span = np.log((end + shift) / (start + shift))
         total = 0.0
-        for node, weight in zip(_NODES, _WEIGHTS, strict=True):
+        for node, weight in zip(_GAUSS_NODES, _GAUSS_WEIGHTS, strict=True):
             shifted = np.exp(origin + 0.5 * (1 + node) * span)
             total = total + 0.5 * weight * shifted * self.loading_compliance(shifted - shift, None)
         return span * total

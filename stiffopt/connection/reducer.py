@@ -1,4 +1,4 @@
-"""Strain-wave reducer: three slopes of the catalogue."""
+"""Strain-wave reducer with the three stiffnesses of its catalogue."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from stiffopt.contact.validate import require_ordered
 from stiffopt.declaration import POSITIVE, Doc, Stiffness, Torque
 from stiffopt.symbolic import Quantity, softplus
 
-# Corner width as a share of the corner's torque: 2.1 % error in wind-up at most, 24 % in slope.
-_WIDTH = 0.08
+# Smoothing width over T1 or T2 [-]: errors of at most 2.1 % in wind-up and 24 % in slope.
+_RELATIVE_CORNER_WIDTH = 0.08
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,20 +46,20 @@ class Reducer(Connection):
         """False."""
         return False
 
-    def _corners(self, smoothing: Quantity) -> list[tuple[float, Quantity, float]]:
-        """Torque, width and step of the compliance at each corner."""
+    def _slope_changes(self, smoothing: Quantity) -> list[tuple[float, Quantity, float]]:
+        """Return torque, smoothing width and step of compliance at T1 and T2."""
         c1, c2, c3 = 1 / self.K1, 1 / self.K2, 1 / self.K3
         return [
-            (self.T1, _WIDTH * self.T1 * smoothing, c2 - c1),
-            (self.T2, _WIDTH * self.T2 * smoothing, c3 - c2),
+            (self.T1, _RELATIVE_CORNER_WIDTH * self.T1 * smoothing, c2 - c1),
+            (self.T2, _RELATIVE_CORNER_WIDTH * self.T2 * smoothing, c3 - c2),
         ]
 
     def windup(
         self, torque: Quantity, *, preload: Quantity | None = None, smoothing: Quantity = 1.0
     ) -> Quantity:
-        """Wind-up angle at the output [rad]."""
+        """Return the wind-up angle at the output [rad]."""
         angle = torque / self.K1
-        for corner, width, step in self._corners(smoothing):
+        for corner, width, step in self._slope_changes(smoothing):
             above = softplus((torque - corner) / width)
             below = softplus((-torque - corner) / width)
             angle = angle + step * width * (above - below)
@@ -70,8 +70,8 @@ class Reducer(Connection):
     ) -> Quantity:
         """Compliance d phi/dT [rad/(N m)]."""
         compliance = 1 / self.K1
-        for corner, width, step in self._corners(smoothing):
-            # The logistic function in its tanh form does not overflow.
+        for corner, width, step in self._slope_changes(smoothing):
+            # The tanh form of the logistic function does not overflow.
             above = 0.5 * (1 + np.tanh(0.5 * (torque - corner) / width))
             below = 0.5 * (1 + np.tanh(0.5 * (-torque - corner) / width))
             compliance = compliance + step * (above + below)

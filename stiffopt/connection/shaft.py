@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
-from stiffopt.connection.linear import LinearConnection
+from stiffopt.connection.connection import LinearConnection
 from stiffopt.contact.validate import require_ordered
 from stiffopt.declaration import MODULUS, NOT_NEGATIVE, PART, Doc, Length, Pressure
 

@@ -8,7 +8,7 @@ from typing import Annotated, ClassVar
 
 import numpy as np
 
-from stiffopt.connection.linear import LinearConnection
+from stiffopt.connection.connection import LinearConnection
 from stiffopt.declaration import (
     DETAIL,
     MODULUS,
@@ -24,19 +24,19 @@ from stiffopt.declaration import (
 )
 from stiffopt.symbolic import Quantity
 
-# Force per unit strain [N], from rubber of 1 mm^2 to wide steel.
-_SPAN = Bounds(above=0.0, plausible=(1.0, 1e9))
-_TURN = Bounds(above=0.0, below=2 * math.pi)
+# Plausible span stiffness [N per unit strain], from rubber of 1 mm^2 to wide steel.
+_SPAN_STIFFNESS_BOUNDS = Bounds(above=0.0, plausible=(1.0, 1e9))
+_WRAP_ANGLE_BOUNDS = Bounds(above=0.0, below=2 * math.pi)
 
 
 @dataclass(frozen=True, kw_only=True)
 class TimingBelt(LinearConnection):
-    """Belt stage, described on the shaft of the first pulley.
+    """Belt stage, referred to the shaft of the first pulley.
 
-    The soft belt tooth is pressed by the flank of the pulley tooth: a rotation moves the flank
-    along the tangent, which splits into a part normal to the flank (cos beta) and one along it
-    (sin beta). A pulley has K = z_m R^2 (K_n cos^2 beta + K_t sin^2 beta) with
-    K_n = E b h/(w/2) and K_t = G b h/(w/2); both spans act while they are taut.
+    The pulley flank moves along the tangent, with components normal (cos beta) and parallel
+    (sin beta) to the flank of the soft belt tooth. A pulley has
+    K = z_m R^2 (K_n cos^2 beta + K_t sin^2 beta) with K_n = E b h/(w/2) and
+    K_t = G b h/(w/2); both spans act while they are taut.
 
     Notes
     -----
@@ -52,10 +52,14 @@ class TimingBelt(LinearConnection):
     width: Annotated[Length, PART, Doc("Width b of the belt.")]
     tooth_height: Annotated[Length, DETAIL, Doc("Height h of a belt tooth.")]
     tooth_root_width: Annotated[Length, DETAIL, Doc("Width w of a belt tooth at its root.")]
-    span_stiffness: Annotated[Force, _SPAN, Doc("Force per unit strain of one span.")]
+    span_stiffness: Annotated[
+        Force, _SPAN_STIFFNESS_BOUNDS, Doc("Force per unit strain of one span.")
+    ]
     span_length: Annotated[Length, PART, Doc("Free length of one span.")]
-    wrap: Annotated[Angle, _TURN, Doc("Wrap angle on the first pulley.")] = math.pi
-    wrap_driven: Annotated[Angle, _TURN, Doc("Wrap angle on the second pulley.")] = math.pi
+    wrap: Annotated[Angle, _WRAP_ANGLE_BOUNDS, Doc("Wrap angle on the first pulley.")] = math.pi
+    wrap_driven: Annotated[Angle, _WRAP_ANGLE_BOUNDS, Doc("Wrap angle on the second pulley.")] = (
+        math.pi
+    )
     flank_angle: Annotated[
         Angle,
         Bounds(above=-0.1, below=math.pi / 2),
@@ -68,7 +72,7 @@ class TimingBelt(LinearConnection):
     teeth_in_mesh_max: Annotated[
         Ratio,
         POSITIVE,
-        Doc("At most so many teeth carry, since the load falls off along the arc."),
+        Doc("Largest number of teeth that carry load, since it falls off along the arc."),
     ] = 6.0
 
     @property
@@ -87,7 +91,7 @@ class TimingBelt(LinearConnection):
         )
 
     def teeth_in_mesh(self) -> tuple[float, float]:
-        """Teeth that carry on the first and the second pulley."""
+        """Return the number of loaded teeth on the first and second pulley."""
         first = self.teeth * self.wrap / (2 * math.pi)
         second = self.teeth_driven * self.wrap_driven / (2 * math.pi)
         return min(first, self.teeth_in_mesh_max), min(second, self.teeth_in_mesh_max)
@@ -96,8 +100,8 @@ class TimingBelt(LinearConnection):
     def compliance(self) -> float:
         """Wind-up of the stage on the first shaft per torque there [rad/(N m)].
 
-        The tangential force T/R is the same on both pulleys, and so is the travel that counts:
-        all three springs act at the radius of the first pulley.
+        The tangential force T/R is the same on both pulleys: all three springs act in series at
+        the radius of the first pulley.
         """
         first, second = self.teeth_in_mesh()
         along = (1 / first + 1 / second) / self.tooth_stiffness
@@ -105,11 +109,11 @@ class TimingBelt(LinearConnection):
         return (along + span) / self.radius**2
 
     def pressure(self, torque: Quantity, preload: Quantity | None = None) -> Quantity:
-        """Pressure on the belt teeth of the pulley with fewer teeth in mesh [Pa]."""
+        """Return the belt tooth pressure on the pulley with fewer teeth in mesh [Pa]."""
         carrying = min(self.teeth_in_mesh()) * self.width * self.tooth_height
         return np.absolute(torque) / (self.radius * carrying)
 
     def slack_torque(self, preload: Quantity | None = None) -> Quantity:
-        """Torque at which the slack span loses its tension, 2 F R [N m]; nan without preload."""
-        force = self._preload(preload)
+        """Return the torque at which a span goes slack, 2 F R [N m]; nan without preload."""
+        force = self._preload_or_own(preload)
         return math.nan if force is None else 2 * force * self.radius

@@ -1,4 +1,4 @@
-"""Sizes of a bolt as it is in a flange: head, shank, nut."""
+"""Dimensions of a bolt in a flange: head, shank, nut, clamp length."""
 
 from __future__ import annotations
 
@@ -9,25 +9,25 @@ from stiffopt.drivetrain import catalogue
 from stiffopt.drivetrain.fasteners import BoltData
 from stiffopt.errors import InputError
 
-# Clamp length where none is given, in bolt diameters.
-CLAMP_LENGTH = 2.0
+# Default clamp length in bolt diameters.
+DEFAULT_CLAMP_LENGTH_RATIO = 2.0
 
 
 def clamp_length(bolt: Bolt) -> float:
-    """l_K in use [m]."""
+    """Clamp length l_K, given or default [m]."""
     if bolt.clamp_length is not None:
         return bolt.clamp_length
-    return CLAMP_LENGTH * catalogue.bolt(bolt.size).diameter
+    return DEFAULT_CLAMP_LENGTH_RATIO * catalogue.bolt(bolt.size).diameter
 
 
 def bolt_data(bolt: Bolt) -> BoltData:
-    """Sizes of a bolt with its head and its shank; a shank thinner than the thread is weakest.
+    """Return the dimensions of a bolt with head and shank; a thin shank sets the stress area.
 
     Raises
     ------
     InputError
-        The shank is thicker than the bolt or longer than what it clamps, a tapped hole is
-        described beside a nut, or a thread is rolled after a heat treatment that there is not.
+        The shank is thicker than the bolt or longer than the clamp length, an engagement is given
+        for a bolt with a nut, or a stainless thread is rolled after heat treatment.
     """
     data = catalogue.bolt(bolt.size)
     if bolt.head == "hexagon":
@@ -35,8 +35,8 @@ def bolt_data(bolt: Bolt) -> BoltData:
         data = replace(data, head_diameter=face.corners, bearing_diameter=face.bearing_diameter)
     if bolt.nut and bolt.engagement is not None:
         raise InputError(
-            f"bolt {bolt.size}: engagement is that of a tapped hole, and a nut holds this bolt. "
-            "Leave engagement out, or say `nut = false`."
+            f"bolt {bolt.size}: engagement belongs to a tapped hole, and this bolt has a nut. "
+            "Leave engagement out, or set `nut = false`."
         )
     if bolt.rolled == "after" and not catalogue.bolt_grade(bolt.grade).heat_treated:
         raise InputError(

@@ -1,4 +1,4 @@
-"""Bolts of a flange: VDI 2230 bounds on their preload, loss by embedding, workshop torque."""
+"""Bolts of a flange: limits on the preload (VDI 2230), preload loss, workshop torque."""
 
 from __future__ import annotations
 
@@ -11,29 +11,28 @@ from stiffopt.drivetrain import catalogue
 from stiffopt.drivetrain.fasteners import BoltData
 from stiffopt.errors import InputError
 from stiffopt.fastening.bolt_geometry import bolt_data, clamp_length
+from stiffopt.fastening.bolt_strength import head_bearing, stripping_length
 from stiffopt.fastening.compliance import (
     bolt_compliance,
     clamped_compliance,
+    flange_embedding,
+    thermal_change,
     through_bolted_compliance,
 )
-from stiffopt.fastening.embedding import flange_embedding
-from stiffopt.fastening.head_pressure import head_bearing
-from stiffopt.fastening.preload_limit import PreloadLimit
-from stiffopt.fastening.thermal import thermal_change
-from stiffopt.fastening.thread_engagement import stripping_length
 from stiffopt.fastening.tightening import Tightening, WorkshopTorque, tightening_torque
+from stiffopt.fastening.utilisation import PreloadLimit
 from stiffopt.symbolic import Quantity
 
-# Room between two heads, as a share of the head: the closest screw circles at reducers (nine M3 on
-# 17 mm) leave 5.7 %.
-_HEAD_GAP = 0.05
+# Least gap between two heads over the head diameter: the closest bolt circles of reducers (nine M3
+# on 17 mm) leave 5.7 %.
+_MIN_HEAD_GAP_RATIO = 0.05
 
 
 def flange_bolt(flange: BoltedFlange) -> Bolt:
-    """Bolt of a flange, or `InputError` that says what to add."""
+    """Return the bolt of a flange; raise `InputError` with the missing entry if there is none."""
     if flange.bolt is None:
         raise InputError(
-            f"{flange.owner}: which bolts hold it is not known, so neither are their limits. Add "
+            f"{flange.owner}: its bolts are not given, so they have no limits. Add "
             "`bolt = { size = ..., grade = ..., count = ..., circle_diameter = ... }` to the "
             "element in the robot file."
         )
@@ -41,7 +40,7 @@ def flange_bolt(flange: BoltedFlange) -> Bolt:
 
 
 def permissible_preload(flange: BoltedFlange, tightening: Tightening) -> float:
-    """Permissible assembly preload of one bolt, 90 % of yield while tightening [N]."""
+    """Return the permissible assembly preload of one bolt, 90 % of yield in tightening [N]."""
     bolt = flange_bolt(flange)
     return float(
         permissible_assembly_preload(
@@ -53,7 +52,7 @@ def permissible_preload(flange: BoltedFlange, tightening: Tightening) -> float:
 
 
 def limits(flange: BoltedFlange, tightening: Tightening) -> tuple[PreloadLimit, ...]:
-    """Bounds on the preload of one bolt; the first is the permissible preload of VDI 2230."""
+    """Return the limits on the preload of one bolt, the permissible assembly preload first."""
     bolt = flange_bolt(flange)
     data = bolt_data(bolt)
     bearing = head_bearing(bolt)
@@ -81,7 +80,7 @@ def limits(flange: BoltedFlange, tightening: Tightening) -> tuple[PreloadLimit, 
 
 
 def _engagement_limits(bolt: Bolt, data: catalogue.BoltData) -> tuple[PreloadLimit, ...]:
-    """None with a nut: one of the bolt's class bears what the bolt does (ISO 898-2, 3506-2)."""
+    """Return no limit with a nut: nuts of the bolt's class are as strong (ISO 898-2, 3506-2)."""
     if bolt.nut:
         return ()
     thread = catalogue.clamped_material(bolt.thread_material)
@@ -89,7 +88,7 @@ def _engagement_limits(bolt: Bolt, data: catalogue.BoltData) -> tuple[PreloadLim
     strips = stripping_length(catalogue.bolt(bolt.size), strength, thread) / data.diameter
     needed, present = (
         max(thread.engagement_for(bolt.grade), strips),
-        engagement(bolt) / data.diameter,
+        engagement_length(bolt) / data.diameter,
     )
     how = "assumed" if bolt.engagement is None else "given"
     limit = PreloadLimit(
@@ -126,23 +125,28 @@ def _spacing_limits(flange: BoltedFlange, data: catalogue.BoltData) -> tuple[Pre
         PreloadLimit(
             name="bolt spacing",
             capacity=math.inf,
-            fixed=(1 + _HEAD_GAP) * _room(flange_bolt(flange), data) / chord,
+            fixed=(1 + _MIN_HEAD_GAP_RATIO)
+            * _largest_head_width(flange_bolt(flange), data)
+            / chord,
             provenance="estimated",
-            source=f"heads and nuts with {100 * _HEAD_GAP:g} % of their diameter between them",
+            source=(
+                f"heads and nuts with {100 * _MIN_HEAD_GAP_RATIO:g} % of their diameter between"
+                " them"
+            ),
             remedy="fewer or smaller bolts, or a larger bolt circle",
         ),
         in_ring,
     )
 
 
-def _room(bolt: Bolt, data: BoltData) -> float:
-    """Diameter that head and nut take [m]."""
+def _largest_head_width(bolt: Bolt, data: BoltData) -> float:
+    """Return the larger diameter of head and nut [m]."""
     nut = catalogue.hexagon(bolt.size).corners if bolt.nut else 0.0
     return max(data.head_diameter, nut)
 
 
-def engagement(bolt: Bolt) -> float:
-    """m_eff in use [m]."""
+def engagement_length(bolt: Bolt) -> float:
+    """Return the thread engagement m_eff, given or assumed [m]."""
     if bolt.engagement is not None:
         return bolt.engagement
     assumed = catalogue.clamped_material(bolt.thread_material).engagement_assumed
@@ -150,22 +154,22 @@ def engagement(bolt: Bolt) -> float:
 
 
 def assumed_lengths(flange: BoltedFlange) -> dict[str, float]:
-    """Lengths in use that the flange does not give [m]."""
+    """Return the assumed lengths of a flange, by key [m]."""
     bolt = flange_bolt(flange)
     present = {"clamp_length": clamp_length(bolt)}
     if not bolt.nut:
-        present["engagement"] = engagement(bolt)
+        present["engagement"] = engagement_length(bolt)
     return {name: value for name, value in present.items() if getattr(bolt, name) is None}
 
 
 def joint_compliances(flange: BoltedFlange) -> tuple[float, float]:
-    """delta_S and delta_P of one bolt and what it clamps [m/N] (R3)."""
+    """Return delta_S and delta_P of one bolt and its clamped parts [m/N] (R3)."""
     bolt = flange_bolt(flange)
     data = bolt_data(bolt)
     length = clamp_length(bolt)
     head = catalogue.clamped_material(bolt.head_material)
     thread = catalogue.clamped_material(bolt.thread_material)
-    # Each bolt has its share of the ring: as wide as the ring, as long as the way to the next one.
+    # Clamped part of one bolt: width of the ring by the spacing of the bolts.
     count = flange.bolt_count * flange.sectors
     share = min(flange.outer_radius - flange.inner_radius, math.pi * flange.circle_diameter / count)
     modulus = catalogue.bolt_grade(bolt.grade).modulus
@@ -179,7 +183,7 @@ def joint_compliances(flange: BoltedFlange) -> tuple[float, float]:
 
 
 def preload_loss(flange: BoltedFlange, tightening: Tightening) -> float:
-    """F_Z + Delta F_Vth: what settling and a change of temperature take of a preload [N] (R4)."""
+    """Return F_Z + Delta F_Vth, preload loss by embedding and change of temperature [N] (R4)."""
     settled = tightening.embedding
     if settled is None:
         settled = flange_embedding(flange)
@@ -187,7 +191,7 @@ def preload_loss(flange: BoltedFlange, tightening: Tightening) -> float:
 
 
 def thermal_preload(flange: BoltedFlange, tightening: Tightening) -> float:
-    """|Delta F_Vth| for the change of temperature, one way a loss, the other way a gain [N]."""
+    """Return |Delta F_Vth|, a loss in one direction of the change and a gain in the other [N]."""
     bolt = flange_bolt(flange)
     ends = (bolt.head_material, bolt.thread_material if bolt.nut else bolt.head_material)
     parts = [catalogue.clamped_material(name).expansion for name in ends]
@@ -202,16 +206,16 @@ def thermal_preload(flange: BoltedFlange, tightening: Tightening) -> float:
 
 
 def scatter(flange: BoltedFlange, tightening: Tightening) -> float:
-    """alpha_A of one bolt [-] (R1)."""
+    """Return the tightening factor alpha_A of one bolt [-] (R1)."""
     return tightening.alpha_of(bolt_data(flange_bolt(flange)))
 
 
 def workshop_torque(flange: BoltedFlange, preload: float, tightening: Tightening) -> WorkshopTorque:
-    """Wrench setting for the largest preload [N] of one bolt."""
+    """Return the wrench setting for the largest preload [N] of one bolt."""
     data = bolt_data(flange_bolt(flange))
     thread, head = tightening.thread_friction, tightening.head_friction
     nominal = float(tightening_torque(data, preload, thread, head))
-    # The thread's pitch takes its part of the torque whatever the friction.
+    # The pitch term of the torque does not depend on friction.
     pitch = float(tightening_torque(data, preload, 0.0, 0.0))
     alpha = tightening.alpha_of(data)
     return WorkshopTorque(
@@ -225,7 +229,7 @@ def workshop_torque(flange: BoltedFlange, preload: float, tightening: Tightening
 def permissible_assembly_preload(
     bolt: BoltData, proof_stress: Quantity, thread_friction: Quantity, yield_share: Quantity = 0.9
 ) -> Quantity:
-    """Preload at which tightening uses the permitted share of the yield strength.
+    """Return the assembly preload at the permitted utilisation of the yield strength.
 
     F_M,zul = nu R_p0.2 A_0 / sqrt(1 + 3 [3/2 d2/d_0 (P/(pi d2) + mu_G/cos 30 deg)]^2), with the
     stress area A_0 = A_S, or that of a thinner shank.
@@ -236,7 +240,7 @@ def permissible_assembly_preload(
     proof_stress : scalar [Pa]
         R_p0.2.
     thread_friction : scalar [-]
-        mu_G; the torque that it needs twists the bolt.
+        mu_G; its torque twists the bolt.
     yield_share : scalar [-]
         nu.
 

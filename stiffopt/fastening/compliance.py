@@ -1,20 +1,22 @@
-"""Axial compliance of bolts, of the parts they clamp and of set screws [m/N].
-
-Together with the settling of the faces it tells how much preload is lost after assembly.
-"""
+"""Compliance [m/N], load factors and preload losses of bolted joints (VDI 2230 R3, R4)."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import Literal
 
-from stiffopt.drivetrain.fasteners import BoltData
+import numpy as np
 
-# VDI 2230: lengths, in bolt diameters, that stand for the parts of a bolt beyond the clamp length:
-# its head, its engaged thread, the thread around it in a tapped hole or in a nut.
-HEAD_LENGTH = {"socket": 0.4, "hexagon": 0.5}
-ENGAGED_LENGTH = 0.5
-TAPPED_LENGTH, NUT_LENGTH = 0.33, 0.4
+from stiffopt.connection import BoltedFlange
+from stiffopt.drivetrain.fasteners import BoltData
+from stiffopt.errors import OutOfValidityError
+
+# Substitute lengths in bolt diameters of the parts beyond the clamp length (VDI 2230 R3): head,
+# engaged thread, tapped hole, nut.
+HEAD_LENGTH_RATIO = {"socket": 0.4, "hexagon": 0.5}
+ENGAGED_LENGTH_RATIO = 0.5
+TAPPED_LENGTH_RATIO, NUT_LENGTH_RATIO = 0.33, 0.4
 
 
 def bolt_compliance(
@@ -26,16 +28,16 @@ def bolt_compliance(
     head: Literal["socket", "hexagon"] = "socket",
     nut: bool = False,
 ) -> float:
-    """delta_S of a bolt: head, shank, free thread, engaged thread, nut or tapped thread [m/N].
+    """Return delta_S of a bolt: head, shank, free and engaged thread, nut or tapped hole [m/N].
 
     Parameters
     ----------
     bolt : BoltData
-        With its shank, where it has one; else threaded over the whole clamp length.
+        With its shank, if any; else threaded over the whole clamp length.
     clamp_length : float
         l_K [m].
     bolt_modulus, thread_modulus : float
-        Of the bolt, and of the nut or the part with the tapped hole [Pa].
+        Young's moduli of the bolt and of the nut or tapped part [Pa].
     head : {"socket", "hexagon"}
     nut : bool
         A nut in place of a tapped hole.
@@ -48,22 +50,24 @@ def bolt_compliance(
     rod = sum(
         length / (math.pi / 4 * diameter**2) for length, diameter in bolt.sections(clamp_length)
     )
-    within = HEAD_LENGTH[head] * d / bolt.nominal_area + ENGAGED_LENGTH * d / bolt.minor_area
-    around = (NUT_LENGTH if nut else TAPPED_LENGTH) * d / bolt.nominal_area
+    within = (
+        HEAD_LENGTH_RATIO[head] * d / bolt.nominal_area + ENGAGED_LENGTH_RATIO * d / bolt.minor_area
+    )
+    around = (NUT_LENGTH_RATIO if nut else TAPPED_LENGTH_RATIO) * d / bolt.nominal_area
     return (rod + within) / bolt_modulus + around / thread_modulus
 
 
 def cone_compliance(
     bearing: float, hole: float, outer: float, length: float, slope: float, modulus: float
 ) -> float:
-    """Compliance of one cone of pressure, from a head or nut on, and the sleeve beyond it [m/N].
+    """Return the compliance of a deformation cone under a head or nut and of its sleeve [m/N].
 
     Parameters
     ----------
     bearing, hole, outer : float
-        d_w, d_h and D_A, the edge of the part, where the cone ends [m].
+        d_w, d_h and D_A, outer diameter of the part that limits the cone [m].
     length : float
-        Of the cone with its sleeve [m].
+        Length of cone and sleeve [m].
     slope : float
         tan phi.
     modulus : float
@@ -79,10 +83,9 @@ def cone_compliance(
 def clamped_compliance(
     bolt: BoltData, clamp_length: float, outer_diameter: float, modulus: float
 ) -> float:
-    """delta_P of the parts that a bolt in a tapped hole clamps [m/N].
+    """Return delta_P of the clamped parts of a bolt in a tapped hole [m/N].
 
-    One cone of pressure spreads from the head towards the thread; where it meets the edge of the
-    part it goes on as a sleeve.
+    One deformation cone from the head towards the thread; beyond the edge of the part a sleeve.
 
     Parameters
     ----------
@@ -90,8 +93,7 @@ def clamped_compliance(
     clamp_length : float
         l_K [m].
     outer_diameter : float
-        D_A, of the material that belongs to one bolt [m]; what is smaller than the head counts as
-        a sleeve of the head's diameter.
+        D_A, of the material around one bolt [m]; at least the head's bearing diameter.
     modulus : float
         Young's modulus of the clamped part [Pa].
 
@@ -111,19 +113,19 @@ def through_bolted_compliance(
     outer_diameter: float,
     moduli: tuple[float, float],
 ) -> float:
-    """delta_P of the parts between head and nut [m/N]: two cones that meet half way.
+    """Return delta_P of the parts between head and nut, two cones that meet half way [m/N].
 
     Parameters
     ----------
     bolt : BoltData
     nut_bearing : float
-        d_w of the nut [m]; each cone has the slope of its own face.
+        d_w of the nut [m]; each cone has the slope of its own bearing face.
     clamp_length : float
         l_K [m].
     outer_diameter : float
         D_A, as for `clamped_compliance` [m].
     moduli : (float, float)
-        Young's moduli of the half under the head and of that under the nut [Pa].
+        Young's moduli of the half under the head and the half under the nut [Pa].
 
     References
     ----------
@@ -139,7 +141,7 @@ def through_bolted_compliance(
 
 
 def tip_compliance(contact_modulus: float, tip_diameter: float) -> float:
-    """Flat tip pressed on a half space, 1/(2 E* a) with the radius a [m/N].
+    """Return the compliance of a flat tip on a half space, 1/(2 E* a) with the radius a [m/N].
 
     Parameters
     ----------
@@ -149,3 +151,171 @@ def tip_compliance(contact_modulus: float, tip_diameter: float) -> float:
         [m]
     """
     return 1 / (contact_modulus * tip_diameter)
+
+
+# Load introduction factor n by type of joint: rows l_A/h = 0, 0.1, 0.2, 0.3, columns
+# a_k/h = 0, 0.1, 0.3, 0.5 (VDI 2230 Table 2).
+_CONNECTION_DISTANCE_RATIOS, _CONNECTION_LENGTH_RATIOS = (0.0, 0.1, 0.3, 0.5), (0.0, 0.1, 0.2, 0.3)
+_LOAD_INTRODUCTION_FACTORS = {
+    "SV1": ((0.70, 0.55, 0.30, 0.13), (0.52, 0.41, 0.22, 0.10), (0.34, 0.28, 0.16, 0.07),
+            (0.16, 0.14, 0.12, 0.04)),
+    "SV2": ((0.57, 0.46, 0.30, 0.13), (0.44, 0.36, 0.21, 0.10), (0.30, 0.25, 0.16, 0.07),
+            (0.16, 0.14, 0.12, 0.04)),
+    "SV3": ((0.44, 0.37, 0.26, 0.12), (0.35, 0.30, 0.20, 0.09), (0.26, 0.23, 0.15, 0.07),
+            (0.16, 0.14, 0.12, 0.04)),
+    "SV4": ((0.42, 0.34, 0.25, 0.12), (0.33, 0.27, 0.16, 0.08), (0.23, 0.19, 0.12, 0.06),
+            (0.14, 0.13, 0.10, 0.03)),
+    "SV5": ((0.30, 0.25, 0.22, 0.10), (0.24, 0.21, 0.15, 0.07), (0.19, 0.17, 0.12, 0.06),
+            (0.14, 0.13, 0.10, 0.03)),
+    "SV6": ((0.15, 0.14, 0.14, 0.07), (0.13, 0.12, 0.10, 0.06), (0.11, 0.11, 0.09, 0.06),
+            (0.10, 0.10, 0.08, 0.03)),
+}  # fmt: skip
+
+
+def load_introduction_factor(kind: str, a_over_h: float, l_over_h: float) -> float:
+    """Return the load introduction factor n by linear interpolation in Table 2.
+
+    Parameters
+    ----------
+    kind : str
+        Type of joint: load enters near the head (SV1) to near the interface (SV6).
+    a_over_h, l_over_h : float
+        Distance of the connected body from the bolt and its length, over the height h of the
+        clamped parts; clipped to the table.
+    """
+    table = np.array(_LOAD_INTRODUCTION_FACTORS[kind])
+    rows = [np.interp(a_over_h, _CONNECTION_DISTANCE_RATIOS, row) for row in table]
+    return float(np.interp(l_over_h, _CONNECTION_LENGTH_RATIOS, rows))
+
+
+@dataclass(frozen=True)
+class LoadFactor:
+    """Load factor Phi at both bounds of the load introduction factor n.
+
+    Parameters
+    ----------
+    most : float
+        Phi at the largest n; loads the bolt most.
+    least : float
+        Phi at the smallest n; 1 - Phi unloads the clamped parts most.
+    """
+
+    most: float
+    least: float
+
+
+def load_factor(bolt: float, plates: float, introduction: float | None) -> LoadFactor:
+    """Return Phi_n = n delta_P/(delta_S + delta_P) of a concentric joint (R3/1).
+
+    Parameters
+    ----------
+    bolt, plates : float
+        delta_S, delta_P [m/N].
+    introduction : float or None
+        n; None if unknown: then 1 for the bolt and 0 for the clamped parts.
+    """
+    whole = plates / (bolt + plates)
+    if introduction is None:
+        return LoadFactor(most=whole, least=0.0)
+    return LoadFactor(most=introduction * whole, least=introduction * whole)
+
+
+def eccentric_load_factor(
+    bolt: float,
+    plates: float,
+    introduction: float,
+    *,
+    bolt_offset: float,
+    load_offset: float,
+    length: float,
+    modulus: float,
+    bending_moment_of_area: float,
+) -> float:
+    """Return Phi*_en = n delta_P**/(delta_S + delta_P*) of an eccentric joint under eccentric load.
+
+    delta_P* = delta_P + s^2 l_K/(E I_Bers), delta_P** = delta_P + a s l_K/(E I_Bers).
+
+    Parameters
+    ----------
+    bolt, plates : float
+        delta_S, delta_P [m/N].
+    introduction : float
+        n.
+    bolt_offset, load_offset : float
+        s_sym and a, distances of bolt and load from the axis of the clamped parts [m]; equal signs
+        on the same side.
+    length : float
+        l_K [m].
+    modulus : float
+        E of the clamped parts [Pa].
+    bending_moment_of_area : float
+        I_Bers [m^4].
+
+    References
+    ----------
+    [VDI2230]_ R3, eccentric clamping and load.
+    """
+    bending = length / (modulus * bending_moment_of_area)
+    clamped = plates + bolt_offset**2 * bending
+    loaded = plates + load_offset * bolt_offset * bending
+    return introduction * loaded / (bolt + clamped)
+
+
+# By load (VDI 2230 Table 5): upper bound of Rz [m], then embedding [um] of the thread, of each head
+# or nut, of each inner interface.
+_EMBEDDING_BY_ROUGHNESS = {
+    "axial": ((10e-6, 3.0, 2.5, 1.5), (40e-6, 3.0, 3.0, 2.0), (160e-6, 3.0, 4.0, 3.0)),
+    "shear": ((10e-6, 3.0, 3.0, 2.0), (40e-6, 3.0, 4.5, 2.5), (160e-6, 3.0, 6.5, 3.5)),
+}
+
+
+def embedding(
+    roughness: float, interfaces: int, load: str = "shear", *, nut: bool = False
+) -> float:
+    """Return the embedding f_Z of a bolt: thread, head, nut and inner interfaces [m] (Table 5).
+
+    Parameters
+    ----------
+    roughness : float
+        Rz [m], of the roughest face.
+    interfaces : int
+        Number of inner interfaces, including those at washers.
+    load : {"shear", "axial"}
+        Working load; "shear" for combined loads, since it settles more.
+    nut : bool
+        Counts as another head; a tapped hole adds only the thread.
+    """
+    for bound, thread, head, inner in _EMBEDDING_BY_ROUGHNESS[load]:
+        if roughness < bound:
+            bearing = 2 if nut else 1
+            return 1e-6 * (thread + bearing * head + interfaces * inner)
+    raise OutOfValidityError("roughness", roughness, 0.0, 160e-6, "Table 5 of VDI 2230 ends there.")
+
+
+def flange_embedding(flange: BoltedFlange) -> float:
+    """Return f_Z of a flange's bolts under torque, a shear load of the interface [m]."""
+    bolt = flange.bolt
+    nut = bolt is not None and bolt.nut
+    washers = (2 if nut else 1) if bolt is not None and bolt.washer else 0
+    return embedding(flange.roughness, flange.interfaces + washers, nut=nut)
+
+
+def thermal_change(
+    length: float, bolt_expansion: float, part_expansion: float, change: float, compliance: float
+) -> float:
+    """Return Delta F_Vth = l_K (alpha_S - alpha_P) Delta T/(delta_S + delta_P) [N] (R4/2).
+
+    Positive values are preload lost; joint and bolt have the same temperature.
+
+    Parameters
+    ----------
+    length : float
+        l_K [m].
+    bolt_expansion, part_expansion : float
+        alpha_S, alpha_P [1/K].
+    change : float
+        Delta T from assembly [K].
+    compliance : float
+        delta_S + delta_P [m/N]; moduli at assembly, an error of 1 % for 30 K.
+    """
+    return length * (bolt_expansion - part_expansion) * change / compliance

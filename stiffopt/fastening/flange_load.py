@@ -1,4 +1,4 @@
-"""What a flange carries, and what of it comes to each of its bolts.
+"""Loads of a flange, forces on its bolts, and the clamp load that they require (VDI 2230 R2).
 
 Loads are (..., 6) in the flange's own axes, the third along the axis of the joint, origin in the
 middle of the pressed face: [F_x, F_y, F_z, M_x, M_y, T] in N and N m.
@@ -14,16 +14,16 @@ import numpy as np
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FlangeLoads:
-    """Loads of one flange, of which every check takes its own worst.
+    """Loads of one flange in all load cases.
 
     Parameters
     ----------
     names : tuple of str
-        Load cases, and instants of motions.
+        Names of load cases and instants of motions.
     values : array (K, 6)
         [N], [N m].
     alternating : bool
-        Whether the torque, or a shear force, changes its sign during a motion.
+        The torque, or a shear force, changes its sign during a motion.
     """
 
     names: tuple[str, ...]
@@ -37,7 +37,7 @@ class FlangeLoads:
 
     @property
     def axial(self) -> np.ndarray:
-        """|F_z| (K,) [N]: which way opens the joint is not known, so both are taken to."""
+        """|F_z| (K,) [N]; the opening direction is unknown, so both signs are taken to open."""
         return np.asarray(np.abs(self.values[:, 2]))
 
     @property
@@ -51,40 +51,40 @@ class FlangeLoads:
         return np.asarray(np.abs(self.values[:, 5]))
 
     @property
-    def more_than_torque(self) -> bool:
-        """Whether any force or tilting moment comes with the torque."""
+    def has_force_or_tilting(self) -> bool:
+        """True if a load case has a force or tilting moment besides torque."""
         return bool(self.values[:, :5].any())
 
-    def torque_alone(self) -> FlangeLoads:
-        """What a bearing beside the flange leaves to it."""
+    def torque_only(self) -> FlangeLoads:
+        """Return the loads without forces and tilting moments, which a bearing carries."""
         values = np.zeros_like(self.values)
         values[:, 5] = self.values[:, 5]
         return FlangeLoads(names=self.names, values=values, alternating=self.alternating)
 
 
 def bolt_angles(count: int) -> np.ndarray:
-    """Places of the bolts on their circle (count,) [rad], the first on the x axis."""
+    """Return the angles of the bolts on their circle (count,) [rad], the first on the x axis."""
     return 2 * math.pi / count * np.arange(count)
 
 
 def axial_forces(loads: np.ndarray, count: int, diameter: float, angles: np.ndarray) -> np.ndarray:
-    """Axial working load F_A of bolts at some places of the circle.
+    """Return the axial working load F_A of bolts at given angles of a rigid flange.
 
-    A rigid flange tilts without bending: F_z/n + 4 M/(n d) times the cosine of the angle from the
-    bolt that the moment loads most. The forces of all bolts balance force and moment.
+    F_A = F_z/n + 4 M/(n d) cos(angle from the most loaded bolt); force and moment are in
+    equilibrium.
 
     Parameters
     ----------
     loads : array (..., 6)
     count : int
-        n, at least 3: fewer bear no moment about every axis.
+        n, at least 3: fewer cannot carry a moment about every axis.
     diameter : float
         d of the bolt circle [m].
     angles : array (m,) [rad]
 
     Returns
     -------
-    array (..., m) [N], above 0 where the load pulls the parts from each other
+    array (..., m) [N], positive where the load opens the joint
 
     References
     ----------
@@ -97,15 +97,15 @@ def axial_forces(loads: np.ndarray, count: int, diameter: float, angles: np.ndar
 def transverse_forces(
     loads: np.ndarray, count: int, radius: float, angles: np.ndarray
 ) -> np.ndarray:
-    """Transverse load F_Q of bolts: equal shares of the shear, and the torque's along the circle.
+    """Return the transverse load F_Q of bolts: equal shares of shear and tangential torque forces.
 
     Parameters
     ----------
     loads : array (..., 6)
     count : int
     radius : float
-        At which the torque acts: the bolt circle for bolts that bear, the friction radius of the
-        ring where it holds by friction [m].
+        Lever of the torque: bolt circle radius for bolts in shear, friction radius for friction
+        grip [m].
     angles : array (m,) [rad]
 
     Returns
@@ -115,3 +115,87 @@ def transverse_forces(
     along = np.stack([-np.sin(angles), np.cos(angles)], axis=-1)
     share = loads[..., 5] / (count * radius)
     return np.asarray(loads[..., None, :2] / count + share[..., None, None] * along)
+
+
+def friction_clamp_load(transverse: np.ndarray, friction: float) -> np.ndarray:
+    """Return F_KQ = F_Q/mu_T, clamp load that carries a transverse load by friction (R2/1).
+
+    Parameters
+    ----------
+    transverse : array (..., 2)
+        F_Q of one bolt, shear and torque added as vectors [N].
+    friction : float
+        Least coefficient of the interface, mu_Tmin.
+    """
+    return np.asarray(np.linalg.norm(transverse, axis=-1) / friction)
+
+
+def eccentric_opening_load(
+    axial: float,
+    bending: float,
+    *,
+    area: float,
+    moment_of_area: float,
+    bolt_offset: float,
+    load_offset: float,
+    edge: float,
+) -> float:
+    """Return F_KA of a single bolt, clamp load at which its interface begins to open (R2/3).
+
+    F_KA = F_A A_D (a u - s u)/(I_BT + s u A_D) + M_B u A_D/(I_BT + s u A_D).
+
+    Parameters
+    ----------
+    axial, bending : float
+        F_A [N] and M_B [N m].
+    area, moment_of_area : float
+        A_D [m^2] and I_BT [m^4] of the face.
+    bolt_offset, load_offset, edge : float
+        s_sym, a and u, distances of bolt, load and edge from the axis of the interface [m].
+    """
+    below = moment_of_area + bolt_offset * edge * area
+    return area * edge * (axial * (load_offset - bolt_offset) + bending) / below
+
+
+def ring_opening_load(
+    axial: np.ndarray,
+    tilting: np.ndarray,
+    *,
+    inner: float,
+    outer: float,
+    count: int,
+    circle: float,
+    hole: float,
+) -> np.ndarray:
+    """Return the clamp load of one bolt at which the rim of a flange begins to open (R2/3).
+
+    The load reduces the uniform pressure n F_K/A by F_z/A + M R_o/I at the rim. Holes are
+    subtracted from A and I, unless the undrilled ring opens earlier.
+
+    Parameters
+    ----------
+    axial, tilting : array (K,)
+        |F_z| [N], |M| [N m].
+    inner, outer : float
+        Radii of the ring [m].
+    count : int
+    circle, hole : float
+        Diameters of the bolt circle and of one hole [m].
+    """
+    sections = [ring_section(inner, outer, count, circle, size) for size in (hole, 0.0)]
+    lever = max(outer * area / moment for area, moment in sections)
+    return np.asarray((axial + tilting * lever) / count)
+
+
+def ring_section(
+    inner: float, outer: float, count: int, circle: float, hole: float
+) -> tuple[float, float]:
+    """Return area [m^2] and second moment about a diameter [m^4] of a ring less its holes.
+
+    Three or more evenly spaced holes have the same moment about every diameter.
+    """
+    one = math.pi / 4 * hole**2
+    area = math.pi * (outer**2 - inner**2) - count * one
+    moment = math.pi / 4 * (outer**4 - inner**4)
+    moment -= count * (one * circle**2 / 8 + math.pi / 64 * hole**4)
+    return area, moment

@@ -1,7 +1,7 @@
-"""What bounds and diminishes the preload of a connection, whichever fasteners it has.
+"""Limits and losses of the preload of a connection with bolts or pins.
 
-Preloads are the largest that assembly leaves in one bolt or pin; after scatter and embedding as
-little as F/alpha_A minus the embedding loss is left.
+A preload F is the largest that assembly leaves in one bolt or pin; the least is F/alpha_A minus the
+embedding loss.
 """
 
 from __future__ import annotations
@@ -11,28 +11,27 @@ from stiffopt.contact.validate import require_positive
 from stiffopt.drivetrain import catalogue
 from stiffopt.errors import InputError
 from stiffopt.fastening import bolts, set_screws
-from stiffopt.fastening.preload_limit import PreloadLimit as PreloadLimit
 from stiffopt.fastening.tightening import Tightening
 from stiffopt.fastening.tightening import WorkshopTorque as WorkshopTorque
+from stiffopt.fastening.utilisation import PreloadLimit as PreloadLimit
 
 
-def _fastened(element: Connection) -> BoltedFlange | ClampingPins:
+def _require_fasteners(element: Connection) -> BoltedFlange | ClampingPins:
     if isinstance(element, BoltedFlange | ClampingPins):
         return element
     raise InputError(
-        f"{element.owner} has no bolts and no pins. Fasteners are those of a bolted_flange or of "
-        "clamping_pins; name one of these."
+        f"{element.owner} has no bolts and no pins. Name a bolted_flange or clamping_pins."
     )
 
 
 def fastener_count(element: Connection) -> int:
-    """Number of bolts or pins."""
-    fastened = _fastened(element)
+    """Return the number of bolts or pins."""
+    fastened = _require_fasteners(element)
     return fastened.bolt_count if isinstance(fastened, BoltedFlange) else fastened.count
 
 
 def preload_limits(element: Connection, tightening: Tightening) -> tuple[PreloadLimit, ...]:
-    """Bounds on the preload of one bolt or pin.
+    """Return the limits on the preload of one bolt or pin.
 
     Parameters
     ----------
@@ -45,15 +44,15 @@ def preload_limits(element: Connection, tightening: Tightening) -> tuple[Preload
         Bolts: bolt utilisation, head pressure, thread engagement, bolt spacing, hole in ring.
         Pins: screw torque (where the screw is known), tip indentation.
     """
-    fastened = _fastened(element)
+    fastened = _require_fasteners(element)
     if isinstance(fastened, BoltedFlange):
         return bolts.limits(fastened, tightening)
     return set_screws.limits(fastened)
 
 
 def assumed_lengths(element: Connection) -> dict[str, float]:
-    """Lengths that nobody gave and that are estimated here, by their key in the robot file [m]."""
-    fastened = _fastened(element)
+    """Return the assumed lengths, by their key in the robot file [m]."""
+    fastened = _require_fasteners(element)
     if isinstance(fastened, BoltedFlange):
         return bolts.assumed_lengths(fastened)
     return set_screws.assumed_lengths(fastened)
@@ -62,7 +61,7 @@ def assumed_lengths(element: Connection) -> dict[str, float]:
 def check_preload(
     element: Connection, tightening: Tightening, preload: float | None = None
 ) -> None:
-    """Raise `InputError` if a preload is more than the fastener itself bears.
+    """Raise `InputError` if a preload exceeds the capacity of the fastener.
 
     Parameters
     ----------
@@ -71,48 +70,48 @@ def check_preload(
     preload : float or None
         [N]; None: the element's own.
     """
-    fastened = _fastened(element)
+    fastened = _require_fasteners(element)
     force = fastened.preload if preload is None else preload
-    assert force is not None  # both kinds refuse to be built without
+    assert force is not None  # both kinds require a preload
     require_positive(element.owner, preload=force)
     if isinstance(fastened, BoltedFlange):
         bolt = bolts.flange_bolt(fastened)
         most = bolts.permissible_preload(fastened, tightening)
-        what = f"the largest assembly preload {most / 1e3:.4g} kN of {bolt.size} {bolt.grade}"
+        bound = f"the largest assembly preload {most / 1e3:.4g} kN of {bolt.size} {bolt.grade}"
         why = f"VDI 2230, thread friction {tightening.thread_friction:g}"
         remedy = "a larger bolt, a higher grade or less thread friction"
     else:
         most = set_screws.torque_capacity(fastened)
         size = "" if fastened.screw is None else fastened.screw.size
-        what = f"the {most / 1e3:.4g} kN that a set screw {size} reaches at its tightening torque"
+        bound = f"the {most / 1e3:.4g} kN that a set screw {size} reaches at its tightening torque"
         why = "strength class 45H"
         remedy = "a larger screw or more pins"
     if force > most:
         raise InputError(
-            f"preload {force / 1e3:.4g} kN of {element.name} is above {what} ({why}). Lower the "
+            f"preload {force / 1e3:.4g} kN of {element.name} is above {bound} ({why}). Lower the "
             f"preload, or take {remedy}."
         )
 
 
 def preload_loss(element: Connection, tightening: Tightening) -> float:
-    """Preload that one bolt or pin loses after assembly [N]: faces settle, parts warm (R4)."""
-    fastened = _fastened(element)
+    """Return the preload loss of one bolt or pin by embedding and temperature [N] (R4)."""
+    fastened = _require_fasteners(element)
     if isinstance(fastened, BoltedFlange):
         return bolts.preload_loss(fastened, tightening)
     return set_screws.preload_loss(fastened, tightening)
 
 
 def scatter(element: Connection, tightening: Tightening) -> float:
-    """alpha_A, largest over least preload of a bolt or pin at assembly [-] (R1)."""
-    fastened = _fastened(element)
+    """Return alpha_A, largest over least assembly preload of a bolt or pin [-] (R1)."""
+    fastened = _require_fasteners(element)
     if isinstance(fastened, BoltedFlange):
         return bolts.scatter(fastened, tightening)
     return tightening.alpha
 
 
 def workshop_torque(element: Connection, preload: float, tightening: Tightening) -> WorkshopTorque:
-    """Torque to set for the largest preload of one bolt or pin [N]; see `WorkshopTorque`."""
-    fastened = _fastened(element)
+    """Return the wrench setting for the largest preload of one bolt or pin [N]."""
+    fastened = _require_fasteners(element)
     require_positive(element.owner, preload=preload)
     if isinstance(fastened, BoltedFlange):
         return bolts.workshop_torque(fastened, preload, tightening)
@@ -120,14 +119,14 @@ def workshop_torque(element: Connection, preload: float, tightening: Tightening)
 
 
 def key_pressure_limit(hub_material: str, reversing: bool) -> tuple[float, str, str]:
-    """Permissible flank pressure of a parallel key.
+    """Return the permissible flank pressure of a parallel key.
 
     Parameters
     ----------
     hub_material : str
         steel, iron or aluminium.
     reversing : bool
-        Whether the torque changes its sign in service.
+        The torque changes its sign in service.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""Set screws and pins on a shaft: bounds on their preload, loss by embedding, workshop torque."""
+"""Set screws and pins on a shaft: limits on the preload, preload loss, workshop torque."""
 
 from __future__ import annotations
 
@@ -8,21 +8,21 @@ from stiffopt.connection import ClampingPins
 from stiffopt.drivetrain import catalogue
 from stiffopt.errors import InputError
 from stiffopt.fastening.compliance import tip_compliance
-from stiffopt.fastening.preload_limit import PreloadLimit
 from stiffopt.fastening.tightening import Tightening, WorkshopTorque
+from stiffopt.fastening.utilisation import PreloadLimit
 
-# A flat tip sinks in at about 2.8 times the yield strength; 0.9 of it is permitted.
-_INDENTATION = 0.9 * 2.8
-# Screw length in diameters, and screw diameter in tip diameters, where they are not given.
-_LENGTH, _DIAMETER = 1.5, 2.0
-# By which thread and tip settle [m]: those of thread and head in VDI 2230 Table 5, Rz below 10 um.
-_SETTLED = 6e-6
-# Shaft where no screw tells: the softer one.
-_SHAFT = "steel_45"
+# Permissible tip pressure over yield strength: indentation begins at 2.8, and 0.9 of it is allowed.
+_INDENTATION_PRESSURE_RATIO = 0.9 * 2.8
+# Default screw length in screw diameters, and screw diameter in tip diameters.
+_DEFAULT_LENGTH_RATIO, _DEFAULT_DIAMETER_RATIO = 1.5, 2.0
+# Embedding of thread and tip [m]: thread and head in VDI 2230 Table 5, Rz below 10 um.
+_THREAD_AND_TIP_EMBEDDING = 6e-6
+# Shaft material of pins without a screw: the softer one.
+_DEFAULT_SHAFT_MATERIAL = "steel_45"
 
 
 def torque_capacity(pins: ClampingPins) -> float:
-    """Preload at the tightening torque that the screw bears, M/(0.2 d) [N]; inf without screw."""
+    """Return the preload at the permissible tightening torque, M/(0.2 d) [N]; inf without screw."""
     if pins.screw is None:
         return math.inf
     data = catalogue.set_screw(pins.screw.size)
@@ -30,9 +30,9 @@ def torque_capacity(pins: ClampingPins) -> float:
 
 
 def limits(pins: ClampingPins) -> tuple[PreloadLimit, ...]:
-    """Bounds on the preload of one pin; the first is what the screw bears, where it is known."""
-    shaft = _SHAFT if pins.screw is None else pins.screw.shaft_material
-    pressure = _INDENTATION * catalogue.shaft_proof_stress(shaft)
+    """Return the limits on the preload of one pin; the first is that of the screw, if given."""
+    shaft = _DEFAULT_SHAFT_MATERIAL if pins.screw is None else pins.screw.shaft_material
+    pressure = _INDENTATION_PRESSURE_RATIO * catalogue.shaft_proof_stress(shaft)
     assumed = ", assumed because the element names no screw" if pins.screw is None else ""
     indentation = PreloadLimit(
         name="tip indentation",
@@ -55,24 +55,24 @@ def limits(pins: ClampingPins) -> tuple[PreloadLimit, ...]:
 
 
 def screw_length(pins: ClampingPins) -> float:
-    """Length in use, from the tip to where the thread holds [m]."""
+    """Return the length from the tip to the engaged thread, given or assumed [m]."""
     if pins.screw is None:
-        return _LENGTH * _DIAMETER * pins.tip_diameter
+        return _DEFAULT_LENGTH_RATIO * _DEFAULT_DIAMETER_RATIO * pins.tip_diameter
     if pins.screw.length is None:
-        return _LENGTH * catalogue.set_screw(pins.screw.size).diameter
+        return _DEFAULT_LENGTH_RATIO * catalogue.set_screw(pins.screw.size).diameter
     return pins.screw.length
 
 
 def assumed_lengths(pins: ClampingPins) -> dict[str, float]:
-    """Lengths in use that the element does not give [m]."""
+    """Return the assumed lengths of the element, by key [m]."""
     given = pins.screw is not None and pins.screw.length is not None
     return {} if given else {"length": screw_length(pins)}
 
 
 def pin_compliance(pins: ClampingPins) -> float:
-    """Screw over its length and half space under the tip, one after the other [m/N]."""
+    """Return the compliance of screw and half space under the tip in series [m/N]."""
     if pins.screw is None:
-        area = math.pi / 4 * (_DIAMETER * pins.tip_diameter) ** 2
+        area = math.pi / 4 * (_DEFAULT_DIAMETER_RATIO * pins.tip_diameter) ** 2
     else:
         area = catalogue.set_screw(pins.screw.size).minor_area
     screw = screw_length(pins) / (catalogue.set_screw_modulus() * area)
@@ -80,16 +80,16 @@ def pin_compliance(pins: ClampingPins) -> float:
 
 
 def preload_loss(pins: ClampingPins, tightening: Tightening) -> float:
-    """Preload that one pin loses as its thread and its tip settle [N]."""
-    settled = _SETTLED if tightening.embedding is None else tightening.embedding
+    """Return the preload loss of one pin by embedding of thread and tip [N]."""
+    settled = _THREAD_AND_TIP_EMBEDDING if tightening.embedding is None else tightening.embedding
     return settled / pin_compliance(pins)
 
 
 def workshop_torque(pins: ClampingPins, preload: float, tightening: Tightening) -> WorkshopTorque:
-    """Wrench setting for the largest preload [N] of one screw, by the nut factor."""
+    """Return the wrench setting for the largest preload [N] of one screw, by the nut factor."""
     if pins.screw is None:
         raise InputError(
-            f"{pins.owner}: no screw is known, so there is no tightening torque. Add "
+            f"{pins.owner}: no screw is given, so there is no tightening torque. Add "
             '`screw = { size = "M4" }` to the element in the robot file.'
         )
     data = catalogue.set_screw(pins.screw.size)

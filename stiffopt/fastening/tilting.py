@@ -1,4 +1,4 @@
-"""How a bolted flange tilts: bolts on their circle, and a face that presses but does not pull."""
+"""Tilting stiffness of a bolted flange: bolts on their circle, interface without tension."""
 
 from __future__ import annotations
 
@@ -11,28 +11,28 @@ from scipy.optimize import brentq
 from stiffopt.connection import BoltedFlange
 from stiffopt.contact.fractal import FractalLaw
 from stiffopt.fastening import bolts
-from stiffopt.fastening.clamp_load import ring_section
+from stiffopt.fastening.flange_load import ring_section
 from stiffopt.symbolic import Quantity
 
-_PLACES = 180
+# Springs around the circle that discretise the opening interface.
+_SPRING_COUNT = 180
 
 
 @dataclass(frozen=True)
 class TiltingFlange:
-    """A flange at one preload, tilted by a moment.
+    """Tilting of a flange at one preload under a moment.
 
-    The clamped parts are springs around the bolt circle, n/delta_P and the rough face one after the
-    other, which bear pressure alone; the bolts are springs of n/delta_S. Both are spread evenly
-    over the circle of the radius of gyration of the ring.
+    Clamped parts and rough interface in series are springs without tension, evenly spread over a
+    circle with the ring's second moment of area; the bolts are springs of n/delta_S.
 
     Parameters
     ----------
     bolts, face : float
-        Stiffness of all bolts and of all clamped parts with their face [N/m].
+        Axial stiffness of all bolts, and of all clamped parts with the interface [N/m].
     radius : float
-        Radius of gyration times sqrt(2): of a circle with the ring's moment of area [m].
+        Of the circle of springs, radius of gyration times sqrt(2) [m].
     bolt_radius, rim : float
-        Of the bolts, and outer radius of the ring [m].
+        Radius of the bolt circle, outer radius of the ring [m].
     clamp : float
         Clamp force of all bolts together [N].
     """
@@ -46,48 +46,50 @@ class TiltingFlange:
 
     @property
     def closed_stiffness(self) -> float:
-        """Stiffness while the whole face presses [N m/rad]."""
+        """Stiffness of the fully closed interface [N m/rad]."""
         return (self.face * self.radius**2 + self.bolts * self.bolt_radius**2) / 2
 
     @property
     def open_stiffness(self) -> float:
-        """Stiffness that the bolts alone would have [N m/rad]."""
+        """Stiffness of the bolts alone [N m/rad]."""
         return self.bolts * self.bolt_radius**2 / 2
 
     @property
     def opening_moment(self) -> float:
-        """Moment from which on the rim of the face opens [N m]."""
+        """Moment at which the rim of the interface begins to open [N m]."""
         return self.clamp / (self.face * self.rim) * self.closed_stiffness
 
     @property
     def lift_off_moment(self) -> float:
-        """Moment from which on the circle of springs lifts off, and the flange is softer [N m]."""
+        """Moment at which springs begin to lift off and the flange softens [N m]."""
         return self.clamp / (self.face * self.radius) * self.closed_stiffness
 
     def secant_compliance(self, moment: float) -> float:
-        """Angle over moment [rad/(N m)], at zero moment the compliance of the closed face."""
+        """Return angle over moment [rad/(N m)]; at zero moment the compliance when closed."""
         if abs(moment) <= self.lift_off_moment:
             return 1.0 / self.closed_stiffness
         return self.rotation(moment) / moment
 
     def rotation(self, moment: float) -> float:
-        """Angle by which a moment tilts the flange [rad]; linear until it lifts off."""
+        """Return the tilting angle under a moment [rad]; linear until lift-off."""
         if abs(moment) <= self.lift_off_moment:
             return moment / self.closed_stiffness
         most = abs(moment) / self.open_stiffness
         least = abs(moment) / self.closed_stiffness
-        found = brentq(lambda angle: self._moment(angle) - abs(moment), least, most, rtol=1e-12)
+        found = brentq(
+            lambda angle: self._restoring_moment(angle) - abs(moment), least, most, rtol=1e-12
+        )
         return math.copysign(float(found), moment)
 
-    def _moment(self, angle: float) -> float:
-        """Moment of the springs at an angle, the axial balance kept."""
-        cosine = np.cos(2 * np.pi * (np.arange(_PLACES) + 0.5) / _PLACES)
+    def _restoring_moment(self, angle: float) -> float:
+        """Return the moment of the springs at an angle in axial equilibrium [N m]."""
+        cosine = np.cos(2 * np.pi * (np.arange(_SPRING_COUNT) + 0.5) / _SPRING_COUNT)
         pressed = self.clamp / self.face
         reach = angle * self.radius
 
         def forces(lift: float) -> np.ndarray:
-            # Compression of the face where it is left; the bolts lengthen by as much.
-            return self.face / _PLACES * np.maximum(pressed - lift - reach * cosine, 0.0)
+            # Remaining compression of the interface; the bolts lengthen by the lift.
+            return self.face / _SPRING_COUNT * np.maximum(pressed - lift - reach * cosine, 0.0)
 
         def surplus(lift: float) -> float:
             return float(self.clamp + self.bolts * lift - forces(lift).sum())
@@ -98,7 +100,7 @@ class TiltingFlange:
 
 
 def closed_compliance(flange: BoltedFlange, preload: Quantity) -> Quantity:
-    """Tilting compliance of a closed face by the smooth contact law [rad/(N m)].
+    """Return the tilting compliance when closed, by the smooth contact law [rad/(N m)].
 
     Parameters
     ----------
@@ -115,9 +117,9 @@ def closed_compliance(flange: BoltedFlange, preload: Quantity) -> Quantity:
 
 
 def tilting_flange(flange: BoltedFlange, preload: float) -> TiltingFlange:
-    """Flange with a preload of each bolt that is there in service [N].
+    """Return the flange at a preload of each bolt in service [N].
 
-    The rough face yields by the exact contact law at its mean pressure.
+    The rough interface has the stiffness of the exact contact law at its mean pressure.
     """
     bolt, plates = bolts.joint_compliances(flange)
     count = flange.bolt_count * flange.sectors

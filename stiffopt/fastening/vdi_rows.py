@@ -1,4 +1,4 @@
-"""The steps of VDI 2230 for one flange at one preload: each with value, limit and utilisation."""
+"""Verification steps of VDI 2230 for one flange at one preload, with value, limit, utilisation."""
 
 from __future__ import annotations
 
@@ -9,27 +9,29 @@ import numpy as np
 
 from stiffopt.drivetrain import catalogue
 from stiffopt.fastening.bolt_geometry import clamp_length
-from stiffopt.fastening.bolt_stress import working_stress
-from stiffopt.fastening.endurance import SAFETY as ENDURANCE_SAFETY
-from stiffopt.fastening.endurance import endurance_limit
+from stiffopt.fastening.bolt_strength import (
+    BOLT_SHEAR_RATIO,
+    endurance_limit,
+    head_bearing,
+    transverse_slip_limit,
+    working_stress,
+)
+from stiffopt.fastening.bolt_strength import MIN_ENDURANCE_SAFETY as ENDURANCE_SAFETY
 from stiffopt.fastening.flange_load import transverse_forces
-from stiffopt.fastening.head_pressure import head_bearing
-from stiffopt.fastening.safety_factor import SafetyFactor
-from stiffopt.fastening.self_loosening import transverse_slip_limit
-from stiffopt.fastening.utilisation_row import UtilisationRow
-from stiffopt.fastening.verification import SLIP_ALTERNATING, Verification
+from stiffopt.fastening.utilisation import SafetyFactor, UtilisationRow
+from stiffopt.fastening.verification import MIN_ALTERNATING_SLIP_SAFETY, Verification
 
-# Required safety against yield in service (R8), surface pressure (R10), shear after slip (R12).
-YIELD, PRESSURE, SHEAR = 1.0, 1.0, 1.1
-# Shear over tensile strength of bolts, and the extent of a face over the head's for which its
-# pressure still is even (limit G'' of a tapped hole: 1.5 to 2, the near end).
-_SHEAR_STRENGTH, _EXTENT = 0.6, 1.5
+# Required safety against yield in service (R8), surface pressure (R10), shear after slip (R12) [-].
+MIN_YIELD_SAFETY, MIN_PRESSURE_SAFETY, MIN_SHEAR_SAFETY = 1.0, 1.0, 1.1
+# Width of an interface over the head's bearing diameter up to which its pressure is uniform (limit
+# G'' of a tapped hole: 1.5 to 2, the lower end) [-].
+_MAX_FACE_WIDTH_RATIO = 1.5
 
 
 def vdi_rows(
     steps: Verification, preload: float, shift: float = math.nan, least: float | None = None
 ) -> tuple[UtilisationRow, ...]:
-    """Every step at a largest assembly preload.
+    """Return every verification step at a largest assembly preload.
 
     Parameters
     ----------
@@ -37,39 +39,39 @@ def vdi_rows(
     preload : float
         F_M [N].
     shift : float
-        Transverse movement of the bolts by the elasticity of the face [m]; nan leaves the
-        check of self-loosening out.
+        Transverse displacement of the parts at the bolts [m]; nan omits the check of
+        self-loosening.
     least : float, optional
-        F_V that is left in service [N]; default after scatter and losses.
+        Preload F_V in service [N]; default after scatter and losses.
     """
     if least is None:
         least = preload / steps.scatter - steps.loss
     return (
-        *_clamp(steps, least),
-        *_stress(steps, preload, least),
-        *_after_slip(steps),
-        *_warnings(steps, least, shift),
+        *_clamp_load_rows(steps, least),
+        *_stress_rows(steps, preload, least),
+        *_shear_rows(steps),
+        *_warning_rows(steps, least, shift),
     )
 
 
-def _worst(steps: Verification, values: np.ndarray) -> tuple[int, str]:
+def _worst_case(steps: Verification, values: np.ndarray) -> tuple[int, str]:
     index = int(np.argmax(values))
     return index, steps.loads.names[index]
 
 
-def _clamp(steps: Verification, least: float) -> Iterator[UtilisationRow]:
+def _clamp_load_rows(steps: Verification, least: float) -> Iterator[UtilisationRow]:
     unloaded = (1.0 - steps.factor.least) * np.maximum(steps.opening, 0.0)
     needed = steps.slip_safety * steps.clamp_against_slip + unloaded
-    index, case = _worst(steps, needed.max(axis=1))
+    index, case = _worst_case(steps, needed.max(axis=1))
     place = int(np.argmax(needed[index]))
     left = least - float(unloaded[index, place])
     friction = float(steps.clamp_against_slip[index, place])
     most = float(needed[index, place])
-    kind = "alternating" if steps.slip_safety == SLIP_ALTERNATING else "static"
-    if not steps.loads.more_than_torque:
-        # The torque alone: the slip safety of the connection says the same.
+    kind = "alternating" if steps.slip_safety == MIN_ALTERNATING_SLIP_SAFETY else "static"
+    if not steps.loads.has_force_or_tilting:
+        # Under torque alone this equals the slip safety of the connection.
         return
-    # Faces that open rub no more.
+    # An open interface has no friction.
     slips = max(left, 0.0) / friction if friction > 0.0 else math.inf
     extra = 100 * (steps.friction_radius / (steps.flange.circle_diameter / 2) - 1)
     yield UtilisationRow(
@@ -79,16 +81,16 @@ def _clamp(steps: Verification, least: float) -> Iterator[UtilisationRow]:
         value=slips,
         limit=steps.slip_safety,
         unit="",
-        utilisation=_share(most, least),
+        utilisation=_required_over_available(most, least),
         case=case,
         source=(
-            f"{kind}: shear and torque as vectors, tension of the bolt taken off; friction at "
+            f"{kind}: shear and torque as vectors, bolt tension subtracted; friction at "
             f"the mean radius of the ring, {extra:.1f} % outside the bolt circle"
         ),
         provenance="catalogue",
         remedy="more friction, more or larger bolts, a larger circle, or less scatter",
     )
-    index, case = _worst(steps, steps.clamp_against_opening)
+    index, case = _worst_case(steps, steps.clamp_against_opening)
     opens = float(steps.clamp_against_opening[index])
     if opens > 0.0:
         yield UtilisationRow(
@@ -97,7 +99,7 @@ def _clamp(steps: Verification, least: float) -> Iterator[UtilisationRow]:
             value=least,
             limit=opens,
             unit="N",
-            utilisation=_share(opens, least),
+            utilisation=_required_over_available(opens, least),
             case=case,
             source="pressure at the rim of the ring less its holes, axial force and tilting",
             provenance="catalogue",
@@ -105,20 +107,23 @@ def _clamp(steps: Verification, least: float) -> Iterator[UtilisationRow]:
         )
 
 
-def _stress(steps: Verification, preload: float, least: float) -> Iterator[UtilisationRow]:
-    _, case = _worst(steps, steps.opening.max(axis=1))
+def _stress_rows(steps: Verification, preload: float, least: float) -> Iterator[UtilisationRow]:
+    _, case = _worst_case(steps, steps.opening.max(axis=1))
     friction = steps.tightening.thread_friction
     stress = float(working_stress(steps.data, preload, steps.additional, friction))
     yield UtilisationRow(
         kind="working stress",
         equation="R8/5",
-        safety=SafetyFactor("S_F", steps.proof_stress / stress, YIELD),
+        safety=SafetyFactor("S_F", steps.proof_stress / stress, MIN_YIELD_SAFETY),
         value=stress,
         limit=steps.proof_stress,
         unit="Pa",
         utilisation=stress / steps.proof_stress,
         case=case,
-        source=f"R_p0.2 of {steps.bolt.grade}, half of the torsion of tightening, safety {YIELD:g}",
+        source=(
+            f"R_p0.2 of {steps.bolt.grade}, half of the torsion of tightening, safety "
+            f"{MIN_YIELD_SAFETY:g}"
+        ),
         provenance="catalogue",
         remedy="a larger bolt, a higher grade or less load",
     )
@@ -127,7 +132,7 @@ def _stress(steps: Verification, preload: float, least: float) -> Iterator[Utili
     yield UtilisationRow(
         kind="head pressure in service",
         equation="R10/2",
-        safety=SafetyFactor("S_P", bearing.capacity / force, PRESSURE),
+        safety=SafetyFactor("S_P", bearing.capacity / force, MIN_PRESSURE_SAFETY),
         value=force,
         limit=bearing.capacity,
         unit="N",
@@ -137,10 +142,10 @@ def _stress(steps: Verification, preload: float, least: float) -> Iterator[Utili
         provenance=bearing.provenance,
         remedy="a harder part or a hard washer under the head, or a larger bolt",
     )
-    if steps.swing > 0.0:
-        mean = preload + steps.swing / 2
+    if steps.alternating_force > 0.0:
+        mean = preload + steps.alternating_force / 2
         limit = float(endurance_limit(steps.data, steps.bolt.rolled, mean, steps.proof_stress))
-        amplitude = steps.swing / (2 * steps.data.stress_area)
+        amplitude = steps.alternating_force / (2 * steps.data.stress_area)
         yield UtilisationRow(
             kind="alternating stress",
             equation="R9/4",
@@ -151,34 +156,34 @@ def _stress(steps: Verification, preload: float, least: float) -> Iterator[Utili
             utilisation=ENDURANCE_SAFETY * amplitude / limit,
             case=case,
             source=(
-                f"{_thread_words(steps)}, endurance limit over {ENDURANCE_SAFETY:g}; load on and"
-                " off among what alternates"
+                f"{_describe_thread(steps)}, endurance limit over {ENDURANCE_SAFETY:g}; loading and"
+                " unloading included"
             ),
             provenance="catalogue" if steps.grade.heat_treated else "estimated",
             remedy="a larger bolt, a longer one, more bolts, or threads rolled at the end",
         )
 
 
-def _after_slip(steps: Verification) -> Iterator[UtilisationRow]:
-    """What the bolts bear should the face slip all the same."""
+def _shear_rows(steps: Verification) -> Iterator[UtilisationRow]:
+    """Yield the bolt shear and hole bearing rows in case the interface slips."""
     force = transverse_forces(
         steps.loads.values, steps.count, steps.flange.circle_diameter / 2, steps.angles
     )
     sizes = np.linalg.norm(force, axis=-1)
-    index, case = _worst(steps, sizes.max(axis=1))
+    index, case = _worst_case(steps, sizes.max(axis=1))
     most = float(sizes[index].max())
     if most <= 0.0:
         return
-    strength = _SHEAR_STRENGTH * steps.grade.tensile_strength
+    strength = BOLT_SHEAR_RATIO * steps.grade.tensile_strength
     stress = most / steps.data.core_area
     yield UtilisationRow(
         kind="bolt shear",
         equation="R12",
-        safety=SafetyFactor("S_A", strength / stress, SHEAR),
+        safety=SafetyFactor("S_A", strength / stress, MIN_SHEAR_SAFETY),
         value=stress,
-        limit=strength / SHEAR,
+        limit=strength / MIN_SHEAR_SAFETY,
         unit="Pa",
-        utilisation=SHEAR * stress / strength,
+        utilisation=MIN_SHEAR_SAFETY * stress / strength,
         case=case,
         source="after slip, thread in the face: core area, 0.6 R_m, safety 1.1",
         provenance="catalogue",
@@ -200,9 +205,9 @@ def _after_slip(steps: Verification) -> Iterator[UtilisationRow]:
     )
 
 
-def _warnings(steps: Verification, least: float, shift: float) -> Iterator[UtilisationRow]:
+def _warning_rows(steps: Verification, least: float, shift: float) -> Iterator[UtilisationRow]:
     extent = steps.flange.outer_radius - steps.flange.inner_radius
-    spread = _EXTENT * steps.data.bearing_diameter
+    spread = _MAX_FACE_WIDTH_RATIO * steps.data.bearing_diameter
     yield UtilisationRow(
         kind="validity of even pressure",
         equation="R0, limit G",
@@ -215,8 +220,8 @@ def _warnings(steps: Verification, least: float, shift: float) -> Iterator[Utili
         remedy="a narrower ring, larger heads, washers, or a finite-element model",
         binding=False,
         warns=(
-            "preload and torque are right by the formulas, but so wide a ring is pressed less"
-            " evenly than these take it, and slips and opens earlier. The warning counts: take"
+            "preload and torque follow the formulas, but the pressure on so wide a ring is less"
+            " uniform than these assume, and it slips and opens earlier. The warning counts: take"
             " slip and opening for estimates"
         ),
     )
@@ -240,20 +245,20 @@ def _warnings(steps: Verification, least: float, shift: float) -> Iterator[Utili
             remedy="longer or more slender bolts, more preload, or a locking feature",
             binding=False,
             warns=(
-                "preload and torque stand as they are, but they do not keep bolts from turning"
-                " loose where the load comes again and again. Both count: tighten so, and lock"
+                "preload and torque remain valid, but they do not prevent bolts from turning loose"
+                " under repeated load. Both count: tighten so, and lock"
             ),
         )
 
 
-def _thread_words(steps: Verification) -> str:
+def _describe_thread(steps: Verification) -> str:
     if steps.grade.heat_treated:
         return f"thread rolled {steps.bolt.rolled} heat treatment"
     return "formula of heat-treated bolts, no published one for stainless"
 
 
-def _share(needed: float, present: float) -> float:
-    """Utilisation of a need that what is present has to cover."""
+def _required_over_available(needed: float, present: float) -> float:
+    """Return required over available value; 0 if none is required."""
     if needed <= 0.0:
         return 0.0
     return needed / present if present > 0.0 else math.inf

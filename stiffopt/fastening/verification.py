@@ -1,7 +1,7 @@
-"""One flange under its loads by VDI 2230: what comes to a bolt, and which preloads hold.
+"""Verification of one flange under its loads by VDI 2230: bolt forces and admissible preloads.
 
-Every check takes the worst load case and the worst place on the bolt circle, since how the bolts
-stand to the load changes as the joint turns.
+Every check uses the worst load case and the worst angle on the bolt circle, since the direction of
+the load relative to the bolts changes with the joint angle.
 """
 
 from __future__ import annotations
@@ -16,21 +16,24 @@ from stiffopt.drivetrain import catalogue
 from stiffopt.errors import InputError
 from stiffopt.fastening import bolts
 from stiffopt.fastening.bolt_geometry import bolt_data
-from stiffopt.fastening.bolt_stress import largest_working_preload
-from stiffopt.fastening.clamp_load import friction_clamp_load, ring_opening_load
+from stiffopt.fastening.bolt_strength import MIN_ENDURANCE_SAFETY as ENDURANCE_SAFETY
+from stiffopt.fastening.bolt_strength import endurance_limit, head_bearing, largest_working_preload
+from stiffopt.fastening.compliance import LoadFactor, load_factor
 from stiffopt.fastening.elastic_ring import elastic_ring
-from stiffopt.fastening.endurance import SAFETY as ENDURANCE_SAFETY
-from stiffopt.fastening.endurance import endurance_limit
-from stiffopt.fastening.flange_load import FlangeLoads, axial_forces, transverse_forces
-from stiffopt.fastening.head_pressure import head_bearing
-from stiffopt.fastening.load_factor import LoadFactor, load_factor
+from stiffopt.fastening.flange_load import (
+    FlangeLoads,
+    axial_forces,
+    friction_clamp_load,
+    ring_opening_load,
+    transverse_forces,
+)
 from stiffopt.fastening.tightening import Tightening
 
-# Places on the bolt circle that are looked at; between two of them a cosine is off by this much.
-_PLACES = 360
-_BETWEEN = 1.0 / math.cos(math.pi / _PLACES)
-# Safety against slip (VDI 2230 R12).
-SLIP_STATIC, SLIP_ALTERNATING = 1.2, 1.8
+# Sampled angles of the bolt circle, and the largest underestimate of a cosine between two of them.
+_ANGLE_COUNT = 360
+_MAX_INTERPOLATION_FACTOR = 1.0 / math.cos(math.pi / _ANGLE_COUNT)
+# Required safety against slip (VDI 2230 R12) [-].
+MIN_STATIC_SLIP_SAFETY, MIN_ALTERNATING_SLIP_SAFETY = 1.2, 1.8
 
 
 class Verification:
@@ -42,7 +45,7 @@ class Verification:
         With its bolt.
     tightening : Tightening
     loads : FlangeLoads
-        In the axes of the flange, at its face.
+        In the axes of the flange, at its interface.
     slip_safety : float or None
         None: 1.2 for static, 1.8 for alternating torque.
     """
@@ -55,62 +58,62 @@ class Verification:
         slip_safety: float | None = None,
     ) -> None:
         self.flange, self.tightening = flange, tightening
-        self.loads = loads if flange.bearing == "none" else loads.torque_alone()
+        self.loads = loads if flange.bearing == "none" else loads.torque_only()
         self.bolt = bolts.flange_bolt(flange)
         self.data = bolt_data(self.bolt)
         self.count = flange.bolt_count * flange.sectors
         if self.count < 3 and self.loads.tilting.any():
             raise InputError(
-                f"{flange.owner}: {self.count} bolts bear no tilting moment about every axis. Give "
-                'the flange three or more, or say `bearing = "beside"` in the robot file.'
+                f"{flange.owner}: {self.count} bolts carry no tilting moment about every axis. "
+                'Give three or more, or set `bearing = "beside"` in the robot file.'
             )
-        usual = SLIP_ALTERNATING if loads.alternating else SLIP_STATIC
+        usual = MIN_ALTERNATING_SLIP_SAFETY if loads.alternating else MIN_STATIC_SLIP_SAFETY
         self.slip_safety = usual if slip_safety is None else slip_safety
         self.grade = catalogue.bolt_grade(self.bolt.grade)
         self.proof_stress = self.grade.proof_stress
 
-    # ---- what comes to a bolt
+    # ---- forces of one bolt
 
     @cached_property
     def angles(self) -> np.ndarray:
-        """Places on the bolt circle that are looked at (m,) [rad]."""
-        return 2 * math.pi / _PLACES * np.arange(_PLACES)
+        """Sampled angles of the bolt circle (m,) [rad]."""
+        return 2 * math.pi / _ANGLE_COUNT * np.arange(_ANGLE_COUNT)
 
     @cached_property
-    def sharing(self) -> tuple[float, float]:
-        """What a bolt bears over its part on a rigid flange: of axial force, of tilting [-]."""
+    def bending_factors(self) -> tuple[float, float]:
+        """Bolt force over that of a rigid flange, for axial force and tilting moment [-]."""
         ring = elastic_ring(self.flange)
         return (1.0, 1.0) if ring is None else ring.factors
 
     @cached_property
     def axial(self) -> np.ndarray:
-        """F_A (K, m) [N] with either sign of the axial force as it comes."""
+        """F_A (K, m) [N] with the given sign of the axial force."""
         values = self.loads.values.copy()
-        pull, tilt = self.sharing
+        pull, tilt = self.bending_factors
         values[:, 2] *= pull
-        values[:, 3:5] *= tilt * _BETWEEN
+        values[:, 3:5] *= tilt * _MAX_INTERPOLATION_FACTOR
         return axial_forces(values, self.count, self.flange.circle_diameter, self.angles)
 
     @cached_property
     def opening(self) -> np.ndarray:
-        """F_A (K, m) [N] with axial force and tilting moment taken to pull.
+        """F_A (K, m) [N] with axial force and tilting moment taken to open the joint.
 
-        On which side of the face the carried part lies is not known, and with it not which way
-        opens: a moment pulls at one place or at the one opposite, where shear and torque meet it.
+        The side of the carried part is unknown, and with it the opening direction: a moment opens
+        at one angle or the opposite one, where shear and torque may coincide with it.
         """
-        share = self.sharing[0] * self.loads.values[:, 2:3] / self.count
+        share = self.bending_factors[0] * self.loads.values[:, 2:3] / self.count
         return np.asarray(np.abs(self.axial - share) + np.abs(share))
 
     @property
     def friction_radius(self) -> float:
-        """Lever of the friction of an evenly pressed ring [m]."""
+        """Friction radius of a ring under uniform pressure [m]."""
         flange = self.flange
         unit = float(flange.slip_torque(1.0)) * flange.sectors
         return unit / (flange.friction_coefficient * self.count)
 
     @cached_property
     def clamp_against_slip(self) -> np.ndarray:
-        """F_KQ (K, m) [N], shear and torque as vectors (R2/1)."""
+        """F_KQ (K, m) [N], shear and torque added as vectors (R2/1)."""
         force = transverse_forces(self.loads.values, self.count, self.friction_radius, self.angles)
         return friction_clamp_load(force, self.flange.friction_coefficient)
 
@@ -119,8 +122,8 @@ class Verification:
         """Clamp load of one bolt at which the rim opens (K,) [N] (R2/3)."""
         flange = self.flange
         return ring_opening_load(
-            self.sharing[0] * self.loads.axial,
-            self.sharing[1] * self.loads.tilting,
+            self.bending_factors[0] * self.loads.axial,
+            self.bending_factors[1] * self.loads.tilting,
             inner=flange.inner_radius,
             outer=flange.outer_radius,
             count=self.count,
@@ -152,22 +155,22 @@ class Verification:
 
     @cached_property
     def additional(self) -> float:
-        """F_SA,max and what warming adds [N] (R8/1)."""
+        """F_SA,max and the thermal force [N] (R8/1)."""
         pull = max(float(self.opening.max()), 0.0)
         return self.factor.most * pull + bolts.thermal_preload(self.flange, self.tightening)
 
     @cached_property
-    def swing(self) -> float:
-        """Largest F_SAo - F_SAu of any bolt, load on and off among what alternates [N] (R9)."""
+    def alternating_force(self) -> float:
+        """Largest F_SAo - F_SAu of any bolt, loading and unloading included [N] (R9)."""
         upper = np.maximum(self.axial.max(axis=0), 0.0)
         lower = np.minimum(self.axial.min(axis=0), 0.0)
         return self.factor.most * float((upper - lower).max())
 
-    # ---- which preloads hold
+    # ---- admissible preloads
 
     @cached_property
     def clamp_needed(self) -> np.ndarray:
-        """F_V that each case asks for in service (K,) [N], slip with its safety (R2/4, R5/1)."""
+        """Required F_V in service of each case (K,) [N], slip with its safety (R2/4, R5/1)."""
         unloaded = (1.0 - self.factor.least) * np.maximum(self.opening, 0.0)
         slip = (self.slip_safety * self.clamp_against_slip + unloaded).max(axis=1)
         return np.asarray(np.maximum(slip, self.clamp_against_opening))
@@ -179,7 +182,7 @@ class Verification:
 
     @cached_property
     def largest_preload(self) -> float:
-        """Largest F_M that stress in service, head and thread allow [N]; 0: none."""
+        """Largest F_M that working stress, surface pressure and fatigue allow [N]; 0: none."""
         ends = [
             largest_working_preload(
                 self.data, self.proof_stress, self.additional, self.tightening.thread_friction
@@ -187,7 +190,7 @@ class Verification:
             head_bearing(self.bolt).capacity - self.additional,
         ]
         before = float(endurance_limit(self.data, "before"))
-        needed = ENDURANCE_SAFETY * self.swing / (2 * self.data.stress_area)
+        needed = ENDURANCE_SAFETY * self.alternating_force / (2 * self.data.stress_area)
         if self.bolt.rolled == "after" and needed > before:
             share = 2.0 - needed / before
             ends.append(share * self.proof_stress * self.data.stress_area if share > 0.3 else 0.0)

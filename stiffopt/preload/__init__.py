@@ -1,1 +1,1 @@
-"""Preload design studies: how tight the bolts and pins of each joint must be."""
+"""Preload design studies: optimum preloads of bolts and pins of each joint."""

@@ -1,7 +1,8 @@
-"""What a bolt engineer signs of one flange: forces of one bolt, step by step, and load by bolt."""
+"""VDI 2230 verification sheet of one flange: forces, safety factors and slip probability."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -15,11 +16,11 @@ from stiffopt.fastening.flange_load import (
     bolt_angles,
     transverse_forces,
 )
+from stiffopt.fastening.tightening import preload_at_torque, tightening_torque
 from stiffopt.fastening.tilting import tilting_flange
-from stiffopt.fastening.utilisation_row import UtilisationRow
+from stiffopt.fastening.utilisation import UtilisationRow
 from stiffopt.fastening.verification import Verification
 from stiffopt.preload.model import PreloadModel
-from stiffopt.preload.tightening_draws import SlipProbability, slip_probability
 from stiffopt.preload.utilisation import governing_safety
 
 
@@ -30,14 +31,14 @@ class BoltSheet:
     Parameters
     ----------
     key : str
-        Of the element.
+        Key of the element.
     flange : BoltedFlange
     scatter : float
         alpha_A (R1).
     bolt_compliance, plate_compliance : float
         delta_S, delta_P (R3) [m/N].
     factor_most, factor_least : float
-        Phi at both ends of what the load introduction may be (R3).
+        Phi at both bounds of the load introduction factor (R3).
     loss : float
         F_Z and Delta F_Vth (R4).
     clamp_needed : float
@@ -47,26 +48,26 @@ class BoltSheet:
     in_service : float
         F_Vmin, after all losses.
     working_load, additional : float
-        Largest F_A and what the bolt takes of it, with warmth (R8).
+        Largest F_A, and F_SA with the thermal force (R8).
     case : str
-        Load case that asks for the most clamp load.
+        Load case that requires the largest clamp load.
     angles : array (n,)
-        Places of the bolts, the first on the x axis [rad].
+        Angles of the bolts, the first on the x axis [rad].
     axial : array (n,)
-        F_A of each bolt in that case; of a ring that bends with its ribs where they do most.
+        F_A of each bolt in that case; for an elastic ring at the least favourable rib angle.
     transverse : array (n, 2)
         F_Q of each bolt in that case.
     tilting_stiffness, opening_moment : float
-        Of the flange while its face is closed, and moment that opens its edge, with F_Vmin
-        [N m/rad], [N m]; 0 where nothing is left of the preload.
+        Stiffness of the closed flange and moment that opens its edge, at F_Vmin [N m/rad], [N m];
+        0 if no preload is left.
     tilt : float
-        Angle by which the largest tilting moment turns it [rad].
+        Tilting angle under the largest tilting moment [rad].
     chance : SlipProbability
-        That a bolt is left with less than its share of the load asks for.
+        Of a bolt whose remaining preload is below its share of the load.
     loads : FlangeLoads
-        What all load cases bring to the face.
+        Loads of all load cases at the interface.
     safety : mapping of symbol to UtilisationRow
-        Step of each safety factor of VDI 2230 that is least over what is required.
+        Step with the least value over required value of each safety factor.
     """
 
     key: str
@@ -96,7 +97,7 @@ class BoltSheet:
 
 
 def bolt_sheets(model: PreloadModel, preloads: np.ndarray) -> tuple[BoltSheet, ...]:
-    """Sheets of all bolted flanges of a study at a design."""
+    """Return the sheets of all bolted flanges of a study at a design."""
     found = []
     for index, (element, steps) in enumerate(zip(model.elements, model.verifications, strict=True)):
         if steps is None:
@@ -125,7 +126,7 @@ def bolt_sheets(model: PreloadModel, preloads: np.ndarray) -> tuple[BoltSheet, .
                 additional=steps.additional,
                 case=steps.loads.names[worst],
                 angles=angles,
-                axial=_axial(steps, load, angles),
+                axial=_bolt_axial_forces(steps, load, angles),
                 transverse=transverse_forces(
                     load, steps.count, steps.flange.circle_diameter / 2, angles
                 ),
@@ -140,9 +141,106 @@ def bolt_sheets(model: PreloadModel, preloads: np.ndarray) -> tuple[BoltSheet, .
     return tuple(found)
 
 
-def _axial(steps: Verification, load: np.ndarray, angles: np.ndarray) -> np.ndarray:
-    """F_A of each bolt where it stands (n,) [N]."""
+def _bolt_axial_forces(steps: Verification, load: np.ndarray, angles: np.ndarray) -> np.ndarray:
+    """Return F_A of each bolt at its angle (n,) [N]."""
     ring = elastic_ring(steps.flange)
     if ring is not None:
         return ring.bolt_forces(load)
     return axial_forces(load, steps.count, steps.flange.circle_diameter, angles)
+
+
+# Standard deviations from the mean to either end of a stated range.
+_DEVIATIONS_PER_SIDE = 2.0
+# Accuracy of a torque wrench, +-5 %.
+_WRENCH_ACCURACY = 0.05
+
+
+@dataclass(frozen=True, kw_only=True)
+class SlipProbability:
+    """Probability that the remaining preload of a bolt is below its share of the load.
+
+    Parameters
+    ----------
+    stated : float
+        In closed form.
+    drawn : float
+        Share of random draws.
+    draws : int
+    needed : float
+        Preload in service at which the bolt's share of the interface slips or opens, safety 1 [N].
+    least, largest : float
+        Of the draws, in service [N].
+    """
+
+    stated: float
+    drawn: float
+    draws: int
+    needed: float
+    least: float
+    largest: float
+
+    @property
+    def agrees(self) -> bool:
+        """True if the draws are within four standard deviations of the stated probability."""
+        spread = math.sqrt(self.stated * (1.0 - self.stated) / self.draws)
+        return abs(self.drawn - self.stated) <= 4.0 * spread + 1.0 / self.draws
+
+
+def slip_probability(
+    steps: Verification, preload: float, *, draws: int = 1000, seed: int = 0
+) -> SlipProbability:
+    """Compute the probability of too little preload, and confirm it by random tightening.
+
+    The wrench setting gives `preload` at the stated friction. Friction in thread and under the head
+    is independent and normal: two standard deviations below the mean is the stated, lowest value,
+    two above it the value that leaves `preload`/alpha_A. The wrench error of +-5 % is two standard
+    deviations. Embedding and thermal losses are subtracted.
+
+    Parameters
+    ----------
+    steps : Verification
+    preload : float
+        Largest assembly preload [N].
+    draws, seed : int
+
+    Notes
+    -----
+    A preload is below F where the torque M is less than F times the lever, which is linear in both
+    frictions: M - F lever is normal, so the closed form is exact. A flange carries by the sum of
+    its bolts, so it slips less often than a single bolt is too loose.
+    """
+    tightening, bolt = steps.tightening, steps.data
+    lowest = (tightening.thread_friction, tightening.head_friction)
+    setting = float(tightening_torque(bolt, preload, *lowest))
+    pitch = float(tightening_torque(bolt, 1.0, 0.0, 0.0))
+    levers = [float(tightening_torque(bolt, 1.0, *unit)) - pitch for unit in ((1, 0), (0, 1))]
+    # Factor on the lowest friction at the upper end of the scatter.
+    factor = (steps.scatter * setting / preload - pitch) / (setting / preload - pitch)
+    means = [mu * (1.0 + factor) / 2.0 for mu in lowest]
+    deviations = [mu * (factor - 1.0) / (2.0 * _DEVIATIONS_PER_SIDE) for mu in lowest]
+    wrench = setting * _WRENCH_ACCURACY / _DEVIATIONS_PER_SIDE
+    needed = _needed_preload(steps)
+    force = needed + steps.loss
+    mean = setting - force * (pitch + sum(a * mu for a, mu in zip(levers, means, strict=True)))
+    spread = math.hypot(wrench, *(force * a * sd for a, sd in zip(levers, deviations, strict=True)))
+    rng = np.random.default_rng(seed)
+    thread, head = (
+        rng.normal(mu, sd, size=draws) for mu, sd in zip(means, deviations, strict=True)
+    )
+    torque = rng.normal(setting, wrench, size=draws)
+    left = np.asarray(preload_at_torque(bolt, torque, thread, head)) - steps.loss
+    return SlipProbability(
+        stated=0.5 * math.erfc(mean / spread / math.sqrt(2.0)),
+        drawn=float((left < needed).mean()),
+        draws=draws,
+        needed=needed,
+        least=float(left.min()),
+        largest=float(left.max()),
+    )
+
+
+def _needed_preload(steps: Verification) -> float:
+    """Return the required preload in service of the worst bolt at safety 1 [N]."""
+    unloaded = (1.0 - steps.factor.least) * np.maximum(steps.opening, 0.0)
+    slip = float((steps.clamp_against_slip + unloaded).max())
+    return max(slip, float(steps.clamp_against_opening.max()))

@@ -1,4 +1,4 @@
-"""The best design of a catalogue: bolt size, grade, number and tightening torque, with proof."""
+"""Optimum design from a catalogue: bolt size, grade, number and torque, with proof."""
 
 from __future__ import annotations
 
@@ -10,11 +10,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from stiffopt.drivetrain import catalogue
 from stiffopt.errors import ProblemError
 from stiffopt.fastening.tightening import Tightening
-from stiffopt.preload.catalogue_designs import CatalogueDesign, catalogue_designs
+from stiffopt.preload.catalogue_designs import CatalogueDesign, catalogue_designs, way_cost
 from stiffopt.preload.catalogue_programme import ChoiceProgramme, choice_programme
-from stiffopt.preload.catalogue_search import CombinationSearch, Found, Goal
+from stiffopt.preload.catalogue_search import (
+    CombinationResult,
+    CombinationSearch,
+    Goal,
+    SearchProof,
+    describe_proof,
+)
 from stiffopt.preload.catalogue_table import (
     TableRow,
     best_torques,
@@ -26,19 +33,18 @@ from stiffopt.preload.load_case import LoadCase
 from stiffopt.preload.model import PreloadModel
 from stiffopt.preload.optimise import (
     WORST_INSTANT_ROUNDS,
-    Report,
-    levels_of,
+    ProgressReport,
+    objective_levels,
     optimise_preloads,
     with_worst_instants,
 )
-from stiffopt.preload.problem import PreloadProblem
-from stiffopt.preload.search_proof import SearchProof, account
+from stiffopt.preload.problem import Choice, PreloadProblem
 from stiffopt.preload.solution import PreloadSolution, evaluate_design
-from stiffopt.preload.tightening_ways import TighteningWay, ways_to_tighten
 from stiffopt.result.status import SolveStatus
 
 if TYPE_CHECKING:
     from stiffopt.robot.robot import Robot
+
 
 NO_BETTER = "bound: no better than the best found"
 NONE_KEEPS_ALL = "bound: no combination keeps all requirements"
@@ -46,39 +52,39 @@ NONE_KEEPS_ALL = "bound: no combination keeps all requirements"
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CatalogueChoice:
-    """Best design that the catalogue has for a study, with the proof.
+    """Optimum catalogue design of a study, with the proof.
 
     Parameters
     ----------
     status : SolveStatus
-        optimal: nothing in the catalogue is better. acceptable: the best that was found; what is
-        possible is bounded by `proof.bound`. infeasible: the catalogue has nothing for this study,
-        see `stoppers`. iteration_limit: nothing was found before the search ended.
+        optimal: no better design in the catalogue. acceptable: best design found, optimum bounded
+        by `proof.bound`. infeasible: no feasible design, see `stoppers`. iteration_limit: none
+        found before the search ended.
     message : str
     designs : mapping of element key to CatalogueDesign
-        Empty where the catalogue has nothing.
+        Empty if infeasible.
     objective : float
-        Of the study, in its unit; nan where there is no design.
+        Of the study, in its unit; nan without a design.
     cost : float
-        In steps, the way to tighten among it; nan where there is no design.
+        In steps, including the tightening method; nan without a design.
     solution : PreloadSolution or None
-        The chosen design by the exact law: rows, stiffness, deflection.
+        The chosen design evaluated by the exact law.
     continuous : PreloadSolution or None
-        Best real numbers for the preloads of the same bolts.
+        Optimum preloads of the same bolts at arbitrary torques.
     gap : float
-        By how much the catalogue design is worse than those [-].
+        Relative loss of the catalogue design against `continuous` [-].
     problem : PreloadProblem or None
         The study with the chosen bolts in the robot.
     table : tuple of TableRow
         One for each element, size, grade and count.
     proof : SearchProof
-        Account of the search for the best objective.
+        Of the search for the best objective.
     tie_proofs : tuple of SearchProof
-        Accounts of the searches among designs of equal objective, where there were any.
+        Of the searches among designs of equal objective, if any.
     stoppers : tuple of Stopper
-        Why the catalogue has nothing; empty where it has.
+        Reasons of infeasibility; empty if feasible.
     ways : tuple of TighteningWay
-        What each way to tighten reaches, where the study lets choose; else empty.
+        Optimum of each tightening method and coating, if the study varies them; else empty.
     """
 
     status: SolveStatus
@@ -97,28 +103,29 @@ class CatalogueChoice:
     cost: float = float("nan")
 
 
-def choose_design(problem: PreloadProblem, progress: Report | None = None) -> CatalogueChoice:
-    """Find the best design that the catalogue has.
+def choose_design(
+    problem: PreloadProblem, progress: ProgressReport | None = None
+) -> CatalogueChoice:
+    """Find the optimum catalogue design.
 
-    Every bolted flange takes each size, grade and count of `problem.choose` in its present ring;
-    set screws stay. All are tightened with standard torques. The result is the best by the
-    study's objective, or the best of the cheapest where steps have a cost, of all combinations
-    that keep every limit and requirement by the exact law;
-    of equals the one with fewer bolts, then smaller sizes, then lower grades. Where the objective
-    is the stiffness of several joints, each joint is the stiffest that leaves the worst as good.
+    Sizes, grades and counts of `problem.choose` are combined in the present ring of every bolted
+    flange; set screws stay. Torques are standard ones. The result is the best by the objective, or
+    the best of the cheapest if steps have a cost, of all combinations that satisfy every limit and
+    requirement by the exact law; of equals the one with fewer bolts, then smaller sizes, then lower
+    grades. With the stiffness of several joints as objective, each joint is the stiffest that does
+    not lower the least relative stiffness.
 
     Parameters
     ----------
     problem : PreloadProblem
-        With `choose`. Preloads are one a connection, whatever `individual` says.
+        With `choose`. `individual` is ignored: one preload a connection.
     progress : callable, optional
-        Called with a `Progress` in every iteration of the solve for the best real numbers.
+        Called with a `Progress` in every iteration of the continuous solve.
 
     Returns
     -------
     CatalogueChoice
-        With status infeasible where the catalogue has nothing. Where the study lets choose how to
-        tighten, of the first of its ways that is best.
+        Of the best tightening method and coating, the first of equals.
     """
     choose = problem.choose
     if choose is None:
@@ -126,17 +133,17 @@ def choose_design(problem: PreloadProblem, progress: Report | None = None) -> Ca
     problem = replace(problem, individual=False)
     found = []
     for way, cost in ways_to_tighten(problem.tightening, choose):
-        own = _choose(replace(problem, tightening=way), progress)
+        own = _choose_for_tightening(replace(problem, tightening=way), progress)
         found.append((way, replace(own, cost=own.cost + cost)))
     if len(found) == 1:
         return found[0][1]
-    return _best_way(problem, found)
+    return _best_tightening_choice(problem, found)
 
 
-def _best_way(
+def _best_tightening_choice(
     problem: PreloadProblem, found: list[tuple[Tightening, CatalogueChoice]]
 ) -> CatalogueChoice:
-    """Best of several ways to tighten, with what each of them reaches."""
+    """Return the best choice over the tightening methods, with the optimum of each."""
     sign = -1.0 if problem.objective == "joint_stiffness" else 1.0
     able = [(way, choice) for way, choice in found if choice.status.usable]
     ways = tuple(
@@ -160,11 +167,13 @@ def _best_way(
     return replace(best, ways=ways, message=text + best.message)
 
 
-def _choose(problem: PreloadProblem, progress: Report | None) -> CatalogueChoice:
-    """Best design for one way to tighten."""
+def _choose_for_tightening(
+    problem: PreloadProblem, progress: ProgressReport | None
+) -> CatalogueChoice:
+    """Return the optimum design for one tightening method."""
     cases = with_worst_instants(problem, problem.load_cases, PreloadModel(problem).design)
     for _ in range(WORST_INSTANT_ROUNDS):
-        choice = _Choosing(problem, cases).run()
+        choice = _ChoiceSearch(problem, cases).run()
         if choice.problem is None or choice.solution is None:
             return choice
         more = with_worst_instants(choice.problem, cases, choice.solution.vector)
@@ -173,11 +182,13 @@ def _choose(problem: PreloadProblem, progress: Report | None) -> CatalogueChoice
         cases = more
     assert choice.problem is not None
     fixed = replace(choice.problem, load_cases=cases, histories=())
-    return _beside_real_numbers(choice, optimise_preloads(fixed, progress=progress, throw=False))
+    return _compare_with_continuous(
+        choice, optimise_preloads(fixed, progress=progress, throw=False)
+    )
 
 
-class _Choosing:
-    """One search under fixed load cases."""
+class _ChoiceSearch:
+    """Search for the optimum catalogue design under fixed load cases."""
 
     def __init__(self, problem: PreloadProblem, cases: tuple[LoadCase, ...]) -> None:
         self.problem, self.cases = problem, cases
@@ -187,7 +198,7 @@ class _Choosing:
         self.excluded: Counter[str] = Counter()
         self.broken: list[dict[int, str]] = []
         self.sizes = [len(own) for own in self.designs]
-        self._exclude(
+        self._count_excluded(
             [
                 Counter(f"{d.stopper}, {d.key}" for d in own if not d.feasible)
                 for own in self.designs
@@ -197,21 +208,25 @@ class _Choosing:
     def run(self) -> CatalogueChoice:
         if not all(self.feasible):
             stoppers = element_stoppers(self.model, self.designs)
-            return self._nothing(stoppers, self._proof(None), None)
-        programme = choice_programme(self.model, self.feasible, levels_of(self.model))
+            return self._infeasible_choice(stoppers, self._search_proof(None), None)
+        programme = choice_programme(self.model, self.feasible, objective_levels(self.model))
         self.broken = programme.broken_alone()
-        self._exclude([Counter(each.values()) for each in self.broken])
+        self._count_excluded([Counter(each.values()) for each in self.broken])
         search = CombinationSearch(programme)
-        founds = _minimised(search, _goals(self.problem, programme)) if all(self.sizes) else []
-        proof = self._proof(founds[0] if founds else None)
+        founds = (
+            _minimise_in_order(search, _ordered_goals(self.problem, programme))
+            if all(self.sizes)
+            else []
+        )
+        proof = self._search_proof(founds[0] if founds else None)
         picks = next((f.picks for f in reversed(founds) if f.picks is not None), None)
         if picks is None:
             rows = search.conflicting_rows() if proof.complete else ()
-            return self._nothing(requirement_stoppers(programme, rows), proof, programme)
-        return self._chosen(programme, proof, founds[1:], picks)
+            return self._infeasible_choice(requirement_stoppers(programme, rows), proof, programme)
+        return self._feasible_choice(programme, proof, founds[1:], picks)
 
-    def _exclude(self, reasons: list[Counter[str]]) -> None:
-        """Count the combinations that lose a design, with the first element that loses one."""
+    def _count_excluded(self, reasons: list[Counter[str]]) -> None:
+        """Count excluded combinations by reason, each at the first element that excludes it."""
         for index, counts in enumerate(reasons):
             others = math.prod(self.sizes[:index]) * math.prod(self.sizes[index + 1 :])
             for reason, count in counts.items():
@@ -219,8 +234,8 @@ class _Choosing:
                     self.excluded[reason] += count * others
             self.sizes[index] -= counts.total()
 
-    def _proof(self, found: Found | None) -> SearchProof:
-        """Close the account."""
+    def _search_proof(self, found: CombinationResult | None) -> SearchProof:
+        """Return the account of all combinations."""
         evaluated = [
             picks
             for picks in (found.evaluated if found else ())
@@ -240,11 +255,11 @@ class _Choosing:
             gap=found.gap if found else float("inf"),
         )
 
-    def _chosen(
+    def _feasible_choice(
         self,
         programme: ChoiceProgramme,
         proof: SearchProof,
-        ties: list[Found],
+        ties: list[CombinationResult],
         picks: tuple[int, ...],
     ) -> CatalogueChoice:
         chosen = [own[i] for own, i in zip(self.feasible, picks, strict=True)]
@@ -255,7 +270,7 @@ class _Choosing:
         )
         return CatalogueChoice(
             status=solution.status,
-            message=account(proof, chosen, solution),
+            message=describe_proof(proof, chosen, solution),
             designs={d.key: d for d in chosen},
             objective=solution.objective,
             cost=sum(d.cost for d in chosen),
@@ -265,10 +280,10 @@ class _Choosing:
             problem=study,
             table=best_torques(self.model, self.designs, programme, picks),
             proof=proof,
-            tie_proofs=tuple(self._proof(found) for found in ties),
+            tie_proofs=tuple(self._search_proof(found) for found in ties),
         )
 
-    def _nothing(
+    def _infeasible_choice(
         self,
         stoppers: tuple[Stopper, ...],
         proof: SearchProof,
@@ -277,7 +292,7 @@ class _Choosing:
         reasons = " ".join(str(stop) for stop in stoppers)
         status = SolveStatus.INFEASIBLE if proof.complete else SolveStatus.ITERATION_LIMIT
         begin = (
-            "The catalogue has nothing for this study."
+            "No catalogue design satisfies this study."
             if proof.complete
             else "The search ended before it found a design."
         )
@@ -296,12 +311,12 @@ class _Choosing:
         )
 
 
-def _goals(problem: PreloadProblem, programme: ChoiceProgramme) -> list[Goal]:
-    """The objective, then what decides between combinations that are equal in it."""
+def _ordered_goals(problem: PreloadProblem, programme: ChoiceProgramme) -> list[Goal]:
+    """Return the objective and then the tie-breaking goals."""
     cost, tie = Goal(cost=programme.cost), Goal(cost=programme.tie)
     if problem.choose is not None and problem.choose.cost is not None:
         unpriced = replace(problem, choose=replace(problem.choose, cost=None))
-        return [Goal(cost=programme.price), *_goals(unpriced, programme)]
+        return [Goal(cost=programme.price), *_ordered_goals(unpriced, programme)]
     if problem.objective == "total_preload":
         return [cost, tie]
     weights = [programme.weight]
@@ -311,8 +326,8 @@ def _goals(problem: PreloadProblem, programme: ChoiceProgramme) -> list[Goal]:
     return [*(Goal(weight=weight) for weight in weights), tie, cost]
 
 
-def _minimised(search: CombinationSearch, goals: list[Goal]) -> list[Found]:
-    """End of each goal's search, up to the first that was not reached."""
+def _minimise_in_order(search: CombinationSearch, goals: list[Goal]) -> list[CombinationResult]:
+    """Minimise the goals in order, up to the first that was not reached."""
     founds = []
     for goal in goals:
         founds.append(search.minimise(goal))
@@ -322,7 +337,7 @@ def _minimised(search: CombinationSearch, goals: list[Goal]) -> list[Found]:
 
 
 def _with_designs(robot: Robot, chosen: list[CatalogueDesign]) -> Robot:
-    """Copy of the robot with the chosen bolts, at their largest preloads."""
+    """Return a copy of the robot with the chosen bolts at their largest preloads."""
     chains = list(robot.chains)
     for design in chosen:
         chain = chains[design.joint - 1]
@@ -333,8 +348,10 @@ def _with_designs(robot: Robot, chosen: list[CatalogueDesign]) -> Robot:
     return replace(robot, chains=tuple(chains))
 
 
-def _beside_real_numbers(choice: CatalogueChoice, continuous: PreloadSolution) -> CatalogueChoice:
-    """Compare with the best preloads of the same bolts, were every torque possible."""
+def _compare_with_continuous(
+    choice: CatalogueChoice, continuous: PreloadSolution
+) -> CatalogueChoice:
+    """Compare with the optimum preloads of the same bolts at arbitrary torques."""
     if not continuous.status.usable:
         return replace(choice, continuous=continuous)
     assert choice.problem is not None
@@ -343,8 +360,44 @@ def _beside_real_numbers(choice: CatalogueChoice, continuous: PreloadSolution) -
         worse = -worse
     gap = worse / continuous.objective
     if choice.proof.complete:
-        what = "Any torque instead of a standard one would gain"
+        gain = "Arbitrary instead of standard torques would gain"
     else:
-        what = "With its bolts and any torque the design would be better by"
-    text = f"{choice.message} {what} {100 * max(gap, 0.0):.2f} %."
+        gain = "With the same bolts and arbitrary torques the design would be better by"
+    text = f"{choice.message} {gain} {100 * max(gap, 0.0):.2f} %."
     return replace(choice, continuous=continuous, gap=gap, message=text)
+
+
+@dataclass(frozen=True, kw_only=True)
+class TighteningWay:
+    """Optimum for one method and coating; lowest and highest friction [-], cost in steps."""
+
+    method: str
+    friction: float
+    friction_highest: float | None
+    status: SolveStatus
+    objective: float
+    cost: float = float("nan")
+
+
+def ways_to_tighten(tightening: Tightening, choose: Choice) -> list[tuple[Tightening, float]]:
+    """Return every combination of method and coating of the study with its cost in steps."""
+    methods = [
+        replace(tightening, method=method, scatter=None)  # type: ignore[arg-type]
+        for method in choose.methods
+    ] or [tightening]
+    coatings = [catalogue.coating(name) for name in choose.coatings]
+    if not coatings:
+        return [(method, way_cost(choose, i, 0)) for i, method in enumerate(methods)]
+    return [
+        (
+            replace(
+                method,
+                thread_friction=coating.least,
+                head_friction=coating.least,
+                friction_highest=coating.largest,
+            ),
+            way_cost(choose, i, k),
+        )
+        for i, method in enumerate(methods)
+        for k, coating in enumerate(coatings)
+    ]

@@ -1,14 +1,13 @@
-"""Catalogue designs of one connection: bolts that fit its ring, and torques to tighten them with.
+"""Catalogue designs of one connection: bolts that fit its ring, with their tightening torques.
 
-The ring stays as it is; bolts of another size, grade or number take the places of the present
-ones, and lengths that the robot file leaves open follow their diameter. Set screws stay, only their
-torque is chosen.
+The ring is fixed; bolts of another size, grade or number replace the present ones, and lengths not
+given in the robot file scale with their diameter. Of set screws only the torque is chosen.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 
@@ -22,18 +21,17 @@ from stiffopt.fastening.limits import (
     scatter,
     workshop_torque,
 )
-from stiffopt.fastening.preload_limit import PreloadLimit
 from stiffopt.fastening.tightening import standard_torques
+from stiffopt.fastening.utilisation import PreloadLimit
 from stiffopt.fastening.vdi_rows import vdi_rows
 from stiffopt.preload.flange_loads import slip_safety, verification
 from stiffopt.preload.load_case import LoadCase
 from stiffopt.preload.problem import Choice, FreeElement, PreloadProblem
-from stiffopt.preload.step_cost import design_cost
 
-# Room for rounding in limits that a design may touch.
-_TOUCH = 1.0 + 1e-9
+# Largest utilisation of a feasible design [-], with rounding.
+_MAX_UTILISATION = 1.0 + 1e-9
 SLIP, LEAST, EMBEDDING = "slip safety", "least preload", "embedding loss"
-_REMEDIES = {
+_REMEDY_BY_LIMIT = {
     SLIP: "more friction, more or larger bolts, a larger circle, or less scatter",
     LEAST: "a smaller require.least_preload, or a smaller bolt",
     "slip under the whole load": "more friction, more or larger bolts, or a larger circle",
@@ -49,12 +47,12 @@ _REMEDIES = {
 
 @dataclass(frozen=True, kw_only=True)
 class CatalogueDesign:
-    """Bolts or pins of one connection and the torque that tightens them.
+    """Bolts or pins of one connection with their tightening torque.
 
     Parameters
     ----------
     key : str
-        Of the element.
+        Key of the element.
     joint : int
         1-based.
     size, grade : str
@@ -64,16 +62,16 @@ class CatalogueDesign:
     torque : float
         Setting of the wrench [N m].
     preload, least_preload : float
-        Largest and least preload of one bolt or pin that it leaves [N].
+        Largest and least preload of one bolt or pin [N].
     stage : Stage
         The connection with these bolts and `preload`.
     limits : tuple of PreloadLimit
     cost : float
         In steps (`Choice.cost`).
     circle : float or None
-        Pitch circle [m] where the study lets choose it.
+        Bolt circle diameter [m], if the study varies it.
     utilisations : mapping of str to float
-        Of every limit that concerns this connection alone, by name; above 1 where exceeded.
+        Of every limit of this connection, by name; above 1 if exceeded.
     """
 
     key: str
@@ -110,22 +108,22 @@ class CatalogueDesign:
 
     @property
     def exceeded(self) -> tuple[str, ...]:
-        """Limits that do not hold."""
-        return tuple(name for name, used in self.utilisations.items() if used > _TOUCH)
+        """Names of exceeded limits."""
+        return tuple(name for name, used in self.utilisations.items() if used > _MAX_UTILISATION)
 
     @property
     def stopper(self) -> str:
-        """Limit that is exceeded most; "" where none is."""
+        """Name of the limit exceeded most; "" if none."""
         return max(self.exceeded, key=lambda name: self.utilisations[name], default="")
 
     @property
     def feasible(self) -> bool:
-        """Whether every limit of this connection alone holds."""
+        """True if every limit of this connection holds."""
         return not self.stopper
 
     @property
     def total_preload(self) -> float:
-        """Of all bolts or pins of the connection [N]."""
+        """Sum of the preloads of all bolts or pins [N]."""
         return self.count * self.preload
 
     @property
@@ -137,15 +135,15 @@ class CatalogueDesign:
         )
 
     def remedy(self, name: str) -> str:
-        """What to change where a limit of this connection stops the study."""
+        """Return the change of the design that relaxes a limit."""
         own = {limit.name: limit.remedy for limit in self.limits}
-        return own.get(name) or _REMEDIES[name]
+        return own.get(name) or _REMEDY_BY_LIMIT[name]
 
 
 def catalogue_designs(
     problem: PreloadProblem, element: FreeElement, cases: tuple[LoadCase, ...]
 ) -> tuple[CatalogueDesign, ...]:
-    """All designs of one element that the study lets choose from, feasible or not.
+    """Return all designs of one element in the study's catalogue, feasible or not.
 
     Parameters
     ----------
@@ -161,24 +159,23 @@ def catalogue_designs(
 
     Notes
     -----
-    Without torques in `choose` they are the R20 preferred numbers from the least preload that the
-    study asks for to the largest that any limit allows: no preferred number outside is feasible.
-    Pins always have these.
+    Without torques in `choose`, and for pins, these are the R20 preferred numbers from the least
+    required preload to the largest that any limit allows; none outside is feasible.
     """
     found: list[CatalogueDesign] = []
-    for stage in _variants(element.stage, problem.choose or Choice()):
-        found += _tightened(problem, element, stage, cases)
+    for stage in _stage_variants(element.stage, problem.choose or Choice()):
+        found += _designs_by_torque(problem, element, stage, cases)
     return tuple(found)
 
 
-def _variants(stage: Stage, choose: Choice) -> Iterator[Stage]:
+def _stage_variants(stage: Stage, choose: Choice) -> Iterator[Stage]:
     flange = stage.element
     if not isinstance(flange, BoltedFlange):
         yield stage
         return
     bolt = flange.bolt
-    assert isinstance(bolt, Bolt)  # limits of the element exist, so its bolt is known
-    # The holes of a purchased part are where they are; other bolts fit them, other holes do not.
+    assert isinstance(bolt, Bolt)  # an element with limits has a bolt
+    # Holes of a purchased part are fixed: other bolts must fit them.
     free = choose.redrill or not flange.fixed_pattern
     sizes = sorted(
         set((choose.sizes if free else ()) or (bolt.size,)),
@@ -188,14 +185,14 @@ def _variants(stage: Stage, choose: Choice) -> Iterator[Stage]:
     counts = sorted(set((choose.counts if free else ()) or (flange.bolt_count,)))
     circles = sorted(set((choose.circles if free else ()) or (flange.circle_diameter,)))
     washers = (False, True) if choose.washers else (bolt.washer,)
-    # Tapped holes of a purchased part stay what they are.
+    # Tapped holes of a purchased part cannot become through holes.
     nuts = (False, True) if choose.nuts and free else (bolt.nut,)
     for size, grade, count, circle, washer, nut in product(
         sizes, grades, counts, circles, washers, nuts
     ):
         held = replace(bolt, size=size, grade=grade, washer=washer, nut=nut)
         if size != bolt.size:
-            # A shank belongs to a size.
+            # Shank dimensions are those of the former size.
             held = replace(held, shank_diameter=None, shank_length=None)
         if nut:
             held = replace(held, engagement=None)
@@ -205,10 +202,10 @@ def _variants(stage: Stage, choose: Choice) -> Iterator[Stage]:
         yield replace(stage, element=changed)
 
 
-def _tightened(
+def _designs_by_torque(
     problem: PreloadProblem, element: FreeElement, stage: Stage, cases: tuple[LoadCase, ...]
 ) -> Iterator[CatalogueDesign]:
-    """Designs of one kind of bolts, by torque."""
+    """Yield the designs of one kind of bolts, by torque."""
     fastened, tightening = stage.element, problem.tightening
     limits = preload_limits(fastened, tightening)
     loss, count = preload_loss(fastened, tightening), fastener_count(fastened)
@@ -225,7 +222,7 @@ def _tightened(
     floor = problem.requirements.least_preload * min(ends)
     given = problem.choose.torques if problem.choose and fastened.kind == "bolted_flange" else ()
     torques = sorted(set(given)) or standard_torques(floor * lever, max(ends) * lever)
-    size, grade = _screw(fastened)
+    size, grade = _size_and_grade(fastened)
     choose = problem.choose or Choice()
     cost = design_cost(choose, stage, element.stage)
     circle = None
@@ -235,11 +232,11 @@ def _tightened(
         preload = float(torque) / lever
         least = preload / alpha - loss
         utilisations = {
-            limit.name: float(limit.utilisation(preload)) / _allowed(problem, limit)
+            limit.name: float(limit.utilisation(preload)) / _allowed_utilisation(problem, limit)
             for limit in limits
         }
         utilisations[EMBEDDING] = loss * alpha / preload
-        utilisations[SLIP] = _slip(problem, element, stage, least, cases)
+        utilisations[SLIP] = _slip_utilisation(problem, element, stage, least, cases)
         utilisations[LEAST] = floor / preload
         rows = vdi_rows(steps, preload) if steps is not None else ()
         utilisations |= {row.kind: row.utilisation for row in rows if row.binding}
@@ -260,28 +257,28 @@ def _tightened(
         )
 
 
-def _screw(fastened: object) -> tuple[str, str]:
-    """Size and grade of one bolt or set screw."""
+def _size_and_grade(fastened: object) -> tuple[str, str]:
+    """Return size and grade of one bolt or set screw."""
     if isinstance(fastened, BoltedFlange) and fastened.bolt is not None:
         return fastened.bolt.size, fastened.bolt.grade
     assert isinstance(fastened, ClampingPins)
-    assert fastened.screw is not None  # a torque was worked out, so the screw is known
+    assert fastened.screw is not None  # an element with torques has a screw
     return fastened.screw.size, ""
 
 
-def _allowed(problem: PreloadProblem, limit: PreloadLimit) -> float:
+def _allowed_utilisation(problem: PreloadProblem, limit: PreloadLimit) -> float:
     bolt = limit.name == "bolt utilisation"
     return problem.requirements.bolt_utilisation if bolt else 1.0
 
 
-def _slip(
+def _slip_utilisation(
     problem: PreloadProblem,
     element: FreeElement,
     stage: Stage,
     least: float,
     cases: tuple[LoadCase, ...],
 ) -> float:
-    """Torque with the asked safety over the torque at which the connection slips."""
+    """Return required slip safety times torque over slip torque [-]."""
     torque = max(abs(float(case.torque[element.joint - 1])) for case in cases)
     if torque == 0.0:
         return 0.0
@@ -289,3 +286,42 @@ def _slip(
         return math.inf
     slip = float(stage.element.slip_torque(least)) * stage.reduction
     return slip_safety(problem.requirements.slip_safety, cases, element.joint) * torque / slip
+
+
+def design_cost(choose: Choice, stage: Stage, present: Stage) -> float:
+    """Return the cost of the bolts of one connection.
+
+    Parameters
+    ----------
+    choose : Choice
+    stage, present : Stage
+        The connection with these bolts, and the present one; pins cost nothing.
+    """
+    flange, before = stage.element, present.element
+    if choose.cost is None or not isinstance(flange, BoltedFlange):
+        return 0.0
+    assert isinstance(before, BoltedFlange)
+    assert flange.bolt is not None
+    cost, bolt = choose.cost, flange.bolt
+    sizes = sorted(set(choose.sizes), key=lambda size: catalogue.bolt(size).diameter)
+    grades = sorted(set(choose.grades), key=catalogue.bolt_grades().index)
+    one = (
+        cost.bolt
+        + cost.size * _position_in(sizes, bolt.size)
+        + cost.grade * _position_in(grades, bolt.grade)
+    )
+    one += cost.washer * bolt.washer + cost.nut * bolt.nut
+    moved = flange.circle_diameter != before.circle_diameter
+    return flange.bolt_count * one + cost.circle * moved
+
+
+def way_cost(choose: Choice, method: int, coating: int) -> float:
+    """Return the cost of a tightening method and a coating by their list positions."""
+    if choose.cost is None:
+        return 0.0
+    return choose.cost.method * method + choose.cost.coating * coating
+
+
+def _position_in(among: Sequence[object], item: object) -> int:
+    """Return the position in a list; 0 if absent."""
+    return list(among).index(item) if item in among else 0

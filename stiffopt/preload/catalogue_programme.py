@@ -1,8 +1,8 @@
-"""Catalogue designs of a study in numbers: what each adds to compliance and tool deflection.
+"""Mixed-integer programme of catalogue designs: contributions to compliance and deflection.
 
-Compliances of connections in series add up. So do wind-ups, of which the tool's deflection is a
-linear map: a choice of designs is a mixed-integer programme, linear but for the size of the
-deflection, which is convex.
+Compliances of connections in series add up, and so do wind-ups, of which the tool deflection is a
+linear map: the choice of designs is a mixed-integer programme, linear except for the convex norm of
+the deflection.
 """
 
 from __future__ import annotations
@@ -18,41 +18,41 @@ from stiffopt.drivetrain.stage import Stage
 from stiffopt.errors import ProblemError
 from stiffopt.exact.chain import exact_compliance, exact_windup
 from stiffopt.preload.catalogue_designs import CatalogueDesign
+from stiffopt.preload.flange_loads import tilt_deflection
 from stiffopt.preload.load_case import LoadCase
 from stiffopt.preload.model import PreloadModel
 from stiffopt.preload.nlp import Levels
-from stiffopt.preload.tilted_tool import tilted_tool
 
-# Sums of the same designs in another order are equal.
-ROUNDING = 1e-12
+# Relative rounding of sums in another order.
+RELATIVE_ROUNDING = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
 class ChoiceProgramme:
-    """One design an element: what it costs, and in which amounts it uses each row.
+    """Programme with one design per element: costs and contributions to each row.
 
     Parameters
     ----------
     names : tuple of str
-        Of the rows: r linear ones (compliance of a joint [rad/(N m)], bolt utilisation [-]), then k
-        whose amount is the size of a vector (tool deflection [m]).
+        Of r linear rows (compliance of a joint [rad/(N m)], bolt utilisation [-]), then of k rows
+        that are norms of vectors (tool deflection [m]).
     joints : tuple of int or None
-        Joint of each row; None for rows of no single joint.
+        Joint of each row; None if it concerns several.
     cost, price, tie : tuple of array (m,)
-        Of an element's designs: the total preload [N], what they cost in steps, and what decides
-        between combinations of equal objective. All add up.
+        Per element and design: total preload [N], cost in steps, and tie-breaking cost between
+        combinations of equal objective. All add up.
     use : tuple of array (m, r)
-        What an element's designs add to the linear rows.
+        Contributions of an element's designs to the linear rows.
     vectors : tuple of array (m, k, 3)
-        What they add to the vectors of the others.
+        Contributions to the vectors of the norm rows.
     base : array (r,)
-        Used whatever the elements have.
+        Constant part of the linear rows.
     rest : array (k, 3)
-        The same of the vectors.
+        Constant part of the vectors.
     cap : array (r + k,)
-        Largest amount allowed; infinite where there is no requirement.
+        Upper limits; infinite without a requirement.
     weight : array (r + k,)
-        Of the amount in an objective that is the largest of all rows; 0 where it does not count.
+        Weights of the rows in a minimax objective; 0 if not part of it.
     """
 
     names: tuple[str, ...]
@@ -68,30 +68,30 @@ class ChoiceProgramme:
     weight: np.ndarray
 
     def deflections(self, picks: Sequence[int]) -> np.ndarray:
-        """Vectors of a combination (k, 3), by positions of the designs."""
+        """Return the vectors of a combination (k, 3), by positions of the designs."""
         return np.asarray(self.rest + sum(v[i] for v, i in zip(self.vectors, picks, strict=True)))
 
     def amounts(self, picks: Sequence[int]) -> np.ndarray:
-        """Amounts in which a combination uses the rows (r + k,)."""
+        """Return the row values of a combination (r + k,)."""
         linear = self.base + sum(u[i] for u, i in zip(self.use, picks, strict=True))
         return np.concatenate([linear, np.linalg.norm(self.deflections(picks), axis=1)])
 
     @property
     def ends(self) -> np.ndarray:
-        """Largest amounts, with room for rounding."""
-        return np.asarray(self.cap * (1.0 + ROUNDING))
+        """Upper limits with rounding."""
+        return np.asarray(self.cap * (1.0 + RELATIVE_ROUNDING))
 
     def least_amounts(self) -> np.ndarray:
-        """No combination uses less of a row than this (r + k,)."""
-        base, parts = self._along_middle()
+        """Return lower bounds of the rows over all combinations (r + k,)."""
+        base, parts = self._project_on_middle()
         return np.asarray(np.maximum(base + sum(own.min(axis=0) for own in parts), 0.0))
 
     def broken_alone(self) -> list[dict[int, str]]:
-        """Designs of each element that break a row even where all others use the least of it.
+        """Return the designs that exceed a row even at the lower bounds of all others.
 
-        By position, with the name of the row.
+        One dict per element, from position to name of the row.
         """
-        base, parts = self._along_middle()
+        base, parts = self._project_on_middle()
         found: list[dict[int, str]] = []
         whole = base + sum(own.min(axis=0) for own in parts)
         for own in parts:
@@ -100,8 +100,8 @@ class ChoiceProgramme:
             found.append({int(i): self.names[int(np.argmax(over[i]))] for i in broken})
         return found
 
-    def _along_middle(self) -> tuple[np.ndarray, list[np.ndarray]]:
-        """What all else (r + k,) and the designs (m, r + k) add, vectors along one direction."""
+    def _project_on_middle(self) -> tuple[np.ndarray, list[np.ndarray]]:
+        """Return constants (r + k,) and contributions (m, r + k), vectors along one direction."""
         toward = self.middle_directions()
         base = np.concatenate([self.base, np.einsum("ki,ki->k", toward, self.rest)])
         parts = [
@@ -111,7 +111,7 @@ class ChoiceProgramme:
         return base, parts
 
     def middle_directions(self) -> np.ndarray:
-        """Unit vectors (k, 3) of the deflections with middling designs."""
+        """Return unit vectors (k, 3) of the deflections at mid-range contributions."""
         middle = self.rest + sum((v.min(axis=0) + v.max(axis=0)) / 2 for v in self.vectors)
         size = np.linalg.norm(middle, axis=1, keepdims=True)
         return np.asarray(middle / np.where(size > 0.0, size, 1.0))
@@ -120,17 +120,17 @@ class ChoiceProgramme:
 def choice_programme(
     model: PreloadModel, designs: Sequence[Sequence[CatalogueDesign]], levels: Levels
 ) -> ChoiceProgramme:
-    """Work out what every design adds.
+    """Compute the contributions of every design.
 
     Parameters
     ----------
     model : PreloadModel
     designs : one sequence of CatalogueDesign an element
-        That each keep the limits of their own connection.
+        That satisfy the limits of their own connection.
     levels : Levels
-        Weights of the stiffnesses.
+        Weights of the joint stiffnesses.
     """
-    sites = [_site(model, index) for index in range(len(model.elements))]
+    sites = [_parallel_stages(model, index) for index in range(len(model.elements))]
     compliance = _compliance_rows(model, designs, sites, levels)
     utilisation = _utilisation_rows(model, designs)
     deflection = _deflection_rows(model, designs, sites)
@@ -140,7 +140,7 @@ def choice_programme(
         joints=(*compliance.joints, *utilisation.joints, *deflection.joints),
         cost=tuple(np.array([d.total_preload for d in own]) for own in designs),
         price=tuple(np.array([d.cost for d in own]) for own in designs),
-        tie=_ties(designs),
+        tie=_tie_break_costs(designs),
         use=tuple(np.hstack([rows.added[i] for rows in linear]) for i in range(len(designs))),
         vectors=deflection.added,
         base=np.concatenate([rows.base for rows in linear]),
@@ -152,7 +152,7 @@ def choice_programme(
 
 @dataclass(frozen=True, eq=False)
 class _Rows:
-    """Rows of one kind: names, joints, and what all else and each element's designs add."""
+    """Rows of one kind: names, joints, constants and contributions of each element's designs."""
 
     names: list[str]
     joints: list[int | None]
@@ -162,9 +162,9 @@ class _Rows:
     added: tuple[np.ndarray, ...]
 
 
-def _ties(designs: Sequence[Sequence[CatalogueDesign]]) -> tuple[np.ndarray, ...]:
-    """Bolts, then ranks of size and grade among each element's designs, as digits of one number."""
-    digits = [_digits(own) for own in designs]
+def _tie_break_costs(designs: Sequence[Sequence[CatalogueDesign]]) -> tuple[np.ndarray, ...]:
+    """Return tie-breaking costs: bolt count, rank of size, rank of grade as digits."""
+    digits = [_tie_break_digits(own) for own in designs]
     largest = sum(own.max(axis=0) for own in digits)
     grade = 1.0
     size = grade * (1.0 + largest[2])
@@ -172,8 +172,8 @@ def _ties(designs: Sequence[Sequence[CatalogueDesign]]) -> tuple[np.ndarray, ...
     return tuple(own @ np.array([count, size, grade]) for own in digits)
 
 
-def _digits(designs: Sequence[CatalogueDesign]) -> np.ndarray:
-    """Count, rank of size and rank of grade (m, 3); set screws keep size and have no grade."""
+def _tie_break_digits(designs: Sequence[CatalogueDesign]) -> np.ndarray:
+    """Return count, rank of size and rank of grade (m, 3); 0 ranks for set screws."""
     bolts = [d for d in designs if d.grade]
     sizes = sorted({d.size for d in bolts}, key=lambda s: catalogue.bolt(s).diameter)
     grades = sorted({d.grade for d in bolts}, key=catalogue.bolt_grades().index)
@@ -186,8 +186,8 @@ def _digits(designs: Sequence[CatalogueDesign]) -> np.ndarray:
     )
 
 
-def _site(model: PreloadModel, index: int) -> tuple[Stage, ...]:
-    """Stages that are parallel to an element, itself among them."""
+def _parallel_stages(model: PreloadModel, index: int) -> tuple[Stage, ...]:
+    """Return the stages in parallel with an element, itself included."""
     element = model.elements[index]
     if element.stage.group is None:
         return (element.stage,)
@@ -205,8 +205,8 @@ def _site(model: PreloadModel, index: int) -> tuple[Stage, ...]:
     return stages
 
 
-def _chain(design: CatalogueDesign, site: tuple[Stage, ...]) -> Chain:
-    """What a design makes of its site, at its least preload."""
+def _chain_with_design(design: CatalogueDesign, site: tuple[Stage, ...]) -> Chain:
+    """Return the parallel stages with a design at its least preload."""
     least = design.stage.element.with_preload(design.least_preload)
     name = least.name
     stages = [
@@ -216,10 +216,10 @@ def _chain(design: CatalogueDesign, site: tuple[Stage, ...]) -> Chain:
     return Chain(tuple(stages), reflect=site[0].reflect)
 
 
-def _distinct(
+def _evaluate_distinct(
     designs: Sequence[CatalogueDesign], value: Callable[[CatalogueDesign], np.ndarray]
 ) -> np.ndarray:
-    """Values of all designs; those of the same number and preload are worked out once."""
+    """Return values of all designs, computed once per count and preload."""
     known: dict[tuple[int, float], np.ndarray] = {}
     for design in designs:
         key = (design.count, design.least_preload)
@@ -246,9 +246,9 @@ def _compliance_rows(
         if element.joint in joints:
             start = joints.index(element.joint) * len(cases)
             at = torques[element.joint]
-            use[:, start : start + len(cases)] = _distinct(
+            use[:, start : start + len(cases)] = _evaluate_distinct(
                 own,
-                lambda d, site=site, at=at: exact_compliance(_chain(d, site), at),  # type: ignore[misc]
+                lambda d, site=site, at=at: exact_compliance(_chain_with_design(d, site), at),  # type: ignore[misc]
             )
         uses.append(use)
     rest = [model.rest_compliance(j, torques[j]) for j in joints]
@@ -263,7 +263,7 @@ def _compliance_rows(
 
 
 def _utilisation_rows(model: PreloadModel, designs: Sequence[Sequence[CatalogueDesign]]) -> _Rows:
-    """One row an element where the largest utilisation is the objective."""
+    """Return one row per element if the largest utilisation is the objective."""
     wanted = model.problem.objective == "bolt_utilisation"
     count = len(model.elements) if wanted else 0
     uses = []
@@ -287,7 +287,7 @@ def _deflection_rows(
     designs: Sequence[Sequence[CatalogueDesign]],
     sites: Sequence[tuple[Stage, ...]],
 ) -> _Rows:
-    """Deflection vectors of the tool, where they matter."""
+    """Return the deflection vectors of the tool, if required or minimised."""
     allowed = model.problem.requirements.tool_deflection
     wanted = model.problem.objective == "tool_deflection"
     matters = wanted or allowed is not None
@@ -299,21 +299,21 @@ def _deflection_rows(
     for k, case in enumerate(cases):
         assert case.jacobian is not None
         fixed = [
-            _net(case, j, lambda at, j=j: model.rest_windup(j, at)[None, :])[0]  # type: ignore[misc]
+            _net_windups(case, j, lambda at, j=j: model.rest_windup(j, at)[None, :])[0]  # type: ignore[misc]
             for j in range(1, model.problem.robot.n + 1)
         ]
         rest[k] = -(case.jacobian @ np.array(fixed) + model.fixed_tilt(case))
         for element, own, site, vectors in zip(model.elements, designs, sites, added, strict=True):
-            windups = _net(
+            windups = _net_windups(
                 case,
                 element.joint,
-                lambda at, own=own, site=site: _distinct(  # type: ignore[misc]
-                    own, lambda each: exact_windup(_chain(each, site), at)
+                lambda at, own=own, site=site: _evaluate_distinct(  # type: ignore[misc]
+                    own, lambda each: exact_windup(_chain_with_design(each, site), at)
                 ),
             )
             vectors[:, k] = -np.outer(windups, case.jacobian[:, element.joint - 1])
             vectors[:, k] -= [
-                tilted_tool(d.stage, element.joint, case, d.least_preload) for d in own
+                tilt_deflection(d.stage, element.joint, case, d.least_preload) for d in own
             ]
     return _Rows(
         names=[f"tool deflection, {case.name}" for case in cases],
@@ -325,8 +325,10 @@ def _deflection_rows(
     )
 
 
-def _net(case: LoadCase, joint: int, windup: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
-    """Wind-ups (m,) beyond those of the reference torque [rad]; `windup` gives (m, torques)."""
+def _net_windups(
+    case: LoadCase, joint: int, windup: Callable[[np.ndarray], np.ndarray]
+) -> np.ndarray:
+    """Return wind-ups (m,) less those at reference torque [rad]; `windup` gives (m, torques)."""
     torques = [case.torque[joint - 1]]
     if case.reference_torque is not None:
         torques.append(case.reference_torque[joint - 1])

@@ -1,48 +1,49 @@
-"""Best combination of catalogue designs by mixed-integer programming (HiGHS).
+"""Optimum combination of catalogue designs by mixed-integer programming (HiGHS).
 
-One binary variable a design, one design an element. The size of a deflection vector is the largest
-of its parts along all directions, so directions in which a combination exceeds what the programme
-saw are added as linear cuts until the two agree; no cut removes a combination that it should not.
+One binary variable per design, one design per element. The norm of a deflection vector is the
+largest projection on any direction: directions in which a combination exceeds its linear rows are
+added as cuts until both agree. No cut removes a feasible combination.
 """
 
 from __future__ import annotations
 
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
+from stiffopt.preload.catalogue_designs import CatalogueDesign
 from stiffopt.preload.catalogue_programme import ChoiceProgramme
+from stiffopt.preload.solution import PreloadSolution
 
-# Time for all goals of a study [s]; what is left open then is said.
-SECONDS = 30.0
-# HiGHS keeps rows to 1e-6 and stops at a gap of 1e-6, both absolute: numbers of this size make that
-# 1e-10 of them.
-_SIZE = 1e4
-# Relative distance from the bound below which a combination is best, and values are equal: ten
-# times what the programme resolves.
-_EQUAL = 1e-9
+# Time limit for all goals of a study [s]; open combinations are reported.
+MAX_SEARCH_SECONDS = 30.0
+# HiGHS has absolute tolerances of 1e-6 on rows and gap: numbers of this size make them 1e-10
+# relative.
+_SOLVER_SCALE = 1e4
+# Relative tolerance of optimality and of equal values: ten times the resolution of the programme.
+_RELATIVE_TOLERANCE = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
 class Goal:
-    """What a search minimises: a sum over the elements, or the largest of weight times amount.
+    """Goal of a search: a sum over the elements, or the largest weighted row value.
 
     Parameters
     ----------
     cost : sequence of array (m,), optional
-        Of each element's designs.
+        Cost of each element's designs.
     weight : array (rows,), optional
-        Of the rows.
+        Weights of the rows.
     """
 
     cost: Sequence[np.ndarray] | None = None
     weight: np.ndarray | None = None
 
     def value(self, programme: ChoiceProgramme, picks: Sequence[int]) -> float:
-        """Of a combination."""
+        """Return the goal's value for a combination."""
         if self.cost is not None:
             return float(sum(c[i] for c, i in zip(self.cost, picks, strict=True)))
         assert self.weight is not None
@@ -50,23 +51,23 @@ class Goal:
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
-    """End of a search.
+class CombinationResult:
+    """Result of one search.
 
     Parameters
     ----------
     picks : tuple of int or None
-        Position of each element's design; None: no combination was found.
+        Position of each element's design; None if none was found.
     value : float
         Of the goal.
     bound : float
-        The solver's; infinite where no combination will do.
+        Lower bound by the solver; infinite if infeasible.
     evaluated : set of tuple
-        Combinations whose goal and rows were worked out.
+        Combinations whose goal and rows were evaluated.
     nodes : int
         Of the branch-and-bound trees.
     complete : bool
-        Whether the search ended by itself.
+        The search ended before the time limit.
     """
 
     picks: tuple[int, ...] | None
@@ -86,7 +87,7 @@ class Found:
 
 @dataclass
 class _Constraints:
-    """Linear rows A x + level column <= upper, in the solver's size."""
+    """Linear rows A x + level column <= upper, in the solver's scale."""
 
     matrix: list[np.ndarray] = field(default_factory=list)
     level: list[float] = field(default_factory=list)
@@ -94,15 +95,15 @@ class _Constraints:
 
     def add(self, coefficients: np.ndarray, upper: float, level: float = 0.0) -> None:
         largest = max(abs(upper), float(np.abs(coefficients).max()), abs(level))
-        size = _SIZE / (largest or 1.0)
+        size = _SOLVER_SCALE / (largest or 1.0)
         self.matrix.append(coefficients * size)
         self.level.append(level * size)
         self.upper.append(upper * size)
 
 
 @dataclass(frozen=True)
-class _Step:
-    """End of one mixed-integer programme."""
+class _ProgrammeResult:
+    """Result of one mixed-integer programme."""
 
     picks: tuple[int, ...] | None
     bound: float
@@ -111,61 +112,63 @@ class _Step:
 
 
 class CombinationSearch:
-    """Minimises one goal after the other; what is reached is kept.
+    """Lexicographic minimisation: each goal keeps the values of the former ones.
 
     Parameters
     ----------
     programme : ChoiceProgramme
     seconds : float
-        For all goals together.
+        Time limit for all goals together.
     """
 
-    def __init__(self, programme: ChoiceProgramme, seconds: float = SECONDS) -> None:
+    def __init__(self, programme: ChoiceProgramme, seconds: float = MAX_SEARCH_SECONDS) -> None:
         self.programme = programme
-        self._sizes = [len(c) for c in programme.cost]
-        self._ends = np.cumsum(self._sizes)
-        self._until = time.monotonic() + seconds
-        self._kept: list[tuple[Goal, float]] = []
-        # Directions along which each vector was looked at (k lists of unit vectors).
+        self._block_sizes = [len(c) for c in programme.cost]
+        self._block_ends = np.cumsum(self._block_sizes)
+        self._deadline = time.monotonic() + seconds
+        self._reached_goals: list[tuple[Goal, float]] = []
+        # Cut directions of each vector (k lists of unit vectors).
         self._directions = [[u] for u in programme.middle_directions()]
-        self._left_out: list[np.ndarray] = []
+        self._excluded_combinations: list[np.ndarray] = []
 
-    def minimise(self, goal: Goal) -> Found:
-        """Find the best combination that keeps all rows and the goals reached before."""
+    def minimise(self, goal: Goal) -> CombinationResult:
+        """Find the best combination that satisfies all rows and the former goals."""
         best, best_value, bound = None, math.inf, -math.inf
         evaluated: set[tuple[int, ...]] = set()
         nodes, complete = 0, False
         while not complete:
-            result = self._solve(goal)
+            result = self._solve_programme(goal)
             nodes += result.nodes
             bound = max(bound, result.bound)
             if result.picks is not None:
                 evaluated.add(result.picks)
                 value = goal.value(self.programme, result.picks)
-                if value < best_value and self._keeps(result.picks):
+                if value < best_value and self._is_feasible(result.picks):
                     best, best_value = result.picks, value
-            complete = bound >= best_value - _EQUAL * abs(best_value) or result.infeasible
-            if result.picks is None or time.monotonic() > self._until:
+            complete = (
+                bound >= best_value - _RELATIVE_TOLERANCE * abs(best_value) or result.infeasible
+            )
+            if result.picks is None or time.monotonic() > self._deadline:
                 break
-            if not complete and not self._cut(result.picks):
-                self._left_out.append(self._marks(result.picks))
+            if not complete and not self._add_cuts(result.picks):
+                self._excluded_combinations.append(self._mark_designs(result.picks))
         if best is not None:
-            self._kept.append((goal, best_value))
+            self._reached_goals.append((goal, best_value))
         if complete:
             bound = best_value
-        return Found(best, best_value, bound, evaluated, nodes, complete)
+        return CombinationResult(best, best_value, bound, evaluated, nodes, complete)
 
     def conflicting_rows(self) -> tuple[str, ...]:
-        """Rows to relax where no combination keeps all: those that the least excess is in."""
+        """Return the rows exceeded by the combination of least excess, the largest first."""
         programme, picks = self.programme, None
         while True:
-            result = self._solve(None)
-            # The solver fails now and then on rows that nearly coincide; what it found before
-            # breaks rows as well.
+            result = self._solve_programme(None)
+            # The solver may fail on nearly parallel rows; the former combination exceeds rows as
+            # well.
             picks = picks if result.picks is None else result.picks
-            if result.picks is None or not self._cut(result.picks):
+            if result.picks is None or not self._add_cuts(result.picks):
                 break
-            if time.monotonic() > self._until:
+            if time.monotonic() > self._deadline:
                 break
         if picks is None:
             return ()
@@ -175,28 +178,28 @@ class CombinationSearch:
 
     # ---- the programme
 
-    def _solve(self, goal: Goal | None) -> _Step:
-        """Solve the linear programme with the cuts so far; no goal: the least excess of rows."""
+    def _solve_programme(self, goal: Goal | None) -> _ProgrammeResult:
+        """Solve the programme with the present cuts; without a goal for the least excess."""
         from scipy.optimize import Bounds, LinearConstraint, milp
 
-        count = int(self._ends[-1])
+        count = int(self._block_ends[-1])
         rows = _Constraints()
-        for coefficients, base, row in self._expressions():
+        for coefficients, base, row in self._row_expressions():
             cap = float(self.programme.cap[row])
             if np.isfinite(cap):
                 rows.add(coefficients, cap - base, level=0.0 if goal else -cap)
-        for kept, value in self._kept:
-            self._bound_goal(rows, kept, value * (1.0 + _EQUAL))
-        for marks in self._left_out:
-            rows.add(marks, len(self._sizes) - 1.0)
-        cost, unit = self._objective(rows, goal)
-        seconds = max(self._until - time.monotonic(), 0.0)
+        for kept, value in self._reached_goals:
+            self._bound_goal(rows, kept, value * (1.0 + _RELATIVE_TOLERANCE))
+        for marks in self._excluded_combinations:
+            rows.add(marks, len(self._block_sizes) - 1.0)
+        cost, unit = self._goal_costs(rows, goal)
+        seconds = max(self._deadline - time.monotonic(), 0.0)
         result = milp(
             cost,
             integrality=np.append(np.ones(count), 0),
             bounds=Bounds(0.0, np.append(np.ones(count), np.inf)),
             constraints=[
-                LinearConstraint(self._one_each(), 1.0, 1.0),
+                LinearConstraint(self._one_design_rows(), 1.0, 1.0),
                 *(
                     [
                         LinearConstraint(
@@ -210,42 +213,42 @@ class CombinationSearch:
             options={"mip_rel_gap": 0.0, "time_limit": seconds},
         )
         dual = result.get("mip_dual_bound")
-        return _Step(
-            picks=None if result.x is None else self._picks(result.x),
+        return _ProgrammeResult(
+            picks=None if result.x is None else self._read_picks(result.x),
             bound=-math.inf if dual is None else float(dual) / unit,
             nodes=int(result.get("mip_node_count") or 0),
             infeasible=result.status == 2,
         )
 
-    def _objective(self, rows: _Constraints, goal: Goal | None) -> tuple[np.ndarray, float]:
-        """Costs of designs and level, and the solver's size of one unit of the goal."""
-        count = int(self._ends[-1])
+    def _goal_costs(self, rows: _Constraints, goal: Goal | None) -> tuple[np.ndarray, float]:
+        """Return costs of designs and level, and the solver's scale of the goal."""
+        count = int(self._block_ends[-1])
         if goal is None:
-            return np.append(np.zeros(count), _SIZE), _SIZE
+            return np.append(np.zeros(count), _SOLVER_SCALE), _SOLVER_SCALE
         if goal.cost is not None:
             cost = np.concatenate(goal.cost)
             least = sum(float(np.abs(c).min()) for c in goal.cost)
-            unit = _SIZE / (least or float(np.abs(cost).max()) or 1.0)
+            unit = _SOLVER_SCALE / (least or float(np.abs(cost).max()) or 1.0)
             return np.append(cost * unit, 0.0), unit
         assert goal.weight is not None
         least = float((self.programme.least_amounts() * goal.weight).max())
         scale = least if least > 0.0 else 1.0
         self._bound_goal(rows, goal, 0.0, level=-scale)
-        return np.append(np.zeros(count), _SIZE), _SIZE / scale
+        return np.append(np.zeros(count), _SOLVER_SCALE), _SOLVER_SCALE / scale
 
     def _bound_goal(self, rows: _Constraints, goal: Goal, value: float, level: float = 0.0) -> None:
-        """Rows that keep a goal at or below a value plus `level` times the level variable."""
+        """Add rows that bound a goal by a value plus `level` times the level variable."""
         if goal.cost is not None:
             rows.add(np.concatenate(goal.cost), value)
             return
         assert goal.weight is not None
-        for coefficients, base, row in self._expressions():
+        for coefficients, base, row in self._row_expressions():
             weight = float(goal.weight[row])
             if weight > 0.0:
                 rows.add(weight * coefficients, value - weight * base, level)
 
-    def _expressions(self) -> list[tuple[np.ndarray, float, int]]:
-        """Coefficients, constant and row of every linear expression that bounds an amount."""
+    def _row_expressions(self) -> list[tuple[np.ndarray, float, int]]:
+        """Return coefficients, constant and row of every linear lower bound of a row value."""
         programme = self.programme
         linear = np.concatenate(programme.use)
         found = [(linear[:, r], float(programme.base[r]), r) for r in range(linear.shape[1])]
@@ -257,37 +260,100 @@ class CombinationSearch:
             ]
         return found
 
-    def _one_each(self) -> np.ndarray:
-        """One design an element (elements, designs + 1)."""
-        own = np.repeat(np.eye(len(self._sizes)), self._sizes, axis=1)
-        return np.column_stack([own, np.zeros(len(self._sizes))])
+    def _one_design_rows(self) -> np.ndarray:
+        """Return the rows of one design per element (elements, designs + 1)."""
+        own = np.repeat(np.eye(len(self._block_sizes)), self._block_sizes, axis=1)
+        return np.column_stack([own, np.zeros(len(self._block_sizes))])
 
-    def _picks(self, x: np.ndarray) -> tuple[int, ...]:
-        return tuple(int(np.argmax(own)) for own in np.split(x[:-1], self._ends[:-1]))
+    def _read_picks(self, x: np.ndarray) -> tuple[int, ...]:
+        return tuple(int(np.argmax(own)) for own in np.split(x[:-1], self._block_ends[:-1]))
 
-    def _marks(self, picks: Sequence[int]) -> np.ndarray:
-        """Ones at the designs of a combination."""
-        marks = np.zeros(int(self._ends[-1]))
-        marks[self._ends - self._sizes + np.array(picks)] = 1.0
+    def _mark_designs(self, picks: Sequence[int]) -> np.ndarray:
+        """Return a vector with ones at the designs of a combination."""
+        marks = np.zeros(int(self._block_ends[-1]))
+        marks[self._block_ends - self._block_sizes + np.array(picks)] = 1.0
         return marks
 
-    def _keeps(self, picks: Sequence[int]) -> bool:
-        """Whether a combination keeps all rows and the goals reached before."""
+    def _is_feasible(self, picks: Sequence[int]) -> bool:
+        """Return True if a combination satisfies all rows and the former goals."""
         if (self.programme.amounts(picks) > self.programme.ends).any():
             return False
         return all(
-            goal.value(self.programme, picks) <= value + 2.0 * _EQUAL * abs(value)
-            for goal, value in self._kept
+            goal.value(self.programme, picks) <= value + 2.0 * _RELATIVE_TOLERANCE * abs(value)
+            for goal, value in self._reached_goals
         )
 
-    def _cut(self, picks: Sequence[int]) -> bool:
-        """Add the directions of this combination's vectors; whether any is longer than was seen."""
+    def _add_cuts(self, picks: Sequence[int]) -> bool:
+        """Add this combination's vectors as cut directions; return True if any is new."""
         new = False
         for vector, directions in zip(
             self.programme.deflections(picks), self._directions, strict=True
         ):
             size = float(np.linalg.norm(vector))
-            if size - max(float(u @ vector) for u in directions) > 0.1 * _EQUAL * size:
+            if size - max(float(u @ vector) for u in directions) > 0.1 * _RELATIVE_TOLERANCE * size:
                 directions.append(vector / size)
                 new = True
         return new
+
+
+@dataclass(frozen=True, kw_only=True)
+class SearchProof:
+    """Account of a finished search; every combination is counted exactly once.
+
+    Parameters
+    ----------
+    combinations : int
+        Number of combinations of all elements' designs.
+    excluded : mapping of str to int
+        Combinations excluded without evaluation, by limit or rule; the first applicable one
+        counts.
+    evaluated : int
+        Combinations whose objective and rows were evaluated.
+    unvisited : int
+        Combinations left open by the time limit; 0 for a proof.
+    nodes : int
+        Nodes of the branch-and-bound tree.
+    bound : float
+        Lower bound of the minimised quantity: total preload [N], largest utilisation [-], largest
+        deflection [m], largest weight over stiffness [-].
+    gap : float
+        Relative distance of the best combination from the bound; infinite without one.
+    """
+
+    combinations: int
+    excluded: Mapping[str, int]
+    evaluated: int
+    unvisited: int
+    nodes: int
+    bound: float
+    gap: float
+
+    @property
+    def complete(self) -> bool:
+        """True if no combination is left open."""
+        return self.unvisited == 0
+
+    @property
+    def accounted(self) -> int:
+        """Sum of all counts; equal to `combinations`."""
+        return sum(self.excluded.values()) + self.evaluated + self.unvisited
+
+
+def describe_proof(
+    proof: SearchProof, chosen: Sequence[CatalogueDesign], solution: PreloadSolution
+) -> str:
+    """Return a message about the design and the search."""
+    bolts = "; ".join(f"{d.key}: {d.label}" for d in chosen)
+    if not proof.complete:
+        return (
+            f"Best design found: {bolts}. It satisfies every limit, but the search ended with "
+            f"{proof.unvisited:,} of {proof.combinations:,} combinations undecided; their "
+            f"lower bound of the minimised quantity is {proof.bound:.6g}."
+        )
+    out = sum(proof.excluded.values())
+    text = (
+        f"Best design of the catalogue: {bolts}. Of {proof.combinations:,} combinations "
+        f"{out:,} were excluded by limits and bounds and {proof.evaluated:,} evaluated; none is "
+        "better."
+    )
+    return text if solution.status.usable else f"{text} {solution.message}"

@@ -1,4 +1,4 @@
-"""What a catalogue search tells people: a table of all bolts, and why nothing will do."""
+"""Tables of a catalogue search: best torque for all bolts, reasons of infeasibility."""
 
 from __future__ import annotations
 
@@ -22,16 +22,15 @@ class TableRow:
     Parameters
     ----------
     design : CatalogueDesign
-        With the best torque that meets everything; where there is none, the one that comes
-        nearest to its limits.
+        With the best feasible torque, or the one nearest to its limits.
     objective : float
-        Of the study with this design, in its unit; nan where nothing was chosen at all.
+        Of the study with this design, in its unit; nan without any choice.
     stopper : str
-        Limit or requirement that stops all torques; "" where the design is feasible.
+        Limit or requirement that excludes all torques; "" if feasible.
     utilisation : float
-        Of the limit that is used most by this connection [-].
+        Largest utilisation of this connection [-].
     torques : int
-        Number of torques that there are for these bolts.
+        Number of torques tried for these bolts.
     chosen : bool
     """
 
@@ -49,7 +48,7 @@ def best_torques(
     programme: ChoiceProgramme | None,
     picks: tuple[int, ...] | None,
 ) -> tuple[TableRow, ...]:
-    """Table of the best torque for every kind of bolts.
+    """Return the best torque for every kind of bolts.
 
     Parameters
     ----------
@@ -57,9 +56,9 @@ def best_torques(
     designs : one sequence of CatalogueDesign an element
         Feasible or not.
     programme : ChoiceProgramme or None
-        Of the feasible ones; None where an element has none.
+        Of the feasible designs; None if an element has none.
     picks : tuple of int or None
-        The chosen design of each element among its feasible ones; None where nothing was chosen.
+        Chosen design of each element among its feasible ones; None without a choice.
     """
     rows = []
     for index, own in enumerate(designs):
@@ -67,19 +66,19 @@ def best_torques(
         for bolts in dict.fromkeys(d.bolts for d in own):
             kind = [d for d in own if d.bolts == bolts]
             if programme is None or picks is None:
-                rows.append(_by_own_limits(kind))
+                rows.append(_limit_row(kind))
                 continue
             swaps = [
-                (_Swap(model, programme, picks, index, kept.index(d)), d)
+                (_SwappedDesign(model, programme, picks, index, kept.index(d)), d)
                 for d in kind
                 if d.feasible
             ]
-            rows.append(_by_study(kind, swaps, kept[picks[index]]))
+            rows.append(_study_row(kind, swaps, kept[picks[index]]))
     return tuple(rows)
 
 
-class _Swap:
-    """The chosen combination with another design in one place."""
+class _SwappedDesign:
+    """Chosen combination with the design of one element replaced."""
 
     def __init__(
         self,
@@ -105,15 +104,15 @@ class _Swap:
             self.value = self.level = float(peaked.max())
 
 
-def _by_study(
+def _study_row(
     kind: Sequence[CatalogueDesign],
-    swaps: Sequence[tuple[_Swap, CatalogueDesign]],
+    swaps: Sequence[tuple[_SwappedDesign, CatalogueDesign]],
     chosen: CatalogueDesign,
 ) -> TableRow:
     able = [(swap, d) for swap, d in swaps if not swap.stopper]
     if not able and not swaps:
-        return _by_own_limits(kind)
-    # Without any that will do, the stiffest is nearest to what the study asks for.
+        return _limit_row(kind)
+    # If none is feasible, the stiffest is nearest to the requirements.
     swap, design = (
         min(able, key=lambda each: each[0].level)
         if able
@@ -131,8 +130,8 @@ def _by_study(
     )
 
 
-def _by_own_limits(kind: Sequence[CatalogueDesign]) -> TableRow:
-    nearest = _nearest(kind)
+def _limit_row(kind: Sequence[CatalogueDesign]) -> TableRow:
+    nearest = _nearest_design(kind)
     return TableRow(
         design=nearest,
         objective=float("nan"),
@@ -143,8 +142,8 @@ def _by_own_limits(kind: Sequence[CatalogueDesign]) -> TableRow:
     )
 
 
-def _nearest(designs: Sequence[CatalogueDesign]) -> CatalogueDesign:
-    """Design with the fewest limits exceeded, and these least; of feasible ones the loosest."""
+def _nearest_design(designs: Sequence[CatalogueDesign]) -> CatalogueDesign:
+    """Return the feasible design of least preload, or that with the fewest limits exceeded."""
     feasible = [d for d in designs if d.feasible]
     if feasible:
         return min(feasible, key=lambda d: d.total_preload)
@@ -152,12 +151,12 @@ def _nearest(designs: Sequence[CatalogueDesign]) -> CatalogueDesign:
 
 
 def element_stoppers(model: PreloadModel, designs: Designs) -> tuple[Stopper, ...]:
-    """Elements for which the catalogue has nothing, with the limit of the nearest design."""
+    """Return elements without a feasible design, with the limit of the nearest one."""
     found = []
     for own in designs:
         if any(d.feasible for d in own):
             continue
-        nearest = _nearest(own)
+        nearest = _nearest_design(own)
         name = nearest.stopper
         used = nearest.utilisations[name]
         slips = name == SLIP
@@ -176,13 +175,13 @@ def element_stoppers(model: PreloadModel, designs: Designs) -> tuple[Stopper, ..
 
 
 def requirement_stoppers(programme: ChoiceProgramme, found: tuple[str, ...]) -> tuple[Stopper, ...]:
-    """Requirements that no combination meets, with the best that any design reaches.
+    """Return requirements that no combination meets, with the best reachable value.
 
     Parameters
     ----------
     programme : ChoiceProgramme
     found : tuple of str
-        Rows that the nearest combination breaks, the most broken first.
+        Rows exceeded by the nearest combination, the largest excess first.
     """
     least = programme.least_amounts()
     alone = [i for i in range(len(programme.names)) if least[i] > programme.ends[i]]
@@ -196,20 +195,24 @@ def requirement_stoppers(programme: ChoiceProgramme, found: tuple[str, ...]) -> 
         ):
             worst[owner] = i
     against = (
-        "even the stiffest catalogue designs together do not give more"
+        "the stiffest catalogue designs together reach no more"
         if alone
         else "it can be met alone, but not with the other requirements"
     )
-    return tuple(_requirement(programme, i, float(least[i]), against) for i in worst.values())
+    return tuple(
+        _requirement_stopper(programme, i, float(least[i]), against) for i in worst.values()
+    )
 
 
-def _requirement(programme: ChoiceProgramme, row: int, least: float, against: str) -> Stopper:
+def _requirement_stopper(
+    programme: ChoiceProgramme, row: int, least: float, against: str
+) -> Stopper:
     fixed = np.concatenate([programme.base, np.linalg.norm(programme.rest, axis=1)])[row]
     share = max(1.0 - float(fixed) / least, 0.0) if least > 0.0 else 0.0
     remedy = (
-        f"larger, more or better bolts in [choose] gain at most {100 * share:.1f} %, since "
-        "the rest of the drivetrain yields that much; beyond it stiffer reducers, less load, or a "
-        "lower requirement"
+        f"larger, more or better bolts in [choose] gain at most {100 * share:.1f} %, the share of "
+        "the connections in the compliance; beyond it stiffer reducers, less load, or a lower "
+        "requirement"
     )
     if programme.joints[row] is None:
         return Stopper(

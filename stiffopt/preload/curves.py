@@ -16,7 +16,7 @@ from stiffopt.preload.model import PreloadModel
 from stiffopt.preload.sensitivity import largest_torque
 from stiffopt.preload.utilisation import governing_safety
 
-# Requirements that bound a preload from below.
+# Requirements that give a lower bound of the preload.
 FLOORS = (
     "slip safety",
     "slip under the whole load",
@@ -25,41 +25,41 @@ FLOORS = (
     "joint stiffness",
     "tool deflection",
 )
-# Curves run from this share of the largest permissible preload to this one.
-_SHOWN = (0.05, 1.1)
+# Range of the curves over the largest permissible preload [-].
+_PRELOAD_RANGE = (0.05, 1.1)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PreloadCurve:
-    """A joint under one load case over the preload of one of its connections.
+    """Properties of a joint in one load case over the preload of one connection.
 
     Parameters
     ----------
     key : str
-        Of the element; all other preloads are those of the design.
+        Key of the element; all other preloads are those of the design.
     joint : int
         1-based.
     case : str
     torque : float
         At the joint [N m].
     design : float
-        Preload of the design [N], of individual ones the mean.
+        Preload of the design, mean of individual ones [N].
     preload : array (K,)
-        F, the largest of one bolt or pin that tightening leaves [N], ascending.
+        F, largest assembly preload of one bolt or pin [N], ascending.
     stiffness : array (K,)
-        Tangent stiffness of the joint by the exact law with the least preload that tightening to F
-        leaves [N m/rad]; 0 where a connection slips.
+        Tangent stiffness of the joint by the exact law at the least preload in service [N m/rad]; 0
+        where a connection slips.
     stiffness_high : array (K,)
-        The same with the largest, F itself: the other end of the scatter [N m/rad].
+        The same at F, the other end of the scatter [N m/rad].
     slip_safety : array (K,)
-        Slip torque with the least preload over torque [-]; infinite without torque.
+        Slip torque at the least preload over torque [-]; infinite without torque.
     utilisation : mapping of limit name to array (K,)
-        Of every limit that depends on the preload, 1 where it ends it [-].
+        Of every limit that depends on the preload, 1 at the limit [-].
     safety : mapping of symbol to array (K,)
-        Safety factors of VDI 2230 under all load cases, of bolts whose joint has them [-].
+        Safety factors of VDI 2230 under all load cases, of bolted joints [-].
     limits : mapping of name to float
-        Preload at which each requirement binds [N]: those of `FLOORS` from below, others from
-        above; "slip" is where the connection begins to hold at all.
+        Preload at which each requirement is active [N]: a lower bound for those of `FLOORS`, an
+        upper bound for others; "slip" at slip safety 1.
     """
 
     key: str
@@ -77,7 +77,7 @@ class PreloadCurve:
 
     @property
     def stiffness_low(self) -> np.ndarray:
-        """Stiffness at the unfavourable end of the scatter (K,) [N m/rad]: the one that counts."""
+        """Stiffness at the unfavourable end of the scatter (K,) [N m/rad]."""
         return self.stiffness
 
 
@@ -97,8 +97,7 @@ def preload_curves(
     Returns
     -------
     tuple of PreloadCurve
-        For each element the load case of least stiffness and that of largest torque, once where
-        they are the same.
+        For each element, in the load cases of least stiffness and of largest torque.
     """
     if points < 2:
         raise ProblemError(f"preload curves: points = {points} must be 2 or above.")
@@ -109,27 +108,29 @@ def preload_curves(
         softest = model.cases[int(np.argmin(row))]
         cases = dict.fromkeys((softest.name, largest_torque(model, element.joint).name))
         curves += [
-            _curve(model, preloads, index, case, points)
+            _preload_curve(model, preloads, index, case, points)
             for case in model.cases
             if case.name in cases
         ]
     return tuple(curves)
 
 
-def _curve(
+def _preload_curve(
     model: PreloadModel, preloads: np.ndarray, index: int, case: LoadCase, points: int
 ) -> PreloadCurve:
     element = model.elements[index]
     torque = float(case.torque[element.joint - 1])
-    first, last = (share * element.capacity for share in _SHOWN)
-    # Below the embedding loss nothing is left after tightening.
+    first, last = (share * element.capacity for share in _PRELOAD_RANGE)
+    # Below the embedding loss no preload remains after tightening.
     first = max(first, 1.02 * element.largest(0.0))
     force = np.linspace(first, last, points)
     own = float(np.mean(preloads[model.slices[index]]))
-    slip = np.array([model.slip_torque(_with(model, preloads, index, f), index) for f in force])
+    slip = np.array(
+        [model.slip_torque(_with_preload(model, preloads, index, f), index) for f in force]
+    )
     with np.errstate(divide="ignore"):
         safety = slip / abs(torque)
-    stiffness = _stiffness(model, preloads, index, torque, force)
+    stiffness = _stiffness_curve(model, preloads, index, torque, force)
     return PreloadCurve(
         key=element.key,
         joint=element.joint,
@@ -138,25 +139,27 @@ def _curve(
         design=own,
         preload=force,
         stiffness=stiffness,
-        stiffness_high=_stiffness(model, preloads, index, torque, element.largest(force)),
+        stiffness_high=_stiffness_curve(model, preloads, index, torque, element.largest(force)),
         slip_safety=safety,
         utilisation={
             limit.name: np.asarray(limit.utilisation(force))
             for limit in element.limits
             if limit.depends_on_preload
         },
-        safety=_safety(model, preloads, index, force),
+        safety=_safety_curves(model, preloads, index, force),
         limits={
             **binding_preloads(model, index, abs(torque)),
-            **_yielding(model, preloads, index, force, stiffness),
+            **_stiffness_binding_preloads(model, preloads, index, force, stiffness),
         },
     )
 
 
-def _safety(
+def _safety_curves(
     model: PreloadModel, preloads: np.ndarray, index: int, forces: np.ndarray
 ) -> dict[str, np.ndarray]:
-    found = [governing_safety(model, _with(model, preloads, index, f), index) for f in forces]
+    found = [
+        governing_safety(model, _with_preload(model, preloads, index, f), index) for f in forces
+    ]
     return {
         symbol: np.array(
             [math.nan if not (s := rows[symbol].safety) else s.value for rows in found]
@@ -166,7 +169,7 @@ def _safety(
 
 
 def binding_preloads(model: PreloadModel, index: int, torque: float) -> dict[str, float]:
-    """Preload at which each requirement of an element binds.
+    """Return the preload at which each requirement of an element is active.
 
     Parameters
     ----------
@@ -174,7 +177,7 @@ def binding_preloads(model: PreloadModel, index: int, torque: float) -> dict[str
     index : int
         Of the element.
     torque : float
-        Size of the joint's torque [N m].
+        Magnitude of the joint torque [N m].
 
     Returns
     -------
@@ -182,23 +185,23 @@ def binding_preloads(model: PreloadModel, index: int, torque: float) -> dict[str
     """
     element, needs = model.elements[index], model.problem.requirements
     # The slip torque is proportional to the least preload.
-    at_one = _with(model, model.design, index, float(element.largest(1.0)))
+    at_one = _with_preload(model, model.design, index, float(element.largest(1.0)))
     unit = float(model.slip_torque(at_one, index))
     return {
         "slip": float(element.largest(torque / unit)),
         "slip safety": float(element.largest(model.slip_safety(element.joint) * torque / unit)),
         "least preload": needs.least_preload * element.capacity,
         **element.ends(needs.bolt_utilisation),
-        **_loaded(model.verifications[index]),
+        **_vdi_binding_preloads(model.verifications[index]),
     }
 
 
-def _loaded(steps: Verification | None) -> dict[str, float]:
-    """Preload at which a step of VDI 2230 under the load binds, the first of each side [N]."""
+def _vdi_binding_preloads(steps: Verification | None) -> dict[str, float]:
+    """Return the lower and upper preload at which a step of VDI 2230 is active [N]."""
     if steps is None:
         return {}
     found = {}
-    if steps.loads.more_than_torque:
+    if steps.loads.has_force_or_tilting:
         opening = float(steps.clamp_against_opening.max())
         governs = opening >= float(steps.clamp_needed.max())
         found["one-sided opening" if governs else "slip under the whole load"] = steps.least_preload
@@ -208,31 +211,31 @@ def _loaded(steps: Verification | None) -> dict[str, float]:
     return found
 
 
-def _yielding(
+def _stiffness_binding_preloads(
     model: PreloadModel,
     preloads: np.ndarray,
     index: int,
     forces: np.ndarray,
     stiffness: np.ndarray,
 ) -> dict[str, float]:
-    """Preload below which joint or tool yield more than is allowed, within `forces` [N]."""
+    """Return the least preload for joint stiffness and tool deflection, within `forces` [N]."""
     needs, found = model.problem.requirements, {}
     needed = needs.joint_stiffness.get(model.elements[index].joint)
     if needed is not None and stiffness.min() < needed <= stiffness.max():
-        found["joint stiffness"] = _crossing(stiffness, forces, needed)
+        found["joint stiffness"] = _first_crossing(stiffness, forces, needed)
     if needs.tool_deflection is not None:
         sizes = [
             np.nanmax(np.linalg.norm(model.exact_deflection(each), axis=1))
-            for each in (_with(model, preloads, index, force) for force in forces)
+            for each in (_with_preload(model, preloads, index, force) for force in forces)
         ]
         compliant = -np.array(sizes)
         if compliant.min() < -needs.tool_deflection <= compliant.max():
-            found["tool deflection"] = _crossing(compliant, forces, -needs.tool_deflection)
+            found["tool deflection"] = _first_crossing(compliant, forces, -needs.tool_deflection)
     return found
 
 
-def _crossing(values: np.ndarray, forces: np.ndarray, level: float) -> float:
-    """First force at which rising values reach a level, between two points on a straight line."""
+def _first_crossing(values: np.ndarray, forces: np.ndarray, level: float) -> float:
+    """Return the first force at which increasing values reach a level, by interpolation [N]."""
     after = int(np.argmax(values >= level))
     low, high = values[after - 1], values[after]
     if not np.isfinite(low):
@@ -241,19 +244,21 @@ def _crossing(values: np.ndarray, forces: np.ndarray, level: float) -> float:
     return float(forces[after - 1] + share * (forces[after] - forces[after - 1]))
 
 
-def _with(model: PreloadModel, preloads: np.ndarray, index: int, force: float) -> np.ndarray:
-    """Design vector with another preload in all bolts or pins of an element."""
+def _with_preload(
+    model: PreloadModel, preloads: np.ndarray, index: int, force: float
+) -> np.ndarray:
+    """Return the design vector with another preload of an element."""
     changed = preloads.copy()
     changed[model.slices[index]] = force
     return changed
 
 
-def _stiffness(
+def _stiffness_curve(
     model: PreloadModel, preloads: np.ndarray, index: int, torque: float, forces: np.ndarray
 ) -> np.ndarray:
     joint, at = model.elements[index].joint, np.array([torque])
     compliance = [
-        float(model.exact_compliance(_with(model, preloads, index, force), joint, at)[0])
+        float(model.exact_compliance(_with_preload(model, preloads, index, force), joint, at)[0])
         for force in forces
     ]
     return np.asarray(1.0 / np.array(compliance))
@@ -262,7 +267,7 @@ def _stiffness(
 def curve_rows(
     curves: Sequence[PreloadCurve],
 ) -> tuple[tuple[str, ...], list[tuple[str | float, ...]]]:
-    """Table of curves: one line a preload.
+    """Return the table of curves, one row per preload.
 
     Parameters
     ----------
@@ -271,7 +276,7 @@ def curve_rows(
     Returns
     -------
     (columns, rows)
-        Units are part of the names of the columns; a limit that an element does not have is nan.
+        Column names include units; nan for limits that an element does not have.
     """
     names = tuple(dict.fromkeys(name for curve in curves for name in curve.utilisation))
     symbols = tuple(dict.fromkeys(symbol for curve in curves for symbol in curve.safety))

@@ -1,7 +1,7 @@
-"""What lies between the smooth law and the exact one at a design, as a linear term.
+"""Linear correction from the smooth law to the exact law at a design.
 
-With it the smooth law has the value and the slope of the exact law there, so an optimum that the
-shift no longer moves is an optimum of the exact law. It stays convex.
+The corrected smooth law has value and slope of the exact law at the design, so a fixed point of
+correction and optimisation is an optimum of the exact law. It remains convex.
 """
 
 from __future__ import annotations
@@ -14,12 +14,12 @@ import numpy as np
 
 from stiffopt.preload.model import PreloadModel
 
-# Step of the differences, as a share of a preload: the laws bend over the preload itself.
-_STEP = 1e-3
-# Relative difference below which preloads of one connection have one slope.
-_ALIKE = 1e-5
-# Largest correction of a slope, as a share of it: at slip the exact slope has no end.
-_MOST = 0.5
+# Relative step of finite differences: the laws vary on the scale of the preload.
+_RELATIVE_STEP = 1e-3
+# Relative difference of preloads of one connection that share a slope.
+_EQUAL_PRELOAD_TOLERANCE = 1e-5
+# Largest relative correction of a slope: the exact slope is infinite at slip.
+_MAX_SLOPE_CORRECTION = 0.5
 
 # Design vector -> smooth and exact values of one joint, (cases,) each.
 _Laws = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
@@ -27,20 +27,20 @@ _Laws = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 @dataclass(frozen=True)
 class ExactShift:
-    """Constants and slopes to add to the smooth law.
+    """Constants and slopes of the correction to the smooth law.
 
     Parameters
     ----------
     compliance : array (joints, cases)
-        [rad/(N m)], with all that no preload of the study changes.
+        [rad/(N m)], including all elements independent of the preloads.
     compliance_slope : array (size, cases)
-        Over the preload of the joint it belongs to [rad/(N m) per N].
+        By the preloads of the same joint [rad/(N m) per N].
     windup : array (n, cases)
-        Beyond the reference torque [rad]; of all joints of the robot.
+        Less that at the reference torque, of all joints of the robot [rad].
     windup_slope : array (size, cases)
         [rad per N]
     tilt, tilt_slope : array (elements,)
-        Of the tilting compliances [rad/(N m)] and over the mean preload of an element [.. per N].
+        Of the tilting compliances [rad/(N m)], and by the mean preload of an element [.. per N].
     """
 
     compliance: np.ndarray
@@ -54,14 +54,14 @@ class ExactShift:
 def exact_shift(
     model: PreloadModel, preloads: np.ndarray, *, compliances: bool = True, windups: bool = True
 ) -> ExactShift:
-    """Difference of the two laws at a design.
+    """Return the linearised difference of exact and smooth law at a design.
 
     Parameters
     ----------
     model : PreloadModel
     preloads : array (size,) [N]
     compliances, windups : bool
-        Which of them are asked for; the others are left at zero.
+        Quantities to compute; the others are zero.
     """
     n, cases, joints = model.problem.robot.n, len(model.cases), model.problem.joints
     shift = ExactShift(
@@ -73,23 +73,23 @@ def exact_shift(
         np.zeros(len(model.elements)),
     )
     for row, joint in enumerate(joints) if compliances else ():
-        found = _linear(model, joint, preloads, partial(_compliances, model, joint))
+        found = _linear_shift(model, joint, preloads, partial(_compliance_laws, model, joint))
         shift.compliance[row] = found[0]
-        _spread(model, joint, found[1], shift.compliance_slope)
+        _store_slopes(model, joint, found[1], shift.compliance_slope)
     for joint in range(1, n + 1) if windups else ():
         if joint not in joints:
             shift.windup[joint - 1] = model.net_windups(preloads, joint)
             continue
-        found = _linear(model, joint, preloads, partial(_windups, model, joint))
+        found = _linear_shift(model, joint, preloads, partial(_windup_laws, model, joint))
         shift.windup[joint - 1] = found[0]
-        _spread(model, joint, found[1], shift.windup_slope)
+        _store_slopes(model, joint, found[1], shift.windup_slope)
     for index in np.flatnonzero(model.tilt_vectors.any(axis=(1, 2))) if windups else ():
-        shift.tilt[index], shift.tilt_slope[index] = _tilt(model, preloads, int(index))
+        shift.tilt[index], shift.tilt_slope[index] = _tilt_shift(model, preloads, int(index))
     return shift
 
 
-def _tilt(model: PreloadModel, preloads: np.ndarray, index: int) -> tuple[float, float]:
-    """Constant and slope of exact minus smooth tilting compliance of an element."""
+def _tilt_shift(model: PreloadModel, preloads: np.ndarray, index: int) -> tuple[float, float]:
+    """Return constant and slope of exact minus smooth tilting compliance of an element."""
     part = model.slices[index]
     mean = float(np.mean(preloads[part]))
 
@@ -99,61 +99,68 @@ def _tilt(model: PreloadModel, preloads: np.ndarray, index: int) -> tuple[float,
         smooth = float(model.tilt_compliance(scaled, index))
         return model.exact_tilt_compliance(scaled, index) - smooth
 
-    slope = (missing(1.0 + _STEP) - missing(1.0 - _STEP)) / (2.0 * _STEP * mean)
+    slope = (missing(1.0 + _RELATIVE_STEP) - missing(1.0 - _RELATIVE_STEP)) / (
+        2.0 * _RELATIVE_STEP * mean
+    )
     return missing(1.0) - slope * mean, slope
 
 
-def _compliances(
+def _compliance_laws(
     model: PreloadModel, joint: int, preloads: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     smooth = np.asarray(model.compliances(preloads, joint))
     return smooth, model.exact_compliance(preloads, joint, model.torques(joint)[0])
 
 
-def _windups(
+def _windup_laws(
     model: PreloadModel, joint: int, preloads: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     return np.asarray(model.windups(preloads, joint)), model.net_windups(preloads, joint)
 
 
-def _linear(
+def _linear_shift(
     model: PreloadModel, joint: int, preloads: np.ndarray, laws: _Laws
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Constant (cases,) and slopes (own preloads, cases) of exact minus smooth."""
+    """Return constant (cases,) and slopes (own preloads, cases) of exact minus smooth law."""
     smooth, exact = laws(preloads)
     slopes: list[np.ndarray] = []
-    own = _own(model, joint)
+    own = _joint_positions(model, joint)
     for place, i in enumerate(own):
-        twin = _twin(model, preloads, own[:place], i)
+        twin = _find_equal_preload(model, preloads, own[:place], i)
         if twin is not None:
             slopes.append(slopes[twin])
             continue
         step = np.zeros(model.size)
-        step[i] = _STEP * preloads[i]
+        step[i] = _RELATIVE_STEP * preloads[i]
         (smooth_up, exact_up), (smooth_down, exact_down) = (
             laws(preloads + step),
             laws(preloads - step),
         )
         with np.errstate(invalid="ignore"):
             missing = (exact_up - smooth_up) - (exact_down - smooth_down)
-        most = _MOST * np.abs(smooth_up - smooth_down)
+        most = _MAX_SLOPE_CORRECTION * np.abs(smooth_up - smooth_down)
         missing = np.where(np.isfinite(missing), missing, 0.0)
         slopes.append(np.clip(missing, -most, most) / (2.0 * step[i]))
     found = np.array(slopes).reshape(-1, len(model.cases))
     return exact - smooth - preloads[own] @ found, found
 
 
-def _twin(model: PreloadModel, preloads: np.ndarray, before: list[int], i: int) -> int | None:
-    """Place of an equal preload of the same connection: fasteners of one are alike."""
+def _find_equal_preload(
+    model: PreloadModel, preloads: np.ndarray, before: list[int], i: int
+) -> int | None:
+    """Return the position of an equal preload of the same connection; None without."""
     ends = next(s for s in model.slices if s.start <= i < s.stop)
     for place, k in enumerate(before):
-        if ends.start <= k and abs(preloads[k] - preloads[i]) < _ALIKE * preloads[i]:
+        if (
+            ends.start <= k
+            and abs(preloads[k] - preloads[i]) < _EQUAL_PRELOAD_TOLERANCE * preloads[i]
+        ):
             return place
     return None
 
 
-def _own(model: PreloadModel, joint: int) -> list[int]:
-    """Positions of a joint's preloads in the design vector."""
+def _joint_positions(model: PreloadModel, joint: int) -> list[int]:
+    """Return the positions of a joint's preloads in the design vector."""
     return [
         i
         for index in model.indices[joint]
@@ -161,5 +168,5 @@ def _own(model: PreloadModel, joint: int) -> list[int]:
     ]
 
 
-def _spread(model: PreloadModel, joint: int, slopes: np.ndarray, whole: np.ndarray) -> None:
-    whole[_own(model, joint)] = slopes
+def _store_slopes(model: PreloadModel, joint: int, slopes: np.ndarray, whole: np.ndarray) -> None:
+    whole[_joint_positions(model, joint)] = slopes

@@ -36,20 +36,20 @@ from stiffopt.units import convert, fit_joint
 
 @dataclass(frozen=True, kw_only=True)
 class LoadedStudy:
-    """A preload study with what its file says beside the problem.
+    """Preload study file: the problem and the settings beside it.
 
     Parameters
     ----------
     problem : PreloadProblem
     expected : mapping of name to ExpectedValueSection
-        Results that a verification compares; for the names see `value_units`.
+        Expected results of a verification; names as in `value_units`.
     path : Path
     front_points : int
         Of the Pareto front; 0 leaves it out.
     motion : TrajectoryProblem or None
-        To be optimised together with the preloads.
+        Optimised together with the preloads.
     rounds : int
-        Of that.
+        Largest number of rounds of the joint study.
     """
 
     problem: PreloadProblem
@@ -63,28 +63,28 @@ class LoadedStudy:
 def load_study(path: str | os.PathLike[str], changes: Sequence[str] = ()) -> LoadedStudy:
     """Read a preload study file.
 
-    `changes` such as "motion.duration=0.5 s" count in place of what the file says.
+    `changes` such as "motion.duration=0.5 s" override entries of the file.
 
     Raises
     ------
     InputFileError
-        With the file, the key, what is allowed and what to do next.
+        Invalid entry, with file, key, allowed values and remedy.
     """
     path = Path(path)
     named = apply_changes(load_toml(path), changes, path).get("robot")
     with with_own(load_own_entries(named, path.parent)):
-        return _loaded(path, changes)
+        return _load_study(path, changes)
 
 
-def _loaded(path: Path, changes: Sequence[str]) -> LoadedStudy:
+def _load_study(path: Path, changes: Sequence[str]) -> LoadedStudy:
     document = read_document(path, PreloadFile, "preload", changes)
     robot = read_robot(document.robot, document.payload, document.tool, path)
     with locate_errors(path, ""):
-        problem = _build(document, robot, path)
+        problem = _build_problem(document, robot, path)
     _check_present_preloads(problem, path)
     motion, rounds = None, 1
     if document.motion is not None:
-        motion, rounds = _motion(document.motion, robot, path), document.motion.rounds
+        motion, rounds = _load_motion(document.motion, robot, path), document.motion.rounds
     _check_expected(document, problem, motion is not None, path)
     return LoadedStudy(
         problem=problem,
@@ -96,7 +96,7 @@ def _loaded(path: Path, changes: Sequence[str]) -> LoadedStudy:
     )
 
 
-def _build(document: PreloadFile, robot: Robot, path: Path) -> PreloadProblem:
+def _build_problem(document: PreloadFile, robot: Robot, path: Path) -> PreloadProblem:
     lists = JointLists(robot, path)
     joints = document.joints
     if joints is None:
@@ -104,9 +104,9 @@ def _build(document: PreloadFile, robot: Robot, path: Path) -> PreloadProblem:
     for joint in joints:
         lists.check_number(joint, "joints")
     objective, needs = document.minimise[0], document.require
-    stiffness = _by_joint(needs.joint_stiffness, lists, "require.joint_stiffness")
+    stiffness = _stiffness_by_joint(needs.joint_stiffness, lists, "require.joint_stiffness")
     wanted = objective.objective == "tool_deflection" or needs.tool_deflection is not None
-    builder = _LoadCases(document, lists, wanted, _takes_all(document, robot, joints))
+    builder = _LoadCases(document, lists, wanted, _needs_wrench(document, robot, joints))
     loads = [builder(case, k) for k, case in enumerate(document.load_case, start=1)]
     if wanted:
         builder.check_deflection(loads)
@@ -117,7 +117,9 @@ def _build(document: PreloadFile, robot: Robot, path: Path) -> PreloadProblem:
         histories=tuple(load for load in loads if isinstance(load, LoadHistory)),
         tightening=document.tightening,
         objective=objective.objective,
-        joint_weights=_by_joint(objective.joint_weights, lists, "minimise[1].joint_weights"),
+        joint_weights=_stiffness_by_joint(
+            objective.joint_weights, lists, "minimise[1].joint_weights"
+        ),
         requirements=replace(needs, joint_stiffness=stiffness),
         free=document.free,
         individual=document.individual,
@@ -126,8 +128,8 @@ def _build(document: PreloadFile, robot: Robot, path: Path) -> PreloadProblem:
     )
 
 
-def _takes_all(document: PreloadFile, robot: Robot, joints: Sequence[int]) -> bool:
-    """Whether a flange of the study carries more than torque."""
+def _needs_wrench(document: PreloadFile, robot: Robot, joints: Sequence[int]) -> bool:
+    """Return True if a flange of the study carries more than torque."""
     return any(
         isinstance(stage.element, BoltedFlange)
         and stage.element.bearing == "none"
@@ -140,7 +142,7 @@ def _takes_all(document: PreloadFile, robot: Robot, joints: Sequence[int]) -> bo
 
 
 class _LoadCases:
-    """Turns the load case sections of a file into load cases."""
+    """Conversion of load case sections of a file to load cases."""
 
     def __init__(self, document: PreloadFile, lists: JointLists, wanted: bool, whole: bool) -> None:
         self.whole = whole
@@ -151,7 +153,7 @@ class _LoadCases:
     def __call__(self, section: LoadCaseSection, number: int) -> LoadCase | LoadHistory:
         where = f"load_case[{section.name or number}]"
         if section.torque is not None:
-            return self._torques(section, where)
+            return self._torque_case(section, where)
         with locate_errors(self.path, where):
             force = np.array(self.force if section.force is None else section.force)
             if section.trajectory is not None:
@@ -163,11 +165,11 @@ class _LoadCases:
                     self.deflection if self.wanted else None,
                     self.whole,
                 )
-            angles = self._pose(section, where)
+            angles = self._read_pose(section, where)
             return pose_case(self.robot, section.name, angles, force, self.deflection)
 
     def check_deflection(self, loads: list[LoadCase | LoadHistory]) -> None:
-        """At rest and without force there is nothing but the sag."""
+        """Raise `InputFileError` if no load case deflects the tool beyond the static sag."""
         for load in loads:
             reference, jacobian = load.reference_torque, load.jacobian
             if jacobian is not None and (
@@ -183,10 +185,10 @@ class _LoadCases:
             self.path,
             "load_case",
             f"no load case gives the tool a {self.deflection} deflection. Give "
-            f"{allowed[self.deflection]}; joint torques alone say nothing of the tool.",
+            f"{allowed[self.deflection]}; joint torques alone do not determine it.",
         )
 
-    def _torques(self, section: LoadCaseSection, where: str) -> LoadCase:
+    def _torque_case(self, section: LoadCaseSection, where: str) -> LoadCase:
         assert section.torque is not None
         torque = self.lists(section.torque, "torque", f"{where}.torque")
         for j in np.flatnonzero(torque < 0):
@@ -204,17 +206,17 @@ class _LoadCases:
         return LoadCase(
             name=section.name,
             torque=torque,
-            wrench=self._wrench(torque, beside, where) if any(beside.values()) else None,
+            wrench=self._worst_wrench(torque, beside, where) if any(beside.values()) else None,
             reversing=np.full(len(torque), True) if section.reversing else None,
         )
 
-    def _wrench(
+    def _worst_wrench(
         self, torque: np.ndarray, beside: Mapping[str, Sequence[float] | None], where: str
     ) -> np.ndarray:
-        """Loads of the joints (n, 6) from magnitudes, all at their worst at one bolt."""
+        """Return joint loads (n, 6) from magnitudes, all least favourable at one bolt."""
         wrench = np.zeros((len(torque), 6))
         wrench[:, 5] = torque
-        # A moment about x loads the bolt on the y axis most, where the torque acts along -x.
+        # A moment about x loads the bolt on the y axis most, where torque forces act along -x.
         for column, sign, key in (
             (2, 1, "axial_force"),
             (0, -1, "shear_force"),
@@ -232,7 +234,7 @@ class _LoadCases:
             wrench[:, column] = sign * np.asarray(given, dtype=float)
         return wrench
 
-    def _pose(self, section: LoadCaseSection, where: str) -> np.ndarray:
+    def _read_pose(self, section: LoadCaseSection, where: str) -> np.ndarray:
         if section.joints is not None:
             angles = self.lists(section.joints, "angle", f"{where}.joints")
         else:
@@ -250,7 +252,9 @@ class _LoadCases:
         return angles
 
 
-def _by_joint(values: Mapping[int, float], lists: JointLists, where: str) -> dict[int, float]:
+def _stiffness_by_joint(
+    values: Mapping[int, float], lists: JointLists, where: str
+) -> dict[int, float]:
     found = {}
     for joint, value in values.items():
         lists.check_number(joint, where)
@@ -261,20 +265,20 @@ def _by_joint(values: Mapping[int, float], lists: JointLists, where: str) -> dic
 
 
 def _check_present_preloads(problem: PreloadProblem, path: Path) -> None:
-    """What the robot has now must be possible, or the comparison with it means nothing."""
+    """Raise `InputError` if a present preload exceeds its limit."""
     for element in problem.elements:
         with locate_errors(path, f"robot, joint {element.joint}"):
             check_preload(element.stage.element, problem.tightening)
 
 
-def _motion(section: StudyMotionSection, robot: Robot, path: Path) -> TrajectoryProblem:
+def _load_motion(section: StudyMotionSection, robot: Robot, path: Path) -> TrajectoryProblem:
     with locate_errors(path, "motion.problem"):
         motion = load_problem(path.parent / section.problem).problem
     if motion.robot.name != robot.name:
         raise InputFileError(
             path,
             "motion.problem",
-            f"is about {motion.robot.name}, the study about {robot.name}. Give a trajectory "
+            f"is of robot {motion.robot.name}, the study of {robot.name}. Give a trajectory "
             "problem of the same robot.",
         )
     if section.intervals is not None:

@@ -1,4 +1,4 @@
-"""Why a study cannot be met: the requirement, the best value within the limits, what to change."""
+"""Reasons of infeasibility: requirement, best reachable value, limiting condition, remedy."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stiffopt.connection import BoltedFlange
-from stiffopt.fastening.utilisation_row import UtilisationRow
+from stiffopt.fastening.utilisation import UtilisationRow
 from stiffopt.preload.model import PreloadModel
 from stiffopt.preload.nlp import PreloadNlp
 from stiffopt.preload.problem import FreeElement
@@ -16,19 +16,19 @@ from stiffopt.preload.utilisation import utilisation_rows
 
 @dataclass(frozen=True)
 class Stopper:
-    """Why no preload meets the study.
+    """Requirement that no preload meets.
 
     Parameters
     ----------
     limit : str
-        Name of the requirement that cannot be met.
+        Name of the requirement.
     best, required : float
         Best reachable and required value, in `unit`.
     unit : str
     against : str
-        What stands against it; "" where nothing more is to be said.
+        Limiting condition; "" if none.
     remedy : str
-        What to change.
+        Change of the design or study.
     """
 
     limit: str
@@ -40,7 +40,7 @@ class Stopper:
 
     def __str__(self) -> str:
         required, best = self.amounts
-        stop = f" What stops it: {self.against}." if self.against else ""
+        stop = f" Limited by: {self.against}." if self.against else ""
         return (
             f"{self.limit[:1].upper()}{self.limit[1:]}: required {required}, best reachable "
             f"{best}.{stop} To change: {self.remedy}."
@@ -48,33 +48,33 @@ class Stopper:
 
     @property
     def amounts(self) -> tuple[str, str]:
-        """Required and best value with unit, with the digits at which they differ.
+        """Required and best value with unit, with enough digits to differ.
 
-        A safety against slip of no more than zero is a connection without clamp force.
+        A slip safety of zero or less means no clamp force.
         """
         if not self.unit and self.best <= 0.0:
-            return _significant(self.required, 4), "0, as it opens"
-        factor, unit = _READ_IN.get(self.unit, (1.0, self.unit))
+            return _format_significant(self.required, 4), "0, as it opens"
+        factor, unit = _DISPLAY_UNITS.get(self.unit, (1.0, self.unit))
         for digits in range(4, 10):
-            required = f"{_significant(factor * self.required, digits)} {unit}".rstrip()
-            best = f"{_significant(factor * self.best, digits)} {unit}".rstrip()
+            required = f"{_format_significant(factor * self.required, digits)} {unit}".rstrip()
+            best = f"{_format_significant(factor * self.best, digits)} {unit}".rstrip()
             if required != best:
                 break
         return required, best
 
 
-# Units that read better than SI, with their factor.
-_READ_IN = {"m": (1e3, "mm"), "Pa": (1e-6, "MPa")}
+# Display units in place of SI, with their factor.
+_DISPLAY_UNITS = {"m": (1e3, "mm"), "Pa": (1e-6, "MPa")}
 
 
-def _significant(value: float, digits: int) -> str:
-    """Without an exponent for what bolts and joints have."""
+def _format_significant(value: float, digits: int) -> str:
+    """Return significant digits, without an exponent below 1e9."""
     text = f"{value:.{digits}g}"
     return f"{value:.0f}" if "e+" in text and abs(value) < 1e9 else text
 
 
 def find_stoppers(nlp: PreloadNlp) -> tuple[Stopper, ...]:
-    """Requirements that no preload within the limits can meet.
+    """Return requirements that no preload within the limits can meet.
 
     Parameters
     ----------
@@ -83,25 +83,28 @@ def find_stoppers(nlp: PreloadNlp) -> tuple[Stopper, ...]:
     Returns
     -------
     tuple of Stopper
-        First what no preload changes, then slip and the floor of the preload, then stiffness
-        with every preload at its largest. Empty where each requirement alone can be met.
+        First rows independent of the preload, then slip and least preload, then stiffness at the
+        largest preloads. Empty if each requirement alone can be met.
     """
     model = nlp.model
     _, upper = nlp.bounds()
     fixed = {
         limit.name for e in model.elements for limit in e.limits if not limit.depends_on_preload
     }
-    found = [_fixed(row) for row in _worst_by_owner(model, upper, ("key pressure", *fixed))]
+    found = [_fixed_stopper(row) for row in _worst_by_owner(model, upper, ("key pressure", *fixed))]
     for index, element in enumerate(model.elements):
-        stop = _slip(model, upper, index, element)
+        stop = _slip_stopper(model, upper, index, element)
         if stop is not None:
             found.append(stop)
         else:
-            found += _in_service(model, upper, index)
-    found += [_floor(model, row) for row in _worst_by_owner(model, upper, ("least preload",))]
+            found += _service_stoppers(model, upper, index)
+    found += [
+        _floor_stopper(model, row) for row in _worst_by_owner(model, upper, ("least preload",))
+    ]
     if not found:
         found = [
-            _reach(model, row, upper) for row in _worst_by_owner(model, upper, ("joint stiffness",))
+            _stiffness_stopper(model, row, upper)
+            for row in _worst_by_owner(model, upper, ("joint stiffness",))
         ]
     return tuple(found)
 
@@ -109,18 +112,18 @@ def find_stoppers(nlp: PreloadNlp) -> tuple[Stopper, ...]:
 def _worst_by_owner(
     model: PreloadModel, preloads: np.ndarray, kinds: tuple[str, ...]
 ) -> list[UtilisationRow]:
-    """Rows of some kinds that a design exceeds, the worst load case of each owner."""
+    """Return exceeded rows of some kinds, the worst load case of each owner."""
     worst: dict[tuple[str, str, int | None], UtilisationRow] = {}
     for row in utilisation_rows(model, preloads):
         owner = (row.kind, row.element, row.joint)
-        if row.kind not in kinds or row.kept:
+        if row.kind not in kinds or row.satisfied:
             continue
         if owner not in worst or row.utilisation > worst[owner].utilisation:
             worst[owner] = row
     return list(worst.values())
 
 
-def _fixed(row: UtilisationRow) -> Stopper:
+def _fixed_stopper(row: UtilisationRow) -> Stopper:
     return Stopper(
         limit=row.name,
         best=row.value,
@@ -131,27 +134,27 @@ def _fixed(row: UtilisationRow) -> Stopper:
     )
 
 
-def _floor(model: PreloadModel, row: UtilisationRow) -> Stopper:
-    """A preload that may not reach what has to be tightened at least."""
+def _floor_stopper(model: PreloadModel, row: UtilisationRow) -> Stopper:
+    """Return the stopper of a least preload above the permissible one."""
     element = next(e for e in model.elements if e.key == row.element)
     return Stopper(
         limit=row.name,
         best=row.value,
         required=row.limit,
         unit=row.unit,
-        against=limiting(element, model.problem.requirements.bolt_utilisation),
+        against=describe_limit(element, model.problem.requirements.bolt_utilisation),
         remedy="a smaller require.least_preload or a larger require.bolt_utilisation",
     )
 
 
-def limiting(element: FreeElement, bolt_utilisation: float) -> str:
-    """Name of the limit that ends an element's preload, with that preload."""
+def describe_limit(element: FreeElement, bolt_utilisation: float) -> str:
+    """Return the name of the limit on an element's preload, with that preload."""
     ends = element.ends(bolt_utilisation)
     name = min(ends, key=lambda each: ends[each])
     return f"{name} of {element.key} (at most {ends[name]:.0f} N)"
 
 
-def _slip(
+def _slip_stopper(
     model: PreloadModel, upper: np.ndarray, index: int, element: FreeElement
 ) -> Stopper | None:
     needs, safety = model.problem.requirements, model.slip_safety(element.joint)
@@ -163,14 +166,14 @@ def _slip(
     ends = element.ends(needs.bolt_utilisation)
     stronger = "a larger bolt or a higher grade"
     if min(ends, key=lambda each: ends[each]) == "head pressure":
-        # A higher grade presses the part under the head no less.
+        # A higher grade does not lower the surface pressure.
         stronger = "hard washers (`washer = true`), a harder part under the heads or a larger bolt"
     return Stopper(
         limit=f"slip safety, {element.key}, {case.name}",
         best=slip / torque,
         required=safety,
         unit="",
-        against=limiting(element, needs.bolt_utilisation),
+        against=describe_limit(element, needs.bolt_utilisation),
         remedy=(
             f"{stronger}, more bolts, more friction, or less scatter"
             if isinstance(element.stage.element, BoltedFlange)
@@ -179,8 +182,8 @@ def _slip(
     )
 
 
-def _in_service(model: PreloadModel, upper: np.ndarray, index: int) -> list[Stopper]:
-    """Steps of VDI 2230 that the largest preload does not keep."""
+def _service_stoppers(model: PreloadModel, upper: np.ndarray, index: int) -> list[Stopper]:
+    """Return the steps of VDI 2230 that fail at the largest preload."""
     element = model.elements[index]
     bound = model.problem.requirements.bolt_utilisation
     return [
@@ -189,16 +192,16 @@ def _in_service(model: PreloadModel, upper: np.ndarray, index: int) -> list[Stop
             best=row.value,
             required=row.limit,
             unit=row.unit,
-            against=limiting(element, bound),
+            against=describe_limit(element, bound),
             remedy=row.remedy,
         )
         for row in model.vdi_rows(upper, index)
-        if row.binding and not row.kept
+        if row.binding and not row.satisfied
     ]
 
 
-def _reach(model: PreloadModel, row: UtilisationRow, upper: np.ndarray) -> Stopper:
-    """A stiffness that even the largest preloads do not give, with what yields most there."""
+def _stiffness_stopper(model: PreloadModel, row: UtilisationRow, upper: np.ndarray) -> Stopper:
+    """Return the stopper of a stiffness above that at the largest preloads."""
     assert row.joint is not None
     case = next(c for c in model.cases if c.name == row.case)
     chain = model.problem.robot.chains[row.joint - 1]
@@ -207,7 +210,7 @@ def _reach(model: PreloadModel, row: UtilisationRow, upper: np.ndarray) -> Stopp
     whole = float(model.exact_compliance(upper, row.joint, torques)[0])
     share = 1.0 - float(model.rest_compliance(row.joint, torques)[0]) / whole
     ends = [
-        limiting(e, model.problem.requirements.bolt_utilisation)
+        describe_limit(e, model.problem.requirements.bolt_utilisation)
         for e in model.elements
         if e.joint == row.joint
     ]
@@ -219,8 +222,8 @@ def _reach(model: PreloadModel, row: UtilisationRow, upper: np.ndarray) -> Stopp
         unit=row.unit,
         against=stop,
         remedy=(
-            f"the preloaded connections hold {100 * share:.1f} % of the compliance there, so "
-            "larger bolts gain at most that; beyond it a stiffer reducer or stiffer elements, or "
-            "less stiffness"
+            f"the preloaded connections have {100 * share:.1f} % of the compliance, so larger "
+            "bolts gain at most that; beyond it a stiffer reducer, stiffer elements, or a lower "
+            "requirement"
         ),
     )

@@ -1,4 +1,4 @@
-"""Torques that a preload design has to carry: at one instant, and along a motion."""
+"""Loads of a preload design: at one instant, and along a motion."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ import numpy as np
 
 from stiffopt.errors import ProblemError
 
-# Share of the largest torque of a joint below which one is zero but for rounding, and no reversal.
-_NO_TORQUE = 1e-9
-# What a load may have at each instant besides its torques.
-_OPTIONAL = ("reference_torque", "jacobian", "wrench", "reference_wrench", "frames", "arm")
+# Torque over the largest torque of a joint that counts as zero, without reversal [-].
+ZERO_TORQUE_SHARE = 1e-9
+# Optional fields of a load besides its torques.
+_OPTIONAL_FIELDS = ("reference_torque", "jacobian", "wrench", "reference_wrench", "frames", "arm")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LoadCase:
-    """Torques that the joints carry at one instant.
+    """Torques of the joints at one instant.
 
     Parameters
     ----------
@@ -26,26 +26,26 @@ class LoadCase:
     torque : array (n,)
         In the joints' springs [N m], signed.
     reference_torque : array (n,), optional
-        Torque whose wind-up does not count in the tool deflection [N m]: gravity, where the sag
-        is calibrated away.
+        Torque whose wind-up does not count in the tool deflection [N m], such as gravity with
+        calibrated sag.
     jacobian : array (3, n), optional
-        Of the tool point, base axes; without it the case has no tool deflection.
+        Of the tool point, base axes; required for the tool deflection.
     wrench : array (n, 6), optional
         Force and moment in every joint, about its origin, the third axis along the joint's [N],
-        [N m]; see `stiffopt.robot.joint_load`. Without it the torque is all that is known.
+        [N m]; see `stiffopt.robot.joint_load`. Without it the load is torque only.
     reference_wrench : array (n, 6), optional
-        What of it does not count in the tool deflection, as `reference_torque` of the torque.
+        Part of it that does not count in the tool deflection, as `reference_torque`.
     frames : array (n, 3, 3), optional
         Axes of the joints as columns, base axes.
     arm : array (n, 3), optional
-        From each joint's origin to the tool point, base axes [m]; 0 where the joint does not move
-        it. Without frames and arm flanges do not tilt the tool.
+        From each joint's origin to the tool point, base axes [m]; 0 if the joint does not move it.
+        Frames and arm are required for the tilting of flanges.
     reversing : array (n,) of bool, optional
-        Joints whose torque changes its sign in the motion that the case is of.
+        Joints whose torque changes its sign in the motion of the case.
     time : float, optional
-        Along the motion that the case is taken from [s].
+        Time in that motion [s].
     source : str
-        Where the torques come from.
+        Origin of the torques.
     """
 
     name: str
@@ -66,7 +66,7 @@ class LoadCase:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LoadHistory:
-    """Torques along a motion, of which the worst instants become load cases.
+    """Torques along a motion, whose worst instants become load cases.
 
     Parameters
     ----------
@@ -103,18 +103,18 @@ class LoadHistory:
 
     @cached_property
     def reversing(self) -> np.ndarray:
-        """Joints whose torque changes its sign (n,) of bool; rounding about zero is no change."""
-        noise = _NO_TORQUE * np.abs(self.torque).max(axis=0)
+        """Joints whose torque changes its sign beyond rounding, (n,) of bool."""
+        noise = ZERO_TORQUE_SHARE * np.abs(self.torque).max(axis=0)
         return np.asarray((self.torque.min(axis=0) < -noise) & (self.torque.max(axis=0) > noise))
 
     def at(self, index: int) -> LoadCase:
-        """Load case at an instant, named after the motion and the time."""
+        """Return the load case at an instant, named by motion and time."""
         return LoadCase(
             name=f"{self.name} at {self.time[index]:.3f} s",
             torque=self.torque[index],
             **{
                 key: None if (values := getattr(self, key)) is None else values[index]
-                for key in _OPTIONAL
+                for key in _OPTIONAL_FIELDS
             },
             reversing=self.reversing,
             time=float(self.time[index]),
@@ -129,18 +129,18 @@ class LoadHistory:
         critical: Callable[[LoadHistory], set[int]] | None = None,
         tilted: Callable[[LoadHistory], np.ndarray] | None = None,
     ) -> tuple[LoadCase, ...]:
-        """Instants that matter: the worst for slip, for stiffness and for the tool.
+        """Return the worst instants for slip, stiffness and tool deflection.
 
         Parameters
         ----------
         joints : tuple of int
-            1-based; each contributes its largest torque and its lowest stiffness.
+            1-based; each contributes its largest torque and its least stiffness.
         compliance, windup : callable
-            (joint, torques (K,)) -> (K,) with the preloads in question [rad/(N m)], [rad].
+            (joint, torques (K,)) -> (K,) at the design [rad/(N m)], [rad].
         critical : callable, optional
-            Further instants, by index: the worst for each check of the bolts.
+            Indices of the worst instants for the checks of the bolts.
         tilted : callable, optional
-            What flanges that tilt add to the tool's deflection (K, 3) [m].
+            Tool deflection by tilting flanges (K, 3) [m].
 
         Returns
         -------
@@ -153,22 +153,22 @@ class LoadHistory:
             found.add(int(np.argmax(np.abs(torque))))
             found.add(int(np.argmax(compliance(joint, torque))))
         if self.jacobian is not None:
-            found.add(int(np.argmax(self._deflection(windup, tilted))))
+            found.add(int(np.argmax(self._deflection_sizes(windup, tilted))))
         return tuple(self.at(index) for index in sorted(found))
 
-    def _deflection(
+    def _deflection_sizes(
         self,
         windup: Callable[[int, np.ndarray], np.ndarray],
         tilted: Callable[[LoadHistory], np.ndarray] | None,
     ) -> np.ndarray:
-        """Size of the tool's deflection (K,) [m]."""
+        """Return the magnitude of the tool deflection (K,) [m]."""
         assert self.jacobian is not None
         angles = np.zeros_like(self.torque)
         for j in range(self.torque.shape[1]):
             angles[:, j] = windup(j + 1, self.torque[:, j])
             if self.reference_torque is not None:
                 reference = windup(j + 1, self.reference_torque[:, j])
-                # What slips under the reference torque does not hold at all.
+                # Slip under the reference torque is an infinite deflection as well.
                 lost = np.isinf(angles[:, j]) | np.isinf(reference)
                 angles[:, j] = np.where(lost, np.inf, angles[:, j] - np.where(lost, 0.0, reference))
         turned = np.zeros((len(self.torque), 3)) if tilted is None else tilted(self)
@@ -179,8 +179,8 @@ class LoadHistory:
 
 
 def _require_finite(loads: LoadCase | LoadHistory, owner: str) -> None:
-    """Turn the array fields into arrays and refuse what is not a finite number."""
-    for key in ("time", "torque", *_OPTIONAL):
+    """Convert the array fields to arrays and raise `ProblemError` for values not finite."""
+    for key in ("time", "torque", *_OPTIONAL_FIELDS):
         value = getattr(loads, key)
         if value is None or isinstance(value, float):
             continue

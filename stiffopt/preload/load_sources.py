@@ -1,7 +1,7 @@
-"""Load cases from what is known: a pose at rest, a solved trajectory, an assessed motion.
+"""Load cases from a pose at rest, a solved trajectory or an assessed motion.
 
-Which wind-up counts as deflection of the tool is the caller's choice: "total", "dynamic" (what a
-motion adds to the sag at rest) or "process" (what the force adds).
+The wind-up that counts as tool deflection is "total", "dynamic" (less the sag at rest) or "process"
+(by the process force only).
 """
 
 from __future__ import annotations
@@ -26,20 +26,20 @@ if TYPE_CHECKING:
 
 DEFLECTIONS = ("total", "dynamic", "process")
 
-# Written positions of a tool agree better than this where the tool is the same [m].
-_SAME_TOOL = 1e-6
-# Written torques agree better than this share of the largest where arm and load are the same.
-_SAME_TORQUE = 1e-3
-# Torques of the joints' own motion within this share are those of links that follow at once.
-_SAME_MOTION = 0.01
-# Of the spline through a written motion of links.
-_DEGREE = 5
+# Tolerance of recorded tool positions for the same tool [m].
+_TOOL_POSITION_TOLERANCE = 1e-6
+# Tolerance of recorded torques over the largest one for the same arm and load [-].
+_TORQUE_TOLERANCE = 1e-3
+# Torques within this of those of the joint motion [-]: links follow their motors.
+_MOTION_TORQUE_TOLERANCE = 0.01
+# Degree of the spline through a recorded link motion.
+_SPLINE_DEGREE = 5
 
 
 def pose_case(
     robot: Robot, name: str, angles: np.ndarray, force: np.ndarray, deflection: str = "total"
 ) -> LoadCase:
-    """Torques of an arm at rest: gravity minus J^T F.
+    """Return the load case of an arm at rest, with torques gravity minus J^T F.
 
     Parameters
     ----------
@@ -50,7 +50,7 @@ def pose_case(
     force : array (3,)
         Acts ON the tool, base axes [N].
     deflection : {"total", "dynamic", "process"}
-        "dynamic" leaves the case without deflection: at rest there is none.
+        "dynamic": the case has no deflection, since the arm is at rest.
 
     Returns
     -------
@@ -86,22 +86,22 @@ def trajectory_history(
     deflection: str | None = None,
     whole: bool = False,
 ) -> LoadHistory:
-    """Spring torques along a solved trajectory.
+    """Return the spring torques along a solved trajectory.
 
     Parameters
     ----------
     robot : Robot
     name : str
     path : path
-        CSV with the columns t, q1.., tau_spring1.. in SI, as a solve writes it.
+        CSV with the columns t, q1.., tau_spring1.. in SI, as written by a solve.
     force : array (3,)
         Process force of that motion [N].
     deflection : {"total", "dynamic", "process"} or None
-        None: the motion gives torques only. Otherwise tool, payload and force must be those of
-        the motion, which is checked where the file has tool_x.., qd1.. and qdd1...
+        None: torques only. Otherwise tool, payload and force must be those of the motion; checked
+        if the file has tool_x.., qd1.. and qdd1...
     whole : bool
-        Whether all six components of the joints' loads are wanted. They need payload and force of
-        the motion and the columns qd1.. and qdd1..., which is checked.
+        Return all six components of the joint loads. Requires payload and force of the motion and
+        the columns qd1.. and qdd1...; checked.
 
     Returns
     -------
@@ -110,14 +110,14 @@ def trajectory_history(
     Raises
     ------
     InputFileError
-        The file does not belong to this robot, or is no such file.
+        Not a trajectory file, or one of another robot.
     """
     path = Path(path)
-    table = _Table(path, robot.n)
+    table = _TrajectoryTable(path, robot.n)
     source = f"trajectory {path.name}"
     position, velocity, acceleration = table.links(robot)
-    # Accelerations of a spline through samples are less exact than written ones.
-    share = _SAME_TORQUE if position is table.position else _SAME_MOTION
+    # Accelerations of a spline through samples are less accurate than recorded ones.
+    share = _TORQUE_TOLERANCE if position is table.position else _MOTION_TORQUE_TOLERANCE
     wrench = frames = arm = None
     if whole:
         if velocity is None or acceleration is None:
@@ -125,7 +125,7 @@ def trajectory_history(
                 path,
                 "qd1, qdd1",
                 "the flanges of the study carry forces and tilting moments besides torque, which "
-                "need velocity and acceleration. Give the trajectory.csv of a solve, or say "
+                "need velocity and acceleration. Give the trajectory.csv of a solve, or set "
                 '`bearing = "beside"` of the flanges in the robot file.',
             )
         wrench = joint_wrenches(
@@ -153,7 +153,7 @@ def trajectory_history(
             own = rigid_body_history(robot, table.position, rest, rest).tool
         _check_tool(path, robot, own, tool)
     pushed = np.einsum("kin,i->kn", body.jacobian, force)
-    reference = _reference(deflection, table.spring, pushed, body)
+    reference = _reference_torque(deflection, table.spring, pushed, body)
     if reference is not None and known:
         _check_torque(path, robot, table.spring, body.link_torque - pushed, share)
     return LoadHistory(
@@ -177,7 +177,7 @@ def trajectory_history(
 def motion_histories(
     problem: TrajectoryProblem, motion: Assessment, objective: str
 ) -> tuple[LoadHistory, ...]:
-    """Torques and poses along a motion; pinocchio's, on the certificate's grid.
+    """Return torques and poses along a motion by pinocchio, on the certificate's grid.
 
     Parameters
     ----------
@@ -185,16 +185,16 @@ def motion_histories(
         Robot and process force.
     motion : Assessment
     objective : str
-        Deflection that the problem minimises.
+        Minimised deflection.
 
     Returns
     -------
     tuple of LoadHistory
-        First the one whose wind-up is that deflection. With a process
-        force that does not count in it, a second one for the springs' full torque.
+        First the history of that deflection; a second one of the full spring torque if the process
+        force does not count in the deflection.
     """
     body = rigid_body_history(problem.robot, motion.position, motion.velocity, motion.acceleration)
-    # Dynamic: beyond the sag, without the force. Process: what the force adds. Total: all of it.
+    # Loaded and reference torque. Dynamic: less the sag, without force. Process: by the force only.
     torque, reference = {
         "dynamic_deflection": (body.link_torque, body.gravity_torque),
         "process_deflection": (motion.spring_torque, body.link_torque),
@@ -208,7 +208,7 @@ def motion_histories(
             torque=torque,
             reference_torque=reference,
             jacobian=body.jacobian,
-            wrench=_wrench(problem, motion, torque is motion.spring_torque),
+            wrench=_motion_wrench(problem, motion, torque is motion.spring_torque),
             reference_wrench=_reference_wrench(
                 objective.removesuffix("_deflection"),
                 problem.robot,
@@ -227,15 +227,15 @@ def motion_histories(
                 name="motion under the process force",
                 time=motion.time,
                 torque=motion.spring_torque,
-                wrench=_wrench(problem, motion, True),
+                wrench=_motion_wrench(problem, motion, True),
                 source="motion of this study",
             )
         )
     return tuple(found)
 
 
-def _wrench(problem: TrajectoryProblem, motion: Assessment, pushed: bool) -> np.ndarray:
-    """Loads of the joints along a motion (K, n, 6), with the process force or without."""
+def _motion_wrench(problem: TrajectoryProblem, motion: Assessment, pushed: bool) -> np.ndarray:
+    """Return the joint loads along a motion (K, n, 6), with or without process force."""
     return joint_wrenches(
         problem.robot,
         motion.position,
@@ -245,10 +245,10 @@ def _wrench(problem: TrajectoryProblem, motion: Assessment, pushed: bool) -> np.
     )
 
 
-def _reference(
+def _reference_torque(
     deflection: str, spring: np.ndarray, pushed: np.ndarray, body: RigidBodyHistory
 ) -> np.ndarray | None:
-    """Torques whose wind-up does not count (K, n) [N m]."""
+    """Return the torques whose wind-up does not count (K, n) [N m]."""
     if deflection == "total":
         return None
     if deflection == "process":
@@ -260,8 +260,8 @@ def _reference(
         return np.asarray(spring + pushed)
     if np.any(pushed):
         raise ProblemError(
-            "the dynamic deflection leaves out what a force on the tool does, which this load case "
-            "has. Set deflection to 'total' or 'process', or drop the force."
+            "the dynamic deflection excludes the effect of a force on the tool, which this load "
+            "case has. Set deflection to 'total' or 'process', or drop the force."
         )
     return body.gravity_torque
 
@@ -273,7 +273,7 @@ def _reference_wrench(
     velocity: np.ndarray | None,
     acceleration: np.ndarray | None,
 ) -> np.ndarray | None:
-    """Loads of the joints that do not count in the deflection (K, n, 6), as `_reference`."""
+    """Return the joint loads that do not count in the deflection (K, n, 6)."""
     rest = np.zeros_like(position)
     if deflection == "dynamic":
         return joint_wrenches(robot, position, rest, rest, np.zeros(3))
@@ -284,7 +284,7 @@ def _reference_wrench(
     return None
 
 
-class _Table:
+class _TrajectoryTable:
     """Columns of a trajectory file as arrays."""
 
     def __init__(self, path: Path, joints: int) -> None:
@@ -332,31 +332,31 @@ class _Table:
         return self._quantities["tau_spring"]
 
     def links(self, robot: Robot) -> tuple[np.ndarray, np.ndarray | None, np.ndarray | None]:
-        """Position, velocity and acceleration (K, n) of what is behind the springs.
+        """Return position, velocity and acceleration (K, n) of the links.
 
-        Where links have a motion of their own, as shaped ones have, the springs carry that: its
-        derivatives are those of a spline through it.
+        If the file has a link motion that differs from the joint motion, as with vibration
+        suppression, its derivatives are those of a spline.
         """
         link, velocity, acceleration = (self.get(each) for each in ("link", "qd", "qdd"))
-        if link is None or velocity is None or acceleration is None or len(link) <= _DEGREE:
+        if link is None or velocity is None or acceleration is None or len(link) <= _SPLINE_DEGREE:
             return self.position, velocity, acceleration
         turning = ~robot.prismatic
         torque = joint_wrenches(robot, self.position, velocity, acceleration, np.zeros(3))[..., 5]
         own = np.abs(torque - self.spring)[:, turning].max(initial=0.0)
-        if own <= _SAME_MOTION * np.abs(self.spring[:, turning]).max(initial=0.0):
+        if own <= _MOTION_TORQUE_TOLERANCE * np.abs(self.spring[:, turning]).max(initial=0.0):
             return self.position, velocity, acceleration
-        spline = make_interp_spline(self.time, link, _DEGREE)
+        spline = make_interp_spline(self.time, link, _SPLINE_DEGREE)
         rate, second = (spline.derivative(order)(self.time) for order in (1, 2))
         return link, np.asarray(rate), np.asarray(second)
 
     def get(self, quantity: str) -> np.ndarray | None:
-        """A quantity (K, n or 3), None where the file lacks one of its columns."""
+        """Return a quantity (K, n or 3); None if a column is missing."""
         return self._quantities.get(quantity)
 
 
 def _check_tool(path: Path, robot: Robot, own: np.ndarray, written: np.ndarray) -> None:
     miss = float(np.linalg.norm(own - written, axis=1).max())
-    if miss > _SAME_TOOL:
+    if miss > _TOOL_POSITION_TOLERANCE:
         raise InputFileError(
             path,
             "tool_x, tool_y, tool_z",
@@ -371,11 +371,11 @@ def _check_torque(
     miss = np.abs(own - written)
     joint = int(np.argmax(miss.max(axis=0)))
     worst, largest = float(miss[:, joint].max()), float(np.abs(written[:, joint]).max())
-    if worst > share * max(largest, float(np.abs(written).max()) * _SAME_TORQUE):
+    if worst > share * max(largest, float(np.abs(written).max()) * _TORQUE_TOLERANCE):
         raise InputFileError(
             path,
             f"tau_spring{joint + 1}",
-            f"differs by up to {worst:.3g} N m from what {robot.name} of the study carries in this "
-            "motion. Give the study the [payload] and the tool.process_force of the trajectory "
-            "problem.",
+            f"differs by up to {worst:.3g} N m from the torque of {robot.name} of the study in "
+            "this motion. Give the study the [payload] and the tool.process_force of the "
+            "trajectory problem.",
         )

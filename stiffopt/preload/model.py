@@ -1,7 +1,7 @@
 """Stiffness, wind-up, deflection and slip of a study's joints as functions of the preloads.
 
-What a preload changes is a smooth law in the preload; all other elements come in as numbers of
-their exact law at the torque of the load case, since neither changes during a study.
+Elements whose preload is free follow a smooth law in the preload; all others are constants of the
+exact law at the torque of the load case.
 """
 
 from __future__ import annotations
@@ -21,26 +21,31 @@ from stiffopt.drivetrain.stage import Stage
 from stiffopt.errors import ProblemError
 from stiffopt.exact.chain import exact_compliance, exact_windup, stage_windup
 from stiffopt.fastening.tilting import closed_compliance, tilting_flange
-from stiffopt.fastening.utilisation_row import UtilisationRow
+from stiffopt.fastening.utilisation import UtilisationRow
 from stiffopt.fastening.vdi_rows import vdi_rows
 from stiffopt.fastening.verification import Verification
-from stiffopt.preload.flange_loads import slip_safety, verification
+from stiffopt.preload.flange_loads import (
+    carries_tilting,
+    slip_safety,
+    tilt_deflection,
+    tilt_vector,
+    verification,
+)
 from stiffopt.preload.load_case import LoadCase, LoadHistory
 from stiffopt.preload.problem import FreeElement, PreloadProblem
-from stiffopt.preload.tilted_tool import tilt_vector, tilted_tool, tilts
 from stiffopt.symbolic import Quantity, is_symbolic
 
 
 @dataclass(frozen=True)
-class _Joint:
-    """Drivetrain of a joint, parted by whether the study changes it."""
+class _SplitDrivetrain:
+    """Drivetrain of a joint, split into free and constant elements."""
 
     varying: Chain
     rest: Chain
 
 
 class PreloadModel:
-    """The joints of a study under given load cases.
+    """Joints of a study under given load cases.
 
     Parameters
     ----------
@@ -48,17 +53,17 @@ class PreloadModel:
     cases : sequence of LoadCase, optional
         Default: those of the problem.
     elements : sequence of FreeElement, optional
-        With other scatter and losses than those of the study; default: as the study tightens.
+        With other scatter and losses; default: those of the study.
 
     Attributes
     ----------
     size : int
-        Number of preloads: one a free element, or one a bolt or pin of it.
+        Number of preloads: one per free element, or one per bolt or pin of it.
 
     Notes
     -----
-    Preloads are the largest that tightening leaves, (size,) [N]; stiffness, wind-up and slip are
-    taken at the least, F/alpha_A minus the embedding loss.
+    Preloads are the largest assembly preloads (size,) [N]; stiffness, wind-up and slip use the
+    least in service, F/alpha_A minus the embedding loss.
     """
 
     def __init__(
@@ -74,30 +79,30 @@ class PreloadModel:
         edges = np.concatenate([[0], np.cumsum(widths)])
         self.slices = tuple(slice(int(a), int(b)) for a, b in pairwise(edges))
         self.size = int(edges[-1])
-        self._joints = {joint: self._parted(joint) for joint in problem.joints}
+        self._joints = {joint: self._split_drivetrain(joint) for joint in problem.joints}
         self._rest: dict[tuple[str, int, bytes], np.ndarray] = {}
 
     # ---- design vector
 
     @property
     def design(self) -> np.ndarray:
-        """Preloads that the robot has now (size,) [N]."""
+        """Present preloads of the robot (size,) [N]."""
         return self.spread([preload_of(e) for e in self.elements])
 
     def spread(self, preloads: Sequence[float]) -> np.ndarray:
-        """Design vector with one preload for all bolts or pins of each element."""
+        """Return the design vector with one preload for all bolts or pins of each element."""
         return np.concatenate(
             [np.full(s.stop - s.start, f) for s, f in zip(self.slices, preloads, strict=True)]
         )
 
     def of_element(self, preloads: Quantity, index: int) -> list[Quantity]:
-        """Preloads of an element's bolts or pins; one entry where they are equal."""
+        """Return the preloads of an element's bolts or pins; one entry if equal."""
         part = self.slices[index]
         return [preloads[i] for i in range(part.start, part.stop)]
 
     @cached_property
     def present(self) -> PreloadModel:
-        """The joints as they are in the robot: `design` there is what the robot file means."""
+        """Model of the present robot, whose preloads are interpreted as in the robot file."""
         tightening = self.problem.tightening
         elements = [element.as_present(tightening) for element in self.elements]
         if all(a is b for a, b in zip(elements, self.elements, strict=True)):
@@ -107,12 +112,12 @@ class PreloadModel:
     # ---- bolts
 
     def slip_safety(self, joint: int) -> float:
-        """Safety against slip that the study asks for in a joint [-] (R12)."""
+        """Return the required slip safety of a joint [-] (R12)."""
         return slip_safety(self.problem.requirements.slip_safety, self.cases, joint)
 
     @cached_property
     def verifications(self) -> tuple[Verification | None, ...]:
-        """VDI 2230 of every element under all load cases; None for pins."""
+        """VDI 2230 verification of every element under all load cases; None for pins."""
         return tuple(
             verification(
                 element.stage,
@@ -125,7 +130,7 @@ class PreloadModel:
         )
 
     def vdi_rows(self, preloads: np.ndarray, index: int) -> tuple[UtilisationRow, ...]:
-        """Steps of VDI 2230 of an element at a design; none for pins."""
+        """Return the VDI 2230 rows of an element at a design; none for pins."""
         steps, element = self.verifications[index], self.elements[index]
         if steps is None:
             return ()
@@ -143,7 +148,7 @@ class PreloadModel:
         return tuple(replace(row, joint=element.joint, element=element.key) for row in rows)
 
     def torques(self, joint: int) -> tuple[np.ndarray, np.ndarray]:
-        """Torques of a joint in the load cases and their references (cases,) each [N m]."""
+        """Return torques and reference torques of a joint in the load cases (cases,) [N m]."""
         loads, references = zip(
             *(
                 (case.torque[joint - 1], 0.0)
@@ -158,39 +163,39 @@ class PreloadModel:
     # ---- smooth law: arrays or, for symbolic preloads, SX
 
     def compliances(self, preloads: Quantity, joint: int) -> Quantity:
-        """Tangent compliances of what the study changes, of all load cases [rad/(N m)]."""
-        least = self._least(preloads, joint)
-        torques = _like(preloads, self.torques(joint)[0])
+        """Return the tangent compliances of the free elements in all load cases [rad/(N m)]."""
+        least = self._least_preloads(preloads, joint)
+        torques = _match_type(preloads, self.torques(joint)[0])
         return self._joints[joint].varying.tangent_compliance(torques, preloads=least)
 
     def windups(self, preloads: Quantity, joint: int) -> Quantity:
-        """Wind-ups of what the study changes beyond those of the reference torques [rad]."""
-        least = self._least(preloads, joint)
+        """Return the wind-ups of the free elements less those at reference torques [rad]."""
+        least = self._least_preloads(preloads, joint)
         loaded, unloaded = (
-            self._joints[joint].varying.windup(_like(preloads, torques), preloads=least)
+            self._joints[joint].varying.windup(_match_type(preloads, torques), preloads=least)
             for torques in self.torques(joint)
         )
         return loaded - unloaded
 
     def slip_torque(self, preloads: Quantity, index: int) -> Quantity:
-        """Joint torque at which an element slips [N m]; linear in its preloads."""
+        """Return the joint torque at which an element slips [N m]; linear in its preloads."""
         element = self.elements[index]
-        least = self._mean_least(preloads, index)
+        least = self._mean_least_preload(preloads, index)
         return element.stage.element.slip_torque(least) * element.stage.reduction
 
     # ---- exact law
 
     def rest_compliance(self, joint: int, torques: np.ndarray) -> np.ndarray:
-        """Exact tangent compliance of all other elements (k,) [rad/(N m)]."""
-        return self._kept("compliance", joint, np.asarray(torques, dtype=float))
+        """Return the exact tangent compliance of the constant elements (k,) [rad/(N m)]."""
+        return self._cached_rest("compliance", joint, np.asarray(torques, dtype=float))
 
     def rest_windup(self, joint: int, torques: np.ndarray) -> np.ndarray:
-        """Exact wind-up of all other elements (k,) [rad]; also of joints outside the study."""
-        return self._kept("windup", joint, np.asarray(torques, dtype=float))
+        """Return the exact wind-up of the constant elements (k,) [rad], for any joint."""
+        return self._cached_rest("windup", joint, np.asarray(torques, dtype=float))
 
-    def _kept(self, what: str, joint: int, torques: np.ndarray) -> np.ndarray:
-        """Exact law of what no preload changes; the same torques are asked for at every design."""
-        key = (what, joint, torques.tobytes())
+    def _cached_rest(self, quantity: str, joint: int, torques: np.ndarray) -> np.ndarray:
+        """Return the exact law of the constant elements, cached by torques."""
+        key = (quantity, joint, torques.tobytes())
         if key not in self._rest:
             if joint in self._joints:
                 rest: Chain | None = self._joints[joint].rest
@@ -198,41 +203,43 @@ class PreloadModel:
                 rest = self.problem.robot.chains[joint - 1]
             if rest is None:
                 self._rest[key] = np.zeros_like(torques)
-            elif what == "windup":
+            elif quantity == "windup":
                 self._rest[key] = exact_windup(rest, torques)
             else:
                 self._rest[key] = exact_compliance(rest, torques)
         return self._rest[key]
 
     def exact_compliance(self, preloads: np.ndarray, joint: int, torques: np.ndarray) -> np.ndarray:
-        """Exact tangent compliance of a whole joint (k,) [rad/(N m)]; infinite where it slips."""
+        """Return the exact tangent compliance of a joint (k,) [rad/(N m)]; infinite in slip."""
         parts = self._joints[joint]
         varying = exact_compliance(
-            parts.varying, np.asarray(torques), preloads=self._least(preloads, joint)
+            parts.varying, np.asarray(torques), preloads=self._least_preloads(preloads, joint)
         )
         return np.asarray(varying + self.rest_compliance(joint, torques))
 
     def exact_windup(self, preloads: np.ndarray, joint: int, torques: np.ndarray) -> np.ndarray:
-        """Exact wind-up of a whole joint (k,) [rad]."""
+        """Return the exact wind-up of a joint (k,) [rad]."""
         rest = self.rest_windup(joint, torques)
         if joint not in self._joints:
             return rest
         varying = exact_windup(
-            self._joints[joint].varying, np.asarray(torques), preloads=self._least(preloads, joint)
+            self._joints[joint].varying,
+            np.asarray(torques),
+            preloads=self._least_preloads(preloads, joint),
         )
         return np.asarray(varying + rest)
 
     def exact_stiffness(self, preloads: np.ndarray) -> np.ndarray:
-        """Tangent stiffness, (joints, cases) [N m/rad]; zero where a connection slips."""
+        """Return the tangent stiffness (joints, cases) [N m/rad]; zero in slip."""
         rows = []
         for joint in self.problem.joints:
             rows.append(1.0 / self.exact_compliance(preloads, joint, self.torques(joint)[0]))
         return np.array(rows)
 
     def exact_deflection(self, preloads: np.ndarray) -> np.ndarray:
-        """Deflection of the tool, (cases, 3) [m].
+        """Return the deflection of the tool (cases, 3) [m].
 
-        nan for cases without a pose, infinite where a connection slips.
+        nan for cases without a pose, infinite in slip.
         """
         found = np.full((len(self.cases), 3), np.nan)
         if any(case.jacobian is not None for case in self.cases):
@@ -240,70 +247,73 @@ class PreloadModel:
             angles = np.array([self.net_windups(preloads, joint) for joint in joints])
             for k, case in enumerate(self.cases):
                 if case.jacobian is not None:
-                    turned = self.tilted_tool(case, preloads)
+                    turned = self.tilt_deflection(case, preloads)
                     held = bool(np.isfinite(angles[:, k]).all() and np.isfinite(turned).all())
                     found[k] = -(case.jacobian @ angles[:, k] + turned) if held else np.inf
         return found
 
-    # ---- flanges that tilt
+    # ---- tilting flanges
 
     @cached_property
     def fixed_flanges(self) -> tuple[tuple[int, Stage], ...]:
-        """Flanges that tilt and are not of the study, with their joints."""
+        """Tilting flanges outside the study, with their joints."""
         free = {(element.joint, element.name) for element in self.elements}
         return tuple(
             (joint, stage)
             for joint, chain in enumerate(self.problem.robot.chains, start=1)
             if chain is not None
             for stage in chain.stages
-            if tilts(stage) and (joint, stage.element.name) not in free
+            if carries_tilting(stage) and (joint, stage.element.name) not in free
         )
 
     def fixed_tilt(self, load: LoadCase | LoadHistory) -> np.ndarray:
-        """What the flanges outside the study add to the tool's deflection (..., 3) [m]."""
+        """Return the tool deflection by tilting flanges outside the study (..., 3) [m]."""
         total = np.zeros((*load.torque.shape[:-1], 3))
         for joint, stage in self.fixed_flanges:
             preload = stage.element.preload
             assert preload is not None
-            total = total + tilted_tool(stage, joint, load, preload)
+            total = total + tilt_deflection(stage, joint, load, preload)
         return total
 
-    def tilted_tool(self, load: LoadCase | LoadHistory, preloads: np.ndarray) -> np.ndarray:
-        """What all flanges add to the tool's deflection by the exact law (..., 3) [m]."""
+    def tilt_deflection(self, load: LoadCase | LoadHistory, preloads: np.ndarray) -> np.ndarray:
+        """Return the tool deflection by all tilting flanges, by the exact law (..., 3) [m]."""
         total = self.fixed_tilt(load)
         for index, element in enumerate(self.elements):
-            left = float(self._mean_least(preloads, index))
-            total = total + tilted_tool(element.stage, element.joint, load, left)
+            left = float(self._mean_least_preload(preloads, index))
+            total = total + tilt_deflection(element.stage, element.joint, load, left)
         return total
 
     def tilt_compliance(self, preloads: Quantity, index: int) -> Quantity:
-        """Smooth tilting compliance of an element's closed face [rad/(N m)]."""
+        """Return the smooth tilting compliance of an element when closed [rad/(N m)]."""
         flange = self.elements[index].stage.element
         assert isinstance(flange, BoltedFlange)
-        return closed_compliance(flange, self._mean_least(preloads, index))
+        return closed_compliance(flange, self._mean_least_preload(preloads, index))
 
     def exact_tilt_compliance(self, preloads: np.ndarray, index: int) -> float:
-        """The same by the exact law."""
+        """Return the exact tilting compliance of an element when closed [rad/(N m)]."""
         flange = self.elements[index].stage.element
         assert isinstance(flange, BoltedFlange)
         return (
-            1.0 / tilting_flange(flange, float(self._mean_least(preloads, index))).closed_stiffness
+            1.0
+            / tilting_flange(
+                flange, float(self._mean_least_preload(preloads, index))
+            ).closed_stiffness
         )
 
     @cached_property
     def tilt_vectors(self) -> np.ndarray:
-        """Movement of the tool per tilting compliance of each element (elements, cases, 3)."""
+        """Tool displacement per tilting compliance of each element (elements, cases, 3)."""
         return np.array(
             [[tilt_vector(e.stage, e.joint, case) for case in self.cases] for e in self.elements]
         ).reshape(len(self.elements), len(self.cases), 3)
 
-    def _mean_least(self, preloads: Quantity, index: int) -> Quantity:
-        """Mean of what an element's fasteners are left with [N]."""
+    def _mean_least_preload(self, preloads: Quantity, index: int) -> Quantity:
+        """Return the mean least preload of an element's fasteners [N]."""
         own = self.of_element(preloads, index)
         return self.elements[index].least(sum(own[1:], own[0]) / len(own))
 
     def net_windups(self, preloads: np.ndarray, joint: int) -> np.ndarray:
-        """Exact wind-up of a joint beyond that of the reference torque (cases,) [rad]."""
+        """Return the exact wind-up of a joint less that at the reference torque (cases,) [rad]."""
         angles = self.exact_windup(preloads, joint, np.concatenate(self.torques(joint)))
         loaded, unloaded = np.split(angles, 2)
         slips = np.isinf(loaded) | np.isinf(unloaded)
@@ -312,14 +322,14 @@ class PreloadModel:
     # ---- parts
 
     def drivetrain(self, preloads: np.ndarray, joint: int) -> Chain:
-        """Whole drivetrain of a joint with the least preloads that tightening leaves.
+        """Return the drivetrain of a joint at the least preloads in service.
 
-        From motor to link; with individual preloads each bolt or pin is an element.
+        From motor to link; individual preloads make each bolt or pin an element.
         """
         parts, chain = self._joints[joint], self.problem.robot.chains[joint - 1]
         assert chain is not None
         owners, places = self.owners(joint), list(chain.elements)
-        varying = parts.varying.with_preloads(self._least(preloads, joint))
+        varying = parts.varying.with_preloads(self._least_preloads(preloads, joint))
         stages = sorted(
             (*varying.stages, *parts.rest.stages),
             key=lambda stage: places.index(owners[stage.element.name]),
@@ -327,7 +337,7 @@ class PreloadModel:
         return replace(chain, stages=tuple(stages))
 
     def owners(self, joint: int) -> dict[str, str]:
-        """Element that each stage of `drivetrain` belongs to, by the names of both."""
+        """Return the element of each stage of `drivetrain`, by name."""
         found = {
             stage.element.name: stage.element.name for stage in self._joints[joint].rest.stages
         }
@@ -335,7 +345,7 @@ class PreloadModel:
             found[stage.element.name] = stage.element.name
         for index in self.indices[joint]:
             element = self.elements[index]
-            found |= dict.fromkeys(self._names(element), element.name)
+            found |= dict.fromkeys(self._fastener_names(element), element.name)
         return found
 
     @cached_property
@@ -346,37 +356,37 @@ class PreloadModel:
             for joint in self.problem.joints
         }
 
-    def _parted(self, joint: int) -> _Joint:
+    def _split_drivetrain(self, joint: int) -> _SplitDrivetrain:
         chain = self.problem.robot.chains[joint - 1]
         assert chain is not None
         own = [e for e in self.elements if e.joint == joint]
         varying, rest = chain.split(e.name for e in own)
         if self.problem.individual:
-            stages = [s for stage in varying.stages for s in _individually(stage, own)]
+            stages = [s for stage in varying.stages for s in _split_fasteners(stage, own)]
             varying = replace(varying, stages=tuple(stages))
-        return _Joint(varying, rest)
+        return _SplitDrivetrain(varying, rest)
 
-    def _least(self, preloads: Quantity, joint: int) -> dict[str, Quantity]:
-        """Least preloads of a joint's elements, by the names in its varying chain."""
+    def _least_preloads(self, preloads: Quantity, joint: int) -> dict[str, Quantity]:
+        """Return the least preloads of a joint's elements, by stage name."""
         least: dict[str, Quantity] = {}
         for index in self.indices[joint]:
             element = self.elements[index]
             for name, own in zip(
-                self._names(element), self.of_element(preloads, index), strict=True
+                self._fastener_names(element), self.of_element(preloads, index), strict=True
             ):
                 least[name] = element.least(own)
         return least
 
-    def _names(self, element: FreeElement) -> Iterator[str]:
+    def _fastener_names(self, element: FreeElement) -> Iterator[str]:
         if not self.problem.individual:
             return iter((element.name,))
         return (f"{element.name} {i}" for i in range(1, element.count + 1))
 
 
 def preload_of(element: FreeElement) -> float:
-    """Preload that the robot has now in one bolt or pin [N], as the largest that assembly leaves.
+    """Return the present largest assembly preload of one bolt or pin [N].
 
-    Of a net one, so much that the net one remains of it.
+    For a net preload the one that leaves it in service.
     """
     fastened = element.stage.element
     assert fastened.preload is not None
@@ -384,28 +394,28 @@ def preload_of(element: FreeElement) -> float:
     return float(element.largest(fastened.preload) if net else fastened.preload)
 
 
-def _like(preloads: Quantity, torques: np.ndarray) -> Quantity:
-    """Torques as what the preloads are: arrays, or constants of SX."""
+def _match_type(preloads: Quantity, torques: np.ndarray) -> Quantity:
+    """Return torques in the type of the preloads: array or SX."""
     return ca.SX(torques) if is_symbolic(preloads) else torques
 
 
 def _one_fastener(element: Connection) -> Connection:
-    """What one bolt or pin holds: its sector of the ring, or its own tip."""
+    """Return the share of one bolt or pin: a sector of the ring, or one tip."""
     if isinstance(element, BoltedFlange):
         return replace(element, bolt_count=1, sectors=element.bolt_count)
     assert isinstance(element, ClampingPins)
     return replace(element, count=1, sharing=element.count)
 
 
-def _individually(stage: Stage, own: Sequence[FreeElement]) -> list[Stage]:
-    """One stage a bolt or pin, in parallel: they turn together and their torques add."""
+def _split_fasteners(stage: Stage, own: Sequence[FreeElement]) -> list[Stage]:
+    """Split a stage into parallel stages, one per bolt or pin."""
     names = [e.name for e in own]
     if stage.element.name not in names:
         return [stage]
     if stage.group is not None:
         raise ProblemError(
-            f"{stage.element.name} is in parallel with other elements; individual preloads are "
-            "for elements in series. Set individual = false."
+            f"{stage.element.name} is in parallel with other elements; individual preloads need "
+            "elements in series. Set individual = false."
         )
     count = own[names.index(stage.element.name)].count
     one = _one_fastener(stage.element)

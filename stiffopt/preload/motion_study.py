@@ -1,13 +1,13 @@
-"""Preloads and motion together, for the least deflection of the tool.
+"""Joint optimisation of preloads and motion for the least tool deflection.
 
-Alternating: the motion for the preloads, the preloads for the motion's worst instants, and again,
-each from where the last one ended. Compared with the two done once, one after the other.
+Alternates between the motion for fixed preloads and the preloads for the motion's worst instants,
+each warm-started, and compares with one pass of both.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,7 +18,6 @@ from stiffopt.errors import NoSolutionFound, ProblemError
 from stiffopt.preload.load_case import LoadHistory
 from stiffopt.preload.load_sources import motion_histories
 from stiffopt.preload.model import PreloadModel
-from stiffopt.preload.motion_result import MotionRound, MotionStudy, meaning
 from stiffopt.preload.optimise import optimise_preloads
 from stiffopt.preload.problem import PreloadProblem
 from stiffopt.preload.solution import PreloadSolution
@@ -31,10 +30,10 @@ from stiffopt.solver.family import ProblemFamily, WarmStart
 from stiffopt.solver.monitor import Progress
 from stiffopt.solver.solve_run import ProgressCallback, SolveProgress
 
-# Relative change of the deflection that ends a repetition: a tenth of what reports write of a gain.
+# Relative change of the deflection that ends the alternation: a tenth of the reported digits.
 _DEFLECTION_TOLERANCE = 1e-4
-# Times that preloads are raised because the motion made a connection slip.
-_RAISES = 3
+# Largest number of preload increases against slip under the motion.
+_MAX_PRELOAD_RAISES = 3
 
 
 def motion_study(
@@ -49,33 +48,32 @@ def motion_study(
     Parameters
     ----------
     problem : PreloadProblem
-        Which preloads are free, and slip safety, bolt utilisation and least preload, which every
-        design keeps under the motion and under the study's own load cases. Equal preloads within
-        each connection.
+        Free preloads, and requirements on slip safety, bolt utilisation and least preload under the
+        motion and the study's load cases. Preloads within a connection are equal.
     trajectory_problem : TrajectoryProblem
-        Minimises the peak of one deflection, which is what preloads are chosen for as well.
+        Minimises the peak of one deflection, which is the objective of the preloads as well.
     rounds : int
-        At most.
+        Largest number.
     progress : callable, optional
         Called with a `SolveProgress` in every iteration of every solve.
 
     Returns
     -------
     MotionStudy
-        Stopped by Ctrl-C: the best so far, with the status interrupted.
+        After Ctrl-C the best so far, with the status interrupted.
 
     Raises
     ------
     ProblemError
-        Preloads do not touch what the motion minimises, or the two are of different robots.
+        The motion's objective does not depend on preloads, or the robots differ.
     NoSolutionFound
-        No motion, or no preloads for it.
+        No feasible motion, or no feasible preloads for it.
     """
-    return _Study(problem, trajectory_problem, progress).run(rounds)
+    return _JointStudy(problem, trajectory_problem, progress).run(rounds)
 
 
 def deflection_objective(problem: TrajectoryProblem) -> str:
-    """Name of the deflection that a motion minimises, which preloads must be able to change.
+    """Return the name of the tool deflection that a motion minimises.
 
     Raises
     ------
@@ -87,7 +85,9 @@ def deflection_objective(problem: TrajectoryProblem) -> str:
         return first.name
     reason = "preloads are chosen for the instant of the largest deflection"
     if not any(objective.kind.deflection_part for objective in problem.objectives):
-        reason = "preloads do not change it, or are best at their limits whatever the motion"
+        reason = (
+            "it does not depend on the preloads, or their optimum is at the limits for any motion"
+        )
     asked = [f"{o.shown_measure} {o.name}".strip() for o in problem.objectives]
     deflections = [name for name, kind in OBJECTIVES.items() if kind.deflection_part]
     raise ProblemError(
@@ -99,7 +99,7 @@ def deflection_objective(problem: TrajectoryProblem) -> str:
 
 @dataclass(frozen=True)
 class _Design:
-    """A motion with preloads, certified together; `end` is where the motion's solve ended."""
+    """Certified motion with its preloads; `end` is the warm start of the next solve."""
 
     vector: np.ndarray
     motion: Solution
@@ -108,8 +108,8 @@ class _Design:
     end: WarmStart | None = None
 
 
-class _Study:
-    """One joint study in progress."""
+class _JointStudy:
+    """State of a joint study."""
 
     def __init__(
         self,
@@ -124,9 +124,9 @@ class _Study:
                 f"{trajectory.robot.name!r}. Give both the same robot."
             )
         self.trajectory, self.progress = trajectory, progress
-        self.problem = _for_motion(problem)
+        self.problem = _motion_subproblem(problem)
         self.model = PreloadModel(self.problem)
-        # Motions for other preloads are one programme with other numbers.
+        # Motions for other preloads share one programme with other parameters.
         self.family = ProblemFamily()
         self.begin, self.stage = time.perf_counter(), ""
         self.interrupted = self.converged = False
@@ -134,17 +134,17 @@ class _Study:
 
     def run(self, rounds: int) -> MotionStudy:
         self.stage = "motion with the present preloads"
-        first = self._start()
-        separate = None if self.interrupted else self._with_best_preloads(first)
+        first = self._initial_design()
+        separate = None if self.interrupted else self._optimise_preloads(first)
         if separate is None:
-            return self._result(first, None, first, ())
+            return self._study_result(first, None, first, ())
         last, pairs = separate, []
         for number in range(1, rounds + 1):
             self.stage = f"round {number} of {rounds}"
-            moved = self._moved(last.vector, last.end)
-            tightened = self._with_best_preloads(moved) if self._usable(moved) else None
+            moved = self._optimise_motion(last.vector, last.end)
+            tightened = self._optimise_preloads(moved) if self._is_usable(moved) else None
             if tightened is None:
-                self._say_end(moved)
+                self._note_end(moved)
                 break
             pairs.append((moved, tightened))
             self.converged = (
@@ -160,41 +160,41 @@ class _Study:
                 "No round came below the motion and preloads optimised one after another; the best "
                 f"of them deflects {100 * nearest:.2f} % more."
             )
-        first, separate = self._best_apart(first, separate, pairs)
-        return self._result(first, separate, best, pairs)
+        first, separate = self._best_separate(first, separate, pairs)
+        return self._study_result(first, separate, best, pairs)
 
-    def _best_apart(
+    def _best_separate(
         self, first: _Design, separate: _Design, pairs: Sequence[tuple[_Design, _Design]]
     ) -> tuple[_Design, _Design]:
-        """The best motion for the start preloads, wherever it was found, then its best preloads.
+        """Return the best motion for the start preloads of all rounds, and its best preloads.
 
-        More solving finds better motions whatever the preloads: that must not count as a gain of
-        the joint study.
+        More solves find better motions for any preloads; that must not count as a gain of the joint
+        study.
         """
         found = [(first, separate)]
-        found += [(self._rated(first.vector, moved.motion), best) for moved, best in pairs]
+        found += [(self._certify_design(first.vector, moved.motion), best) for moved, best in pairs]
         best = min(found, key=lambda pair: pair[0].deflection)
         if best[0].deflection < first.deflection * (1.0 - _DEFLECTION_TOLERANCE):
             self.remarks.append(
                 "A motion of the rounds suits the start preloads better than the one found for "
-                f"them ({100 * (1.0 - best[0].deflection / first.deflection):.2f} %); it stands "
-                "for the motion optimised alone."
+                f"them ({100 * (1.0 - best[0].deflection / first.deflection):.2f} %); it is "
+                "used as the separately optimised motion."
             )
             return best
         return first, separate
 
     # ---- motion
 
-    def _start(self) -> _Design:
-        """Motion with the present preloads, raised where they let a connection slip."""
+    def _initial_design(self) -> _Design:
+        """Optimise the motion at the present preloads, raised where a connection slips."""
         present = self.model.design
         floor = self.problem.requirements.least_preload
         vector = np.maximum(
             present, self.model.spread([floor * e.capacity for e in self.model.elements])
         )
-        for _ in range(_RAISES):
-            design = self._moved(vector)
-            slips = self._slipping(design)
+        for _ in range(_MAX_PRELOAD_RAISES):
+            design = self._optimise_motion(vector)
+            slips = self._slipping_connections(design)
             if self.interrupted or not slips:
                 break
             least = self._least_preload(design)
@@ -205,33 +205,35 @@ class _Study:
                 "motion more time, or the connections more or larger bolts.",
                 design.motion,
             )
-        if not (self._usable(design) or self.interrupted):
+        if not (self._is_usable(design) or self.interrupted):
             raise NoSolutionFound(design.motion.message, design.motion)
-        self._say_raised(vector)
+        self._note_raised(vector)
         return design
 
-    def _moved(self, vector: np.ndarray, warm: WarmStart | None = None) -> _Design:
-        """Motion optimised for these preloads, from where a former one ended if there is one.
+    def _optimise_motion(self, vector: np.ndarray, warm: WarmStart | None = None) -> _Design:
+        """Optimise the motion for these preloads, from a warm start if given.
 
-        From there on the same mesh, so that a gain is one of the preloads and not of more solving.
+        A warm start keeps the mesh, so that a gain is due to the preloads.
         """
         problem = self._with_preloads(vector)
-        found, end = self.family.solve(problem, warm, progress=self._reporter())
+        found, end = self.family.solve(problem, warm, progress=self._progress_callback())
         self.interrupted |= found.status is SolveStatus.INTERRUPTED
         if found.objective is None:
             raise NoSolutionFound(found.message, found)
         return _Design(vector, found, found.objective.value, end=end)
 
-    def _usable(self, design: _Design) -> bool:
+    def _is_usable(self, design: _Design) -> bool:
         return design.motion.status.usable and bool(np.isfinite(design.deflection))
 
     def _with_preloads(self, vector: np.ndarray) -> TrajectoryProblem:
-        """The motion's problem with what tightening leaves of these preloads."""
+        """Return the motion's problem at the least preloads in service."""
         robot = replace(self.trajectory.robot, chains=self.problem.robot.chains)
-        return replace(self.trajectory, robot=robot.with_preloads(self._by_joint(vector, True)))
+        return replace(
+            self.trajectory, robot=robot.with_preloads(self._preloads_by_joint(vector, True))
+        )
 
-    def _by_joint(self, vector: np.ndarray, least: bool) -> dict[int, dict[str, float]]:
-        """Largest or least preloads by joint and element [N]."""
+    def _preloads_by_joint(self, vector: np.ndarray, least: bool) -> dict[int, dict[str, float]]:
+        """Return largest or least preloads by joint and element [N]."""
         found: dict[int, dict[str, float]] = {}
         for index, element in enumerate(self.model.elements):
             own = float(self.model.of_element(vector, index)[0])
@@ -241,7 +243,7 @@ class _Study:
 
     # ---- preloads
 
-    def _loads(self, design: _Design) -> tuple[LoadHistory, ...]:
+    def _motion_loads(self, design: _Design) -> tuple[LoadHistory, ...]:
         assert design.motion.assessment is not None
         problem = self._with_preloads(design.vector)
         return motion_histories(problem, design.motion.assessment, self.objective)
@@ -249,29 +251,29 @@ class _Study:
     def _preload_problem(
         self, design: _Design, objective: str, loads: tuple[LoadHistory, ...]
     ) -> PreloadProblem:
-        """The preloads' problem under the loads of a motion, from that motion's preloads."""
+        """Return the preload problem under the loads of a motion, at its preloads."""
         return replace(
             self.problem,
-            robot=self.problem.robot.with_preloads(self._by_joint(design.vector, False)),
+            robot=self.problem.robot.with_preloads(self._preloads_by_joint(design.vector, False)),
             objective=objective,
             histories=(*self.problem.histories, *loads),
         )
 
-    def _with_best_preloads(self, design: _Design) -> _Design | None:
-        """The same motion with the preloads that are best for it; None where stopped."""
-        problem = self._preload_problem(design, "tool_deflection", self._loads(design))
-        found = optimise_preloads(problem, progress=self._reporter(), throw=False)
+    def _optimise_preloads(self, design: _Design) -> _Design | None:
+        """Optimise the preloads for a motion; None if interrupted."""
+        problem = self._preload_problem(design, "tool_deflection", self._motion_loads(design))
+        found = optimise_preloads(problem, progress=self._progress_callback(), throw=False)
         if found.status is SolveStatus.INTERRUPTED:
             self.interrupted = True
             return None
         if not found.status.usable:
             raise NoSolutionFound(found.message, found)
-        return replace(self._rated(found.vector, design.motion, found), end=design.end)
+        return replace(self._certify_design(found.vector, design.motion, found), end=design.end)
 
-    def _rated(
+    def _certify_design(
         self, vector: np.ndarray, motion: Solution, preloads: PreloadSolution | None = None
     ) -> _Design:
-        """A motion, certified anew with other preloads."""
+        """Certify a motion with other preloads."""
         assert motion.trajectory is not None
         problem = self._with_preloads(vector)
         assessment = assess(problem, motion.trajectory)
@@ -281,9 +283,9 @@ class _Study:
         )
         return _Design(vector, own, value.value, preloads)
 
-    def _slipping(self, design: _Design) -> list[str]:
-        """Free connections that the motion makes slip with the least preload."""
-        largest = np.max([np.abs(h.torque).max(axis=0) for h in self._loads(design)], axis=0)
+    def _slipping_connections(self, design: _Design) -> list[str]:
+        """Return the free connections that slip under the motion at the least preload."""
+        largest = np.max([np.abs(h.torque).max(axis=0) for h in self._motion_loads(design)], axis=0)
         return [
             element.key
             for index, element in enumerate(self.model.elements)
@@ -291,38 +293,38 @@ class _Study:
         ]
 
     def _least_preload(self, design: _Design) -> np.ndarray:
-        loads = tuple(replace(load, jacobian=None) for load in self._loads(design))
+        loads = tuple(replace(load, jacobian=None) for load in self._motion_loads(design))
         problem = self._preload_problem(design, "total_preload", loads)
-        return optimise_preloads(problem, progress=self._reporter()).vector
+        return optimise_preloads(problem, progress=self._progress_callback()).vector
 
-    # ---- telling
+    # ---- reporting
 
-    def _named(self, vector: np.ndarray) -> dict[str, float]:
+    def _preloads_by_key(self, vector: np.ndarray) -> dict[str, float]:
         return {
             e.key: float(self.model.of_element(vector, index)[0])
             for index, e in enumerate(self.model.elements)
         }
 
-    def _say_raised(self, vector: np.ndarray) -> None:
-        """Which of the present preloads could not be the start."""
-        present = self._named(self.model.design)
+    def _note_raised(self, vector: np.ndarray) -> None:
+        """Add a remark on present preloads that were raised."""
+        present = self._preloads_by_key(self.model.design)
         raised = [
             f"{key} from {present[key]:.0f} to {preload:.0f} N"
-            for key, preload in self._named(vector).items()
+            for key, preload in self._preloads_by_key(vector).items()
             if preload > present[key]
         ]
         if raised:
             self.remarks.append(
-                "With its present preload a connection slips or hardly holds, so the start is the "
-                f"least that does not: {', '.join(raised)}."
+                "A connection slips or nearly slips at its present preload, so the start preload "
+                f"is raised: {', '.join(raised)}."
             )
 
-    def _say_end(self, moved: _Design) -> None:
-        if not (self.interrupted or self._usable(moved)):
+    def _note_end(self, moved: _Design) -> None:
+        if not (self.interrupted or self._is_usable(moved)):
             self.remarks.append(f"The rounds ended: {moved.motion.message}")
 
-    def _reporter(self) -> Callable[[SolveProgress | Progress], object] | None:
-        """Both kinds of progress as that of a solve, with the part of the study before it."""
+    def _progress_callback(self) -> Callable[[SolveProgress | Progress], object] | None:
+        """Return a callback that reports the stage of the study with a solve's progress."""
         if self.progress is None:
             return None
         report, stage = self.progress, self.stage
@@ -342,7 +344,7 @@ class _Study:
 
         return forward
 
-    def _result(
+    def _study_result(
         self,
         first: _Design,
         separate: _Design | None,
@@ -366,23 +368,23 @@ class _Study:
                 MotionRound(
                     deflection_before_preload=moved.deflection,
                     deflection_after=tightened.deflection,
-                    preloads=self._named(tightened.vector),
+                    preloads=self._preloads_by_key(tightened.vector),
                 )
                 for moved, tightened in pairs
             ),
-            start_preloads=self._named(first.vector),
-            separate_preloads=self._named(apart.vector),
-            preloads=self._named(best.vector),
+            start_preloads=self._preloads_by_key(first.vector),
+            separate_preloads=self._preloads_by_key(apart.vector),
+            preloads=self._preloads_by_key(best.vector),
             trajectory=best.motion,
             separate_trajectory=apart.motion,
             preload_solution=best.preloads,
-            note=" ".join([*self.remarks, meaning(status, gain)]),
+            note=" ".join([*self.remarks, describe_gain(status, gain)]),
             seconds=time.perf_counter() - self.begin,
         )
 
 
-def _for_motion(problem: PreloadProblem) -> PreloadProblem:
-    """Keep what bounds the preloads; the study's own loads must be borne, but do not deflect."""
+def _motion_subproblem(problem: PreloadProblem) -> PreloadProblem:
+    """Return the study without stiffness and deflection requirements, for use with a motion."""
     needs = replace(problem.requirements, joint_stiffness={}, tool_deflection=None)
     return replace(
         problem,
@@ -393,3 +395,95 @@ def _for_motion(problem: PreloadProblem) -> PreloadProblem:
         load_cases=tuple(replace(case, jacobian=None) for case in problem.load_cases),
         histories=tuple(replace(history, jacobian=None) for history in problem.histories),
     )
+
+
+# Least relative gain that is worth a joint study.
+_MIN_USEFUL_GAIN = 0.01
+# Least relative gain that is reported, below the written digits.
+_MIN_REPORTED_GAIN = 5e-5
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class MotionRound:
+    """Round of the alternation.
+
+    Parameters
+    ----------
+    deflection_before_preload, deflection_after : float
+        Of the new motion, with the preloads before and after their optimisation [m].
+    preloads : mapping of element key to float
+        Largest assembly preload after the round [N].
+    """
+
+    deflection_before_preload: float
+    deflection_after: float
+    preloads: Mapping[str, float]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class MotionStudy:
+    """Result of a joint optimisation of preloads and motion.
+
+    Parameters
+    ----------
+    status : SolveStatus
+        acceptable if the rounds ended before the deflection converged.
+    objective_name : str
+        Deflection whose peak is minimised, by the exact law at the least preloads.
+    start : float
+        Of the motion optimised at the start preloads, with these [m].
+    separate : float
+        Of the same motion with optimised preloads [m]; nan if interrupted before.
+    joint : float
+        Of both optimised together [m]; at most `separate`.
+    gain : float
+        1 - joint/separate.
+    rounds : tuple of MotionRound
+    start_preloads, separate_preloads, preloads : mapping of element key to float
+        Largest assembly preload [N].
+    trajectory : Solution
+        The motion of `joint`, assessed with its preloads.
+    separate_trajectory : Solution
+        The motion of `start` and `separate`, assessed with the preloads of `separate`.
+    preload_solution : PreloadSolution or None
+        Preload solution of `joint`.
+    note : str
+        Interpretation of the result.
+    seconds : float
+    """
+
+    status: SolveStatus
+    objective_name: str
+    start: float
+    separate: float
+    joint: float
+    gain: float
+    rounds: tuple[MotionRound, ...]
+    start_preloads: Mapping[str, float]
+    separate_preloads: Mapping[str, float]
+    preloads: Mapping[str, float]
+    trajectory: Solution
+    separate_trajectory: Solution
+    preload_solution: PreloadSolution | None
+    note: str
+    seconds: float
+
+
+def describe_gain(status: SolveStatus, gain: float) -> str:
+    """Return the interpretation of the gain of a joint study."""
+    if not np.isfinite(gain):
+        return "Stopped by the user before the preloads were optimised."
+    if gain < _MIN_REPORTED_GAIN:
+        text = "Joint optimisation of preloads and motion does not lower the deflection"
+    else:
+        text = (
+            f"Joint optimisation of preloads and motion lowers the deflection by {100 * gain:.2f} "
+            "% against separate optimisation"
+        )
+    if gain < _MIN_USEFUL_GAIN:
+        text += ": a gain below 1 %, so the joint study is not worth it here"
+    ends = {
+        SolveStatus.INTERRUPTED: " Stopped by the user; this is the best so far.",
+        SolveStatus.ACCEPTABLE: " The rounds ended before the deflection converged.",
+    }
+    return f"{text}.{ends.get(status, '')}"

@@ -1,4 +1,4 @@
-"""The preload problem as an NLP: scaled preloads, named rows, the exact law as parameters.
+"""Preload problem as an NLP: scaled preloads, named rows, exact law by parameters.
 
 Stiffness requirements are rows K_req C(F) <= 1 on compliances, which are convex in the preloads,
 so an optimum for the least preload or the most stiffness is the global one.
@@ -19,20 +19,21 @@ from stiffopt.symbolic import Quantity
 from stiffopt.transcription.nlp import Blocks, Nlp
 from stiffopt.transcription.ocp import Rows
 
-_CASE = "{}, {}"
-# Price of a level above its ceiling, as a multiple of the total preload. At a corner of the limits,
-# with multipliers of order one, nothing is lost; where the level is flat, 1 / (4 _PRICE^2) = 2.8e-8
-# of it. A dearer one costs accuracy: the KKT residual is 2e-7 with 1e4, 1e-8 with 1e3.
-_PRICE = 3e3
-# A slip row that the bounds meet but for rounding adds nothing.
-_MET = 1e-12
-# Share of what a fastener bears that is left in service where less than the second is carried.
-_KEPT, _NOTHING = 0.02, 1e-3
+_LABEL_FORMAT = "{}, {}"
+# Exact penalty on a level above its ceiling, over the total preload [-]. No loss at a vertex of the
+# limits, where multipliers are of order one; 1 / (4 penalty^2) = 2.8e-8 of a flat level. A larger
+# one costs accuracy: the KKT residual is 2e-7 with 1e4, 1e-8 with 1e3.
+_CEILING_PENALTY = 3e3
+# Relative rounding within which the bounds imply a slip row [-].
+_RELATIVE_ROUNDING = 1e-12
+# Least preload in service over capacity [-], for a connection that requires less than the second
+# share.
+_MIN_SERVICE_PRELOAD_SHARE, _NEGLIGIBLE_PRELOAD_SHARE = 0.02, 1e-3
 
 
 @dataclass(frozen=True)
 class Levels:
-    """What the objectives are compared with, so that they come out of order one.
+    """Scales of the objectives, which make them of order one.
 
     Parameters
     ----------
@@ -56,14 +57,13 @@ class PreloadNlp:
         A name in `stiffopt.preload.problem.OBJECTIVES`.
     levels : Levels
     ceiling : (objective, float) or None
-        Of the least total preload: what another objective, "bolt_utilisation" or
-        "tool_deflection", may not exceed in its own programme.
+        Upper bound of another objective, "bolt_utilisation" or "tool_deflection", while the total
+        preload is minimised.
 
     Notes
     -----
-    The ceiling is elastic. Between a fixed one at an optimum and the rows that hold the optimum
-    there is no interior: multipliers run to 1e8 and more there, IPOPT divides its residuals by
-    them, and calls optimal what is not.
+    The ceiling is an elastic constraint. A hard one at an optimum leaves no interior: multipliers
+    grow beyond 1e8, IPOPT scales its residuals by them and accepts points that are not optimal.
     """
 
     def __init__(
@@ -79,8 +79,8 @@ class PreloadNlp:
         self.joints, self.n = problem.joints, problem.robot.n
         self.scale = model.spread([e.capacity for e in model.elements])
         self._x = ca.SX.sym("preload", model.size)
-        self._z = ca.SX.sym("level", self._bounded)
-        # What the smooth law leaves out of compliances and net wind-ups: see `ExactShift`.
+        self._z = ca.SX.sym("level", self._level_count)
+        # Corrections of compliances and net wind-ups to the exact law: see `ExactShift`.
         cases = len(model.cases)
         self._rest_compliance = ca.SX.sym("compliance", len(self.joints), cases)
         self._compliance_slope = ca.SX.sym("compliance slope", model.size, cases)
@@ -89,11 +89,11 @@ class PreloadNlp:
         self._tilt = ca.SX.sym("tilt", len(model.elements))
         self._tilt_slope = ca.SX.sym("tilt slope", len(model.elements))
         self._preloads = self._x * ca.DM(self.scale)
-        # A requirement and an objective share the compliances of their joint.
-        self._built: dict[int, list[Quantity]] = {}
+        # Compliances of a joint, shared by requirement and objective.
+        self._built_compliances: dict[int, list[Quantity]] = {}
 
     @property
-    def _bounded(self) -> int:
+    def _level_count(self) -> int:
         """Number of epigraph variables."""
         if self.objective == "total_preload":
             return 0 if self.ceiling is None else 1
@@ -103,7 +103,7 @@ class PreloadNlp:
 
     @cached_property
     def nlp(self) -> Nlp:
-        """The programme, with names."""
+        """Programme with named variables and rows."""
         rows, values = Blocks(), []
         for name, labels, expressions in (
             self._slip_rows(),
@@ -117,10 +117,11 @@ class PreloadNlp:
         variables = Blocks()
         lower, upper = self.bounds()
         variables.add(
-            Rows.make("preload", self._labels(), lower, upper, scale=self.scale, unit="N"), None
+            Rows.make("preload", self._preload_labels(), lower, upper, scale=self.scale, unit="N"),
+            None,
         )
         least = 0.0 if self.ceiling is None else self.ceiling[1]
-        levels = [str(i) for i in range(self._bounded)]
+        levels = [str(i) for i in range(self._level_count)]
         variables.add(Rows.make("level", levels, least, np.inf), None)
         lower_x, upper_x = variables.bounds()
         lower_g, upper_g = rows.bounds()
@@ -134,7 +135,7 @@ class PreloadNlp:
                 self._tilt,
                 self._tilt_slope,
             ),
-            f=self._objective(),
+            f=self._objective_expression(),
             g=ca.SX(ca.vertcat(*values)) if values else ca.SX.zeros(0, 1),
             variables=variables,
             rows=rows,
@@ -145,11 +146,11 @@ class PreloadNlp:
         )
 
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:
-        """Least and largest preload of every bolt or pin (size,) [N].
+        """Return the bounds of every preload (size,) [N].
 
-        The least keeps the tightened minimum, the clamp load that VDI 2230 asks for (R2, R5), and
-        the connection from slipping altogether, where the laws end; the largest is where the
-        first limit of fastener, head or thread ends it, at rest or in service.
+        The lower bound satisfies the least preload, the required clamp load of VDI 2230 (R2, R5)
+        and slip safety 1, where the laws end; the upper bound is the first limit of fastener, head
+        or thread, at assembly or in service.
         """
         problem = self.model.problem
         needs = problem.requirements
@@ -163,10 +164,12 @@ class PreloadNlp:
             steps = self.model.verifications[index]
             if steps is not None:
                 most.append(steps.largest_preload)
-            # Where next to no torque asks for a preload something has to be left all the same, of
-            # little that may be left in service half.
-            kept = min(_KEPT * element.capacity, 0.5 * element.least(min(most)))
-            if torque / unit < min(_NOTHING * element.capacity, kept):
+            # A connection with negligible torque keeps a minimum, at most half of the largest in
+            # service.
+            kept = min(
+                _MIN_SERVICE_PRELOAD_SHARE * element.capacity, 0.5 * element.least(min(most))
+            )
+            if torque / unit < min(_NEGLIGIBLE_PRELOAD_SHARE * element.capacity, kept):
                 carried = element.largest(kept)
             least = [tightened, carried if not problem.individual else 0.0]
             if steps is not None:
@@ -176,13 +179,13 @@ class PreloadNlp:
         return self.model.spread(lower), self.model.spread(upper)
 
     def _at_least(self, index: int, least: float) -> np.ndarray:
-        """Design vector in which an element has this least preload [N]."""
+        """Return the design vector with a given least preload of an element [N]."""
         preloads = self.model.design.copy()
         element = self.model.elements[index]
         preloads[self.model.slices[index]] = element.largest(least)
         return preloads
 
-    def _labels(self) -> list[str]:
+    def _preload_labels(self) -> list[str]:
         labels = []
         for element, part in zip(self.model.elements, self.model.slices, strict=True):
             count = part.stop - part.start
@@ -192,26 +195,29 @@ class PreloadNlp:
         return labels
 
     def _slip_rows(self) -> tuple[str, list[str], list[Quantity]]:
-        """Of what could slip at the least preloads; others cannot bind and only spoil the scale."""
+        """Return slip rows that the bounds do not imply; others are never active."""
         lower, _ = self.bounds()
         labels, rows = [], []
         for index, element in enumerate(self.model.elements):
             safety = self.model.slip_safety(element.joint)
             case = max(self.model.cases, key=lambda c: abs(c.torque[element.joint - 1]))
             torque = abs(float(case.torque[element.joint - 1]))
-            if float(self.model.slip_torque(lower, index)) < (1.0 - _MET) * safety * torque:
-                labels.append(_CASE.format(element.key, case.name))
+            if (
+                float(self.model.slip_torque(lower, index))
+                < (1.0 - _RELATIVE_ROUNDING) * safety * torque
+            ):
+                labels.append(_LABEL_FORMAT.format(element.key, case.name))
                 rows.append(2.0 - self.model.slip_torque(self._preloads, index) / (safety * torque))
         return "slip safety", labels, rows
 
-    def _measures(self, objective: str) -> list[tuple[str, Quantity]]:
-        """What an objective takes the largest of, of order one."""
+    def _objective_measures(self, objective: str) -> list[tuple[str, Quantity]]:
+        """Return the scaled quantities whose maximum is the objective."""
         if objective == "bolt_utilisation":
-            return self._utilisations()
+            return self._utilisation_measures()
         level = self.levels.deflection**2
         return [(name, square / level) for name, square in self._squared_deflections]
 
-    def _utilisations(self) -> list[tuple[str, Quantity]]:
+    def _utilisation_measures(self) -> list[tuple[str, Quantity]]:
         found = []
         for index, element in enumerate(self.model.elements):
             for limit in element.limits:
@@ -220,30 +226,30 @@ class PreloadNlp:
                         found.append((f"{limit.name}, {element.key}", limit.utilisation(own)))
         return found
 
-    def _compliances(self, joint: int) -> list[Quantity]:
-        """Tangent compliance of a joint in every load case."""
-        if joint not in self._built:
+    def _joint_compliances(self, joint: int) -> list[Quantity]:
+        """Return the tangent compliance of a joint in every load case."""
+        if joint not in self._built_compliances:
             row = self.joints.index(joint)
             smooth = self.model.compliances(self._preloads, joint)
-            self._built[joint] = [
+            self._built_compliances[joint] = [
                 smooth[k]
                 + self._rest_compliance[row, k]
-                + self._times_own(self._compliance_slope, joint, k)
+                + self._linear_term(self._compliance_slope, joint, k)
                 for k in range(len(self.model.cases))
             ]
-        return self._built[joint]
+        return self._built_compliances[joint]
 
     def _stiffness_rows(self) -> tuple[str, list[str], list[Quantity]]:
         labels, rows = [], []
         for joint, needed in self.model.problem.requirements.joint_stiffness.items():
-            for case, value in zip(self.model.cases, self._compliances(joint), strict=True):
-                labels.append(_CASE.format(f"joint {joint}", case.name))
+            for case, value in zip(self.model.cases, self._joint_compliances(joint), strict=True):
+                labels.append(_LABEL_FORMAT.format(f"joint {joint}", case.name))
                 rows.append(needed * value)
         return "joint stiffness", labels, rows
 
     @cached_property
     def _squared_deflections(self) -> list[tuple[str, Quantity]]:
-        """Square of the tool's deflection in every load case with a pose [m^2]."""
+        """Squared tool deflection in every load case with a pose [m^2]."""
         found = []
         smooth = {joint: self.model.windups(self._preloads, joint) for joint in self.joints}
         for k, case in enumerate(self.model.cases):
@@ -254,14 +260,14 @@ class PreloadNlp:
                 angle = self._rest_windup[j, k]
                 if j + 1 in self.joints:
                     angle = angle + smooth[j + 1][k]
-                    angle = angle + self._times_own(self._windup_slope, j + 1, k)
+                    angle = angle + self._linear_term(self._windup_slope, j + 1, k)
                 angles.append(angle)
-            vector = ca.mtimes(ca.DM(case.jacobian), ca.vertcat(*angles)) + self._turned(k)
+            vector = ca.mtimes(ca.DM(case.jacobian), ca.vertcat(*angles)) + self._tilt_deflection(k)
             found.append((case.name, ca.sumsqr(vector)))
         return found
 
-    def _turned(self, k: int) -> Quantity:
-        """What flanges that tilt add to the deflection in a load case [m]."""
+    def _tilt_deflection(self, k: int) -> Quantity:
+        """Return the tool deflection by tilting flanges in a load case [m]."""
         model = self.model
         total = ca.SX(ca.DM(model.fixed_tilt(model.cases[k])))
         for index, vectors in enumerate(model.tilt_vectors):
@@ -272,8 +278,8 @@ class PreloadNlp:
                 total = total + compliance * ca.DM(vectors[k])
         return total
 
-    def _times_own(self, slope: Quantity, joint: int, index: int) -> Quantity:
-        """Linear term of a joint in one load case, over the joint's own preloads."""
+    def _linear_term(self, slope: Quantity, joint: int, index: int) -> Quantity:
+        """Return the linear correction of a joint in one load case, by its preloads."""
         parts = [self.model.slices[i] for i in self.model.indices[joint]]
         return sum((ca.dot(slope[part, index], self._preloads[part]) for part in parts), ca.SX(0.0))
 
@@ -285,43 +291,52 @@ class PreloadNlp:
         return "tool deflection", [name for name, _ in found], [s / allowed**2 for _, s in found]
 
     def _level_rows(self) -> tuple[str, list[str], list[Quantity]]:
-        """Rows that keep the epigraph variables above what they stand for."""
+        """Return the epigraph rows of the objective or ceiling."""
         largest = self.ceiling[0] if self.ceiling else self.objective
         if largest in ("bolt_utilisation", "tool_deflection"):
-            found = self._measures(largest)
+            found = self._objective_measures(largest)
             return "level", [n for n, _ in found], [1.0 + m - self._z[0] for _, m in found]
         if self.objective == "joint_stiffness":
             labels, rows = [], []
             for position, joint in enumerate(self.joints):
-                for case, value in zip(self.model.cases, self._compliances(joint), strict=True):
-                    labels.append(_CASE.format(f"joint {joint}", case.name))
+                for case, value in zip(
+                    self.model.cases, self._joint_compliances(joint), strict=True
+                ):
+                    labels.append(_LABEL_FORMAT.format(f"joint {joint}", case.name))
                     rows.append(1.0 + self.levels.stiffness[joint] * value - self._z[position])
             return "level", labels, rows
         return "level", [], []
 
-    def _objective(self) -> Quantity:
-        """Joints do not share preloads, so the sum of their levels leads each to its best."""
+    def _objective_expression(self) -> Quantity:
+        """Return the objective; joints share no preloads, so a sum of levels optimises each."""
         if self.objective == "total_preload":
-            counts = self._weights()
+            counts = self._fastener_counts()
             total = ca.dot(ca.DM(counts * self.scale), self._x) / float(counts @ self.scale)
-            return total if self.ceiling is None else total + _PRICE * (self._z - self.ceiling[1])
+            return (
+                total
+                if self.ceiling is None
+                else total + _CEILING_PENALTY * (self._z - self.ceiling[1])
+            )
         return ca.sum1(self._z)
 
-    def _weights(self) -> np.ndarray:
-        """Bolts or pins that share each preload (size,)."""
+    def _fastener_counts(self) -> np.ndarray:
+        """Return the number of bolts or pins per preload (size,)."""
         individual = self.model.problem.individual
         return self.model.spread([1.0 if individual else e.count for e in self.model.elements])
 
     def total_preload(self, preloads: np.ndarray) -> float:
-        """Clamping forces of all bolts and pins together [N]."""
-        return float(self._weights() @ preloads)
+        """Return the sum of the preloads of all bolts and pins [N]."""
+        return float(self._fastener_counts() @ preloads)
 
     # ---- the exact law
 
     def parameters(self, preloads: np.ndarray) -> np.ndarray:
-        """What has to be added to the smooth law so that it is exact at these preloads."""
+        """Return the parameters that make the smooth law exact at these preloads."""
         shift = exact_shift(
-            self.model, preloads, compliances=self.sees_stiffness, windups=self.sees_deflection
+            self.model,
+            preloads,
+            compliances=self.depends_on_stiffness,
+            windups=self.depends_on_deflection,
         )
         parts = (
             shift.compliance,
@@ -334,14 +349,14 @@ class PreloadNlp:
         return np.concatenate([part.ravel(order="F") for part in parts])
 
     @property
-    def sees_stiffness(self) -> bool:
-        """Whether the compliances of the joints matter."""
+    def depends_on_stiffness(self) -> bool:
+        """True if objective or requirements depend on joint compliances."""
         needed = self.model.problem.requirements.joint_stiffness
         return bool(needed) or self.objective == "joint_stiffness"
 
     @property
-    def sees_deflection(self) -> bool:
-        """Whether the wind-ups of the joints matter."""
+    def depends_on_deflection(self) -> bool:
+        """True if objective or requirements depend on wind-ups."""
         allowed = self.model.problem.requirements.tool_deflection
         seen = (self.objective, None if self.ceiling is None else self.ceiling[0])
         return allowed is not None or "tool_deflection" in seen

@@ -1,7 +1,7 @@
-"""Optimise the preloads of a study, with proof and with the reason where none will do.
+"""Optimisation of the preloads of a study, with proof or reason of infeasibility.
 
-The smooth law is shifted onto the exact one at each solution and solved again until the two agree
-there, so the optimum holds for the exact law.
+The smooth law is corrected to the exact one at each solution and solved again until converged, so
+the optimum is that of the exact law.
 """
 
 from __future__ import annotations
@@ -23,27 +23,27 @@ from stiffopt.result.status import SolveStatus
 from stiffopt.solver.ipopt import IpoptOptions, IpoptSolver, RawSolution, kkt_residual
 from stiffopt.solver.monitor import Progress
 
-Report = Callable[[Progress], object]
+ProgressReport = Callable[[Progress], object]
 
-_OPTIONS = IpoptOptions(
+_IPOPT_OPTIONS = IpoptOptions(
     tol=1e-10, acceptable_tol=1e-8, max_iterations=300, extra={"bound_relax_factor": 0.0}
 )
-# Shifts of the smooth law at most, and the change of a preload, as a share of its capacity, that
-# ends them: IPOPT leaves as much.
-_SHIFTS = 12
+# Largest number of corrections of the smooth law, and change of a preload over its capacity that
+# ends them, the accuracy of IPOPT [-].
+_MAX_SHIFTS = 12
 _SHIFT_TOLERANCE = 1e-8
-# Share of an objective that may be lost where that saves preload.
-_TIE = 1e-9
+# Relative loss of an objective allowed for less preload [-].
+_MAX_OBJECTIVE_LOSS = 1e-9
 # Largest KKT residual of an optimum [-], with rows and multipliers of order one: IPOPT ends between
-# 1e-12 and 1e-8, and rows count as kept to 1e-6.
-_PROVED = 1e-6
-# Rounds in which worst instants of a motion are looked for anew; a design moves them once or twice.
+# 1e-12 and 1e-8, and rows are satisfied to 1e-6.
+_MAX_KKT_RESIDUAL = 1e-6
+# Largest number of updates of a motion's worst instants; one or two suffice.
 WORST_INSTANT_ROUNDS = 6
 
 
 @dataclass(frozen=True, eq=False)
 class Optimum:
-    """End of one optimisation under fixed load cases."""
+    """Result of one optimisation under fixed load cases."""
 
     preloads: np.ndarray
     raw: RawSolution
@@ -52,21 +52,21 @@ class Optimum:
 
     @property
     def proved(self) -> bool:
-        """Whether the solver finished and fresh derivatives agree; nan is no proof."""
-        return self.raw.converged and self.kkt_residual <= _PROVED
+        """True if the solver converged and the recomputed KKT residual is small."""
+        return self.raw.converged and self.kkt_residual <= _MAX_KKT_RESIDUAL
 
     @property
     def status(self) -> SolveStatus:
-        """What the end is worth: without the proof it is no optimum."""
+        """Status of the result; not optimal without proof."""
         if self.raw.converged and not self.proved:
             return SolveStatus.ITERATION_LIMIT
-        return _STATUS.get(self.raw.status, SolveStatus.ITERATION_LIMIT)
+        return _STATUS_BY_RESULT.get(self.raw.status, SolveStatus.ITERATION_LIMIT)
 
 
 def optimise_preloads(
-    problem: PreloadProblem, *, progress: Report | None = None, throw: bool = True
+    problem: PreloadProblem, *, progress: ProgressReport | None = None, throw: bool = True
 ) -> PreloadSolution:
-    """Find the best preloads of a study.
+    """Find the optimum preloads of a study.
 
     Parameters
     ----------
@@ -83,10 +83,10 @@ def optimise_preloads(
     Raises
     ------
     NoSolutionFound
-        No preload meets the requirements, with the reason; `solution` holds the best reachable.
+        No preload meets the requirements; `solution` has the reasons and the best reachable.
     """
     cases = with_worst_instants(problem, problem.load_cases, PreloadModel(problem).design)
-    solution = _solve(PreloadModel(problem, cases), progress)
+    solution = _solve_under_cases(PreloadModel(problem, cases), progress)
     try:
         for _ in range(WORST_INSTANT_ROUNDS - 1):
             if not solution.status.usable:
@@ -95,7 +95,7 @@ def optimise_preloads(
             if len(more) == len(cases):
                 break
             cases = more
-            solution = _solve(PreloadModel(problem, cases), progress)
+            solution = _solve_under_cases(PreloadModel(problem, cases), progress)
     except KeyboardInterrupt:
         solution = replace(
             solution,
@@ -111,7 +111,7 @@ def optimise_preloads(
 def with_worst_instants(
     problem: PreloadProblem, cases: tuple[LoadCase, ...], preloads: np.ndarray
 ) -> tuple[LoadCase, ...]:
-    """Add the instants of the study's motions that are worst with these preloads."""
+    """Add the worst instants of the study's motions at these preloads."""
     model = PreloadModel(problem, cases)
     found = {case.name: case for case in cases}
     for history in problem.histories:
@@ -119,27 +119,27 @@ def with_worst_instants(
             problem.joints,
             lambda joint, torques: model.exact_compliance(preloads, joint, torques),
             lambda joint, torques: model.exact_windup(preloads, joint, torques),
-            lambda motion: _critical(model, motion),
-            lambda motion: model.tilted_tool(motion, preloads),
+            lambda motion: _critical_instants(model, motion),
+            lambda motion: model.tilt_deflection(motion, preloads),
         )
         for case in worst:
             found.setdefault(case.name, case)
     return tuple(found.values())
 
 
-def _critical(model: PreloadModel, motion: LoadHistory) -> set[int]:
-    """Instants that are worst for some check of some flange."""
+def _critical_instants(model: PreloadModel, motion: LoadHistory) -> set[int]:
+    """Return the instants that are worst for any check of any flange."""
     tightening = model.problem.tightening
     return set().union(
         *(critical_instants(e.stage, e.joint, motion, tightening) for e in model.elements)
     )
 
 
-def levels_of(model: PreloadModel) -> Levels:
-    """Weights of the stiffnesses and scale of the deflection: what the joints have without slip.
+def objective_levels(model: PreloadModel) -> Levels:
+    """Return weights of the stiffnesses and scale of the deflection at the largest preloads.
 
-    With every preload at its largest the connections hold where they can hold at all, so the
-    stiffnesses there compare joints of different size.
+    At the largest preloads no connection slips unless it must, so these stiffnesses compare joints
+    of different size.
     """
     upper = model.spread([e.capacity for e in model.elements])
     stiffness = model.exact_stiffness(upper).min(axis=1)
@@ -158,18 +158,18 @@ def optimum(
     objective: str,
     *,
     levels: Levels | None = None,
-    progress: Report | None = None,
+    progress: ProgressReport | None = None,
 ) -> Optimum:
     """Optimise one objective under the model's load cases, by the exact law.
 
-    Two objectives leave preloads undetermined that do not matter to them; of these designs the one
-    with the least total preload is taken.
+    Minimax objectives leave some preloads undetermined; of the optimal designs the one of least
+    total preload is returned.
     """
-    levels = levels or levels_of(model)
+    levels = levels or objective_levels(model)
     first = _exact_optimum(PreloadNlp(model, objective, levels), progress)
     if objective not in ("bolt_utilisation", "tool_deflection") or not first.proved:
         return first
-    ceiling = (objective, first.raw.objective * (1.0 + _TIE))
+    ceiling = (objective, first.raw.objective * (1.0 + _MAX_OBJECTIVE_LOSS))
     least = PreloadNlp(model, "total_preload", levels, ceiling=ceiling)
     second = _exact_optimum(least, progress, first.preloads)
     if not second.proved:
@@ -178,31 +178,31 @@ def optimum(
 
 
 def _exact_optimum(
-    nlp: PreloadNlp, progress: Report | None, start: np.ndarray | None = None
+    nlp: PreloadNlp, progress: ProgressReport | None, start: np.ndarray | None = None
 ) -> Optimum:
-    """Solve and shift the smooth law until its optimum is that of the exact law."""
-    solver = IpoptSolver(nlp.nlp, _OPTIONS)
+    """Solve and correct the smooth law until its optimum is that of the exact law."""
+    solver = IpoptSolver(nlp.nlp, _IPOPT_OPTIONS)
     size = nlp.model.size
     lower, upper = nlp.bounds()
     preloads = lower + 0.7 * (upper - lower) if start is None else start
     x0 = np.concatenate([preloads / nlp.scale, np.full(nlp.nlp.x.numel() - size, 2.0)])
     iterations = 0
-    for _ in range(_SHIFTS):
+    for _ in range(_MAX_SHIFTS):
         parameters = nlp.parameters(preloads)
         raw = solver.solve(x0, parameters, report=progress)
         iterations += raw.iterations
         found = raw.x[:size] * nlp.scale
         step = float(np.max(np.abs(found - preloads) / nlp.scale))
         preloads = found
-        shifted = nlp.sees_stiffness or nlp.sees_deflection
+        shifted = nlp.depends_on_stiffness or nlp.depends_on_deflection
         if not (raw.converged and shifted) or step < _SHIFT_TOLERANCE:
             break
     return Optimum(preloads, raw, kkt_residual(nlp.nlp, raw, parameters), iterations)
 
 
-def _solve(model: PreloadModel, progress: Report | None) -> PreloadSolution:
+def _solve_under_cases(model: PreloadModel, progress: ProgressReport | None) -> PreloadSolution:
     problem = model.problem
-    nlp = PreloadNlp(model, problem.objective, levels_of(model))
+    nlp = PreloadNlp(model, problem.objective, objective_levels(model))
     stoppers = find_stoppers(nlp)
     _, upper = nlp.bounds()
     if stoppers:
@@ -221,7 +221,7 @@ def _solve(model: PreloadModel, progress: Report | None) -> PreloadSolution:
     )
 
 
-_STATUS = {
+_STATUS_BY_RESULT = {
     "optimal": SolveStatus.OPTIMAL,
     "acceptable": SolveStatus.ACCEPTABLE,
     "infeasible": SolveStatus.INFEASIBLE,
@@ -231,15 +231,17 @@ _STATUS = {
 }
 
 
-def _deflection_stopper(model: PreloadModel, progress: Report | None) -> tuple[Stopper, ...]:
-    """The least deflection within all other limits, where it is still too large."""
+def _deflection_stopper(
+    model: PreloadModel, progress: ProgressReport | None
+) -> tuple[Stopper, ...]:
+    """Return the stopper if the least deflection within all other limits is too large."""
     needs = model.problem.requirements
     allowed = needs.tool_deflection
     assert allowed is not None
     free = PreloadModel(
         replace(model.problem, requirements=replace(needs, tool_deflection=None)), model.cases
     )
-    least = _exact_optimum(PreloadNlp(free, "tool_deflection", levels_of(free)), progress)
+    least = _exact_optimum(PreloadNlp(free, "tool_deflection", objective_levels(free)), progress)
     if not least.proved:
         return ()
     sizes = np.linalg.norm(model.exact_deflection(least.preloads), axis=1)
@@ -252,7 +254,7 @@ def _deflection_stopper(model: PreloadModel, progress: Report | None) -> tuple[S
             best=float(sizes[worst]),
             required=allowed,
             unit="m",
-            against="bolts and pins bear no larger preloads",
+            against="bolts and pins are at their largest preloads",
             remedy="a smaller load, another pose, larger bolts, or stiffer reducers",
         ),
     )

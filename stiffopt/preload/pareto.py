@@ -1,8 +1,7 @@
-"""Front between the least total preload and the most stiffness, with its knee.
+"""Pareto front between total preload and stiffness, with its knee.
 
-Epsilon-constraint: the least total preload for a stiffness level, over levels from what the least
-preloads give to the most that the limits leave. Each point is an optimum of its own, with its
-residual.
+Epsilon-constraint method: the least total preload for a stiffness level, over levels from that of
+the least preloads to the largest within the limits. Each point is an optimum with its residual.
 """
 
 from __future__ import annotations
@@ -18,34 +17,34 @@ from stiffopt.preload.infeasibility import find_stoppers
 from stiffopt.preload.load_case import LoadCase
 from stiffopt.preload.model import PreloadModel
 from stiffopt.preload.nlp import Levels, PreloadNlp
-from stiffopt.preload.optimise import Optimum, Report, levels_of, optimum
+from stiffopt.preload.optimise import Optimum, ProgressReport, objective_levels, optimum
 from stiffopt.preload.problem import PreloadProblem
 from stiffopt.preload.utilisation import utilisation_rows
 
-# Levels closer than this, relative, are one.
-_SAME = 1e-6
-# Rounds in which the intervals beside the knee are halved.
+# Relative difference of equal levels.
+_LEVEL_TOLERANCE = 1e-6
+# Number of bisections of the intervals beside the knee.
 _KNEE_ROUNDS = 2
-# A stiffness gain along the whole front below this is called hardly any.
-_FLAT = 0.05
+# Relative stiffness gain along the front below which it is called flat.
+_FLAT_FRONT_GAIN = 0.05
 
 
 @dataclass(frozen=True, eq=False)
 class ParetoPoint:
-    """The least preloads for a level of stiffness.
+    """Least preloads for a level of stiffness.
 
     Parameters
     ----------
     total_preload : float
-        Clamping forces of all bolts and pins together [N].
+        Sum of the preloads of all bolts and pins [N].
     level : float
         Least k_j / weight_j over joints and load cases [-].
     stiffness : tuple of float
-        Of each joint of the study, the least over the load cases, by the exact law [N m/rad].
+        Least over the load cases of each joint, by the exact law [N m/rad].
     preloads : mapping of element key to float
-        Largest preload that tightening leaves [N]; of individual preloads the mean.
+        Largest assembly preload, mean of individual ones [N].
     active : tuple of str
-        Names of the requirements that the point lies at.
+        Names of the active requirements.
     kkt_residual : float
         See `stiffopt.solver.ipopt.kkt_residual`.
     """
@@ -60,23 +59,22 @@ class ParetoPoint:
 
 @dataclass(frozen=True, eq=False)
 class ParetoFront:
-    """Designs of which none is both less tight and stiffer than another.
+    """Designs of which none has both less preload and more stiffness than another.
 
     Parameters
     ----------
     points : tuple of ParetoPoint
-        In rising total preload.
+        By ascending total preload.
     knee : int
         Position of the knee in `points`.
     knee_reason : str
-        How the knee was chosen, and where it lies.
+        Definition and location of the knee.
     note : str
-        What a user gains along the front.
+        Gain along the front.
     weights : mapping of joint number to float
-        Stiffness that stands for level 1 [N m/rad]: that with every preload at its largest, where
-        the study gives no weights of its own.
+        Stiffness of level 1 [N m/rad]: given, or that at the largest preloads.
     interrupted : bool
-        Stopped by Ctrl-C: the points found so far.
+        Stopped by Ctrl-C; the points are those found so far.
     """
 
     points: tuple[ParetoPoint, ...]
@@ -92,124 +90,124 @@ def pareto_front(
     cases: Sequence[LoadCase],
     points: int = 15,
     *,
-    progress: Report | None = None,
+    progress: ProgressReport | None = None,
 ) -> ParetoFront:
-    """Trace the least total preload against the stiffness that is asked for.
+    """Compute the front of least total preload over required stiffness.
 
     Parameters
     ----------
     problem : PreloadProblem
-        All its requirements hold along the front but the joint stiffness, which is what varies.
+        Its requirements hold along the front, except joint stiffness, which is varied.
     cases : sequence of LoadCase
-        Torques that the designs carry; motions are not looked at again.
+        Loads of the designs; worst instants of motions are not updated.
     points : int
-        Evenly spaced levels, 2 or more; a few more are put beside the knee.
+        Evenly spaced levels, 2 or more; some more are added beside the knee.
     progress : callable, optional
         Called with a `Progress` in every iteration.
 
     Returns
     -------
     ParetoFront
-        Of one point where the limits leave the stiffness no room.
+        A single point if the limits fix the stiffness.
 
     Raises
     ------
     NoSolutionFound
-        No preload keeps the other requirements, with the reason.
+        No preload satisfies the other requirements.
     """
-    trace = _Trace(problem, tuple(cases), progress)
+    trace = _FrontTrace(problem, tuple(cases), progress)
     least, most = trace.least_level, trace.most_level
-    if most - least <= _SAME * most:
+    if most - least <= _LEVEL_TOLERANCE * most:
         found = [trace.least]
     else:
         levels = np.linspace(least, most, max(points, 2))[1:-1]
         found = [trace.least, *trace.points(levels), *trace.end()]
         for _ in range(_KNEE_ROUNDS):
-            at = _knee(found)
+            at = _knee_position(found)
             beside = [(a.level + b.level) / 2 for a, b in pairwise(found[max(at - 1, 0) : at + 2])]
             found = sorted([*found, *trace.points(beside)], key=lambda p: p.level)
-    knee = _knee(found)
+    knee = _knee_position(found)
     return ParetoFront(
         points=tuple(found),
         knee=knee,
         knee_reason=_knee_reason(found, knee),
-        note=" ".join(filter(None, (_note(found), trace.left_out))),
+        note=" ".join(filter(None, (_describe_front(found), trace.left_out))),
         weights=trace.levels.stiffness,
         interrupted=trace.interrupted,
     )
 
 
-class _Trace:
-    """Points of one front and what they share."""
+class _FrontTrace:
+    """Solver of the points of one front."""
 
     def __init__(
-        self, problem: PreloadProblem, cases: tuple[LoadCase, ...], progress: Report | None
+        self, problem: PreloadProblem, cases: tuple[LoadCase, ...], progress: ProgressReport | None
     ) -> None:
         self.progress, self.cases = progress, cases
         self.problem = _without_stiffness(problem)
         model = PreloadModel(self.problem, cases)
-        self.levels: Levels = levels_of(model)
+        self.levels: Levels = objective_levels(model)
         self.model = model
         self.unproved, self.interrupted = 0, False
         nlp = PreloadNlp(model, "total_preload", self.levels)
         stoppers = find_stoppers(nlp)
         if stoppers:
             raise NoSolutionFound(
-                "No preload keeps the limits, so there is no front. "
+                "No preload satisfies the limits, so there is no front. "
                 + " ".join(str(stop) for stop in stoppers)
             )
-        end = self._solve(model, "total_preload")
+        end = self._solve_proved(model, "total_preload")
         if end is None:
             raise NoSolutionFound(
                 "The least preload of the front was not found. Where nobody stopped it, the "
                 "requirements conflict: solve the study alone to see which."
             )
-        self.least = self._point(model, end.preloads, end.kkt_residual)
+        self.least = self._pareto_point(model, end.preloads, end.kkt_residual)
         self.least_level = self.least.level
-        self.most_level = float(np.min(self._levels(nlp.bounds()[1])))
+        self.most_level = float(np.min(self._stiffness_levels(nlp.bounds()[1])))
 
     def points(self, levels: Sequence[float] | np.ndarray) -> list[ParetoPoint]:
-        """Optima for these levels; those without proof are left out and counted."""
+        """Return proved optima at these levels; others are omitted and counted."""
         found = []
         for level in levels:
             if self.interrupted:
                 break
             model = self._at_level(float(level), self.problem.joints)
-            best = self._solve(model, "total_preload")
+            best = self._solve_proved(model, "total_preload")
             if best is not None:
-                found.append(self._point(model, best.preloads, best.kkt_residual))
+                found.append(self._pareto_point(model, best.preloads, best.kkt_residual))
         return found
 
     def end(self) -> list[ParetoPoint]:
-        """The most stiffness that the limits leave, with no more preload than that takes.
+        """Return the point of largest stiffness within the limits, at least preload.
 
-        Limits and level meet in one point there, which an interior method cannot enter: the joints
-        that end the front get their stiffest preloads, the others the least for the same level.
+        Limits and level leave no interior there for an interior-point method: the joints that limit
+        the level get their stiffest preloads, the others the least for the same level.
         """
-        most = None if self.interrupted else self._solve(self.model, "joint_stiffness")
+        most = None if self.interrupted else self._solve_proved(self.model, "joint_stiffness")
         if most is None:
             return []
-        levels, preloads = self._levels(most.preloads), most.preloads.copy()
+        levels, preloads = self._stiffness_levels(most.preloads), most.preloads.copy()
         level, residual = float(levels.min()), most.kkt_residual
-        ends = levels <= level * (1.0 + _SAME)
+        ends = levels <= level * (1.0 + _LEVEL_TOLERANCE)
         others = tuple(j for j, end in zip(self.problem.joints, ends, strict=True) if not end)
         if others:
-            rest = self._solve(self._at_level(level, others), "total_preload")
+            rest = self._solve_proved(self._at_level(level, others), "total_preload")
             if rest is None:
                 return []
             for element, part in zip(self.model.elements, self.model.slices, strict=True):
                 if element.joint in others:
                     preloads[part] = rest.preloads[part]
             residual = max(residual, rest.kkt_residual)
-        return [self._point(self._at_level(level, self.problem.joints), preloads, residual)]
+        return [self._pareto_point(self._at_level(level, self.problem.joints), preloads, residual)]
 
     def _at_level(self, level: float, joints: tuple[int, ...]) -> PreloadModel:
         needed = {joint: level * self.levels.stiffness[joint] for joint in joints}
         needs = replace(self.problem.requirements, joint_stiffness=needed)
         return PreloadModel(replace(self.problem, requirements=needs), self.cases)
 
-    def _solve(self, model: PreloadModel, objective: str) -> Optimum | None:
-        """An optimum with its proof; one without is counted."""
+    def _solve_proved(self, model: PreloadModel, objective: str) -> Optimum | None:
+        """Return a proved optimum; None and counted without proof."""
         found = optimum(model, objective, levels=self.levels, progress=self.progress)
         if found.proved:
             return found
@@ -219,19 +217,21 @@ class _Trace:
 
     @property
     def left_out(self) -> str:
-        """What is missing from the front."""
+        """Message about omitted points; "" without any."""
         if self.interrupted:
             return "Stopped by the user; the front holds the points found so far."
         if self.unproved:
             return f"Points that did not converge and are left out: {self.unproved}."
         return ""
 
-    def _levels(self, preloads: np.ndarray) -> np.ndarray:
-        """Least stiffness of each joint over its weight (joints,)."""
+    def _stiffness_levels(self, preloads: np.ndarray) -> np.ndarray:
+        """Return the least stiffness of each joint over its weight (joints,)."""
         weights = [self.levels.stiffness[joint] for joint in self.problem.joints]
         return np.asarray(self.model.exact_stiffness(preloads).min(axis=1) / weights)
 
-    def _point(self, model: PreloadModel, preloads: np.ndarray, residual: float) -> ParetoPoint:
+    def _pareto_point(
+        self, model: PreloadModel, preloads: np.ndarray, residual: float
+    ) -> ParetoPoint:
         means = {
             e.key: float(np.mean(preloads[part]))
             for e, part in zip(model.elements, model.slices, strict=True)
@@ -239,7 +239,7 @@ class _Trace:
         stiffness = model.exact_stiffness(preloads).min(axis=1)
         return ParetoPoint(
             total_preload=sum(e.count * means[e.key] for e in model.elements),
-            level=float(self._levels(preloads).min()),
+            level=float(self._stiffness_levels(preloads).min()),
             stiffness=tuple(float(k) for k in stiffness),
             preloads=means,
             active=tuple(r.name for r in utilisation_rows(model, preloads) if r.active),
@@ -252,8 +252,8 @@ def _without_stiffness(problem: PreloadProblem) -> PreloadProblem:
     return replace(problem, requirements=needs)
 
 
-def _distances(points: Sequence[ParetoPoint]) -> np.ndarray:
-    """Distance of each point above the chord between the ends, both axes from 0 to 1."""
+def _chord_distances(points: Sequence[ParetoPoint]) -> np.ndarray:
+    """Return the distance of each point from the chord, both axes scaled to 0 to 1."""
     total = np.array([p.total_preload for p in points])
     level = np.array([p.level for p in points])
     x = (total - total[0]) / (total[-1] - total[0])
@@ -261,45 +261,45 @@ def _distances(points: Sequence[ParetoPoint]) -> np.ndarray:
     return np.asarray((y - x) / np.sqrt(2.0))
 
 
-def _knee(points: Sequence[ParetoPoint]) -> int:
-    return int(np.argmax(_distances(points))) if len(points) > 2 else 0
+def _knee_position(points: Sequence[ParetoPoint]) -> int:
+    return int(np.argmax(_chord_distances(points))) if len(points) > 2 else 0
 
 
 def _knee_reason(points: Sequence[ParetoPoint], knee: int) -> str:
     at = points[knee]
-    place = f"{at.total_preload / 1e3:.1f} kN in all, {_percent(at.level, points[-1].level)}"
+    place = f"{at.total_preload / 1e3:.1f} kN in all, {_format_percent(at.level, points[-1].level)}"
     if len(points) < 3:
-        return f"Too few points for a knee; the least preload stands for it: {place}."
-    distance = float(_distances(points)[knee])
+        return f"Too few points for a knee; the least preload is used: {place}."
+    distance = float(_chord_distances(points)[knee])
     return (
         "The knee is the point farthest from the chord between the ends, with both axes scaled to "
         f"run from 0 to 1 (distance {distance:.2f}; 0 is a straight front, 0.71 a corner): {place}."
     )
 
 
-def _percent(level: float, most: float) -> str:
+def _format_percent(level: float, most: float) -> str:
     return f"{100 * level / most:.2f} % of the largest stiffness"
 
 
-def _note(points: Sequence[ParetoPoint]) -> str:
+def _describe_front(points: Sequence[ParetoPoint]) -> str:
     first, last = points[0], points[-1]
     if len(points) == 1:
         return (
-            "The front is a single point: at the least preload the stiffness is already the most "
-            "that the limits leave."
+            "The front is a single point: at the least preload the stiffness is already the "
+            "largest within the limits."
         )
     if not first.level > 0.0:
-        # A joint without a load holds nothing at the least preload after scatter and losses.
+        # A joint without load may have no preload left after scatter and losses.
         return (
-            "At the least preload a connection without a load keeps no clamp force, so no relative"
-            " gain in stiffness can be told."
+            "At the least preload a connection without load has no clamp force, so the relative"
+            " gain in stiffness is undefined."
         )
-    what = "stiffness" if len(first.stiffness) == 1 else "the least relative stiffness"
+    quantity = "stiffness" if len(first.stiffness) == 1 else "the least relative stiffness"
     gain, more = last.level / first.level - 1.0, last.total_preload / first.total_preload - 1.0
     text = (
-        f"From the least to the most preload, {100 * more:.0f} % more in all, {what} rises by "
+        f"From the least to the most preload, {100 * more:.0f} % more in all, {quantity} rises by "
         f"{100 * gain:.1f} %"
     )
-    if gain < _FLAT:
+    if gain < _FLAT_FRONT_GAIN:
         return f"{text}: the front is nearly flat, so tightening buys hardly any stiffness."
     return f"{text}."

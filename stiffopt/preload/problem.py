@@ -1,4 +1,4 @@
-"""What a preload study asks: joints, load cases, objective, requirements, tightening."""
+"""Preload problem: joints, load cases, objective, requirements, tightening, catalogue."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import numpy as np
 from stiffopt.connection import BoltedFlange
 from stiffopt.declaration import (
     FRACTION,
+    NOT_NEGATIVE,
     POSITIVE,
     Bounds,
     Doc,
@@ -32,10 +33,9 @@ from stiffopt.fastening.limits import (
     scatter,
     workshop_torque,
 )
-from stiffopt.fastening.preload_limit import PreloadLimit
-from stiffopt.fastening.tightening import SCATTER, Tightening
+from stiffopt.fastening.tightening import SCATTER_BY_METHOD, Tightening
+from stiffopt.fastening.utilisation import PreloadLimit
 from stiffopt.preload.load_case import LoadCase, LoadHistory
-from stiffopt.preload.step_cost import StepCost
 from stiffopt.symbolic import Quantity
 
 if TYPE_CHECKING:
@@ -51,7 +51,7 @@ OBJECTIVES = {
 
 @dataclass(frozen=True, kw_only=True)
 class Requirements:
-    """What every design of the study must keep."""
+    """Requirements on every design of the study."""
 
     joint_stiffness: Annotated[
         Mapping[int, JointStiffness],
@@ -67,9 +67,9 @@ class Requirements:
         Ratio | None,
         Bounds(least=1.0),
         Doc(
-            "Slip torque over torque, for every friction connection and load case, with the least "
-            "preload that tightening leaves; default 1.2, and 1.8 where the torque changes its "
-            "sign in a motion of the study (VDI 2230 R12)."
+            "Slip torque over torque of every friction connection and load case, at the least "
+            "preload in service; default 1.2, and 1.8 where the torque changes its sign in a "
+            "motion of the study (VDI 2230 R12)."
         ),
     ] = None
     bolt_utilisation: Annotated[
@@ -84,8 +84,8 @@ class Requirements:
         Ratio,
         Bounds(above=0.0, below=1.0),
         Doc(
-            "Share of the permissible preload that is tightened at least: a hardly tightened bolt "
-            "works loose, whatever the torque."
+            "Least preload over permissible preload: a bolt with little preload works loose under "
+            "any torque."
         ),
     ] = 0.3
 
@@ -94,11 +94,31 @@ class Requirements:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Choice:
-    """Catalogue designs to choose from, for every free bolted flange of the study.
+class StepCost:
+    """Cost of one step of each kind, in any unit; default no cost."""
 
-    What is left out stays as the flange has it.
-    """
+    bolt: Annotated[Ratio, NOT_NEGATIVE, Doc("Of one bolt: hole, thread, tightening.")] = 0.0
+    size: Annotated[Ratio, NOT_NEGATIVE, Doc("Of each bolt, for one place up in `sizes`.")] = 0.0
+    grade: Annotated[Ratio, NOT_NEGATIVE, Doc("Of each bolt, for one place up in `grades`.")] = 0.0
+    washer: Annotated[Ratio, NOT_NEGATIVE, Doc("Of the washers of one bolt.")] = 0.0
+    nut: Annotated[Ratio, NOT_NEGATIVE, Doc("Of one nut.")] = 0.0
+    circle: Annotated[
+        Ratio, NOT_NEGATIVE, Doc("Of a flange with another pitch circle than at present.")
+    ] = 0.0
+    method: Annotated[Ratio, NOT_NEGATIVE, Doc("Of the study, for one place on in `methods`.")] = (
+        0.0
+    )
+    coating: Annotated[
+        Ratio, NOT_NEGATIVE, Doc("Of the study, for one place on in `coatings`.")
+    ] = 0.0
+
+    def __post_init__(self) -> None:
+        check_fields(self, "choose.cost")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Choice:
+    """Catalogue of designs for every free bolted flange; default the present values."""
 
     sizes: Annotated[
         tuple[Annotated[str, Named("bolt")], ...], Doc("Sizes of bolts, such as M5.")
@@ -120,25 +140,18 @@ class Choice:
     coatings: Annotated[
         tuple[Annotated[str, Named("coating")], ...],
         Doc(
-            "Coatings of the bolts, for the whole study: each has its lowest and its highest "
-            "friction; cheapest first."
+            "Coatings of the bolts, for the whole study, each with lowest and highest friction; "
+            "cheapest first."
         ),
     ] = ()
-    washers: Annotated[
-        bool, Doc("Whether hardened washers under the heads are to be tried as well.")
-    ] = False
+    washers: Annotated[bool, Doc("Try hardened washers under the heads as well.")] = False
     nuts: Annotated[
         bool,
-        Doc(
-            "Whether through-bolts with nuts are to be tried as well; what the nut presses on is "
-            "`thread_material`."
-        ),
+        Doc("Try through-bolts with nuts as well; the part under the nut is `thread_material`."),
     ] = False
     redrill: Annotated[
         bool,
-        Doc(
-            "Whether sizes, counts and circles are also for purchased parts, whose holes are there."
-        ),
+        Doc("Vary sizes, counts and circles of purchased parts as well."),
     ] = False
     torques: Annotated[
         tuple[Torque, ...],
@@ -147,34 +160,35 @@ class Choice:
     ] = ()
     cost: Annotated[
         StepCost | None,
-        Doc("Where it is given, the cheapest designs are sought, and the best of these."),
+        Doc("If given, the best of the cheapest designs is chosen."),
     ] = None
 
     def __post_init__(self) -> None:
         check_fields(self, "choose")
         for method in self.methods:
-            if method not in SCATTER:
+            if method not in SCATTER_BY_METHOD:
                 raise ProblemError(
-                    f"choose.methods: no tightening method {method!r}. {nearest(method, SCATTER)}"
+                    f"choose.methods: no tightening method {method!r}. "
+                    f"{nearest(method, SCATTER_BY_METHOD)}"
                 )
 
 
 @dataclass(frozen=True)
 class FreeElement:
-    """A connection whose preload the study chooses.
+    """Connection with a free preload.
 
     Parameters
     ----------
     joint : int
         1-based.
     stage : Stage
-        The connection, with its present preload, and where it sits.
+        The connection with its present preload and place in the drivetrain.
     limits : tuple of PreloadLimit
-        At the largest preload that tightening leaves.
+        On the largest assembly preload.
     count : int
         Bolts or pins.
     loss : float
-        Of one bolt or pin after assembly: faces settle, parts warm [N].
+        Preload loss of one bolt or pin by embedding and temperature [N].
     scatter : float
         alpha_A, largest over least preload at assembly.
     key : str
@@ -200,7 +214,7 @@ class FreeElement:
         return min(self.ends(1.0).values())
 
     def ends(self, bolt_utilisation: float) -> dict[str, float]:
-        """Preload at which each limit ends it, where it depends on it at all [N].
+        """Return the preload at each limit that depends on it [N].
 
         `bolt_utilisation` is the share of the permissible tightening stress that may be used.
         """
@@ -212,25 +226,24 @@ class FreeElement:
         }
 
     def least(self, preload: Quantity) -> Quantity:
-        """Preload after unlucky tightening and losses [N]; `preload` is the largest."""
+        """Return the least preload in service [N] for a largest assembly preload."""
         return preload / self.scatter - self.loss
 
     def largest(self, least: Quantity) -> Quantity:
-        """Inverse of `least` [N]."""
+        """Return the largest assembly preload [N] for a least one; inverse of `least`."""
         return self.scatter * (least + self.loss)
 
     @property
     def preload_known(self) -> bool:
-        """Whether somebody states the present preload, rather than a number to begin with."""
+        """True if the present preload is stated, not an initial guess."""
         flange = self.stage.element
         return not (isinstance(flange, BoltedFlange) and flange.preload_is == "assumed")
 
     def as_present(self, tightening: Tightening) -> FreeElement:
-        """The element as it is in the robot, its preload taken for what the robot file means.
+        """Return the present element, with its preload interpreted as in the robot file.
 
-        A net preload is what remains: neither scatter nor losses are taken off once more. Its
-        largest is what the maker's wrench setting leaves at the study's friction, where that is
-        known.
+        A net preload is the least in service: scatter and losses are not subtracted again. Its
+        largest follows from the maker's wrench setting at the study's friction, if given.
         """
         flange = self.stage.element
         if not isinstance(flange, BoltedFlange) or flange.preload_is != "net":
@@ -247,7 +260,7 @@ class FreeElement:
 
 @dataclass(frozen=True, kw_only=True)
 class PreloadProblem:
-    """A preload study of one joint, of several or of the whole robot.
+    """Preload study of one or more joints of a robot.
 
     Parameters
     ----------
@@ -259,18 +272,17 @@ class PreloadProblem:
         Motions; their worst instants join the load cases.
     tightening : Tightening
     objective : str
-        total_preload : clamping forces of all bolts and pins together [N]. bolt_utilisation : the
-        largest utilisation of any bolt or pin. joint_stiffness : MAXIMISES the smallest of
-        k_j / weight_j over joints and load cases. tool_deflection : the largest over the load
-        cases that have a pose.
+        total_preload : sum of the preloads of all bolts and pins [N]. bolt_utilisation : largest
+        utilisation of any bolt or pin. joint_stiffness : MAXIMISES the smallest k_j / weight_j over
+        joints and load cases. tool_deflection : largest over the load cases with a pose.
     joint_weights : mapping of joint number to float
-        For joint_stiffness [N m/rad]; the stiffness with the design preloads where left out, so
-        that joints of different size compare.
+        For joint_stiffness [N m/rad]; default the stiffness at the largest preloads, so that
+        joints of different size compare.
     requirements : Requirements
     free : tuple of str
-        Names of the elements whose preload is chosen; empty: all bolts and pins of the joints.
+        Names of the elements with free preload; empty: all bolts and pins of the joints.
     individual : bool
-        One preload a bolt or pin instead of one a connection.
+        One preload per bolt or pin instead of one per connection.
     choose : Choice or None
     title : str
     """
@@ -351,8 +363,10 @@ class PreloadProblem:
 
     @cached_property
     def elements(self) -> tuple[FreeElement, ...]:
-        """Connections whose preload is chosen, joint by joint from motor to link."""
-        candidates = [(joint, stage) for joint in self.joints for stage in self._stages(joint)]
+        """Connections with free preload, joint by joint from motor to link."""
+        candidates = [
+            (joint, stage) for joint in self.joints for stage in self._fastened_stages(joint)
+        ]
         known = {stage.element.name for _, stage in candidates}
         for name in self.free:
             if name not in known:
@@ -361,17 +375,17 @@ class PreloadProblem:
                     f"{nearest(name, known)}"
                 )
         return tuple(
-            self._element(joint, stage)
+            self._free_element(joint, stage)
             for joint, stage in candidates
             if not self.free or stage.element.name in self.free
         )
 
-    def _stages(self, joint: int) -> list[Stage]:
+    def _fastened_stages(self, joint: int) -> list[Stage]:
         chain = self.robot.chains[joint - 1]
         assert chain is not None
         return [s for s in chain.stages if s.element.kind in ("bolted_flange", "clamping_pins")]
 
-    def _element(self, joint: int, stage: Stage) -> FreeElement:
+    def _free_element(self, joint: int, stage: Stage) -> FreeElement:
         name = stage.element.name
         return FreeElement(
             joint=joint,

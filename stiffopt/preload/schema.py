@@ -23,10 +23,10 @@ from stiffopt.preload.problem import Choice, Requirements
 from stiffopt.problem.schema import PayloadSection, ToolSection, Vector3
 from stiffopt.validation import Section
 
-# Keys of a load case of which exactly one says where its torques come from.
-_KINDS = ("torque", "trajectory", "joints", "position")
-# What a load case given by hand may say of a joint's load beside its torque.
-_BESIDE = ("axial_force", "shear_force", "tilting_moment")
+# Keys of a load case of which exactly one gives the origin of its torques.
+_LOAD_SOURCES = ("torque", "trajectory", "joints", "position")
+# Optional components of a joint's load beside a given torque.
+_LOADS_BESIDE_TORQUE = ("axial_force", "shear_force", "tilting_moment")
 
 
 class LoadCaseSection(Section):
@@ -44,9 +44,7 @@ class LoadCaseSection(Section):
         list[Torque] | None,
         Doc("Beside `torque`: about axes across each joint's, at its origin, magnitudes."),
     ] = None
-    reversing: Annotated[
-        bool, Doc("Beside `torque`: whether it acts in both directions in turn.")
-    ] = False
+    reversing: Annotated[bool, Doc("Beside `torque`: it acts in alternating directions.")] = False
     trajectory: Annotated[
         str | None, Doc("trajectory.csv of a solve, relative to the study file.")
     ] = None
@@ -66,29 +64,29 @@ class LoadCaseSection(Section):
 
     @model_validator(mode="after")
     def _one_kind(self) -> LoadCaseSection:
-        given = [key for key in _KINDS if getattr(self, key) is not None]
+        given = [key for key in _LOAD_SOURCES if getattr(self, key) is not None]
         if len(given) != 1:
             raise ValueError(
                 "give one of `torque`, `trajectory`, `joints` or `position`, not "
                 + (" and ".join(f"`{key}`" for key in given) or "none")
             )
-        for key in (*_BESIDE, "reversing"):
+        for key in (*_LOADS_BESIDE_TORQUE, "reversing"):
             if getattr(self, key) and self.torque is None:
                 raise ValueError(
-                    f"`{key}` needs a `torque` beside it: a pose or a trajectory tells it itself"
+                    f"`{key}` needs a `torque` beside it: a pose or a trajectory determines it"
                 )
         for key in ("rpy", "near"):
             if getattr(self, key) is not None and self.position is None:
                 raise ValueError(f"`{key}` needs a `position` beside it")
         if self.force is not None and self.torque is not None:
             raise ValueError(
-                "`force` needs a pose or a `trajectory`: `torque` has the force in it already"
+                "`force` needs a pose or a `trajectory`: `torque` includes the force already"
             )
         return self
 
 
 class StudyObjectiveSection(Section):
-    """[[minimise]] (required, one): what the preloads are best for."""
+    """[[minimise]] (required, one): objective of the preloads."""
 
     objective: Annotated[
         Literal["total_preload", "bolt_utilisation", "joint_stiffness", "tool_deflection"],
@@ -113,23 +111,21 @@ class StudyMotionSection(Section):
     """[motion]: a trajectory problem, optimised together with the preloads."""
 
     problem: Annotated[str, Doc("Trajectory problem file, relative to the study file.")]
-    rounds: Annotated[
-        int, Bounds(least=1, most=50), Doc("Largest number of motions and preloads in turn.")
-    ] = 4
+    rounds: Annotated[int, Bounds(least=1, most=50), Doc("Largest number of alternations.")] = 4
     intervals: Annotated[
         int | None,
         Bounds(least=4),
-        Doc("In place of the problem's own, since each round solves it anew."),
+        Doc("Mesh intervals in place of the problem's, since every round solves it."),
     ] = None
 
 
 class ExpectedValueSection(Section):
-    """[expected.values.NAME]: a result that `stiffopt verify` compares, and its origin."""
+    """[expected.values.NAME]: expected result of `stiffopt verify`, with its origin."""
 
     value: Annotated[float, Doc("Expected value, in `unit`.")]
     unit: Annotated[str, Doc("Unit of the value; default none.")] = ""
     rtol: Annotated[Ratio, Bounds(above=0.0, most=0.1), Doc("Relative tolerance.")] = 1e-4
-    source: Annotated[str, Field(min_length=1), Doc("Where the value comes from.")]
+    source: Annotated[str, Field(min_length=1), Doc("Origin of the value.")]
 
 
 class StudyExpectedSection(Section):
@@ -144,7 +140,7 @@ class PreloadFile(Section):
     """A whole preload study file."""
 
     schema_: Annotated[int, Field(alias="schema"), Doc("Version of the file format, 1.")]
-    kind: Annotated[Literal["preload"], Doc("Says that the file is a preload study.")]
+    kind: Annotated[Literal["preload"], Doc("Kind of file.")]
     title: Annotated[str, Doc("Heading of the report; default the file's name.")] = ""
     robot: Annotated[str, Doc("A robot's name, or a robot file relative to the study file.")]
     joints: Annotated[
@@ -152,34 +148,32 @@ class PreloadFile(Section):
     ] = None
     free: Annotated[
         tuple[str, ...],
-        Doc("Elements whose preload is chosen; default all bolts and pins of the joints."),
+        Doc("Elements with free preload; default all bolts and pins of the joints."),
     ] = ()
     individual: Annotated[
-        bool, Doc("Whether each bolt or pin gets a preload of its own instead of each connection.")
+        bool, Doc("One preload per bolt or pin instead of one per connection.")
     ] = False
     deflection: Annotated[
         Literal["total", "dynamic", "process"],
         Doc(
-            "Which wind-up deflects the tool: all of it, what motion adds to the sag at rest, or "
-            "what the process force adds."
+            "Wind-up that counts as tool deflection: total, dynamic (less the sag at rest) or "
+            "process (by the process force only)."
         ),
     ] = "total"
     payload: Annotated[PayloadSection | None, Doc("Load at the flange.")] = None
-    tool: Annotated[ToolSection, Doc("Point whose deflection counts, and force on it.")] = (
-        ToolSection()
-    )
-    load_case: Annotated[
-        list[LoadCaseSection], Field(min_length=1), Doc("Torques that the design carries.")
-    ]
-    tightening: Annotated[Tightening, Doc("How bolts and pins are tightened.")] = Tightening()
+    tool: Annotated[ToolSection, Doc("Tool point and process force.")] = ToolSection()
+    load_case: Annotated[list[LoadCaseSection], Field(min_length=1), Doc("Loads of the design.")]
+    tightening: Annotated[Tightening, Doc("Tightening of bolts and pins.")] = Tightening()
     minimise: Annotated[
         list[StudyObjectiveSection], Field(min_length=1), Doc("The objective, exactly one.")
     ]
-    require: Annotated[Requirements, Doc("What every design keeps.")] = Requirements()
-    choose: Annotated[Choice | None, Doc("Catalogue bolts to choose from.")] = None
-    pareto: Annotated[ParetoSection, Doc("Front of the report.")] = ParetoSection()
-    motion: Annotated[StudyMotionSection | None, Doc("Motion to be optimised as well.")] = None
-    expected: Annotated[StudyExpectedSection, Doc("What a verification compares.")] = (
+    require: Annotated[Requirements, Doc("Requirements on every design.")] = Requirements()
+    choose: Annotated[Choice | None, Doc("Catalogue of bolts.")] = None
+    pareto: Annotated[ParetoSection, Doc("Pareto front.")] = ParetoSection()
+    motion: Annotated[
+        StudyMotionSection | None, Doc("Motion optimised together with the preloads.")
+    ] = None
+    expected: Annotated[StudyExpectedSection, Doc("Expected results of a verification.")] = (
         StudyExpectedSection()
     )
 

@@ -1,13 +1,15 @@
-"""What a preload is worth in stiffness, and which connection of a joint is its weakest spring."""
+"""Sensitivity of joint stiffness to preloads, and joints with loosened connections."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
 
+from stiffopt.connection import BoltedFlange
+from stiffopt.errors import ProblemError
 from stiffopt.exact.chain import compliance_shares, windup_shares
 from stiffopt.preload.load_case import LoadCase
 from stiffopt.preload.model import PreloadModel
@@ -15,22 +17,22 @@ from stiffopt.preload.model import PreloadModel
 
 @dataclass(frozen=True, kw_only=True)
 class PreloadWorth:
-    """Gain in a joint's stiffness from one more newton in every bolt or pin of an element.
+    """Sensitivity of a joint's stiffness to the preload of an element's bolts or pins.
 
     Parameters
     ----------
     key : str
-        Of the element.
+        Key of the element.
     joint : int
         1-based.
     case : str
     stiffness : float
         Exact tangent stiffness K of the joint [N m/rad].
     slope : float
-        dK/dF [N m/rad per N], F the largest preload of one bolt or pin that tightening leaves; 0
-        where a connection slips and no stiffness is left to gain from.
+        dK/dF [N m/rad per N], F the largest assembly preload of one bolt or pin; 0 where a
+        connection slips.
     elasticity : float
-        d ln K/d ln F [-]: per cent of stiffness for one per cent of preload.
+        d ln K/d ln F [-].
     """
 
     key: str
@@ -43,7 +45,7 @@ class PreloadWorth:
 
 @dataclass(frozen=True, kw_only=True)
 class WindupShare:
-    """Part of an element in the yielding of its joint.
+    """Share of an element in wind-up and compliance of its joint.
 
     Parameters
     ----------
@@ -69,14 +71,14 @@ class WindupShare:
 
 @dataclass(frozen=True)
 class Sensitivity:
-    """Worth of the preloads and shares of the elements at one design.
+    """Sensitivities to the preloads and shares of the elements at one design.
 
     Parameters
     ----------
     worth : tuple of PreloadWorth
         Every free element in every load case.
     shares : tuple of WindupShare
-        Every element of the study's joints in every load case, from motor to link; the shares of a
+        Every element of the study's joints in every load case, from motor to link; shares of a
         joint and case sum to 1.
     weakest : dict of joint number to element name
         Largest share of the wind-up under the largest torque of the joint.
@@ -88,7 +90,7 @@ class Sensitivity:
 
 
 def sensitivity(model: PreloadModel, preloads: np.ndarray) -> Sensitivity:
-    """Evaluate what each preload is worth and where the joints yield.
+    """Compute sensitivities to the preloads and shares of the elements in wind-up.
 
     Parameters
     ----------
@@ -102,24 +104,24 @@ def sensitivity(model: PreloadModel, preloads: np.ndarray) -> Sensitivity:
 
     Notes
     -----
-    Stiffness and shares are of the exact law. The slope is -K^2 dC/dF with the derivative of the
-    smooth law, which holds up to 0.95 of the slip torque.
+    Stiffness and shares follow the exact law. The slope is -K^2 dC/dF with the derivative of the
+    smooth law, valid up to 0.95 of the slip torque.
     """
-    shares = tuple(_shares(model, preloads))
+    shares = tuple(_windup_shares(model, preloads))
     weakest = {}
     for joint in model.problem.joints:
         case = largest_torque(model, joint).name
         own = [s for s in shares if s.joint == joint and s.case == case]
         weakest[joint] = max(own, key=lambda s: s.share).element
-    return Sensitivity(tuple(_worth(model, preloads)), shares, weakest)
+    return Sensitivity(tuple(_preload_worths(model, preloads)), shares, weakest)
 
 
 def largest_torque(model: PreloadModel, joint: int) -> LoadCase:
-    """Load case with the largest torque at a joint (1-based), where slip is nearest."""
+    """Return the load case with the largest torque at a joint (1-based), nearest to slip."""
     return max(model.cases, key=lambda case: abs(float(case.torque[joint - 1])))
 
 
-def _worth(model: PreloadModel, preloads: np.ndarray) -> Iterator[PreloadWorth]:
+def _preload_worths(model: PreloadModel, preloads: np.ndarray) -> Iterator[PreloadWorth]:
     slopes = compliance_slopes(model, preloads)
     stiffness = model.exact_stiffness(preloads)
     for index, element in enumerate(model.elements):
@@ -140,7 +142,7 @@ def _worth(model: PreloadModel, preloads: np.ndarray) -> Iterator[PreloadWorth]:
 
 
 def compliance_slopes(model: PreloadModel, preloads: np.ndarray) -> np.ndarray:
-    """Derivatives of the joints' tangent compliances with respect to the preloads.
+    """Return the derivatives of the joints' tangent compliances by the preloads.
 
     Parameters
     ----------
@@ -159,7 +161,7 @@ def compliance_slopes(model: PreloadModel, preloads: np.ndarray) -> np.ndarray:
     return np.asarray(function(preloads)).reshape(len(joints), len(model.cases), model.size)
 
 
-def _shares(model: PreloadModel, preloads: np.ndarray) -> Iterator[WindupShare]:
+def _windup_shares(model: PreloadModel, preloads: np.ndarray) -> Iterator[WindupShare]:
     for joint in model.problem.joints:
         chain = model.drivetrain(preloads, joint)
         owners, kinds = model.owners(joint), {}
@@ -182,3 +184,152 @@ def _shares(model: PreloadModel, preloads: np.ndarray) -> Iterator[WindupShare]:
                     share=angles[name],
                     compliance_share=slopes[name],
                 )
+
+
+@dataclass(frozen=True, kw_only=True)
+class LoosenedConnection:
+    """Joint with one connection at a fraction of its preload, under its largest torque.
+
+    Parameters
+    ----------
+    key : str
+        Key of the element.
+    joint : int
+        1-based.
+    fraction : float
+        Of the least preload in service, for all bolts or pins of the element [-].
+    case : str
+        Load case with the largest torque at the joint.
+    slip_safety : float
+        Slip torque over torque [-]; infinite without torque.
+    first_slip : bool
+        The rim of the ring slips; pins at one radius slip simultaneously.
+    slips : bool
+        The whole connection slips.
+    stiffness : float
+        Tangent stiffness of the joint by the exact law [N m/rad]; 0 in slip.
+    lost : float
+        Relative loss of the joint stiffness [-].
+    """
+
+    key: str
+    joint: int
+    fraction: float
+    case: str
+    slip_safety: float
+    first_slip: bool
+    slips: bool
+    stiffness: float
+    lost: float
+
+
+@dataclass(frozen=True)
+class Loosening:
+    """Joints of a study with one connection loosened at a time.
+
+    Parameters
+    ----------
+    rows : tuple of Loosened
+    first_slip_fraction, slip_fraction : dict of element key to float
+        Fraction of the least preload below which the rim, or the whole connection, slips under the
+        largest torque [-]; above 1 if it slips at full preload.
+    """
+
+    rows: tuple[LoosenedConnection, ...]
+    first_slip_fraction: dict[str, float]
+    slip_fraction: dict[str, float]
+
+
+def loosening(
+    model: PreloadModel,
+    preloads: np.ndarray,
+    fractions: Sequence[float] = (1.0, 0.8, 0.5, 0.3),
+) -> Loosening:
+    """Loosen one connection at a time.
+
+    Parameters
+    ----------
+    model : PreloadModel
+    preloads : array (size,)
+        Largest assembly preloads [N].
+    fractions : sequence of float
+        Of the least preload in service, above 0 and at most 1.
+
+    Returns
+    -------
+    Loosening
+    """
+    for fraction in fractions:
+        if not 0.0 < fraction <= 1.0:
+            raise ProblemError(
+                f"loosening: fraction = {fraction:g} of the remaining preload must be above 0 and "
+                "at most 1. Leave it out."
+            )
+    rims = [first_slip_torque(model, preloads, i) for i in range(len(model.elements))]
+    slips = [float(model.slip_torque(preloads, i)) for i in range(len(model.elements))]
+    rows: list[LoosenedConnection] = []
+    first: dict[str, float] = {}
+    whole: dict[str, float] = {}
+    for index, (element, rim, slip) in enumerate(zip(model.elements, rims, slips, strict=True)):
+        torque = abs(float(largest_torque(model, element.joint).torque[element.joint - 1]))
+        # Both slip torques are proportional to the remaining preload.
+        first[element.key], whole[element.key] = torque / rim, torque / slip
+        rows += _loosened_rows(
+            model, preloads, index, fractions, first[element.key], whole[element.key]
+        )
+    return Loosening(tuple(rows), first, whole)
+
+
+def first_slip_torque(model: PreloadModel, preloads: np.ndarray, index: int) -> float:
+    """Return the joint torque at first slip of an element at the least mean preload [N m].
+
+    A ring slips first at its rim; pins slip simultaneously.
+    """
+    element = model.elements[index]
+    connection = element.stage.element
+    if not isinstance(connection, BoltedFlange):
+        return float(model.slip_torque(preloads, index))
+    own = preloads[model.slices[index]]
+    least = float(np.mean(element.least(own)))
+    return float(connection.first_slip_torque(least)) * element.stage.reduction
+
+
+def loosen_element(
+    model: PreloadModel, preloads: np.ndarray, index: int, fraction: float
+) -> np.ndarray:
+    """Return the design vector with a fraction of the least preloads of one element [N]."""
+    element, part = model.elements[index], model.slices[index]
+    changed = preloads.copy()
+    changed[part] = element.largest(fraction * element.least(preloads[part]))
+    return changed
+
+
+def _loosened_rows(
+    model: PreloadModel,
+    preloads: np.ndarray,
+    index: int,
+    fractions: Sequence[float],
+    first: float,
+    whole: float,
+) -> Iterator[LoosenedConnection]:
+    element = model.elements[index]
+    case = largest_torque(model, element.joint)
+    torque = np.array([case.torque[element.joint - 1]])
+    tight = 1.0 / float(model.exact_compliance(preloads, element.joint, torque)[0])
+    for fraction in fractions:
+        slips = fraction <= whole
+        left = 0.0
+        if not slips:
+            changed = loosen_element(model, preloads, index, fraction)
+            left = 1.0 / float(model.exact_compliance(changed, element.joint, torque)[0])
+        yield LoosenedConnection(
+            key=element.key,
+            joint=element.joint,
+            fraction=float(fraction),
+            case=case.name,
+            slip_safety=fraction / whole if whole > 0.0 else np.inf,
+            first_slip=fraction < first,
+            slips=slips,
+            stiffness=left,
+            lost=1.0 - left / tight if tight > 0.0 else 0.0,
+        )

@@ -1,4 +1,4 @@
-"""Outcome of a preload optimisation: a design evaluated by the exact law, and what it means."""
+"""Result of a preload optimisation: a design evaluated by the exact law."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from stiffopt.connection import ClampingPins
 from stiffopt.fastening.limits import workshop_torque
 from stiffopt.fastening.tightening import Tightening, WorkshopTorque
-from stiffopt.fastening.utilisation_row import UtilisationRow
+from stiffopt.fastening.utilisation import UtilisationRow
 from stiffopt.preload.infeasibility import Stopper
 from stiffopt.preload.load_case import LoadCase
 from stiffopt.preload.model import PreloadModel
@@ -18,7 +18,7 @@ from stiffopt.preload.problem import FreeElement
 from stiffopt.preload.utilisation import utilisation_rows
 from stiffopt.result.status import SolveStatus
 
-_SENTENCES = {
+_MESSAGE_BY_STATUS = {
     SolveStatus.OPTIMAL: "Solved; every requirement holds by the exact law.",
     SolveStatus.ACCEPTABLE: "Solved to the looser tolerance; every requirement holds.",
     SolveStatus.ITERATION_LIMIT: "The solver ended before the optimum; do not use these preloads.",
@@ -30,27 +30,26 @@ _SENTENCES = {
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PreloadSolution:
-    """Preloads of a study and what they lead to, by the exact law.
+    """Preloads of a study with stiffness, deflection and utilisation by the exact law.
 
     Parameters
     ----------
     status : SolveStatus
     message : str
     preloads : mapping of element key to float
-        Largest preload of one bolt or pin that tightening leaves [N]; of individual preloads the
-        mean.
+        Largest assembly preload of one bolt or pin, mean of individual ones [N].
     individual : mapping of element key to tuple of float
-        One number a bolt or pin [N]; empty unless the study asks for them.
+        One number per bolt or pin [N]; empty unless individual preloads are free.
     tightening : mapping of element key to WorkshopTorque or None
-        None where no screw is known.
+        None without a given screw.
     vector : array (size,)
         The design vector [N].
     cases : tuple of LoadCase
-        Load cases used, the worst instants of motions among them.
+        Load cases, including the worst instants of motions.
     rows, rows_before : tuple of UtilisationRow
         Of this design and of the robot's present preloads.
     stiffness, stiffness_before : array (joints, cases)
-        Tangent stiffness [N m/rad]; zero where a connection slips.
+        Tangent stiffness [N m/rad]; zero in slip.
     deflection, deflection_before : array (cases,)
         Of the tool [m]; nan for cases without a pose.
     objective : float
@@ -58,10 +57,10 @@ class PreloadSolution:
     total_preload : float
         [N]
     kkt_residual : float
-        See `stiffopt.solver.ipopt.kkt_residual`; nan where nothing was solved.
+        See `stiffopt.solver.ipopt.kkt_residual`; nan without a solve.
     iterations : int
     stoppers : tuple of Stopper
-        Why the study cannot be met; empty where it can.
+        Reasons of infeasibility; empty if feasible.
     notes : tuple of str
     """
 
@@ -87,7 +86,7 @@ class PreloadSolution:
 
     @property
     def active(self) -> tuple[str, ...]:
-        """Names of the rows that the design lies at."""
+        """Names of the active rows."""
         return tuple(row.name for row in self.rows if row.active)
 
 
@@ -100,18 +99,18 @@ def evaluate_design(
     iterations: int = 0,
     stoppers: tuple[Stopper, ...] = (),
 ) -> PreloadSolution:
-    """Evaluate a design by the exact law and say what it means.
+    """Evaluate a design by the exact law.
 
     Parameters
     ----------
     model : PreloadModel
     preloads : array (size,) [N]
     status : SolveStatus
-        Of the solver; a usable one becomes `certificate_failed` where the exact law finds a
-        requirement exceeded.
+        Of the solver; a usable one becomes `certificate_failed` if a requirement is exceeded by the
+        exact law.
     """
     rows = utilisation_rows(model, preloads)
-    if status.usable and not all(row.kept for row in rows):
+    if status.usable and not all(row.satisfied for row in rows):
         status = SolveStatus.CERTIFICATE_FAILED
     own = {
         e.key: tuple(float(f) for f in preloads[part])
@@ -120,10 +119,10 @@ def evaluate_design(
     means = {key: float(np.mean(each)) for key, each in own.items()}
     total = sum(e.count * means[e.key] for e in model.elements)
     stiffness = model.exact_stiffness(preloads)
-    deflection = _sizes(model, preloads)
+    deflection = _deflection_sizes(model, preloads)
     return PreloadSolution(
         status=status,
-        message=_message(model, status, rows, stoppers),
+        message=_compose_message(model, status, rows, stoppers),
         preloads=means,
         individual=own if model.problem.individual else {},
         tightening={
@@ -137,12 +136,12 @@ def evaluate_design(
         stiffness=stiffness,
         stiffness_before=model.exact_stiffness(model.design),
         deflection=deflection,
-        deflection_before=_sizes(model, model.design),
+        deflection_before=_deflection_sizes(model, model.design),
         objective={
             "total_preload": total,
             "bolt_utilisation": largest_utilisation(model, preloads),
             "joint_stiffness": float(stiffness.min()),
-            "tool_deflection": _largest(deflection),
+            "tool_deflection": _largest_deflection(deflection),
         }[model.problem.objective],
         total_preload=total,
         kkt_residual=kkt_residual,
@@ -152,7 +151,7 @@ def evaluate_design(
 
 
 def largest_utilisation(model: PreloadModel, preloads: np.ndarray) -> float:
-    """Largest utilisation of any limit of bolts and pins that depends on the preload [-]."""
+    """Return the largest utilisation of any limit that depends on the preload [-]."""
     return max(
         float(limit.utilisation(preload))
         for index, element in enumerate(model.elements)
@@ -165,23 +164,23 @@ def largest_utilisation(model: PreloadModel, preloads: np.ndarray) -> float:
 def _workshop_torque(
     element: FreeElement, preload: float, tightening: Tightening
 ) -> WorkshopTorque | None:
-    """Tightening torque; None where no screw is known that could be turned."""
+    """Return the wrench setting; None without a given screw."""
     fastened = element.stage.element
     if isinstance(fastened, ClampingPins) and fastened.screw is None:
         return None
     return workshop_torque(fastened, preload, tightening)
 
 
-def _sizes(model: PreloadModel, preloads: np.ndarray) -> np.ndarray:
+def _deflection_sizes(model: PreloadModel, preloads: np.ndarray) -> np.ndarray:
     return np.asarray(np.linalg.norm(model.exact_deflection(preloads), axis=1))
 
 
-def _largest(deflection: np.ndarray) -> float:
+def _largest_deflection(deflection: np.ndarray) -> float:
     posed = deflection[np.isfinite(deflection)]
     return float(posed.max()) if posed.size else float("nan")
 
 
-def _message(
+def _compose_message(
     model: PreloadModel,
     status: SolveStatus,
     rows: tuple[UtilisationRow, ...],
@@ -195,9 +194,9 @@ def _message(
             "The solver finished, but the exact law finds a requirement exceeded: "
             f"{worst.name}, utilisation {worst.utilisation:.4f}. Do not use these preloads."
         )
-    text = _SENTENCES[status]
+    text = _MESSAGE_BY_STATUS[status]
     if not status.usable:
         return text
     binding = list(dict.fromkeys(row.kind for row in rows if row.active))
-    what = " and ".join(binding) if binding else "none"
-    return f"{text} What binds: {what}."
+    names = " and ".join(binding) if binding else "none"
+    return f"{text} Active constraints: {names}."

@@ -1,6 +1,6 @@
-"""study.json and study.csv: the files a preload study leaves behind.
+"""Result files of a preload study: study.json and study.csv.
 
-Values are SI with full precision; what is not a finite number is null in JSON. Joint numbers are
+Values are SI with full precision; values that are not finite are null in JSON. Joint numbers are
 1-based.
 """
 
@@ -15,15 +15,14 @@ import numpy as np
 
 from stiffopt.connection import Bolt
 from stiffopt.drivetrain.tables import with_own
-from stiffopt.fastening.safety_factor import SAFETY_FACTORS
-from stiffopt.fastening.utilisation_row import UtilisationRow
+from stiffopt.fastening.utilisation import SAFETY_FACTORS, UtilisationRow
 from stiffopt.files import atomic_write, to_json_types, write_csv
 from stiffopt.preload.bolt_sheet import BoltSheet, bolt_sheets
 from stiffopt.preload.catalogue_choice import CatalogueChoice
 from stiffopt.preload.catalogue_designs import CatalogueDesign
 from stiffopt.preload.curves import curve_rows
 from stiffopt.preload.model import PreloadModel
-from stiffopt.preload.motion_result import MotionStudy
+from stiffopt.preload.motion_study import MotionStudy
 from stiffopt.preload.pareto import ParetoFront
 from stiffopt.preload.problem import OBJECTIVES, PreloadProblem
 from stiffopt.preload.solution import PreloadSolution
@@ -36,12 +35,12 @@ CURVES_FILE = "study.csv"
 
 
 def study_document(study: PreloadStudy) -> dict[str, Any]:
-    """Content of study.json.
+    """Return the content of study.json.
 
     Parameters
     ----------
     study : PreloadStudy
-        Of any status; what does not exist (no front, no choice, no motion) is None.
+        Of any status; missing parts (front, choice, motion) are None.
 
     Returns
     -------
@@ -49,10 +48,10 @@ def study_document(study: PreloadStudy) -> dict[str, Any]:
         Plain numbers, strings, lists and dicts; no NaN and no infinity.
     """
     with with_own(study.problem.robot.own):
-        return _document(study)
+        return _compose_document(study)
 
 
-def _document(study: PreloadStudy) -> dict[str, Any]:
+def _compose_document(study: PreloadStudy) -> dict[str, Any]:
     problem, solution = study.problem, study.solution
     document = {
         "schema": SCHEMA,
@@ -67,20 +66,20 @@ def _document(study: PreloadStudy) -> dict[str, Any]:
         "individual": solution.individual,
         "least_preloads": {e.key: e.least(solution.preloads[e.key]) for e in problem.elements},
         "tightening_torques": {
-            key: None if each is None else _fields(each)
+            key: None if each is None else _record_fields(each)
             for key, each in solution.tightening.items()
         },
         "utilisations": {row.name: row.utilisation for row in solution.rows},
         "active_limits": solution.active,
-        **_stiffness(study),
-        "tool_deflection": _by_case(solution, solution.deflection),
-        "tool_deflection_before": _by_case(solution, solution.deflection_before),
+        **_stiffness_entries(study),
+        "tool_deflection": _values_by_case(solution, solution.deflection),
+        "tool_deflection_before": _values_by_case(solution, solution.deflection_before),
         "kkt_residual": solution.kkt_residual,
         "iterations": solution.iterations,
         "values": {name: value for name, (value, _) in named_values(study).items()},
-        "rows": [_row(row) for row in solution.rows],
-        "bolts": {sheet.key: _sheet(sheet) for sheet in _sheets(study)},
-        "stoppers": [_fields(stop) for stop in solution.stoppers],
+        "rows": [_row_entry(row) for row in solution.rows],
+        "bolts": {sheet.key: _sheet_entry(sheet) for sheet in _study_sheets(study)},
+        "stoppers": [_record_fields(stop) for stop in solution.stoppers],
         "load_cases": [
             {
                 "name": c.name,
@@ -91,20 +90,20 @@ def _document(study: PreloadStudy) -> dict[str, Any]:
             }
             for c in solution.cases
         ],
-        "tightening": {**_fields(problem.tightening), "scatter": problem.tightening.alpha},
-        "front": None if study.front is None else _front(study.front),
-        "choice": None if study.choice is None else _choice(study.choice),
+        "tightening": {**_record_fields(problem.tightening), "scatter": problem.tightening.alpha},
+        "front": None if study.front is None else _front_entry(study.front),
+        "choice": None if study.choice is None else _choice_entry(study.choice),
         "sensitivity": {
-            "worth": [_fields(each) for each in study.sensitivity.worth],
-            "windup_shares": [_fields(each) for each in study.sensitivity.shares],
+            "worth": [_record_fields(each) for each in study.sensitivity.worth],
+            "windup_shares": [_record_fields(each) for each in study.sensitivity.shares],
             "weakest": study.sensitivity.weakest,
         },
         "loosening": {
-            "rows": [_fields(each) for each in study.loosening.rows],
+            "rows": [_record_fields(each) for each in study.loosening.rows],
             "first_slip_fraction": study.loosening.first_slip_fraction,
             "slip_fraction": study.loosening.slip_fraction,
         },
-        "motion": None if study.motion is None else _motion(study.motion),
+        "motion": None if study.motion is None else _motion_entry(study.motion),
         "notes": solution.notes,
         "seconds": study.seconds,
         "inputs_hash": study_hash(problem),
@@ -114,7 +113,7 @@ def _document(study: PreloadStudy) -> dict[str, Any]:
 
 
 def study_hash(problem: PreloadProblem) -> str:
-    """`inputs_hash` of a study, with the numbers of bolts that it knows by their size alone."""
+    """Return `inputs_hash` of a study, including user data of its bolt sizes."""
     sizes = set() if problem.choose is None else set(problem.choose.sizes)
     for joint in problem.joints:
         chain = problem.robot.chains[joint - 1]
@@ -144,53 +143,55 @@ def write_curves(study: PreloadStudy, directory: str | Path) -> Path:
     return path
 
 
-def _fields(record: Any) -> dict[str, Any]:
-    """Fields of a flat dataclass."""
+def _record_fields(record: Any) -> dict[str, Any]:
+    """Return the fields of a flat dataclass."""
     return dict(vars(record))
 
 
-def _by_case(solution: PreloadSolution, values: Sequence[float] | np.ndarray) -> dict[str, Any]:
-    """Values of the load cases by their name."""
+def _values_by_case(
+    solution: PreloadSolution, values: Sequence[float] | np.ndarray
+) -> dict[str, Any]:
+    """Return the values by name of load case."""
     return {case.name: value for case, value in zip(solution.cases, values, strict=True)}
 
 
-def _stiffness(study: PreloadStudy) -> dict[str, Any]:
-    """Of every joint: the least over the load cases, and that of each; now and before."""
+def _stiffness_entries(study: PreloadStudy) -> dict[str, Any]:
+    """Return present and former stiffness of every joint: least, and by load case."""
     document: dict[str, Any] = {}
     now, before = study.solution.stiffness, study.solution.stiffness_before
     for when, table in (("", now), ("_before", before)):
         of_joint = dict(zip(study.problem.joints, table, strict=True))
         document[f"stiffness{when}"] = {j: row.min() for j, row in of_joint.items()}
         document[f"stiffness_by_case{when}"] = {
-            j: _by_case(study.solution, row) for j, row in of_joint.items()
+            j: _values_by_case(study.solution, row) for j, row in of_joint.items()
         }
     return document
 
 
-def _sheets(study: PreloadStudy) -> tuple[BoltSheet, ...]:
+def _study_sheets(study: PreloadStudy) -> tuple[BoltSheet, ...]:
     model = PreloadModel(study.problem, study.solution.cases)
     return bolt_sheets(model, study.solution.vector)
 
 
-def _sheet(sheet: BoltSheet) -> dict[str, Any]:
-    """Forces of one bolt step by step, and the load of each."""
+def _sheet_entry(sheet: BoltSheet) -> dict[str, Any]:
+    """Return the entries of one bolt sheet."""
     left_out = ("key", "flange", "loads", "chance", "safety")
     own = {key: value for key, value in vars(sheet).items() if key not in left_out}
     loads = dict(zip(sheet.loads.names, sheet.loads.values, strict=True))
-    own |= {"slip_probability": _fields(sheet.chance)}
-    safety = {symbol: _safety(row) for symbol, row in sheet.safety.items()}
+    own |= {"slip_probability": _record_fields(sheet.chance)}
+    safety = {symbol: _safety_entry(row) for symbol, row in sheet.safety.items()}
     alternating = sheet.loads.alternating
     return {**own, "safety_factors": safety, "loads": loads, "alternating": alternating}
 
 
-def _row(row: UtilisationRow) -> dict[str, Any]:
-    safety = None if row.safety is None else _fields(row.safety)
-    return {"name": row.name, **_fields(row), "safety": safety, "active": row.active}
+def _row_entry(row: UtilisationRow) -> dict[str, Any]:
+    safety = None if row.safety is None else _record_fields(row.safety)
+    return {"name": row.name, **_record_fields(row), "safety": safety, "active": row.active}
 
 
-def _safety(row: UtilisationRow) -> dict[str, Any]:
-    """One safety factor with its formula and the load case that it is least in."""
-    assert row.safety is not None  # rows without one are not asked for
+def _safety_entry(row: UtilisationRow) -> dict[str, Any]:
+    """Return a safety factor with its formula and governing load case."""
+    assert row.safety is not None  # governing rows have one
     against, formula = SAFETY_FACTORS[row.safety.symbol]
     return {
         "value": row.safety.value,
@@ -202,36 +203,36 @@ def _safety(row: UtilisationRow) -> dict[str, Any]:
     }
 
 
-def _front(front: ParetoFront) -> dict[str, Any]:
-    return {**vars(front), "points": [_fields(point) for point in front.points]}
+def _front_entry(front: ParetoFront) -> dict[str, Any]:
+    return {**vars(front), "points": [_record_fields(point) for point in front.points]}
 
 
-def _choice(choice: CatalogueChoice) -> dict[str, Any]:
+def _choice_entry(choice: CatalogueChoice) -> dict[str, Any]:
     return {
         "status": choice.status,
         "message": choice.message,
         "objective": choice.objective,
         "cost": choice.cost,
         "gap": choice.gap,
-        "designs": {key: _design(design) for key, design in choice.designs.items()},
-        "table": [{**vars(row), "design": _design(row.design)} for row in choice.table],
-        "proof": _fields(choice.proof),
-        "tie_proofs": [_fields(proof) for proof in choice.tie_proofs],
-        "stoppers": [_fields(stop) for stop in choice.stoppers],
-        "ways": [_fields(way) for way in choice.ways],
+        "designs": {key: _design_entry(design) for key, design in choice.designs.items()},
+        "table": [{**vars(row), "design": _design_entry(row.design)} for row in choice.table],
+        "proof": _record_fields(choice.proof),
+        "tie_proofs": [_record_fields(proof) for proof in choice.tie_proofs],
+        "stoppers": [_record_fields(stop) for stop in choice.stoppers],
+        "ways": [_record_fields(way) for way in choice.ways],
     }
 
 
-def _design(design: CatalogueDesign) -> dict[str, Any]:
+def _design_entry(design: CatalogueDesign) -> dict[str, Any]:
     left_out = ("stage", "limits")
     return {key: value for key, value in vars(design).items() if key not in left_out}
 
 
-def _motion(motion: MotionStudy) -> dict[str, Any]:
+def _motion_entry(motion: MotionStudy) -> dict[str, Any]:
     left_out = ("trajectory", "separate_trajectory", "preload_solution", "rounds")
     document: Mapping[str, Any] = {k: v for k, v in vars(motion).items() if k not in left_out}
     return {
         **document,
-        "rounds": [_fields(each) for each in motion.rounds],
+        "rounds": [_record_fields(each) for each in motion.rounds],
         "trajectory_inputs_hash": motion.trajectory.inputs_hash,
     }

@@ -1,4 +1,4 @@
-"""A whole preload study: the optimum, everything that a designer asks next, results by name."""
+"""Preload study: optimum, curves, sensitivity, front, catalogue choice, results by name."""
 
 from __future__ import annotations
 
@@ -12,14 +12,12 @@ import numpy as np
 from stiffopt.drivetrain.tables import with_own
 from stiffopt.preload.catalogue_choice import CatalogueChoice, choose_design
 from stiffopt.preload.curves import PreloadCurve, preload_curves
-from stiffopt.preload.loosening import Loosening, loosening
 from stiffopt.preload.model import PreloadModel
-from stiffopt.preload.motion_result import MotionStudy
-from stiffopt.preload.motion_study import motion_study
+from stiffopt.preload.motion_study import MotionStudy, motion_study
 from stiffopt.preload.optimise import optimise_preloads
 from stiffopt.preload.pareto import ParetoFront, pareto_front
 from stiffopt.preload.problem import OBJECTIVES, FreeElement, PreloadProblem
-from stiffopt.preload.sensitivity import Sensitivity, sensitivity
+from stiffopt.preload.sensitivity import Loosening, Sensitivity, loosening, sensitivity
 from stiffopt.preload.solution import PreloadSolution
 from stiffopt.result.provenance import versions
 from stiffopt.result.status import SolveStatus
@@ -32,24 +30,24 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PreloadStudy:
-    """Outcome of a study.
+    """Result of a study.
 
     Parameters
     ----------
     problem : PreloadProblem
     solution : PreloadSolution
-        The optimum, or the best reachable with the reasons why the study cannot be met.
+        The optimum, or the best reachable design with the reasons of infeasibility.
     curves : tuple of PreloadCurve
     loosening : Loosening
     sensitivity : Sensitivity
     front : ParetoFront or None
-        None where the study cannot be met.
+        None if infeasible.
     choice : CatalogueChoice or None
         None unless the study has [choose].
     motion : MotionStudy or None
         None unless the study has [motion].
     stopped : bool
-        Ctrl-C ended it between solves; the parts that were not done are None.
+        Stopped by Ctrl-C between solves; missing parts are None.
     seconds : float
     versions : dict of str
     """
@@ -68,7 +66,7 @@ class PreloadStudy:
 
     @property
     def status(self) -> SolveStatus:
-        """Of the whole study: interrupted where any part of it was."""
+        """Status of the study; interrupted if any part was."""
         parts = (
             self.stopped,
             self.solution.status is SolveStatus.INTERRUPTED,
@@ -92,9 +90,9 @@ def preload_study(
     ----------
     problem : PreloadProblem
     motion : TrajectoryProblem, optional
-        To optimise together with the preloads.
+        Optimised together with the preloads.
     rounds : int
-        Of that.
+        Largest number of rounds of the joint study.
     front_points : int
         Of the Pareto front; 0 leaves it out.
     progress : callable, optional
@@ -103,13 +101,13 @@ def preload_study(
     Returns
     -------
     PreloadStudy
-        Of any status; a study that cannot be met has no front and no joint study.
+        Of any status; an infeasible study has no front and no joint study.
     """
     with with_own(problem.robot.own):
-        return _studied(problem, motion, rounds, front_points, progress)
+        return _run_study(problem, motion, rounds, front_points, progress)
 
 
-def _studied(
+def _run_study(
     problem: PreloadProblem,
     motion: TrajectoryProblem | None,
     rounds: int,
@@ -132,7 +130,7 @@ def _studied(
             choice = choose_design(fixed, progress=progress)
         if go_on and usable and motion is not None:
             together = motion_study(problem, motion, rounds=rounds, progress=progress)
-    except KeyboardInterrupt:  # the parts that are done are kept
+    except KeyboardInterrupt:  # finished parts are kept
         stopped = True
     return PreloadStudy(
         problem=problem,
@@ -152,18 +150,18 @@ def _studied(
 def value_units(
     problem: PreloadProblem, *, front: bool = True, motion: bool = False
 ) -> dict[str, str]:
-    """Names of the values that a study will have, with their SI units.
+    """Return the names of a study's values with their SI units.
 
     Parameters
     ----------
     problem : PreloadProblem
     front, motion : bool
-        Whether the study has a Pareto front, and a motion.
+        The study has a Pareto front, and a motion.
 
     Returns
     -------
     dict of name to unit
-        Element keys are part of names, with _ for the dot: preload_joint_2_flexspline_flange.
+        Names include element keys, with _ for the dot: preload_joint_2_flexspline_flange.
     """
     units = {
         "objective": OBJECTIVES[problem.objective],
@@ -179,7 +177,7 @@ def value_units(
     for joint in problem.joints:
         units[f"stiffness_joint_{joint}"] = "N m/rad"
     for element in problem.elements:
-        name = _name(element)
+        name = _value_name(element)
         units |= {
             f"preload_{name}": "N",
             f"least_preload_{name}": "N",
@@ -205,12 +203,12 @@ def value_units(
 
 
 def named_values(study: PreloadStudy) -> dict[str, tuple[float, str]]:
-    """Values of a finished study.
+    """Return the values of a finished study.
 
     Returns
     -------
     dict of name to (value in SI, unit)
-        Names of `value_units`; nan where a study ended without the value.
+        Names as in `value_units`; nan for missing values.
     """
     problem, solution = study.problem, study.solution
     bounded = {
@@ -232,7 +230,7 @@ def named_values(study: PreloadStudy) -> dict[str, tuple[float, str]]:
     for joint, row in zip(problem.joints, solution.stiffness, strict=True):
         values[f"stiffness_joint_{joint}"] = float(row.min())
     for element in problem.elements:
-        values |= _of_element(study, element)
+        values |= _element_values(study, element)
     if study.front is not None:
         knee = study.front.points[study.front.knee]
         values |= {"knee_total_preload": knee.total_preload, "knee_level": knee.level}
@@ -249,12 +247,12 @@ def named_values(study: PreloadStudy) -> dict[str, tuple[float, str]]:
     return {name: (values.get(name, np.nan), unit) for name, unit in units.items()}
 
 
-def _name(element: FreeElement) -> str:
+def _value_name(element: FreeElement) -> str:
     return element.key.replace(".", "_")
 
 
-def _of_element(study: PreloadStudy, element: FreeElement) -> dict[str, float]:
-    solution, key, name = study.solution, element.key, _name(element)
+def _element_values(study: PreloadStudy, element: FreeElement) -> dict[str, float]:
+    solution, key, name = study.solution, element.key, _value_name(element)
     torque = solution.tightening[key]
     own = [r.value for r in solution.rows if r.kind == "slip safety" and r.element == key]
     least = element.least(solution.preloads[key])

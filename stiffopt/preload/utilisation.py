@@ -1,4 +1,4 @@
-"""Everything a preload design has to keep, by name and with its utilisation, by the exact law."""
+"""Utilisation rows of a preload design: all requirements, by the exact law."""
 
 from __future__ import annotations
 
@@ -8,17 +8,14 @@ import numpy as np
 
 from stiffopt.connection import Key
 from stiffopt.fastening.limits import key_pressure_limit
-from stiffopt.fastening.safety_factor import SafetyFactor, governing_rows
-from stiffopt.fastening.utilisation_row import UtilisationRow
+from stiffopt.fastening.utilisation import SafetyFactor, UtilisationRow, governing_rows
 from stiffopt.fastening.vdi_rows import vdi_rows
+from stiffopt.preload.load_case import ZERO_TORQUE_SHARE
 from stiffopt.preload.model import PreloadModel
-
-# Share of the largest torque of a joint below which one is zero but for rounding, and no reversal.
-_NO_TORQUE = 1e-9
 
 
 def utilisation_rows(model: PreloadModel, preloads: np.ndarray) -> tuple[UtilisationRow, ...]:
-    """All rows of a design by the exact law.
+    """Return all rows of a design by the exact law.
 
     Parameters
     ----------
@@ -27,29 +24,29 @@ def utilisation_rows(model: PreloadModel, preloads: np.ndarray) -> tuple[Utilisa
         Largest preloads [N].
     """
     return (
-        *_slip(model, preloads, range(len(model.elements))),
-        *_fasteners(model, preloads),
+        *_slip_rows(model, preloads, range(len(model.elements))),
+        *_fastener_rows(model, preloads),
         *(row for index in range(len(model.elements)) for row in model.vdi_rows(preloads, index)),
-        *_keys(model),
-        *_stiffness(model, preloads),
-        *_deflection(model, preloads),
+        *_key_rows(model),
+        *_stiffness_rows(model, preloads),
+        *_deflection_rows(model, preloads),
     )
 
 
 def governing_safety(
     model: PreloadModel, preloads: np.ndarray, index: int
 ) -> dict[str, UtilisationRow]:
-    """Steps of VDI 2230 with the least of each safety factor of an element, by symbol."""
+    """Return the rows with the least of each safety factor of an element, by symbol."""
     steps = model.verifications[index]
     if steps is None:
         return {}
     own = np.asarray(model.of_element(preloads, index))
     least = float(model.elements[index].least(float(own.min())))
     rows = vdi_rows(steps, float(own.max()), least=least)
-    return governing_rows((*_slip(model, preloads, (index,)), *rows))
+    return governing_rows((*_slip_rows(model, preloads, (index,)), *rows))
 
 
-def _slip(
+def _slip_rows(
     model: PreloadModel, preloads: np.ndarray, indices: Iterable[int]
 ) -> Iterator[UtilisationRow]:
     for index in indices:
@@ -74,8 +71,8 @@ def _slip(
             )
 
 
-# Steps of VDI 2230 that bound the preload at assembly.
-_STEPS = {
+# Steps of VDI 2230 that limit the preload at assembly.
+_VDI_STEP_BY_LIMIT = {
     "bolt utilisation": "R7/2",
     "head pressure": "R10/1",
     "thread engagement": "R11",
@@ -83,7 +80,7 @@ _STEPS = {
 }
 
 
-def _fasteners(model: PreloadModel, preloads: np.ndarray) -> Iterator[UtilisationRow]:
+def _fastener_rows(model: PreloadModel, preloads: np.ndarray) -> Iterator[UtilisationRow]:
     needs = model.problem.requirements
     for index, element in enumerate(model.elements):
         largest = float(max(model.of_element(preloads, index)))
@@ -103,7 +100,7 @@ def _fasteners(model: PreloadModel, preloads: np.ndarray) -> Iterator[Utilisatio
                 provenance=limit.provenance,
                 source=limit.source,
                 remedy=limit.remedy,
-                equation=_STEPS.get(limit.name, ""),
+                equation=_VDI_STEP_BY_LIMIT.get(limit.name, ""),
             )
         floor = needs.least_preload * element.capacity
         yield UtilisationRow(
@@ -116,18 +113,18 @@ def _fasteners(model: PreloadModel, preloads: np.ndarray) -> Iterator[Utilisatio
             unit="N",
             utilisation=floor / lowest if lowest > 0.0 else np.inf,
             provenance="estimated",
-            source="a hardly tightened bolt works loose; the share is our choice",
+            source="a bolt with little preload works loose; the share is an assumption",
             remedy="a smaller require.least_preload, or a smaller bolt",
         )
 
 
-def _keys(model: PreloadModel) -> Iterator[UtilisationRow]:
-    """Flank pressures of the keys: no preload changes them, but a design must keep them."""
+def _key_rows(model: PreloadModel) -> Iterator[UtilisationRow]:
+    """Yield the flank pressures of keys, which do not depend on preloads."""
     for joint in model.problem.joints:
         chain = model.problem.robot.chains[joint - 1]
         assert chain is not None
         torques = [float(case.torque[joint - 1]) for case in model.cases]
-        noise = _NO_TORQUE * max(abs(torque) for torque in torques)
+        noise = ZERO_TORQUE_SHARE * max(abs(torque) for torque in torques)
         reversing = min(torques) < -noise and max(torques) > noise
         for stage in chain.stages:
             key = stage.element
@@ -153,7 +150,7 @@ def _keys(model: PreloadModel) -> Iterator[UtilisationRow]:
                 )
 
 
-def _stiffness(model: PreloadModel, preloads: np.ndarray) -> Iterator[UtilisationRow]:
+def _stiffness_rows(model: PreloadModel, preloads: np.ndarray) -> Iterator[UtilisationRow]:
     needed = model.problem.requirements.joint_stiffness
     if not needed:
         return
@@ -170,11 +167,11 @@ def _stiffness(model: PreloadModel, preloads: np.ndarray) -> Iterator[Utilisatio
                 limit=needed[joint],
                 unit="N m/rad",
                 utilisation=needed[joint] / float(stiffness) if stiffness > 0.0 else np.inf,
-                remedy="a stiffer reducer or stiffer elements: look at the shares of the wind-up",
+                remedy="a stiffer reducer or stiffer elements: see the shares of the wind-up",
             )
 
 
-def _deflection(model: PreloadModel, preloads: np.ndarray) -> Iterator[UtilisationRow]:
+def _deflection_rows(model: PreloadModel, preloads: np.ndarray) -> Iterator[UtilisationRow]:
     allowed = model.problem.requirements.tool_deflection
     if allowed is None:
         return

@@ -1,1 +1,1 @@
-"""Files to begin with: a robot file, a problem, a recording set or a flange from what one has."""
+"""Initial files from a URDF, recordings or a flange: robot file, problem, recording set."""

@@ -1,4 +1,4 @@
-"""What kind of signal a column is, by its name, and which columns are one a joint."""
+"""Signal kinds of columns by their names, and columns grouped by joint."""
 
 from __future__ import annotations
 
@@ -9,8 +9,9 @@ from stiffopt.recording.signals import may_be_set_point
 from stiffopt.starter.tables import UNITS
 
 KINDS = ("velocity", "torque", "link_position", "position")
-# Words of each kind, the first that fits wins; a name is cut at what is neither letter nor digit.
-_WORDS = {
+# Words of each kind, in order of precedence; names are split at other characters than letters and
+# digits.
+_WORDS_BY_KIND = {
     "velocity": ("velocity", "velocities", "vel", "speed", "qd", "dq", "omega", "geschwindigkeit",
                  "drehzahl", "speeds"),
     "torque": (
@@ -21,11 +22,11 @@ _WORDS = {
     "position": ("position", "positions", "pos", "q", "angle", "angles", "theta", "winkel", "lage",
                  "ist", "axis", "joint", "a", "j", "state"),
 }  # fmt: skip
-CURRENT = ("current", "currents", "strom", "amps", "i")
-# Words that other signals of a joint have, too.
-_VAGUE = ("axis", "joint", "a", "j", "state")
-_AMPERES = ("a", "ma", "arms")
-_OTHER = (
+CURRENT_WORDS = ("current", "currents", "strom", "amps", "i")
+# Words that other signals of a joint share.
+_VAGUE_WORDS = ("axis", "joint", "a", "j", "state")
+_AMPERE_UNITS = ("a", "ma", "arms")
+_OTHER_SIGNAL_WORDS = (
     "temperature",
     "temp",
     "temperatur",
@@ -39,124 +40,143 @@ _OTHER = (
     "mode",
     "status",
 )
-_IN_NAME = re.compile(r"[\[(]\s*([^\])]+)\s*[\])](?=\s*\d*\s*$)")
-_UNITS_OF = {
+_BRACKETED_UNIT = re.compile(r"[\[(]\s*([^\])]+)\s*[\])](?=\s*\d*\s*$)")
+_UNITS_BY_KIND = {
     "position": ("deg", "degree", "degrees", "°", "grad", "rad", "mrad", "rev", "revs", "turns"),
     "velocity": ("deg/s", "°/s", "rad/s", "mrad/s", "rpm", "1/min", "min-1", "u/min"),
-    "torque": ("nm", "n m", "n*m", "n.m", "n·m", "mnm", "knm", "ncm", *_AMPERES),
+    "torque": ("nm", "n m", "n*m", "n.m", "n·m", "mnm", "knm", "ncm", *_AMPERE_UNITS),
 }
-_WORD = re.compile(r"[a-zµ°]+|\d+")
-_LAST = ("deg", "rad", "mrad", "nm", "mnm", "ms", "us", "ns", "rpm", "%", "counts", "percent")
+_WORD_PATTERN = re.compile(r"[a-zµ°]+|\d+")
+_SUFFIX_UNITS = (
+    "deg",
+    "rad",
+    "mrad",
+    "nm",
+    "mnm",
+    "ms",
+    "us",
+    "ns",
+    "rpm",
+    "%",
+    "counts",
+    "percent",
+)
 
 
-def of_kind(names: Sequence[str], kind: str, joints: Sequence[str]) -> list[tuple[str, ...]]:
-    """Columns of a kind, one a joint, for each family that fits; the first is the one to take."""
+def columns_of_kind(
+    names: Sequence[str], kind: str, joints: Sequence[str]
+) -> list[tuple[str, ...]]:
+    """Return the columns of a kind, one a joint, for each matching family, the best first."""
     fitting = [name for name in names if _is_kind(name, kind)]
-    # i1, i2, ... are currents where nothing is a torque.
-    short = [n for n in names if kind == "torque" and words(n)[:1] == ["i"]]
-    # Words of another language are known by their units.
-    foreign = [n for n in names if _measured_in(n) == kind]
-    measured = [_measured(every) for every in (fitting, foreign)]
-    # A torque that is measured goes before a current.
+    # i1, i2, ... are currents if there is no torque.
+    short = [n for n in names if kind == "torque" and split_words(n)[:1] == ["i"]]
+    # Names in other languages are recognised by their units.
+    foreign = [n for n in names if _kind_by_unit(n) == kind]
+    measured = [_without_set_points(every) for every in (fitting, foreign)]
+    # Measured torque takes precedence over current.
     torques = [[n for n in every if not _is_current(n)] for every in measured]
-    plain = [n for n in torques[0] if set(words(n)) & set(_WORDS[kind]) - set(_VAGUE)]
+    plain = [
+        n for n in torques[0] if set(split_words(n)) & set(_WORDS_BY_KIND[kind]) - set(_VAGUE_WORDS)
+    ]
     for candidates in (plain, *torques, measured[0], fitting, short, measured[1], foreign):
-        found = _families(candidates, joints)
+        found = _column_families(candidates, joints)
         if found:
             return found
     return []
 
 
-def words(name: str) -> list[str]:
-    """Words of a column's name, its unit left out: "Actual_Q_0 [rad]" is actual, q, 0."""
-    bare = _IN_NAME.sub("", name)
+def split_words(name: str) -> list[str]:
+    """Split a column name into words without its unit: "Actual_Q_0 [rad]" to actual, q, 0."""
+    bare = _BRACKETED_UNIT.sub("", name)
     bare = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", bare)
-    return _WORD.findall(bare.lower())
+    return _WORD_PATTERN.findall(bare.lower())
 
 
 def stated_unit(name: str) -> str | None:
-    """Unit in brackets, or as the last word: "q1 [deg]", "q1_deg"; None where none is there."""
-    if _IN_NAME.search(name) is not None:
-        return UNITS.get(_bracketed(name))
+    """Return the unit in brackets or as the last word: "q1 [deg]", "q1_deg"; None without."""
+    if _BRACKETED_UNIT.search(name) is not None:
+        return UNITS.get(_bracketed_unit(name))
     last = re.split(r"[_\s]", name.strip().lower())[-1]
-    return UNITS[last] if last in _LAST else None
+    return UNITS[last] if last in _SUFFIX_UNITS else None
 
 
-def _bracketed(name: str) -> str:
-    """What stands in the brackets of a name, "" where it has none."""
-    found = _IN_NAME.search(name)
+def _bracketed_unit(name: str) -> str:
+    """Return the text in the brackets of a name, "" without."""
+    found = _BRACKETED_UNIT.search(name)
     return "" if found is None else found[1].strip().lower()
 
 
-def _measured(names: Sequence[str]) -> list[str]:
-    """Of several columns of one kind: measured before wanted."""
+def _without_set_points(names: Sequence[str]) -> list[str]:
+    """Return the columns whose names are not those of set points."""
     return [name for name in names if not may_be_set_point(name)]
 
 
 def _is_current(name: str) -> bool:
-    return bool(set(words(name)) & set(CURRENT)) or _bracketed(name) in _AMPERES
+    return (
+        bool(set(split_words(name)) & set(CURRENT_WORDS)) or _bracketed_unit(name) in _AMPERE_UNITS
+    )
 
 
-def _families(names: Sequence[str], joints: Sequence[str]) -> list[tuple[str, ...]]:
-    """Columns one a joint, of each family whose names differ by the joint alone."""
+def _column_families(names: Sequence[str], joints: Sequence[str]) -> list[tuple[str, ...]]:
+    """Return the columns, one a joint, of each family whose names differ by the joint only."""
     families: dict[tuple[str, ...], list[str]] = {}
     for name in names:
         bare = name
         for joint in joints:
-            bare = re.sub(_as_word(joint), " ", bare, flags=re.IGNORECASE)
-        family = words(bare)
+            bare = re.sub(_word_pattern(joint), " ", bare, flags=re.IGNORECASE)
+        family = split_words(bare)
         digits = [k for k, word in enumerate(family) if word.isdigit()]
         if digits:
             del family[digits[-1]]
-        families.setdefault((*family, _bracketed(name)), []).append(name)
-    found = [_by_joint(own, joints) for own in families.values()]
+        families.setdefault((*family, _bracketed_unit(name)), []).append(name)
+    found = [_order_by_joint(own, joints) for own in families.values()]
     fitting = [each for each in found if each is not None]
-    # Families of less than all joints are one where they fit together.
-    together = None if fitting else _by_joint(names, joints)
+    # Families that lack joints are combined if they complete each other.
+    together = None if fitting else _order_by_joint(names, joints)
     return fitting if together is None else [together]
 
 
 def is_signal(name: str) -> bool:
-    """Whether a column is one of a joint's signals by its name."""
+    """Return True if a column name is that of a joint signal."""
     return any(_is_kind(name, kind) for kind in KINDS)
 
 
 def _is_kind(name: str, kind: str) -> bool:
-    said = set(words(name))
-    if said & set(_OTHER):
+    said = set(split_words(name))
+    if said & set(_OTHER_SIGNAL_WORDS):
         return False
-    if kind == "torque" and said & set(CURRENT) - {"i"}:
+    if kind == "torque" and said & set(CURRENT_WORDS) - {"i"}:
         return True
-    measured = _measured_in(name)
+    measured = _kind_by_unit(name)
     if measured is not None and measured != kind.removeprefix("link_"):
         return False  # "axis 1 [Nm]"
     for other in KINDS:
-        if said & set(_WORDS[other]):
+        if said & set(_WORDS_BY_KIND[other]):
             return other == kind
     return False
 
 
-def _measured_in(name: str) -> str | None:
-    """Kind that the unit in the brackets of a name is of: "Achswinkel 1 [°]" is a position."""
-    unit = _bracketed(name)
-    if set(words(name)) & set(_OTHER):
+def _kind_by_unit(name: str) -> str | None:
+    """Return the kind by the unit in brackets: "Achswinkel 1 [°]" is a position."""
+    unit = _bracketed_unit(name)
+    if set(split_words(name)) & set(_OTHER_SIGNAL_WORDS):
         return None
-    return next((kind for kind, own in _UNITS_OF.items() if unit in own), None)
+    return next((kind for kind, own in _UNITS_BY_KIND.items() if unit in own), None)
 
 
-def _by_joint(names: Sequence[str], joints: Sequence[str]) -> tuple[str, ...] | None:
-    """By the joint's name inside the column's, else by the last number, from 0 or 1."""
+def _order_by_joint(names: Sequence[str], joints: Sequence[str]) -> tuple[str, ...] | None:
+    """Order columns by joint names in them, else by their last number, from 0 or 1."""
     n = len(joints)
     by_name = {}
     for joint in joints:
-        own = [name for name in names if _contains(name, joint)]
+        own = [name for name in names if _contains_joint(name, joint)]
         if len(own) == 1:
             by_name[joint] = own[0]
     if len(by_name) == n and len(set(by_name.values())) == n:
         return tuple(by_name[joint] for joint in joints)
     numbered: dict[int, str] = {}
     for name in names:
-        digits = [word for word in words(name) if word.isdigit()]
+        digits = [word for word in split_words(name) if word.isdigit()]
         if digits and int(digits[-1]) not in numbered:
             numbered[int(digits[-1])] = name
     for first in (1, 0):
@@ -165,10 +185,10 @@ def _by_joint(names: Sequence[str], joints: Sequence[str]) -> tuple[str, ...] | 
     return tuple(names) if len(names) == n else None
 
 
-def _contains(name: str, joint: str) -> bool:
-    return re.search(_as_word(joint), name, flags=re.IGNORECASE) is not None
+def _contains_joint(name: str, joint: str) -> bool:
+    return re.search(_word_pattern(joint), name, flags=re.IGNORECASE) is not None
 
 
-def _as_word(joint: str) -> str:
-    """Pattern of a joint's name that stands by itself."""
+def _word_pattern(joint: str) -> str:
+    """Return the pattern of a joint name as a whole word."""
     return rf"(?<![a-zA-Z0-9]){re.escape(joint)}(?![a-zA-Z0-9])"

@@ -1,4 +1,4 @@
-"""A bolted flange without a URDF: a one-joint robot and the study of its preload."""
+"""Files of a bolted flange without a URDF: a one-joint robot and its preload study."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from stiffopt.drivetrain import catalogue
 from stiffopt.drivetrain.tables import with_own
 from stiffopt.errors import InputError, InputFileError, nearest
 from stiffopt.robot.own_catalogue import read_own_catalogue
-from stiffopt.starter.writing import beside, number, quoted, write_new
+from stiffopt.starter.writing import relative_path, toml_number, toml_string, write_new
 
 
 def write_flange(
@@ -34,9 +34,9 @@ def write_flange(
     ----------
     folder : Path
     torque : float
-        That the flange has to carry [N m].
+        Torque on the flange [N m].
     size, grade : str
-        Of its bolts, such as "M5" and "12.9" or "A2-70".
+        Bolt size and grade, such as "M5" and "12.9" or "A2-70".
     count : int
     circle : float
         Diameter of the bolts' circle [m].
@@ -47,7 +47,7 @@ def write_flange(
     tilting_moment : float
         About axes across that of the circle, magnitude [N m].
     own : Path, optional
-        One's own catalogue file, whose bolts come first.
+        User catalogue file, whose bolts take precedence.
     """
     beside_torque = {
         "axial_force": axial_force,
@@ -61,10 +61,10 @@ def write_flange(
         raise InputFileError(folder, "", "is a file. Give a folder as --out.")
     if tilting_moment > 0.0 and count < 3:
         raise InputError(
-            f"--count: {count} bolts bear no tilting moment about every axis; three or more do."
+            f"--count: {count} bolts carry no tilting moment about every axis; give three or more."
         )
     with with_own({} if own is None else read_own_catalogue(own)):
-        texts = _texts(
+        texts = _file_texts(
             torque=torque,
             size=size,
             grade=grade,
@@ -72,12 +72,14 @@ def write_flange(
             circle=circle,
             nut=nut,
             beside_torque=beside_torque,
-            catalogue_line="" if own is None else f"catalogue = {quoted(beside(own, folder))}\n",
+            catalogue_line=""
+            if own is None
+            else f"catalogue = {toml_string(relative_path(own, folder))}\n",
         )
     return [write_new(folder / name, text) for name, text in texts.items()]
 
 
-def _texts(
+def _file_texts(
     *,
     torque: float,
     size: str,
@@ -88,7 +90,7 @@ def _texts(
     beside_torque: Mapping[str, float],
     catalogue_line: str,
 ) -> dict[str, str]:
-    """Text of each file by its name."""
+    """Return the text of each file by its name."""
     if size not in catalogue.bolt_sizes():
         raise InputError(f"--size: no bolt {size!r}. {nearest(size, catalogue.bolt_sizes())}")
     if grade not in catalogue.bolt_grades():
@@ -110,42 +112,44 @@ def _texts(
         )
     if circle <= 4.0 * bolt:
         raise InputError(f"--circle: {circle:g} m is too small for {count} bolts {size}.")
-    # As wide as the formulas for even pressure reach.
+    # Widest ring for which the formulas assume uniform pressure.
     half = math.floor(min(15e3 * bolt, 7.4e3 * data.bearing_diameter)) / 1e4
     inner, outer = circle / 2.0 - half, circle / 2.0 + half
     loads = "\n".join(
-        f"{name} = [{number(value)}]{' ' * (17 - len(name))}# {_LOADS[name]}"
+        f"{name} = [{toml_number(value)}]{' ' * (17 - len(name))}# {_LOAD_COMMENTS[name]}"
         for name, value in beside_torque.items()
         if value > 0.0
     )
     return {
-        "flange.urdf": _URDF.format(torque=f"{torque:g}"),
-        "flange_robot.toml": _ROBOT.format(
+        "flange.urdf": _URDF_TEMPLATE.format(torque=f"{torque:g}"),
+        "flange_robot.toml": _ROBOT_TEMPLATE.format(
             catalogue=catalogue_line,
-            torque=number(torque),
-            inner=number(inner),
-            outer=number(outer),
-            size=quoted(size),
-            grade=quoted(grade),
+            torque=toml_number(torque),
+            inner=toml_number(inner),
+            outer=toml_number(outer),
+            size=toml_string(size),
+            grade=toml_string(grade),
             count=count,
-            circle=number(circle),
+            circle=toml_number(circle),
             nut=", nut = true" if nut else "",
-            # Somewhat below what the bolt bears: a study only needs where to start.
-            preload=number(round(0.4 * catalogue.proof_stress(grade) * data.stress_area, -1)),
+            # Initial guess below the capacity of the bolt; the study replaces it.
+            preload=toml_number(round(0.4 * catalogue.proof_stress(grade) * data.stress_area, -1)),
         ),
-        "flange.toml": _STUDY.format(torque=number(torque), loads=loads or _NO_LOADS),
+        "flange.toml": _STUDY_TEMPLATE.format(
+            torque=toml_number(torque), loads=loads or _NO_LOADS_TEXT
+        ),
     }
 
 
-_LOADS = {
-    "axial_force": "[N] along the axis, taken to pull",
+_LOAD_COMMENTS = {
+    "axial_force": "[N] along the axis, taken to open the joint",
     "shear_force": "[N] across the axis",
-    "tilting_moment": "[N m] about axes across the flange's: bends it open on one side",
+    "tilting_moment": "[N m] about axes across the flange's: opens one side",
 }
-_NO_LOADS = "\n".join(
-    f"# {name} = [0.0]{' ' * (15 - len(name))}# {said}" for name, said in _LOADS.items()
+_NO_LOADS_TEXT = "\n".join(
+    f"# {name} = [0.0]{' ' * (15 - len(name))}# {said}" for name, said in _LOAD_COMMENTS.items()
 )
-_URDF = """<!-- Stands in for the machine: one joint that the flange is in. -->
+_URDF_TEMPLATE = """<!-- One joint that carries the flange. -->
 <robot name="flange">
 <link name="base"/>
 <link name="part"><inertial><mass value="1.0"/>
@@ -154,7 +158,8 @@ _URDF = """<!-- Stands in for the machine: one joint that the flange is in. -->
 <axis xyz="0 0 1"/><limit lower="-3.14" upper="3.14" effort="{torque}" velocity="1"/></joint>
 </robot>
 """
-_ROBOT = """# The flange, written by `stiffopt init flange`. Estimated: put yours in its place.
+_ROBOT_TEMPLATE = """\
+# The flange, written by `stiffopt init flange`. Replace values marked estimated by yours.
 schema = 1
 kind = "robot"
 name = "flange"
@@ -162,23 +167,23 @@ urdf = "flange.urdf"
 {catalogue}
 [[joint]]
 name = "flange"
-torque_max = {torque}           # [N m] that has to be carried
+torque_max = {torque}           # [N m], torque on the flange
 
 [[joint.element]]
 name = "flange"
 type = "bolted_flange"
 ratio = 1.0
-inner_radius = {inner}       # [m] of the ring that touches; estimated: as far inside
-outer_radius = {outer}       # as outside of the circle
+inner_radius = {inner}       # [m] of the contact ring; estimated: symmetric about
+outer_radius = {outer}       # the bolt circle
 bolt = {{ size = {size}, grade = {grade}, count = {count}, circle_diameter = {circle}{nut} }}
 surface = "fine_steel"          # `stiffopt catalogue surfaces`; estimated
 friction = 0.15                 # of the faces; estimated
-preload = {preload}             # [N] of one bolt, to begin with; the study finds it
-preload_is = "assumed"          # with the present preload in its place: "assembly"
+preload = {preload}             # [N] of one bolt, initial guess of the study
+preload_is = "assumed"          # "assembly" for the present preload
 provenance = "estimated"
 source = "init flange"
 """
-_STUDY = """# How tight must the bolts of the flange be? Written by `stiffopt init flange`.
+_STUDY_TEMPLATE = """# How tight must the bolts of the flange be? Written by `stiffopt init flange`.
 schema = 1
 kind = "preload"
 title = "Flange"

@@ -1,4 +1,4 @@
-"""What the columns of a recording are: by their names; their units by names and by values."""
+"""Guess the signal kinds of a recording's columns by name, and their units by name and value."""
 
 from __future__ import annotations
 
@@ -11,36 +11,36 @@ from stiffopt.errors import InputError
 from stiffopt.recording.signals import may_be_set_point
 from stiffopt.robot.robot import Robot
 from stiffopt.starter.column_names import (
-    CURRENT,
+    CURRENT_WORDS,
     KINDS,
+    columns_of_kind,
     is_signal,
-    of_kind,
+    split_words,
     stated_unit,
-    words,
 )
 
-_TIME = ("t", "time", "timestamp", "stamp", "zeit", "seconds", "clock")
-# What only the user can turn into SI, and what to put there.
-FACTORS = {
+_TIME_WORDS = ("t", "time", "timestamp", "stamp", "zeit", "seconds", "clock")
+# Units without a known factor to SI, and the factor to ask for.
+FACTOR_REQUESTS = {
     "A": "a current: put N m per A at the joint (torque constant times gear ratio)",
     "mA": "a current: put N m per mA at the joint (torque constant times gear ratio)",
     "%": "a share: put N m per % (a hundredth of the rated torque)",
     "counts": "counts of an encoder: put rad per count, one number a joint",
 }
-# Of a rad (rad/s): positions and speeds whose change is compared.
-_PER_RAD = {"": 1.0, "deg": np.degrees(1.0), "mrad": 1e3, "turn": 0.5 / np.pi}
-_PER_RAD_S = {"": 1.0, "deg/s": np.degrees(1.0)}
-# Logarithms of ratios nearer than this are one unit; columns that reach so many times less than
-# others may be in another one.
-_ALIKE, _MIXED = 0.5, 10.0
-# Rows below which nothing can be told.
-_FEWEST = 3
-# A joint turns no farther [rad].
-_MOST_TURNS = 40.0 * np.pi
+# Units per rad and per rad/s, for comparing position changes with speeds.
+_ANGLE_UNITS_PER_RAD = {"": 1.0, "deg": np.degrees(1.0), "mrad": 1e3, "turn": 0.5 / np.pi}
+_SPEED_UNITS_PER_RAD_S = {"": 1.0, "deg/s": np.degrees(1.0)}
+# Largest log ratio of values in the same unit; ratio of magnitudes above which columns may have
+# different units.
+_UNIT_LOG_TOLERANCE, _MIXED_UNIT_RATIO = 0.5, 10.0
+# Fewest rows for guessing.
+_MIN_ROWS = 3
+# Largest plausible joint angle [rad].
+_MAX_JOINT_ANGLE = 40.0 * np.pi
 
 
 class UnrecognisedError(InputError):
-    """No columns of a kind, one a joint."""
+    """A required signal kind has no columns, one a joint."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,16 +51,16 @@ class GuessedColumns:
     ----------
     time : str
     columns : mapping of kind to tuple of str (n,)
-        In the order of the joints; "" where one has none.
+        In the order of the joints; "" for a joint without one.
     units : mapping of "time" or kind to str or tuple of str (n,)
-        Of `[signals.scale]`, one a joint where they differ; "" is SI. "A" and "mA" are no torque
-        yet.
+        Values of `[signals.scale]`, one a joint where they differ; "" is SI. "A" and "mA" still
+        need a torque constant.
     reasons : tuple of str
-        Why, a sentence each.
+        Reason of each choice, one sentence each.
     rate : float
-        Of the samples [Hz].
+        Sampling rate [Hz].
     asked : tuple of str
-        Columns that a person may have to take instead.
+        Alternative columns to ask the user about.
     """
 
     time: str
@@ -71,32 +71,32 @@ class GuessedColumns:
     asked: tuple[str, ...] = ()
 
 
-def guess(
+def guess_columns(
     table: Mapping[str, np.ndarray], robot: Robot, rate: float | None = None
 ) -> GuessedColumns:
-    """GuessedColumns what is what.
+    """Guess kinds and units of the columns of a table.
 
     Parameters
     ----------
     table : mapping of column name to array (K,)
     robot : Robot
     rate : float, optional
-        Of the samples [Hz], where no column is a time; `with_time` adds one.
+        Sampling rate [Hz], if no column is a time; `with_time` adds one.
 
     Raises
     ------
     InputError
-        No time, or not one position and some torque a joint, with the columns there are.
+        No time column, or no position or torque for each joint; lists the columns found.
     """
     reasons: list[str] = []
-    time = _time(table) if rate is None else CLOCK
-    if len(table[time]) < _FEWEST:
+    time = _find_time_column(table) if rate is None else COUNTED_TIME
+    if len(table[time]) < _MIN_ROWS:
         raise InputError(f"a recording of {len(table[time])} row(s) shows no motion; record more.")
     columns: dict[str, tuple[str, ...]] = {}
     others: dict[str, list[tuple[str, ...]]] = {}
     left = [name for name in table if name != time]
     for kind in KINDS:
-        found = of_kind(left, kind, robot.joint_names)
+        found = columns_of_kind(left, kind, robot.joint_names)
         if found:
             columns[kind], others[kind] = found[0], found[1:]
             left = [name for name in left if name not in found[0]]
@@ -104,23 +104,25 @@ def guess(
         if kind not in columns:
             raise UnrecognisedError(
                 f"no {kind} was recognised for {robot.n} joints among the columns"
-                f" {', '.join(list(table)[:40])}. Name them like {_EXAMPLES[kind]}, or write"
+                f" {', '.join(list(table)[:40])}. Name them like {_NAME_EXAMPLES[kind]}, or write"
                 " [signals] of recordings.toml by hand."
             )
-    unit, why = _time_unit(table[time], time)
+    unit, why = _guess_time_unit(table[time], time)
     if rate is not None:
         unit, why = "", f"time: counted, {rate:g} rows a second"
     units: dict[str, str | tuple[str, ...]] = {"time": unit}
     reasons.append(why)
-    seconds = table[time] * _SECONDS[unit]
+    seconds = table[time] * _SECONDS_PER_UNIT[unit]
     for kind in ("position", "velocity", "link_position", "torque"):
         if kind in columns:
-            units[kind], why = _unit(kind, columns, table, robot, seconds, units)
-            why += _doubt(kind, others[kind]) + _only_set_points(kind, columns[kind])
+            units[kind], why = _guess_unit(kind, columns, table, robot, seconds, units)
+            why += _ask_alternatives(kind, others[kind]) + _ask_measured_columns(
+                kind, columns[kind]
+            )
             reasons.append(f"{kind}: {', '.join(c for c in columns[kind] if c)}; {why}")
     if left:
         reasons.append(f"not used: {', '.join(left[:20])}{', ...' if len(left) > 20 else ''}")
-    step = _step(seconds)
+    step = _median_step(seconds)
     taken = {name for own in columns.values() for name in own}
     asked = (name for each in others.values() for own in each for name in own if name not in taken)
     return GuessedColumns(
@@ -133,16 +135,16 @@ def guess(
     )
 
 
-_EXAMPLES = {
+_NAME_EXAMPLES = {
     "position": "q1, q2, ... or JOINT_position",
     "torque": "tau1, tau2, ... or JOINT_effort",
 }
-_SECONDS = {"": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-CLOCK = "counted_time"
+_SECONDS_PER_UNIT = {"": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+COUNTED_TIME = "counted_time"
 
 
-def _doubt(kind: str, others: Sequence[tuple[str, ...]]) -> str:
-    """What to ask where other families of columns may be this kind, too."""
+def _ask_alternatives(kind: str, others: Sequence[tuple[str, ...]]) -> str:
+    """Return the question about other column families of the same kind; "" without."""
     if not others:
         return ""
     told = "; or ".join(", ".join(each) for each in others[:3])
@@ -152,25 +154,25 @@ def _doubt(kind: str, others: Sequence[tuple[str, ...]]) -> str:
     )
 
 
-def _only_set_points(kind: str, names: Sequence[str]) -> str:
-    """What to ask where nothing but set points is there."""
+def _ask_measured_columns(kind: str, names: Sequence[str]) -> str:
+    """Return the question if all columns are set points; "" otherwise."""
     if not any(name and may_be_set_point(name) for name in names):
         return ""
     return (
-        f". QUESTION: set points by their names, and no measured {kind} was found: what an"
-        " arm is told to do is not what it does. Log what was measured"
+        f". QUESTION: set points by their names, and no measured {kind} was found. A commanded"
+        f" signal is not a measurement: log the measured {kind}"
     )
 
 
 def with_time(table: Mapping[str, np.ndarray], rate: float) -> dict[str, np.ndarray]:
-    """Table with a column `CLOCK` of so many rows a second [Hz]."""
+    """Add a time column `COUNTED_TIME` at a sampling rate [Hz]."""
     rows = len(next(iter(table.values())))
-    return {CLOCK: np.arange(rows) / rate, **table}
+    return {COUNTED_TIME: np.arange(rows) / rate, **table}
 
 
-def _time(table: Mapping[str, np.ndarray]) -> str:
-    named = [name for name in table if set(words(name)) & set(_TIME)]
-    # Stamps may be repeated; what rises from row to row, and does not begin anew, goes before.
+def _find_time_column(table: Mapping[str, np.ndarray]) -> str:
+    named = [name for name in table if set(split_words(name)) & set(_TIME_WORDS)]
+    # Columns that rise in every row without restart take precedence over repeated stamps.
     for steady in (True, False):
         for name in named:
             steps = np.diff(table[name])
@@ -180,42 +182,42 @@ def _time(table: Mapping[str, np.ndarray]) -> str:
                 return name
     for name, values in table.items():
         if is_signal(name):
-            # A joint that turns at a steady rate rises like a clock.
+            # A joint at constant speed rises like a clock.
             continue
         steps = np.diff(values)
         even = len(steps) > 1 and np.all(steps > 0.0) and np.std(steps) < 0.5 * np.mean(steps)
-        # What counts the rows is no time.
+        # A row counter is no time.
         if even and not np.all(steps == 1.0):
             return name
     if named:
         raise InputError(
-            f"no column rises as a time does: {named[0]}, one by its name, goes back or stands."
+            f"no column increases as a time does: {named[0]}, a time by its name, does not."
             " Write the rows in the order of time, or give --rate HZ, the rows a second."
         )
     raise InputError(
-        f"no column rises as a time does among {', '.join(list(table)[:40])}. Give --rate HZ, the"
-        " rows a second, or add a column of seconds."
+        f"no column increases as a time does among {', '.join(list(table)[:40])}. Give --rate HZ,"
+        " the rows a second, or add a column of seconds."
     )
 
 
-def _step(stamps: np.ndarray) -> float:
-    """Usual step between stamps, repeated ones left out."""
+def _median_step(stamps: np.ndarray) -> float:
+    """Return the median step between stamps, without repeated ones."""
     steps = np.diff(stamps)
     return float(np.median(steps[steps > 0.0]))
 
 
-def _time_unit(values: np.ndarray, name: str) -> tuple[str, str]:
+def _guess_time_unit(values: np.ndarray, name: str) -> tuple[str, str]:
     stated = stated_unit(name)
-    step = _step(values)
+    step = _median_step(values)
     if stated in ("ms", "us", "ns"):
         return stated, f"time: {name}, in {stated} by its name"
-    for unit, factor in _SECONDS.items():
+    for unit, factor in _SECONDS_PER_UNIT.items():
         if 1e-4 <= step * factor <= 0.25:
             return unit, f"time: {name}, in {unit or 's'} by its steps of {step:g}"
     return "", f"time: {name}, taken as s; its steps of {step:g} are unusual: check"
 
 
-def _unit(
+def _guess_unit(
     kind: str,
     columns: Mapping[str, tuple[str, ...]],
     table: Mapping[str, np.ndarray],
@@ -223,24 +225,26 @@ def _unit(
     seconds: np.ndarray,
     units: Mapping[str, str | tuple[str, ...]],
 ) -> tuple[str | tuple[str, ...], str]:
-    """Unit of a kind by the names, else by the values, and why."""
+    """Guess the unit of a kind by names, else by values; return it with the reason."""
     names = [name for name in columns[kind] if name]
     stated = {stated_unit(name) for name in names}
     if len(stated) == 1 and None not in stated:
         unit = str(stated.pop())
-        told = f"; {FACTORS[unit]} in [signals.scale]" if unit in FACTORS else ""
+        told = f"; {FACTOR_REQUESTS[unit]} in [signals.scale]" if unit in FACTOR_REQUESTS else ""
         return unit, f"in {unit or 'SI'} by their names{told}"
-    values = _values(table, names)
+    values = _column_values(table, names)
     if kind in ("position", "link_position") and not robot.prismatic.any():
-        unit, why = _angle_unit(values, robot)
-        return _mixed(kind, columns, table, seconds, why) if unit == "deg" else (unit, why)
+        unit, why = _guess_angle_unit(values, robot)
+        return (
+            _guess_mixed_units(kind, columns, table, seconds, why) if unit == "deg" else (unit, why)
+        )
     if kind == "velocity" and not robot.prismatic.any():
-        position = _values(table, columns["position"])
-        return _speed_unit(values, position, seconds, units["position"])
+        position = _column_values(table, columns["position"])
+        return _guess_speed_unit(values, position, seconds, units["position"])
     if kind == "torque":
-        if any(set(words(name)) & set(CURRENT) for name in names):
-            return "A", f"{FACTORS['A']} in [signals.scale]"
-        most, allowed = _most(values), float(np.nanmax(robot.torque_max))
+        if any(set(split_words(name)) & set(CURRENT_WORDS) for name in names):
+            return "A", f"{FACTOR_REQUESTS['A']} in [signals.scale]"
+        most, allowed = _largest_magnitude(values), float(np.nanmax(robot.torque_max))
         if most > 30.0 * allowed:
             return (
                 "mN*m",
@@ -249,72 +253,74 @@ def _unit(
     return "", "taken as SI"
 
 
-def _values(table: Mapping[str, np.ndarray], names: Sequence[str]) -> np.ndarray:
-    """Columns (K, m); nan where no number stands."""
+def _column_values(table: Mapping[str, np.ndarray], names: Sequence[str]) -> np.ndarray:
+    """Return columns (K, m); nan for values that are not finite."""
     values = np.column_stack([table[name] for name in names])
     return np.where(np.isfinite(values), values, np.nan)
 
 
-def _most(values: np.ndarray) -> float:
-    """Largest size of all values; nan where there is none."""
+def _largest_magnitude(values: np.ndarray) -> float:
+    """Return the largest magnitude of all values; nan without any."""
     return float(np.fmax.reduce(np.abs(values), axis=None))
 
 
-def _spread(values: np.ndarray) -> np.ndarray:
-    """Standard deviation of each column of (K, n), over what is there; nan where nothing is."""
+def _standard_deviations(values: np.ndarray) -> np.ndarray:
+    """Return the standard deviation of each column of (K, n) over its finite values."""
     found = np.full(values.shape[1], np.nan)
     there = np.isfinite(values).any(axis=0)
     found[there] = np.nanstd(values[:, there], axis=0)
     return found
 
 
-def _speed_unit(
+def _guess_speed_unit(
     values: np.ndarray, position: np.ndarray, seconds: np.ndarray, unit: str | tuple[str, ...]
 ) -> tuple[str, str]:
-    """Unit of speeds (K, m) beside the change of positions (K, n), and why."""
+    """Guess the unit of speeds (K, m) from the rate of positions (K, n), with the reason."""
     each = (unit,) * position.shape[1] if isinstance(unit, str) else unit
-    found = _ratios(values, position, seconds)
-    if all(name in _PER_RAD for name in each) and np.isfinite(found).any():
-        found = found * [_PER_RAD[name] for name in each]
+    found = _speed_ratios(values, position, seconds)
+    if all(name in _ANGLE_UNITS_PER_RAD for name in each) and np.isfinite(found).any():
+        found = found * [_ANGLE_UNITS_PER_RAD[name] for name in each]
         ratio = max(float(np.nanmedian(found)), 1e-12)
-        for name, factor in _PER_RAD_S.items():
-            if abs(np.log(ratio / factor)) < _ALIKE:
+        for name, factor in _SPEED_UNITS_PER_RAD_S.items():
+            if abs(np.log(ratio / factor)) < _UNIT_LOG_TOLERANCE:
                 return name, f"in {name or 'rad/s'}, as the positions' change shows"
     return "", "taken as rad/s, which the positions' change does not show: check"
 
 
-def _ratios(values: np.ndarray, position: np.ndarray, seconds: np.ndarray) -> np.ndarray:
-    """Speeds (K, n) over the change of positions (n,); nan where nothing can be told."""
+def _speed_ratios(values: np.ndarray, position: np.ndarray, seconds: np.ndarray) -> np.ndarray:
+    """Return the ratio of speeds to the rate of positions (n,); nan if undetermined."""
     new = np.flatnonzero(np.diff(seconds, prepend=-np.inf) > 0.0)
-    if len(new) < _FEWEST or values.shape != position.shape:
+    if len(new) < _MIN_ROWS or values.shape != position.shape:
         return np.full(position.shape[1], np.nan)
-    turning = _spread(np.gradient(position[new], seconds[new], axis=0))
-    ratio = _spread(values[new]) / np.where(turning > 0.0, turning, np.nan)
-    # A speed of zeros tells no unit.
+    turning = _standard_deviations(np.gradient(position[new], seconds[new], axis=0))
+    ratio = _standard_deviations(values[new]) / np.where(turning > 0.0, turning, np.nan)
+    # Zero speed determines no unit.
     return np.where(ratio > 0.0, ratio, np.nan)
 
 
-def _mixed(
+def _guess_mixed_units(
     kind: str,
     columns: Mapping[str, tuple[str, ...]],
     table: Mapping[str, np.ndarray],
     seconds: np.ndarray,
     why: str,
 ) -> tuple[str | tuple[str, ...], str]:
-    """Degrees for all joints, unless some are in rad beside them; why, and what is open."""
+    """Return degrees for all joints, or a unit each if some are in rad, with the reason."""
     names = [name for name in columns[kind] if name]
-    values = _values(table, names)
+    values = _column_values(table, names)
     reach = np.fmax.reduce(np.abs(values), axis=0)
-    small = (reach <= np.pi) & (reach > 0.0) & (_MIXED * reach < _most(reach))
+    small = (
+        (reach <= np.pi) & (reach > 0.0) & (_MIXED_UNIT_RATIO * reach < _largest_magnitude(reach))
+    )
     if not small.any() or len(names) < len(columns[kind]):
         return "deg", why
     told = ", ".join(name for name, own in zip(names, small, strict=True) if own)
     if "velocity" in columns and all(columns["velocity"]):
-        ratio = _ratios(_values(table, columns["velocity"]), values, seconds)
+        ratio = _speed_ratios(_column_values(table, columns["velocity"]), values, seconds)
         large = ratio[~small & np.isfinite(ratio)]
         usual = float(np.median(large)) if len(large) else np.nan
-        apart = np.log(ratio / usual) - np.log(_PER_RAD["deg"])
-        rad = small & (np.abs(apart) < _ALIKE)
+        apart = np.log(ratio / usual) - np.log(_ANGLE_UNITS_PER_RAD["deg"])
+        rad = small & (np.abs(apart) < _UNIT_LOG_TOLERANCE)
         if rad.any():
             own = ", ".join(name for name, each in zip(names, rad, strict=True) if each)
             each = tuple("" if one else "deg" for one in rad)
@@ -326,16 +332,16 @@ def _mixed(
     )
 
 
-def _angle_unit(values: np.ndarray, robot: Robot) -> tuple[str, str]:
-    most = _most(values)
+def _guess_angle_unit(values: np.ndarray, robot: Robot) -> tuple[str, str]:
+    most = _largest_magnitude(values)
     low, high = robot.position_lower, robot.position_upper
     finite = np.isfinite(high - low) & (np.arange(robot.n) < values.shape[1])
     beyond = bool(
         np.any(np.fmax.reduce(values, axis=0)[finite] > high[finite] + 0.1)
         or np.any(np.fmin.reduce(values, axis=0)[finite] < low[finite] - 0.1)
     )
-    if most > np.degrees(_MOST_TURNS):
-        return "counts", f"they reach {most:.4g}, {FACTORS['counts']} in [signals.scale]"
+    if most > np.degrees(_MAX_JOINT_ANGLE):
+        return "counts", f"they reach {most:.4g}, {FACTOR_REQUESTS['counts']} in [signals.scale]"
     if most > 4.0 * np.pi or (beyond and most > np.pi):
-        return "deg", f"in deg: they reach {most:.4g}, beyond what rad would be"
+        return "deg", f"in deg: they reach {most:.4g}, beyond plausible rad"
     return "", f"in rad: they reach {most:.3g}"

@@ -1,4 +1,4 @@
-"""Columns of numbers of a Parquet file, and entries of vectors, as of LeRobot datasets."""
+"""Numeric columns of a Parquet file, and vector entries as in LeRobot datasets."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from stiffopt.errors import InputFileError
 from stiffopt.recording.readers.lerobot import vector_names
 from stiffopt.recording.readers.parquet import column_to_numbers
 
-# Longer vectors are no signals of an arm's joints.
-_LONGEST = 64
+# Longest vector of joint signals; longer ones are other data.
+_MAX_VECTOR_LENGTH = 64
 
 
 def parquet_columns(path: Path) -> dict[str, np.ndarray]:
-    """Numbers and stamps under their names; of a vector each entry, as "observation.state.elbow".
+    """Read numbers and stamps by name; vector entries as "observation.state.elbow".
 
     Raises
     ------
     InputFileError
-        No Parquet file.
+        Not a Parquet file.
     """
     found: dict[str, np.ndarray] = {}
     try:
@@ -30,7 +30,7 @@ def parquet_columns(path: Path) -> dict[str, np.ndarray]:
             for field in file.schema_arrow:
                 if _is_vector(field.type):
                     column = file.read(columns=[field.name], use_threads=False).column(0)
-                    found |= _entries(path, field.name, column)
+                    found |= _vector_entries(path, field.name, column)
                 elif _is_number(field.type):
                     column = file.read(columns=[field.name], use_threads=False).column(0)
                     found[field.name] = column_to_numbers(path, field.name, column)
@@ -53,10 +53,10 @@ def _is_vector(kind: arrow.DataType) -> bool:
     )
 
 
-def _entries(path: Path, name: str, column: arrow.ChunkedArray) -> dict[str, np.ndarray]:
-    """Entries of a column of vectors of one length; none of others."""
+def _vector_entries(path: Path, name: str, column: arrow.ChunkedArray) -> dict[str, np.ndarray]:
+    """Return the entries of vectors of equal length; none for other columns."""
     length = len(column[0].as_py() or ()) if len(column) else 0
-    if not 0 < length <= _LONGEST:
+    if not 0 < length <= _MAX_VECTOR_LENGTH:
         return {}
     rows = column.to_pylist()
     if any(row is None or len(row) != length for row in rows):

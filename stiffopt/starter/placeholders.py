@@ -1,7 +1,7 @@
-"""Limits of a URDF that stand there because something had to, told from real ones by the arm.
+"""Placeholder limits of a URDF, told from real ones by the arm's size and weight.
 
-An arm moves its tool at some metres a second, and bears a few times its own weight. What is far
-beyond both is taken as not stated, by name; what is only doubtful is kept and asked about.
+An arm moves its tool at a few m/s and carries a few times its own weight. Limits far beyond are
+treated as not stated; doubtful ones are kept and asked about.
 """
 
 from __future__ import annotations
@@ -15,23 +15,24 @@ from stiffopt.robot.body_tree import BodyTree, body_tree
 from stiffopt.robot.frames import LinkFrame
 from stiffopt.robot.urdf import LoadedUrdf
 
-# No arm moves its tool by one joint alone at this speed [m/s], turns a joint at the second [rad/s]
-# (the spindle of the fastest SCARA: 52) or slides at the first.
-_TOOL_SPEED, _SPINDLE = 30.0, 60.0
-# The largest arms have 4e4 N m at their base, and 1e5 N at a slide [N m or N].
-_LARGEST_TORQUE = 1e5
-# Above so many times the largest torque of any joint at full acceleration, and this [N m]; slides
-# press, however little they carry [N].
-_MANY, _FLOOR, _PRESSED = 15.0, 200.0, 2000.0
-# A principal moment may exceed the sum of the others by so much where digits are few.
-_ROUNDED = 1.02
-# From so many joints on, one torque for all is a number that somebody typed once.
-_ALIKE = 4
+# Largest plausible speed of the tool by one joint, or of a prismatic joint [m/s], and of a revolute
+# joint [rad/s] (spindle of the fastest SCARA: 52).
+_MAX_TOOL_SPEED, _MAX_JOINT_SPEED = 30.0, 60.0
+# Largest plausible joint torque [N m] or force [N]: the largest arms have 4e4 N m at their base and
+# 1e5 N at a prismatic joint.
+_MAX_CREDIBLE_TORQUE = 1e5
+# A placeholder exceeds this multiple of the largest joint demand, and this torque [N m] or, as
+# prismatic joints also press, this force [N].
+_MAX_TORQUE_RATIO, _MIN_PLACEHOLDER_TORQUE, _MIN_PLACEHOLDER_FORCE = 15.0, 200.0, 2000.0
+# Rounding in the triangle inequality of principal moments [-].
+_INERTIA_ROUNDING = 1.02
+# Fewest joints at which equal torque limits are a placeholder.
+_MIN_EQUAL_TORQUES = 4
 
 
 @dataclass(frozen=True, kw_only=True)
 class Placeholder:
-    """A limit that is taken as not stated.
+    """Limit treated as not stated.
 
     Parameters
     ----------
@@ -54,16 +55,16 @@ class Placeholder:
 
 
 def speed_placeholders(arm: LoadedUrdf, tool: LinkFrame) -> tuple[Placeholder, ...]:
-    """Speeds that no arm of this length has."""
+    """Return speed limits that are implausible for an arm of this length."""
     tree = body_tree(arm.model)
-    lengths = _lengths(tree, tool)
+    lengths = _chain_lengths(tree, tool)
     found = []
     for j, (name, stated) in enumerate(arm.joints.items()):
         speed, slides = stated["velocity"], bool(tree.prismatic[j])
         at_tool = speed if slides else speed * lengths[j]
-        if at_tool > _TOOL_SPEED:
+        if at_tool > _MAX_TOOL_SPEED:
             why = f"which moves the tool at {at_tool:.3g} m/s"
-        elif not slides and speed > _SPINDLE:
+        elif not slides and speed > _MAX_JOINT_SPEED:
             why = "faster than any joint of an arm"
         else:
             continue
@@ -73,20 +74,23 @@ def speed_placeholders(arm: LoadedUrdf, tool: LinkFrame) -> tuple[Placeholder, .
 
 
 def torque_placeholders(arm: LoadedUrdf, demands: np.ndarray) -> tuple[Placeholder, ...]:
-    """Torques far beyond what the weight and full acceleration take of any joint.
+    """Return torque limits far beyond the demand of weight and full acceleration.
 
     Parameters
     ----------
     arm : LoadedUrdf
     demands : array (n,)
-        Torque of each joint for both, at most; forces of slides.
+        Largest torque of each joint for both; forces of prismatic joints.
     """
     slides = body_tree(arm.model).prismatic
     found = []
     for j, (name, stated) in enumerate(arm.joints.items()):
         alike = demands[slides == slides[j]]
-        most = max(_MANY * float(np.max(alike)), _PRESSED if slides[j] else _FLOOR)
-        if stated["effort"] <= min(most, _LARGEST_TORQUE):
+        most = max(
+            _MAX_TORQUE_RATIO * float(np.max(alike)),
+            _MIN_PLACEHOLDER_FORCE if slides[j] else _MIN_PLACEHOLDER_TORQUE,
+        )
+        if stated["effort"] <= min(most, _MAX_CREDIBLE_TORQUE):
             continue
         unit = "N" if slides[j] else "N m"
         why = f"the arm's weight and full acceleration take {np.max(alike):.3g} {unit} at most"
@@ -96,8 +100,8 @@ def torque_placeholders(arm: LoadedUrdf, demands: np.ndarray) -> tuple[Placehold
     return tuple(found)
 
 
-def without(arm: LoadedUrdf, found: tuple[Placeholder, ...]) -> LoadedUrdf:
-    """The arm with these limits not stated."""
+def drop_placeholders(arm: LoadedUrdf, found: tuple[Placeholder, ...]) -> LoadedUrdf:
+    """Return the arm with these limits not stated."""
     joints = {name: dict(stated) for name, stated in arm.joints.items()}
     for each in found:
         joints[each.joint][each.quantity] = 0.0
@@ -105,28 +109,34 @@ def without(arm: LoadedUrdf, found: tuple[Placeholder, ...]) -> LoadedUrdf:
 
 
 def credible_torques(arm: LoadedUrdf) -> np.ndarray:
-    """Torque limits (n,) that can tell how heavy an arm is [N m]; nan where they cannot."""
+    """Return torque limits (n,) usable for a mass estimate [N m]; nan otherwise."""
     torques = np.array([stated["effort"] for stated in arm.joints.values()])
     slides = body_tree(arm.model).prismatic
-    if len(torques) >= _ALIKE and len(set(torques)) == 1:
+    if len(torques) >= _MIN_EQUAL_TORQUES and len(set(torques)) == 1:
         return np.full(len(torques), np.nan)
-    known = (torques > 0.0) & (torques < _LARGEST_TORQUE) & ~slides
+    known = (torques > 0.0) & (torques < _MAX_CREDIBLE_TORQUE) & ~slides
     return np.where(known, torques, np.nan)
 
 
-def questions(arm: LoadedUrdf, weight: np.ndarray, guessed: Mapping[str, object]) -> Iterator[str]:
-    """What is kept and must be asked about, a sentence each.
+def open_questions(
+    arm: LoadedUrdf, weight: np.ndarray, guessed: Mapping[str, object]
+) -> Iterator[str]:
+    """Yield a question about each doubtful value that is kept.
 
     Parameters
     ----------
     arm : LoadedUrdf
     weight : array (n,)
-        Torque that the weight alone takes of each joint, at most.
+        Largest gravity torque of each joint.
     guessed : mapping
-        Links whose masses are guessed: then a weak drive may be a heavy guess.
+        Links with guessed masses, which may be too heavy for a weak drive.
     """
     torques = {name: stated["effort"] for name, stated in arm.joints.items()}
-    if len(torques) >= _ALIKE and len(set(torques.values())) == 1 and any(torques.values()):
+    if (
+        len(torques) >= _MIN_EQUAL_TORQUES
+        and len(set(torques.values())) == 1
+        and any(torques.values())
+    ):
         yield (
             f"QUESTION: the URDF has the torque {next(iter(torques.values())):g} N m for all"
             f" {len(torques)} joints. Arms have a tenth at the wrist: is it a placeholder? Put"
@@ -140,34 +150,34 @@ def questions(arm: LoadedUrdf, weight: np.ndarray, guessed: Mapping[str, object]
     if weak:
         reason = " or the guessed masses" if guessed else " or the masses"
         yield (
-            f"QUESTION: the torque of {', '.join(weak)} does not bear the arm's own weight in every"
+            f"QUESTION: the torque of {', '.join(weak)} does not hold the arm's own weight in every"
             f" pose: the limit{reason} of the URDF must be wrong, unless springs help."
         )
 
     impossible: dict[str, list[str]] = {}
     for body in body_tree(arm.model).bodies:
-        wrong = why_no_body(np.linalg.eigvalsh(body.inertia))
+        wrong = inertia_fault(np.linalg.eigvalsh(body.inertia))
         if wrong:
             impossible.setdefault(wrong, []).append(body.name)
     for wrong, names in impossible.items():
         yield (
-            f"QUESTION: the inertia of what {', '.join(names)} moves belongs to no body: one"
+            f"QUESTION: the inertia of the links moved by {', '.join(names)} is impossible: one"
             f" principal moment is {wrong}. Was it exported about another point, or are two"
             " entries swapped?"
         )
 
 
-def why_no_body(moments: np.ndarray) -> str:
-    """Why no body has these principal moments (3,), rising; "" but for rounding in a URDF."""
-    if moments[0] < -(_ROUNDED - 1.0) * moments[2]:
+def inertia_fault(moments: np.ndarray) -> str:
+    """Return why ascending principal moments (3,) are impossible; "" if possible."""
+    if moments[0] < -(_INERTIA_ROUNDING - 1.0) * moments[2]:
         return "below 0"
-    if moments[2] > _ROUNDED * (moments[0] + moments[1]):
+    if moments[2] > _INERTIA_ROUNDING * (moments[0] + moments[1]):
         return "larger than the other two together"
     return ""
 
 
-def _lengths(tree: BodyTree, tool: LinkFrame) -> np.ndarray:
-    """Length of the chain behind each joint (n,) [m]."""
+def _chain_lengths(tree: BodyTree, tool: LinkFrame) -> np.ndarray:
+    """Return the length of the chain beyond each joint (n,) [m]."""
     steps = [float(np.linalg.norm(body.translation)) for body in tree.bodies[1:]]
     steps.append(float(np.linalg.norm(tool.offset)))
     return np.cumsum(steps[::-1])[::-1]

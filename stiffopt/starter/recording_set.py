@@ -1,12 +1,13 @@
-"""A recording set from one's own tables: columns, units and roles guessed, and said."""
+"""Recording set from user tables: columns, units and roles guessed, with reasons."""
 
 from __future__ import annotations
 
 import itertools
 import math
+import re
 import shutil
 import tempfile
-from collections.abc import Container, Iterator, Mapping, Sequence
+from collections.abc import Collection, Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,32 +15,36 @@ from typing import Any
 import numpy as np
 
 from stiffopt.errors import InputError, InputFileError
+from stiffopt.files import load_toml, read_text
 from stiffopt.recording.readers.read import is_messages
+from stiffopt.robot.body_tree import body_tree
+from stiffopt.robot.files import load_robot
 from stiffopt.robot.joint_tree import JointTree
+from stiffopt.robot.robot import Robot
+from stiffopt.robot.urdf import load_urdf
 from stiffopt.robot.urdf_xml import read_urdf_tree
 from stiffopt.starter.guessing import (
-    FACTORS,
+    FACTOR_REQUESTS,
     GuessedColumns,
     UnrecognisedError,
-    guess,
+    guess_columns,
     with_time,
 )
-from stiffopt.starter.messages import read_message_table
-from stiffopt.starter.recorded_robot import FILE, RecordedRobot, store_robot
-from stiffopt.starter.tables import read_any_table
-from stiffopt.starter.writing import listed, quoted, write_new
+from stiffopt.starter.robot_file import robot_text
+from stiffopt.starter.tables import read_any_table, read_message_table
+from stiffopt.starter.writing import toml_list, toml_string, write_new
 
-_ENDINGS = (".csv", ".txt", ".tsv", ".dat", ".log", ".npz", ".parquet")
-# Share of a single recording that is fitted to; the rest is for judging.
-_TRAIN = 0.7
-_FEWEST = 400
-# Rows of each part of a recording whose clock begins anew.
-_FEWEST_OF_PART = 100
+_TABLE_SUFFIXES = (".csv", ".txt", ".tsv", ".dat", ".log", ".npz", ".parquet")
+# Training share of a single recording; the rest is held out. Fewest rows for training.
+_TRAINING_SHARE = 0.7
+_MIN_TRAINING_ROWS = 400
+# Fewest rows of a part between clock resets.
+_MIN_PART_ROWS = 100
 
 
 @dataclass(frozen=True, kw_only=True)
 class StartedSet:
-    """What was written and what was guessed.
+    """Written recording set with the guesses in it.
 
     Parameters
     ----------
@@ -61,39 +66,38 @@ def start_recording_set(
     rate: float | None = None,
     tip: str | None = None,
 ) -> StartedSet:
-    """Write a recording set of tables: recordings.toml, a copy of the robot, the runs as NPZ.
+    """Write a recording set: recordings.toml, a copy of the robot, runs as NPZ.
 
     Parameters
     ----------
     data : sequence of Path
-        Files, or folders of them. Values are kept as they are recorded; units stand in
-        `[signals.scale]`.
+        Files, or folders of them. Values are stored as recorded, units in `[signals.scale]`.
     urdf : Path
         URDF of the arm, or its robot file.
     folder : Path
-        Of the set; recordings.toml must not be there yet.
+        Folder of the set, without a recordings.toml.
     rate : float, optional
-        Rows a second [Hz], where no column is a time.
+        Sampling rate [Hz], if no column is a time.
     tip : str, optional
-        Link at the end of the recorded arm; default all of the URDF.
+        Last link of the recorded arm; default the whole URDF.
 
     Raises
     ------
     InputError
-        No table, or columns that are not recognised.
+        No table, or unrecognised columns.
     """
     if (folder / "recordings.toml").exists():
-        raise InputFileError(folder / "recordings.toml", "", "is there already and is kept.")
-    if urdf.suffix.lower() in _ENDINGS:
+        raise InputFileError(folder / "recordings.toml", "", "exists and is kept.")
+    if urdf.suffix.lower() in _TABLE_SUFFIXES:
         raise InputFileError(urdf, "", "is a recording, not a URDF. Give the arm's as --urdf.")
     with tempfile.TemporaryDirectory() as beside:
         arm = store_robot(urdf, Path(beside), tip)
         try:
-            return _started(data, arm, Path(beside), folder, rate)
+            return _write_set(data, arm, Path(beside), folder, rate)
         except UnrecognisedError as error:
             which = (
                 ""
-                if tip or arm.file == FILE
+                if tip or arm.file == ROBOT_FILE
                 else JointTree(read_urdf_tree(urdf)).describe_branches()
             )
             if not which:
@@ -101,12 +105,12 @@ def start_recording_set(
             raise InputError(f"{error} {urdf.name} {which}") from error
 
 
-def _started(
+def _write_set(
     data: Sequence[Path], arm: RecordedRobot, beside: Path, folder: Path, rate: float | None
 ) -> StartedSet:
-    """Write the set of an arm whose files lie in the folder `beside`."""
+    """Write the set of an arm whose files are in the folder `beside`."""
     robot = arm.robot
-    files = _files(data)
+    files = _find_files(data)
     tables = {
         path: read_message_table(path, robot.joint_names)
         if is_messages(path)
@@ -117,7 +121,7 @@ def _started(
         if not 0.0 < rate < 1e6:
             raise InputError(f"--rate {rate:g} must be above 0 and below 1e6 rows a second.")
         tables = {path: with_time(table, rate) for path, table in tables.items()}
-    first = guess(tables[files[0]], robot, rate)
+    first = guess_columns(tables[files[0]], robot, rate)
     wanted = [first.time, *(c for columns in first.columns.values() for c in columns if c)]
     notes = list(arm.notes)
     for path, table in tables.items():
@@ -127,64 +131,67 @@ def _started(
                 path, "", f"lacks {', '.join(lacking)}, which {files[0].name} has."
             )
     runs: list[tuple[str, str, dict[str, np.ndarray]]] = []
-    parts, begun = _parts(tables, first.time, [*wanted, *first.asked])
+    parts, begun = _split_runs(tables, first.time, [*wanted, *first.asked])
     notes += begun
     if len(parts) == 1:
         _, stem, table = parts[0]
-        cut = int(_TRAIN * len(table[first.time]))
-        if cut < _FEWEST:
+        cut = int(_TRAINING_SHARE * len(table[first.time]))
+        if cut < _MIN_TRAINING_ROWS:
             raise InputFileError(
                 files[0],
                 "",
                 f"has {len(table[first.time])} rows; a single recording is cut in two and needs"
-                f" {math.ceil(_FEWEST / _TRAIN)}. Record more, or a second one.",
+                f" {math.ceil(_MIN_TRAINING_ROWS / _TRAINING_SHARE)}. Record more, or a second"
+                " one.",
             )
         runs.append((f"{stem}_train", "train", {k: v[:cut] for k, v in table.items()}))
         runs.append((f"{stem}_test", "test", {k: v[cut:] for k, v in table.items()}))
         notes.append(
-            "One recording: its first 70 % are fitted to, the rest judges. Record a second motion"
-            " for a better proof."
+            "One recording: its first 70 % are for training, the rest is held out. Record a second"
+            " motion for a stronger validation."
         )
     else:
         last = files[-1].name if len(files) > 1 else parts[-1][1]
         for path, name, part in parts:
             kept = last == (path.name if len(files) > 1 else name)
             runs.append((name, "test" if kept else "train", part))
-        notes.append(f"{last} is kept for judging (test), the others are fitted to.")
+        notes.append(f"{last} is held out (test), the others are for training.")
     folder.mkdir(parents=True, exist_ok=True)
     for file in beside.iterdir():
         shutil.copyfile(file, folder / file.name)
     for name, _, table in runs:
         columns: dict[str, Any] = dict(table)
         np.savez_compressed(folder / f"{name}.npz", **columns)
-    text = _text(folder.resolve().name, arm, first, [(n, r) for n, r, _ in runs])
+    text = _set_text(folder.resolve().name, arm, first, [(n, r) for n, r, _ in runs])
     return StartedSet(
         path=write_new(folder / "recordings.toml", text), guess=first, notes=tuple(notes)
     )
 
 
-def _parts(
+def _split_runs(
     tables: Mapping[Path, Mapping[str, np.ndarray]], time: str, names: Sequence[str]
 ) -> tuple[list[tuple[Path, str, dict[str, np.ndarray]]], list[str]]:
-    """File, name and columns of each run, one for each clock of a file; what is to be said."""
+    """Return file, name and columns of each run, split at clock resets, and notes."""
     parts: list[tuple[Path, str, dict[str, np.ndarray]]] = []
     notes: list[str] = []
-    taken = {_stem(path) for path in tables}
+    taken = {_run_name(path) for path in tables}
     for path, table in tables.items():
-        own = list(_clocks(_kept(table, names), time))
-        called = [_stem(path)] if len(own) == 1 else _part_names(_stem(path), len(own), taken)
+        own = list(_split_at_clock_resets(_select_columns(table, names), time))
+        called = (
+            [_run_name(path)] if len(own) == 1 else _part_names(_run_name(path), len(own), taken)
+        )
         taken.update(called)
         parts += [(path, name, part) for name, part in zip(called, own, strict=True)]
         if len(own) > 1:
             notes.append(
-                f"The clock of {path.name} begins anew {len(own) - 1} time(s): it is kept as"
+                f"The clock of {path.name} restarts {len(own) - 1} time(s): it is stored as"
                 f" {len(own)} runs, {', '.join(called)}."
             )
     return parts, notes
 
 
 def _part_names(stem: str, count: int, taken: Container[str]) -> list[str]:
-    """Of the parts of one file: STEM_1 and so on, or STEM_part_1 where a run has such a name."""
+    """Return names STEM_1, ... of the parts of a file, or STEM_part_1, ... if taken."""
     while True:
         names = [f"{stem}_{k}" for k in range(1, count + 1)]
         if not any(name in taken for name in names):
@@ -192,27 +199,29 @@ def _part_names(stem: str, count: int, taken: Container[str]) -> list[str]:
         stem += "_part"
 
 
-def _clocks(table: Mapping[str, np.ndarray], time: str) -> Iterator[dict[str, np.ndarray]]:
-    """Parts between which the clock goes back to its beginning; the table where it does not."""
+def _split_at_clock_resets(
+    table: Mapping[str, np.ndarray], time: str
+) -> Iterator[dict[str, np.ndarray]]:
+    """Yield the parts between clock resets; the whole table without any."""
     stamps = table[time]
     steps = np.diff(stamps)
     known = steps[np.isfinite(steps) & (steps > 0.0)]
     usual = float(np.median(known)) if known.size else 0.0
-    # What goes back by a few rows is no new beginning, and is told by who reads the run.
-    cuts = np.flatnonzero(steps < -_FEWEST_OF_PART * usual) + 1
+    # A step back by a few rows is no reset; reading the run reports it.
+    cuts = np.flatnonzero(steps < -_MIN_PART_ROWS * usual) + 1
     ends = [0, *(int(cut) for cut in cuts), len(stamps)]
-    if any(np.diff(ends) < _FEWEST_OF_PART):
+    if any(np.diff(ends) < _MIN_PART_ROWS):
         yield dict(table)
         return
     for begin, end in itertools.pairwise(ends):
         yield {name: column[begin:end] for name, column in table.items()}
 
 
-def _kept(table: Mapping[str, np.ndarray], names: Sequence[str]) -> dict[str, np.ndarray]:
+def _select_columns(table: Mapping[str, np.ndarray], names: Sequence[str]) -> dict[str, np.ndarray]:
     return {name: table[name] for name in names if name in table}
 
 
-def _files(data: Sequence[Path]) -> list[Path]:
+def _find_files(data: Sequence[Path]) -> list[Path]:
     found: list[Path] = []
     for path in data:
         if (path / "meta" / "info.json").is_file():
@@ -220,67 +229,158 @@ def _files(data: Sequence[Path]) -> list[Path]:
             found += sorted(path.glob("data/**/*.parquet"))
         elif path.is_dir() and not is_messages(path):
             found += sorted(
-                p for p in path.iterdir() if p.suffix.lower() in _ENDINGS or is_messages(p)
+                p for p in path.iterdir() if p.suffix.lower() in _TABLE_SUFFIXES or is_messages(p)
             )
         else:
             found.append(path)
     if not found:
         raise InputError(
-            f"no recordings in {', '.join(map(str, data))}: {', '.join(_ENDINGS)}, MCAP, rosbag2"
-            " and LeRobot datasets are read."
+            f"no recordings in {', '.join(map(str, data))}: {', '.join(_TABLE_SUFFIXES)}, MCAP,"
+            " rosbag2 and LeRobot datasets are read."
         )
-    stems = [_stem(path) for path in found]
+    stems = [_run_name(path) for path in found]
     twice = [path for path, stem in zip(found, stems, strict=True) if stems.count(stem) > 1]
     if twice:
         raise InputFileError(twice[0], "", "has the name of another run. Rename one.")
     return found
 
 
-def _stem(path: Path) -> str:
+def _run_name(path: Path) -> str:
     return "".join(c if c.isalnum() or c in "-_" else "_" for c in path.stem) or "run"
 
 
-def _text(
+def _set_text(
     name: str, arm: RecordedRobot, found: GuessedColumns, runs: Sequence[tuple[str, str]]
 ) -> str:
     joints = arm.robot.joint_names
     lines = [
-        "# Written by `stiffopt init recording`; what it guessed, and why:",
+        "# Written by `stiffopt init recording`; guesses and their reasons:",
         *(f"#   {reason}" for reason in found.reasons),
         f"#   rate: {found.rate:.4g} Hz",
         "# Check it: `stiffopt recording check` of this folder.",
         "schema = 1",
-        f"name = {quoted(name)}",
-        f"robot = {quoted(arm.file)}",
-        f"joints = {listed(map(quoted, joints))}",
+        f"name = {toml_string(name)}",
+        f"robot = {toml_string(arm.file)}",
+        f"joints = {toml_list(map(toml_string, joints))}",
         "",
         "[signals]",
-        f"time = {quoted(found.time)}",
+        f"time = {toml_string(found.time)}",
     ]
     for kind in ("position", "velocity", "link_position", "torque"):
         if kind in found.columns:
-            lines.append(f"{kind} = {listed(map(quoted, found.columns[kind]))}")
+            lines.append(f"{kind} = {toml_list(map(toml_string, found.columns[kind]))}")
     lines.append('torque_side = "motor"  # "link" with joint torque sensors')
     scaled = {kind: unit for kind, unit in found.units.items() if unit}
     if scaled:
         lines += ["", "[signals.scale]"]
         for kind, unit in scaled.items():
             if not isinstance(unit, str):
-                each = ("1.0" if not one else quoted(one) for one in unit)
-                lines.append(f"{kind} = {listed(each)}")
-            elif unit in FACTORS:
-                # Stops whoever reads it until a factor stands there.
-                lines.append(f"{kind} = {quoted(unit)}  # {FACTORS[unit]} here")
+                each = ("1.0" if not one else toml_string(one) for one in unit)
+                lines.append(f"{kind} = {toml_list(each)}")
+            elif unit in FACTOR_REQUESTS:
+                # Not a valid entry until the user replaces it by a factor.
+                lines.append(f"{kind} = {toml_string(unit)}  # {FACTOR_REQUESTS[unit]} here")
             else:
-                lines.append(f"{kind} = {quoted(unit)}")
+                lines.append(f"{kind} = {toml_string(unit)}")
     lines += [
         "",
-        "# [nominal]                 # what today's simulation knows, one number a joint, SI",
-        f"# gear_ratio = {listed(['100.0'] * len(joints))}",
-        f"# rotor_inertia = {listed(['0.1'] * len(joints))}",
-        f"# coulomb = {listed(['1.0'] * len(joints))}",
-        f"# viscous = {listed(['1.0'] * len(joints))}",
+        "# [nominal]                 # parameters of the nominal model, one number a joint, SI",
+        f"# gear_ratio = {toml_list(['100.0'] * len(joints))}",
+        f"# rotor_inertia = {toml_list(['0.1'] * len(joints))}",
+        f"# coulomb = {toml_list(['1.0'] * len(joints))}",
+        f"# viscous = {toml_list(['1.0'] * len(joints))}",
     ]
     for run, role in runs:
-        lines += ["", "[[runs]]", f"file = {quoted(run + '.npz')}", f"role = {quoted(role)}"]
+        lines += [
+            "",
+            "[[runs]]",
+            f"file = {toml_string(run + '.npz')}",
+            f"role = {toml_string(role)}",
+        ]
     return "\n".join(lines) + "\n"
+
+
+ROBOT_FILE = "robot.toml"
+_URDF_FILE, _CATALOGUE_FILE = "robot.urdf", "catalogue.toml"
+# Entries of a robot file that name files.
+_FILE_ENTRIES = {"urdf": _URDF_FILE, "catalogue": _CATALOGUE_FILE}
+
+
+@dataclass(frozen=True, kw_only=True)
+class RecordedRobot:
+    """Robot of a recording set and its file.
+
+    Parameters
+    ----------
+    robot : Robot
+    file : str
+        Name of its file in the set.
+    notes : tuple of str
+        Guesses, a sentence each.
+    """
+
+    robot: Robot
+    file: str
+    notes: tuple[str, ...] = ()
+
+
+def store_robot(source: Path, folder: Path, tip: str | None = None) -> RecordedRobot:
+    """Copy a robot into a folder; add a robot file with guesses for an incomplete URDF.
+
+    Limits and masses are guessed, drivetrains and friction are not: recordings determine them.
+
+    Parameters
+    ----------
+    source : Path
+        URDF or robot TOML.
+    folder : Path
+    tip : str, optional
+        Last link of the recorded arm, if the URDF holds more.
+
+    Raises
+    ------
+    InputFileError, RobotError
+        The robot cannot be read.
+    """
+    if source.suffix.lower() == ".toml":
+        if tip is not None:
+            raise InputFileError(source, "", "names its tool itself: leave out --tip.")
+        robot = load_robot(source)
+        _copy_robot_file(source, folder)
+        return RecordedRobot(robot=robot, file=ROBOT_FILE)
+    # All arms of a URDF may have been recorded.
+    every = [] if tip else JointTree(read_urdf_tree(source)).ambiguous_joints()
+    if tip is None and not _has_gaps(source, every):
+        robot = load_robot(source, keep=every)
+        shutil.copyfile(source, folder / _URDF_FILE)
+        return RecordedRobot(robot=robot, file=_URDF_FILE)
+    started = robot_text(source, folder, tip, bare=True)
+    shutil.copyfile(source, folder / _URDF_FILE)
+    (folder / ROBOT_FILE).write_text(
+        _replace_entry(started.text, "urdf", _URDF_FILE), encoding="utf-8"
+    )
+    return RecordedRobot(
+        robot=load_robot(folder / ROBOT_FILE), file=ROBOT_FILE, notes=started.notes
+    )
+
+
+def _has_gaps(urdf: Path, keep: Collection[str]) -> bool:
+    """Return True if a URDF lacks limits or masses of moving joints."""
+    arm = load_urdf(urdf, keep=keep, limited=None, followers=True)
+    silent = any(not (each["effort"] and each["velocity"]) for each in arm.joints.values())
+    weightless = any(not body.mass > 0.0 for body in body_tree(arm.model).bodies)
+    return silent or weightless or bool(arm.unlimited)
+
+
+def _copy_robot_file(source: Path, folder: Path) -> None:
+    text, entries = read_text(source), load_toml(source)
+    for entry, name in _FILE_ENTRIES.items():
+        if entry in entries:
+            shutil.copyfile(source.parent / entries[entry], folder / name)
+            text = _replace_entry(text, entry, name)
+    (folder / ROBOT_FILE).write_text(text, encoding="utf-8")
+
+
+def _replace_entry(text: str, entry: str, name: str) -> str:
+    """Replace the file name of an entry in the text of a robot file."""
+    return re.sub(rf"(?m)^{entry}\s*=.*$", f"{entry} = {toml_string(name)}", text, count=1)

@@ -1,4 +1,4 @@
-"""Robot file of a URDF: its limits, candidates of reducers, and what is estimated marked."""
+"""Robot file of a URDF: its limits, candidate reducers, and marked estimates."""
 
 from __future__ import annotations
 
@@ -30,45 +30,46 @@ from stiffopt.robot.urdf_xml import unsupported_format
 from stiffopt.starter.placeholders import (
     Placeholder,
     credible_torques,
-    questions,
+    drop_placeholders,
+    open_questions,
     speed_placeholders,
     torque_placeholders,
-    without,
 )
-from stiffopt.starter.writing import beside, key, listed, number, quoted
+from stiffopt.starter.writing import relative_path, toml_key, toml_list, toml_number, toml_string
 
-# Of a joint whose limits nobody states: full speed within the first time, full acceleration within
-# the second [s].
-_TO_SPEED, _TO_ACCELERATION = 0.25, 0.05
-# Where the URDF is silent: at least [N m], times what weight and full acceleration take; [rad/s]
-# and the way of a slide [m].
-_TORQUE, _ROOM, _SPEED, _SLIDE = 5.0, 1.5, 2.0, 0.3
-_POSES = 200
-# Beyond it [rad] limits may be degrees.
-_MANY_TURNS = 12.0 * np.pi
-# Up to this torque strain-wave reducers are usual [N m].
-_LARGE = 350.0
-_SHOWN = 3
-# Links this far from the tool are another place [m]; so many of them are told.
-_AHEAD, _MOST_TIPS = 1e-3, 6
-# How links that tools are meant for are called.
-_TOOL = re.compile("tcp|tool|flange|effector", re.IGNORECASE)
-# Masses that torque limits change by less than this are as they were.
-_SAME_SCALE = 0.05
-_NOT_READ = {".sdf": "an SDF", ".mjcf": "an MJCF", ".xacro": "xacro"}
-_OWN_ELEMENTS = ('# A slide: describe its elements, such as type = "constant" with its stiffness.',)
-_NO_REDUCER = "# No packaged reducer bears"
+# Times to full speed and to full acceleration that set unstated limits [s].
+_ACCELERATION_TIME, _JERK_TIME = 0.25, 0.05
+# Guesses for unstated limits: least torque [N m], torque over demand [-], speed [rad/s], range of a
+# prismatic joint [m].
+_MIN_TORQUE_GUESS, _TORQUE_MARGIN, _DEFAULT_SPEED, _DEFAULT_SLIDE_RANGE = 5.0, 1.5, 2.0, 0.3
+_POSE_COUNT = 200
+# Position limits beyond this may be in degrees [rad].
+_MAX_PLAUSIBLE_ANGLE = 12.0 * np.pi
+# Largest torque of usual strain-wave reducers [N m].
+_MAX_STRAIN_WAVE_TORQUE = 350.0
+_MAX_ALTERNATIVES = 3
+# Least distance of a link from the tool to be listed [m], and largest number listed.
+_MIN_TIP_DISTANCE, _MAX_SHOWN_TIPS = 1e-3, 6
+# Usual names of tool links.
+_TOOL_NAME_PATTERN = re.compile("tcp|tool|flange|effector", re.IGNORECASE)
+# Least relative change of masses by torque limits that is reported [-].
+_MIN_SCALE_CHANGE = 0.05
+_UNREAD_FORMATS = {".sdf": "an SDF", ".mjcf": "an MJCF", ".xacro": "xacro"}
+_SLIDE_COMMENT = (
+    '# Prismatic joint: describe its elements, such as type = "constant" with its stiffness.',
+)
+_NO_REDUCER_COMMENT = "# No packaged reducer carries"
 
 
 @dataclass(frozen=True, kw_only=True)
 class StartedRobot:
-    """Text of a robot file, and what a person has to know of it.
+    """Text of a robot file, with notes for the user.
 
     Parameters
     ----------
     text : str
     notes : tuple of str
-        What was guessed or left out.
+        Guesses and omissions, a sentence each.
     """
 
     text: str
@@ -84,27 +85,27 @@ def robot_text(
     *,
     bare: bool = False,
 ) -> StartedRobot:
-    """Text of a robot file for a URDF.
+    """Return the text of a robot file for a URDF.
 
     Parameters
     ----------
     urdf : Path
     folder : Path
-        That the file is to lie in.
+        Folder of the file.
     tip : str, optional
-        Link at the end of the arm, which the tool is fixed to; default where fingers branch off.
+        Last link of the arm, which carries the tool; default where fingers branch off.
     name : str, optional
         Default the name of the URDF's file.
     catalogue : Path, optional
-        One's own, whose reducers are candidates too.
+        User catalogue, whose reducers are candidates too.
     bare : bool
-        Without what recordings are to tell: no reducers, and no friction, which in a URDF is a
-        setting of simulators.
+        Without reducers and friction, which recordings determine; friction in a URDF is a setting
+        of simulators.
 
     Raises
     ------
     InputFileError, RobotError
-        No URDF that can be read, a tip that it lacks, or several arms and no tip.
+        Unreadable URDF, unknown tip, or several arms and no tip.
     """
     _check_format(urdf)
     arm = load_urdf(urdf, tip=tip, limited=None, followers=True)
@@ -115,124 +116,131 @@ def robot_text(
     bodies = estimate_bodies(arm, urdf, tool)
     if bodies:
         arm = load_urdf(urdf, tip=tip, limited=None, followers=True, bodies=bodies)
-        fitted = fit_to_torque_limits(bodies, _weights(arm), credible_torques(arm))
+        fitted = fit_to_torque_limits(bodies, _weight_torques(arm), credible_torques(arm))
         if fitted != bodies:
             bodies = fitted
             arm = load_urdf(urdf, tip=tip, limited=None, followers=True, bodies=bodies)
     doubted = speed_placeholders(arm, tool)
-    arm = without(arm, doubted)
-    demands = _demands(arm)
+    arm = drop_placeholders(arm, doubted)
+    demands = _torque_demands(arm)
     doubted += (further := torque_placeholders(arm, demands))
-    arm = without(arm, further)
+    arm = drop_placeholders(arm, further)
     lines = [
         f"# Robot file of {urdf.name}, written by `stiffopt init robot`. Position, velocity and"
         " torque",
-        "# limits are those of the URDF. What is marked estimated is a guess to begin with: put",
-        "# your own numbers in its place before you trust a micrometre.",
+        "# limits are those of the URDF. Values marked estimated are initial guesses: replace them",
+        "# by your own before relying on results.",
         "schema = 1",
         'kind = "robot"',
-        f"name = {quoted(name or urdf.stem)}",
-        f"urdf = {quoted(beside(urdf, folder))}",
+        f"name = {toml_string(name or urdf.stem)}",
+        f"urdf = {toml_string(relative_path(urdf, folder))}",
     ]
     if arm.held:
-        held = ", ".join(f"{key(h.name)} = {number(h.value)}" for h in arm.held)
-        lines.append(f"lock = {{ {held} }}  # held: {_whys(arm)}")
-    lines.append(f"tool = {{ link = {quoted(tool.link)}, offset = [0.0, 0.0, 0.0] }}  # [m]")
+        held = ", ".join(f"{toml_key(h.name)} = {toml_number(h.value)}" for h in arm.held)
+        lines.append(f"lock = {{ {held} }}  # held: {_held_reasons(arm)}")
+    lines.append(f"tool = {{ link = {toml_string(tool.link)}, offset = [0.0, 0.0, 0.0] }}  # [m]")
     if catalogue is not None:
-        lines.append(f"catalogue = {quoted(beside(catalogue, folder))}")
+        lines.append(f"catalogue = {toml_string(relative_path(catalogue, folder))}")
     for link, body in bodies.items():
-        lines += ["", *_link(link, body)]
+        lines += ["", *_link_lines(link, body)]
     with with_own({} if catalogue is None else read_own_catalogue(catalogue)):
         for j, each in enumerate(body_tree(arm.model).bodies):
             own = {p.quantity: p for p in doubted if p.joint == each.name}
-            lines += ["", *_joint(arm, j, each, float(demands[j]), own, bare=bare)]
+            lines += ["", *_joint_lines(arm, j, each, float(demands[j]), own, bare=bare)]
             if not bare:
                 lines += (
-                    _OWN_ELEMENTS
+                    _SLIDE_COMMENT
                     if each.prismatic
-                    else _reducer(_torque(arm, each, float(demands[j])))
+                    else _reducer_lines(_torque_limit(arm, each, float(demands[j])))
                 )
-    notes = [*_notes(arm, bodies, tool.link, doubted, lines)]
+    notes = [*_describe_guesses(arm, bodies, tool.link, doubted, lines)]
     if tip is None:
-        notes[1:1] = _farther_out(arm, tool)
+        notes[1:1] = _list_farther_links(arm, tool)
     return StartedRobot(text="\n".join(lines) + "\n", notes=tuple(notes))
 
 
 def _check_format(urdf: Path) -> None:
-    """Raise `InputFileError` for a file whose name says that it is no URDF."""
-    kind = "xacro" if urdf.name.endswith(".urdf.xacro") else _NOT_READ.get(urdf.suffix.lower())
+    """Raise `InputFileError` for file names of other formats than URDF."""
+    kind = (
+        "xacro" if urdf.name.endswith(".urdf.xacro") else _UNREAD_FORMATS.get(urdf.suffix.lower())
+    )
     if kind is not None:
         raise InputFileError(urdf, "", unsupported_format(kind))
     if urdf.suffix.lower() == ".toml":
         raise InputFileError(
-            urdf, "", f"is a robot file already: go on with `stiffopt init problem {urdf}`."
+            urdf, "", f"is a robot file already: continue with `stiffopt init problem {urdf}`."
         )
 
 
-def _notes(
+def _describe_guesses(
     arm: LoadedUrdf,
     bodies: Mapping[str, EstimatedBody],
     tool: str,
     doubted: Sequence[Placeholder],
     lines: Sequence[str],
 ) -> Iterator[str]:
-    """What was guessed or left out, a sentence each."""
+    """Yield guesses, omissions and questions, a sentence each."""
     yield f"The arm: {', '.join(arm.joints)}; its tool is fixed to {tool}."
     if arm.held:
         yield f"Held: {'; '.join(map(str, arm.held))}."
     coupled = [h.name for h in arm.held if h.why.endswith("which moves")]
     if coupled:
         yield (
-            f"{', '.join(coupled)} cannot move with the joint that is followed: where that lies on"
-            " the way to the tool, the arm is not the real one."
+            f"{', '.join(coupled)} cannot follow its leading joint: if that joint moves the tool,"
+            " the arm differs from the real one."
         )
     yield from _guessed_masses(bodies)
     names = list(arm.joints)
     turning = ~body_tree(arm.model).prismatic
     reach = np.maximum(-arm.model.lowerPositionLimit, arm.model.upperPositionLimit)
-    wide = [names[j] for j in np.flatnonzero(turning & (reach > _MANY_TURNS) & (reach < UNLIMITED))]
+    wide = [
+        names[j]
+        for j in np.flatnonzero(turning & (reach > _MAX_PLAUSIBLE_ANGLE) & (reach < UNLIMITED))
+    ]
     if wide:
         yield (
-            f"QUESTION: limits of {', '.join(wide)} are more than {_MANY_TURNS / np.pi:g} half"
-            " turns. URDFs are in rad: were degrees meant? Then give position_lower and"
+            f"QUESTION: limits of {', '.join(wide)} are more than {_MAX_PLAUSIBLE_ANGLE / np.pi:g}"
+            " half turns. URDFs are in rad: were degrees meant? Then give position_lower and"
             ' position_upper as texts, such as "-130 deg".'
         )
     if arm.unlimited:
         yield f"GUESSED: limits of position of {', '.join(arm.unlimited)}."
-    for what in ("effort", "velocity"):
-        taken = {p.joint: p for p in doubted if p.quantity == what}
-        silent = [name for name, stated in arm.joints.items() if not stated[what]]
+    for quantity in ("effort", "velocity"):
+        taken = {p.joint: p for p in doubted if p.quantity == quantity}
+        silent = [name for name, stated in arm.joints.items() if not stated[quantity]]
         silent = [name for name in silent if name not in taken]
         if silent:
-            yield f"GUESSED: the URDF has no {what} for {', '.join(silent)}."
+            yield f"GUESSED: the URDF has no {quantity} for {', '.join(silent)}."
         if taken:
             said = "; ".join(f"{name}: {each}" for name, each in taken.items())
             yield (
-                f"QUESTION: the {what} of {len(taken)} joints is a placeholder: {said}. Guessed"
-                f" values stand in the file, marked estimated: put those of the data sheet."
+                f"QUESTION: the {quantity} of {len(taken)} joints is a placeholder: {said}. Guessed"
+                f" values are in the file, marked estimated: replace them by the data sheet's."
             )
-    bare = [line for line in lines if line.startswith(_NO_REDUCER)]
+    bare = [line for line in lines if line.startswith(_NO_REDUCER_COMMENT)]
     if bare:
         yield (
-            f"RIGID: for {len(bare)} of the joints no packaged reducer bears the torque; give yours"
-            " in the file, or what yields there is left out."
+            f"RIGID: for {len(bare)} of the joints no packaged reducer carries the torque; give"
+            " yours in the file, or these joints are rigid."
         )
-    yield from questions(arm, _weights(arm), bodies)
+    yield from open_questions(arm, _weight_torques(arm), bodies)
 
 
-def _farther_out(arm: LoadedUrdf, tool: LinkFrame) -> Iterator[str]:
-    """Links fixed to the one of the tool, of which one may be meant."""
+def _list_farther_links(arm: LoadedUrdf, tool: LinkFrame) -> Iterator[str]:
+    """Yield a note on other links fixed to that of the tool, which may be meant."""
     frames = [link_frame(arm.model, name) for name in moving_link_names(arm.model)]
     found = {
         frame.link: float(np.linalg.norm(frame.offset - tool.offset))
         for frame in frames
         if frame.joint == tool.joint
     }
-    ahead = sorted((way, name) for name, way in found.items() if way > _AHEAD)
+    ahead = sorted((way, name) for name, way in found.items() if way > _MIN_TIP_DISTANCE)
     if ahead:
-        named = [name for _, name in ahead if _TOOL.search(name)]
+        named = [name for _, name in ahead if _TOOL_NAME_PATTERN.search(name)]
         best = named[-1] if named else ahead[0][1]
-        listed_ = ", ".join(f"{name} ({1e3 * way:.0f} mm away)" for way, name in ahead[:_MOST_TIPS])
+        listed_ = ", ".join(
+            f"{name} ({1e3 * way:.0f} mm away)" for way, name in ahead[:_MAX_SHOWN_TIPS]
+        )
         yield (
             f"Fixed to {tool.link} are also {listed_}: for the tool there, name one,"
             f" such as --tip {shlex.quote(best)}."
@@ -240,7 +248,7 @@ def _farther_out(arm: LoadedUrdf, tool: LinkFrame) -> Iterator[str]:
 
 
 def _guessed_masses(bodies: Mapping[str, EstimatedBody]) -> Iterator[str]:
-    """Which masses are guessed, from what, and how far off that can be."""
+    """Yield the guessed masses, their source and their uncertainty."""
     shaped = {name: body for name, body in bodies.items() if body.shaped}
     rods = {name: body for name, body in bodies.items() if not body.shaped}
     for own, off in ((shaped, "a factor of two"), (rods, "a factor of two, single links of three")):
@@ -248,69 +256,70 @@ def _guessed_masses(bodies: Mapping[str, EstimatedBody]) -> Iterator[str]:
             total = sum(body.mass for body in own.values())
             yield (
                 f"GUESSED: the URDF gives no mass to {', '.join(own)}; {total:.3g} kg together, by"
-                f" {_how(next(iter(own.values())))}. They can be off by {off}, and every torque"
-                " rests on them: put in your own."
+                f" {_describe_mass_source(next(iter(own.values())))}. They can be off by {off}, and"
+                " every torque depends on them: put in your own."
             )
 
 
-def _how(body: EstimatedBody) -> str:
-    """What a mass was guessed from."""
+def _describe_mass_source(body: EstimatedBody) -> str:
+    """Return the source of a guessed mass."""
     said = f"the volume of their shapes at {DENSITY:g} kg/m^3"
     if not body.shaped:
         said = (
-            "housings and rods from joint to joint, thick at the base, for want of any shape, at"
+            "housings and rods from joint to joint, since the URDF has no shapes, at"
             f" {ROD_DENSITY:g} kg/m^3"
         )
-    if abs(body.scale - 1.0) < _SAME_SCALE:
+    if abs(body.scale - 1.0) < _MIN_SCALE_CHANGE:
         return said
-    return f"{said}, times {body.scale:.2g} for what the torque limits can hold"
+    return f"{said}, times {body.scale:.2g} to match the torque limits"
 
 
-def _link(name: str, body: EstimatedBody) -> Iterator[str]:
+def _link_lines(name: str, body: EstimatedBody) -> Iterator[str]:
     yield "[[link]]"
-    yield f"name = {quoted(name)}"
-    yield f"mass = {number(body.mass, 3)}  # [kg], estimated: the URDF has none"
-    yield f"com = {listed(number(round(float(x), 4)) for x in body.com)}  # [m]"
-    yield f"inertia = {listed(number(float(x), 3) for x in np.diag(body.inertia))}  # [kg m^2]"
+    yield f"name = {toml_string(name)}"
+    yield f"mass = {toml_number(body.mass, 3)}  # [kg], estimated: the URDF has none"
+    yield f"com = {toml_list(toml_number(round(float(x), 4)) for x in body.com)}  # [m]"
+    moments = toml_list(toml_number(float(x), 3) for x in np.diag(body.inertia))
+    yield f"inertia = {moments}  # [kg m^2]"
     yield 'provenance = "estimated"'
-    yield f'source = "init robot: {_how(body)}"'
+    yield f'source = "init robot: {_describe_mass_source(body)}"'
 
 
-def _demands(arm: LoadedUrdf) -> np.ndarray:
-    """Torque (n,) that full acceleration and the weight take, at most of random poses."""
-    speed = np.array([stated["velocity"] or _SPEED for stated in arm.joints.values()])
+def _torque_demands(arm: LoadedUrdf) -> np.ndarray:
+    """Return the largest torque of weight and full acceleration over random poses (n,)."""
+    speed = np.array([stated["velocity"] or _DEFAULT_SPEED for stated in arm.joints.values()])
     bodies = RigidBodies(arm.model)
     most = np.zeros(len(speed))
-    for q in _poses(arm):
-        own = np.diag(bodies.inertia_matrix(q)) * speed / _TO_SPEED
+    for q in _random_poses(arm):
+        own = np.diag(bodies.inertia_matrix(q)) * speed / _ACCELERATION_TIME
         most = np.maximum(most, np.abs(bodies.gravity_torque(q)) + own)
     return most
 
 
-def _weights(arm: LoadedUrdf) -> np.ndarray:
-    """Torque (n,) that the weight takes, at most of random poses."""
+def _weight_torques(arm: LoadedUrdf) -> np.ndarray:
+    """Return the largest gravity torque over random poses (n,)."""
     bodies = RigidBodies(arm.model)
     most = np.zeros(len(arm.joints))
-    for q in _poses(arm):
+    for q in _random_poses(arm):
         most = np.maximum(most, np.abs(bodies.gravity_torque(q)))
     return most
 
 
-def _poses(arm: LoadedUrdf) -> np.ndarray:
-    """Random poses (K, n) within the limits."""
+def _random_poses(arm: LoadedUrdf) -> np.ndarray:
+    """Return random poses (K, n) within the limits."""
     low, high = (np.array(x) for x in (arm.model.lowerPositionLimit, arm.model.upperPositionLimit))
     endless = (low <= -UNLIMITED) | (high >= UNLIMITED)
     slides = body_tree(arm.model).prismatic
-    reach = np.where(slides, 0.5 * _SLIDE, np.pi)
+    reach = np.where(slides, 0.5 * _DEFAULT_SLIDE_RANGE, np.pi)
     low, high = np.where(endless, -reach, low), np.where(endless, reach, high)
-    return np.random.default_rng(1).uniform(low, high, (_POSES, len(low)))
+    return np.random.default_rng(1).uniform(low, high, (_POSE_COUNT, len(low)))
 
 
-def _whys(arm: LoadedUrdf) -> str:
+def _held_reasons(arm: LoadedUrdf) -> str:
     return "; ".join(dict.fromkeys(h.why for h in arm.held))
 
 
-def _joint(
+def _joint_lines(
     arm: LoadedUrdf,
     j: int,
     body: Body,
@@ -322,18 +331,19 @@ def _joint(
     stated = arm.joints[body.name]
     low, high = float(arm.model.lowerPositionLimit[j]), float(arm.model.upperPositionLimit[j])
     unit = ("m", "m/s", "N") if body.prismatic else ("rad", "rad/s", "N m")
-    speed = stated["velocity"] or _SPEED
-    torque = _torque(arm, body, demand)
-    acceleration = speed / _TO_SPEED
+    speed = stated["velocity"] or _DEFAULT_SPEED
+    torque = _torque_limit(arm, body, demand)
+    acceleration = speed / _ACCELERATION_TIME
     yield "[[joint]]"
     if body.name in arm.unlimited:
-        # Angles as texts: what a person changes is in degrees.
-        ends = ("0.0", f"{_SLIDE}") if body.prismatic else ('"-170 deg"', '"170 deg"')
-        yield f"name = {quoted(body.name)}"
+        # Angles as texts, since users edit degrees.
+        ends = ("0.0", f"{_DEFAULT_SLIDE_RANGE}") if body.prismatic else ('"-170 deg"', '"170 deg"')
+        yield f"name = {toml_string(body.name)}"
         yield f"position_lower = {ends[0]}  # GUESSED: the URDF has no limits of position"
         yield f"position_upper = {ends[1]}  # GUESSED"
     else:
-        yield f"name = {quoted(body.name)}  # {_range(low, high, body.prismatic)}, of the URDF"
+        reach = _format_range(low, high, body.prismatic)
+        yield f"name = {toml_string(body.name)}  # {reach}, of the URDF"
     for name, value, key_, per in (
         ("torque_max", torque, "effort", unit[2]),
         ("velocity_max", speed, "velocity", unit[1]),
@@ -342,33 +352,35 @@ def _joint(
         if not stated[key_]:
             where = f"GUESSED: {doubted.get(key_, f'the URDF has no {key_}')}"
             if key_ == "effort":
-                where += "; this is its weight and full acceleration with room"
-        yield f"{name} = {number(value)}  # [{per}], {where}"
-    yield f"acceleration_max = {number(acceleration, 3)}  # estimated: full speed in 0.25 s"
-    yield f"jerk_max = {number(acceleration / _TO_ACCELERATION, 3)}  # estimated: that in 50 ms"
+                where += "; this is weight and full acceleration with margin"
+        yield f"{name} = {toml_number(value)}  # [{per}], {where}"
+    yield f"acceleration_max = {toml_number(acceleration, 3)}  # estimated: full speed in 0.25 s"
+    yield f"jerk_max = {toml_number(acceleration / _JERK_TIME, 3)}  # estimated: that in 50 ms"
     for name, key_ in (("coulomb", "friction"), ("viscous", "damping")):
         if bare:
             yield f"{name} = 0.0  # not known"
         elif stated[key_]:
-            yield f"{name} = {number(stated[key_])}  # URDF"
+            yield f"{name} = {toml_number(stated[key_])}  # URDF"
     yield 'provenance = "estimated"'
     guesses = [name for name, key_ in (("torque", "effort"), ("speed", "velocity"))
                if not stated[key_]]  # fmt: skip
     yield f'source = "URDF; {", ".join([*guesses, "acceleration"])} and jerk are guesses"'
 
 
-def _torque(arm: LoadedUrdf, body: Body, demand: float) -> float:
-    """Torque limit of a joint; where nothing states it, what it needs, rounded to two digits."""
-    return arm.joints[body.name]["effort"] or float(f"{max(_ROOM * demand, _TORQUE):.2g}")
+def _torque_limit(arm: LoadedUrdf, body: Body, demand: float) -> float:
+    """Return the torque limit of a joint; if not stated, its demand to two digits."""
+    return arm.joints[body.name]["effort"] or float(
+        f"{max(_TORQUE_MARGIN * demand, _MIN_TORQUE_GUESS):.2g}"
+    )
 
 
-def _reducer(torque: float) -> Iterator[str]:
-    """Smallest packaged reducer that bears the torque, and the next ones."""
+def _reducer_lines(torque: float) -> Iterator[str]:
+    """Yield the smallest packaged reducer for the torque, and the next ones."""
     fitting = reducers_for(torque)
     yield ""
     if not fitting:
         yield (
-            f"{_NO_REDUCER} {number(torque)} N m again and again. Give yours:"
+            f"{_NO_REDUCER_COMMENT} {toml_number(torque)} N m repeatedly. Give yours:"
             " the joint is rigid until then."
         )
         yield "# [[joint.element]]"
@@ -376,19 +388,19 @@ def _reducer(torque: float) -> Iterator[str]:
         yield '# type = "reducer"'
         yield "# K1 = ...  # [N m/rad] up to T1; K2 up to T2, K3 above; T1, T2 [N m]"
         return
-    others = [name for name, _ in fitting[1 : 1 + _SHOWN]]
+    others = [name for name, _ in fitting[1 : 1 + _MAX_ALTERNATIVES]]
     yield "[[joint.element]]"
     yield 'name = "reducer"'
     yield 'type = "reducer"'
     more = f"; next {', '.join(others)}" if others else ""
     chosen, peak = fitting[0]
-    yield f"catalogue = {quoted(chosen)}  # estimated: repeated peak {peak:g} N m{more}"
+    yield f"catalogue = {toml_string(chosen)}  # estimated: repeated peak {peak:g} N m{more}"
     yield 'provenance = "estimated"'
     yield 'source = "init robot: the smallest packaged reducer of ratio 80 or more for the torque"'
 
 
 def reducers_for(torque: float) -> list[tuple[str, float]]:
-    """Packaged reducers of ratio 80 or more with a repeated peak torque above this [N m]."""
+    """Return packaged reducers of ratio 80 or more for a repeated peak torque [N m]."""
     entries = [reducer(name) for name in reducer_names()]
     found = [
         (entry.name, entry.ratings[1], entry.ratio)
@@ -397,14 +409,14 @@ def reducers_for(torque: float) -> list[tuple[str, float]]:
     ]
 
     def order(entry: tuple[str, float, float]) -> tuple[bool, float, float]:
-        # Cycloidal ones belong to the large joints.
+        # Cycloidal reducers are for large joints.
         name, peak, ratio = entry
-        return name.startswith("rv_") == (torque <= _LARGE), peak, -ratio
+        return name.startswith("rv_") == (torque <= _MAX_STRAIN_WAVE_TORQUE), peak, -ratio
 
     return [(name, peak) for name, peak, _ in sorted(found, key=order)]
 
 
-def _range(low: float, high: float, slides: bool) -> str:
+def _format_range(low: float, high: float, slides: bool) -> str:
     if max(abs(low), abs(high)) >= UNLIMITED:
         return "no limits of position"
     if slides:

@@ -1,4 +1,4 @@
-"""Text of TOML files that people go on with, and files that are never overwritten."""
+"""TOML text for files that users edit, and files that are never overwritten."""
 
 from __future__ import annotations
 
@@ -12,26 +12,26 @@ from stiffopt.files import atomic_write
 
 
 def write_new(path: Path, text: str) -> Path:
-    """Write a file that is not there yet.
+    """Write a new file.
 
     Raises
     ------
     InputFileError
-        It is there: what a person has changed is not written over.
+        The file exists; user changes are not overwritten.
     """
     if path.exists():
-        raise InputFileError(path, "", "is there already and is kept. Give another --out.")
+        raise InputFileError(path, "", "exists and is kept. Give another --out.")
     atomic_write(path, text)
     return path
 
 
-def quoted(text: str) -> str:
-    """Text as TOML has it.
+def toml_string(text: str) -> str:
+    """Return a quoted TOML string.
 
     Raises
     ------
     InputError
-        A name of a file that is not UTF-8, and so no text.
+        A file name that is not UTF-8.
     """
     if any("\ud800" <= character <= "\udfff" for character in text):
         raise InputError(
@@ -40,23 +40,23 @@ def quoted(text: str) -> str:
     return json.dumps(text, ensure_ascii=False)
 
 
-def listed(values: Iterable[str]) -> str:
-    """List of entries that are TOML already."""
+def toml_list(values: Iterable[str]) -> str:
+    """Return a TOML list of formatted entries."""
     return f"[{', '.join(values)}]"
 
 
-def number(value: float, digits: int = 6) -> str:
-    """Number as TOML has it, always with a point or an exponent."""
+def toml_number(value: float, digits: int = 6) -> str:
+    """Return a TOML float, always with a point or an exponent."""
     text = f"{value:.{digits}g}"
     return text if any(mark in text for mark in ".en") else f"{text}.0"
 
 
-def beside(path: Path, folder: Path) -> str:
-    """Path relative to a folder, with slashes."""
+def relative_path(path: Path, folder: Path) -> str:
+    """Return the path relative to a folder, with slashes."""
     return Path(os.path.relpath(path, folder)).as_posix()
 
 
-def key(name: str) -> str:
-    """Key of a TOML table, quoted where it has to be."""
+def toml_key(name: str) -> str:
+    """Return a TOML key, quoted if necessary."""
     plain = name.isascii() and name.replace("_", "").replace("-", "").isalnum()
-    return name if plain else quoted(name)
+    return name if plain else toml_string(name)

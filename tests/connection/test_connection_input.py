@@ -109,7 +109,7 @@ def test_other_limits(
 
 @pytest.mark.parametrize("law", ["log_cubik", "fractal"])
 @pytest.mark.parametrize("make", [key, flange, pins, gears])
-def test_unknown_contact_law_is_refused_at_once(make: Callable[..., Connection], law: str) -> None:
+def test_unknown_contact_law_is_refused(make: Callable[..., Connection], law: str) -> None:
     with pytest.raises(InputError, match=f"contact_law = '{law}' is not known"):
         make(contact_law=law)
 

@@ -31,7 +31,7 @@ def smoothing_width(connection: Connection) -> float:
     return 1e-3 * connection.torque_max
 
 
-def test_no_kind_is_left_out() -> None:
+def test_every_connection_kind_is_tested() -> None:
     abstract = {Connection, ContactConnection, LinearConnection}
     public = [getattr(kinds, n) for n in kinds.__all__]
     offered = {kind for kind in public if issubclass(kind, Connection)} - abstract
@@ -39,7 +39,7 @@ def test_no_kind_is_left_out() -> None:
 
 
 @every
-def test_odd(name: str) -> None:
+def test_windup_is_odd(name: str) -> None:
     element = ELEMENTS[name]
     check_odd(element.windup, RATIOS * element.torque_max)
 
@@ -218,7 +218,7 @@ def test_preload_given_or_stored_is_the_same(name: str) -> None:
 
 
 @preloaded
-def test_past_slip_the_smooth_law_stays_finite_and_the_exact_one_tells(name: str) -> None:
+def test_past_slip_smooth_law_is_finite_and_exact_law_infinite(name: str) -> None:
     element = ELEMENTS[name]
     torques = element.slip_torque() * np.array([0.9, 0.95, 0.99, 1.001, 1.5, 3.0])
     compliance = element.tangent_compliance(torques)
@@ -239,7 +239,7 @@ def test_exact_compliance_takes_any_shape_and_sign(name: str) -> None:
 
 
 @every
-def test_pressure_and_slip_have_a_meaning_or_none(name: str) -> None:
+def test_pressure_and_slip_are_defined_or_nan(name: str) -> None:
     element = ELEMENTS[name]
     pressure = element.pressure(np.array([0.1, 1.0]) * element.torque_max)
     assert pressure.shape == (2,)

@@ -40,7 +40,7 @@ def test_sectors_in_parallel_are_the_ring(shear, surface, count):
         assert part / count == pytest.approx(whole, rel=1e-12)
 
 
-def test_a_loose_bolt_takes_its_sector_along():
+def test_loose_bolt_loosens_its_sector():
     ring = flange()
     sector = cut(ring)
     torque = np.array([0.1])

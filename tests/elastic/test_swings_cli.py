@@ -15,7 +15,7 @@ from stiffopt.elastic.arm import ElasticArm
 from stiffopt.elastic.modes import modes
 from stiffopt.report.common.text import significant
 from stiffopt.robot.files import load_robot
-from stiffopt.starter.first_motion import first_motion
+from stiffopt.starter.problem_file import first_motion
 
 
 @pytest.fixture(scope="module")

@@ -70,7 +70,7 @@ def test_tip_is_the_flat_punch() -> None:
     assert tip_compliance(115e9, 2e-3) == pytest.approx(1 / (2 * 115e9 * 1e-3))
 
 
-def test_loss_is_settling_over_compliance() -> None:
+def test_loss_is_embedding_over_compliance() -> None:
     element = flange()
     assert preload_loss(element, WRENCH) * sum(joint_compliances(element)) == pytest.approx(3e-6)
     assert preload_loss(element, Tightening(embedding=0.0)) == 0.0
@@ -126,7 +126,7 @@ def test_size_scales_the_loss() -> None:
     assert shares == sorted(shares, reverse=True)
 
 
-def test_pins_lose_more_than_bolts() -> None:
+def test_pins_lose_more_preload_than_bolts() -> None:
     loss = preload_loss(pins(), WRENCH)
     rod = 6e-3 / (205e9 * math.pi / 4 * 3.141e-3**2)
     half_space = 1 / (2 * pins().surface.contact_modulus * 1e-3)

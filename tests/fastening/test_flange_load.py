@@ -9,8 +9,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from stiffopt.fastening.clamp_load import ring_opening_load, ring_section
-from stiffopt.fastening.flange_load import axial_forces, bolt_angles, transverse_forces
+from stiffopt.fastening.flange_load import (
+    axial_forces,
+    bolt_angles,
+    ring_opening_load,
+    ring_section,
+    transverse_forces,
+)
 
 LOADS = st.lists(st.floats(-1e3, 1e3), min_size=6, max_size=6)
 

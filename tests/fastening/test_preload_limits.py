@@ -132,7 +132,7 @@ def test_pin_limits():
     assert "assumed" in unknown["tip indentation"].source
 
 
-def test_lengths_that_nobody_gave():
+def test_assumed_lengths():
     assert assumed_lengths(flange()) == {"clamp_length": 0.01, "engagement": 0.0075}
     assert assumed_lengths(flange(thread_material="aluminium"))["engagement"] == 0.01
     assert assumed_lengths(flange(clamp_length=8e-3, engagement=6e-3)) == {}
@@ -181,7 +181,7 @@ def test_shipped_robots_are_within_their_limits(name):
         (lambda: preload_limits(flange(thread_material="wood"), WRENCH), "no material 'wood'"),
         (
             lambda: preload_limits(flange(bolt=None), WRENCH),
-            "bolted_flange 'flexspline_flange': which bolts hold it is not known.*Add `bolt =",
+            "bolted_flange 'flexspline_flange': its bolts are not given.*Add `bolt =",
         ),
         (lambda: preload_loss(flange(bolt=None), WRENCH), "Add `bolt ="),
         (lambda: workshop_torque(flange(bolt=None), 1e3, WRENCH), "Add `bolt ="),
@@ -212,7 +212,7 @@ def test_wrong_input(call, text):
         call()
 
 
-def test_preload_above_what_the_fastener_bears():
+def test_preload_above_capacity_is_refused():
     check_preload(flange(), WRENCH)
     with pytest.raises(
         InputError,

@@ -14,19 +14,17 @@ from stiffopt.drivetrain import catalogue
 from stiffopt.errors import InputError
 from stiffopt.fastening import bolts
 from stiffopt.fastening.bolt_geometry import bolt_data
+from stiffopt.fastening.bolt_strength import head_bearing, stress_amplitude, transverse_slip_limit
 from stiffopt.fastening.compliance import (
     bolt_compliance,
     clamped_compliance,
     cone_compliance,
+    embedding,
     through_bolted_compliance,
 )
-from stiffopt.fastening.embedding import embedding
-from stiffopt.fastening.endurance import stress_amplitude
 from stiffopt.fastening.flange_load import FlangeLoads
-from stiffopt.fastening.head_pressure import head_bearing
-from stiffopt.fastening.safety_factor import governing_rows
-from stiffopt.fastening.self_loosening import transverse_slip_limit
 from stiffopt.fastening.tightening import Tightening
+from stiffopt.fastening.utilisation import governing_rows
 from stiffopt.fastening.vdi_rows import vdi_rows
 from stiffopt.fastening.verification import Verification
 
@@ -167,7 +165,7 @@ def test_nut_presses_its_part_and_strips_no_thread():
     assert room[1] / room[0] == pytest.approx(14.38 / 13.0)
 
 
-def test_nut_settles_as_a_head_does():
+def test_nut_embeds_like_a_head():
     assert embedding(6.3e-6, 1, nut=True) == pytest.approx(11e-6)
     assert embedding(6.3e-6, 1) == pytest.approx(8e-6)
 
@@ -209,11 +207,11 @@ def test_stainless_bolts_yield_more_and_lose_preload_by_warmth():
     [
         ({"shank_length": 20e-3, "clamp_length": 15e-3}, "shank_length = 20 mm must be at most"),
         ({"shank_diameter": 9e-3}, "shank_diameter = 9 mm must be at most"),
-        ({"nut": True, "engagement": 8e-3}, "engagement is that of a tapped hole"),
+        ({"nut": True, "engagement": 8e-3}, "engagement belongs to a tapped hole"),
         ({"grade": "A2-70", "rolled": "after"}, "stainless bolts have none"),
     ],
 )
-def test_bolts_that_cannot_be(changes, said):
+def test_impossible_bolts_are_refused(changes, said):
     with pytest.raises(InputError, match=said):
         bolts.permissible_preload(flange(bolt=Bolt(size="M8", **changes)), Tightening())
 
@@ -233,7 +231,7 @@ def test_safety_factors_by_their_definitions():
     assert value["S_P"] == pytest.approx(
         head_bearing(steps.bolt).capacity / (9e3 + steps.additional)
     )
-    amplitude = steps.swing / (2 * steps.data.stress_area)
+    amplitude = steps.alternating_force / (2 * steps.data.stress_area)
     assert value["S_D"] == pytest.approx(0.85e6 * (150 / 6 + 45) / amplitude)
     assert value["S_A"] == pytest.approx(0.6 * 1220e6 / of_kind["bolt shear"].value)
     assert value["S_G"] == of_kind["slip under the whole load"].value

@@ -18,7 +18,7 @@ from stiffopt.errors import InputError
 from stiffopt.fastening.bolts import permissible_assembly_preload
 from stiffopt.fastening.limits import workshop_torque
 from stiffopt.fastening.tightening import (
-    SCATTER,
+    SCATTER_BY_METHOD,
     Tightening,
     preload_at_torque,
     standard_torques,
@@ -119,7 +119,7 @@ def test_standard_torques_are_preferred_numbers() -> None:
 
 def test_scatter_by_method() -> None:
     # The unfavourable ends of VDI 2230 Table A8.
-    assert Tightening().alpha == SCATTER["torque_wrench"] == 2.0
+    assert Tightening().alpha == SCATTER_BY_METHOD["torque_wrench"] == 2.0
     assert Tightening(method="torque_wrench_tested").alpha == 1.6
     assert Tightening(method="angle").alpha == 1.4
     assert Tightening(method="yield").alpha == 1.4

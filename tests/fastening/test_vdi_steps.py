@@ -14,22 +14,25 @@ from stiffopt.drivetrain import catalogue
 from stiffopt.drivetrain.fasteners import BoltData
 from stiffopt.errors import InputError, OutOfValidityError
 from stiffopt.fastening import bolts
-from stiffopt.fastening.bolt_stress import largest_working_preload, working_stress
+from stiffopt.fastening.bolt_strength import (
+    endurance_limit,
+    head_bearing,
+    largest_working_preload,
+    stress_amplitude,
+    transverse_slip_limit,
+    working_stress,
+)
 from stiffopt.fastening.bolts import permissible_assembly_preload
-from stiffopt.fastening.clamp_load import eccentric_opening_load, friction_clamp_load
-from stiffopt.fastening.embedding import embedding
-from stiffopt.fastening.endurance import endurance_limit, stress_amplitude
-from stiffopt.fastening.flange_load import FlangeLoads
-from stiffopt.fastening.head_pressure import head_bearing
-from stiffopt.fastening.load_factor import (
+from stiffopt.fastening.compliance import (
     eccentric_load_factor,
+    embedding,
     load_factor,
     load_introduction_factor,
+    thermal_change,
 )
-from stiffopt.fastening.self_loosening import transverse_slip_limit
-from stiffopt.fastening.thermal import thermal_change
+from stiffopt.fastening.flange_load import FlangeLoads, eccentric_opening_load, friction_clamp_load
 from stiffopt.fastening.tightening import Tightening, preload_at_torque, tightening_torque
-from stiffopt.fastening.utilisation_row import UtilisationRow
+from stiffopt.fastening.utilisation import UtilisationRow
 from stiffopt.fastening.vdi_rows import vdi_rows
 from stiffopt.fastening.verification import Verification
 
@@ -124,7 +127,7 @@ def test_load_introduction_of_table_2():
     assert load_introduction_factor("SV1", 9.0, 9.0) == 0.04
 
 
-def test_unknown_load_introduction_is_taken_twice():
+def test_unknown_load_introduction_uses_both_bounds():
     factor = load_factor(8e-9, 2e-9, None)
     assert (factor.most, factor.least) == (pytest.approx(0.2), 0.0)
     known = load_factor(8e-9, 2e-9, 0.5)
@@ -142,7 +145,7 @@ def test_embedding_of_table_5():
         embedding(200e-6, 1)
 
 
-def test_aluminium_on_steel_loses_more_by_warmth_than_by_settling():
+def test_aluminium_on_steel_loses_more_by_temperature_than_embedding():
     # M5, 10 mm clamped, 30 K: the parts of aluminium shrink 3.57 um more than their bolt.
     ring = flange("M5", head_material="aluminium", thread_material="steel")
     lost = bolts.thermal_preload(ring, TESTED)
@@ -275,7 +278,7 @@ def loads(*values, alternating=False):
     )
 
 
-def test_torque_alone_asks_for_what_the_ring_asks_for():
+def test_torque_only_requires_clamp_load_of_the_ring():
     ring = flange()
     steps = Verification(ring, TESTED, loads([0, 0, 0, 0, 0, 110.0]))
     lever = 2 / 3 * (20e-3**3 - 10e-3**3) / (20e-3**2 - 10e-3**2)
@@ -314,12 +317,12 @@ def test_wrench_by_hand():
     phi = compliance[1] / sum(compliance)
     assert steps.additional == pytest.approx(phi * pull, rel=1e-4)
     # Tilting there and back: the amplitude is of the load on and off.
-    assert steps.swing == pytest.approx(phi * pull, rel=1e-4)
+    assert steps.alternating_force == pytest.approx(phi * pull, rel=1e-4)
     back = Verification(ring, TESTED, loads([0, 0, 0, 60.0, 0, 0], [0, 0, 0, -60.0, 0, 0]))
-    assert back.swing == pytest.approx(2 * phi * 4 * 60.0 / (9 * 30e-3), rel=1e-4)
+    assert back.alternating_force == pytest.approx(2 * phi * 4 * 60.0 / (9 * 30e-3), rel=1e-4)
 
 
-def test_bounds_are_where_the_checks_reach_one():
+def test_preload_bounds_are_at_utilisation_one():
     ring = flange(bolt=Bolt(size="M5", rolled="after"))
     steps = Verification(ring, TESTED, loads([300.0, 0, 900.0, 60.0, 0, 20.0]))
     at_least = {c.kind: c for c in vdi_rows(steps, steps.least_preload)}
@@ -330,7 +333,7 @@ def test_bounds_are_where_the_checks_reach_one():
     assert max(at_most[name].utilisation for name in above) == pytest.approx(1.0, rel=1e-9)
 
 
-def test_a_bearing_beside_takes_all_but_the_torque():
+def test_bearing_beside_carries_all_but_torque():
     wrench = loads([300.0, 0, 900.0, 60.0, 0, 20.0])
     beside = Verification(flange(bearing="beside"), TESTED, wrench)
     alone = Verification(flange(), TESTED, loads([0, 0, 0, 0, 0, 20.0]))
@@ -338,30 +341,30 @@ def test_a_bearing_beside_takes_all_but_the_torque():
     assert beside.largest_preload == alone.largest_preload
 
 
-def test_two_bolts_bear_no_tilting():
-    with pytest.raises(InputError, match="2 bolts bear no tilting moment"):
+def test_two_bolts_with_tilting_are_refused():
+    with pytest.raises(InputError, match="2 bolts carry no tilting moment"):
         Verification(flange(bolt_count=2), TESTED, loads([0, 0, 0, 60.0, 0, 20.0]))
 
 
-def test_warnings_stop_nothing():
+def test_warnings_do_not_reject_designs():
     steps = Verification(flange(outer_radius=30e-3), TESTED, loads([0, 0, 0, 0, 0, 20.0]))
     warned = {c.kind: c for c in vdi_rows(steps, 9000.0, shift=1e-3) if not c.binding}
     assert set(warned) == {"validity of even pressure", "self-loosening"}
     assert all(check.utilisation > 1.0 for check in warned.values())
 
 
-def test_a_row_is_kept_up_to_its_limit_but_for_rounding():
+def test_row_is_satisfied_within_rounding():
     row = UtilisationRow(kind="slip safety", value=1.0, limit=1.0, unit="", utilisation=1.0)
-    assert row.kept
+    assert row.satisfied
     assert row.active
-    assert replace(row, utilisation=1.0 + 5e-7).kept
-    assert not replace(row, utilisation=1.0 + 2e-6).kept
-    assert replace(row, utilisation=2.0, binding=False).kept
+    assert replace(row, utilisation=1.0 + 5e-7).satisfied
+    assert not replace(row, utilisation=1.0 + 2e-6).satisfied
+    assert replace(row, utilisation=2.0, binding=False).satisfied
     assert not replace(row, utilisation=2.0, binding=False).active
     assert not replace(row, utilisation=0.999).active
 
 
-def test_friction_as_high_as_may_be_is_part_of_the_scatter():
+def test_highest_friction_raises_tightening_factor():
     bolt = catalogue.bolt("M5")
     wide = Tightening(scatter=1.0, thread_friction=0.08, head_friction=0.08, friction_highest=0.16)
     low, high = (preload_at_torque(bolt, 8.0, mu, mu) for mu in (0.08, 0.16))

@@ -68,7 +68,7 @@ def test_m3_reference_values() -> None:
 
 
 @pytest.mark.parametrize("name", catalogue.flange_names())
-def test_reducer_flanges_slip_where_the_maker_says(name: str) -> None:
+def test_reducer_flanges_slip_at_makers_torque(name: str) -> None:
     # The maker's tightening torque with friction 0.12, lowered by the scatter 1.4; 0.15 between
     # the faces.
     data = catalogue.flange(name)

@@ -42,7 +42,7 @@ def everything(problem, choose):
         model = PreloadModel(replace(problem, robot=robot))
         preloads = np.array(preloads)
         least = [f / 1.6 - e.loss for f, e in zip(preloads, model.elements, strict=True)]
-        if min(least) <= 0 or not all(row.kept for row in utilisation_rows(model, preloads)):
+        if min(least) <= 0 or not all(row.satisfied for row in utilisation_rows(model, preloads)):
             continue
         feasible += 1
         bolts = sum(design[2] for design in designs)
@@ -131,7 +131,7 @@ def test_flexspline_of_joint_2(j2):
     assert cheaper == []
 
 
-def test_table_has_every_kind_of_bolts_with_what_stops_it(j2):
+def test_table_has_every_kind_of_bolts_with_limit(j2):
     assert len(j2.table) == 3 * 2 * 4
     assert sum(row.torques for row in j2.table) == j2.proof.combinations
     (chosen,) = [row for row in j2.table if row.chosen]
@@ -168,7 +168,7 @@ def test_torques_beyond_the_preferred_numbers_of_the_search_are_infeasible():
         ({"tool_deflection": 1e-4}, "tool deflection, peak", "m"),
     ],
 )
-def test_an_empty_catalogue_says_what_stops_it(needs, limit, unit):
+def test_empty_catalogue_names_the_limit(needs, limit, unit):
     problem = study(
         case(j2=110.0, jacobian=JACOBIAN),
         needs=needs,
@@ -265,7 +265,7 @@ def test_bolts_of_the_whole_robot_for_several_motions():
 
     whole = chosen((1, 2, 3, 4, 5, 6), motions)
     assert len(whole.designs) == 15
-    assert all(row.kept for row in whole.solution.rows)
+    assert all(row.satisfied for row in whole.solution.rows)
     instants = {each.name for each in whole.solution.cases}
     assert {"lift at 0.500 s", "sweep at 0.500 s"} <= instants
     for joint in range(1, 7):
@@ -293,34 +293,34 @@ def test_scatter_free_tightening_needs_less():
 
 
 @pytest.mark.parametrize(("found", "status"), [(False, "iteration_limit"), (True, "acceptable")])
-def test_a_search_that_is_cut_short_says_so(monkeypatch, found, status):
-    solved = CombinationSearch._solve
+def test_interrupted_search_is_reported(monkeypatch, found, status):
+    solved = CombinationSearch._solve_programme
 
     def cut_short(search, goal):
         """Time is up with the first solve, which has not shown that there is nothing better."""
         step = solved(search, goal)
-        search._until = 0.0
+        search._deadline = 0.0
         return replace(step, picks=step.picks if found else None, bound=0.9 * step.bound)
 
     needs = {"joint_stiffness": {2: 56_450.0}}
     choose = Choice(sizes=("M3", "M4", "M5"), counts=(8, 9, 12))
     problem = study(case(j2=100.0), needs=needs, choose=choose)
     best = choose_design(problem)
-    monkeypatch.setattr(CombinationSearch, "_solve", cut_short)
+    monkeypatch.setattr(CombinationSearch, "_solve_programme", cut_short)
     choice = choose_design(problem)
     assert choice.status == status
     assert not choice.proof.complete
     assert choice.proof.accounted == choice.proof.combinations
     assert "ended" in choice.message
     if choice.designs:
-        assert all(row.kept for row in choice.solution.rows)
+        assert all(row.satisfied for row in choice.solution.rows)
         assert choice.proof.bound <= best.objective <= choice.objective
 
 
 # ---- how to tighten
 
 
-def test_way_to_tighten_is_chosen_with_the_bolts():
+def test_tightening_method_is_chosen_with_the_bolts():
     choose = Choice(methods=("torque_wrench", "angle"), coatings=("oiled", "MoS2"), washers=True)
     problem = study(
         case(j2=80.0),
@@ -360,7 +360,7 @@ def test_way_to_tighten_is_chosen_with_the_bolts():
         Choice(methods=("angel",))
 
 
-def test_bolts_of_an_empty_catalogue_are_shown_as_loose_as_their_own_limits_allow():
+def test_empty_catalogue_shows_least_preload_within_limits():
     """The stiffness is out of reach, though each flange alone could be tightened."""
     choose = Choice(sizes=("M4", "M5"), counts=(8, 12))
     problem = study(

@@ -104,7 +104,7 @@ def test_the_best_is_the_best_in_any_unit(unit):
         assert found.gap <= 1e-9
 
 
-def test_rows_are_named_where_the_solver_fails_on_the_way():
+def test_conflicting_rows_are_named_after_solver_failure():
     # HiGHS ends without an answer once this instance has its first cut.
     programme = instance(2012, [5, 5, 5], 2, 0.015625, 2)
     search = CombinationSearch(programme)
@@ -134,7 +134,7 @@ def test_many_elements_tied_together_by_one_row():
     assert found.nodes < 1_000
 
 
-def test_a_time_limit_leaves_an_honest_bound():
+def test_time_limit_leaves_a_valid_bound():
     programme = instance(5, [12] * 6, 3, 0.35)
     best = CombinationSearch(programme).minimise(Goal(cost=programme.cost))
     short = CombinationSearch(programme, seconds=0.0).minimise(Goal(cost=programme.cost))

@@ -6,13 +6,13 @@ import pytest
 from preload_studies import JACOBIAN, case, study
 
 from stiffopt.exact.chain import exact_compliance
-from stiffopt.preload.exact_shift import _linear
+from stiffopt.preload.exact_shift import _linear_shift
 from stiffopt.preload.model import PreloadModel
 from stiffopt.preload.nlp import PreloadNlp
-from stiffopt.preload.optimise import levels_of, optimise_preloads
+from stiffopt.preload.optimise import objective_levels, optimise_preloads
 
 
-def test_each_newton_of_clamping_force_is_worth_the_same_at_the_optimum():
+def test_marginal_gains_are_equal_at_the_optimum():
     """Where stiffness alone holds two preloads, dC/dF over the bolts is equal for both."""
     loose = optimise_preloads(study(case(j2=20.0))).stiffness[0, 0]
     tight = optimise_preloads(study(case(j2=20.0), objective="joint_stiffness")).stiffness[0, 0]
@@ -41,7 +41,7 @@ def test_each_newton_of_clamping_force_is_worth_the_same_at_the_optimum():
 def test_shifted_rows_have_the_value_and_the_slope_of_the_exact_law(objective):
     loads = (case("lift", JACOBIAN, reference=np.full(6, 3.0), j2=58.0, j3=9.0), case(j2=30.0))
     model = PreloadModel(study(*loads, joints=(2, 3), objective=objective))
-    levels = levels_of(model)
+    levels = objective_levels(model)
     nlp = PreloadNlp(model, objective, levels)
     at = model.design * 1.3
     parameters = nlp.parameters(at)
@@ -68,7 +68,7 @@ def test_shifted_rows_have_the_value_and_the_slope_of_the_exact_law(objective):
         assert slopes[0] == pytest.approx(slopes[1], rel=1e-4, abs=1e-14)
 
 
-def test_what_does_not_deflect_the_tool_is_not_tightened_for_it():
+def test_joints_without_deflection_keep_least_preload():
     loads = (case("hold", JACOBIAN, j2=40.0), case("peak", j6=3.0))
     problem = study(*loads, joints=(2, 6), objective="tool_deflection")
     solution = optimise_preloads(problem)
@@ -90,6 +90,6 @@ def test_the_slope_of_a_shift_is_at_most_half_of_the_smooth_one(excess, expected
         smooth = np.array([2e-9 * vector.sum() + 1e-3])
         return smooth, smooth + excess * 2e-9 * (vector - preloads).sum()
 
-    constant, slopes = _linear(model, 2, preloads, laws)
+    constant, slopes = _linear_shift(model, 2, preloads, laws)
     assert slopes[:, 0] == pytest.approx(np.full(model.size, expected * 2e-9), rel=1e-6)
     assert constant == pytest.approx(-preloads @ slopes)

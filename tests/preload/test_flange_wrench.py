@@ -180,7 +180,7 @@ def test_the_motion_brings_its_worst_instants():
     assert solution.vector[0] >= whole.least_preload * (1 - 1e-9)
     (steps,) = PreloadModel(problem, solution.cases).verifications
     assert steps.slip_safety == 1.8
-    assert steps.swing == pytest.approx(whole.swing, rel=1e-12)
+    assert steps.alternating_force == pytest.approx(whole.alternating_force, rel=1e-12)
     assert steps.additional == pytest.approx(whole.additional, rel=1e-12)
     assert len(solution.cases) < 12
 
@@ -257,7 +257,7 @@ def test_net_preload_is_not_diminished_again():
     assert rows["bolt utilisation"].value < 1.0
 
 
-def test_purchased_pattern_is_left_alone_unless_told():
+def test_purchased_pattern_is_fixed_unless_redrilled():
     robot = load_robot("er3a_c60")
     problem = PreloadProblem(
         robot=robot,

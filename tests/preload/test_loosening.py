@@ -6,8 +6,8 @@ from preload_studies import Ring, case, study
 
 from stiffopt.errors import ProblemError
 from stiffopt.exact.chain import exact_compliance
-from stiffopt.preload.loosening import first_slip_torque, loosened, loosening
 from stiffopt.preload.model import PreloadModel
+from stiffopt.preload.sensitivity import first_slip_torque, loosen_element, loosening
 
 LOADS = (case("lift", j2=40.0, j3=-12.0), case("back", j2=-15.0, j3=5.0))
 
@@ -71,7 +71,7 @@ def test_slip_begins_at_the_fraction_that_the_closed_form_gives():
         at = {}
         for side in (1 - 1e-6, 1 + 1e-6):
             fraction = side * result.slip_fraction[element.key]
-            at[side] = model.exact_stiffness(loosened(model, preloads, index, fraction))[0, 0]
+            at[side] = model.exact_stiffness(loosen_element(model, preloads, index, fraction))[0, 0]
         assert at[1 - 1e-6] == 0.0 < at[1 + 1e-6]
 
 

@@ -9,7 +9,7 @@ from preload_studies import Ring, case, study, with_elements
 from stiffopt.errors import NoSolutionFound
 from stiffopt.preload.model import PreloadModel
 from stiffopt.preload.nlp import PreloadNlp
-from stiffopt.preload.optimise import levels_of
+from stiffopt.preload.optimise import objective_levels
 from stiffopt.preload.pareto import pareto_front
 
 LOAD = case(j2=60.0, j3=20.0)
@@ -163,7 +163,7 @@ def test_slip_at_every_preload_ends_with_the_reason():
 
 def test_levels_agree_with_those_of_the_optimiser(both):
     model = PreloadModel(study(LOAD, joints=(2, 3)))
-    assert both.weights == levels_of(model).stiffness
-    lower, _ = PreloadNlp(model, "total_preload", levels_of(model)).bounds()
+    assert both.weights == objective_levels(model).stiffness
+    lower, _ = PreloadNlp(model, "total_preload", objective_levels(model)).bounds()
     least = [both.points[0].preloads[e.key] for e in model.elements]
     assert np.all(np.array(least) >= lower * (1.0 - 1e-9))

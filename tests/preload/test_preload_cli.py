@@ -95,7 +95,7 @@ def test_curves_file(done, document):
     assert at_design == pytest.approx(document["stiffness"]["1"], rel=1e-3)
 
 
-def test_preload_prints_what_matters(tmp_path, capsys):
+def test_preload_command_prints_summary(tmp_path, capsys):
     path = write_study(tmp_path, more="[pareto]\npoints = 0")
     out = tmp_path / "out"
     assert run(["preload", str(path), "--out", str(out)]) == 0
@@ -161,9 +161,7 @@ def test_wrong_command_line(arguments, part, tmp_path, capsys, monkeypatch):
         (NoSolutionFound("No motion was found."), 3, "No motion was found."),
     ],
 )
-def test_nothing_is_left_where_a_study_breaks_off(
-    raised, code, text, tmp_path, capsys, monkeypatch
-):
+def test_failed_study_writes_no_files(raised, code, text, tmp_path, capsys, monkeypatch):
     def broken(*_, **__):
         raise raised
 

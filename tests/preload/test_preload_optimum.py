@@ -18,7 +18,7 @@ from stiffopt.preload.files import load_study
 from stiffopt.preload.load_case import LoadCase, LoadHistory
 from stiffopt.preload.model import PreloadModel
 from stiffopt.preload.nlp import PreloadNlp
-from stiffopt.preload.optimise import levels_of, optimise_preloads
+from stiffopt.preload.optimise import objective_levels, optimise_preloads
 from stiffopt.preload.problem import PreloadProblem
 from stiffopt.preload.study import preload_study
 from stiffopt.preload.utilisation import utilisation_rows
@@ -131,7 +131,7 @@ def test_no_design_of_a_dense_grid_is_better(objective, free, needs):
     solution = optimise_preloads(problem)
     assert solution.status is SolveStatus.OPTIMAL
     assert solution.kkt_residual < KKT
-    assert all(row.kept for row in solution.rows)
+    assert all(row.satisfied for row in solution.rows)
     grid = Grid(problem, points=4000 if free else 400)
     inside, values = grid.feasible, grid.objective()
     assert inside.any()
@@ -227,7 +227,7 @@ def test_pins_are_never_loosened_below_what_carries_the_torque(load, floor):
     problem = study(case("turn", j3=load), case("less", j3=0.2), joints=(3,), needs=needs)
     problem = replace(problem, free=("pulley_pins",))
     model = PreloadModel(problem)
-    lower, _ = PreloadNlp(model, "total_preload", levels_of(model)).bounds()
+    lower, _ = PreloadNlp(model, "total_preload", objective_levels(model)).bounds()
     (element,) = model.elements
     at_floor = floor * element.capacity
     # Two tips at 90 degrees and their reaction, on a shaft of 8 mm that turns 100 times.
@@ -359,7 +359,7 @@ def test_requirements_that_exclude_each_other_are_no_optimum():
     assert solution.tightening
 
 
-def test_end_without_small_residual_is_no_optimum(monkeypatch):
+def test_large_residual_is_not_optimal(monkeypatch):
     monkeypatch.setattr(optimise, "kkt_residual", lambda *_: 0.0346)
     solution = optimise_preloads(study(case(j2=58.0)), throw=False)
     assert solution.status is SolveStatus.ITERATION_LIMIT
@@ -369,7 +369,7 @@ def test_end_without_small_residual_is_no_optimum(monkeypatch):
 
 def test_residual_of_a_multiplier_at_no_bound_is_its_own_size():
     model = PreloadModel(study(case(j2=58.0)))
-    nlp = PreloadNlp(model, "bolt_utilisation", levels_of(model))
+    nlp = PreloadNlp(model, "bolt_utilisation", objective_levels(model))
     end = optimise._exact_optimum(nlp, None)
     multipliers = end.raw.multipliers_g.copy()
     # The rows have upper bounds alone, and IPOPT may leave rounding of the other sign.
@@ -497,7 +497,7 @@ def test_a_joint_without_load_keeps_something_of_its_preload(tmp_path):
     assert write_preload_report(study, tmp_path).is_file()
 
 
-def test_what_an_unloaded_flange_keeps_leaves_room_for_a_low_utilisation(tmp_path):
+def test_unloaded_flange_preload_allows_low_utilisation(tmp_path):
     """Somewhat above what scatter and settling take, below two hundredths of what a bolt bears."""
     assert run(["init", "flange", "-o", str(tmp_path), "--torque", "0.001 N*m"]) == 0
     problem = load_study(tmp_path / "flange.toml").problem

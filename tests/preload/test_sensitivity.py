@@ -115,7 +115,7 @@ def test_individual_bolts_count_together():
     assert parts.weakest == whole.weakest
 
 
-def test_what_slips_takes_the_whole_share_and_leaves_nothing_to_gain():
+def test_slipping_element_has_full_share_and_zero_slope():
     model = PreloadModel(study(case("over", j2=150.0)))
     preloads = np.array([4000.0, 6000.0])
     result = sensitivity(model, preloads)
@@ -128,7 +128,7 @@ def test_what_slips_takes_the_whole_share_and_leaves_nothing_to_gain():
     assert all(w.slope == w.elasticity == w.stiffness == 0.0 for w in result.worth)
 
 
-def test_what_slips_takes_the_whole_compliance():
+def test_slipping_element_has_the_full_compliance():
     chain = with_elements(2).chains[1]
     torque = 1.01 * min(chain.slip_torques().values())
     slips = min(chain.slip_torques(), key=chain.slip_torques().get)

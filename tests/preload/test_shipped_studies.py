@@ -162,7 +162,7 @@ def test_every_expected_value_has_a_source(path):
     assert all(len(each.source) > 10 for each in loaded.expected.values())
 
 
-def test_optimiser_finds_what_is_expected():
+def test_optimum_matches_expected_values():
     """Of one study; all of them are verified with the other problem files."""
     loaded = study("pins")
     done = preload_study(loaded.problem, front_points=0)

@@ -13,11 +13,10 @@ from small_studies import write_study
 from stiffopt.errors import InputError
 from stiffopt.fastening.tightening import Tightening
 from stiffopt.preload.catalogue_choice import choose_design
-from stiffopt.preload.catalogue_designs import catalogue_designs
+from stiffopt.preload.catalogue_designs import catalogue_designs, design_cost, way_cost
 from stiffopt.preload.files import load_study
 from stiffopt.preload.load_case import LoadCase
-from stiffopt.preload.problem import Choice
-from stiffopt.preload.step_cost import StepCost, design_cost, way_cost
+from stiffopt.preload.problem import Choice, StepCost
 
 COST = StepCost(bolt=1.0, size=0.4, grade=0.3, washer=0.2, circle=5.0, method=2.0, coating=1.0)
 MENU = Choice(sizes=("M4", "M5", "M6"), grades=("10.9", "12.9"), counts=(6, 8, 9, 12), cost=COST)
@@ -46,7 +45,7 @@ def test_cheapest_of_all_designs_that_hold(problem):
     assert design.total_preload == pytest.approx(least)
 
 
-def test_cost_comes_before_the_aim():
+def test_cost_precedes_objective():
     plain = study(case(j2=90.0), free=("flexspline_flange",), choose=replace(MENU, cost=None))
     aim = choose_design(plain)
     assert aim.cost == 0.0

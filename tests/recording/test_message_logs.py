@@ -12,7 +12,7 @@ from test_recording_readers import write_bag, write_json_mcap
 from stiffopt.cli import run
 from stiffopt.errors import InputError
 from stiffopt.recording.recording_set import load_recordings
-from stiffopt.starter.messages import TIME, read_message_table
+from stiffopt.starter.tables import STAMP_COLUMN, read_message_table
 
 pytest.importorskip("rosbags")
 pytest.importorskip("mcap")
@@ -31,7 +31,7 @@ def test_joint_states_become_a_table(kind, recorded, tmp_path):
     else:
         write_bag(path, recorded, sqlite=kind == "bag of sqlite")
     table = read_message_table(path, ("swing", "slide"))
-    assert table[TIME] == pytest.approx(recorded["t"] - recorded["t"][0], abs=1e-8)
+    assert table[STAMP_COLUMN] == pytest.approx(recorded["t"] - recorded["t"][0], abs=1e-8)
     assert table["/joint_states.effort[slide]"] == pytest.approx(recorded["tau2"])
 
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from stiffopt.fastening.tightening import Tightening
 from stiffopt.preload.load_case import LoadCase
-from stiffopt.preload.motion_result import MotionRound, MotionStudy, meaning
+from stiffopt.preload.motion_study import MotionRound, MotionStudy, describe_gain
 from stiffopt.preload.problem import Choice, PreloadProblem, Requirements
 from stiffopt.preload.study import preload_study
 from stiffopt.result.status import SolveStatus
@@ -103,7 +103,7 @@ def with_motion(study, gain):
         trajectory=None,
         separate_trajectory=None,
         preload_solution=None,
-        note=meaning(SolveStatus.OPTIMAL, gain),
+        note=describe_gain(SolveStatus.OPTIMAL, gain),
         seconds=1.0,
     )
     return replace(study, motion=motion)

@@ -273,7 +273,7 @@ def test_requirements_shown_are_the_worst_of_each_owner(flange_page):
     assert [row[1].removesuffix("binds") for row in cells[: len(rows)]] == [r.kind for r in rows]
     (bound,) = (row for row in cells[: len(rows)] if row[1] == "slip safetybinds")
     assert bound[4] == "≥ 1.2"
-    assert not most_used(cannot().solution.rows)[0].kept
+    assert not most_used(cannot().solution.rows)[0].satisfied
 
 
 def test_loosening_table_counts_each_connection_once(flange_page):

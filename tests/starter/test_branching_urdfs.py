@@ -48,7 +48,7 @@ def jaws(link, *names):
          ["link2", "x_link", "y_link"]),
     ],
 )  # fmt: skip
-def test_of_legs_wheels_and_arms_one_has_to_be_named(parts, said, tips, tmp_path, capsys):
+def test_ambiguous_branch_has_to_be_named(parts, said, tips, tmp_path, capsys):
     """Whoever reads the URDF, as a robot or for a robot file; no order of joints makes an arm."""
     urdf = written(tmp_path, *parts)
     assert run(["init", "robot", str(urdf)]) == 2

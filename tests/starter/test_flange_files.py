@@ -11,7 +11,7 @@ from stiffopt.cli import run
 from stiffopt.connection import Bolt
 from stiffopt.drivetrain import catalogue
 from stiffopt.errors import InputError
-from stiffopt.fastening.head_pressure import head_bearing
+from stiffopt.fastening.bolt_strength import head_bearing
 from stiffopt.fastening.verification import Verification
 from stiffopt.preload.files import load_study
 from stiffopt.preload.flange_loads import case_loads
@@ -140,7 +140,7 @@ def test_a_flange_that_opens_has_no_negative_safety(tmp_path, capsys):
         ("M99", "28 mm", "washer[M99].size: no bolt has this size. "),
     ],
 )
-def test_washers_that_no_bolt_can_have(size, diameter, said, tmp_path):
+def test_impossible_washers_are_refused(size, diameter, said, tmp_path):
     path = tmp_path / "own.toml"
     path.write_text(
         f'schema = 1\nkind = "catalogue"\n[[washer]]\nsize = "{size}"\n'
@@ -205,7 +205,7 @@ def test_a_washer_spreads_the_force_of_ones_own_bolt(own, tmp_path):
     assert found.capacity == pytest.approx(min(below, above), rel=1e-9)
 
 
-def test_a_warning_beside_an_optimum_says_which_counts(tmp_path, capsys):
+def test_warning_beside_an_optimum_states_consequence(tmp_path, capsys):
     out = tmp_path / "f"
     assert run(["init", "flange", "-o", str(out)]) == 0
     robot = out / "flange_robot.toml"

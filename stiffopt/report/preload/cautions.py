@@ -13,7 +13,7 @@ from stiffopt.report.common.text import listed, percent
 from stiffopt.report.preload.words import owner_name
 
 if TYPE_CHECKING:
-    from stiffopt.fastening.utilisation_row import UtilisationRow
+    from stiffopt.fastening.utilisation import UtilisationRow
     from stiffopt.preload.problem import PreloadProblem
     from stiffopt.preload.solution import PreloadSolution
 

@@ -13,11 +13,16 @@ from stiffopt.report.common.robot import EstimatedInputs, estimated_inputs
 from stiffopt.report.preload.words import MARK, owner_name, readable
 
 if TYPE_CHECKING:
-    from stiffopt.fastening.utilisation_row import UtilisationRow
+    from stiffopt.fastening.utilisation import UtilisationRow
     from stiffopt.preload.bolt_sheet import BoltSheet
-    from stiffopt.preload.loosening import Loosened, Loosening
     from stiffopt.preload.problem import FreeElement, PreloadProblem
-    from stiffopt.preload.sensitivity import PreloadWorth, Sensitivity, WindupShare
+    from stiffopt.preload.sensitivity import (
+        LoosenedConnection,
+        Loosening,
+        PreloadWorth,
+        Sensitivity,
+        WindupShare,
+    )
     from stiffopt.preload.solution import PreloadSolution
 
 Item = TypeVar("Item")
@@ -189,7 +194,7 @@ def stiffness_changes(problem: PreloadProblem, solution: PreloadSolution) -> lis
     ]
 
 
-def loosened_connections(result: Loosening) -> dict[str, list[Loosened]]:
+def loosened_connections(result: Loosening) -> dict[str, list[LoosenedConnection]]:
     """The joint nearest to slip of each connection by fraction of preload left, most first."""
     worst = _worst(result.rows, lambda r: (r.key, r.fraction), lambda r: -r.slip_safety)
     fractions = sorted({row.fraction for row in result.rows}, reverse=True)

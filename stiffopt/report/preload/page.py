@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from stiffopt.drivetrain.tables import with_own
-from stiffopt.fastening.safety_factor import SAFETY_FACTORS
+from stiffopt.fastening.utilisation import SAFETY_FACTORS
 from stiffopt.preload.bolt_sheet import bolt_sheets
 from stiffopt.preload.model import PreloadModel
 from stiffopt.preload.problem import OBJECTIVES

@@ -13,7 +13,7 @@ from stiffopt.connection import BoltedFlange, ClampingPins
 from stiffopt.report.common.text import UNCHANGED, change, listed, percent, si, words
 
 if TYPE_CHECKING:
-    from stiffopt.fastening.utilisation_row import UtilisationRow
+    from stiffopt.fastening.utilisation import UtilisationRow
     from stiffopt.preload.pareto import ParetoFront
     from stiffopt.preload.problem import FreeElement, PreloadProblem
     from stiffopt.preload.sensitivity import WindupShare

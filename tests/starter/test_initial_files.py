@@ -49,7 +49,7 @@ def test_a_robot_file_of_a_urdf_is_read_as_it_is(tmp_path, capsys):
     assert document["lock"] == {"finger_1": 0.0, "finger_2": 0.0}
     capsys.readouterr()
     assert run(["init", "robot", str(urdf)]) == 2
-    assert "already and is kept" in capsys.readouterr().err
+    assert "exists and is kept" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -59,16 +59,16 @@ def test_a_robot_file_of_a_urdf_is_read_as_it_is(tmp_path, capsys):
         ("arm.xml", "<mujoco/>", "is an MJCF (a model of MuJoCo); only URDF is read"),
         ("arm.urdf", "<sdf/>", "is an SDF (a model of Gazebo); only URDF is read"),
         ("arm.urdf.xacro", "<robot/>", "expand its xacro: `xacro arm.urdf.xacro > arm.urdf`"),
-        ("arm.toml", "schema = 1", "is a robot file already: go on with `stiffopt init problem"),
+        ("arm.toml", "schema = 1", "is a robot file already: continue with `stiffopt init problem"),
     ],
 )
-def test_what_is_no_urdf_is_said(name, text, said, tmp_path, capsys):
+def test_other_formats_than_urdf_are_refused(name, text, said, tmp_path, capsys):
     (tmp_path / name).write_text(text)
     assert run(["init", "robot", str(tmp_path / name)]) == 2
     assert said in capsys.readouterr().err
 
 
-def test_the_reducer_bears_the_torque():
+def test_reducer_carries_the_torque():
     from stiffopt.starter.robot_file import reducers_for
 
     assert reducers_for(87.0)[0][0] == "harmonic_25_80"
@@ -78,7 +78,7 @@ def test_the_reducer_bears_the_torque():
 
 
 @pytest.mark.parametrize("source", ["er3a_c60", "ur10", "two_link"])
-def test_a_first_problem_can_be_made(source, tmp_path):
+def test_first_problem_is_feasible(source, tmp_path):
     robot = str(ROOT / "problems" / "two_link_robot.toml") if source == "two_link" else source
     path = tmp_path / "first.toml"
     assert run(["init", "problem", robot, "--out", str(path)]) == 0
@@ -99,7 +99,7 @@ def test_a_flange_without_a_urdf(tmp_path, capsys):
     assert "no bolt 'M7'" in capsys.readouterr().err
 
 
-def test_own_table_to_a_set_that_is_believed(tmp_path, capsys):
+def test_table_to_a_checked_recording_set(tmp_path, capsys):
     german_tables(tmp_path / "data")
     folder = tmp_path / "set"
     arguments = ["init", "recording", str(tmp_path / "data"), "--urdf", str(SHIPPED / "robot.urdf")]
@@ -114,7 +114,7 @@ def test_own_table_to_a_set_that_is_believed(tmp_path, capsys):
     assert run([*arguments, "--out", str(folder)]) == 2
 
 
-def test_own_table_of_an_arm_whose_urdf_has_gaps(tmp_path, capsys):
+def test_table_of_an_arm_with_an_incomplete_urdf(tmp_path, capsys):
     """As URDFs of industrial arms: no torque limits, a link without mass; guessed and said."""
     german_tables(tmp_path / "data")
     urdf = tmp_path / "arm.urdf"
@@ -203,7 +203,7 @@ def test_one_recording_is_cut_in_two(tmp_path, capsys):
     ],
 )  # fmt: skip
 def test_columns_by_the_names_of_common_loggers(head, units, tmp_path):
-    from stiffopt.starter.guessing import guess
+    from stiffopt.starter.guessing import guess_columns
     from stiffopt.starter.tables import read_any_table
 
     mark = "," if "," in head else "\t" if "\t" in head else " "
@@ -213,7 +213,7 @@ def test_columns_by_the_names_of_common_loggers(head, units, tmp_path):
     rows = [t] + [scale * np.sin((k + 1) * t) for k in range(len(names) - 1)]
     lines = [head, *(mark.join(f"{v:.6f}" for v in row) for row in np.column_stack(rows))]
     (tmp_path / "log.csv").write_text("\n".join(lines))
-    found = guess(read_any_table(tmp_path / "log.csv"), load_robot(SHIPPED / "robot.urdf"))
+    found = guess_columns(read_any_table(tmp_path / "log.csv"), load_robot(SHIPPED / "robot.urdf"))
     assert {kind: unit for kind, unit in found.units.items() if unit} == units
     assert "target" not in " ".join(found.columns["position"])
     assert len(found.columns["torque"]) == 2

@@ -22,10 +22,10 @@ from stiffopt.problem.resolve import resolve
 from stiffopt.robot.cell import Cell
 from stiffopt.robot.clearance import ClearanceModel
 from stiffopt.robot.files import load_robot
-from stiffopt.starter.first_motion import first_motion
+from stiffopt.starter.problem_file import first_motion
 
 
-def test_a_cylinder_that_follows_is_no_branch(tmp_path):
+def test_mimic_cylinder_is_not_a_branch(tmp_path):
     """As of the counterbalance of an industrial arm."""
     follows = LIMIT + '<mimic joint="2" multiplier="-0.25"/>'
     urdf = written(tmp_path, chain(6), joint("cylinder", "link1", "cylinder_link", follows))
@@ -34,7 +34,7 @@ def test_a_cylinder_that_follows_is_no_branch(tmp_path):
     assert [(h.name, h.why) for h in arm.held] == [("cylinder", "follows 2, which moves")]
 
 
-def test_jaws_that_follow_one_another_are_a_gripper(tmp_path):
+def test_mimic_jaws_are_a_gripper(tmp_path):
     follows = LIMIT + '<mimic joint="left_knuckle"/>'
     urdf = written(
         tmp_path,
@@ -45,7 +45,7 @@ def test_jaws_that_follow_one_another_are_a_gripper(tmp_path):
     assert load_robot(urdf).joint_names == tuple("123456")
 
 
-def test_a_joint_called_gripper_is_no_axis(tmp_path):
+def test_joint_named_gripper_is_not_an_axis(tmp_path):
     urdf = written(tmp_path, chain(5), joint("Gripper", "link5", "jaw"))
     assert load_robot(urdf).joint_names == tuple("12345")
     head = f'schema = 1\nkind = "robot"\nname = "a"\nurdf = "{urdf.name}"\n'
@@ -68,7 +68,7 @@ def test_of_two_arms_one_has_to_be_named(tmp_path, capsys):
     assert arm.joint_names == tuple(f"right_{k}" for k in range(1, 7))
 
 
-def test_a_follower_of_the_way_is_held_and_said(tmp_path, capsys):
+def test_mimic_joint_on_the_path_is_held_and_reported(tmp_path, capsys):
     """As in a hollow wrist; the message that names `init robot` is not met again there."""
     urdf = written(tmp_path, chain(6))
     axis = '<child link="link5"/>'
@@ -76,11 +76,11 @@ def test_a_follower_of_the_way_is_held_and_said(tmp_path, capsys):
     with pytest.raises(RobotError, match="'5' follows '4'"):
         load_robot(urdf)
     assert run(["init", "robot", str(urdf)]) == 0
-    assert "not the real one" in capsys.readouterr().out
+    assert "from the real one" in capsys.readouterr().out
     assert load_robot(tmp_path / "arm_robot.toml").joint_names == tuple("12346")
 
 
-def test_an_arm_whose_strongest_joint_has_no_spring_is_given_least_heat(tmp_path, capsys):
+def test_rigid_strongest_joint_gets_least_heat_objective(tmp_path, capsys):
     spring = '[[joint.element]]\nname = "spring"\ntype = "constant"\nstiffness = 1e4\n'
     elastic = [table_of("shoulder", spring), table_of("elbow", spring, torque_max=30.0)]
     bare = [table_of("shoulder", ""), table_of("elbow", spring, torque_max=30.0)]
@@ -113,7 +113,7 @@ def test_shapes_without_extent_are_left_out(tmp_path):
         load_robot(urdf)
 
 
-def test_a_first_problem_has_time_for_the_swing(tmp_path):
+def test_first_problem_has_time_for_vibration(tmp_path):
     """The seven axes with a hand: shaped, within the joints' limits."""
     urdf = write_gripper_urdf(tmp_path)
     assert run(["init", "robot", str(urdf)]) == 0
@@ -144,7 +144,7 @@ def test_a_drive_that_cannot_hold_its_link_is_named(tmp_path, capsys):
         ('xyz="0 0 0.3"', 'xyz="0 0 300"', "lies 300 m from the one before.*exported in mm"),
     ],
 )
-def test_what_a_urdf_cannot_mean_is_said(old, new, said, tmp_path):
+def test_invalid_urdf_is_reported(old, new, said, tmp_path):
     urdf = written(tmp_path, chain(3))
     urdf.write_text(urdf.read_text().replace(old, new))
     pattern = said if ".*" in said else re.escape(said)
@@ -179,7 +179,7 @@ def test_definitions_of_xacro_that_are_left_over_change_nothing(tmp_path):
     assert load_robot(changed(tmp_path, [("</robot>", left + "</robot>")])).n == 3
 
 
-def test_frames_with_some_small_mass_do_no_harm(tmp_path):
+def test_frames_with_small_mass_are_accepted(tmp_path):
     """A tool's frame, and a base of the world that carries the arm but never moves."""
     tiny = '<mass value="1e-9"/><inertia ixx="1e-6" ixy="0" ixz="0" iyy="1e-6" iyz="0" izz="1e-6"/>'
     heavy = '<mass value="1e-4"/><inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/>'
@@ -239,7 +239,7 @@ def folded(folder, effort=80.0, velocity=2.0):
     return written(folder, parts)
 
 
-def test_a_first_problem_keeps_links_from_each_other(tmp_path, capsys):
+def test_first_problem_avoids_collisions_between_links(tmp_path, capsys):
     urdf = folded(tmp_path)
     arm = load_robot(urdf)
     shapes = ClearanceModel(arm, Cell())
@@ -254,7 +254,7 @@ def test_a_first_problem_keeps_links_from_each_other(tmp_path, capsys):
         assert shapes.distances(pose).min() > 0.0
 
 
-def test_a_first_problem_leaves_weak_drives_their_time(tmp_path):
+def test_first_problem_slows_down_for_weak_drives(tmp_path):
     """Their torque, not speed or acceleration, decides how long the motion takes."""
     durations = []
     for effort in (200.0, 7.0):
@@ -304,20 +304,22 @@ def test_slowing_stops_where_it_no_longer_helps(tmp_path):
     assert 0.8 < (abs(arm.rigid_bodies().gravity_torque(middle)[0]) + 0.95) / 6.0 < 0.82
 
 
-def test_a_motion_that_no_slowness_makes_is_refused(tmp_path):
+def test_motion_infeasible_at_any_duration_is_refused(tmp_path):
     with pytest.raises(
         RobotError, match=r"motion of [\d.]+ s still takes \d+ % of the torque of a"
     ):
         first_motion(replace(heavy_bar(tmp_path), viscous=np.array([1e5])))
 
 
-def test_a_first_problem_says_whether_links_are_kept_from_each_other(tmp_path):
+def test_first_problem_reports_collision_checks(tmp_path):
     path = tmp_path / "p.toml"
     assert run(["init", "problem", "ur10", "-o", str(path)]) == 0
-    assert "URDF has no shapes" in path.read_text()
+    assert (
+        "collisions between links are not checked: the URDF lacks their shapes" in path.read_text()
+    )
     path.unlink()
     assert run(["init", "problem", str(folded(tmp_path)), "-o", str(path)]) == 0
-    assert "# links are kept from each other;" in path.read_text()
+    assert "# collisions between links are checked;" in path.read_text()
 
 
 def test_a_link_that_is_called_as_a_joint(tmp_path, capsys):

@@ -20,7 +20,7 @@ from stiffopt.robot.estimated_masses import estimate_bodies, fit_to_torque_limit
 from stiffopt.robot.files import load_robot
 from stiffopt.robot.frames import link_frame
 from stiffopt.robot.urdf import load_urdf
-from stiffopt.starter.placeholders import credible_torques, why_no_body
+from stiffopt.starter.placeholders import credible_torques, inertia_fault
 
 
 def test_an_arm_without_masses(tmp_path, capsys):
@@ -33,9 +33,9 @@ def test_an_arm_without_masses(tmp_path, capsys):
     urdf = written(tmp_path, chain(6, mass=bar, inside=silent).replace(bar, "", 1))
     assert run(["init", "robot", str(urdf)]) == 0
     said = capsys.readouterr().out
-    assert "mass to link2, link3" in said
-    assert "mass to link1;" in said
-    assert "any shape" in said
+    assert "gives no mass to link2, link3" in said
+    assert "gives no mass to link1;" in said
+    assert "since the URDF has no shapes" in said
     assert "no effort for 1, 2, 3, 4, 5, 6" in said
     path = tmp_path / "arm_robot.toml"
     links = {link["name"]: link for link in tomllib.loads(path.read_text())["link"]}
@@ -97,7 +97,7 @@ def test_limits_that_the_urdf_does_not_state(limit, tmp_path, capsys):
         ),
     ],
 )
-def test_masses_that_cannot_be(text, said, tmp_path):
+def test_impossible_masses_are_refused(text, said, tmp_path):
     written(tmp_path, chain(3))
     head = 'schema = 1\nkind = "robot"\nname = "arm"\nurdf = "arm.urdf"\n'
     (tmp_path / "robot.toml").write_text(head + text)
@@ -142,7 +142,7 @@ def test_placeholders_are_questioned_by_name_and_guessed(effort, velocity, said,
     assert all('provenance = "estimated"' in part for part in text.split("[[joint]]")[1:])
 
 
-def test_what_may_be_true_is_kept_and_asked_about(tmp_path, capsys):
+def test_doubtful_limits_are_kept_and_questioned(tmp_path, capsys):
     """One torque for all joints, and one that does not bear the weight of three links of 3 kg."""
     assert run(["init", "robot", str(written(tmp_path, chain(6)))]) == 0
     assert "torque 80 N m" in capsys.readouterr().out
@@ -155,7 +155,7 @@ def test_what_may_be_true_is_kept_and_asked_about(tmp_path, capsys):
     assert load_robot(tmp_path / "arm_robot.toml").torque_max[1] == 4.0
 
 
-def test_true_limits_are_not_questioned(tmp_path, capsys):
+def test_plausible_limits_are_not_questioned(tmp_path, capsys):
     ur10 = Path(stiffopt.robot.__file__).parent / "data" / "ur10" / "robot.urdf"
     assert run(["init", "robot", str(ur10), "--out", str(tmp_path / "r.toml")]) == 0
     out = capsys.readouterr().out
@@ -163,7 +163,7 @@ def test_true_limits_are_not_questioned(tmp_path, capsys):
     assert "GUESSED" not in out
 
 
-def test_a_mass_that_nothing_tells_is_no_guess(tmp_path, capfd):
+def test_mass_without_information_is_not_guessed(tmp_path, capfd):
     """A test bench of one joint at the origin, without mass, shape or length."""
     bench = """<link name="out"/><joint name="j1" type="revolute"><parent link="base"/>
 <child link="out"/><axis xyz="0 0 1"/>
@@ -176,7 +176,7 @@ def test_a_mass_that_nothing_tells_is_no_guess(tmp_path, capfd):
     assert not (tmp_path / "arm_robot.toml").exists()
 
 
-def test_guessed_masses_are_scaled_to_what_the_drives_hold(tmp_path):
+def test_guessed_masses_are_scaled_to_torque_limits(tmp_path):
     """The same arm without masses, with weak, usual and strong drives."""
     arm = load_urdf(written(tmp_path, chain(3, mass="")), limited=None)
     rods = estimate_bodies(arm, tmp_path / "arm.urdf", link_frame(arm.model, "link3"))
@@ -215,18 +215,18 @@ def test_inertias_in_square_millimetres_are_questioned(tmp_path):
         ((-0.005, 0.06, 0.06), "below 0"),
     ],
 )
-def test_which_inertias_are_of_no_body(moments, why):
+def test_impossible_inertias_are_detected(moments, why):
     """A thin rod is one, however it is turned."""
     rng = np.random.default_rng(0)
     for _ in range(50):
         turned, _ = np.linalg.qr(rng.normal(size=(3, 3)))
         found = np.linalg.eigvalsh(turned @ np.diag(moments) @ turned.T)
-        assert why_no_body(found) == why
+        assert inertia_fault(found) == why
 
 
-def test_an_inertia_of_no_body_is_asked_about(tmp_path, capsys):
+def test_impossible_inertia_is_questioned(tmp_path, capsys):
     assert run(["init", "robot", str(written(tmp_path, chain(3)))]) == 0
-    assert "belongs to no body" not in capsys.readouterr().out
+    assert "principal moment is" not in capsys.readouterr().out
     (tmp_path / "arm_robot.toml").unlink()
     assert run(["init", "robot", str(changed(tmp_path, [('ixx="0.03"', 'ixx="3.0"')]))]) == 0
-    assert "inertia of what 1 moves belongs to no body" in capsys.readouterr().out
+    assert "the inertia of the links moved by 1 is impossible" in capsys.readouterr().out

@@ -15,10 +15,9 @@ from stiffopt.cli import run
 from stiffopt.errors import InputError
 from stiffopt.recording.recording_set import load_recordings
 from stiffopt.robot.files import load_robot
-from stiffopt.starter.clocks import stamps
-from stiffopt.starter.guessing import guess
-from stiffopt.starter.messages import _fields
-from stiffopt.starter.tables import read_any_table
+from stiffopt.starter.clocks import parse_stamps
+from stiffopt.starter.guessing import guess_columns
+from stiffopt.starter.tables import _joint_fields, read_any_table
 
 URDF = ROOT / "problems" / "recordings" / "two_link_friction" / "robot.urdf"
 NAMES = ["t", "q1", "q2", "tau1", "tau2"]
@@ -39,7 +38,7 @@ def table(folder, text):
 
 
 def guessed(folder, text):
-    return guess(table(folder, text), load_robot(URDF))
+    return guess_columns(table(folder, text), load_robot(URDF))
 
 
 def comma(text):
@@ -59,8 +58,8 @@ def comma(text):
     ],
     ids=["excel", "prose", "units", "quotes", "quoted decimal commas", "cut off"],
 )
-def test_heads(text, tmp_path):
-    found = guess(table(tmp_path, text), load_robot(URDF))
+def test_table_headers_are_read(text, tmp_path):
+    found = guess_columns(table(tmp_path, text), load_robot(URDF))
     assert [found.columns["torque"][k][:4] for k in (0, 1)] == ["tau1", "tau2"]
     assert found.rate == pytest.approx(200.0)
     assert not any(found.units.values())
@@ -72,7 +71,7 @@ def test_heads(text, tmp_path):
      "%I:%M:%S.%f %p"],
 )  # fmt: skip
 @pytest.mark.parametrize("hour", [11, 23])
-def test_clocks(form, hour, tmp_path):
+def test_time_formats_are_read(form, hour, tmp_path):
     begin = datetime(2024, 5, 1, hour, 59, 58)
     stamps = [(begin + timedelta(seconds=float(t))).strftime(form) for t in TIME]
     text = [row.split(",", 1)[1] for row in lines(names=None)]
@@ -84,7 +83,7 @@ def test_clocks(form, hour, tmp_path):
     assert found["t"] == pytest.approx(TIME, abs=1e-6)
 
 
-def test_midnight_in_a_gap(tmp_path):
+def test_midnight_within_a_gap_is_unwrapped(tmp_path):
     """The stamps about midnight are missing."""
     begin = datetime(2024, 5, 1, 23, 59, 58)
     stamps = [f"{begin + timedelta(seconds=float(t)):%H:%M:%S.%f}" for t in TIME]
@@ -103,16 +102,16 @@ def test_minutes_and_seconds_of_a_spreadsheet(mark):
     begin = datetime(2024, 5, 1, 10, 59, 58)
     cells = [f"{begin + timedelta(seconds=float(t)):%M:%S.%f}".replace(".", mark) for t in TIME]
     assert (cells[0][:5], cells[-1][:5]) == ("59:58", "00:01")
-    assert stamps(cells) == pytest.approx(TIME, abs=1e-6)
-    assert stamps(["00:01.5", "00:01.6", "00:02.0"]) == pytest.approx([0.0, 0.1, 0.5])
+    assert parse_stamps(cells) == pytest.approx(TIME, abs=1e-6)
+    assert parse_stamps(["00:01.5", "00:01.6", "00:02.0"]) == pytest.approx([0.0, 0.1, 0.5])
     # Hours and minutes have no decimals.
-    assert stamps(["00:01", "00:03"]) == pytest.approx([0.0, 120.0])
+    assert parse_stamps(["00:01", "00:03"]) == pytest.approx([0.0, 120.0])
 
 
 @pytest.mark.parametrize("form", ["%Y-%m-%d %H:%M:%S", "%d.%m.%Y %H:%M:%S", "%m/%d/%Y %H:%M:%S"])
 def test_dates_that_step_back_stay_as_they_are(form):
     at = [datetime(2024, 5, day, 12) for day in (2, 3, 1, 2)]
-    found = stamps([each.strftime(form) for each in at])
+    found = parse_stamps([each.strftime(form) for each in at])
     assert np.any(np.diff(found) < 0.0)
     if form.startswith("%Y"):
         assert found == pytest.approx([0.0, 86400.0, -86400.0, 0.0])
@@ -136,7 +135,7 @@ def test_seconds_with_nanoseconds_are_one_clock(second, rest, name, tmp_path):
     assert table(tmp_path, text)[name] == pytest.approx(TIME, abs=1e-9)
 
 
-def test_rows_that_are_counted_are_no_time(tmp_path, capsys):
+def test_row_counter_is_not_a_time(tmp_path, capsys):
     text = lines(["sample", *NAMES[1:]], [np.arange(len(TIME)), *VALUES])
     with pytest.raises(InputError, match="Give --rate HZ"):
         guessed(tmp_path, text)
@@ -155,7 +154,7 @@ def test_units_in_names(tmp_path):
     assert found.units["torque"] == "N*cm"
 
 
-def test_what_is_not_used_is_said(tmp_path):
+def test_unused_columns_are_listed(tmp_path):
     found = guessed(tmp_path, lines([*NAMES, "q3", "temp"], [TIME, *VALUES, TIME, TIME]))
     assert "not used: q3, temp" in found.reasons
 
@@ -167,9 +166,7 @@ def test_what_is_not_used_is_said(tmp_path):
         (NAMES, 1e6, "position", "rad per count"),
     ],
 )
-def test_what_only_the_user_can_scale_stops_until_it_is_scaled(
-    names, factor, kind, said, tmp_path, capsys
-):
+def test_unknown_scale_factor_is_required_from_user(names, factor, kind, said, tmp_path, capsys):
     columns = [TIME, *(factor * v for v in VALUES[:2]), *VALUES[2:]]
     (tmp_path / "log.csv").write_text("\n".join(lines(names, columns)))
     arguments = ["init", "recording", str(tmp_path / "log.csv"), "--urdf", str(URDF)]
@@ -184,7 +181,7 @@ def test_what_only_the_user_can_scale_stops_until_it_is_scaled(
     assert load_recordings(folder).runs
 
 
-def test_motor_currents_by_their_letter(tmp_path):
+def test_motor_currents_are_recognised_by_letter(tmp_path):
     found = guessed(tmp_path, lines(["t", "q1", "q2", "i1", "i2"]))
     assert found.columns["torque"] == ("i1", "i2")
     assert found.units["torque"] == "A"
@@ -196,7 +193,7 @@ def test_a_table_without_names_is_told_what_to_write(tmp_path):
 
 
 def test_a_table_of_one_row_is_no_recording(tmp_path):
-    with pytest.raises(InputError, match="rises as a time"):
+    with pytest.raises(InputError, match="increases as a time"):
         guessed(tmp_path, lines()[:2])
 
 
@@ -207,11 +204,11 @@ def test_one_counted_row_is_no_recording(tmp_path, capsys):
     assert "shows no motion" in capsys.readouterr().err
 
 
-def test_a_clock_that_stands_or_begins_anew_is_not_taken_before_one_that_rises(tmp_path):
+def test_increasing_clock_precedes_constant_or_restarting_ones(tmp_path):
     names = ["stamp.sec", "stamp.nsec", "stamp", *NAMES[1:]]
     seconds, rest = np.floor(TIME), np.round(1e9 * (TIME % 1.0))
     assert guessed(tmp_path, lines(names, [seconds, rest, TIME, *VALUES])).time == "stamp"
-    with pytest.raises(InputError, match="rises as a time"):
+    with pytest.raises(InputError, match="increases as a time"):
         guessed(tmp_path, lines(columns=[0.0 * TIME, *VALUES]))
 
 
@@ -230,9 +227,7 @@ def test_repeated_stamps_are_not_counted_as_steps(tmp_path):
         ("counts", 57.3, "", True),
     ],
 )
-def test_the_unit_of_speeds_is_claimed_where_positions_show_it(
-    position, factor, unit, unsure, tmp_path
-):
+def test_speed_unit_is_guessed_from_positions(position, factor, unit, unsure, tmp_path):
     each = {"rad": 1.0, "mrad": 1e3, "counts": 1e6}[position]
     columns = [each * v for v in VALUES[:2]] + [factor * np.gradient(v, TIME) for v in VALUES[:2]]
     names = ["t", f"q1 [{position}]", f"q2 [{position}]", "qd1", "qd2", *NAMES[3:]]
@@ -243,8 +238,8 @@ def test_the_unit_of_speeds_is_claimed_where_positions_show_it(
 
 
 @pytest.mark.parametrize("name", [[["x"]], [{"a": 1}], np.array([1.0, 2.0]), 5, "arm"])
-def test_names_of_messages_that_are_none_of_joints(name):
-    found = _fields("/t", {"name": name, "position": [1.0, 2.0]}, ["a", "b"])
+def test_message_names_other_than_joints_are_ignored(name):
+    found = _joint_fields("/t", {"name": name, "position": [1.0, 2.0]}, ["a", "b"])
     assert found == ["/t.position[0]", "/t.position[1]"]
 
 
@@ -293,7 +288,7 @@ def test_a_german_test_bench_to_a_set_in_three_commands(tmp_path, capsys):
     assert run(["recording", "check", str(folder), "--set", scale]) == 0
 
 
-def test_currents_near_one_newton_metre_an_ampere_are_stopped_too(tmp_path, capsys):
+def test_currents_with_unit_torque_constant_need_a_factor(tmp_path, capsys):
     """No gain shows there: only that nobody has said what one A is."""
     files, folder = german(tmp_path, factor=(1.1, 0.9)), tmp_path / "set"
     assert run(["init", "recording", *files, "--urdf", str(URDF), "--out", str(folder)]) == 0
@@ -331,7 +326,7 @@ def test_units_of_single_columns(tmp_path):
 
 
 @pytest.mark.parametrize("place", ["{} [{}] {}", "{} {} [{}]"])
-def test_columns_of_another_language_are_known_by_their_units(tmp_path, place):
+def test_foreign_columns_are_recognised_by_units(tmp_path, place):
     heads = [("Achswinkel", "°"), ("Achsgeschw.", "°/s"), ("Moment der Achse", "Nm")]
     names = ["Zeit [ms]"]
     for word, unit in heads:
@@ -360,7 +355,7 @@ def french(*heads):
 
 
 @pytest.mark.parametrize("first", ["A", "Nm"])
-def test_torques_go_before_currents_of_any_language(first, tmp_path):
+def test_torque_columns_precede_currents_in_any_language(first, tmp_path):
     own = sorted((("Couple", "Nm"), ("Courant", "A")), key=lambda head: head[1] != first)
     names = french(("Angle", "rad"), *own)
     found = guessed(tmp_path, lines(names, [TIME, *VALUES, *VALUES[2:]]))
@@ -369,9 +364,7 @@ def test_torques_go_before_currents_of_any_language(first, tmp_path):
 
 
 @pytest.mark.parametrize(("first", "asks"), [("Consigne", False), ("Erreur", True)])
-def test_of_two_families_of_angles_the_measured_one_is_taken_or_asked_for(
-    first, asks, tmp_path, capsys
-):
+def test_measured_angles_precede_set_points_or_are_questioned(first, asks, tmp_path, capsys):
     names = french((first, "rad"), ("Mesure", "rad"), ("Couple", "Nm"))
     text = lines(names, [TIME, *VALUES[:2], *VALUES])
     found = guessed(tmp_path, text)
@@ -394,7 +387,7 @@ def test_of_two_families_of_angles_the_measured_one_is_taken_or_asked_for(
         assert load_recordings(out).runs
 
 
-def test_words_that_many_signals_have_raise_no_question(tmp_path):
+def test_vague_column_words_raise_no_question(tmp_path):
     """As a robot's real-time interface names its signals."""
     heads = ("joint_control_output", "target_q", "actual_q", "joint_temperatures", "target_moment",
              "actual_current")  # fmt: skip
@@ -415,11 +408,11 @@ def test_zeros_and_columns_without_numbers_are_no_warnings(tmp_path):
     robot = load_robot("er3a_c60")
     signals = {"q": [degrees, VALUES[1], absent], "qd": [*speeds, absent], "tau": VALUES[:3]}
     table = {f"{name}{k + 1}": (own * 2)[k] for name, own in signals.items() for k in range(6)}
-    found = guess({"t": TIME, **table}, robot)
+    found = guess_columns({"t": TIME, **table}, robot)
     assert "QUESTION: q2, q5 reach no more than 0.8: in rad?" in " ".join(found.reasons)
 
 
-def test_a_clock_that_begins_anew_makes_runs_of_its_own(tmp_path, capsys):
+def test_clock_reset_splits_runs(tmp_path, capsys):
     t = np.concatenate([np.arange(500.0), np.arange(450.0)])
     text = ["t_ms,q1,q2,tau1,tau2"]
     text += [f"{5.0 * s:g},{np.sin(0.01 * s)},{np.cos(0.01 * s)},{k},1" for k, s in enumerate(t)]
@@ -428,7 +421,7 @@ def test_a_clock_that_begins_anew_makes_runs_of_its_own(tmp_path, capsys):
     log = str(tmp_path / "log.csv")
     assert run(["init", "recording", log, "--urdf", str(URDF), "-o", str(out)]) == 0
     said = capsys.readouterr().out
-    assert "kept as 2 runs, log_1, log_2" in said
+    assert "The clock of log.csv restarts 1 time(s): it is stored as 2 runs, log_1, log_2" in said
     document = tomllib.loads((out / "recordings.toml").read_text())
     assert [(each["file"], each["role"]) for each in document["runs"]] == [
         ("log_1.npz", "train"),
@@ -439,7 +432,7 @@ def test_a_clock_that_begins_anew_makes_runs_of_its_own(tmp_path, capsys):
         assert stored["tau1"][0] == 500.0
 
 
-def test_parts_of_a_log_keep_clear_of_the_names_of_other_files(tmp_path):
+def test_run_parts_have_unique_names(tmp_path):
     """Every run has a file of its own, with its own rows, and one role."""
     lengths = {"log": (500, 450), "log_1": (420,), "log_2": (430,)}
     for name, parts in lengths.items():
@@ -463,7 +456,7 @@ def test_parts_of_a_log_keep_clear_of_the_names_of_other_files(tmp_path):
 
 
 @pytest.mark.parametrize("last", ["", "Bemerkung"])
-def test_two_heads_of_which_the_last_column_is_empty(last, tmp_path):
+def test_header_with_unit_row_and_empty_last_column(last, tmp_path):
     text = [f"Zeit;Achse 1 Istposition;Achse 1 Strom;{last}", "[ms];[Grad];[A];"]
     text += [f"{k};{k},5;0,{k};" for k in range(40)]
     (tmp_path / "log.csv").write_text("\n".join(text), encoding="cp1252")
@@ -472,7 +465,7 @@ def test_two_heads_of_which_the_last_column_is_empty(last, tmp_path):
     ]  # fmt: skip
 
 
-def test_nothing_but_set_points_is_asked_about(tmp_path, capsys):
+def test_set_points_only_are_questioned(tmp_path, capsys):
     text = ["t,q_cmd_1,q_cmd_2,tau_1,tau_2"]
     text += [f"{0.01 * k:g},{np.sin(0.02 * k)},{np.cos(0.02 * k)},{k % 7},1" for k in range(900)]
     (tmp_path / "log.csv").write_text("\n".join(text))
@@ -521,7 +514,7 @@ def test_a_lerobot_dataset_is_a_recording_set(named, tmp_path, capsys):
     out = tmp_path / "out"
     arguments = ["init", "recording", str(tmp_path / "set"), "--urdf", str(URDF)]
     assert run([*arguments, "--out", str(out)]) == 0
-    assert "kept as 2 runs" in capsys.readouterr().out
+    assert "restarts 1 time(s): it is stored as 2 runs" in capsys.readouterr().out
     signals = tomllib.loads((out / "recordings.toml").read_text())["signals"]
     entries = ["pan.pos", "lift.pos"] if named else ["0", "1"]
     assert signals["position"] == [f"observation.state.{entry}" for entry in entries]
@@ -553,7 +546,7 @@ def test_stamps_of_a_data_frame_are_seconds(tmp_path):
         ("1e3", 1e3),
     ],
 )
-def test_thousands_that_are_set_off(cell, value, tmp_path):
+def test_thousands_separators_are_read(cell, value, tmp_path):
     """As spreadsheets write them: left out, large torques would be missing without a word."""
     text = ["sep=;", '"Zeit in ms";"q1";"tau1"', *(f'"{k},5";"0,25";"{cell}"' for k in range(5))]
     found = table(tmp_path, text)

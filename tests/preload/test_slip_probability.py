@@ -9,7 +9,7 @@ from stiffopt.drivetrain import catalogue
 from stiffopt.fastening.flange_load import FlangeLoads
 from stiffopt.fastening.tightening import Tightening, preload_at_torque
 from stiffopt.fastening.verification import Verification
-from stiffopt.preload.tightening_draws import SlipProbability, slip_probability
+from stiffopt.preload.bolt_sheet import SlipProbability, slip_probability
 
 FLANGE = er3a().chains[1].elements["flexspline_flange"]
 
@@ -22,7 +22,7 @@ def steps_for(torque, tightening=TESTED, tilting=0.0):
 
 @pytest.mark.parametrize("share", [0.55, 0.7, 0.8, 0.9, 1.1])
 @pytest.mark.parametrize("scatter", [1.2, 1.6, 2.0])
-def test_thousand_draws_confirm_what_is_stated(share, scatter):
+def test_random_draws_confirm_closed_form(share, scatter):
     tightening = Tightening(scatter=scatter, embedding=3e-6)
     steps = steps_for(60.0, tightening)
     # From a design that slips nearly always to one that hardly ever does.
@@ -63,7 +63,7 @@ def test_design_rules_leave_little_to_chance():
     assert slip_probability(steps, 0.5 * steps.least_preload).stated > 0.5
 
 
-def test_draws_that_do_not_agree_are_told():
+def test_disagreeing_draws_are_reported():
     numbers = {"draws": 1000, "needed": 1e3, "least": 0.0, "largest": 2e3}
     # Four standard deviations of 1000 draws at a half are 6.3 %.
     assert SlipProbability(stated=0.5, drawn=0.55, **numbers).agrees

@@ -41,7 +41,7 @@ def written(path, links):
     return path
 
 
-def test_flanges_carry_what_the_links_do(tmp_path):
+def test_flange_loads_follow_link_motion(tmp_path):
     path = written(tmp_path / "trajectory.csv", links=True)
     found = trajectory_history(ROBOT, "swinging", path, np.zeros(3), whole=True)
     true = joint_wrenches(ROBOT, *motion(1e-3), np.zeros(3))
@@ -51,7 +51,7 @@ def test_flanges_carry_what_the_links_do(tmp_path):
     assert np.abs(found.wrench - plan).max() > 0.05 * np.abs(true).max()
 
 
-def test_without_the_links_their_torques_are_of_no_motion(tmp_path):
+def test_link_torques_without_link_motion_are_refused(tmp_path):
     path = written(tmp_path / "trajectory.csv", links=False)
     with pytest.raises(InputFileError, match="differs by up to"):
         trajectory_history(ROBOT, "swinging", path, np.zeros(3), whole=True)
