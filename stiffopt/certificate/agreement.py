@@ -22,15 +22,15 @@ if TYPE_CHECKING:
     from stiffopt.result.trajectory import JointMotion
 
 # Two codes of one rigid-body dynamics differ by rounding, 1e-12 of the torque.
-TORQUE = 1e-6
+TORQUE_TOLERANCE = 1e-6
 # Honest are the smoothed corners of a reducer, up to 0.5 % of its wind-up at the last smoothing,
 # and the fits of contact laws, 0.2 %; on the shipped problems they come to 0.3 % of a wind-up.
-WINDUP = 1e-2
+WINDUP_TOLERANCE = 1e-2
 # Parts of the deflection are differences of wind-ups and err with these: relative to the largest.
-DEFLECTION = 1e-2
+DEFLECTION_TOLERANCE = 1e-2
 # Below these shares of the largest torque, and of the wind-up there, a joint is as good as idle.
-_IDLE = 1e-3
-_IDLE_WINDUP = 1e-2
+_IDLE_TORQUE_SHARE = 1e-3
+_IDLE_WINDUP_TORQUE_SHARE = 1e-2
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ class Disagreement:
         return f"{self.quantity}{owner} at {self.time:.3f} s by {relative(self.value, sign='+')}"
 
 
-def differences(
+def find_disagreements(
     problem: TrajectoryProblem, motion: JointMotion, believed: Believed
 ) -> tuple[Disagreement, ...]:
     """Largest difference of every quantity, the worst over its tolerance first.
@@ -79,43 +79,47 @@ def differences(
         As for `assess`.
     believed : Believed
     """
-    found = list(_compared(problem, motion, believed))
+    found = list(_compare_quantities(problem, motion, believed))
     return tuple(sorted(found, key=lambda d: -d.excess))
 
 
-def _compared(
+def _compare_quantities(
     problem: TrajectoryProblem, motion: JointMotion, believed: Believed
 ) -> Iterator[Disagreement]:
     robot, time = problem.robot, believed.time
     true, carried = drive_history(problem, motion, time)
-    idle = _IDLE * np.asarray(robot.torque_max)
+    idle = _IDLE_TORQUE_SHARE * np.asarray(robot.torque_max)
     size = np.maximum(np.max(np.abs(carried), axis=0), idle)
     spring = believed.spring_torque - carried
-    yield from _joints("spring torque", spring / size, time, TORQUE)
+    yield from _joint_disagreements("spring torque", spring / size, time, TORQUE_TOLERANCE)
     if believed.torque is not None:
         # About standstill the sharp law of dry friction jumps; the smooth one lacks this much.
         lacking = robot.coulomb * np.exp(-2.0 * np.abs(true.velocity) / believed.friction_width)
         drive = believed.torque - true.torque
         drive = np.sign(drive) * np.maximum(np.abs(drive) - 2.0 * lacking, 0.0)
         size = np.maximum(np.max(np.abs(true.torque), axis=0), idle)
-        yield from _joints("drive torque", drive / size, time, TORQUE)
+        yield from _joint_disagreements("drive torque", drive / size, time, TORQUE_TOLERANCE)
     if believed.windup is None and not believed.deflection:
         return
     whole = assess(problem, motion, times=time)
     if believed.windup is not None:
-        slight = joint_windup(robot, _IDLE_WINDUP * np.asarray(robot.torque_max)[None])[0]
+        slight = joint_windup(
+            robot, _IDLE_WINDUP_TORQUE_SHARE * np.asarray(robot.torque_max)[None]
+        )[0]
         size = np.maximum(np.max(np.abs(whole.windup), axis=0), slight)
-        shares = _shares(believed.windup - whole.windup, size)
-        yield from _joints("wind-up", shares, time, WINDUP)
+        shares = _relative_differences(believed.windup - whole.windup, size)
+        yield from _joint_disagreements("wind-up", shares, time, WINDUP_TOLERANCE)
     largest = max(part.peak for part in whole.deflection_summary().values())
     for part, vectors in believed.deflection.items():
         away = np.linalg.norm(vectors - whole.deflection[part], axis=1)
-        shares = _shares(away, largest)
+        shares = _relative_differences(away, largest)
         k = int(np.argmax(shares))
-        yield Disagreement(f"{part} deflection", None, float(time[k]), float(shares[k]), DEFLECTION)
+        yield Disagreement(
+            f"{part} deflection", None, float(time[k]), float(shares[k]), DEFLECTION_TOLERANCE
+        )
 
 
-def _joints(
+def _joint_disagreements(
     quantity: str, shares: np.ndarray, time: np.ndarray, tolerance: float
 ) -> Iterator[Disagreement]:
     for j, share in enumerate(shares.T):
@@ -123,7 +127,7 @@ def _joints(
         yield Disagreement(quantity, j + 1, float(time[k]), float(share[k]), tolerance)
 
 
-def _shares(difference: np.ndarray, size: np.ndarray | float) -> np.ndarray:
+def _relative_differences(difference: np.ndarray, size: np.ndarray | float) -> np.ndarray:
     """Difference over size: 0 where there is none, infinite where a connection slips."""
     with np.errstate(invalid="ignore", divide="ignore"):
         shares = np.where(difference == 0.0, 0.0, difference / size)

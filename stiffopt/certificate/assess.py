@@ -25,10 +25,10 @@ if TYPE_CHECKING:
     from stiffopt.problem.trajectory import TrajectoryProblem
     from stiffopt.robot.robot import Robot
 
-_Moved = tuple[np.ndarray, np.ndarray, np.ndarray]
+_MotionArrays = tuple[np.ndarray, np.ndarray, np.ndarray]
 
-POINTS = 6001
-_STANDSTILL = 1e-9
+FINE_GRID_POINTS = 6001
+_STANDSTILL_SPEED = 1e-9
 
 
 def assess(
@@ -60,7 +60,7 @@ def assess(
         times = fine_grid(motion)
     position, velocity, acceleration, jerk = (np.asarray(motion(times, k)) for k in range(4))
     link = getattr(motion, "link", None)
-    moved = _of_links(motion, times, (position, velocity, acceleration))
+    moved = _spring_side_motion(motion, times, (position, velocity, acceleration))
     body = rigid_body_history(robot, *moved)
     process = np.einsum("kij,i->kj", body.jacobian, np.asarray(problem.process_force, dtype=float))
     spring_torque = body.link_torque - process
@@ -73,7 +73,9 @@ def assess(
         # Links that are planned hang from weight and force; else the force comes last.
         loads = body.link_torque if link is None else body.gravity_torque - process
         between = joint_windup(robot, loads)
-    deflection = _deflection(body.jacobian, static, between, windup, force_first=link is not None)
+    deflection = _split_deflection(
+        body.jacobian, static, between, windup, force_first=link is not None
+    )
     compliance = joint_compliance(robot, spring_torque)
     with np.errstate(divide="ignore"):
         stiffness = 1.0 / compliance
@@ -139,7 +141,7 @@ def drive_history(
         times = fine_grid(motion)
     position, velocity, acceleration, jerk = (np.asarray(motion(times, k)) for k in range(4))
     if spring_torque is None:
-        moved = _of_links(motion, times, (position, velocity, acceleration))
+        moved = _spring_side_motion(motion, times, (position, velocity, acceleration))
         if np.any(problem.process_force):
             body = rigid_body_history(robot, *moved)
             force = np.asarray(problem.process_force, dtype=float)
@@ -150,7 +152,9 @@ def drive_history(
     return DriveHistory(times, position, velocity, acceleration, jerk, torque), spring_torque
 
 
-def _of_links(motion: JointMotion, times: np.ndarray, own: _Moved) -> _Moved:
+def _spring_side_motion(
+    motion: JointMotion, times: np.ndarray, own: _MotionArrays
+) -> _MotionArrays:
     """Position, velocity and acceleration of what loads the springs; `own` are the motors'.
 
     Where the links' own motion is planned, it does; limits are the motors'.
@@ -166,12 +170,12 @@ def _drive_torque(
 ) -> np.ndarray:
     """Torques of the drives (K, n) [N m], rotors and friction included."""
     # Rounding of a velocity that is zero must not switch dry friction on.
-    direction = np.where(np.abs(velocity) > _STANDSTILL, np.sign(velocity), 0.0)
+    direction = np.where(np.abs(velocity) > _STANDSTILL_SPEED, np.sign(velocity), 0.0)
     friction = robot.coulomb * direction + robot.viscous * velocity
     return np.asarray(spring_torque + robot.rotor_inertia * acceleration + friction)
 
 
-def _deflection(
+def _split_deflection(
     jacobian: np.ndarray,
     static: np.ndarray,
     between: np.ndarray,
@@ -201,7 +205,7 @@ def _deflection(
 
 def fine_grid(motion: JointMotion) -> np.ndarray:
     """Instants at which a motion is judged: 6001 equal steps and the motion's own break times."""
-    grid = np.linspace(0.0, motion.duration, POINTS)
+    grid = np.linspace(0.0, motion.duration, FINE_GRID_POINTS)
     breaks = np.asarray(getattr(motion, "times", ()), dtype=float)
     if breaks.size:
         # Twenty points in every interval, however short the mesh made it.

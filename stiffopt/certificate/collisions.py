@@ -20,13 +20,13 @@ if TYPE_CHECKING:
     from stiffopt.problem.trajectory import TrajectoryProblem
     from stiffopt.robot.clearance import ClearanceModel
 
-LIMIT = "collision"
+COLLISION_LIMIT = "collision"
 # An excess of a clearance counts against it, of none against this [m].
-_SCALE = 1e-3
+_CLEARANCE_SCALE_WITHOUT_CLEARANCE = 1e-3
 # Instants to begin with.
-_COARSE = 128
+_INITIAL_SAMPLES = 128
 # Files that are not there, by name in one sentence.
-_SHOWN = 2
+_MAX_NAMED_FILES = 2
 
 
 def with_collisions(problem: TrajectoryProblem, motion: Assessment) -> Assessment:
@@ -39,17 +39,17 @@ def with_collisions(problem: TrajectoryProblem, motion: Assessment) -> Assessmen
     if not model.pairs:
         return motion
     clearance = problem.stated_cell.clearance
-    at, distance = _nearest(model, motion, clearance)
+    at, distance = _nearest_instants(model, motion, clearance)
     rows: list[Violation] = []
     for k in np.argsort(distance):
         # Overlaps all, and of the others the nearest.
         if distance[k] >= clearance and rows:
             break
-        excess = (clearance - distance[k]) / max(clearance, _SCALE)
+        excess = (clearance - distance[k]) / max(clearance, _CLEARANCE_SCALE_WITHOUT_CLEARANCE)
         rows.append(
             Violation(
                 float(excess),
-                LIMIT,
+                COLLISION_LIMIT,
                 None,
                 float(motion.time[at[k]]),
                 pair=model.pairs[k],
@@ -60,7 +60,7 @@ def with_collisions(problem: TrajectoryProblem, motion: Assessment) -> Assessmen
     return replace(motion, violations=tuple(found))
 
 
-def _nearest(
+def _nearest_instants(
     model: ClearanceModel, motion: Assessment, clearance: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Instant and distance at which each pair is nearest; instants of the motion's grid."""
@@ -77,7 +77,7 @@ def _nearest(
             known[k] = model.distances(position[k])
         return known[k]
 
-    open_ = np.unique(np.linspace(0, last, min(_COARSE, last) + 1).astype(int))
+    open_ = np.unique(np.linspace(0, last, min(_INITIAL_SAMPLES, last) + 1).astype(int))
     stack = list(zip(open_[:-1].tolist(), open_[1:].tolist(), strict=True))
     while stack:
         first, second = stack.pop()
@@ -91,14 +91,16 @@ def _nearest(
             stack += [(first, middle), (middle, second)]
     for pair in range(len(model.pairs)):
         if min(each[pair] for each in known.values()) < clearance:
-            _deepest(pair, at, known)
+            _refine_deepest_instant(pair, at, known)
     instants = np.array(sorted(known))
     every = np.stack([known[k] for k in instants])
     where = np.argmin(every, axis=0)
     return instants[where], every[where, np.arange(every.shape[1])]
 
 
-def _deepest(pair: int, at: Callable[[int], np.ndarray], known: Mapping[int, np.ndarray]) -> None:
+def _refine_deepest_instant(
+    pair: int, at: Callable[[int], np.ndarray], known: Mapping[int, np.ndarray]
+) -> None:
     """Halve the steps beside the deepest instant of a pair until they are the grid's own."""
     while True:
         instants = sorted(known)
@@ -111,7 +113,7 @@ def _deepest(pair: int, at: Callable[[int], np.ndarray], known: Mapping[int, np.
             at(middle)
 
 
-def scope(problem: TrajectoryProblem) -> str:
+def describe_collision_scope(problem: TrajectoryProblem) -> str:
     """What was checked for collisions, and what was not, in a sentence or two."""
     model, cell = problem.clearance_model, problem.stated_cell
     around = [name for name in cell.names if any(name in pair for pair in model.pairs)]
@@ -137,7 +139,7 @@ def scope(problem: TrajectoryProblem) -> str:
             advice = "give the URDF collision shapes"
         text += f"Collisions were not checked: {what}; {advice}."
     if model.missing:
-        shown, more = model.missing[:_SHOWN], len(model.missing) - _SHOWN
+        shown, more = model.missing[:_MAX_NAMED_FILES], len(model.missing) - _MAX_NAMED_FILES
         text += f" Not found or no mesh: {', '.join(shown)}"
         text += f" and {more} more shapes of the URDF." if more > 0 else "."
     return text.strip()

@@ -13,7 +13,7 @@ import numpy as np
 
 
 @dataclass(frozen=True)
-class JointPlace:
+class JointGeometry:
     """What stays of one joint and the body that it carries, in its own frame if not said otherwise.
 
     Parameters
@@ -54,7 +54,7 @@ class MovingJoint:
         Vectors of its frame, the axis last.
     """
 
-    of: JointPlace
+    of: JointGeometry
     origin: np.ndarray
     frame: np.ndarray
 
@@ -65,12 +65,12 @@ class MovingJoint:
 
     def point(self, place: np.ndarray) -> np.ndarray:
         """Where a point (3,) [m] of the body is (3, K) [m]; given in the joint's own frame."""
-        return np.asarray(self.origin + _turned(self.frame, place @ self.of.within))
+        return np.asarray(self.origin + _rotate_vectors(self.frame, place @ self.of.within))
 
 
-def joint_places(model: Any) -> list[JointPlace]:
+def joint_geometries(model: Any) -> list[JointGeometry]:
     """Joints of a pinocchio model, in its order."""
-    made: list[JointPlace] = []
+    made: list[JointGeometry] = []
     for number in range(1, model.njoints):
         parent, joint = int(model.parents[number]), model.joints[number]
         held, body = model.jointPlacements[number], model.inertias[number]
@@ -83,14 +83,14 @@ def joint_places(model: Any) -> list[JointPlace]:
         before = made[parent - 1].within.T if parent else np.eye(3)
         rotation, translation = before @ held.rotation @ within, before @ held.translation
         made.append(
-            JointPlace(
+            JointGeometry(
                 parent, prismatic, joint.idx_q, within, rotation, translation, body.mass, body.lever
             )
         )
     return made
 
 
-def moving_joints(places: list[JointPlace], position: np.ndarray) -> list[MovingJoint]:
+def moving_joints(places: list[JointGeometry], position: np.ndarray) -> list[MovingJoint]:
     """Joints at the positions (K, n) [rad] or [m]."""
     count = len(position)
     base = np.repeat(np.eye(3)[:, :, None], count, axis=2)
@@ -98,7 +98,7 @@ def moving_joints(places: list[JointPlace], position: np.ndarray) -> list[Moving
     for of in places:
         parent = made[of.parent - 1] if of.parent else None
         before = base if parent is None else parent.frame
-        origin = _turned(before, of.translation)
+        origin = _rotate_vectors(before, of.translation)
         if parent is not None:
             origin += parent.origin
         # Columns of the frame's matrix times a constant rotation.
@@ -123,7 +123,9 @@ def point_jacobian(joints: list[MovingJoint], carrier: int, point: np.ndarray) -
     while carrier:
         joint = joints[carrier - 1]
         lever = point - joint.origin
-        columns[carrier - 1] = joint.axis if joint.of.prismatic else _cross(joint.axis, lever)
+        columns[carrier - 1] = (
+            joint.axis if joint.of.prismatic else _cross_vectors(joint.axis, lever)
+        )
         carrier = joint.of.parent
     return columns.transpose(2, 1, 0)
 
@@ -143,27 +145,27 @@ def holding_torques(joints: list[MovingJoint], gravity: np.ndarray) -> np.ndarra
         else:
             # Axis times lever times weight: the product of three vectors may be turned around.
             lever = moments[k] - masses[k] * joint.origin
-            torques[k] = _dot(lever, _cross(joint.axis, gravity[:, None]))
+            torques[k] = _dot_vectors(lever, _cross_vectors(joint.axis, gravity[:, None]))
     return torques.T
 
 
 def _frame_along(axis: np.ndarray) -> np.ndarray:
     """A rotation whose third column is `axis`."""
     least = np.eye(3)[int(np.argmin(np.abs(axis)))]
-    x = _cross(least, axis)
+    x = _cross_vectors(least, axis)
     x /= np.linalg.norm(x)
-    return np.column_stack([x, _cross(axis, x), axis])
+    return np.column_stack([x, _cross_vectors(axis, x), axis])
 
 
-def _turned(frame: np.ndarray, vector: np.ndarray) -> np.ndarray:
+def _rotate_vectors(frame: np.ndarray, vector: np.ndarray) -> np.ndarray:
     return np.asarray((vector @ frame.reshape(3, -1)).reshape(3, -1))
 
 
-def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+def _cross_vectors(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.stack(
         [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
     )
 
 
-def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+def _dot_vectors(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.asarray(a[0] * b[0] + a[1] * b[1] + a[2] * b[2])

@@ -10,10 +10,10 @@ import numpy as np
 import pinocchio as pin
 
 from stiffopt.certificate.moving_joints import (
-    JointPlace,
+    JointGeometry,
     MovingJoint,
     holding_torques,
-    joint_places,
+    joint_geometries,
     moving_joints,
     point_jacobian,
 )
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from stiffopt.robot.robot import Robot
 
 # Instants at once: what they take stays in the processor's cache.
-_BLOCK = 2000
+_BLOCK_INSTANTS = 2000
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ def rigid_body_history(
 ) -> RigidBodyHistory:
     """Evaluate pinocchio's model at every instant; arrays (K, n)."""
     model, tool = without_rotors(robot.model), robot.tool
-    places, weight = joint_places(model), np.asarray(model.gravity.linear)
+    places, weight = joint_geometries(model), np.asarray(model.gravity.linear)
     count, n = position.shape
     gravity_torque, along = np.empty((count, n)), np.empty((count, 3))
     jacobian = np.empty((count, 3, n))
@@ -75,7 +75,7 @@ def link_torques(
 
 def tool_positions(robot: Robot, position: np.ndarray) -> np.ndarray:
     """Tool positions (K, 3) [m] of joint positions (K, n)."""
-    places, tool = joint_places(robot.model), robot.tool
+    places, tool = joint_geometries(robot.model), robot.tool
     found = np.empty((len(position), 3))
     for block, joints in _in_blocks(places, position):
         found[block] = joints[tool.joint - 1].point(np.asarray(tool.offset)).T
@@ -83,11 +83,11 @@ def tool_positions(robot: Robot, position: np.ndarray) -> np.ndarray:
 
 
 def _in_blocks(
-    places: list[JointPlace], position: np.ndarray
+    places: list[JointGeometry], position: np.ndarray
 ) -> Iterator[tuple[slice, list[MovingJoint]]]:
     """Instants at once, and the joints at them, of positions (K, n)."""
-    for first in range(0, len(position), _BLOCK):
-        block = slice(first, first + _BLOCK)
+    for first in range(0, len(position), _BLOCK_INSTANTS):
+        block = slice(first, first + _BLOCK_INSTANTS)
         yield block, moving_joints(places, position[block])
 
 

@@ -44,7 +44,7 @@ class Slip:
         )
 
 
-def slips(robot: Robot, motion: Assessment) -> tuple[Slip, ...]:
+def find_slips(robot: Robot, motion: Assessment) -> tuple[Slip, ...]:
     """Connections that slip in a motion, joint by joint.
 
     Parameters
@@ -65,7 +65,7 @@ def slips(robot: Robot, motion: Assessment) -> tuple[Slip, ...]:
     return tuple(found)
 
 
-def slip_text(found: tuple[Slip, ...]) -> str:
+def describe_slips(found: tuple[Slip, ...]) -> str:
     """What slips, and what to do; begins within a sentence."""
     return (
         f"connections slip: {'; '.join(slip.describe() for slip in found)}. Preload them more "

@@ -20,7 +20,7 @@ from stiffopt.symbolic import Quantity
 
 # Unrolled, so that the split stays a differentiable expression. Three steps leave 1e-12 of the
 # wind-up for a key beside a bolted flange.
-_STEPS = 4
+_NEWTON_STEPS = 4
 
 Law = Callable[[Quantity], Quantity]
 
@@ -200,14 +200,16 @@ def smooth_shares(
     if len(stages) == 1:
         return [1.0 + 0.0 * torque]
     extra = {"preloads": preloads, "smoothing": smoothing}
-    return _newton(
+    return _newton_step(
         [functools.partial(s.secant_compliance, **extra) for s in stages],
         [functools.partial(s.tangent_compliance, **extra) for s in stages],
         torque,
     )
 
 
-def _newton(secants: Sequence[Law], tangents: Sequence[Law], torque: Quantity) -> list[Quantity]:
+def _newton_step(
+    secants: Sequence[Law], tangents: Sequence[Law], torque: Quantity
+) -> list[Quantity]:
     """Shares at which all wind up alike, by Newton steps on the logarithms.
 
     Equal wind-up means ln S_e(s_e T) + ln s_e is the same for all elements e, with the secant
@@ -218,7 +220,7 @@ def _newton(secants: Sequence[Law], tangents: Sequence[Law], torque: Quantity) -
     even = 1.0 / count + 0.0 * torque
     weights = [1.0 / secant(even * torque) for secant in secants]
     shares = [w / sum(weights) for w in weights]
-    for _ in range(_STEPS):
+    for _ in range(_NEWTON_STEPS):
         residuals, slopes = [], []
         for secant, tangent, share in zip(secants, tangents, shares, strict=True):
             compliance = secant(share * torque)

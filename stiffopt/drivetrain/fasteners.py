@@ -55,14 +55,14 @@ class BoltData(Entry):
     @property
     def stress_diameter(self) -> float:
         """d_S = (d2 + d3)/2 of the thread, or that of a thinner shank [m]."""
-        return self._thinner((self.pitch_diameter + self.minor_diameter) / 2)
+        return self._smaller_diameter((self.pitch_diameter + self.minor_diameter) / 2)
 
     @property
     def core_diameter(self) -> float:
         """d_3 of the thread, or d_T of a thinner shank: what shears between the ends [m]."""
-        return self._thinner(self.minor_diameter)
+        return self._smaller_diameter(self.minor_diameter)
 
-    def _thinner(self, diameter: float) -> float:
+    def _smaller_diameter(self, diameter: float) -> float:
         """Smaller one of a diameter and that of the shank [m]."""
         return diameter if self.shank_diameter is None else min(diameter, self.shank_diameter)
 

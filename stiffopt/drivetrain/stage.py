@@ -49,7 +49,7 @@ class Stage:
         """Wind-up at the joint [rad] for the joint torque [N m] that flows through this stage."""
         own = torque / self.reduction
         return self.counts * self.element.windup(
-            own, preload=self._preload(preloads), smoothing=smoothing
+            own, preload=self._select_preload(preloads), smoothing=smoothing
         )
 
     def tangent_compliance(
@@ -58,7 +58,7 @@ class Stage:
         """Slope of `windup` [rad/(N m)]."""
         own = torque / self.reduction
         slope = self.element.tangent_compliance(
-            own, preload=self._preload(preloads), smoothing=smoothing
+            own, preload=self._select_preload(preloads), smoothing=smoothing
         )
         return self.counts / self.reduction * slope
 
@@ -68,13 +68,13 @@ class Stage:
         """Wind-up over torque [rad/(N m)], with its limit at zero."""
         own = torque / self.reduction
         stiffness = self.element.secant_stiffness(
-            own, preload=self._preload(preloads), smoothing=smoothing
+            own, preload=self._select_preload(preloads), smoothing=smoothing
         )
         return self.counts / self.reduction / stiffness
 
     def slip_torque(self, preloads: Preloads = None) -> float:
         """Joint torque at which this stage alone would slip [N m]."""
-        return float(self.element.slip_torque(self._preload(preloads))) * self.reduction
+        return float(self.element.slip_torque(self._select_preload(preloads))) * self.reduction
 
-    def _preload(self, preloads: Preloads) -> Quantity | None:
+    def _select_preload(self, preloads: Preloads) -> Quantity | None:
         return (preloads or {}).get(self.element.name)

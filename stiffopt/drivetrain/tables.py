@@ -42,7 +42,7 @@ def source_text(table: Mapping[str, Any], text: str) -> str:
     return text
 
 
-def _entry(table: Mapping[str, Any], row: Mapping[str, Any]) -> dict[str, Any]:
+def _find_entry(table: Mapping[str, Any], row: Mapping[str, Any]) -> dict[str, Any]:
     return {
         **row,
         "source": source_text(table, row["source"]),
@@ -52,22 +52,22 @@ def _entry(table: Mapping[str, Any], row: Mapping[str, Any]) -> dict[str, Any]:
 
 # One's own entries by kind ("bolt", "reducer", ...) and name.
 OwnEntries = Mapping[str, Mapping[str, Any]]
-_OWN: ContextVar[OwnEntries] = ContextVar("own entries", default=MappingProxyType({}))
+_USER_ENTRIES: ContextVar[OwnEntries] = ContextVar("own entries", default=MappingProxyType({}))
 
 
 @contextmanager
 def with_own(entries: OwnEntries) -> Iterator[None]:
     """Within it, one's own entries stand before those of the package."""
-    token = _OWN.set(entries)
+    token = _USER_ENTRIES.set(entries)
     try:
         yield
     finally:
-        _OWN.reset(token)
+        _USER_ENTRIES.reset(token)
 
 
 def own_entries(kind: str) -> Mapping[str, Any]:
     """One's own entries of a kind; a source that is not given is one's own catalogue."""
-    found = _OWN.get().get(kind, {})
+    found = _USER_ENTRIES.get().get(kind, {})
     return {
         name: {**row, "source": row.get("source") or "own catalogue"} for name, row in found.items()
     }
@@ -75,14 +75,14 @@ def own_entries(kind: str) -> Mapping[str, Any]:
 
 def rows(table_name: str, list_name: str, key: str) -> dict[str, dict[str, Any]]:
     """Rows of one list of a file by the value of `key`, one's own first."""
-    own, packaged = own_entries(list_name), _packaged(table_name, list_name, key)
+    own, packaged = own_entries(list_name), _load_packaged(table_name, list_name, key)
     return {**own, **{name: row for name, row in packaged.items() if name not in own}}
 
 
 @functools.cache
-def _packaged(table_name: str, list_name: str, key: str) -> dict[str, dict[str, Any]]:
+def _load_packaged(table_name: str, list_name: str, key: str) -> dict[str, dict[str, Any]]:
     table = read_table(table_name)
-    return {row[key]: _entry(table, row) for row in table[list_name]}
+    return {row[key]: _find_entry(table, row) for row in table[list_name]}
 
 
 def find(kind: str, name: str, known: Mapping[str, dict[str, Any]]) -> dict[str, Any]:

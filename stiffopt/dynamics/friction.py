@@ -9,7 +9,7 @@ from stiffopt.symbolic import Quantity
 
 # Width of the change of sign of dry friction, as a share of the velocity limit: at 2 % of the limit
 # the smooth law has 96 % of the sharp one, at 4 % 99.9 %.
-SMOOTH_SHARE = 0.01
+DRY_FRICTION_WIDTH_SHARE = 0.01
 
 
 def friction_torque(
@@ -37,9 +37,9 @@ def friction_torque(
     return coulomb * np.tanh(velocity / width) + viscous * velocity
 
 
-def smoothing_width(velocity_max: Quantity) -> Quantity:
+def dry_friction_width(velocity_max: Quantity) -> Quantity:
     """Speed scale of the smooth dry friction (n,), 1 % of the velocity limit; 0.01 without one."""
-    return SMOOTH_SHARE * np.where(np.isfinite(velocity_max), velocity_max, 1.0)
+    return DRY_FRICTION_WIDTH_SHARE * np.where(np.isfinite(velocity_max), velocity_max, 1.0)
 
 
 def drive_torque(
@@ -71,7 +71,9 @@ def drive_torque(
         Sets the smoothing width of dry friction, 1 % of it; where it is infinite, 1 rad/s or
         1 m/s stands in for it. [rad/s] or [m/s]
     """
-    width: Quantity = SMOOTH_SHARE * np.where(np.isfinite(velocity_max), velocity_max, 1.0)
+    width: Quantity = DRY_FRICTION_WIDTH_SHARE * np.where(
+        np.isfinite(velocity_max), velocity_max, 1.0
+    )
     if isinstance(velocity, ca.SX | ca.MX):
         rotor_inertia, coulomb, viscous, width = (
             ca.DM(np.asarray(x, dtype=float)) for x in (rotor_inertia, coulomb, viscous, width)

@@ -9,9 +9,9 @@ from stiffopt.robot.body_tree import BodyTree
 from stiffopt.symbolic import Quantity
 
 # Keeps the root smooth where a disc lies flat: a disc then stands a thousandth of its radius off.
-_FLAT = 1e-6
+_FLAT_DISC_REGULARISATION = 1e-6
 # Numbers of one row: centre, axis, radius, normal, height.
-NUMBERS = 11
+ROW_PARAMETERS = 11
 
 
 def height_over_plane(tree: BodyTree, first: int, second: int) -> ca.Function:
@@ -32,18 +32,18 @@ def height_over_plane(tree: BodyTree, first: int, second: int) -> ca.Function:
         of a disc (zero for a ball or a point) and a radius [m] in the frame of the first joint; the
         plane's unit normal (3) and its height along it [m] in that of the second.
     """
-    q, numbers = ca.SX.sym("q", tree.n), ca.SX.sym("numbers", NUMBERS)
+    q, numbers = ca.SX.sym("q", tree.n), ca.SX.sym("numbers", ROW_PARAMETERS)
     centre, axis, radius, normal, height = ca.vertsplit(numbers, [0, 3, 6, 7, 10, 11])
-    origin, rotation = _frame(tree, first, q)
-    base, turn = _frame(tree, second, q)
+    origin, rotation = _joint_pose(tree, first, q)
+    base, turn = _joint_pose(tree, second, q)
     outward = ca.mtimes(turn, normal)
     along = ca.dot(outward, ca.mtimes(rotation, axis))
     middle = ca.dot(outward, origin + ca.mtimes(rotation, centre) - base)
-    reach = radius * ca.sqrt(1.0 + _FLAT - along * along)
+    reach = radius * ca.sqrt(1.0 + _FLAT_DISC_REGULARISATION - along * along)
     return ca.Function("height_over_plane", [q, numbers], [middle - reach - height])
 
 
-def _frame(tree: BodyTree, joint: int, q: Quantity) -> tuple[Quantity, Quantity]:
+def _joint_pose(tree: BodyTree, joint: int, q: Quantity) -> tuple[Quantity, Quantity]:
     if joint == 0:
         return ca.SX.zeros(3), ca.SX.eye(3)
     return tool_pose(tree, joint, (0.0, 0.0, 0.0), None, q)

@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from stiffopt.robot.robot import Robot
 
 # An angle error of 1 rad weighs as much as this distance: about the reach of a wrist. [m]
-_LENGTH = 0.3
-_STEPS = 200
+_LENGTH_PER_RADIAN = 0.3
+_MAX_GAUSS_NEWTON_STEPS = 200
 
 
 class UnreachablePoseError(ProblemError):
@@ -86,7 +86,7 @@ def solve_pose(
     """
     search = _Search.of(robot, position, rotation)
     middle = 0.5 * (search.lower + search.upper)
-    start = middle if near is None else _vector(near, len(middle), "near")
+    start = middle if near is None else _as_vector(near, len(middle), "near")
     start = np.clip(start, search.lower, search.upper)
     best, error = search.descend(start, tolerance)
     if error <= tolerance:
@@ -104,7 +104,7 @@ def solve_pose(
             break
     if found:
         return min(found, key=lambda q: float(np.linalg.norm(q - start)))
-    raise _unreachable(robot, search, best)
+    raise _unreachable_error(robot, search, best)
 
 
 @dataclass(frozen=True)
@@ -127,8 +127,8 @@ class _Search:
         return cls(
             robot.rigid_bodies(),
             robot.tool,
-            _vector(position, 3, "position"),
-            None if rotation is None else _vector(rotation, 9, "rotation").reshape(3, 3),
+            _as_vector(position, 3, "position"),
+            None if rotation is None else _as_vector(rotation, 9, "rotation").reshape(3, 3),
             np.where(np.isfinite(robot.position_lower), robot.position_lower, -span),
             np.where(np.isfinite(robot.position_upper), robot.position_upper, span),
             turning,
@@ -141,24 +141,24 @@ class _Search:
         if self.rotation is None:
             return np.asarray(left)
         turn = rotation_vector(self.rotation @ rotation.T)
-        return np.concatenate([left, _LENGTH * turn])
+        return np.concatenate([left, _LENGTH_PER_RADIAN * turn])
 
     def jacobian(self, q: np.ndarray) -> np.ndarray:
         """Change of the pose by the joints, weighted as the error."""
         full = self.bodies.jacobian(self.tool, q)
         if self.rotation is None:
             return np.asarray(full[:3])
-        return np.vstack([full[:3], _LENGTH * full[3:]])
+        return np.vstack([full[:3], _LENGTH_PER_RADIAN * full[3:]])
 
     def descend(self, start: np.ndarray, tolerance: float) -> tuple[np.ndarray, float]:
         """Angles and size of the error where the iteration from `start` ends."""
         q, damping = start.copy(), 1e-3
         error = self.error(q)
         size = float(np.linalg.norm(error))
-        for _ in range(_STEPS):
+        for _ in range(_MAX_GAUSS_NEWTON_STEPS):
             if size <= tolerance or damping > 1e8:
                 break
-            step = self._step(q, self.jacobian(q), error, damping)
+            step = self._damped_step(q, self.jacobian(q), error, damping)
             trial = np.clip(q + step, self.lower, self.upper)
             trial_error = self.error(trial)
             trial_size = float(np.linalg.norm(trial_error))
@@ -171,25 +171,25 @@ class _Search:
                 damping = max(damping, 1e-9) * 5.0
         return q, size
 
-    def _step(
+    def _damped_step(
         self, q: np.ndarray, jacobian: np.ndarray, error: np.ndarray, damping: float
     ) -> np.ndarray:
         """Damped step in which joints at a limit that would leave it stand still."""
         pull = jacobian.T @ error
-        free = np.flatnonzero(~self._held(q, pull))
+        free = np.flatnonzero(~self._blocked_by_limits(q, pull))
         step = np.zeros_like(q)
         if free.size:
             part = jacobian[:, free]
             # The small side of the normal equations: 3 or 6 rows.
             gram = part @ part.T
             # The floor keeps singular poses solvable; its share of a step is below rounding.
-            floor = 1e-12 * (float(np.trace(gram)) + _LENGTH**2)
+            floor = 1e-12 * (float(np.trace(gram)) + _LENGTH_PER_RADIAN**2)
             gram += (damping * float(error @ error) + floor) * np.eye(len(error))
             step[free] = part.T @ np.linalg.solve(gram, error)
         largest = float(np.max(np.abs(step)))
         return step if largest <= 0.5 else step * (0.5 / largest)
 
-    def _held(self, q: np.ndarray, pull: np.ndarray) -> np.ndarray:
+    def _blocked_by_limits(self, q: np.ndarray, pull: np.ndarray) -> np.ndarray:
         return np.asarray(((q <= self.lower) & (pull < 0)) | ((q >= self.upper) & (pull > 0)))
 
     def stopped(self, q: np.ndarray) -> np.ndarray:
@@ -198,7 +198,7 @@ class _Search:
         pull = jacobian.T @ error
         # A stretched arm has joints that pull nowhere: rounding must not blame their limits.
         strong = np.abs(pull) > 1e-3 * np.linalg.norm(jacobian, axis=0) * np.linalg.norm(error)
-        return np.flatnonzero(self._held(q, pull) & strong)
+        return np.flatnonzero(self._blocked_by_limits(q, pull) & strong)
 
     def unwound(self, q: np.ndarray, near: np.ndarray) -> np.ndarray:
         """Move each angle by full turns towards `near`, inside the limits: the same pose."""
@@ -210,18 +210,20 @@ class _Search:
     def left(self, q: np.ndarray) -> tuple[float, float | None]:
         """Distance [m] and angle [rad] that are left at `q`."""
         error = self.error(q)
-        angle = None if self.rotation is None else float(np.linalg.norm(error[3:])) / _LENGTH
+        angle = (
+            None if self.rotation is None else float(np.linalg.norm(error[3:])) / _LENGTH_PER_RADIAN
+        )
         return float(np.linalg.norm(error[:3])), angle
 
 
-def _vector(value: object, size: int, name: str) -> np.ndarray:
+def _as_vector(value: object, size: int, name: str) -> np.ndarray:
     array = np.asarray(value, dtype=float).reshape(-1)
     if array.size != size or not np.all(np.isfinite(array)):
         raise ProblemError(f"{name} must hold {size} finite numbers, got {value!r}.")
     return array
 
 
-def _unreachable(robot: Robot, search: _Search, q: np.ndarray) -> UnreachablePoseError:
+def _unreachable_error(robot: Robot, search: _Search, q: np.ndarray) -> UnreachablePoseError:
     distance, angle = search.left(q)
     place = ", ".join(f"{x:.4g}" for x in search.position)
     reached = f"{1000 * distance:.4g} mm away"

@@ -16,7 +16,7 @@ import numpy as np
 
 from stiffopt.robot.body_tree import Body, BodyTree
 
-_CLEAN = 1e-14
+_ROUND_OFF = 1e-14
 
 
 @dataclass(frozen=True)
@@ -58,15 +58,15 @@ class AxisJoint:
 
 def clean(values: np.ndarray) -> np.ndarray:
     """Remove the rounding residue of constants: below 1e-14 to 0, within 1e-14 of +-1 to +-1."""
-    values = np.where(np.abs(values) < _CLEAN, 0.0, values)
-    near_one = np.abs(np.abs(values) - 1.0) < _CLEAN
+    values = np.where(np.abs(values) < _ROUND_OFF, 0.0, values)
+    near_one = np.abs(np.abs(values) - 1.0) < _ROUND_OFF
     return np.where(near_one, np.sign(values), values)
 
 
 @functools.lru_cache(maxsize=16)
 def axis_joints(tree: BodyTree) -> tuple[AxisJoint, ...]:
     """Joints of an arm in its own order: entry i - 1 is joint i."""
-    frames, twists, turns = _frames(
+    frames, twists, turns = _axis_frames(
         tuple((body.parent, body.axis.tobytes(), body.rotation.tobytes()) for body in tree.bodies)
     )
     return tuple(
@@ -76,7 +76,7 @@ def axis_joints(tree: BodyTree) -> tuple[AxisJoint, ...]:
 
 
 @functools.lru_cache(maxsize=16)
-def _frames(
+def _axis_frames(
     joints: tuple[tuple[int, bytes, bytes], ...],
 ) -> tuple[list[np.ndarray], list[np.ndarray], list[float]]:
     """Axis frames of the base and all joints, constant turns before and about their axes.
@@ -143,7 +143,7 @@ def _about_x(angle: float) -> np.ndarray:
 def _z_x_z(rotation: np.ndarray) -> tuple[float, np.ndarray, float]:
     """Angles a, c and twist X about x with rotation = Rz(a) X Rz(c)."""
     sine = float(np.hypot(rotation[0, 2], rotation[1, 2]))
-    before = float(np.arctan2(rotation[0, 2], -rotation[1, 2])) if sine > _CLEAN else 0.0
+    before = float(np.arctan2(rotation[0, 2], -rotation[1, 2])) if sine > _ROUND_OFF else 0.0
     twist = _about_x(float(np.arctan2(sine, rotation[2, 2])))
     # From what is left, not from the last row: near-parallel axes leave the first angle uncertain
     # and the second has to make up for it.
@@ -153,4 +153,4 @@ def _z_x_z(rotation: np.ndarray) -> tuple[float, np.ndarray, float]:
 
 def _clean_angle(angle: float) -> float:
     angle = float(np.arctan2(np.sin(angle), np.cos(angle)))
-    return 0.0 if abs(angle) < _CLEAN else angle
+    return 0.0 if abs(angle) < _ROUND_OFF else angle

@@ -84,10 +84,10 @@ def tool_pose(
         position, turn = function(q)
         return position, turn
     joints = axis_joints(tree)
-    frames = _frames(joints, q, joint)
+    frames = _axis_frames(joints, q, joint)
     origin, turn = frames[joint]
     to_axis_frame = joints[joint - 1].from_joint_frame
-    position = origin + ca.mtimes(turn, _vector(to_axis_frame @ _three(offset)))
+    position = origin + ca.mtimes(turn, _as_casadi_vector(to_axis_frame @ _as_point(offset)))
     tool = np.eye(3) if rotation is None else np.asarray(rotation, dtype=float)
     turn = ca.mtimes(turn, ca.sparsify(ca.DM(clean(to_axis_frame @ tool))))
     return ca.densify(position), ca.densify(turn)
@@ -104,9 +104,11 @@ def point_jacobian(tree: BodyTree, joint: int, offset: ArrayLike, q: Quantity) -
         function: Any = point_kinematics(tree, joint, offset)
         return function(q)[1]
     joints = axis_joints(tree)
-    frames = _frames(joints, q, joint)
+    frames = _axis_frames(joints, q, joint)
     origin, turn = frames[joint]
-    point = origin + ca.mtimes(turn, _vector(joints[joint - 1].from_joint_frame @ _three(offset)))
+    point = origin + ca.mtimes(
+        turn, _as_casadi_vector(joints[joint - 1].from_joint_frame @ _as_point(offset))
+    )
     columns = [ca.SX.zeros(3) for _ in joints]
     for i, (center, rotation) in frames.items():
         if i:
@@ -116,7 +118,7 @@ def point_jacobian(tree: BodyTree, joint: int, offset: ArrayLike, q: Quantity) -
     return ca.densify(ca.horzcat(*columns))
 
 
-def _frames(
+def _axis_frames(
     joints: tuple[AxisJoint, ...], q: Quantity, last: int
 ) -> dict[int, tuple[Quantity, Quantity]]:
     """Origin and rotation, in the base, of the axis frames from the base to joint `last`."""
@@ -132,9 +134,9 @@ def _frames(
     return frames
 
 
-def _three(offset: ArrayLike) -> np.ndarray:
+def _as_point(offset: ArrayLike) -> np.ndarray:
     return np.asarray(offset, dtype=float).reshape(3)
 
 
-def _vector(values: np.ndarray) -> ca.DM:
+def _as_casadi_vector(values: np.ndarray) -> ca.DM:
     return ca.sparsify(ca.DM(clean(values)))

@@ -60,7 +60,7 @@ def newton_euler(tree: BodyTree, q: Quantity, v: Quantity, a: Quantity) -> Quant
         (j.parent, j.prismatic, j.rotation.tobytes(), j.angle_offset, j.translation.tobytes())
         for j in joints
     )
-    recursion = _recursion(frames, np.asarray(tree.gravity, dtype=float).tobytes())
+    recursion = _torque_recursion(frames, np.asarray(tree.gravity, dtype=float).tobytes())
     tau = recursion(
         q,
         v,
@@ -77,7 +77,7 @@ _Frame = tuple[int, bool, bytes, float, bytes]
 
 
 @functools.lru_cache(maxsize=64)
-def _recursion(frames: tuple[_Frame, ...], gravity: bytes) -> ca.Function:
+def _torque_recursion(frames: tuple[_Frame, ...], gravity: bytes) -> ca.Function:
     """Torques of arms with these frames: written out once, then called with bodies and motion.
 
     A call puts its expressions in place of the symbols; what is zero or one vanishes there.
@@ -104,8 +104,8 @@ def _recursion(frames: tuple[_Frame, ...], gravity: bytes) -> ca.Function:
         for i, (parent, prismatic, rotation, offset, translation) in enumerate(frames)
     )
     poses = [joint_pose(joint, q[i]) for i, joint in enumerate(joints)]
-    forces, moments = _outward(np.frombuffer(gravity), joints, poses, v, a)
-    tau = _inward(joints, poses, forces, moments)
+    forces, moments = _outward_recursion(np.frombuffer(gravity), joints, poses, v, a)
+    tau = _inward_recursion(joints, poses, forces, moments)
     return ca.Function("recursion", [q, v, a, mass, first, inertia], [tau])
 
 
@@ -119,7 +119,7 @@ def joint_pose(joint: AxisJoint, angle: Quantity) -> tuple[Quantity, Quantity]:
     return ca.mtimes(rotation, ca.sparsify(turn)), ca.SX(joint.translation)
 
 
-def _outward(
+def _outward_recursion(
     gravity: np.ndarray,
     joints: tuple[AxisJoint, ...],
     poses: list[tuple[Quantity, Quantity]],
@@ -160,7 +160,7 @@ def _outward(
     return forces, moments
 
 
-def _inward(
+def _inward_recursion(
     joints: tuple[AxisJoint, ...],
     poses: list[tuple[Quantity, Quantity]],
     forces: list[Quantity],

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 import casadi as ca
 import numpy as np
 
-from stiffopt.dynamics.height_over_plane import NUMBERS, height_over_plane
+from stiffopt.dynamics.height_over_plane import ROW_PARAMETERS, height_over_plane
 from stiffopt.robot.separating_planes import SeparatingPlane, SeparatingPlanes
 from stiffopt.transcription.node_rows import NodeRows, renumbered, with_node_rows
 from stiffopt.transcription.ocp import Rows
@@ -144,7 +144,7 @@ class Avoidance:
         """Rows of one couple: every plane at all nodes of its interval."""
         most = min(_ROWS, self._planes.supports(couple))
         count = np.arange(most)
-        numbers = np.zeros((*columns.shape, most, NUMBERS))
+        numbers = np.zeros((*columns.shape, most, ROW_PARAMETERS))
         kept = np.zeros((*columns.shape, most), dtype=bool)
         for k, plane in enumerate(planes):
             near = plane.near
@@ -167,7 +167,7 @@ class Avoidance:
             function=self._function(couple),
             states=positions,
             columns=np.repeat(columns.ravel(), most),
-            numbers=numbers.reshape(-1, NUMBERS),
+            numbers=numbers.reshape(-1, ROW_PARAMETERS),
             kept=kept.ravel(),
         )
 

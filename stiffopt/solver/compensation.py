@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 
 from stiffopt.certificate.assess import assess, drive_history
-from stiffopt.certificate.violations import CERTIFIED, find_drive_violations
+from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE, find_drive_violations
 from stiffopt.elastic.many_arms import Asked, ManyArms, Member, Swings, swings_together
 from stiffopt.elastic.motor import MotorMotion
 from stiffopt.elastic.simulate import REST, simulate
@@ -420,7 +420,11 @@ class _Compensator:
         best = [tried[k] for k in np.argsort(flight + after, kind="stable")]
         # The coarse grid may step over what lasts less than its step, such as the jerk at an end.
         lead, share = next(
-            (each for each in best if self._beyond_plan(each[0].command(each[1])) <= CERTIFIED),
+            (
+                each
+                for each in best
+                if self._beyond_plan(each[0].command(each[1])) <= CERTIFICATE_TOLERANCE
+            ),
             best[0],
         )
         return lead, share, signs
@@ -439,7 +443,7 @@ class _Compensator:
                     functools.partial(self._law.motion, link),
                     functools.partial(self._beyond_plan, points=_COARSE),
                     smoothing,
-                    CERTIFIED,
+                    CERTIFICATE_TOLERANCE,
                 ),
                 spacing,
             )
@@ -481,7 +485,7 @@ class _Compensator:
 
     def _within(self, motors: Trajectory) -> bool:
         """Whether the limits that the plan keeps are kept; some no method of its kind can take."""
-        return self._beyond_plan(motors, _COARSE) <= CERTIFIED
+        return self._beyond_plan(motors, _COARSE) <= CERTIFICATE_TOLERANCE
 
     def _beyond_plan(self, motors: Trajectory, points: int | None = None) -> float:
         """Largest excess of limits that the plan keeps."""
@@ -502,7 +506,7 @@ class _Compensator:
         if points is not None:
             self._loads[link, points] = loads
         found = find_drive_violations(self._problem, drives)
-        return tuple(each for each in found if each.value > CERTIFIED)
+        return tuple(each for each in found if each.value > CERTIFICATE_TOLERANCE)
 
     def _simulated(self, command: MotorMotion, departure: Departure) -> SimulatedMotion:
         arm, servo = self._arm.departed(departure), self._servo

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stiffopt.baseline.baselines import baselines
-from stiffopt.certificate.violations import CERTIFIED
+from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
 from stiffopt.problem.bounds import shortest_duration
 from stiffopt.problem.clear_poses import check_clear_poses
 from stiffopt.problem.formulation import Scales, formulate
@@ -247,7 +247,10 @@ class ProblemFamily:
 
 
 def _is_sound(outcome: Outcome) -> bool:
-    return outcome.assessment.feasible(CERTIFIED) and outcome.objective_gap <= TRUE_OBJECTIVE
+    return (
+        outcome.assessment.feasible(CERTIFICATE_TOLERANCE)
+        and outcome.objective_gap <= TRUE_OBJECTIVE
+    )
 
 
 def _end(run: SolveRun, outcome: Outcome) -> WarmStart:

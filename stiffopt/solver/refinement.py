@@ -14,7 +14,7 @@ import numpy as np
 
 from stiffopt.certificate.assess import assess, drive_violations
 from stiffopt.certificate.objective_value import improvement, is_maximised, objective_value
-from stiffopt.certificate.violations import CERTIFIED
+from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
 from stiffopt.errors import NotSimulatedError
 from stiffopt.problem.formulation import exact_path_rows
 from stiffopt.problem.limit import LIMITS
@@ -44,7 +44,7 @@ from stiffopt.transcription.point_function import PointFunction
 
 # Motions are tightened until the excess is below this, so that the certificate's tolerance is never
 # only just met.
-_AIM = 0.8 * CERTIFIED
+_AIM = 0.8 * CERTIFICATE_TOLERANCE
 # Gap of the objective between nodes that a finer mesh is worth, where a baseline is better.
 _CLOSE = 1e-3
 _REFINEMENTS = 3
@@ -154,7 +154,7 @@ def _without_bulges(run: SolveRun, outcome: Outcome) -> Outcome:
 def rank(problem: TrajectoryProblem, outcome: Outcome) -> tuple[bool, float]:
     """What outcomes are ordered by: certified ones first, then by their certified objective."""
     value = objective_value(problem, outcome.assessment).value
-    feasible = outcome.assessment.feasible(CERTIFIED)
+    feasible = outcome.assessment.feasible(CERTIFICATE_TOLERANCE)
     return not feasible, -value if is_maximised(problem) else value
 
 
@@ -338,7 +338,7 @@ def _sharpened(run: SolveRun, outcome: Outcome) -> Outcome:
     their sag goes where springs carry them as they hang. Rows of the optimiser know neither.
     """
     # Motors whose links swing on are at rest by the law they were solved with.
-    if _worst_in_flight(outcome.assessment) > CERTIFIED or run.end_modes:
+    if _worst_in_flight(outcome.assessment) > CERTIFICATE_TOLERANCE or run.end_modes:
         return outcome
     found, share = outcome, 1.0
     # A narrower law asks for more: halving finds the narrowest that does.
@@ -362,11 +362,11 @@ def _calmed(run: SolveRun, outcome: Outcome) -> tuple[Outcome, Calmed | None]:
     if not outcome.raw.converged:
         return outcome, None
     outcome = _sharpened(run, outcome)
-    if run.lag is None or _worst_in_flight(outcome.assessment) > CERTIFIED:
+    if run.lag is None or _worst_in_flight(outcome.assessment) > CERTIFICATE_TOLERANCE:
         return outcome, None
     try:
         arm = run.arm.with_fast_joints_following(run.motion.start)
-        found = calmed(run.problem, arm, outcome.trajectory, CERTIFIED)
+        found = calmed(run.problem, arm, outcome.trajectory, CERTIFICATE_TOLERANCE)
     except NotSimulatedError:
         return outcome, None
     except KeyboardInterrupt:
@@ -377,10 +377,10 @@ def _calmed(run: SolveRun, outcome: Outcome) -> tuple[Outcome, Calmed | None]:
 def _with_motors(run: SolveRun, outcome: Outcome, share: float, *, sagged: bool) -> Outcome | None:
     """The outcome with motors of its own, where they keep every limit in flight."""
     trajectory = motors_of(run, outcome, share, sagged=sagged)
-    if drive_violations(run.problem, trajectory)[0].value > CERTIFIED:
+    if drive_violations(run.problem, trajectory)[0].value > CERTIFICATE_TOLERANCE:
         return None
     assessment = assess(run.problem, trajectory)
-    if _worst_in_flight(assessment) > CERTIFIED:
+    if _worst_in_flight(assessment) > CERTIFICATE_TOLERANCE:
         return None
     return replace(outcome, trajectory=trajectory, assessment=assessment)
 

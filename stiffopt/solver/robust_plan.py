@@ -19,7 +19,7 @@ from dataclasses import replace
 import numpy as np
 
 from stiffopt.certificate.objective_value import objective_value
-from stiffopt.certificate.violations import CERTIFIED
+from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
 from stiffopt.errors import NotSimulatedError
 from stiffopt.result.solution import Solution, SolverRecord
 from stiffopt.result.status import SolveStatus
@@ -71,7 +71,7 @@ def robust_plan(run: SolveRun, outcome: Outcome) -> Outcome:
 
 
 def _asked(run: SolveRun, outcome: Outcome) -> bool:
-    sound = outcome.raw.converged and outcome.assessment.feasible(CERTIFIED)
+    sound = outcome.raw.converged and outcome.assessment.feasible(CERTIFICATE_TOLERANCE)
     # Planes around what it must not touch are of the motion that was found.
     return run.problem.chosen_for_other_arms and sound and run.avoidance is None
 
@@ -172,7 +172,7 @@ def _on_arms(run: SolveRun, *outcomes: Outcome | Solution) -> list[CommandOnArms
 
 def _cost(run: SolveRun, found: Outcome, least: Outcome) -> float:
     """Share by which the objective is larger; infinite where the motion is not sound."""
-    sound = found.raw.converged and found.assessment.feasible(CERTIFIED)
+    sound = found.raw.converged and found.assessment.feasible(CERTIFICATE_TOLERANCE)
     if not sound or found.objective_gap > TRUE_OBJECTIVE or collisions(run, found):
         return np.inf
     own, best = (objective_value(run.problem, each.assessment).value for each in (found, least))

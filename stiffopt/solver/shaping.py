@@ -24,7 +24,7 @@ from stiffopt.baseline.baselines import better_baseline, strict_baseline
 from stiffopt.certificate.assess import assess, drive_violations
 from stiffopt.certificate.collisions import with_collisions
 from stiffopt.certificate.objective_value import improvement, objective_value
-from stiffopt.certificate.violations import CERTIFIED
+from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
 from stiffopt.elastic.arm import ElasticArm
 from stiffopt.elastic.modes import modes
 from stiffopt.elastic.smooth_motion import smooth_motion
@@ -137,7 +137,7 @@ def solve_shaped(
             "well: run that one, give a longer duration, or minimise tool_deviation."
         )
     trajectory, assessment = shaped
-    if status.usable and not assessment.feasible(CERTIFIED):
+    if status.usable and not assessment.feasible(CERTIFICATE_TOLERANCE):
         status = SolveStatus.CERTIFICATE_FAILED
         message = (
             f"The shaped motion exceeds {assessment.worst_violation.describe()}. Give a longer "
@@ -224,9 +224,9 @@ def _averaged(
             break
         inner, found = tightened, tried
         shaped = _shaped(problem, found, window)
-    if shaped is not None and not shaped[1].feasible(CERTIFIED):
+    if shaped is not None and not shaped[1].feasible(CERTIFICATE_TOLERANCE):
         # What drawing limits tighter has left of corners, wider ones may take.
-        shaped = _shaped(problem, found, window, corner=CERTIFIED)
+        shaped = _shaped(problem, found, window, corner=CERTIFICATE_TOLERANCE)
     return found, shaped
 
 
@@ -234,10 +234,10 @@ def _is_better(problem: TrajectoryProblem, rival: Assessment | None, own: Assess
     """Whether a rival that keeps every limit is better than a motion, or that keeps them not."""
     if rival is None:
         return False
-    if not own.feasible(CERTIFIED):
+    if not own.feasible(CERTIFICATE_TOLERANCE):
         return True
     theirs, ours = (objective_value(problem, each).value for each in (rival, own))
-    return theirs < (1.0 - CERTIFIED) * ours
+    return theirs < (1.0 - CERTIFICATE_TOLERANCE) * ours
 
 
 def _ratio(problem: TrajectoryProblem, value: float, other: Baseline | None) -> float | None:
@@ -311,9 +311,9 @@ def _shaped(
             functools.partial(law.motion, link), motor_excess, WINDUP_SMOOTHING[-1], corner
         )
         tried.append((motors, with_collisions(problem, assess(problem, motors))))
-        if tried[-1][1].feasible(CERTIFIED):
+        if tried[-1][1].feasible(CERTIFICATE_TOLERANCE):
             break
-    return min(tried, key=lambda pair: max(pair[1].worst_violation.value, CERTIFIED))
+    return min(tried, key=lambda pair: max(pair[1].worst_violation.value, CERTIFICATE_TOLERANCE))
 
 
 def _tightened(
@@ -330,12 +330,16 @@ def _tightened(
 
     Motors that lead the links have a little more acceleration than these.
     """
-    excess = {each.limit: each.value for each in assessment.violations if each.value > CERTIFIED}
+    excess = {
+        each.limit: each.value
+        for each in assessment.violations
+        if each.value > CERTIFICATE_TOLERANCE
+    }
     limits, vias = inner.active_limits, []
     near = [
         problem.stated_cell.clearance - each.distance
         for each in assessment.violations
-        if each.distance is not None and each.value > CERTIFIED
+        if each.distance is not None and each.value > CERTIFICATE_TOLERANCE
     ]
     cell = inner.cell
     wider = min(inner.stated_cell.clearance + more * max(near, default=0.0), room)

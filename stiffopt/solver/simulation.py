@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from stiffopt.baseline.baselines import slowed_quintic
-from stiffopt.certificate.violations import CERTIFIED
+from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
 from stiffopt.elastic import native
 from stiffopt.elastic.arm import ElasticArm
 from stiffopt.elastic.motor import MotorMotion
@@ -127,7 +127,9 @@ class PlannedMotion:
             velocity=assessment.velocity,
             parts=assessment.deflection_summary(),
             counted=counted,
-            exceeded=tuple(v.limit for v in assessment.violations if v.value > CERTIFIED),
+            exceeded=tuple(
+                v.limit for v in assessment.violations if v.value > CERTIFICATE_TOLERANCE
+            ),
         )
 
 
@@ -260,7 +262,7 @@ def with_simulation(
     try:
         delivered()
         arm = elastic_arm(problem, assessment.position[0])
-        counted = assessment.feasible(CERTIFIED)
+        counted = assessment.feasible(CERTIFICATE_TOLERANCE)
         own = PlannedMotion.of("optimised", assessment, counted)
         others = rivals(problem, motion, solution.baselines, solution.strict_baseline)
         if solution.trajectory is not None and solution.trajectory.link is not None:

@@ -11,7 +11,7 @@ import math
 from stiffopt.baseline.baselines import slowed_quintic
 from stiffopt.certificate.assess import assess, drive_violations
 from stiffopt.certificate.collisions import with_collisions
-from stiffopt.certificate.violations import CERTIFIED
+from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
 from stiffopt.problem.motor_model import WIDER
 from stiffopt.solver.solve_run import SolveRun
 from stiffopt.solver.stages import Outcome
@@ -54,9 +54,9 @@ def _slowed(run: SolveRun, outcome: Outcome) -> float | None:
     for times in _SLOWER:
         slow = link.scaled_to(times * link.duration)
         motors = run.motors.motion(slow, WIDER * outcome.smoothing.law, run.lag)
-        if drive_violations(problem, motors)[0].value > CERTIFIED:
+        if drive_violations(problem, motors)[0].value > CERTIFICATE_TOLERANCE:
             continue
-        if with_collisions(problem, assess(problem, motors)).feasible(CERTIFIED):
+        if with_collisions(problem, assess(problem, motors)).feasible(CERTIFICATE_TOLERANCE):
             return motors.duration
     return None
 

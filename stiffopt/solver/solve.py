@@ -21,8 +21,8 @@ from stiffopt.certificate.objective_value import (
     is_maximised,
     objective_value,
 )
-from stiffopt.certificate.slipping import slip_text, slips
-from stiffopt.certificate.violations import CERTIFIED
+from stiffopt.certificate.slipping import describe_slips, find_slips
+from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
 from stiffopt.elastic.arm import questionable_springs
 from stiffopt.errors import NoSolutionFound, ProblemError
 from stiffopt.interrupts import delivered
@@ -294,7 +294,7 @@ def _spread(problem: TrajectoryProblem, made: list[Outcome]) -> str:
     found = [
         objective_value(problem, each.assessment).value
         for each in made
-        if each.raw.converged and each.assessment.feasible(CERTIFIED)
+        if each.raw.converged and each.assessment.feasible(CERTIFICATE_TOLERANCE)
     ]
     kept = f"Of {len(made)} starts {len(found)} ended in a certified optimum"
     if len(found) < 2:
@@ -316,9 +316,9 @@ def _certified_solve(run: SolveRun, guess: Guess, rival: Baseline | None) -> Out
         resting = found
         with suppress(KeyboardInterrupt):
             resting = refined(run, run_stages(run, plan, guess, {}), rival)
-        if _done(resting) or not found.assessment.feasible(CERTIFIED):
+        if _done(resting) or not found.assessment.feasible(CERTIFICATE_TOLERANCE):
             found = resting
-            if found.assessment.feasible(CERTIFIED):
+            if found.assessment.feasible(CERTIFICATE_TOLERANCE):
                 run.notes.append(
                     "No motion was found whose links swing on after arrival as far as the limits "
                     "allow: this one brings them to rest, which takes a little longer."
@@ -328,7 +328,7 @@ def _certified_solve(run: SolveRun, guess: Guess, rival: Baseline | None) -> Out
 
 def _done(outcome: Outcome) -> bool:
     """Whether an outcome is an optimum that keeps all limits."""
-    return outcome.raw.converged and outcome.assessment.feasible(CERTIFIED)
+    return outcome.raw.converged and outcome.assessment.feasible(CERTIFICATE_TOLERANCE)
 
 
 def _perturbed(guess: Guess, problem: TrajectoryProblem, random: np.random.Generator) -> Guess:
@@ -386,10 +386,10 @@ def solution_of(
         reach = optimum_reach(problem, rivals, run.starts_made)
         found = replace(found, message=f"{found.message} {reach}")
     end = beyond_limits(problem, assessment, found, run.unavoided)
-    slipping = slips(problem.robot, assessment)
-    if slipping and slip_text(slipping) not in end.message:
-        notes = (*notes, f"In this motion {slip_text(slipping)}")
-    if not slipping and end.status in _TOO_FAST and not assessment.feasible(CERTIFIED):
+    slipping = find_slips(problem.robot, assessment)
+    if slipping and describe_slips(slipping) not in end.message:
+        notes = (*notes, f"In this motion {describe_slips(slipping)}")
+    if not slipping and end.status in _TOO_FAST and not assessment.feasible(CERTIFICATE_TOLERANCE):
         advice = slower_advice(run, outcome)
         end = replace(end, message=f"{end.message} {advice}".rstrip())
     value = objective_value(problem, assessment)

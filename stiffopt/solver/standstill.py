@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from stiffopt.certificate.assess import assess
-from stiffopt.dynamics.friction import smoothing_width
+from stiffopt.dynamics.friction import dry_friction_width
 from stiffopt.problem.belief import believed_of
 from stiffopt.problem.coordinates import coordinates_of
 from stiffopt.problem.smoothing import Smoothing
@@ -51,7 +51,7 @@ def at_rest(
     nlp, states, controls = transcription.nlp, transcription.states, transcription.controls
     assert states.places is not None
     assert controls.places is not None
-    width = _SLOW * np.asarray(smoothing_width(robot.velocity_max))
+    width = _SLOW * np.asarray(dry_friction_width(robot.velocity_max))
     slow = np.abs(transcription.node_states(x)[:, n:]) < width
     times = transcription.times_of(states.places, x)
     driven = transcription.times_of(controls.places, x)

@@ -12,7 +12,7 @@ from scipy.interpolate import CubicHermiteSpline, CubicSpline, make_interp_splin
 
 from stiffopt.baseline.baselines import baselines
 from stiffopt.certificate.assess import assess
-from stiffopt.certificate.violations import CERTIFIED
+from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
 from stiffopt.elastic.motor import MotorMotion
 from stiffopt.elastic.uncertainty import Uncertainty
 from stiffopt.errors import InputFileError
@@ -105,7 +105,7 @@ def read_result(
         position=position,
         velocity=velocity,
         parts=parts,
-        counted=worst <= CERTIFIED,
+        counted=worst <= CERTIFICATE_TOLERANCE,
     )
     return StoredResult(
         problem=stated,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from stiffopt.baseline.baselines import better_baseline
 from stiffopt.certificate.objective_value import is_maximised, objective_value
-from stiffopt.certificate.violations import CERTIFIED
+from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
 from stiffopt.problem.bounds import find_bounds
 from stiffopt.problem.objective import Bound
 from stiffopt.problem.trajectory import TrajectoryProblem
@@ -56,7 +56,7 @@ def pinned_by_a_bound(run: SolveRun, beside: dict[str, Baseline]) -> tuple[Basel
     bound = max(bounds, key=lambda each: sign * each.value)
     for baseline in beside.values():
         motion, value = baseline.assessment, baseline.objective
-        kept = baseline.feasible and motion is not None and motion.feasible(CERTIFIED)
+        kept = baseline.feasible and motion is not None and motion.feasible(CERTIFICATE_TOLERANCE)
         if kept and value is not None and sign * (value - bound.value) <= _AT * abs(bound.value):
             return baseline, bound
     return None
@@ -127,7 +127,7 @@ def only_baseline(run: SolveRun, beside: dict[str, Baseline], notes: tuple[str, 
     if kept is None or kept.trajectory is None or kept.assessment is None:
         raise KeyboardInterrupt
     worst = kept.assessment.worst_violation
-    keeps = kept.assessment.feasible(CERTIFIED)
+    keeps = kept.assessment.feasible(CERTIFICATE_TOLERANCE)
     state = "It keeps all limits." if keeps else f"It exceeds {worst.describe()}."
     return Solution(
         status=SolveStatus.INTERRUPTED,

@@ -13,12 +13,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stiffopt.certificate.agreement import Disagreement, differences
-from stiffopt.certificate.collisions import LIMIT as COLLISION
-from stiffopt.certificate.collisions import scope
+from stiffopt.certificate.agreement import Disagreement, find_disagreements
+from stiffopt.certificate.collisions import COLLISION_LIMIT as COLLISION
+from stiffopt.certificate.collisions import describe_collision_scope
 from stiffopt.certificate.objective_value import is_maximised, objective_value
-from stiffopt.certificate.slipping import slip_text, slips
-from stiffopt.certificate.violations import CERTIFIED
+from stiffopt.certificate.slipping import describe_slips, find_slips
+from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
 from stiffopt.problem.belief import believed_of
 from stiffopt.problem.formulation import smoothing_stages
 from stiffopt.problem.trajectory import TrajectoryProblem
@@ -43,7 +43,7 @@ _MOST = 0.5
 # optimum has been seen so far below them.
 _OUT_OF_REACH = 10.0
 # A baseline may use what limits may be exceeded by: it has to be better by more than that share.
-_WORSE = CERTIFIED
+_WORSE = CERTIFICATE_TOLERANCE
 # Bounds of states and controls in a programme are limits of the joints: "control rate, acceleration
 # of joint 1 (at 50 %)" is that of the jerk.
 _BOUND = re.compile(r"(state|control|control rate|\w+ within interval), (\w+) of (joint .*)")
@@ -71,7 +71,7 @@ def verdict(
     """
     own = Verdict(_status(outcome), _message(problem, outcome, motion))
     found = _by_belief(problem, outcome, motion, own)
-    if not motion.feasible(CERTIFIED) and (beyond := _out_of_reach(problem, beside)):
+    if not motion.feasible(CERTIFICATE_TOLERANCE) and (beyond := _out_of_reach(problem, beside)):
         # Its general advice is to relax what is named, or to take more time.
         rest = found.message.removeprefix(found.status.sentence)
         found = Verdict(found.status, f"{beyond}{rest}")
@@ -123,7 +123,7 @@ def beyond_limits(
     tried : str
         What was done in vain to avoid them.
     """
-    exceeded = [v for v in motion.violations if v.value > CERTIFIED]
+    exceeded = [v for v in motion.violations if v.value > CERTIFICATE_TOLERANCE]
     hits = [v for v in exceeded if v.limit == COLLISION]
     listed = "; ".join(hit.describe() for hit in hits[:3])
     if hits and found.status.usable:
@@ -139,7 +139,7 @@ def beyond_limits(
         return Verdict(found.status, text)
     if not found.status.usable:
         return found
-    return Verdict(found.status, f"{found.message} {scope(problem)}".strip())
+    return Verdict(found.status, f"{found.message} {describe_collision_scope(problem)}".strip())
 
 
 def _by_belief(
@@ -150,15 +150,19 @@ def _by_belief(
     if not doubts:
         return found
     listed = "; ".join(d.describe() for d in doubts[:3])
-    slipping = slips(problem.robot, motion)
+    slipping = find_slips(problem.robot, motion)
     if slipping and any(np.isinf(d.value) for d in doubts):
         held = "Every limit holds on the fine grid." if found.status.usable else found.message
-        return Verdict(SolveStatus.CERTIFICATE_FAILED, f"{held} But {slip_text(slipping)}")
+        return Verdict(SolveStatus.CERTIFICATE_FAILED, f"{held} But {describe_slips(slipping)}")
     if not found.status.usable:
         differs = f"{found.message} And the optimiser believed otherwise: {listed}."
         return Verdict(found.status, differs)
     if any("torque" in d.quantity or abs(d.value) > _WRONG for d in doubts):
-        every = "Every limit" if motion.feasible(CERTIFIED) else "Every limit but of collisions"
+        every = (
+            "Every limit"
+            if motion.feasible(CERTIFICATE_TOLERANCE)
+            else "Every limit but of collisions"
+        )
         return Verdict(
             SolveStatus.CERTIFICATE_FAILED,
             f"{every} holds on the fine grid, but the optimiser's model of this motion is "
@@ -195,7 +199,7 @@ def _disagreements(problem: TrajectoryProblem, outcome: Outcome) -> list[Disagre
         outcome.smoothing,
         elastic=len(widths) > 1,
     )
-    return [d for d in differences(problem, outcome.trajectory, believed) if d.excess > 1.0]
+    return [d for d in find_disagreements(problem, outcome.trajectory, believed) if d.excess > 1.0]
 
 
 def _contact_laws(problem: TrajectoryProblem) -> set[object]:
@@ -208,7 +212,7 @@ def baseline_above(
     problem: TrajectoryProblem, outcome: Outcome, beside: dict[str, Baseline]
 ) -> Baseline | None:
     """A baseline that keeps every limit, its own method's or not, and is better, or alone in it."""
-    certified = outcome.assessment.feasible(CERTIFIED)
+    certified = outcome.assessment.feasible(CERTIFICATE_TOLERANCE)
     value = objective_value(problem, outcome.assessment).value
     sign = -1.0 if is_maximised(problem) else 1.0
     for baseline in beside.values():
@@ -216,7 +220,7 @@ def baseline_above(
         if not baseline.feasible or motion is None or rival is None:
             continue
         better = sign * (value - rival) > _WORSE * max(abs(value), abs(rival))
-        if motion.feasible(CERTIFIED) and (better or not certified):
+        if motion.feasible(CERTIFICATE_TOLERANCE) and (better or not certified):
             return baseline
     return None
 
@@ -235,7 +239,7 @@ def has_one_optimum(problem: TrajectoryProblem, beside: dict[str, Baseline]) -> 
         and toppra is not None
         and toppra.feasible
         and toppra.assessment is not None
-        and toppra.assessment.feasible(CERTIFIED)
+        and toppra.assessment.feasible(CERTIFICATE_TOLERANCE)
     )
 
 
@@ -244,7 +248,9 @@ def optimum_reach(problem: TrajectoryProblem, beside: dict[str, Baseline], start
     kept = [
         each.name
         for each in beside.values()
-        if each.feasible and each.assessment is not None and each.assessment.feasible(CERTIFIED)
+        if each.feasible
+        and each.assessment is not None
+        and each.assessment.feasible(CERTIFICATE_TOLERANCE)
     ]
     if has_one_optimum(problem, beside):
         return "On a given path the shortest duration is the global optimum."
@@ -258,13 +264,13 @@ def optimum_reach(problem: TrajectoryProblem, beside: dict[str, Baseline], start
 
 
 def _virtue(outcome: Outcome) -> str:
-    if outcome.assessment.feasible(CERTIFIED):
+    if outcome.assessment.feasible(CERTIFICATE_TOLERANCE):
         return "is better and keeps all limits as well"
     return "keeps all limits"
 
 
 def _status(outcome: Outcome) -> SolveStatus:
-    raw, certified = outcome.raw, outcome.assessment.feasible(CERTIFIED)
+    raw, certified = outcome.raw, outcome.assessment.feasible(CERTIFICATE_TOLERANCE)
     if raw.converged:
         if not certified:
             return SolveStatus.CERTIFICATE_FAILED
@@ -289,8 +295,8 @@ def _message(problem: TrajectoryProblem, outcome: Outcome, motion: Assessment) -
         if raw.violation > FEASIBLE and raw.worst_rows:
             furthest = named_conflicts([raw.worst_rows[0].entry])
             state += f" Furthest from being kept in the programme: {furthest}."
-        if assessment.feasible(CERTIFIED):
-            state = " It keeps all limits." if motion.feasible(CERTIFIED) else ""
+        if assessment.feasible(CERTIFICATE_TOLERANCE):
+            state = " It keeps all limits." if motion.feasible(CERTIFICATE_TOLERANCE) else ""
         if raw.status == "stalled":
             return (
                 "The solver made no further progress before the optimum; the best motion so far is "

@@ -14,10 +14,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stiffopt.baseline.baselines import detour_baseline
-from stiffopt.certificate.collisions import LIMIT as COLLISION
+from stiffopt.certificate.collisions import COLLISION_LIMIT as COLLISION
 from stiffopt.certificate.collisions import with_collisions
 from stiffopt.certificate.objective_value import is_maximised, objective_value
-from stiffopt.certificate.violations import CERTIFIED
+from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
 from stiffopt.dynamics.inverse_kinematics import solve_pose
 from stiffopt.errors import ProblemError
 from stiffopt.problem.clear_poses import targets
@@ -108,7 +108,9 @@ def led_around(
 def collisions(run: SolveRun, outcome: Outcome) -> list[Violation]:
     """What the certificate finds too near, the worst first."""
     motion = with_collisions(run.problem, outcome.assessment)
-    return [v for v in motion.violations if v.limit == COLLISION and v.value > CERTIFIED]
+    return [
+        v for v in motion.violations if v.limit == COLLISION and v.value > CERTIFICATE_TOLERANCE
+    ]
 
 
 def _starts(
@@ -226,7 +228,7 @@ def _rank(run: SolveRun, outcome: Outcome) -> tuple[bool, float]:
 
 
 def _is_good(run: SolveRun, outcome: Outcome) -> bool:
-    return outcome.assessment.feasible(CERTIFIED) and not collisions(run, outcome)
+    return outcome.assessment.feasible(CERTIFICATE_TOLERANCE) and not collisions(run, outcome)
 
 
 def _tell(run: SolveRun, stage: str, plain: Outcome) -> None:

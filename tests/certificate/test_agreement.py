@@ -14,7 +14,7 @@ from small_arms import (
     write_robot,
 )
 
-from stiffopt.certificate.agreement import differences
+from stiffopt.certificate.agreement import find_disagreements
 from stiffopt.problem.belief import believed_of
 from stiffopt.problem.files import load_problem
 from stiffopt.problem.smoothing import Smoothing
@@ -46,7 +46,7 @@ def rubbing(tmp_path):
 def test_smooth_friction_and_corners_are_honest(rubbing):
     motion = swing(rubbing)
     assert np.min(motion(np.linspace(0.0, 0.5, 200), 1) * (rubbing.end.joints > 0)) < 0.0
-    found = differences(
+    found = find_disagreements(
         rubbing, motion, believed_of(rubbing, motion, Smoothing(0.25), elastic=True)
     )
     assert {d.quantity for d in found if d.joint} == {"spring torque", "drive torque", "wind-up"}
@@ -61,7 +61,7 @@ def test_other_numbers_are_seen_in_motion(rubbing, name, quantity):
     motion = swing(rubbing)
     other = replace(rubbing.robot, **{name: getattr(rubbing.robot, name) + 0.01})
     believed = believed_of(replace(rubbing, robot=other), motion, Smoothing(0.25), elastic=True)
-    found = [d.quantity for d in differences(rubbing, motion, believed) if d.excess > 1.0]
+    found = [d.quantity for d in find_disagreements(rubbing, motion, believed) if d.excess > 1.0]
     assert set(found) == {quantity}
 
 
@@ -69,7 +69,7 @@ def test_a_connection_that_slips_is_no_agreement(tmp_path):
     """The smooth law goes on beyond slip, the true one has no end there."""
     problem = on_one_element(load(tmp_path, "pendulum"), small_flange(200.0))
     motion = swing(problem)
-    found = differences(
+    found = find_disagreements(
         problem, motion, believed_of(problem, motion, Smoothing(0.25), elastic=True)
     )
     wrong = {d.quantity for d in found if d.excess > 1.0}

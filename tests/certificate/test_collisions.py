@@ -8,7 +8,11 @@ from shaped_arms import load, write_stl
 from small_arms import PLANAR, problem_text, write_robot
 
 from stiffopt.certificate.assess import assess
-from stiffopt.certificate.collisions import LIMIT, scope, with_collisions
+from stiffopt.certificate.collisions import (
+    COLLISION_LIMIT,
+    describe_collision_scope,
+    with_collisions,
+)
 from stiffopt.cli import run
 from stiffopt.errors import InputError
 from stiffopt.problem.files import load_problem
@@ -48,7 +52,7 @@ def swing(problem, start, end, duration=0.5):
 
 
 def rows(motion):
-    return {v.pair: v for v in motion.violations if v.limit == LIMIT}
+    return {v.pair: v for v in motion.violations if v.limit == COLLISION_LIMIT}
 
 
 def test_distances_of_known_poses(tmp_path):
@@ -95,9 +99,11 @@ def test_meshes_of_links_and_of_the_cell(tmp_path):
 def test_of_many_meshes_that_are_not_there_two_are_named(tmp_path):
     problem = problem_of(tmp_path)
     problem.clearance_model.missing = ("a.stl", "b.stl")
-    assert scope(problem).endswith("Not found or no mesh: a.stl, b.stl.")
+    assert describe_collision_scope(problem).endswith("Not found or no mesh: a.stl, b.stl.")
     problem.clearance_model.missing = tuple("abcde")
-    assert scope(problem).endswith("Not found or no mesh: a, b and 3 more shapes of the URDF.")
+    assert describe_collision_scope(problem).endswith(
+        "Not found or no mesh: a, b and 3 more shapes of the URDF."
+    )
 
 
 def test_the_worst_instant_of_a_motion_is_found(tmp_path):
@@ -168,23 +174,23 @@ def test_a_solve_that_collides_fails_its_certificate(tmp_path, capsys):
 
 def test_a_usable_motion_says_what_was_checked(tmp_path):
     free = problem_of(tmp_path)
-    assert scope(free) == (
+    assert describe_collision_scope(free) == (
         "Collisions were not checked: the arm with itself, the floor and the cell; state what "
         "there is in [cell]."
     )
     bench = '[[cell.box]]\nname = "bench"\nsize = [1, 1, 0.1]\nposition = [0, 0, -2]\n'
     text = f'[cell]\nfloor = "-1 m"\n{bench}'
     checked = problem_of(tmp_path, text, urdf=SHAPED.replace('<link name="base"/>', POST))
-    assert scope(checked) == (
+    assert describe_collision_scope(checked) == (
         "Collisions were checked: the arm with itself (1 pairs of links), floor, bench."
     )
     bare = problem_of(tmp_path, text, urdf=PLANAR)
-    assert "rods of a guessed radius: upper, fore" in scope(bare)
-    assert "not checked: the arm with itself" in scope(bare)
+    assert "rods of a guessed radius: upper, fore" in describe_collision_scope(bare)
+    assert "not checked: the arm with itself" in describe_collision_scope(bare)
     thick = problem_of(
         tmp_path, text.replace("[cell]\n", '[cell]\nlink_radius = "50 mm"\n'), urdf=PLANAR
     )
-    assert "guessed" not in scope(thick)
+    assert "guessed" not in describe_collision_scope(thick)
 
 
 @pytest.mark.parametrize(

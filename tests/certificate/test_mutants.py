@@ -121,7 +121,7 @@ def no_coriolis(patch):
 
 
 def no_gyroscopic(patch):
-    sound = newton_euler._outward
+    sound = newton_euler._outward_recursion
 
     def outward(gravity, joints, poses, v, a):
         forces, moments = sound(gravity, joints, poses, v, a)
@@ -132,12 +132,12 @@ def no_gyroscopic(patch):
             moments[i] -= ca.cross(spin, ca.mtimes(own.inertia, spin))
         return forces, moments
 
-    patch.setattr(newton_euler, "_outward", outward)
+    patch.setattr(newton_euler, "_outward_recursion", outward)
 
 
 def gravity_turned(patch):
-    sound = newton_euler._outward
-    patch.setattr(newton_euler, "_outward", lambda gravity, *rest: sound(-gravity, *rest))
+    sound = newton_euler._outward_recursion
+    patch.setattr(newton_euler, "_outward_recursion", lambda gravity, *rest: sound(-gravity, *rest))
 
 
 def lighter_rotors(patch):
@@ -228,7 +228,7 @@ MUTANTS = {
 @pytest.fixture(autouse=True)
 def _own_models():
     """Fits of contact laws and dynamics are kept: a mutant must neither find nor leave any."""
-    kept = (surrogate.fit_log_cubic, newton_euler._recursion)
+    kept = (surrogate.fit_log_cubic, newton_euler._torque_recursion)
     for each in kept:
         each.cache_clear()
     yield

@@ -7,7 +7,7 @@ import pytest
 from arms import arm, states
 
 from stiffopt.dynamics.deflection import SpringTorques, spring_torques, tool_deflection
-from stiffopt.dynamics.friction import SMOOTH_SHARE, drive_torque, friction_torque
+from stiffopt.dynamics.friction import DRY_FRICTION_WIDTH_SHARE, drive_torque, friction_torque
 from stiffopt.dynamics.kinematics import point_jacobian
 from stiffopt.robot.body_tree import body_tree
 
@@ -109,7 +109,7 @@ def test_drive_carries_rotor_and_friction_on_top_of_the_spring() -> None:
 
 def test_friction_is_odd_smooth_and_never_drives() -> None:
     speed = np.linspace(-1.0, 1.0, 2001)
-    width = SMOOTH_SHARE * 4.0
+    width = DRY_FRICTION_WIDTH_SHARE * 4.0
     friction = friction_torque(speed, coulomb=3.0, viscous=2.0, width=width)
     assert friction == pytest.approx(-friction[::-1], abs=1e-14)
     assert np.all(friction * speed >= 0.0)

@@ -5,7 +5,7 @@ import pytest
 from scipy.sparse import csc_matrix
 from small_arms import CONSTANT, joint, problem_text, reducer, write_robot
 
-from stiffopt.certificate.violations import CERTIFIED
+from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
 from stiffopt.elastic.motor import MotorMotion
 from stiffopt.elastic.simulate import simulate
 from stiffopt.errors import NotSimulatedError
@@ -59,7 +59,7 @@ def test_links_are_nearer_to_their_plan_and_every_limit_holds(solved):
     problem, before, after = solved
     assert after.status is before.status
     assert after.status.usable
-    assert after.assessment.feasible(CERTIFIED)
+    assert after.assessment.feasible(CERTIFICATE_TOLERANCE)
     # The plan of the links is the same.
     assert after.objective.value == pytest.approx(before.objective.value, rel=1e-9)
     plain, found, planned = swing(problem, before), swing(problem, after), after.objective.value
@@ -80,7 +80,7 @@ def test_a_plan_at_the_jerk_limit_gives_way_where_motors_cannot_calm_their_links
         before, _ = solve_keeping(problem)
     after, _ = solve_keeping(problem)
     assert after.status.usable
-    assert after.assessment.feasible(CERTIFIED)
+    assert after.assessment.feasible(CERTIFICATE_TOLERANCE)
     least, planned = before.objective.value, after.objective.value
     assert planned > least
     plain, found = swing(problem, before), swing(problem, after)
@@ -105,7 +105,7 @@ def test_an_arm_of_constant_springs_is_calmed_as_well(tmp_path, monkeypatch):
     monkeypatch.setattr(refinement, "calmed", refused)
     before, _ = solve_keeping(problem)
     assert outcome.smoothing.corners == 1.0
-    assert after.assessment.feasible(CERTIFIED)
+    assert after.assessment.feasible(CERTIFICATE_TOLERANCE)
     plain, found = swing(problem, before), swing(problem, after)
     assert plain.peak_after > 5e-5
     assert found.peak_after < 0.3 * plain.peak_after
@@ -127,7 +127,7 @@ def test_motors_that_are_near_enough_stay(solved, monkeypatch):
     problem, _, after = solved
     arm = elastic_arm(problem, after.assessment.position[0])
     monkeypatch.setattr(calming, "_NEAR", 1.0)
-    motors = calming.calmed(problem, arm, after.trajectory, CERTIFIED).motors
+    motors = calming.calmed(problem, arm, after.trajectory, CERTIFICATE_TOLERANCE).motors
     assert motors is after.trajectory
 
 
@@ -149,7 +149,7 @@ def test_a_first_change_that_leads_astray_is_changed_again(monkeypatch):
     monkeypatch.setattr(calming.Calmed, "of", Judged)
     monkeypatch.setattr(calming, "changed_motors", lambda *_: None)
     # Past a corner the answer is not linear; what comes no nearer later ends it.
-    assert calming.calmed(None, None, None, CERTIFIED).off == 0.095
+    assert calming.calmed(None, None, None, CERTIFICATE_TOLERANCE).off == 0.095
 
 
 def test_links_near_their_plan_are_calmed_on_while_they_exceed_a_limit_after_arrival(monkeypatch):
@@ -170,7 +170,7 @@ def test_links_near_their_plan_are_calmed_on_while_they_exceed_a_limit_after_arr
 
     monkeypatch.setattr(calming.Calmed, "of", Judged)
     monkeypatch.setattr(calming, "changed_motors", lambda *asked: given.append(asked[-2:]))
-    assert calming.calmed(None, None, None, CERTIFIED).off == 0.01
+    assert calming.calmed(None, None, None, CERTIFICATE_TOLERANCE).off == 0.01
     # By how much it is exceeded, the change is to be nearer, and after arrival the more.
     near = calming._NEAR
     np.testing.assert_allclose(given, [(near / 4.0, 4.0), (near / 2.0, 8.0)])
@@ -195,7 +195,7 @@ def test_a_limit_after_arrival_gets_more_rounds_than_a_motion_that_is_not_near(m
 
     monkeypatch.setattr(calming.Calmed, "of", Judged)
     monkeypatch.setattr(calming, "changed_motors", lambda *_: made.append(1))
-    assert calming.calmed(None, None, None, CERTIFIED).off == 0.05
+    assert calming.calmed(None, None, None, CERTIFICATE_TOLERANCE).off == 0.05
     assert len(made) == 6
 
 

@@ -8,7 +8,7 @@ import pytest
 from small_arms import load
 
 from stiffopt.baseline.baselines import baselines
-from stiffopt.certificate.violations import CERTIFIED
+from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
 from stiffopt.problem.limit import Limits
 from stiffopt.problem.objective import Objective
 from stiffopt.problem.resolve import resolve
@@ -45,7 +45,7 @@ def noisy(tmp_path_factory):
 
 def test_toppras_motion_keeps_a_rest_without_acceleration(noisy):
     toppra = baselines(noisy, resolve(noisy))["toppra"]
-    assert toppra.assessment.feasible(CERTIFIED)
+    assert toppra.assessment.feasible(CERTIFICATE_TOLERANCE)
     assert np.allclose(toppra.assessment.acceleration[[0, -1]], 0.0, atol=1e-9)
     free = replace(noisy, boundary_acceleration="free")
     fastest = baselines(free, resolve(free))["toppra"].objective
@@ -55,7 +55,7 @@ def test_toppras_motion_keeps_a_rest_without_acceleration(noisy):
 def test_no_optimum_on_a_path_is_slower_than_toppras_motion(noisy):
     found = solve(noisy)
     assert found.status is SolveStatus.OPTIMAL
-    assert found.assessment.feasible(CERTIFIED)
+    assert found.assessment.feasible(CERTIFICATE_TOLERANCE)
     assert found.objective.value <= 1.005 * found.baselines["toppra"].objective
 
 

@@ -6,7 +6,7 @@ import pytest
 from small_arms import joint, load, problem_text, reducer, write_robot
 
 from stiffopt.certificate.objective_value import objective_value
-from stiffopt.certificate.violations import CERTIFIED
+from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
 from stiffopt.problem.files import load_problem
 from stiffopt.problem.objective import Objective
 from stiffopt.problem.smoothing import Smoothing
@@ -73,7 +73,7 @@ def test_a_correction_with_a_worse_peak_is_not_taken(problem, coarse, monkeypatc
             run, outcome, nlp, Smoothing(64.0 * outcome.smoothing.stiffness)
         )
         assert worse.raw.converged
-        assert worse.assessment.feasible(CERTIFIED)
+        assert worse.assessment.feasible(CERTIFICATE_TOLERANCE)
         values.append(objective_value(run.problem, worse.assessment).value)
         return replace(worse, objective_gap=0.0), nlp
 
@@ -109,7 +109,7 @@ def test_a_bend_that_the_smooth_law_rounds_off_is_drawn_in(tmp_path, coarse, mon
     assert before.objective_gap > refinement.TRUE_OBJECTIVE
     assert outcome.objective_gap < 0.3 * before.objective_gap
     assert found.objective.value < rounded.objective.value
-    assert found.assessment.feasible(CERTIFIED)
+    assert found.assessment.feasible(CERTIFICATE_TOLERANCE)
 
 
 @pytest.mark.parametrize(("excess", "wider"), [(29.0, True), (0.5, False)])

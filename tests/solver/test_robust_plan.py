@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from small_arms import load
 
-from stiffopt.certificate.violations import CERTIFIED
+from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
 from stiffopt.elastic.uncertainty import AssumedUncertainty, Uncertainty
 from stiffopt.problem.objective import Objective
 from stiffopt.problem.resolve import resolve
@@ -58,7 +58,7 @@ def at_worst(problem, solution):
 def test_little_of_the_objective_is_given_for_a_slower_deviation(solved):
     least, found = solved
     assert found.status is SolveStatus.OPTIMAL
-    assert found.assessment.feasible(CERTIFIED)
+    assert found.assessment.feasible(CERTIFICATE_TOLERANCE)
     cost = found.objective.value / least.objective.value - 1.0
     assert -1e-3 < cost < 1e-2
     assert rate(found) < 0.97 * rate(least)
@@ -110,7 +110,7 @@ def test_stopped_on_the_way_the_least_motion_stays(unsure, monkeypatch):
     monkeypatch.setattr(robust_plan, "solve_again", interrupted)
     found = solve(unsure, throw=False)
     assert found.status is SolveStatus.INTERRUPTED
-    assert found.assessment.feasible(CERTIFIED)
+    assert found.assessment.feasible(CERTIFICATE_TOLERANCE)
 
 
 def test_a_root_mean_square_is_chosen_so_as_well(unsure):
@@ -136,7 +136,7 @@ def test_a_motion_averaged_over_a_swing_is_taken_where_it_gains_more_than_it_cos
     assert found.status is SolveStatus.OPTIMAL
     assert found.objective.name == "tool_deviation"
     assert found.solver.iterations > near.solver.iterations
-    assert found.assessment.feasible(CERTIFIED)
+    assert found.assessment.feasible(CERTIFICATE_TOLERANCE)
     given = [note for note in found.notes if note.startswith("As [uncertainty] is stated, ")]
     assert len(given) == 1
     assert "swings on less" in given[0]
@@ -168,4 +168,4 @@ def test_stopped_while_averaging_what_was_found_stays(averaged, monkeypatch):
     monkeypatch.setattr("stiffopt.solver.solve.solve_shaped", interrupted)
     found = solve(averaged[0], throw=False)
     assert found.status is SolveStatus.INTERRUPTED
-    assert found.assessment.feasible(CERTIFIED)
+    assert found.assessment.feasible(CERTIFICATE_TOLERANCE)

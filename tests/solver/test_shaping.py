@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from small_arms import load
 
-from stiffopt.certificate.violations import CERTIFIED
+from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
 from stiffopt.elastic.arm import ElasticArm
 from stiffopt.elastic.modes import modes
 from stiffopt.elastic.motor import MotorMotion
@@ -58,9 +58,9 @@ def test_it_keeps_limits_vias_and_the_duration(solved):
     assert solution.status.usable
     assert solution.duration == pytest.approx(1.2)
     assert solution.objective.name == "shaped_deviation"
-    assert solution.assessment.feasible(CERTIFIED)
+    assert solution.assessment.feasible(CERTIFICATE_TOLERANCE)
     miss = np.max(np.abs(solution.assessment.position - [-0.3, 0.9]), axis=1)
-    assert np.min(miss) <= np.radians(0.5) * (1 + CERTIFIED)
+    assert np.min(miss) <= np.radians(0.5) * (1 + CERTIFICATE_TOLERANCE)
     assert solution.ratio_to_better_baseline < 1.0
     lowest = min(
         modes(ElasticArm(problem.robot, pose), pose)[0].frequency
@@ -163,7 +163,7 @@ def test_where_a_swing_takes_too_much_of_the_time_less_is_averaged_over(tmp_path
     problem = replace(problem, robot=heavy, limits=replace(limits, torque=20.0 * limits.torque))
     problem = replace(problem, duration=(0.4847, 0.4847))
     solution = solve(problem)
-    assert solution.assessment.feasible(CERTIFIED)
+    assert solution.assessment.feasible(CERTIFICATE_TOLERANCE)
     assert solution.strict_baseline.name == "quintic"
     assert solution.objective.value < solution.strict_baseline.objective
     assert "of a swing of the arm's lowest mode" in solution.notes[-1]

@@ -9,7 +9,7 @@ import pytest
 from small_arms import load
 
 from stiffopt.baseline.baselines import baselines, slowed_quintic
-from stiffopt.certificate.violations import CERTIFIED
+from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
 from stiffopt.elastic.uncertainty import Uncertainty
 from stiffopt.errors import RobotError
 from stiffopt.problem.resolve import resolve
@@ -116,10 +116,12 @@ def test_a_quintic_that_exceeds_a_limit_is_slowed_until_it_does_not(tmp_path):
     quintic = baselines(problem, motion)["quintic"]
     assert not quintic.feasible
     slowed = slowed_quintic(problem, motion)
-    assert slowed.feasible(CERTIFIED)
+    assert slowed.feasible(CERTIFICATE_TOLERANCE)
     # Velocity alone binds, which goes with one over the duration.
     excess = next(v.value for v in quintic.assessment.violations if v.limit == "velocity")
-    assert slowed.duration == pytest.approx(0.5 * (1 + excess) / (1 + CERTIFIED), rel=3e-3)
+    assert slowed.duration == pytest.approx(
+        0.5 * (1 + excess) / (1 + CERTIFICATE_TOLERANCE), rel=3e-3
+    )
 
 
 def test_damping_beyond_critical_is_refused_before_solving(tmp_path):

@@ -3,7 +3,7 @@
 import pytest
 from small_arms import load, on_one_element, small_flange
 
-from stiffopt.certificate.slipping import slips
+from stiffopt.certificate.slipping import find_slips
 from stiffopt.report.solve.page import write_solve_report
 from stiffopt.solver.solve import solve
 
@@ -18,7 +18,7 @@ def slipping(request, tmp_path_factory):
 
 def test_what_slips_is_named_with_what_it_holds(slipping):
     name, problem, solution = slipping
-    (slip,) = slips(problem.robot, solution.assessment)
+    (slip,) = find_slips(problem.robot, solution.assessment)
     assert (slip.element, slip.joint) == ("flange", 1)
     assert slip.holds == pytest.approx(12.0e-3 * 200.0, rel=1e-2)
     assert slip.carries == pytest.approx(abs(solution.assessment.spring_torque).max())

@@ -11,7 +11,7 @@ from gripper_arm import write_gripper_urdf
 from small_arms import PLANAR, problem_text, write_robot
 
 from stiffopt import solve
-from stiffopt.certificate.collisions import LIMIT
+from stiffopt.certificate.collisions import COLLISION_LIMIT
 from stiffopt.cli import run as command
 from stiffopt.errors import ProblemError
 from stiffopt.problem.files import load_problem
@@ -65,7 +65,9 @@ def test_least_force_around_a_post_is_the_exact_one(tmp_path, lowest, top):
     assert found.objective.value == pytest.approx(least_force(top), rel=1.5e-3)
     assert found.objective.value > least_force(top) * (1 - 1e-5)
     assert CLEARANCE - 1e-5 < nearest(problem, found.assessment) < CLEARANCE + 3e-4
-    assert not any(v.value > 0.005 for v in found.assessment.violations if v.limit == LIMIT)
+    assert not any(
+        v.value > 0.005 for v in found.assessment.violations if v.limit == COLLISION_LIMIT
+    )
     # The straight motions collide; it is compared with one along the path it began with.
     assert [name for name, each in found.baselines.items() if each.feasible] == ["detour"]
     assert nearest(problem, found.baselines["detour"].assessment) > CLEARANCE - 1e-6
