@@ -1,8 +1,8 @@
-"""Whether the optimiser believed of its motion what is true: pointwise, in both directions.
+"""Model agreement: the optimiser's prediction of its own motion against the exact model.
 
-A limit that holds and an objective that is not worse say nothing of a model that is wrong to the
-safe side, or wrong where no limit is near. So torques, wind-up and deflection are compared at the
-optimiser's own instants, each relative to its size over the motion.
+Limits that hold and an objective that is not worse do not show a model error on the safe side, or
+one where no limit is active. So torques, wind-up and deflection are compared pointwise, in both
+directions, at the optimiser's own instants, each relative to its size over the motion.
 """
 
 from __future__ import annotations
@@ -21,21 +21,21 @@ if TYPE_CHECKING:
     from stiffopt.problem.trajectory import TrajectoryProblem
     from stiffopt.result.trajectory import JointMotion
 
-# Two codes of one rigid-body dynamics differ by rounding, 1e-12 of the torque.
+# Relative tolerances. Two implementations of rigid-body dynamics differ by rounding, 1e-12.
 TORQUE_TOLERANCE = 1e-6
-# Honest are the smoothed corners of a reducer, up to 0.5 % of its wind-up at the last smoothing,
-# and the fits of contact laws, 0.2 %; on the shipped problems they come to 0.3 % of a wind-up.
+# Expected: smoothed kinks of a reducer, up to 0.5 % of its wind-up at the last smoothing, and fits
+# of contact laws, 0.2 %; on the shipped problems together 0.3 % of a wind-up.
 WINDUP_TOLERANCE = 1e-2
-# Parts of the deflection are differences of wind-ups and err with these: relative to the largest.
+# Of the largest part: parts of the deflection are differences of wind-ups and inherit their error.
 DEFLECTION_TOLERANCE = 1e-2
-# Below these shares of the largest torque, and of the wind-up there, a joint is as good as idle.
+# Shares of the torque limit below which a joint's torque, and its wind-up, count as zero.
 _IDLE_TORQUE_SHARE = 1e-3
 _IDLE_WINDUP_TORQUE_SHARE = 1e-2
 
 
 @dataclass(frozen=True)
 class Disagreement:
-    """The largest difference of one quantity from what the optimiser believed.
+    """Largest difference of one quantity from the optimiser's prediction.
 
     Parameters
     ----------
@@ -45,8 +45,8 @@ class Disagreement:
         1-based; None for the tool.
     time : float [s]
     value : float
-        Believed minus true where it differs most, over the quantity's size along the motion; of a
-        deflection the length of the difference over the largest part's.
+        Predicted minus true where it differs most, over the quantity's size along the motion; for
+        a deflection the length of the difference over the largest part's.
     tolerance : float
     """
 
@@ -58,7 +58,7 @@ class Disagreement:
 
     @property
     def excess(self) -> float:
-        """Size over tolerance: above 1 the two disagree."""
+        """Magnitude over tolerance: above 1 the two disagree."""
         return abs(self.value) / self.tolerance
 
     def describe(self) -> str:
@@ -70,7 +70,7 @@ class Disagreement:
 def find_disagreements(
     problem: TrajectoryProblem, motion: JointMotion, believed: Believed
 ) -> tuple[Disagreement, ...]:
-    """Largest difference of every quantity, the worst over its tolerance first.
+    """Return the largest difference of every quantity, the worst over its tolerance first.
 
     Parameters
     ----------
@@ -93,7 +93,7 @@ def _compare_quantities(
     spring = believed.spring_torque - carried
     yield from _joint_disagreements("spring torque", spring / size, time, TORQUE_TOLERANCE)
     if believed.torque is not None:
-        # About standstill the sharp law of dry friction jumps; the smooth one lacks this much.
+        # Around standstill the smooth law of dry friction is below the sharp one by this much.
         lacking = robot.coulomb * np.exp(-2.0 * np.abs(true.velocity) / believed.friction_width)
         drive = believed.torque - true.torque
         drive = np.sign(drive) * np.maximum(np.abs(drive) - 2.0 * lacking, 0.0)
@@ -128,7 +128,7 @@ def _joint_disagreements(
 
 
 def _relative_differences(difference: np.ndarray, size: np.ndarray | float) -> np.ndarray:
-    """Difference over size: 0 where there is none, infinite where a connection slips."""
+    """Return difference over size: 0 without difference, infinite where a connection slips."""
     with np.errstate(invalid="ignore", divide="ignore"):
         shares = np.where(difference == 0.0, 0.0, difference / size)
     return np.where(np.isnan(shares), np.inf, shares)

@@ -17,9 +17,10 @@ from stiffopt.contact.surface import SurfacePair
 from stiffopt.contact.validate import require_one_of
 from stiffopt.errors import InputError
 
+# Inversion of the pressure: limit of its Newton steps, and relative step at which it has converged.
 _MAX_NEWTON_STEPS = 200
 _RELATIVE_TOLERANCE = 1e-14
-# Pressures that are tabulated to begin from, logarithms: 1 mPa to 10 TPa.
+# Table of initial values, over ln p: 1 mPa to 10 TPa.
 _TABLE_MEAN_LOG_PRESSURE, _TABLE_HALF_WIDTH_LOG_PRESSURE = np.log(1e5), np.log(1e8)
 _TABLE_SIZE = 2001
 
@@ -90,9 +91,9 @@ class FractalLaw:
         return self.extension_factor * force / self.surface.reference_area
 
     def stiffness(self, largest_spot: np.ndarray) -> np.ndarray:
-        """Stiffness per area, normal [N/m^3], when the largest spot is a_L [m^2].
+        """Normal stiffness per area [N/m^3] when the largest spot is a_L [m^2].
 
-        Of first loading, or of loading again up to that spot, as the surface says.
+        Of first loading or of reloading, by the surface's `loading`.
         """
         total = total_stiffness(self.spots, largest_spot, self.surface.fractal_dimension)
         return self.extension_factor * total / self.surface.reference_area
@@ -126,7 +127,7 @@ class FractalLaw:
             # Slope of ln P over ln a_L: the distribution's own growth plus the newest spots.
             step = excess / self._log_slope(largest, pressure)
             following = x - step
-            # What has arrived stays there, though its last step may end on the bracket.
+            # A converged value is accepted even if its last step ends on the bracket.
             arrived = np.abs(step) <= _RELATIVE_TOLERANCE * np.maximum(1.0, np.abs(x))
             inside = arrived | ((following > lower) & (following < upper))
             x = np.where(inside, following, 0.5 * (lower + upper))
@@ -139,7 +140,7 @@ class FractalLaw:
         )
 
     def _initial_bracket(self, goal: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Where to begin, and a bracket: from a table of usual pressures, or searched for."""
+        """Return an initial value and a bracket, from the table of usual pressures or searched."""
         if np.all(np.abs(goal - _TABLE_MEAN_LOG_PRESSURE) < _TABLE_HALF_WIDTH_LOG_PRESSURE):
             spots, goals = self._tabulate_pressure
             right = np.searchsorted(goals, goal, side="right")
@@ -156,7 +157,7 @@ class FractalLaw:
 
     @cached_property
     def _tabulate_pressure(self) -> tuple[np.ndarray, np.ndarray]:
-        """Logarithms of largest spots, evenly, and of their pressures, beyond the usual ones."""
+        """Table of ln a_L, equally spaced, and ln p that covers the usual pressures."""
         _, lower, upper = self._search_bracket(
             _TABLE_MEAN_LOG_PRESSURE
             + np.array([-_TABLE_HALF_WIDTH_LOG_PRESSURE, _TABLE_HALF_WIDTH_LOG_PRESSURE])

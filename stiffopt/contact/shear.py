@@ -28,6 +28,7 @@ ShearLaw = Annotated[
     Literal["mindlin", "load"],
     Doc("Law of contacts under shear: Mindlin's, or Ciavarella and Jaeger's for elastic contacts."),
 ]
+# k_t ~ (1 - t)^(1/3).
 _MINDLIN_EXPONENT = 1.0 / 3.0
 
 

@@ -25,7 +25,7 @@ _KOGUT_ETSION_FORCE_FITS = ((1.03, 1.425, 6.0), (1.40, 1.263, 110.0))
 # Their contact areas over that at yield, 0.93 omega^1.136 and 0.94 omega^1.146, as share of the
 # truncated area, which is 2 omega of it: factor and exponent of omega.
 _KOGUT_ETSION_AREA_FITS = ((0.93 / 2, 0.136), (0.94 / 2, 0.146))
-# Beyond this the critical area leaves the range of doubles (and of any joint) by far.
+# |ln(area/m^2)| beyond which the critical area is outside the range of doubles.
 _MAX_LOG_AREA = 300.0
 
 Loading = Annotated[
@@ -92,9 +92,9 @@ def spot_laws(
         Stiffness of an elastic spot: of a given spot under more load, or the derivative of force
         by interference from spot to spot (larger by 2/3 (4-D)/(3-D)).
     loading : {"first", "cyclic"}
-        cyclic: an elastic or elastic-plastic spot keeps its area a and yields as an elastic punch,
-        k = 2 E* sqrt(a/pi). Plastic spots stay without stiffness: theirs has no limit towards small
-        sizes in a fractal, so the cyclic stiffness is a lower bound.
+        cyclic: an elastic or elastic-plastic spot keeps its area a and deforms as an elastic punch,
+        k = 2 E* sqrt(a/pi). Plastic spots remain without stiffness: the sum of theirs diverges
+        towards small sizes of a fractal, so the cyclic stiffness is a lower bound.
 
     Raises
     ------
@@ -178,7 +178,7 @@ def _elastic_plastic_laws(
 def _unloading_laws(
     laws: list[SpotLaw], dimension: float, modulus: float, limit: float
 ) -> list[SpotLaw]:
-    """Elastic-plastic spots with the stiffness of elastic punches of their contact area."""
+    """Return the laws with the stiffness of elastic punches of the spots' contact area."""
     slope = dimension - 2
     found = []
     for law, (share, exponent) in zip(laws, _KOGUT_ETSION_AREA_FITS, strict=True):

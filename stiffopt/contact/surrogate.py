@@ -1,8 +1,7 @@
 """Smooth fits to the fractal law k_n(p), for floats, arrays and CasADi expressions.
 
-Both fits know the pressure range they were made for and their largest relative error in it
-against the exact law. The integral of 1/k_n over pressure, the primitive of every wind-up, is part
-of the law.
+A fit states its pressure range and its largest relative error there against the exact law. The
+integral of 1/k_n over pressure, from which every wind-up follows, is part of the law.
 """
 
 from __future__ import annotations
@@ -21,11 +20,13 @@ from stiffopt.declaration import Doc
 from stiffopt.errors import OutOfValidityError
 from stiffopt.symbolic import Quantity
 
+# Upper end of the fits [Pa], and the unit of pressure in their logarithms [Pa].
 HIGHEST_PRESSURE = 200e6
 _UNIT_PRESSURE = 1e6
 # Five Gauss-Legendre points integrate 1/k_n over three decades of pressure to about 1e-9, because
 # in ln p the integrand is nearly an exponential.
 _GAUSS_NODES, _GAUSS_WEIGHTS = (array.tolist() for array in np.polynomial.legendre.leggauss(5))
+# Minimax fit: pressures, equally spaced in ln p, and iterations of Lawson's reweighting.
 _FIT_POINTS = 400
 _LAWSON_ITERATIONS = 60
 
@@ -58,7 +59,7 @@ class ContactLaw(Protocol):
         """Local exponent d ln k_n / d ln p [-]."""
 
     def approach(self, low: Quantity, high: Quantity) -> Quantity:
-        """Integral of dp/k_n from `low` to `high` [m]: how far the surfaces move together."""
+        """Integral of dp/k_n from `low` to `high` [m]: approach of the surfaces."""
 
 
 @dataclass(frozen=True)

@@ -136,7 +136,7 @@ class FlangeData(Entry):
 
 
 _RADIANS_PER_ARCMINUTE = math.pi / 10800.0
-# Ratios that the makers list; the stiffness class of each is 30, 50 or 80.
+# Ratios of the makers' tables; the stiffness class of each is 30, 50 or 80.
 _LISTED_RATIOS = (30, 50, 80, 100, 120, 160)
 
 
@@ -145,12 +145,12 @@ def _stiffness_class(ratio: int) -> str:
 
 
 def reducer_names() -> list[str]:
-    """Names of the reducers: one's own, harmonic_SIZE_RATIO and rv_SIZE_RATIO."""
+    """Return the names of the reducers: user entries, harmonic_SIZE_RATIO and rv_SIZE_RATIO."""
     return [*own_entries("reducer"), *_packaged_reducers()]
 
 
 def reducer(name: str) -> ReducerData:
-    """Look up a reducer by name, for example "harmonic_25_100"; one's own come first."""
+    """Look up a reducer by name, for example "harmonic_25_100"; user entries come first."""
     own, packaged = own_entries("reducer"), _packaged_reducers()
     if name not in own and name not in packaged:
         raise InputError(f"no reducer {name!r} in the catalogue. {nearest(name, reducer_names())}")
@@ -186,7 +186,7 @@ def _strain_wave() -> Iterator[ReducerData]:
 
 
 def _read_cycloidal() -> Iterator[ReducerData]:
-    """Rigidity above 3 % of the rated torque, below it the slope of the lost motion."""
+    """Yield the cycloidal reducers: K1 from the lost motion up to 3 % of the rated torque."""
     table = read_table("cycloidal")
     for row in table["reducer"]:
         rated = row["torque"][0]

@@ -1,4 +1,4 @@
-"""Joint angles that bring the tool to a place, within the joint limits."""
+"""Inverse kinematics: joint angles of a tool pose, within the joint limits."""
 
 from __future__ import annotations
 
@@ -17,11 +17,12 @@ if TYPE_CHECKING:
 
 # An angle error of 1 rad weighs as much as this distance: about the reach of a wrist. [m]
 _LENGTH_PER_RADIAN = 0.3
+# Of one descent; further random starts are worth more than longer descents.
 _MAX_GAUSS_NEWTON_STEPS = 200
 
 
 class UnreachablePoseError(ProblemError):
-    """No joint angles within the limits bring the tool to the place asked for.
+    """No joint angles within the limits reach the tool pose.
 
     Parameters
     ----------
@@ -29,9 +30,9 @@ class UnreachablePoseError(ProblemError):
     distance : float
         Smallest distance reached. [m]
     angle : float or None
-        Angle that is left there where an orientation was asked for. [rad]
+        Angle error there, where an orientation was given. [rad]
     joints : array (n,)
-        Joint angles at that place.
+        Joint angles there.
     """
 
     def __init__(
@@ -51,10 +52,10 @@ def solve_pose(
     restarts: int = 60,
     tolerance: float = 1e-10,
 ) -> np.ndarray:
-    """Joint angles that bring the tool frame to a pose or the tool point to a position.
+    """Return joint angles of a tool pose, or of a position of the tool point.
 
-    Damped Gauss-Newton steps from `near`, kept inside the joint limits; where they end short of
-    the place, from seeded random angles as well, and the solution closest to `near` wins.
+    Damped Gauss-Newton steps from `near`, kept inside the joint limits; where they do not converge,
+    from seeded random angles as well, and the solution closest to `near` is returned.
 
     Parameters
     ----------
@@ -80,9 +81,9 @@ def solve_pose(
     Raises
     ------
     UnreachablePoseError
-        Says how close the tool comes, and which joint limits are in the way.
+        States the smallest distance and the active joint limits.
     ProblemError
-        For places that are not finite or have the wrong shape.
+        For poses that are not finite or have the wrong shape.
     """
     search = _Search.of(robot, position, rotation)
     middle = 0.5 * (search.lower + search.upper)
@@ -99,7 +100,7 @@ def solve_pose(
             found.append(search.unwound(angles, start))
         elif left < error:
             best, error = angles, left
-        # A handful to choose from: each start ends in one of few branches.
+        # Eight suffice: each start ends in one of few branches.
         if len(found) == 8:
             break
     if found:
@@ -109,7 +110,7 @@ def solve_pose(
 
 @dataclass(frozen=True)
 class _Search:
-    """The place and the arm, ready for iterations."""
+    """Arm, target pose and joint ranges of one search."""
 
     bodies: RigidBodies
     tool: LinkFrame
@@ -135,7 +136,7 @@ class _Search:
         )
 
     def error(self, q: np.ndarray) -> np.ndarray:
-        """Distance vector [m] and, where asked for, the angle vector times 0.3 m, in base axes."""
+        """Return the position error [m] and, with an orientation, the angle error times 0.3 m."""
         position, rotation = self.bodies.pose(self.tool, q)
         left = self.position - position
         if self.rotation is None:
@@ -144,14 +145,14 @@ class _Search:
         return np.concatenate([left, _LENGTH_PER_RADIAN * turn])
 
     def jacobian(self, q: np.ndarray) -> np.ndarray:
-        """Change of the pose by the joints, weighted as the error."""
+        """Return the Jacobian of the pose, weighted as the error."""
         full = self.bodies.jacobian(self.tool, q)
         if self.rotation is None:
             return np.asarray(full[:3])
         return np.vstack([full[:3], _LENGTH_PER_RADIAN * full[3:]])
 
     def descend(self, start: np.ndarray, tolerance: float) -> tuple[np.ndarray, float]:
-        """Angles and size of the error where the iteration from `start` ends."""
+        """Return angles and norm of the error at the end of the iteration from `start`."""
         q, damping = start.copy(), 1e-3
         error = self.error(q)
         size = float(np.linalg.norm(error))
@@ -174,7 +175,7 @@ class _Search:
     def _damped_step(
         self, q: np.ndarray, jacobian: np.ndarray, error: np.ndarray, damping: float
     ) -> np.ndarray:
-        """Damped step in which joints at a limit that would leave it stand still."""
+        """Return a damped step with joints fixed whose limit it would exceed."""
         pull = jacobian.T @ error
         free = np.flatnonzero(~self._blocked_by_limits(q, pull))
         step = np.zeros_like(q)
@@ -193,10 +194,10 @@ class _Search:
         return np.asarray(((q <= self.lower) & (pull < 0)) | ((q >= self.upper) & (pull > 0)))
 
     def stopped(self, q: np.ndarray) -> np.ndarray:
-        """List the joints that would go on but for their limit."""
+        """Return the joints whose limit stops the search."""
         jacobian, error = self.jacobian(q), self.error(q)
         pull = jacobian.T @ error
-        # A stretched arm has joints that pull nowhere: rounding must not blame their limits.
+        # Joints without effect, as of a stretched arm, must not be listed because of rounding.
         strong = np.abs(pull) > 1e-3 * np.linalg.norm(jacobian, axis=0) * np.linalg.norm(error)
         return np.flatnonzero(self._blocked_by_limits(q, pull) & strong)
 
@@ -208,7 +209,7 @@ class _Search:
         return np.where(inside, moved, q)
 
     def left(self, q: np.ndarray) -> tuple[float, float | None]:
-        """Distance [m] and angle [rad] that are left at `q`."""
+        """Return the distance [m] and angle [rad] to the target at `q`."""
         error = self.error(q)
         angle = (
             None if self.rotation is None else float(np.linalg.norm(error[3:])) / _LENGTH_PER_RADIAN
@@ -237,15 +238,15 @@ def _unreachable_error(robot: Robot, search: _Search, q: np.ndarray) -> Unreacha
     cause = (
         f"Stopped by {', '.join(stops)}."
         if stops
-        else "No joint limit is in the way: the place lies outside what the links can span."
+        else "No joint limit is active: the target lies outside the reach of the links."
     )
     step = "Move the target, or start the search elsewhere by `near`."
     if angle is not None and replace(search, rotation=None).descend(q, 1e-6)[1] <= 1e-6:
         step = "The position alone can be reached: change the orientation, or leave it free."
     return UnreachablePoseError(
         f"the tool of {robot.name} cannot reach position [{place}] m"
-        f"{' in the orientation asked for' if angle is not None else ''}: the closest place found "
-        f"is {reached}. {cause} {step}",
+        f"{' in the given orientation' if angle is not None else ''}: the closest pose found is "
+        f"{reached}. {cause} {step}",
         distance,
         angle,
         q,

@@ -1,10 +1,9 @@
-"""The constants of an arm in frames that keep symbolic graphs small.
+"""Constants of an arm in frames that keep symbolic graphs small.
 
 Each joint gets a body-fixed *axis frame*: same origin as the joint frame, z along the joint axis.
-Then every joint is a turn about or a shift along z, whatever the axis was. The freedom left (the
-turn of the axis frame about its own z) is spent so that the constant rotation from one axis frame
-to the next is a twist about x alone, as in Denavit-Hartenberg frames; what remains of it becomes a
-constant offset of the joint angle.
+Then every joint is a turn about or a shift along z, whatever the axis was. The free turn of the
+axis frame about its own z is chosen so that the constant rotation from one axis frame to the next
+is a twist about x alone, as in Denavit-Hartenberg frames, plus a constant offset of the angle.
 """
 
 from __future__ import annotations
@@ -16,6 +15,7 @@ import numpy as np
 
 from stiffopt.robot.body_tree import Body, BodyTree
 
+# Constants nearer than this to 0 or +-1 are rounded to them: zeros vanish from symbolic graphs.
 _ROUND_OFF = 1e-14
 
 
@@ -26,7 +26,7 @@ class AxisJoint:
     Parameters
     ----------
     parent : int
-        Number of the joint it hangs on, from 1; 0 is the base.
+        Number of the parent joint, from 1; 0 is the base.
     prismatic : bool
         Shift along z instead of turn about z.
     rotation : array (3, 3)
@@ -65,7 +65,7 @@ def clean(values: np.ndarray) -> np.ndarray:
 
 @functools.lru_cache(maxsize=16)
 def axis_joints(tree: BodyTree) -> tuple[AxisJoint, ...]:
-    """Joints of an arm in its own order: entry i - 1 is joint i."""
+    """Return the joints of an arm in its own order: entry i - 1 is joint i."""
     frames, twists, turns = _axis_frames(
         tuple((body.parent, body.axis.tobytes(), body.rotation.tobytes()) for body in tree.bodies)
     )
@@ -79,9 +79,9 @@ def axis_joints(tree: BodyTree) -> tuple[AxisJoint, ...]:
 def _axis_frames(
     joints: tuple[tuple[int, bytes, bytes], ...],
 ) -> tuple[list[np.ndarray], list[np.ndarray], list[float]]:
-    """Axis frames of the base and all joints, constant turns before and about their axes.
+    """Return the axis frames of base and joints, the constant twists and the turns about the axes.
 
-    Of a joint: parent, axis, rotation. Arms that differ in what they carry have the same.
+    A joint is given as (parent, axis, rotation): arms that differ in their bodies share the cache.
     """
     base = np.eye(3)
     frames, twists, turns = [base], [base], [0.0]
@@ -122,7 +122,7 @@ def _axis_joint(
 
 
 def _frame_along(axis: np.ndarray) -> np.ndarray:
-    """Rotation whose third column is `axis`; a permutation where the axis is x, y or z."""
+    """Return a rotation whose third column is `axis`; a permutation for the axes x, y and z."""
     z = clean(axis / np.linalg.norm(axis))
     x = np.roll(np.eye(3)[int(np.argmax(np.abs(z)))], 1)
     x = x - z * (x @ z)
@@ -141,12 +141,12 @@ def _about_x(angle: float) -> np.ndarray:
 
 
 def _z_x_z(rotation: np.ndarray) -> tuple[float, np.ndarray, float]:
-    """Angles a, c and twist X about x with rotation = Rz(a) X Rz(c)."""
+    """Return angles a, c and twist X about x with rotation = Rz(a) X Rz(c)."""
     sine = float(np.hypot(rotation[0, 2], rotation[1, 2]))
     before = float(np.arctan2(rotation[0, 2], -rotation[1, 2])) if sine > _ROUND_OFF else 0.0
     twist = _about_x(float(np.arctan2(sine, rotation[2, 2])))
-    # From what is left, not from the last row: near-parallel axes leave the first angle uncertain
-    # and the second has to make up for it.
+    # From the remaining rotation, not from the last row: with nearly parallel axes the first angle
+    # is uncertain and the second has to compensate for it.
     rest = twist.T @ _about_z(before).T @ rotation
     return before, twist, float(np.arctan2(rest[1, 0], rest[0, 0]))
 

@@ -19,7 +19,7 @@ from stiffopt.symbolic import Quantity
 
 
 def inverse_dynamics(tree: BodyTree) -> ca.Function:
-    """Inverse dynamics as a CasADi function of SX operations.
+    """Return the inverse dynamics as a CasADi function of SX operations.
 
     Parameters
     ----------
@@ -37,7 +37,7 @@ def inverse_dynamics(tree: BodyTree) -> ca.Function:
 
 
 def newton_euler(tree: BodyTree, q: Quantity, v: Quantity, a: Quantity) -> Quantity:
-    """Joint torques that the motion of the links takes, without rotor inertia and friction.
+    """Return the joint torques of the links' motion, without rotor inertia and friction.
 
     Parameters
     ----------
@@ -78,9 +78,9 @@ _Frame = tuple[int, bool, bytes, float, bytes]
 
 @functools.lru_cache(maxsize=64)
 def _torque_recursion(frames: tuple[_Frame, ...], gravity: bytes) -> ca.Function:
-    """Torques of arms with these frames: written out once, then called with bodies and motion.
+    """Return the cached torque recursion for these frames, a function of motion and bodies.
 
-    A call puts its expressions in place of the symbols; what is zero or one vanishes there.
+    A call substitutes its expressions for the symbols; zeros and ones vanish there.
     """
     n = len(frames)
     q, v, a = (ca.SX.sym(name, n) for name in ("q", "v", "a"))
@@ -110,7 +110,7 @@ def _torque_recursion(frames: tuple[_Frame, ...], gravity: bytes) -> ca.Function
 
 
 def joint_pose(joint: AxisJoint, angle: Quantity) -> tuple[Quantity, Quantity]:
-    """Rotation and origin of the joint's axis frame in its parent's."""
+    """Return rotation and origin of the joint's axis frame in its parent's."""
     rotation = ca.sparsify(ca.DM(joint.rotation))
     if joint.prismatic:
         return rotation, joint.translation + ca.SX(rotation[:, 2]) * angle
@@ -126,7 +126,7 @@ def _outward_recursion(
     v: Quantity,
     a: Quantity,
 ) -> tuple[list[Quantity], list[Quantity]]:
-    """Force and moment about the joint origin that each body's own motion takes."""
+    """Return inertial force and moment about the joint origin of each body."""
     still = ca.SX.zeros(3)
     # Gravity enters as an upward acceleration of the base.
     state = [(still, still, ca.SX(-gravity))]
@@ -166,7 +166,7 @@ def _inward_recursion(
     forces: list[Quantity],
     moments: list[Quantity],
 ) -> Quantity:
-    """Sum what each joint carries from the tips to the base and project it on the axes."""
+    """Sum the wrenches from the tips to the base and project them on the joint axes."""
     tau = ca.SX.zeros(len(joints))
     for i in reversed(range(len(joints))):
         joint, (rotation, origin) = joints[i], poses[i]

@@ -22,8 +22,7 @@ from stiffopt.exact.quadrature import Antiderivative, antiderivative
 
 if TYPE_CHECKING:
     from stiffopt.connection import Connection
-    from stiffopt.drivetrain.chain import Chain
-    from stiffopt.drivetrain.stage import Stage
+    from stiffopt.drivetrain.chain import Chain, Stage
 
 Preloads = Mapping[str, float] | None
 # Bisection alone exhausts double precision in 60 steps; Newton's steps converge long before.
@@ -227,7 +226,7 @@ def stage_windup(stage: Stage, torque: np.ndarray, preloads: Preloads) -> np.nda
     base = stage.element.torque_max
     # Whole octaves of the largest torque, so that one cached curve serves many calls.
     octaves = max(0, math.ceil(math.log2(largest / base))) if largest > base else 0
-    curve = _cached_curve(
+    curve = _element_curve(
         _without_name(stage.element), _select_preload(stage, preloads), base * 2.0**octaves
     )
     return _joint_windup_per_element_windup(stage) * curve(own)
@@ -255,9 +254,42 @@ def _without_name(element: Connection) -> Connection:
 
 
 @functools.lru_cache(maxsize=512)
-def _cached_curve(element: Connection, preload: float | None, upper: float) -> Antiderivative:
+def _element_curve(element: Connection, preload: float | None, upper: float) -> Antiderivative:
     return antiderivative(
         lambda torque: connection.tangent_compliance(element, torque, preload),
         upper,
         connection.breakpoints(element),
     )
+
+
+def windup_along(chain: Chain, torque: np.ndarray) -> np.ndarray:
+    """Return `exact_windup` for the torques (k,) [N m] of a motion -> (k,) [rad]."""
+    curve = _select_curve(chain, torque)
+    return exact_windup(chain, torque) if curve is None else curve(torque)
+
+
+def compliance_along(chain: Chain, torque: np.ndarray) -> np.ndarray:
+    """Return `exact_compliance` to 1e-8, torques (k,) [N m] of a motion -> (k,) [rad/(N m)]."""
+    curve = _select_curve(chain, torque)
+    if curve is None:
+        return exact_compliance(chain, torque)
+    compliance, sharp = curve.slope(torque)
+    if not sharp.all():
+        compliance[~sharp] = exact_compliance(chain, torque[~sharp])
+    return compliance
+
+
+def _select_curve(chain: Chain, torque: np.ndarray) -> Antiderivative | None:
+    """Return the curve up to the largest torque; None without elements or with parallel groups."""
+    if not chain.stages or any(stage.group is not None for stage in chain.stages):
+        return None
+    base = max(stage.element.torque_max * stage.ratio * stage.efficiency for stage in chain.stages)
+    largest = float(np.max(np.abs(torque), initial=0.0))
+    # Whole octaves, so that one curve serves many motions.
+    octaves = math.ceil(math.log2(largest / base)) if largest > base else 0
+    return _joint_curve(chain, base * 2.0**octaves)
+
+
+@functools.lru_cache(maxsize=128)
+def _joint_curve(chain: Chain, upper: float) -> Antiderivative:
+    return antiderivative(lambda torque: exact_compliance(chain, torque), upper, breakpoints(chain))

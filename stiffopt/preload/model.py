@@ -16,8 +16,7 @@ import casadi as ca
 import numpy as np
 
 from stiffopt.connection import BoltedFlange, ClampingPins, Connection
-from stiffopt.drivetrain.chain import Chain
-from stiffopt.drivetrain.stage import Stage
+from stiffopt.drivetrain.chain import Chain, Stage
 from stiffopt.errors import ProblemError
 from stiffopt.exact.chain import exact_compliance, exact_windup, stage_windup
 from stiffopt.fastening.tilting import closed_compliance, tilting_flange

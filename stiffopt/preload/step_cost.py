@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 from stiffopt.connection import BoltedFlange
 from stiffopt.declaration import NOT_NEGATIVE, Doc, Ratio, check_fields
 from stiffopt.drivetrain import catalogue
-from stiffopt.drivetrain.stage import Stage
+from stiffopt.drivetrain.chain import Stage
 
 if TYPE_CHECKING:
     from stiffopt.preload.problem import Choice

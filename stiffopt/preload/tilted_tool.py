@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from stiffopt.connection import BoltedFlange
-from stiffopt.drivetrain.stage import Stage
+from stiffopt.drivetrain.chain import Stage
 from stiffopt.fastening.tilting import tilting_flange
 from stiffopt.preload.load_case import LoadCase, LoadHistory
 from stiffopt.robot.joint_load import at_face

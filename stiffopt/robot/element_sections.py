@@ -19,7 +19,7 @@ from stiffopt.connection.bolted_flange import BoltCount, CircleDiameter
 from stiffopt.contact.surface import SurfacePair
 from stiffopt.declaration import DETAIL, Declared, Doc, Length, Named, declared
 from stiffopt.drivetrain import catalogue
-from stiffopt.drivetrain.stage import Stage
+from stiffopt.drivetrain.chain import Stage
 from stiffopt.errors import InputError
 from stiffopt.validation import Section
 

@@ -10,8 +10,7 @@ from typing import Any
 from stiffopt.contact.surface import SurfacePair
 from stiffopt.declaration import declared, unit
 from stiffopt.drivetrain import catalogue
-from stiffopt.drivetrain.chain import Chain
-from stiffopt.drivetrain.stage import Stage
+from stiffopt.drivetrain.chain import Chain, Stage
 from stiffopt.errors import InputError, InputFileError, nearest
 from stiffopt.robot.element_sections import ElementSection
 from stiffopt.robot.schema import AssemblySection, JointSection, SurfaceSection

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 import casadi as ca
 import numpy as np
 
-from stiffopt.dynamics.height_over_plane import ROW_PARAMETERS, height_over_plane
+from stiffopt.dynamics.kinematics import ROW_PARAMETERS, height_over_plane
 from stiffopt.robot.separating_planes import SeparatingPlane, SeparatingPlanes
 from stiffopt.transcription.node_rows import NodeRows, renumbered, with_node_rows
 from stiffopt.transcription.ocp import Rows

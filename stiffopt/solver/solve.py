@@ -21,8 +21,7 @@ from stiffopt.certificate.objective_value import (
     is_maximised,
     objective_value,
 )
-from stiffopt.certificate.slipping import describe_slips, find_slips
-from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
+from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE, describe_slips, find_slips
 from stiffopt.elastic.arm import questionable_springs
 from stiffopt.errors import NoSolutionFound, ProblemError
 from stiffopt.interrupts import delivered

@@ -17,8 +17,7 @@ from stiffopt.certificate.agreement import Disagreement, find_disagreements
 from stiffopt.certificate.collisions import COLLISION_LIMIT as COLLISION
 from stiffopt.certificate.collisions import describe_collision_scope
 from stiffopt.certificate.objective_value import is_maximised, objective_value
-from stiffopt.certificate.slipping import describe_slips, find_slips
-from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
+from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE, describe_slips, find_slips
 from stiffopt.problem.belief import believed_of
 from stiffopt.problem.formulation import smoothing_stages
 from stiffopt.problem.trajectory import TrajectoryProblem

@@ -4,7 +4,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from stiffopt.certificate.moving_joints import (
+from stiffopt.certificate.rigid_body import (
     holding_torques,
     joint_geometries,
     moving_joints,

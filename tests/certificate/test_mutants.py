@@ -23,7 +23,7 @@ from stiffopt.connection import BoltedFlange, Key, Reducer
 from stiffopt.contact import surrogate
 from stiffopt.contact.fractal import FractalLaw
 from stiffopt.drivetrain import catalogue
-from stiffopt.drivetrain.stage import Stage
+from stiffopt.drivetrain.chain import Stage
 from stiffopt.dynamics import deflection, newton_euler
 from stiffopt.problem import stage_model
 from stiffopt.problem.files import load_problem

@@ -5,10 +5,14 @@ import pytest
 
 from stiffopt.connection import BoltedFlange, Reducer
 from stiffopt.drivetrain import catalogue
-from stiffopt.drivetrain.chain import Chain
-from stiffopt.drivetrain.stage import Stage
-from stiffopt.exact.chain import breakpoints, exact_compliance, exact_windup
-from stiffopt.exact.joint_curve import compliance_along, windup_along
+from stiffopt.drivetrain.chain import Chain, Stage
+from stiffopt.exact.chain import (
+    breakpoints,
+    compliance_along,
+    exact_compliance,
+    exact_windup,
+    windup_along,
+)
 from stiffopt.robot.files import load_robot
 
 

@@ -3,7 +3,7 @@
 import pytest
 from small_arms import load, on_one_element, small_flange
 
-from stiffopt.certificate.slipping import find_slips
+from stiffopt.certificate.violations import find_slips
 from stiffopt.report.solve.page import write_solve_report
 from stiffopt.solver.solve import solve
 

@@ -12,8 +12,7 @@ from stiffopt.connection.constant import Constant
 from stiffopt.discovery.comparison.extension import EstimatedEffect
 from stiffopt.discovery.comparison.signals import JointConstants
 from stiffopt.discovery.effect import RobotChange
-from stiffopt.drivetrain.chain import Chain
-from stiffopt.drivetrain.stage import Stage
+from stiffopt.drivetrain.chain import Chain, Stage
 from stiffopt.exact.chain import exact_windup
 from stiffopt.robot.robot import Robot
 
