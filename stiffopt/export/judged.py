@@ -22,7 +22,7 @@ from stiffopt.errors import InputError, InputFileError
 from stiffopt.files import read_table
 from stiffopt.problem.files import load_problem
 from stiffopt.result.store import export_times, file_hash, motion_seal
-from stiffopt.solver.stored import changes_of, check_inputs, problem_file
+from stiffopt.solver.stored_result import check_inputs, problem_file, read_changes
 
 if TYPE_CHECKING:
     from stiffopt.problem.trajectory import TrajectoryProblem
@@ -75,7 +75,7 @@ def solved_problem(
         A file is missing, or robot, payload, limits or problem are not those that were solved.
     """
     file = problem_file(path, document, given)
-    stated = load_problem(file, changes_of(path, document)).problem
+    stated = load_problem(file, read_changes(path, document)).problem
     named = [document.get(key) for key in ("model", "effects")]
     if isinstance(named[0], str):
         model, effects = (path.parent / each if isinstance(each, str) else None for each in named)

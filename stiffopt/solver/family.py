@@ -23,27 +23,27 @@ from stiffopt.problem.resolve import resolve
 from stiffopt.problem.smoothing import Smoothing
 from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.result.solution import Solution
-from stiffopt.solver.near_optimum import NearOptimum
-from stiffopt.solver.plan import SolveStage, solver_options
-from stiffopt.solver.refinement import refined
-from stiffopt.solver.solve import notes_before, solution_of, solve_keeping
+from stiffopt.solver.active_set import ActiveSetSolver
+from stiffopt.solver.collision_avoidance import find_collisions
+from stiffopt.solver.refinement import refine
+from stiffopt.solver.solve import preliminary_notes, solution_of, solve_with_state
 from stiffopt.solver.solve_run import ProgressCallback, SolveRun
+from stiffopt.solver.stage_plan import SolveStage, solver_options
 from stiffopt.solver.stages import (
     Outcome,
     Programme,
     build_programme,
-    outcome_of,
-    solve_near,
+    certify_outcome,
+    solve_by_active_set,
     solve_stage,
 )
-from stiffopt.solver.verdict import TRUE_OBJECTIVE
-from stiffopt.solver.way_around import collisions
+from stiffopt.solver.verdict import MAX_OBJECTIVE_GAP
 from stiffopt.transcription.build import adapted
 from stiffopt.transcription.mesh import Mesh
 from stiffopt.transcription.nlp import BlockScales, Nlp
 
 # Programmes that are kept; those used last stay.
-_KEPT = 4
+_MAX_KEPT_PROGRAMMES = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,12 +91,12 @@ class WarmStart:
     def from_bytes(cls, content: bytes) -> WarmStart | None:
         """Read what `to_bytes` wrote; None of bytes of another shape, as of an older version."""
         try:
-            return cls._read(content)
+            return cls._parse(content)
         except (KeyError, TypeError, ValueError):
             return None
 
     @classmethod
-    def _read(cls, content: bytes) -> WarmStart:
+    def _parse(cls, content: bytes) -> WarmStart:
         line, _, held = content.partition(b"\n")
         head = json.loads(line)
         numbers = np.frombuffer(held, "<f8").astype(float)
@@ -160,21 +160,21 @@ class ProblemFamily:
         WarmStart or None
             None where it cannot be started from.
         """
-        if warm is not None and warm.method == _method(problem) and not start:
-            run, outcome = self._warm(problem, warm, progress)
+        if warm is not None and warm.method == _method_key(problem) and not start:
+            run, outcome = self._solve_warm(problem, warm, progress)
             if outcome is not None:
                 beside = baselines(problem, run.motion) if compare else {}
-                notes = notes_before(problem, run.motion)
+                notes = preliminary_notes(problem, run.motion)
                 solution = solution_of(run, outcome, beside, notes, compare=compare)
-                return solution, _end(run, outcome)
-        solution, kept = solve_keeping(problem, progress=progress, start=start, compare=compare)
+                return solution, _warm_start_of(run, outcome)
+        solution, kept = solve_with_state(problem, progress=progress, start=start, compare=compare)
         if kept is None or problem.plans_links or start or not solution.status.usable:
             return solution, None
         run, outcome = kept
-        self._keep(Programme(outcome.transcription, outcome.solver))
-        return solution, _end(run, outcome)
+        self._store_programme(Programme(outcome.transcription, outcome.solver))
+        return solution, _warm_start_of(run, outcome)
 
-    def _warm(
+    def _solve_warm(
         self, problem: TrajectoryProblem, warm: WarmStart, progress: ProgressCallback | None
     ) -> tuple[SolveRun, Outcome | None]:
         """The outcome from a warm start; None where it is none to rely on."""
@@ -184,39 +184,39 @@ class ProblemFamily:
         run = SolveRun(problem, motion, Scales(warm.scales), progress)
         if problem.duration[1] < shortest_duration(problem, motion)[0]:
             return run, None
-        made = self._programme(run, warm)
+        made = self._programme_for(run, warm)
         nlp = made.transcription.nlp
         if (len(warm.x), len(warm.multipliers_g)) != (len(nlp.lower_x), len(nlp.lower_g)):
             return run, None
         stage = SolveStage(sum(map(len, warm.mesh)), warm.smoothing)
-        of_x, of_g = _scales(nlp)
+        of_x, of_g = _nlp_scales(nlp)
         begin = replace(
             warm,
             x=np.clip(warm.x / of_x, nlp.lower_x, nlp.upper_x),
             multipliers_x=warm.multipliers_x * of_x,
             multipliers_g=warm.multipliers_g * of_g,
         )
-        raw = solve_near(run, made, stage, begin.x, begin)
+        raw = solve_by_active_set(run, made, stage, begin.x, begin)
         if raw is None:
             raw = solve_stage(run, made, stage, begin.x, begin, "warm", "adaptive")
         ended = raw.status == "interrupted"
         if not (raw.converged or ended):
             return run, None
-        outcome = outcome_of(run, made, raw, warm.smoothing)
-        if not (ended or _is_sound(outcome)):
+        outcome = certify_outcome(run, made, raw, warm.smoothing)
+        if not (ended or _is_certified_optimum(outcome)):
             # A mesh that is fine enough for one problem may not be for another.
-            outcome = refined(run, outcome, None)
-            self._keep(Programme(outcome.transcription, outcome.solver))
+            outcome = refine(run, outcome, None)
+            self._store_programme(Programme(outcome.transcription, outcome.solver))
         if outcome.raw.status == "interrupted":
             # Who stopped it does not want it solved from the beginning.
             return run, outcome
-        sound = _is_sound(outcome)
-        if problem.avoids_collisions and collisions(run, outcome):
+        sound = _is_certified_optimum(outcome)
+        if problem.avoids_collisions and find_collisions(run, outcome):
             # A way around is sought from the beginning.
             sound = False
         return run, outcome if sound else None
 
-    def _programme(self, run: SolveRun, warm: WarmStart) -> Programme:
+    def _programme_for(self, run: SolveRun, warm: WarmStart) -> Programme:
         """The programme on the mesh of a warm start, with the bounds and numbers of a problem."""
         ocp = formulate(run.problem, run.motion, run.scales)
         options = solver_options(run.problem)
@@ -225,36 +225,36 @@ class ProblemFamily:
             first = made.transcription
             if (
                 made.solver.options != options
-                or not _equal(first.mesh, warm.mesh)
+                or not _equal_meshes(first.mesh, warm.mesh)
                 or BlockScales.of(first.nlp).tobytes() != wanted
             ):
                 continue
             found = adapted(first, ocp)
             if found is not None:
-                made.solver.rebound(found.nlp)
-                near = made.near or NearOptimum(made.solver)
-                return self._keep(Programme(found, made.solver, near))
+                made.solver.set_bounds(found.nlp)
+                near = made.near or ActiveSetSolver(made.solver)
+                return self._store_programme(Programme(found, made.solver, near))
         made = build_programme(run, ocp, warm.mesh, scales=warm.block_scales)
-        return self._keep(replace(made, near=NearOptimum(made.solver)))
+        return self._store_programme(replace(made, near=ActiveSetSolver(made.solver)))
 
-    def _keep(self, made: Programme) -> Programme:
+    def _store_programme(self, made: Programme) -> Programme:
         key = (made.transcription.structure, BlockScales.of(made.transcription.nlp).tobytes())
         self._programmes[key] = made
         self._programmes.move_to_end(key)
-        while len(self._programmes) > _KEPT:
+        while len(self._programmes) > _MAX_KEPT_PROGRAMMES:
             self._programmes.popitem(last=False)
         return made
 
 
-def _is_sound(outcome: Outcome) -> bool:
+def _is_certified_optimum(outcome: Outcome) -> bool:
     return (
         outcome.assessment.feasible(CERTIFICATE_TOLERANCE)
-        and outcome.objective_gap <= TRUE_OBJECTIVE
+        and outcome.objective_gap <= MAX_OBJECTIVE_GAP
     )
 
 
-def _end(run: SolveRun, outcome: Outcome) -> WarmStart:
-    of_x, of_g = _scales(outcome.transcription.nlp)
+def _warm_start_of(run: SolveRun, outcome: Outcome) -> WarmStart:
+    of_x, of_g = _nlp_scales(outcome.transcription.nlp)
     return WarmStart(
         x=outcome.raw.x * of_x,
         multipliers_x=outcome.raw.multipliers_x / of_x,
@@ -263,11 +263,11 @@ def _end(run: SolveRun, outcome: Outcome) -> WarmStart:
         smoothing=outcome.smoothing,
         scales=run.scales.values,
         block_scales=BlockScales.of(outcome.transcription.nlp),
-        method=_method(run.problem),
+        method=_method_key(run.problem),
     )
 
 
-def _scales(nlp: Nlp) -> tuple[np.ndarray, np.ndarray]:
+def _nlp_scales(nlp: Nlp) -> tuple[np.ndarray, np.ndarray]:
     """Scales of all variables and rows."""
     variables, rows = (
         np.concatenate([np.zeros(0), *(block.scales for block in blocks.items)])
@@ -276,10 +276,10 @@ def _scales(nlp: Nlp) -> tuple[np.ndarray, np.ndarray]:
     return variables, rows
 
 
-def _method(problem: TrajectoryProblem) -> str:
+def _method_key(problem: TrajectoryProblem) -> str:
     method = problem.method
     return f"{method.transcription} {method.intervals} {len(problem.vias)} {problem.is_shaped}"
 
 
-def _equal(one: Mesh, other: Mesh) -> bool:
+def _equal_meshes(one: Mesh, other: Mesh) -> bool:
     return len(one) == len(other) and all(map(np.array_equal, one, other))

@@ -17,7 +17,7 @@ from stiffopt.solver.monitor import Iterate, Monitor, Progress
 from stiffopt.symbolic import array_of
 from stiffopt.transcription.nlp import Nlp, NlpEntry, RowViolation
 
-_STATUS = {
+_STATUS_BY_RETURN_STATUS = {
     "Solve_Succeeded": "optimal",
     "Feasible_Point_Found": "optimal",
     "Solved_To_Acceptable_Level": "acceptable",
@@ -30,10 +30,10 @@ _STATUS = {
 }
 
 # Excess of a row, relative to its scale, up to which an iterate proves that the rows can hold.
-FEASIBLE = 1e-6
+FEASIBLE_VIOLATION = 1e-6
 
 # Times the tolerance, by which an iterate that rests moves at most.
-_RESTS = 10.0
+_STATIONARY_STEP_FACTOR = 10.0
 
 _OPTIONS_HINT = (
     "Check IpoptOptions.extra and linear_solver; allowed linear solvers: auto, mumps, spral."
@@ -158,7 +158,7 @@ class RawSolution:
         return self.status in ("optimal", "acceptable")
 
 
-class Later(Protocol):
+class FasterProgramme(Protocol):
     """A programme by functions that are being made."""
 
     def is_there(self) -> bool:
@@ -184,11 +184,11 @@ class IpoptSolver:
         self,
         nlp: Nlp,
         options: IpoptOptions | None = None,
-        later: Later | None = None,
+        later: FasterProgramme | None = None,
     ) -> None:
         self.nlp = nlp
         self.options = options or IpoptOptions()
-        self._later = later
+        self._faster = later
         begin = time.perf_counter()
         self._monitor = Monitor(nlp)
         self._set_up(nlp)
@@ -196,8 +196,8 @@ class IpoptSolver:
 
     def _set_up(self, nlp: Nlp) -> None:
         self._symbols = nlp.casadi
-        self._solver = self._make({}, **nlp.derivatives)
-        self._warm: dict[tuple[str, float], ca.Function] = {}
+        self._solver = self._create_solver({}, **nlp.derivatives)
+        self._warm_solvers: dict[tuple[str, float], ca.Function] = {}
 
     @property
     def derivatives(self) -> tuple[ca.Function, ca.Function, ca.Function]:
@@ -238,8 +238,8 @@ class IpoptSolver:
         max_seconds : float, optional
             Overrides the option.
         """
-        if self._later is not None and self._later.is_there():
-            faster, self._later = self._later.programme(), None
+        if self._faster is not None and self._faster.is_there():
+            faster, self._faster = self._faster.programme(), None
             self._set_up(faster)
         nlp = self.nlp
         p = nlp.parameters(parameters)
@@ -259,7 +259,7 @@ class IpoptSolver:
         most = self.options.max_seconds if max_seconds is None else max_seconds
         monitor.begin(report, most)
         monitor.patience = self.options.patience
-        monitor.overtaken = self._later.is_there if self._later is not None else None
+        monitor.overtaken = self._faster.is_there if self._faster is not None else None
         with handled(lambda *_: monitor.interrupt.set()):
             outputs = solver(**inputs)
         solve_s = time.perf_counter() - monitor.started
@@ -277,21 +277,21 @@ class IpoptSolver:
             )
             return replace(again, solve_s=again.solve_s + solve_s)
         word = str(solver.stats()["return_status"])
-        status = monitor.stopped_by or _status(word)
+        status = monitor.stopped_by or _translate_status(word)
         if status == "acceptable":
             # Its gradient is rounding along stiff directions: no step finds anything better.
             lengths = solver.stats()["iterations"]["alpha_pr"]
-            if monitor.at_rest(_RESTS * self.options.tol, lengths):
+            if monitor.at_rest(_STATIONARY_STEP_FACTOR * self.options.tol, lengths):
                 status = "optimal"
-        last = self._iterate(outputs)
+        last = self._last_iterate(outputs)
         best = last if status in ("optimal", "acceptable") else (monitor.best or last)
         reason = word
-        if status == "infeasible" and best.violation <= FEASIBLE:
+        if status == "infeasible" and best.violation <= FEASIBLE_VIOLATION:
             # It has been where all rows hold: it lost its way, the problem has not none.
             status = "stalled"
         if status == "invalid_number":
-            reason = self._invalid_number([inputs["x0"], last.x], p) or word
-        lam_x, lam_g = self._multipliers(outputs, p)
+            reason = self._locate_invalid_number([inputs["x0"], last.x], p) or word
+        lam_x, lam_g = self._final_multipliers(outputs, p)
         return RawSolution(
             status=status,
             reason=reason,
@@ -310,12 +310,12 @@ class IpoptSolver:
             solve_s=solve_s,
         )
 
-    def rebound(self, nlp: Nlp) -> None:
+    def set_bounds(self, nlp: Nlp) -> None:
         """Take over the bounds of the same NLP, for the solves that follow."""
         self.nlp = nlp
         self._monitor.nlp = nlp
 
-    def _make(self, further: dict[str, Any], **functions: ca.Function) -> ca.Function:
+    def _create_solver(self, further: dict[str, Any], **functions: ca.Function) -> ca.Function:
         options: dict[str, Any] = {
             "ipopt": {**self.options.for_ipopt(), **further},
             "iteration_callback": self._monitor,
@@ -336,9 +336,9 @@ class IpoptSolver:
 
     def _warm_solver(self, barrier: str, push: float) -> ca.Function:
         # IPOPT reads these options when it is set up; the derivatives are shared with the other.
-        if (barrier, push) not in self._warm:
+        if (barrier, push) not in self._warm_solvers:
             gradient, jacobian, hessian = self.derivatives
-            self._warm[barrier, push] = self._make(
+            self._warm_solvers[barrier, push] = self._create_solver(
                 {
                     "mu_strategy": barrier,
                     "warm_start_init_point": "yes",
@@ -353,9 +353,9 @@ class IpoptSolver:
                 jac_g=jacobian,
                 hess_lag=hessian,
             )
-        return self._warm[barrier, push]
+        return self._warm_solvers[barrier, push]
 
-    def _multipliers(
+    def _final_multipliers(
         self, outputs: dict[str, ca.DM], p: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """Of bounds and rows; of fixed variables what the Lagrangian's gradient leaves there."""
@@ -368,7 +368,7 @@ class IpoptSolver:
             lam_x[fixed] = -slope[fixed]
         return lam_x, lam_g
 
-    def _iterate(self, outputs: dict[str, ca.DM]) -> Iterate:
+    def _last_iterate(self, outputs: dict[str, ca.DM]) -> Iterate:
         g = array_of(outputs["g"]).ravel()
         excess = self.nlp.violations(g)
         return Iterate(
@@ -379,7 +379,7 @@ class IpoptSolver:
             violation=float(excess.max()) if excess.size else 0.0,
         )
 
-    def _invalid_number(self, points: list[np.ndarray], p: np.ndarray) -> str:
+    def _locate_invalid_number(self, points: list[np.ndarray], p: np.ndarray) -> str:
         """Sentence that names the first row without a value or slope at one of the points."""
         value = ca.Function("value", [self.nlp.x, self.nlp.p], [self.nlp.f, self.nlp.g])
         slope = self._solver.get_function("nlp_jac_g")
@@ -398,7 +398,7 @@ class IpoptSolver:
         return ""
 
 
-def _status(word: str) -> str:
+def _translate_status(word: str) -> str:
     if word == "Invalid_Option":
         raise InputError(f"IPOPT cannot use one of its options. {_OPTIONS_HINT}")
     if word == "Not_Enough_Degrees_Of_Freedom":
@@ -406,7 +406,7 @@ def _status(word: str) -> str:
             "The problem has more equations than free variables. Free a boundary value or remove "
             "an equation."
         )
-    return _STATUS.get(word, "stalled")
+    return _STATUS_BY_RETURN_STATUS.get(word, "stalled")
 
 
 def kkt_residual(nlp: Nlp, raw: RawSolution, parameters: np.ndarray | None = None) -> float:

@@ -13,7 +13,7 @@ import numpy as np
 from stiffopt.transcription.nlp import Nlp
 
 # Iterates with a smaller scaled violation count as feasible and are ranked by objective.
-FEASIBLE = 1e-6
+FEASIBLE_VIOLATION = 1e-6
 
 
 @dataclass(frozen=True)
@@ -50,20 +50,23 @@ class Iterate:
     objective: float
     violation: float
 
-    def better_than(self, other: Iterate | None) -> bool:
+    def is_better_than(self, other: Iterate | None) -> bool:
         """Whether this one is to be kept: least violation, then lowest objective."""
         if other is None:
             return True
-        mine, theirs = max(self.violation, FEASIBLE), max(other.violation, FEASIBLE)
+        mine, theirs = (
+            max(self.violation, FEASIBLE_VIOLATION),
+            max(other.violation, FEASIBLE_VIOLATION),
+        )
         return mine < theirs or (mine == theirs and self.objective < other.objective)
 
 
 # Iterations in a row in which an iterate that rests has not moved.
-_RESTING = 5
+_STATIONARY_ITERATIONS = 5
 # Length from which a step is a full one.
-_FULL = 1.0 - 1e-9
+_FULL_STEP_LENGTH = 1.0 - 1e-9
 # Excess of a row, relative to its scale, that the next iterations may mend.
-_NEARLY = 1e-2
+_NEARLY_FEASIBLE_VIOLATION = 1e-2
 
 
 class Monitor(ca.Callback):
@@ -118,12 +121,12 @@ class Monitor(ca.Callback):
 
     def eval_buffer(self, arg: Sequence[memoryview], res: Sequence[memoryview]) -> int:
         """Take in one iteration; a result of 1 stops IPOPT."""
-        np.frombuffer(res[0])[0] = self._stop(arg)
+        np.frombuffer(res[0])[0] = self._evaluate_stop(arg)
         return 0
 
-    def _stop(self, arg: Sequence[memoryview]) -> float:
+    def _evaluate_stop(self, arg: Sequence[memoryview]) -> float:
         try:
-            self._take(arg)
+            self._record_iterate(arg)
         except BaseException as error:  # must not cross the C++ border; raised after the solve
             self.error = error
             return 1.0
@@ -131,7 +134,7 @@ class Monitor(ca.Callback):
             self.stopped_by = "interrupted"
         elif time.perf_counter() - self.started > self.max_seconds:
             self.stopped_by = "time_limit"
-        elif self.patience and len(self.history) > self.patience and not self._near():
+        elif self.patience and len(self.history) > self.patience and not self._is_nearly_feasible():
             self.stopped_by = "iteration_limit"
         elif self.overtaken is not None and self.overtaken():
             self.stopped_by = "overtaken"
@@ -154,8 +157,11 @@ class Monitor(ca.Callback):
             if not step <= tolerance:
                 break
             still += 1
-        full = [length >= _FULL for length in lengths[len(lengths) - still :]]
-        if not any(all(full[k : k + _RESTING]) for k in range(still - _RESTING + 1)):
+        full = [length >= _FULL_STEP_LENGTH for length in lengths[len(lengths) - still :]]
+        if not any(
+            all(full[k : k + _STATIONARY_ITERATIONS])
+            for k in range(still - _STATIONARY_ITERATIONS + 1)
+        ):
             return False
         since = self.history[-still:]
         objectives = [each.objective for each in since]
@@ -165,11 +171,11 @@ class Monitor(ca.Callback):
             and max(each.violation for each in since) <= tolerance
         )
 
-    def _near(self) -> bool:
+    def _is_nearly_feasible(self) -> bool:
         """Whether some point so far keeps all rows, or nearly."""
-        return self.best is not None and self.best.violation <= _NEARLY
+        return self.best is not None and self.best.violation <= _NEARLY_FEASIBLE_VIOLATION
 
-    def _take(self, arg: Sequence[memoryview]) -> None:
+    def _record_iterate(self, arg: Sequence[memoryview]) -> None:
         nlp = self.nlp
         # Copies: what lies there is IPOPT's.
         x, g = (np.frombuffer(arg[k]).copy() for k in (0, 2))
@@ -180,7 +186,11 @@ class Monitor(ca.Callback):
         if self.last is not None:
             self.steps.append(float(np.abs(x - self.last.x).max(initial=0.0)))
         self.last = Iterate(number, x, g, objective, violation)
-        if np.isfinite(objective) and np.isfinite(violation) and self.last.better_than(self.best):
+        if (
+            np.isfinite(objective)
+            and np.isfinite(violation)
+            and self.last.is_better_than(self.best)
+        ):
             self.best = self.last
         elapsed = time.perf_counter() - self.started
         progress = Progress(number, objective, violation, row, elapsed)

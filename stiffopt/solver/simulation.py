@@ -22,9 +22,10 @@ from stiffopt.elastic.arm import ElasticArm
 from stiffopt.elastic.motor import MotorMotion
 from stiffopt.elastic.simulate import check_reach, simulate, typical_hysteresis
 from stiffopt.elastic.uncertainty import AssumedUncertainty
-from stiffopt.errors import NotSimulatedError
+from stiffopt.errors import NotSimulatedError, relative
 from stiffopt.interrupts import delivered
 from stiffopt.problem.formulation import smoothing_stages
+from stiffopt.problem.limit import LIMITS
 from stiffopt.problem.resolve import ResolvedMotion, resolve
 from stiffopt.result.assessment import PeakRms
 from stiffopt.result.simulation import (
@@ -36,8 +37,8 @@ from stiffopt.result.simulation import (
 )
 from stiffopt.result.status import SolveStatus
 from stiffopt.robot import native_bodies
-from stiffopt.solver.compensation import CommandOnArms, compensate
-from stiffopt.solver.other_damping import other_damping_note
+from stiffopt.solver.command_search import CommandOnArms
+from stiffopt.solver.compensation import compensate
 from stiffopt.solver.solve_run import ProgressCallback, SolveProgress
 
 if TYPE_CHECKING:
@@ -47,7 +48,7 @@ if TYPE_CHECKING:
     from stiffopt.result.solution import Baseline, Solution
     from stiffopt.result.trajectory import Trajectory
 
-_NOT_ASKED = (
+_COMMAND_NOT_REQUESTED = (
     "No command.csv: no objective or limit is about how the arm yields. State [uncertainty] for a "
     "command that leads the wind-up, judged on uncertain arms."
 )
@@ -73,7 +74,7 @@ def elastic_arm(problem: TrajectoryProblem, start: np.ndarray) -> ElasticArm:
 
 
 # Links slower than this are at rest [rad/s].
-_STANDSTILL = 1e-6
+_STANDSTILL_SPEED = 1e-6
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -112,10 +113,10 @@ class PlannedMotion:
         return None if self.motors is None else self.motors.link
 
     @property
-    def swings_on(self) -> bool:
+    def vibrates_after_arrival(self) -> bool:
         """Whether the links are planned to swing on when the motors stand."""
         link = self.link
-        return link is not None and bool(np.any(np.abs(link(link.duration, 1)) > _STANDSTILL))
+        return link is not None and bool(np.any(np.abs(link(link.duration, 1)) > _STANDSTILL_SPEED))
 
     @classmethod
     def of(cls, name: str, assessment: Assessment, counted: bool) -> PlannedMotion:
@@ -133,7 +134,7 @@ class PlannedMotion:
         )
 
 
-def rivals(
+def rival_motions(
     problem: TrajectoryProblem,
     motion: ResolvedMotion,
     baselines: dict[str, Baseline],
@@ -194,7 +195,7 @@ def simulate_motions(
             reference = command.position(simulated.time)
             if part == "process":
                 reference = simulate(arm.without_force(), command, servo=servo).position
-            minimised = _part(arm, part, each.parts[part], simulated, reference)
+            minimised = _simulate_part(arm, part, each.parts[part], simulated, reference)
         found.append(
             ElasticMotion(
                 name=each.name,
@@ -212,7 +213,7 @@ def simulate_motions(
     )
 
 
-def _part(
+def _simulate_part(
     arm: ElasticArm,
     name: str,
     planned: PeakRms,
@@ -258,62 +259,68 @@ def with_simulation(
         return solution
     motion = resolve(problem) if motion is None else motion
     if not problem.robot.tool_yields(assessment.position):
-        return _noted(solution, "Not simulated: no joint that yields moves the tool.")
+        return _add_note(solution, "Not simulated: no joint that yields moves the tool.")
     try:
         delivered()
         arm = elastic_arm(problem, assessment.position[0])
         counted = assessment.feasible(CERTIFICATE_TOLERANCE)
         own = PlannedMotion.of("optimised", assessment, counted)
-        others = rivals(problem, motion, solution.baselines, solution.strict_baseline)
+        others = rival_motions(problem, motion, solution.baselines, solution.strict_baseline)
         if solution.trajectory is not None and solution.trajectory.link is not None:
             own = replace(own, motors=solution.trajectory)
         band = problem.active_limits.settling_band
         simulation = simulate_motions(problem, arm, [own, *others], band=band)
         solution = replace(solution, simulation=simulation)
-        unsure = other_damping_note(problem, assessment) if counted else ""
-        solution = _noted(solution, unsure) if unsure else solution
+        unsure = damping_sensitivity_note(problem, assessment) if counted else ""
+        solution = _add_note(solution, unsure) if unsure else solution
         if problem.boundary_velocity is not None and np.any(problem.boundary_velocity):
-            return _noted(solution, "No command.csv: the motion does not start and end at rest.")
-        if own.swings_on:
-            return _noted(
+            return _add_note(solution, "No command.csv: the motion does not start and end at rest.")
+        if own.vibrates_after_arrival:
+            return _add_note(
                 solution,
                 "No command.csv: the links are planned to swing on after arrival, as far as the "
                 "limits allow; q of trajectory.csv is the command for that.",
             )
-        if not _asks_for_command(problem):
-            return _noted(solution, _NOT_ASKED)
+        if not _requests_command(problem):
+            return _add_note(solution, _COMMAND_NOT_REQUESTED)
         if command is not None and command.motion.motors is not solution.trajectory:
             command = None
         compensation = compensate(
-            problem, arm, [own, *others], known=command, progress=_events(progress, solution)
+            problem,
+            arm,
+            [own, *others],
+            known=command,
+            progress=_progress_callback(progress, solution),
         )
     except KeyboardInterrupt:
         if solution.simulation is not None:
-            return _noted(
+            return _add_note(
                 solution,
                 "The choice of a command was interrupted: no command.csv was made; solve again for "
                 "it.",
             )
-        return _noted(
+        return _add_note(
             solution,
             "The simulation on the elastic arm was interrupted; `stiffopt simulate` does it anew. "
             "No command.csv was made; solve again for it.",
         )
     except NotSimulatedError as error:
-        return _noted(solution, f"Not simulated on the elastic arm: {error}")
+        return _add_note(solution, f"Not simulated on the elastic arm: {error}")
     return replace(solution, compensation=compensation)
 
 
-def _asks_for_command(problem: TrajectoryProblem) -> bool:
+def _requests_command(problem: TrajectoryProblem) -> bool:
     """Whether an objective, a limit or a stated uncertainty is about how the arm yields."""
     return len(smoothing_stages(problem)) > 1 or problem.uncertainty != AssumedUncertainty()
 
 
-def _noted(solution: Solution, note: str) -> Solution:
+def _add_note(solution: Solution, note: str) -> Solution:
     return replace(solution, notes=(*solution.notes, note))
 
 
-def _events(progress: ProgressCallback | None, solution: Solution) -> Callable[[str], object]:
+def _progress_callback(
+    progress: ProgressCallback | None, solution: Solution
+) -> Callable[[str], object]:
     """Tells a solve's display which motion is being compensated."""
     begun, value = time.perf_counter(), getattr(solution.objective, "value", np.nan)
     numbers = itertools.count(1)
@@ -332,3 +339,48 @@ def _events(progress: ProgressCallback | None, solution: Solution) -> Callable[[
             )
 
     return tell
+
+
+# Times what is assumed: 1 and 3 % of critical.
+_DAMPING_FACTORS = (0.5, 1.5)
+
+
+def damping_sensitive_limits(problem: TrajectoryProblem, motion: Assessment) -> dict[str, float]:
+    """Limits of the swing after arrival that arms of other damping exceed, by their size over it.
+
+    Empty where the problem has none, or every joint states its damping.
+
+    Raises
+    ------
+    NotSimulatedError
+        The arm cannot be simulated.
+    """
+    if motion.swing is None or motion.swing.peak_after is None:
+        return {}
+    limits = problem.active_limits
+    kinds = [each for each in limits.kinds if LIMITS[each.name].of_arrival]
+    arm = ElasticArm(problem.robot, motion.position[0], problem.process_force)
+    if not (kinds and arm.assumed_damping):
+        return {}
+    command = MotorMotion(motion.time, motion.position, motion.velocity)
+    found: dict[str, float] = {}
+    for factor in _DAMPING_FACTORS:
+        swing = simulate(arm.assumed_times(factor), command, band=limits.settling_band)
+        for kind in kinds:
+            over = LIMITS[kind.name].overshoot(limits, swing)
+            if over > max(found.get(kind.name, 0.0), 0.0):
+                found[kind.name] = over
+    return found
+
+
+def damping_sensitivity_note(problem: TrajectoryProblem, motion: Assessment) -> str:
+    """What is to be said of limits that hold by the assumed damping alone; "" where all hold."""
+    found = damping_sensitive_limits(problem, motion)
+    if not found:
+        return ""
+    listed = " and ".join(f"what {name} allows by {relative(over)}" for name, over in found.items())
+    return (
+        "Limits after arrival hold with the damping that is assumed. With half of it, or half as "
+        f"much again, the tool's swing exceeds {listed}: state the joints' measured damping in the "
+        "robot file, or a lower limit."
+    )

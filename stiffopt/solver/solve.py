@@ -37,39 +37,45 @@ from stiffopt.result.provenance import inputs_hash, versions
 from stiffopt.result.solution import Baseline, Solution
 from stiffopt.result.status import SolveStatus
 from stiffopt.solver import frontal
-from stiffopt.solver.guess import guess_along, initial_guess
-from stiffopt.solver.plan import stages
-from stiffopt.solver.refinement import rank, refined, stopped
+from stiffopt.solver.collision_avoidance import avoid_collisions
+from stiffopt.solver.initial_guess import guess_from_motion, initial_guess, perturb_guess
+from stiffopt.solver.input_shaping import Window, solve_shaped
+from stiffopt.solver.refinement import mark_interrupted, rank_outcome, refine
 from stiffopt.solver.robust_plan import robust_plan, shaped_for_arms
-from stiffopt.solver.shaping import Window, solve_shaped
 from stiffopt.solver.simulation import check_simulation, with_simulation
-from stiffopt.solver.slower import slower_advice
-from stiffopt.solver.solve_run import LEAST_TIME, ProgressCallback, SolveRun
+from stiffopt.solver.solve_run import MIN_SOLVE_TIME, ProgressCallback, SolveRun
+from stiffopt.solver.stage_plan import plan_stages
 from stiffopt.solver.stages import Outcome, run_stages
-from stiffopt.solver.unsolved import (
-    ON_PATH,
-    as_good_as_can_be,
-    below_the_base,
-    bound_reason,
+from stiffopt.solver.trivial_outcomes import (
+    FASTEST_ON_PATH_REASON,
+    baseline_as_optimum,
+    baseline_at_bound,
+    below_base_warning,
+    explain_bound,
     fastest_on_path,
-    hopeless,
-    only_baseline,
-    pinned_by_a_bound,
+    feasible_duration_advice,
+    infeasible_solution,
+    interrupted_with_baseline,
     solver_record,
 )
-from stiffopt.solver.verdict import baseline_above, beyond_limits, optimum_reach, verdict
-from stiffopt.solver.way_around import led_around
+from stiffopt.solver.verdict import (
+    describe_optimality,
+    find_better_baseline,
+    judge_collisions,
+    judge_outcome,
+)
 from stiffopt.transcription.ocp import Guess
 
 # Share of the best objective within which an optimum counts as the same.
-_NEAR = 0.01
-# Standard deviation of a random start's detour [rad], and of the skew of its timing on a path; no
-# motion turns back within the range of the skew.
-_DETOUR, _SKEW, _SKEW_RANGE = 0.2, 0.4, (-0.9, 0.9)
+_SAME_OBJECTIVE_SHARE = 0.01
 # How a solve ends where the duration may be too short for any motion.
-_TOO_FAST = (SolveStatus.CERTIFICATE_FAILED, SolveStatus.INFEASIBLE, SolveStatus.ITERATION_LIMIT)
+_POSSIBLY_TOO_FAST = (
+    SolveStatus.CERTIFICATE_FAILED,
+    SolveStatus.INFEASIBLE,
+    SolveStatus.ITERATION_LIMIT,
+)
 # Of what an objective need not be below, within which it counts as lowered to that.
-_LOW = 1.1
+_SUFFICIENT_OBJECTIVE_FACTOR = 1.1
 
 
 def solve(
@@ -111,7 +117,7 @@ def solve(
     """
     if isinstance(problem, LoadedProblem):
         problem = problem.problem
-    solution, _ = solve_keeping(
+    solution, _ = solve_with_state(
         problem, progress=progress, guess=guess, simulate=simulate, start=start
     )
     if throw and not (solution.status.usable or solution.status is SolveStatus.INTERRUPTED):
@@ -119,7 +125,7 @@ def solve(
     return solution
 
 
-def solve_keeping(
+def solve_with_state(
     problem: TrajectoryProblem,
     *,
     progress: ProgressCallback | None = None,
@@ -144,53 +150,60 @@ def solve_keeping(
     check_clear_poses(problem, motion)
     if simulate:
         check_simulation(problem, motion)
-    notes = notes_before(problem, motion)
+    notes = preliminary_notes(problem, motion)
     # Their tables are those of the simulation.
     if simulate and (soft := questionable_springs(problem.robot, motion.start)):
         notes = (*notes, soft)
     beside = baselines(problem, motion)
-    run = SolveRun(problem, motion, _scales(problem, beside), progress, beside.get("quintic"))
+    run = SolveRun(
+        problem, motion, _objective_scales(problem, beside), progress, beside.get("quintic")
+    )
     needed, why = shortest_duration(problem, motion)
     kept = None
     if problem.duration[1] < needed:
-        solution = hopeless(run, beside, notes, why)
+        solution = infeasible_solution(run, beside, notes, why)
     elif problem.is_shaped:
         inner = functools.partial(solve, progress=progress, guess=guess, throw=False)
         solution = solve_shaped(problem, motion, beside, notes, inner)
-    elif (pinned := pinned_by_a_bound(run, beside)) is not None and not start:
-        solution = as_good_as_can_be(run, beside, notes, pinned[0], bound_reason(pinned[1]))
+    elif (pinned := baseline_at_bound(run, beside)) is not None and not start:
+        solution = baseline_as_optimum(run, beside, notes, pinned[0], explain_bound(pinned[1]))
     else:
         rival = better_baseline(problem, beside)
         try:
             delivered()
-            begin = _begin(problem, motion, beside, guess)
+            begin = _select_guess(problem, motion, beside, guess)
             if start:
                 random = np.random.default_rng([problem.method.seed, start])
-                begin = _perturbed(begin, problem, random)
+                begin = perturb_guess(begin, problem, random)
             outcome = _best_of_starts(run, begin, rival)
-            rivals = _with_strict(beside, _strict(run, beside) if compare else None)
-            outcome = _from_baseline_above(run, outcome, rivals, rival)
+            rivals = _all_rivals(beside, _strict_baseline_of(run, beside) if compare else None)
+            outcome = _restart_from_better_baseline(run, outcome, rivals, rival)
             kept = (run, outcome)
             if problem.avoids_collisions:
-                outcome = led_around(run, outcome, rival, searches=problem.method.starts)
+                outcome = avoid_collisions(run, outcome, rival, searches=problem.method.starts)
                 # Its rows are of this motion only: nothing else can be solved from there.
                 kept = None if run.avoidance else (run, outcome)
                 beside |= {} if run.detour is None else {run.detour.name: run.detour}
             if (fastest := fastest_on_path(problem, outcome, beside)) is not None:
-                solution, kept = as_good_as_can_be(run, beside, notes, fastest, ON_PATH), None
+                solution, kept = (
+                    baseline_as_optimum(run, beside, notes, fastest, FASTEST_ON_PATH_REASON),
+                    None,
+                )
             else:
                 robust = robust_plan(run, outcome)
                 solution = solution_of(run, robust, beside, notes, compare=compare)
-                shaped = functools.partial(_shaped_over, run, beside, notes, guess)
+                shaped = functools.partial(
+                    _solve_shaped_in_remaining_time, run, beside, notes, guess
+                )
                 solution = shaped_for_arms(run, solution, outcome, shaped)
         except KeyboardInterrupt:
-            solution = only_baseline(run, beside, notes)
+            solution = interrupted_with_baseline(run, beside, notes)
     if simulate:
         solution = with_simulation(problem, solution, progress, motion, run.command)
     return solution, kept
 
 
-def _shaped_over(
+def _solve_shaped_in_remaining_time(
     run: SolveRun,
     beside: dict[str, Baseline],
     notes: tuple[str, ...],
@@ -198,7 +211,7 @@ def _shaped_over(
     windows: tuple[Window, ...],
 ) -> Solution:
     """The problem with its deviation shaped over windows, in what is left of its time."""
-    left = max(run.problem.method.time_limit - run.elapsed, LEAST_TIME)
+    left = max(run.problem.method.time_limit - run.elapsed, MIN_SOLVE_TIME)
     shaped = tuple(replace(each, name="shaped_deviation") for each in run.problem.objectives)
     method = replace(run.problem.method, time_limit=left)
     problem = replace(run.problem, objectives=shaped, method=method)
@@ -206,7 +219,7 @@ def _shaped_over(
     return solve_shaped(problem, run.motion, beside, notes, inner, windows)
 
 
-def _begin(
+def _select_guess(
     problem: TrajectoryProblem,
     motion: ResolvedMotion,
     beside: dict[str, Baseline],
@@ -222,23 +235,29 @@ def _begin(
             f"the guess has {guess.position.shape[1]} joints, {problem.robot.name} has"
             f" {problem.joints}. Take one of the same arm."
         )
-    return guess_along(problem, motion, guess)
+    return guess_from_motion(problem, motion, guess)
 
 
-def notes_before(problem: TrajectoryProblem, motion: ResolvedMotion) -> tuple[str, ...]:
+def preliminary_notes(problem: TrajectoryProblem, motion: ResolvedMotion) -> tuple[str, ...]:
     """What can be said of a problem before it is solved; refuses those that are degenerate."""
     chosen = (problem.chosen,) if problem.chosen else ()
     doubted = (*questionable_bodies(problem.robot), *questionable_belts(problem.robot))
-    return (*chosen, *problem.remarks, *doubted, *_held(problem), *check_bounds(problem, motion))
+    return (
+        *chosen,
+        *problem.remarks,
+        *doubted,
+        *_describe_held_joints(problem),
+        *check_bounds(problem, motion),
+    )
 
 
-def _held(problem: TrajectoryProblem) -> tuple[str, ...]:
+def _describe_held_joints(problem: TrajectoryProblem) -> tuple[str, ...]:
     """Which joints of the URDF the arm does not move, where the file did not ask for it."""
     held = [str(each) for each in problem.robot.held if each.why != "locked"]
     return (f"Held, not planned: {'; '.join(held)}.",) if held else ()
 
 
-def _scales(problem: TrajectoryProblem, beside: dict[str, Baseline]) -> Scales:
+def _objective_scales(problem: TrajectoryProblem, beside: dict[str, Baseline]) -> Scales:
     """Typical values of the objectives: those of a baseline."""
     for baseline in beside.values():
         if baseline.assessment is not None:
@@ -251,7 +270,7 @@ def _best_of_starts(run: SolveRun, guess: Guess, rival: Baseline | None) -> Outc
     """The best certified outcome of the problem's number of starts."""
     problem = run.problem
     random = np.random.default_rng(problem.method.seed)
-    last = best = _certified_solve(run, guess, rival)
+    last = best = _solve_and_refine(run, guess, rival)
     made = [best]
     for start in range(1, problem.method.starts):
         ended = last.raw.status in ("interrupted", "time_limit")
@@ -259,36 +278,36 @@ def _best_of_starts(run: SolveRun, guess: Guess, rival: Baseline | None) -> Outc
             run.notes.append(f"{start} of {problem.method.starts} starts were made.")
             break
         try:
-            last = _certified_solve(run, _perturbed(guess, problem, random), rival)
+            last = _solve_and_refine(run, perturb_guess(guess, problem, random), rival)
         except KeyboardInterrupt:
-            return stopped(best)
+            return mark_interrupted(best)
         made.append(last)
         run.starts_made = len(made)
-        best = min(made, key=lambda outcome: rank(problem, outcome))
+        best = min(made, key=lambda outcome: rank_outcome(problem, outcome))
     if len(made) > 1:
-        run.notes.append(_spread(problem, made))
+        run.notes.append(_describe_spread(problem, made))
     return best
 
 
-def _from_baseline_above(
+def _restart_from_better_baseline(
     run: SolveRun, outcome: Outcome, beside: dict[str, Baseline], rival: Baseline | None
 ) -> Outcome:
     """The better of an outcome and one begun from a baseline that is better than it."""
-    above = baseline_above(run.problem, outcome, beside)
+    above = find_better_baseline(run.problem, outcome, beside)
     late = run.elapsed > run.problem.method.time_limit
     if above is None or above.assessment is None or late or outcome.raw.status == "interrupted":
         return outcome
     if fastest_on_path(run.problem, outcome, beside) is not None:
         return outcome
-    guess = guess_along(run.problem, run.motion, above.assessment)
+    guess = guess_from_motion(run.problem, run.motion, above.assessment)
     try:
-        found = _certified_solve(run, guess, rival)
+        found = _solve_and_refine(run, guess, rival)
     except KeyboardInterrupt:
-        return stopped(outcome)
-    return min(outcome, found, key=lambda each: rank(run.problem, each))
+        return mark_interrupted(outcome)
+    return min(outcome, found, key=lambda each: rank_outcome(run.problem, each))
 
 
-def _spread(problem: TrajectoryProblem, made: list[Outcome]) -> str:
+def _describe_spread(problem: TrajectoryProblem, made: list[Outcome]) -> str:
     """How far apart the optima of several starts lie."""
     found = [
         objective_value(problem, each.assessment).value
@@ -300,22 +319,23 @@ def _spread(problem: TrajectoryProblem, made: list[Outcome]) -> str:
         return f"{kept}."
     best = max(found) if is_maximised(problem) else min(found)
     off = [abs(value - best) / (abs(best) or 1.0) for value in found]
-    near = f"{sum(each <= _NEAR for each in off)} within {100 * _NEAR:g} % of the best"
-    return f"{kept}: {near}, the furthest {100 * max(off):.2g} % off."
+    near = sum(each <= _SAME_OBJECTIVE_SHARE for each in off)
+    share = f"{100 * _SAME_OBJECTIVE_SHARE:g} %"
+    return f"{kept}: {near} within {share} of the best, the furthest {100 * max(off):.2g} % off."
 
 
-def _certified_solve(run: SolveRun, guess: Guess, rival: Baseline | None) -> Outcome:
+def _solve_and_refine(run: SolveRun, guess: Guess, rival: Baseline | None) -> Outcome:
     """Solve in stages, then refine while the certificate finds more than is allowed."""
-    plan = stages(run.problem, run.problem.method.intervals, run.corners)
-    found = refined(run, run_stages(run, plan, guess, {}), rival)
-    if run.end_modes and found.raw.status != "interrupted" and not _done(found):
+    plan = plan_stages(run.problem, run.problem.method.intervals, run.corners)
+    found = refine(run, run_stages(run, plan, guess, {}), rival)
+    if run.end_modes and found.raw.status != "interrupted" and not _is_certified_optimum(found):
         # What the motors' law leaves is more than the limits, or no optimum was found in time:
         # without any swing there is less.
-        run.hold_at_rest()
+        run.require_rest_at_arrival()
         resting = found
         with suppress(KeyboardInterrupt):
-            resting = refined(run, run_stages(run, plan, guess, {}), rival)
-        if _done(resting) or not found.assessment.feasible(CERTIFICATE_TOLERANCE):
+            resting = refine(run, run_stages(run, plan, guess, {}), rival)
+        if _is_certified_optimum(resting) or not found.assessment.feasible(CERTIFICATE_TOLERANCE):
             found = resting
             if found.assessment.feasible(CERTIFICATE_TOLERANCE):
                 run.notes.append(
@@ -325,45 +345,9 @@ def _certified_solve(run: SolveRun, guess: Guess, rival: Baseline | None) -> Out
     return found
 
 
-def _done(outcome: Outcome) -> bool:
+def _is_certified_optimum(outcome: Outcome) -> bool:
     """Whether an outcome is an optimum that keeps all limits."""
     return outcome.raw.converged and outcome.assessment.feasible(CERTIFICATE_TOLERANCE)
-
-
-def _perturbed(guess: Guess, problem: TrajectoryProblem, random: np.random.Generator) -> Guess:
-    """The guess with a smooth random detour that vanishes at both ends; on a path, other timing."""
-    if problem.path is not None:
-        return _retimed(guess, float(np.clip(random.normal(scale=_SKEW), *_SKEW_RANGE)))
-    n = problem.joints
-    amplitude = random.normal(scale=_DETOUR, size=n)
-
-    def moved(s: np.ndarray) -> np.ndarray:
-        values = np.array(guess.states(s))
-        bump = 16.0 * (np.asarray(s) * (1.0 - np.asarray(s))) ** 2
-        slope = 32.0 * np.asarray(s) * (1.0 - np.asarray(s)) * (1.0 - 2.0 * np.asarray(s))
-        values[:, :n] += bump[:, None] * amplitude
-        values[:, n : 2 * n] += slope[:, None] * amplitude / guess.duration
-        return values
-
-    return replace(guess, states=moved)
-
-
-def _retimed(guess: Guess, skew: float) -> Guess:
-    """The guess on a path, at the scaled time w where it was at t: w = t + skew t (1 - t)."""
-
-    def warped(t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        return t + skew * t * (1.0 - t), (1.0 + skew * (1.0 - 2.0 * t))[:, None]
-
-    def states(t: np.ndarray) -> np.ndarray:
-        w, rate = warped(np.asarray(t))
-        return np.asarray(guess.states(w) * np.hstack([np.ones_like(rate), rate]))
-
-    def controls(t: np.ndarray) -> np.ndarray:
-        w, rate = warped(np.asarray(t))
-        speed = np.asarray(guess.states(w))[:, 1:]
-        return np.asarray(guess.controls(w) * rate**2 - 2.0 * skew * speed / guess.duration)
-
-    return replace(guess, states=states, controls=controls)
 
 
 def solution_of(
@@ -378,18 +362,22 @@ def solution_of(
     problem, assessment = run.problem, with_collisions(run.problem, outcome.assessment)
     strict = None
     if compare and outcome.raw.status != "infeasible":
-        strict = _strict(run, beside)
-    rivals = _with_strict(beside, strict)
-    found = verdict(problem, outcome, assessment, rivals)
+        strict = _strict_baseline_of(run, beside)
+    rivals = _all_rivals(beside, strict)
+    found = judge_outcome(problem, outcome, assessment, rivals)
     if found.status is SolveStatus.OPTIMAL:
-        reach = optimum_reach(problem, rivals, run.starts_made)
+        reach = describe_optimality(problem, rivals, run.starts_made)
         found = replace(found, message=f"{found.message} {reach}")
-    end = beyond_limits(problem, assessment, found, run.unavoided)
+    end = judge_collisions(problem, assessment, found, run.avoidance_failure)
     slipping = find_slips(problem.robot, assessment)
     if slipping and describe_slips(slipping) not in end.message:
         notes = (*notes, f"In this motion {describe_slips(slipping)}")
-    if not slipping and end.status in _TOO_FAST and not assessment.feasible(CERTIFICATE_TOLERANCE):
-        advice = slower_advice(run, outcome)
+    if (
+        not slipping
+        and end.status in _POSSIBLY_TOO_FAST
+        and not assessment.feasible(CERTIFICATE_TOLERANCE)
+    ):
+        advice = feasible_duration_advice(run, outcome)
         end = replace(end, message=f"{end.message} {advice}".rstrip())
     value = objective_value(problem, assessment)
     rival = better_baseline(problem, beside)
@@ -414,8 +402,8 @@ def solution_of(
         notes=(
             *notes,
             *run.notes,
-            *_low_enough(run, value.value),
-            *below_the_base(problem, assessment),
+            *_describe_sufficient_objective(run, value.value),
+            *below_base_warning(problem, assessment),
         ),
         inputs_hash=inputs_hash(problem),
         versions=versions(),
@@ -428,11 +416,11 @@ def solution_of(
     )
 
 
-def _low_enough(run: SolveRun, value: float) -> list[str]:
+def _describe_sufficient_objective(run: SolveRun, value: float) -> list[str]:
     """That a lower objective was not asked for, where that is so."""
     kind = run.problem.objectives[0].kind
     enough = kind.enough(run.scales.of(kind.name))
-    if len(run.problem.objectives) > 1 or not 0.0 < value <= _LOW * enough:
+    if len(run.problem.objectives) > 1 or not 0.0 < value <= _SUFFICIENT_OBJECTIVE_FACTOR * enough:
         return []
     return [
         f"The {kind.phrase} was lowered to {1e3 * enough:.2g} mm and no further: no arm repeats "
@@ -440,7 +428,7 @@ def _low_enough(run: SolveRun, value: float) -> list[str]:
     ]
 
 
-def _strict(run: SolveRun, beside: dict[str, Baseline]) -> Baseline | None:
+def _strict_baseline_of(run: SolveRun, beside: dict[str, Baseline]) -> Baseline | None:
     """The baseline that keeps every limit, sought once; not looked for any more after Ctrl-C."""
     if run.strict is None:
         with suppress(KeyboardInterrupt):
@@ -448,6 +436,6 @@ def _strict(run: SolveRun, beside: dict[str, Baseline]) -> Baseline | None:
     return run.strict
 
 
-def _with_strict(beside: dict[str, Baseline], strict: Baseline | None) -> dict[str, Baseline]:
+def _all_rivals(beside: dict[str, Baseline], strict: Baseline | None) -> dict[str, Baseline]:
     """All motions that may be better than the optimised one."""
     return beside if strict is None else beside | {strict.name: strict}

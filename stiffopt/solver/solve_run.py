@@ -22,20 +22,20 @@ from stiffopt.problem.motor_model import MotorLaw, law_smoothing, rounded_lag
 from stiffopt.problem.resolve import ResolvedMotion
 from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.result.solution import Baseline
-from stiffopt.solver.avoidance import Avoidance
-from stiffopt.solver.corners import CORNERS_TAKE, narrowest
+from stiffopt.solver.clearance_rows import ClearanceRows
 from stiffopt.solver.ipopt import RawSolution
-from stiffopt.solver.plan import SolveStage
+from stiffopt.solver.smoothing_width import TOLERABLE_KINK_EXCESS, narrowest_sufficient_width
+from stiffopt.solver.stage_plan import SolveStage
 
 if TYPE_CHECKING:
-    from stiffopt.solver.compensation import CommandOnArms
+    from stiffopt.solver.command_search import CommandOnArms
 
 # Of a solve once its time is over [s]: it ends with what it has.
-LEAST_TIME = 0.1
+MIN_SOLVE_TIME = 0.1
 # Of the time limit: if links that may swing on end in no motion by then, they are brought to rest.
-_OF_FREE_END = 0.4
+_FREE_ARRIVAL_TIME_SHARE = 0.4
 # Of the smooth quintic motion: pieces and instants.
-_PIECES, _INSTANTS = 30, 3001
+_QUINTIC_SPLINE_PIECES, _QUINTIC_SAMPLES = 30, 3001
 
 
 @dataclass(frozen=True)
@@ -86,8 +86,8 @@ class SolveRun:
     progress: ProgressCallback | None
     quintic: Baseline | None = None
     at_rest: bool = False
-    avoidance: Avoidance | None = None
-    unavoided: str = ""
+    avoidance: ClearanceRows | None = None
+    avoidance_failure: str = ""
     detour: Baseline | None = None
     strict: Baseline | None = None
     command: CommandOnArms | None = None
@@ -107,8 +107,8 @@ class SolveRun:
     @property
     def remaining(self) -> float:
         """Seconds left of the time limit, or of the share of it in which links may swing on."""
-        share = _OF_FREE_END if self.end_modes else 1.0
-        return max(share * self.problem.method.time_limit - self.elapsed, LEAST_TIME)
+        share = _FREE_ARRIVAL_TIME_SHARE if self.end_modes else 1.0
+        return max(share * self.problem.method.time_limit - self.elapsed, MIN_SOLVE_TIME)
 
     @cached_property
     def end_modes(self) -> tuple[Mode, ...]:
@@ -145,17 +145,17 @@ class SolveRun:
         motion = None if self.quintic is None else self.quintic.trajectory
         if not problem.plans_links or motion is None:
             return 1.0
-        smooth = smooth_motion(motion, motion.duration / _PIECES)
-        times = np.linspace(0.0, motion.duration, _INSTANTS)
+        smooth = smooth_motion(motion, motion.duration / _QUINTIC_SPLINE_PIECES)
+        times = np.linspace(0.0, motion.duration, _QUINTIC_SAMPLES)
 
         def beyond(width: float) -> float:
             found = drive_violations(problem, self.motors.motion(smooth, width), times)
             return max((v.value for v in found if v.limit == "jerk"), default=-1.0)
 
         least = law_smoothing(problem)
-        return narrowest(beyond, least, CORNERS_TAKE) / least
+        return narrowest_sufficient_width(beyond, least, TOLERABLE_KINK_EXCESS) / least
 
-    def hold_at_rest(self) -> None:
+    def require_rest_at_arrival(self) -> None:
         """Let nothing swing on after arrival from now on."""
         self.at_rest = True
         for known in ("end_modes", "lag"):
@@ -175,7 +175,7 @@ class SolveRun:
             return rounded_lag(self.arm.lag(self.motion.end))
         return None
 
-    def in_si(self, objective: float) -> float:
+    def reported_value(self, objective: float) -> float:
         """The objective of an NLP in the unit that people see."""
         first = self.problem.objectives[0]
         sign = -1.0 if is_maximised(self.problem) else 1.0

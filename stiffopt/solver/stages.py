@@ -15,46 +15,44 @@ from stiffopt.certificate.objective_value import is_maximised, objective_value
 from stiffopt.problem.formulation import formulate
 from stiffopt.problem.motor_model import WIDER
 from stiffopt.problem.smoothing import Smoothing
-from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.result.assessment import Assessment
 from stiffopt.result.joint_path import JointPath
 from stiffopt.result.trajectory import Trajectory
-from stiffopt.solver.ipopt import FEASIBLE, IpoptSolver, Multipliers, RawSolution
+from stiffopt.solver.active_set import ActiveSetSolver
+from stiffopt.solver.infeasibility import minimise_excess
+from stiffopt.solver.ipopt import FEASIBLE_VIOLATION, IpoptSolver, Multipliers, RawSolution
 from stiffopt.solver.monitor import Progress
-from stiffopt.solver.near_optimum import NearOptimum
-from stiffopt.solver.phase_one import least_excess
-from stiffopt.solver.plan import SolveStage, solver_options
 from stiffopt.solver.solve_run import SolveProgress, SolveRun
+from stiffopt.solver.stage_plan import (
+    SolveStage,
+    finer_mesh,
+    initial_mesh,
+    resolving_intervals,
+    solver_options,
+)
 from stiffopt.symbolic import array_of
 from stiffopt.transcription import compiled
 from stiffopt.transcription.build import CompiledLater, transcribe
-from stiffopt.transcription.mesh import Mesh, split_counts, uniform_mesh
+from stiffopt.transcription.mesh import Mesh
 from stiffopt.transcription.nlp import BlockScales, Nlp
 from stiffopt.transcription.ocp import Guess, OptimalControlProblem
-from stiffopt.transcription.refine import refine_mesh
 from stiffopt.transcription.transcription import Transcription
 
 # Excess of all rows together, relative to their scales, from which on they are in conflict; and
 # that on a coarse mesh which no finer one mends.
-_CONFLICT = 1e-4
-_HOPELESS = 0.5
+_MIN_CONFLICT_EXCESS = 1e-4
+_HOPELESS_COARSE_EXCESS = 0.5
 # How often planes are laid anew at most; the objective has settled when it falls by no more.
-_ROUNDS, _COARSE_ROUNDS = 12, 2
-_SETTLED = 2e-5
+_MAX_PLANE_ROUNDS, _MAX_COARSE_PLANE_ROUNDS = 12, 2
+_MIN_RELATIVE_DECREASE = 2e-5
 # What planes exceed falls to this share, or they are not laid anew.
-_NEARER = 0.7
+_MAX_REMAINING_VIOLATION = 0.7
 # Excess of a row, relative to its scale, up to which a start is near the optimum.
-_NEAR = 1.0
+_NEAR_GUESS_EXCESS = 1.0
 # And that from which on it is a corner of the motors' law passed fast.
-_SPIKE = 10.0
+_SPIKE_EXCESS = 10.0
 # Of a start whose bounds have been drawn in, from them.
-_PUSH = 1e-3
-# Intervals of a fixed path for each piece of its spline, at whose ends the rate of its curvature
-# jumps: limits that fewer do not see are exceeded between the nodes.
-_PER_PIECE = 3
-# Instants at which a guess is asked when it passes the knots of a path; and the time for a piece at
-# least, as a share of the average, where the guess is at rest.
-_PATH_INSTANTS, _LEAST_SHARE = 20001, 1e-2
+_CORRECTION_BOUND_PUSH = 1e-3
 
 
 @dataclass(frozen=True)
@@ -109,7 +107,7 @@ def run_stages(
     """
     done: tuple[Programme, SolveStage, RawSolution] | None = None
     try:
-        for each in _solved(run, plan, guess, margins, mesh):
+        for each in _iterate_stages(run, plan, guess, margins, mesh):
             done = each
     except KeyboardInterrupt:
         # While the next programme was built: what the one before gave is the best so far.
@@ -118,34 +116,38 @@ def run_stages(
         done = *done[:2], replace(done[2], status="interrupted", reason="Ctrl-C")
     assert done is not None
     made, stage, raw = done
-    return outcome_of(run, made, raw, stage.smoothing)
+    return certify_outcome(run, made, raw, stage.smoothing)
 
 
 def solve_again(run: SolveRun, before: Outcome, nlp: Nlp, smoothing: Smoothing) -> Outcome:
     """Solve the last stage again from where it ended, with other bounds or smoothing."""
     made = Programme(before.transcription, before.solver)
-    return outcome_of(run, made, corrected(run, made, before.raw, nlp, smoothing), smoothing)
+    return certify_outcome(
+        run, made, solve_correction(run, made, before.raw, nlp, smoothing), smoothing
+    )
 
 
-def corrected(
+def solve_correction(
     run: SolveRun, made: Programme, before: RawSolution, nlp: Nlp, smoothing: Smoothing
 ) -> RawSolution:
     """As `solve_again`, without looking at the motion."""
-    made.solver.rebound(nlp)
+    made.solver.set_bounds(nlp)
     stage = SolveStage(len(made.transcription.intervals), smoothing)
-    return solve_stage(run, made, stage, before.x, before, "correction", "adaptive", _PUSH)
+    return solve_stage(
+        run, made, stage, before.x, before, "correction", "adaptive", _CORRECTION_BOUND_PUSH
+    )
 
 
-def motors_of(run: SolveRun, outcome: Outcome, share: float, *, sagged: bool) -> Trajectory:
+def motors_with_law(run: SolveRun, outcome: Outcome, share: float, *, sagged: bool) -> Trajectory:
     """Motors of the same links by a law with this share of the outcome's smoothing widths.
 
     With springs that carry the links where they hang, or where they are planned.
     """
     law, x = share * outcome.smoothing.law, outcome.raw.x
-    return _trajectory(run, outcome.transcription, x, law, sagged=sagged)
+    return _build_trajectory(run, outcome.transcription, x, law, sagged=sagged)
 
 
-def _solved(
+def _iterate_stages(
     run: SolveRun,
     plan: tuple[SolveStage, ...],
     guess: Guess,
@@ -164,26 +166,26 @@ def _solved(
     while index <= last:
         stage = plan[index]
         if made is None or raw is None:
-            first = mesh or _first_mesh(run.problem, ocp, stage, guess)
+            first = mesh or initial_mesh(run.problem, ocp, stage, guess)
             made = build_programme(run, ocp, first, guess)
             x = made.transcription.pack(guess)
         elif stage.new_mesh:
             guess = made.transcription.guess_from(raw.x)
             finer = finer_mesh(
-                run.problem, made.transcription, raw.x, _resolving(run.problem, stage)
+                run.problem, made.transcription, raw.x, resolving_intervals(run.problem, stage)
             )
             made = build_programme(run, ocp, finer, guess, smoothing=stage.smoothing)
             if run.problem.plans_links:
-                stage = _no_spike(stage, plan[index - 1], made.transcription, guess)
+                stage = _widen_until_no_spike(stage, plan[index - 1], made.transcription, guess)
             x, warm = made.transcription.pack(guess), None
         else:
             x, warm = raw.x, raw if raw.converged else None
         label = f"stage {index + 1} of {len(plan)}"
         raw = solve_stage(run, made, stage, x, warm, label)
-        raw, hopeless = _looked_into(run, made, stage, x, raw, last=index == last)
+        raw, hopeless = _analyse_failed_stage(run, made, stage, x, raw, last=index == last)
         if run.avoidance is not None:
-            rounds = _ROUNDS if index == last else _COARSE_ROUNDS
-            made, raw = _kept_clear(run, made, stage, x, raw, label, rounds)
+            rounds = _MAX_PLANE_ROUNDS if index == last else _MAX_COARSE_PLANE_ROUNDS
+            made, raw = _resolve_with_new_planes(run, made, stage, x, raw, label, rounds)
         yield made, stage, raw
         if hopeless or raw.status in ("interrupted", "time_limit"):
             break
@@ -191,7 +193,7 @@ def _solved(
         index = last if raw.status == "infeasible" and index < last else index + 1
 
 
-def _looked_into(
+def _analyse_failed_stage(
     run: SolveRun,
     made: Programme,
     stage: SolveStage,
@@ -206,27 +208,29 @@ def _looked_into(
     coarse mesh and wide smoothing tell less than the last stage does, so more is asked of them.
     """
     ended = raw.converged or raw.status in ("interrupted", "time_limit")
-    if ended or raw.violation <= FEASIBLE or not made.transcription.nlp.derivatives:
+    if ended or raw.violation <= FEASIBLE_VIOLATION or not made.transcription.nlp.derivatives:
         return raw, False
     nlp, parameters = made.solver.nlp, stage.smoothing.parameters
     begin = time.perf_counter()
     # From where the stage began: what led nowhere has led away.
-    found = least_excess(nlp, x, parameters, run.remaining)
+    found = minimise_excess(nlp, x, parameters, run.remaining)
     run.solve_s += time.perf_counter() - begin
     run.iterations += found.iterations
     if found.status in ("interrupted", "time_limit"):
         return replace(raw, status=found.status), True
-    if found.converged and found.excess > (_CONFLICT if last else _HOPELESS):
+    if found.converged and found.excess > (
+        _MIN_CONFLICT_EXCESS if last else _HOPELESS_COARSE_EXCESS
+    ):
         conflicts = found.conflicts
         return replace(raw, x=found.x, status="infeasible", conflicts=conflicts), True
-    if found.converged and found.excess <= _CONFLICT:
+    if found.converged and found.excess <= _MIN_CONFLICT_EXCESS:
         # There are motions that keep all rows: on from one of them.
         again = solve_stage(run, made, stage, found.x, None, "from a feasible motion")
         return (again if again.converged else raw), False
     return raw, False
 
 
-def _kept_clear(
+def _resolve_with_new_planes(
     run: SolveRun,
     made: Programme,
     stage: SolveStage,
@@ -242,28 +246,30 @@ def _kept_clear(
         if raw.status in ("interrupted", "time_limit"):
             break
         begin = time.perf_counter()
-        same, clear = False, not avoidance.ran_into(raw.x)
+        same, clear = False, not avoidance.collides_elsewhere(raw.x)
         if clear or not raw.converged:
             # Where planes leave no motion, those of the nearest one may.
             x = raw.x
-            transcription, same = avoidance.renewed(made.transcription, x)
+            transcription, same = avoidance.updated(made.transcription, x)
         else:
             # On from where it was clear, with rows for what it ran into.
-            transcription = avoidance.begun_again(x)
+            transcription = avoidance.restarted_at(x)
         if same:
-            made.solver.rebound(transcription.nlp)
-        again = Programme(transcription, made.solver) if same else _solvable(run, transcription)
+            made.solver.set_bounds(transcription.nlp)
+        again = (
+            Programme(transcription, made.solver) if same else _attach_solver(run, transcription)
+        )
         run.build_s += time.perf_counter() - begin
         text = f"{label}, clear of collisions, round {number}"
         warm = raw if same and raw.converged else None
         found = solve_stage(run, again, stage, x, warm, text, "adaptive")
         ended = found.status in ("interrupted", "time_limit")
         if raw.converged and not found.converged:
-            made.solver.rebound(made.transcription.nlp)
+            made.solver.set_bounds(made.transcription.nlp)
             return made, replace(raw, status=found.status) if ended else raw
         fell = raw.objective - found.objective
-        settled = raw.converged and same and fell <= _SETTLED * abs(found.objective)
-        stuck = not found.converged and found.violation > _NEARER * raw.violation
+        settled = raw.converged and same and fell <= _MIN_RELATIVE_DECREASE * abs(found.objective)
+        stuck = not found.converged and found.violation > _MAX_REMAINING_VIOLATION * raw.violation
         made, raw = again, found
         if settled or stuck:
             break
@@ -281,7 +287,7 @@ def solve_stage(
     push: float = 1e-8,
 ) -> RawSolution:
     """Solve one stage; where it stalls, once more from the best point without multipliers."""
-    report = _reporter(
+    report = _progress_reporter(
         run, f"{text}, {stage.intervals} intervals, smoothing {stage.smoothing.stiffness:g}"
     )
     for start in (warm, None):
@@ -302,22 +308,24 @@ def solve_stage(
     return raw
 
 
-def solve_near(
+def solve_by_active_set(
     run: SolveRun, made: Programme, stage: SolveStage, x: np.ndarray, warm: Multipliers
 ) -> RawSolution | None:
     """A stage from the optimum of a near problem by what binds there; None where that fails."""
     if made.near is None:
         return None
-    report = _reporter(run, f"near, {stage.intervals} intervals")
+    report = _progress_reporter(run, f"near, {stage.intervals} intervals")
     raw = made.near.solve(made.transcription, x, stage.smoothing.parameters, warm, report)
     if raw is not None:
         run.record(stage, raw)
     return raw
 
 
-def outcome_of(run: SolveRun, made: Programme, raw: RawSolution, smoothing: Smoothing) -> Outcome:
+def certify_outcome(
+    run: SolveRun, made: Programme, raw: RawSolution, smoothing: Smoothing
+) -> Outcome:
     """The motion of a solved stage, with its certificate."""
-    trajectory = _trajectory(run, made.transcription, raw.x, smoothing.law)
+    trajectory = _build_trajectory(run, made.transcription, raw.x, smoothing.law)
     assessment = assess(run.problem, trajectory)
     return Outcome(
         raw=raw,
@@ -342,10 +350,10 @@ def _objective_gap(
     if not all(objective.kind.comparable for objective in problem.objectives):
         return 0.0
     certified = objective_value(problem, assessment).value
-    claimed = run.in_si(raw.objective)
+    claimed = run.reported_value(raw.objective)
     if smoothing.robust:
         plain = replace(smoothing, robust=0.0).parameters
-        claimed = run.in_si(transcription.unpack(raw.x, plain).objective)
+        claimed = run.reported_value(transcription.unpack(raw.x, plain).objective)
     worse = claimed - certified if is_maximised(problem) else certified - claimed
     return float(worse / max(abs(claimed), abs(certified), 1e-300))
 
@@ -364,7 +372,7 @@ class Programme:
 
     transcription: Transcription
     solver: IpoptSolver
-    near: NearOptimum | None = None
+    near: ActiveSetSolver | None = None
 
 
 def build_programme(
@@ -386,13 +394,13 @@ def build_programme(
         transcription = run.avoidance.added(transcription, transcription.pack(guess))
     near = False
     if guess is not None and smoothing is not None:
-        near = _near(transcription, guess, smoothing)
-    made = _solvable(run, transcription, near=near)
+        near = _is_near_guess(transcription, guess, smoothing)
+    made = _attach_solver(run, transcription, near=near)
     run.build_s += time.perf_counter() - begin
     return made
 
 
-def _solvable(run: SolveRun, transcription: Transcription, *, near: bool = False) -> Programme:
+def _attach_solver(run: SolveRun, transcription: Transcription, *, near: bool = False) -> Programme:
     options = solver_options(run.problem, near=near)
     later = None
     if not transcription.is_compiled and run.avoidance is None and compiled.is_possible():
@@ -400,12 +408,12 @@ def _solvable(run: SolveRun, transcription: Transcription, *, near: bool = False
     return Programme(transcription, IpoptSolver(transcription.nlp, options, later))
 
 
-def _near(transcription: Transcription, guess: Guess, smoothing: Smoothing) -> bool:
+def _is_near_guess(transcription: Transcription, guess: Guess, smoothing: Smoothing) -> bool:
     """Whether a guess exceeds no row by much."""
-    return _excess(transcription, guess, smoothing) <= _NEAR
+    return _largest_excess(transcription, guess, smoothing) <= _NEAR_GUESS_EXCESS
 
 
-def _no_spike(
+def _widen_until_no_spike(
     stage: SolveStage, before: SolveStage, transcription: Transcription, guess: Guess
 ) -> SolveStage:
     """The stage with as wide corners of the motors' law as the motion before it needs.
@@ -414,12 +422,14 @@ def _no_spike(
     """
     smoothing = stage.smoothing
     widest = before.smoothing.law
-    while smoothing.law < widest and _excess(transcription, guess, smoothing) > _SPIKE:
+    while (
+        smoothing.law < widest and _largest_excess(transcription, guess, smoothing) > _SPIKE_EXCESS
+    ):
         smoothing = replace(smoothing, corners=2.0 * smoothing.corners)
     return replace(stage, smoothing=smoothing)
 
 
-def _excess(transcription: Transcription, guess: Guess, smoothing: Smoothing) -> float:
+def _largest_excess(transcription: Transcription, guess: Guess, smoothing: Smoothing) -> float:
     """The largest by which a guess exceeds a row, relative to its scale."""
     nlp = transcription.nlp
     rows = ca.Function("rows", [nlp.x, nlp.p], [nlp.g])
@@ -427,50 +437,7 @@ def _excess(transcription: Transcription, guess: Guess, smoothing: Smoothing) ->
     return float(nlp.violations(array_of(found)).max(initial=0.0))
 
 
-def _first_mesh(
-    problem: TrajectoryProblem, ocp: OptimalControlProblem, stage: SolveStage, guess: Guess
-) -> Mesh:
-    """Even intervals within each phase, or within each piece of a fixed path."""
-    if problem.path is not None:
-        return _path_mesh(problem.path, guess, _resolving(problem, stage))
-    return uniform_mesh(stage.intervals, ocp.phases, tuple(guess.phase_fractions))
-
-
-def finer_mesh(
-    problem: TrajectoryProblem, before: Transcription, x: np.ndarray, intervals: int
-) -> Mesh:
-    """Mesh for the motion `x`: short where its controls change, on a path between its waypoints."""
-    if problem.path is not None:
-        return _path_mesh(problem.path, before.guess_from(x), intervals)
-    return refine_mesh(before, x, intervals)
-
-
-def _path_mesh(waypoints: np.ndarray, guess: Guess, intervals: int) -> Mesh:
-    """Mesh with nodes where a motion passes the waypoints, at which the curvature's rate jumps.
-
-    Parameters
-    ----------
-    waypoints : array (m, n)
-    guess : Guess
-        The motion: path coordinate and its speed.
-    intervals : int
-    """
-    at = np.linspace(0.0, 1.0, _PATH_INSTANTS)
-    knots = JointPath.through(waypoints).knots
-    shares = np.diff(np.interp(knots, guess.states(at)[:, 0], at))
-    shares = np.maximum(shares, _LEAST_SHARE / len(shares))
-    shares /= shares.sum()
-    counts = split_counts(intervals, shares, _PER_PIECE)
-    return [np.repeat(shares / counts, counts)]
-
-
-def _resolving(problem: TrajectoryProblem, stage: SolveStage) -> int:
-    """Intervals of a stage, no fewer than show where the pieces of a fixed path bend."""
-    pieces = 0 if problem.path is None else len(problem.path) - 1
-    return max(stage.intervals, _PER_PIECE * pieces)
-
-
-def _trajectory(
+def _build_trajectory(
     run: SolveRun,
     transcription: Transcription,
     x: np.ndarray,
@@ -488,13 +455,13 @@ def _trajectory(
     return JointPath.through(problem.path).follow(motion)
 
 
-def _reporter(run: SolveRun, label: str) -> Callable[[Progress], None] | None:
+def _progress_reporter(run: SolveRun, label: str) -> Callable[[Progress], None] | None:
     if run.progress is None:
         return None
     report = run.progress
 
     def forward(event: Progress) -> None:
-        value = run.in_si(event.objective)
+        value = run.reported_value(event.objective)
         report(
             SolveProgress(label, event.iteration, value, event.violation, event.row, run.elapsed)
         )

@@ -25,32 +25,32 @@ from stiffopt.result.assessment import Assessment
 from stiffopt.result.solution import Baseline
 from stiffopt.result.status import SolveStatus
 from stiffopt.result.trajectory import Trajectory
-from stiffopt.solver.ipopt import FEASIBLE
+from stiffopt.solver.ipopt import FEASIBLE_VIOLATION
 from stiffopt.solver.stages import Outcome
-from stiffopt.solver.standstill import lacking_friction
+from stiffopt.solver.stationary_joints import missing_friction_share
 from stiffopt.transcription.nlp import NlpEntry, RowViolation
 
 # An objective worse on the fine grid than at the nodes by more than this share asks for refinement,
 # and is never called optimal.
-TRUE_OBJECTIVE = 2e-2
+MAX_OBJECTIVE_GAP = 2e-2
 # A wind-up or deflection further off is no fit of a contact law any more: "power_law" misses the
 # fractal law by up to 5 %.
-_WRONG = 6e-2
+_WRONG_MODEL_DIFFERENCE = 6e-2
 # Share of a gap from which on it is told as the cause.
-_MOST = 0.5
+_MIN_FRICTION_SHARE = 0.5
 # Ratio of every baseline's deflection to its limit from which on that is told as out of reach: no
 # optimum has been seen so far below them.
-_OUT_OF_REACH = 10.0
+_OUT_OF_REACH_RATIO = 10.0
 # A baseline may use what limits may be exceeded by: it has to be better by more than that share.
-_WORSE = CERTIFICATE_TOLERANCE
+_MIN_BASELINE_GAIN = CERTIFICATE_TOLERANCE
 # Bounds of states and controls in a programme are limits of the joints: "control rate, acceleration
 # of joint 1 (at 50 %)" is that of the jerk.
-_BOUND = re.compile(r"(state|control|control rate|\w+ within interval), (\w+) of (joint .*)")
+_BOUND_ENTRY = re.compile(r"(state|control|control rate|\w+ within interval), (\w+) of (joint .*)")
 # Blocks of the programme that hold the motion itself: what is given in them is start or end.
-_MOTION = ("state", "control", "control at the start", "spline")
+_MOTION_BLOCKS = ("state", "control", "control at the start", "spline")
 # Limits of joints; of some a robot and its problem may state none.
-_OF_JOINTS = ("position", "velocity", "acceleration", "jerk", "torque")
-_RATES = {"velocity": "acceleration", "acceleration": "jerk"}
+_JOINT_LIMITS = ("position", "velocity", "acceleration", "jerk", "torque")
+_DERIVATIVE_NAMES = {"velocity": "acceleration", "acceleration": "jerk"}
 
 
 @dataclass(frozen=True)
@@ -61,31 +61,33 @@ class Verdict:
     message: str
 
 
-def verdict(
+def judge_outcome(
     problem: TrajectoryProblem, outcome: Outcome, motion: Assessment, beside: dict[str, Baseline]
 ) -> Verdict:
     """Judge an outcome by its solver, the certificate, its own belief and the baselines.
 
     `motion` is its assessment with the rows of its collisions, which `beyond_limits` judges.
     """
-    own = Verdict(_status(outcome), _message(problem, outcome, motion))
-    found = _by_belief(problem, outcome, motion, own)
-    if not motion.feasible(CERTIFICATE_TOLERANCE) and (beyond := _out_of_reach(problem, beside)):
+    own = Verdict(_solve_status(outcome), _status_message(problem, outcome, motion))
+    found = _judge_model_agreement(problem, outcome, motion, own)
+    if not motion.feasible(CERTIFICATE_TOLERANCE) and (
+        beyond := _explain_unreachable_deflection(problem, beside)
+    ):
         # Its general advice is to relax what is named, or to take more time.
         rest = found.message.removeprefix(found.status.sentence)
         found = Verdict(found.status, f"{beyond}{rest}")
-    better = baseline_above(problem, outcome, beside)
+    better = find_better_baseline(problem, outcome, beside)
     if better is None or found.status is SolveStatus.INFEASIBLE:
         return found
     optimal = found.status is SolveStatus.OPTIMAL
     return Verdict(
         SolveStatus.ACCEPTABLE if optimal else found.status,
-        f"{found.message} But the {better.name} motion beside it {_virtue(outcome)}: run that one, "
+        f"{found.message} But the {better.name} motion {_describe_advantage(outcome)}: run that one, "
         "or raise method.intervals or method.starts.",
     )
 
 
-def _out_of_reach(problem: TrajectoryProblem, beside: dict[str, Baseline]) -> str:
+def _explain_unreachable_deflection(problem: TrajectoryProblem, beside: dict[str, Baseline]) -> str:
     """What keeps a limit on the dynamic deflection out of reach, "" where nothing is seen to."""
     cap = float(problem.active_limits.dynamic_deflection)
     peaks = {
@@ -97,7 +99,7 @@ def _out_of_reach(problem: TrajectoryProblem, beside: dict[str, Baseline]) -> st
         return ""
     name = min(peaks, key=lambda each: peaks[each][0])
     peak, lasted = peaks[name]
-    if peak < _OUT_OF_REACH * cap:
+    if peak < _OUT_OF_REACH_RATIO * cap:
         return ""
     return (
         f"limits.dynamic_deflection = {1e3 * cap:.3g} mm is hardly to be met: what accelerates the"
@@ -108,7 +110,7 @@ def _out_of_reach(problem: TrajectoryProblem, beside: dict[str, Baseline]) -> st
     )
 
 
-def beyond_limits(
+def judge_collisions(
     problem: TrajectoryProblem, motion: Assessment, found: Verdict, tried: str = ""
 ) -> Verdict:
     """The verdict of a motion that may collide; a usable one says what that was checked for.
@@ -141,11 +143,11 @@ def beyond_limits(
     return Verdict(found.status, f"{found.message} {describe_collision_scope(problem)}".strip())
 
 
-def _by_belief(
+def _judge_model_agreement(
     problem: TrajectoryProblem, outcome: Outcome, motion: Assessment, found: Verdict
 ) -> Verdict:
     """The verdict, unless the optimiser believed of its motion what is not true."""
-    doubts = _disagreements(problem, outcome) if outcome.raw.converged else []
+    doubts = _significant_disagreements(problem, outcome) if outcome.raw.converged else []
     if not doubts:
         return found
     listed = "; ".join(d.describe() for d in doubts[:3])
@@ -156,7 +158,7 @@ def _by_belief(
     if not found.status.usable:
         differs = f"{found.message} And the optimiser believed otherwise: {listed}."
         return Verdict(found.status, differs)
-    if any("torque" in d.quantity or abs(d.value) > _WRONG for d in doubts):
+    if any("torque" in d.quantity or abs(d.value) > _WRONG_MODEL_DIFFERENCE for d in doubts):
         every = (
             "Every limit"
             if motion.feasible(CERTIFICATE_TOLERANCE)
@@ -172,11 +174,11 @@ def _by_belief(
         SolveStatus.ACCEPTABLE,
         "Solved and certified: every limit holds on the fine grid. But the optimiser's smooth "
         f"model of this motion differs in {listed}, so it is only near the optimum. "
-        f"{closer_model(problem)}",
+        f"{model_accuracy_advice(problem)}",
     )
 
 
-def closer_model(problem: TrajectoryProblem) -> str:
+def model_accuracy_advice(problem: TrajectoryProblem) -> str:
     """What makes the optimiser's smooth model come closer to the exact one, as a sentence."""
     if _contact_laws(problem) - {"log_cubic"}:
         return "contact_law = 'log_cubic' follows the true law most closely."
@@ -188,7 +190,7 @@ def closer_model(problem: TrajectoryProblem) -> str:
     return "Please report the robot and the problem."
 
 
-def _disagreements(problem: TrajectoryProblem, outcome: Outcome) -> list[Disagreement]:
+def _significant_disagreements(problem: TrajectoryProblem, outcome: Outcome) -> list[Disagreement]:
     """What the optimiser believed of its motion and is not true, the worst first."""
     widths = smoothing_stages(problem)
     polynomials = outcome.transcription.acceleration_polynomials(outcome.raw.x)
@@ -207,7 +209,7 @@ def _contact_laws(problem: TrajectoryProblem) -> set[object]:
     return {e.contact_law for e in elements if hasattr(e, "contact_law")}
 
 
-def baseline_above(
+def find_better_baseline(
     problem: TrajectoryProblem, outcome: Outcome, beside: dict[str, Baseline]
 ) -> Baseline | None:
     """A baseline that keeps every limit, its own method's or not, and is better, or alone in it."""
@@ -218,7 +220,7 @@ def baseline_above(
         motion, rival = baseline.assessment, baseline.objective
         if not baseline.feasible or motion is None or rival is None:
             continue
-        better = sign * (value - rival) > _WORSE * max(abs(value), abs(rival))
+        better = sign * (value - rival) > _MIN_BASELINE_GAIN * max(abs(value), abs(rival))
         if motion.feasible(CERTIFICATE_TOLERANCE) and (better or not certified):
             return baseline
     return None
@@ -242,7 +244,9 @@ def has_one_optimum(problem: TrajectoryProblem, beside: dict[str, Baseline]) -> 
     )
 
 
-def optimum_reach(problem: TrajectoryProblem, beside: dict[str, Baseline], starts_made: int) -> str:
+def describe_optimality(
+    problem: TrajectoryProblem, beside: dict[str, Baseline], starts_made: int
+) -> str:
     """Sentence on how far an optimum is known to be one: local or global, and what was tried."""
     kept = [
         each.name
@@ -262,18 +266,18 @@ def optimum_reach(problem: TrajectoryProblem, beside: dict[str, Baseline], start
     return f"It is a local optimum, from {tried}; {rivals}. More method.starts look further."
 
 
-def _virtue(outcome: Outcome) -> str:
+def _describe_advantage(outcome: Outcome) -> str:
     if outcome.assessment.feasible(CERTIFICATE_TOLERANCE):
         return "is better and keeps all limits as well"
     return "keeps all limits"
 
 
-def _status(outcome: Outcome) -> SolveStatus:
+def _solve_status(outcome: Outcome) -> SolveStatus:
     raw, certified = outcome.raw, outcome.assessment.feasible(CERTIFICATE_TOLERANCE)
     if raw.converged:
         if not certified:
             return SolveStatus.CERTIFICATE_FAILED
-        full = raw.status == "optimal" and outcome.objective_gap <= TRUE_OBJECTIVE
+        full = raw.status == "optimal" and outcome.objective_gap <= MAX_OBJECTIVE_GAP
         return SolveStatus.OPTIMAL if full else SolveStatus.ACCEPTABLE
     if raw.status == "infeasible" or (raw.status == "stalled" and not certified):
         return SolveStatus.INFEASIBLE
@@ -282,8 +286,8 @@ def _status(outcome: Outcome) -> SolveStatus:
     return SolveStatus.ITERATION_LIMIT
 
 
-def _message(problem: TrajectoryProblem, outcome: Outcome, motion: Assessment) -> str:
-    status, raw, assessment = _status(outcome), outcome.raw, outcome.assessment
+def _status_message(problem: TrajectoryProblem, outcome: Outcome, motion: Assessment) -> str:
+    status, raw, assessment = _solve_status(outcome), outcome.raw, outcome.assessment
     worst = assessment.worst_violation.describe()
     if status is SolveStatus.INFEASIBLE:
         return (
@@ -291,7 +295,7 @@ def _message(problem: TrajectoryProblem, outcome: Outcome, motion: Assessment) -
         )
     if not raw.converged:
         state = f" It exceeds {worst}."
-        if raw.violation > FEASIBLE and raw.worst_rows:
+        if raw.violation > FEASIBLE_VIOLATION and raw.worst_rows:
             furthest = named_conflicts([raw.worst_rows[0].entry])
             state += f" Furthest from being kept in the programme: {furthest}."
         if assessment.feasible(CERTIFICATE_TOLERANCE):
@@ -305,9 +309,9 @@ def _message(problem: TrajectoryProblem, outcome: Outcome, motion: Assessment) -
         return f"{status.sentence}{cause}{state}"
     if status is SolveStatus.CERTIFICATE_FAILED:
         return f"{status.sentence} It exceeds {worst}."
-    if outcome.objective_gap > TRUE_OBJECTIVE:
-        lacking = lacking_friction(problem, outcome.trajectory, outcome.smoothing)
-        if lacking > _MOST * outcome.objective_gap:
+    if outcome.objective_gap > MAX_OBJECTIVE_GAP:
+        lacking = missing_friction_share(problem, outcome.trajectory, outcome.smoothing)
+        if lacking > _MIN_FRICTION_SHARE * outcome.objective_gap:
             return (
                 "Solved and certified: every limit holds on the fine grid. But the objective is "
                 f"{outcome.objective_gap:.1%} worse than the optimiser believed: joints creep so "
@@ -321,7 +325,7 @@ def _message(problem: TrajectoryProblem, outcome: Outcome, motion: Assessment) -
         )
     if status is SolveStatus.OPTIMAL:
         held = {v.limit for v in assessment.violations}
-        listed = ", ".join(each for each in _OF_JOINTS if each in held)
+        listed = ", ".join(each for each in _JOINT_LIMITS if each in held)
         return status.sentence.replace(
             ". ",
             f", so the motion may be run as far as {listed} and the stated requirements go. ",
@@ -335,20 +339,20 @@ def named_conflicts(entries: Sequence[NlpEntry | RowViolation]) -> str:
     limits, ends = [], []
     for entry in entries:
         named = entry.entry if isinstance(entry, RowViolation) else entry
-        given = named.given and named.name in _MOTION
+        given = named.given and named.name in _MOTION_BLOCKS
         if given or named.name.startswith(("start", "end")):
             ends = ["the given start and end"]
         else:
-            limits.append(_as_limit(str(entry)))
+            limits.append(_name_bound_as_limit(str(entry)))
     return "; ".join(list(dict.fromkeys(limits))[:5] + ends) or "none that can be named"
 
 
-def _as_limit(entry: str) -> str:
+def _name_bound_as_limit(entry: str) -> str:
     """A bound of the programme by the name of the limit it is."""
-    found = _BOUND.match(entry)
+    found = _BOUND_ENTRY.match(entry)
     if found is None:
         return entry
     kind, quantity, rest = found.groups()
     if kind == "control rate":
-        quantity = _RATES.get(quantity, f"rate of {quantity}")
+        quantity = _DERIVATIVE_NAMES.get(quantity, f"rate of {quantity}")
     return f"{quantity}, {rest}"

@@ -172,11 +172,11 @@ def test_a_solve_that_collides_fails_its_certificate(tmp_path, capsys):
     assert run(["export", str(out), "--to", "csv"]) == 2
 
 
-def test_a_usable_motion_says_what_was_checked(tmp_path):
+def test_unchecked_collisions_are_named(tmp_path):
     free = problem_of(tmp_path)
     assert describe_collision_scope(free) == (
-        "Collisions were not checked: the arm with itself, the floor and the cell; state what "
-        "there is in [cell]."
+        "Collisions were not checked: the arm with itself, the floor and the cell; describe "
+        "the surroundings in [cell]."
     )
     bench = '[[cell.box]]\nname = "bench"\nsize = [1, 1, 0.1]\nposition = [0, 0, -2]\n'
     text = f'[cell]\nfloor = "-1 m"\n{bench}'

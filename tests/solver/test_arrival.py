@@ -27,8 +27,8 @@ from stiffopt.report.solve.wording import objective_phrase
 from stiffopt.result.store import result_document
 from stiffopt.solver import refinement
 from stiffopt.solver import solve as solve_module
-from stiffopt.solver.other_damping import exceeded_otherwise, other_damping_note
-from stiffopt.solver.refinement import refined
+from stiffopt.solver.refinement import refine
+from stiffopt.solver.simulation import damping_sensitive_limits, damping_sensitivity_note
 from stiffopt.solver.solve import solve
 from stiffopt.solver.solve_run import SolveRun
 
@@ -107,7 +107,7 @@ def test_what_an_assumed_damping_hides_is_said(shortest):
     problem, solution = shortest["residual"]
     motion = solution.assessment
     # Its file states the damping.
-    assert exceeded_otherwise(problem, motion) == {}
+    assert damping_sensitive_limits(problem, motion) == {}
     unstated = replace(problem, robot=replace(problem.robot, damping=None))
     command = MotorMotion(motion.time, motion.position, motion.velocity)
     critical = 2.0 * np.sqrt(
@@ -119,8 +119,8 @@ def test_what_an_assumed_damping_hides_is_said(shortest):
         after.append(simulate(ElasticArm(robot, motion.position[0]), command).peak_after)
     over = max(after) / problem.active_limits.residual_vibration - 1.0
     assert over > 0.0
-    assert exceeded_otherwise(unstated, motion) == pytest.approx({"residual_vibration": over})
-    note = other_damping_note(unstated, motion)
+    assert damping_sensitive_limits(unstated, motion) == pytest.approx({"residual_vibration": over})
+    note = damping_sensitivity_note(unstated, motion)
     assert "residual_vibration" in note
     assert "damping" in note
 
@@ -131,13 +131,13 @@ def test_links_are_brought_to_rest_where_no_optimum_is_found_that_swings_on(shor
 
     def unfinished(run, outcome, rival):
         ways.append(bool(run.end_modes))
-        found = refined(run, outcome, rival)
+        found = refine(run, outcome, rival)
         if run.end_modes:
             # It keeps all limits, and may be anywhere.
             return replace(found, raw=replace(found.raw, status="iteration_limit"))
         return found
 
-    monkeypatch.setattr(solve_module, "refined", unfinished)
+    monkeypatch.setattr(solve_module, "refine", unfinished)
     solution = solve(problem, throw=False)
     assert ways == [True, False]
     assert solution.status.usable
@@ -296,9 +296,9 @@ def test_room_to_calm_is_taken_from_all_drives_once_and_then_from_the_jerk():
     outcome = SimpleNamespace(smoothing=Smoothing(1.0, 8.0))
     blocks = SimpleNamespace(rows=SimpleNamespace(items=[]))
     first, then = (
-        refinement._asked_of(None, outcome, blocks, {"settling_time": 2.0}, 0.0, again)
+        refinement._requested_back_off(None, outcome, blocks, {"settling_time": 2.0}, 0.0, again)
         for again in (0, 1)
     )
     # Of torque no more: it holds the arm's weight as well.
-    assert set(first) == set(refinement._OF_DRIVES)
+    assert set(first) == set(refinement._DRIVE_LIMITS)
     assert set(then) == {"jerk"}

@@ -2,7 +2,7 @@
 
 import pytest
 
-from stiffopt.solver.monitor import _RESTING, Monitor
+from stiffopt.solver.monitor import _STATIONARY_ITERATIONS, Monitor
 
 
 class _Entry:
@@ -30,7 +30,7 @@ def test_what_moves_or_changes_is_not_at_rest():
     still, one = [1e-12] * 8, [2e-6] * 8
     assert not _monitor([*still[:-1], 1e-3], one).at_rest(1e-7, FULL)
     assert not _monitor(still, [*one[:-1], 3e-6]).at_rest(1e-7, FULL)
-    assert not _monitor(still[: _RESTING - 1], one).at_rest(1e-7, FULL)
+    assert not _monitor(still[: _STATIONARY_ITERATIONS - 1], one).at_rest(1e-7, FULL)
     monitor = _monitor(still, one)
     monitor.history[-1].violation = 1e-3
     assert not monitor.at_rest(1e-7, FULL)

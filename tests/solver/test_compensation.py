@@ -22,7 +22,7 @@ from stiffopt.report.solve.compensation import (
 from stiffopt.result.compensation_store import compensation_document, write_command
 from stiffopt.result.joint_path import JointPath
 from stiffopt.solver import compensation
-from stiffopt.solver.compensation import compensate, compensated
+from stiffopt.solver.compensation import compensate, compensate_motion
 from stiffopt.solver.simulation import PlannedMotion, elastic_arm
 
 
@@ -131,12 +131,12 @@ def test_a_command_beyond_the_motors_is_refused_with_joint_time_and_remedy(smoot
 def test_what_a_coarse_grid_steps_over_leaves_a_command_that_is_within(smooth, monkeypatch):
     problem, motion, _ = smooth
     # At the ends and in the middle an acceleration that is too large does not show.
-    monkeypatch.setattr(compensation, "_COARSE", 3)
+    monkeypatch.setattr(compensation, "_TRIAL_SAMPLES", 3)
     arm = elastic_arm(problem, motion.position[0])
-    _, best = compensated(problem, arm, motion)
+    _, best = compensate_motion(problem, arm, motion)
     most = np.max(np.abs(best(np.linspace(0.0, best.duration, 6001), 2)), axis=0)
     tight = replace(problem, limits=replace(problem.active_limits, acceleration=0.99 * most))
-    found, other = compensated(tight, arm, motion)
+    found, other = compensate_motion(tight, arm, motion)
     assert found.excess == ()
     assert np.max(np.abs(other(best.times) - best(best.times))) > 1e-7
 

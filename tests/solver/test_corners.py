@@ -5,7 +5,10 @@ from types import SimpleNamespace
 import pytest
 
 from stiffopt.solver import refinement
-from stiffopt.solver.corners import narrowest, widened
+from stiffopt.solver.smoothing_width import (
+    motors_with_sufficient_smoothing,
+    narrowest_sufficient_width,
+)
 
 
 @pytest.mark.parametrize("needed", [0.25, 1.7, 4.0])
@@ -14,21 +17,23 @@ def test_corners_are_as_wide_as_the_jerk_needs(needed):
     def excess(width):
         return (needed / width) ** 2 - 1.0
 
-    found = widened(lambda width: width, excess, 0.25, 0.0)
+    found = motors_with_sufficient_smoothing(lambda width: width, excess, 0.25, 0.0)
     assert needed <= found < 2.0 * needed
 
 
 def test_what_no_width_mends_stays_narrow():
-    assert widened(lambda width: width, lambda width: 3.0, 0.25, 0.0) == 0.25
+    assert (
+        motors_with_sufficient_smoothing(lambda width: width, lambda width: 3.0, 0.25, 0.0) == 0.25
+    )
 
 
 @pytest.mark.parametrize(("needed", "found"), [(0.2, 0.5), (1.4, 1.0), (1.5, 2.0), (6.0, 8.0)])
 def test_a_solve_takes_the_narrowest_corners_that_it_can_do_the_rest_with(needed, found):
-    assert narrowest(lambda width: (needed / width) ** 2 - 1.0, 0.5, 1.0) == found
+    assert narrowest_sufficient_width(lambda width: (needed / width) ** 2 - 1.0, 0.5, 1.0) == found
 
 
 def test_what_width_does_not_mend_is_no_corner():
-    assert narrowest(lambda width: 7.0 + 0.1 / width, 0.5, 1.0) == 0.5
+    assert narrowest_sufficient_width(lambda width: 7.0 + 0.1 / width, 0.5, 1.0) == 0.5
 
 
 @pytest.mark.parametrize(
@@ -51,4 +56,4 @@ def test_corners_that_are_passed_too_fast_get_wider_and_no_others(monkeypatch, e
 
     monkeypatch.setattr(refinement, "motors_of", motors)
     monkeypatch.setattr(refinement, "drive_violations", drives)
-    assert refinement._passable(SimpleNamespace(problem=None), outcome) == corners
+    assert refinement._widen_motor_smoothing(SimpleNamespace(problem=None), outcome) == corners

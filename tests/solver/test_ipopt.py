@@ -218,7 +218,7 @@ def test_a_warm_start_saves_iterations():
 
 
 def test_a_feasible_iterate_is_never_called_infeasible(monkeypatch):
-    monkeypatch.setitem(ipopt._STATUS, "Maximum_Iterations_Exceeded", "infeasible")
+    monkeypatch.setitem(ipopt._STATUS_BY_RETURN_STATUS, "Maximum_Iterations_Exceeded", "infeasible")
     made, x0 = pendulum()
     best = solver(made).solve(x0, GRAVITY)
     near = solver(made, max_iterations=1).solve(best.x, GRAVITY)

@@ -8,9 +8,9 @@ from scipy.sparse import csr_matrix
 from small_arms import ROOT
 
 from stiffopt.problem.files import load_problem
-from stiffopt.solver import near_optimum
+from stiffopt.solver import active_set
+from stiffopt.solver.active_set import ActiveSetSolver
 from stiffopt.solver.family import ProblemFamily
-from stiffopt.solver.near_optimum import NearOptimum
 
 # Torque limits bind over a third of the motion.
 TIGHT = ("motion.duration=0.65 s", "limits.scale={ torque = 0.85 }", "method.intervals=40")
@@ -24,14 +24,14 @@ def problem(*changes):
 def asked(monkeypatch):
     """What `NearOptimum` was asked and answered."""
     calls = []
-    own = NearOptimum.solve
+    own = ActiveSetSolver.solve
 
     def noted(self, transcription, x0, parameters, near, report=None):
         raw = own(self, transcription, x0, parameters, near, report)
         calls.append((transcription, x0, parameters, near, raw))
         return raw
 
-    monkeypatch.setattr(NearOptimum, "solve", noted)
+    monkeypatch.setattr(ActiveSetSolver, "solve", noted)
     return calls
 
 
@@ -148,8 +148,13 @@ def test_a_point_that_curves_down_is_no_minimum():
     curved, slope = csr_matrix(np.diag([1.0, -0.5, 2.0])), np.zeros(3)
     matrix, bounds = csr_matrix([[0.0, 1.0, 0.0]]), (np.array([-1.0]), np.array([1.0]))
     free, held = np.array([0]), np.array([1])
-    assert near_optimum._quadratic(curved, slope, matrix, bounds, np.zeros(1), free) is None
-    step, forces, _ = near_optimum._quadratic(curved, slope, matrix, bounds, np.zeros(1), held)
+    assert (
+        active_set._solve_quadratic_programme(curved, slope, matrix, bounds, np.zeros(1), free)
+        is None
+    )
+    step, forces, _ = active_set._solve_quadratic_programme(
+        curved, slope, matrix, bounds, np.zeros(1), held
+    )
     assert step == pytest.approx([0.0, 1.0, 0.0], abs=1e-9)
     assert forces == pytest.approx([0.5])
 
@@ -158,7 +163,7 @@ def test_rows_that_depend_on_each_other_do_no_harm():
     curved, slope = csr_matrix(np.diag([1.0, 4.0])), np.array([-3.0, -2.0])
     matrix = csr_matrix([[1.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
     bounds = np.full(3, -np.inf), np.array([1.0, 1.0, 9.0])
-    step, forces, side = near_optimum._quadratic(
+    step, forces, side = active_set._solve_quadratic_programme(
         curved, slope, matrix, bounds, np.zeros(3), np.array([1, 1, 0])
     )
     assert step == pytest.approx([1.0, 0.5], abs=1e-8)
@@ -170,4 +175,9 @@ def test_what_has_no_solution_is_told():
     curved, slope = csr_matrix(np.diag([1.0])), np.array([1.0])
     matrix = csr_matrix([[1.0], [1.0]])
     bounds = np.array([2.0, -np.inf]), np.array([np.inf, 1.0])
-    assert near_optimum._quadratic(curved, slope, matrix, bounds, np.zeros(2), np.zeros(2)) is None
+    assert (
+        active_set._solve_quadratic_programme(
+            curved, slope, matrix, bounds, np.zeros(2), np.zeros(2)
+        )
+        is None
+    )

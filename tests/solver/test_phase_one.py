@@ -8,7 +8,7 @@ from small_arms import load
 from stiffopt import SolveStatus, solve
 from stiffopt.problem.formulation import Scales, formulate
 from stiffopt.problem.resolve import resolve
-from stiffopt.solver.phase_one import _Relaxed, least_excess
+from stiffopt.solver.infeasibility import _RelaxedProgramme, minimise_excess
 from stiffopt.transcription.build import transcribe
 from stiffopt.transcription.mesh import uniform_mesh
 from stiffopt.transcription.nlp import Blocks, Nlp
@@ -29,7 +29,7 @@ def straight(made):
 
 def test_rows_that_can_hold_are_met(tmp_path):
     made = programme(tmp_path, limits="tool_speed = 2.0")
-    found = least_excess(made.nlp, straight(made), made.ocp.parameters)
+    found = minimise_excess(made.nlp, straight(made), made.ocp.parameters)
     assert found.converged
     assert found.excess < 1e-4
     jacobian = made.nlp.derivatives["jac_g"]
@@ -39,7 +39,7 @@ def test_rows_that_can_hold_are_met(tmp_path):
 
 def test_the_row_that_cannot_hold_is_named(tmp_path):
     made = programme(tmp_path, limits="tool_speed = 0.05")
-    found = least_excess(made.nlp, straight(made), made.ocp.parameters)
+    found = minimise_excess(made.nlp, straight(made), made.ocp.parameters)
     assert found.converged
     # Rows are of the squared speed over the limit.
     assert found.excess > 1.0
@@ -49,7 +49,7 @@ def test_the_row_that_cannot_hold_is_named(tmp_path):
 def test_derivatives_are_those_of_the_relaxed_programme(tmp_path):
     made = programme(tmp_path, limits="tool_speed = 0.5")
     x = straight(made)
-    relaxed = _Relaxed(made.nlp, x, made.ocp.parameters).nlp
+    relaxed = _RelaxedProgramme(made.nlp, x, made.ocp.parameters).nlp
     random = np.random.default_rng(4)
     z = np.append(x + 0.1 * random.normal(size=len(x)), random.random(relaxed.x.numel() - len(x)))
     p, multipliers = made.nlp.parameters(made.ocp.parameters), random.normal(size=relaxed.g.numel())
@@ -110,7 +110,7 @@ def small():
 
 
 def test_a_small_excess_after_a_large_start_is_told_as_it_is():
-    found = least_excess(small(), np.array([1.0, 0.0]), np.ones(1))
+    found = minimise_excess(small(), np.array([1.0, 0.0]), np.ones(1))
     assert found.converged
     assert found.excess == pytest.approx(0.045, rel=0.02)
     # By what is exceeded, not by what was left of it beside a large start.
@@ -118,5 +118,5 @@ def test_a_small_excess_after_a_large_start_is_told_as_it_is():
 
 
 def test_slacks_of_rows_scaled_down_are_told_unscaled():
-    relaxed = _Relaxed(small(), np.array([1.0, 0.0]), np.ones(1))
+    relaxed = _RelaxedProgramme(small(), np.array([1.0, 0.0]), np.ones(1))
     assert relaxed.unscaled(np.array([1.0, 1.0, 1.0])) == pytest.approx([100.0, 1.0, 1.0])

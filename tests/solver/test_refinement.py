@@ -12,7 +12,7 @@ from stiffopt.problem.objective import Objective
 from stiffopt.problem.smoothing import Smoothing
 from stiffopt.result.status import SolveStatus
 from stiffopt.solver import refinement
-from stiffopt.solver.solve import solve, solve_keeping
+from stiffopt.solver.solve import solve, solve_with_state
 
 PEAK = 'objective = "dynamic_deflection"\nmeasure = "peak"'
 
@@ -26,14 +26,14 @@ def problem(tmp_path_factory):
 @pytest.fixture
 def coarse(monkeypatch):
     """The mesh stays, so that a peak between its nodes is left to the rows."""
-    monkeypatch.setattr(refinement, "_REFINEMENTS", 0)
+    monkeypatch.setattr(refinement, "_MAX_REFINEMENTS", 0)
     monkeypatch.setattr(refinement, "TRUE_OBJECTIVE", 0.004)
 
 
 def left_alone(problem, monkeypatch):
     """The solution without corrections of the last mesh."""
     with monkeypatch.context() as plain:
-        plain.setattr(refinement, "_without_bulges", lambda run, outcome: outcome)
+        plain.setattr(refinement, "_remove_excess_between_nodes", lambda run, outcome: outcome)
         return solve(problem, throw=False)
 
 
@@ -77,7 +77,7 @@ def test_a_correction_with_a_worse_peak_is_not_taken(problem, coarse, monkeypatc
         values.append(objective_value(run.problem, worse.assessment).value)
         return replace(worse, objective_gap=0.0), nlp
 
-    monkeypatch.setattr(refinement, "_within_rows", nearer_but_worse)
+    monkeypatch.setattr(refinement, "_back_off_rows", nearer_but_worse)
     after = solve(problem, throw=False)
     assert values[0] > before.objective.value
     assert after.objective.value == before.objective.value
@@ -88,11 +88,11 @@ def test_nothing_is_solved_again_where_no_row_is_exceeded(problem, monkeypatch):
         raise AssertionError
 
     smooth = replace(problem, objectives=(Objective(name="torque_squared"),))
-    _, kept = solve_keeping(smooth)
+    _, kept = solve_with_state(smooth)
     run, outcome = kept
     monkeypatch.setattr(refinement, "corrected", never)
     worse = replace(outcome, objective_gap=0.5)
-    after, _ = refinement._within_rows(run, worse, worse.transcription.nlp)
+    after, _ = refinement._back_off_rows(run, worse, worse.transcription.nlp)
     assert after is worse
 
 
@@ -103,9 +103,9 @@ def test_a_bend_that_the_smooth_law_rounds_off_is_drawn_in(tmp_path, coarse, mon
     path = tmp_path / "problem.toml"
     path.write_text(problem_text("planar", duration="0.8", minimise=PEAK, method="intervals = 16"))
     stated = load_problem(path).problem
-    found, (_, outcome) = solve_keeping(stated)
-    monkeypatch.setattr(refinement, "_BENDS", 1.0)
-    rounded, (_, before) = solve_keeping(stated)
+    found, (_, outcome) = solve_with_state(stated)
+    monkeypatch.setattr(refinement, "_CHECK_SMOOTHING_SHARE", 1.0)
+    rounded, (_, before) = solve_with_state(stated)
     assert before.objective_gap > refinement.TRUE_OBJECTIVE
     assert outcome.objective_gap < 0.3 * before.objective_gap
     assert found.objective.value < rounded.objective.value
@@ -120,16 +120,16 @@ def test_corners_get_wider_before_the_first_correction_of_a_spike(
     write_robot(tmp_path, "swivel", [soft])
     path = tmp_path / "problem.toml"
     path.write_text(problem_text("swivel", duration="0.6", minimise='objective = "tool_deviation"'))
-    _, (run, outcome) = solve_keeping(load_problem(path).problem)
+    _, (run, outcome) = solve_with_state(load_problem(path).problem)
     tried = []
 
     def never_solved(run, made, raw, nlp, smoothing):
         tried.append(smoothing.corners)
         return replace(raw, status="iteration_limit")
 
-    monkeypatch.setattr(refinement, "_excess", lambda _: {"jerk": excess})
+    monkeypatch.setattr(refinement, "_excess_by_limit", lambda _: {"jerk": excess})
     monkeypatch.setattr(refinement, "corrected", never_solved)
-    refinement._within_rows(run, outcome, outcome.transcription.nlp)
+    refinement._back_off_rows(run, outcome, outcome.transcription.nlp)
     before = outcome.smoothing.corners
     assert len(tried) == 1
     assert (tried[0] > 1.3 * before) == wider

@@ -14,10 +14,10 @@ from stiffopt.problem.objective import Objective
 from stiffopt.problem.resolve import resolve
 from stiffopt.result.status import SolveStatus
 from stiffopt.solver import robust_plan
-from stiffopt.solver.compensation import compensated
-from stiffopt.solver.shaping import windows_for_arms
+from stiffopt.solver.compensation import compensate_motion
+from stiffopt.solver.input_shaping import windows_for_arms
 from stiffopt.solver.simulation import PlannedMotion, elastic_arm
-from stiffopt.solver.solve import solve, solve_keeping
+from stiffopt.solver.solve import solve, solve_with_state
 
 DEVIATION = 'objective = "tool_deviation"'
 
@@ -50,7 +50,7 @@ def at_worst(problem, solution):
     """Share of the wind-up that the command leads by; worst peaks in flight and after arrival."""
     arm = elastic_arm(problem, solution.assessment.position[0])
     own = PlannedMotion.of("optimised", solution.assessment, True)
-    motion, _ = compensated(problem, arm, replace(own, motors=solution.trajectory))
+    motion, _ = compensate_motion(problem, arm, replace(own, motors=solution.trajectory))
     assert motion.excess == ()
     return motion.share, motion.compensated.flight.worst, motion.compensated.after.worst
 
@@ -95,9 +95,9 @@ def test_only_a_deviation_alone_and_of_fixed_duration_is_chosen_so(unsure):
 
 def test_a_motion_that_costs_too_much_is_not_taken(unsure, monkeypatch):
     monkeypatch.setattr("stiffopt.solver.solve.robust_plan", lambda run, outcome: outcome)
-    _, (run, outcome) = solve_keeping(unsure)
+    _, (run, outcome) = solve_with_state(unsure)
     monkeypatch.undo()
-    monkeypatch.setattr(robust_plan, "_COST_CERTIFIED", -1.0)
+    monkeypatch.setattr(robust_plan, "_MAX_CERTIFIED_COST", -1.0)
     bounds = outcome.solver.nlp
     assert robust_plan.robust_plan(run, outcome) is outcome
     assert outcome.solver.nlp is bounds

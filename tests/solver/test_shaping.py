@@ -20,8 +20,8 @@ from stiffopt.problem.bounds import shortest_duration
 from stiffopt.problem.resolve import resolve
 from stiffopt.result.status import SolveStatus
 from stiffopt.result.trajectory import Trajectory
-from stiffopt.solver import shaping
-from stiffopt.solver.shaping import Averaged
+from stiffopt.solver import input_shaping
+from stiffopt.solver.input_shaping import AveragedMotion
 from stiffopt.solver.solve import solve
 
 GOAL = 'objective = "shaped_deviation"'
@@ -31,7 +31,7 @@ def test_an_average_lasts_longer_and_is_that_of_the_time_before():
     motion = Trajectory.from_acceleration(
         [0.0, 0.1, 0.2], [[[5.0]], [[-5.0]]], np.array([0.3]), np.array([0.0])
     )
-    averaged = Averaged(motion, 0.05)
+    averaged = AveragedMotion(motion, 0.05)
     assert averaged.duration == pytest.approx(0.25)
     for t in (0.02, 0.13, 0.22):
         before = np.linspace(t - 0.05, t, 20001)
@@ -115,12 +115,12 @@ def test_a_window_that_leaves_too_little_gives_way_to_a_shorter_one(tmp_path):
 @pytest.fixture
 def behind(monkeypatch):
     """A rival that is always better, so that every window is tried."""
-    monkeypatch.setattr(shaping, "_is_better", lambda *_: True)
+    monkeypatch.setattr(input_shaping, "_rival_is_better", lambda *_: True)
 
 
 def test_ctrl_c_in_a_later_window_keeps_the_first_and_is_told(tmp_path, behind, monkeypatch):
     problem = load(tmp_path, minimise=GOAL, duration="0.8", method="intervals = 12")
-    plain, made = shaping._averaged, []
+    plain, made = input_shaping._solve_averaged, []
 
     def averaged(*given):
         if made:
@@ -128,7 +128,7 @@ def test_ctrl_c_in_a_later_window_keeps_the_first_and_is_told(tmp_path, behind, 
         made.append(plain(*given))
         return made[0]
 
-    monkeypatch.setattr(shaping, "_averaged", averaged)
+    monkeypatch.setattr(input_shaping, "_solve_averaged", averaged)
     solution = solve(problem, throw=False)
     assert solution.status is SolveStatus.INTERRUPTED
     assert solution.message.startswith("Stopped by the user")
@@ -138,8 +138,8 @@ def test_ctrl_c_in_a_later_window_keeps_the_first_and_is_told(tmp_path, behind, 
 def test_all_windows_have_one_time_limit(tmp_path, behind, monkeypatch):
     problem = load(tmp_path, minimise=GOAL, duration="0.8", method="intervals = 12")
     given, clock = [], iter(range(0, 10_000, 70))
-    monkeypatch.setattr(shaping, "time", SimpleNamespace(perf_counter=lambda: next(clock)))
-    plain = shaping._Clock.solve
+    monkeypatch.setattr(input_shaping, "time", SimpleNamespace(perf_counter=lambda: next(clock)))
+    plain = input_shaping._TimedSolver.solve
 
     def noted(self, inner):
         def timed(problem):
@@ -148,7 +148,7 @@ def test_all_windows_have_one_time_limit(tmp_path, behind, monkeypatch):
 
         return plain(replace(self, plain=timed), inner)
 
-    monkeypatch.setattr(shaping._Clock, "solve", noted)
+    monkeypatch.setattr(input_shaping._TimedSolver, "solve", noted)
     solve(problem, throw=False)
     assert given[0] == problem.method.time_limit - 70.0
     assert list(given) == sorted(given, reverse=True)

@@ -8,8 +8,8 @@ from small_arms import joint, problem_text, reducer, write_robot
 
 from stiffopt.problem.files import load_problem
 from stiffopt.result.status import SolveStatus
-from stiffopt.solver.slower import slower_advice
-from stiffopt.solver.solve import solution_of, solve, solve_keeping
+from stiffopt.solver.solve import solution_of, solve, solve_with_state
+from stiffopt.solver.trivial_outcomes import feasible_duration_advice
 
 DEVIATION = 'objective = "tool_deviation"'
 
@@ -37,13 +37,13 @@ def test_the_duration_that_is_named_is_possible(hurried):
 
 def test_nothing_is_said_where_the_duration_is_free(hurried):
     free = replace(hurried, duration=(0.45, 2.0))
-    _, kept = solve_keeping(free)
+    _, kept = solve_with_state(free)
     assert kept is not None
-    assert slower_advice(*kept) == ""
+    assert feasible_duration_advice(*kept) == ""
 
 
 def test_a_solve_that_met_its_iteration_limit_names_a_duration_too(hurried):
-    _, (run, outcome) = solve_keeping(hurried)
+    _, (run, outcome) = solve_with_state(hurried)
     met = replace(outcome, raw=replace(outcome.raw, status="iteration_limit"))
     found = solution_of(run, met, {}, ())
     assert found.status is SolveStatus.ITERATION_LIMIT

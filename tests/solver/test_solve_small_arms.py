@@ -343,7 +343,7 @@ def test_several_starts_are_no_worse(tmp_path):
 def test_a_motion_behind_a_baseline_is_sought_again_from_there(tmp_path, monkeypatch, why):
     problem = load(tmp_path, minimise='objective = "torque_squared"')
     begun = []
-    best_of_starts, certified_solve = solve_module._best_of_starts, solve_module._certified_solve
+    best_of_starts, certified_solve = solve_module._best_of_starts, solve_module._solve_and_refine
 
     def behind(run, guess, rival):
         found = best_of_starts(run, guess, rival)
@@ -361,7 +361,7 @@ def test_a_motion_behind_a_baseline_is_sought_again_from_there(tmp_path, monkeyp
 
     expected = solve(problem).objective.value
     monkeypatch.setattr(solve_module, "_best_of_starts", behind)
-    monkeypatch.setattr(solve_module, "_certified_solve", counted)
+    monkeypatch.setattr(solve_module, "_solve_and_refine", counted)
     solution = solve(problem)
     assert len(begun) == 2
     assert solution.status is SolveStatus.OPTIMAL

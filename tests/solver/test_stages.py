@@ -10,10 +10,10 @@ from stiffopt.problem.files import load_problem
 from stiffopt.problem.formulation import Scales, formulate
 from stiffopt.problem.objective import Objective
 from stiffopt.problem.resolve import resolve
-from stiffopt.solver.guess import initial_guess
+from stiffopt.solver.initial_guess import initial_guess
 from stiffopt.solver.ipopt import IpoptSolver
-from stiffopt.solver.plan import solver_options, stages
 from stiffopt.solver.solve_run import SolveRun
+from stiffopt.solver.stage_plan import plan_stages, solver_options
 from stiffopt.transcription.build import transcribe
 from stiffopt.transcription.mesh import uniform_mesh
 
@@ -25,7 +25,7 @@ PROBLEMS = Path(__file__).resolve().parents[2] / "problems"
 )
 def test_first_meshes_of_a_peak_do_not_grow_with_the_last(intervals, expected):
     problem = load_problem(PROBLEMS / "ur10_dynamic_deflection.toml").problem
-    assert [stage.intervals for stage in stages(problem, intervals)] == expected
+    assert [stage.intervals for stage in plan_stages(problem, intervals)] == expected
 
 
 @pytest.mark.parametrize(("jerk", "corners"), [(1.0, 1.0), (0.3, 2.0)])
@@ -37,7 +37,7 @@ def test_a_solve_begins_with_corners_as_wide_as_a_smooth_motion_needs(jerk, corn
     quintic = baselines(problem, motion)["quintic"]
     run = SolveRun(problem, motion, Scales(), None, quintic)
     assert run.corners == corners
-    assert {s.smoothing.corners for s in stages(problem, 40, run.corners)} == {corners}
+    assert {s.smoothing.corners for s in plan_stages(problem, 40, run.corners)} == {corners}
 
 
 def test_a_minimum_duration_is_not_first_led_far_from_where_it_begins():

@@ -21,7 +21,7 @@ PIECES = {
 @pytest.fixture
 def creeping(tmp_path, monkeypatch):
     """An arm with dry friction, on one mesh."""
-    monkeypatch.setattr(refinement, "_REFINEMENTS", 0)
+    monkeypatch.setattr(refinement, "_MAX_REFINEMENTS", 0)
     path = write_problem(tmp_path, "planar", **PIECES)
     joints = [joint(name, reducer(), coulomb=3.0) for name in ("shoulder", "elbow")]
     write_robot(tmp_path, "planar", joints)
@@ -30,7 +30,7 @@ def creeping(tmp_path, monkeypatch):
 
 def test_joints_stand_still_in_place_of_creeping(creeping, monkeypatch):
     found = solve(creeping, throw=False)
-    monkeypatch.setattr(refinement, "_STANDS", 0)
+    monkeypatch.setattr(refinement, "_MAX_STATIONARY_SOLVES", 0)
     before = solve(creeping, throw=False)
     rests = [np.mean(np.abs(s.assessment.velocity) < 1e-9, axis=0) for s in (before, found)]
     # By the sharp law of the certificate: creeping was charged three quarters more than believed.
@@ -47,7 +47,7 @@ def test_arms_without_friction_are_left_alone(tmp_path, monkeypatch):
     def never(*_):
         raise AssertionError
 
-    monkeypatch.setattr(refinement, "_CREEP", -1.0)
+    monkeypatch.setattr(refinement, "_CREEP_OBJECTIVE_GAP", -1.0)
     monkeypatch.setattr(refinement, "solve_again", never)
     assert solve(load(tmp_path, **PIECES), throw=False).status is SolveStatus.OPTIMAL
 

@@ -13,7 +13,7 @@ from stiffopt.problem.formulation import Scales, formulate
 from stiffopt.problem.resolve import resolve
 from stiffopt.result.status import SolveStatus
 from stiffopt.result.trajectory import Trajectory
-from stiffopt.solver.verdict import closer_model, named_conflicts
+from stiffopt.solver.verdict import model_accuracy_advice, named_conflicts
 from stiffopt.transcription.build import transcribe
 from stiffopt.transcription.mesh import uniform_mesh
 from stiffopt.transcription.nlp import NlpEntry
@@ -62,8 +62,10 @@ def test_objectives_that_nothing_can_change_are_refused(tmp_path):
 def test_a_plan_of_the_links_comes_closer_with_more_intervals(tmp_path):
     problem = load(tmp_path, "planar")
     swinging = replace(problem, objectives=(Objective(name="tool_deviation", measure="peak"),))
-    assert "report the robot" in closer_model(problem)
-    assert f"More than {problem.method.intervals} method.intervals" in closer_model(swinging)
+    assert "report the robot" in model_accuracy_advice(problem)
+    assert f"More than {problem.method.intervals} method.intervals" in model_accuracy_advice(
+        swinging
+    )
 
 
 def test_python_arguments_are_checked_like_files(tmp_path):

@@ -14,7 +14,7 @@ from stiffopt.errors import ProblemError
 from stiffopt.problem.files import load_problem
 from stiffopt.result.store import export_times, write_trajectory
 from stiffopt.solver.solve import solve
-from stiffopt.solver.stored import read_guess
+from stiffopt.solver.stored_result import read_guess
 
 
 @pytest.fixture(scope="module")

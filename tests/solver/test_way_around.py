@@ -16,10 +16,10 @@ from stiffopt.cli import run as command
 from stiffopt.errors import ProblemError
 from stiffopt.problem.files import load_problem
 from stiffopt.problem.resolve import resolve
-from stiffopt.solver import way_around
+from stiffopt.solver import collision_avoidance
 from stiffopt.solver.family import ProblemFamily
-from stiffopt.solver.free_path import FreeSpace
-from stiffopt.solver.solve import solve_keeping
+from stiffopt.solver.path_search import FreeSpace
+from stiffopt.solver.solve import solve_with_state
 
 WALLS = """[[cell.box]]
 name = "wall"
@@ -132,7 +132,7 @@ def test_poses_that_collide_are_refused(tmp_path, capsys, pieces, words):
 
 
 def test_what_cannot_be_passed_is_named(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(way_around, "_SECONDS", 1.0)
+    monkeypatch.setattr(collision_avoidance, "_MAX_SEARCH_SECONDS", 1.0)
     path = write_gantry(tmp_path, cell=WALLS, method="intervals = 20")
     assert command(["solve", str(path), "--out", str(tmp_path / "out"), "--quiet"]) == 3
     said = " ".join(capsys.readouterr().out.split())
@@ -152,19 +152,19 @@ def test_too_little_time_for_a_search_is_told(tmp_path):
 
 
 def test_too_little_time_for_the_solve_along_a_way_is_told(tmp_path, monkeypatch):
-    _, kept = solve_keeping(gantry_problem(tmp_path, method='collisions = "check"'))
+    _, kept = solve_with_state(gantry_problem(tmp_path, method='collisions = "check"'))
     run, plain = kept
     ended = replace(plain, raw=replace(plain.raw, status="time_limit"))
-    monkeypatch.setattr(way_around, "_kept_clear", lambda *_: ended)
-    assert way_around.led_around(run, plain, None) is plain
-    assert "raise method.time_limit" in run.unavoided
+    monkeypatch.setattr(collision_avoidance, "_solve_clear", lambda *_: ended)
+    assert collision_avoidance.avoid_collisions(run, plain, None) is plain
+    assert "raise method.time_limit" in run.avoidance_failure
 
 
 def test_a_place_that_is_reached_in_no_free_pose_is_named_at_once(tmp_path, monkeypatch):
     inside = "{ position = [0.0, 0.1, 0.1] }"
     problem = gantry_problem(tmp_path, end=inside, method="intervals = 20")
     seconds, started = 60.0, time.monotonic()
-    monkeypatch.setattr(way_around, "_SECONDS", seconds)
+    monkeypatch.setattr(collision_avoidance, "_MAX_SEARCH_SECONDS", seconds)
     found = solve(problem, throw=False)
     assert time.monotonic() - started < 0.5 * seconds
     assert found.status == "certificate_failed"
@@ -183,7 +183,7 @@ def test_interrupted_while_it_seeks_it_keeps_the_motion(tmp_path, monkeypatch):
     def stop(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(way_around.FreeSpace, "path", stop)
+    monkeypatch.setattr(collision_avoidance.FreeSpace, "path", stop)
     found = solve(gantry_problem(tmp_path), throw=False)
     assert found.status == "interrupted"
     assert found.trajectory is not None
@@ -196,7 +196,7 @@ def test_interrupted_while_collisions_are_looked_for_it_keeps_the_motion(tmp_pat
     def stop(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(way_around, "with_collisions", stop)
+    monkeypatch.setattr(collision_avoidance, "with_collisions", stop)
     found = solve(gantry_problem(tmp_path), throw=False)
     assert found.status == "interrupted"
     assert found.solver.intervals == 40

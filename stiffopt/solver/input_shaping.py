@@ -42,25 +42,25 @@ from stiffopt.result.provenance import inputs_hash
 from stiffopt.result.solution import Baseline, Solution
 from stiffopt.result.status import SolveStatus
 from stiffopt.result.trajectory import JointMotion, Trajectory
-from stiffopt.solver.corners import widened
-from stiffopt.solver.solve_run import LEAST_TIME
+from stiffopt.solver.smoothing_width import motors_with_sufficient_smoothing
+from stiffopt.solver.solve_run import MIN_SOLVE_TIME
 
 # Of the knots of the splines that round off the averaged motion [s]; the first that holds is taken.
-_SPACINGS = (0.005, 0.01, 0.02, 0.04)
+_KNOT_SPACINGS = (0.005, 0.01, 0.02, 0.04)
 # Of the table that is averaged; how often vias and limits are drawn tighter, and how far at most.
-_SAMPLES = 8001
-_ROUNDS = 5
-_TIGHTEST = 0.1
-_DRAWN = ("velocity", "acceleration", "jerk", "torque")
-_MORE = 1.1
+_AVERAGING_SAMPLES = 8001
+_MAX_BACK_OFF_ROUNDS = 5
+_MIN_LIMIT_SHARE = 0.1
+_BACKED_OFF_LIMITS = ("velocity", "acceleration", "jerk", "torque")
+_BACK_OFF_FACTOR = 1.1
 # Over which is averaged, in swings: where a baseline that keeps all limits is better, a whole swing
 # leaves too little of the time for the motion.
-_WINDOWS = ((1.0, "a swing"), (0.5, "half a swing"), (0.25, "a quarter of a swing"))
+_DEFAULT_WINDOWS = ((1.0, "a swing"), (0.5, "half a swing"), (0.25, "a quarter of a swing"))
 # Over which is averaged for uncertain arms, and what it costs over the least peak of the time left.
-_FOR_ARMS = ((1.0, "a swing"), (0.75, "three quarters of a swing"), (0.5, "half a swing"))
-_COSTS_MORE = 1.6
+_WINDOWS_FOR_ARMS = ((1.0, "a swing"), (0.75, "three quarters of a swing"), (0.5, "half a swing"))
+_COST_SAFETY_FACTOR = 1.6
 # A larger excess of the motors is a corner of a joint's stiffness passed fast.
-_CORNER = 0.25
+_KINK_EXCESS = 0.25
 
 Solve = Callable[[TrajectoryProblem], Solution]
 Window = tuple[float, str]
@@ -72,7 +72,7 @@ def solve_shaped(
     beside: dict[str, Baseline],
     notes: tuple[str, ...],
     solve: Solve,
-    windows: Sequence[Window] = _WINDOWS,
+    windows: Sequence[Window] = _DEFAULT_WINDOWS,
 ) -> Solution:
     """Solve a problem whose objective is `shaped_deviation`.
 
@@ -95,28 +95,28 @@ def solve_shaped(
     ProblemError
         No time is left beside the shortest window.
     """
-    swing = _swing(problem, motion)
+    swing = _lowest_mode_period(problem, motion)
     strict = strict_baseline(problem, motion, beside)
     rival = None if strict is None or not strict.feasible else strict.assessment
-    clock = _Clock(solve, time.perf_counter() + problem.method.time_limit)
+    clock = _TimedSolver(solve, time.perf_counter() + problem.method.time_limit)
     kept: tuple[Solution, tuple[Trajectory, Assessment] | None, str] | None = None
     for share, named in windows:
         window = share * swing
         over = f"{1e3 * window:.0f} ms, {named}"
-        inner = _shorter(problem, motion, window)
+        inner = _shortened_problem(problem, motion, window)
         if inner is None:
             continue
-        made, averaged = _averaged(problem, motion, inner, window, clock.solve)
+        made, averaged = _solve_averaged(problem, motion, inner, window, clock.solve)
         stopped = made.status is SolveStatus.INTERRUPTED
-        behind = averaged is not None and _is_better(problem, rival, averaged[1])
+        behind = averaged is not None and _rival_is_better(problem, rival, averaged[1])
         if kept is None or (not behind and (made.status.usable or not kept[0].status.usable)):
             kept = made, averaged, over
         elif stopped:
-            kept = interrupted(kept[0]), *kept[1:]
+            kept = mark_solution_interrupted(kept[0]), *kept[1:]
         if not behind or stopped or clock.left <= 0.0:
             break
     if kept is None:
-        raise _too_little(problem, motion, window, named)
+        raise _too_short_error(problem, motion, window, named)
     found, shaped, over = kept
     solution = replace(
         found,
@@ -130,7 +130,7 @@ def solve_shaped(
     if shaped is None:
         return replace(solution, strict_baseline=None, ratio_to_strict_baseline=None)
     status, message = found.status, found.message
-    if status.usable and strict is not None and _is_better(problem, rival, shaped[1]):
+    if status.usable and strict is not None and _rival_is_better(problem, rival, shaped[1]):
         status = SolveStatus.ACCEPTABLE
         message = (
             f"{message} But the {strict.name} motion beside it is better and keeps all limits as "
@@ -152,9 +152,9 @@ def solve_shaped(
         trajectory=trajectory,
         assessment=assessment,
         objective=value,
-        ratio_to_better_baseline=_ratio(problem, value.value, better),
+        ratio_to_better_baseline=_objective_ratio(problem, value.value, better),
         strict_baseline=strict,
-        ratio_to_strict_baseline=_ratio(problem, value.value, strict),
+        ratio_to_strict_baseline=_objective_ratio(problem, value.value, strict),
     )
 
 
@@ -165,17 +165,17 @@ def windows_for_arms(
 
     What is left of the duration asks for accelerations that are higher by its square.
     """
-    swing, duration = _swing(problem, motion), problem.duration[0]
+    swing, duration = _lowest_mode_period(problem, motion), problem.duration[0]
     return tuple(
         (share, named)
-        for share, named in _FOR_ARMS
+        for share, named in _WINDOWS_FOR_ARMS
         if share * swing < duration
-        and _COSTS_MORE * ((1.0 - share * swing / duration) ** -2 - 1.0) <= price
+        and _COST_SAFETY_FACTOR * ((1.0 - share * swing / duration) ** -2 - 1.0) <= price
     )
 
 
 @dataclass(frozen=True)
-class _Clock:
+class _TimedSolver:
     """Solves that have one time limit together, which ends at an instant `end` [s]."""
 
     plain: Solve
@@ -186,17 +186,17 @@ class _Clock:
         return self.end - time.perf_counter()
 
     def solve(self, problem: TrajectoryProblem) -> Solution:
-        method = replace(problem.method, time_limit=max(self.left, LEAST_TIME))
+        method = replace(problem.method, time_limit=max(self.left, MIN_SOLVE_TIME))
         return self.plain(replace(problem, method=method))
 
 
-def interrupted(solution: Solution) -> Solution:
+def mark_solution_interrupted(solution: Solution) -> Solution:
     """What was found before Ctrl-C, said to be all there is."""
     status = SolveStatus.INTERRUPTED
     return replace(solution, status=status, message=status.sentence)
 
 
-def _averaged(
+def _solve_averaged(
     problem: TrajectoryProblem,
     motion: ResolvedMotion,
     inner: TrajectoryProblem,
@@ -206,31 +206,33 @@ def _averaged(
     """The solution of the inner quasi-static problem, and its motion averaged over a window [s]."""
     found = solve(inner)
     room = room_at_poses(problem, motion) if problem.avoids_collisions else 0.0
-    shaped = _shaped(problem, found, window)
-    for number in range(_ROUNDS):
+    shaped = _shape_motion(problem, found, window)
+    for number in range(_MAX_BACK_OFF_ROUNDS):
         # What is left after two rounds is drawn in by twice as much.
-        more = _MORE if number < 2 else 2.0 * _MORE
-        tightened = None if shaped is None else _tightened(problem, inner, shaped[1], more, room)
+        more = _BACK_OFF_FACTOR if number < 2 else 2.0 * _BACK_OFF_FACTOR
+        tightened = (
+            None if shaped is None else _back_off_problem(problem, inner, shaped[1], more, room)
+        )
         if tightened is None or found.status is SolveStatus.INTERRUPTED:
             break
         tried = solve(tightened)
         if not tried.status.usable and tried.status is not SolveStatus.INTERRUPTED:
             # Drawn too tight for any motion.
-            tightened = _halfway(inner, tightened)
+            tightened = _average_problems(inner, tightened)
             tried = solve(tightened)
         if tried.status is SolveStatus.INTERRUPTED:
-            found = interrupted(found)
+            found = mark_solution_interrupted(found)
         if not tried.status.usable:
             break
         inner, found = tightened, tried
-        shaped = _shaped(problem, found, window)
+        shaped = _shape_motion(problem, found, window)
     if shaped is not None and not shaped[1].feasible(CERTIFICATE_TOLERANCE):
         # What drawing limits tighter has left of corners, wider ones may take.
-        shaped = _shaped(problem, found, window, corner=CERTIFICATE_TOLERANCE)
+        shaped = _shape_motion(problem, found, window, corner=CERTIFICATE_TOLERANCE)
     return found, shaped
 
 
-def _is_better(problem: TrajectoryProblem, rival: Assessment | None, own: Assessment) -> bool:
+def _rival_is_better(problem: TrajectoryProblem, rival: Assessment | None, own: Assessment) -> bool:
     """Whether a rival that keeps every limit is better than a motion, or that keeps them not."""
     if rival is None:
         return False
@@ -240,13 +242,15 @@ def _is_better(problem: TrajectoryProblem, rival: Assessment | None, own: Assess
     return theirs < (1.0 - CERTIFICATE_TOLERANCE) * ours
 
 
-def _ratio(problem: TrajectoryProblem, value: float, other: Baseline | None) -> float | None:
+def _objective_ratio(
+    problem: TrajectoryProblem, value: float, other: Baseline | None
+) -> float | None:
     if other is None or other.objective is None:
         return None
     return improvement(problem, value, other.objective)
 
 
-def _swing(problem: TrajectoryProblem, motion: ResolvedMotion) -> float:
+def _lowest_mode_period(problem: TrajectoryProblem, motion: ResolvedMotion) -> float:
     """Period of the lowest mode in the poses of a motion [s]."""
     arm = ElasticArm(problem.robot, motion.start, problem.process_force)
     lowest = [mode.frequency for pose in motion.points for mode in modes(arm, pose)[:1]]
@@ -255,7 +259,7 @@ def _swing(problem: TrajectoryProblem, motion: ResolvedMotion) -> float:
     return 1.0 / min(lowest)
 
 
-def _too_little(
+def _too_short_error(
     problem: TrajectoryProblem, motion: ResolvedMotion, window: float, named: str
 ) -> ProblemError:
     """What to do where the duration leaves too little beside any window."""
@@ -267,7 +271,7 @@ def _too_little(
     )
 
 
-def _shorter(
+def _shortened_problem(
     problem: TrajectoryProblem, motion: ResolvedMotion, window: float
 ) -> TrajectoryProblem | None:
     """The quasi-static problem whose motion is averaged; None where too little time is left."""
@@ -290,8 +294,8 @@ def _shorter(
     )
 
 
-def _shaped(
-    problem: TrajectoryProblem, found: Solution, swing: float, corner: float = _CORNER
+def _shape_motion(
+    problem: TrajectoryProblem, found: Solution, swing: float, corner: float = _KINK_EXCESS
 ) -> tuple[Trajectory, Assessment] | None:
     """Motion of the motors that lead the averaged links, and its certificate.
 
@@ -303,11 +307,11 @@ def _shaped(
     def motor_excess(motors: Trajectory) -> float:
         return max(each.value for each in drive_violations(problem, motors))
 
-    averaged, tried = Averaged(found.trajectory, swing), []
+    averaged, tried = AveragedMotion(found.trajectory, swing), []
     law = MotorLaw(problem.robot, problem.process_force)
-    for spacing in _SPACINGS:
+    for spacing in _KNOT_SPACINGS:
         link = smooth_motion(averaged, spacing)
-        motors = widened(
+        motors = motors_with_sufficient_smoothing(
             functools.partial(law.motion, link), motor_excess, WINDUP_SMOOTHING[-1], corner
         )
         tried.append((motors, with_collisions(problem, assess(problem, motors))))
@@ -316,7 +320,7 @@ def _shaped(
     return min(tried, key=lambda pair: max(pair[1].worst_violation.value, CERTIFICATE_TOLERANCE))
 
 
-def _tightened(
+def _back_off_problem(
     problem: TrajectoryProblem,
     inner: TrajectoryProblem,
     assessment: Assessment,
@@ -346,8 +350,8 @@ def _tightened(
     if wider > inner.stated_cell.clearance:
         cell = replace(inner.stated_cell, clearance=wider)
     drawn = {
-        name: getattr(limits, name) * max(1.0 - more * excess[name], _TIGHTEST)
-        for name in _DRAWN
+        name: getattr(limits, name) * max(1.0 - more * excess[name], _MIN_LIMIT_SHARE)
+        for name in _BACKED_OFF_LIMITS
         if name in excess
     }
     missed = any(name.startswith("via_") for name in excess)
@@ -355,14 +359,16 @@ def _tightened(
         return None
     for number, (given, own) in enumerate(zip(problem.vias, inner.vias, strict=True), start=1):
         less = own.tolerance - more * excess.get(f"via_{number}", 0.0) * given.tolerance
-        vias.append(replace(own, tolerance=max(less, _TIGHTEST * given.tolerance)))
+        vias.append(replace(own, tolerance=max(less, _MIN_LIMIT_SHARE * given.tolerance)))
     return replace(inner, vias=tuple(vias), limits=Limits(limits.values, **drawn), cell=cell)
 
 
-def _halfway(loose: TrajectoryProblem, tight: TrajectoryProblem) -> TrajectoryProblem:
+def _average_problems(loose: TrajectoryProblem, tight: TrajectoryProblem) -> TrajectoryProblem:
     """The tight problem with limits and tolerances in the middle between both."""
     before, after = loose.active_limits, tight.active_limits
-    middle = {name: 0.5 * (getattr(before, name) + getattr(after, name)) for name in _DRAWN}
+    middle = {
+        name: 0.5 * (getattr(before, name) + getattr(after, name)) for name in _BACKED_OFF_LIMITS
+    }
     vias = tuple(
         replace(own, tolerance=0.5 * (own.tolerance + given.tolerance))
         for own, given in zip(tight.vias, loose.vias, strict=True)
@@ -371,7 +377,7 @@ def _halfway(loose: TrajectoryProblem, tight: TrajectoryProblem) -> TrajectoryPr
 
 
 @dataclass(frozen=True, eq=False)
-class Averaged:
+class AveragedMotion:
     """A motion averaged over the time before each instant; it lasts so much longer.
 
     Parameters
@@ -393,13 +399,13 @@ class Averaged:
         """Positions (K, n) at the times (K,); derivatives are not needed of it."""
         if order:
             raise ValueError("only the position of an averaged motion is known")
-        travelled = self._travel(t) - self._travel(np.asarray(t) - self.swing)
+        travelled = self._position_integral(t) - self._position_integral(np.asarray(t) - self.swing)
         return np.asarray(travelled / self.swing)
 
-    def _travel(self, t: np.ndarray) -> np.ndarray:
+    def _position_integral(self, t: np.ndarray) -> np.ndarray:
         """Integral of the position from the start (K, n), at rest outside the motion."""
         end = self.motion.duration
-        times = np.linspace(0.0, end, _SAMPLES)
+        times = np.linspace(0.0, end, _AVERAGING_SAMPLES)
         position = self.motion(times)
         whole = CubicHermiteSpline(times, position, self.motion(times, 1)).antiderivative()
         outside = np.minimum(t, 0.0)[:, None] * position[0]

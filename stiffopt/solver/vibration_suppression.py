@@ -1,13 +1,17 @@
-"""The small change of the motors' motion that brings swinging links nearest to their plan.
+"""Motors of planned links, changed a little so that the true springs let the links do the plan.
 
-The links' answer to it is linear along the simulated motion, and so is what it asks of the drives:
-a convex quadratic programme in the coefficients of splines, one after another for every joint.
+The law by which motors lead their links has its corners rounded off, as wide as the motors' jerk
+needs (`solver.corners`). What that leaves out pushes the links: an arm with reducers that are soft
+about zero torque swings on after arrival by a fifth of its deviation in flight. Little is needed
+against it, as pushes in time with a swing add up: some of the jerk that the motion does not use.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import casadi as ca
@@ -15,10 +19,12 @@ import numpy as np
 from scipy.interpolate import BSpline
 from scipy.sparse import block_diag, csc_matrix, diags, kron, vstack
 
+from stiffopt.certificate.assess import assess
 from stiffopt.elastic.along_plan import EvenSprings
 from stiffopt.elastic.modes import modes
+from stiffopt.elastic.motor import MotorMotion
 from stiffopt.elastic.response import SwingResponse
-from stiffopt.elastic.simulate import REST
+from stiffopt.elastic.simulate import REST, simulate
 from stiffopt.result.trajectory import Trajectory
 from stiffopt.symbolic import array_of
 from stiffopt.transcription.between import largest_beside
@@ -28,26 +34,27 @@ if TYPE_CHECKING:
     from stiffopt.problem.trajectory import TrajectoryProblem
     from stiffopt.result.assessment import Assessment
     from stiffopt.result.simulation import SimulatedMotion
+    from stiffopt.result.trajectory import Trajectory
 
 # Distance of the splines' knots [s], as far as their number stays within these.
-_SPACING, _FEWEST, _MOST = 0.02, 40, 150
+_KNOT_SPACING, _MIN_PIECES, _MAX_PIECES = 0.02, 40, 150
 # Degree of the splines, of which so many at either end are left out: position to jerk stay. There
 # knots are so many times as close over so many distances: else nothing changes for three of them.
-_DEGREE, _KEPT = 5, 4
-_CLOSER, _ENDS = 4, 2
+_SPLINE_DEGREE, _FIXED_END_SPLINES = 5, 4
+_END_KNOT_FACTOR, _END_KNOT_SPACINGS = 4, 2
 # Between instants of the links' answer [s], and of those at which the tool is compared.
-_STEP, _EVERY = 1e-3, 3
+_RESPONSE_STEP, _RESPONSE_STRIDE = 1e-3, 3
 # Swings of the lowest mode that are looked at after arrival, and what they count for more.
-_SWINGS, _AFTER = 3.0, 5.0
+_ARRIVAL_PERIODS, _ARRIVAL_WEIGHT = 3.0, 5.0
 # What all of a joint's jerk costs, beside a motion that is just not near, squared.
-_EFFORT = 0.1
+_JERK_WEIGHT = 0.1
 # Of a via's tolerance, by which the tool may be moved there.
-_STAYS = 1e-3
+_VIA_TOOL_SHARE = 1e-3
 # Rows a knot at which the drives' limits hold, and the share of a limit kept free between them.
-_ROWS, _FREE = 4, 1e-2
+_ROWS_PER_KNOT, _LIMIT_RESERVE = 4, 1e-2
 
 
-def changed_motors(
+def change_motors(
     problem: TrajectoryProblem,
     arm: ElasticArm,
     motors: Trajectory,
@@ -75,8 +82,10 @@ def changed_motors(
     """
     joints = np.flatnonzero(arm.elastic)
     splines = _Splines(motors.duration)
-    answer, wanted = _answer(arm, motors, assessment, simulated, splines, _AFTER * after)
-    rows, lower, upper = _rows(problem, assessment, splines, joints)
+    answer, wanted = _linear_response(
+        arm, motors, assessment, simulated, splines, _ARRIVAL_WEIGHT * after
+    )
+    rows, lower, upper = _drive_rows(problem, assessment, splines, joints)
     used = np.max(np.abs(assessment.jerk), axis=0)
     allowed = np.asarray(problem.active_limits.jerk, dtype=float)
     jerk = np.where(np.isfinite(allowed), allowed, used)[joints]
@@ -86,10 +95,12 @@ def changed_motors(
     effort = block_diag([bent / max(own, 1e-9) for own in jerk]) @ diags(unit)
     answer = answer * unit / near
     hessian = answer.T @ answer / len(answer)
-    hessian += _EFFORT * (effort.T @ effort).toarray() / effort.shape[0]
+    hessian += _JERK_WEIGHT * (effort.T @ effort).toarray() / effort.shape[0]
     towards = -answer.T @ (wanted / near) / len(answer)
-    found = unit * _least(hessian, towards, csc_matrix(rows @ diags(unit)), lower, upper)
-    return _moved(motors, splines, joints, np.reshape(found, (len(joints), -1)).T)
+    found = unit * _solve_quadratic_programme(
+        hessian, towards, csc_matrix(rows @ diags(unit)), lower, upper
+    )
+    return _apply_change(motors, splines, joints, np.reshape(found, (len(joints), -1)).T)
 
 
 class _Splines:
@@ -102,31 +113,33 @@ class _Splines:
     """
 
     def __init__(self, duration: float) -> None:
-        pieces = int(np.clip(np.ceil(duration / _SPACING), _FEWEST, _MOST))
+        pieces = int(np.clip(np.ceil(duration / _KNOT_SPACING), _MIN_PIECES, _MAX_PIECES))
         self.duration, self.spacing = duration, duration / pieces
-        finer = np.linspace(0.0, duration, _CLOSER * pieces + 1)
+        finer = np.linspace(0.0, duration, _END_KNOT_FACTOR * pieces + 1)
         inside = np.arange(len(finer))
-        begins = np.minimum(inside, inside[::-1]) < _CLOSER * _ENDS
-        self.breaks = finer[begins | (inside % _CLOSER == 0)]
+        begins = np.minimum(inside, inside[::-1]) < _END_KNOT_FACTOR * _END_KNOT_SPACINGS
+        self.breaks = finer[begins | (inside % _END_KNOT_FACTOR == 0)]
         pieces = len(self.breaks) - 1
-        shares = np.linspace(0.0, 1.0, _ROWS, endpoint=False)
+        shares = np.linspace(0.0, 1.0, _ROWS_PER_KNOT, endpoint=False)
         within = self.breaks[:-1, None] + np.diff(self.breaks)[:, None] * shares
         self.instants = np.append(within.ravel(), duration)
-        self.count = pieces + _DEGREE - 2 * _KEPT
-        knots = np.pad(self.breaks, _DEGREE, mode="edge")
-        self._all = BSpline(knots, np.eye(pieces + _DEGREE), _DEGREE)
+        self.count = pieces + _SPLINE_DEGREE - 2 * _FIXED_END_SPLINES
+        knots = np.pad(self.breaks, _SPLINE_DEGREE, mode="edge")
+        self._all = BSpline(knots, np.eye(pieces + _SPLINE_DEGREE), _SPLINE_DEGREE)
 
     def __call__(self, times: np.ndarray, order: int = 0) -> np.ndarray:
         """Derivatives (K, m) at times (K,); zero after arrival."""
         spline = self._all.derivative(order) if order else self._all
-        values = np.asarray(spline(np.minimum(times, self.duration)))[:, _KEPT:-_KEPT]
+        values = np.asarray(spline(np.minimum(times, self.duration)))[
+            :, _FIXED_END_SPLINES:-_FIXED_END_SPLINES
+        ]
         values[times > self.duration] = 0.0
         return values
 
     def pieces(self, order: int) -> np.ndarray:
         """Coefficients (K, d + 1, m) of derivatives, by powers of the time since each break."""
         begins = self.breaks[:-1]
-        powers = range(_DEGREE - order + 1)
+        powers = range(_SPLINE_DEGREE - order + 1)
         return np.stack([self(begins, order + k) / math.factorial(k) for k in powers], axis=1)
 
     def sparse(self, times: np.ndarray, order: int) -> csc_matrix:
@@ -136,7 +149,7 @@ class _Splines:
         return csc_matrix(values)
 
 
-def _moved(
+def _apply_change(
     motors: Trajectory, splines: _Splines, joints: np.ndarray, change: np.ndarray
 ) -> Trajectory:
     """Motors with a change of some joints, coefficients (m, k)."""
@@ -147,7 +160,7 @@ def _moved(
     return motors.plus(Trajectory(splines.breaks, added, at_rest, at_rest))
 
 
-def _answer(
+def _linear_response(
     arm: ElasticArm,
     motors: Trajectory,
     assessment: Assessment,
@@ -161,19 +174,19 @@ def _answer(
     hangs at the motors' position, which corners that are rounded off move as well.
     """
     joints, duration = np.flatnonzero(arm.elastic), motors.duration
-    dt = duration / np.ceil(duration / _STEP)
+    dt = duration / np.ceil(duration / _RESPONSE_STEP)
     lowest = min(mode.frequency for mode in modes(arm, motors(duration)))
-    end = duration + min(_SWINGS / lowest, REST - dt)
+    end = duration + min(_ARRIVAL_PERIODS / lowest, REST - dt)
     times = dt * np.arange(round(end / dt))
     q, v, windup = (
-        _at(times, simulated.time, each)
+        _interpolate_rows(times, simulated.time, each)
         for each in (simulated.position, simulated.velocity, simulated.windup)
     )
     springs = EvenSprings(arm).at(windup)[1][:, joints]
-    response = _response(arm, q, v, springs, dt)
+    response = _link_response(arm, q, v, springs, dt)
     moved, rate = splines(times), splines(times, 1)
     # Instants at which the tool is compared.
-    at = slice(None, None, _EVERY)
+    at = slice(None, None, _RESPONSE_STRIDE)
     jacobian = np.stack([arm.bodies.jacobian(arm.robot.tool, row)[:3, joints] for row in q[at]])
     flying = times[at] <= duration
     weight = np.where(flying, 1.0, after)[:, None]
@@ -189,17 +202,17 @@ def _answer(
     assert link is not None
     behind = arm.hanging(link(np.minimum(times[at], link.duration))) - q[at]
     tool_behind = weight * np.einsum("kij,kj->ki", jacobian, behind[:, joints])
-    planned = _at(times[at], assessment.time, assessment.deflection["dynamic"])
-    lacking = (planned - _at(times[at], simulated.time, simulated.deviation))[flying]
+    planned = _interpolate_rows(times[at], assessment.time, assessment.deflection["dynamic"])
+    lacking = (planned - _interpolate_rows(times[at], simulated.time, simulated.deviation))[flying]
     return np.concatenate(columns, axis=1), np.concatenate([tool_behind, lacking]).ravel()
 
 
-def _at(times: np.ndarray, known: np.ndarray, values: np.ndarray) -> np.ndarray:
+def _interpolate_rows(times: np.ndarray, known: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Values (k, n) at other times (K, n)."""
     return np.stack([np.interp(times, known, each) for each in values.T], axis=1)
 
 
-def _response(
+def _link_response(
     arm: ElasticArm, q: np.ndarray, v: np.ndarray, springs: np.ndarray, dt: float
 ) -> SwingResponse:
     """Links of joints that yield, about a motion (K, n), on springs (K, k) [N m/rad]."""
@@ -215,7 +228,7 @@ def _response(
     return SwingResponse(inertia, by_v, by_q, dt)
 
 
-def _rows(
+def _drive_rows(
     problem: TrajectoryProblem, now: Assessment, splines: _Splines, joints: np.ndarray
 ) -> tuple[csc_matrix, np.ndarray, np.ndarray]:
     """What coefficients add to the drives of joints, over the limits, the least and the most of it.
@@ -242,8 +255,8 @@ def _rows(
         above, below = (
             largest_beside(now.time, at, np.maximum(each, 0.0)) for each in (share, -share)
         )
-        upper.append(_room(above).T.ravel())
-        lower.append(-_room(below).T.ravel())
+        upper.append(_remaining_limit(above).T.ravel())
+        lower.append(-_remaining_limit(below).T.ravel())
     for row, least, most in _via_rows(problem, now, splines, joints):
         rows.append(row)
         lower.append(least)
@@ -253,10 +266,10 @@ def _rows(
     return csc_matrix(vstack(rows)), np.minimum(np.concatenate(lower), highest), highest
 
 
-def _room(used: np.ndarray) -> np.ndarray:
+def _remaining_limit(used: np.ndarray) -> np.ndarray:
     """What may be added where so much of a limit is used; nothing where it is nearly all."""
     left = 1.0 - used
-    return np.where(left > _FREE, left - _FREE, np.minimum(left, 0.0))
+    return np.where(left > _LIMIT_RESERVE, left - _LIMIT_RESERVE, np.minimum(left, 0.0))
 
 
 def _via_rows(
@@ -281,11 +294,11 @@ def _via_rows(
         shares[:3] /= via.tolerance
         shares[3:] /= via.angle_tolerance
         shares = shares if via.rpy is not None else shares[:3]
-        stays = np.full(len(shares), _STAYS)
+        stays = np.full(len(shares), _VIA_TOOL_SHARE)
         yield kron(csc_matrix(shares), moved), -stays, stays
 
 
-def _least(
+def _solve_quadratic_programme(
     hessian: np.ndarray,
     towards: np.ndarray,
     rows: csc_matrix,
@@ -310,3 +323,104 @@ def _least(
         if programme.stats()["success"]:
             return array_of(answer["x"]).ravel()
     return np.zeros(len(towards))
+
+
+# Changes so often at most, until the simulated motion is this near to the plan, as a share of its
+# peak, or comes no nearer than to this share of before. The first may lead past a corner of the
+# stiffness at another speed, behind which the answer was not linear: the second knows it. Where a
+# limit is exceeded yet, as many as twice: behind wide corners each takes away a third.
+_MAX_CHANGES, _TARGET_DEVIATION, _MAX_REMAINING_DEVIATION = 4, 3e-2, 0.9
+_UNCONDITIONAL_CHANGES = 1
+# What the tool after arrival counts for more at most: beyond, nothing holds the links in flight.
+_MAX_ARRIVAL_WEIGHT = 30.0
+# A deviation as good as none [m].
+_NEGLIGIBLE_DEVIATION = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class SimulatedMotors:
+    """A motion of the motors with its certificate, and what the arm does with it.
+
+    Parameters
+    ----------
+    motors : Trajectory
+    assessment : Assessment
+    simulated : SimulatedMotion
+    """
+
+    motors: Trajectory
+    assessment: Assessment
+    simulated: SimulatedMotion
+
+    @classmethod
+    def of(cls, problem: TrajectoryProblem, arm: ElasticArm, motors: Trajectory) -> SimulatedMotors:
+        """Judged and simulated."""
+        return cls(motors, assess(problem, motors), simulate(arm, MotorMotion.of(motors)))
+
+    @cached_property
+    def planned(self) -> float:
+        """Peak of the planned deviation [m]."""
+        return max(self.assessment.deflection_summary()["dynamic"].peak, _NEGLIGIBLE_DEVIATION)
+
+    @property
+    def off(self) -> float:
+        """How far the arm is from the plan, in flight and after arrival, over the plan's peak."""
+        after = self.simulated.peak_after or 0.0
+        return (abs(self.simulated.peak - self.planned) + after) / self.planned
+
+    def overshoot(self, problem: TrajectoryProblem) -> float:
+        """Share by which the arm goes too far after arrival for the problem's limits; 0 if none."""
+        limits, swing = problem.active_limits, self.assessment.swing
+        if swing is None or swing.peak_after is None:
+            return 0.0
+        beyond = [each.overshoot(limits, swing) for each in limits.kinds if each.of_arrival]
+        return max([0.0, *beyond])
+
+    @property
+    def reach(self) -> float:
+        """How far the tool goes in flight and after arrival together [m]."""
+        return self.simulated.peak + (self.simulated.peak_after or 0.0)
+
+
+def suppress_vibration(
+    problem: TrajectoryProblem, arm: ElasticArm, motors: Trajectory, tolerance: float
+) -> SimulatedMotors:
+    """Motors whose links come nearest to their plan; the same where no change is of use.
+
+    Parameters
+    ----------
+    problem : TrajectoryProblem
+    arm : ElasticArm
+    motors : Trajectory
+        Of planned links that are at rest at both ends.
+    tolerance : float
+        Share of a limit that may be exceeded.
+
+    Raises
+    ------
+    NotSimulatedError
+        The arm cannot be simulated.
+    """
+    last = found = SimulatedMotors.of(problem, arm, motors)
+    kept, after = found.assessment.feasible(tolerance), 1.0
+    for attempt in range(1, 2 * _MAX_CHANGES + 1):
+        if kept and (found.off <= _TARGET_DEVIATION or attempt > _MAX_CHANGES):
+            break
+        # A limit after arrival asks for more, the longer it is exceeded the more there.
+        beyond = 1.0 + last.overshoot(problem)
+        after = min(after * beyond, _MAX_ARRIVAL_WEIGHT)
+        near = _TARGET_DEVIATION * last.planned / beyond
+        changed = change_motors(
+            problem, arm, last.motors, last.assessment, last.simulated, near, after
+        )
+        # What is not linear is met by simulating, and changing it again.
+        before, last = last, SimulatedMotors.of(problem, arm, changed)
+        if last.assessment.feasible(tolerance) and (last.off < found.off or not kept):
+            found, kept = last, True
+        if (
+            kept
+            and attempt > _UNCONDITIONAL_CHANGES
+            and last.off > _MAX_REMAINING_DEVIATION * before.off
+        ):
+            break
+    return found

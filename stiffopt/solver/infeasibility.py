@@ -18,15 +18,15 @@ from stiffopt.transcription.nlp import Blocks, Nlp, NlpEntry
 from stiffopt.transcription.ocp import Rows
 
 # Pull towards the point that it begins from, which leaves no direction undetermined.
-_PULL = 1e-4
-_ITERATIONS = 150
+_PROXIMITY_WEIGHT = 1e-4
+_MAX_ITERATIONS = 150
 # Share of the largest excess below which a row is no part of the conflict.
-_PART = 0.01
+_MIN_CONFLICT_SHARE = 0.01
 # Rows that are exceeded by more than this, relative to their scale, are scaled down to it: with
 # others beside them, steps would be lost in rounding.
-_LARGE = 100.0
+_MAX_SCALED_EXCESS = 100.0
 # They are looked at anew from where they were exceeded least, if that is by so many times less.
-_LESS, _ANEW = 3.0, 3
+_MIN_SCALING_GAIN, _MAX_RESCALED_SOLVES = 3.0, 3
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class LeastExcess:
     iterations: int
 
 
-def least_excess(
+def minimise_excess(
     nlp: Nlp, x: np.ndarray, parameters: np.ndarray, max_seconds: float = np.inf
 ) -> LeastExcess:
     """Find the point near `x` that exceeds the rows of a programme least.
@@ -68,15 +68,15 @@ def least_excess(
     max_seconds : float
     """
     begin = time.perf_counter()
-    relaxed = _Relaxed(nlp, x, parameters)
-    found = _least(nlp, relaxed, x, parameters, max_seconds)
-    for _ in range(_ANEW):
-        closer = _Relaxed(nlp, found.x, parameters)
-        if not found.converged or not closer.scales_down_less_than(relaxed):
+    relaxed = _RelaxedProgramme(nlp, x, parameters)
+    found = _solve_relaxed(nlp, relaxed, x, parameters, max_seconds)
+    for _ in range(_MAX_RESCALED_SOLVES):
+        closer = _RelaxedProgramme(nlp, found.x, parameters)
+        if not found.converged or not closer.is_better_scaled_than(relaxed):
             break
         # What is small beside a large start is only as true as that: once more from near.
         left = max(max_seconds - (time.perf_counter() - begin), 0.1)
-        again = _least(nlp, closer, found.x, parameters, left)
+        again = _solve_relaxed(nlp, closer, found.x, parameters, left)
         again = replace(again, iterations=found.iterations + again.iterations)
         if again.status in ("interrupted", "time_limit"):
             return again
@@ -86,14 +86,14 @@ def least_excess(
     return found
 
 
-def _least(
-    nlp: Nlp, relaxed: _Relaxed, x: np.ndarray, parameters: np.ndarray, max_seconds: float
+def _solve_relaxed(
+    nlp: Nlp, relaxed: _RelaxedProgramme, x: np.ndarray, parameters: np.ndarray, max_seconds: float
 ) -> LeastExcess:
     """The answer of one relaxed programme, begun at the point it is near."""
     options = IpoptOptions(
         tol=1e-6,
         acceptable_tol=1e-2,
-        max_iterations=_ITERATIONS,
+        max_iterations=_MAX_ITERATIONS,
         extra={"mu_strategy": "adaptive", "acceptable_iter": 5},
     )
     n = len(nlp.lower_x)
@@ -116,21 +116,21 @@ def _least(
     )
 
 
-class _Relaxed:
+class _RelaxedProgramme:
     """A programme with slacks: its rows as far as they have bounds, upper ones and lower ones."""
 
     def __init__(self, nlp: Nlp, near: np.ndarray, parameters: np.ndarray) -> None:
         self._first, self._parameters = nlp, parameters
-        groups, self.count = _groups(nlp)
-        self._groups = groups
+        groups, self.count = _slack_groups(nlp)
+        self._slack_groups = groups
         free = groups >= 0
         fixed = np.flatnonzero(~free)
         upper = np.flatnonzero(free & np.isfinite(nlp.upper_g))
         lower = np.flatnonzero(free & np.isfinite(nlp.lower_g))
         chosen = np.concatenate([fixed, upper, lower])
         rows, slacks, n = len(chosen), self.count, len(nlp.lower_x)
-        excess = self._excess(near)
-        self._weight = 1.0 / np.maximum(excess / _LARGE, 1.0)
+        excess = self._group_excess(near)
+        self._weight = 1.0 / np.maximum(excess / _MAX_SCALED_EXCESS, 1.0)
         weight = (
             np.where(groups >= 0, self._weight[groups], 1.0) if slacks else np.ones(len(groups))
         )
@@ -147,11 +147,13 @@ class _Relaxed:
         x, s = z[:n], z[n:]
         g, jacobian = nlp.derivatives["jac_g"](x, p)
         away = x - ca.DM(np.clip(near, nlp.lower_x, nlp.upper_x))
-        cost = ca.sum1(s) + 0.5 * _PULL / n * ca.dot(away, away)
+        cost = ca.sum1(s) + 0.5 * _PROXIMITY_WEIGHT / n * ca.dot(away, away)
         sigma, multipliers = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", rows)
         bent = nlp.derivatives["hess_lag"](x, p, 0.0, self.selection.T @ multipliers)
-        hessian = ca.diagcat(bent + sigma * _PULL / n * ca.DM.eye(n), ca.MX(slacks, slacks))
-        slope = ca.vertcat(_PULL / n * away, ca.DM.ones(slacks))
+        hessian = ca.diagcat(
+            bent + sigma * _PROXIMITY_WEIGHT / n * ca.DM.eye(n), ca.MX(slacks, slacks)
+        )
+        slope = ca.vertcat(_PROXIMITY_WEIGHT / n * away, ca.DM.ones(slacks))
         f, values = cost, self.selection @ g + eased @ s
         free_rows = np.full(rows, np.inf)
         low, high = -free_rows, free_rows
@@ -163,8 +165,8 @@ class _Relaxed:
             p=p,
             f=f,
             g=values,
-            variables=_unnamed(n + slacks),
-            rows=_unnamed(rows),
+            variables=_anonymous_blocks(n + slacks),
+            rows=_anonymous_blocks(rows),
             lower_x=np.append(nlp.lower_x, np.zeros(slacks)),
             upper_x=np.append(nlp.upper_x, np.full(slacks, np.inf)),
             lower_g=low,
@@ -181,9 +183,9 @@ class _Relaxed:
             numbers=nlp.numbers,
         )
 
-    def scales_down_less_than(self, other: _Relaxed) -> bool:
+    def is_better_scaled_than(self, other: _RelaxedProgramme) -> bool:
         """Whether rows that the other scales down are to be scaled down far less here."""
-        return bool(np.any(self._weight > _LESS * other._weight))
+        return bool(np.any(self._weight > _MIN_SCALING_GAIN * other._weight))
 
     @property
     def slacks(self) -> np.ndarray:
@@ -194,28 +196,28 @@ class _Relaxed:
         """Slacks relative to the scales of the rows, as those are before they are scaled down."""
         return np.asarray(slack / self._weight)
 
-    def _excess(self, x: np.ndarray) -> np.ndarray:
+    def _group_excess(self, x: np.ndarray) -> np.ndarray:
         """Largest excess of each group of rows at a point."""
         nlp = self._first
         inside = np.clip(x, nlp.lower_x, nlp.upper_x)
         g, _ = nlp.derivatives["jac_g"](inside, nlp.parameters(self._parameters))
         excess = np.nan_to_num(nlp.violations(array_of(g)), nan=1.0, posinf=1e6)
         found = np.zeros(self.count)
-        free = self._groups >= 0
-        np.maximum.at(found, self._groups[free], excess[free])
+        free = self._slack_groups >= 0
+        np.maximum.at(found, self._slack_groups[free], excess[free])
         return found
 
     def named(self, excess: np.ndarray, slack: np.ndarray) -> list[NlpEntry]:
         """What is exceeded, the most first, each where it is exceeded most."""
         found = []
         for group in np.argsort(-slack):
-            if slack[group] > max(_PART * slack.max(), 1e-5):
-                own = np.flatnonzero(self._groups == group)
+            if slack[group] > max(_MIN_CONFLICT_SHARE * slack.max(), 1e-5):
+                own = np.flatnonzero(self._slack_groups == group)
                 found.append(self._first.rows.entry(int(own[np.argmax(excess[own])])))
         return found
 
 
-def _groups(nlp: Nlp) -> tuple[np.ndarray, int]:
+def _slack_groups(nlp: Nlp) -> tuple[np.ndarray, int]:
     """Number of the slack of each row, -1 for those without; number of slacks."""
     numbers, count = np.full(nlp.rows.size, -1), 0
     for block in nlp.rows.items:
@@ -227,7 +229,7 @@ def _groups(nlp: Nlp) -> tuple[np.ndarray, int]:
     return numbers, count
 
 
-def _unnamed(size: int) -> Blocks:
+def _anonymous_blocks(size: int) -> Blocks:
     """Blocks of entries that nobody is told of."""
     blocks = Blocks()
     free = np.full((1, size), np.inf)

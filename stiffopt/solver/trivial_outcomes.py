@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
-from stiffopt.baseline.baselines import better_baseline
+import math
+
+from stiffopt.baseline.baselines import better_baseline, slowed_quintic
+from stiffopt.certificate.assess import assess, drive_violations
+from stiffopt.certificate.collisions import with_collisions
 from stiffopt.certificate.objective_value import is_maximised, objective_value
 from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
 from stiffopt.problem.bounds import find_bounds
+from stiffopt.problem.motor_model import WIDER
 from stiffopt.problem.objective import Bound
 from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.result.assessment import Assessment
@@ -14,20 +19,20 @@ from stiffopt.result.solution import Baseline, Solution, SolverRecord
 from stiffopt.result.status import SolveStatus
 from stiffopt.solver.solve_run import SolveRun
 from stiffopt.solver.stages import Outcome
-from stiffopt.solver.verdict import Verdict, baseline_above, beyond_limits, has_one_optimum
+from stiffopt.solver.verdict import Verdict, find_better_baseline, has_one_optimum, judge_collisions
 
 # Distance from a bound at which an objective is at it.
-_AT = 1e-3
+_AT_BOUND_SHARE = 1e-3
 # Why toppra's motion on a fixed path is the answer, as the rest of a sentence.
-ON_PATH = (
+FASTEST_ON_PATH_REASON = (
     "on a given path it is the fastest within limits on velocity, acceleration, drive torque and "
     "tool speed. To be faster, change the path or the limits."
 )
 # A tool this far below the base's origin is told [m].
-_BELOW = 0.01
+_MIN_DEPTH_BELOW_BASE = 0.01
 
 
-def hopeless(
+def infeasible_solution(
     run: SolveRun, beside: dict[str, Baseline], notes: tuple[str, ...], why: str
 ) -> Solution:
     """No solve where the kinematics of one joint already rule every motion out."""
@@ -46,7 +51,7 @@ def hopeless(
     )
 
 
-def pinned_by_a_bound(run: SolveRun, beside: dict[str, Baseline]) -> tuple[Baseline, Bound] | None:
+def baseline_at_bound(run: SolveRun, beside: dict[str, Baseline]) -> tuple[Baseline, Bound] | None:
     """A baseline that keeps all limits and reaches what no motion can get past, and that bound."""
     problem = run.problem
     bounds = find_bounds(problem, run.motion) if len(problem.objectives) == 1 else ()
@@ -57,16 +62,20 @@ def pinned_by_a_bound(run: SolveRun, beside: dict[str, Baseline]) -> tuple[Basel
     for baseline in beside.values():
         motion, value = baseline.assessment, baseline.objective
         kept = baseline.feasible and motion is not None and motion.feasible(CERTIFICATE_TOLERANCE)
-        if kept and value is not None and sign * (value - bound.value) <= _AT * abs(bound.value):
+        if (
+            kept
+            and value is not None
+            and sign * (value - bound.value) <= _AT_BOUND_SHARE * abs(bound.value)
+        ):
             return baseline, bound
     return None
 
 
-def bound_reason(bound: Bound) -> str:
+def explain_bound(bound: Bound) -> str:
     """Why a baseline at a bound is the answer, as the rest of a sentence."""
     return (
-        f"no motion is better by more than {_AT:.1%}. {bound.text} To gain anything, choose other "
-        "poses or another objective."
+        f"no motion is better by more than {_AT_BOUND_SHARE:.1%}. {bound.text} To gain anything, "
+        "choose other poses or another objective."
     )
 
 
@@ -80,11 +89,11 @@ def fastest_on_path(
     """
     if not has_one_optimum(problem, beside):
         return None
-    above = baseline_above(problem, outcome, beside)
+    above = find_better_baseline(problem, outcome, beside)
     return above if above is not None and above.name == "toppra" else None
 
 
-def as_good_as_can_be(
+def baseline_as_optimum(
     run: SolveRun,
     beside: dict[str, Baseline],
     notes: tuple[str, ...],
@@ -94,7 +103,7 @@ def as_good_as_can_be(
     """The motion of a baseline as the optimum; `reason` says why none is better."""
     problem, motion = run.problem, best.assessment
     assert motion is not None
-    end = beyond_limits(
+    end = judge_collisions(
         problem,
         motion,
         Verdict(
@@ -111,7 +120,7 @@ def as_good_as_can_be(
         baselines=beside,
         ratio_to_better_baseline=1.0,
         solver=solver_record(run, 0),
-        notes=(*notes, *run.notes, *below_the_base(problem, motion)),
+        notes=(*notes, *run.notes, *below_base_warning(problem, motion)),
         inputs_hash=inputs_hash(problem),
         versions=versions(),
         strict_baseline=best,
@@ -119,7 +128,9 @@ def as_good_as_can_be(
     )
 
 
-def only_baseline(run: SolveRun, beside: dict[str, Baseline], notes: tuple[str, ...]) -> Solution:
+def interrupted_with_baseline(
+    run: SolveRun, beside: dict[str, Baseline], notes: tuple[str, ...]
+) -> Solution:
     """The better baseline, where Ctrl-C came before the optimiser had a motion of its own."""
     problem = run.problem
     made = [b for b in beside.values() if b.trajectory is not None]
@@ -145,10 +156,10 @@ def only_baseline(run: SolveRun, beside: dict[str, Baseline], notes: tuple[str, 
     )
 
 
-def below_the_base(problem: TrajectoryProblem, assessment: Assessment) -> tuple[str, ...]:
+def below_base_warning(problem: TrajectoryProblem, assessment: Assessment) -> tuple[str, ...]:
     """A warning where the tool goes lower than the base stands, along the base's z."""
     lowest = float(assessment.tool[:, 2].min())
-    if lowest > -_BELOW or problem.stated_cell.floor is not None:
+    if lowest > -_MIN_DEPTH_BELOW_BASE or problem.stated_cell.floor is not None:
         return ()
     return (
         f"The tool goes to {-1e3 * lowest:.0f} mm below the origin of the base (along its z axis)."
@@ -166,3 +177,57 @@ def solver_record(run: SolveRun, intervals: int) -> SolverRecord:
         intervals=intervals,
         homotopy=tuple(run.homotopy),
     )
+
+
+# Times the duration that are tried.
+_DURATION_FACTORS = (1.01, 1.02, 1.04, 1.06, 1.08, 1.12, 1.16, 1.24, 1.32, 1.5)
+# Times a duration that is just possible: a solve needs room for its corrections.
+_DURATION_RESERVE = 1.03
+
+
+def feasible_duration_advice(run: SolveRun, outcome: Outcome) -> str:
+    """Sentence on a duration in which a motion keeps every limit, tried; "" where none is known.
+
+    Of links planned in a fixed time from rest to rest.
+    """
+    shortest, longest = run.problem.duration
+    if run.lag is None or shortest < longest:
+        return ""
+    tried = {
+        "the same": _feasible_duration_of_links(run, outcome),
+        "the quintic": _feasible_duration_of_quintic(run),
+    }
+    known = {name: each for name, each in tried.items() if each is not None}
+    if not known:
+        return ""
+    name, duration = min(known.items(), key=lambda each: each[1])
+    # Rounded up: what is named must be possible.
+    step = 10.0 ** (math.floor(math.log10(duration)) - 2)
+    kept, roomy = (
+        f"{math.ceil(each / step) * step:.6g} s"
+        for each in (duration, _DURATION_RESERVE * duration)
+    )
+    return (
+        f"In {kept} {name} motion keeps every limit: "
+        f'motion.duration = "{roomy}" leaves the solver a little room.'
+    )
+
+
+def _feasible_duration_of_links(run: SolveRun, outcome: Outcome) -> float | None:
+    """Duration [s] in which the links of an outcome, with motors of their own, keep every limit."""
+    problem, link = run.problem, outcome.trajectory.link
+    if link is None:
+        return None
+    for times in _DURATION_FACTORS:
+        slow = link.scaled_to(times * link.duration)
+        motors = run.motors.motion(slow, WIDER * outcome.smoothing.law, run.lag)
+        if drive_violations(problem, motors)[0].value > CERTIFICATE_TOLERANCE:
+            continue
+        if with_collisions(problem, assess(problem, motors)).feasible(CERTIFICATE_TOLERANCE):
+            return motors.duration
+    return None
+
+
+def _feasible_duration_of_quintic(run: SolveRun) -> float | None:
+    slowed = slowed_quintic(run.problem, run.motion)
+    return None if slowed is None else slowed.duration

@@ -26,8 +26,8 @@ from stiffopt.result.compensation_store import COMMAND_FILE
 from stiffopt.result.provenance import inputs_hash
 from stiffopt.result.store import RESULT_FILE, TRAJECTORY_FILE, read_document
 from stiffopt.result.trajectory import JointMotion
-from stiffopt.solver.compensation import MadeCommand
-from stiffopt.solver.simulation import PlannedMotion, rivals
+from stiffopt.solver.command_search import ExistingCommand
+from stiffopt.solver.simulation import PlannedMotion, rival_motions
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,12 +53,12 @@ class StoredResult:
     motion: ResolvedMotion
     optimised: PlannedMotion
     windup: np.ndarray
-    command: MadeCommand | None = None
+    command: ExistingCommand | None = None
 
     def motions(self) -> list[PlannedMotion]:
         """The stored motion, then the baselines made anew."""
         beside = baselines(self.problem, self.motion)
-        return [self.optimised, *rivals(self.problem, self.motion, beside)]
+        return [self.optimised, *rival_motions(self.problem, self.motion, beside)]
 
 
 def read_result(
@@ -83,7 +83,7 @@ def read_result(
     path = folder / RESULT_FILE
     document = read_document(path)
     problem = problem_file(path, document, problem)
-    solved = changes_of(path, document)
+    solved = read_changes(path, document)
     stated = load_problem(problem, solved).problem
     check_inputs(path, document, problem, stated)
     unsure = stated.uncertainty
@@ -98,7 +98,7 @@ def read_result(
         worst = float(certificate["worst_violation"]["value"])
     except (KeyError, TypeError) as error:
         raise InputFileError(path, "certificate", f"has no usable {error}.") from error
-    time, position, velocity, windup = _trajectory(folder / TRAJECTORY_FILE, stated.joints)
+    time, position, velocity, windup = _read_trajectory(folder / TRAJECTORY_FILE, stated.joints)
     own = PlannedMotion(
         name="optimised",
         time=time,
@@ -113,7 +113,7 @@ def read_result(
         motion=resolve(stated),
         optimised=own,
         windup=windup,
-        command=_command(folder, document, own),
+        command=_read_command(folder, document, own),
     )
 
 
@@ -143,7 +143,7 @@ def problem_file(path: Path, document: dict[str, Any], given: Path | None = None
     return problem
 
 
-def changes_of(path: Path, document: dict[str, Any]) -> tuple[str, ...]:
+def read_changes(path: Path, document: dict[str, Any]) -> tuple[str, ...]:
     """Return the entries of the problem file that the solve changed, as --set has them."""
     changes = document.get("changes", [])
     if not isinstance(changes, list) or not all(isinstance(each, str) for each in changes):
@@ -165,7 +165,9 @@ def check_inputs(
         )
 
 
-def _command(folder: Path, document: dict[str, Any], planned: PlannedMotion) -> MadeCommand | None:
+def _read_command(
+    folder: Path, document: dict[str, Any], planned: PlannedMotion
+) -> ExistingCommand | None:
     """The command that the solve wrote, None where it wrote none."""
     path, joints = folder / COMMAND_FILE, planned.position.shape[1]
     try:
@@ -180,11 +182,11 @@ def _command(folder: Path, document: dict[str, Any], planned: PlannedMotion) -> 
         ) from error
     check_result(folder, RESULT_FILE, COMMAND_FILE)
     quantities = ("q", "qd", "qdd")
-    rows = _table(path, joints, quantities)
+    rows = _read_joint_table(path, joints, quantities)
     names = [f"link{j}" for j in range(1, joints + 1)]
     table = read_table(folder / TRAJECTORY_FILE, ["t"], names)
     plan = MotorMotion(planned.time, planned.position, planned.velocity)
-    link = _TableMotion(*_table(folder / TRAJECTORY_FILE, joints, quantities))
+    link = _TableMotion(*_read_joint_table(folder / TRAJECTORY_FILE, joints, quantities))
     if all(name in table for name in names):
         moments = np.array(table["t"])
         links = CubicSpline(moments, np.array([table[n] for n in names]).T, bc_type="clamped")
@@ -192,15 +194,15 @@ def _command(folder: Path, document: dict[str, Any], planned: PlannedMotion) -> 
         link = _TableMotion(moments, links(moments), links(moments, 1), links(moments, 2))
     motors = _TableMotion(*rows)
     motors.link = link
-    return MadeCommand(motors, plan, spacing, share)
+    return ExistingCommand(motors, plan, spacing, share)
 
 
-def _trajectory(path: Path, joints: int) -> tuple[np.ndarray, ...]:
+def _read_trajectory(path: Path, joints: int) -> tuple[np.ndarray, ...]:
     """Times (K,), positions, velocities and wind-ups (K, n) of a trajectory.csv."""
-    return _table(path, joints, ("q", "qd", "windup"))
+    return _read_joint_table(path, joints, ("q", "qd", "windup"))
 
 
-def _table(path: Path, joints: int, quantities: Sequence[str]) -> tuple[np.ndarray, ...]:
+def _read_joint_table(path: Path, joints: int, quantities: Sequence[str]) -> tuple[np.ndarray, ...]:
     """Times (K,) and quantities of the joints (K, n) of a table."""
     names = [[f"{quantity}{j}" for j in range(1, joints + 1)] for quantity in quantities]
     table = read_table(path, ["t", *(name for own in names for name in own)])
@@ -219,7 +221,7 @@ def read_guess(folder: Path, problem: TrajectoryProblem) -> Assessment:
         The folder has no motion of as many joints.
     """
     check_result(folder, TRAJECTORY_FILE)
-    time, position, velocity, _ = _trajectory(folder / TRAJECTORY_FILE, problem.joints)
+    time, position, velocity, _ = _read_trajectory(folder / TRAJECTORY_FILE, problem.joints)
     return assess(problem, _TableMotion(time, position, velocity), times=time)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
@@ -15,10 +16,13 @@ from stiffopt.result.solution import Baseline
 from stiffopt.transcription.ocp import Guess
 
 # Samples of a smoothed guess, and how many of the windows it is averaged over fill its duration.
-_FINE = 2000
-_WINDOWS = 25
+_SMOOTHED_INTERVALS = 2000
+_WINDOWS_PER_DURATION = 25
 # Of a path where a motion's place on it is sought, and projections onto its tangent after that.
-_PATH_SAMPLES, _PROJECTIONS = 20001, 3
+_PATH_SAMPLES, _TANGENT_PROJECTIONS = 20001, 3
+# Standard deviation of a random start's detour [rad], and of the skew of its timing on a path; no
+# motion turns back within the range of the skew.
+_DETOUR_DEVIATION, _TIMING_SKEW_DEVIATION, _TIMING_SKEW_RANGE = 0.2, 0.4, (-0.9, 0.9)
 
 
 def initial_guess(
@@ -26,31 +30,71 @@ def initial_guess(
 ) -> Guess:
     """The motion of the first baseline that exists, as a guess."""
     source = next(b.assessment for b in (beside["toppra"], beside["quintic"]) if b.assessment)
-    return guess_along(problem, motion, source)
+    return guess_from_motion(problem, motion, source)
 
 
-def guess_along(problem: TrajectoryProblem, motion: ResolvedMotion, source: Assessment) -> Guess:
+def guess_from_motion(
+    problem: TrajectoryProblem, motion: ResolvedMotion, source: Assessment
+) -> Guess:
     """A guess from an assessed motion, sampled; vias at the instants where it passes them.
 
     On a fixed path its time law is taken over.
     """
-    statics = _statics(problem, motion, source)
+    statics = _static_values(problem, motion, source)
     if problem.path is not None:
         return _path_guess(JointPath.through(problem.path), source, statics)
     states, controls = np.hstack([source.position, source.velocity]), source.acceleration
     s = source.time / source.duration
     if problem.plans_links:
-        s, states, controls = _smoothed(source)
+        s, states, controls = _smooth_motion_guess(source)
     return Guess(
-        states=_sampler(s, states),
-        controls=_sampler(s, controls),
+        states=_interpolator(s, states),
+        controls=_interpolator(s, controls),
         duration=source.duration,
         statics=statics,
         phase_fractions=_phase_fractions(source, motion),
     )
 
 
-def _smoothed(source: Assessment) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def perturb_guess(guess: Guess, problem: TrajectoryProblem, random: np.random.Generator) -> Guess:
+    """The guess with a smooth random detour that vanishes at both ends; on a path, other timing."""
+    if problem.path is not None:
+        return _retime_guess(
+            guess, float(np.clip(random.normal(scale=_TIMING_SKEW_DEVIATION), *_TIMING_SKEW_RANGE))
+        )
+    n = problem.joints
+    amplitude = random.normal(scale=_DETOUR_DEVIATION, size=n)
+
+    def moved(s: np.ndarray) -> np.ndarray:
+        values = np.array(guess.states(s))
+        bump = 16.0 * (np.asarray(s) * (1.0 - np.asarray(s))) ** 2
+        slope = 32.0 * np.asarray(s) * (1.0 - np.asarray(s)) * (1.0 - 2.0 * np.asarray(s))
+        values[:, :n] += bump[:, None] * amplitude
+        values[:, n : 2 * n] += slope[:, None] * amplitude / guess.duration
+        return values
+
+    return replace(guess, states=moved)
+
+
+def _retime_guess(guess: Guess, skew: float) -> Guess:
+    """The guess on a path, at the scaled time w where it was at t: w = t + skew t (1 - t)."""
+
+    def warped(t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return t + skew * t * (1.0 - t), (1.0 + skew * (1.0 - 2.0 * t))[:, None]
+
+    def states(t: np.ndarray) -> np.ndarray:
+        w, rate = warped(np.asarray(t))
+        return np.asarray(guess.states(w) * np.hstack([np.ones_like(rate), rate]))
+
+    def controls(t: np.ndarray) -> np.ndarray:
+        w, rate = warped(np.asarray(t))
+        speed = np.asarray(guess.states(w))[:, 1:]
+        return np.asarray(guess.controls(w) * rate**2 - 2.0 * skew * speed / guess.duration)
+
+    return replace(guess, states=states, controls=controls)
+
+
+def _smooth_motion_guess(source: Assessment) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """A motion compressed and then averaged five times over a short window, back to its duration.
 
     Returns
@@ -60,9 +104,9 @@ def _smoothed(source: Assessment) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     states, controls : array (m, 5 n), (m, n)
         Position and its derivatives up to snap, and the fifth.
     """
-    s = np.linspace(0.0, 1.0, _FINE + 1)
-    window = 2 * (_FINE // (2 * _WINDOWS)) + 1
-    spread = 5 * (window - 1) / _FINE
+    s = np.linspace(0.0, 1.0, _SMOOTHED_INTERVALS + 1)
+    window = 2 * (_SMOOTHED_INTERVALS // (2 * _WINDOWS_PER_DURATION)) + 1
+    spread = 5 * (window - 1) / _SMOOTHED_INTERVALS
     inside = np.clip((s - spread / 2.0) / (1.0 - spread), 0.0, 1.0)
     time = inside * source.duration
     columns = [np.interp(time, source.time, each) for each in source.position.T]
@@ -74,11 +118,11 @@ def _smoothed(source: Assessment) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         values = np.stack(smooth, axis=1)
     orders = [values]
     for _ in range(5):
-        orders.append(np.gradient(orders[-1], source.duration / _FINE, axis=0))
+        orders.append(np.gradient(orders[-1], source.duration / _SMOOTHED_INTERVALS, axis=0))
     return s, np.hstack(orders[:5]), orders[5]
 
 
-def _sampler(s: np.ndarray, values: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
+def _interpolator(s: np.ndarray, values: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
     def sample(at: np.ndarray) -> np.ndarray:
         columns = [np.interp(at, s, values[:, j]) for j in range(values.shape[1])]
         return np.stack(columns, axis=1)
@@ -91,8 +135,8 @@ def _path_guess(path: JointPath, source: Assessment, statics: np.ndarray) -> Gue
     s, speed, acceleration = _time_law(path, source)
     at = source.time / source.duration
     return Guess(
-        states=_sampler(at, np.stack([s, speed], axis=1)),
-        controls=_sampler(at, acceleration[:, None]),
+        states=_interpolator(at, np.stack([s, speed], axis=1)),
+        controls=_interpolator(at, acceleration[:, None]),
         duration=source.duration,
         statics=statics,
         phase_fractions=np.ones(1),
@@ -108,7 +152,7 @@ def _time_law(path: JointPath, source: Assessment) -> tuple[np.ndarray, np.ndarr
     dense = np.linspace(0.0, 1.0, _PATH_SAMPLES)
     covered, length = _arc_length(source.position), _arc_length(path(dense))
     s = np.interp(covered / covered[-1], length / length[-1], dense)
-    for _ in range(_PROJECTIONS):
+    for _ in range(_TANGENT_PROJECTIONS):
         tangent = path(s, 1)
         along = np.einsum("kj,kj->k", source.position - path(s), tangent)
         s = np.clip(s + along / np.einsum("kj,kj->k", tangent, tangent), 0.0, 1.0)
@@ -126,7 +170,9 @@ def _arc_length(points: np.ndarray) -> np.ndarray:
     return np.concatenate([[0.0], np.cumsum(steps)])
 
 
-def _statics(problem: TrajectoryProblem, motion: ResolvedMotion, source: Assessment) -> np.ndarray:
+def _static_values(
+    problem: TrajectoryProblem, motion: ResolvedMotion, source: Assessment
+) -> np.ndarray:
     """Static variables as they are on the motion."""
     values = [variable.start(source) for variable in static_variables(problem, motion)]
     # A baseline far too fast makes connections slip: any finite bound will do then.

@@ -32,17 +32,17 @@ from stiffopt.transcription.nlp import Nlp
 from stiffopt.transcription.transcription import Transcription
 
 # Steps, and exchanges in each, after which an optimum is not near.
-_STEPS, _EXCHANGES = 8, 40
+_MAX_NEWTON_STEPS, _MAX_ACTIVE_SET_CHANGES = 8, 40
 # Share of its distance from which on a multiplier says that a constraint binds, and excess from
 # which on it is taken in.
-_BINDS, _ENTERS = 1e-4, 1e-10
+_ACTIVE_MULTIPLIER_SHARE, _ENTERING_EXCESS = 1e-4, 1e-10
 # By which what binds may be missed, where what binds depends on each other.
-_KEPT = 1e-6
+_MAX_DEPENDENT_MISS = 1e-6
 # Of what binds: how much steeper than the objective its penalty is; rounds that leave none of it.
-_PENALTY, _ROUNDS = 1e4, 3
+_PENALTY_FACTOR, _MULTIPLIER_ROUNDS = 1e4, 3
 
 
-class NearOptimum:
+class ActiveSetSolver:
     """Finds optima of programmes that differ in numbers, each from one near it.
 
     Parameters
@@ -78,7 +78,7 @@ class NearOptimum:
         report : callable, optional
         """
         begin = time.perf_counter()
-        motions = self._motions_of(transcription)
+        motions = self._select_motions(transcription)
         if motions is None or not np.isfinite(x0).all():
             return None
         basis = motions.basis
@@ -88,7 +88,7 @@ class NearOptimum:
         coefficients = motions.nearest(x0)
         history: list[Progress] = []
         forces, side = np.zeros(0), np.zeros(0)
-        for step in range(_STEPS):
+        for step in range(_MAX_NEWTON_STEPS):
             x = basis @ coefficients
             objective, gradient = (values.copy() for values in self._gradient(x, p))
             g = self._jacobian(x, p)[0].copy()
@@ -102,24 +102,26 @@ class NearOptimum:
             stationary = float(np.abs(slope + matrix.T @ forces).max())
             if not np.isfinite(stationary + violation):
                 return None
-            history.append(_progress(nlp, step, objective[0], g, time.perf_counter() - begin))
+            history.append(
+                _report_progress(nlp, step, objective[0], g, time.perf_counter() - begin)
+            )
             if report is not None:
                 report(history[-1])
             if step and max(stationary, violation) <= self._tolerance:
                 lam_x, lam_g = constraints.split(forces)
-                lam_g = motions.with_equations(nlp, gradient + lam_x, jacobian, lam_g)
+                lam_g = motions.complete_multipliers(nlp, gradient + lam_x, jacobian, lam_g)
                 seconds = time.perf_counter() - begin
-                return _solution(nlp, x, g, lam_x, lam_g, history, seconds)
-            curvature = self._curvature(x, p, constraints.split(forces)[1], motions)
+                return _raw_solution(nlp, x, g, lam_x, lam_g, history, seconds)
+            curvature = self._lagrangian_curvature(x, p, constraints.split(forces)[1], motions)
             to_bounds = constraints.lower - value, constraints.upper - value
-            taken = _quadratic(curvature, slope, matrix, to_bounds, forces, side)
+            taken = _solve_quadratic_programme(curvature, slope, matrix, to_bounds, forces, side)
             if taken is None:
                 return None
             moved, forces, side = taken
             coefficients = coefficients + moved
         return None
 
-    def _motions_of(self, transcription: Transcription) -> _Motions | None:
+    def _select_motions(self, transcription: Transcription) -> _Motions | None:
         """All motions; kept while the duration is the same."""
         duration = transcription.ocp.duration[0]
         if self._motions is None or self._motions.duration != duration:
@@ -127,13 +129,13 @@ class NearOptimum:
             self._motions = None if basis is None else _Motions(duration, basis)
         return self._motions
 
-    def _curvature(
+    def _lagrangian_curvature(
         self, x: np.ndarray, p: np.ndarray, multipliers: np.ndarray, motions: _Motions
     ) -> csr_matrix:
         """Of the Lagrangian by the coefficients (k, k)."""
         self._hessian(x, p, 1.0, multipliers)
         lower = self._hessian.sparse(0).T
-        lower.data[_rows(lower) == lower.indices] /= 2.0
+        lower.data[_entry_rows(lower) == lower.indices] /= 2.0
         half = motions.transposed @ (lower @ motions.basis)
         return half + half.T.tocsr()
 
@@ -147,15 +149,15 @@ class _Motions:
         self.basis = (basis @ diags(1.0 / lengths)).tocsr()
         # Kept by rows as well: products of what is kept alike need no conversion.
         self.transposed = self.basis.T.tocsr()
-        self._normal = splu((self.transposed @ self.basis).tocsc())
+        self._normal_factor = splu((self.transposed @ self.basis).tocsc())
         self._equations: tuple[csr_matrix, Any] | None = None
 
     def nearest(self, x: np.ndarray) -> np.ndarray:
         """Coefficients of the motion nearest to variables."""
-        found: np.ndarray = self._normal.solve(self.transposed @ x)
+        found: np.ndarray = self._normal_factor.solve(self.transposed @ x)
         return found
 
-    def with_equations(
+    def complete_multipliers(
         self, nlp: Nlp, slope: np.ndarray, jacobian: csr_matrix, multipliers: np.ndarray
     ) -> np.ndarray:
         """Multipliers of all rows, with those of the equations that splines stand in for."""
@@ -184,7 +186,7 @@ class _Constraints:
         self.nlp, self._basis = nlp, basis
         self.bounds = np.flatnonzero(np.isfinite(nlp.lower_x) | np.isfinite(nlp.upper_x))
         self.rows = np.flatnonzero(~nlp.structural)
-        self._of_bounds = basis[self.bounds]
+        self._bound_basis = basis[self.bounds]
         self.lower = np.append(nlp.lower_x[self.bounds], nlp.lower_g[self.rows])
         self.upper = np.append(nlp.upper_x[self.bounds], nlp.upper_g[self.rows])
 
@@ -194,7 +196,7 @@ class _Constraints:
 
     def matrix(self, jacobian: csr_matrix) -> csr_matrix:
         """Their slopes by the coefficients (c, k)."""
-        return vstack([self._of_bounds, jacobian[self.rows] @ self._basis], format="csr")
+        return vstack([self._bound_basis, jacobian[self.rows] @ self._basis], format="csr")
 
     def split(self, forces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Multipliers of all variables and all rows."""
@@ -205,13 +207,15 @@ class _Constraints:
     def binding(self, near: Multipliers, value: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Forces (c,) of a near optimum and sides (c,), for values (c,) that it has here."""
         forces = np.append(near.multipliers_x[self.bounds], near.multipliers_g[self.rows])
-        side = np.where(forces > _BINDS * np.maximum(self.upper - value, 0.0), 1, 0)
-        side[forces < -_BINDS * np.maximum(value - self.lower, 0.0)] = -1
+        side = np.where(
+            forces > _ACTIVE_MULTIPLIER_SHARE * np.maximum(self.upper - value, 0.0), 1, 0
+        )
+        side[forces < -_ACTIVE_MULTIPLIER_SHARE * np.maximum(value - self.lower, 0.0)] = -1
         side[self.lower == self.upper] = 2
         return np.where(side != 0, forces, 0.0), side
 
 
-def _quadratic(
+def _solve_quadratic_programme(
     curvature: csr_matrix,
     slope: np.ndarray,
     matrix: csr_matrix,
@@ -221,20 +225,20 @@ def _quadratic(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
     """Step, forces and sides of min slope s + s curvature s / 2 with lower <= matrix s <= upper."""
     lower, upper = to_bounds
-    lengths = np.bincount(_rows(matrix), matrix.data**2, len(side))
+    lengths = np.bincount(_entry_rows(matrix), matrix.data**2, len(side))
     steep = np.abs(curvature.data).max(initial=0.0)
-    stiffness = _PENALTY * steep / np.maximum(lengths, 1e-300)
-    width = _width(curvature, matrix)
-    bands, held = _bands(curvature, width), np.zeros(len(side), dtype=bool)
+    stiffness = _PENALTY_FACTOR * steep / np.maximum(lengths, 1e-300)
+    width = _half_bandwidth(curvature, matrix)
+    bands, held = _lower_bands(curvature, width), np.zeros(len(side), dtype=bool)
     seen = {side.tobytes()}
-    for _ in range(_EXCHANGES):
+    for _ in range(_MAX_ACTIVE_SET_CHANGES):
         bound = side != 0
         for sign, changed in ((1.0, bound & ~held), (-1.0, held & ~bound)):
             if changed.any():
                 rows = matrix[changed]
                 pulled = rows.T.tocsr()
                 pulled.data *= stiffness[changed][pulled.indices]
-                bands += sign * _bands(pulled @ rows, width)
+                bands += sign * _lower_bands(pulled @ rows, width)
         held = bound
         try:
             factor = cholesky_banded(bands, lower=True, check_finite=False), True
@@ -245,7 +249,7 @@ def _quadratic(
         missing = np.where(side > 0, upper, lower)[bound]
         step, own = np.zeros(len(slope)), forces[bound]
         # What is missed falls to a ten-thousandth each time.
-        for _ in range(_ROUNDS):
+        for _ in range(_MULTIPLIER_ROUNDS):
             push = pull * missing
             unbalanced = slope + curvature @ step + columns @ (own - push)
             moved = cho_solve_banded(factor, -unbalanced, check_finite=False)
@@ -258,12 +262,12 @@ def _quadratic(
         value = matrix @ step
         now = side.copy()
         now[((side == 1) & (forces < 0.0)) | ((side == -1) & (forces > 0.0))] = 0
-        now[~bound & (value > upper + _ENTERS)] = 1
-        now[~bound & (value < lower - _ENTERS)] = -1
+        now[~bound & (value > upper + _ENTERING_EXCESS)] = 1
+        now[~bound & (value < lower - _ENTERING_EXCESS)] = -1
         changed = np.flatnonzero(now != side)
         if not changed.size:
             missed = np.abs(missing).max(initial=0.0)
-            return (step, forces, side) if missed <= _KEPT else None
+            return (step, forces, side) if missed <= _MAX_DEPENDENT_MISS else None
         if now.tobytes() in seen:
             # All together go round in circles: the one that is worst, alone.
             excess = np.maximum(value - upper, lower - value)
@@ -275,34 +279,36 @@ def _quadratic(
     return None
 
 
-def _rows(matrix: csr_matrix) -> np.ndarray:
+def _entry_rows(matrix: csr_matrix) -> np.ndarray:
     """Row of each entry."""
     return np.repeat(np.arange(matrix.shape[0]), np.diff(matrix.indptr))
 
 
-def _width(curvature: csr_matrix, matrix: csr_matrix) -> int:
+def _half_bandwidth(curvature: csr_matrix, matrix: csr_matrix) -> int:
     """Half the band of the curvature with a penalty on any rows."""
     filled = np.diff(matrix.indptr) > 0
     first, last = matrix.indptr[:-1][filled], matrix.indptr[1:][filled] - 1
     spans = matrix.indices[last] - matrix.indices[first]
-    beside = np.abs(_rows(curvature) - curvature.indices).max(initial=0)
+    beside = np.abs(_entry_rows(curvature) - curvature.indices).max(initial=0)
     return int(max(beside, spans.max(initial=0)))
 
 
-def _bands(matrix: csr_matrix, width: int) -> np.ndarray:
+def _lower_bands(matrix: csr_matrix, width: int) -> np.ndarray:
     """Lower half of a symmetric matrix, diagonal by diagonal (width + 1, k)."""
-    below = _rows(matrix) - matrix.indices
+    below = _entry_rows(matrix) - matrix.indices
     lower = below >= 0
     bands = np.zeros((width + 1, matrix.shape[0]))
     bands[below[lower], matrix.indices[lower]] = matrix.data[lower]
     return bands
 
 
-def _progress(nlp: Nlp, step: int, objective: float, g: np.ndarray, elapsed: float) -> Progress:
+def _report_progress(
+    nlp: Nlp, step: int, objective: float, g: np.ndarray, elapsed: float
+) -> Progress:
     return Progress(step, float(objective) * nlp.objective_scale, *nlp.worst_excess(g), elapsed)
 
 
-def _solution(
+def _raw_solution(
     nlp: Nlp,
     x: np.ndarray,
     g: np.ndarray,

@@ -12,15 +12,15 @@ from collections.abc import Callable
 from stiffopt.result.trajectory import Trajectory
 
 # Widths are doubled up to so often, while that lowers the excess to this share at least.
-_DOUBLINGS = 7
-HELPS = 0.75
+_MAX_DOUBLINGS = 7
+MAX_REMAINING_EXCESS = 0.75
 # Excess that a solve gets rid of by passing corners a little slower.
-CORNERS_TAKE = 1.0
+TOLERABLE_KINK_EXCESS = 1.0
 # Of the last width: what may do as well, and leaves less after arrival.
-_BETWEEN = 0.7
+_INTERMEDIATE_WIDTH = 0.7
 
 
-def widened(
+def motors_with_sufficient_smoothing(
     motors: Callable[[float], Trajectory],
     excess: Callable[[Trajectory], float],
     smoothing: float,
@@ -46,15 +46,17 @@ def widened(
         made[width] = own, excess(own)
         return made[width][1]
 
-    width = narrowest(beyond, smoothing, allowed)
+    width = narrowest_sufficient_width(beyond, smoothing, allowed)
     found, worst = made[width]
     if width > smoothing and worst <= allowed:
-        between = motors(_BETWEEN * width)
+        between = motors(_INTERMEDIATE_WIDTH * width)
         return between if excess(between) <= allowed else found
     return found
 
 
-def narrowest(beyond: Callable[[float], float], smoothing: float, allowed: float) -> float:
+def narrowest_sufficient_width(
+    beyond: Callable[[float], float], smoothing: float, allowed: float
+) -> float:
     """The narrowest factor, by doubling, whose excess is allowed, or that of the least excess.
 
     Parameters
@@ -66,11 +68,11 @@ def narrowest(beyond: Callable[[float], float], smoothing: float, allowed: float
     allowed : float
     """
     worst = beyond(smoothing)
-    for _ in range(_DOUBLINGS):
+    for _ in range(_MAX_DOUBLINGS):
         if worst <= allowed:
             break
         less = beyond(2.0 * smoothing)
-        if less > max(HELPS * worst, allowed):
+        if less > max(MAX_REMAINING_EXCESS * worst, allowed):
             break
         worst, smoothing = less, 2.0 * smoothing
     return smoothing

@@ -10,20 +10,31 @@ from stiffopt.problem.formulation import smoothing_stages
 from stiffopt.problem.smoothing import Smoothing
 from stiffopt.problem.stage_terms import WINDUP_SMOOTHING
 from stiffopt.problem.trajectory import TrajectoryProblem
+from stiffopt.result.joint_path import JointPath
 from stiffopt.solver.ipopt import IpoptOptions
+from stiffopt.transcription.mesh import Mesh, split_counts, uniform_mesh
+from stiffopt.transcription.ocp import Guess, OptimalControlProblem
+from stiffopt.transcription.refine import refine_mesh
+from stiffopt.transcription.transcription import Transcription
 
-_LEAST_INTERVALS = 16
+_MIN_INTERVALS = 16
 # Intervals of the first and the second mesh of a deflection's peak, however fine the last is.
-_MOST_COARSE, _MOST_MIDDLE = 60, 100
+_MAX_COARSE_INTERVALS, _MAX_MIDDLE_INTERVALS = 60, 100
 # Iterations without a point that keeps all rows, after which it is asked whether there is any.
-_PATIENCE = 100
+_INFEASIBLE_ITERATIONS = 100
 # First barrier of a minimum duration, and so its bounds' multipliers.
-_DURATION_BARRIER = 1e-3
+_INITIAL_DURATION_BARRIER = 1e-3
 # That of a peak on a fine mesh, from the motion of a coarse one; and to what share of the last one
 # a correction of the inertia falls.
-_PEAK_BARRIER, _FALL = 1e-6, 0.1
+_INITIAL_PEAK_BARRIER, _INERTIA_CORRECTION_DECREASE = 1e-6, 0.1
 # IPOPT's names of how far a start is moved from bounds.
-_PUSHES = ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac")
+_BOUND_PUSH_OPTIONS = ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac")
+# Intervals of a fixed path for each piece of its spline, at whose ends the rate of its curvature
+# jumps: limits that fewer do not see are exceeded between the nodes.
+_INTERVALS_PER_PATH_PIECE = 3
+# Instants at which a guess is asked when it passes the knots of a path; and the time for a piece at
+# least, as a share of the average, where the guess is at rest.
+_PATH_SAMPLES, _MIN_PIECE_SHARE = 20001, 1e-2
 
 
 @dataclass(frozen=True)
@@ -43,14 +54,14 @@ class SolveStage:
     new_mesh: bool = False
 
 
-def stages(
+def plan_stages(
     problem: TrajectoryProblem, intervals: int, corners: float = 1.0
 ) -> tuple[SolveStage, ...]:
     """Stages that end at `intervals` with the narrowest smoothing the problem needs.
 
     `corners` is the factor on the widths of the law by which motors lead planned links.
     """
-    coarse = max(intervals // 2, min(_LEAST_INTERVALS, intervals))
+    coarse = max(intervals // 2, min(_MIN_INTERVALS, intervals))
     widths = tuple(Smoothing(width, corners) for width in smoothing_stages(problem))
     if len(widths) == 1:
         # Smooth problems converge from the guess at once; a coarse mesh would only cost time.
@@ -61,8 +72,8 @@ def stages(
     if smoothing_stages(problem) == WINDUP_SMOOTHING:
         # Each mesh follows the motion before it. A middle one costs less than a second fine one,
         # and its peaks are as low. Neither has to grow with the last one.
-        coarse = min(coarse, _MOST_COARSE)
-        middle = max(min(2 * intervals // 3, _MOST_MIDDLE), coarse)
+        coarse = min(coarse, _MAX_COARSE_INTERVALS)
+        middle = max(min(2 * intervals // 3, _MAX_MIDDLE_INTERVALS), coarse)
         between = Smoothing(float(np.sqrt(np.prod(WINDUP_SMOOTHING[-2:]))))
         return (
             SolveStage(coarse, widths[0]),
@@ -85,7 +96,7 @@ def solver_options(problem: TrajectoryProblem, *, near: bool = False) -> IpoptOp
     if (
         problem.plans_links
         or len(smoothing_stages(problem)) == 1
-        or method.intervals > _MOST_MIDDLE
+        or method.intervals > _MAX_MIDDLE_INTERVALS
     ):
         # Splines and smooth programmes are well scaled as they are: what MUMPS does to them costs
         # steps, with a free duration half of all. On fine meshes every step takes half the time.
@@ -96,20 +107,63 @@ def solver_options(problem: TrajectoryProblem, *, near: bool = False) -> IpoptOp
     fastest = any(each.name == "duration" for each in problem.objectives)
     if fastest and not problem.plans_links:
         # Beside one duration, multipliers of 1 at thousands of bounds lead far into the inside.
-        extra |= {"bound_mult_init_method": "mu-based", "mu_init": _DURATION_BARRIER}
+        extra |= {"bound_mult_init_method": "mu-based", "mu_init": _INITIAL_DURATION_BARRIER}
     peak = smoothing_stages(problem) == WINDUP_SMOOTHING and not fastest
-    if near and peak and not problem.plans_links and method.intervals > _MOST_MIDDLE:
+    if near and peak and not problem.plans_links and method.intervals > _MAX_MIDDLE_INTERVALS:
         # All nodes share the peak's multiplier. Of 1 each they bend the programme so much that the
         # inertia is mended by far more than is needed, and for many short steps.
-        extra |= {"bound_mult_init_method": "mu-based", "mu_init": _PEAK_BARRIER}
-        extra["perturb_dec_fact"] = _FALL
+        extra |= {"bound_mult_init_method": "mu-based", "mu_init": _INITIAL_PEAK_BARRIER}
+        extra["perturb_dec_fact"] = _INERTIA_CORRECTION_DECREASE
     if problem.plans_links and near:
         # Multipliers of a small barrier, else the motion is first led far away from where it is.
         extra |= {"bound_mult_init_method": "mu-based", "mu_init": 1e-4}
-        extra |= dict.fromkeys(_PUSHES, 1e-3)
+        extra |= dict.fromkeys(_BOUND_PUSH_OPTIONS, 1e-3)
     return IpoptOptions(
         tol=method.tolerance,
         max_iterations=method.max_iterations,
-        patience=0 if problem.plans_links else _PATIENCE,
+        patience=0 if problem.plans_links else _INFEASIBLE_ITERATIONS,
         extra=extra,
     )
+
+
+def initial_mesh(
+    problem: TrajectoryProblem, ocp: OptimalControlProblem, stage: SolveStage, guess: Guess
+) -> Mesh:
+    """Even intervals within each phase, or within each piece of a fixed path."""
+    if problem.path is not None:
+        return _mesh_along_path(problem.path, guess, resolving_intervals(problem, stage))
+    return uniform_mesh(stage.intervals, ocp.phases, tuple(guess.phase_fractions))
+
+
+def finer_mesh(
+    problem: TrajectoryProblem, before: Transcription, x: np.ndarray, intervals: int
+) -> Mesh:
+    """Mesh for the motion `x`: short where its controls change, on a path between its waypoints."""
+    if problem.path is not None:
+        return _mesh_along_path(problem.path, before.guess_from(x), intervals)
+    return refine_mesh(before, x, intervals)
+
+
+def _mesh_along_path(waypoints: np.ndarray, guess: Guess, intervals: int) -> Mesh:
+    """Mesh with nodes where a motion passes the waypoints, at which the curvature's rate jumps.
+
+    Parameters
+    ----------
+    waypoints : array (m, n)
+    guess : Guess
+        The motion: path coordinate and its speed.
+    intervals : int
+    """
+    at = np.linspace(0.0, 1.0, _PATH_SAMPLES)
+    knots = JointPath.through(waypoints).knots
+    shares = np.diff(np.interp(knots, guess.states(at)[:, 0], at))
+    shares = np.maximum(shares, _MIN_PIECE_SHARE / len(shares))
+    shares /= shares.sum()
+    counts = split_counts(intervals, shares, _INTERVALS_PER_PATH_PIECE)
+    return [np.repeat(shares / counts, counts)]
+
+
+def resolving_intervals(problem: TrajectoryProblem, stage: SolveStage) -> int:
+    """Intervals of a stage, no fewer than show where the pieces of a fixed path bend."""
+    pieces = 0 if problem.path is None else len(problem.path) - 1
+    return max(stage.intervals, _INTERVALS_PER_PATH_PIECE * pieces)

@@ -22,12 +22,12 @@ from stiffopt.result.trajectory import Trajectory
 from stiffopt.transcription.transcription import Transcription
 
 # Of the width of the friction's change of sign: what moves no faster creeps.
-_SLOW = 0.5
+_CREEP_SPEED_SHARE = 0.5
 # Nodes in a row at which a joint creeps, and share of the motion; less is where it turns.
-_LEAST, _SHORTEST = 3, 0.02
+_MIN_CREEP_NODES, _MIN_CREEP_SHARE = 3, 0.02
 
 
-def at_rest(
+def fix_creeping_joints(
     transcription: Transcription, x: np.ndarray, problem: TrajectoryProblem
 ) -> Transcription | None:
     """The transcription with bounds that keep joints at rest where they creep.
@@ -51,16 +51,16 @@ def at_rest(
     nlp, states, controls = transcription.nlp, transcription.states, transcription.controls
     assert states.places is not None
     assert controls.places is not None
-    width = _SLOW * np.asarray(dry_friction_width(robot.velocity_max))
+    width = _CREEP_SPEED_SHARE * np.asarray(dry_friction_width(robot.velocity_max))
     slow = np.abs(transcription.node_states(x)[:, n:]) < width
     times = transcription.times_of(states.places, x)
     driven = transcription.times_of(controls.places, x)
-    least = _SHORTEST * float(transcription.phase_durations(x).sum())
+    least = _MIN_CREEP_SHARE * float(transcription.phase_durations(x).sum())
     still = np.zeros(nlp.variables.size, dtype=bool)
     for j in np.flatnonzero(np.asarray(robot.coulomb) > 0.0):
-        for run in _runs(slow[:, j]):
+        for run in _index_runs(slow[:, j]):
             first, last = times[run[0]], times[run[-1]]
-            if len(run) < _LEAST or last - first < least:
+            if len(run) < _MIN_CREEP_NODES or last - first < least:
                 continue
             # What follows from it is left to the equations of motion: said twice, they depend.
             still[states.offset + run[0] * 2 * n + n + j] = True
@@ -74,7 +74,9 @@ def at_rest(
     return replace(transcription, nlp=replace(nlp, lower_x=lower, upper_x=upper))
 
 
-def lacking_friction(problem: TrajectoryProblem, motion: Trajectory, smoothing: Smoothing) -> float:
+def missing_friction_share(
+    problem: TrajectoryProblem, motion: Trajectory, smoothing: Smoothing
+) -> float:
     """What smooth dry friction lacks of the squared torque ratios at the optimiser's own instants.
 
     Relative to the true ones; 0 where no torque is minimised.
@@ -93,7 +95,7 @@ def lacking_friction(problem: TrajectoryProblem, motion: Trajectory, smoothing: 
     return float(1.0 - sums[0] / sums[1]) if sums[1] > 0.0 else 0.0
 
 
-def _runs(where: np.ndarray) -> list[np.ndarray]:
+def _index_runs(where: np.ndarray) -> list[np.ndarray]:
     """Indices of what is true, in runs without a gap."""
     index = np.flatnonzero(where)
     return np.split(index, np.flatnonzero(np.diff(index) > 1) + 1) if index.size else []

@@ -24,46 +24,46 @@ from stiffopt.problem.clear_poses import targets
 from stiffopt.result.assessment import Violation
 from stiffopt.result.joint_path import JointPath
 from stiffopt.result.solution import Baseline
-from stiffopt.solver.avoidance import Avoidance
-from stiffopt.solver.free_path import FreeSpace
-from stiffopt.solver.guess import guess_along
-from stiffopt.solver.plan import SolveStage, stages
-from stiffopt.solver.refinement import refined, stopped
+from stiffopt.solver.clearance_rows import ClearanceRows
+from stiffopt.solver.initial_guess import guess_from_motion
+from stiffopt.solver.path_search import FreeSpace
+from stiffopt.solver.refinement import mark_interrupted, refine
 from stiffopt.solver.solve_run import SolveProgress, SolveRun
+from stiffopt.solver.stage_plan import SolveStage, plan_stages
 from stiffopt.solver.stages import Outcome, run_stages, solve_again
 from stiffopt.transcription.mesh import Mesh
 from stiffopt.transcription.ocp import Guess
 
 # Overlaps up to this share of the arm's length are pushed apart as they are.
-_GRAZED = 0.02
+_GRAZING_ARM_SHARE = 0.02
 # How often pairs are kept further apart; by more than the certificate misses, up to this [m].
-_WIDENED = 4
-_MORE, _LEAST, _MOST = 1.2, 2e-5, 0.01
+_MAX_CLEARANCE_INCREASES = 4
+_CLEARANCE_INCREASE_FACTOR, _MIN_CLEARANCE_INCREASE, _MAX_CLEARANCE_INCREASE = 1.2, 2e-5, 0.01
 # Poses tried for a place of the tool whose first pose collides.
-_OTHER_POSES = 100
+_ALTERNATIVE_POSES = 100
 # How often planes are laid anew after corrections; the objective has settled when it falls by less.
-_RELAID, _SETTLED = 5, 1e-3
+_MAX_PLANE_UPDATES, _MIN_RELATIVE_GAIN = 5, 1e-3
 # Of the time that is left, for one search of a free path, and seconds at most.
-_SHARE, _SECONDS = 0.2, 20.0
-_OUT_OF_TIME = "The time limit came before a way around was found; raise method.time_limit."
+_SEARCH_TIME_SHARE, _MAX_SEARCH_SECONDS = 0.2, 20.0
+_SEARCH_TIMED_OUT = "The time limit came before a way around was found; raise method.time_limit."
 
 
 @dataclass(frozen=True)
-class _Start:
+class _CollisionFreeStart:
     """Where a solve clear of collisions begins; `mesh` None for a uniform one."""
 
     plan: tuple[SolveStage, ...]
     guess: Guess
     mesh: Mesh | None = None
 
-    def finer(self) -> _Start:
+    def finer(self) -> _CollisionFreeStart:
         """The same in half the steps: what is swept in one leaves no room, it may in two."""
         plan = tuple(replace(stage, intervals=2 * stage.intervals) for stage in self.plan)
         mesh = None if self.mesh is None else [np.repeat(0.5 * part, 2) for part in self.mesh]
         return replace(self, plan=plan, mesh=mesh)
 
 
-def led_around(
+def avoid_collisions(
     run: SolveRun, plain: Outcome, rival: Baseline | None, *, searches: int = 1
 ) -> Outcome:
     """The outcome itself where it does not collide, else the best one found clear of collisions.
@@ -80,32 +80,32 @@ def led_around(
     """
     best: Outcome | None = None
     try:
-        hits = collisions(run, plain)
+        hits = find_collisions(run, plain)
         if not hits or not plain.raw.converged:
             return plain
-        for start in _starts(run, plain, hits, searches):
+        for start in _candidate_starts(run, plain, hits, searches):
             for tried in (start, start.finer()):
-                run.avoidance = Avoidance(run.problem, [hit.pair for hit in hits if hit.pair])
-                found = _kept_clear(run, tried, rival)
-                if best is None or _rank(run, found) < _rank(run, best):
+                run.avoidance = ClearanceRows(run.problem, [hit.pair for hit in hits if hit.pair])
+                found = _solve_clear(run, tried, rival)
+                if best is None or _rank_clear(run, found) < _rank_clear(run, best):
                     best = found
                 if found.raw.status != "infeasible":
                     break
             ended = found.raw.status in ("interrupted", "time_limit")
             # One that was pushed off what it grazed needs no search.
-            if ended or (start.mesh is not None and _is_good(run, found)):
+            if ended or (start.mesh is not None and _is_certified_and_clear(run, found)):
                 break
     except KeyboardInterrupt:
-        return stopped(plain if best is None else best)
-    if best is None or not (_is_good(run, best) or best.raw.status == "interrupted"):
+        return mark_interrupted(plain if best is None else best)
+    if best is None or not (_is_certified_and_clear(run, best) or best.raw.status == "interrupted"):
         if best is not None and found.raw.status == "time_limit":
-            run.unavoided = _OUT_OF_TIME
+            run.avoidance_failure = _SEARCH_TIMED_OUT
         return plain
-    run.unavoided = ""
+    run.avoidance_failure = ""
     return best
 
 
-def collisions(run: SolveRun, outcome: Outcome) -> list[Violation]:
+def find_collisions(run: SolveRun, outcome: Outcome) -> list[Violation]:
     """What the certificate finds too near, the worst first."""
     motion = with_collisions(run.problem, outcome.assessment)
     return [
@@ -113,49 +113,55 @@ def collisions(run: SolveRun, outcome: Outcome) -> list[Violation]:
     ]
 
 
-def _starts(
+def _candidate_starts(
     run: SolveRun, plain: Outcome, hits: list[Violation], searches: int
-) -> Iterator[_Start]:
+) -> Iterator[_CollisionFreeStart]:
     problem = run.problem
     names = " and ".join(hits[0].pair or ())
-    shallow = -_GRAZED * problem.clearance_model.arm
+    shallow = -_GRAZING_ARM_SHARE * problem.clearance_model.arm
     if all((hit.distance or 0.0) > shallow for hit in hits):
         before = plain.transcription
         stage = SolveStage(len(before.intervals), plain.smoothing)
-        yield _Start((stage,), before.guess_from(plain.raw.x), before.mesh)
+        yield _CollisionFreeStart((stage,), before.guess_from(plain.raw.x), before.mesh)
     tried = 0
     for number in range(searches):
-        _tell(run, f"seeking a way around {names}", plain)
-        seconds = min(_SECONDS, _SHARE * run.remaining)
+        _report_search(run, f"seeking a way around {names}", plain)
+        seconds = min(_MAX_SEARCH_SECONDS, _SEARCH_TIME_SHARE * run.remaining)
         space = FreeSpace(problem, problem.method.seed + number, seconds)
-        points = _clear_points(run, space)
+        points = _collision_free_points(run, space)
         blocked = [targets(problem)[k][0] for k in space.blocked(points)]
         if blocked:
-            run.unavoided = f"No pose free of collisions was found for {' and '.join(blocked)}."
+            run.avoidance_failure = (
+                f"No pose free of collisions was found for {' and '.join(blocked)}."
+            )
             return
         poses = space.path(points)
         tried += space.tried
         if poses is None:
-            run.unavoided = f"No way around was found in {tried} poses that were tried."
-            if seconds < _SECONDS:
-                run.unavoided = _OUT_OF_TIME
+            run.avoidance_failure = f"No way around was found in {tried} poses that were tried."
+            if seconds < _MAX_SEARCH_SECONDS:
+                run.avoidance_failure = _SEARCH_TIMED_OUT
             continue
-        run.unavoided = "A way around was found, but no motion along it that keeps every limit."
+        run.avoidance_failure = (
+            "A way around was found, but no motion along it that keeps every limit."
+        )
         detour = detour_baseline(problem, JointPath.through(poses, "chord"))
         assert detour.assessment is not None
         run.detour = run.detour or detour
-        guess = guess_along(problem, run.motion, detour.assessment)
-        yield _Start(stages(problem, problem.method.intervals, run.corners), guess)
+        guess = guess_from_motion(problem, run.motion, detour.assessment)
+        yield _CollisionFreeStart(
+            plan_stages(problem, problem.method.intervals, run.corners), guess
+        )
 
 
-def _clear_points(run: SolveRun, space: FreeSpace) -> np.ndarray:
+def _collision_free_points(run: SolveRun, space: FreeSpace) -> np.ndarray:
     """Start, vias and end (k, n); where only the tool's place is given, poses that are free."""
     problem, points = run.problem, run.motion.points.copy()
     random = np.random.default_rng(problem.method.seed)
     for k, (_, target) in enumerate(targets(problem)):
         if target.fixes_pose or space.gap(points[k]) > 0.0:
             continue
-        for near in space.poses(_OTHER_POSES, random):
+        for near in space.poses(_ALTERNATIVE_POSES, random):
             with suppress(ProblemError):
                 pose = solve_pose(problem.robot, target.position, None, near)
                 if space.gap(pose) > 0.0:
@@ -164,41 +170,47 @@ def _clear_points(run: SolveRun, space: FreeSpace) -> np.ndarray:
     return np.asarray(points)
 
 
-def _kept_clear(run: SolveRun, start: _Start, rival: Baseline | None) -> Outcome:
+def _solve_clear(run: SolveRun, start: _CollisionFreeStart, rival: Baseline | None) -> Outcome:
     """Solved from a start, pairs kept further apart while the certificate finds them too near."""
     avoidance = run.avoidance
     assert avoidance is not None
-    found = refined(run, run_stages(run, start.plan, start.guess, {}, start.mesh), rival)
+    found = refine(run, run_stages(run, start.plan, start.guess, {}, start.mesh), rival)
     if run.problem.plans_links:
-        found = _after_corrections(run, avoidance, found)
-    for _ in range(_WIDENED):
-        hits = collisions(run, found)
+        found = _update_planes(run, avoidance, found)
+    for _ in range(_MAX_CLEARANCE_INCREASES):
+        hits = find_collisions(run, found)
         if not hits or not found.raw.converged:
             break
         for hit in hits:
             assert hit.pair is not None
             assert hit.distance is not None
             missing = run.problem.stated_cell.clearance - hit.distance
-            avoidance.widen(hit.pair, min(_MORE * missing + _LEAST, _MOST))
+            avoidance.widen(
+                hit.pair,
+                min(
+                    _CLEARANCE_INCREASE_FACTOR * missing + _MIN_CLEARANCE_INCREASE,
+                    _MAX_CLEARANCE_INCREASE,
+                ),
+            )
         before = found.transcription
         stage = SolveStage(len(before.intervals), found.smoothing)
         guess = before.guess_from(found.raw.x)
         try:
-            again = refined(run, run_stages(run, (stage,), guess, {}, before.mesh), rival)
+            again = refine(run, run_stages(run, (stage,), guess, {}, before.mesh), rival)
         except KeyboardInterrupt:
-            return stopped(found)
+            return mark_interrupted(found)
         if not again.raw.converged and again.raw.status not in ("interrupted", "time_limit"):
             break
         found = again
     return found
 
 
-def _after_corrections(run: SolveRun, avoidance: Avoidance, found: Outcome) -> Outcome:
+def _update_planes(run: SolveRun, avoidance: ClearanceRows, found: Outcome) -> Outcome:
     """Planes laid anew where corrections have led the links away from them, bounds as corrected."""
-    for _ in range(_RELAID):
-        if not _is_good(run, found) or not found.raw.converged:
+    for _ in range(_MAX_PLANE_UPDATES):
+        if not _is_certified_and_clear(run, found) or not found.raw.converged:
             break
-        transcription, same = avoidance.renewed(found.transcription, found.raw.x)
+        transcription, same = avoidance.updated(found.transcription, found.raw.x)
         if not same:
             break
         corrected, anew = found.solver.nlp, transcription.nlp
@@ -210,28 +222,30 @@ def _after_corrections(run: SolveRun, avoidance: Avoidance, found: Outcome) -> O
         )
         before = replace(found, transcription=replace(transcription, nlp=nlp))
         try:
-            again = refined(run, solve_again(run, before, nlp, found.smoothing), None)
+            again = refine(run, solve_again(run, before, nlp, found.smoothing), None)
         except KeyboardInterrupt:
-            return stopped(found)
-        if not _is_good(run, again) or _rank(run, again) >= _rank(run, found):
+            return mark_interrupted(found)
+        if not _is_certified_and_clear(run, again) or _rank_clear(run, again) >= _rank_clear(
+            run, found
+        ):
             break
         gain = 1.0 - again.raw.objective / found.raw.objective
         found = again
-        if gain < _SETTLED:
+        if gain < _MIN_RELATIVE_GAIN:
             break
     return found
 
 
-def _rank(run: SolveRun, outcome: Outcome) -> tuple[bool, float]:
+def _rank_clear(run: SolveRun, outcome: Outcome) -> tuple[bool, float]:
     value = objective_value(run.problem, outcome.assessment).value
-    return not _is_good(run, outcome), -value if is_maximised(run.problem) else value
+    return not _is_certified_and_clear(run, outcome), -value if is_maximised(run.problem) else value
 
 
-def _is_good(run: SolveRun, outcome: Outcome) -> bool:
-    return outcome.assessment.feasible(CERTIFICATE_TOLERANCE) and not collisions(run, outcome)
+def _is_certified_and_clear(run: SolveRun, outcome: Outcome) -> bool:
+    return outcome.assessment.feasible(CERTIFICATE_TOLERANCE) and not find_collisions(run, outcome)
 
 
-def _tell(run: SolveRun, stage: str, plain: Outcome) -> None:
+def _report_search(run: SolveRun, stage: str, plain: Outcome) -> None:
     if run.progress is not None:
-        value = run.in_si(plain.raw.objective)
+        value = run.reported_value(plain.raw.objective)
         run.progress(SolveProgress(stage, 0, value, 0.0, "", run.elapsed))
