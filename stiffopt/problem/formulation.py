@@ -114,7 +114,7 @@ def formulate(
         static_scale=np.array(goal.static_scales),
         chains=tuple((*(k * size + i for k in range(order)), i) for i in range(size)),
         parameters=Smoothing(1.0).parameters,
-        **_bounds(problem, motion, coordinates, margins, vibrates_after_arrival=bool(modes)),
+        **_bounds(problem, motion, coordinates, margins, swings_on=bool(modes)),
     )
 
 

@@ -1,12 +1,12 @@
-"""Rows that keep a motion clear of collisions: planes between what comes near, step by step.
+"""Collision constraints: rows that keep solids on their sides of separating planes.
 
-In every interval in which two solids come near, a plane is laid between what the first one sweeps
-and the second, and both ends of the interval keep to its side, as far as the clearance asks. With
-the planes fixed these are smooth rows, and sufficient; solved, the planes are laid anew on the
-motion that was found, which keeps them, so that the objective only falls.
+In every interval in which two solids come near, a plane separates the volume swept by the first one
+from the second, and both ends of the interval are constrained to its side by the clearance. With
+fixed planes these rows are smooth and sufficient. After a solve the planes are updated for the
+motion found, which satisfies them, so that the objective decreases monotonically.
 
 Source: Schulman et al. (2014), "Motion planning with sequential convex optimization and convex
-collision checking", for the hull of what is swept between two instants.
+collision checking", for the convex hull of the volume swept between two instants.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ if TYPE_CHECKING:
     from stiffopt.problem.trajectory import TrajectoryProblem
 
 CLEARANCE_ROWS = "clearance"
-# Solids nearer than this share of the arm's length get rows.
+# Couples of solids nearer than the clearance plus this share of the arm's length get rows.
 _NEAR_COUPLE_ARM_SHARE = 0.02
-# Of rows, for the solver's tolerance [m]; what is nearer than allowed by less is kept.
+# Scale of the rows [m], and violation of the clearance that is tolerated [m].
 _ROW_SCALE = 0.1
 _CLEARANCE_TOLERANCE = 1e-6
-# Rows of one plane at one node, at most.
+# Of one plane: support points of the solid beyond this number are left to the certificate.
 _MAX_ROWS_PER_NODE = 6
 
 # Number of a couple and of an interval.
@@ -40,20 +40,20 @@ Place = tuple[int, int]
 
 
 class ClearanceRows:
-    """What keeps a problem's motion clear, from one solve to the next.
+    """Collision constraints of a problem, kept from one solve to the next.
 
     Parameters
     ----------
     problem : TrajectoryProblem
     met : collection of pairs
-        What the motion met before: they get rows in every interval, others where they are near.
+        Pairs that have collided: they get rows in every interval, others where they are near.
     """
 
     def __init__(self, problem: TrajectoryProblem, met: Collection[tuple[str, str]]) -> None:
         self.problem = problem
         self.model = problem.clearance_model
         self._planes = SeparatingPlanes(self.model)
-        # By how much more than the clearance each pair is kept apart [m].
+        # Of each pair, beyond the stated clearance [m].
         self._extra_clearance = np.zeros(len(self.model.pairs))
         pairs = {self.model.pairs.index(pair) for pair in met}
         self._couples_everywhere = {
@@ -64,12 +64,12 @@ class ClearanceRows:
         self._functions: dict[tuple[int, int], ca.Function] = {}
 
     def added(self, plain: Transcription, x: np.ndarray) -> Transcription:
-        """The transcription with rows for all that is near at the vector `x` of its programme."""
+        """Return the transcription with rows for all couples near at the NLP vector `x`."""
         self._base_transcription, self._active_places = plain, set()
         return self._add_clearance_rows(x)
 
     def updated(self, made: Transcription, x: np.ndarray) -> tuple[Transcription, bool]:
-        """The rows laid anew at `x`; whether they are at the same places as those of `made`."""
+        """Return the rows updated at `x`, and True where their structure is that of `made`."""
         assert self._base_transcription is not None
         before = set(self._active_places)
         blocks = self._clearance_blocks(self._base_transcription, x)
@@ -78,7 +78,7 @@ class ClearanceRows:
         return with_node_rows(self._base_transcription, blocks), False
 
     def collides_elsewhere(self, x: np.ndarray) -> bool:
-        """Whether a motion comes too near to something where no rows are; there are from now on."""
+        """Return True where a couple without rows is too near; it gets rows everywhere."""
         assert self._base_transcription is not None
         _, nearest = self._interval_distances(self._base_transcription, x)
         close = np.argwhere(nearest < self._required_distances - _CLEARANCE_TOLERANCE)
@@ -87,22 +87,22 @@ class ClearanceRows:
         return bool(new)
 
     def restarted_at(self, x: np.ndarray) -> Transcription:
-        """The rows as `added` at another vector, for all that was run into since."""
+        """Return the rows as of `added` at another vector, with couples that collided since."""
         return self._add_clearance_rows(x)
 
     def widen(self, pair: tuple[str, str], by: float) -> None:
-        """Keep a pair further apart [m]: what the motion bends between two nodes."""
+        """Increase the clearance of a pair [m], for the motion's curvature between nodes."""
         self._extra_clearance[self.model.pairs.index(pair)] += by
 
     @property
     def rows_before(self) -> int:
-        """How many rows the programme has without those of clearances."""
+        """Number of rows of the programme without clearances."""
         assert self._base_transcription is not None
         return len(self._base_transcription.nlp.lower_g)
 
     @property
     def _required_distances(self) -> np.ndarray:
-        """How far every couple is kept apart (couples,) [m]."""
+        """Required distance of every couple (couples,) [m]."""
         return np.asarray(
             self.problem.stated_cell.clearance + self._extra_clearance[self.model.pair_of],
             dtype=float,
@@ -118,14 +118,14 @@ class ClearanceRows:
     def _interval_distances(
         self, plain: Transcription, x: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Positions (nodes, n), and least distances in every interval (intervals, couples)."""
+        """Return positions (nodes, n) and least distances per interval (intervals, couples)."""
         states = plain.node_states(x)[:, _position_states(plain)]
         columns = plain.scheme.state_columns(len(plain.intervals))
         distances = np.array([self.model.couple_distances(q) for q in states])
         return states, distances[columns].min(axis=1)
 
     def _clearance_blocks(self, plain: Transcription, x: np.ndarray) -> list[NodeRows]:
-        """Rows of all couples that are near, or were near before, in the intervals where."""
+        """Return the rows of all couples in the intervals in which they are or were near."""
         states, nearest = self._interval_distances(plain, x)
         columns = plain.scheme.state_columns(len(plain.intervals))
         placed = [self.model.placements(q) for q in states]
@@ -150,7 +150,7 @@ class ClearanceRows:
         free: np.ndarray,
         positions: list[int],
     ) -> NodeRows:
-        """Rows of one couple: every plane at all nodes of its interval."""
+        """Return the rows of one couple: every plane at all nodes of its interval."""
         most = min(_MAX_ROWS_PER_NODE, self._planes.supports(couple))
         count = np.arange(most)
         numbers = np.zeros((*columns.shape, most, ROW_PARAMETERS))
@@ -167,7 +167,7 @@ class ClearanceRows:
                     np.full(len(near.radius), plane.height + self._required_distances[couple]),
                 ]
             )
-            # Rows without bounds take the first one's numbers.
+            # Unused rows repeat the first one's parameters; they have no bounds.
             numbers[k] = own[np.where(count < m, count, 0)]
             kept[k] = (count < m) & free[columns[k]][:, None]
         pair = self.model.pairs[self.model.pair_of[couple]]
@@ -189,12 +189,12 @@ class ClearanceRows:
 
 
 def _position_states(plain: Transcription) -> list[int]:
-    """Which states are the joints' positions."""
+    """Return the indices of the joint positions among the states."""
     return [chain[0] for chain in plain.ocp.chains]
 
 
 def _unfixed_nodes(plain: Transcription) -> np.ndarray:
-    """Nodes at which the pose is not given."""
+    """Return a mask of the nodes at which the pose is free."""
     bounds = plain.states
     apart = (bounds.upper - bounds.lower)[_position_states(plain)]
     return np.asarray(np.any(apart > 1e-9, axis=0))

@@ -1,8 +1,8 @@
-"""A solve whose motion collides, solved again clear of collisions.
+"""Collision avoidance: a solve whose motion collides is repeated with clearance rows.
 
-A motion that only grazes something is pushed off it. Else a free path is sought from pose to pose,
-and the solve begins with a motion along it. The certificate judges what comes out; where it still
-finds too little distance between two nodes, the pair is kept further apart.
+A slight overlap is resolved from the motion itself. Otherwise a collision-free path is searched
+from pose to pose, and the solve starts from a motion along it. Where the certificate still finds
+too small a distance between two nodes, the clearance of that pair is increased.
 """
 
 from __future__ import annotations
@@ -34,30 +34,32 @@ from stiffopt.solver.stages import Outcome, run_stages, solve_again
 from stiffopt.transcription.mesh import Mesh
 from stiffopt.transcription.ocp import Guess
 
-# Overlaps up to this share of the arm's length are pushed apart as they are.
+# Overlap, as a share of the arm's length, up to which no path is searched.
 _GRAZING_ARM_SHARE = 0.02
-# How often pairs are kept further apart; by more than the certificate misses, up to this [m].
+# Increases of a pair's clearance: number, factor on the missing distance, least and largest [m].
 _MAX_CLEARANCE_INCREASES = 4
 _CLEARANCE_INCREASE_FACTOR, _MIN_CLEARANCE_INCREASE, _MAX_CLEARANCE_INCREASE = 1.2, 2e-5, 0.01
-# Poses tried for a place of the tool whose first pose collides.
+# Inverse kinematics starts for a tool position whose first pose collides.
 _ALTERNATIVE_POSES = 100
-# How often planes are laid anew after corrections; the objective has settled when it falls by less.
+# Updates of the planes after back-off corrections, and relative gain below which they end.
 _MAX_PLANE_UPDATES, _MIN_RELATIVE_GAIN = 5, 1e-3
-# Of the time that is left, for one search of a free path, and seconds at most.
+# Time of one path search: share of the remaining time, and largest [s].
 _SEARCH_TIME_SHARE, _MAX_SEARCH_SECONDS = 0.2, 20.0
-_SEARCH_TIMED_OUT = "The time limit came before a way around was found; raise method.time_limit."
+_SEARCH_TIMED_OUT = (
+    "The time limit ended the search for a collision-free path; raise method.time_limit."
+)
 
 
 @dataclass(frozen=True)
 class _CollisionFreeStart:
-    """Where a solve clear of collisions begins; `mesh` None for a uniform one."""
+    """Stages and guess of a solve with clearance rows; `mesh` None for a uniform one."""
 
     plan: tuple[SolveStage, ...]
     guess: Guess
     mesh: Mesh | None = None
 
     def finer(self) -> _CollisionFreeStart:
-        """The same in half the steps: what is swept in one leaves no room, it may in two."""
+        """Return the start with halved intervals, which sweep smaller volumes each."""
         plan = tuple(replace(stage, intervals=2 * stage.intervals) for stage in self.plan)
         mesh = None if self.mesh is None else [np.repeat(0.5 * part, 2) for part in self.mesh]
         return replace(self, plan=plan, mesh=mesh)
@@ -66,17 +68,17 @@ class _CollisionFreeStart:
 def avoid_collisions(
     run: SolveRun, plain: Outcome, rival: Baseline | None, *, searches: int = 1
 ) -> Outcome:
-    """The outcome itself where it does not collide, else the best one found clear of collisions.
+    """Return the outcome where it does not collide, else the best collision-free one found.
 
     Parameters
     ----------
     run : SolveRun
-        Says in `unavoided` what was tried in vain; `detour` is the first path that was found.
+        Its `avoidance_failure` is set to the reason of a failure, `detour` to the first path found.
     plain : Outcome
         Solved without regard to collisions.
     rival : Baseline or None
     searches : int
-        Paths that are tried.
+        Number of path searches.
     """
     best: Outcome | None = None
     try:
@@ -92,7 +94,7 @@ def avoid_collisions(
                 if found.raw.status != "infeasible":
                     break
             ended = found.raw.status in ("interrupted", "time_limit")
-            # One that was pushed off what it grazed needs no search.
+            # A resolved slight overlap needs no path search.
             if ended or (start.mesh is not None and _is_certified_and_clear(run, found)):
                 break
     except KeyboardInterrupt:
@@ -106,7 +108,7 @@ def avoid_collisions(
 
 
 def find_collisions(run: SolveRun, outcome: Outcome) -> list[Violation]:
-    """What the certificate finds too near, the worst first."""
+    """Return the certificate's collision violations, worst first."""
     motion = with_collisions(run.problem, outcome.assessment)
     return [
         v for v in motion.violations if v.limit == COLLISION and v.value > CERTIFICATE_TOLERANCE
@@ -125,7 +127,7 @@ def _candidate_starts(
         yield _CollisionFreeStart((stage,), before.guess_from(plain.raw.x), before.mesh)
     tried = 0
     for number in range(searches):
-        _report_search(run, f"seeking a way around {names}", plain)
+        _report_search(run, f"searching a path around {names}", plain)
         seconds = min(_MAX_SEARCH_SECONDS, _SEARCH_TIME_SHARE * run.remaining)
         space = FreeSpace(problem, problem.method.seed + number, seconds)
         points = _collision_free_points(run, space)
@@ -138,12 +140,12 @@ def _candidate_starts(
         poses = space.path(points)
         tried += space.tried
         if poses is None:
-            run.avoidance_failure = f"No way around was found in {tried} poses that were tried."
+            run.avoidance_failure = f"No collision-free path was found in {tried} trial poses."
             if seconds < _MAX_SEARCH_SECONDS:
                 run.avoidance_failure = _SEARCH_TIMED_OUT
             continue
         run.avoidance_failure = (
-            "A way around was found, but no motion along it that keeps every limit."
+            "A collision-free path was found, but no motion along it that keeps every limit."
         )
         detour = detour_baseline(problem, JointPath.through(poses, "chord"))
         assert detour.assessment is not None
@@ -155,7 +157,7 @@ def _candidate_starts(
 
 
 def _collision_free_points(run: SolveRun, space: FreeSpace) -> np.ndarray:
-    """Start, vias and end (k, n); where only the tool's place is given, poses that are free."""
+    """Return start, vias and end (k, n), collision-free where only positions are given."""
     problem, points = run.problem, run.motion.points.copy()
     random = np.random.default_rng(problem.method.seed)
     for k, (_, target) in enumerate(targets(problem)):
@@ -171,7 +173,7 @@ def _collision_free_points(run: SolveRun, space: FreeSpace) -> np.ndarray:
 
 
 def _solve_clear(run: SolveRun, start: _CollisionFreeStart, rival: Baseline | None) -> Outcome:
-    """Solved from a start, pairs kept further apart while the certificate finds them too near."""
+    """Solve from a start, increasing clearances while the certificate finds pairs too near."""
     avoidance = run.avoidance
     assert avoidance is not None
     found = refine(run, run_stages(run, start.plan, start.guess, {}, start.mesh), rival)
@@ -206,7 +208,7 @@ def _solve_clear(run: SolveRun, start: _CollisionFreeStart, rival: Baseline | No
 
 
 def _update_planes(run: SolveRun, avoidance: ClearanceRows, found: Outcome) -> Outcome:
-    """Planes laid anew where corrections have led the links away from them, bounds as corrected."""
+    """Update the planes after corrections have moved the links, with the corrected bounds."""
     for _ in range(_MAX_PLANE_UPDATES):
         if not _is_certified_and_clear(run, found) or not found.raw.converged:
             break

@@ -38,21 +38,21 @@ _WINDUP_SHARES = (1.0, 1.0 + LEADS_MORE, 1.06, 1.09)
 _TRIAL_SAMPLES = 1001
 
 Result = TypeVar("Result")
-# What asks for the swings of members on the way to its answer: those of several are simulated
-# together, which costs little more than one alone.
+# Generator that requests simulations on its way to a result: the requests of several generators are
+# simulated together, which costs little more than one alone.
 SimulationRequests = Generator[Asked, Swings, Result]
 
 
 @dataclass(frozen=True, eq=False)
 class ExistingCommand:
-    """A command, as it was made earlier.
+    """Command of an earlier solve.
 
     Parameters
     ----------
     motors : JointMotion
         Motion of the motors, with that of the links as its `link`.
     plan : MotorMotion
-        What the links are to do.
+        Planned motion of the links.
     spacing : float or None
         As of `CompensatedMotion`.
     share : float
@@ -66,7 +66,7 @@ class ExistingCommand:
 
 @dataclass(frozen=True, eq=False)
 class CommandOnArms:
-    """A command on the arm as modelled, at its bounds and as drawn.
+    """Command with its results on the arm as modelled, at its bounds and as drawn.
 
     Parameters
     ----------
@@ -81,7 +81,7 @@ class CommandOnArms:
     excess : tuple of Violation
         Limits of the motors that the command exceeds.
     simulated : callable
-        The whole swing of the command on an arm.
+        Full elastic simulation of the command on an arm.
     law : MotorLaw
         By which the command was made.
     """
@@ -100,12 +100,12 @@ class CommandOnArms:
 
     @property
     def worst_case_peaks(self) -> float:
-        """Peaks of the command on the worst arm, in flight and after arrival together [m]."""
+        """Sum of the command's peaks on the worst arms, in flight and after arrival [m]."""
         led = self.compensated
         return np.inf if self.excess else led.flight.worst + led.after.worst
 
     def for_reports(self) -> CompensatedMotion:
-        """With its swings, which reports show."""
+        """Return the result for reports, with full simulations."""
         optimised = self.motion.name == "optimised"
         return CompensatedMotion(
             name=self.motion.name,
@@ -121,7 +121,7 @@ class CommandOnArms:
 
 @dataclass(frozen=True, eq=False)
 class _Lead:
-    """Motors that lead a smooth motion of the links.
+    """Smooth motion of the links and the motors that lead it.
 
     Parameters
     ----------
@@ -136,7 +136,7 @@ class _Lead:
     spacing: float | None
 
     def command(self, share: float) -> Trajectory:
-        """Motion of the motors with a share of the wind-up."""
+        """Return the motors' motion with a share of the wind-up."""
         if share == 1.0:
             return self.motors
         times = self.motors.times
@@ -147,7 +147,7 @@ class _Lead:
 
 
 class CommandSearch:
-    """One planned motion on the many arms; with a servo that is known, all of them have it."""
+    """Search for the command of one planned motion on many arms; a known servo is that of all."""
 
     def __init__(
         self,
@@ -177,24 +177,24 @@ class CommandSearch:
         unsure = self._problem.uncertainty
         if self._known is None:
             return unsure
-        # One that follows exactly differs in nothing.
+        # An ideal servo: no uncertainty of it.
         return replace(unsure, servo_feed_forward=1.0, servo_delay=0.0)
 
     def _with_known_servo(self, arms: list[Departure]) -> list[Departure]:
         return arms if self._known is None else [replace(each, servo=1.0) for each in arms]
 
     def judged_command(self) -> SimulationRequests[CommandOnArms]:
-        """The command, judged."""
+        """Choose the command and judge it on all arms."""
         lead, share, signs = yield from self._choose_lead()
         return (yield from self._judge_on_all_arms(lead.command(share), signs, lead.spacing, share))
 
     def chosen_command(self) -> SimulationRequests[ExistingCommand]:
-        """The command alone."""
+        """Choose the command without judging it."""
         lead, share, _ = yield from self._choose_lead()
         return ExistingCommand(lead.command(share), self._plan, lead.spacing, share)
 
     def judge_existing(self, made: ExistingCommand) -> SimulationRequests[CommandOnArms]:
-        """A command that exists already, judged."""
+        """Judge an existing command on all arms."""
         single = self._request_single_departures(MotorMotion.of(made.motors))
         signs = self._worst_sign_departures(*(yield from single))
         return (yield from self._judge_on_all_arms(made.motors, signs, made.spacing, made.share))
@@ -202,7 +202,7 @@ class CommandSearch:
     def _judge_on_all_arms(
         self, motors: JointMotion, signs: list[Departure], spacing: float | None, share: float
     ) -> SimulationRequests[CommandOnArms]:
-        """What a command gives on the arm as modelled, at its bounds, as drawn."""
+        """Simulate a command on the arm as modelled, at its bounds and as drawn."""
         follows, plan, command = self._follows, self._plan, MotorMotion.of(motors)
         drawn = self._with_known_servo(
             draws(self._uncertainty_with_servo, self._arm.robot.n, self._carries)
@@ -231,10 +231,10 @@ class CommandSearch:
         )
 
     def _choose_lead(self) -> SimulationRequests[tuple[_Lead, float, list[Departure]]]:
-        """Spline and share of the least worst case; the worst signs of the joints' stiffness."""
+        """Return spline and share of the least worst case, and the worst signs of stiffness."""
         leads = self._candidate_leads()
         within = [lead for lead in leads if self._keeps_plan_limits(lead.motors)] or leads
-        # A plan at a limit leaves nothing for more than its own wind-up.
+        # A plan at a limit leaves no drive capacity for more than the nominal wind-up.
         tried = [
             (lead, share)
             for lead in within
@@ -256,7 +256,7 @@ class CommandSearch:
         flight = swings.peak.reshape(shape).max(axis=1)
         after = swings.peak_after.reshape(shape).max(axis=1)
         best = [tried[k] for k in np.argsort(flight + after, kind="stable")]
-        # The coarse grid may step over what lasts less than its step, such as the jerk at an end.
+        # The trial grid may miss excesses shorter than its step, such as the jerk at an end.
         lead, share = next(
             (
                 each
@@ -270,7 +270,7 @@ class CommandSearch:
     def _candidate_leads(self) -> list[_Lead]:
         planned, own = self._motion.motors, []
         if planned is not None and planned.link is not None:
-            # At a limit it cannot lead by more; a smoother one beside it may.
+            # At a limit the planned motion cannot lead by more; a smoother spline may.
             own = [_Lead(planned.link, planned, None)]
         links = [(smooth_motion(self._plan, each), each) for each in _KNOT_SPACINGS]
         smoothing = law_smoothing(self._problem)
@@ -292,7 +292,7 @@ class CommandSearch:
     def _request_single_departures(
         self, command: MotorMotion
     ) -> SimulationRequests[tuple[Swings, int]]:
-        """The nominal arm, then those with one softer joint each; how many."""
+        """Simulate the nominal arm and those with one softer joint each; return their number."""
         single = self._with_known_servo(
             one_at_a_time(self._uncertainty_with_servo, self._arm.robot.n)
         )
@@ -301,7 +301,7 @@ class CommandSearch:
         return (yield Asked(self._many, members)), len(arms)
 
     def _worst_sign_departures(self, swings: Swings, count: int) -> list[Departure]:
-        """Arms whose joints are softer and stiffer such that their errors add up, to first order.
+        """Return arms with signs of the joints' stiffness for which errors add up, to first order.
 
         The first member is the nominal arm, those up to `count` have one softer joint each.
         """
@@ -310,7 +310,7 @@ class CommandSearch:
         joints = np.flatnonzero(unsure.shares(self._arm.robot.n))
         for chosen in (swings.flight, ~swings.flight):
             own = share[:, chosen]
-            # Along each joint's own error, all that point to the same side are added.
+            # Along each joint's own error, signs are chosen so that all projections add.
             along = np.sign(np.einsum("jkx,ikx->ijk", own, own))
             sums = np.linalg.norm(np.einsum("ijk,jkx->ikx", along, own), axis=2)
             if not sums.size:
@@ -326,11 +326,11 @@ class CommandSearch:
         return self._with_known_servo(found)
 
     def _keeps_plan_limits(self, motors: Trajectory) -> bool:
-        """Whether the limits that the plan keeps are kept; some no method of its kind can take."""
+        """Return True where no limit that the plan keeps is exceeded, on the trial grid."""
         return self._excess_beyond_plan(motors, _TRIAL_SAMPLES) <= CERTIFICATE_TOLERANCE
 
     def _excess_beyond_plan(self, motors: Trajectory, points: int | None = None) -> float:
-        """Largest excess of limits that the plan keeps."""
+        """Return the largest excess of the limits that the plan keeps."""
         excess = self._motor_violations(motors, points)
         kept = [each.value for each in excess if each.limit not in self._motion.exceeded]
         return max(kept, default=0.0)
@@ -338,11 +338,8 @@ class CommandSearch:
     def _motor_violations(
         self, motors: JointMotion, points: int | None = None
     ) -> tuple[Violation, ...]:
-        """Limits of the motors that a motion of theirs exceeds, worst first.
-
-        The others are of the plan, which the links keep.
-        """
-        # What the links do loads the springs alike, whatever share and corners the motors have.
+        """Return the motor limits that a motion exceeds, worst first."""
+        # Spring torques follow from the links' motion: the same for all shares and widths.
         link = getattr(motors, "link", None) or motors
         times = None if points is None else np.linspace(0.0, motors.duration, points)
         known = None if points is None else self._loads.get((link, points))
@@ -363,7 +360,7 @@ class CommandSearch:
 def _summarise_spreads(
     flight: np.ndarray, after: np.ndarray, arms: Sequence[Departure], drawn: int
 ) -> Spreads:
-    """Of peaks (B,) on the arms: the nominal one first, those drawn last."""
+    """Summarise peaks (B,) over the arms: the nominal one first, drawn ones last."""
     spreads = [
         Spread(
             nominal=float(peak[0]),

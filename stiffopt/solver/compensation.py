@@ -1,10 +1,10 @@
-"""The command that makes the links of an elastic arm do what was planned, judged by the worst case.
+"""Wind-up compensation: motor commands by which the links follow a plan, judged by the worst case.
 
-The links are to do the plan; the motors lead them by the wind-up of the torque that this needs
-(decision 0028). A plan that is not smooth enough is replaced by the nearest spline that is. How
-fine the spline is, and how much of the nominal wind-up the motors lead by, is chosen so that the
-tool deviates least on the worst arm that the problem's uncertainties allow: wind-up goes with one
-over the stiffness, so that its middle lies above the nominal one.
+The motors lead the links by the wind-up under the torque of the planned motion (decision 0028). A
+plan that is not smooth enough is replaced by the nearest smooth spline. The knot spacing and the
+share of the nominal wind-up are chosen for the least tool deviation on the worst arm within the
+problem's uncertainties: wind-up is proportional to one over the stiffness, so that its mean lies
+above the nominal one.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ def compensate(
     known: CommandOnArms | None = None,
     progress: Progress | None = None,
 ) -> Compensation:
-    """Command of the first motion, and what compensation gives of all of them.
+    """Return the command of the first motion, and the effect of compensation on all motions.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ def compensate(
     motions : sequence of PlannedMotion
         The optimised one first.
     known : CommandOnArms, optional
-        Of the first motion, where that is known already.
+        Of the first motion, where it is known already.
     progress : callable, optional
         Called with the name of each motion before it is compensated.
 
@@ -98,23 +98,23 @@ def judge_existing_command(
     servo: Servo | None = None,
     file: str = COMMAND_FILE,
 ) -> Compensation:
-    """As `compensate`, with a command of the first motion that exists already.
+    """Judge an existing command of the first motion beside new commands of the others.
 
-    Commands of the others are chosen as its own was: by the problem's uncertainties and the arm as
-    modelled. All are judged by what is asked now.
+    Commands of the others are chosen for the problem's uncertainties and the arm as modelled. All
+    are judged by the uncertainty, damping and servo given here.
 
     Parameters
     ----------
     problem, arm, motions : as of `compensate`
     made : MadeCommand
     uncertainty : Uncertainty, optional
-        To judge by, in place of the problem's.
+        Replaces the problem's.
     damping : float, optional
-        Of all joints that yield, as a share of critical, to judge by.
+        Of all elastic joints, as a share of critical.
     servo : Servo, optional
-        How the motors of every arm follow; what is uncertain of servos does not count then.
+        Servo of every arm; stated uncertainties of the servo are ignored then.
     file : str
-        Where the command lies, for reports.
+        Name of the command's file, for reports.
     """
     law = MotorLaw(problem.robot, problem.process_force)
     own, *others = motions
@@ -154,9 +154,9 @@ def commands_on_arms(
     *,
     progress: Progress | None = None,
 ) -> list[CommandOnArms]:
-    """Commands of motions on all arms, without what only reports show.
+    """Return the commands of motions with their results on all arms.
 
-    Parameters as above; `law` is that of the problem's motors, where it is made already.
+    Parameters as of `compensate`; `law` is the problem's motor law, where it exists already.
     """
     law = law or MotorLaw(problem.robot, problem.process_force)
     asking = []
@@ -170,19 +170,20 @@ def commands_on_arms(
 def compensate_motion(
     problem: TrajectoryProblem, arm: ElasticArm, motion: PlannedMotion
 ) -> tuple[CompensatedMotion, JointMotion]:
-    """What compensation gives of one motion, and the motors' command; parameters as above."""
+    """Return the effect of compensation on one motion, and the motors' command."""
     (found,) = commands_on_arms(problem, arm, [motion])
     return found.for_reports(), found.motors
 
 
 def _start_request(asking: SimulationRequests[Result]) -> tuple[SimulationRequests[Result], Asked]:
-    """One that has come to what it asks first."""
+    """Advance a generator to its first simulation request."""
     return asking, next(asking)
 
 
 def _answer_together(begun: Sequence[tuple[SimulationRequests[Result], Asked]]) -> list[Result]:
-    """The answers of several: what all of them ask is simulated together, round by round."""
-    asked, answers = dict(begun), {}  # type: dict[Asking[Answer], Asked], dict[Asking[Answer], Answer]
+    """Return the results of several generators, simulating their requests of a round together."""
+    asked: dict[SimulationRequests[Result], Asked] = dict(begun)
+    answers: dict[SimulationRequests[Result], Result] = {}
     while asked:
         swings = swings_together(list(asked.values()))
         for asking, own in zip(list(asked), swings, strict=True):
@@ -206,6 +207,6 @@ def _explain_refusal(problem: TrajectoryProblem, excess: tuple[Violation, ...]) 
     ]
     other = f"Minimise {' or '.join(others)}, which plan{'s' * (len(others) == 1)} the links"
     return (
-        f"No command.csv: to make the links do this motion, the motors would exceed {named}. "
-        f"{other} within the motors' limits, give a longer duration, or plan with lower {limits}."
+        f"No command.csv: for the links to follow this motion, the motors would exceed {named}. "
+        f"{other} within the motors' limits, allow a longer duration, or plan with lower {limits}."
     )

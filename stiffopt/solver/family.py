@@ -1,8 +1,7 @@
-"""Problems that differ in numbers: their programme is built once and solved many times.
+"""Problem families: problems that differ in numbers share one programme, built once.
 
-Start, end, fixed duration, payload, tool, process force, drivetrain and limits are numbers; number
-of intervals, objectives, vias and which limits there are make another programme, which is built
-anew.
+Start, end, fixed duration, payload, tool, process force, drivetrain and limits are parameters of a
+programme; the number of intervals, the objectives, vias and the set of limits define another one.
 """
 
 from __future__ import annotations
@@ -42,27 +41,27 @@ from stiffopt.transcription.build import adapted
 from stiffopt.transcription.mesh import Mesh
 from stiffopt.transcription.nlp import BlockScales, Nlp
 
-# Programmes that are kept; those used last stay.
+# Programmes in memory, the most recently used ones.
 _MAX_KEPT_PROGRAMMES = 4
 
 
 @dataclass(frozen=True, eq=False)
 class WarmStart:
-    """Where a solve ended, for the solve of another problem to start from.
+    """End of a solve, from which the solve of a similar problem starts.
 
     Parameters
     ----------
     x, multipliers_x, multipliers_g : array
-        Of the last programme, in units.
+        Of the last programme, unscaled.
     mesh : list of array
     smoothing : Smoothing
     scales : mapping of objective name to float
-        Its programme was scaled by.
+        Scales of its objectives.
     block_scales : BlockScales
-        Likewise. What starts from here keeps all scales: so the last digits of its answer do not
-        depend on what else has been solved.
+        Scales of its variables and rows. A solve from here keeps all scales, so that the last
+        digits of its answer do not depend on other solves.
     method : str
-        Transcription and intervals that its problem asked for.
+        Transcription and intervals of its problem.
     """
 
     x: np.ndarray
@@ -75,7 +74,7 @@ class WarmStart:
     method: str
 
     def to_bytes(self) -> bytes:
-        """As a line of JSON and the numbers of all arrays, one after another."""
+        """Return a line of JSON, then all arrays as little-endian doubles."""
         of_x, of_g = self.block_scales.variables, self.block_scales.rows
         groups = [[self.x], [self.multipliers_x], [self.multipliers_g], self.mesh, of_x, of_g]
         head = {
@@ -89,14 +88,14 @@ class WarmStart:
 
     @classmethod
     def from_bytes(cls, content: bytes) -> WarmStart | None:
-        """Read what `to_bytes` wrote; None of bytes of another shape, as of an older version."""
+        """Read bytes of `to_bytes`; None for another layout, such as of an older version."""
         try:
-            return cls._parse(content)
+            return cls._parse_bytes(content)
         except (KeyError, TypeError, ValueError):
             return None
 
     @classmethod
-    def _parse(cls, content: bytes) -> WarmStart:
+    def _parse_bytes(cls, content: bytes) -> WarmStart:
         line, _, held = content.partition(b"\n")
         head = json.loads(line)
         numbers = np.frombuffer(held, "<f8").astype(float)
@@ -119,7 +118,7 @@ class WarmStart:
 
 
 class ProblemFamily:
-    """Solves problems one after another, each from where another one ended, if that is given.
+    """Solver of similar problems one after another, each optionally from another one's end.
 
     Examples
     --------
@@ -140,7 +139,7 @@ class ProblemFamily:
         start: int = 0,
         progress: ProgressCallback | None = None,
     ) -> tuple[Solution, WarmStart | None]:
-        """Solve and certify a problem; from the beginning where the warm start does not lead there.
+        """Solve and certify a problem; without the warm start where that fails.
 
         Parameters
         ----------
@@ -177,7 +176,7 @@ class ProblemFamily:
     def _solve_warm(
         self, problem: TrajectoryProblem, warm: WarmStart, progress: ProgressCallback | None
     ) -> tuple[SolveRun, Outcome | None]:
-        """The outcome from a warm start; None where it is none to rely on."""
+        """Return the outcome from a warm start, None where it is not a certified optimum."""
         motion = resolve(problem)
         _ = problem.clearance_model
         check_clear_poses(problem, motion)
@@ -208,16 +207,16 @@ class ProblemFamily:
             outcome = refine(run, outcome, None)
             self._store_programme(Programme(outcome.transcription, outcome.solver))
         if outcome.raw.status == "interrupted":
-            # Who stopped it does not want it solved from the beginning.
+            # After Ctrl-C no further solve is started.
             return run, outcome
         sound = _is_certified_optimum(outcome)
         if problem.avoids_collisions and find_collisions(run, outcome):
-            # A way around is sought from the beginning.
+            # Collision avoidance needs a solve without the warm start.
             sound = False
         return run, outcome if sound else None
 
     def _programme_for(self, run: SolveRun, warm: WarmStart) -> Programme:
-        """The programme on the mesh of a warm start, with the bounds and numbers of a problem."""
+        """Return the programme on the mesh of a warm start, with a problem's bounds and numbers."""
         ocp = formulate(run.problem, run.motion, run.scales)
         options = solver_options(run.problem)
         wanted = warm.block_scales.tobytes()
@@ -268,7 +267,7 @@ def _warm_start_of(run: SolveRun, outcome: Outcome) -> WarmStart:
 
 
 def _nlp_scales(nlp: Nlp) -> tuple[np.ndarray, np.ndarray]:
-    """Scales of all variables and rows."""
+    """Return the scales of all variables and of all rows."""
     variables, rows = (
         np.concatenate([np.zeros(0), *(block.scales for block in blocks.items)])
         for blocks in (nlp.variables, nlp.rows)

@@ -1,7 +1,7 @@
-"""Whether the rows of a programme can hold together: the motion that exceeds them least.
+"""Infeasibility analysis: the motion that violates the rows of a programme least.
 
 Every limit and waypoint gets one slack, the largest amount by which it is exceeded anywhere; their
-sum is minimised. Bounds of the variables and the equations that any motion obeys stay as they are.
+sum is minimised. Bounds of the variables and the equations of motion remain hard constraints.
 """
 
 from __future__ import annotations
@@ -17,21 +17,21 @@ from stiffopt.symbolic import array_of
 from stiffopt.transcription.nlp import Blocks, Nlp, NlpEntry
 from stiffopt.transcription.ocp import Rows
 
-# Pull towards the point that it begins from, which leaves no direction undetermined.
+# Weight of the squared distance from the start, which leaves no direction undetermined.
 _PROXIMITY_WEIGHT = 1e-4
 _MAX_ITERATIONS = 150
 # Share of the largest excess below which a row is no part of the conflict.
 _MIN_CONFLICT_SHARE = 0.01
-# Rows that are exceeded by more than this, relative to their scale, are scaled down to it: with
-# others beside them, steps would be lost in rounding.
+# Groups of rows exceeded by more than this, relative to their scale, are scaled down to it: beside
+# others their size would drown the steps in rounding.
 _MAX_SCALED_EXCESS = 100.0
-# They are looked at anew from where they were exceeded least, if that is by so many times less.
+# The scaling is repeated at the solution where a weight grows by this factor, so often at most.
 _MIN_SCALING_GAIN, _MAX_RESCALED_SOLVES = 3.0, 3
 
 
 @dataclass(frozen=True)
 class LeastExcess:
-    """A point where the rows are exceeded least, as far as such a point is found near.
+    """Point of locally least excess of the rows.
 
     Parameters
     ----------
@@ -40,7 +40,7 @@ class LeastExcess:
         Sum over limits of the largest by which each is exceeded, relative to its scale.
     converged : bool
     conflicts : list of NlpEntry
-        What is exceeded, the most first, and then the bounds that keep it so.
+        Violated rows, the worst first, then the active bounds that prevent less.
     status : str
         Of the solver.
     iterations : int
@@ -74,7 +74,7 @@ def minimise_excess(
         closer = _RelaxedProgramme(nlp, found.x, parameters)
         if not found.converged or not closer.is_better_scaled_than(relaxed):
             break
-        # What is small beside a large start is only as true as that: once more from near.
+        # Excesses that are small beside those of the start are inaccurate: solve again from here.
         left = max(max_seconds - (time.perf_counter() - begin), 0.1)
         again = _solve_relaxed(nlp, closer, found.x, parameters, left)
         again = replace(again, iterations=found.iterations + again.iterations)
@@ -89,7 +89,7 @@ def minimise_excess(
 def _solve_relaxed(
     nlp: Nlp, relaxed: _RelaxedProgramme, x: np.ndarray, parameters: np.ndarray, max_seconds: float
 ) -> LeastExcess:
-    """The answer of one relaxed programme, begun at the point it is near."""
+    """Solve one relaxed programme from the point at which it is scaled."""
     options = IpoptOptions(
         tol=1e-6,
         acceptable_tol=1e-2,
@@ -117,7 +117,7 @@ def _solve_relaxed(
 
 
 class _RelaxedProgramme:
-    """A programme with slacks: its rows as far as they have bounds, upper ones and lower ones."""
+    """Programme with slacks on its rows, upper and lower bounds as rows of their own."""
 
     def __init__(self, nlp: Nlp, near: np.ndarray, parameters: np.ndarray) -> None:
         self._first, self._parameters = nlp, parameters
@@ -184,20 +184,20 @@ class _RelaxedProgramme:
         )
 
     def is_better_scaled_than(self, other: _RelaxedProgramme) -> bool:
-        """Whether rows that the other scales down are to be scaled down far less here."""
+        """Return True where rows scaled down in `other` are scaled down far less here."""
         return bool(np.any(self._weight > _MIN_SCALING_GAIN * other._weight))
 
     @property
     def slacks(self) -> np.ndarray:
-        """Slacks with which all rows hold at the point it is near, and a little more."""
+        """Initial slacks with which all rows hold strictly at the start."""
         return self._begin + 1e-2
 
     def unscaled(self, slack: np.ndarray) -> np.ndarray:
-        """Slacks relative to the scales of the rows, as those are before they are scaled down."""
+        """Return slacks relative to the original scales of the rows."""
         return np.asarray(slack / self._weight)
 
     def _group_excess(self, x: np.ndarray) -> np.ndarray:
-        """Largest excess of each group of rows at a point."""
+        """Return the largest excess of each group of rows at a point."""
         nlp = self._first
         inside = np.clip(x, nlp.lower_x, nlp.upper_x)
         g, _ = nlp.derivatives["jac_g"](inside, nlp.parameters(self._parameters))
@@ -208,7 +208,7 @@ class _RelaxedProgramme:
         return found
 
     def named(self, excess: np.ndarray, slack: np.ndarray) -> list[NlpEntry]:
-        """What is exceeded, the most first, each where it is exceeded most."""
+        """Return the violated rows, worst group first, each at its worst place."""
         found = []
         for group in np.argsort(-slack):
             if slack[group] > max(_MIN_CONFLICT_SHARE * slack.max(), 1e-5):
@@ -218,10 +218,10 @@ class _RelaxedProgramme:
 
 
 def _slack_groups(nlp: Nlp) -> tuple[np.ndarray, int]:
-    """Number of the slack of each row, -1 for those without; number of slacks."""
+    """Return the slack index of each row, -1 without one, and the number of slacks."""
     numbers, count = np.full(nlp.rows.size, -1), 0
     for block in nlp.rows.items:
-        # A duration that is given stays: anything can be met in more time.
+        # The duration stays a hard constraint: with more time any limit can be met.
         if not block.structural and block.size and block.rows.name != "duration":
             own = count + np.arange(block.size) % len(block.rows)
             numbers[block.offset : block.offset + block.size] = own
@@ -230,7 +230,7 @@ def _slack_groups(nlp: Nlp) -> tuple[np.ndarray, int]:
 
 
 def _anonymous_blocks(size: int) -> Blocks:
-    """Blocks of entries that nobody is told of."""
+    """Return blocks of entries that no message names."""
     blocks = Blocks()
     free = np.full((1, size), np.inf)
     blocks.add(Rows.make("relaxed", [""], -np.inf, np.inf), None, -free, free)

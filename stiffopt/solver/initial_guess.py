@@ -1,4 +1,4 @@
-"""Initial guess: toppra's motion, or the quintic one where toppra finds none."""
+"""Initial guesses: from a baseline or an earlier motion, and random perturbations of them."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from stiffopt.result.joint_path import JointPath
 from stiffopt.result.solution import Baseline
 from stiffopt.transcription.ocp import Guess
 
-# Samples of a smoothed guess, and how many of the windows it is averaged over fill its duration.
+# Intervals of a smoothed guess, and duration over the averaging window.
 _SMOOTHED_INTERVALS = 2000
 _WINDOWS_PER_DURATION = 25
-# Of a path where a motion's place on it is sought, and projections onto its tangent after that.
+# Location of a motion on a path: samples of the path, then projections onto its tangent.
 _PATH_SAMPLES, _TANGENT_PROJECTIONS = 20001, 3
-# Standard deviation of a random start's detour [rad], and of the skew of its timing on a path; no
-# motion turns back within the range of the skew.
+# Random perturbations: standard deviation of the detour [rad], of the timing's skew on a path [-],
+# and range of the skew within which no motion reverses.
 _DETOUR_DEVIATION, _TIMING_SKEW_DEVIATION, _TIMING_SKEW_RANGE = 0.2, 0.4, (-0.9, 0.9)
 
 
 def initial_guess(
     problem: TrajectoryProblem, motion: ResolvedMotion, beside: dict[str, Baseline]
 ) -> Guess:
-    """The motion of the first baseline that exists, as a guess."""
+    """Return the motion of the first baseline that exists, toppra's or the quintic one."""
     source = next(b.assessment for b in (beside["toppra"], beside["quintic"]) if b.assessment)
     return guess_from_motion(problem, motion, source)
 
@@ -36,9 +36,9 @@ def initial_guess(
 def guess_from_motion(
     problem: TrajectoryProblem, motion: ResolvedMotion, source: Assessment
 ) -> Guess:
-    """A guess from an assessed motion, sampled; vias at the instants where it passes them.
+    """Return a guess from an assessed motion; vias at the instants where it passes them.
 
-    On a fixed path its time law is taken over.
+    On a fixed path only its time law is used.
     """
     statics = _static_values(problem, motion, source)
     if problem.path is not None:
@@ -48,8 +48,8 @@ def guess_from_motion(
     if problem.plans_links:
         s, states, controls = _smooth_motion_guess(source)
     return Guess(
-        states=_interpolator(s, states),
-        controls=_interpolator(s, controls),
+        states=_make_interpolator(s, states),
+        controls=_make_interpolator(s, controls),
         duration=source.duration,
         statics=statics,
         phase_fractions=_phase_fractions(source, motion),
@@ -57,7 +57,7 @@ def guess_from_motion(
 
 
 def perturb_guess(guess: Guess, problem: TrajectoryProblem, random: np.random.Generator) -> Guess:
-    """The guess with a smooth random detour that vanishes at both ends; on a path, other timing."""
+    """Add a smooth random detour that vanishes at both ends; on a path, skew the timing."""
     if problem.path is not None:
         return _retime_guess(
             guess, float(np.clip(random.normal(scale=_TIMING_SKEW_DEVIATION), *_TIMING_SKEW_RANGE))
@@ -77,7 +77,7 @@ def perturb_guess(guess: Guess, problem: TrajectoryProblem, random: np.random.Ge
 
 
 def _retime_guess(guess: Guess, skew: float) -> Guess:
-    """The guess on a path, at the scaled time w where it was at t: w = t + skew t (1 - t)."""
+    """Return the guess on a path with the scaled time t replaced by w = t + skew t (1 - t)."""
 
     def warped(t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return t + skew * t * (1.0 - t), (1.0 + skew * (1.0 - 2.0 * t))[:, None]
@@ -95,7 +95,7 @@ def _retime_guess(guess: Guess, skew: float) -> Guess:
 
 
 def _smooth_motion_guess(source: Assessment) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """A motion compressed and then averaged five times over a short window, back to its duration.
+    """Smooth a motion by five moving averages, compressed before to keep its duration.
 
     Returns
     -------
@@ -122,7 +122,7 @@ def _smooth_motion_guess(source: Assessment) -> tuple[np.ndarray, np.ndarray, np
     return s, np.hstack(orders[:5]), orders[5]
 
 
-def _interpolator(s: np.ndarray, values: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
+def _make_interpolator(s: np.ndarray, values: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
     def sample(at: np.ndarray) -> np.ndarray:
         columns = [np.interp(at, s, values[:, j]) for j in range(values.shape[1])]
         return np.stack(columns, axis=1)
@@ -131,12 +131,12 @@ def _interpolator(s: np.ndarray, values: np.ndarray) -> Callable[[np.ndarray], n
 
 
 def _path_guess(path: JointPath, source: Assessment, statics: np.ndarray) -> Guess:
-    """Time law of the motion as a guess of the path coordinate."""
+    """Return the time law of a motion along a path as a guess of the path coordinate."""
     s, speed, acceleration = _time_law(path, source)
     at = source.time / source.duration
     return Guess(
-        states=_interpolator(at, np.stack([s, speed], axis=1)),
-        controls=_interpolator(at, acceleration[:, None]),
+        states=_make_interpolator(at, np.stack([s, speed], axis=1)),
+        controls=_make_interpolator(at, acceleration[:, None]),
         duration=source.duration,
         statics=statics,
         phase_fractions=np.ones(1),
@@ -144,10 +144,10 @@ def _path_guess(path: JointPath, source: Assessment, statics: np.ndarray) -> Gue
 
 
 def _time_law(path: JointPath, source: Assessment) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Path coordinate of a motion along a path, its speed and its acceleration (K,).
+    """Return the path coordinate of a motion along a path, its speed and its acceleration (K,).
 
-    Arc length tells the piece of the path, so that one that meets itself is followed in order;
-    projection on the tangent removes what chords are shorter than the path.
+    Arc length locates the piece, so that a self-intersecting path is followed in order; projection
+    onto the tangent corrects the chord error of the arc length.
     """
     dense = np.linspace(0.0, 1.0, _PATH_SAMPLES)
     covered, length = _arc_length(source.position), _arc_length(path(dense))
@@ -165,7 +165,7 @@ def _time_law(path: JointPath, source: Assessment) -> tuple[np.ndarray, np.ndarr
 
 
 def _arc_length(points: np.ndarray) -> np.ndarray:
-    """Length of the polygon through the points up to each of them (K,)."""
+    """Return the length of the polygon through the points up to each of them (K,)."""
     steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
     return np.concatenate([[0.0], np.cumsum(steps)])
 
@@ -173,14 +173,14 @@ def _arc_length(points: np.ndarray) -> np.ndarray:
 def _static_values(
     problem: TrajectoryProblem, motion: ResolvedMotion, source: Assessment
 ) -> np.ndarray:
-    """Static variables as they are on the motion."""
+    """Return the values of the static variables on a motion."""
     values = [variable.start(source) for variable in static_variables(problem, motion)]
-    # A baseline far too fast makes connections slip: any finite bound will do then.
+    # On a baseline with slipping connections they are infinite: any finite start is as good.
     return np.asarray(np.nan_to_num(np.array(values), nan=1e-3, posinf=1e-3))
 
 
 def _phase_fractions(source: Assessment, motion: ResolvedMotion) -> np.ndarray:
-    """Share of the duration between the vias, in order."""
+    """Return the shares of the duration between the vias, in order."""
     borders, first = [0.0], 0
     for via in motion.vias:
         distance = np.max(np.abs(source.position - via), axis=1)

@@ -1,11 +1,11 @@
-"""Motions shaped to the arm's lowest mode: they ring little also where the arm is not as modelled.
+"""Input shaping: motions averaged over a period of the arm's lowest mode, robust to model errors.
 
-The quasi-static optimum is found for a duration that is shorter by a swing of the lowest mode, and
-averaged over such a swing (a box filter, whose spectrum is zero at that frequency). An average
-keeps every bound on position and its derivatives; it cuts vias, which are drawn tighter by as much,
-and so are limits that the motors exceed in leading the links. That lead by the wind-up lets nothing
-ring on the arm as modelled; what an error of the model leaves is the wind-up's share in it, which
-the filter has made slow.
+The quasi-static optimum for a duration shorter by one period of the lowest mode is averaged over
+that period (a box filter, whose spectrum is zero at that frequency). An average keeps every bound
+on position and its derivatives; it cuts corners at vias, whose tolerances are backed off by as
+much, like limits that the motors exceed in leading the links. The lead by the wind-up leaves no
+residual vibration on the arm as modelled; a model error leaves the wind-up's share in it, which the
+filter has made slow.
 
 Source: Singer, Seering (1990), "Preshaping command inputs to reduce system vibration".
 """
@@ -45,21 +45,27 @@ from stiffopt.result.trajectory import JointMotion, Trajectory
 from stiffopt.solver.smoothing_width import motors_with_sufficient_smoothing
 from stiffopt.solver.solve_run import MIN_SOLVE_TIME
 
-# Of the knots of the splines that round off the averaged motion [s]; the first that holds is taken.
+# Knot spacings of the splines that smooth the averaged motion [s], tried in order.
 _KNOT_SPACINGS = (0.005, 0.01, 0.02, 0.04)
-# Of the table that is averaged; how often vias and limits are drawn tighter, and how far at most.
+# Samples of the motion that is averaged.
 _AVERAGING_SAMPLES = 8001
 _MAX_BACK_OFF_ROUNDS = 5
+# Shares of limits and via tolerances that remain at least.
 _MIN_LIMIT_SHARE = 0.1
 _BACKED_OFF_LIMITS = ("velocity", "acceleration", "jerk", "torque")
+# Back-off over the excess.
 _BACK_OFF_FACTOR = 1.1
-# Over which is averaged, in swings: where a baseline that keeps all limits is better, a whole swing
-# leaves too little of the time for the motion.
-_DEFAULT_WINDOWS = ((1.0, "a swing"), (0.5, "half a swing"), (0.25, "a quarter of a swing"))
-# Over which is averaged for uncertain arms, and what it costs over the least peak of the time left.
-_WINDOWS_FOR_ARMS = ((1.0, "a swing"), (0.75, "three quarters of a swing"), (0.5, "half a swing"))
+# Averaging windows in periods of the lowest mode: where a baseline that keeps all limits is better,
+# a whole period leaves too little of the time for the motion.
+_DEFAULT_WINDOWS = ((1.0, "a period"), (0.5, "half a period"), (0.25, "a quarter of a period"))
+# Windows for uncertain arms, and their objective over the estimate from the remaining time.
+_WINDOWS_FOR_ARMS = (
+    (1.0, "a period"),
+    (0.75, "three quarters of a period"),
+    (0.5, "half a period"),
+)
 _COST_SAFETY_FACTOR = 1.6
-# A larger excess of the motors is a corner of a joint's stiffness passed fast.
+# A larger motor excess comes from passing a kink of a joint's stiffness fast.
 _KINK_EXCESS = 0.25
 
 Solve = Callable[[TrajectoryProblem], Solution]
@@ -87,8 +93,8 @@ def solve_shaped(
     solve : callable
         Solves a problem without raising where no motion is found.
     windows : sequence of (float, str), optional
-        Shares of a swing over which is averaged, and their names: the first that is no worse than
-        the baselines is taken.
+        Averaging windows in periods of the lowest mode, and their names: the first one whose motion
+        is no worse than the baselines is used.
 
     Raises
     ------
@@ -133,14 +139,14 @@ def solve_shaped(
     if status.usable and strict is not None and _rival_is_better(problem, rival, shaped[1]):
         status = SolveStatus.ACCEPTABLE
         message = (
-            f"{message} But the {strict.name} motion beside it is better and keeps all limits as "
-            "well: run that one, give a longer duration, or minimise tool_deviation."
+            f"{message} But the {strict.name} motion is better and keeps all limits as well: run "
+            "that one, allow a longer duration, or minimise tool_deviation."
         )
     trajectory, assessment = shaped
     if status.usable and not assessment.feasible(CERTIFICATE_TOLERANCE):
         status = SolveStatus.CERTIFICATE_FAILED
         message = (
-            f"The shaped motion exceeds {assessment.worst_violation.describe()}. Give a longer "
+            f"The shaped motion exceeds {assessment.worst_violation.describe()}. Allow a longer "
             "duration, or minimise tool_deviation."
         )
     value = objective_value(problem, assessment)
@@ -161,9 +167,9 @@ def solve_shaped(
 def windows_for_arms(
     problem: TrajectoryProblem, motion: ResolvedMotion, price: float
 ) -> tuple[Window, ...]:
-    """Windows that are likely to cost no more than a share of the objective, the widest first.
+    """Return windows whose estimated cost is at most a share of the objective, widest first.
 
-    What is left of the duration asks for accelerations that are higher by its square.
+    The estimate scales the objective with the inverse square of the remaining duration.
     """
     swing, duration = _lowest_mode_period(problem, motion), problem.duration[0]
     return tuple(
@@ -176,7 +182,7 @@ def windows_for_arms(
 
 @dataclass(frozen=True)
 class _TimedSolver:
-    """Solves that have one time limit together, which ends at an instant `end` [s]."""
+    """Solver with one time limit for several solves, which ends at an instant `end` [s]."""
 
     plain: Solve
     end: float
@@ -191,7 +197,7 @@ class _TimedSolver:
 
 
 def mark_solution_interrupted(solution: Solution) -> Solution:
-    """What was found before Ctrl-C, said to be all there is."""
+    """Return the solution with the status "interrupted"."""
     status = SolveStatus.INTERRUPTED
     return replace(solution, status=status, message=status.sentence)
 
@@ -203,12 +209,12 @@ def _solve_averaged(
     window: float,
     solve: Solve,
 ) -> tuple[Solution, tuple[Trajectory, Assessment] | None]:
-    """The solution of the inner quasi-static problem, and its motion averaged over a window [s]."""
+    """Solve the inner quasi-static problem and average its motion over a window [s]."""
     found = solve(inner)
     room = room_at_poses(problem, motion) if problem.avoids_collisions else 0.0
     shaped = _shape_motion(problem, found, window)
     for number in range(_MAX_BACK_OFF_ROUNDS):
-        # What is left after two rounds is drawn in by twice as much.
+        # An excess that remains after two rounds is backed off by twice as much.
         more = _BACK_OFF_FACTOR if number < 2 else 2.0 * _BACK_OFF_FACTOR
         tightened = (
             None if shaped is None else _back_off_problem(problem, inner, shaped[1], more, room)
@@ -217,7 +223,7 @@ def _solve_averaged(
             break
         tried = solve(tightened)
         if not tried.status.usable and tried.status is not SolveStatus.INTERRUPTED:
-            # Drawn too tight for any motion.
+            # Backed off too far for any motion.
             tightened = _average_problems(inner, tightened)
             tried = solve(tightened)
         if tried.status is SolveStatus.INTERRUPTED:
@@ -227,13 +233,13 @@ def _solve_averaged(
         inner, found = tightened, tried
         shaped = _shape_motion(problem, found, window)
     if shaped is not None and not shaped[1].feasible(CERTIFICATE_TOLERANCE):
-        # What drawing limits tighter has left of corners, wider ones may take.
+        # A wider smoothing of the motor law may remove an excess that back-off has not.
         shaped = _shape_motion(problem, found, window, corner=CERTIFICATE_TOLERANCE)
     return found, shaped
 
 
 def _rival_is_better(problem: TrajectoryProblem, rival: Assessment | None, own: Assessment) -> bool:
-    """Whether a rival that keeps every limit is better than a motion, or that keeps them not."""
+    """Return True where the rival, which keeps every limit, is better or the motion does not."""
     if rival is None:
         return False
     if not own.feasible(CERTIFICATE_TOLERANCE):
@@ -251,22 +257,22 @@ def _objective_ratio(
 
 
 def _lowest_mode_period(problem: TrajectoryProblem, motion: ResolvedMotion) -> float:
-    """Period of the lowest mode in the poses of a motion [s]."""
+    """Return the longest period of the lowest mode in the poses of a motion [s]."""
     arm = ElasticArm(problem.robot, motion.start, problem.process_force)
     lowest = [mode.frequency for pose in motion.points for mode in modes(arm, pose)[:1]]
     if not lowest:
-        raise ProblemError("shaped_deviation needs a joint that yields: describe a drivetrain.")
+        raise ProblemError("shaped_deviation needs an elastic joint: describe a drivetrain.")
     return 1.0 / min(lowest)
 
 
 def _too_short_error(
     problem: TrajectoryProblem, motion: ResolvedMotion, window: float, named: str
 ) -> ProblemError:
-    """What to do where the duration leaves too little beside any window."""
+    """Return the error of a duration too short for any window."""
     _, why = shortest_duration(problem, motion)
     return ProblemError(
         f"shaped_deviation takes {named} of the arm's lowest mode, {1e3 * window:.0f} ms, from "
-        f"the duration of {problem.duration[0]:g} s, which leaves too little. {why} Give a "
+        f"the duration of {problem.duration[0]:g} s, which leaves too little. {why} Allow a "
         "longer duration, or minimise tool_deviation."
     )
 
@@ -274,7 +280,7 @@ def _too_short_error(
 def _shortened_problem(
     problem: TrajectoryProblem, motion: ResolvedMotion, window: float
 ) -> TrajectoryProblem | None:
-    """The quasi-static problem whose motion is averaged; None where too little time is left."""
+    """Return the quasi-static problem of the remaining duration; None where that is too short."""
     duration = problem.duration[0] - window
     needed, _ = shortest_duration(problem, motion)
     if duration <= needed:
@@ -289,7 +295,7 @@ def _shortened_problem(
         problem,
         duration=(duration, duration),
         objectives=(quasi_static,),
-        # What swings on is that of the averaged motion.
+        # Limits on residual vibration apply to the averaged motion.
         limits=Limits(limits.values, **lifted),
     )
 
@@ -297,9 +303,9 @@ def _shortened_problem(
 def _shape_motion(
     problem: TrajectoryProblem, found: Solution, swing: float, corner: float = _KINK_EXCESS
 ) -> tuple[Trajectory, Assessment] | None:
-    """Motion of the motors that lead the averaged links, and its certificate.
+    """Return the motion of motors that lead the averaged links, and its certificate.
 
-    What exceeds a limit of the motors by more than `corner` is taken for a corner of their law.
+    The smoothing of the motor law is widened where a motor limit is exceeded by more than `corner`.
     """
     if found.trajectory is None:
         return None
@@ -327,12 +333,10 @@ def _back_off_problem(
     more: float,
     room: float,
 ) -> TrajectoryProblem | None:
-    """The inner problem drawn tighter by what vias are missed and limits exceeded by, if any are.
+    """Return the inner problem with limits and via tolerances backed off; None without an excess.
 
-    What an average brings nearer to something is kept further from it before, as far as the given
-    poses leave `room` [m].
-
-    Motors that lead the links have a little more acceleration than these.
+    The clearance is increased by the missing distance, up to the distance `room` [m] that the given
+    poses allow.
     """
     excess = {
         each.limit: each.value
@@ -364,7 +368,7 @@ def _back_off_problem(
 
 
 def _average_problems(loose: TrajectoryProblem, tight: TrajectoryProblem) -> TrajectoryProblem:
-    """The tight problem with limits and tolerances in the middle between both."""
+    """Return the tight problem with limits and tolerances midway between both."""
     before, after = loose.active_limits, tight.active_limits
     middle = {
         name: 0.5 * (getattr(before, name) + getattr(after, name)) for name in _BACKED_OFF_LIMITS
@@ -378,13 +382,13 @@ def _average_problems(loose: TrajectoryProblem, tight: TrajectoryProblem) -> Tra
 
 @dataclass(frozen=True, eq=False)
 class AveragedMotion:
-    """A motion averaged over the time before each instant; it lasts so much longer.
+    """Motion averaged over a window before each instant, longer by that window.
 
     Parameters
     ----------
     motion : JointMotion
     swing : float
-        Over which is averaged [s].
+        Averaging window [s].
     """
 
     motion: JointMotion
@@ -396,14 +400,14 @@ class AveragedMotion:
         return self.motion.duration + self.swing
 
     def __call__(self, t: np.ndarray, order: int = 0) -> np.ndarray:
-        """Positions (K, n) at the times (K,); derivatives are not needed of it."""
+        """Return positions (K, n) at times (K,); derivatives are not available."""
         if order:
             raise ValueError("only the position of an averaged motion is known")
         travelled = self._position_integral(t) - self._position_integral(np.asarray(t) - self.swing)
         return np.asarray(travelled / self.swing)
 
     def _position_integral(self, t: np.ndarray) -> np.ndarray:
-        """Integral of the position from the start (K, n), at rest outside the motion."""
+        """Return the integral of the position from the start (K, n), at rest outside the motion."""
         end = self.motion.duration
         times = np.linspace(0.0, end, _AVERAGING_SAMPLES)
         position = self.motion(times)

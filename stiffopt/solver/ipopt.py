@@ -29,10 +29,10 @@ _STATUS_BY_RETURN_STATUS = {
     "Invalid_Number_Detected": "invalid_number",
 }
 
-# Excess of a row, relative to its scale, up to which an iterate proves that the rows can hold.
+# Excess of a row, relative to its scale, up to which an iterate counts as feasible.
 FEASIBLE_VIOLATION = 1e-6
 
-# Times the tolerance, by which an iterate that rests moves at most.
+# Largest step of a stationary iterate, over the tolerance.
 _STATIONARY_STEP_FACTOR = 10.0
 
 _OPTIONS_HINT = (
@@ -42,7 +42,7 @@ _OPTIONS_HINT = (
 
 @dataclass(frozen=True, kw_only=True)
 class IpoptOptions:
-    """What IPOPT is told; everything else stays at IPOPT's own defaults.
+    """Options of IPOPT; all others stay at IPOPT's defaults.
 
     Parameters
     ----------
@@ -54,13 +54,13 @@ class IpoptOptions:
     max_seconds : float
         Wall clock for one solve [s].
     linear_solver : str
-        "auto" for the package's own (see `frontal`), MUMPS until that is compiled; "mumps", or
+        "auto" for the package's frontal solver, MUMPS where it is not available; "mumps", or
         "spral" with its environment variables set.
     print_level : int
         0 (silent) to 12.
     patience : int
-        Iterations after which a solve ends ("iteration_limit") whose best point still exceeds a row
-        by more than a hundredth of its scale; 0 for never.
+        Iterations after which a solve without a nearly feasible point (1 % of each row's scale)
+        ends with "iteration_limit"; 0 for never.
     extra : mapping
         Further options of IPOPT by their own names.
     """
@@ -91,15 +91,15 @@ class IpoptOptions:
 
 
 class Multipliers(Protocol):
-    """Whatever holds the multipliers of a programme at its end."""
+    """Multipliers of a programme at the end of a solve."""
 
     @property
     def multipliers_x(self) -> np.ndarray:
-        """Of the bounds."""
+        """Multipliers of the bounds."""
 
     @property
     def multipliers_g(self) -> np.ndarray:
-        """Of the rows."""
+        """Multipliers of the rows."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -115,7 +115,7 @@ class RawSolution:
         optimal, acceptable, infeasible, iteration_limit, time_limit, interrupted, invalid_number
         or stalled (no progress from a point that is neither optimal nor infeasible).
     reason : str
-        IPOPT's own word, and what is known beyond it.
+        IPOPT's return status, or the row without a finite value.
     x, g : array
         Scaled NLP variables and rows.
     objective : float
@@ -126,9 +126,9 @@ class RawSolution:
     conflicts : list of NlpEntry
         After "infeasible": the limits and boundary values that cannot hold together.
     iteration : int
-        From which the values are.
+        Iteration that the values are of.
     iterations : int
-        Number that were made.
+        Number of iterations.
     multipliers_x, multipliers_g : array
         Of the last iterate; pass the solution as `warm` to start another solve from them.
     history : list of Progress
@@ -154,18 +154,18 @@ class RawSolution:
 
     @property
     def converged(self) -> bool:
-        """Whether the solver met its tolerance, the full or the acceptable one."""
+        """True where the solver met its tolerance, the full or the acceptable one."""
         return self.status in ("optimal", "acceptable")
 
 
 class FasterProgramme(Protocol):
-    """A programme by functions that are being made."""
+    """Faster form of a programme that is being prepared in the background."""
 
     def is_there(self) -> bool:
-        """Whether they are."""
+        """Return True once it is available."""
 
     def programme(self) -> Nlp:
-        """The programme by them; its bounds are not used."""
+        """Return it; its bounds are not used."""
 
 
 class IpoptSolver:
@@ -176,8 +176,8 @@ class IpoptSolver:
     nlp : Nlp
     options : IpoptOptions
     later : Later, optional
-        The same programme by faster functions. A solve that is under way when they come begins
-        again with them: it ends as it would have, sooner.
+        The same programme by faster functions. A running solve is restarted with them once they
+        are available, with the same result.
     """
 
     def __init__(
@@ -201,7 +201,7 @@ class IpoptSolver:
 
     @property
     def derivatives(self) -> tuple[ca.Function, ca.Function, ca.Function]:
-        """Of the objective, of the rows and of the Lagrangian, as IPOPT is given them."""
+        """Gradient of the objective, Jacobian of the rows, Hessian of the Lagrangian."""
         names = ("nlp_grad_f", "nlp_jac_g", "nlp_hess_l")
         gradient, jacobian, hessian = map(self._solver.get_function, names)
         return gradient, jacobian, hessian
@@ -226,13 +226,13 @@ class IpoptSolver:
         parameters : array (np,), optional
             Zeros when absent.
         warm : Multipliers, optional
-            Such as the solution of the same NLP with other parameters: what to start from.
+            Initial multipliers, such as the solution of the same NLP with other parameters.
         barrier : "monotone" or "adaptive"
-            Of a warm start: the second takes half the iterations to the optimum of a near problem,
-            the first keeps to it where the problem bends (a step of the smoothing).
+            Strategy of a warm start: adaptive takes half the iterations to the optimum of a similar
+            problem, monotone is safer where the problem changes more (a step of the smoothing).
         push : float
-            How far a warm start is kept from bounds: a little more than nothing halves the
-            iterations where bounds have been drawn in beyond it.
+            Least distance of a warm start from bounds: 1e-3 halves the iterations where bounds have
+            been backed off beyond the start.
         report : callable, optional
             Called with a `Progress` in each iteration.
         max_seconds : float, optional
@@ -279,7 +279,7 @@ class IpoptSolver:
         word = str(solver.stats()["return_status"])
         status = monitor.stopped_by or _translate_status(word)
         if status == "acceptable":
-            # Its gradient is rounding along stiff directions: no step finds anything better.
+            # The residual gradient is rounding along stiff directions: full steps change nothing.
             lengths = solver.stats()["iterations"]["alpha_pr"]
             if monitor.at_rest(_STATIONARY_STEP_FACTOR * self.options.tol, lengths):
                 status = "optimal"
@@ -287,7 +287,7 @@ class IpoptSolver:
         best = last if status in ("optimal", "acceptable") else (monitor.best or last)
         reason = word
         if status == "infeasible" and best.violation <= FEASIBLE_VIOLATION:
-            # It has been where all rows hold: it lost its way, the problem has not none.
+            # A feasible iterate contradicts "infeasible": the solver diverged from it.
             status = "stalled"
         if status == "invalid_number":
             reason = self._locate_invalid_number([inputs["x0"], last.x], p) or word
@@ -311,7 +311,7 @@ class IpoptSolver:
         )
 
     def set_bounds(self, nlp: Nlp) -> None:
-        """Take over the bounds of the same NLP, for the solves that follow."""
+        """Replace the bounds, by those of the same NLP, for the solves that follow."""
         self.nlp = nlp
         self._monitor.nlp = nlp
 
@@ -322,7 +322,7 @@ class IpoptSolver:
             "print_time": False,
             "show_eval_warnings": False,
             "error_on_fail": False,
-            # The derivatives by parameters, which nobody reads, would be CasADi's own.
+            # CasADi would derive gradients for unused sensitivities to parameters.
             "calc_lam_p": False,
             "no_nlp_grad": True,
             **functions,
@@ -335,7 +335,7 @@ class IpoptSolver:
             raise InputError(f"{str(error).splitlines()[-1]}. {_OPTIONS_HINT}") from error
 
     def _warm_solver(self, barrier: str, push: float) -> ca.Function:
-        # IPOPT reads these options when it is set up; the derivatives are shared with the other.
+        # IPOPT reads these options at setup; the derivatives are shared with the cold solver.
         if (barrier, push) not in self._warm_solvers:
             gradient, jacobian, hessian = self.derivatives
             self._warm_solvers[barrier, push] = self._create_solver(
@@ -358,7 +358,7 @@ class IpoptSolver:
     def _final_multipliers(
         self, outputs: dict[str, ca.DM], p: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Of bounds and rows; of fixed variables what the Lagrangian's gradient leaves there."""
+        """Return multipliers of bounds and rows; of fixed variables from the Lagrangian."""
         lam_x, lam_g = (array_of(outputs[name]).ravel() for name in ("lam_x", "lam_g"))
         fixed = self.nlp.lower_x == self.nlp.upper_x
         if fixed.any():
@@ -380,7 +380,7 @@ class IpoptSolver:
         )
 
     def _locate_invalid_number(self, points: list[np.ndarray], p: np.ndarray) -> str:
-        """Sentence that names the first row without a value or slope at one of the points."""
+        """Return a clause on the first row without a finite value or slope at one of the points."""
         value = ca.Function("value", [self.nlp.x, self.nlp.p], [self.nlp.f, self.nlp.g])
         slope = self._solver.get_function("nlp_jac_g")
         for x in points:
@@ -410,7 +410,7 @@ def _translate_status(word: str) -> str:
 
 
 def kkt_residual(nlp: Nlp, raw: RawSolution, parameters: np.ndarray | None = None) -> float:
-    """Largest residual of the Karush-Kuhn-Tucker conditions of a solve.
+    """Return the largest residual of the Karush-Kuhn-Tucker conditions of a solve.
 
     Parameters
     ----------
@@ -427,8 +427,8 @@ def kkt_residual(nlp: Nlp, raw: RawSolution, parameters: np.ndarray | None = Non
 
     Notes
     -----
-    Computed from fresh derivatives, not taken from the solver's word. For a convex problem a
-    residual of zero proves the global optimum.
+    Computed from fresh derivatives, independently of the solver. For a convex problem a residual of
+    zero proves the global optimum.
     """
     p = nlp.parameters(parameters)
     lagrangian = type(nlp.x).sym("lam", nlp.g.numel())

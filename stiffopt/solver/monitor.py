@@ -1,4 +1,4 @@
-"""Watches an IPOPT run: progress, time limit, Ctrl-C, and the best iterate so far."""
+"""Monitoring of an IPOPT run: progress, time limit, Ctrl-C and the best iterate."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Progress:
     violation : float
         Worst row, relative to its scale.
     row : str
-        Name, label and place of that row; "" when nothing is violated.
+        Name, label and place of that row; "" without a violation.
     elapsed : float
         Since the solve began [s].
     """
@@ -51,7 +51,7 @@ class Iterate:
     violation: float
 
     def is_better_than(self, other: Iterate | None) -> bool:
-        """Whether this one is to be kept: least violation, then lowest objective."""
+        """Return True where this one has less violation or, both feasible, a lower objective."""
         if other is None:
             return True
         mine, theirs = (
@@ -61,11 +61,11 @@ class Iterate:
         return mine < theirs or (mine == theirs and self.objective < other.objective)
 
 
-# Iterations in a row in which an iterate that rests has not moved.
+# Consecutive iterations within the tolerance that make an iterate stationary.
 _STATIONARY_ITERATIONS = 5
-# Length from which a step is a full one.
+# Step length from which a step counts as full.
 _FULL_STEP_LENGTH = 1.0 - 1e-9
-# Excess of a row, relative to its scale, that the next iterations may mend.
+# Excess of a row, relative to its scale, that further iterations are likely to remove.
 _NEARLY_FEASIBLE_VIOLATION = 1e-2
 
 
@@ -87,7 +87,7 @@ class Monitor(ca.Callback):
         self.construct("monitor", {})
 
     def begin(self, report: Callable[[Progress], object] | None, max_seconds: float) -> None:
-        """Forget the last solve."""
+        """Reset the record before a solve."""
         self.report, self.max_seconds, self.patience = report, max_seconds, 0
         self.started = time.perf_counter()
         self.history: list[Progress] = []
@@ -104,7 +104,7 @@ class Monitor(ca.Callback):
         return int(ca.nlpsol_n_out())
 
     def get_n_out(self) -> int:
-        """Return one: zero to go on."""
+        """Return one: the stop flag."""
         return 1
 
     def get_name_in(self, i: int) -> str:
@@ -116,11 +116,11 @@ class Monitor(ca.Callback):
         return ca.Sparsity.dense(self._sizes.get(str(ca.nlpsol_out(i)), 0), 1)
 
     def has_eval_buffer(self) -> bool:
-        """Whether numbers come as they lie in memory: a tenth of the time of CasADi's matrices."""
+        """Return True: raw buffers take a tenth of the time of CasADi's matrices."""
         return True
 
     def eval_buffer(self, arg: Sequence[memoryview], res: Sequence[memoryview]) -> int:
-        """Take in one iteration; a result of 1 stops IPOPT."""
+        """Record one iteration; a result of 1 stops IPOPT."""
         np.frombuffer(res[0])[0] = self._evaluate_stop(arg)
         return 0
 
@@ -141,16 +141,16 @@ class Monitor(ca.Callback):
         return float(bool(self.stopped_by))
 
     def at_rest(self, tolerance: float, lengths: Sequence[float]) -> bool:
-        """Whether the last iterates are one, all rows kept: full steps that change nothing more.
+        """Return True where the last iterates are feasible and stationary under full steps.
 
-        Line searches that cut steps off afterwards, as rounding makes them, do not count where none
-        led away.
+        Later steps that the line search shortened because of rounding do not matter as long as the
+        iterates stay.
 
         Parameters
         ----------
         tolerance : float
         lengths : sequence of float
-            Of the steps of all iterations, 1 where a line search cut nothing off.
+            Step lengths of all iterations, 1 for a full step.
         """
         still = 0
         for step in reversed(self.steps):
@@ -172,12 +172,12 @@ class Monitor(ca.Callback):
         )
 
     def _is_nearly_feasible(self) -> bool:
-        """Whether some point so far keeps all rows, or nearly."""
+        """Return True where some iterate so far is nearly feasible."""
         return self.best is not None and self.best.violation <= _NEARLY_FEASIBLE_VIOLATION
 
     def _record_iterate(self, arg: Sequence[memoryview]) -> None:
         nlp = self.nlp
-        # Copies: what lies there is IPOPT's.
+        # Copies: the buffers belong to IPOPT.
         x, g = (np.frombuffer(arg[k]).copy() for k in (0, 2))
         objective = float(np.frombuffer(arg[1])[0])
         objective *= nlp.objective_scale

@@ -1,7 +1,7 @@
-"""A path free of collisions, to start a solve from: one pose between, else a tree of poses.
+"""Search of a collision-free path to start a solve from: one intermediate pose, else two trees.
 
-Every edge is free all along: no distance changes faster than the joints can move the farthest point
-of the arm, so that between two poses it cannot fall below what that leaves of both.
+Edges are free along their whole length: no distance changes faster than the joints can move the
+farthest point of the arm, which bounds it between two poses.
 
 Source: Kuffner, LaValle (2000), "RRT-connect: an efficient approach to single-query path planning".
 """
@@ -20,27 +20,28 @@ from stiffopt.result.joint_path import JointPath
 if TYPE_CHECKING:
     from stiffopt.problem.trajectory import TrajectoryProblem
 
-# Poses tried as the only one between, spread about the straight line by these shares of the range.
+# Trial poses of a path by one intermediate pose, and their spreads about the straight line, as
+# shares of the joints' ranges.
 _INTERMEDIATE_POSES = 1500
 _INTERMEDIATE_SPREADS = (0.05, 0.1, 0.2, 0.4)
-# Steps of the tree, in shares of the joints' ranges; edges are looked at down to this step [rad].
+# Step of the trees, as a share of the joints' ranges; resolution of edges [rad].
 _TREE_STEP = 0.15
 _MIN_EDGE_STEP = 0.01
 _SHORTCUT_ATTEMPTS = 60
-# Of the spline through a path: instants looked at, and how often its corners are drawn sharper.
+# Spline through a path: samples that are checked, and refinements towards the polyline.
 _SPLINE_SAMPLES = 60
 _MAX_REFINEMENTS = 4
 
 
 class FreeSpace:
-    """Poses of a problem's arm that keep the clearance, and paths through them.
+    """Collision-free poses of a problem's arm, and paths through them.
 
     Parameters
     ----------
     problem : TrajectoryProblem
     seed : int
     seconds : float
-        Time after which the search is given up.
+        Time limit of the search.
     """
 
     def __init__(self, problem: TrajectoryProblem, seed: int, seconds: float) -> None:
@@ -54,13 +55,13 @@ class FreeSpace:
         self._high = np.where(np.isfinite(high), high, np.pi)
         speed = limits.velocity
         self._speed = np.where(np.isfinite(speed), speed, 1.0)
-        # Poses that were tried.
+        # Number of poses evaluated.
         self.tried = 0
 
     def path(self, points: np.ndarray) -> np.ndarray | None:
-        """Poses (k, n) whose spline leads through all of `points` (m, n); None where none is found.
+        """Return poses (k, n) of a free spline through all `points` (m, n), None if none is found.
 
-        At once where one of `points` is `blocked`.
+        None without a search where one of `points` is `blocked`.
         """
         if self.blocked(points):
             return None
@@ -73,17 +74,17 @@ class FreeSpace:
         return self._refine_spline(found)
 
     def blocked(self, points: np.ndarray) -> list[int]:
-        """Which of `points` (m, n) nothing free is near: deeper than the finest step leads out."""
+        """Return indices of `points` (m, n) that overlap by more than the finest step resolves."""
         deepest = self._model.fastest(np.full(np.shape(points), _MIN_EDGE_STEP), np.asarray(points))
         return [k for k, pose in enumerate(points) if self.gap(pose) <= -deepest[k]]
 
     def gap(self, pose: np.ndarray) -> float:
-        """Least distance beyond the clearance [m]."""
+        """Return the least distance beyond the clearance [m]."""
         self.tried += 1
         return float(self._model.couple_distances(pose).min()) - self._clearance
 
     def poses(self, count: int, random: np.random.Generator) -> np.ndarray:
-        """Poses (count, n) anywhere in the joints' ranges."""
+        """Return random poses (count, n) in the joints' ranges."""
         return random.uniform(self._low, self._high, (count, len(self._low)))
 
     def _connect_poses(self, start: np.ndarray, end: np.ndarray) -> list[np.ndarray] | None:
@@ -93,10 +94,10 @@ class FreeSpace:
         if between is not None:
             return [start, between, end]
         tree = self._connect_by_trees(start, end)
-        return None if tree is None else self._shortcut(tree)
+        return None if tree is None else self._replace_detours(tree)
 
     def _connect_by_one_pose(self, start: np.ndarray, end: np.ndarray) -> np.ndarray | None:
-        """The pose that makes the shortest free path of two straight edges."""
+        """Return the intermediate pose of the shortest free path of two straight edges."""
         count = _INTERMEDIATE_POSES
         width = self._high - self._low
         spread = np.repeat(_INTERMEDIATE_SPREADS, count // len(_INTERMEDIATE_SPREADS))[:, None]
@@ -117,7 +118,7 @@ class FreeSpace:
         return None
 
     def _connect_by_trees(self, start: np.ndarray, end: np.ndarray) -> list[np.ndarray] | None:
-        """A path by two trees that grow towards each other."""
+        """Connect two poses by two trees that grow towards each other."""
         trees: list[_Tree] = [_Tree(start), _Tree(end)]
         while time.perf_counter() < self._until:
             [aim] = self.poses(1, self._random)
@@ -134,7 +135,7 @@ class FreeSpace:
         return None
 
     def _grow_towards(self, tree: _Tree, aim: np.ndarray, *, once: bool) -> int | None:
-        """Number of the last pose of a tree grown towards an aim; None where it is blocked."""
+        """Grow a tree towards an aim; return the index of its last pose, None where blocked."""
         width = self._high - self._low
         nearest = tree.nearest(aim, width)
         found = None
@@ -149,8 +150,8 @@ class FreeSpace:
                 return found
         return None
 
-    def _shortcut(self, path: list[np.ndarray]) -> list[np.ndarray]:
-        """The path without detours that straight edges can replace."""
+    def _replace_detours(self, path: list[np.ndarray]) -> list[np.ndarray]:
+        """Return the path with detours replaced by free straight edges."""
         for _ in range(_SHORTCUT_ATTEMPTS):
             if len(path) < 3 or time.perf_counter() > self._until:
                 break
@@ -160,7 +161,7 @@ class FreeSpace:
         return path
 
     def _refine_spline(self, path: list[np.ndarray]) -> np.ndarray:
-        """Poses whose spline is free, as near to the path as it needs."""
+        """Insert midpoints until the spline through the path is free."""
         poses = np.array(path)
         for _ in range(_MAX_REFINEMENTS):
             spline = JointPath.through(poses, "chord")
@@ -176,7 +177,7 @@ class FreeSpace:
         return all(self._edge_is_free(one, other) for one, other in pairwise(poses))
 
     def _edge_is_free(self, start: np.ndarray, end: np.ndarray) -> bool:
-        """Whether a straight edge keeps the clearance all along, its ends apart."""
+        """Return True where a straight edge keeps the clearance between its ends."""
         stack: list[Sequence[float]] = [(0.0, 1.0)]
         travel = self._distance_change_bound(start, end)
         size = float(np.max(np.abs(end - start), initial=0.0))
@@ -201,18 +202,18 @@ class FreeSpace:
         return True
 
     def _distance_change_bound(self, start: np.ndarray, end: np.ndarray) -> float:
-        """Bound on how far any distance changes along a straight edge [m]."""
+        """Return an upper bound of the change of any distance along a straight edge [m]."""
         poses = np.stack([start, end])
         moved = np.abs(end - start)
         return float(self._model.fastest(np.stack([moved, moved]), poses).max())
 
     def _travel_times(self, step: np.ndarray) -> np.ndarray:
-        """Time that steps (k, n) take at full speed (k,)."""
+        """Return the times (k,) of steps (k, n) at full speed."""
         return np.asarray(np.max(np.abs(step) / self._speed, axis=-1))
 
 
 class _Tree:
-    """Poses, each with the one it was reached from."""
+    """Tree of poses with the index of each one's parent."""
 
     def __init__(self, root: np.ndarray) -> None:
         self.poses = [root]

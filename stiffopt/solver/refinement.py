@@ -1,8 +1,8 @@
-"""What is done where the certificate finds more than a limit allows: refine, tighten, solve again.
+"""Refinement of a motion that fails its certificate: finer mesh, constraint back-off, new solve.
 
-A motion that joints and links share is solved on a finer mesh, then with its limits tightened. A
-motion planned for the links keeps its mesh, which long chains of integrators take badly anew: each
-row is drawn in where the exact one exceeds it. Both up to a few times.
+A rigid plan (motors and links move alike) is solved on a finer mesh, then with backed-off limits. A
+motion planned for the links keeps its mesh, since long chains of integrators converge poorly on a
+new one: each row is backed off where the exact one exceeds it.
 """
 
 from __future__ import annotations
@@ -28,12 +28,11 @@ from stiffopt.solver.smoothing_width import (
     narrowest_sufficient_width,
 )
 from stiffopt.solver.solve_run import SolveRun
-from stiffopt.solver.stage_plan import SolveStage
+from stiffopt.solver.stage_plan import SolveStage, finer_mesh
 from stiffopt.solver.stages import (
     Outcome,
     Programme,
     certify_outcome,
-    finer_mesh,
     motors_with_law,
     run_stages,
     solve_again,
@@ -46,43 +45,44 @@ from stiffopt.transcription.between import Excess, KnownRows, drawn_in, excess_o
 from stiffopt.transcription.nlp import Nlp
 from stiffopt.transcription.point_function import PointFunction
 
-# Motions are tightened until the excess is below this, so that the certificate's tolerance is never
-# only just met.
+# Back-off continues until the excess is below this: a margin to the certificate's tolerance.
 _TARGET_EXCESS = 0.8 * CERTIFICATE_TOLERANCE
-# Gap of the objective between nodes that a finer mesh is worth, where a baseline is better.
+# Objective gap that is worth a finer mesh where a baseline is better.
 _RIVAL_OBJECTIVE_GAP = 1e-3
 _MAX_REFINEMENTS = 3
-# Gap of the objective from which on joints that creep are brought to rest, so often at most.
+# Objective gap from which on creeping joints are fixed, so often at most.
 _CREEP_OBJECTIVE_GAP, _MAX_STATIONARY_SOLVES = 5e-3, 2
 _MESH_GROWTH = 1.25
 _MAX_CORRECTIONS = 12
-# Of a row's bound at once: a larger excess is a narrow one, and goes with less.
+# Largest back-off of a row in one step, as a share of its bound: a larger excess is a narrow peak,
+# which less back-off removes.
 _MAX_BACK_OFF_STEP = 0.15
-# Share of an excess that the exact rows have to show where it is theirs.
+# Share of an excess that the exact rows must show, else its cause lies outside the rows.
 _MIN_EXPLAINED_SHARE = 0.5
-# Shares of these limits that are left to motors which have to calm their links, at first.
+# Share of the drive limits that the first back-off reserves for vibration suppression.
 _DRIVE_LIMITS, _DRIVE_RESERVE = ("velocity", "acceleration", "jerk", "torque"), 0.04
-# And of the jerk, which corners of the stiffness take most of, each time after.
+# Share of the jerk limit, which kinks of the stiffness use most, in each later back-off.
 _JERK_RESERVE = 0.15
-# How far an arm may be from its plan, in flight and after arrival, over the plan's peak.
+# Deviation of the simulated arm from its plan, in flight and after arrival, over the plan's peak.
 _MAX_PLAN_DEVIATION = 5e-2
-# Of the widths of the joints' stiffness, by which exact rows are looked at where the objective is
-# worse than believed: what is passed over a bend of it shows.
+# Share of the stiffness smoothing widths at which rows are checked where the objective is worse
+# than predicted: kinks that the widths conceal show.
 _CHECK_SMOOTHING_SHARE = 0.1
-# Of the widths of the motors' law, tried when all limits hold: at half of it, nothing more is left
-# after arrival than by the exact law.
+# Shares of the motor law's smoothing widths, tried when all limits hold: at half of it the residual
+# vibration is that of the exact law.
 _SHARPER_LAW_SHARES = (0.5, 0.6, 0.7, 0.8, 0.9)
-# An excess that is still larger after a correction is a corner of a joint's stiffness passed too
-# fast: the motors' law gets wider corners.
+# An excess that is still larger after a correction comes from a kink of a joint's stiffness passed
+# too fast: the motor law's smoothing is widened.
 _KINK_EXCESS = 0.25
-# Beyond what any correction takes: the corners get wider before the first.
+# Excess that no correction removes: the smoothing is widened before the first one.
 _SPIKE_EXCESS = 4.0
 
 
 def refine(run: SolveRun, outcome: Outcome, rival: Baseline | None) -> Outcome:
-    """The outcome refined until the certificate finds no more than it allows.
+    """Refine an outcome until its certificate passes.
 
-    Also where only between the nodes a feasible baseline, the `rival`, is better.
+    Also where a feasible baseline, the `rival`, is better only because of the objective gap between
+    the nodes.
     """
     if run.problem.plans_links:
         return refine_within_mesh(run, outcome, outcome.transcription.nlp)
@@ -90,7 +90,7 @@ def refine(run: SolveRun, outcome: Outcome, rival: Baseline | None) -> Outcome:
 
 
 def _refine_mesh(run: SolveRun, outcome: Outcome, rival: Baseline | None) -> Outcome:
-    """A finer mesh, short where the controls change; from the second time on tighter limits."""
+    """Solve on finer meshes, short where the controls change; from the second on with back-off."""
     margins: dict[str, float] = {}
     outcome = _fix_stationary_joints(run, outcome)
     for attempt in range(1, _MAX_REFINEMENTS + 1):
@@ -103,7 +103,7 @@ def _refine_mesh(run: SolveRun, outcome: Outcome, rival: Baseline | None) -> Out
         if not outcome.raw.converged or not (excess or outcome.objective_gap > true):
             break
         if attempt > 1 and run.problem.path is not None:
-            # All limits are path rows: they are drawn in where they are exceeded, and only there.
+            # All limits are path rows, which are backed off only where they are exceeded.
             return _back_off_rows(run, outcome, outcome.transcription.nlp)[0]
         if attempt > 1:
             for name, value in excess.items():
@@ -126,7 +126,7 @@ def _refine_mesh(run: SolveRun, outcome: Outcome, rival: Baseline | None) -> Out
 
 
 def _fix_stationary_joints(run: SolveRun, outcome: Outcome) -> Outcome:
-    """The outcome with joints that creep at rest, as far as that makes it better."""
+    """Return the outcome with creeping joints fixed, where that improves it."""
     free = outcome.transcription
     if not any(objective.kind.of_drives for objective in run.problem.objectives):
         return outcome
@@ -150,7 +150,7 @@ def _fix_stationary_joints(run: SolveRun, outcome: Outcome) -> Outcome:
 
 
 def _remove_excess_between_nodes(run: SolveRun, outcome: Outcome) -> Outcome:
-    """The outcome without what bulges between two nodes of any mesh, where that makes it better."""
+    """Return the outcome with the objective gap between nodes removed, where that improves it."""
     inside, _ = _back_off_rows(run, outcome, outcome.transcription.nlp)
     if inside.raw.status == "interrupted":
         outcome = mark_interrupted(outcome)
@@ -158,25 +158,25 @@ def _remove_excess_between_nodes(run: SolveRun, outcome: Outcome) -> Outcome:
         run.problem, outcome
     ):
         return inside
-    # Its bounds are those that it was solved with.
+    # Restore the bounds that it was solved with.
     outcome.solver.set_bounds(outcome.transcription.nlp)
     return outcome
 
 
 def rank_outcome(problem: TrajectoryProblem, outcome: Outcome) -> tuple[bool, float]:
-    """What outcomes are ordered by: certified ones first, then by their certified objective."""
+    """Return the sort key of outcomes: certified ones first, then the certified objective."""
     value = objective_value(problem, outcome.assessment).value
     feasible = outcome.assessment.feasible(CERTIFICATE_TOLERANCE)
     return not feasible, -value if is_maximised(problem) else value
 
 
 def refine_within_mesh(run: SolveRun, outcome: Outcome, nlp: Nlp) -> Outcome:
-    """The same mesh, rows drawn in where the exact ones, or the simulated arm, exceed them.
+    """Back off rows on the same mesh where the exact ones, or the simulated arm, exceed them.
 
-    For a motion that is planned for the links; `nlp` is its programme with the bounds so far.
+    For a motion planned for the links; `nlp` is its programme with the bounds so far.
     """
     outcome, nlp = _back_off_rows(run, outcome, nlp)
-    # With how far its tool goes on the simulated arm, in flight and after arrival.
+    # With the sum of the simulated tool deviations, in flight and after arrival.
     best = (np.inf, outcome, nlp)
     for again in range(_MAX_REFINEMENTS + 1):
         found, arm = _suppress_vibration(run, outcome)
@@ -205,17 +205,17 @@ def refine_within_mesh(run: SolveRun, outcome: Outcome, nlp: Nlp) -> Outcome:
 def _requested_back_off(
     run: SolveRun, outcome: Outcome, nlp: Nlp, late: dict[str, float], off: float, again: int
 ) -> dict[str, float]:
-    """By how much rows are to be drawn in as the arm is `off` from its plan; none if it is near.
+    """Return the back-off by limit for an arm that is `off` from its plan; empty if it is near.
 
     `late` are the limits that it exceeds after arrival.
     """
     wide = outcome.smoothing.corners > 1.0
     if any(block.rows.name in late for block in nlp.rows.items):
-        # The size that rows know is more than the arm's: it gives way slowly. What wide corners
-        # leave they do not know at all.
+        # The rows overestimate the arm's vibration, so that back-off acts slowly. They do not model
+        # the residual vibration of a wide smoothing at all.
         return {} if wide else {name: excess * 2.0**again for name, excess in late.items()}
     if late:
-        # The plan is at rest, the arm is not: its motors lack the room to calm it.
+        # The plan ends at rest, the arm does not: vibration suppression lacks drive reserve.
         return {"jerk": _JERK_RESERVE} if again else dict.fromkeys(_DRIVE_LIMITS, _DRIVE_RESERVE)
     swings = any(each.kind.plans_links for each in run.problem.objectives)
     if swings and wide and off > _MAX_PLAN_DEVIATION:
@@ -224,10 +224,10 @@ def _requested_back_off(
 
 
 def _back_off_rows(run: SolveRun, outcome: Outcome, nlp: Nlp) -> tuple[Outcome, Nlp]:
-    """Path rows drawn in until the exact ones are kept; the programme with their bounds.
+    """Back off path rows until the exact ones hold; return the programme with their bounds too.
 
-    While the exact rows themselves show an excess, nothing else is asked of the motion. Corners of
-    the motors' law get wider where an excess stays.
+    While the exact rows themselves show an excess, the certificate is not evaluated. The motor
+    law's smoothing is widened where an excess remains.
     """
     made = Programme(outcome.transcription, outcome.solver)
     rows, smoothing, raw = None, outcome.smoothing, outcome.raw
@@ -273,9 +273,9 @@ def _back_off_rows(run: SolveRun, outcome: Outcome, nlp: Nlp) -> tuple[Outcome, 
 
 
 def _widen_motor_smoothing(run: SolveRun, outcome: Outcome) -> float:
-    """Wider corners of the motors' law, by which the same links exceed limits by little.
+    """Return a wider smoothing of the motor law for which the same links exceed limits by little.
 
-    As wide as they are where that lowers no excess: then it is none of a corner.
+    The present one where a wider one lowers no excess, which then is not due to a kink.
     """
     corners = outcome.smoothing.corners
 
@@ -289,9 +289,9 @@ def _widen_motor_smoothing(run: SolveRun, outcome: Outcome) -> float:
 
 
 def _known_drive_rows(problem: TrajectoryProblem, motion: Assessment) -> dict[str, KnownRows]:
-    """What the drives do in truth, over their limits; by name of the limit.
+    """Return the certified drive quantities over their limits, by name of the limit.
 
-    Of torques with dry friction rows are either side's envelope, which they are enough for.
+    Not of torques with dry friction, whose rows bound both directions of friction.
     """
     if not problem.plans_links:
         return {}
@@ -311,7 +311,7 @@ def _needs_correction(outcome: Outcome, excess: dict[str, float]) -> bool:
 
 
 def _unexplained_excess(known: Excess, excess: dict[str, float]) -> dict[str, float]:
-    """What the rows do not know, such as the delay by damping: it is the same all along."""
+    """Return excesses that the rows do not show, such as the delay by damping."""
     unseen = {
         k: v for k, v in excess.items() if known.largest.get(k, 0.0) < _MIN_EXPLAINED_SHARE * v
     }
@@ -319,7 +319,7 @@ def _unexplained_excess(known: Excess, excess: dict[str, float]) -> dict[str, fl
 
 
 def _allows_other_motion(nlp: Nlp, before: Nlp, *, moved: bool) -> bool:
-    """Whether rows, or `moved` corners, ask for another motion and leave room for one."""
+    """Return True where bounds or smoothing (`moved`) changed and the bounds are consistent."""
     asks = moved or not _same_bounds(nlp, before)
     return asks and bool(np.all(nlp.lower_g <= nlp.upper_g))
 
@@ -329,13 +329,13 @@ def _same_bounds(one: Nlp, other: Nlp) -> bool:
 
 
 def _is_conclusive(excess: Excess) -> bool:
-    """Whether limits are exceeded for certain, and by no corner of the motors' law."""
+    """Return True where limits are clearly exceeded, and not because of a kink of the motor law."""
     worst = max((v for name, v in excess.largest.items() if name in LIMITS), default=0.0)
     return 2.0 * _TARGET_EXCESS < worst <= _KINK_EXCESS
 
 
 def mark_interrupted(outcome: Outcome) -> Outcome:
-    """An outcome that Ctrl-C made the last."""
+    """Return the outcome with the status "interrupted"."""
     return replace(outcome, raw=replace(outcome.raw, status="interrupted", reason="Ctrl-C"))
 
 
@@ -348,16 +348,16 @@ def _is_worse_than(problem: TrajectoryProblem, outcome: Outcome, rival: Baseline
 
 
 def _sharpen_motor_law(run: SolveRun, outcome: Outcome) -> Outcome:
-    """The same links with motors by a law nearer to the true one, as far as every limit holds.
+    """Return the same links with the sharpest motor law for which every limit holds.
 
-    What the wider law leaves after arrival goes with its width; what is left as the links move with
-    their sag goes where springs carry them as they hang. Rows of the optimiser know neither.
+    Residual vibration from smoothing decreases with its width; that from the links' sag vanishes
+    for motors computed at the sagged position. The optimiser's rows model neither.
     """
-    # Motors whose links swing on are at rest by the law they were solved with.
+    # With free arrival the motors are at rest only by the law that was solved.
     if _worst_flight_violation(outcome.assessment) > CERTIFICATE_TOLERANCE or run.end_modes:
         return outcome
     found, share = outcome, 1.0
-    # A narrower law asks for more: halving finds the narrowest that does.
+    # A narrower law needs more of the motors: bisection finds the narrowest feasible one.
     first, last = 0, len(_SHARPER_LAW_SHARES)
     while first < last:
         middle = (first + last) // 2
@@ -370,10 +370,9 @@ def _sharpen_motor_law(run: SolveRun, outcome: Outcome) -> Outcome:
 
 
 def _suppress_vibration(run: SolveRun, outcome: Outcome) -> tuple[Outcome, SimulatedMotors | None]:
-    """The same links with motors that let them swing least: by a sharper law, then as they answer.
+    """Return the same links with the least vibration: by a sharper law, then by a motor change.
 
-    The second where every limit holds in flight, and the arm is off from its plan: by wide corners
-    of the law, or as its links sag. With what the arm does, where it was simulated.
+    The latter where every limit holds in flight. With the simulated arm, where it was simulated.
     """
     if not outcome.raw.converged:
         return outcome, None
@@ -393,7 +392,7 @@ def _suppress_vibration(run: SolveRun, outcome: Outcome) -> tuple[Outcome, Simul
 def _replace_motors(
     run: SolveRun, outcome: Outcome, share: float, *, sagged: bool
 ) -> Outcome | None:
-    """The outcome with motors of its own, where they keep every limit in flight."""
+    """Return the outcome with recomputed motors, None where they exceed a limit in flight."""
     trajectory = motors_with_law(run, outcome, share, sagged=sagged)
     if drive_violations(run.problem, trajectory)[0].value > CERTIFICATE_TOLERANCE:
         return None
@@ -408,7 +407,7 @@ def _has_failed(raw: RawSolution) -> bool:
 
 
 def _excess_by_limit(assessment: Assessment) -> dict[str, float]:
-    """Rows exceeded by more than the aim, by their names; start and end cannot be tightened."""
+    """Return excesses above the target by row name; start and end cannot be backed off."""
     fixed = ("start", "end")
     return {
         v.limit.replace("via_", "via "): v.value
@@ -424,7 +423,7 @@ def _worst_flight_violation(assessment: Assessment) -> float:
 
 
 def _arrival_overshoot(problem: TrajectoryProblem, assessment: Assessment) -> dict[str, float]:
-    """Limits that the arm exceeds after arrival, by what its size is above the allowed one."""
+    """Return the limits that the arm exceeds after arrival, with the relative overshoot."""
     exceeded = {
         v.limit for v in assessment.violations if _concerns_arrival(v) and v.value > _TARGET_EXCESS
     }

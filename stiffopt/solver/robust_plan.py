@@ -1,14 +1,13 @@
-"""Of motions that are as good, the one that does best on arms that are not as modelled.
+"""Robust plan: among motions of nearly the same objective, the best one on uncertain arms.
 
-Many motions have nearly the least peak. They differ in how fast the deviation rises and falls,
-which swings where springs are softer or stiffer than the model, and in the room that they leave the
-drives for a command that leads by more than the nominal wind-up. So a solve ends with one more: the
-peak may grow by a little, and the deviation changes as slowly as it can. Whichever motion's command
-does better on the worst arm is taken.
+Many motions have nearly the least peak. They differ in the rate of change of the deviation, which
+excites vibration where springs differ from the model, and in the drive reserve for a command that
+leads by more than the nominal wind-up. So a solve ends with one more: the peak may grow slightly
+while the rate of the deviation is minimised. The motion whose command is better on the worst arm is
+returned.
 
-More may be given for a motion that is averaged over some of a swing (`solver.shaping`): whatever
-the springs, little swings on after it. It is taken where it gains more on the worst arm than it
-costs as modelled.
+An input-shaped motion (`solver.input_shaping`) may cost more: it excites little residual vibration
+whatever the springs. It is returned where it gains more on the worst arm than it costs as modelled.
 """
 
 from __future__ import annotations
@@ -34,14 +33,14 @@ from stiffopt.solver.stages import Outcome, solve_again
 from stiffopt.solver.verdict import MAX_OBJECTIVE_GAP
 from stiffopt.transcription.nlp import Nlp
 
-# Share by which the peak at the nodes may grow, and that on the fine grid, where no less is stated.
+# Shares by which the peak may grow at the nodes and on the fine grid; less where stated.
 _MAX_NODE_COST, _MAX_CERTIFIED_COST = 7e-3, 1e-2
 
 ShapedOver = Callable[[tuple[Window, ...]], Solution]
 
 
 def robust_plan(run: SolveRun, outcome: Outcome) -> Outcome:
-    """The outcome, or one as good that is better on other arms, where there is any."""
+    """Return the outcome, or one of nearly the same objective that is better on uncertain arms."""
     if not _is_requested(run, outcome):
         return outcome
     before, price = outcome.solver.nlp, run.problem.uncertainty.price
@@ -61,7 +60,7 @@ def robust_plan(run: SolveRun, outcome: Outcome) -> Outcome:
             if better:
                 run.notes.append(
                     _cost_note(
-                        cost, "it swings less there, and leaves the motors room to lead by more"
+                        cost, "it vibrates less there and leaves drive reserve for more lead"
                     )
                 )
                 return found
@@ -75,12 +74,12 @@ def robust_plan(run: SolveRun, outcome: Outcome) -> Outcome:
 
 def _is_requested(run: SolveRun, outcome: Outcome) -> bool:
     sound = outcome.raw.converged and outcome.assessment.feasible(CERTIFICATE_TOLERANCE)
-    # Planes around what it must not touch are of the motion that was found.
+    # Separating planes hold only for the motion that was found.
     return run.problem.chosen_for_other_arms and sound and run.avoidance is None
 
 
 def _cap_objective(outcome: Outcome, nlp: Nlp, price: float) -> Nlp:
-    """The programme with the bound on the peak limited to a little more than it is."""
+    """Return the programme with the peak bounded to slightly more than its optimum."""
     upper, place = nlp.upper_x.copy(), outcome.transcription.statics.offset
     upper[place] = (
         1.0 + min(_MAX_NODE_COST, _MAX_NODE_COST / _MAX_CERTIFIED_COST * price)
@@ -91,7 +90,7 @@ def _cap_objective(outcome: Outcome, nlp: Nlp, price: float) -> Nlp:
 def shaped_for_arms(
     run: SolveRun, solution: Solution, least: Outcome, shaped: ShapedOver
 ) -> Solution:
-    """The solution, or a shaped motion that gains more on the worst arm than it costs.
+    """Return the solution, or a shaped motion that gains more on the worst arm than it costs.
 
     Parameters
     ----------
@@ -99,7 +98,7 @@ def shaped_for_arms(
     solution : Solution
         Found so far; its command on uncertain arms is the run's, where that is known.
     least : Outcome
-        Before anything was given for other arms.
+        The optimum before any cost for uncertain arms.
     shaped : callable
         Solves the run's problem shaped over given windows.
     """
@@ -127,7 +126,7 @@ def shaped_for_arms(
             ):
                 continue
             run.command = other
-            note = _cost_note(value.value / best - 1.0, "it swings on less there")
+            note = _cost_note(value.value / best - 1.0, "its residual vibration is smaller there")
             return replace(
                 tried,
                 objective=value,
@@ -143,7 +142,7 @@ def shaped_for_arms(
 
 
 def _add_records(first: SolverRecord, second: SolverRecord) -> SolverRecord:
-    """What the solver did one after the other."""
+    """Return the combined record of two solves."""
     return replace(
         second,
         iterations=first.iterations + second.iterations,
@@ -162,13 +161,13 @@ def _cost_note(cost: float, why: str) -> str:
 
 
 def _command_on_arms(run: SolveRun, solution: Solution) -> CommandOnArms:
-    """The command of a solution on uncertain arms."""
+    """Return the command of a solution on uncertain arms."""
     (found,) = _commands_on_arms(run, solution)
     return found
 
 
 def _commands_on_arms(run: SolveRun, *outcomes: Outcome | Solution) -> list[CommandOnArms]:
-    """The commands of motions on uncertain arms."""
+    """Return the commands of motions on uncertain arms."""
     arm = elastic_arm(run.problem, run.motion.start)
     motions = [
         replace(PlannedMotion.of("optimised", each.assessment, True), motors=each.trajectory)
@@ -179,7 +178,7 @@ def _commands_on_arms(run: SolveRun, *outcomes: Outcome | Solution) -> list[Comm
 
 
 def _relative_cost(run: SolveRun, found: Outcome, least: Outcome) -> float:
-    """Share by which the objective is larger; infinite where the motion is not sound."""
+    """Return the relative increase of the objective; infinite where the motion is not certified."""
     sound = found.raw.converged and found.assessment.feasible(CERTIFICATE_TOLERANCE)
     if not sound or found.objective_gap > MAX_OBJECTIVE_GAP or find_collisions(run, found):
         return np.inf

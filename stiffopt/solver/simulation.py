@@ -1,4 +1,4 @@
-"""A solution and its baselines on the elastic arm: the third part of the certificate.
+"""Elastic simulation of a solution and its baselines, with its sensitivity to assumed damping.
 
 A quintic motion that exceeds a limit is simulated a second time, slowed until it keeps them all; it
 is counted where the problem allows that duration.
@@ -48,38 +48,38 @@ if TYPE_CHECKING:
     from stiffopt.result.solution import Baseline, Solution
     from stiffopt.result.trajectory import Trajectory
 
+# Factors on the assumed damping of 2 % of critical: 1 and 3 %.
+_DAMPING_FACTORS = (0.5, 1.5)
+# Links slower than this are at rest [rad/s].
+_STANDSTILL_SPEED = 1e-6
 _COMMAND_NOT_REQUESTED = (
-    "No command.csv: no objective or limit is about how the arm yields. State [uncertainty] for a "
-    "command that leads the wind-up, judged on uncertain arms."
+    "No command.csv: no objective or limit concerns the arm's elasticity. State [uncertainty] for "
+    "a command with compensation of the wind-up, judged on uncertain arms."
 )
 
 
 def elastic_arm(problem: TrajectoryProblem, start: np.ndarray) -> ElasticArm:
-    """The problem's robot as an elastic arm, checked in its start pose (n,) [rad].
+    """Return the problem's robot as an elastic arm, checked in its start pose (n,) [rad].
 
     Raises
     ------
     RobotError
-        Damping or hysteresis is of no joint.
+        Damping or hysteresis is not physical.
     NotSimulatedError
         The arm cannot be simulated.
     """
     arm = ElasticArm(problem.robot, start, problem.process_force)
     parts = {objective.kind.deflection_part for objective in problem.objectives}
-    # What a force or the weight winds a joint up by counts in the other parts.
+    # The other parts of the deflection include the wind-up of all joints under weight and force.
     if not problem.process_force.any() and parts <= {"", "dynamic"}:
         arm = arm.with_fast_joints_following(start)
     check_reach(arm, start)
     return arm
 
 
-# Links slower than this are at rest [rad/s].
-_STANDSTILL_SPEED = 1e-6
-
-
 @dataclass(frozen=True, kw_only=True)
 class PlannedMotion:
-    """A motion to be simulated.
+    """Motion to be simulated.
 
     Parameters
     ----------
@@ -91,11 +91,11 @@ class PlannedMotion:
     parts : dict of PeakRms
         Parts of its planned deflection by name, "dynamic" among them [m].
     counted : bool
-        Whether it keeps all limits and the problem's duration.
+        True where it keeps all limits and the problem's duration.
     motors : Trajectory or None
-        With what its links are planned to do, where that is planned apart from the motors' motion.
+        With the planned motion of its links, where that differs from the motors'.
     exceeded : tuple of str
-        Names of limits that it does not keep.
+        Names of limits that it exceeds.
     """
 
     name: str
@@ -109,18 +109,18 @@ class PlannedMotion:
 
     @property
     def link(self) -> Trajectory | None:
-        """Motion of the links, where that is planned."""
+        """Planned motion of the links, None where it is not planned."""
         return None if self.motors is None else self.motors.link
 
     @property
     def vibrates_after_arrival(self) -> bool:
-        """Whether the links are planned to swing on when the motors stand."""
+        """True where the plan has residual vibration of the links after the motors' arrival."""
         link = self.link
         return link is not None and bool(np.any(np.abs(link(link.duration, 1)) > _STANDSTILL_SPEED))
 
     @classmethod
     def of(cls, name: str, assessment: Assessment, counted: bool) -> PlannedMotion:
-        """From its certificate."""
+        """Make the motion from its certificate."""
         return cls(
             name=name,
             time=assessment.time,
@@ -140,7 +140,7 @@ def rival_motions(
     baselines: dict[str, Baseline],
     strict: Baseline | None = None,
 ) -> list[PlannedMotion]:
-    """The baselines that exist; the quintic one also slowed where it exceeds a limit.
+    """Return the existing baselines, and the slowed quintic one where the quintic is infeasible.
 
     `strict` is the slowed one where it is known already.
     """
@@ -177,7 +177,7 @@ def simulate_motions(
     motions : sequence of PlannedMotion
     servo : Servo, optional
     band : float
-        Within which the tool counts as settled [m].
+        Settling band of the tool [m].
 
     Raises
     ------
@@ -220,7 +220,7 @@ def _simulate_part(
     simulated: SimulatedMotion,
     reference: np.ndarray,
 ) -> SimulatedPart:
-    """Way of the tool in flight from where it is with the joints at the reference (K, n)."""
+    """Return the tool's deviation in flight from the reference joint positions (K, n)."""
     flight = simulated.time <= simulated.duration
     away = arm.tool(simulated.position[flight]) - arm.tool(reference[flight])
     size, time = np.linalg.norm(away, axis=1), simulated.time[flight]
@@ -229,12 +229,12 @@ def _simulate_part(
 
 
 def check_simulation(problem: TrajectoryProblem, motion: ResolvedMotion) -> None:
-    """Raise `RobotError` where damping or hysteresis is of no joint: before a long solve."""
+    """Raise `RobotError` before a long solve where damping or hysteresis is not physical."""
     stated = (problem.robot.damping, problem.robot.hysteresis)
     if problem.robot.yields:
         native.prepare()
         native_bodies.prepare()
-    # What is not stated cannot be wrong.
+    # Defaults need no check.
     if problem.robot.yields and any(
         np.any(np.nan_to_num(each)) for each in stated if each is not None
     ):
@@ -249,17 +249,17 @@ def with_simulation(
     motion: ResolvedMotion | None = None,
     command: CommandOnArms | None = None,
 ) -> Solution:
-    """The solution with its simulation and its command; a note instead where there are none.
+    """Return the solution with its simulation and its command, or with a note on why there is none.
 
     `motion` are the problem's poses where they are resolved already; `command` is one of the
-    solve, which is taken where it is of this solution.
+    solve, used where it belongs to this solution.
     """
     stopped, assessment = solution.status is SolveStatus.INTERRUPTED, solution.assessment
     if assessment is None or stopped or not problem.robot.yields:
         return solution
     motion = resolve(problem) if motion is None else motion
     if not problem.robot.tool_yields(assessment.position):
-        return _add_note(solution, "Not simulated: no joint that yields moves the tool.")
+        return _add_note(solution, "Not simulated: no elastic joint moves the tool.")
     try:
         delivered()
         arm = elastic_arm(problem, assessment.position[0])
@@ -278,8 +278,8 @@ def with_simulation(
         if own.vibrates_after_arrival:
             return _add_note(
                 solution,
-                "No command.csv: the links are planned to swing on after arrival, as far as the "
-                "limits allow; q of trajectory.csv is the command for that.",
+                "No command.csv: the plan has residual vibration within the limits; q of "
+                "trajectory.csv is the command for it.",
             )
         if not _requests_command(problem):
             return _add_note(solution, _COMMAND_NOT_REQUESTED)
@@ -296,13 +296,13 @@ def with_simulation(
         if solution.simulation is not None:
             return _add_note(
                 solution,
-                "The choice of a command was interrupted: no command.csv was made; solve again for "
-                "it.",
+                "The search for a command was interrupted: no command.csv was written; solve again "
+                "for it.",
             )
         return _add_note(
             solution,
-            "The simulation on the elastic arm was interrupted; `stiffopt simulate` does it anew. "
-            "No command.csv was made; solve again for it.",
+            "The elastic simulation was interrupted; `stiffopt simulate` repeats it. No "
+            "command.csv was written; solve again for it.",
         )
     except NotSimulatedError as error:
         return _add_note(solution, f"Not simulated on the elastic arm: {error}")
@@ -310,7 +310,7 @@ def with_simulation(
 
 
 def _requests_command(problem: TrajectoryProblem) -> bool:
-    """Whether an objective, a limit or a stated uncertainty is about how the arm yields."""
+    """Return True where an objective, limit or stated uncertainty concerns the arm's elasticity."""
     return len(smoothing_stages(problem)) > 1 or problem.uncertainty != AssumedUncertainty()
 
 
@@ -321,8 +321,8 @@ def _add_note(solution: Solution, note: str) -> Solution:
 def _progress_callback(
     progress: ProgressCallback | None, solution: Solution
 ) -> Callable[[str], object]:
-    """Tells a solve's display which motion is being compensated."""
-    begun, value = time.perf_counter(), getattr(solution.objective, "value", np.nan)
+    """Return a callback that reports which motion is being compensated."""
+    start, value = time.perf_counter(), getattr(solution.objective, "value", np.nan)
     numbers = itertools.count(1)
 
     def tell(name: str) -> None:
@@ -334,21 +334,18 @@ def _progress_callback(
                     objective=value,
                     violation=0.0,
                     row="",
-                    elapsed=time.perf_counter() - begun,
+                    elapsed=time.perf_counter() - start,
                 )
             )
 
     return tell
 
 
-# Times what is assumed: 1 and 3 % of critical.
-_DAMPING_FACTORS = (0.5, 1.5)
-
-
 def damping_sensitive_limits(problem: TrajectoryProblem, motion: Assessment) -> dict[str, float]:
-    """Limits of the swing after arrival that arms of other damping exceed, by their size over it.
+    """Return the limits after arrival that arms of other damping exceed, with the overshoot.
 
-    Empty where the problem has none, or every joint states its damping.
+    Empty where the problem has none, or every joint states its damping. No motion is slowed for
+    that (decision 0027): a note reports it.
 
     Raises
     ------
@@ -374,13 +371,13 @@ def damping_sensitive_limits(problem: TrajectoryProblem, motion: Assessment) -> 
 
 
 def damping_sensitivity_note(problem: TrajectoryProblem, motion: Assessment) -> str:
-    """What is to be said of limits that hold by the assumed damping alone; "" where all hold."""
+    """Return a note on limits that hold only with the assumed damping; "" where all hold."""
     found = damping_sensitive_limits(problem, motion)
     if not found:
         return ""
-    listed = " and ".join(f"what {name} allows by {relative(over)}" for name, over in found.items())
+    listed = " and ".join(f"{name} by {relative(over)}" for name, over in found.items())
     return (
-        "Limits after arrival hold with the damping that is assumed. With half of it, or half as "
-        f"much again, the tool's swing exceeds {listed}: state the joints' measured damping in the "
-        "robot file, or a lower limit."
+        "Limits after arrival hold with the assumed damping. With 0.5 or 1.5 times of it the "
+        f"residual vibration exceeds {listed}: state the joints' measured damping in the robot "
+        "file, or a lower limit."
     )

@@ -1,8 +1,8 @@
-"""Corners of a joint's stiffness, passed by motors that lead links: as wide as their limits need.
+"""Smoothing width of the motor law, as wide as the motors' limits need.
 
-At a corner of the law the motors' speed bends within as much torque as the corner is wide. Passed
-fast, a narrow one asks for hundreds of times a motor's jerk, however smooth the links' motion is;
-twice the width asks for a quarter of it.
+Motors that lead links pass kinks of the joints' stiffness. At a kink their speed changes within a
+torque range of the smoothing width. Passed fast, a narrow one needs hundreds of times a motor's
+jerk limit, however smooth the links' motion is; twice the width needs a quarter of it.
 """
 
 from __future__ import annotations
@@ -11,12 +11,12 @@ from collections.abc import Callable
 
 from stiffopt.result.trajectory import Trajectory
 
-# Widths are doubled up to so often, while that lowers the excess to this share at least.
+# The width is doubled up to so often, while that reduces the excess to this share at least.
 _MAX_DOUBLINGS = 7
 MAX_REMAINING_EXCESS = 0.75
-# Excess that a solve gets rid of by passing corners a little slower.
+# Excess that a solve removes by passing kinks slightly slower.
 TOLERABLE_KINK_EXCESS = 1.0
-# Of the last width: what may do as well, and leaves less after arrival.
+# Share of the last width that is tried as well: narrower, with less residual vibration.
 _INTERMEDIATE_WIDTH = 0.7
 
 
@@ -26,18 +26,18 @@ def motors_with_sufficient_smoothing(
     smoothing: float,
     allowed: float,
 ) -> Trajectory:
-    """Motors by the narrowest law whose excess is allowed, or by that of the least excess.
+    """Return motors by the narrowest law with an allowed excess, or by that of the least excess.
 
     Parameters
     ----------
     motors : callable
         Motion of the motors for a factor on the law's smoothing widths.
     excess : callable
-        By what share a motion exceeds a limit of the motors, at worst.
+        Largest relative excess of the motors' limits.
     smoothing : float
         The narrowest factor.
     allowed : float
-        Share up to which nothing is wider.
+        Excess up to which the width is sufficient.
     """
     made: dict[float, tuple[Trajectory, float]] = {}
 
@@ -57,7 +57,7 @@ def motors_with_sufficient_smoothing(
 def narrowest_sufficient_width(
     beyond: Callable[[float], float], smoothing: float, allowed: float
 ) -> float:
-    """The narrowest factor, by doubling, whose excess is allowed, or that of the least excess.
+    """Return the narrowest factor, by doubling, with an allowed excess, or that of the least one.
 
     Parameters
     ----------

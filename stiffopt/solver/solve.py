@@ -1,9 +1,9 @@
 """Solve a trajectory problem: baselines, staged collocation, certificate, refinement.
 
-The optimiser sees the smoothed model at nodes and midpoints; the certificate judges the motion with
-the exact model on a fine grid. Where it finds a limit exceeded, the solve is refined
-(`solver.refinement`), or ends as `certificate_failed`. What the optimiser believed of its motion is
-compared with the exact model before it is called optimal.
+The optimiser sees the smoothed model at nodes and midpoints; the certificate evaluates the motion
+with the exact model on a fine grid. Where a limit is exceeded, the solve is refined
+(`solver.refinement`), or ends as `certificate_failed`. The optimiser's prediction of its motion is
+compared with the exact model before the motion is called optimal.
 """
 
 from __future__ import annotations
@@ -66,15 +66,15 @@ from stiffopt.solver.verdict import (
 )
 from stiffopt.transcription.ocp import Guess
 
-# Share of the best objective within which an optimum counts as the same.
+# Relative difference of objectives within which two optima count as the same.
 _SAME_OBJECTIVE_SHARE = 0.01
-# How a solve ends where the duration may be too short for any motion.
+# Statuses for which the duration may be too short for any motion.
 _POSSIBLY_TOO_FAST = (
     SolveStatus.CERTIFICATE_FAILED,
     SolveStatus.INFEASIBLE,
     SolveStatus.ITERATION_LIMIT,
 )
-# Of what an objective need not be below, within which it counts as lowered to that.
+# Objective over its sufficient value, up to which it counts as lowered to that.
 _SUFFICIENT_OBJECTIVE_FACTOR = 1.1
 
 
@@ -92,17 +92,17 @@ def solve(
     Parameters
     ----------
     problem : TrajectoryProblem or LoadedProblem
-        The second as `load_problem` returns it.
+        The latter as returned by `load_problem`.
     progress : callable, optional
         Called with a `SolveProgress` in every iteration.
     guess : Guess or Assessment, optional
-        Where to start, such as `guess` of an earlier solution; toppra's motion if left out.
+        Initial guess, such as `guess` of an earlier solution; toppra's motion if left out.
     throw : bool
         Raise `NoSolutionFound` unless the status is optimal, acceptable or interrupted.
     simulate : bool
         Simulate the motion and its baselines on the elastic arm: `Solution.simulation`.
     start : int
-        Above zero: begin with a random smooth detour of the guess, another for each number.
+        Above zero: start from a random smooth detour of the guess, another for each number.
 
     Returns
     -------
@@ -111,7 +111,7 @@ def solve(
     Raises
     ------
     ProblemError
-        The problem cannot be met or its objective is degenerate; said before solving.
+        The problem is infeasible or its objective degenerate, found before solving.
     NoSolutionFound
         With the solution so far, where `throw` is set.
     """
@@ -134,24 +134,24 @@ def solve_with_state(
     start: int = 0,
     compare: bool = True,
 ) -> tuple[Solution, tuple[SolveRun, Outcome] | None]:
-    """As `solve`, and what was built for it: None where there was no programme of its own.
+    """Solve a problem and return its solver state too, None where there was no programme.
 
     Parameters
     ----------
     problem, progress, guess, simulate, start : as of `solve`
     compare : bool
-        Look for the baseline that keeps every limit as well.
+        Also search the baseline that keeps every limit.
     """
     motion = resolve(problem)
-    # Made beside all that comes before the first programme.
+    # Prepared in parallel with everything before the first programme.
     frontal.library()
-    # Meshes of the cell that cannot be read are told before the solve.
+    # Reports unreadable meshes of the cell before the solve.
     _ = problem.clearance_model
     check_clear_poses(problem, motion)
     if simulate:
         check_simulation(problem, motion)
     notes = preliminary_notes(problem, motion)
-    # Their tables are those of the simulation.
+    # Uses the tables of the simulation.
     if simulate and (soft := questionable_springs(problem.robot, motion.start)):
         notes = (*notes, soft)
     beside = baselines(problem, motion)
@@ -181,7 +181,7 @@ def solve_with_state(
             kept = (run, outcome)
             if problem.avoids_collisions:
                 outcome = avoid_collisions(run, outcome, rival, searches=problem.method.starts)
-                # Its rows are of this motion only: nothing else can be solved from there.
+                # Clearance rows hold for this motion only: no warm start from there.
                 kept = None if run.avoidance else (run, outcome)
                 beside |= {} if run.detour is None else {run.detour.name: run.detour}
             if (fastest := fastest_on_path(problem, outcome, beside)) is not None:
@@ -210,7 +210,7 @@ def _solve_shaped_in_remaining_time(
     guess: Guess | Assessment | None,
     windows: tuple[Window, ...],
 ) -> Solution:
-    """The problem with its deviation shaped over windows, in what is left of its time."""
+    """Solve the problem with input shaping over windows, in the remaining time."""
     left = max(run.problem.method.time_limit - run.elapsed, MIN_SOLVE_TIME)
     shaped = tuple(replace(each, name="shaped_deviation") for each in run.problem.objectives)
     method = replace(run.problem.method, time_limit=left)
@@ -225,7 +225,7 @@ def _select_guess(
     beside: dict[str, Baseline],
     guess: Guess | Assessment | None,
 ) -> Guess:
-    """The guess itself, of an earlier motion, or of a baseline."""
+    """Return the given guess, or one from an earlier motion or a baseline."""
     if guess is None:
         return initial_guess(problem, motion, beside)
     if isinstance(guess, Guess):
@@ -233,13 +233,13 @@ def _select_guess(
     if guess.position.shape[1] != problem.joints:
         raise ProblemError(
             f"the guess has {guess.position.shape[1]} joints, {problem.robot.name} has"
-            f" {problem.joints}. Take one of the same arm."
+            f" {problem.joints}. Use one of the same arm."
         )
     return guess_from_motion(problem, motion, guess)
 
 
 def preliminary_notes(problem: TrajectoryProblem, motion: ResolvedMotion) -> tuple[str, ...]:
-    """What can be said of a problem before it is solved; refuses those that are degenerate."""
+    """Return notes on a problem before it is solved; raise `ProblemError` if it is degenerate."""
     chosen = (problem.chosen,) if problem.chosen else ()
     doubted = (*questionable_bodies(problem.robot), *questionable_belts(problem.robot))
     return (
@@ -252,13 +252,13 @@ def preliminary_notes(problem: TrajectoryProblem, motion: ResolvedMotion) -> tup
 
 
 def _describe_held_joints(problem: TrajectoryProblem) -> tuple[str, ...]:
-    """Which joints of the URDF the arm does not move, where the file did not ask for it."""
+    """Return a note on joints of the URDF that are held without having been locked by the file."""
     held = [str(each) for each in problem.robot.held if each.why != "locked"]
     return (f"Held, not planned: {'; '.join(held)}.",) if held else ()
 
 
 def _objective_scales(problem: TrajectoryProblem, beside: dict[str, Baseline]) -> Scales:
-    """Typical values of the objectives: those of a baseline."""
+    """Return typical values of the objectives, from a baseline."""
     for baseline in beside.values():
         if baseline.assessment is not None:
             motion = baseline.assessment
@@ -267,7 +267,7 @@ def _objective_scales(problem: TrajectoryProblem, beside: dict[str, Baseline]) -
 
 
 def _best_of_starts(run: SolveRun, guess: Guess, rival: Baseline | None) -> Outcome:
-    """The best certified outcome of the problem's number of starts."""
+    """Return the best certified outcome of the problem's number of starts."""
     problem = run.problem
     random = np.random.default_rng(problem.method.seed)
     last = best = _solve_and_refine(run, guess, rival)
@@ -292,7 +292,7 @@ def _best_of_starts(run: SolveRun, guess: Guess, rival: Baseline | None) -> Outc
 def _restart_from_better_baseline(
     run: SolveRun, outcome: Outcome, beside: dict[str, Baseline], rival: Baseline | None
 ) -> Outcome:
-    """The better of an outcome and one begun from a baseline that is better than it."""
+    """Return the better of an outcome and one started from a baseline that is better than it."""
     above = find_better_baseline(run.problem, outcome, beside)
     late = run.elapsed > run.problem.method.time_limit
     if above is None or above.assessment is None or late or outcome.raw.status == "interrupted":
@@ -308,7 +308,7 @@ def _restart_from_better_baseline(
 
 
 def _describe_spread(problem: TrajectoryProblem, made: list[Outcome]) -> str:
-    """How far apart the optima of several starts lie."""
+    """Return a note on the spread of the optima of several starts."""
     found = [
         objective_value(problem, each.assessment).value
         for each in made
@@ -325,12 +325,12 @@ def _describe_spread(problem: TrajectoryProblem, made: list[Outcome]) -> str:
 
 
 def _solve_and_refine(run: SolveRun, guess: Guess, rival: Baseline | None) -> Outcome:
-    """Solve in stages, then refine while the certificate finds more than is allowed."""
+    """Solve in stages, then refine until the certificate passes."""
     plan = plan_stages(run.problem, run.problem.method.intervals, run.corners)
     found = refine(run, run_stages(run, plan, guess, {}), rival)
     if run.end_modes and found.raw.status != "interrupted" and not _is_certified_optimum(found):
-        # What the motors' law leaves is more than the limits, or no optimum was found in time:
-        # without any swing there is less.
+        # Residual vibration of the motor law exceeds the limits, or there was no optimum in time: a
+        # plan that ends at rest has less.
         run.require_rest_at_arrival()
         resting = found
         with suppress(KeyboardInterrupt):
@@ -339,14 +339,14 @@ def _solve_and_refine(run: SolveRun, guess: Guess, rival: Baseline | None) -> Ou
             found = resting
             if found.assessment.feasible(CERTIFICATE_TOLERANCE):
                 run.notes.append(
-                    "No motion was found whose links swing on after arrival as far as the limits "
-                    "allow: this one brings them to rest, which takes a little longer."
+                    "No motion was found that uses the residual vibration allowed by the limits: "
+                    "this one brings the links to rest, which takes slightly longer."
                 )
     return found
 
 
 def _is_certified_optimum(outcome: Outcome) -> bool:
-    """Whether an outcome is an optimum that keeps all limits."""
+    """Return True for an optimum that keeps all limits."""
     return outcome.raw.converged and outcome.assessment.feasible(CERTIFICATE_TOLERANCE)
 
 
@@ -358,7 +358,7 @@ def solution_of(
     *,
     compare: bool = True,
 ) -> Solution:
-    """The solution of an outcome; `compare` looks for the baseline that keeps every limit."""
+    """Return the solution of an outcome; `compare` searches the baseline that keeps every limit."""
     problem, assessment = run.problem, with_collisions(run.problem, outcome.assessment)
     strict = None
     if compare and outcome.raw.status != "infeasible":
@@ -417,7 +417,7 @@ def solution_of(
 
 
 def _describe_sufficient_objective(run: SolveRun, value: float) -> list[str]:
-    """That a lower objective was not asked for, where that is so."""
+    """Return a note where the objective was lowered to its sufficient value only."""
     kind = run.problem.objectives[0].kind
     enough = kind.enough(run.scales.of(kind.name))
     if len(run.problem.objectives) > 1 or not 0.0 < value <= _SUFFICIENT_OBJECTIVE_FACTOR * enough:
@@ -429,7 +429,7 @@ def _describe_sufficient_objective(run: SolveRun, value: float) -> list[str]:
 
 
 def _strict_baseline_of(run: SolveRun, beside: dict[str, Baseline]) -> Baseline | None:
-    """The baseline that keeps every limit, sought once; not looked for any more after Ctrl-C."""
+    """Return the baseline that keeps every limit, searched once; None after Ctrl-C."""
     if run.strict is None:
         with suppress(KeyboardInterrupt):
             run.strict = strict_baseline(run.problem, run.motion, beside)
@@ -437,5 +437,5 @@ def _strict_baseline_of(run: SolveRun, beside: dict[str, Baseline]) -> Baseline 
 
 
 def _all_rivals(beside: dict[str, Baseline], strict: Baseline | None) -> dict[str, Baseline]:
-    """All motions that may be better than the optimised one."""
+    """Return all motions that may be better than the optimised one."""
     return beside if strict is None else beside | {strict.name: strict}

@@ -1,4 +1,4 @@
-"""One solve in progress: its clock, its record, what it found so far, what displays are told."""
+"""State of a solve in progress: clock, record, intermediate results, progress events."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ from stiffopt.solver.stage_plan import SolveStage
 if TYPE_CHECKING:
     from stiffopt.solver.command_search import CommandOnArms
 
-# Of a solve once its time is over [s]: it ends with what it has.
+# Time limit of an NLP solve once the solve's own time is over [s].
 MIN_SOLVE_TIME = 0.1
-# Of the time limit: if links that may swing on end in no motion by then, they are brought to rest.
+# Share of the time limit for a plan with residual vibration; then one that ends at rest is solved.
 _FREE_ARRIVAL_TIME_SHARE = 0.4
-# Of the smooth quintic motion: pieces and instants.
+# Smoothed quintic motion from which the initial smoothing width follows.
 _QUINTIC_SPLINE_PIECES, _QUINTIC_SAMPLES = 30, 3001
 
 
@@ -45,14 +45,14 @@ class SolveProgress:
     Attributes
     ----------
     stage : str
-        Which of how many, intervals and smoothing.
+        Number of the stage, intervals and smoothing.
     iteration : int
     objective : float
         In SI, of the smoothed model at the nodes.
     violation : float
         Worst row, relative to its scale.
     row : str
-        Its name; empty when nothing is violated.
+        Its name; empty without a violation.
     elapsed : float
         Since the solve began [s].
     """
@@ -70,14 +70,13 @@ ProgressCallback = Callable[[SolveProgress], object]
 
 @dataclass
 class SolveRun:
-    """One solve in progress: its clock, its record and what it found so far.
+    """State of one solve in progress.
 
-    `quintic` is the baseline by which corners of the motors' law are made wide enough;
-    `at_rest` says that nothing may swing on after arrival, whatever limits allow; `avoidance`, once
-    it is there, keeps the motion clear of collisions; `unavoided` says what was tried in vain,
-    `detour` is the motion along a path around; `strict` is the best baseline that keeps every
-    limit, once it is known; `command` is its command on uncertain arms, where
-    that has been asked for.
+    `quintic` is the baseline from which the smoothing width of the motor law follows; `at_rest`
+    forbids residual vibration, whatever the limits allow; `avoidance` are the clearance rows, once
+    needed; `avoidance_failure` says why collisions could not be avoided; `detour` is the motion
+    along the first collision-free path; `strict` is the best baseline that keeps every limit, once
+    known; `command` is its command on uncertain arms, where requested.
     """
 
     problem: TrajectoryProblem
@@ -106,16 +105,16 @@ class SolveRun:
 
     @property
     def remaining(self) -> float:
-        """Seconds left of the time limit, or of the share of it in which links may swing on."""
+        """Seconds left of the time limit, or of its share for plans with residual vibration."""
         share = _FREE_ARRIVAL_TIME_SHARE if self.end_modes else 1.0
         return max(share * self.problem.method.time_limit - self.elapsed, MIN_SOLVE_TIME)
 
     @cached_property
     def end_modes(self) -> tuple[Mode, ...]:
-        """Modes in which the links may swing on after arrival; none where they may not.
+        """Elastic modes with residual vibration in the plan; none where it must end at rest.
 
-        Where corners of the motors' law are wide, what they leave is more than limits allow, and
-        only links that a plan brings to rest can be calmed.
+        With a wide smoothing of the motor law the residual vibration exceeds the limits, and
+        vibration suppression needs a plan that ends at rest.
         """
         problem = self.problem
         if self.at_rest or not problem.plans_links or problem.arrives_at_rest:
@@ -131,15 +130,15 @@ class SolveRun:
 
     @cached_property
     def motors(self) -> MotorLaw:
-        """Motors that lead the problem's links."""
+        """Law of the motors that lead the problem's links."""
         return MotorLaw(self.problem.robot, self.problem.process_force)
 
     @cached_property
     def corners(self) -> float:
-        """Factor on the widths of the motors' law with which a solve begins.
+        """Initial factor on the smoothing widths of the motor law.
 
-        As wide as the quintic motion needs, smoothed. Through narrower corners no motion in that
-        time gets within the limits, and rows do not see it: a corner is passed between nodes.
+        As wide as the smoothed quintic motion needs. With a narrower one no motion of that duration
+        keeps the limits, and rows do not show it, since kinks are passed between nodes.
         """
         problem = self.problem
         motion = None if self.quintic is None else self.quintic.trajectory
@@ -156,16 +155,16 @@ class SolveRun:
         return narrowest_sufficient_width(beyond, least, TOLERABLE_KINK_EXCESS) / least
 
     def require_rest_at_arrival(self) -> None:
-        """Let nothing swing on after arrival from now on."""
+        """Forbid residual vibration from now on."""
         self.at_rest = True
         for known in ("end_modes", "lag"):
             self.__dict__.pop(known, None)
 
     @cached_property
     def lag(self) -> np.ndarray | None:
-        """Of the joints' wind-up behind their torque, by damping (n,) [s].
+        """Delay of the joints' wind-up behind their torque, by damping (n,) [s].
 
-        None where the motors do not come to rest smoothly, or the links cannot swing.
+        None where the motors do not come to rest smoothly, or the arm cannot be simulated.
         """
         problem = self.problem
         smooth = problem.boundary_acceleration == "zero" and not np.any(problem.boundary_velocity)
@@ -176,7 +175,7 @@ class SolveRun:
         return None
 
     def reported_value(self, objective: float) -> float:
-        """The objective of an NLP in the unit that people see."""
+        """Return the objective of an NLP in its reported unit and sign."""
         first = self.problem.objectives[0]
         sign = -1.0 if is_maximised(self.problem) else 1.0
         return sign * objective * first.weight * self.scales.of(first.name)

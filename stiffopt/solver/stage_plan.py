@@ -1,4 +1,4 @@
-"""How a problem is solved: its stages, and what IPOPT is told."""
+"""Stages of a solve with their meshes, and IPOPT's options."""
 
 from __future__ import annotations
 
@@ -18,22 +18,22 @@ from stiffopt.transcription.refine import refine_mesh
 from stiffopt.transcription.transcription import Transcription
 
 _MIN_INTERVALS = 16
-# Intervals of the first and the second mesh of a deflection's peak, however fine the last is.
+# Most intervals of the first and the second mesh where a deflection peak is minimised.
 _MAX_COARSE_INTERVALS, _MAX_MIDDLE_INTERVALS = 60, 100
-# Iterations without a point that keeps all rows, after which it is asked whether there is any.
+# Iterations without a nearly feasible point, after which infeasibility is analysed.
 _INFEASIBLE_ITERATIONS = 100
-# First barrier of a minimum duration, and so its bounds' multipliers.
+# Initial barrier parameter, and so bound multipliers, where the duration is minimised.
 _INITIAL_DURATION_BARRIER = 1e-3
-# That of a peak on a fine mesh, from the motion of a coarse one; and to what share of the last one
-# a correction of the inertia falls.
+# That of a peak on a fine mesh, from the motion of a coarse one; and IPOPT's decrease of the
+# inertia correction.
 _INITIAL_PEAK_BARRIER, _INERTIA_CORRECTION_DECREASE = 1e-6, 0.1
-# IPOPT's names of how far a start is moved from bounds.
+# IPOPT's options of the least distance of a start from bounds.
 _BOUND_PUSH_OPTIONS = ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac")
-# Intervals of a fixed path for each piece of its spline, at whose ends the rate of its curvature
-# jumps: limits that fewer do not see are exceeded between the nodes.
+# Intervals per piece of a fixed path's spline, at whose ends the rate of curvature jumps: with
+# fewer, limits are exceeded between the nodes.
 _INTERVALS_PER_PATH_PIECE = 3
-# Instants at which a guess is asked when it passes the knots of a path; and the time for a piece at
-# least, as a share of the average, where the guess is at rest.
+# Samples of a guess to locate the knots of a path; least time of a piece, as a share of the
+# average, where the guess is at rest.
 _PATH_SAMPLES, _MIN_PIECE_SHARE = 20001, 1e-2
 
 
@@ -46,7 +46,7 @@ class SolveStage:
     intervals : int
     smoothing : Smoothing
     new_mesh : bool
-        Place the intervals anew, short where the controls of the stage before change.
+        New distribution of the intervals, short where the controls of the stage before change.
     """
 
     intervals: int
@@ -57,21 +57,22 @@ class SolveStage:
 def plan_stages(
     problem: TrajectoryProblem, intervals: int, corners: float = 1.0
 ) -> tuple[SolveStage, ...]:
-    """Stages that end at `intervals` with the narrowest smoothing the problem needs.
+    """Return stages that end at `intervals` with the narrowest smoothing the problem needs.
 
-    `corners` is the factor on the widths of the law by which motors lead planned links.
+    `corners` is the factor on the smoothing widths of the motor law.
     """
     coarse = max(intervals // 2, min(_MIN_INTERVALS, intervals))
     widths = tuple(Smoothing(width, corners) for width in smoothing_stages(problem))
     if len(widths) == 1:
-        # Smooth problems converge from the guess at once; a coarse mesh would only cost time.
+        # Smooth problems converge directly from the guess; a coarse mesh would only cost time.
         return (SolveStage(intervals, Smoothing(1.0)),)
     if problem.plans_links:
-        # Long chains of integrators take a new mesh badly: one, and the narrow smoothing at once.
+        # Long chains of integrators converge poorly on a new mesh: one change of mesh, directly
+        # with the narrow smoothing.
         return (SolveStage(coarse, widths[1]), SolveStage(intervals, widths[-1], new_mesh=True))
     if smoothing_stages(problem) == WINDUP_SMOOTHING:
-        # Each mesh follows the motion before it. A middle one costs less than a second fine one,
-        # and its peaks are as low. Neither has to grow with the last one.
+        # Each mesh is adapted to the motion before it. A middle one costs less than a second fine
+        # one, and its peaks are as low. Neither has to grow with the last one.
         coarse = min(coarse, _MAX_COARSE_INTERVALS)
         middle = max(min(2 * intervals // 3, _MAX_MIDDLE_INTERVALS), coarse)
         between = Smoothing(float(np.sqrt(np.prod(WINDUP_SMOOTHING[-2:]))))
@@ -88,7 +89,7 @@ def plan_stages(
 
 
 def solver_options(problem: TrajectoryProblem, *, near: bool = False) -> IpoptOptions:
-    """What IPOPT is told for a problem; `near` where it begins near the optimum."""
+    """Return IPOPT's options for a problem; `near` where it starts near the optimum."""
     method = problem.method
     # A barrier that adapts takes a fifth to a half of the iterations less, and steadier ones on
     # long chains of integrators.
@@ -98,24 +99,24 @@ def solver_options(problem: TrajectoryProblem, *, near: bool = False) -> IpoptOp
         or len(smoothing_stages(problem)) == 1
         or method.intervals > _MAX_MIDDLE_INTERVALS
     ):
-        # Splines and smooth programmes are well scaled as they are: what MUMPS does to them costs
-        # steps, with a free duration half of all. On fine meshes every step takes half the time.
+        # Splines and smooth programmes are well scaled: MUMPS' scaling costs iterations, with a
+        # free duration half of all. On fine meshes every iteration takes half the time.
         extra |= {"mumps_pivot_order": 0, "mumps_permuting_scaling": 0, "mumps_scaling": 0}
     if len(smoothing_stages(problem)) == 1 and not problem.plans_links:
-        # Of smooth programmes the residual of a step is small enough as it is: refined if not.
+        # Steps of smooth programmes have a small residual without iterative refinement.
         extra["min_refinement_steps"] = 0
     fastest = any(each.name == "duration" for each in problem.objectives)
     if fastest and not problem.plans_links:
-        # Beside one duration, multipliers of 1 at thousands of bounds lead far into the inside.
+        # Beside one duration, multipliers of 1 at thousands of bounds lead far into the interior.
         extra |= {"bound_mult_init_method": "mu-based", "mu_init": _INITIAL_DURATION_BARRIER}
     peak = smoothing_stages(problem) == WINDUP_SMOOTHING and not fastest
     if near and peak and not problem.plans_links and method.intervals > _MAX_MIDDLE_INTERVALS:
-        # All nodes share the peak's multiplier. Of 1 each they bend the programme so much that the
-        # inertia is mended by far more than is needed, and for many short steps.
+        # All nodes share the peak's multiplier. Multipliers of 1 each distort the Hessian so much
+        # that the inertia correction is far too large, which takes many short steps.
         extra |= {"bound_mult_init_method": "mu-based", "mu_init": _INITIAL_PEAK_BARRIER}
         extra["perturb_dec_fact"] = _INERTIA_CORRECTION_DECREASE
     if problem.plans_links and near:
-        # Multipliers of a small barrier, else the motion is first led far away from where it is.
+        # Multipliers of a small barrier, else the first steps lead far away from the start.
         extra |= {"bound_mult_init_method": "mu-based", "mu_init": 1e-4}
         extra |= dict.fromkeys(_BOUND_PUSH_OPTIONS, 1e-3)
     return IpoptOptions(
@@ -129,7 +130,7 @@ def solver_options(problem: TrajectoryProblem, *, near: bool = False) -> IpoptOp
 def initial_mesh(
     problem: TrajectoryProblem, ocp: OptimalControlProblem, stage: SolveStage, guess: Guess
 ) -> Mesh:
-    """Even intervals within each phase, or within each piece of a fixed path."""
+    """Return equal intervals within each phase, or within each piece of a fixed path."""
     if problem.path is not None:
         return _mesh_along_path(problem.path, guess, resolving_intervals(problem, stage))
     return uniform_mesh(stage.intervals, ocp.phases, tuple(guess.phase_fractions))
@@ -138,20 +139,20 @@ def initial_mesh(
 def finer_mesh(
     problem: TrajectoryProblem, before: Transcription, x: np.ndarray, intervals: int
 ) -> Mesh:
-    """Mesh for the motion `x`: short where its controls change, on a path between its waypoints."""
+    """Return a mesh for the motion `x`: short where controls change, on a path by its waypoints."""
     if problem.path is not None:
         return _mesh_along_path(problem.path, before.guess_from(x), intervals)
     return refine_mesh(before, x, intervals)
 
 
 def _mesh_along_path(waypoints: np.ndarray, guess: Guess, intervals: int) -> Mesh:
-    """Mesh with nodes where a motion passes the waypoints, at which the curvature's rate jumps.
+    """Return a mesh with nodes at the waypoints, where the rate of the path's curvature jumps.
 
     Parameters
     ----------
     waypoints : array (m, n)
     guess : Guess
-        The motion: path coordinate and its speed.
+        Path coordinate and its speed.
     intervals : int
     """
     at = np.linspace(0.0, 1.0, _PATH_SAMPLES)
@@ -164,6 +165,6 @@ def _mesh_along_path(waypoints: np.ndarray, guess: Guess, intervals: int) -> Mes
 
 
 def resolving_intervals(problem: TrajectoryProblem, stage: SolveStage) -> int:
-    """Intervals of a stage, no fewer than show where the pieces of a fixed path bend."""
+    """Return the intervals of a stage, enough to resolve the pieces of a fixed path."""
     pieces = 0 if problem.path is None else len(problem.path) - 1
     return max(stage.intervals, _INTERVALS_PER_PATH_PIECE * pieces)

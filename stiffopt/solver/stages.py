@@ -1,4 +1,4 @@
-"""One staged solve: coarse before fine, wide smoothing before narrow; then the motion assessed."""
+"""Staged solve: from coarse mesh and wide smoothing to fine and narrow, then the certificate."""
 
 from __future__ import annotations
 
@@ -38,26 +38,27 @@ from stiffopt.transcription.nlp import BlockScales, Nlp
 from stiffopt.transcription.ocp import Guess, OptimalControlProblem
 from stiffopt.transcription.transcription import Transcription
 
-# Excess of all rows together, relative to their scales, from which on they are in conflict; and
-# that on a coarse mesh which no finer one mends.
+# Sum of the excesses of all rows, relative to their scales, from which on they are in conflict; and
+# that on a coarse mesh which no finer one removes.
 _MIN_CONFLICT_EXCESS = 1e-4
 _HOPELESS_COARSE_EXCESS = 0.5
-# How often planes are laid anew at most; the objective has settled when it falls by no more.
+# Updates of separating planes in the last and in earlier stages, and relative decrease of the
+# objective below which they end.
 _MAX_PLANE_ROUNDS, _MAX_COARSE_PLANE_ROUNDS = 12, 2
 _MIN_RELATIVE_DECREASE = 2e-5
-# What planes exceed falls to this share, or they are not laid anew.
+# Share to which an infeasible violation must fall for another update.
 _MAX_REMAINING_VIOLATION = 0.7
-# Excess of a row, relative to its scale, up to which a start is near the optimum.
+# Excess of a row, relative to its scale, up to which a guess counts as near the optimum.
 _NEAR_GUESS_EXCESS = 1.0
-# And that from which on it is a corner of the motors' law passed fast.
+# And that from which on it comes from passing a kink of the motor law fast.
 _SPIKE_EXCESS = 10.0
-# Of a start whose bounds have been drawn in, from them.
+# Least distance from backed-off bounds of a correction's start.
 _CORRECTION_BOUND_PUSH = 1e-3
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """End of one staged solve: the last NLP and what its motion is worth.
+    """End of one staged solve: the last NLP with its certified motion.
 
     Parameters
     ----------
@@ -66,7 +67,7 @@ class Outcome:
     trajectory : Trajectory
     assessment : Assessment
     objective_gap : float
-        How much worse the certified objective is than the one at the nodes, relative.
+        Relative excess of the certified objective over the one at the nodes.
     solver : IpoptSolver
     smoothing : Smoothing
         Of the last stage.
@@ -96,21 +97,21 @@ def run_stages(
     plan : tuple of SolveStage
     guess : Guess
     margins : dict
-        Shares by which limits are tightened.
+        Back-off of limits, as shares.
     mesh : Mesh, optional
         Of the first stage; uniform if left out.
 
     Raises
     ------
     KeyboardInterrupt
-        Ctrl-C before the first stage has begun; later the outcome so far is kept.
+        Ctrl-C before the first stage has started; later the outcome so far is returned.
     """
     done: tuple[Programme, SolveStage, RawSolution] | None = None
     try:
         for each in _iterate_stages(run, plan, guess, margins, mesh):
             done = each
     except KeyboardInterrupt:
-        # While the next programme was built: what the one before gave is the best so far.
+        # While the next programme was built: the stage before has the best result so far.
         if done is None:
             raise
         done = *done[:2], replace(done[2], status="interrupted", reason="Ctrl-C")
@@ -130,7 +131,7 @@ def solve_again(run: SolveRun, before: Outcome, nlp: Nlp, smoothing: Smoothing) 
 def solve_correction(
     run: SolveRun, made: Programme, before: RawSolution, nlp: Nlp, smoothing: Smoothing
 ) -> RawSolution:
-    """As `solve_again`, without looking at the motion."""
+    """Solve as `solve_again`, without the certificate."""
     made.solver.set_bounds(nlp)
     stage = SolveStage(len(made.transcription.intervals), smoothing)
     return solve_stage(
@@ -139,9 +140,9 @@ def solve_correction(
 
 
 def motors_with_law(run: SolveRun, outcome: Outcome, share: float, *, sagged: bool) -> Trajectory:
-    """Motors of the same links by a law with this share of the outcome's smoothing widths.
+    """Return motors of the same links by a law with a share of the outcome's smoothing widths.
 
-    With springs that carry the links where they hang, or where they are planned.
+    With `sagged` the spring torques are those at the sagged, else at the planned link positions.
     """
     law, x = share * outcome.smoothing.law, outcome.raw.x
     return _build_trajectory(run, outcome.transcription, x, law, sagged=sagged)
@@ -154,10 +155,10 @@ def _iterate_stages(
     margins: dict[str, float],
     mesh: Mesh | None,
 ) -> Iterator[tuple[Programme, SolveStage, RawSolution]]:
-    """Every stage with its solution, each from the last."""
+    """Yield every stage with its solution, each started from the last."""
     ocp = formulate(run.problem, run.motion, run.scales, margins, run.end_modes)
     if run.lag is not None:
-        # The links arrive before their motors.
+        # By damping the links arrive before their motors.
         shortest, longest = (each - float(run.lag.max()) for each in ocp.duration)
         ocp = replace(ocp, duration=(shortest, longest))
     last = len(plan) - 1
@@ -189,7 +190,7 @@ def _iterate_stages(
         yield made, stage, raw
         if hopeless or raw.status in ("interrupted", "time_limit"):
             break
-        # A coarse mesh may be infeasible where the fine one is not: ask the last stage at once.
+        # A coarse mesh may be infeasible where the fine one is not: continue with the last stage.
         index = last if raw.status == "infeasible" and index < last else index + 1
 
 
@@ -202,17 +203,17 @@ def _analyse_failed_stage(
     *,
     last: bool,
 ) -> tuple[RawSolution, bool]:
-    """A stage from `x` that met no end: its answer, and whether no further stage can help.
+    """Analyse a stage from `x` that has not converged; return its result and True if hopeless.
 
-    Where its rows are exceeded, the motion that exceeds them least shows whether they can hold. A
-    coarse mesh and wide smoothing tell less than the last stage does, so more is asked of them.
+    The motion of least excess shows whether the rows can hold. A coarse mesh and wide smoothing
+    prove less than the last stage does, so a larger excess is required of them.
     """
     ended = raw.converged or raw.status in ("interrupted", "time_limit")
     if ended or raw.violation <= FEASIBLE_VIOLATION or not made.transcription.nlp.derivatives:
         return raw, False
     nlp, parameters = made.solver.nlp, stage.smoothing.parameters
     begin = time.perf_counter()
-    # From where the stage began: what led nowhere has led away.
+    # From the start of the stage: its last iterate has diverged.
     found = minimise_excess(nlp, x, parameters, run.remaining)
     run.solve_s += time.perf_counter() - begin
     run.iterations += found.iterations
@@ -224,7 +225,7 @@ def _analyse_failed_stage(
         conflicts = found.conflicts
         return replace(raw, x=found.x, status="infeasible", conflicts=conflicts), True
     if found.converged and found.excess <= _MIN_CONFLICT_EXCESS:
-        # There are motions that keep all rows: on from one of them.
+        # Feasible motions exist: continue from the one found.
         again = solve_stage(run, made, stage, found.x, None, "from a feasible motion")
         return (again if again.converged else raw), False
     return raw, False
@@ -239,7 +240,7 @@ def _resolve_with_new_planes(
     label: str,
     rounds: int,
 ) -> tuple[Programme, RawSolution]:
-    """A stage from `x` solved again with its planes laid anew, until the objective has settled."""
+    """Solve a stage from `x` again with updated planes until the objective has converged."""
     avoidance = run.avoidance
     assert avoidance is not None
     for number in range(1, rounds + 1):
@@ -248,11 +249,11 @@ def _resolve_with_new_planes(
         begin = time.perf_counter()
         same, clear = False, not avoidance.collides_elsewhere(raw.x)
         if clear or not raw.converged:
-            # Where planes leave no motion, those of the nearest one may.
+            # Where the planes leave no feasible motion, those of the nearest one may.
             x = raw.x
             transcription, same = avoidance.updated(made.transcription, x)
         else:
-            # On from where it was clear, with rows for what it ran into.
+            # Restart from the collision-free point, with rows for the couples that collided.
             transcription = avoidance.restarted_at(x)
         if same:
             made.solver.set_bounds(transcription.nlp)
@@ -286,7 +287,7 @@ def solve_stage(
     barrier: Literal["monotone", "adaptive"] = "monotone",
     push: float = 1e-8,
 ) -> RawSolution:
-    """Solve one stage; where it stalls, once more from the best point without multipliers."""
+    """Solve one stage; after a stall once more from the best point without multipliers."""
     report = _progress_reporter(
         run, f"{text}, {stage.intervals} intervals, smoothing {stage.smoothing.stiffness:g}"
     )
@@ -303,7 +304,7 @@ def solve_stage(
         run.record(stage, raw)
         if raw.status != "stalled":
             break
-        # Once more from the best point, without the multipliers that led astray.
+        # Multipliers of a stalled solve mislead the next one.
         x = raw.x
     return raw
 
@@ -311,10 +312,10 @@ def solve_stage(
 def solve_by_active_set(
     run: SolveRun, made: Programme, stage: SolveStage, x: np.ndarray, warm: Multipliers
 ) -> RawSolution | None:
-    """A stage from the optimum of a near problem by what binds there; None where that fails."""
+    """Solve a stage from the active set of a similar problem's optimum; None where that fails."""
     if made.near is None:
         return None
-    report = _progress_reporter(run, f"near, {stage.intervals} intervals")
+    report = _progress_reporter(run, f"active set, {stage.intervals} intervals")
     raw = made.near.solve(made.transcription, x, stage.smoothing.parameters, warm, report)
     if raw is not None:
         run.record(stage, raw)
@@ -324,7 +325,7 @@ def solve_by_active_set(
 def certify_outcome(
     run: SolveRun, made: Programme, raw: RawSolution, smoothing: Smoothing
 ) -> Outcome:
-    """The motion of a solved stage, with its certificate."""
+    """Return the motion of a solved stage with its certificate."""
     trajectory = _build_trajectory(run, made.transcription, raw.x, smoothing.law)
     assessment = assess(run.problem, trajectory)
     return Outcome(
@@ -345,7 +346,7 @@ def _objective_gap(
     smoothing: Smoothing,
     assessment: Assessment,
 ) -> float:
-    """How much worse the certified objective is than the one at the nodes, relative."""
+    """Return the relative excess of the certified objective over the one at the nodes."""
     problem = run.problem
     if not all(objective.kind.comparable for objective in problem.objectives):
         return 0.0
@@ -367,7 +368,7 @@ class Programme:
     transcription : Transcription
     solver : IpoptSolver
     near : NearOptimum, optional
-        For problems near one that is solved.
+        For problems similar to a solved one.
     """
 
     transcription: Transcription
@@ -385,8 +386,8 @@ def build_programme(
 ) -> Programme:
     """Transcribe a problem on a mesh, with its own scales or given ones, and set up its solver.
 
-    Where the motion is to be kept clear of collisions, `guess` says what comes near. With a
-    `smoothing` it is the motion of a coarser mesh, from which the solve begins.
+    With collision avoidance, `guess` determines the near couples. With a `smoothing` it is the
+    motion of a coarser mesh, from which the solve starts.
     """
     begin = time.perf_counter()
     transcription = transcribe(ocp, run.problem.method.transcription, mesh, scales=scales)
@@ -409,16 +410,17 @@ def _attach_solver(run: SolveRun, transcription: Transcription, *, near: bool = 
 
 
 def _is_near_guess(transcription: Transcription, guess: Guess, smoothing: Smoothing) -> bool:
-    """Whether a guess exceeds no row by much."""
+    """Return True where a guess exceeds all rows by little."""
     return _largest_excess(transcription, guess, smoothing) <= _NEAR_GUESS_EXCESS
 
 
 def _widen_until_no_spike(
     stage: SolveStage, before: SolveStage, transcription: Transcription, guess: Guess
 ) -> SolveStage:
-    """The stage with as wide corners of the motors' law as the motion before it needs.
+    """Return the stage with the motor law's smoothing as wide as the motion before it needs.
 
-    Passed fast, a narrow corner asks for many times a motor's jerk: no solve gets rid of that.
+    Passed fast, a kink with a narrow smoothing needs many times a motor's jerk limit, from which no
+    solve converges.
     """
     smoothing = stage.smoothing
     widest = before.smoothing.law
@@ -430,7 +432,7 @@ def _widen_until_no_spike(
 
 
 def _largest_excess(transcription: Transcription, guess: Guess, smoothing: Smoothing) -> float:
-    """The largest by which a guess exceeds a row, relative to its scale."""
+    """Return the largest excess of a row at a guess, relative to its scale."""
     nlp = transcription.nlp
     rows = ca.Function("rows", [nlp.x, nlp.p], [nlp.g])
     found = rows(transcription.pack(guess), nlp.parameters(smoothing.parameters))
@@ -445,7 +447,7 @@ def _build_trajectory(
     *,
     sagged: bool = False,
 ) -> Trajectory:
-    """The motion of the joints, exactly as the transcription integrates it."""
+    """Return the motion of the joints, exactly as the transcription integrates it."""
     problem = run.problem
     motion = Trajectory.from_acceleration(*transcription.acceleration_polynomials(x))
     if problem.plans_links:

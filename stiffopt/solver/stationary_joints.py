@@ -1,9 +1,9 @@
-"""Joints that creep are brought to rest, where dry friction is what it is said to be.
+"""Stationary joints: creeping joints are fixed, where the smoothed dry friction is exact.
 
-Dry friction changes its sign within a small speed, so that the optimiser has a solution. Within it
-a joint has less friction than it truly has, and so the least squared torque lets joints creep that
-would better stand still: truly they are charged for all of their friction. No mesh and no narrower
-width changes that, as the speed falls with the width. At rest both laws agree.
+The optimiser's dry friction is smoothed about zero speed. Within that width a joint has less
+friction than the exact law, so that a minimum of squared torque lets joints creep that should be
+stationary: the certificate charges the full friction. Neither a finer mesh nor a narrower width
+changes that, as the speed falls with the width. At rest both laws agree.
 """
 
 from __future__ import annotations
@@ -21,16 +21,16 @@ from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.result.trajectory import Trajectory
 from stiffopt.transcription.transcription import Transcription
 
-# Of the width of the friction's change of sign: what moves no faster creeps.
+# Speed below which a joint creeps, as a share of the friction's smoothing width.
 _CREEP_SPEED_SHARE = 0.5
-# Nodes in a row at which a joint creeps, and share of the motion; less is where it turns.
+# Consecutive nodes and share of the motion for which a joint must creep; a reversal is shorter.
 _MIN_CREEP_NODES, _MIN_CREEP_SHARE = 3, 0.02
 
 
 def fix_creeping_joints(
     transcription: Transcription, x: np.ndarray, problem: TrajectoryProblem
 ) -> Transcription | None:
-    """The transcription with bounds that keep joints at rest where they creep.
+    """Return the transcription with bounds that fix joints where they creep.
 
     Parameters
     ----------
@@ -42,7 +42,7 @@ def fix_creeping_joints(
     Returns
     -------
     Transcription or None
-        None where no joint with dry friction creeps, or joints are not planned one by one.
+        None where no joint with dry friction creeps, or the states are not joint positions.
     """
     coordinates, robot = coordinates_of(problem), problem.robot
     n = coordinates.size
@@ -62,11 +62,11 @@ def fix_creeping_joints(
             first, last = times[run[0]], times[run[-1]]
             if len(run) < _MIN_CREEP_NODES or last - first < least:
                 continue
-            # What follows from it is left to the equations of motion: said twice, they depend.
+            # Only velocity and control: further bounds would be linearly dependent on the dynamics.
             still[states.offset + run[0] * 2 * n + n + j] = True
             held = np.flatnonzero((driven >= first) & (driven <= last))
             still[controls.offset + held * n + j] = True
-    # Given velocities stay.
+    # Given nonzero velocities are not changed.
     still &= (nlp.lower_x <= 0.0) & (nlp.upper_x >= 0.0)
     if not np.any(still):
         return None
@@ -77,9 +77,9 @@ def fix_creeping_joints(
 def missing_friction_share(
     problem: TrajectoryProblem, motion: Trajectory, smoothing: Smoothing
 ) -> float:
-    """What smooth dry friction lacks of the squared torque ratios at the optimiser's own instants.
+    """Return the share of squared torque that smoothed dry friction misses at the nodes.
 
-    Relative to the true ones; 0 where no torque is minimised.
+    Relative to the exact one; 0 where no torque is minimised.
     """
     if not any(objective.kind.of_drives for objective in problem.objectives):
         return 0.0
@@ -96,6 +96,6 @@ def missing_friction_share(
 
 
 def _index_runs(where: np.ndarray) -> list[np.ndarray]:
-    """Indices of what is true, in runs without a gap."""
+    """Return the indices of true entries, split into runs without a gap."""
     index = np.flatnonzero(where)
     return np.split(index, np.flatnonzero(np.diff(index) > 1) + 1) if index.size else []

@@ -1,4 +1,4 @@
-"""Results of earlier solves, read back from their folder to be simulated anew."""
+"""Results of earlier solves, read from their folder for a simulation or as an initial guess."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ class StoredResult:
     command: ExistingCommand | None = None
 
     def motions(self) -> list[PlannedMotion]:
-        """The stored motion, then the baselines made anew."""
+        """Return the stored motion, then recomputed baselines."""
         beside = baselines(self.problem, self.motion)
         return [self.optimised, *rival_motions(self.problem, self.motion, beside)]
 
@@ -70,15 +70,15 @@ def read_result(
     ----------
     folder : Path
     problem : Path, optional
-        Problem file in place of the one that the result names.
+        Problem file, replaces the one that the result names.
     changes : sequence of str
-        Of entries of its [uncertainty], such as "uncertainty.stiffness=0.3": the motion is the same
-        for all of them.
+        Of entries of its [uncertainty], such as "uncertainty.stiffness=0.3"; the motion does not
+        depend on them.
 
     Raises
     ------
     InputFileError
-        A file is missing or of something else, names no problem, or the problem has changed.
+        A file is missing or invalid, names no problem, or the problem has changed.
     """
     path = folder / RESULT_FILE
     document = read_document(path)
@@ -160,15 +160,15 @@ def check_inputs(
         raise InputFileError(
             path,
             "inputs_hash",
-            f"{problem} is not what was solved: it or its robot has changed since{with_model}. "
-            "Solve it again.",
+            f"{problem} differs from the problem solved: it or its robot has changed since"
+            f"{with_model}. Solve it again.",
         )
 
 
 def _read_command(
     folder: Path, document: dict[str, Any], planned: PlannedMotion
 ) -> ExistingCommand | None:
-    """The command that the solve wrote, None where it wrote none."""
+    """Read the command that the solve wrote, None where it wrote none."""
     path, joints = folder / COMMAND_FILE, planned.position.shape[1]
     try:
         made = document["compensation"]
@@ -198,12 +198,12 @@ def _read_command(
 
 
 def _read_trajectory(path: Path, joints: int) -> tuple[np.ndarray, ...]:
-    """Times (K,), positions, velocities and wind-ups (K, n) of a trajectory.csv."""
+    """Read times (K,), positions, velocities and wind-ups (K, n) of a trajectory.csv."""
     return _read_joint_table(path, joints, ("q", "qd", "windup"))
 
 
 def _read_joint_table(path: Path, joints: int, quantities: Sequence[str]) -> tuple[np.ndarray, ...]:
-    """Times (K,) and quantities of the joints (K, n) of a table."""
+    """Read times (K,) and joint quantities (K, n) of a table."""
     names = [[f"{quantity}{j}" for j in range(1, joints + 1)] for quantity in quantities]
     table = read_table(path, ["t", *(name for own in names for name in own)])
     time = np.array(table["t"])
@@ -213,7 +213,7 @@ def _read_joint_table(path: Path, joints: int, quantities: Sequence[str]) -> tup
 
 
 def read_guess(folder: Path, problem: TrajectoryProblem) -> Assessment:
-    """Motion of a result folder, of this problem or another of the same arm, to begin a solve from.
+    """Read the motion of a result folder of the same arm as an initial guess.
 
     Raises
     ------
@@ -226,10 +226,10 @@ def read_guess(folder: Path, problem: TrajectoryProblem) -> Assessment:
 
 
 class _TableMotion:
-    """A motion between the rows of a table, by cubic polynomials.
+    """Motion between the rows of a table, by cubic polynomials.
 
-    Where the table has accelerations, these run straight from row to row, so that neither they nor
-    their slope are above what the motion had; `link` is that of the links, where it is another.
+    Accelerations of the table are interpolated linearly, so that neither they nor their slope
+    exceed those of the motion; `link` is the motion of the links, where it differs.
     """
 
     def __init__(

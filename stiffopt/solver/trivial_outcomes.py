@@ -1,4 +1,4 @@
-"""Solutions that need no optimum: nothing can be that fast, nothing can be better, Ctrl-C."""
+"""Outcomes without an optimum: infeasible duration, baseline at a bound, Ctrl-C; advice."""
 
 from __future__ import annotations
 
@@ -21,24 +21,28 @@ from stiffopt.solver.solve_run import SolveRun
 from stiffopt.solver.stages import Outcome
 from stiffopt.solver.verdict import Verdict, find_better_baseline, has_one_optimum, judge_collisions
 
-# Distance from a bound at which an objective is at it.
+# Relative distance from a bound up to which an objective counts as at it.
 _AT_BOUND_SHARE = 1e-3
-# Why toppra's motion on a fixed path is the answer, as the rest of a sentence.
+# Reason why toppra's motion on a fixed path is the optimum, as the rest of a sentence.
 FASTEST_ON_PATH_REASON = (
     "on a given path it is the fastest within limits on velocity, acceleration, drive torque and "
     "tool speed. To be faster, change the path or the limits."
 )
-# A tool this far below the base's origin is told [m].
+# Depth of the tool below the base's origin from which on a note warns [m].
 _MIN_DEPTH_BELOW_BASE = 0.01
+# Trial factors on the duration of a failed motion.
+_DURATION_FACTORS = (1.01, 1.02, 1.04, 1.06, 1.08, 1.12, 1.16, 1.24, 1.32, 1.5)
+# Factor on a just feasible duration that leaves a reserve for back-off.
+_DURATION_RESERVE = 1.03
 
 
 def infeasible_solution(
     run: SolveRun, beside: dict[str, Baseline], notes: tuple[str, ...], why: str
 ) -> Solution:
-    """No solve where the kinematics of one joint already rule every motion out."""
+    """Return the solution where the limits of one joint already exclude every motion."""
     return Solution(
         status=SolveStatus.INFEASIBLE,
-        message=f"No motion can be that fast. {why} Give a longer duration or raise that limit.",
+        message=f"No motion can be that fast. {why} Allow a longer duration or raise that limit.",
         trajectory=None,
         assessment=None,
         objective=None,
@@ -52,7 +56,7 @@ def infeasible_solution(
 
 
 def baseline_at_bound(run: SolveRun, beside: dict[str, Baseline]) -> tuple[Baseline, Bound] | None:
-    """A baseline that keeps all limits and reaches what no motion can get past, and that bound."""
+    """Return a baseline that keeps all limits and attains the objective's bound, and that bound."""
     problem = run.problem
     bounds = find_bounds(problem, run.motion) if len(problem.objectives) == 1 else ()
     if not bounds or any(bound.degenerate for bound in bounds):
@@ -72,7 +76,7 @@ def baseline_at_bound(run: SolveRun, beside: dict[str, Baseline]) -> tuple[Basel
 
 
 def explain_bound(bound: Bound) -> str:
-    """Why a baseline at a bound is the answer, as the rest of a sentence."""
+    """Return the reason why a baseline at a bound is the optimum, as the rest of a sentence."""
     return (
         f"no motion is better by more than {_AT_BOUND_SHARE:.1%}. {bound.text} To gain anything, "
         "choose other poses or another objective."
@@ -82,7 +86,7 @@ def explain_bound(bound: Bound) -> str:
 def fastest_on_path(
     problem: TrajectoryProblem, outcome: Outcome, beside: dict[str, Baseline]
 ) -> Baseline | None:
-    """The fastest motion on a fixed path, where it keeps all limits and the optimiser's is slower.
+    """Return toppra's motion on a fixed path where it is feasible and the optimiser's is slower.
 
     The time law of a given path has one optimum, which toppra's grid resolves better than
     collocation on a path that is noisy.
@@ -100,7 +104,7 @@ def baseline_as_optimum(
     best: Baseline,
     reason: str,
 ) -> Solution:
-    """The motion of a baseline as the optimum; `reason` says why none is better."""
+    """Return a baseline's motion as the optimum; `reason` says why none is better."""
     problem, motion = run.problem, best.assessment
     assert motion is not None
     end = judge_collisions(
@@ -108,7 +112,7 @@ def baseline_as_optimum(
         motion,
         Verdict(
             SolveStatus.OPTIMAL,
-            f"The {best.name} motion is the answer: it keeps every limit, and {reason}",
+            f"The {best.name} motion is the optimum: it keeps every limit, and {reason}",
         ),
     )
     return Solution(
@@ -131,7 +135,7 @@ def baseline_as_optimum(
 def interrupted_with_baseline(
     run: SolveRun, beside: dict[str, Baseline], notes: tuple[str, ...]
 ) -> Solution:
-    """The better baseline, where Ctrl-C came before the optimiser had a motion of its own."""
+    """Return the better baseline where Ctrl-C came before the optimiser had a motion."""
     problem = run.problem
     made = [b for b in beside.values() if b.trajectory is not None]
     kept = better_baseline(problem, beside) or next(iter(made), None)
@@ -142,8 +146,8 @@ def interrupted_with_baseline(
     state = "It keeps all limits." if keeps else f"It exceeds {worst.describe()}."
     return Solution(
         status=SolveStatus.INTERRUPTED,
-        message="Stopped by the user before the optimiser had a motion of its own. What was kept "
-        f"is the {kept.name} motion, with which it would have been compared. {state}",
+        message="Stopped by the user before the optimiser had a motion. The result is the baseline "
+        f"{kept.name} motion. {state}",
         trajectory=kept.trajectory,
         assessment=kept.assessment,
         objective=objective_value(problem, kept.assessment),
@@ -157,18 +161,18 @@ def interrupted_with_baseline(
 
 
 def below_base_warning(problem: TrajectoryProblem, assessment: Assessment) -> tuple[str, ...]:
-    """A warning where the tool goes lower than the base stands, along the base's z."""
+    """Return a warning where the tool goes below the base's origin along the base's z."""
     lowest = float(assessment.tool[:, 2].min())
     if lowest > -_MIN_DEPTH_BELOW_BASE or problem.stated_cell.floor is not None:
         return ()
     return (
         f"The tool goes to {-1e3 * lowest:.0f} mm below the origin of the base (along its z axis)."
-        " Whether there is a floor or a table is not known: state cell.floor to have it checked.",
+        " No floor or table is described: state cell.floor to have it checked.",
     )
 
 
 def solver_record(run: SolveRun, intervals: int) -> SolverRecord:
-    """What the solver did in a run."""
+    """Return the solver's record of a run."""
     return SolverRecord(
         iterations=run.iterations,
         build_s=run.build_s,
@@ -179,16 +183,11 @@ def solver_record(run: SolveRun, intervals: int) -> SolverRecord:
     )
 
 
-# Times the duration that are tried.
-_DURATION_FACTORS = (1.01, 1.02, 1.04, 1.06, 1.08, 1.12, 1.16, 1.24, 1.32, 1.5)
-# Times a duration that is just possible: a solve needs room for its corrections.
-_DURATION_RESERVE = 1.03
-
-
 def feasible_duration_advice(run: SolveRun, outcome: Outcome) -> str:
-    """Sentence on a duration in which a motion keeps every limit, tried; "" where none is known.
+    """Return a sentence on a verified feasible duration; "" where none is known.
 
-    Of links planned in a fixed time from rest to rest.
+    For links planned in a fixed time from rest to rest. Excesses fall with the second or third
+    power of the duration, at kinks of the motor law faster still.
     """
     shortest, longest = run.problem.duration
     if run.lag is None or shortest < longest:
@@ -201,7 +200,7 @@ def feasible_duration_advice(run: SolveRun, outcome: Outcome) -> str:
     if not known:
         return ""
     name, duration = min(known.items(), key=lambda each: each[1])
-    # Rounded up: what is named must be possible.
+    # Rounded up: the stated duration must be feasible.
     step = 10.0 ** (math.floor(math.log10(duration)) - 2)
     kept, roomy = (
         f"{math.ceil(each / step) * step:.6g} s"
@@ -209,12 +208,12 @@ def feasible_duration_advice(run: SolveRun, outcome: Outcome) -> str:
     )
     return (
         f"In {kept} {name} motion keeps every limit: "
-        f'motion.duration = "{roomy}" leaves the solver a little room.'
+        f'motion.duration = "{roomy}" leaves the solver a reserve.'
     )
 
 
 def _feasible_duration_of_links(run: SolveRun, outcome: Outcome) -> float | None:
-    """Duration [s] in which the links of an outcome, with motors of their own, keep every limit."""
+    """Return a duration [s] in which an outcome's links, with new motors, keep every limit."""
     problem, link = run.problem, outcome.trajectory.link
     if link is None:
         return None

@@ -1,7 +1,7 @@
-"""How a solve ended, as a status and a sentence: what the solver says, then what is true of it.
+"""Verdict on a solve: status and message, from the solver, the certificate and the baselines.
 
-A motion is optimal only if it keeps all limits on the fine grid, if the optimiser believed of it
-what is true, and if no baseline that keeps all limits is better.
+A motion is optimal only if it keeps all limits on the fine grid, if the optimiser's prediction of
+it agrees with the exact model, and if no baseline that keeps all limits is better.
 """
 
 from __future__ import annotations
@@ -30,32 +30,32 @@ from stiffopt.solver.stages import Outcome
 from stiffopt.solver.stationary_joints import missing_friction_share
 from stiffopt.transcription.nlp import NlpEntry, RowViolation
 
-# An objective worse on the fine grid than at the nodes by more than this share asks for refinement,
-# and is never called optimal.
+# Relative excess of the objective on the fine grid over that at the nodes, above which a motion is
+# refined and not called optimal.
 MAX_OBJECTIVE_GAP = 2e-2
-# A wind-up or deflection further off is no fit of a contact law any more: "power_law" misses the
-# fractal law by up to 5 %.
+# Difference of a wind-up or deflection that no fit of a contact law explains: "power_law" misses
+# the fractal law by up to 5 %.
 _WRONG_MODEL_DIFFERENCE = 6e-2
-# Share of a gap from which on it is told as the cause.
+# Share of the objective gap from which on missing friction is reported as its cause.
 _MIN_FRICTION_SHARE = 0.5
-# Ratio of every baseline's deflection to its limit from which on that is told as out of reach: no
-# optimum has been seen so far below them.
+# Ratio of every baseline's deflection to its limit from which on the limit is reported as out of
+# reach: no known optimum is so far below its baselines.
 _OUT_OF_REACH_RATIO = 10.0
-# A baseline may use what limits may be exceeded by: it has to be better by more than that share.
+# A baseline may benefit from the tolerance of the limits: it has to be better by more than that.
 _MIN_BASELINE_GAIN = CERTIFICATE_TOLERANCE
-# Bounds of states and controls in a programme are limits of the joints: "control rate, acceleration
-# of joint 1 (at 50 %)" is that of the jerk.
+# Bounds of states and controls are limits of the joints: "control rate, acceleration of joint 1 (at
+# 50 %)" is the limit of the jerk.
 _BOUND_ENTRY = re.compile(r"(state|control|control rate|\w+ within interval), (\w+) of (joint .*)")
-# Blocks of the programme that hold the motion itself: what is given in them is start or end.
+# Blocks of the programme that hold the motion: fixed values in them are those of start and end.
 _MOTION_BLOCKS = ("state", "control", "control at the start", "spline")
-# Limits of joints; of some a robot and its problem may state none.
+# Limits of joints, some of which may not be stated.
 _JOINT_LIMITS = ("position", "velocity", "acceleration", "jerk", "torque")
 _DERIVATIVE_NAMES = {"velocity": "acceleration", "acceleration": "jerk"}
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """Status of a solve and the sentence that goes with it."""
+    """Status of a solve and its message."""
 
     status: SolveStatus
     message: str
@@ -64,16 +64,16 @@ class Verdict:
 def judge_outcome(
     problem: TrajectoryProblem, outcome: Outcome, motion: Assessment, beside: dict[str, Baseline]
 ) -> Verdict:
-    """Judge an outcome by its solver, the certificate, its own belief and the baselines.
+    """Judge an outcome by solver, certificate, model agreement and baselines.
 
-    `motion` is its assessment with the rows of its collisions, which `beyond_limits` judges.
+    `motion` is its assessment with collisions, which `judge_collisions` judges.
     """
     own = Verdict(_solve_status(outcome), _status_message(problem, outcome, motion))
     found = _judge_model_agreement(problem, outcome, motion, own)
     if not motion.feasible(CERTIFICATE_TOLERANCE) and (
         beyond := _explain_unreachable_deflection(problem, beside)
     ):
-        # Its general advice is to relax what is named, or to take more time.
+        # Replaces the general advice to relax limits or to take more time.
         rest = found.message.removeprefix(found.status.sentence)
         found = Verdict(found.status, f"{beyond}{rest}")
     better = find_better_baseline(problem, outcome, beside)
@@ -82,13 +82,13 @@ def judge_outcome(
     optimal = found.status is SolveStatus.OPTIMAL
     return Verdict(
         SolveStatus.ACCEPTABLE if optimal else found.status,
-        f"{found.message} But the {better.name} motion {_describe_advantage(outcome)}: run that one, "
-        "or raise method.intervals or method.starts.",
+        f"{found.message} But the {better.name} motion {_describe_advantage(outcome)}: run that "
+        "one, or raise method.intervals or method.starts.",
     )
 
 
 def _explain_unreachable_deflection(problem: TrajectoryProblem, beside: dict[str, Baseline]) -> str:
-    """What keeps a limit on the dynamic deflection out of reach, "" where nothing is seen to."""
+    """Return why a limit on the dynamic deflection is out of reach, "" where it may be met."""
     cap = float(problem.active_limits.dynamic_deflection)
     peaks = {
         name: (float(np.linalg.norm(motion.deflection["dynamic"], axis=1).max()), motion.time[-1])
@@ -102,9 +102,9 @@ def _explain_unreachable_deflection(problem: TrajectoryProblem, beside: dict[str
     if peak < _OUT_OF_REACH_RATIO * cap:
         return ""
     return (
-        f"limits.dynamic_deflection = {1e3 * cap:.3g} mm is hardly to be met: what accelerates the"
-        f" arm winds its joints up, by {1e3 * peak:.3g} mm at the tool in the {name} motion of"
-        f" {lasted:.3g} s. That falls with the square of the duration: allow about"
+        f"limits.dynamic_deflection = {1e3 * cap:.3g} mm is out of reach: the acceleration torques"
+        f" deflect the tool by {1e3 * peak:.3g} mm in the {name} motion of {lasted:.3g} s. That"
+        " falls with the square of the duration: allow about"
         f" {lasted * math.sqrt(peak / cap):.2g} s, or raise the limit; more time to solve does not"
         " help."
     )
@@ -113,7 +113,7 @@ def _explain_unreachable_deflection(problem: TrajectoryProblem, beside: dict[str
 def judge_collisions(
     problem: TrajectoryProblem, motion: Assessment, found: Verdict, tried: str = ""
 ) -> Verdict:
-    """The verdict of a motion that may collide; a usable one says what that was checked for.
+    """Return the verdict of a motion that may collide; a usable one states the collision scope.
 
     Parameters
     ----------
@@ -122,7 +122,7 @@ def judge_collisions(
         With the rows of its collisions.
     found : Verdict
     tried : str
-        What was done in vain to avoid them.
+        Failed attempts to avoid them.
     """
     exceeded = [v for v in motion.violations if v.value > CERTIFICATE_TOLERANCE]
     hits = [v for v in exceeded if v.limit == COLLISION]
@@ -132,7 +132,7 @@ def judge_collisions(
         return Verdict(
             SolveStatus.CERTIFICATE_FAILED,
             f"Every other limit holds on the fine grid, but the motion does not keep {told} "
-            "Do not run it; lead it around by motion.via, or change its start or end.",
+            "Do not run it; add a motion.via beside the obstacle, or change its start or end.",
         )
     if hits and found.status is not SolveStatus.INFEASIBLE:
         word = "And" if len(exceeded) > len(hits) else "But"
@@ -146,7 +146,7 @@ def judge_collisions(
 def _judge_model_agreement(
     problem: TrajectoryProblem, outcome: Outcome, motion: Assessment, found: Verdict
 ) -> Verdict:
-    """The verdict, unless the optimiser believed of its motion what is not true."""
+    """Return the verdict, downgraded where the optimiser's prediction is wrong."""
     doubts = _significant_disagreements(problem, outcome) if outcome.raw.converged else []
     if not doubts:
         return found
@@ -156,7 +156,7 @@ def _judge_model_agreement(
         held = "Every limit holds on the fine grid." if found.status.usable else found.message
         return Verdict(SolveStatus.CERTIFICATE_FAILED, f"{held} But {describe_slips(slipping)}")
     if not found.status.usable:
-        differs = f"{found.message} And the optimiser believed otherwise: {listed}."
+        differs = f"{found.message} And the optimiser's model of it differs: {listed}."
         return Verdict(found.status, differs)
     if any("torque" in d.quantity or abs(d.value) > _WRONG_MODEL_DIFFERENCE for d in doubts):
         every = (
@@ -179,19 +179,19 @@ def _judge_model_agreement(
 
 
 def model_accuracy_advice(problem: TrajectoryProblem) -> str:
-    """What makes the optimiser's smooth model come closer to the exact one, as a sentence."""
+    """Return advice on a closer fit of the optimiser's smooth model to the exact one."""
     if _contact_laws(problem) - {"log_cubic"}:
-        return "contact_law = 'log_cubic' follows the true law most closely."
+        return "contact_law = 'log_cubic' fits the exact law most closely."
     if problem.plans_links:
         return (
-            f"More than {problem.method.intervals} method.intervals let it follow the bends of the "
-            "joints' laws more closely."
+            f"More than {problem.method.intervals} method.intervals resolve the kinks of the "
+            "joints' stiffness more closely."
         )
     return "Please report the robot and the problem."
 
 
 def _significant_disagreements(problem: TrajectoryProblem, outcome: Outcome) -> list[Disagreement]:
-    """What the optimiser believed of its motion and is not true, the worst first."""
+    """Return the disagreements beyond their tolerances, worst first."""
     widths = smoothing_stages(problem)
     polynomials = outcome.transcription.acceleration_polynomials(outcome.raw.x)
     believed = believed_of(
@@ -204,7 +204,7 @@ def _significant_disagreements(problem: TrajectoryProblem, outcome: Outcome) -> 
 
 
 def _contact_laws(problem: TrajectoryProblem) -> set[object]:
-    """Fits of contacts in the robot's drivetrains."""
+    """Return the contact laws in the robot's drivetrains."""
     elements = [e for c in problem.robot.chains if c is not None for e in c.elements.values()]
     return {e.contact_law for e in elements if hasattr(e, "contact_law")}
 
@@ -212,7 +212,7 @@ def _contact_laws(problem: TrajectoryProblem) -> set[object]:
 def find_better_baseline(
     problem: TrajectoryProblem, outcome: Outcome, beside: dict[str, Baseline]
 ) -> Baseline | None:
-    """A baseline that keeps every limit, its own method's or not, and is better, or alone in it."""
+    """Return a baseline that keeps every limit and is better, or is the only motion to do so."""
     certified = outcome.assessment.feasible(CERTIFICATE_TOLERANCE)
     value = objective_value(problem, outcome.assessment).value
     sign = -1.0 if is_maximised(problem) else 1.0
@@ -229,8 +229,8 @@ def find_better_baseline(
 def has_one_optimum(problem: TrajectoryProblem, beside: dict[str, Baseline]) -> bool:
     """Return True where the problem is known to have no local optimum beside the global one.
 
-    That is the shortest duration on a fixed path, as far as limits go that toppra takes: they are
-    convex in the square of the path speed.
+    That is the shortest duration on a fixed path within limits that toppra handles: they are convex
+    in the square of the path speed.
     """
     toppra = beside.get("toppra")
     fastest = [each.name for each in problem.objectives] == ["duration"]
@@ -247,7 +247,7 @@ def has_one_optimum(problem: TrajectoryProblem, beside: dict[str, Baseline]) -> 
 def describe_optimality(
     problem: TrajectoryProblem, beside: dict[str, Baseline], starts_made: int
 ) -> str:
-    """Sentence on how far an optimum is known to be one: local or global, and what was tried."""
+    """Return a sentence on an optimum: local or global, number of starts, better baselines."""
     kept = [
         each.name
         for each in beside.values()
@@ -297,13 +297,13 @@ def _status_message(problem: TrajectoryProblem, outcome: Outcome, motion: Assess
         state = f" It exceeds {worst}."
         if raw.violation > FEASIBLE_VIOLATION and raw.worst_rows:
             furthest = named_conflicts([raw.worst_rows[0].entry])
-            state += f" Furthest from being kept in the programme: {furthest}."
+            state += f" Worst row of the programme: {furthest}."
         if assessment.feasible(CERTIFICATE_TOLERANCE):
             state = " It keeps all limits." if motion.feasible(CERTIFICATE_TOLERANCE) else ""
         if raw.status == "stalled":
             return (
-                "The solver made no further progress before the optimum; the best motion so far is "
-                f"kept.{state} Try method.starts = 3 or another method.intervals."
+                "The solver stalled before the optimum; the result is the best motion so far."
+                f"{state} Try method.starts = 3 or another method.intervals."
             )
         cause = f" Cause: {raw.reason}." if raw.status == "invalid_number" else ""
         return f"{status.sentence}{cause}{state}"
@@ -314,14 +314,14 @@ def _status_message(problem: TrajectoryProblem, outcome: Outcome, motion: Assess
         if lacking > _MIN_FRICTION_SHARE * outcome.objective_gap:
             return (
                 "Solved and certified: every limit holds on the fine grid. But the objective is "
-                f"{outcome.objective_gap:.1%} worse than the optimiser believed: joints creep so "
-                "slowly that its smooth dry friction is less than theirs, which no mesh mends. The "
-                "value given is the true one; a shorter motion creeps less."
+                f"{outcome.objective_gap:.1%} worse than the optimiser's: joints creep so slowly "
+                "that its smoothed dry friction is less than the exact one, which no finer mesh "
+                "corrects. The value given is the exact one; a shorter motion creeps less."
             )
         return (
             "Solved and certified: every limit holds on the fine grid. But between the nodes the "
             f"objective is {outcome.objective_gap:.1%} worse than at them, so a finer mesh or "
-            "another transcription can still improve it; the value given is the true one."
+            "another transcription can still improve it; the value given is the exact one."
         )
     if status is SolveStatus.OPTIMAL:
         held = {v.limit for v in assessment.violations}
@@ -335,7 +335,7 @@ def _status_message(problem: TrajectoryProblem, outcome: Outcome, motion: Assess
 
 
 def named_conflicts(entries: Sequence[NlpEntry | RowViolation]) -> str:
-    """Limits by name first; the many values at start and end count as one entry, the last."""
+    """Return limits by name; the many values at start and end count as one entry, the last."""
     limits, ends = [], []
     for entry in entries:
         named = entry.entry if isinstance(entry, RowViolation) else entry
@@ -348,7 +348,7 @@ def named_conflicts(entries: Sequence[NlpEntry | RowViolation]) -> str:
 
 
 def _name_bound_as_limit(entry: str) -> str:
-    """A bound of the programme by the name of the limit it is."""
+    """Return a bound of the programme by the name of its limit."""
     found = _BOUND_ENTRY.match(entry)
     if found is None:
         return entry

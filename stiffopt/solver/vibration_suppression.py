@@ -1,9 +1,12 @@
-"""Motors of planned links, changed a little so that the true springs let the links do the plan.
+"""Residual vibration suppression: a small change of the motors' motion, found by simulation.
 
-The law by which motors lead their links has its corners rounded off, as wide as the motors' jerk
-needs (`solver.corners`). What that leaves out pushes the links: an arm with reducers that are soft
-about zero torque swings on after arrival by a fifth of its deviation in flight. Little is needed
-against it, as pushes in time with a swing add up: some of the jerk that the motion does not use.
+The motor law is smoothed as widely as the motors' jerk limit needs (`solver.smoothing_width`). The
+smoothing error excites the links: an arm with reducers that are soft about zero torque has residual
+vibration of a fifth of its deviation in flight. A small change suppresses it, since excitation in
+phase with a mode accumulates: it uses jerk that the motion leaves unused.
+
+The links' response to the change is linear along the simulated motion, and so are the drive
+quantities: a convex quadratic programme in the spline coefficients of every joint.
 """
 
 from __future__ import annotations
@@ -36,22 +39,32 @@ if TYPE_CHECKING:
     from stiffopt.result.simulation import SimulatedMotion
     from stiffopt.result.trajectory import Trajectory
 
-# Distance of the splines' knots [s], as far as their number stays within these.
+# Knot spacing of the splines [s], within these numbers of pieces.
 _KNOT_SPACING, _MIN_PIECES, _MAX_PIECES = 0.02, 40, 150
-# Degree of the splines, of which so many at either end are left out: position to jerk stay. There
-# knots are so many times as close over so many distances: else nothing changes for three of them.
+# Degree of the splines, of which so many at either end are omitted: position to jerk are unchanged.
+# Knots are denser by this factor over so many spacings there: else the first three have no effect.
 _SPLINE_DEGREE, _FIXED_END_SPLINES = 5, 4
 _END_KNOT_FACTOR, _END_KNOT_SPACINGS = 4, 2
-# Between instants of the links' answer [s], and of those at which the tool is compared.
+# Time step of the links' response [s], and steps between comparisons of the tool.
 _RESPONSE_STEP, _RESPONSE_STRIDE = 1e-3, 3
-# Swings of the lowest mode that are looked at after arrival, and what they count for more.
+# Periods of the lowest mode compared after arrival, and their weight.
 _ARRIVAL_PERIODS, _ARRIVAL_WEIGHT = 3.0, 5.0
-# What all of a joint's jerk costs, beside a motion that is just not near, squared.
+# Weight of the full squared jerk limit beside a squared deviation of the target size.
 _JERK_WEIGHT = 0.1
-# Of a via's tolerance, by which the tool may be moved there.
+# Share of a via's tolerance by which the tool may be moved there.
 _VIA_TOOL_SHARE = 1e-3
-# Rows a knot at which the drives' limits hold, and the share of a limit kept free between them.
+# Rows of the drive limits per knot, and share of a limit reserved between them.
 _ROWS_PER_KNOT, _LIMIT_RESERVE = 4, 1e-2
+# Changes: most in a row, deviation from the plan over its peak at which they end, and share of the
+# deviation above which a further one is not worth it. The first one is always followed by a second,
+# since it may pass a kink of the stiffness where the response was not linear. While a limit is
+# exceeded twice as many are made: with a wide smoothing each removes a third of the excess.
+_MAX_CHANGES, _TARGET_DEVIATION, _MAX_REMAINING_DEVIATION = 4, 3e-2, 0.9
+_UNCONDITIONAL_CHANGES = 1
+# Largest weight of the tool after arrival: beyond, the links in flight are not controlled.
+_MAX_ARRIVAL_WEIGHT = 30.0
+# Deviation that counts as zero [m].
+_NEGLIGIBLE_DEVIATION = 1e-9
 
 
 def change_motors(
@@ -63,7 +76,7 @@ def change_motors(
     near: float,
     after: float = 1.0,
 ) -> Trajectory:
-    """The motors with the change that brings tool and deviation nearest to the plan.
+    """Return the motors with the change that brings tool and deviation nearest to the plan.
 
     Parameters
     ----------
@@ -74,11 +87,11 @@ def change_motors(
     assessment : Assessment
         Of these motors.
     simulated : SimulatedMotion
-        What the arm does with them.
+        Simulation of the arm with them.
     near : float
-        Deviation from the plan that is near enough [m].
+        Target deviation from the plan [m].
     after : float
-        What deviations after arrival count for more than they do anyway.
+        Factor on the weight of deviations after arrival.
     """
     joints = np.flatnonzero(arm.elastic)
     splines = _Splines(motors.duration)
@@ -89,7 +102,7 @@ def change_motors(
     used = np.max(np.abs(assessment.jerk), axis=0)
     allowed = np.asarray(problem.active_limits.jerk, dtype=float)
     jerk = np.where(np.isfinite(allowed), allowed, used)[joints]
-    # Of one size: what takes a joint's jerk.
+    # Unit of the coefficients: the change that uses a joint's jerk limit.
     unit = np.repeat(np.maximum(jerk, 1e-9) * splines.spacing**3, splines.count)
     bent = splines.sparse(splines.instants, 3)
     effort = block_diag([bent / max(own, 1e-9) for own in jerk]) @ diags(unit)
@@ -104,7 +117,7 @@ def change_motors(
 
 
 class _Splines:
-    """Splines over the time of a motion that leave position to jerk at its ends as they are.
+    """Splines over the time of a motion that leave position to jerk at its ends unchanged.
 
     Parameters
     ----------
@@ -128,7 +141,7 @@ class _Splines:
         self._all = BSpline(knots, np.eye(pieces + _SPLINE_DEGREE), _SPLINE_DEGREE)
 
     def __call__(self, times: np.ndarray, order: int = 0) -> np.ndarray:
-        """Derivatives (K, m) at times (K,); zero after arrival."""
+        """Return derivatives (K, m) at times (K,); zero after arrival."""
         spline = self._all.derivative(order) if order else self._all
         values = np.asarray(spline(np.minimum(times, self.duration)))[
             :, _FIXED_END_SPLINES:-_FIXED_END_SPLINES
@@ -137,13 +150,13 @@ class _Splines:
         return values
 
     def pieces(self, order: int) -> np.ndarray:
-        """Coefficients (K, d + 1, m) of derivatives, by powers of the time since each break."""
+        """Return coefficients (K, d + 1, m) of derivatives, powers of the time since each break."""
         begins = self.breaks[:-1]
         powers = range(_SPLINE_DEGREE - order + 1)
         return np.stack([self(begins, order + k) / math.factorial(k) for k in powers], axis=1)
 
     def sparse(self, times: np.ndarray, order: int) -> csc_matrix:
-        """The same without the zeros."""
+        """Return derivatives as a sparse matrix."""
         values = self(times, order)
         values[np.abs(values) < 1e-12 * np.max(np.abs(values))] = 0.0
         return csc_matrix(values)
@@ -152,7 +165,7 @@ class _Splines:
 def _apply_change(
     motors: Trajectory, splines: _Splines, joints: np.ndarray, change: np.ndarray
 ) -> Trajectory:
-    """Motors with a change of some joints, coefficients (m, k)."""
+    """Return the motors with a change of some joints, coefficients (m, k)."""
     at_rest = np.zeros(motors.joints)
     pieces = splines.pieces(2) @ change
     added = np.zeros((*pieces.shape[:2], motors.joints))
@@ -168,10 +181,10 @@ def _linear_response(
     splines: _Splines,
     after: float,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """What the tool and its deviation do by every coefficient (K, m k), and should do (K,) [m].
+    """Return response of tool and deviation to every coefficient (K, m k), and target (K,) [m].
 
-    The tool in flight and after arrival, its deviation in flight: that is told from where the tool
-    hangs at the motors' position, which corners that are rounded off move as well.
+    The tool in flight and after arrival, and its deviation in flight: the deviation refers to the
+    static equilibrium at the motors' position, which the smoothing shifts as well.
     """
     joints, duration = np.flatnonzero(arm.elastic), motors.duration
     dt = duration / np.ceil(duration / _RESPONSE_STEP)
@@ -185,7 +198,6 @@ def _linear_response(
     springs = EvenSprings(arm).at(windup)[1][:, joints]
     response = _link_response(arm, q, v, springs, dt)
     moved, rate = splines(times), splines(times, 1)
-    # Instants at which the tool is compared.
     at = slice(None, None, _RESPONSE_STRIDE)
     jacobian = np.stack([arm.bodies.jacobian(arm.robot.tool, row)[:3, joints] for row in q[at]])
     flying = times[at] <= duration
@@ -208,14 +220,14 @@ def _linear_response(
 
 
 def _interpolate_rows(times: np.ndarray, known: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Values (k, n) at other times (K, n)."""
+    """Interpolate values (k, n) at times (K,)."""
     return np.stack([np.interp(times, known, each) for each in values.T], axis=1)
 
 
 def _link_response(
     arm: ElasticArm, q: np.ndarray, v: np.ndarray, springs: np.ndarray, dt: float
 ) -> SwingResponse:
-    """Links of joints that yield, about a motion (K, n), on springs (K, k) [N m/rad]."""
+    """Return the linear response of elastic joints about a motion (K, n); springs [N m/rad]."""
     joints = np.flatnonzero(arm.elastic)
     acceleration = np.gradient(v, dt, axis=0)
     by_q, by_v, inertia = (
@@ -231,7 +243,7 @@ def _link_response(
 def _drive_rows(
     problem: TrajectoryProblem, now: Assessment, splines: _Splines, joints: np.ndarray
 ) -> tuple[csc_matrix, np.ndarray, np.ndarray]:
-    """What coefficients add to the drives of joints, over the limits, the least and the most of it.
+    """Return rows of the drive quantities over their limits, with lower and upper bounds.
 
     The links' torque is that of their plan.
     """
@@ -262,12 +274,12 @@ def _drive_rows(
         lower.append(least)
         upper.append(most)
     highest = np.concatenate(upper)
-    # A limit that is exceeded both ways within a cell leaves no room.
+    # A limit exceeded in both directions within a cell allows no change.
     return csc_matrix(vstack(rows)), np.minimum(np.concatenate(lower), highest), highest
 
 
 def _remaining_limit(used: np.ndarray) -> np.ndarray:
-    """What may be added where so much of a limit is used; nothing where it is nearly all."""
+    """Return the unused share of a limit less the reserve; 0 where nearly all of it is used."""
     left = 1.0 - used
     return np.where(left > _LIMIT_RESERVE, left - _LIMIT_RESERVE, np.minimum(left, 0.0))
 
@@ -275,10 +287,10 @@ def _remaining_limit(used: np.ndarray) -> np.ndarray:
 def _via_rows(
     problem: TrajectoryProblem, now: Assessment, splines: _Splines, joints: np.ndarray
 ) -> Iterator[tuple[csc_matrix, np.ndarray, np.ndarray]]:
-    """What coefficients add to the misses of vias, over their tolerance, its least and its most.
+    """Yield rows of the misses of vias over their tolerance, with lower and upper bounds.
 
-    A joint may move within what its via leaves it; the tool stays, where it mostly is at the edge
-    of its tolerance.
+    A joint may use the rest of its via's tolerance; the tool is held in place, since it is mostly
+    at the edge of its tolerance.
     """
     bodies, tool = problem.robot.rigid_bodies(), problem.robot.tool
     passed = {each.limit: each.time for each in now.violations}
@@ -305,7 +317,7 @@ def _solve_quadratic_programme(
     lower: np.ndarray,
     upper: np.ndarray,
 ) -> np.ndarray:
-    """Argument x (m,) of the least x' H x / 2 + g' x, rows within their bounds; or else zero."""
+    """Return the minimiser x (m,) of x' H x / 2 + g' x with bounded rows; zero if none is found."""
     rows.sort_indices()
     places = ca.Sparsity(
         int(rows.shape[0]),
@@ -315,9 +327,9 @@ def _solve_quadratic_programme(
     )
     dense = ca.DM(hessian)
     shapes: dict[str, Any] = {"h": dense.sparsity(), "a": places}
-    # An interior point method: first-order ones end with most of a small swing still there.
+    # An interior point method: first-order ones leave most of a small vibration.
     programme = ca.conic("change", "piqp", shapes, {"error_on_fail": False})
-    # What is exceeded has to give way, or else to get no worse.
+    # Violated rows must be satisfied or, where that is infeasible, not get worse.
     for least, most in ((lower, upper), (np.minimum(lower, 0.0), np.maximum(upper, 0.0))):
         answer = programme(h=dense, g=towards, a=ca.DM(places, rows.data), lba=least, uba=most)
         if programme.stats()["success"]:
@@ -325,21 +337,9 @@ def _solve_quadratic_programme(
     return np.zeros(len(towards))
 
 
-# Changes so often at most, until the simulated motion is this near to the plan, as a share of its
-# peak, or comes no nearer than to this share of before. The first may lead past a corner of the
-# stiffness at another speed, behind which the answer was not linear: the second knows it. Where a
-# limit is exceeded yet, as many as twice: behind wide corners each takes away a third.
-_MAX_CHANGES, _TARGET_DEVIATION, _MAX_REMAINING_DEVIATION = 4, 3e-2, 0.9
-_UNCONDITIONAL_CHANGES = 1
-# What the tool after arrival counts for more at most: beyond, nothing holds the links in flight.
-_MAX_ARRIVAL_WEIGHT = 30.0
-# A deviation as good as none [m].
-_NEGLIGIBLE_DEVIATION = 1e-9
-
-
 @dataclass(frozen=True, eq=False)
 class SimulatedMotors:
-    """A motion of the motors with its certificate, and what the arm does with it.
+    """Motion of the motors with its certificate and its elastic simulation.
 
     Parameters
     ----------
@@ -354,7 +354,7 @@ class SimulatedMotors:
 
     @classmethod
     def of(cls, problem: TrajectoryProblem, arm: ElasticArm, motors: Trajectory) -> SimulatedMotors:
-        """Judged and simulated."""
+        """Certify and simulate a motion of the motors."""
         return cls(motors, assess(problem, motors), simulate(arm, MotorMotion.of(motors)))
 
     @cached_property
@@ -364,12 +364,12 @@ class SimulatedMotors:
 
     @property
     def off(self) -> float:
-        """How far the arm is from the plan, in flight and after arrival, over the plan's peak."""
+        """Deviation from the plan, in flight and after arrival, over the plan's peak [-]."""
         after = self.simulated.peak_after or 0.0
         return (abs(self.simulated.peak - self.planned) + after) / self.planned
 
     def overshoot(self, problem: TrajectoryProblem) -> float:
-        """Share by which the arm goes too far after arrival for the problem's limits; 0 if none."""
+        """Return the relative excess of the problem's limits after arrival; 0 without one."""
         limits, swing = problem.active_limits, self.assessment.swing
         if swing is None or swing.peak_after is None:
             return 0.0
@@ -378,14 +378,14 @@ class SimulatedMotors:
 
     @property
     def reach(self) -> float:
-        """How far the tool goes in flight and after arrival together [m]."""
+        """Sum of the tool's peaks in flight and after arrival [m]."""
         return self.simulated.peak + (self.simulated.peak_after or 0.0)
 
 
 def suppress_vibration(
     problem: TrajectoryProblem, arm: ElasticArm, motors: Trajectory, tolerance: float
 ) -> SimulatedMotors:
-    """Motors whose links come nearest to their plan; the same where no change is of use.
+    """Return motors whose links follow their plan most closely, unchanged where no change helps.
 
     Parameters
     ----------
@@ -394,7 +394,7 @@ def suppress_vibration(
     motors : Trajectory
         Of planned links that are at rest at both ends.
     tolerance : float
-        Share of a limit that may be exceeded.
+        Allowed relative excess of limits.
 
     Raises
     ------
@@ -406,14 +406,14 @@ def suppress_vibration(
     for attempt in range(1, 2 * _MAX_CHANGES + 1):
         if kept and (found.off <= _TARGET_DEVIATION or attempt > _MAX_CHANGES):
             break
-        # A limit after arrival asks for more, the longer it is exceeded the more there.
+        # While a limit after arrival is exceeded its weight grows from change to change.
         beyond = 1.0 + last.overshoot(problem)
         after = min(after * beyond, _MAX_ARRIVAL_WEIGHT)
         near = _TARGET_DEVIATION * last.planned / beyond
         changed = change_motors(
             problem, arm, last.motors, last.assessment, last.simulated, near, after
         )
-        # What is not linear is met by simulating, and changing it again.
+        # Nonlinearity is accounted for by simulating and changing again.
         before, last = last, SimulatedMotors.of(problem, arm, changed)
         if last.assessment.feasible(tolerance) and (last.off < found.off or not kept):
             found, kept = last, True

@@ -10,7 +10,7 @@ from stiffopt.elastic.motor import MotorMotion
 from stiffopt.elastic.simulate import simulate
 from stiffopt.errors import NotSimulatedError
 from stiffopt.problem.files import load_problem
-from stiffopt.solver import motor_change, refinement, vibration_suppression
+from stiffopt.solver import refinement, vibration_suppression
 from stiffopt.solver.simulation import elastic_arm
 from stiffopt.solver.solve import solve_with_state
 
@@ -213,9 +213,9 @@ def test_a_limit_after_arrival_gets_more_rounds_than_a_motion_that_is_not_near(m
 
 
 def test_of_a_limit_that_is_nearly_used_up_nothing_is_left_to_add():
-    used = np.array([0.0, 0.5, 1.0 - 0.5 * motor_change._LIMIT_RESERVE, 1.003])
-    room = motor_change._remaining_limit(used)
-    np.testing.assert_allclose(room[:2], 1.0 - used[:2] - motor_change._LIMIT_RESERVE)
+    used = np.array([0.0, 0.5, 1.0 - 0.5 * vibration_suppression._LIMIT_RESERVE, 1.003])
+    room = vibration_suppression._remaining_limit(used)
+    np.testing.assert_allclose(room[:2], 1.0 - used[:2] - vibration_suppression._LIMIT_RESERVE)
     # One that is exceeded has to give way.
     np.testing.assert_allclose(room[2:], [0.0, -0.003], atol=1e-12)
 
@@ -263,11 +263,13 @@ def test_what_is_left_goes_however_flat_the_programme_is():
     rows = csc_matrix(rng.normal(size=(300, 60)))
     # Bounds that nothing reaches, and one that is.
     most = np.full(300, 1e2)
-    found = motor_change._solve_quadratic_programme(hessian, -hessian @ wanted, rows, -most, most)
+    found = vibration_suppression._solve_quadratic_programme(
+        hessian, -hessian @ wanted, rows, -most, most
+    )
     assert found == pytest.approx(wanted, abs=1e-3)
     # Where a row cannot give way it gets no worse.
     rows, most = csc_matrix(np.eye(60)[[0, 0]]), np.array([1e2, -1.0])
-    stays = motor_change._solve_quadratic_programme(
+    stays = vibration_suppression._solve_quadratic_programme(
         hessian, -hessian @ wanted, rows, np.array([0.0, -1e2]), most
     )
     assert stays[0] == pytest.approx(0.0, abs=1e-6)
