@@ -43,7 +43,7 @@ def rubbing(tmp_path):
     return load_problem(path).problem
 
 
-def test_smooth_friction_and_corners_are_honest(rubbing):
+def test_smoothing_is_within_tolerance(rubbing):
     motion = swing(rubbing)
     assert np.min(motion(np.linspace(0.0, 0.5, 200), 1) * (rubbing.end.joints > 0)) < 0.0
     found = find_disagreements(
@@ -57,7 +57,7 @@ def test_smooth_friction_and_corners_are_honest(rubbing):
     ("name", "quantity"),
     [("coulomb", "drive torque"), ("viscous", "drive torque"), ("rotor_inertia", "drive torque")],
 )
-def test_other_numbers_are_seen_in_motion(rubbing, name, quantity):
+def test_wrong_numbers_are_detected(rubbing, name, quantity):
     motion = swing(rubbing)
     other = replace(rubbing.robot, **{name: getattr(rubbing.robot, name) + 0.01})
     believed = believed_of(replace(rubbing, robot=other), motion, Smoothing(0.25), elastic=True)
@@ -65,7 +65,7 @@ def test_other_numbers_are_seen_in_motion(rubbing, name, quantity):
     assert set(found) == {quantity}
 
 
-def test_a_connection_that_slips_is_no_agreement(tmp_path):
+def test_slipping_connection_is_a_disagreement(tmp_path):
     """The smooth law goes on beyond slip, the true one has no end there."""
     problem = on_one_element(load(tmp_path, "pendulum"), small_flange(200.0))
     motion = swing(problem)

@@ -96,7 +96,7 @@ def test_meshes_of_links_and_of_the_cell(tmp_path):
     assert found["fore", "jig"] == pytest.approx(0.2, abs=0.005)
 
 
-def test_of_many_meshes_that_are_not_there_two_are_named(tmp_path):
+def test_two_of_many_missing_meshes_are_named(tmp_path):
     problem = problem_of(tmp_path)
     problem.clearance_model.missing = ("a.stl", "b.stl")
     assert describe_collision_scope(problem).endswith("Not found or no mesh: a.stl, b.stl.")
@@ -127,7 +127,7 @@ def test_the_worst_instant_of_a_motion_is_found(tmp_path):
     assert any(every.min(axis=0) < 0)
 
 
-def test_a_thin_thing_between_coarse_instants_is_not_missed(tmp_path):
+def test_thin_obstacle_between_coarse_instants_is_found(tmp_path):
     # 1 mm thick and passed at 2.4 m/s: the coarse instants lie 9 mm apart.
     problem = problem_of(
         tmp_path,
@@ -207,6 +207,6 @@ def test_unchecked_collisions_are_named(tmp_path):
         ),
     ],
 )  # fmt: skip
-def test_cells_that_cannot_be_are_refused(tmp_path, text, words):
+def test_invalid_cells_are_refused(tmp_path, text, words):
     with pytest.raises(InputError, match=words):
         _ = problem_of(tmp_path, text).clearance_model

@@ -249,12 +249,12 @@ def test_the_certificate_notices_a_defect_of_the_optimiser(name, tmp_path, monke
 @pytest.mark.parametrize(
     "problem", [swinging_arm, pendulum, hurried, capped, keyed, flanged], ids=lambda p: p.__name__
 )
-def test_the_sound_optimiser_is_believed(problem, tmp_path):
+def test_sound_optimiser_passes(problem, tmp_path):
     solution = solve(problem(tmp_path), throw=False)
     assert solution.status is SolveStatus.OPTIMAL, solution.message
 
 
-def test_contact_laws_are_a_choice_that_the_optimiser_takes(tmp_path):
+def test_contact_law_changes_the_optimiser_model(tmp_path):
     """The two fits wind up differently; what each misses of the true law is told, not hidden."""
     torque = np.linspace(0.5, 6.0, 40)
     near, far = (keyed(tmp_path, contact_law=law) for law in ("log_cubic", "power_law"))
@@ -267,7 +267,7 @@ def test_contact_laws_are_a_choice_that_the_optimiser_takes(tmp_path):
     assert "log_cubic" in solution.message
 
 
-def test_a_better_baseline_is_never_passed_over(tmp_path, monkeypatch):
+def test_better_baseline_prevents_status_optimal(tmp_path, monkeypatch):
     """A coarse motion beside a fine one that keeps all limits is not called optimal."""
     fine = solve(pendulum(tmp_path))
     rival = Baseline(
@@ -282,4 +282,4 @@ def test_a_better_baseline_is_never_passed_over(tmp_path, monkeypatch):
     coarse = solve(pendulum(tmp_path, method="intervals = 4"))
     assert coarse.objective.value > 1.01 * fine.objective.value
     assert coarse.status is SolveStatus.ACCEPTABLE
-    assert "toppra motion beside it is better" in coarse.message
+    assert "toppra motion is better" in coarse.message

@@ -60,14 +60,14 @@ def test_cyclic_stiffness_is_the_sum_over_elastic_punches(name):
         assert found == pytest.approx(total / surface.reference_area, rel=1e-3)
 
 
-def test_load_does_not_depend_on_it():
+def test_load_is_independent_of_loading():
     # The load that a contact bore stays what it was; only its tangent differs.
     first, again = FractalLaw(SURFACES["fine"]), FractalLaw(cyclic(SURFACES["fine"]))
     assert np.array_equal(first.largest_spot(PRESSURES), again.largest_spot(PRESSURES))
     assert np.array_equal(first.real_area_ratio(1e-7), again.real_area_ratio(1e-7))
 
 
-def test_elastic_spots_are_the_same():
+def test_elastic_spots_are_independent_of_loading():
     # Without elastic-plastic spots nothing is left that loads and unloads differently.
     first = FractalLaw(SURFACES["fine"], regimes=2)
     again = FractalLaw(cyclic(SURFACES["fine"]), regimes=2)
@@ -76,13 +76,13 @@ def test_elastic_spots_are_the_same():
     )
 
 
-def test_smooth_fit_follows():
+def test_smooth_fit_of_cyclic_stiffness():
     fit, law = fit_log_cubic(cyclic(SURFACES["fine"])), FractalLaw(cyclic(SURFACES["fine"]))
     exact = law.normal_stiffness_per_area(PRESSURES)
     assert fit.max_error < 0.03
     assert fit.stiffness(PRESSURES) == pytest.approx(exact, rel=fit.max_error)
 
 
-def test_other_words_are_refused():
+def test_unknown_loading_is_refused():
     with pytest.raises(InputError, match="loading = 'twice' is not known"):
         steel_surface(2.4, 1.29e-9, loading="twice")

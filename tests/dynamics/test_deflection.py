@@ -58,7 +58,7 @@ def test_without_a_process_force_its_part_is_exactly_zero() -> None:
     assert np.all(values["process"] == 0.0)
 
 
-def test_a_force_pushes_the_tool_its_own_way() -> None:
+def test_force_deflects_tool_in_its_direction() -> None:
     values, _, _ = evaluate("sample", FORCE)
     assert float(FORCE @ values["process"].ravel()) > 0.0
 
@@ -76,7 +76,7 @@ def test_a_weight_pulls_the_tool_down() -> None:
     assert np.asarray(sag).ravel() == pytest.approx([0.0, 0.0, -10.0 * 9.81 / 1e4], rel=1e-12)
 
 
-def test_numbers_serve_as_well_as_symbols() -> None:
+def test_arrays_and_symbols_agree() -> None:
     torques = SpringTorques(
         gravity=np.array([1.0, 2.0]),
         motion=np.array([3.0, 5.0]),

@@ -94,7 +94,7 @@ def test_limits_hold_on_the_simulated_arm(shortest, name, limit):
     assert np.allclose(assessment.velocity[-1], 0.0, atol=1e-6)
 
 
-def test_less_may_swing_on_and_the_motion_takes_longer(shortest):
+def test_smaller_residual_vibration_limit_takes_longer(shortest):
     took = {name: solution.duration for name, (_, solution) in shortest.items()}
     assert took["any"] < took["residual"] < took["little"]
     assert took["any"] < took["settling"] < took["little"]
@@ -103,7 +103,7 @@ def test_less_may_swing_on_and_the_motion_takes_longer(shortest):
     assert free.simulation.optimised.simulated.peak_after > 3e-4
 
 
-def test_what_an_assumed_damping_hides_is_said(shortest):
+def test_damping_sensitivity_is_noted(shortest):
     problem, solution = shortest["residual"]
     motion = solution.assessment
     # Its file states the damping.
@@ -125,7 +125,7 @@ def test_what_an_assumed_damping_hides_is_said(shortest):
     assert "damping" in note
 
 
-def test_links_are_brought_to_rest_where_no_optimum_is_found_that_swings_on(shortest, monkeypatch):
+def test_plan_ends_at_rest_without_optimum_with_vibration(shortest, monkeypatch):
     problem, _ = shortest["residual"]
     ways = []
 
@@ -141,10 +141,10 @@ def test_links_are_brought_to_rest_where_no_optimum_is_found_that_swings_on(shor
     solution = solve(problem, throw=False)
     assert ways == [True, False]
     assert solution.status.usable
-    assert any("brings them to rest" in note for note in solution.notes)
+    assert any("brings the links to rest" in note for note in solution.notes)
 
 
-def test_the_size_after_arrival_is_that_of_the_modes(shortest):
+def test_residual_vibration_is_that_of_the_modes(shortest):
     """Predicted by the free swing of the end state, within 10 % or 5 um of the simulated one."""
     problem, solution = shortest["residual"]
     link = solution.trajectory.link
@@ -157,10 +157,10 @@ def test_the_size_after_arrival_is_that_of_the_modes(shortest):
     found = solution.assessment.swing.peak_after
     assert found == pytest.approx(size, rel=0.1, abs=5e-6)
     assert solution.compensation is None
-    assert any("swing on after arrival" in note for note in solution.notes)
+    assert any("the plan has residual vibration" in note for note in solution.notes)
 
 
-def test_what_swings_on_is_limited_without_a_kink():
+def test_residual_vibration_row_is_smooth():
     """By one row that the sum of the sizes never exceeds, smooth where single modes rest."""
     size = ca.SX.sym("size", 3)
     arrival = Arrival(tuple(size[k] ** 2 for k in range(3)), np.array([1.0, 2.0, 3.0]))
@@ -200,7 +200,7 @@ def test_least_residual_vibration(tmp_path):
     assert objective_phrase("residual_vibration", "") == "residual vibration of the tool"
 
 
-def test_snap_counts_without_a_limit_of_velocity(tmp_path):
+def test_snap_is_scaled_without_velocity_limit(tmp_path):
     wanted = {"minimise": 'objective = "residual_vibration"', "limits": 'velocity = "none"'}
     problem = load(tmp_path, **wanted)
     assert not np.isfinite(problem.active_limits.velocity).any()
@@ -245,7 +245,7 @@ BESIDE = {
 
 
 @pytest.mark.parametrize("case", BESIDE)
-def test_what_cannot_be_limited_is_said(case, tmp_path):
+def test_unsupported_arrival_limits_are_refused(case, tmp_path):
     pieces, words = BESIDE[case]
     path = write_problem(tmp_path, **{k: v for k, v in pieces.items() if v is not None})
     if case == "path":
@@ -258,7 +258,7 @@ def test_what_cannot_be_limited_is_said(case, tmp_path):
     assert str(error.value).count("\n") == 0
 
 
-def test_a_rigid_arm_cannot_swing_on(tmp_path):
+def test_rigid_arm_has_no_residual_vibration(tmp_path):
     path = write_problem(tmp_path, limits="residual_vibration = '0.1 mm'")
     write_robot(tmp_path, "planar", joints=[joint("shoulder", ""), joint("elbow", "")])
     with pytest.raises(InputError, match="no drivetrain"):
@@ -278,7 +278,7 @@ def test_an_arm_simulated_for_less_than_the_limit_is_judged_by_its_last_instant(
     )
 
 
-def test_links_are_brought_to_rest_at_once_where_corners_are_wide(tmp_path):
+def test_wide_smoothing_requires_rest_at_arrival(tmp_path):
     limited = load(
         tmp_path,
         "swivel",
@@ -292,7 +292,7 @@ def test_links_are_brought_to_rest_at_once_where_corners_are_wide(tmp_path):
         assert bool(run.end_modes) == swings
 
 
-def test_room_to_calm_is_taken_from_all_drives_once_and_then_from_the_jerk():
+def test_back_off_reserves_all_drives_first_then_jerk():
     outcome = SimpleNamespace(smoothing=Smoothing(1.0, 8.0))
     blocks = SimpleNamespace(rows=SimpleNamespace(items=[]))
     first, then = (

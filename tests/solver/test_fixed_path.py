@@ -15,8 +15,8 @@ from stiffopt.problem.resolve import resolve
 from stiffopt.problem.trajectory import Method
 from stiffopt.result.joint_path import JointPath
 from stiffopt.result.status import SolveStatus
-from stiffopt.solver.initial_guess import initial_guess
-from stiffopt.solver.solve import _perturb_guess, solve
+from stiffopt.solver.initial_guess import initial_guess, perturb_guess
+from stiffopt.solver.solve import solve
 from stiffopt.solver.verdict import describe_optimality, has_one_optimum
 
 NOISE = 2e-4  # rad
@@ -59,7 +59,7 @@ def test_no_optimum_on_a_path_is_slower_than_toppras_motion(noisy):
     assert found.objective.value <= 1.005 * found.baselines["toppra"].objective
 
 
-def test_an_optimiser_that_stays_behind_hands_out_toppras_motion(noisy, monkeypatch):
+def test_toppra_motion_replaces_a_slower_optimum(noisy, monkeypatch):
     monkeypatch.setattr("stiffopt.solver.verdict._MIN_BASELINE_GAIN", -1.0)
     found = solve(noisy)
     assert found.status is SolveStatus.OPTIMAL
@@ -82,7 +82,7 @@ def test_starts_on_a_path_differ_in_their_timing(noisy):
     motion = resolve(noisy)
     guess = initial_guess(noisy, motion, baselines(noisy, motion))
     random, at = np.random.default_rng(1), np.linspace(0.0, 1.0, 2001)
-    starts = [_perturb_guess(guess, noisy, random).states(at) for _ in range(2)]
+    starts = [perturb_guess(guess, noisy, random).states(at) for _ in range(2)]
     for states in (*starts, guess.states(at)):
         rate = np.gradient(states[:, 0], at * guess.duration)
         assert np.allclose(states[:, 1], rate, atol=0.03)

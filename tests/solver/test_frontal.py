@@ -114,7 +114,7 @@ def test_variables_of_one_row_only_are_no_slacks(made):
     assert np.abs(matrix @ x - right).max() < 1e-12 * np.abs(matrix).max() * np.abs(x).max()
 
 
-def test_a_singular_system_is_told(made):
+def test_singular_system_is_reported(made):
     random = np.random.default_rng(1)
     matrix = system(random, 20, 4, 30, 5)
     # One equation twice.
@@ -137,7 +137,7 @@ def rows_on_a_pendulum(states, controls):
 
 
 @pytest.mark.parametrize("stage_row", [None, rows_on_a_pendulum])
-def test_ipopt_goes_the_same_way_as_with_mumps(made, monkeypatch, stage_row):
+def test_ipopt_iterates_equal_those_with_mumps(made, monkeypatch, stage_row):
     nlp, x0 = pendulum(stage_row)
     slow = solver(nlp, linear_solver="mumps").solve(x0, GRAVITY)
     monkeypatch.setattr(frontal, "library", lambda: made)
@@ -149,7 +149,7 @@ def test_ipopt_goes_the_same_way_as_with_mumps(made, monkeypatch, stage_row):
     np.testing.assert_allclose(quick.x, slow.x, atol=1e-7)
 
 
-def test_what_cannot_hold_is_told_as_with_mumps(made, monkeypatch):
+def test_infeasibility_is_reported_as_with_mumps(made, monkeypatch):
     nlp, x0 = pendulum(lambda states, controls: states[0] + 3.0, torque=8.0)
     monkeypatch.setattr(frontal, "library", lambda: made)
     found = solver(nlp).solve(x0, GRAVITY)
@@ -157,12 +157,12 @@ def test_what_cannot_hold_is_told_as_with_mumps(made, monkeypatch):
     assert {each.name for each in found.conflicts} & {"row", "angle", "end"}
 
 
-def test_without_a_compiler_it_is_mumps(monkeypatch):
+def test_mumps_is_used_without_a_compiler(monkeypatch):
     monkeypatch.setenv("STIFFOPT_COMPILE", "never")
     assert IpoptOptions().for_ipopt()["linear_solver"] == "mumps"
 
 
-def test_a_library_that_cannot_be_loaded_is_as_none(tmp_path, monkeypatch):
+def test_unloadable_library_is_ignored(tmp_path, monkeypatch):
     monkeypatch.setenv("STIFFOPT_CACHE", str(tmp_path))
     monkeypatch.delenv("STIFFOPT_COMPILE", raising=False)
     monkeypatch.setattr(compiler, "_started", {})

@@ -57,7 +57,7 @@ def test_between_stages_the_last_one_is_kept(stated, monkeypatch):
     assert kept.objective.value < min(b.objective for b in kept.baselines.values())
 
 
-def test_before_any_motion_nothing_is_claimed(stated, monkeypatch):
+def test_interruption_before_any_motion_is_raised(stated, monkeypatch):
     def interrupted(*_):
         raise KeyboardInterrupt
 
@@ -66,7 +66,7 @@ def test_before_any_motion_nothing_is_claimed(stated, monkeypatch):
         solving.solve(stated)
 
 
-def test_from_the_first_second_on_a_command_keeps_a_motion(tmp_path, monkeypatch, capsys):
+def test_command_interrupted_early_returns_a_motion(tmp_path, monkeypatch, capsys):
     path, out = write_problem(tmp_path), tmp_path / "out"
     plain = files.load_problem
 

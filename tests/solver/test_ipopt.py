@@ -84,7 +84,7 @@ class AtIteration:
 
 
 @pytest.mark.parametrize("asked", [0, 1, 4])
-def test_a_solve_that_compiled_functions_overtake_begins_again_with_them(asked):
+def test_solve_restarts_with_compiled_functions(asked):
     made, x0 = pendulum()
     alone = solver(made).solve(x0, GRAVITY)
     later, seen = AtIteration(pendulum()[0], asked), []
@@ -101,7 +101,7 @@ def test_a_solve_that_compiled_functions_overtake_begins_again_with_them(asked):
     np.testing.assert_allclose(warm.x, found.x, atol=1e-6)
 
 
-def test_what_overtakes_leaves_the_time_that_is_left():
+def test_restart_keeps_the_time_limit():
     made, x0 = pendulum()
     slow = IpoptSolver(made.nlp, later=AtIteration(pendulum()[0], 3))
     found = slow.solve(x0, GRAVITY, report=lambda event: time.sleep(0.05), max_seconds=0.3)

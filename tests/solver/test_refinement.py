@@ -27,7 +27,7 @@ def problem(tmp_path_factory):
 def coarse(monkeypatch):
     """The mesh stays, so that a peak between its nodes is left to the rows."""
     monkeypatch.setattr(refinement, "_MAX_REFINEMENTS", 0)
-    monkeypatch.setattr(refinement, "TRUE_OBJECTIVE", 0.004)
+    monkeypatch.setattr(refinement, "MAX_OBJECTIVE_GAP", 0.004)
 
 
 def left_alone(problem, monkeypatch):
@@ -37,7 +37,7 @@ def left_alone(problem, monkeypatch):
         return solve(problem, throw=False)
 
 
-def test_a_correction_that_runs_out_of_time_replaces_no_optimum(problem, coarse, monkeypatch):
+def test_timed_out_correction_keeps_the_optimum(problem, coarse, monkeypatch):
     before = left_alone(problem, monkeypatch)
     assert before.status.usable
     plain, calls = refinement.corrected, []
@@ -46,25 +46,25 @@ def test_a_correction_that_runs_out_of_time_replaces_no_optimum(problem, coarse,
         calls.append(given)
         return replace(plain(*given), status="time_limit")
 
-    monkeypatch.setattr(refinement, "corrected", late)
+    monkeypatch.setattr(refinement, "solve_correction", late)
     after = solve(problem, throw=False)
     assert calls
     assert after.status is before.status
     assert after.objective.value == before.objective.value
 
 
-def test_ctrl_c_in_a_correction_is_told(problem, coarse, monkeypatch):
+def test_ctrl_c_in_a_correction_is_reported(problem, coarse, monkeypatch):
     def interrupted(*_):
         raise KeyboardInterrupt
 
     before = left_alone(problem, monkeypatch)
-    monkeypatch.setattr(refinement, "corrected", interrupted)
+    monkeypatch.setattr(refinement, "solve_correction", interrupted)
     after = solve(problem, throw=False)
     assert after.status is SolveStatus.INTERRUPTED
     assert after.objective.value == before.objective.value
 
 
-def test_a_correction_with_a_worse_peak_is_not_taken(problem, coarse, monkeypatch):
+def test_correction_with_worse_objective_is_rejected(problem, coarse, monkeypatch):
     before = left_alone(problem, monkeypatch)
     values = []
 
@@ -90,13 +90,13 @@ def test_nothing_is_solved_again_where_no_row_is_exceeded(problem, monkeypatch):
     smooth = replace(problem, objectives=(Objective(name="torque_squared"),))
     _, kept = solve_with_state(smooth)
     run, outcome = kept
-    monkeypatch.setattr(refinement, "corrected", never)
+    monkeypatch.setattr(refinement, "solve_correction", never)
     worse = replace(outcome, objective_gap=0.5)
     after, _ = refinement._back_off_rows(run, worse, worse.transcription.nlp)
     assert after is worse
 
 
-def test_a_bend_that_the_smooth_law_rounds_off_is_drawn_in(tmp_path, coarse, monkeypatch):
+def test_excess_hidden_by_smoothing_is_backed_off(tmp_path, coarse, monkeypatch):
     soft = reducer(k1=3e3, k2=9e3, k3=1.2e4)
     softer = reducer(k1=1e3, k2=3e3, k3=6e3, t1=1.0)
     write_robot(tmp_path, "planar", [joint("shoulder", soft), joint("elbow", softer)])
@@ -113,9 +113,7 @@ def test_a_bend_that_the_smooth_law_rounds_off_is_drawn_in(tmp_path, coarse, mon
 
 
 @pytest.mark.parametrize(("excess", "wider"), [(29.0, True), (0.5, False)])
-def test_corners_get_wider_before_the_first_correction_of_a_spike(
-    tmp_path, monkeypatch, excess, wider
-):
+def test_smoothing_widens_before_correcting_a_spike(tmp_path, monkeypatch, excess, wider):
     soft = joint("swivel", reducer(k1=100.0, k2=300.0, k3=500.0, t1=0.3, t2=0.9))
     write_robot(tmp_path, "swivel", [soft])
     path = tmp_path / "problem.toml"
@@ -128,14 +126,14 @@ def test_corners_get_wider_before_the_first_correction_of_a_spike(
         return replace(raw, status="iteration_limit")
 
     monkeypatch.setattr(refinement, "_excess_by_limit", lambda _: {"jerk": excess})
-    monkeypatch.setattr(refinement, "corrected", never_solved)
+    monkeypatch.setattr(refinement, "solve_correction", never_solved)
     refinement._back_off_rows(run, outcome, outcome.transcription.nlp)
     before = outcome.smoothing.corners
     assert len(tried) == 1
     assert (tried[0] > 1.3 * before) == wider
 
 
-def test_a_via_that_late_windup_would_miss_is_met(tmp_path):
+def test_via_is_met_despite_delayed_windup(tmp_path):
     # Much damping: motors lag behind by more than the via may be missed by.
     write_robot(
         tmp_path,

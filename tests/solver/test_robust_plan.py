@@ -55,7 +55,7 @@ def at_worst(problem, solution):
     return motion.share, motion.compensated.flight.worst, motion.compensated.after.worst
 
 
-def test_little_of_the_objective_is_given_for_a_slower_deviation(solved):
+def test_objective_cost_of_a_slower_deviation_is_small(solved):
     least, found = solved
     assert found.status is SolveStatus.OPTIMAL
     assert found.assessment.feasible(CERTIFICATE_TOLERANCE)
@@ -72,7 +72,7 @@ def test_the_command_deviates_less_on_the_worst_arm(unsure, solved):
     assert sum(found) < sum(least)
 
 
-def test_stated_is_what_somebody_said(problem, unsure, tmp_path):
+def test_only_given_uncertainty_counts_as_stated(problem, unsure, tmp_path):
     assert not problem.uncertainty.stated
     assert not problem.chosen_for_other_arms
     assert unsure.uncertainty.stated
@@ -83,7 +83,7 @@ def test_stated_is_what_somebody_said(problem, unsure, tmp_path):
     assert replace(problem.uncertainty, payload=0.3) != AssumedUncertainty()
 
 
-def test_only_a_deviation_alone_and_of_fixed_duration_is_chosen_so(unsure):
+def test_robust_plan_needs_single_deviation_and_fixed_duration(unsure):
     for changes in (
         {"duration": (0.3, 0.6)},
         {"objectives": (*unsure.objectives, Objective(name="torque_squared"))},
@@ -93,7 +93,7 @@ def test_only_a_deviation_alone_and_of_fixed_duration_is_chosen_so(unsure):
         assert not replace(unsure, **changes).chosen_for_other_arms
 
 
-def test_a_motion_that_costs_too_much_is_not_taken(unsure, monkeypatch):
+def test_too_costly_motion_is_rejected(unsure, monkeypatch):
     monkeypatch.setattr("stiffopt.solver.solve.robust_plan", lambda run, outcome: outcome)
     _, (run, outcome) = solve_with_state(unsure)
     monkeypatch.undo()
@@ -103,7 +103,7 @@ def test_a_motion_that_costs_too_much_is_not_taken(unsure, monkeypatch):
     assert outcome.solver.nlp is bounds
 
 
-def test_stopped_on_the_way_the_least_motion_stays(unsure, monkeypatch):
+def test_interruption_keeps_the_optimum(unsure, monkeypatch):
     def interrupted(*_):
         raise KeyboardInterrupt
 
@@ -113,7 +113,7 @@ def test_stopped_on_the_way_the_least_motion_stays(unsure, monkeypatch):
     assert found.assessment.feasible(CERTIFICATE_TOLERANCE)
 
 
-def test_a_root_mean_square_is_chosen_so_as_well(unsure):
+def test_rms_objective_has_a_robust_plan(unsure):
     goal = Objective(name="tool_deviation", measure="rms")
     found = solve(replace(unsure, objectives=(goal,)))
     least = solve(replace(unsure, objectives=(goal,), uncertainty=AssumedUncertainty()))
@@ -128,9 +128,7 @@ def averaged(problem):
     return generous, solve(generous)
 
 
-def test_a_motion_averaged_over_a_swing_is_taken_where_it_gains_more_than_it_costs(
-    unsure, solved, averaged
-):
+def test_shaped_motion_is_used_where_its_gain_exceeds_its_cost(unsure, solved, averaged):
     least, near = solved
     problem, found = averaged
     assert found.status is SolveStatus.OPTIMAL
@@ -139,7 +137,7 @@ def test_a_motion_averaged_over_a_swing_is_taken_where_it_gains_more_than_it_cos
     assert found.assessment.feasible(CERTIFICATE_TOLERANCE)
     given = [note for note in found.notes if note.startswith("As [uncertainty] is stated, ")]
     assert len(given) == 1
-    assert "swings on less" in given[0]
+    assert "residual vibration is smaller" in given[0]
     assert any(note.startswith("Averaged over") for note in found.notes)
     cost = found.objective.value / least.objective.value
     assert 1.01 < cost < 2.0
@@ -147,7 +145,7 @@ def test_a_motion_averaged_over_a_swing_is_taken_where_it_gains_more_than_it_cos
     assert sum(after) * cost < sum(before)
 
 
-def test_nothing_is_given_where_nothing_may(problem, solved):
+def test_zero_price_keeps_the_optimum(problem, solved):
     found = solve(replace(problem, uncertainty=Uncertainty(price=0.0)))
     assert found.objective.value <= (1.0 + 1e-9) * solved[0].objective.value
     assert not any("As [uncertainty] is stated" in note for note in found.notes)
@@ -161,7 +159,7 @@ def test_windows_that_cost_too_much_are_not_tried(problem):
     assert [share for share, _ in tried[-1]] == [1.0, 0.75, 0.5]
 
 
-def test_stopped_while_averaging_what_was_found_stays(averaged, monkeypatch):
+def test_interruption_of_shaping_keeps_the_solution(averaged, monkeypatch):
     def interrupted(*_):
         raise KeyboardInterrupt
 

@@ -59,7 +59,7 @@ def test_headline_and_comparison_are_of_the_simulated_motion(solved):
     assert bool(said) is (abs(found.peak / solution.simulation.optimised.planned.peak - 1) > 0.1)
 
 
-def test_a_difference_from_the_plan_is_laid_to_what_the_plan_leaves_out(solved, tmp_path):
+def test_difference_from_plan_is_attributed_to_omitted_effects(solved, tmp_path):
     problem, solution = solved
     simulation = solution.simulation
     first = simulation.optimised
@@ -165,11 +165,11 @@ def test_other_parts_of_the_deflection_are_simulated_too(part, tmp_path):
 @pytest.mark.parametrize(
     ("stage", "told"),
     [
-        ("compensate", "no command.csv was made; solve again for it"),
-        ("simulate_motions", "`stiffopt simulate` does it anew"),
+        ("compensate", "no command.csv was written; solve again for it"),
+        ("simulate_motions", "`stiffopt simulate` repeats it"),
     ],
 )
-def test_an_interruption_tells_what_was_not_made(solved, monkeypatch, stage, told):
+def test_interruption_names_missing_results(solved, monkeypatch, stage, told):
     problem, solution = solved
 
     def interrupted(*_, **__):
@@ -183,7 +183,7 @@ def test_an_interruption_tells_what_was_not_made(solved, monkeypatch, stage, tol
     assert ("stiffopt simulate" in found.notes[-1]) == (stage == "simulate_motions")
 
 
-def test_no_command_is_chosen_where_nothing_asks_how_the_arm_yields(tmp_path):
+def test_no_command_without_elastic_objective_or_limit(tmp_path):
     plain = load(tmp_path, duration="0.6")
     solution = solve(plain, simulate=True)
     assert solution.simulation is not None

@@ -16,7 +16,7 @@ def slipping(request, tmp_path_factory):
     return request.param, problem, solve(problem, throw=False)
 
 
-def test_what_slips_is_named_with_what_it_holds(slipping):
+def test_slipping_connection_is_named_with_its_slip_torque(slipping):
     name, problem, solution = slipping
     (slip,) = find_slips(problem.robot, solution.assessment)
     assert (slip.element, slip.joint) == ("flange", 1)
@@ -31,7 +31,7 @@ def test_what_slips_is_named_with_what_it_holds(slipping):
         assert any(text in note for note in solution.notes)
 
 
-def test_its_pages_are_written(slipping, tmp_path):
+def test_report_of_slipping_motion_is_written(slipping, tmp_path):
     _, problem, solution = slipping
     page = write_solve_report(problem, solution, tmp_path)
     assert "slips" in page.read_text()

@@ -294,7 +294,7 @@ def test_a_time_limit_keeps_the_best_motion(tmp_path):
     assert "method.time_limit" in solution.message
 
 
-def test_what_cannot_hold_is_named_though_the_time_is_up(tmp_path):
+def test_conflict_is_named_at_the_time_limit(tmp_path):
     problem = load(
         tmp_path,
         duration="0.32",
@@ -304,7 +304,7 @@ def test_what_cannot_hold_is_named_though_the_time_is_up(tmp_path):
     )
     solution = solve(problem, throw=False)
     assert solution.status is SolveStatus.TIME_LIMIT
-    named = solution.message.partition("Furthest from being kept in the programme: ")[2]
+    named = solution.message.partition("Worst row of the programme: ")[2]
     assert named.startswith("dynamic_deflection, tool")
 
 
@@ -316,7 +316,7 @@ def test_a_deflection_that_no_motion_of_the_duration_meets_names_a_longer_one(tm
     }
     solution = solve(load(tmp_path, duration="0.5", **pieces), throw=False)
     assert solution.status is SolveStatus.INFEASIBLE
-    assert "limits.dynamic_deflection = 0.05 mm is hardly to be met" in solution.message
+    assert "limits.dynamic_deflection = 0.05 mm is out of reach" in solution.message
     assert "0.994 mm at the tool in the toppra motion of 0.5 s" in solution.message
     assert "allow about 2.2 s" in solution.message
     assert solve(load(tmp_path, duration="2.3", **pieces), throw=False).status.usable
@@ -340,7 +340,7 @@ def test_several_starts_are_no_worse(tmp_path):
 
 
 @pytest.mark.parametrize("why", ["worse", "exceeds a limit"])
-def test_a_motion_behind_a_baseline_is_sought_again_from_there(tmp_path, monkeypatch, why):
+def test_solve_restarts_from_a_better_baseline(tmp_path, monkeypatch, why):
     problem = load(tmp_path, minimise='objective = "torque_squared"')
     begun = []
     best_of_starts, certified_solve = solve_module._best_of_starts, solve_module._solve_and_refine
@@ -368,7 +368,7 @@ def test_a_motion_behind_a_baseline_is_sought_again_from_there(tmp_path, monkeyp
     assert solution.objective.value == pytest.approx(expected, rel=1e-6)
 
 
-def test_how_far_apart_several_starts_end_is_told(tmp_path):
+def test_spread_of_several_starts_is_noted(tmp_path):
     told = solve(load(tmp_path, "swivel", method="intervals = 16\nstarts = 3")).notes
     assert any(
         "Of 3 starts 3 ended in a certified optimum: 3 within 1 % of" in note for note in told

@@ -29,7 +29,7 @@ def test_first_meshes_of_a_peak_do_not_grow_with_the_last(intervals, expected):
 
 
 @pytest.mark.parametrize(("jerk", "corners"), [(1.0, 1.0), (0.3, 2.0)])
-def test_a_solve_begins_with_corners_as_wide_as_a_smooth_motion_needs(jerk, corners):
+def test_initial_smoothing_is_as_wide_as_a_smooth_motion_needs(jerk, corners):
     # With 0.3 of the jerk, the narrowest law asks for 2.3 times the limit, the next for 1.5 times.
     changes = [f"limits.scale.jerk={jerk}"]
     problem = load_problem(PROBLEMS / "ur10_tool_deviation.toml", changes).problem
@@ -40,7 +40,7 @@ def test_a_solve_begins_with_corners_as_wide_as_a_smooth_motion_needs(jerk, corn
     assert {s.smoothing.corners for s in plan_stages(problem, 40, run.corners)} == {corners}
 
 
-def test_a_minimum_duration_is_not_first_led_far_from_where_it_begins():
+def test_minimum_duration_starts_near_the_guess():
     problem = load_problem(PROBLEMS / "ur10_torque_squared.toml").problem
     problem = replace(problem, duration=(0.3, 5.0), objectives=(Objective(name="duration"),))
     motion = resolve(problem)

@@ -27,7 +27,7 @@ from stiffopt.solver.solve import solve
 GOAL = 'objective = "shaped_deviation"'
 
 
-def test_an_average_lasts_longer_and_is_that_of_the_time_before():
+def test_average_over_preceding_window_lasts_longer():
     motion = Trajectory.from_acceleration(
         [0.0, 0.1, 0.2], [[[5.0]], [[-5.0]]], np.array([0.3]), np.array([0.0])
     )
@@ -53,7 +53,7 @@ def solved(tmp_path_factory):
     return problem, solve(problem, throw=False)
 
 
-def test_it_keeps_limits_vias_and_the_duration(solved):
+def test_shaped_motion_keeps_limits_vias_and_duration(solved):
     problem, solution = solved
     assert solution.status.usable
     assert solution.duration == pytest.approx(1.2)
@@ -69,7 +69,7 @@ def test_it_keeps_limits_vias_and_the_duration(solved):
     assert f"{1e3 / lowest:.0f} ms" in solution.notes[-1]
 
 
-def test_nothing_rings_on_the_arm_as_modelled_and_little_on_a_softer_one(solved):
+def test_residual_vibration_is_small_on_nominal_and_softer_arm(solved):
     problem, solution = solved
     motion = MotorMotion.of(solution.trajectory)
     arm = ElasticArm(problem.robot, motion.at(0.0)[0])
@@ -80,7 +80,7 @@ def test_nothing_rings_on_the_arm_as_modelled_and_little_on_a_softer_one(solved)
     assert softer.peak_after < 0.15 * own.peak
 
 
-def test_a_free_duration_cannot_be_shaped(tmp_path):
+def test_free_duration_is_refused(tmp_path):
     with pytest.raises(InputError, match="needs a fixed duration"):
         load(tmp_path, minimise=GOAL, duration="{ lower = 0.5, upper = 2.0 }")
 
@@ -90,7 +90,7 @@ def test_too_short_a_duration_is_refused_before_solving(tmp_path):
     needed, _ = shortest_duration(problem, resolve(problem))
     hasty = replace(problem, duration=(1.01 * needed, 1.01 * needed))
     with pytest.raises(
-        ProblemError, match=r"a swing of the arm's lowest mode, .* leaves too little"
+        ProblemError, match=r"a period of the arm's lowest mode, .* leaves too little"
     ):
         solve(hasty)
 
@@ -104,11 +104,11 @@ def heavily_loaded(tmp_path, duration):
 
 
 @pytest.mark.slow
-def test_a_window_that_leaves_too_little_gives_way_to_a_shorter_one(tmp_path):
+def test_too_long_window_is_replaced_by_a_shorter_one(tmp_path):
     problem = heavily_loaded(tmp_path, 0.42)
     solution = solve(problem, throw=False)
     assert solution.status is not SolveStatus.INFEASIBLE
-    assert " a swing of the arm's lowest mode" in solution.notes[-1]
+    assert " a period of the arm's lowest mode" in solution.notes[-1]
     assert solution.duration == pytest.approx(0.42)
 
 
@@ -118,7 +118,7 @@ def behind(monkeypatch):
     monkeypatch.setattr(input_shaping, "_rival_is_better", lambda *_: True)
 
 
-def test_ctrl_c_in_a_later_window_keeps_the_first_and_is_told(tmp_path, behind, monkeypatch):
+def test_ctrl_c_in_a_later_window_keeps_the_first(tmp_path, behind, monkeypatch):
     problem = load(tmp_path, minimise=GOAL, duration="0.8", method="intervals = 12")
     plain, made = input_shaping._solve_averaged, []
 
@@ -156,7 +156,7 @@ def test_all_windows_have_one_time_limit(tmp_path, behind, monkeypatch):
 
 
 @pytest.mark.slow
-def test_where_a_swing_takes_too_much_of_the_time_less_is_averaged_over(tmp_path):
+def test_short_duration_uses_a_shorter_window(tmp_path):
     problem = load(tmp_path, minimise=GOAL, method="intervals = 24")
     heavy = problem.robot.with_payload(15.0, [0.0, 0.0, 0.0], [0.1, 0.1, 0.1])
     limits = problem.active_limits
@@ -166,4 +166,4 @@ def test_where_a_swing_takes_too_much_of_the_time_less_is_averaged_over(tmp_path
     assert solution.assessment.feasible(CERTIFICATE_TOLERANCE)
     assert solution.strict_baseline.name == "quintic"
     assert solution.objective.value < solution.strict_baseline.objective
-    assert "of a swing of the arm's lowest mode" in solution.notes[-1]
+    assert "of a period of the arm's lowest mode" in solution.notes[-1]

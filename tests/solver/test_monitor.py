@@ -21,12 +21,12 @@ FULL = [1.0] * 8
 
 
 @pytest.mark.parametrize("length", [1.0, 1e-9])
-def test_steps_that_a_line_search_cuts_are_no_rest(length):
+def test_shortened_steps_are_not_stationary(length):
     monitor = _monitor([1e-12] * 8, [2e-6] * 8)
     assert monitor.at_rest(1e-7, [1.0] * 3 + [length] * 5) is (length == 1.0)
 
 
-def test_what_moves_or_changes_is_not_at_rest():
+def test_moving_iterates_are_not_stationary():
     still, one = [1e-12] * 8, [2e-6] * 8
     assert not _monitor([*still[:-1], 1e-3], one).at_rest(1e-7, FULL)
     assert not _monitor(still, [*one[:-1], 3e-6]).at_rest(1e-7, FULL)
@@ -36,7 +36,7 @@ def test_what_moves_or_changes_is_not_at_rest():
     assert not monitor.at_rest(1e-7, FULL)
 
 
-def test_a_cut_step_after_a_rest_does_not_end_it():
+def test_shortened_step_after_full_ones_stays_stationary():
     """As rounding makes the line search of a nearly vanishing vibration cut one."""
     rested = _monitor([1e-2, 1e-2, *[1e-9] * 8], [3.0, 2.0, 1.0, *[1.0] * 8])
     assert rested.at_rest(1e-7, [1.0] * 9 + [0.5, 1.0])

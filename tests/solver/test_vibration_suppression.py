@@ -68,7 +68,7 @@ def test_links_are_nearer_to_their_plan_and_every_limit_holds(solved):
     assert abs(found.peak - planned) <= abs(plain.peak - planned)
 
 
-def test_a_plan_at_the_jerk_limit_gives_way_where_motors_cannot_calm_their_links(tmp_path):
+def test_plan_at_jerk_limit_is_backed_off_for_vibration_suppression(tmp_path):
     joints, duration = ARMS["swivel"]
     write_robot(tmp_path, "swivel", joints)
     path = tmp_path / "problem.toml"
@@ -90,7 +90,7 @@ def test_a_plan_at_the_jerk_limit_gives_way_where_motors_cannot_calm_their_links
     assert found.peak + found.peak_after < plain.peak + plain.peak_after
 
 
-def test_an_arm_of_constant_springs_is_calmed_as_well(tmp_path, monkeypatch):
+def test_vibration_is_suppressed_with_constant_springs(tmp_path, monkeypatch):
     """Its sag changes with the pose, which motors of the plan leave out."""
     springs = zip(("shoulder", "elbow"), (500.0, 250.0), strict=True)
     arm = [joint(n, CONSTANT.format(stiffness=k), jerk_max=400.0) for n, k in springs]
@@ -111,7 +111,7 @@ def test_an_arm_of_constant_springs_is_calmed_as_well(tmp_path, monkeypatch):
     assert found.peak_after < 0.3 * plain.peak_after
 
 
-def test_the_motion_begins_and_ends_as_before(solved):
+def test_change_keeps_position_to_jerk_at_ends(solved):
     _, before, after = solved
     for order in range(4):
         ends = [
@@ -123,7 +123,7 @@ def test_the_motion_begins_and_ends_as_before(solved):
     assert after.trajectory.link is not None
 
 
-def test_motors_that_are_near_enough_stay(solved, monkeypatch):
+def test_motors_within_target_deviation_are_unchanged(solved, monkeypatch):
     problem, _, after = solved
     arm = elastic_arm(problem, after.assessment.position[0])
     monkeypatch.setattr(vibration_suppression, "_TARGET_DEVIATION", 1.0)
@@ -133,7 +133,7 @@ def test_motors_that_are_near_enough_stay(solved, monkeypatch):
     assert motors is after.trajectory
 
 
-def test_a_first_change_that_leads_astray_is_changed_again(monkeypatch):
+def test_second_change_follows_a_worse_first_one(monkeypatch):
     away = iter([0.5, 0.6, 0.1, 0.095, 0.0])
 
     class Judged:
@@ -157,7 +157,7 @@ def test_a_first_change_that_leads_astray_is_changed_again(monkeypatch):
     )
 
 
-def test_links_near_their_plan_are_calmed_on_while_they_exceed_a_limit_after_arrival(monkeypatch):
+def test_changes_continue_while_a_limit_after_arrival_is_exceeded(monkeypatch):
     away, given = iter([(0.02, 3.0), (0.015, 1.0), (0.01, 0.0)]), []
 
     class Judged:
@@ -186,7 +186,7 @@ def test_links_near_their_plan_are_calmed_on_while_they_exceed_a_limit_after_arr
     np.testing.assert_allclose(given, [(near / 4.0, 4.0), (near / 2.0, 8.0)])
 
 
-def test_a_limit_after_arrival_gets_more_rounds_than_a_motion_that_is_not_near(monkeypatch):
+def test_limit_after_arrival_gets_twice_as_many_changes(monkeypatch):
     # Nearer and further by turns, until it holds.
     away, made = iter([0.2, 0.15, 0.16, 0.14, 0.15, 0.12, 0.05]), []
 
@@ -212,7 +212,7 @@ def test_a_limit_after_arrival_gets_more_rounds_than_a_motion_that_is_not_near(m
     assert len(made) == 6
 
 
-def test_of_a_limit_that_is_nearly_used_up_nothing_is_left_to_add():
+def test_nearly_used_limit_allows_no_change():
     used = np.array([0.0, 0.5, 1.0 - 0.5 * vibration_suppression._LIMIT_RESERVE, 1.003])
     room = vibration_suppression._remaining_limit(used)
     np.testing.assert_allclose(room[:2], 1.0 - used[:2] - vibration_suppression._LIMIT_RESERVE)
@@ -220,7 +220,7 @@ def test_of_a_limit_that_is_nearly_used_up_nothing_is_left_to_add():
     np.testing.assert_allclose(room[2:], [0.0, -0.003], atol=1e-12)
 
 
-def test_joints_that_are_rigid_are_not_moved(solved):
+def test_rigid_joints_are_unchanged(solved):
     problem, before, after = solved
     times = np.linspace(0.0, after.trajectory.duration, 501)
     moved = np.max(np.abs(after.trajectory(times) - before.trajectory(times)), axis=0)
@@ -237,7 +237,7 @@ def test_an_arm_that_cannot_be_simulated_keeps_its_motors(solved, monkeypatch):
     np.testing.assert_array_equal(found.assessment.position, before.assessment.position)
 
 
-def test_a_least_duration_leaves_motors_the_room_to_calm_their_links(tmp_path):
+def test_minimum_duration_reserves_drives_for_vibration_suppression(tmp_path):
     write_robot(tmp_path, "planar", ARMS["planar"][0])
     path = tmp_path / "problem.toml"
     goal = {
@@ -254,7 +254,7 @@ def test_a_least_duration_leaves_motors_the_room_to_calm_their_links(tmp_path):
     assert np.linalg.norm(found.deviation[late], axis=1).max() < 20e-6
 
 
-def test_what_is_left_goes_however_flat_the_programme_is():
+def test_quadratic_programme_with_flat_hessian_is_solved():
     # A small swing costs little beside what the tool does in flight.
     rng = np.random.default_rng(4)
     turned, _ = np.linalg.qr(rng.normal(size=(60, 60)))

@@ -12,7 +12,7 @@ from stiffopt.solver.smoothing_width import (
 
 
 @pytest.mark.parametrize("needed", [0.25, 1.7, 4.0])
-def test_corners_are_as_wide_as_the_jerk_needs(needed):
+def test_smoothing_is_as_wide_as_the_jerk_limit_needs(needed):
     # Jerk goes with one over the square of the width; a width stands for the motion here.
     def excess(width):
         return (needed / width) ** 2 - 1.0
@@ -21,18 +21,18 @@ def test_corners_are_as_wide_as_the_jerk_needs(needed):
     assert needed <= found < 2.0 * needed
 
 
-def test_what_no_width_mends_stays_narrow():
+def test_excess_independent_of_width_stays_narrow():
     assert (
         motors_with_sufficient_smoothing(lambda width: width, lambda width: 3.0, 0.25, 0.0) == 0.25
     )
 
 
 @pytest.mark.parametrize(("needed", "found"), [(0.2, 0.5), (1.4, 1.0), (1.5, 2.0), (6.0, 8.0)])
-def test_a_solve_takes_the_narrowest_corners_that_it_can_do_the_rest_with(needed, found):
+def test_tolerable_excess_keeps_the_narrowest_width(needed, found):
     assert narrowest_sufficient_width(lambda width: (needed / width) ** 2 - 1.0, 0.5, 1.0) == found
 
 
-def test_what_width_does_not_mend_is_no_corner():
+def test_excess_independent_of_width_is_no_kink():
     assert narrowest_sufficient_width(lambda width: 7.0 + 0.1 / width, 0.5, 1.0) == 0.5
 
 
@@ -45,7 +45,7 @@ def test_what_width_does_not_mend_is_no_corner():
         (lambda width: 0.4 - 1e-3 * width, 4.0),
     ],
 )
-def test_corners_that_are_passed_too_fast_get_wider_and_no_others(monkeypatch, excess, corners):
+def test_smoothing_widens_for_kink_excess_only(monkeypatch, excess, corners):
     outcome = SimpleNamespace(smoothing=SimpleNamespace(corners=4.0))
 
     def motors(run, outcome, share, *, sagged):
@@ -54,6 +54,6 @@ def test_corners_that_are_passed_too_fast_get_wider_and_no_others(monkeypatch, e
     def drives(problem, width):
         return [SimpleNamespace(value=-0.1), SimpleNamespace(value=excess(width))]
 
-    monkeypatch.setattr(refinement, "motors_of", motors)
+    monkeypatch.setattr(refinement, "motors_with_law", motors)
     monkeypatch.setattr(refinement, "drive_violations", drives)
     assert refinement._widen_motor_smoothing(SimpleNamespace(problem=None), outcome) == corners

@@ -37,7 +37,7 @@ def rows_of(problem, via, position):
     return rows @ change.ravel(), lower, upper, moved
 
 
-def test_joints_move_within_what_their_via_leaves(problem):
+def test_joints_use_remaining_via_tolerance(problem):
     position = np.array([0.2, 0.3])
     via = Target(joints=position + np.array([0.004, -0.01]), tolerance=0.01)
     found, lower, upper, moved = rows_of(problem, via, position)
@@ -50,7 +50,7 @@ def test_joints_move_within_what_their_via_leaves(problem):
 
 
 @pytest.mark.parametrize("turned", [False, True])
-def test_the_tool_stays_at_its_via(problem, turned):
+def test_tool_is_fixed_at_its_via(problem, turned):
     position, tool = np.array([0.2, 0.3]), problem.robot.tool
     bodies = problem.robot.rigid_bodies()
     place, _ = bodies.pose(tool, position)

@@ -28,7 +28,7 @@ def creeping(tmp_path, monkeypatch):
     return load_problem(path).problem
 
 
-def test_joints_stand_still_in_place_of_creeping(creeping, monkeypatch):
+def test_creeping_joints_are_fixed(creeping, monkeypatch):
     found = solve(creeping, throw=False)
     monkeypatch.setattr(refinement, "_MAX_STATIONARY_SOLVES", 0)
     before = solve(creeping, throw=False)
@@ -43,7 +43,7 @@ def test_joints_stand_still_in_place_of_creeping(creeping, monkeypatch):
     assert "between the nodes" not in before.message
 
 
-def test_arms_without_friction_are_left_alone(tmp_path, monkeypatch):
+def test_arms_without_friction_are_unchanged(tmp_path, monkeypatch):
     def never(*_):
         raise AssertionError
 
@@ -52,7 +52,7 @@ def test_arms_without_friction_are_left_alone(tmp_path, monkeypatch):
     assert solve(load(tmp_path, **PIECES), throw=False).status is SolveStatus.OPTIMAL
 
 
-def test_ctrl_c_in_it_keeps_the_motion(creeping, monkeypatch):
+def test_ctrl_c_keeps_the_motion(creeping, monkeypatch):
     def interrupted(*_):
         raise KeyboardInterrupt
 

@@ -39,7 +39,7 @@ def test_curve_is_the_exact_law(name, joint):
     )
 
 
-def test_what_slips_has_no_end():
+def test_slipping_windup_is_infinite():
     flange = BoltedFlange(
         name="flange",
         torque_max=50.0,

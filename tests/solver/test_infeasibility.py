@@ -27,7 +27,7 @@ def straight(made):
     return 0.5 * (low + high)
 
 
-def test_rows_that_can_hold_are_met(tmp_path):
+def test_feasible_rows_have_no_excess(tmp_path):
     made = programme(tmp_path, limits="tool_speed = 2.0")
     found = minimise_excess(made.nlp, straight(made), made.ocp.parameters)
     assert found.converged
@@ -37,7 +37,7 @@ def test_rows_that_can_hold_are_met(tmp_path):
     assert made.nlp.violations(g.full()).max() < 1e-4
 
 
-def test_the_row_that_cannot_hold_is_named(tmp_path):
+def test_conflicting_row_is_named(tmp_path):
     made = programme(tmp_path, limits="tool_speed = 0.05")
     found = minimise_excess(made.nlp, straight(made), made.ocp.parameters)
     assert found.converged
@@ -73,7 +73,7 @@ def test_derivatives_are_those_of_the_relaxed_programme(tmp_path):
 
 
 @pytest.mark.parametrize("cap", ["0.5 um", "1 nm"])
-def test_a_cap_that_nothing_meets_is_named_soon(tmp_path, cap):
+def test_infeasible_cap_is_named_quickly(tmp_path, cap):
     limits = f'dynamic_deflection = "{cap}"'
     problem = load(tmp_path, "planar", duration="0.9", limits=limits)
     solution = solve(problem, throw=False)
@@ -109,7 +109,7 @@ def small():
     )  # fmt: skip
 
 
-def test_a_small_excess_after_a_large_start_is_told_as_it_is():
+def test_small_excess_after_large_start_is_exact():
     found = minimise_excess(small(), np.array([1.0, 0.0]), np.ones(1))
     assert found.converged
     assert found.excess == pytest.approx(0.045, rel=0.02)
@@ -117,6 +117,6 @@ def test_a_small_excess_after_a_large_start_is_told_as_it_is():
     assert [each.name for each in found.conflicts[:2]] == ["far", "near"]
 
 
-def test_slacks_of_rows_scaled_down_are_told_unscaled():
+def test_slacks_of_scaled_rows_are_unscaled():
     relaxed = _RelaxedProgramme(small(), np.array([1.0, 0.0]), np.ones(1))
     assert relaxed.unscaled(np.array([1.0, 1.0, 1.0])) == pytest.approx([100.0, 1.0, 1.0])

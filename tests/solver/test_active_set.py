@@ -53,7 +53,7 @@ def drawn(count):
 
 
 @pytest.mark.parametrize("changes", list(drawn(12)))
-def test_near_optima_are_those_of_ipopt(first, asked, changes):
+def test_active_set_optima_equal_those_of_ipopt(first, asked, changes):
     family, end = first
     solution, _ = family.solve(problem(*changes), end, compare=False)
     transcription, x0, parameters, near, raw = asked[0]
@@ -113,14 +113,14 @@ def conditions(nlp, solver, raw, parameters):
     return max(each.max(initial=0.0) for each in worst)
 
 
-def test_most_near_problems_are_answered(first, asked):
+def test_most_similar_problems_are_solved(first, asked):
     family, end = first
     for changes in drawn(12):
         family.solve(problem(*changes), end, compare=False)
     assert sum(call[-1] is not None for call in asked) >= 9
 
 
-def test_wrong_multipliers_end_where_they_should_or_nowhere(first, asked):
+def test_wrong_multipliers_give_the_optimum_or_none(first, asked):
     family, end = first
     heavier = problem("payload.mass=0.33")
     right, _ = family.solve(heavier, end, compare=False)
@@ -131,7 +131,7 @@ def test_wrong_multipliers_end_where_they_should_or_nowhere(first, asked):
         assert solution.objective.value == pytest.approx(right.objective.value, rel=1e-6)
 
 
-def test_what_is_no_such_programme_is_left_to_ipopt(asked):
+def test_unsupported_programmes_are_left_to_ipopt(asked):
     family = ProblemFamily()
     shortest = (
         'minimise=[{ objective = "duration" }]',
@@ -144,7 +144,7 @@ def test_what_is_no_such_programme_is_left_to_ipopt(asked):
     assert [call[-1] for call in asked] == [None]
 
 
-def test_a_point_that_curves_down_is_no_minimum():
+def test_negative_curvature_is_rejected():
     curved, slope = csr_matrix(np.diag([1.0, -0.5, 2.0])), np.zeros(3)
     matrix, bounds = csr_matrix([[0.0, 1.0, 0.0]]), (np.array([-1.0]), np.array([1.0]))
     free, held = np.array([0]), np.array([1])
@@ -159,7 +159,7 @@ def test_a_point_that_curves_down_is_no_minimum():
     assert forces == pytest.approx([0.5])
 
 
-def test_rows_that_depend_on_each_other_do_no_harm():
+def test_dependent_rows_are_handled():
     curved, slope = csr_matrix(np.diag([1.0, 4.0])), np.array([-3.0, -2.0])
     matrix = csr_matrix([[1.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
     bounds = np.full(3, -np.inf), np.array([1.0, 1.0, 9.0])
@@ -171,7 +171,7 @@ def test_rows_that_depend_on_each_other_do_no_harm():
     assert side.tolist() == [1, 1, 0]
 
 
-def test_what_has_no_solution_is_told():
+def test_infeasible_quadratic_programme_gives_none():
     curved, slope = csr_matrix(np.diag([1.0])), np.array([1.0])
     matrix = csr_matrix([[1.0], [1.0]])
     bounds = np.array([2.0, -np.inf]), np.array([np.inf, 1.0])
