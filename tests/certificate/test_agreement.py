@@ -1,4 +1,4 @@
-"""What counts as the optimiser believing what is true, and what does not."""
+"""Agreement of the optimiser's prediction with the exact model."""
 
 from dataclasses import replace
 
@@ -22,7 +22,7 @@ from stiffopt.result.trajectory import Trajectory
 
 
 def swing(problem, duration=0.5):
-    """From rest to rest in 20 pieces of linear acceleration, some of them backwards."""
+    """Rest-to-rest motion in 20 pieces of linear acceleration, some of them backwards."""
     way = problem.end.joints - problem.start.joints
     t = np.linspace(0.0, duration, 21)
     s = t / duration

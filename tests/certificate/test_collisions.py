@@ -1,4 +1,4 @@
-"""Collisions: known distances of small arms, the worst instant found, what was checked said."""
+"""Collisions: known distances of small arms, worst instant, reported scope."""
 
 import json
 
@@ -42,7 +42,7 @@ def problem_of(folder, cell="", urdf=SHAPED, **pieces):
 
 
 def swing(problem, start, end, duration=0.5):
-    """From rest to rest on the straight line between joint positions."""
+    """Rest-to-rest motion on the straight line between joint positions."""
     start, end = np.array(start), np.array(end)
     nodes = np.outer([0.0, 1.0, -1.0, 0.0], 8.0 / duration**2 * (end - start))
     times = duration * np.array([0.0, 0.25, 0.75, 1.0])

@@ -55,7 +55,7 @@ def pendulum(folder, **pieces):
 
 
 def hurried(folder):
-    """As fast as the torque allows."""
+    """Torque-limited minimum duration."""
     return pendulum(
         folder,
         duration="{ lower = 0.1, upper = 2.0 }",
@@ -65,7 +65,7 @@ def hurried(folder):
 
 
 def capped(folder):
-    """As fast as the dynamic deflection allows."""
+    """Minimum duration limited by the dynamic deflection."""
     return pendulum(
         folder,
         duration="{ lower = 0.1, upper = 2.0 }",
@@ -198,7 +198,7 @@ def dropped_rows(name):
 
 @dataclass(frozen=True)
 class Mutant:
-    """A defect, the problem that is solved with it, and what the message then names."""
+    """A defect, the problem that is solved with it, and the quantity that the message names."""
 
     mutate: Callable
     problem: Callable
@@ -255,7 +255,7 @@ def test_sound_optimiser_passes(problem, tmp_path):
 
 
 def test_contact_law_changes_the_optimiser_model(tmp_path):
-    """The two fits wind up differently; what each misses of the true law is told, not hidden."""
+    """The two fits wind up differently; their errors against the exact law are reported."""
     torque = np.linspace(0.5, 6.0, 40)
     near, far = (keyed(tmp_path, contact_law=law) for law in ("log_cubic", "power_law"))
     models = [stage_model.CompactChain(p.robot.chains[0], 60.0) for p in (near, far)]

@@ -25,7 +25,7 @@ def test_curve_is_the_exact_law(name, joint):
     corners = np.array(breakpoints(chain))
     torque = np.concatenate(
         [
-            # Beyond what the joint is meant for, over all magnitudes, at corners, at none.
+            # Beyond the rated torque, over all magnitudes, at kinks, at zero.
             random.uniform(-2.5, 2.5, 300) * most,
             most * 10.0 ** random.uniform(-14.0, 0.0, 300),
             corners,

@@ -1,4 +1,4 @@
-"""Optima near a known one: those of IPOPT, proved by their conditions; or nothing is said."""
+"""Active-set warm start: the optima of IPOPT, verified by their KKT conditions, or none."""
 
 from dataclasses import replace
 
@@ -22,7 +22,7 @@ def problem(*changes):
 
 @pytest.fixture
 def asked(monkeypatch):
-    """What `NearOptimum` was asked and answered."""
+    """Requests and results of `ActiveSetSolver`."""
     calls = []
     own = ActiveSetSolver.solve
 

@@ -1,4 +1,4 @@
-"""What swings on after arrival: limited, minimised, and judged by the simulated arm."""
+"""Residual vibration: limited, minimised, and certified by elastic simulation."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ EXCESS = 5e-3
 
 @pytest.fixture(scope="module")
 def shortest(tmp_path_factory):
-    """Shortest motions of a swivel, by what may swing on."""
+    """Shortest motions of a swivel for limits on the residual vibration."""
 
     def solved(limits):
         folder = tmp_path_factory.mktemp("arm")
@@ -54,7 +54,7 @@ def shortest(tmp_path_factory):
         # A mode of 21 Hz.
         spring = Constant(name="spring", torque_max=60.0, stiffness=1500.0)
         problem = on_one_element(problem, spring)
-        # A motion that swings on leaves out what damping takes.
+        # Free vibration after arrival neglects damping.
         little = replace(problem.robot, damping=np.array([0.05]))
         problem = replace(problem, robot=little)
         return problem, solve(problem, simulate=True)
@@ -83,7 +83,7 @@ def test_limits_hold_on_the_simulated_arm(shortest, name, limit):
     problem, solution = shortest[name]
     assert solution.status.usable
     assert excess(solution, limit) <= EXCESS
-    # Judged by a simulation of its own, of what the files hold.
+    # Judged by an independent simulation of the files.
     assessment = solution.assessment
     arm = ElasticArm(problem.robot, assessment.position[0])
     command = MotorMotion(assessment.time, assessment.position, assessment.velocity)
@@ -145,7 +145,7 @@ def test_plan_ends_at_rest_without_optimum_with_vibration(shortest, monkeypatch)
 
 
 def test_residual_vibration_is_that_of_the_modes(shortest):
-    """Predicted by the free swing of the end state, within 10 % or 5 um of the simulated one."""
+    """Predicted from the end state, within 10 % or 5 um of the simulated one."""
     problem, solution = shortest["residual"]
     link = solution.trajectory.link
     end = np.array([link.duration])
@@ -161,7 +161,7 @@ def test_residual_vibration_is_that_of_the_modes(shortest):
 
 
 def test_residual_vibration_row_is_smooth():
-    """By one row that the sum of the sizes never exceeds, smooth where single modes rest."""
+    """One row bounds the sum of the amplitudes, smooth where single modes are at rest."""
     size = ca.SX.sym("size", 3)
     arrival = Arrival(tuple(size[k] ** 2 for k in range(3)), np.array([1.0, 2.0, 3.0]))
     allowed, after = 1e-4, 0.1
@@ -177,7 +177,7 @@ def test_residual_vibration_row_is_smooth():
             inside = float(value(middle * allowed * sizes)) <= row.upper
             low, high = (middle, high) if inside else (low, middle)
         left = np.sum(low * allowed * sizes * np.exp(-arrival.decays * after))
-        # What rounds it off at zero is 1 % of what is allowed.
+        # The rounding at zero is 1 % of the limit.
         assert left <= (1.01 * row.upper + 1e-2) * allowed
     one = np.array([allowed, 0.0, 0.0])
     # A mode that rests has no corner: the row bends as far as it is from the other's size.

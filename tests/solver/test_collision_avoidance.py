@@ -1,4 +1,4 @@
-"""Motions led around what they would meet: optima known in closed form, and what cannot be."""
+"""Collision avoidance: optima known in closed form, infeasible cases, interruptions."""
 
 import re
 import time

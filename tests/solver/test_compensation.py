@@ -1,4 +1,4 @@
-"""Commands that make the links do the plan: what they give, what they exceed, what is said."""
+"""Wind-up compensation: tool deviation on uncertain arms, exceeded limits, messages."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Problems of one programme: solved from one another, with the answer of a solve of their own."""
+"""Problem families: warm-started solves with the results of cold ones."""
 
 import io
 from dataclasses import replace

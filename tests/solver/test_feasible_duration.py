@@ -1,4 +1,4 @@
-"""What is said of a duration in which no motion was found."""
+"""Advice on a feasible duration where no motion was found."""
 
 import re
 from dataclasses import replace

@@ -52,7 +52,7 @@ def solved(path, matrix, right):
 
 
 def system(random, unknowns, equations, rows, width, dense=0):
-    """As of an interior-point method, in any order: unknowns, slacks, equations, rows."""
+    """Linear system of an interior-point method, in random order."""
 
     def windows(count):
         found = np.zeros((count, unknowns))
@@ -123,7 +123,7 @@ def test_singular_system_is_reported(made):
 
 
 def test_entries_between_rows_of_two_pairs_are_allowed(made):
-    # Two leaves whose rows meet: only one of them may go by itself.
+    # Two leaves whose rows meet: only one of them may be eliminated alone.
     matrix = np.diag([1.0, 0.0, 0.0, 2.0])
     for i, j in ((0, 1), (1, 2), (2, 3)):
         matrix[i, j] = matrix[j, i] = -1.0

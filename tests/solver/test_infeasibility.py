@@ -1,4 +1,4 @@
-"""Whether rows can hold together, and which cannot."""
+"""Infeasibility analysis: feasible rows, and the names of conflicting ones."""
 
 import casadi as ca
 import numpy as np
@@ -113,7 +113,7 @@ def test_small_excess_after_large_start_is_exact():
     found = minimise_excess(small(), np.array([1.0, 0.0]), np.ones(1))
     assert found.converged
     assert found.excess == pytest.approx(0.045, rel=0.02)
-    # By what is exceeded, not by what was left of it beside a large start.
+    # The excess itself, not its rounding beside a large start.
     assert [each.name for each in found.conflicts[:2]] == ["far", "near"]
 
 

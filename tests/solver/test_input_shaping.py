@@ -1,4 +1,4 @@
-"""Motions averaged over a swing of the lowest mode."""
+"""Input shaping: motions averaged over a period of the lowest mode."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Ctrl-C between the solver's own runs: what there is, is kept and said."""
+"""Ctrl-C between the solver's runs: the best result so far is kept and reported."""
 
 import json
 import signal
@@ -80,7 +80,7 @@ def test_command_interrupted_early_returns_a_motion(tmp_path, monkeypatch, capsy
         assert run(["solve", str(path), "--out", str(out), "--quiet"]) == 130
         assert capsys.readouterr().out.startswith("interrupted: Stopped by the user before")
         assert json.loads((out / "result.json").read_text())["status"] == "interrupted"
-        # What lies there already is better than a baseline.
+        # An earlier result is better than a baseline.
         earlier = {each.name: each.read_bytes() for each in out.iterdir() if each.is_file()}
         assert run(["solve", str(path), "--out", str(out), "--quiet"]) == 130
         assert "the earlier answer" in capsys.readouterr().err

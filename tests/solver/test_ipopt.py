@@ -1,4 +1,4 @@
-"""How solves end: limits, Ctrl-C, errors, and what is kept."""
+"""Ends of IPOPT solves: limits, Ctrl-C, errors, best iterate."""
 
 import os
 import signal

@@ -1,4 +1,4 @@
-"""When iterates that no longer move are an optimum: full steps alone say so."""
+"""Stationary iterates count as an optimum after full steps only."""
 
 import pytest
 
@@ -37,7 +37,7 @@ def test_moving_iterates_are_not_stationary():
 
 
 def test_shortened_step_after_full_ones_stays_stationary():
-    """As rounding makes the line search of a nearly vanishing vibration cut one."""
+    """Rounding shortens steps of a nearly vanishing vibration."""
     rested = _monitor([1e-2, 1e-2, *[1e-9] * 8], [3.0, 2.0, 1.0, *[1.0] * 8])
     assert rested.at_rest(1e-7, [1.0] * 9 + [0.5, 1.0])
     # Never five full steps in a row.

@@ -1,4 +1,4 @@
-"""What is taken where the last mesh has its rows drawn in between the nodes."""
+"""Refinement: back-off of rows between the nodes of the last mesh."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""Plans that are chosen for arms that are not as modelled, where an uncertainty is stated."""
+"""Robust plans, chosen for uncertain arms where an uncertainty is stated."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ DEVIATION = 'objective = "tool_deviation"'
 
 @pytest.fixture(scope="module")
 def problem(tmp_path_factory):
-    """A planar arm, nothing stated of what is uncertain."""
+    """A planar arm without stated uncertainties."""
     return load(tmp_path_factory.mktemp("arm"), minimise=DEVIATION)
 
 
@@ -123,7 +123,7 @@ def test_rms_objective_has_a_robust_plan(unsure):
 
 @pytest.fixture(scope="module")
 def averaged(problem):
-    """More may be given than the optimum averaged over most of a swing costs."""
+    """The price exceeds the cost of a motion averaged over most of a period."""
     generous = replace(problem, uncertainty=Uncertainty(price=1.0))
     return generous, solve(generous)
 

@@ -1,4 +1,4 @@
-"""Solutions on the elastic arm: what is simulated, counted, compared and said."""
+"""Elastic simulation of solutions and baselines: files, comparison, messages."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def test_only_the_motion_compared_with_is_said_to_be_excused(solved):
     other = next(name for name in ("toppra", "quintic") if name != counted)
 
     def excused(name):
-        """Whether the comparison excuses a baseline that exceeds a limit."""
+        """Return True where the comparison excuses a baseline that exceeds a limit."""
         baseline = solution.baselines[name]
         worst = replace(baseline.assessment.violations[0], value=1.0)
         assessment = replace(baseline.assessment, violations=(worst,))
@@ -117,7 +117,7 @@ def test_a_quintic_that_exceeds_a_limit_is_slowed_until_it_does_not(tmp_path):
     assert not quintic.feasible
     slowed = slowed_quintic(problem, motion)
     assert slowed.feasible(CERTIFICATE_TOLERANCE)
-    # Velocity alone binds, which goes with one over the duration.
+    # Only the velocity limit is active, which scales with one over the duration.
     excess = next(v.value for v in quintic.assessment.violations if v.limit == "velocity")
     assert slowed.duration == pytest.approx(
         0.5 * (1 + excess) / (1 + CERTIFICATE_TOLERANCE), rel=3e-3
@@ -147,7 +147,7 @@ def test_an_arm_that_cannot_be_simulated_keeps_its_solution_with_a_note(solved):
 def test_other_parts_of_the_deflection_are_simulated_too(part, tmp_path):
     force = "[tool]\nprocess_force = [5.0, 2.0, -20.0]"
     goal = f'objective = "{part}_deflection"\nmeasure = "rms"'
-    # Slow enough to be nearly what is planned quasi-statically.
+    # Slow enough to be nearly quasi-static.
     problem = replace(load(tmp_path, minimise=goal, extra=force), duration=(3.0, 3.0))
     solution = solve(problem, simulate=True)
     simulation = solution.simulation

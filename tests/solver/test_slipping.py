@@ -1,4 +1,4 @@
-"""A motion that makes a connection slip: told by name, with what it holds, and drawn."""
+"""A motion that makes a connection slip: name, slip torque, report."""
 
 import pytest
 from small_arms import load, on_one_element, small_flange

@@ -1,4 +1,4 @@
-"""Motions that are slow beside what the drives can do: scaled by themselves, lowered enough."""
+"""Motions slow beside the drive limits: scaling, sufficient objective."""
 
 import numpy as np
 import pytest

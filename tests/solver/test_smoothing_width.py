@@ -1,4 +1,4 @@
-"""Widths of the motors' law at the corners of a joint's stiffness."""
+"""Smoothing width of the motor law at kinks of a joint's stiffness."""
 
 from types import SimpleNamespace
 
@@ -13,7 +13,7 @@ from stiffopt.solver.smoothing_width import (
 
 @pytest.mark.parametrize("needed", [0.25, 1.7, 4.0])
 def test_smoothing_is_as_wide_as_the_jerk_limit_needs(needed):
-    # Jerk goes with one over the square of the width; a width stands for the motion here.
+    # Jerk is proportional to the inverse square of the width; a width represents the motion.
     def excess(width):
         return (needed / width) ** 2 - 1.0
 

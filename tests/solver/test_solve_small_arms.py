@@ -1,4 +1,4 @@
-"""From a problem file to a certified motion, on arms whose answers can be checked by hand."""
+"""Certified solutions of problem files, for arms whose optima can be checked by hand."""
 
 from dataclasses import replace
 
@@ -30,7 +30,7 @@ def violation(solution, limit):
 
 
 def test_least_acceleration_is_a_known_polynomial(tmp_path):
-    """From rest to rest with free acceleration, the least squared acceleration is 12 d^2 / T^3."""
+    """The least squared acceleration from rest to rest is 12 d^2 / T^3."""
     _, solution = solved(
         tmp_path,
         "swivel",
@@ -276,7 +276,7 @@ def test_too_short_a_duration_ends_with_the_limits_that_conflict(tmp_path):
     assert solution.solver.solve_s < 20
     assert "joint 1" in solution.message
     assert "longer duration" in solution.message
-    # What cannot hold is named by the limit, not only by its number.
+    # Conflicts are named by the limit, not only by number.
     assert "acceleration" in solution.message or "torque" in solution.message
     assert solution.status.exit_code == 3
 

@@ -1,4 +1,4 @@
-"""How fine meshes are reached."""
+"""Stages: meshes, smoothing and solver options."""
 
 from dataclasses import replace
 from pathlib import Path

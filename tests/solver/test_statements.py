@@ -1,4 +1,4 @@
-"""What a problem may ask for, and what is said when it asks for the impossible."""
+"""Problem statements: checks before solving, and messages of impossible ones."""
 
 from dataclasses import replace
 

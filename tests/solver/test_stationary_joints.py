@@ -1,4 +1,4 @@
-"""Joints that would creep stand still, where dry friction is part of what is minimised."""
+"""Creeping joints are fixed where dry friction is part of the objective."""
 
 import numpy as np
 import pytest
@@ -9,7 +9,7 @@ from stiffopt.result.status import SolveStatus
 from stiffopt.solver import refinement
 from stiffopt.solver.solve import solve
 
-# Nearly hanging: what holds the arm is less than its friction.
+# Nearly hanging: the holding torque is less than the friction.
 PIECES = {
     "start": "{ joints = [1.5, 0.0] }",
     "end": "{ joints = [1.6, 0.2] }",
@@ -38,7 +38,7 @@ def test_creeping_joints_are_fixed(creeping, monkeypatch):
     assert np.max(rests[0]) < 0.01
     assert np.min(rests[1]) > 0.3
     assert found.assessment.feasible(5e-3)
-    # What is left is said of friction, not of the mesh.
+    # The remaining gap is attributed to friction, not to the mesh.
     assert "joints creep" in before.message
     assert "between the nodes" not in before.message
 

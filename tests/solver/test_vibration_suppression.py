@@ -1,4 +1,4 @@
-"""Motors whose law has wide corners, changed so that the links do what is planned."""
+"""Residual vibration suppression of motors with a wide smoothing of their law."""
 
 import numpy as np
 import pytest
@@ -63,7 +63,7 @@ def test_links_are_nearer_to_their_plan_and_every_limit_holds(solved):
     # The plan of the links is the same.
     assert after.objective.value == pytest.approx(before.objective.value, rel=1e-9)
     plain, found, planned = swing(problem, before), swing(problem, after), after.objective.value
-    # To a third, or to what is near the plan already.
+    # To a third, or within the target deviation.
     assert found.peak_after < max(0.3 * plain.peak_after, 0.04 * planned)
     assert abs(found.peak - planned) <= abs(plain.peak - planned)
 
@@ -150,7 +150,7 @@ def test_second_change_follows_a_worse_first_one(monkeypatch):
 
     monkeypatch.setattr(vibration_suppression.SimulatedMotors, "of", Judged)
     monkeypatch.setattr(vibration_suppression, "change_motors", lambda *_: None)
-    # Past a corner the answer is not linear; what comes no nearer later ends it.
+    # Past a kink the response is not linear; later changes without gain end it.
     assert (
         vibration_suppression.suppress_vibration(None, None, None, CERTIFICATE_TOLERANCE).off
         == 0.095
@@ -255,7 +255,7 @@ def test_minimum_duration_reserves_drives_for_vibration_suppression(tmp_path):
 
 
 def test_quadratic_programme_with_flat_hessian_is_solved():
-    # A small swing costs little beside what the tool does in flight.
+    # A small vibration costs little beside the deviation in flight.
     rng = np.random.default_rng(4)
     turned, _ = np.linalg.qr(rng.normal(size=(60, 60)))
     hessian = turned * np.logspace(-3, 4, 60) @ turned.T

@@ -1,4 +1,4 @@
-"""Motors that are changed to calm their links still pass what the motion has to pass."""
+"""Vias are kept by motors changed for vibration suppression."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def problem(tmp_path_factory):
 
 
 def rows_of(problem, via, position):
-    """The rows of one via that is passed at 0.4 s, and what coefficients do there."""
+    """Rows of one via passed at 0.4 s, with the response to coefficients there."""
     splines, joints = _Splines(1.0), np.arange(problem.joints)
     now = SimpleNamespace(
         time=TIMES,

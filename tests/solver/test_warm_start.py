@@ -1,4 +1,4 @@
-"""A solve that begins from the motion of an earlier one."""
+"""Solves that start from the motion of an earlier one."""
 
 from __future__ import annotations
 
