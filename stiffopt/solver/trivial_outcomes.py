@@ -146,8 +146,8 @@ def interrupted_with_baseline(
     state = "It keeps all limits." if keeps else f"It exceeds {worst.describe()}."
     return Solution(
         status=SolveStatus.INTERRUPTED,
-        message="Stopped by the user before the optimiser had a motion. The result is the baseline "
-        f"{kept.name} motion. {state}",
+        message="Stopped by the user before the optimiser had a motion. The result is a baseline, "
+        f"the {kept.name} motion. {state}",
         trajectory=kept.trajectory,
         assessment=kept.assessment,
         objective=objective_value(problem, kept.assessment),

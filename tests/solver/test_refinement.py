@@ -40,7 +40,7 @@ def left_alone(problem, monkeypatch):
 def test_timed_out_correction_keeps_the_optimum(problem, coarse, monkeypatch):
     before = left_alone(problem, monkeypatch)
     assert before.status.usable
-    plain, calls = refinement.corrected, []
+    plain, calls = refinement.solve_correction, []
 
     def late(*given):
         calls.append(given)
@@ -106,7 +106,7 @@ def test_excess_hidden_by_smoothing_is_backed_off(tmp_path, coarse, monkeypatch)
     found, (_, outcome) = solve_with_state(stated)
     monkeypatch.setattr(refinement, "_CHECK_SMOOTHING_SHARE", 1.0)
     rounded, (_, before) = solve_with_state(stated)
-    assert before.objective_gap > refinement.TRUE_OBJECTIVE
+    assert before.objective_gap > refinement.MAX_OBJECTIVE_GAP
     assert outcome.objective_gap < 0.3 * before.objective_gap
     assert found.objective.value < rounded.objective.value
     assert found.assessment.feasible(CERTIFICATE_TOLERANCE)
