@@ -106,7 +106,7 @@ def slowed_quintic(problem: TrajectoryProblem, motion: ResolvedMotion) -> Assess
 
 
 def strict_baseline(
-    problem: TrajectoryProblem, motion: ResolvedMotion, beside: dict[str, Baseline]
+    problem: TrajectoryProblem, motion: ResolvedMotion, compared: dict[str, Baseline]
 ) -> Baseline | None:
     """Return the best baseline that meets every limit, also those its method cannot handle.
 
@@ -115,7 +115,7 @@ def strict_baseline(
     """
     kept = {
         name: b
-        for name, b in beside.items()
+        for name, b in compared.items()
         if b.feasible and b.assessment is not None and b.assessment.feasible(CERTIFICATE_TOLERANCE)
     }
     best = better_baseline(problem, kept)
@@ -137,9 +137,9 @@ def strict_baseline(
     )
 
 
-def better_baseline(problem: TrajectoryProblem, beside: dict[str, Baseline]) -> Baseline | None:
+def better_baseline(problem: TrajectoryProblem, compared: dict[str, Baseline]) -> Baseline | None:
     """Return the feasible baseline with the better objective, None if neither is feasible."""
-    feasible = [b for b in beside.values() if b.feasible and b.objective is not None]
+    feasible = [b for b in compared.values() if b.feasible and b.objective is not None]
     sign = -1.0 if is_maximised(problem) else 1.0
     return min(feasible, key=lambda b: sign * (b.objective or 0.0), default=None)
 

@@ -63,7 +63,7 @@ class PathLimits:
         slope = np.where(loading, self.loss / (2.0 * point), self.loss / chord)
         return a, b + slope, c + np.where(loading, self.loss * point / 2.0, 0.0)
 
-    def standing_still(self) -> str:
+    def violation_at_rest(self) -> str:
         """Return a sentence on the limit exceeded most at rest on the path, or ""."""
         c = self.rows[2]
         worst = np.unravel_index(int(np.argmax(c)), c.shape)

@@ -99,7 +99,7 @@ def toppra_baseline(
     force = np.asarray(process_force, dtype=float)
     grid = _path_grid(path.knots, intervals)
     rows = path_limits(robot, limits, path, grid, force)
-    still = rows.standing_still()
+    still = rows.violation_at_rest()
     if still:
         return _missing_baseline(f"No motion keeps the limits on this path. {still}")
     law = _fastest_law(rows, path.joints, eased=eased)

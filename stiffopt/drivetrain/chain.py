@@ -50,14 +50,14 @@ class Stage:
         return self.ratio * self.efficiency
 
     @property
-    def counts(self) -> float:
+    def windup_factor(self) -> float:
         """Wind-up of the joint for a unit of the element's wind-up [-]."""
         return 1.0 / self.ratio if self.reflect else self.reduction
 
     def windup(self, torque: Quantity, preloads: Preloads, smoothing: Quantity) -> Quantity:
         """Wind-up at the joint [rad] for the joint torque [N m] that flows through this stage."""
         own = torque / self.reduction
-        return self.counts * self.element.windup(
+        return self.windup_factor * self.element.windup(
             own, preload=self._select_preload(preloads), smoothing=smoothing
         )
 
@@ -69,7 +69,7 @@ class Stage:
         slope = self.element.tangent_compliance(
             own, preload=self._select_preload(preloads), smoothing=smoothing
         )
-        return self.counts / self.reduction * slope
+        return self.windup_factor / self.reduction * slope
 
     def secant_compliance(
         self, torque: Quantity, preloads: Preloads, smoothing: Quantity
@@ -79,7 +79,7 @@ class Stage:
         stiffness = self.element.secant_stiffness(
             own, preload=self._select_preload(preloads), smoothing=smoothing
         )
-        return self.counts / self.reduction / stiffness
+        return self.windup_factor / self.reduction / stiffness
 
     def slip_torque(self, preloads: Preloads = None) -> float:
         """Joint torque at which this stage alone would slip [N m]."""

@@ -91,13 +91,13 @@ def solve_pose(
     start = np.clip(start, search.lower, search.upper)
     best, error = search.descend(start, tolerance)
     if error <= tolerance:
-        return search.unwound(best, start)
+        return search.nearest_turns(best, start)
     rng = np.random.default_rng(seed)
     found: list[np.ndarray] = []
     for _ in range(restarts):
         angles, left = search.descend(rng.uniform(search.lower, search.upper), tolerance)
         if left <= tolerance:
-            found.append(search.unwound(angles, start))
+            found.append(search.nearest_turns(angles, start))
         elif left < error:
             best, error = angles, left
         # Eight suffice: each start ends in one of few branches.
@@ -193,7 +193,7 @@ class _Search:
     def _blocked_by_limits(self, q: np.ndarray, pull: np.ndarray) -> np.ndarray:
         return np.asarray(((q <= self.lower) & (pull < 0)) | ((q >= self.upper) & (pull > 0)))
 
-    def stopped(self, q: np.ndarray) -> np.ndarray:
+    def limiting_joints(self, q: np.ndarray) -> np.ndarray:
         """Return the joints whose limit stops the search."""
         jacobian, error = self.jacobian(q), self.error(q)
         pull = jacobian.T @ error
@@ -201,7 +201,7 @@ class _Search:
         strong = np.abs(pull) > 1e-3 * np.linalg.norm(jacobian, axis=0) * np.linalg.norm(error)
         return np.flatnonzero(self._blocked_by_limits(q, pull) & strong)
 
-    def unwound(self, q: np.ndarray, near: np.ndarray) -> np.ndarray:
+    def nearest_turns(self, q: np.ndarray, near: np.ndarray) -> np.ndarray:
         """Move each angle by full turns towards `near`, inside the limits: the same pose."""
         turns = np.where(self.turning, np.round((near - q) / (2.0 * np.pi)), 0.0)
         moved = q + 2.0 * np.pi * turns
@@ -232,7 +232,7 @@ def _unreachable_error(robot: Robot, search: _Search, q: np.ndarray) -> Unreacha
         reached += f" and turned by {np.degrees(angle):.3g} deg"
     stops = [
         f"{robot.joint_names[j]} at its {side} limit {q[j]:.4g}"
-        for j in search.stopped(q)
+        for j in search.limiting_joints(q)
         for side in ("lower" if q[j] <= search.lower[j] else "upper",)
     ]
     cause = (

@@ -136,7 +136,9 @@ class PreloadModel:
         if least > 0.0:
             stage = element.stage
             torque = np.array([float(steps.loads.torque.max()) * stage.reduction])
-            windup = float(stage_windup(stage, torque, {element.name: least})[0]) / stage.counts
+            windup = (
+                float(stage_windup(stage, torque, {element.name: least})[0]) / stage.windup_factor
+            )
             shift = windup * flange.circle_diameter / 2
         rows = vdi_rows(steps, largest, shift, least)
         return tuple(replace(row, joint=element.joint, element=element.key) for row in rows)

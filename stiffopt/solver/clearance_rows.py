@@ -32,7 +32,7 @@ _NEAR_COUPLE_ARM_SHARE = 0.02
 # Scale of the rows [m], and violation of the clearance that is tolerated [m].
 _ROW_SCALE = 0.1
 _CLEARANCE_TOLERANCE = 1e-6
-# Of one plane: support points of the solid beyond this number are left to the certificate.
+# Rows of one plane at one node; further support points of a solid get none.
 _MAX_ROWS_PER_NODE = 6
 
 # Number of a couple and of an interval.
@@ -45,17 +45,17 @@ class ClearanceRows:
     Parameters
     ----------
     problem : TrajectoryProblem
-    met : collection of pairs
+    collided : collection of pairs
         Pairs that have collided: they get rows in every interval, others where they are near.
     """
 
-    def __init__(self, problem: TrajectoryProblem, met: Collection[tuple[str, str]]) -> None:
+    def __init__(self, problem: TrajectoryProblem, collided: Collection[tuple[str, str]]) -> None:
         self.problem = problem
         self.model = problem.clearance_model
         self._planes = SeparatingPlanes(self.model)
         # Of each pair, beyond the stated clearance [m].
         self._extra_clearance = np.zeros(len(self.model.pairs))
-        pairs = {self.model.pairs.index(pair) for pair in met}
+        pairs = {self.model.pairs.index(pair) for pair in collided}
         self._couples_everywhere = {
             k for k, pair in enumerate(self.model.pair_of) if int(pair) in pairs
         }
@@ -63,12 +63,12 @@ class ClearanceRows:
         self._base_transcription: Transcription | None = None
         self._functions: dict[tuple[int, int], ca.Function] = {}
 
-    def added(self, plain: Transcription, x: np.ndarray) -> Transcription:
+    def add_rows(self, plain: Transcription, x: np.ndarray) -> Transcription:
         """Return the transcription with rows for all couples near at the NLP vector `x`."""
         self._base_transcription, self._active_places = plain, set()
         return self._add_clearance_rows(x)
 
-    def updated(self, made: Transcription, x: np.ndarray) -> tuple[Transcription, bool]:
+    def update_planes(self, made: Transcription, x: np.ndarray) -> tuple[Transcription, bool]:
         """Return the rows updated at `x`, and True where their structure is that of `made`."""
         assert self._base_transcription is not None
         before = set(self._active_places)
@@ -86,16 +86,16 @@ class ClearanceRows:
         self._couples_everywhere |= new
         return bool(new)
 
-    def restarted_at(self, x: np.ndarray) -> Transcription:
-        """Return the rows as of `added` at another vector, with couples that collided since."""
+    def rows_at(self, x: np.ndarray) -> Transcription:
+        """Return the rows as of `add_rows` at another vector, with couples that collided since."""
         return self._add_clearance_rows(x)
 
-    def widen(self, pair: tuple[str, str], by: float) -> None:
+    def increase_clearance(self, pair: tuple[str, str], by: float) -> None:
         """Increase the clearance of a pair [m], for the motion's curvature between nodes."""
         self._extra_clearance[self.model.pairs.index(pair)] += by
 
     @property
-    def rows_before(self) -> int:
+    def base_row_count(self) -> int:
         """Number of rows of the programme without clearances."""
         assert self._base_transcription is not None
         return len(self._base_transcription.nlp.lower_g)

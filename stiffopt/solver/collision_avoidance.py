@@ -152,7 +152,7 @@ def _candidate_starts(
         run.detour = run.detour or detour
         guess = guess_from_motion(problem, run.motion, detour.assessment)
         yield _CollisionFreeStart(
-            plan_stages(problem, problem.method.intervals, run.corners), guess
+            plan_stages(problem, problem.method.intervals, run.motor_smoothing), guess
         )
 
 
@@ -187,7 +187,7 @@ def _solve_clear(run: SolveRun, start: _CollisionFreeStart, rival: Baseline | No
             assert hit.pair is not None
             assert hit.distance is not None
             missing = run.problem.stated_cell.clearance - hit.distance
-            avoidance.widen(
+            avoidance.increase_clearance(
                 hit.pair,
                 min(
                     _CLEARANCE_INCREASE_FACTOR * missing + _MIN_CLEARANCE_INCREASE,
@@ -212,11 +212,11 @@ def _update_planes(run: SolveRun, avoidance: ClearanceRows, found: Outcome) -> O
     for _ in range(_MAX_PLANE_UPDATES):
         if not _is_certified_and_clear(run, found) or not found.raw.converged:
             break
-        transcription, same = avoidance.updated(found.transcription, found.raw.x)
+        transcription, same = avoidance.update_planes(found.transcription, found.raw.x)
         if not same:
             break
         corrected, anew = found.solver.nlp, transcription.nlp
-        own = avoidance.rows_before
+        own = avoidance.base_row_count
         nlp = replace(
             anew,
             lower_g=np.append(corrected.lower_g[:own], anew.lower_g[own:]),

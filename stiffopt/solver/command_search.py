@@ -19,7 +19,7 @@ from stiffopt.elastic.uncertainty import Departure, bounded, corners, draws, one
 from stiffopt.problem.motor_model import LEADS_MORE, MotorLaw, law_smoothing
 from stiffopt.result.compensation import CompensatedMotion, Spread, Spreads
 from stiffopt.result.trajectory import JointMotion, Trajectory
-from stiffopt.solver.smoothing_width import motors_with_sufficient_smoothing
+from stiffopt.solver.smoothing_width import KNOT_SPACINGS, motors_with_sufficient_smoothing
 
 if TYPE_CHECKING:
     from stiffopt.elastic.arm import ElasticArm
@@ -30,9 +30,8 @@ if TYPE_CHECKING:
     from stiffopt.result.simulation import SimulatedMotion
     from stiffopt.solver.simulation import PlannedMotion
 
-# Candidates: knot spacings of the splines [s], and shares of the nominal wind-up. A plan chosen for
-# uncertain arms reserves drive capacity for the second share (`LEADS_MORE`).
-_KNOT_SPACINGS = (0.005, 0.01, 0.02, 0.04)
+# Shares of the nominal wind-up that are tried; a plan chosen for uncertain arms reserves drive
+# capacity for the second one (`LEADS_MORE`).
 _WINDUP_SHARES = (1.0, 1.0 + LEADS_MORE, 1.06, 1.09)
 # Samples at which candidates are judged; the chosen one is judged on the certificate's grid.
 _TRIAL_SAMPLES = 1001
@@ -272,7 +271,7 @@ class CommandSearch:
         if planned is not None and planned.link is not None:
             # At a limit the planned motion cannot lead by more; a smoother spline may.
             own = [_Lead(planned.link, planned, None)]
-        links = [(smooth_motion(self._plan, each), each) for each in _KNOT_SPACINGS]
+        links = [(smooth_motion(self._plan, each), each) for each in KNOT_SPACINGS]
         smoothing = law_smoothing(self._problem)
         splines = [
             _Lead(

@@ -162,9 +162,9 @@ class ProblemFamily:
         if warm is not None and warm.method == _method_key(problem) and not start:
             run, outcome = self._solve_warm(problem, warm, progress)
             if outcome is not None:
-                beside = baselines(problem, run.motion) if compare else {}
+                compared = baselines(problem, run.motion) if compare else {}
                 notes = preliminary_notes(problem, run.motion)
-                solution = solution_of(run, outcome, beside, notes, compare=compare)
+                solution = solution_of(run, outcome, compared, notes, compare=compare)
                 return solution, _warm_start_of(run, outcome)
         solution, kept = solve_with_state(problem, progress=progress, start=start, compare=compare)
         if kept is None or problem.plans_links or start or not solution.status.usable:

@@ -102,15 +102,15 @@ def _solve_relaxed(
     slack = relaxed.unscaled(np.maximum(raw.x[n:], 0.0))
     multipliers = array_of(relaxed.selection.T @ ca.DM(raw.multipliers_g)).ravel()
     g, _ = nlp.derivatives["jac_g"](raw.x[:n], nlp.parameters(parameters))
-    named = relaxed.named(nlp.violations(array_of(g)), slack)
-    known = {(entry.name, entry.label) for entry in named}
+    violated_entries = relaxed.violated_entries(nlp.violations(array_of(g)), slack)
+    known = {(entry.name, entry.label) for entry in violated_entries}
     held = nlp.conflicts(raw.multipliers_x[:n], multipliers)
-    named += [entry for entry in held if (entry.name, entry.label) not in known]
+    violated_entries += [entry for entry in held if (entry.name, entry.label) not in known]
     return LeastExcess(
         x=raw.x[:n],
         excess=float(slack.sum()),
         converged=raw.converged,
-        conflicts=named,
+        conflicts=violated_entries,
         status=raw.status,
         iterations=raw.iterations,
     )
@@ -207,7 +207,7 @@ class _RelaxedProgramme:
         np.maximum.at(found, self._slack_groups[free], excess[free])
         return found
 
-    def named(self, excess: np.ndarray, slack: np.ndarray) -> list[NlpEntry]:
+    def violated_entries(self, excess: np.ndarray, slack: np.ndarray) -> list[NlpEntry]:
         """Return the violated rows, worst group first, each at its worst place."""
         found = []
         for group in np.argsort(-slack):

@@ -13,23 +13,24 @@ from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.result.assessment import Assessment
 from stiffopt.result.joint_path import JointPath
 from stiffopt.result.solution import Baseline
+from stiffopt.solver.stage_plan import PATH_SAMPLES
 from stiffopt.transcription.ocp import Guess
 
 # Intervals of a smoothed guess, and duration over the averaging window.
 _SMOOTHED_INTERVALS = 2000
 _WINDOWS_PER_DURATION = 25
-# Location of a motion on a path: samples of the path, then projections onto its tangent.
-_PATH_SAMPLES, _TANGENT_PROJECTIONS = 20001, 3
+# Projections onto the path's tangent after a motion is located on its samples.
+_TANGENT_PROJECTIONS = 3
 # Random perturbations: standard deviation of the detour [rad], of the timing's skew on a path [-],
 # and range of the skew within which no motion reverses.
 _DETOUR_DEVIATION, _TIMING_SKEW_DEVIATION, _TIMING_SKEW_RANGE = 0.2, 0.4, (-0.9, 0.9)
 
 
 def initial_guess(
-    problem: TrajectoryProblem, motion: ResolvedMotion, beside: dict[str, Baseline]
+    problem: TrajectoryProblem, motion: ResolvedMotion, compared: dict[str, Baseline]
 ) -> Guess:
     """Return the motion of the first baseline that exists, toppra's or the quintic one."""
-    source = next(b.assessment for b in (beside["toppra"], beside["quintic"]) if b.assessment)
+    source = next(b.assessment for b in (compared["toppra"], compared["quintic"]) if b.assessment)
     return guess_from_motion(problem, motion, source)
 
 
@@ -149,7 +150,7 @@ def _time_law(path: JointPath, source: Assessment) -> tuple[np.ndarray, np.ndarr
     Arc length locates the piece, so that a self-intersecting path is followed in order; projection
     onto the tangent corrects the chord error of the arc length.
     """
-    dense = np.linspace(0.0, 1.0, _PATH_SAMPLES)
+    dense = np.linspace(0.0, 1.0, PATH_SAMPLES)
     covered, length = _arc_length(source.position), _arc_length(path(dense))
     s = np.interp(covered / covered[-1], length / length[-1], dense)
     for _ in range(_TANGENT_PROJECTIONS):

@@ -42,11 +42,13 @@ from stiffopt.result.provenance import inputs_hash
 from stiffopt.result.solution import Baseline, Solution
 from stiffopt.result.status import SolveStatus
 from stiffopt.result.trajectory import JointMotion, Trajectory
-from stiffopt.solver.smoothing_width import motors_with_sufficient_smoothing
+from stiffopt.solver.smoothing_width import (
+    KINK_EXCESS,
+    KNOT_SPACINGS,
+    motors_with_sufficient_smoothing,
+)
 from stiffopt.solver.solve_run import MIN_SOLVE_TIME
 
-# Knot spacings of the splines that smooth the averaged motion [s], tried in order.
-_KNOT_SPACINGS = (0.005, 0.01, 0.02, 0.04)
 # Samples of the motion that is averaged.
 _AVERAGING_SAMPLES = 8001
 _MAX_BACK_OFF_ROUNDS = 5
@@ -65,8 +67,6 @@ _WINDOWS_FOR_ARMS = (
     (0.5, "half a period"),
 )
 _COST_SAFETY_FACTOR = 1.6
-# A larger motor excess comes from passing a kink of a joint's stiffness fast.
-_KINK_EXCESS = 0.25
 
 Solve = Callable[[TrajectoryProblem], Solution]
 Window = tuple[float, str]
@@ -75,7 +75,7 @@ Window = tuple[float, str]
 def solve_shaped(
     problem: TrajectoryProblem,
     motion: ResolvedMotion,
-    beside: dict[str, Baseline],
+    compared: dict[str, Baseline],
     notes: tuple[str, ...],
     solve: Solve,
     windows: Sequence[Window] = _DEFAULT_WINDOWS,
@@ -87,7 +87,7 @@ def solve_shaped(
     problem : TrajectoryProblem
         Of fixed duration.
     motion : ResolvedMotion
-    beside : dict
+    compared : dict
         Its baselines.
     notes : tuple of str
     solve : callable
@@ -101,13 +101,13 @@ def solve_shaped(
     ProblemError
         No time is left beside the shortest window.
     """
-    swing = _lowest_mode_period(problem, motion)
-    strict = strict_baseline(problem, motion, beside)
+    period = _lowest_mode_period(problem, motion)
+    strict = strict_baseline(problem, motion, compared)
     rival = None if strict is None or not strict.feasible else strict.assessment
     clock = _TimedSolver(solve, time.perf_counter() + problem.method.time_limit)
     kept: tuple[Solution, tuple[Trajectory, Assessment] | None, str] | None = None
     for share, named in windows:
-        window = share * swing
+        window = share * period
         over = f"{1e3 * window:.0f} ms, {named}"
         inner = _shortened_problem(problem, motion, window)
         if inner is None:
@@ -126,7 +126,7 @@ def solve_shaped(
     found, shaped, over = kept
     solution = replace(
         found,
-        baselines=beside,
+        baselines=compared,
         notes=(
             *dict.fromkeys((*notes, *found.notes)),
             f"Averaged over {over} of the arm's lowest mode.",
@@ -150,7 +150,7 @@ def solve_shaped(
             "duration, or minimise tool_deviation."
         )
     value = objective_value(problem, assessment)
-    better = better_baseline(problem, beside)
+    better = better_baseline(problem, compared)
     return replace(
         solution,
         status=status,
@@ -171,12 +171,12 @@ def windows_for_arms(
 
     The estimate scales the objective with the inverse square of the remaining duration.
     """
-    swing, duration = _lowest_mode_period(problem, motion), problem.duration[0]
+    period, duration = _lowest_mode_period(problem, motion), problem.duration[0]
     return tuple(
         (share, named)
         for share, named in _WINDOWS_FOR_ARMS
-        if share * swing < duration
-        and _COST_SAFETY_FACTOR * ((1.0 - share * swing / duration) ** -2 - 1.0) <= price
+        if share * period < duration
+        and _COST_SAFETY_FACTOR * ((1.0 - share * period / duration) ** -2 - 1.0) <= price
     )
 
 
@@ -234,7 +234,7 @@ def _solve_averaged(
         shaped = _shape_motion(problem, found, window)
     if shaped is not None and not shaped[1].feasible(CERTIFICATE_TOLERANCE):
         # A wider smoothing of the motor law may remove an excess that back-off has not.
-        shaped = _shape_motion(problem, found, window, corner=CERTIFICATE_TOLERANCE)
+        shaped = _shape_motion(problem, found, window, kink_excess=CERTIFICATE_TOLERANCE)
     return found, shaped
 
 
@@ -301,11 +301,11 @@ def _shortened_problem(
 
 
 def _shape_motion(
-    problem: TrajectoryProblem, found: Solution, swing: float, corner: float = _KINK_EXCESS
+    problem: TrajectoryProblem, found: Solution, window: float, kink_excess: float = KINK_EXCESS
 ) -> tuple[Trajectory, Assessment] | None:
     """Return the motion of motors that lead the averaged links, and its certificate.
 
-    The smoothing of the motor law is widened where a motor limit is exceeded by more than `corner`.
+    The motor law is smoothed wider where a motor limit is exceeded by more than `kink_excess`.
     """
     if found.trajectory is None:
         return None
@@ -313,12 +313,12 @@ def _shape_motion(
     def motor_excess(motors: Trajectory) -> float:
         return max(each.value for each in drive_violations(problem, motors))
 
-    averaged, tried = AveragedMotion(found.trajectory, swing), []
+    averaged, tried = AveragedMotion(found.trajectory, window), []
     law = MotorLaw(problem.robot, problem.process_force)
-    for spacing in _KNOT_SPACINGS:
+    for spacing in KNOT_SPACINGS:
         link = smooth_motion(averaged, spacing)
         motors = motors_with_sufficient_smoothing(
-            functools.partial(law.motion, link), motor_excess, WINDUP_SMOOTHING[-1], corner
+            functools.partial(law.motion, link), motor_excess, WINDUP_SMOOTHING[-1], kink_excess
         )
         tried.append((motors, with_collisions(problem, assess(problem, motors))))
         if tried[-1][1].feasible(CERTIFICATE_TOLERANCE):
@@ -387,24 +387,26 @@ class AveragedMotion:
     Parameters
     ----------
     motion : JointMotion
-    swing : float
+    window : float
         Averaging window [s].
     """
 
     motion: JointMotion
-    swing: float
+    window: float
 
     @property
     def duration(self) -> float:
         """Duration [s]."""
-        return self.motion.duration + self.swing
+        return self.motion.duration + self.window
 
     def __call__(self, t: np.ndarray, order: int = 0) -> np.ndarray:
         """Return positions (K, n) at times (K,); derivatives are not available."""
         if order:
             raise ValueError("only the position of an averaged motion is known")
-        travelled = self._position_integral(t) - self._position_integral(np.asarray(t) - self.swing)
-        return np.asarray(travelled / self.swing)
+        travelled = self._position_integral(t) - self._position_integral(
+            np.asarray(t) - self.window
+        )
+        return np.asarray(travelled / self.window)
 
     def _position_integral(self, t: np.ndarray) -> np.ndarray:
         """Return the integral of the position from the start (K, n), at rest outside the motion."""

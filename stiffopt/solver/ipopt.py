@@ -13,7 +13,7 @@ import numpy as np
 from stiffopt.errors import InputError
 from stiffopt.interrupts import handled
 from stiffopt.solver import frontal
-from stiffopt.solver.monitor import Iterate, Monitor, Progress
+from stiffopt.solver.monitor import FEASIBLE_VIOLATION, Iterate, Monitor, Progress
 from stiffopt.symbolic import array_of
 from stiffopt.transcription.nlp import Nlp, NlpEntry, RowViolation
 
@@ -28,9 +28,6 @@ _STATUS_BY_RETURN_STATUS = {
     "Maximum_WallTime_Exceeded": "time_limit",
     "Invalid_Number_Detected": "invalid_number",
 }
-
-# Excess of a row, relative to its scale, up to which an iterate counts as feasible.
-FEASIBLE_VIOLATION = 1e-6
 
 # Largest step of a stationary iterate, over the tolerance.
 _STATIONARY_STEP_FACTOR = 10.0
@@ -281,7 +278,7 @@ class IpoptSolver:
         if status == "acceptable":
             # The residual gradient is rounding along stiff directions: full steps change nothing.
             lengths = solver.stats()["iterations"]["alpha_pr"]
-            if monitor.at_rest(_STATIONARY_STEP_FACTOR * self.options.tol, lengths):
+            if monitor.is_stationary(_STATIONARY_STEP_FACTOR * self.options.tol, lengths):
                 status = "optimal"
         last = self._last_iterate(outputs)
         best = last if status in ("optimal", "acceptable") else (monitor.best or last)

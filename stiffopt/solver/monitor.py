@@ -140,7 +140,7 @@ class Monitor(ca.Callback):
             self.stopped_by = "overtaken"
         return float(bool(self.stopped_by))
 
-    def at_rest(self, tolerance: float, lengths: Sequence[float]) -> bool:
+    def is_stationary(self, tolerance: float, lengths: Sequence[float]) -> bool:
         """Return True where the last iterates are feasible and stationary under full steps.
 
         Later steps that the line search shortened because of rounding do not matter as long as the

@@ -23,6 +23,7 @@ from stiffopt.result.assessment import Assessment, Violation
 from stiffopt.result.solution import Baseline
 from stiffopt.solver.ipopt import RawSolution
 from stiffopt.solver.smoothing_width import (
+    KINK_EXCESS,
     MAX_REMAINING_EXCESS,
     TOLERABLE_KINK_EXCESS,
     narrowest_sufficient_width,
@@ -71,9 +72,6 @@ _CHECK_SMOOTHING_SHARE = 0.1
 # Shares of the motor law's smoothing widths, tried when all limits hold: at half of it the residual
 # vibration is that of the exact law.
 _SHARPER_LAW_SHARES = (0.5, 0.6, 0.7, 0.8, 0.9)
-# An excess that is still larger after a correction comes from a kink of a joint's stiffness passed
-# too fast: the motor law's smoothing is widened.
-_KINK_EXCESS = 0.25
 # Excess that no correction removes: the smoothing is widened before the first one.
 _SPIKE_EXCESS = 4.0
 
@@ -240,7 +238,8 @@ def _back_off_rows(run: SolveRun, outcome: Outcome, nlp: Nlp) -> tuple[Outcome, 
                 worst = max(excess.values(), default=0.0)
                 if not _needs_correction(outcome, excess):
                     break
-                if worst > (_KINK_EXCESS if attempt > 1 else _SPIKE_EXCESS):
+                # A large excess that a correction has not removed comes from a kink.
+                if worst > (KINK_EXCESS if attempt > 1 else _SPIKE_EXCESS):
                     smoothing = replace(smoothing, corners=_widen_motor_smoothing(run, outcome))
                 rows = rows or PointFunction(exact_path_rows(run.problem, run.motion, run.scales))
                 bends = _CHECK_SMOOTHING_SHARE if outcome.objective_gap > MAX_OBJECTIVE_GAP else 1.0
@@ -331,7 +330,7 @@ def _same_bounds(one: Nlp, other: Nlp) -> bool:
 def _is_conclusive(excess: Excess) -> bool:
     """Return True where limits are clearly exceeded, and not because of a kink of the motor law."""
     worst = max((v for name, v in excess.largest.items() if name in LIMITS), default=0.0)
-    return 2.0 * _TARGET_EXCESS < worst <= _KINK_EXCESS
+    return 2.0 * _TARGET_EXCESS < worst <= KINK_EXCESS
 
 
 def mark_interrupted(outcome: Outcome) -> Outcome:

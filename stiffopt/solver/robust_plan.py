@@ -36,7 +36,7 @@ from stiffopt.transcription.nlp import Nlp
 # Shares by which the peak may grow at the nodes and on the fine grid; less where stated.
 _MAX_NODE_COST, _MAX_CERTIFIED_COST = 7e-3, 1e-2
 
-ShapedOver = Callable[[tuple[Window, ...]], Solution]
+SolveShaped = Callable[[tuple[Window, ...]], Solution]
 
 
 def robust_plan(run: SolveRun, outcome: Outcome) -> Outcome:
@@ -87,8 +87,8 @@ def _cap_objective(outcome: Outcome, nlp: Nlp, price: float) -> Nlp:
     return replace(nlp, upper_x=upper)
 
 
-def shaped_for_arms(
-    run: SolveRun, solution: Solution, least: Outcome, shaped: ShapedOver
+def choose_shaped_motion(
+    run: SolveRun, solution: Solution, least: Outcome, shaped: SolveShaped
 ) -> Solution:
     """Return the solution, or a shaped motion that gains more on the worst arm than it costs.
 

@@ -16,6 +16,10 @@ _MAX_DOUBLINGS = 7
 MAX_REMAINING_EXCESS = 0.75
 # Excess that a solve removes by passing kinks slightly slower.
 TOLERABLE_KINK_EXCESS = 1.0
+# Excess above which it comes from passing a kink of a joint's stiffness too fast.
+KINK_EXCESS = 0.25
+# Knot spacings of the splines that smooth a motion of the links [s], tried in order.
+KNOT_SPACINGS = (0.005, 0.01, 0.02, 0.04)
 # Share of the last width that is tried as well: narrower, with less residual vibration.
 _INTERMEDIATE_WIDTH = 0.7
 

@@ -41,7 +41,7 @@ from stiffopt.solver.collision_avoidance import avoid_collisions
 from stiffopt.solver.initial_guess import guess_from_motion, initial_guess, perturb_guess
 from stiffopt.solver.input_shaping import Window, solve_shaped
 from stiffopt.solver.refinement import mark_interrupted, rank_outcome, refine
-from stiffopt.solver.robust_plan import robust_plan, shaped_for_arms
+from stiffopt.solver.robust_plan import choose_shaped_motion, robust_plan
 from stiffopt.solver.simulation import check_simulation, with_simulation
 from stiffopt.solver.solve_run import MIN_SOLVE_TIME, ProgressCallback, SolveRun
 from stiffopt.solver.stage_plan import plan_stages
@@ -154,50 +154,50 @@ def solve_with_state(
     # Uses the tables of the simulation.
     if simulate and (soft := questionable_springs(problem.robot, motion.start)):
         notes = (*notes, soft)
-    beside = baselines(problem, motion)
+    compared = baselines(problem, motion)
     run = SolveRun(
-        problem, motion, _objective_scales(problem, beside), progress, beside.get("quintic")
+        problem, motion, _objective_scales(problem, compared), progress, compared.get("quintic")
     )
     needed, why = shortest_duration(problem, motion)
     kept = None
     if problem.duration[1] < needed:
-        solution = infeasible_solution(run, beside, notes, why)
+        solution = infeasible_solution(run, compared, notes, why)
     elif problem.is_shaped:
         inner = functools.partial(solve, progress=progress, guess=guess, throw=False)
-        solution = solve_shaped(problem, motion, beside, notes, inner)
-    elif (pinned := baseline_at_bound(run, beside)) is not None and not start:
-        solution = baseline_as_optimum(run, beside, notes, pinned[0], explain_bound(pinned[1]))
+        solution = solve_shaped(problem, motion, compared, notes, inner)
+    elif (pinned := baseline_at_bound(run, compared)) is not None and not start:
+        solution = baseline_as_optimum(run, compared, notes, pinned[0], explain_bound(pinned[1]))
     else:
-        rival = better_baseline(problem, beside)
+        rival = better_baseline(problem, compared)
         try:
             delivered()
-            begin = _select_guess(problem, motion, beside, guess)
+            begin = _select_guess(problem, motion, compared, guess)
             if start:
                 random = np.random.default_rng([problem.method.seed, start])
                 begin = perturb_guess(begin, problem, random)
             outcome = _best_of_starts(run, begin, rival)
-            rivals = _all_rivals(beside, _strict_baseline_of(run, beside) if compare else None)
+            rivals = _all_rivals(compared, _strict_baseline_of(run, compared) if compare else None)
             outcome = _restart_from_better_baseline(run, outcome, rivals, rival)
             kept = (run, outcome)
             if problem.avoids_collisions:
                 outcome = avoid_collisions(run, outcome, rival, searches=problem.method.starts)
                 # Clearance rows hold for this motion only: no warm start from there.
                 kept = None if run.avoidance else (run, outcome)
-                beside |= {} if run.detour is None else {run.detour.name: run.detour}
-            if (fastest := fastest_on_path(problem, outcome, beside)) is not None:
+                compared |= {} if run.detour is None else {run.detour.name: run.detour}
+            if (fastest := fastest_on_path(problem, outcome, compared)) is not None:
                 solution, kept = (
-                    baseline_as_optimum(run, beside, notes, fastest, FASTEST_ON_PATH_REASON),
+                    baseline_as_optimum(run, compared, notes, fastest, FASTEST_ON_PATH_REASON),
                     None,
                 )
             else:
                 robust = robust_plan(run, outcome)
-                solution = solution_of(run, robust, beside, notes, compare=compare)
+                solution = solution_of(run, robust, compared, notes, compare=compare)
                 shaped = functools.partial(
-                    _solve_shaped_in_remaining_time, run, beside, notes, guess
+                    _solve_shaped_in_remaining_time, run, compared, notes, guess
                 )
-                solution = shaped_for_arms(run, solution, outcome, shaped)
+                solution = choose_shaped_motion(run, solution, outcome, shaped)
         except KeyboardInterrupt:
-            solution = interrupted_with_baseline(run, beside, notes)
+            solution = interrupted_with_baseline(run, compared, notes)
     if simulate:
         solution = with_simulation(problem, solution, progress, motion, run.command)
     return solution, kept
@@ -205,7 +205,7 @@ def solve_with_state(
 
 def _solve_shaped_in_remaining_time(
     run: SolveRun,
-    beside: dict[str, Baseline],
+    compared: dict[str, Baseline],
     notes: tuple[str, ...],
     guess: Guess | Assessment | None,
     windows: tuple[Window, ...],
@@ -216,18 +216,18 @@ def _solve_shaped_in_remaining_time(
     method = replace(run.problem.method, time_limit=left)
     problem = replace(run.problem, objectives=shaped, method=method)
     inner = functools.partial(solve, progress=run.progress, guess=guess, throw=False)
-    return solve_shaped(problem, run.motion, beside, notes, inner, windows)
+    return solve_shaped(problem, run.motion, compared, notes, inner, windows)
 
 
 def _select_guess(
     problem: TrajectoryProblem,
     motion: ResolvedMotion,
-    beside: dict[str, Baseline],
+    compared: dict[str, Baseline],
     guess: Guess | Assessment | None,
 ) -> Guess:
     """Return the given guess, or one from an earlier motion or a baseline."""
     if guess is None:
-        return initial_guess(problem, motion, beside)
+        return initial_guess(problem, motion, compared)
     if isinstance(guess, Guess):
         return guess
     if guess.position.shape[1] != problem.joints:
@@ -257,9 +257,9 @@ def _describe_held_joints(problem: TrajectoryProblem) -> tuple[str, ...]:
     return (f"Held, not planned: {'; '.join(held)}.",) if held else ()
 
 
-def _objective_scales(problem: TrajectoryProblem, beside: dict[str, Baseline]) -> Scales:
+def _objective_scales(problem: TrajectoryProblem, compared: dict[str, Baseline]) -> Scales:
     """Return typical values of the objectives, from a baseline."""
-    for baseline in beside.values():
+    for baseline in compared.values():
         if baseline.assessment is not None:
             motion = baseline.assessment
             return Scales({o.name: o.kind.certified_value(o, motion) for o in problem.objectives})
@@ -290,14 +290,14 @@ def _best_of_starts(run: SolveRun, guess: Guess, rival: Baseline | None) -> Outc
 
 
 def _restart_from_better_baseline(
-    run: SolveRun, outcome: Outcome, beside: dict[str, Baseline], rival: Baseline | None
+    run: SolveRun, outcome: Outcome, compared: dict[str, Baseline], rival: Baseline | None
 ) -> Outcome:
     """Return the better of an outcome and one started from a baseline that is better than it."""
-    above = find_better_baseline(run.problem, outcome, beside)
+    above = find_better_baseline(run.problem, outcome, compared)
     late = run.elapsed > run.problem.method.time_limit
     if above is None or above.assessment is None or late or outcome.raw.status == "interrupted":
         return outcome
-    if fastest_on_path(run.problem, outcome, beside) is not None:
+    if fastest_on_path(run.problem, outcome, compared) is not None:
         return outcome
     guess = guess_from_motion(run.problem, run.motion, above.assessment)
     try:
@@ -326,7 +326,7 @@ def _describe_spread(problem: TrajectoryProblem, made: list[Outcome]) -> str:
 
 def _solve_and_refine(run: SolveRun, guess: Guess, rival: Baseline | None) -> Outcome:
     """Solve in stages, then refine until the certificate passes."""
-    plan = plan_stages(run.problem, run.problem.method.intervals, run.corners)
+    plan = plan_stages(run.problem, run.problem.method.intervals, run.motor_smoothing)
     found = refine(run, run_stages(run, plan, guess, {}), rival)
     if run.end_modes and found.raw.status != "interrupted" and not _is_certified_optimum(found):
         # Residual vibration of the motor law exceeds the limits, or there was no optimum in time: a
@@ -353,7 +353,7 @@ def _is_certified_optimum(outcome: Outcome) -> bool:
 def solution_of(
     run: SolveRun,
     outcome: Outcome,
-    beside: dict[str, Baseline],
+    compared: dict[str, Baseline],
     notes: tuple[str, ...],
     *,
     compare: bool = True,
@@ -362,8 +362,8 @@ def solution_of(
     problem, assessment = run.problem, with_collisions(run.problem, outcome.assessment)
     strict = None
     if compare and outcome.raw.status != "infeasible":
-        strict = _strict_baseline_of(run, beside)
-    rivals = _all_rivals(beside, strict)
+        strict = _strict_baseline_of(run, compared)
+    rivals = _all_rivals(compared, strict)
     found = judge_outcome(problem, outcome, assessment, rivals)
     if found.status is SolveStatus.OPTIMAL:
         reach = describe_optimality(problem, rivals, run.starts_made)
@@ -380,7 +380,7 @@ def solution_of(
         advice = feasible_duration_advice(run, outcome)
         end = replace(end, message=f"{end.message} {advice}".rstrip())
     value = objective_value(problem, assessment)
-    rival = better_baseline(problem, beside)
+    rival = better_baseline(problem, compared)
     ratio = None
     if (
         rival is not None
@@ -396,7 +396,7 @@ def solution_of(
         trajectory=outcome.trajectory,
         assessment=assessment,
         objective=value,
-        baselines=beside,
+        baselines=compared,
         ratio_to_better_baseline=ratio,
         solver=solver_record(run, len(outcome.transcription.intervals)),
         notes=(
@@ -428,14 +428,14 @@ def _describe_sufficient_objective(run: SolveRun, value: float) -> list[str]:
     ]
 
 
-def _strict_baseline_of(run: SolveRun, beside: dict[str, Baseline]) -> Baseline | None:
+def _strict_baseline_of(run: SolveRun, compared: dict[str, Baseline]) -> Baseline | None:
     """Return the baseline that keeps every limit, searched once; None after Ctrl-C."""
     if run.strict is None:
         with suppress(KeyboardInterrupt):
-            run.strict = strict_baseline(run.problem, run.motion, beside)
+            run.strict = strict_baseline(run.problem, run.motion, compared)
     return run.strict
 
 
-def _all_rivals(beside: dict[str, Baseline], strict: Baseline | None) -> dict[str, Baseline]:
+def _all_rivals(compared: dict[str, Baseline], strict: Baseline | None) -> dict[str, Baseline]:
     """Return all motions that may be better than the optimised one."""
-    return beside if strict is None else beside | {strict.name: strict}
+    return compared if strict is None else compared | {strict.name: strict}

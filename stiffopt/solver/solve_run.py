@@ -119,7 +119,7 @@ class SolveRun:
         problem = self.problem
         if self.at_rest or not problem.plans_links or problem.arrives_at_rest:
             return ()
-        if self.corners > 1.0:
+        if self.motor_smoothing > 1.0:
             return ()
         return modes(self.arm, self.motion.end)
 
@@ -134,7 +134,7 @@ class SolveRun:
         return MotorLaw(self.problem.robot, self.problem.process_force)
 
     @cached_property
-    def corners(self) -> float:
+    def motor_smoothing(self) -> float:
         """Initial factor on the smoothing widths of the motor law.
 
         As wide as the smoothed quintic motion needs. With a narrower one no motion of that duration

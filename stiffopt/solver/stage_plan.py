@@ -32,9 +32,9 @@ _BOUND_PUSH_OPTIONS = ("bound_push", "bound_frac", "slack_bound_push", "slack_bo
 # Intervals per piece of a fixed path's spline, at whose ends the rate of curvature jumps: with
 # fewer, limits are exceeded between the nodes.
 _INTERVALS_PER_PATH_PIECE = 3
-# Samples of a guess to locate the knots of a path; least time of a piece, as a share of the
+# Samples that locate a motion on a path; least time of a piece of a path, as a share of the
 # average, where the guess is at rest.
-_PATH_SAMPLES, _MIN_PIECE_SHARE = 20001, 1e-2
+PATH_SAMPLES, _MIN_PIECE_SHARE = 20001, 1e-2
 
 
 @dataclass(frozen=True)
@@ -155,7 +155,7 @@ def _mesh_along_path(waypoints: np.ndarray, guess: Guess, intervals: int) -> Mes
         Path coordinate and its speed.
     intervals : int
     """
-    at = np.linspace(0.0, 1.0, _PATH_SAMPLES)
+    at = np.linspace(0.0, 1.0, PATH_SAMPLES)
     knots = JointPath.through(waypoints).knots
     shares = np.diff(np.interp(knots, guess.states(at)[:, 0], at))
     shares = np.maximum(shares, _MIN_PIECE_SHARE / len(shares))

@@ -20,8 +20,8 @@ from stiffopt.result.joint_path import JointPath
 from stiffopt.result.trajectory import Trajectory
 from stiffopt.solver.active_set import ActiveSetSolver
 from stiffopt.solver.infeasibility import minimise_excess
-from stiffopt.solver.ipopt import FEASIBLE_VIOLATION, IpoptSolver, Multipliers, RawSolution
-from stiffopt.solver.monitor import Progress
+from stiffopt.solver.ipopt import IpoptSolver, Multipliers, RawSolution
+from stiffopt.solver.monitor import FEASIBLE_VIOLATION, Progress
 from stiffopt.solver.solve_run import SolveProgress, SolveRun
 from stiffopt.solver.stage_plan import (
     SolveStage,
@@ -251,10 +251,10 @@ def _resolve_with_new_planes(
         if clear or not raw.converged:
             # Where the planes leave no feasible motion, those of the nearest one may.
             x = raw.x
-            transcription, same = avoidance.updated(made.transcription, x)
+            transcription, same = avoidance.update_planes(made.transcription, x)
         else:
             # Restart from the collision-free point, with rows for the couples that collided.
-            transcription = avoidance.restarted_at(x)
+            transcription = avoidance.rows_at(x)
         if same:
             made.solver.set_bounds(transcription.nlp)
         again = (
@@ -392,7 +392,7 @@ def build_programme(
     begin = time.perf_counter()
     transcription = transcribe(ocp, run.problem.method.transcription, mesh, scales=scales)
     if run.avoidance is not None and guess is not None:
-        transcription = run.avoidance.added(transcription, transcription.pack(guess))
+        transcription = run.avoidance.add_rows(transcription, transcription.pack(guess))
     near = False
     if guess is not None and smoothing is not None:
         near = _is_near_guess(transcription, guess, smoothing)

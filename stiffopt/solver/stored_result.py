@@ -57,8 +57,8 @@ class StoredResult:
 
     def motions(self) -> list[PlannedMotion]:
         """Return the stored motion, then recomputed baselines."""
-        beside = baselines(self.problem, self.motion)
-        return [self.optimised, *rival_motions(self.problem, self.motion, beside)]
+        compared = baselines(self.problem, self.motion)
+        return [self.optimised, *rival_motions(self.problem, self.motion, compared)]
 
 
 def read_result(

@@ -37,7 +37,7 @@ _DURATION_RESERVE = 1.03
 
 
 def infeasible_solution(
-    run: SolveRun, beside: dict[str, Baseline], notes: tuple[str, ...], why: str
+    run: SolveRun, compared: dict[str, Baseline], notes: tuple[str, ...], why: str
 ) -> Solution:
     """Return the solution where the limits of one joint already exclude every motion."""
     return Solution(
@@ -46,7 +46,7 @@ def infeasible_solution(
         trajectory=None,
         assessment=None,
         objective=None,
-        baselines=beside,
+        baselines=compared,
         ratio_to_better_baseline=None,
         solver=solver_record(run, 0),
         notes=notes,
@@ -55,7 +55,9 @@ def infeasible_solution(
     )
 
 
-def baseline_at_bound(run: SolveRun, beside: dict[str, Baseline]) -> tuple[Baseline, Bound] | None:
+def baseline_at_bound(
+    run: SolveRun, compared: dict[str, Baseline]
+) -> tuple[Baseline, Bound] | None:
     """Return a baseline that keeps all limits and attains the objective's bound, and that bound."""
     problem = run.problem
     bounds = find_bounds(problem, run.motion) if len(problem.objectives) == 1 else ()
@@ -63,7 +65,7 @@ def baseline_at_bound(run: SolveRun, beside: dict[str, Baseline]) -> tuple[Basel
         return None
     sign = -1.0 if is_maximised(problem) else 1.0
     bound = max(bounds, key=lambda each: sign * each.value)
-    for baseline in beside.values():
+    for baseline in compared.values():
         motion, value = baseline.assessment, baseline.objective
         kept = baseline.feasible and motion is not None and motion.feasible(CERTIFICATE_TOLERANCE)
         if (
@@ -84,22 +86,22 @@ def explain_bound(bound: Bound) -> str:
 
 
 def fastest_on_path(
-    problem: TrajectoryProblem, outcome: Outcome, beside: dict[str, Baseline]
+    problem: TrajectoryProblem, outcome: Outcome, compared: dict[str, Baseline]
 ) -> Baseline | None:
     """Return toppra's motion on a fixed path where it is feasible and the optimiser's is slower.
 
     The time law of a given path has one optimum, which toppra's grid resolves better than
     collocation on a path that is noisy.
     """
-    if not has_one_optimum(problem, beside):
+    if not has_one_optimum(problem, compared):
         return None
-    above = find_better_baseline(problem, outcome, beside)
+    above = find_better_baseline(problem, outcome, compared)
     return above if above is not None and above.name == "toppra" else None
 
 
 def baseline_as_optimum(
     run: SolveRun,
-    beside: dict[str, Baseline],
+    compared: dict[str, Baseline],
     notes: tuple[str, ...],
     best: Baseline,
     reason: str,
@@ -121,7 +123,7 @@ def baseline_as_optimum(
         trajectory=best.trajectory,
         assessment=motion,
         objective=objective_value(problem, motion),
-        baselines=beside,
+        baselines=compared,
         ratio_to_better_baseline=1.0,
         solver=solver_record(run, 0),
         notes=(*notes, *run.notes, *below_base_warning(problem, motion)),
@@ -133,12 +135,12 @@ def baseline_as_optimum(
 
 
 def interrupted_with_baseline(
-    run: SolveRun, beside: dict[str, Baseline], notes: tuple[str, ...]
+    run: SolveRun, compared: dict[str, Baseline], notes: tuple[str, ...]
 ) -> Solution:
     """Return the better baseline where Ctrl-C came before the optimiser had a motion."""
     problem = run.problem
-    made = [b for b in beside.values() if b.trajectory is not None]
-    kept = better_baseline(problem, beside) or next(iter(made), None)
+    made = [b for b in compared.values() if b.trajectory is not None]
+    kept = better_baseline(problem, compared) or next(iter(made), None)
     if kept is None or kept.trajectory is None or kept.assessment is None:
         raise KeyboardInterrupt
     worst = kept.assessment.worst_violation
@@ -151,7 +153,7 @@ def interrupted_with_baseline(
         trajectory=kept.trajectory,
         assessment=kept.assessment,
         objective=objective_value(problem, kept.assessment),
-        baselines=beside,
+        baselines=compared,
         ratio_to_better_baseline=None,
         solver=solver_record(run, 0),
         notes=(*notes, *run.notes),

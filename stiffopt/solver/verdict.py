@@ -25,7 +25,7 @@ from stiffopt.result.assessment import Assessment
 from stiffopt.result.solution import Baseline
 from stiffopt.result.status import SolveStatus
 from stiffopt.result.trajectory import Trajectory
-from stiffopt.solver.ipopt import FEASIBLE_VIOLATION
+from stiffopt.solver.monitor import FEASIBLE_VIOLATION
 from stiffopt.solver.stages import Outcome
 from stiffopt.solver.stationary_joints import missing_friction_share
 from stiffopt.transcription.nlp import NlpEntry, RowViolation
@@ -62,7 +62,7 @@ class Verdict:
 
 
 def judge_outcome(
-    problem: TrajectoryProblem, outcome: Outcome, motion: Assessment, beside: dict[str, Baseline]
+    problem: TrajectoryProblem, outcome: Outcome, motion: Assessment, compared: dict[str, Baseline]
 ) -> Verdict:
     """Judge an outcome by solver, certificate, model agreement and baselines.
 
@@ -71,12 +71,12 @@ def judge_outcome(
     own = Verdict(_solve_status(outcome), _status_message(problem, outcome, motion))
     found = _judge_model_agreement(problem, outcome, motion, own)
     if not motion.feasible(CERTIFICATE_TOLERANCE) and (
-        beyond := _explain_unreachable_deflection(problem, beside)
+        beyond := _explain_unreachable_deflection(problem, compared)
     ):
         # Replaces the general advice to relax limits or to take more time.
         rest = found.message.removeprefix(found.status.sentence)
         found = Verdict(found.status, f"{beyond}{rest}")
-    better = find_better_baseline(problem, outcome, beside)
+    better = find_better_baseline(problem, outcome, compared)
     if better is None or found.status is SolveStatus.INFEASIBLE:
         return found
     optimal = found.status is SolveStatus.OPTIMAL
@@ -87,12 +87,14 @@ def judge_outcome(
     )
 
 
-def _explain_unreachable_deflection(problem: TrajectoryProblem, beside: dict[str, Baseline]) -> str:
+def _explain_unreachable_deflection(
+    problem: TrajectoryProblem, compared: dict[str, Baseline]
+) -> str:
     """Return why a limit on the dynamic deflection is out of reach, "" where it may be met."""
     cap = float(problem.active_limits.dynamic_deflection)
     peaks = {
         name: (float(np.linalg.norm(motion.deflection["dynamic"], axis=1).max()), motion.time[-1])
-        for name, baseline in beside.items()
+        for name, baseline in compared.items()
         if (motion := baseline.assessment) is not None
     }
     if not peaks or not math.isfinite(cap):
@@ -210,13 +212,13 @@ def _contact_laws(problem: TrajectoryProblem) -> set[object]:
 
 
 def find_better_baseline(
-    problem: TrajectoryProblem, outcome: Outcome, beside: dict[str, Baseline]
+    problem: TrajectoryProblem, outcome: Outcome, compared: dict[str, Baseline]
 ) -> Baseline | None:
     """Return a baseline that keeps every limit and is better, or is the only motion to do so."""
     certified = outcome.assessment.feasible(CERTIFICATE_TOLERANCE)
     value = objective_value(problem, outcome.assessment).value
     sign = -1.0 if is_maximised(problem) else 1.0
-    for baseline in beside.values():
+    for baseline in compared.values():
         motion, rival = baseline.assessment, baseline.objective
         if not baseline.feasible or motion is None or rival is None:
             continue
@@ -226,13 +228,13 @@ def find_better_baseline(
     return None
 
 
-def has_one_optimum(problem: TrajectoryProblem, beside: dict[str, Baseline]) -> bool:
+def has_one_optimum(problem: TrajectoryProblem, compared: dict[str, Baseline]) -> bool:
     """Return True where the problem is known to have no local optimum beside the global one.
 
     That is the shortest duration on a fixed path within limits that toppra handles: they are convex
     in the square of the path speed.
     """
-    toppra = beside.get("toppra")
+    toppra = compared.get("toppra")
     fastest = [each.name for each in problem.objectives] == ["duration"]
     return (
         problem.path is not None
@@ -245,17 +247,17 @@ def has_one_optimum(problem: TrajectoryProblem, beside: dict[str, Baseline]) -> 
 
 
 def describe_optimality(
-    problem: TrajectoryProblem, beside: dict[str, Baseline], starts_made: int
+    problem: TrajectoryProblem, compared: dict[str, Baseline], starts_made: int
 ) -> str:
     """Return a sentence on an optimum: local or global, number of starts, better baselines."""
     kept = [
         each.name
-        for each in beside.values()
+        for each in compared.values()
         if each.feasible
         and each.assessment is not None
         and each.assessment.feasible(CERTIFICATE_TOLERANCE)
     ]
-    if has_one_optimum(problem, beside):
+    if has_one_optimum(problem, compared):
         return "On a given path the shortest duration is the global optimum."
     tried = "one start" if starts_made == 1 else f"the best of {starts_made} starts"
     rivals = (

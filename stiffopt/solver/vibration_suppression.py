@@ -60,7 +60,6 @@ _ROWS_PER_KNOT, _LIMIT_RESERVE = 4, 1e-2
 # since it may pass a kink of the stiffness where the response was not linear. While a limit is
 # exceeded twice as many are made: with a wide smoothing each removes a third of the excess.
 _MAX_CHANGES, _TARGET_DEVIATION, _MAX_REMAINING_DEVIATION = 4, 3e-2, 0.9
-_UNCONDITIONAL_CHANGES = 1
 # Largest weight of the tool after arrival: beyond, the links in flight are not controlled.
 _MAX_ARRIVAL_WEIGHT = 30.0
 # Deviation that counts as zero [m].
@@ -417,10 +416,6 @@ def suppress_vibration(
         before, last = last, SimulatedMotors.of(problem, arm, changed)
         if last.assessment.feasible(tolerance) and (last.off < found.off or not kept):
             found, kept = last, True
-        if (
-            kept
-            and attempt > _UNCONDITIONAL_CHANGES
-            and last.off > _MAX_REMAINING_DEVIATION * before.off
-        ):
+        if kept and attempt > 1 and last.off > _MAX_REMAINING_DEVIATION * before.off:
             break
     return found

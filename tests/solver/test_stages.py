@@ -36,8 +36,8 @@ def test_initial_smoothing_is_as_wide_as_a_smooth_motion_needs(jerk, corners):
     motion = resolve(problem)
     quintic = baselines(problem, motion)["quintic"]
     run = SolveRun(problem, motion, Scales(), None, quintic)
-    assert run.corners == corners
-    assert {s.smoothing.corners for s in plan_stages(problem, 40, run.corners)} == {corners}
+    assert run.motor_smoothing == corners
+    assert {s.smoothing.corners for s in plan_stages(problem, 40, run.motor_smoothing)} == {corners}
 
 
 def test_minimum_duration_starts_near_the_guess():

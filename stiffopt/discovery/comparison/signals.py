@@ -95,7 +95,11 @@ class JointConstants:
     def _curve(self) -> tuple[Slopes, Corners] | None:
         if self._reducer is None:
             return None
-        own, down, counts = self._reducer.element, self._reducer.reduction, self._reducer.counts
+        own, down, counts = (
+            self._reducer.element,
+            self._reducer.reduction,
+            self._reducer.windup_factor,
+        )
         assert isinstance(own, Reducer)
         slopes = (own.K1, own.K2, own.K3)
         k1, k2, k3 = (stiffness * down / counts for stiffness in slopes)
