@@ -105,8 +105,8 @@ def _explain_unreachable_deflection(
         return ""
     return (
         f"limits.dynamic_deflection = {1e3 * cap:.3g} mm is out of reach: the acceleration torques"
-        f" deflect the tool by {1e3 * peak:.3g} mm in the {name} motion of {lasted:.3g} s. That"
-        " falls with the square of the duration: allow about"
+        f" deflect the tool by {1e3 * peak:.3g} mm in the {name} motion of {lasted:.3g} s. The"
+        " deflection falls with the square of the duration: allow about"
         f" {lasted * math.sqrt(peak / cap):.2g} s, or raise the limit; more time to solve does not"
         " help."
     )
