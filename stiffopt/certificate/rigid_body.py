@@ -52,7 +52,7 @@ class MovingJoint:
 
     Parameters
     ----------
-    of : JointPlace
+    of : JointGeometry
     origin : array (3, K) [m]
     frame : array (3, 3, K)
         Vectors of its frame, the axis last.

@@ -14,8 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stiffopt.baseline.baselines import detour_baseline
-from stiffopt.certificate.collisions import COLLISION_LIMIT as COLLISION
-from stiffopt.certificate.collisions import with_collisions
+from stiffopt.certificate.collisions import COLLISION_LIMIT, with_collisions
 from stiffopt.certificate.objective_value import is_maximised, objective_value
 from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
 from stiffopt.dynamics.inverse_kinematics import solve_pose
@@ -45,9 +44,7 @@ _ALTERNATIVE_POSES = 100
 _MAX_PLANE_UPDATES, _MIN_RELATIVE_GAIN = 5, 1e-3
 # Time of one path search: share of the remaining time, and largest [s].
 _SEARCH_TIME_SHARE, _MAX_SEARCH_SECONDS = 0.2, 20.0
-_SEARCH_TIMED_OUT = (
-    "The time limit ended the search for a collision-free path; raise method.time_limit."
-)
+_AVOIDANCE_TIMED_OUT = "The time limit ended the collision avoidance; raise method.time_limit."
 
 
 @dataclass(frozen=True)
@@ -101,7 +98,7 @@ def avoid_collisions(
         return mark_interrupted(plain if best is None else best)
     if best is None or not (_is_certified_and_clear(run, best) or best.raw.status == "interrupted"):
         if best is not None and found.raw.status == "time_limit":
-            run.avoidance_failure = _SEARCH_TIMED_OUT
+            run.avoidance_failure = _AVOIDANCE_TIMED_OUT
         return plain
     run.avoidance_failure = ""
     return best
@@ -111,7 +108,9 @@ def find_collisions(run: SolveRun, outcome: Outcome) -> list[Violation]:
     """Return the certificate's collision violations, worst first."""
     motion = with_collisions(run.problem, outcome.assessment)
     return [
-        v for v in motion.violations if v.limit == COLLISION and v.value > CERTIFICATE_TOLERANCE
+        v
+        for v in motion.violations
+        if v.limit == COLLISION_LIMIT and v.value > CERTIFICATE_TOLERANCE
     ]
 
 
@@ -142,7 +141,7 @@ def _candidate_starts(
         if poses is None:
             run.avoidance_failure = f"No collision-free path was found in {tried} trial poses."
             if seconds < _MAX_SEARCH_SECONDS:
-                run.avoidance_failure = _SEARCH_TIMED_OUT
+                run.avoidance_failure = _AVOIDANCE_TIMED_OUT
             continue
         run.avoidance_failure = (
             "A collision-free path was found, but no motion along it that keeps every limit."

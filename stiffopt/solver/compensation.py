@@ -106,7 +106,7 @@ def judge_existing_command(
     Parameters
     ----------
     problem, arm, motions : as of `compensate`
-    made : MadeCommand
+    made : ExistingCommand
     uncertainty : Uncertainty, optional
         Replaces the problem's.
     damping : float, optional

@@ -172,7 +172,7 @@ class IpoptSolver:
     ----------
     nlp : Nlp
     options : IpoptOptions
-    later : Later, optional
+    later : FasterProgramme, optional
         The same programme by faster functions. A running solve is restarted with them once they
         are available, with the same result.
     """

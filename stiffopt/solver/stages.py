@@ -367,7 +367,7 @@ class Programme:
     ----------
     transcription : Transcription
     solver : IpoptSolver
-    near : NearOptimum, optional
+    near : ActiveSetSolver, optional
         For problems similar to a solved one.
     """
 

@@ -44,7 +44,7 @@ class StoredResult:
     optimised : PlannedMotion
     windup : array (K, n)
         Of the joints along the stored motion [rad].
-    command : MadeCommand or None
+    command : ExistingCommand or None
         Of command.csv, where there is one.
     """
 

@@ -14,8 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stiffopt.certificate.agreement import Disagreement, find_disagreements
-from stiffopt.certificate.collisions import COLLISION_LIMIT as COLLISION
-from stiffopt.certificate.collisions import describe_collision_scope
+from stiffopt.certificate.collisions import COLLISION_LIMIT, describe_collision_scope
 from stiffopt.certificate.objective_value import is_maximised, objective_value
 from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE, describe_slips, find_slips
 from stiffopt.problem.belief import believed_of
@@ -127,7 +126,7 @@ def judge_collisions(
         Failed attempts to avoid them.
     """
     exceeded = [v for v in motion.violations if v.value > CERTIFICATE_TOLERANCE]
-    hits = [v for v in exceeded if v.limit == COLLISION]
+    hits = [v for v in exceeded if v.limit == COLLISION_LIMIT]
     listed = "; ".join(hit.describe() for hit in hits[:3])
     if hits and found.status.usable:
         told = f"{listed}. {tried}".strip()

@@ -145,7 +145,7 @@ def test_timed_out_path_search_is_reported(tmp_path):
     problem = gantry_problem(tmp_path, cell=WALLS, method="intervals = 20\ntime_limit = 3")
     told = solve(problem, throw=False)
     assert told.status == "certificate_failed"
-    assert "The time limit ended the search for a collision-free path" in told.message
+    assert "The time limit ended the collision avoidance" in told.message
     assert "raise method.time_limit" in told.message
     assert "No way" not in told.message
 
