@@ -169,7 +169,7 @@ def static_left_in(patch):
 
 
 def no_reflection(patch):
-    patch.setattr(Stage, "counts", property(lambda stage: stage.reduction))
+    patch.setattr(Stage, "windup_factor", property(lambda stage: stage.reduction))
 
 
 def smaller_key(patch):
