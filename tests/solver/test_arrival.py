@@ -288,7 +288,7 @@ def test_wide_smoothing_requires_rest_at_arrival(tmp_path):
     )
     for corners, swings in ((1.0, True), (4.0, False)):
         run = SolveRun(limited, resolve(limited), Scales(), None)
-        run.__dict__["corners"] = corners
+        run.__dict__["motor_smoothing"] = corners
         assert bool(run.end_modes) == swings
 
 
