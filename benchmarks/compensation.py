@@ -32,7 +32,7 @@ from stiffopt.problem.resolve import resolve
 from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.result.compensation import CompensatedMotion
 from stiffopt.result.solution import Solution
-from stiffopt.solver.compensation import compensated
+from stiffopt.solver.compensation import compensate_motion
 from stiffopt.solver.simulation import PlannedMotion, elastic_arm
 from stiffopt.solver.solve import solve
 
@@ -108,7 +108,7 @@ def rows_of(name: str, problem: TrajectoryProblem) -> list[Row]:
         ("within its limits", rival),
         ("without limits", replace(rival, exceeded=LIMITS)),
     ):
-        found, command = compensated(problem, arm, motion)
+        found, command = compensate_motion(problem, arm, motion)
         others[how] = peaks(problem, Followed(command), plan, found)
         rows += described(f"{name}, toppra compensated {how}", others[how], found)
     for objective in MOTIONS:
@@ -131,7 +131,7 @@ def optimised(
     own = PlannedMotion.of(objective, solution.assessment, True)
     if solution.trajectory.link is not None:
         own = replace(own, motors=solution.trajectory)
-    found, command = compensated(problem, arm, own)
+    found, command = compensate_motion(problem, arm, own)
     plan = Followed(solution.trajectory.link or solution.trajectory)
     ours = peaks(problem, Followed(command), plan, found)
     rows = described(f"{name}, {objective} compensated", ours, found)

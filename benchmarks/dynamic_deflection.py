@@ -27,7 +27,7 @@ from stiffopt.problem.smoothing import Smoothing
 from stiffopt.problem.trajectory import Method, TrajectoryProblem
 from stiffopt.result.solution import Solution
 from stiffopt.result.trajectory import Trajectory
-from stiffopt.solver.guess import initial_guess
+from stiffopt.solver.initial_guess import initial_guess
 from stiffopt.solver.ipopt import IpoptSolver
 from stiffopt.solver.solve import solve
 from stiffopt.transcription.build import transcribe

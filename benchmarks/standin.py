@@ -14,8 +14,7 @@ from common import urdf_model
 
 from stiffopt.connection.connection import Connection
 from stiffopt.connection.reducer import Reducer
-from stiffopt.drivetrain.chain import Chain
-from stiffopt.drivetrain.stage import Stage
+from stiffopt.drivetrain.chain import Chain, Stage
 from stiffopt.robot.frames import link_frame
 from stiffopt.robot.robot import Robot
 

@@ -20,9 +20,9 @@ from unittest import mock
 from common import HERE, Row, loaded_ur10, main, torque_squared_problem
 
 from stiffopt.problem.trajectory import Method
+from stiffopt.solver.active_set import ActiveSetSolver
 from stiffopt.solver.family import ProblemFamily
 from stiffopt.solver.ipopt import IpoptSolver
-from stiffopt.solver.near_optimum import NearOptimum
 from stiffopt.sweep.cases import Case, load_sweep
 from stiffopt.sweep.order import ordered, predecessors
 from stiffopt.sweep.solve_case import solve_case
@@ -82,7 +82,7 @@ def warm_cases(folder: Path) -> list[Row]:
 
     with (
         mock.patch.object(IpoptSolver, "solve", timed(IpoptSolver.solve)),
-        mock.patch.object(NearOptimum, "solve", timed(NearOptimum.solve)),
+        mock.patch.object(ActiveSetSolver, "solve", timed(ActiveSetSolver.solve)),
     ):
         first, second, *others = ordered(cases)
         cold, end = _cpu(first, None)

@@ -178,8 +178,7 @@ def load(folder, robot="planar", **pieces):
 
 def on_one_element(problem, element, ratio=1.0):
     """The problem with a drivetrain of one element in its only joint."""
-    from stiffopt.drivetrain.chain import Chain
-    from stiffopt.drivetrain.stage import Stage
+    from stiffopt.drivetrain.chain import Chain, Stage
 
     chain = Chain((Stage(element, ratio=ratio),))
     return replace(problem, robot=replace(problem.robot, chains=(chain,)))

@@ -5,8 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from stiffopt.connection import Reducer, Shaft
-from stiffopt.drivetrain.chain import Chain
-from stiffopt.drivetrain.stage import Stage
+from stiffopt.drivetrain.chain import Chain, Stage
 from stiffopt.problem.limit import Limits
 from stiffopt.problem.objective import Objective
 from stiffopt.problem.trajectory import Target, TrajectoryProblem

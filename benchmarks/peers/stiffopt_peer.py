@@ -17,7 +17,7 @@ from stiffopt.problem.resolve import resolve
 from stiffopt.problem.trajectory import Target, TrajectoryProblem
 from stiffopt.robot.files import load_robot
 from stiffopt.solver.ipopt import IpoptSolver
-from stiffopt.solver.plan import solver_options
+from stiffopt.solver.stage_plan import solver_options
 from stiffopt.transcription.build import transcribe
 from stiffopt.transcription.mesh import uniform_mesh
 from stiffopt.transcription.ocp import Guess

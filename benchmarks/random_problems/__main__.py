@@ -23,7 +23,7 @@ import numpy as np
 from benchmarks.random_problems.draw import HERE, SEED, feasible, infeasible
 from stiffopt.certificate.assess import assess
 from stiffopt.certificate.objective_value import is_maximised
-from stiffopt.certificate.violations import CERTIFIED
+from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
 from stiffopt.errors import StiffoptError
 from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.result.solution import Solution
@@ -70,7 +70,7 @@ def worse_than_baseline(record: dict[str, Any]) -> bool:
         return False
     sign = -1.0 if record["maximised"] else 1.0
     own, other = record["objective"], record["baseline"]
-    return bool(sign * (own - other) > CERTIFIED * max(abs(own), abs(other)))
+    return bool(sign * (own - other) > CERTIFICATE_TOLERANCE * max(abs(own), abs(other)))
 
 
 def named(record: dict[str, Any]) -> bool:
@@ -141,7 +141,7 @@ def _table(good: list[dict[str, Any]], wanted: int) -> list[str]:
     """Lines of a table about problems that can be met."""
     counts = Counter(r["status"] for r in good)
     optimal = [r for r in good if r["status"] == "optimal"]
-    exceeded = [r for r in optimal if r["fine"] > CERTIFIED]
+    exceeded = [r for r in optimal if r["fine"] > CERTIFICATE_TOLERANCE]
     worse = [r for r in optimal if worse_than_baseline(r)]
     times = np.array([r["cpu"] for r in good] or [np.nan])
     return [

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from stiffopt.baseline.baselines import baselines
-from stiffopt.certificate.violations import CERTIFIED
+from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
 from stiffopt.errors import ProblemError
 from stiffopt.problem.bounds import check_bounds
 from stiffopt.problem.limit import Limits
@@ -206,7 +206,7 @@ def _keeps(problem: TrajectoryProblem) -> bool:
     except ProblemError:
         # A pose that the drives cannot hold.
         return False
-    return quintic is not None and quintic.feasible(CERTIFIED)
+    return quintic is not None and quintic.feasible(CERTIFICATE_TOLERANCE)
 
 
 def _drawn(name: str, random: np.random.Generator, *, forced: bool) -> TrajectoryProblem:

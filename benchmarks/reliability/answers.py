@@ -22,7 +22,7 @@ def answers(place: Path) -> Iterator[Subject]:
     from stiffopt.discovery.extended.model import load_extended
     from stiffopt.export.motion import read_motion
     from stiffopt.report.compare import compared
-    from stiffopt.solver.stored import read_result
+    from stiffopt.solver.stored_result import read_result
 
     work = place / "answers"
     shutil.copytree(ROOT / "problems", work, ignore=shutil.ignore_patterns("recordings"))

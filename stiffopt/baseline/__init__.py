@@ -1,1 +1,1 @@
-"""Motions to compare with: what an engineer gets today on the straight joint path."""
+"""Baseline motions on the straight joint path: toppra's time-optimal one and the quintic one."""

@@ -1,4 +1,4 @@
-"""The motions that an optimised one is compared with, assessed by the same certificate."""
+"""Baselines: motions to compare an optimised one with, assessed by the same certificate."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from stiffopt.baseline.toppra_motion import BaselineMotion, toppra_baseline
 from stiffopt.certificate.assess import assess
 from stiffopt.certificate.collisions import with_collisions
 from stiffopt.certificate.objective_value import is_maximised, objective_value
-from stiffopt.certificate.violations import CERTIFIED
+from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
 from stiffopt.problem.resolve import ResolvedMotion
 from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.result.assessment import Assessment
@@ -16,19 +16,19 @@ from stiffopt.result.joint_path import JointPath
 from stiffopt.result.solution import Baseline
 from stiffopt.result.trajectory import Trajectory
 
-# Limits that toppra cannot take.
-_BEYOND_TOPPRA = ("jerk", "start_acceleration", "end_acceleration")
-# Instants at which a slowed motion is tried.
-_COARSE = 301
+# Limits that are not linear in path acceleration and squared path speed: toppra ignores them.
+_LIMITS_BEYOND_TOPPRA = ("jerk", "start_acceleration", "end_acceleration")
+# Certificate samples per trial duration in the search of `slowed_quintic`.
+_SLOWED_MOTION_SAMPLES = 301
 
 
 def baselines(problem: TrajectoryProblem, motion: ResolvedMotion) -> dict[str, Baseline]:
-    """Toppra's and the quintic motion on the joint path through the poses.
+    """Return toppra's and the quintic motion on the joint path through the poses.
 
     Where the duration is free, toppra's motion keeps its own (shortest) duration, and the quintic
-    takes the shortest duration that toppra found, or the middle of the allowed range.
+    motion takes the shortest duration that toppra found, within the allowed range.
     """
-    path = _path(problem, motion)
+    path = _baseline_path(problem, motion)
     fixed = problem.duration[0] == problem.duration[1]
     duration = problem.duration[0] if fixed else None
     fastest = toppra_baseline(
@@ -46,15 +46,15 @@ def baselines(problem: TrajectoryProblem, motion: ResolvedMotion) -> dict[str, B
             fastest = BaselineMotion(name="toppra", motion=stretched, fastest=fastest.fastest)
     quintic = BaselineMotion(name="quintic", motion=path.follow(quintic_law(duration)))
     return {
-        "toppra": _assessed(problem, fastest, ignored=_BEYOND_TOPPRA),
-        "quintic": _assessed(problem, quintic),
+        "toppra": _assess_baseline(problem, fastest, ignored=_LIMITS_BEYOND_TOPPRA),
+        "quintic": _assess_baseline(problem, quintic),
     }
 
 
 def detour_baseline(problem: TrajectoryProblem, path: JointPath) -> Baseline:
-    """Toppra's motion along a path that avoids what the straight one meets, within the duration.
+    """Return toppra's motion along a collision-free path, within the allowed duration.
 
-    Where toppra finds none, the quintic motion on that path.
+    The quintic motion on that path where toppra finds no time law.
     """
     shortest, longest = problem.duration
     fixed = shortest if shortest == longest else None
@@ -72,15 +72,17 @@ def detour_baseline(problem: TrajectoryProblem, path: JointPath) -> Baseline:
         motion = path.follow(quintic_law(float(np.clip(quick.fastest or 1.0, shortest, longest))))
     elif not shortest <= motion.duration <= longest:
         motion = motion.scaled_to(float(np.clip(motion.duration, shortest, longest)))
-    return _assessed(problem, BaselineMotion(name="detour", motion=motion), ignored=_BEYOND_TOPPRA)
+    return _assess_baseline(
+        problem, BaselineMotion(name="detour", motion=motion), ignored=_LIMITS_BEYOND_TOPPRA
+    )
 
 
 def slowed_quintic(problem: TrajectoryProblem, motion: ResolvedMotion) -> Assessment | None:
-    """The quintic motion at the shortest duration at which it keeps all limits, within 0.2 %.
+    """Return the quintic motion at the shortest duration that meets all limits, within 0.2 %.
 
-    None where it does not at ten times the duration of the problem.
+    None where ten times the duration of the problem does not suffice.
     """
-    path = _path(problem, motion)
+    path = _baseline_path(problem, motion)
     low = problem.duration[0]
 
     def excess(duration: float, points: int) -> float:
@@ -89,28 +91,32 @@ def slowed_quintic(problem: TrajectoryProblem, motion: ResolvedMotion) -> Assess
         return assess(problem, slowed, times=times).worst_violation.value
 
     high = 10.0 * low
-    if low <= 0.0 or excess(high, _COARSE) > CERTIFIED:
+    if low <= 0.0 or excess(high, _SLOWED_MOTION_SAMPLES) > CERTIFICATE_TOLERANCE:
         return None
     while high - low > 1e-3 * low:
         middle = 0.5 * (low + high) if high > 2.0 * low else float(np.sqrt(low * high))
-        low, high = (low, middle) if excess(middle, _COARSE) <= CERTIFIED else (middle, high)
-    # Between the points of the coarse grid there may be a little more.
+        low, high = (
+            (low, middle)
+            if excess(middle, _SLOWED_MOTION_SAMPLES) <= CERTIFICATE_TOLERANCE
+            else (middle, high)
+        )
+    # 0.1 % longer: limits may be exceeded slightly between the samples of the search.
     assessment = with_collisions(problem, assess(problem, path.follow(quintic_law(1.001 * high))))
-    return assessment if assessment.feasible(CERTIFIED) else None
+    return assessment if assessment.feasible(CERTIFICATE_TOLERANCE) else None
 
 
 def strict_baseline(
-    problem: TrajectoryProblem, motion: ResolvedMotion, beside: dict[str, Baseline]
+    problem: TrajectoryProblem, motion: ResolvedMotion, compared: dict[str, Baseline]
 ) -> Baseline | None:
-    """The best baseline that keeps every limit, those included that a method cannot take.
+    """Return the best baseline that meets every limit, also those its method cannot handle.
 
     Where none does, the quintic motion slowed until it does, which may take longer than the
     problem allows (`feasible` is False then); None where even that exceeds a limit.
     """
     kept = {
         name: b
-        for name, b in beside.items()
-        if b.feasible and b.assessment is not None and b.assessment.feasible(CERTIFIED)
+        for name, b in compared.items()
+        if b.feasible and b.assessment is not None and b.assessment.feasible(CERTIFICATE_TOLERANCE)
     }
     best = better_baseline(problem, kept)
     if best is not None or (
@@ -131,24 +137,24 @@ def strict_baseline(
     )
 
 
-def better_baseline(problem: TrajectoryProblem, beside: dict[str, Baseline]) -> Baseline | None:
-    """The feasible baseline with the better objective; None where neither is feasible."""
-    feasible = [b for b in beside.values() if b.feasible and b.objective is not None]
+def better_baseline(problem: TrajectoryProblem, compared: dict[str, Baseline]) -> Baseline | None:
+    """Return the feasible baseline with the better objective, None if neither is feasible."""
+    feasible = [b for b in compared.values() if b.feasible and b.objective is not None]
     sign = -1.0 if is_maximised(problem) else 1.0
     return min(feasible, key=lambda b: sign * (b.objective or 0.0), default=None)
 
 
-def _path(problem: TrajectoryProblem, motion: ResolvedMotion) -> JointPath:
+def _baseline_path(problem: TrajectoryProblem, motion: ResolvedMotion) -> JointPath:
     if problem.path is None:
-        # Vias lie unevenly: with equal steps of the path parameter the spline overshoots.
+        # Chord parametrisation: with equal steps a spline through uneven vias overshoots.
         return JointPath.through(motion.points, "chord")
     return JointPath.through(problem.path)
 
 
-def _assessed(
+def _assess_baseline(
     problem: TrajectoryProblem, baseline: BaselineMotion, ignored: tuple[str, ...] = ()
 ) -> Baseline:
-    """Assess a baseline; limits that its method cannot take are named but do not exclude it."""
+    """Certify a baseline; limits in `ignored` are reported but do not make it infeasible."""
     if baseline.motion is None:
         return Baseline(
             name=baseline.name,
@@ -158,7 +164,7 @@ def _assessed(
             reason=baseline.reason,
         )
     assessment = with_collisions(problem, assess(problem, baseline.motion))
-    exceeded = [v for v in assessment.violations if v.value > CERTIFIED]
+    exceeded = [v for v in assessment.violations if v.value > CERTIFICATE_TOLERANCE]
     counted = [v for v in exceeded if v.limit not in ignored]
     reason = f"Exceeds {counted[0].describe()}." if counted else ""
     moving = problem.boundary_velocity is not None and np.any(problem.boundary_velocity)
@@ -166,7 +172,7 @@ def _assessed(
         reason = "It goes from rest to rest, not between the given boundary velocities."
     elif exceeded and not counted:
         names = ", ".join(dict.fromkeys(v.limit for v in exceeded))
-        reason = f"Its method cannot take the limit on {names}, which it exceeds."
+        reason = f"It exceeds the limit on {names}, which its method cannot handle."
     return Baseline(
         name=baseline.name,
         assessment=assessment,
@@ -178,7 +184,7 @@ def _assessed(
 
 
 def quintic_law(duration: float) -> Trajectory:
-    """Time law s(t) = 10 x^3 - 15 x^4 + 6 x^5, x = t/duration.
+    """Return the time law s(t) = 10 x^3 - 15 x^4 + 6 x^5, x = t/duration.
 
     Velocity and acceleration vanish at both ends. Peak velocity 15/8 divided by the duration, peak
     acceleration 10/sqrt(3) divided by its square.

@@ -2,9 +2,9 @@
 
 With q = q(s): velocity q' sqrt(x), acceleration q' u + q'' x, torque a u + b x + c; dry friction
 adds a constant. Viscous friction is a term in sqrt(x), which is not linear: it enters through
-bounds that never promise more torque than there is. Where friction loads the drive, the tangent of
-sqrt(x) lies above it; where friction helps, the chord from standstill lies below it. The tangent
-point comes from the previous pass, so that repeated passes close the gap on the loaded side.
+conservative linear bounds. Where friction loads the drive, the tangent of sqrt(x) lies above it;
+where friction helps, the chord from standstill lies below it. The tangent point comes from the
+previous pass, so that repeated passes close the gap on the loaded side.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class PathLimits:
     loss : array (N, m)
         Factor of sqrt(x) in each row from viscous friction; negative where friction helps.
     labels : tuple of str (m,)
-        What each row limits.
+        Quantity and joint that each row limits.
     squared_speed_max : array (N,)
         Bound of x from joint velocity and tool speed.
     """
@@ -56,15 +56,15 @@ class PathLimits:
         a, b, c = self.rows
         if not np.any(self.loss):
             return a, b, c
-        # At standstill the tangent is vertical: a small positive speed stands in.
+        # At standstill the tangent is vertical: a small positive speed replaces it.
         point = np.sqrt(np.maximum(about, 1e-4 * self.squared_speed_max))[:, None]
         chord = np.sqrt(self.squared_speed_max)[:, None]
         loading = self.loss > 0
         slope = np.where(loading, self.loss / (2.0 * point), self.loss / chord)
         return a, b + slope, c + np.where(loading, self.loss * point / 2.0, 0.0)
 
-    def standing_still(self) -> str:
-        """Sentence that names the worst limit that is broken at rest on the path, or ""."""
+    def violation_at_rest(self) -> str:
+        """Return a sentence on the limit exceeded most at rest on the path, or ""."""
         c = self.rows[2]
         worst = np.unravel_index(int(np.argmax(c)), c.shape)
         if c[worst] <= 1.0:
@@ -108,21 +108,21 @@ def path_limits(
                 labels.append(f"{name} of joint {j + 1}")
                 for column, values in zip(columns, block, strict=True):
                     column.append(sign * values[:, j] / limit[j])
-    a, b, c, dry, loss = (_stack(column, len(grid)) for column in columns)
-    # At rest, friction resists either way: what it would help must not be counted on.
+    a, b, c, dry, loss = (_stack_rows(column, len(grid)) for column in columns)
+    # At rest, friction resists either direction: its help must not be counted on.
     dry[[0, -1]] = np.maximum(dry[[0, -1]], 0.0)
     ceiling = _squared_speed_max(limits, q, dq, speed)
     return PathLimits(grid, (a, b, c + dry), loss, tuple(labels), ceiling)
 
 
-def _stack(columns: list[np.ndarray], count: int) -> np.ndarray:
+def _stack_rows(columns: list[np.ndarray], count: int) -> np.ndarray:
     return np.column_stack(columns) if columns else np.zeros((count, 1))
 
 
 def _torque_rows(
     robot: Robot, q: np.ndarray, dq: np.ndarray, ddq: np.ndarray, process_force: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Torque coefficients a, b, c (N, n) without friction, and |d tool/ds| (N,)."""
+    """Return torque coefficients a, b, c (N, n) without friction, and |d tool/ds| (N,)."""
     body = rigid_body_history(robot, q, dq, ddq)
     hold = body.gravity_torque
     a = link_torques(robot, q, np.zeros_like(q), dq) - hold

@@ -30,13 +30,14 @@ if TYPE_CHECKING:
     from stiffopt.problem.limit import Limits
     from stiffopt.robot.robot import Robot
 
-_PASSES = 12
-_SETTLED = 1e-5
+# Passes of the viscous friction bound, and relative gain in duration below which they end.
+_MAX_FRICTION_PASSES = 12
+_DURATION_TOLERANCE = 1e-5
 
 
 @dataclass(frozen=True, kw_only=True)
 class BaselineMotion:
-    """A motion to compare with.
+    """Baseline motion, or the reason why there is none.
 
     Parameters
     ----------
@@ -66,7 +67,7 @@ def toppra_baseline(
     *,
     eased: bool = False,
 ) -> BaselineMotion:
-    """Time-optimal rest-to-rest motion along `path`, slowed uniformly to `duration`.
+    """Return the time-optimal rest-to-rest motion along `path`, slowed uniformly to `duration`.
 
     Limits on joint velocity (with its map over position), acceleration, drive torque and tool
     speed are kept. Rotor inertia and dry friction are exact; viscous friction is bounded on the
@@ -96,14 +97,14 @@ def toppra_baseline(
         or not within `duration`.
     """
     force = np.asarray(process_force, dtype=float)
-    grid = _grid(path.knots, intervals)
+    grid = _path_grid(path.knots, intervals)
     rows = path_limits(robot, limits, path, grid, force)
-    still = rows.standing_still()
+    still = rows.violation_at_rest()
     if still:
-        return _absent(f"No motion keeps the limits on this path. {still}")
+        return _missing_baseline(f"No motion keeps the limits on this path. {still}")
     law = _fastest_law(rows, path.joints, eased=eased)
     if law is None:
-        return _absent(
+        return _missing_baseline(
             "No motion along this path keeps all limits: toppra finds no time law that starts and "
             "ends at rest."
         )
@@ -112,7 +113,7 @@ def toppra_baseline(
     if duration is None:
         return BaselineMotion(name="toppra", motion=motion, fastest=fastest)
     if duration < fastest:
-        return _absent(
+        return _missing_baseline(
             f"The fastest motion along this path takes {fastest:.4g} s, longer than the "
             f"{duration:.4g} s asked for.",
             fastest,
@@ -120,15 +121,15 @@ def toppra_baseline(
     return BaselineMotion(name="toppra", motion=motion.scaled_to(duration), fastest=fastest)
 
 
-def _absent(reason: str, fastest: float | None = None) -> BaselineMotion:
+def _missing_baseline(reason: str, fastest: float | None = None) -> BaselineMotion:
     return BaselineMotion(name="toppra", motion=None, reason=reason, fastest=fastest)
 
 
-def _grid(knots: np.ndarray, intervals: int) -> np.ndarray:
-    """Even grid with the knots among its points, graded at the ends.
+def _path_grid(knots: np.ndarray, intervals: int) -> np.ndarray:
+    """Return an even grid that contains the knots, graded at the ends.
 
-    No interval has a jump of the path inside. From rest, time goes with the root of the distance:
-    an ungraded first interval would be by far the longest one in time.
+    No interval contains a jump of the path's derivatives. From rest, time grows with the root of
+    the distance: an ungraded first interval would be by far the longest one in time.
     """
     pieces = [
         np.linspace(low, high, max(2, int(np.ceil(intervals * (high - low)))) + 1)[:-1]
@@ -142,18 +143,20 @@ def _grid(knots: np.ndarray, intervals: int) -> np.ndarray:
 
 
 def _fastest_law(rows: PathLimits, joints: int, *, eased: bool) -> Trajectory | None:
-    """Time law s(t) of the fastest motion; passes improve the bound of viscous friction."""
+    """Return the fastest time law s(t); repeated passes tighten the viscous friction bound."""
     squared = rows.squared_speed_max
     law = None
-    for _ in range(_PASSES if np.any(rows.loss) else 1):
+    for _ in range(_MAX_FRICTION_PASSES if np.any(rows.loss) else 1):
         linear = rows.linearised(squared)
         speed = _path_speed(rows, linear, joints)
         if speed is not None and eased:
             speed = _eased_speed(rows, linear, joints, speed)
         if speed is None:
             break
-        better = _law(rows.grid, speed, eased=eased)
-        settled = law is not None and law.duration - better.duration < _SETTLED * law.duration
+        better = _time_law(rows.grid, speed, eased=eased)
+        settled = (
+            law is not None and law.duration - better.duration < _DURATION_TOLERANCE * law.duration
+        )
         law = better if law is None or better.duration < law.duration else law
         if settled:
             break
@@ -161,8 +164,11 @@ def _fastest_law(rows: PathLimits, joints: int, *, eased: bool) -> Trajectory | 
     return law
 
 
-def _law(grid: np.ndarray, speed: np.ndarray, *, eased: bool) -> Trajectory:
-    """Time law with constant path acceleration between grid points, or linear in the outer two."""
+def _time_law(grid: np.ndarray, speed: np.ndarray, *, eased: bool) -> Trajectory:
+    """Return the time law with path acceleration constant between grid points.
+
+    With `eased` it is linear in the first and the last interval.
+    """
     step = np.diff(grid)
     duration = 2.0 * step / (speed[:-1] + speed[1:])
     acceleration = np.zeros((len(step), 2 if eased else 1, 1))
@@ -182,11 +188,11 @@ def _eased_speed(
     joints: int,
     speed: np.ndarray,
 ) -> np.ndarray | None:
-    """Path speed with which an acceleration that rises from zero and falls to it ends as high.
+    """Return the path speed for an acceleration that ramps from zero and back to zero at the ends.
 
-    A ramp over a distance s to the speed v ends at 4 v^2 / (6 s), where a constant acceleration is
-    v^2 / (2 s): the square of the speed is three quarters. In between the path is as fast as it can
-    be from there.
+    A ramp over a distance s to the speed v ends at 4 v^2 / (6 s), a constant acceleration is
+    v^2 / (2 s): for the same peak the squared speed after the ramp is three quarters. The path in
+    between is time-optimal for these outer speeds.
     """
     outer = np.sqrt(0.75) * speed[[1, -2]]
     inner = _path_speed(rows, linear, joints, slice(1, -1), (outer[0], outer[1]))
@@ -200,16 +206,16 @@ def _path_speed(
     part: slice = slice(None),
     outer: tuple[float, float] = (0.0, 0.0),
 ) -> np.ndarray | None:
-    """Path speed ds/dt on a part of the grid by toppra, `outer` at its ends; None if it fails."""
-    with _quiet():
-        with _figures_later():
+    """Return toppra's path speed ds/dt on a part of the grid, `outer` at its ends; None if none."""
+    with _silence_logging():
+        with _defer_pyplot_import():
             from toppra.algorithm import TOPPRA
             from toppra.constraint import DiscretizationType, LinearConstraint
             from toppra.constraint.linear_constraint import canlinear_colloc_to_interpolate
         grid, ceiling = rows.grid[part], rows.squared_speed_max[part]
 
         class Rows(LinearConstraint):  # type: ignore[misc]
-            """Given rows in toppra's form."""
+            """Constraint rows in toppra's form."""
 
             def __init__(self) -> None:
                 super().__init__()
@@ -225,7 +231,7 @@ def _path_speed(
                     *given, np.eye(count), np.ones(count), None, bounds, grid, identical=True
                 )
 
-        whole = _Interval(joints, (grid[0], grid[-1]))
+        whole = _PathInterval(joints, (grid[0], grid[-1]))
         solver = TOPPRA([Rows()], whole, gridpoints=grid, solver_wrapper="seidel")
         _, speed, _ = solver.compute_parameterization(*outer)
     if speed is None or not np.all(np.isfinite(speed)) or np.any(speed[:-1] + speed[1:] <= 0):
@@ -233,16 +239,16 @@ def _path_speed(
     return np.asarray(speed, dtype=float)
 
 
-class _Interval:
-    """All that toppra asks of a path once its rows are given."""
+class _PathInterval:
+    """Path interface of toppra for a problem whose rows are given: dof and interval."""
 
     def __init__(self, joints: int, within: tuple[float, float]) -> None:
         self.dof, self.path_interval = joints, within
 
 
 @contextmanager
-def _quiet() -> Iterator[None]:
-    """No warnings and no log lines; reasons are given in words by the caller."""
+def _silence_logging() -> Iterator[None]:
+    """Suppress toppra's warnings and log lines; the caller reports failures."""
     logger = logging.getLogger("toppra")
     level = logger.level
     logger.setLevel(logging.CRITICAL + 1)
@@ -254,35 +260,35 @@ def _quiet() -> Iterator[None]:
         logger.setLevel(level)
 
 
-class _Later(ModuleType):
-    """Stands for a module that is loaded when something of it is asked for."""
+class _DeferredModule(ModuleType):
+    """Placeholder of a module that is imported on first attribute access."""
 
     def __getattr__(self, name: str) -> Any:
-        # What describes a module is asked of every one in sys.modules, by `inspect` say.
+        # `inspect` reads dunder attributes of every module in sys.modules: no reason to import.
         if name.startswith("__") and name.endswith("__"):
             raise AttributeError(f"module {self.__name__!r} has no attribute {name!r}")
         self.leave()
         return getattr(import_module(self.__name__), name)
 
     def leave(self) -> None:
-        """Make room for the module itself, where it has not come yet."""
+        """Remove the placeholder from `sys.modules`."""
         if sys.modules.get(self.__name__) is self:
             del sys.modules[self.__name__]
 
 
 @contextmanager
-def _figures_later() -> Iterator[None]:
-    """Toppra without what draws its figures, which takes longer to load than the rest of it."""
+def _defer_pyplot_import() -> Iterator[None]:
+    """Import toppra without pyplot, which takes longer to load than the rest of it."""
     package, name = "matplotlib", "matplotlib.pyplot"
-    # Once toppra is there nothing is imported, and nobody else is to meet what stands there.
+    # Once toppra is imported the placeholder would only be visible to other importers.
     if name in sys.modules or "toppra.algorithm" in sys.modules:
         yield
         return
-    later = [_Later(name)]
+    later = [_DeferredModule(name)]
     found = None if package in sys.modules else find_spec(package)
     if found is not None:
-        whole = _Later(package)
-        # Whoever else asks for a part of it meanwhile finds it.
+        whole = _DeferredModule(package)
+        # Other threads may import submodules of matplotlib meanwhile.
         whole.__path__ = list(found.submodule_search_locations or ())
         vars(whole)["pyplot"] = later[0]
         later.append(whole)

@@ -1,8 +1,8 @@
-"""Whether the optimiser believed of its motion what is true: pointwise, in both directions.
+"""Model agreement: the optimiser's prediction of its own motion against the exact model.
 
-A limit that holds and an objective that is not worse say nothing of a model that is wrong to the
-safe side, or wrong where no limit is near. So torques, wind-up and deflection are compared at the
-optimiser's own instants, each relative to its size over the motion.
+Limits that hold and an objective that is not worse do not show a model error on the safe side, or
+one where no limit is active. So torques, wind-up and deflection are compared pointwise, in both
+directions, at the optimiser's own instants, each relative to its size over the motion.
 """
 
 from __future__ import annotations
@@ -21,21 +21,21 @@ if TYPE_CHECKING:
     from stiffopt.problem.trajectory import TrajectoryProblem
     from stiffopt.result.trajectory import JointMotion
 
-# Two codes of one rigid-body dynamics differ by rounding, 1e-12 of the torque.
-TORQUE = 1e-6
-# Honest are the smoothed corners of a reducer, up to 0.5 % of its wind-up at the last smoothing,
-# and the fits of contact laws, 0.2 %; on the shipped problems they come to 0.3 % of a wind-up.
-WINDUP = 1e-2
-# Parts of the deflection are differences of wind-ups and err with these: relative to the largest.
-DEFLECTION = 1e-2
-# Below these shares of the largest torque, and of the wind-up there, a joint is as good as idle.
-_IDLE = 1e-3
-_IDLE_WINDUP = 1e-2
+# Relative tolerances. Two implementations of rigid-body dynamics differ by rounding, 1e-12.
+TORQUE_TOLERANCE = 1e-6
+# Expected: smoothed kinks of a reducer, up to 0.5 % of its wind-up at the last smoothing, and fits
+# of contact laws, 0.2 %; on the shipped problems together 0.3 % of a wind-up.
+WINDUP_TOLERANCE = 1e-2
+# Of the largest part: parts of the deflection are differences of wind-ups and inherit their error.
+DEFLECTION_TOLERANCE = 1e-2
+# Shares of the torque limit below which a joint's torque, and its wind-up, count as zero.
+_IDLE_TORQUE_SHARE = 1e-3
+_IDLE_WINDUP_TORQUE_SHARE = 1e-2
 
 
 @dataclass(frozen=True)
 class Disagreement:
-    """The largest difference of one quantity from what the optimiser believed.
+    """Largest difference of one quantity from the optimiser's prediction.
 
     Parameters
     ----------
@@ -45,8 +45,8 @@ class Disagreement:
         1-based; None for the tool.
     time : float [s]
     value : float
-        Believed minus true where it differs most, over the quantity's size along the motion; of a
-        deflection the length of the difference over the largest part's.
+        Predicted minus true where it differs most, over the quantity's size along the motion; for
+        a deflection the length of the difference over the largest part's.
     tolerance : float
     """
 
@@ -58,7 +58,7 @@ class Disagreement:
 
     @property
     def excess(self) -> float:
-        """Size over tolerance: above 1 the two disagree."""
+        """Magnitude over tolerance: above 1 the two disagree."""
         return abs(self.value) / self.tolerance
 
     def describe(self) -> str:
@@ -68,10 +68,10 @@ class Disagreement:
         return f"{self.quantity}{owner} at {self.time:.3f} s by {excess}"
 
 
-def differences(
+def find_disagreements(
     problem: TrajectoryProblem, motion: JointMotion, believed: Believed
 ) -> tuple[Disagreement, ...]:
-    """Largest difference of every quantity, the worst over its tolerance first.
+    """Return the largest difference of every quantity, the worst over its tolerance first.
 
     Parameters
     ----------
@@ -80,43 +80,47 @@ def differences(
         As for `assess`.
     believed : Believed
     """
-    found = list(_compared(problem, motion, believed))
+    found = list(_compare_quantities(problem, motion, believed))
     return tuple(sorted(found, key=lambda d: -d.excess))
 
 
-def _compared(
+def _compare_quantities(
     problem: TrajectoryProblem, motion: JointMotion, believed: Believed
 ) -> Iterator[Disagreement]:
     robot, time = problem.robot, believed.time
     true, carried = drive_history(problem, motion, time)
-    idle = _IDLE * np.asarray(robot.torque_max)
+    idle = _IDLE_TORQUE_SHARE * np.asarray(robot.torque_max)
     size = np.maximum(np.max(np.abs(carried), axis=0), idle)
     spring = believed.spring_torque - carried
-    yield from _joints("spring torque", spring / size, time, TORQUE)
+    yield from _joint_disagreements("spring torque", spring / size, time, TORQUE_TOLERANCE)
     if believed.torque is not None:
-        # About standstill the sharp law of dry friction jumps; the smooth one lacks this much.
+        # Around standstill the smooth law of dry friction is below the sharp one by this much.
         lacking = robot.coulomb * np.exp(-2.0 * np.abs(true.velocity) / believed.friction_width)
         drive = believed.torque - true.torque
         drive = np.sign(drive) * np.maximum(np.abs(drive) - 2.0 * lacking, 0.0)
         size = np.maximum(np.max(np.abs(true.torque), axis=0), idle)
-        yield from _joints("drive torque", drive / size, time, TORQUE)
+        yield from _joint_disagreements("drive torque", drive / size, time, TORQUE_TOLERANCE)
     if believed.windup is None and not believed.deflection:
         return
     whole = assess(problem, motion, times=time)
     if believed.windup is not None:
-        slight = joint_windup(robot, _IDLE_WINDUP * np.asarray(robot.torque_max)[None])[0]
+        slight = joint_windup(
+            robot, _IDLE_WINDUP_TORQUE_SHARE * np.asarray(robot.torque_max)[None]
+        )[0]
         size = np.maximum(np.max(np.abs(whole.windup), axis=0), slight)
-        shares = _shares(believed.windup - whole.windup, size)
-        yield from _joints("wind-up", shares, time, WINDUP)
+        shares = _relative_differences(believed.windup - whole.windup, size)
+        yield from _joint_disagreements("wind-up", shares, time, WINDUP_TOLERANCE)
     largest = max(part.peak for part in whole.deflection_summary().values())
     for part, vectors in believed.deflection.items():
         away = np.linalg.norm(vectors - whole.deflection[part], axis=1)
-        shares = _shares(away, largest)
+        shares = _relative_differences(away, largest)
         k = int(np.argmax(shares))
-        yield Disagreement(f"{part} deflection", None, float(time[k]), float(shares[k]), DEFLECTION)
+        yield Disagreement(
+            f"{part} deflection", None, float(time[k]), float(shares[k]), DEFLECTION_TOLERANCE
+        )
 
 
-def _joints(
+def _joint_disagreements(
     quantity: str, shares: np.ndarray, time: np.ndarray, tolerance: float
 ) -> Iterator[Disagreement]:
     for j, share in enumerate(shares.T):
@@ -124,8 +128,8 @@ def _joints(
         yield Disagreement(quantity, j + 1, float(time[k]), float(share[k]), tolerance)
 
 
-def _shares(difference: np.ndarray, size: np.ndarray | float) -> np.ndarray:
-    """Difference over size: 0 where there is none, infinite where a connection slips."""
+def _relative_differences(difference: np.ndarray, size: np.ndarray | float) -> np.ndarray:
+    """Return difference over size: 0 without difference, infinite where a connection slips."""
     with np.errstate(invalid="ignore", divide="ignore"):
         shares = np.where(difference == 0.0, 0.0, difference / size)
     return np.where(np.isnan(shares), np.inf, shares)

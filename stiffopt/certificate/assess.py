@@ -16,7 +16,7 @@ from stiffopt.certificate.violations import find_drive_violations, find_violatio
 from stiffopt.elastic.arm import ElasticArm
 from stiffopt.elastic.motor import MotorMotion
 from stiffopt.elastic.simulate import simulate
-from stiffopt.exact.joint_curve import compliance_along, windup_along
+from stiffopt.exact.chain import compliance_along, windup_along
 from stiffopt.problem.objective import OBJECTIVES
 from stiffopt.result.assessment import Assessment, DriveHistory, LowestStiffness, Violation
 from stiffopt.result.trajectory import JointMotion
@@ -25,10 +25,12 @@ if TYPE_CHECKING:
     from stiffopt.problem.trajectory import TrajectoryProblem
     from stiffopt.robot.robot import Robot
 
-_Moved = tuple[np.ndarray, np.ndarray, np.ndarray]
+_MotionArrays = tuple[np.ndarray, np.ndarray, np.ndarray]
 
-POINTS = 6001
-_STANDSTILL = 1e-9
+# Equal steps of the certificate's grid, plus one.
+FINE_GRID_POINTS = 6001
+# Joint speed [rad/s] or [m/s] below which dry friction has no direction: rounding of zero.
+_STANDSTILL_SPEED = 1e-9
 
 
 def assess(
@@ -44,11 +46,11 @@ def assess(
     problem : TrajectoryProblem
         Robot, limits and process force.
     motion : JointMotion
-        A `Trajectory`, or what can be called like one for orders 0 to 3. Where it has a `link`
-        motion, that one loads the springs and deflects the tool.
+        A `Trajectory` or another callable of (times, order) for orders 0 to 3. Where it has a
+        `link` motion, that one loads the springs and deflects the tool.
     times : array, optional [s]
         Default: 6001 equal steps and, where the motion has them, its own break times. Only then is
-        the elastic arm simulated, where a limit or an objective is about its arrival.
+        the elastic arm simulated, where a limit or an objective concerns residual vibration.
 
     Returns
     -------
@@ -60,20 +62,22 @@ def assess(
         times = fine_grid(motion)
     position, velocity, acceleration, jerk = (np.asarray(motion(times, k)) for k in range(4))
     link = getattr(motion, "link", None)
-    moved = _of_links(motion, times, (position, velocity, acceleration))
+    moved = _spring_side_motion(motion, times, (position, velocity, acceleration))
     body = rigid_body_history(robot, *moved)
     process = np.einsum("kij,i->kj", body.jacobian, np.asarray(problem.process_force, dtype=float))
     spring_torque = body.link_torque - process
     torque = _drive_torque(robot, spring_torque, velocity, acceleration)
 
     windup, static = joint_windup(robot, spring_torque), joint_windup(robot, body.gravity_torque)
-    # Without a process force what lies between is one of the two.
+    # Without a process force the intermediate load case is one of the two others.
     between = windup if link is None else static
     if np.any(process):
-        # Links that are planned hang from weight and force; else the force comes last.
+        # With planned links the process force is applied before the motion, else after it.
         loads = body.link_torque if link is None else body.gravity_torque - process
         between = joint_windup(robot, loads)
-    deflection = _deflection(body.jacobian, static, between, windup, force_first=link is not None)
+    deflection = _split_deflection(
+        body.jacobian, static, between, windup, force_first=link is not None
+    )
     compliance = joint_compliance(robot, spring_torque)
     with np.errstate(divide="ignore"):
         stiffness = 1.0 / compliance
@@ -117,7 +121,7 @@ def assess(
 def drive_violations(
     problem: TrajectoryProblem, motion: JointMotion, times: np.ndarray | None = None
 ) -> list[Violation]:
-    """Those violations of `assess` that are of the drives, worst first; at a tenth of the cost.
+    """Return the violations of drive limits, worst first, at a tenth of the cost of `assess`.
 
     Parameters as of `assess`.
     """
@@ -130,16 +134,16 @@ def drive_history(
     times: np.ndarray | None = None,
     spring_torque: np.ndarray | None = None,
 ) -> tuple[DriveHistory, np.ndarray]:
-    """What the drives do, and the torques in the joints' springs (K, n) [N m], as of `assess`.
+    """Return the drives' motion and torques, and the spring torques (K, n) [N m], as of `assess`.
 
-    The torques are those of what the links do: they may be given where they are known.
+    Known spring torques may be passed; they follow from the links' motion alone.
     """
     robot = problem.robot
     if times is None:
         times = fine_grid(motion)
     position, velocity, acceleration, jerk = (np.asarray(motion(times, k)) for k in range(4))
     if spring_torque is None:
-        moved = _of_links(motion, times, (position, velocity, acceleration))
+        moved = _spring_side_motion(motion, times, (position, velocity, acceleration))
         if np.any(problem.process_force):
             body = rigid_body_history(robot, *moved)
             force = np.asarray(problem.process_force, dtype=float)
@@ -150,10 +154,12 @@ def drive_history(
     return DriveHistory(times, position, velocity, acceleration, jerk, torque), spring_torque
 
 
-def _of_links(motion: JointMotion, times: np.ndarray, own: _Moved) -> _Moved:
-    """Position, velocity and acceleration of what loads the springs; `own` are the motors'.
+def _spring_side_motion(
+    motion: JointMotion, times: np.ndarray, own: _MotionArrays
+) -> _MotionArrays:
+    """Return position, velocity and acceleration of the spring's link side; `own` are the motors'.
 
-    Where the links' own motion is planned, it does; limits are the motors'.
+    They are the planned links' where the motion has some; limits are on the motors.
     """
     link = getattr(motion, "link", None)
     if link is None:
@@ -164,14 +170,14 @@ def _of_links(motion: JointMotion, times: np.ndarray, own: _Moved) -> _Moved:
 def _drive_torque(
     robot: Robot, spring_torque: np.ndarray, velocity: np.ndarray, acceleration: np.ndarray
 ) -> np.ndarray:
-    """Torques of the drives (K, n) [N m], rotors and friction included."""
+    """Return the drive torques (K, n) [N m], rotors and friction included."""
     # Rounding of a velocity that is zero must not switch dry friction on.
-    direction = np.where(np.abs(velocity) > _STANDSTILL, np.sign(velocity), 0.0)
+    direction = np.where(np.abs(velocity) > _STANDSTILL_SPEED, np.sign(velocity), 0.0)
     friction = robot.coulomb * direction + robot.viscous * velocity
     return np.asarray(spring_torque + robot.rotor_inertia * acceleration + friction)
 
 
-def _deflection(
+def _split_deflection(
     jacobian: np.ndarray,
     static: np.ndarray,
     between: np.ndarray,
@@ -179,12 +185,13 @@ def _deflection(
     *,
     force_first: bool,
 ) -> dict[str, np.ndarray]:
-    """Parts of the tool's deflection (K, 3) [m] from wind-ups (K, n), one load after another.
+    """Return the parts of the tool's deflection (K, 3) [m] from wind-ups (K, n).
 
-    Weight, then what the motion adds and what the process force adds, or the other way round.
+    Loads are applied one after another: weight, motion, process force; with `force_first` weight,
+    process force, motion.
     """
     first, last = ("process", "dynamic") if force_first else ("dynamic", "process")
-    # A connection that slips winds up without end: its parts are infinite, not undefined.
+    # The wind-up of a slipping connection is infinite, so its parts are infinite, not undefined.
     with np.errstate(invalid="ignore"):
         parts = {
             "dynamic": np.zeros_like(spring),
@@ -200,8 +207,8 @@ def _deflection(
 
 
 def fine_grid(motion: JointMotion) -> np.ndarray:
-    """Instants at which a motion is judged: 6001 equal steps and the motion's own break times."""
-    grid = np.linspace(0.0, motion.duration, POINTS)
+    """Return the certificate's grid: 6001 equally spaced instants and the motion's break times."""
+    grid = np.linspace(0.0, motion.duration, FINE_GRID_POINTS)
     breaks = np.asarray(getattr(motion, "times", ()), dtype=float)
     if breaks.size:
         # Twenty points in every interval, however short the mesh made it.
@@ -211,7 +218,7 @@ def fine_grid(motion: JointMotion) -> np.ndarray:
 
 
 def joint_windup(robot: Robot, torque: np.ndarray) -> np.ndarray:
-    """Wind-up of every joint [rad] by quadrature of the exact law; torque (K, n) [N m]."""
+    """Return the wind-up of every joint [rad] by the exact law; torque (K, n) [N m]."""
     columns = [
         np.zeros(len(torque)) if chain is None else windup_along(chain, torque[:, j])
         for j, chain in enumerate(robot.chains)
@@ -220,7 +227,7 @@ def joint_windup(robot: Robot, torque: np.ndarray) -> np.ndarray:
 
 
 def joint_compliance(robot: Robot, torque: np.ndarray) -> np.ndarray:
-    """Tangent compliance [rad/(N m)] of every joint by the exact law; zero for a rigid joint."""
+    """Return the tangent compliance [rad/(N m)] of every joint by the exact law; 0 if rigid."""
     columns = [
         np.zeros(len(torque)) if chain is None else compliance_along(chain, torque[:, j])
         for j, chain in enumerate(robot.chains)

@@ -1,8 +1,7 @@
-"""Collisions of a motion with the arm itself and with what stands around it: pair, time, depth.
+"""Collisions of a motion with the arm itself and its cell: pair, time, depth.
 
-Distances are taken at instants of the certificate's grid that lie so near to each other that
-nothing can be touched between them: no distance changes faster than the joints can move the
-farthest point of the arm.
+Distances are evaluated at instants of the certificate's grid, dense enough to exclude contact in
+between: no distance changes faster than the joints can move the farthest point of the arm.
 """
 
 from __future__ import annotations
@@ -20,36 +19,36 @@ if TYPE_CHECKING:
     from stiffopt.problem.trajectory import TrajectoryProblem
     from stiffopt.robot.clearance import ClearanceModel
 
-LIMIT = "collision"
-# An excess of a clearance counts against it, of none against this [m].
-_SCALE = 1e-3
-# Instants to begin with.
-_COARSE = 128
-# Files that are not there, by name in one sentence.
-_SHOWN = 2
+COLLISION_LIMIT = "collision"
+# Scale of a clearance violation where the stated clearance is smaller [m].
+_CLEARANCE_SCALE_WITHOUT_CLEARANCE = 1e-3
+# Equal steps before adaptive halving.
+_INITIAL_SAMPLES = 128
+# Missing mesh files that a message names.
+_MAX_NAMED_FILES = 2
 
 
 def with_collisions(problem: TrajectoryProblem, motion: Assessment) -> Assessment:
-    """The assessment with a row for every pair that comes too near, else for the nearest pair.
+    """Return the assessment with a violation for every pair below the clearance.
 
-    The row of a pair has its distance at the worst instant; what the cell states as clearance is
-    its limit.
+    Without any, for the nearest pair. Each states the pair's distance at the worst instant; the
+    limit is the clearance stated in the cell.
     """
     model = problem.clearance_model
     if not model.pairs:
         return motion
     clearance = problem.stated_cell.clearance
-    at, distance = _nearest(model, motion, clearance)
+    at, distance = _nearest_instants(model, motion, clearance)
     rows: list[Violation] = []
     for k in np.argsort(distance):
-        # Overlaps all, and of the others the nearest.
+        # All pairs below the clearance, else the nearest one.
         if distance[k] >= clearance and rows:
             break
-        excess = (clearance - distance[k]) / max(clearance, _SCALE)
+        excess = (clearance - distance[k]) / max(clearance, _CLEARANCE_SCALE_WITHOUT_CLEARANCE)
         rows.append(
             Violation(
                 float(excess),
-                LIMIT,
+                COLLISION_LIMIT,
                 None,
                 float(motion.time[at[k]]),
                 pair=model.pairs[k],
@@ -60,14 +59,14 @@ def with_collisions(problem: TrajectoryProblem, motion: Assessment) -> Assessmen
     return replace(motion, violations=tuple(found))
 
 
-def _nearest(
+def _nearest_instants(
     model: ClearanceModel, motion: Assessment, clearance: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Instant and distance at which each pair is nearest; instants of the motion's grid."""
+    """Return instant, on the motion's grid, and distance at which each pair is nearest."""
     last = len(motion.time) - 1
     position, velocity = motion.position, motion.velocity
     if motion.link is not None:
-        # Where the links' own motion is planned, it is they that meet something.
+        # Where the links' motion is planned, collisions are theirs, not the motors'.
         position, velocity = motion.link, np.gradient(motion.link, motion.time, axis=0)
     speed = model.fastest(velocity, position)
     known: dict[int, np.ndarray] = {}
@@ -77,12 +76,12 @@ def _nearest(
             known[k] = model.distances(position[k])
         return known[k]
 
-    open_ = np.unique(np.linspace(0, last, min(_COARSE, last) + 1).astype(int))
+    open_ = np.unique(np.linspace(0, last, min(_INITIAL_SAMPLES, last) + 1).astype(int))
     stack = list(zip(open_[:-1].tolist(), open_[1:].tolist(), strict=True))
     while stack:
         first, second = stack.pop()
         begin, end = at(first), at(second)
-        # Between two instants no distance falls below what the top speed leaves of both.
+        # Lower bound of the distance between two instants, from the greatest speed.
         fall = float(speed[first : second + 1].max()) * (motion.time[second] - motion.time[first])
         least = 0.5 * (begin + end - fall)
         both = np.minimum(begin, end)
@@ -91,14 +90,16 @@ def _nearest(
             stack += [(first, middle), (middle, second)]
     for pair in range(len(model.pairs)):
         if min(each[pair] for each in known.values()) < clearance:
-            _deepest(pair, at, known)
+            _refine_deepest_instant(pair, at, known)
     instants = np.array(sorted(known))
     every = np.stack([known[k] for k in instants])
     where = np.argmin(every, axis=0)
     return instants[where], every[where, np.arange(every.shape[1])]
 
 
-def _deepest(pair: int, at: Callable[[int], np.ndarray], known: Mapping[int, np.ndarray]) -> None:
+def _refine_deepest_instant(
+    pair: int, at: Callable[[int], np.ndarray], known: Mapping[int, np.ndarray]
+) -> None:
     """Halve the steps beside the deepest instant of a pair until they are the grid's own."""
     while True:
         instants = sorted(known)
@@ -111,8 +112,8 @@ def _deepest(pair: int, at: Callable[[int], np.ndarray], known: Mapping[int, np.
             at(middle)
 
 
-def scope(problem: TrajectoryProblem) -> str:
-    """What was checked for collisions, and what was not, in a sentence or two."""
+def describe_collision_scope(problem: TrajectoryProblem) -> str:
+    """Return sentences on the pairs that the collision check covered and those it did not."""
     model, cell = problem.clearance_model, problem.stated_cell
     around = [name for name in cell.names if any(name in pair for pair in model.pairs)]
     links = sum(not any(name in cell.names for name in pair) for pair in model.pairs)
@@ -131,13 +132,13 @@ def scope(problem: TrajectoryProblem) -> str:
             rods = ", ".join(model.guessed)
             text += f"Links without a shape in the URDF are rods of a guessed radius: {rods}. "
     if left:
-        what = " and ".join([", ".join(left[:-1]), left[-1]] if len(left) > 1 else left)
-        advice = "state what there is in [cell]"
+        unchecked = " and ".join([", ".join(left[:-1]), left[-1]] if len(left) > 1 else left)
+        advice = "describe the surroundings in [cell]"
         if left == ["the arm with itself"]:
             advice = "give the URDF collision shapes"
-        text += f"Collisions were not checked: {what}; {advice}."
+        text += f"Collisions were not checked: {unchecked}; {advice}."
     if model.missing:
-        shown, more = model.missing[:_SHOWN], len(model.missing) - _SHOWN
+        shown, more = model.missing[:_MAX_NAMED_FILES], len(model.missing) - _MAX_NAMED_FILES
         text += f" Not found or no mesh: {', '.join(shown)}"
         text += f" and {more} more shapes of the URDF." if more > 0 else "."
     return text.strip()

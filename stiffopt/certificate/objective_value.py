@@ -1,4 +1,4 @@
-"""Value of an objective on an assessed motion: the number that is reported and compared."""
+"""Certified value of an objective: the number that is reported and compared."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def objective_value(problem: TrajectoryProblem, motion: Assessment) -> ObjectiveValue:
-    """The problem's whole objective on an assessed motion.
+    """Return the problem's objective on an assessed motion.
 
     A single objective keeps its own unit and sign (the minimum stiffness is reported as it is). A
     weighted sum is reported as the sum that was minimised, in mixed SI units.
@@ -40,12 +40,12 @@ def objective_value(problem: TrajectoryProblem, motion: Assessment) -> Objective
 
 
 def is_maximised(problem: TrajectoryProblem) -> bool:
-    """Whether a larger objective is better: only for the minimum stiffness on its own."""
+    """Return True where a larger objective is better: the minimum stiffness as only objective."""
     return len(problem.objectives) == 1 and bool(problem.objectives[0].maximised)
 
 
 def improvement(problem: TrajectoryProblem, value: float, baseline: float) -> float | None:
-    """Ratio to a baseline's objective: below one is better, for maximised objectives too.
+    """Return the ratio to a baseline's objective; below one is better, also when maximising.
 
     None where a ratio has no meaning: values that are not positive and finite.
     """

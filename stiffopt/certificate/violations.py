@@ -1,31 +1,33 @@
-"""The worst violation of every limit along an assessed motion, each relative to its limit."""
+"""Worst violation of every limit along an assessed motion, relative to the limit."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from stiffopt.certificate.rigid_body import tool_angle
+from stiffopt.exact.chain import stage_slip_torque
 from stiffopt.problem.limit import DriveLimit
 from stiffopt.result.assessment import Assessment, DriveHistory, Violation
 
 if TYPE_CHECKING:
     from stiffopt.problem.trajectory import Target, TrajectoryProblem
+    from stiffopt.result.assessment import Assessment
+    from stiffopt.robot.robot import Robot
 
-# A motion that exceeds a limit by more than this share fails the certificate; a baseline that does
-# is shown, never counted. Rows hold at nodes and midpoints only, so every motion exceeds its limits
-# a little between them; this is below what a data sheet's two digits say of a limit, and far above
-# rounding.
-CERTIFIED = 5e-3
+# Share by which a limit may be exceeded: above it a motion fails the certificate and a baseline is
+# not counted. Rows hold at nodes and midpoints only, so every motion exceeds its limits slightly in
+# between; the value is below the resolution of a data sheet's two digits and far above rounding.
+CERTIFICATE_TOLERANCE = 5e-3
 
-# Share of a limit by which a boundary value may be missed.
-_BOUNDARY = 1e-3
+# Share of a limit by which a boundary velocity or acceleration may be missed.
+_BOUNDARY_VALUE_TOLERANCE = 1e-3
 
 
 def find_violations(problem: TrajectoryProblem, motion: Assessment) -> Assessment:
-    """The assessment with its `violations` filled, worst first.
+    """Return the assessment with its `violations` filled, worst first.
 
     Parameters
     ----------
@@ -35,37 +37,37 @@ def find_violations(problem: TrajectoryProblem, motion: Assessment) -> Assessmen
     """
     limits = problem.active_limits
     found = [each for kind in limits.kinds for each in kind.violations(limits, motion)]
-    found += _targets(problem, motion)
-    found += _boundary(problem, motion)
+    found += _target_violations(problem, motion)
+    found += _boundary_violations(problem, motion)
     found.sort(key=lambda violation: -violation.value)
     return replace(motion, violations=tuple(found))
 
 
 def find_drive_violations(problem: TrajectoryProblem, drives: DriveHistory) -> list[Violation]:
-    """Violations of the limits that drives have by themselves, worst first."""
+    """Return the violations of drive limits, worst first."""
     limits = problem.active_limits
     kinds = [kind for kind in limits.kinds if isinstance(kind, DriveLimit)]
     found = [each for kind in kinds for each in kind.violations(limits, drives)]
     return sorted(found, key=lambda violation: -violation.value)
 
 
-def _targets(problem: TrajectoryProblem, motion: Assessment) -> list[Violation]:
-    """How far start, end and vias are missed, relative to their tolerance; vias in order."""
+def _target_violations(problem: TrajectoryProblem, motion: Assessment) -> list[Violation]:
+    """Return the misses of start, end and vias in order, relative to their tolerance."""
     found = []
     last = len(motion.time) - 1
     stops = [("start", problem.start, 0), ("end", problem.end, last)]
     first = 0
     for number, via in enumerate(problem.vias, start=1):
-        first += int(np.argmin(_miss(problem, via, motion, slice(first, None))))
+        first += int(np.argmin(_relative_target_miss(problem, via, motion, slice(first, None))))
         stops.append((f"via_{number}", via, first))
     for name, target, k in stops:
-        miss = _miss(problem, target, motion, slice(k, k + 1))[0]
+        miss = _relative_target_miss(problem, target, motion, slice(k, k + 1))[0]
         found.append(Violation(float(miss - 1.0), name, None, float(motion.time[k])))
     return found
 
 
-def _boundary(problem: TrajectoryProblem, motion: Assessment) -> list[Violation]:
-    """Start and end velocities and accelerations against the given ones, at 1e-3 of the limits."""
+def _boundary_violations(problem: TrajectoryProblem, motion: Assessment) -> list[Violation]:
+    """Compare start and end velocities and accelerations with the given ones."""
     limits, n = problem.active_limits, motion.position.shape[1]
     zero = np.zeros(n)
     velocities = problem.boundary_velocity or (zero, zero)
@@ -76,27 +78,86 @@ def _boundary(problem: TrajectoryProblem, motion: Assessment) -> list[Violation]
             rows.append(("acceleration", motion.acceleration[k], limits.acceleration))
         for name, miss, limit in rows:
             typical = np.where(np.isfinite(limit), limit, np.max(np.abs(getattr(motion, name))))
-            share = np.abs(miss) / (_BOUNDARY * np.maximum(typical, 1e-9))
+            share = np.abs(miss) / (_BOUNDARY_VALUE_TOLERANCE * np.maximum(typical, 1e-9))
             j = int(np.argmax(share))
             time = float(motion.time[k])
             found.append(Violation(float(share[j] - 1.0), f"{side}_{name}", j + 1, time))
     return found
 
 
-def _miss(
+def _relative_target_miss(
     problem: TrajectoryProblem, target: Target, motion: Assessment, instants: slice
 ) -> np.ndarray:
-    """Miss of a target at some instants, relative to its tolerance; of a pose the worse of two."""
-    place = _distance(target, motion, instants) / target.tolerance
+    """Return the miss of a target, relative to its tolerance; for a pose the worse of the two."""
+    place = _target_distance(target, motion, instants) / target.tolerance
     if target.rpy is None:
         return np.asarray(place)
     turn = tool_angle(problem.robot, motion.position[instants], target.rpy)
     return np.asarray(np.maximum(place, turn / target.angle_tolerance))
 
 
-def _distance(target: Target, motion: Assessment, instants: slice) -> np.ndarray:
-    """Distance to a target at some instants: [m] of the tool, or the largest joint angle [rad]."""
+def _target_distance(target: Target, motion: Assessment, instants: slice) -> np.ndarray:
+    """Return the distance to a target: [m] of the tool, or the largest joint angle [rad]."""
     if target.joints is not None:
         away = np.abs(motion.position[instants] - target.joints)
         return np.asarray(np.max(away, axis=1))
     return np.asarray(np.linalg.norm(motion.tool[instants] - target.position, axis=1))
+
+
+@dataclass(frozen=True)
+class Slip:
+    """A connection that slips.
+
+    Parameters
+    ----------
+    element : str
+        Name; parallel elements are joined by "with".
+    joint : int
+        1-based.
+    holds, carries : float
+        Torque of the joint at which it slips, and the largest of the motion [N m].
+    time : float
+        When it first slips [s].
+    """
+
+    element: str
+    joint: int
+    holds: float
+    carries: float
+    time: float
+
+    def describe(self) -> str:
+        """Return text for messages: "flange of joint 2 holds 30 N m but carries 41 N m, ..."."""
+        return (
+            f"{self.element} of joint {self.joint} holds {self.holds:.3g} N m but carries "
+            f"{self.carries:.3g} N m, first exceeded at {self.time:.3f} s"
+        )
+
+
+def find_slips(robot: Robot, motion: Assessment) -> tuple[Slip, ...]:
+    """Return the connections that slip in a motion, joint by joint.
+
+    Parameters
+    ----------
+    robot : Robot
+    motion : Assessment
+    """
+    found = []
+    for j, chain in enumerate(robot.chains):
+        torque = np.abs(motion.spring_torque[:, j])
+        for group in () if chain is None else chain.groups(None):
+            holds = sum(stage_slip_torque(stage, None) for stage in group)
+            if torque.max() < holds:
+                continue
+            name = " with ".join(stage.element.name for stage in group)
+            first = float(motion.time[int(np.argmax(torque >= holds))])
+            found.append(Slip(name, j + 1, holds, float(torque.max()), first))
+    return tuple(found)
+
+
+def describe_slips(found: tuple[Slip, ...]) -> str:
+    """Return a clause on the slipping connections and their remedy, to continue a sentence."""
+    return (
+        f"connections slip: {'; '.join(slip.describe() for slip in found)}. Preload them more "
+        "(stiffopt preload finds how far), or plan a motion with less torque."
+    )

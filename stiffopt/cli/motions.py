@@ -67,7 +67,7 @@ def solve(
         )
         from stiffopt.solver.simulation import with_simulation
         from stiffopt.solver.solve import solve as optimise
-        from stiffopt.solver.stored import read_guess
+        from stiffopt.solver.stored_result import read_guess
 
         loaded = load_problem(problem, changes)
         stated = loaded.problem

@@ -85,9 +85,9 @@ def simulate(
     from stiffopt.report.solve.terminal import print_compensation, print_simulation
     from stiffopt.result.compensation_store import COMMAND_FILE
     from stiffopt.result.store import write_simulation
-    from stiffopt.solver.compensation import recompensated
+    from stiffopt.solver.compensation import judge_existing_command
     from stiffopt.solver.simulation import elastic_arm, simulate_motions
-    from stiffopt.solver.stored import read_result
+    from stiffopt.solver.stored_result import read_result
     from stiffopt.units import to_si
 
     refuse_changes(tuple(each for each in changes if not _UNSURE.match(each)), _SOLVED)
@@ -119,7 +119,7 @@ def simulate(
         motions, led = stored.motions(), None
         found = simulate_motions(stored.problem, arm, motions, servo=servo, band=settled)
         if stored.command is not None:
-            led = recompensated(
+            led = judge_existing_command(
                 stored.problem,
                 modelled,
                 motions,
@@ -156,7 +156,7 @@ def view(
     """
     from stiffopt.report.scene.live import LiveScene
     from stiffopt.report.scene.poses import stored_poses
-    from stiffopt.solver.stored import read_result
+    from stiffopt.solver.stored_result import read_result
 
     refuse_changes(changes)
     stored = read_result(result, problem)
@@ -199,7 +199,7 @@ def modes(
     from stiffopt.elastic.survey import modes_along, modes_at, write_modes_csv
     from stiffopt.report.common.terminal import print_lines
     from stiffopt.report.solve.modes import print_modes, write_modes_figure
-    from stiffopt.solver.stored import read_result
+    from stiffopt.solver.stored_result import read_result
 
     path = Path(source)
     if path.is_dir():

@@ -1,1 +1,1 @@
-"""Rough surfaces in contact: from nominal pressure [Pa] to stiffness per area [N/m^3]."""
+"""Contact of rough surfaces: stiffness per area [N/m^3] over nominal pressure [Pa]."""

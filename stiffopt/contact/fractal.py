@@ -17,11 +17,12 @@ from stiffopt.contact.surface import SurfacePair
 from stiffopt.contact.validate import require_one_of
 from stiffopt.errors import InputError
 
-_LONGEST_SEARCH = 200
-_TOLERANCE = 1e-14
-# Pressures that are tabulated to begin from, logarithms: 1 mPa to 10 TPa.
-_MIDDLE, _AROUND = np.log(1e5), np.log(1e8)
-_ENTRIES = 2001
+# Inversion of the pressure: limit of its Newton steps, and relative step at which it has converged.
+_MAX_NEWTON_STEPS = 200
+_RELATIVE_TOLERANCE = 1e-14
+# Table of initial values, over ln p: 1 mPa to 10 TPa.
+_TABLE_MEAN_LOG_PRESSURE, _TABLE_HALF_WIDTH_LOG_PRESSURE = np.log(1e5), np.log(1e8)
+_TABLE_SIZE = 2001
 
 
 @dataclass(frozen=True)
@@ -90,9 +91,9 @@ class FractalLaw:
         return self.extension_factor * force / self.surface.reference_area
 
     def stiffness(self, largest_spot: np.ndarray) -> np.ndarray:
-        """Stiffness per area, normal [N/m^3], when the largest spot is a_L [m^2].
+        """Normal stiffness per area [N/m^3] when the largest spot is a_L [m^2].
 
-        Of first loading, or of loading again up to that spot, as the surface says.
+        Of first loading or of reloading, by the surface's `loading`.
         """
         total = total_stiffness(self.spots, largest_spot, self.surface.fractal_dimension)
         return self.extension_factor * total / self.surface.reference_area
@@ -116,8 +117,8 @@ class FractalLaw:
 
     def _log_spot(self, goal: np.ndarray) -> np.ndarray:
         """Logarithm of the largest spot for logarithms of pressures, by bracketed Newton steps."""
-        x, lower, upper = self._start(goal)
-        for _ in range(_LONGEST_SEARCH):
+        x, lower, upper = self._initial_bracket(goal)
+        for _ in range(_MAX_NEWTON_STEPS):
             largest = np.exp(x)
             pressure = self.pressure(largest)
             excess = np.log(pressure) - goal
@@ -126,8 +127,8 @@ class FractalLaw:
             # Slope of ln P over ln a_L: the distribution's own growth plus the newest spots.
             step = excess / self._log_slope(largest, pressure)
             following = x - step
-            # What has arrived stays there, though its last step may end on the bracket.
-            arrived = np.abs(step) <= _TOLERANCE * np.maximum(1.0, np.abs(x))
+            # A converged value is accepted even if its last step ends on the bracket.
+            arrived = np.abs(step) <= _RELATIVE_TOLERANCE * np.maximum(1.0, np.abs(x))
             inside = arrived | ((following > lower) & (following < upper))
             x = np.where(inside, following, 0.5 * (lower + upper))
             if np.all(arrived):
@@ -138,30 +139,35 @@ class FractalLaw:
             "surface of the contact."
         )
 
-    def _start(self, goal: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Where to begin, and a bracket: from a table of usual pressures, or searched for."""
-        if np.all(np.abs(goal - _MIDDLE) < _AROUND):
-            spots, goals = self._table
+    def _initial_bracket(self, goal: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return an initial value and a bracket, from the table of usual pressures or searched."""
+        if np.all(np.abs(goal - _TABLE_MEAN_LOG_PRESSURE) < _TABLE_HALF_WIDTH_LOG_PRESSURE):
+            spots, goals = self._tabulate_pressure
             right = np.searchsorted(goals, goal, side="right")
             return np.interp(goal, goals, spots), spots[right - 1], spots[right]
-        return self._searched(goal)
+        return self._search_bracket(goal)
 
-    def _searched(self, goal: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _search_bracket(self, goal: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         # If every spot were plastic the load would be hardness times real area.
         dimension = self.surface.fractal_dimension
         area = np.exp(goal) * self.surface.reference_area / self.surface.softer.hardness
         start = np.log(area * (3 - dimension) / (dimension - 1) / self.extension_factor)
-        lower, upper = self._bracket(start, goal)
+        lower, upper = self._bracket_spot_area(start, goal)
         return np.clip(start, lower, upper), lower, upper
 
     @cached_property
-    def _table(self) -> tuple[np.ndarray, np.ndarray]:
-        """Logarithms of largest spots, evenly, and of their pressures, beyond the usual ones."""
-        _, lower, upper = self._searched(_MIDDLE + np.array([-_AROUND, _AROUND]))
-        spots = np.linspace(lower[0], upper[1], _ENTRIES)
+    def _tabulate_pressure(self) -> tuple[np.ndarray, np.ndarray]:
+        """Table of ln a_L, equally spaced, and ln p that covers the usual pressures."""
+        _, lower, upper = self._search_bracket(
+            _TABLE_MEAN_LOG_PRESSURE
+            + np.array([-_TABLE_HALF_WIDTH_LOG_PRESSURE, _TABLE_HALF_WIDTH_LOG_PRESSURE])
+        )
+        spots = np.linspace(lower[0], upper[1], _TABLE_SIZE)
         return spots, np.log(self.pressure(np.exp(spots)))
 
-    def _bracket(self, start: np.ndarray, goal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _bracket_spot_area(
+        self, start: np.ndarray, goal: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
         lower, upper = start - 1.0, start + 1.0
         reach = 1.0
         for _ in range(60):

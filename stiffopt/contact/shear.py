@@ -28,7 +28,8 @@ ShearLaw = Annotated[
     Literal["mindlin", "load"],
     Doc("Law of contacts under shear: Mindlin's, or Ciavarella and Jaeger's for elastic contacts."),
 ]
-_MINDLIN = 1.0 / 3.0
+# k_t ~ (1 - t)^(1/3).
+_MINDLIN_EXPONENT = 1.0 / 3.0
 
 
 def shear_travel(
@@ -54,9 +55,9 @@ def shear_travel(
     beyond = load_ratio - held
     rest_limit = 1 - SLIP_LIMIT
     if shear == "mindlin":
-        travel = (1 - (1 - held) ** (1 - _MINDLIN)) / (1 - _MINDLIN)
-        slope = rest_limit**-_MINDLIN
-        curvature = _MINDLIN * slope / rest_limit
+        travel = (1 - (1 - held) ** (1 - _MINDLIN_EXPONENT)) / (1 - _MINDLIN_EXPONENT)
+        slope = rest_limit**-_MINDLIN_EXPONENT
+        curvature = _MINDLIN_EXPONENT * slope / rest_limit
     else:
         stiffness = law.stiffness(pressure)
         travel = stiffness / pressure * law.approach(pressure * (1 - held), pressure)
@@ -73,8 +74,8 @@ def shear_softening(
     beyond = load_ratio - held
     rest_limit = 1 - SLIP_LIMIT
     if shear == "mindlin":
-        slope = (1 - held) ** -_MINDLIN
-        curvature = _MINDLIN * rest_limit ** (-_MINDLIN - 1)
+        slope = (1 - held) ** -_MINDLIN_EXPONENT
+        curvature = _MINDLIN_EXPONENT * rest_limit ** (-_MINDLIN_EXPONENT - 1)
     else:
         stiffness = law.stiffness(pressure)
         slope = stiffness / law.stiffness(pressure * (1 - held))

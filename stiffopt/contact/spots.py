@@ -21,12 +21,12 @@ from stiffopt.declaration import Doc
 from stiffopt.errors import OutOfValidityError
 
 # Kogut-Etsion fits: force factor and exponent of omega, and the interference range they hold in.
-_ELASTIC_PLASTIC = ((1.03, 1.425, 6.0), (1.40, 1.263, 110.0))
+_KOGUT_ETSION_FORCE_FITS = ((1.03, 1.425, 6.0), (1.40, 1.263, 110.0))
 # Their contact areas over that at yield, 0.93 omega^1.136 and 0.94 omega^1.146, as share of the
 # truncated area, which is 2 omega of it: factor and exponent of omega.
-_SPOT_AREA = ((0.93 / 2, 0.136), (0.94 / 2, 0.146))
-# Beyond this the critical area leaves the range of doubles (and of any joint) by far.
-_LARGEST_LOG_AREA = 300.0
+_KOGUT_ETSION_AREA_FITS = ((0.93 / 2, 0.136), (0.94 / 2, 0.146))
+# |ln(area/m^2)| beyond which the critical area is outside the range of doubles.
+_MAX_LOG_AREA = 300.0
 
 Loading = Annotated[
     Literal["first", "cyclic"],
@@ -92,9 +92,9 @@ def spot_laws(
         Stiffness of an elastic spot: of a given spot under more load, or the derivative of force
         by interference from spot to spot (larger by 2/3 (4-D)/(3-D)).
     loading : {"first", "cyclic"}
-        cyclic: an elastic or elastic-plastic spot keeps its area a and yields as an elastic punch,
-        k = 2 E* sqrt(a/pi). Plastic spots stay without stiffness: theirs has no limit towards small
-        sizes in a fractal, so the cyclic stiffness is a lower bound.
+        cyclic: an elastic or elastic-plastic spot keeps its area a and deforms as an elastic punch,
+        k = 2 E* sqrt(a/pi). Plastic spots remain without stiffness: the sum of theirs diverges
+        towards small sizes of a fractal, so the cyclic stiffness is a lower bound.
 
     Raises
     ------
@@ -113,12 +113,12 @@ def spot_laws(
     ) / (dimension - 2)
     if regimes == 3:
         log_limit += math.log(math.pi)
-    if abs(log_limit) > _LARGEST_LOG_AREA:
+    if abs(log_limit) > _MAX_LOG_AREA:
         raise OutOfValidityError(
             "ln of the elastic limit area of a spot",
             log_limit,
-            -_LARGEST_LOG_AREA,
-            _LARGEST_LOG_AREA,
+            -_MAX_LOG_AREA,
+            _MAX_LOG_AREA,
             "Take a fractal dimension further from 2.",
         )
     limit = math.exp(log_limit)
@@ -137,7 +137,7 @@ def spot_laws(
     if regimes == 3:
         worn = _elastic_plastic_laws(dimension, big_lambda, modulus, hardness, yield_factor, limit)
         if loading == "cyclic":
-            worn = _unloading(worn, dimension, modulus, limit)
+            worn = _unloading_laws(worn, dimension, modulus, limit)
         laws += worn
     laws.append(SpotLaw(0.0, laws[-1].lower, hardness, 1.0, 0.0, 0.0))
     return tuple(reversed(laws))
@@ -158,7 +158,7 @@ def _elastic_plastic_laws(
     yield_force = 2 / 3 * pressure * radius**2 * (pressure / (2 * modulus)) ** 2
     laws = []
     upper = limit
-    for factor, exponent, largest in _ELASTIC_PLASTIC:
+    for factor, exponent, largest in _KOGUT_ETSION_FORCE_FITS:
         lower = limit * largest ** (-1 / (dimension - 2))
         slope = dimension - 2
         laws.append(
@@ -175,13 +175,13 @@ def _elastic_plastic_laws(
     return laws
 
 
-def _unloading(
+def _unloading_laws(
     laws: list[SpotLaw], dimension: float, modulus: float, limit: float
 ) -> list[SpotLaw]:
-    """Elastic-plastic spots with the stiffness of elastic punches of their contact area."""
+    """Return the laws with the stiffness of elastic punches of the spots' contact area."""
     slope = dimension - 2
     found = []
-    for law, (share, exponent) in zip(laws, _SPOT_AREA, strict=True):
+    for law, (share, exponent) in zip(laws, _KOGUT_ETSION_AREA_FITS, strict=True):
         # a = share a' omega^exponent with omega = (limit/a')^(D-2).
         factor = 2 * modulus * math.sqrt(share / math.pi) * limit ** (slope * exponent / 2)
         found.append(
@@ -196,7 +196,7 @@ def total_force(laws: Sequence[SpotLaw], largest: np.ndarray, dimension: float) 
     The special dimensions at which a power turns into a logarithm (2.5, 2.541.., 2.655..) need no
     case of their own: the integral is written with expm1.
     """
-    return _total(
+    return _sum_over_spots(
         [(law.lower, law.upper, law.force_factor, law.force_exponent) for law in laws],
         largest,
         dimension,
@@ -206,7 +206,7 @@ def total_force(laws: Sequence[SpotLaw], largest: np.ndarray, dimension: float) 
 def total_stiffness(laws: Sequence[SpotLaw], largest: np.ndarray, dimension: float) -> np.ndarray:
     """Sum of the spot stiffnesses up to the largest spot a_L [m^2]: normal stiffness [N/m]."""
     # Plastic spots carry load but add no incremental stiffness.
-    return _total(
+    return _sum_over_spots(
         [
             (law.lower, law.upper, law.stiffness_factor, law.stiffness_exponent)
             for law in laws
@@ -217,7 +217,7 @@ def total_stiffness(laws: Sequence[SpotLaw], largest: np.ndarray, dimension: flo
     )
 
 
-def _total(
+def _sum_over_spots(
     powers: Sequence[tuple[float, float, float, float]], largest: np.ndarray, dimension: float
 ) -> np.ndarray:
     """Integral of factor * a'^exponent over the size distribution, regime by regime."""

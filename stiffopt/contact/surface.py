@@ -51,7 +51,7 @@ class Material:
         return self.modulus / (2 * (1 + self.poisson))
 
 
-_FRICTION = replace(FRICTION, above=-math.inf, least=0.0)
+_FRICTION_BOUNDS = replace(FRICTION, above=-math.inf, least=0.0)
 # Of measured surfaces 1e-13 to 1e-8 m.
 FRACTAL_ROUGHNESS = Bounds(above=0.0, plausible=(0.0, 1e-3))
 
@@ -75,7 +75,9 @@ class SurfacePair:
         Doc("Fractal dimension D of the surface: that of a profile plus one."),
     ]
     fractal_roughness: Annotated[Length, FRACTAL_ROUGHNESS, Doc("Fractal roughness G.")]
-    friction: Annotated[Ratio, _FRICTION, Doc("Coefficient of friction of the interface.")] = 0.15
+    friction: Annotated[
+        Ratio, _FRICTION_BOUNDS, Doc("Coefficient of friction of the interface.")
+    ] = 0.15
     reference_area: Annotated[
         Area,
         POSITIVE,

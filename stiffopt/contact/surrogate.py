@@ -1,8 +1,7 @@
 """Smooth fits to the fractal law k_n(p), for floats, arrays and CasADi expressions.
 
-Both fits know the pressure range they were made for and their largest relative error in it
-against the exact law. The integral of 1/k_n over pressure, the primitive of every wind-up, is part
-of the law.
+A fit states its pressure range and its largest relative error there against the exact law. The
+integral of 1/k_n over pressure, from which every wind-up follows, is part of the law.
 """
 
 from __future__ import annotations
@@ -21,13 +20,15 @@ from stiffopt.declaration import Doc
 from stiffopt.errors import OutOfValidityError
 from stiffopt.symbolic import Quantity
 
+# Upper end of the fits [Pa], and the unit of pressure in their logarithms [Pa].
 HIGHEST_PRESSURE = 200e6
 _UNIT_PRESSURE = 1e6
 # Five Gauss-Legendre points integrate 1/k_n over three decades of pressure to about 1e-9, because
 # in ln p the integrand is nearly an exponential.
-_NODES, _WEIGHTS = (array.tolist() for array in np.polynomial.legendre.leggauss(5))
+_GAUSS_NODES, _GAUSS_WEIGHTS = (array.tolist() for array in np.polynomial.legendre.leggauss(5))
+# Minimax fit: pressures, equally spaced in ln p, and iterations of Lawson's reweighting.
 _FIT_POINTS = 400
-_FIT_ROUNDS = 60
+_LAWSON_ITERATIONS = 60
 
 _LawNames = Literal["log_cubic", "power_law"]
 LawName = Annotated[
@@ -58,7 +59,7 @@ class ContactLaw(Protocol):
         """Local exponent d ln k_n / d ln p [-]."""
 
     def approach(self, low: Quantity, high: Quantity) -> Quantity:
-        """Integral of dp/k_n from `low` to `high` [m]: how far the surfaces move together."""
+        """Integral of dp/k_n from `low` to `high` [m]: approach of the surfaces."""
 
 
 @dataclass(frozen=True)
@@ -127,35 +128,37 @@ class LogCubic:
     def __post_init__(self) -> None:
         require_positive("log-cubic law", lower=self.lower, upper=self.upper)
         require_ordered("log-cubic law", lower=self.lower, upper=self.upper)
-        for x in (self._low, self._high):
-            _require_integrable("log-cubic law", self._slope(x))
+        for x in (self._extrapolate_low, self._extrapolate_high):
+            _require_integrable("log-cubic law", self._cubic_slope(x))
 
     @property
-    def _low(self) -> float:
+    def _extrapolate_low(self) -> float:
         return math.log(self.lower / _UNIT_PRESSURE)
 
     @property
-    def _high(self) -> float:
+    def _extrapolate_high(self) -> float:
         return math.log(self.upper / _UNIT_PRESSURE)
 
-    def _cubic(self, x: Quantity) -> Quantity:
+    def _evaluate_cubic(self, x: Quantity) -> Quantity:
         c0, c1, c2, c3 = self.coefficients
         return c0 + x * (c1 + x * (c2 + x * c3))
 
-    def _slope(self, x: Quantity) -> Quantity:
+    def _cubic_slope(self, x: Quantity) -> Quantity:
         _, c1, c2, c3 = self.coefficients
         return c1 + x * (2 * c2 + x * 3 * c3)
 
     def stiffness(self, pressure: Quantity) -> Quantity:
         """Stiffness per area k_n(p), normal [N/m^3]."""
         x = np.log(pressure / _UNIT_PRESSURE)
-        inside = np.minimum(np.maximum(x, self._low), self._high)
-        return np.exp(self._cubic(inside) + self._slope(inside) * (x - inside))
+        inside = np.minimum(np.maximum(x, self._extrapolate_low), self._extrapolate_high)
+        return np.exp(self._evaluate_cubic(inside) + self._cubic_slope(inside) * (x - inside))
 
     def log_slope(self, pressure: Quantity) -> Quantity:
         """Local exponent d ln k_n / d ln p [-]."""
         x = np.log(pressure / _UNIT_PRESSURE)
-        return self._slope(np.minimum(np.maximum(x, self._low), self._high))
+        return self._cubic_slope(
+            np.minimum(np.maximum(x, self._extrapolate_low), self._extrapolate_high)
+        )
 
     def approach(self, low: Quantity, high: Quantity) -> Quantity:
         """Integral of dp/k_n from `low` (0 is allowed) to `high` [m].
@@ -167,17 +170,23 @@ class LogCubic:
         start = np.log(first / _UNIT_PRESSURE)
         span = np.log(last / first)
         total = 0.0
-        for node, weight in zip(_NODES, _WEIGHTS, strict=True):
+        for node, weight in zip(_GAUSS_NODES, _GAUSS_WEIGHTS, strict=True):
             x = start + 0.5 * (1 + node) * span
-            total = total + 0.5 * weight * np.exp(x - self._cubic(x))
+            total = total + 0.5 * weight * np.exp(x - self._evaluate_cubic(x))
         inside = _UNIT_PRESSURE * span * total
-        below = self._line(self._low, np.minimum(low, self.lower), np.minimum(high, self.lower))
-        above = self._line(self._high, np.maximum(low, self.upper), np.maximum(high, self.upper))
+        below = self._tangent_line(
+            self._extrapolate_low, np.minimum(low, self.lower), np.minimum(high, self.lower)
+        )
+        above = self._tangent_line(
+            self._extrapolate_high, np.maximum(low, self.upper), np.maximum(high, self.upper)
+        )
         return below + inside + above
 
-    def _line(self, x: float, low: Quantity, high: Quantity) -> Quantity:
+    def _tangent_line(self, x: float, low: Quantity, high: Quantity) -> Quantity:
         """Integral of dp/k_n where ln k_n is the tangent to the cubic at x."""
-        tangent = PowerLaw(math.exp(self._cubic(x) - self._slope(x) * x), self._slope(x))
+        tangent = PowerLaw(
+            math.exp(self._evaluate_cubic(x) - self._cubic_slope(x) * x), self._cubic_slope(x)
+        )
         return tangent.approach(low, high)
 
 
@@ -197,7 +206,7 @@ def fit_power_law(
     surface: SurfacePair, lower: float = LOWEST_PRESSURE, upper: float = HIGHEST_PRESSURE
 ) -> PowerLaw:
     """Power law with the smallest largest relative error from `lower` to `upper` [Pa]."""
-    (constant, slope), error = _fit(surface, lower, upper, 1)
+    (constant, slope), error = _fit_log_polynomial(surface, lower, upper, 1)
     return PowerLaw(math.exp(constant), slope, lower, upper, error)
 
 
@@ -206,7 +215,7 @@ def fit_log_cubic(
     surface: SurfacePair, lower: float = LOWEST_PRESSURE, upper: float = HIGHEST_PRESSURE
 ) -> LogCubic:
     """Log-cubic law with the smallest largest relative error from `lower` to `upper` [Pa]."""
-    (c0, c1, c2, c3), error = _fit(surface, lower, upper, 3)
+    (c0, c1, c2, c3), error = _fit_log_polynomial(surface, lower, upper, 3)
     return LogCubic((c0, c1, c2, c3), lower, upper, error)
 
 
@@ -230,7 +239,7 @@ def contact_law(
     return fit(surface, lower, upper)
 
 
-def _fit(
+def _fit_log_polynomial(
     surface: SurfacePair, lower: float, upper: float, degree: int
 ) -> tuple[list[float], float]:
     """Coefficients of ln k_n over ln p (ascending) and the largest relative error."""
@@ -241,7 +250,7 @@ def _fit(
     # Lawson's iteration: weights grow where the error is large, which ends at equal ripples.
     weight = np.full(x.size, 1 / x.size)
     best, best_error = np.zeros(degree + 1), math.inf
-    for _ in range(_FIT_ROUNDS):
+    for _ in range(_LAWSON_ITERATIONS):
         polynomial = np.polynomial.polynomial.polyfit(x, exact, degree, w=np.sqrt(weight))
         error = np.abs(np.expm1(np.polynomial.polynomial.polyval(x, polynomial) - exact))
         if error.max() < best_error:

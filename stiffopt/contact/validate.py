@@ -1,4 +1,4 @@
-"""Checks that no single declared field can make, with one wording for all."""
+"""Checks of several values against each other or against a list of words."""
 
 from __future__ import annotations
 

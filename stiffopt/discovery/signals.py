@@ -10,8 +10,7 @@ import numpy as np
 
 from stiffopt.connection.reducer import Reducer
 from stiffopt.discovery.settings import SIGN_SPEED
-from stiffopt.drivetrain.chain import Chain
-from stiffopt.drivetrain.stage import Stage
+from stiffopt.drivetrain.chain import Chain, Stage
 from stiffopt.exact.connection import Corners, Slopes, reducer_compliance, reducer_windup
 from stiffopt.symbolic import Quantity
 
@@ -140,7 +139,7 @@ class JointConstants:
         own, down, counts = (
             self._series_reducer.element,
             self._series_reducer.reduction,
-            self._series_reducer.counts,
+            self._series_reducer.windup_factor,
         )
         assert isinstance(own, Reducer)
         slopes = (own.K1, own.K2, own.K3)

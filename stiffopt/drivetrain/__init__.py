@@ -1,1 +1,1 @@
-"""Drivetrains: connections in series and parallel, seen from the joint."""
+"""Drivetrains: connections in series and parallel, referred to the joint."""

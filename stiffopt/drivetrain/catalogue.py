@@ -135,9 +135,9 @@ class FlangeData(Entry):
     transmissible_torque: float
 
 
-_ARCMIN = math.pi / 10800.0
-# Ratios that the makers list; the stiffness class of each is 30, 50 or 80.
-_RATIOS = (30, 50, 80, 100, 120, 160)
+_RADIANS_PER_ARCMINUTE = math.pi / 10800.0
+# Ratios of the makers' tables; the stiffness class of each is 30, 50 or 80.
+_LISTED_RATIOS = (30, 50, 80, 100, 120, 160)
 
 
 def _stiffness_class(ratio: int) -> str:
@@ -145,12 +145,12 @@ def _stiffness_class(ratio: int) -> str:
 
 
 def reducer_names() -> list[str]:
-    """Names of the reducers: one's own, harmonic_SIZE_RATIO and rv_SIZE_RATIO."""
+    """Return the names of the reducers: user entries, harmonic_SIZE_RATIO and rv_SIZE_RATIO."""
     return [*own_entries("reducer"), *_packaged_reducers()]
 
 
 def reducer(name: str) -> ReducerData:
-    """Look up a reducer by name, for example "harmonic_25_100"; one's own come first."""
+    """Look up a reducer by name, for example "harmonic_25_100"; user entries come first."""
     own, packaged = own_entries("reducer"), _packaged_reducers()
     if name not in own and name not in packaged:
         raise InputError(f"no reducer {name!r} in the catalogue. {nearest(name, reducer_names())}")
@@ -159,13 +159,13 @@ def reducer(name: str) -> ReducerData:
 
 @functools.cache
 def _packaged_reducers() -> dict[str, ReducerData]:
-    return {each.name: each for each in (*_strain_wave(), *_cycloidal())}
+    return {each.name: each for each in (*_strain_wave(), *_read_cycloidal())}
 
 
 def _strain_wave() -> Iterator[ReducerData]:
     table = read_table("reducers")
     for row in sorted(table["reducer"], key=lambda row: int(row["size"])):
-        for ratio in _RATIOS:
+        for ratio in _LISTED_RATIOS:
             if _stiffness_class(ratio) != row["class"]:
                 continue
             name = f"harmonic_{row['size']}_{ratio}"
@@ -185,19 +185,19 @@ def _strain_wave() -> Iterator[ReducerData]:
             )
 
 
-def _cycloidal() -> Iterator[ReducerData]:
-    """Rigidity above 3 % of the rated torque, below it the slope of the lost motion."""
+def _read_cycloidal() -> Iterator[ReducerData]:
+    """Yield the cycloidal reducers: K1 from the lost motion up to 3 % of the rated torque."""
     table = read_table("cycloidal")
     for row in table["reducer"]:
         rated = row["torque"][0]
-        corner, slope = 0.03 * rated, row["rigidity"] / _ARCMIN
+        corner, slope = 0.03 * rated, row["rigidity"] / _RADIANS_PER_ARCMINUTE
         for ratio in row["ratios"]:
             yield ReducerData(
                 name=f"{row['name']}_{ratio}",
                 provenance=row["provenance"],
                 source=source_text(table, row["source"]),
                 ratio=ratio,
-                K1=corner / (0.5 * row["lost_motion"] * _ARCMIN),
+                K1=corner / (0.5 * row["lost_motion"] * _RADIANS_PER_ARCMINUTE),
                 K2=slope,
                 K3=slope,
                 T1=corner,
@@ -260,15 +260,15 @@ def surface_entry(name: str) -> Entry:
 
 def surface(name: str) -> SurfacePair:
     """Look up a pair of surfaces by name, for example "fine_steel"."""
-    return _surface(name) if name in own_entries("surface") else _packaged_surface(name)
+    return _read_surface(name) if name in own_entries("surface") else _packaged_surface(name)
 
 
 @functools.cache
 def _packaged_surface(name: str) -> SurfacePair:
-    return _surface(name)
+    return _read_surface(name)
 
 
-def _surface(name: str) -> SurfacePair:
+def _read_surface(name: str) -> SurfacePair:
     row = find("surface", name, rows("surfaces", "surface", "name"))
     return SurfacePair(
         name=name,

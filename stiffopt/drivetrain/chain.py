@@ -10,17 +10,88 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 
 from stiffopt.connection.connection import Connection
-from stiffopt.drivetrain.stage import Preloads, Stage
+from stiffopt.declaration import FRACTION, POSITIVE, Doc, Ratio, check_fields
 from stiffopt.errors import InputError, nearest
 from stiffopt.symbolic import Quantity
 
-# Unrolled, so that the split stays a differentiable expression. Three steps leave 1e-12 of the
-# wind-up for a key beside a bolted flange.
-_STEPS = 4
+Preloads = Mapping[str, Quantity] | None
+
+
+@dataclass(frozen=True)
+class Stage:
+    """One element of a chain with its gear ratio and its parallel group.
+
+    The element carries T/(ratio efficiency) and its wind-up counts 1/ratio. `reflect` is that of
+    the `stiffopt.drivetrain.chain.Chain`, which sets it for all its stages.
+    """
+
+    element: Connection
+    ratio: Annotated[Ratio, POSITIVE, Doc("Turns of the element for one turn of the joint.")] = 1.0
+    efficiency: Annotated[
+        Ratio, FRACTION, Doc("Of the way from the element to the joint; 1 is without losses.")
+    ] = 1.0
+    group: Annotated[
+        str | None,
+        Doc("Group of elements that act in parallel; without it in series with the rest."),
+    ] = None
+    reflect: bool = True
+
+    def __post_init__(self) -> None:
+        check_fields(self, self.element.owner)
+
+    @property
+    def reduction(self) -> float:
+        """Joint torque for a unit of the element's torque [-]."""
+        return self.ratio * self.efficiency
+
+    @property
+    def windup_factor(self) -> float:
+        """Wind-up of the joint for a unit of the element's wind-up [-]."""
+        return 1.0 / self.ratio if self.reflect else self.reduction
+
+    def windup(self, torque: Quantity, preloads: Preloads, smoothing: Quantity) -> Quantity:
+        """Wind-up at the joint [rad] for the joint torque [N m] that flows through this stage."""
+        own = torque / self.reduction
+        return self.windup_factor * self.element.windup(
+            own, preload=self._select_preload(preloads), smoothing=smoothing
+        )
+
+    def tangent_compliance(
+        self, torque: Quantity, preloads: Preloads, smoothing: Quantity
+    ) -> Quantity:
+        """Slope of `windup` [rad/(N m)]."""
+        own = torque / self.reduction
+        slope = self.element.tangent_compliance(
+            own, preload=self._select_preload(preloads), smoothing=smoothing
+        )
+        return self.windup_factor / self.reduction * slope
+
+    def secant_compliance(
+        self, torque: Quantity, preloads: Preloads, smoothing: Quantity
+    ) -> Quantity:
+        """Wind-up over torque [rad/(N m)], with its limit at zero."""
+        own = torque / self.reduction
+        stiffness = self.element.secant_stiffness(
+            own, preload=self._select_preload(preloads), smoothing=smoothing
+        )
+        return self.windup_factor / self.reduction / stiffness
+
+    def slip_torque(self, preloads: Preloads = None) -> float:
+        """Joint torque at which this stage alone would slip [N m]."""
+        return float(self.element.slip_torque(self._select_preload(preloads))) * self.reduction
+
+    def _select_preload(self, preloads: Preloads) -> Quantity | None:
+        return (preloads or {}).get(self.element.name)
+
+
+# Newton steps of the torque split, unrolled so that it stays differentiable. Three steps reduce the
+# error to 1e-12 of the wind-up for a key beside a bolted flange.
+_NEWTON_STEPS = 4
 
 Law = Callable[[Quantity], Quantity]
 
@@ -35,7 +106,7 @@ class Chain:
     reflect : bool
         True (physics): the wind-up of an element counts 1/ratio at the joint, its stiffness
         ratio^2. False: the torque is still divided by the ratio, but the element's tangent
-        stiffness is added as it is; a reading that a text silent about reflection allows, under
+        stiffness is added as it is; an interpretation of texts that do not mention reflection, in
         which everything on the motor side dominates.
 
     Notes
@@ -68,7 +139,7 @@ class Chain:
         ----------
         torque : scalar or (n,) or SX or MX [N m]
         preloads : mapping of element name to preload [N], optional
-            In place of the elements' own; may be symbolic.
+            Replaces the elements' own; may be symbolic.
         smoothing : scalar [-]
             Factor on every smoothing width.
 
@@ -126,7 +197,7 @@ class Chain:
         return replace(self, stages=kept)
 
     def split(self, names: Iterable[str]) -> tuple[Chain, Chain]:
-        """Chains of the groups that hold one of these elements, and of the others.
+        """Return the chain of the groups that contain one of these elements, and that of the rest.
 
         The two are in series, so their wind-ups and compliances add up to those of the whole.
         """
@@ -155,9 +226,9 @@ class Chain:
         return replace(self, stages=stages)
 
     def groups(self, preloads: Preloads = None) -> list[tuple[Stage, ...]]:
-        """Stages as a series of groups; a stage without a group stands alone.
+        """Return the stages as a series of groups; a stage without a group is one by itself.
 
-        Raises `InputError` where a preload is of no element.
+        Raises `InputError` where a preload names no element.
         """
         self._check_names(preloads)
         groups: dict[object, list[Stage]] = {}
@@ -185,7 +256,7 @@ def _group_secant(
 def smooth_shares(
     stages: Sequence[Stage], torque: Quantity, preloads: Preloads, smoothing: Quantity
 ) -> list[Quantity]:
-    """Share of the torque that each stage of a group carries; a smooth expression.
+    """Return the share of the torque that each stage of a group carries, a smooth expression.
 
     Parameters
     ----------
@@ -200,25 +271,27 @@ def smooth_shares(
     if len(stages) == 1:
         return [1.0 + 0.0 * torque]
     extra = {"preloads": preloads, "smoothing": smoothing}
-    return _newton(
+    return _newton_step(
         [functools.partial(s.secant_compliance, **extra) for s in stages],
         [functools.partial(s.tangent_compliance, **extra) for s in stages],
         torque,
     )
 
 
-def _newton(secants: Sequence[Law], tangents: Sequence[Law], torque: Quantity) -> list[Quantity]:
-    """Shares at which all wind up alike, by Newton steps on the logarithms.
+def _newton_step(
+    secants: Sequence[Law], tangents: Sequence[Law], torque: Quantity
+) -> list[Quantity]:
+    """Return the shares of equal wind-up, by Newton steps on the logarithms.
 
     Equal wind-up means ln S_e(s_e T) + ln s_e is the same for all elements e, with the secant
     compliance S_e = wind-up / torque and the share s_e. In these logarithms the stiffness laws
-    (powers of the torque) are nearly straight lines, so few steps do, at T = 0 too.
+    (powers of the torque) are nearly straight lines, so few steps suffice, also at T = 0.
     """
     count = len(secants)
     even = 1.0 / count + 0.0 * torque
     weights = [1.0 / secant(even * torque) for secant in secants]
     shares = [w / sum(weights) for w in weights]
-    for _ in range(_STEPS):
+    for _ in range(_NEWTON_STEPS):
         residuals, slopes = [], []
         for secant, tangent, share in zip(secants, tangents, shares, strict=True):
             compliance = secant(share * torque)

@@ -1,4 +1,4 @@
-"""Packaged bolts, set screws and what the parts around them bear, each with its provenance."""
+"""Packaged bolts, set screws and strength of the clamped parts, each with its provenance."""
 
 from __future__ import annotations
 
@@ -55,14 +55,14 @@ class BoltData(Entry):
     @property
     def stress_diameter(self) -> float:
         """d_S = (d2 + d3)/2 of the thread, or that of a thinner shank [m]."""
-        return self._thinner((self.pitch_diameter + self.minor_diameter) / 2)
+        return self._smaller_diameter((self.pitch_diameter + self.minor_diameter) / 2)
 
     @property
     def core_diameter(self) -> float:
-        """d_3 of the thread, or d_T of a thinner shank: what shears between the ends [m]."""
-        return self._thinner(self.minor_diameter)
+        """d_3 of the thread, or d_T of a thinner shank: section under shear [m]."""
+        return self._smaller_diameter(self.minor_diameter)
 
-    def _thinner(self, diameter: float) -> float:
+    def _smaller_diameter(self, diameter: float) -> float:
         """Smaller one of a diameter and that of the shank [m]."""
         return diameter if self.shank_diameter is None else min(diameter, self.shank_diameter)
 
@@ -153,7 +153,7 @@ class SetScrewData(Entry):
 
 @dataclass(frozen=True, kw_only=True)
 class ClampedMaterial(Entry):
-    """What a material bears around fasteners.
+    """Permissible pressures and strengths of a material around fasteners.
 
     Parameters
     ----------
@@ -172,8 +172,8 @@ class ClampedMaterial(Entry):
     expansion : float
         Thermal, for 1 K.
     key_pressure : mapping
-        "steady" and "reversing": permissible on key flanks in a hub of it [Pa]; empty where it is
-        no hub's.
+        "steady" and "reversing": permissible on key flanks in a hub of it [Pa]; empty for
+        materials not used for hubs.
     """
 
     modulus: float
@@ -187,7 +187,7 @@ class ClampedMaterial(Entry):
     key_pressure: Mapping[str, float] = field(default_factory=dict)
 
     def engagement_for(self, grade: str) -> float:
-        """Length of thread needed, in diameters: of the weakest grade tried that is no weaker."""
+        """Return the thread engagement needed [diameters], of the next stronger listed grade."""
         strength = tensile_strength(grade)
         tried = [name for name in self.engagement if tensile_strength(name) >= strength]
         return self.engagement[min(tried, key=tensile_strength)]
@@ -195,7 +195,7 @@ class ClampedMaterial(Entry):
 
 @dataclass(frozen=True, kw_only=True)
 class WasherData(Entry):
-    """Hardened washer: outer diameter and thickness [m], pressure that it bears [Pa]."""
+    """Hardened washer: outer diameter and thickness [m], permissible pressure [Pa]."""
 
     diameter: float
     thickness: float
@@ -278,12 +278,12 @@ def tensile_strength(grade: str) -> float:
 
 
 def washer(size: str) -> WasherData:
-    """Look up the hardened washer of a bolt: one's own, else of its size, else of its diameter.
+    """Look up the hardened washer of a bolt: a user entry, else by size, else by diameter.
 
     Raises
     ------
     InputError
-        There is none, or the head is wider than it.
+        There is none, or the head is wider than the washer.
     """
     own = own_entries("washer")
     table = read_table("bolts")["washers"]
@@ -335,7 +335,7 @@ def coating(name: str) -> CoatingData:
 
 
 def clamped_material(name: str) -> ClampedMaterial:
-    """Look up what a clamped or tapped material bears."""
+    """Look up a clamped or tapped material."""
     table = read_table("fastening")
     row = dict(find("material", name, table["material"]))
     modulus = float(read_table("surfaces")["materials"][row.pop("of", name)]["young"])

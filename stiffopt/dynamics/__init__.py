@@ -1,1 +1,1 @@
-"""Symbolic dynamics and kinematics of an arm, and its deflection; pin is the oracle."""
+"""Symbolic dynamics, kinematics and deflection of an arm, tested against pinocchio."""

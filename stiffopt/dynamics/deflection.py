@@ -4,8 +4,8 @@ The deflection is the elastic position minus the planned position, -J phi, to fi
 wind-up phi; J is the position Jacobian in base axes. Three parts add up to the total:
 
 - static: -J phi(tau_gravity), the sag at rest in the same pose, which calibration can remove;
-- dynamic: -J [phi(tau_0) - phi(tau_gravity)], what the motion itself adds;
-- process: -J [phi(tau_spring) - phi(tau_0)], what a force on the tool adds.
+- dynamic: -J [phi(tau_0) - phi(tau_gravity)], added by the motion;
+- process: -J [phi(tau_spring) - phi(tau_0)], added by a force on the tool.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ def spring_torques(
     a: Quantity,
     process_force: Quantity = None,
 ) -> SpringTorques:
-    """Torques in the springs of an arm in motion whose tool carries a process force.
+    """Return the spring torques of an arm in motion under a process force on its tool.
 
     Parameters
     ----------
@@ -94,7 +94,7 @@ def spring_torques(
 def tool_deflection(
     jacobian: Quantity, torques: SpringTorques, windup: Callable[[Quantity], Quantity]
 ) -> Deflection:
-    """Deflection of the tool from the torques in the springs.
+    """Return the deflection of the tool under spring torques.
 
     Parameters
     ----------
@@ -105,7 +105,7 @@ def tool_deflection(
         Spring torques (n,) -> wind-up angles (n,) [rad] (or shortening [m]).
     """
     sag, moving = windup(torques.gravity), windup(torques.motion)
-    # Without a process force both are one expression, and the part is an exact zero.
+    # Without a process force both are the same expression, and the process part is exactly zero.
     loaded = moving if torques.spring is torques.motion else windup(torques.spring)
     symbolic = isinstance(jacobian, ca.SX | ca.MX)
 

@@ -7,15 +7,15 @@ import numpy as np
 
 from stiffopt.symbolic import Quantity
 
-# Width of the change of sign of dry friction, as a share of the velocity limit: at 2 % of the limit
-# the smooth law has 96 % of the sharp one, at 4 % 99.9 %.
-SMOOTH_SHARE = 0.01
+# Smoothing width of dry friction about standstill, as a share of the velocity limit: at 2 % of the
+# limit the smooth law has 96 % of the sharp one, at 4 % 99.9 %.
+DRY_FRICTION_WIDTH_SHARE = 0.01
 
 
 def friction_torque(
     velocity: Quantity, *, coulomb: Quantity, viscous: Quantity, width: Quantity
 ) -> Quantity:
-    """Torque that friction takes from the drive, with the sign of the velocity.
+    """Return the friction torque of the drive, with the sign of the velocity.
 
     Parameters
     ----------
@@ -37,9 +37,9 @@ def friction_torque(
     return coulomb * np.tanh(velocity / width) + viscous * velocity
 
 
-def smoothing_width(velocity_max: Quantity) -> Quantity:
-    """Speed scale of the smooth dry friction (n,), 1 % of the velocity limit; 0.01 without one."""
-    return SMOOTH_SHARE * np.where(np.isfinite(velocity_max), velocity_max, 1.0)
+def dry_friction_width(velocity_max: Quantity) -> Quantity:
+    """Return the smoothing width of dry friction (n,), 1 % of the velocity limit, else 0.01."""
+    return DRY_FRICTION_WIDTH_SHARE * np.where(np.isfinite(velocity_max), velocity_max, 1.0)
 
 
 def drive_torque(
@@ -52,7 +52,7 @@ def drive_torque(
     viscous: Quantity,
     velocity_max: Quantity,
 ) -> Quantity:
-    """Torque of the drives at the output side: what torque limits bound.
+    """Return the drive torque at the output side, which torque limits bound.
 
     The spring sits between drive and link, so that rotor inertia and friction load the drive but
     not the spring.
@@ -68,10 +68,12 @@ def drive_torque(
     coulomb, viscous : array (n,)
         As for `friction_torque`.
     velocity_max : array (n,)
-        Sets the smoothing width of dry friction, 1 % of it; where it is infinite, 1 rad/s or
-        1 m/s stands in for it. [rad/s] or [m/s]
+        Sets the smoothing width of dry friction, 1 % of it; where it is infinite, of 1 rad/s or
+        1 m/s. [rad/s] or [m/s]
     """
-    width: Quantity = SMOOTH_SHARE * np.where(np.isfinite(velocity_max), velocity_max, 1.0)
+    width: Quantity = DRY_FRICTION_WIDTH_SHARE * np.where(
+        np.isfinite(velocity_max), velocity_max, 1.0
+    )
     if isinstance(velocity, ca.SX | ca.MX):
         rotor_inertia, coulomb, viscous, width = (
             ca.DM(np.asarray(x, dtype=float)) for x in (rotor_inertia, coulomb, viscous, width)

@@ -1,10 +1,9 @@
-"""The constants of an arm in frames that keep symbolic graphs small.
+"""Constants of an arm in frames that keep symbolic graphs small.
 
 Each joint gets a body-fixed *axis frame*: same origin as the joint frame, z along the joint axis.
-Then every joint is a turn about or a shift along z, whatever the axis was. The freedom left (the
-turn of the axis frame about its own z) is spent so that the constant rotation from one axis frame
-to the next is a twist about x alone, as in Denavit-Hartenberg frames; what remains of it becomes a
-constant offset of the joint angle.
+Then every joint is a turn about or a shift along z, whatever the axis was. The free turn of the
+axis frame about its own z is chosen so that the constant rotation from one axis frame to the next
+is a twist about x alone, as in Denavit-Hartenberg frames, plus a constant offset of the angle.
 """
 
 from __future__ import annotations
@@ -16,7 +15,8 @@ import numpy as np
 
 from stiffopt.robot.body_tree import Body, BodyTree
 
-_CLEAN = 1e-14
+# Constants nearer than this to 0 or +-1 are rounded to them: zeros vanish from symbolic graphs.
+_ROUND_OFF = 1e-14
 
 
 @dataclass(frozen=True)
@@ -26,7 +26,7 @@ class AxisJoint:
     Parameters
     ----------
     parent : int
-        Number of the joint it hangs on, from 1; 0 is the base.
+        Number of the parent joint, from 1; 0 is the base.
     prismatic : bool
         Shift along z instead of turn about z.
     rotation : array (3, 3)
@@ -58,15 +58,15 @@ class AxisJoint:
 
 def clean(values: np.ndarray) -> np.ndarray:
     """Remove the rounding residue of constants: below 1e-14 to 0, within 1e-14 of +-1 to +-1."""
-    values = np.where(np.abs(values) < _CLEAN, 0.0, values)
-    near_one = np.abs(np.abs(values) - 1.0) < _CLEAN
+    values = np.where(np.abs(values) < _ROUND_OFF, 0.0, values)
+    near_one = np.abs(np.abs(values) - 1.0) < _ROUND_OFF
     return np.where(near_one, np.sign(values), values)
 
 
 @functools.lru_cache(maxsize=16)
 def axis_joints(tree: BodyTree) -> tuple[AxisJoint, ...]:
-    """Joints of an arm in its own order: entry i - 1 is joint i."""
-    frames, twists, turns = _frames(
+    """Return the joints of an arm in its own order: entry i - 1 is joint i."""
+    frames, twists, turns = _axis_frames(
         tuple((body.parent, body.axis.tobytes(), body.rotation.tobytes()) for body in tree.bodies)
     )
     return tuple(
@@ -76,12 +76,12 @@ def axis_joints(tree: BodyTree) -> tuple[AxisJoint, ...]:
 
 
 @functools.lru_cache(maxsize=16)
-def _frames(
+def _axis_frames(
     joints: tuple[tuple[int, bytes, bytes], ...],
 ) -> tuple[list[np.ndarray], list[np.ndarray], list[float]]:
-    """Axis frames of the base and all joints, constant turns before and about their axes.
+    """Return the axis frames of base and joints, the constant twists and the turns about the axes.
 
-    Of a joint: parent, axis, rotation. Arms that differ in what they carry have the same.
+    A joint is given as (parent, axis, rotation): arms that differ in their bodies share the cache.
     """
     base = np.eye(3)
     frames, twists, turns = [base], [base], [0.0]
@@ -122,7 +122,7 @@ def _axis_joint(
 
 
 def _frame_along(axis: np.ndarray) -> np.ndarray:
-    """Rotation whose third column is `axis`; a permutation where the axis is x, y or z."""
+    """Return a rotation whose third column is `axis`; a permutation for the axes x, y and z."""
     z = clean(axis / np.linalg.norm(axis))
     x = np.roll(np.eye(3)[int(np.argmax(np.abs(z)))], 1)
     x = x - z * (x @ z)
@@ -141,16 +141,16 @@ def _about_x(angle: float) -> np.ndarray:
 
 
 def _z_x_z(rotation: np.ndarray) -> tuple[float, np.ndarray, float]:
-    """Angles a, c and twist X about x with rotation = Rz(a) X Rz(c)."""
+    """Return angles a, c and twist X about x with rotation = Rz(a) X Rz(c)."""
     sine = float(np.hypot(rotation[0, 2], rotation[1, 2]))
-    before = float(np.arctan2(rotation[0, 2], -rotation[1, 2])) if sine > _CLEAN else 0.0
+    before = float(np.arctan2(rotation[0, 2], -rotation[1, 2])) if sine > _ROUND_OFF else 0.0
     twist = _about_x(float(np.arctan2(sine, rotation[2, 2])))
-    # From what is left, not from the last row: near-parallel axes leave the first angle uncertain
-    # and the second has to make up for it.
+    # From the remaining rotation, not from the last row: with nearly parallel axes the first angle
+    # is uncertain and the second has to compensate for it.
     rest = twist.T @ _about_z(before).T @ rotation
     return before, twist, float(np.arctan2(rest[1, 0], rest[0, 0]))
 
 
 def _clean_angle(angle: float) -> float:
     angle = float(np.arctan2(np.sin(angle), np.cos(angle)))
-    return 0.0 if abs(angle) < _CLEAN else angle
+    return 0.0 if abs(angle) < _ROUND_OFF else angle

@@ -21,7 +21,7 @@ from stiffopt.symbolic import Quantity
 def forward_kinematics(
     tree: BodyTree, joint: int, offset: ArrayLike = (0.0, 0.0, 0.0), rotation: object = None
 ) -> ca.Function:
-    """Pose of a tool frame as a CasADi function.
+    """Return the pose of a tool frame as a CasADi function.
 
     Parameters
     ----------
@@ -46,7 +46,7 @@ def forward_kinematics(
 def point_kinematics(
     tree: BodyTree, joint: int, offset: ArrayLike = (0.0, 0.0, 0.0)
 ) -> ca.Function:
-    """Position of a point and its Jacobian as a CasADi function.
+    """Return the position of a point and its Jacobian as a CasADi function.
 
     Parameters
     ----------
@@ -75,38 +75,40 @@ def point_kinematics(
 def tool_pose(
     tree: BodyTree, joint: int, offset: ArrayLike, rotation: object, q: Quantity
 ) -> tuple[Quantity, Quantity]:
-    """Position (3,) [m] and rotation (3, 3) of a tool frame as expressions of q (n,) (SX or MX).
+    """Return position (3,) [m] and rotation (3, 3) of a tool frame, of SX or MX q (n,).
 
-    `rotation` None stands for the joint frame's own orientation.
+    With `rotation` None the tool frame is parallel to the joint frame.
     """
     if isinstance(q, ca.MX):
         function: Any = forward_kinematics(tree, joint, offset, rotation)
         position, turn = function(q)
         return position, turn
     joints = axis_joints(tree)
-    frames = _frames(joints, q, joint)
+    frames = _axis_frames(joints, q, joint)
     origin, turn = frames[joint]
     to_axis_frame = joints[joint - 1].from_joint_frame
-    position = origin + ca.mtimes(turn, _vector(to_axis_frame @ _three(offset)))
+    position = origin + ca.mtimes(turn, _as_casadi_vector(to_axis_frame @ _as_point(offset)))
     tool = np.eye(3) if rotation is None else np.asarray(rotation, dtype=float)
     turn = ca.mtimes(turn, ca.sparsify(ca.DM(clean(to_axis_frame @ tool))))
     return ca.densify(position), ca.densify(turn)
 
 
 def point_position(tree: BodyTree, joint: int, offset: ArrayLike, q: Quantity) -> Quantity:
-    """Position (3,) [m] of a point as an expression of q (n,) (SX or MX), base axes."""
+    """Return the position (3,) [m] of a point, an expression of q (n,) (SX or MX), base axes."""
     return tool_pose(tree, joint, offset, None, q)[0]
 
 
 def point_jacobian(tree: BodyTree, joint: int, offset: ArrayLike, q: Quantity) -> Quantity:
-    """Position Jacobian (3, n) of a point as an expression of q (n,) (SX or MX), base axes."""
+    """Return the position Jacobian (3, n) of a point, an expression of q (n,) (SX or MX)."""
     if isinstance(q, ca.MX):
         function: Any = point_kinematics(tree, joint, offset)
         return function(q)[1]
     joints = axis_joints(tree)
-    frames = _frames(joints, q, joint)
+    frames = _axis_frames(joints, q, joint)
     origin, turn = frames[joint]
-    point = origin + ca.mtimes(turn, _vector(joints[joint - 1].from_joint_frame @ _three(offset)))
+    point = origin + ca.mtimes(
+        turn, _as_casadi_vector(joints[joint - 1].from_joint_frame @ _as_point(offset))
+    )
     columns = [ca.SX.zeros(3) for _ in joints]
     for i, (center, rotation) in frames.items():
         if i:
@@ -116,10 +118,10 @@ def point_jacobian(tree: BodyTree, joint: int, offset: ArrayLike, q: Quantity) -
     return ca.densify(ca.horzcat(*columns))
 
 
-def _frames(
+def _axis_frames(
     joints: tuple[AxisJoint, ...], q: Quantity, last: int
 ) -> dict[int, tuple[Quantity, Quantity]]:
-    """Origin and rotation, in the base, of the axis frames from the base to joint `last`."""
+    """Return origin and rotation, in the base, of the axis frames from the base to joint `last`."""
     support = [last]
     while support[-1]:
         support.append(joints[support[-1] - 1].parent)
@@ -132,9 +134,50 @@ def _frames(
     return frames
 
 
-def _three(offset: ArrayLike) -> np.ndarray:
+def _as_point(offset: ArrayLike) -> np.ndarray:
     return np.asarray(offset, dtype=float).reshape(3)
 
 
-def _vector(values: np.ndarray) -> ca.DM:
+def _as_casadi_vector(values: np.ndarray) -> ca.DM:
     return ca.sparsify(ca.DM(clean(values)))
+
+
+# Keeps the root smooth where a disc is parallel to the plane; an error of 1e-3 of its radius.
+_FLAT_DISC_REGULARISATION = 1e-6
+# Parameters of one row: centre, axis, radius, normal, height.
+ROW_PARAMETERS = 11
+
+
+def height_over_plane(tree: BodyTree, first: int, second: int) -> ca.Function:
+    """Return the height of the lowest point over a plane as a CasADi function.
+
+    Parameters
+    ----------
+    tree : BodyTree
+    first : int
+        Number of the joint, from 1, that carries the point, ball or disc.
+    second : int
+        Of the joint that carries the plane; 0 is the base.
+
+    Returns
+    -------
+    casadi.Function
+        (q (n,), numbers (11,)) -> height [m]. The numbers are a centre (3) [m], the unit axis (3)
+        of a disc (zero for a ball or a point) and a radius [m] in the frame of the first joint; the
+        plane's unit normal (3) and its height along it [m] in that of the second.
+    """
+    q, numbers = ca.SX.sym("q", tree.n), ca.SX.sym("numbers", ROW_PARAMETERS)
+    centre, axis, radius, normal, height = ca.vertsplit(numbers, [0, 3, 6, 7, 10, 11])
+    origin, rotation = _link_frame(tree, first, q)
+    base, turn = _link_frame(tree, second, q)
+    outward = ca.mtimes(turn, normal)
+    along = ca.dot(outward, ca.mtimes(rotation, axis))
+    middle = ca.dot(outward, origin + ca.mtimes(rotation, centre) - base)
+    reach = radius * ca.sqrt(1.0 + _FLAT_DISC_REGULARISATION - along * along)
+    return ca.Function("height_over_plane", [q, numbers], [middle - reach - height])
+
+
+def _link_frame(tree: BodyTree, joint: int, q: Quantity) -> tuple[Quantity, Quantity]:
+    if joint == 0:
+        return ca.SX.zeros(3), ca.SX.eye(3)
+    return tool_pose(tree, joint, (0.0, 0.0, 0.0), None, q)

@@ -19,7 +19,7 @@ from stiffopt.symbolic import Quantity
 
 
 def inverse_dynamics(tree: BodyTree) -> ca.Function:
-    """Inverse dynamics as a CasADi function of SX operations.
+    """Return the inverse dynamics as a CasADi function of SX operations.
 
     Parameters
     ----------
@@ -37,7 +37,7 @@ def inverse_dynamics(tree: BodyTree) -> ca.Function:
 
 
 def newton_euler(tree: BodyTree, q: Quantity, v: Quantity, a: Quantity) -> Quantity:
-    """Joint torques that the motion of the links takes, without rotor inertia and friction.
+    """Return the joint torques of the links' motion, without rotor inertia and friction.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ def newton_euler(tree: BodyTree, q: Quantity, v: Quantity, a: Quantity) -> Quant
         (j.parent, j.prismatic, j.rotation.tobytes(), j.angle_offset, j.translation.tobytes())
         for j in joints
     )
-    recursion = _recursion(frames, np.asarray(tree.gravity, dtype=float).tobytes())
+    recursion = _torque_recursion(frames, np.asarray(tree.gravity, dtype=float).tobytes())
     tau = recursion(
         q,
         v,
@@ -77,10 +77,10 @@ _Frame = tuple[int, bool, bytes, float, bytes]
 
 
 @functools.lru_cache(maxsize=64)
-def _recursion(frames: tuple[_Frame, ...], gravity: bytes) -> ca.Function:
-    """Torques of arms with these frames: written out once, then called with bodies and motion.
+def _torque_recursion(frames: tuple[_Frame, ...], gravity: bytes) -> ca.Function:
+    """Return the cached torque recursion for these frames, a function of motion and bodies.
 
-    A call puts its expressions in place of the symbols; what is zero or one vanishes there.
+    A call substitutes its expressions for the symbols; zeros and ones vanish there.
     """
     n = len(frames)
     q, v, a = (ca.SX.sym(name, n) for name in ("q", "v", "a"))
@@ -104,13 +104,13 @@ def _recursion(frames: tuple[_Frame, ...], gravity: bytes) -> ca.Function:
         for i, (parent, prismatic, rotation, offset, translation) in enumerate(frames)
     )
     poses = [joint_pose(joint, q[i]) for i, joint in enumerate(joints)]
-    forces, moments = _outward(np.frombuffer(gravity), joints, poses, v, a)
-    tau = _inward(joints, poses, forces, moments)
+    forces, moments = _outward_recursion(np.frombuffer(gravity), joints, poses, v, a)
+    tau = _inward_recursion(joints, poses, forces, moments)
     return ca.Function("recursion", [q, v, a, mass, first, inertia], [tau])
 
 
 def joint_pose(joint: AxisJoint, angle: Quantity) -> tuple[Quantity, Quantity]:
-    """Rotation and origin of the joint's axis frame in its parent's."""
+    """Return rotation and origin of the joint's axis frame in its parent's."""
     rotation = ca.sparsify(ca.DM(joint.rotation))
     if joint.prismatic:
         return rotation, joint.translation + ca.SX(rotation[:, 2]) * angle
@@ -119,14 +119,14 @@ def joint_pose(joint: AxisJoint, angle: Quantity) -> tuple[Quantity, Quantity]:
     return ca.mtimes(rotation, ca.sparsify(turn)), ca.SX(joint.translation)
 
 
-def _outward(
+def _outward_recursion(
     gravity: np.ndarray,
     joints: tuple[AxisJoint, ...],
     poses: list[tuple[Quantity, Quantity]],
     v: Quantity,
     a: Quantity,
 ) -> tuple[list[Quantity], list[Quantity]]:
-    """Force and moment about the joint origin that each body's own motion takes."""
+    """Return inertial force and moment about the joint origin of each body."""
     still = ca.SX.zeros(3)
     # Gravity enters as an upward acceleration of the base.
     state = [(still, still, ca.SX(-gravity))]
@@ -160,13 +160,13 @@ def _outward(
     return forces, moments
 
 
-def _inward(
+def _inward_recursion(
     joints: tuple[AxisJoint, ...],
     poses: list[tuple[Quantity, Quantity]],
     forces: list[Quantity],
     moments: list[Quantity],
 ) -> Quantity:
-    """Sum what each joint carries from the tips to the base and project it on the axes."""
+    """Sum the wrenches from the tips to the base and project them on the joint axes."""
     tau = ca.SX.zeros(len(joints))
     for i in reversed(range(len(joints))):
         joint, (rotation, origin) = joints[i], poses[i]

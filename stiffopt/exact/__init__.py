@@ -1,1 +1,1 @@
-"""Stiffness laws before any smoothing or fitting: what motions and preloads are judged by."""
+"""Unsmoothed stiffness laws, by which the certificate judges motions and preloads."""

@@ -1,7 +1,7 @@
 """Compliance of one connection before any smoothing or fitting, by its kind; NumPy only.
 
-Every formula is written out here from the numbers of the connection, on purpose: what an optimiser
-computes through `windup` is judged by this module, so the two share no formula.
+Every formula is written out here from the numbers of the connection, on purpose: this module judges
+the wind-up that the optimiser computes, so the two share no formula.
 """
 
 from __future__ import annotations
@@ -26,27 +26,27 @@ Corners = tuple[Any, Any]
 def tangent_compliance(
     element: Element, torque: np.ndarray, preload: float | None = None
 ) -> np.ndarray:
-    """Compliance of the law before smoothing, d phi/dT [rad/(N m)], shape as `torque`.
+    """Return the compliance of the unsmoothed law, d phi/dT [rad/(N m)], shape as `torque`.
 
     Parameters
     ----------
     element : Connection
-        Of a kind known here, or one's own with a method
+        Of a kind known here, or a subclass with a method
         `exact_tangent_compliance(torque, preload=...)`.
     torque : array [N m]
         On the connection's own shaft.
     preload : float, optional [N]
-        In place of the connection's own.
+        Replaces the connection's own.
 
     Notes
     -----
     Infinite where a contact carries no pressure or slips.
     """
     torque = np.asarray(torque, dtype=float)
-    law = _LAWS.get(getattr(element, "kind", ""))
+    law = _COMPLIANCE_LAWS.get(getattr(element, "kind", ""))
     if law is None:
         return np.asarray(element.exact_tangent_compliance(torque, preload=preload))
-    return np.asarray(law(element, np.abs(torque), _force(element, preload)))
+    return np.asarray(law(element, np.abs(torque), _preload_force(element, preload)))
 
 
 def breakpoints(element: Element) -> tuple[float, ...]:
@@ -59,15 +59,15 @@ def breakpoints(element: Element) -> tuple[float, ...]:
 
 def slip_torque(element: Element, preload: float | None = None) -> float:
     """Torque [N m] from which on the whole contact slips; infinite where nothing can."""
-    force = _force(element, preload)
+    force = _preload_force(element, preload)
     if element.kind == "bolted_flange":
-        return _ring(element, force)[1]
+        return _ring_compliance(element, force)[1]
     if element.kind == "clamping_pins":
-        return _pins(element, force)[1]
+        return _pin_compliance(element, force)[1]
     return math.inf
 
 
-def _force(element: Element, preload: float | None) -> float | None:
+def _preload_force(element: Element, preload: float | None) -> float | None:
     return getattr(element, "preload", None) if preload is None else preload
 
 
@@ -75,18 +75,18 @@ def _force(element: Element, preload: float | None) -> float | None:
 
 
 @lru_cache(maxsize=128)
-def _law(surface: SurfacePair) -> FractalLaw:
+def _fractal_law(surface: SurfacePair) -> FractalLaw:
     return FractalLaw(surface)
 
 
 @lru_cache(maxsize=4096)
-def _stiffness_at(surface: SurfacePair, pressure: float) -> float:
-    """k_n of one pressure; a clamped face asks for it again at every torque."""
-    return float(_law(surface).normal_stiffness_per_area(np.array(pressure)))
+def _cached_normal_stiffness(surface: SurfacePair, pressure: float) -> float:
+    """Return k_n at one pressure, cached: a clamped face evaluates it at every torque."""
+    return float(_fractal_law(surface).normal_stiffness_per_area(np.array(pressure)))
 
 
-def _invert(stiffness: np.ndarray) -> np.ndarray:
-    """1/stiffness, infinite where the stiffness is zero."""
+def _invert_stiffness(stiffness: np.ndarray) -> np.ndarray:
+    """Return 1/stiffness, infinite where the stiffness is zero."""
     some = stiffness > 0.0
     return np.where(some, 1.0 / np.where(some, stiffness, 1.0), np.inf)
 
@@ -96,26 +96,26 @@ def _shear_ratio(surface: SurfacePair) -> float:
     return 4.0 * surface.contact_shear_modulus / surface.contact_modulus
 
 
-def _sheared(
+def _shear_compliance(
     surface: SurfacePair, pressure: float, load_ratio: np.ndarray, shear: str
 ) -> np.ndarray:
-    """k_t(p, t) [N/m^3] for shear loads t >= 0 over the slip load; 0 from slip on."""
+    """Return k_t(p, t) [N/m^3] for shear load ratios t >= 0; 0 beyond slip, t = 1."""
     rest = np.clip(1.0 - load_ratio, 0.0, 1.0)
     if shear == "mindlin":
-        normal = _stiffness_at(surface, float(pressure)) * np.cbrt(rest)
+        normal = _cached_normal_stiffness(surface, float(pressure)) * np.cbrt(rest)
     else:
-        normal = _law(surface).normal_stiffness_per_area(pressure * rest)
+        normal = _fractal_law(surface).normal_stiffness_per_area(pressure * rest)
     return np.asarray(_shear_ratio(surface) * normal)
 
 
-def _friction(element: Element) -> float:
+def _friction_coefficient(element: Element) -> float:
     return float(element.surface.friction if element.friction is None else element.friction)
 
 
 # ---- one law a kind: (element, |torque|, preload) -> compliance
 
 
-def _key(element: Element, load: np.ndarray, _: float | None) -> np.ndarray:
+def _key_compliance(element: Element, load: np.ndarray, _: float | None) -> np.ndarray:
     """Two flanks under |T|/(r A) + prepressure, one after the other or side by side."""
     d, surface = element.shaft_diameter, element.surface
     flanks = []
@@ -125,45 +125,51 @@ def _key(element: Element, load: np.ndarray, _: float | None) -> np.ndarray:
     ):
         area = element.length * height
         pressure = load / (radius * area) + element.prepressure
-        normal = _law(surface).normal_stiffness_per_area(pressure)
+        normal = _fractal_law(surface).normal_stiffness_per_area(pressure)
         flanks.append(normal * (area * radius * radius))
     if element.flanks == "series":
-        return np.asarray(_invert(flanks[0]) + _invert(flanks[1]))
-    return _invert(flanks[0] + flanks[1])
+        return np.asarray(_invert_stiffness(flanks[0]) + _invert_stiffness(flanks[1]))
+    return _invert_stiffness(flanks[0] + flanks[1])
 
 
-def _ring(element: Element, force: float | None) -> tuple[float, float]:
+def _ring_compliance(element: Element, force: float | None) -> tuple[float, float]:
     """Pressure [Pa] and slip torque [N m] of a ring face, or of one of its equal sectors."""
     assert force is not None
     inner, outer, angle = element.inner_radius, element.outer_radius, 2.0 * np.pi / element.sectors
     pressure = element.bolt_count * force / (angle / 2.0 * (outer**2 - inner**2))
-    return pressure, _friction(element) * pressure * angle / 3.0 * (outer**3 - inner**3)
+    return pressure, _friction_coefficient(element) * pressure * angle / 3.0 * (outer**3 - inner**3)
 
 
 def _bolted_flange(element: Element, load: np.ndarray, force: float | None) -> np.ndarray:
     """Ring face under the normal force of its bolts, twisted by a torque."""
-    pressure, slip = _ring(element, force)
+    pressure, slip = _ring_compliance(element, force)
     angle = 2.0 * np.pi / element.sectors
     second_moment = angle / 4.0 * (element.outer_radius**4 - element.inner_radius**4)
-    return _invert(_sheared(element.surface, pressure, load / slip, element.shear) * second_moment)
+    return _invert_stiffness(
+        _shear_compliance(element.surface, pressure, load / slip, element.shear) * second_moment
+    )
 
 
-def _pins(element: Element, force: float | None) -> tuple[float, float]:
+def _pin_compliance(element: Element, force: float | None) -> tuple[float, float]:
     """Pressed contacts in units of one tip's force, and torque at which they slip [N m]."""
     assert force is not None
     contacts = float(element.count)
     if element.both_sides:
         directions = np.exp(1j * element.spacing * np.arange(element.count * element.sharing))
         contacts += float(np.abs(directions.sum())) / element.sharing
-    return contacts, _friction(element) * force * element.shaft_diameter / 2.0 * contacts
+    return contacts, _friction_coefficient(
+        element
+    ) * force * element.shaft_diameter / 2.0 * contacts
 
 
 def _clamping_pins(element: Element, load: np.ndarray, force: float | None) -> np.ndarray:
     """Pin tips on a shaft: rough face and, behind it, the half space under a small patch."""
     assert force is not None
-    contacts, slip = _pins(element, force)
+    contacts, slip = _pin_compliance(element, force)
     surface, area = element.surface, 0.25 * np.pi * element.tip_diameter**2
-    one = _invert(_sheared(surface, force / area, load / slip, element.shear) * area)
+    one = _invert_stiffness(
+        _shear_compliance(surface, force / area, load / slip, element.shear) * area
+    )
     if element.half_space:
         one = one + 1.0 / (4.0 * surface.contact_shear_modulus * element.tip_diameter)
     return np.asarray(4.0 * one / (contacts * element.shaft_diameter**2))
@@ -182,17 +188,17 @@ def _gear_pair(element: Element, load: np.ndarray, _: float | None) -> np.ndarra
     area = strip * width
     some = area > 0.0
     pressure = np.where(some, force / np.where(some, area, 1.0), 0.0)
-    normal = _law(surface).normal_stiffness_per_area(pressure) * area
+    normal = _fractal_law(surface).normal_stiffness_per_area(pressure) * area
     mesh = pairs * normal * (base**2 + _shear_ratio(surface) * arm**2)
-    return np.asarray(_invert(mesh) + 1.0 / (element.mesh_stiffness * width * base**2))
+    return np.asarray(_invert_stiffness(mesh) + 1.0 / (element.mesh_stiffness * width * base**2))
 
 
-def _reducer(element: Element, load: np.ndarray, _: float | None) -> np.ndarray:
+def _reducer_compliance(element: Element, load: np.ndarray, _: float | None) -> np.ndarray:
     slopes = (element.K1, element.K2, element.K3)
     return np.asarray(reducer_compliance(load, slopes, (element.T1, element.T2)))
 
 
-def _shaft(element: Element, load: np.ndarray, _: float | None) -> np.ndarray:
+def _shaft_compliance(element: Element, load: np.ndarray, _: float | None) -> np.ndarray:
     """Twist of a round bar, 32 L/(G pi (d^4 - d_i^4))."""
     polar = np.pi / 32.0 * (element.diameter**4 - element.bore**4)
     return np.full_like(load, element.length / (element.shear_modulus * polar))
@@ -217,19 +223,19 @@ def _timing_belt(element: Element, load: np.ndarray, _: float | None) -> np.ndar
     return np.full_like(load, travel / radius**2)
 
 
-def _constant(element: Element, load: np.ndarray, _: float | None) -> np.ndarray:
+def _constant_compliance(element: Element, load: np.ndarray, _: float | None) -> np.ndarray:
     return np.full_like(load, 1.0 / element.stiffness)
 
 
-_LAWS: dict[str, Callable[[Element, np.ndarray, float | None], np.ndarray]] = {
-    "key": _key,
+_COMPLIANCE_LAWS: dict[str, Callable[[Element, np.ndarray, float | None], np.ndarray]] = {
+    "key": _key_compliance,
     "bolted_flange": _bolted_flange,
     "clamping_pins": _clamping_pins,
     "gear_pair": _gear_pair,
-    "reducer": _reducer,
-    "shaft": _shaft,
+    "reducer": _reducer_compliance,
+    "shaft": _shaft_compliance,
     "timing_belt": _timing_belt,
-    "constant": _constant,
+    "constant": _constant_compliance,
 }
 
 

@@ -1,7 +1,7 @@
 """Antiderivative of an exact compliance curve, to quadrature accuracy and cheap to evaluate.
 
 The curve is expanded in Legendre polynomials on panels that are halved until the expansion has
-converged, so kinks that nobody announced are found; integrating the expansions is exact.
+converged, so that kinks need not be known beforehand; integrating the expansions is exact.
 """
 
 from __future__ import annotations
@@ -14,12 +14,14 @@ from typing import Literal
 import numpy as np
 from numpy.polynomial import legendre
 
-_ORDER = 10
-_SHARP = 1e-8
-_POINTS, _WEIGHTS = legendre.leggauss(_ORDER)
+_GAUSS_ORDER = 10
+_POINTWISE_TOLERANCE = 1e-8
+_GAUSS_POINTS, _GAUSS_WEIGHTS = legendre.leggauss(_GAUSS_ORDER)
 # Values at the Gauss points -> Legendre coefficients, by discrete orthogonality.
-_PROJECTION = (
-    (np.arange(_ORDER) + 0.5)[:, None] * legendre.legvander(_POINTS, _ORDER - 1).T * _WEIGHTS
+_LEGENDRE_PROJECTION = (
+    (np.arange(_GAUSS_ORDER) + 0.5)[:, None]
+    * legendre.legvander(_GAUSS_POINTS, _GAUSS_ORDER - 1).T
+    * _GAUSS_WEIGHTS
 )
 
 
@@ -36,8 +38,8 @@ class Antiderivative:
     slopes : array (k, order)
         Of the function itself.
     sharp : array (k,) of bool
-        Where that series holds to 1e-8 at every point: not beside a jump that nobody announced, nor
-        where the function hardly counts for the whole.
+        True where that series holds to 1e-8 at every point: False beside an undeclared jump and
+        where the panel's contribution to the integral is negligible.
     """
 
     edges: np.ndarray
@@ -46,58 +48,60 @@ class Antiderivative:
     sharp: np.ndarray
 
     def __call__(self, x: np.ndarray) -> np.ndarray:
-        """Integral from 0 to `x` (any shape); |x| must not exceed the last edge."""
+        """Return the integral from 0 to `x` (any shape); |x| must not exceed the last edge."""
         x = np.asarray(x, dtype=float)
-        value = _series(self._integral, *self._place(np.abs(x).ravel(), "left"))
-        # Nothing at 0, also of a function that has no end there.
+        value = _evaluate_series(
+            self._integral_powers, *self._locate_panel(np.abs(x).ravel(), "left")
+        )
+        # Zero at 0, even where the function is unbounded there.
         moved = x != 0.0
         out = np.zeros(x.shape)
         np.multiply(np.sign(x), value.reshape(x.shape), out=out, where=moved)
         return out
 
     def slope(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The function at `x` (any shape), right of a jump, and where that is sharp."""
+        """Return the function at `x` (any shape), right of a jump, and where it holds to 1e-8."""
         x = np.asarray(x, dtype=float)
-        panel, local = self._place(np.abs(x).ravel(), "right")
-        value = _series(self._slope, panel, local)
+        panel, local = self._locate_panel(np.abs(x).ravel(), "right")
+        value = _evaluate_series(self._slope_powers, panel, local)
         return value.reshape(x.shape), self.sharp[panel].reshape(x.shape)
 
-    def _place(
+    def _locate_panel(
         self, size: np.ndarray, side: Literal["left", "right"]
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Panel of each argument, and where it lies in it, from -1 to 1."""
+        """Return the panel of each argument and its local coordinate, -1 to 1."""
         panel = np.clip(np.searchsorted(self.edges, size, side) - 1, 0, len(self.edges) - 2)
         left, right = self.edges[panel], self.edges[panel + 1]
         return panel, (2.0 * size - left - right) / (right - left)
 
     @cached_property
-    def _integral(self) -> np.ndarray:
-        return _powers(self.coefficients)
+    def _integral_powers(self) -> np.ndarray:
+        return _monomial_coefficients(self.coefficients)
 
     @cached_property
-    def _slope(self) -> np.ndarray:
-        return _powers(self.slopes)
+    def _slope_powers(self) -> np.ndarray:
+        return _monomial_coefficients(self.slopes)
 
 
-def _powers(series: np.ndarray) -> np.ndarray:
-    """Legendre series (k, m), whose first term may be infinite, as power series (m, k).
+def _monomial_coefficients(series: np.ndarray) -> np.ndarray:
+    """Convert Legendre series (k, m), whose first term may be infinite, to power series (m, k).
 
-    Those are evaluated four times as fast. What they lose of the higher terms is nothing, since
-    series that have converged hardly have any.
+    Power series are evaluated four times as fast; the loss of accuracy is negligible because the
+    higher terms of a converged series are small.
     """
-    powers = _in_powers(series.shape[1])[1:].T @ series[:, 1:].T
+    powers = _legendre_as_monomials(series.shape[1])[1:].T @ series[:, 1:].T
     powers[0] += series[:, 0]
     return np.asarray(powers)
 
 
 @cache
-def _in_powers(count: int) -> np.ndarray:
-    """The first Legendre polynomials as power series (m, k), one a row."""
+def _legendre_as_monomials(count: int) -> np.ndarray:
+    """Return the first Legendre polynomials as power series (m, k), one a row."""
     columns = [legendre.leg2poly(row) for row in np.eye(count)]
     return np.array([np.pad(column, (0, count - len(column))) for column in columns])
 
 
-def _series(powers: np.ndarray, panel: np.ndarray, local: np.ndarray) -> np.ndarray:
+def _evaluate_series(powers: np.ndarray, panel: np.ndarray, local: np.ndarray) -> np.ndarray:
     value = powers[-1].take(panel)
     for row in powers[-2::-1]:
         value *= local
@@ -112,7 +116,7 @@ def antiderivative(
     *,
     relative_tolerance: float = 1e-10,
 ) -> Antiderivative:
-    """Integrate `function` from 0 up to anything below `upper`.
+    """Return the antiderivative of `function` on [0, `upper`].
 
     Parameters
     ----------
@@ -121,7 +125,7 @@ def antiderivative(
     upper : float
         Largest argument, above 0.
     breakpoints : sequence of float
-        Where the function jumps or kinks, as far as known.
+        Known jumps and kinks of the function.
     relative_tolerance : float
         Of the integral over each panel, hence of the whole.
 
@@ -139,24 +143,24 @@ def antiderivative(
     while len(pending):
         half = (pending[:, 1] - pending[:, 0]) / 2.0
         middle = (pending[:, 1] + pending[:, 0]) / 2.0
-        points = middle[:, None] + half[:, None] * _POINTS
+        points = middle[:, None] + half[:, None] * _GAUSS_POINTS
         values = np.asarray(function(points.ravel()), dtype=float).reshape(points.shape)
         finite = np.isfinite(values)
-        # A panel with some infinite values is halved until the border is found.
+        # A panel with some infinite values is halved until their border is located.
         infinite = np.asarray(~finite.any(axis=1) | (~finite.all(axis=1) & (half < smallest)))
-        series = np.where(finite, values, 0.0) @ _PROJECTION.T
+        series = np.where(finite, values, 0.0) @ _LEGENDRE_PROJECTION.T
         tail = np.abs(series[:, -2:]).sum(axis=1)
         whole = settled_sum + 2.0 * float(np.sum(series[:, 0] * half))
-        # What no longer matters to the whole may be noise, which halving would never settle.
+        # A contribution below the tolerance may be rounding noise, which never converges.
         small = tail * half <= 1e-3 * relative_tolerance * whole
         converged = small | (tail <= relative_tolerance * np.abs(series[:, 0]))
         settled = np.asarray(infinite | (finite.all(axis=1) & converged) | (half < smallest))
-        sharp = finite.all(axis=1) & (tail <= _SHARP * np.abs(series[:, 0]))
+        sharp = finite.all(axis=1) & (tail <= _POINTWISE_TOLERANCE * np.abs(series[:, 0]))
         series[infinite, 0] = np.inf
         for k in np.flatnonzero(settled).tolist():
             done.append((pending[k, 0], half[k], series[k], bool(sharp[k])))
         settled_sum += 2.0 * float(np.sum((series[:, 0] * half)[settled & ~infinite]))
-        # Behind an infinite panel the integral is infinite anyway.
+        # Beyond an infinite panel the integral is infinite anyway.
         border = float(np.min(pending[infinite, 0], initial=np.inf))
         open_ = np.logical_not(settled) & (pending[:, 0] < border)
         left = np.column_stack((pending[open_, 0], middle[open_]))
@@ -166,7 +170,7 @@ def antiderivative(
     series = np.array([slopes * half_width for _, half_width, slopes, _ in done])
     ends = np.cumsum(2.0 * series[:, 0])
     known = np.isfinite(ends)
-    integrals = np.zeros((len(done), _ORDER + 1))
+    integrals = np.zeros((len(done), _GAUSS_ORDER + 1))
     integrals[known] = legendre.legint(series[known], lbnd=-1, axis=1)
     integrals[:, 0] += np.where(known, np.concatenate([[0.0], ends[:-1]]), np.inf)
     return Antiderivative(

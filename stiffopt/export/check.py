@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from stiffopt.certificate.violations import CERTIFIED
+from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
 from stiffopt.errors import InputFileError, format_relative
 from stiffopt.export.format import FORMATS
 from stiffopt.export.motion import read_motion
@@ -119,7 +119,7 @@ def check_file(file: Path, result: Path, problem: Path | None = None) -> Checked
 def _margin(value: float) -> str:
     """Return a violation within the certificate's tolerance, in words."""
     if value > 0.0:
-        tolerance = f"the certificate's tolerance of {CERTIFIED:.1%}"
+        tolerance = f"the certificate's tolerance of {CERTIFICATE_TOLERANCE:.1%}"
         return f"over by {format_relative(value)}, within {tolerance}"
     return f"{format_relative(-value)} left"
 

@@ -15,14 +15,14 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from stiffopt.certificate.assess import assess, drive_violations
-from stiffopt.certificate.violations import CERTIFIED
+from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
 from stiffopt.discovery.extended.planner_model import planner_model
 from stiffopt.discovery.extended.planner_solve import extended_problem, read_model
 from stiffopt.errors import InputError, InputFileError
 from stiffopt.files import read_table
 from stiffopt.problem.files import load_problem
 from stiffopt.result.store import export_times, file_hash, motion_seal
-from stiffopt.solver.stored import changes_of, check_inputs, problem_file
+from stiffopt.solver.stored_result import check_inputs, problem_file, read_changes
 
 if TYPE_CHECKING:
     from stiffopt.problem.trajectory import TrajectoryProblem
@@ -75,7 +75,7 @@ def solved_problem(
         A file is missing, or robot, payload, limits or problem are not those that were solved.
     """
     file = problem_file(path, document, given)
-    stated = load_problem(file, changes_of(path, document)).problem
+    stated = load_problem(file, read_changes(path, document)).problem
     named = [document.get(key) for key in ("model", "effects")]
     if isinstance(named[0], str):
         model, effects = (path.parent / each if isinstance(each, str) else None for each in named)
@@ -183,7 +183,7 @@ def _check_derivatives(file: Path, time: np.ndarray, rows: np.ndarray, jumps: np
         # which bends by the acceleration, is off their mean by an eighth of that change at most.
         off = bend * step / 8.0 if order == 0 else bend / 2.0
         rounding = 1e-12 / step
-        room = CERTIFIED * np.max(np.abs(rate), axis=0) + off + rounding
+        room = CERTIFICATE_TOLERANCE * np.max(np.abs(rate), axis=0) + off + rounding
         beyond = np.abs(mean - 0.5 * (rate[:-1] + rate[1:])) - room
         if np.any(beyond > 0.0):
             k, j = np.unravel_index(int(np.argmax(beyond)), beyond.shape)
@@ -220,7 +220,7 @@ def judge_samples(problem: TrajectoryProblem, motion: SampledRows, name: str) ->
 def _refuse(found: Sequence[Violation], name: str) -> None:
     """Raise `InputError` where a limit is exceeded by more than the certificate's tolerance."""
     # `not <=`: what is not a number keeps no limit.
-    over = [each for each in found if not each.value <= CERTIFIED]
+    over = [each for each in found if not each.value <= CERTIFICATE_TOLERANCE]
     if over:
         raise InputError(
             f"{name}: the motion exceeds {over[0].describe()}, so it is not exported. Solve again "

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from scipy.interpolate import BPoly, CubicSpline, make_interp_spline
 
-from stiffopt.certificate.violations import CERTIFIED
+from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
 from stiffopt.errors import InputError, InputFileError, format_relative
 from stiffopt.export.judged import (
     SampledRows,
@@ -235,7 +235,7 @@ def _certified_duration(path: Path, document: dict[str, Any]) -> float:
         duration = float(document["duration"])
     except (KeyError, TypeError, ValueError) as error:
         raise InputFileError(path, "certificate", f"has no usable {error}.") from error
-    if not worst <= CERTIFIED:
+    if not worst <= CERTIFICATE_TOLERANCE:
         raise InputFileError(
             path,
             "certificate",

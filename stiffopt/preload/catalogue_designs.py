@@ -13,7 +13,7 @@ from itertools import product
 
 from stiffopt.connection import Bolt, BoltedFlange, ClampingPins
 from stiffopt.drivetrain import catalogue
-from stiffopt.drivetrain.stage import Stage
+from stiffopt.drivetrain.chain import Stage
 from stiffopt.fastening.limits import (
     fastener_count,
     preload_limits,

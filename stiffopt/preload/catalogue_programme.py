@@ -13,8 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stiffopt.drivetrain import catalogue
-from stiffopt.drivetrain.chain import Chain
-from stiffopt.drivetrain.stage import Stage
+from stiffopt.drivetrain.chain import Chain, Stage
 from stiffopt.errors import ProblemError
 from stiffopt.exact.chain import exact_compliance, exact_windup
 from stiffopt.preload.catalogue_designs import CatalogueDesign

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from stiffopt.connection import BoltedFlange
-from stiffopt.drivetrain.stage import Stage
+from stiffopt.drivetrain.chain import Stage
 from stiffopt.fastening.flange_load import FlangeLoads
 from stiffopt.fastening.tightening import Tightening
 from stiffopt.fastening.tilting import tilting_flange

@@ -16,8 +16,7 @@ import casadi as ca
 import numpy as np
 
 from stiffopt.connection import BoltedFlange, ClampingPins, Connection
-from stiffopt.drivetrain.chain import Chain
-from stiffopt.drivetrain.stage import Stage
+from stiffopt.drivetrain.chain import Chain, Stage
 from stiffopt.errors import ProblemError
 from stiffopt.exact.chain import exact_compliance, exact_windup, stage_windup
 from stiffopt.fastening.tilting import closed_compliance, tilting_flange
@@ -142,7 +141,9 @@ class PreloadModel:
         if least > 0.0:
             stage = element.stage
             torque = np.array([float(steps.loads.torque.max()) * stage.reduction])
-            windup = float(stage_windup(stage, torque, {element.name: least})[0]) / stage.counts
+            windup = (
+                float(stage_windup(stage, torque, {element.name: least})[0]) / stage.windup_factor
+            )
             shift = windup * flange.circle_diameter / 2
         rows = vdi_rows(steps, largest, shift, least)
         return tuple(replace(row, joint=element.joint, element=element.key) for row in rows)

@@ -23,7 +23,7 @@ from stiffopt.declaration import (
     Torque,
     check_fields,
 )
-from stiffopt.drivetrain.stage import Stage
+from stiffopt.drivetrain.chain import Stage
 from stiffopt.drivetrain.tables import with_own
 from stiffopt.errors import ProblemError, nearest
 from stiffopt.fastening.limits import (

@@ -5,7 +5,7 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
-from stiffopt.dynamics.friction import smoothing_width
+from stiffopt.dynamics.friction import dry_friction_width
 from stiffopt.problem.coordinates import coordinates_of
 from stiffopt.problem.formulation import stage_model
 from stiffopt.problem.smoothing import Smoothing
@@ -52,7 +52,7 @@ def believed_of(
         time=time,
         spring_torque=values["spring_torque"],
         torque=values.get("torque"),
-        friction_width=np.asarray(smoothing_width(problem.robot.velocity_max)),
+        friction_width=np.asarray(dry_friction_width(problem.robot.velocity_max)),
         windup=values.get("windup"),
         deflection={part: values[part] for part in PARTS if part in values},
     )

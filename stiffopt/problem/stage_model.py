@@ -18,7 +18,7 @@ from stiffopt.dynamics.deflection import (
     spring_torques,
     tool_deflection,
 )
-from stiffopt.dynamics.friction import drive_torque, smoothing_width
+from stiffopt.dynamics.friction import drive_torque, dry_friction_width
 from stiffopt.dynamics.kinematics import point_jacobian
 from stiffopt.errors import ProblemError
 from stiffopt.symbolic import Quantity
@@ -130,7 +130,7 @@ class StageModel:
             viscous=robot.viscous,
             velocity_max=robot.velocity_max,
         )
-        width = smoothing_width(robot.velocity_max)
+        width = dry_friction_width(robot.velocity_max)
         place = self.velocity / ca.DM(width) + 2.0 * side
         return without + ca.DM(robot.coulomb) * ca.tanh(place)
 

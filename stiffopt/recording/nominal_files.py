@@ -12,8 +12,7 @@ import numpy as np
 from stiffopt.connection.connection import Connection
 from stiffopt.connection.constant import Constant
 from stiffopt.connection.reducer import Reducer
-from stiffopt.drivetrain.chain import Chain
-from stiffopt.drivetrain.stage import Stage
+from stiffopt.drivetrain.chain import Chain, Stage
 from stiffopt.errors import InputFileError, nearest
 from stiffopt.recording.nominal import Counterbalance, Noise, Nominal, Tolerance
 from stiffopt.recording.schema import (

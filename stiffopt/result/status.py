@@ -34,7 +34,7 @@ class SolveStatus(StrEnum):
         return _SENTENCES[self]
 
 
-# What was checked for collisions stands behind them: `stiffopt.certificate.collisions.scope`.
+# The scope of the collision check follows them: `certificate.collisions.describe_collision_scope`.
 _SENTENCES = {
     SolveStatus.OPTIMAL: (
         "Solved and certified: every limit holds on the fine grid. Check the estimated inputs in "

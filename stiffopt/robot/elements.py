@@ -21,8 +21,7 @@ from stiffopt.connection.bolted_flange import BoltCount, CircleDiameter
 from stiffopt.contact.surface import SurfacePair
 from stiffopt.declaration import DETAIL, Declared, Doc, Length, Named, declared, unit
 from stiffopt.drivetrain import catalogue
-from stiffopt.drivetrain.chain import Chain
-from stiffopt.drivetrain.stage import Stage
+from stiffopt.drivetrain.chain import Chain, Stage
 from stiffopt.errors import InputError, InputFileError, nearest
 from stiffopt.units import JointNumber, fit_joint
 from stiffopt.validation import Section

@@ -1,1 +1,1 @@
-"""From a problem to a certified solution: start, stages, IPOPT, refinement."""
+"""Solution of trajectory problems: initial guess, stages, IPOPT, refinement, verdict."""

@@ -1,8 +1,7 @@
-"""Problems that differ in numbers: their programme is built once and solved many times.
+"""Problem families: problems that differ in numbers share one programme, built once.
 
-Start, end, fixed duration, payload, tool, process force, drivetrain and limits are numbers; number
-of intervals, objectives, vias and which limits there are make another programme, which is built
-anew.
+Start, end, fixed duration, payload, tool, process force, drivetrain and limits are parameters of a
+programme; the number of intervals, the objectives, vias and the set of limits define another one.
 """
 
 from __future__ import annotations
@@ -15,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stiffopt.baseline.baselines import baselines
-from stiffopt.certificate.violations import CERTIFIED
+from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
 from stiffopt.problem.bounds import shortest_duration
 from stiffopt.problem.clear_poses import check_clear_poses
 from stiffopt.problem.formulation import Scales, formulate
@@ -23,46 +22,46 @@ from stiffopt.problem.resolve import resolve
 from stiffopt.problem.smoothing import Smoothing
 from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.result.solution import Solution
-from stiffopt.solver.near_optimum import NearOptimum
-from stiffopt.solver.plan import SolveStage, solver_options
-from stiffopt.solver.refinement import refined
-from stiffopt.solver.solve import notes_before, solution_of, solve_keeping
+from stiffopt.solver.active_set import ActiveSetSolver
+from stiffopt.solver.collision_avoidance import find_collisions
+from stiffopt.solver.refinement import refine
+from stiffopt.solver.solve import preliminary_notes, solution_of, solve_with_state
 from stiffopt.solver.solve_run import ProgressCallback, SolveRun
+from stiffopt.solver.stage_plan import SolveStage, solver_options
 from stiffopt.solver.stages import (
     Outcome,
     Programme,
     build_programme,
-    outcome_of,
-    solve_near,
+    certify_outcome,
+    solve_by_active_set,
     solve_stage,
 )
-from stiffopt.solver.verdict import TRUE_OBJECTIVE
-from stiffopt.solver.way_around import collisions
+from stiffopt.solver.verdict import MAX_OBJECTIVE_GAP
 from stiffopt.transcription.build import adapted
 from stiffopt.transcription.mesh import Mesh
 from stiffopt.transcription.nlp import BlockScales, Nlp
 
-# Programmes that are kept; those used last stay.
-_KEPT = 4
+# Programmes in memory, the most recently used ones.
+_MAX_KEPT_PROGRAMMES = 4
 
 
 @dataclass(frozen=True, eq=False)
 class WarmStart:
-    """Where a solve ended, for the solve of another problem to start from.
+    """End of a solve, from which the solve of a similar problem starts.
 
     Parameters
     ----------
     x, multipliers_x, multipliers_g : array
-        Of the last programme, in units.
+        Of the last programme, unscaled.
     mesh : list of array
     smoothing : Smoothing
     scales : mapping of objective name to float
-        Its programme was scaled by.
+        Scales of its objectives.
     block_scales : BlockScales
-        Likewise. What starts from here keeps all scales: so the last digits of its answer do not
-        depend on what else has been solved.
+        Scales of its variables and rows. A solve from here keeps all scales, so that the last
+        digits of its answer do not depend on other solves.
     method : str
-        Transcription and intervals that its problem asked for.
+        Transcription and intervals of its problem.
     """
 
     x: np.ndarray
@@ -75,7 +74,7 @@ class WarmStart:
     method: str
 
     def to_bytes(self) -> bytes:
-        """As a line of JSON and the numbers of all arrays, one after another."""
+        """Return a line of JSON, then all arrays as little-endian doubles."""
         of_x, of_g = self.block_scales.variables, self.block_scales.rows
         groups = [[self.x], [self.multipliers_x], [self.multipliers_g], self.mesh, of_x, of_g]
         head = {
@@ -89,14 +88,14 @@ class WarmStart:
 
     @classmethod
     def from_bytes(cls, content: bytes) -> WarmStart | None:
-        """Read what `to_bytes` wrote; None of bytes of another shape, as of an older version."""
+        """Read bytes of `to_bytes`; None for another layout, such as of an older version."""
         try:
-            return cls._read(content)
+            return cls._parse_bytes(content)
         except (KeyError, TypeError, ValueError):
             return None
 
     @classmethod
-    def _read(cls, content: bytes) -> WarmStart:
+    def _parse_bytes(cls, content: bytes) -> WarmStart:
         line, _, held = content.partition(b"\n")
         head = json.loads(line)
         numbers = np.frombuffer(held, "<f8").astype(float)
@@ -119,7 +118,7 @@ class WarmStart:
 
 
 class ProblemFamily:
-    """Solves problems one after another, each from where another one ended, if that is given.
+    """Solver of similar problems one after another, each optionally from another one's end.
 
     Examples
     --------
@@ -140,7 +139,7 @@ class ProblemFamily:
         start: int = 0,
         progress: ProgressCallback | None = None,
     ) -> tuple[Solution, WarmStart | None]:
-        """Solve and certify a problem; from the beginning where the warm start does not lead there.
+        """Solve and certify a problem; without the warm start where that fails.
 
         Parameters
         ----------
@@ -160,64 +159,64 @@ class ProblemFamily:
         WarmStart or None
             None where it cannot be started from.
         """
-        if warm is not None and warm.method == _method(problem) and not start:
-            run, outcome = self._warm(problem, warm, progress)
+        if warm is not None and warm.method == _method_key(problem) and not start:
+            run, outcome = self._solve_warm(problem, warm, progress)
             if outcome is not None:
-                beside = baselines(problem, run.motion) if compare else {}
-                notes = notes_before(problem, run.motion)
-                solution = solution_of(run, outcome, beside, notes, compare=compare)
-                return solution, _end(run, outcome)
-        solution, kept = solve_keeping(problem, progress=progress, start=start, compare=compare)
+                compared = baselines(problem, run.motion) if compare else {}
+                notes = preliminary_notes(problem, run.motion)
+                solution = solution_of(run, outcome, compared, notes, compare=compare)
+                return solution, _warm_start_of(run, outcome)
+        solution, kept = solve_with_state(problem, progress=progress, start=start, compare=compare)
         if kept is None or problem.plans_links or start or not solution.status.usable:
             return solution, None
         run, outcome = kept
-        self._keep(Programme(outcome.transcription, outcome.solver))
-        return solution, _end(run, outcome)
+        self._store_programme(Programme(outcome.transcription, outcome.solver))
+        return solution, _warm_start_of(run, outcome)
 
-    def _warm(
+    def _solve_warm(
         self, problem: TrajectoryProblem, warm: WarmStart, progress: ProgressCallback | None
     ) -> tuple[SolveRun, Outcome | None]:
-        """The outcome from a warm start; None where it is none to rely on."""
+        """Return the outcome from a warm start, None where it is not a certified optimum."""
         motion = resolve(problem)
         _ = problem.clearance_model
         check_clear_poses(problem, motion)
         run = SolveRun(problem, motion, Scales(warm.scales), progress)
         if problem.duration[1] < shortest_duration(problem, motion)[0]:
             return run, None
-        made = self._programme(run, warm)
+        made = self._programme_for(run, warm)
         nlp = made.transcription.nlp
         if (len(warm.x), len(warm.multipliers_g)) != (len(nlp.lower_x), len(nlp.lower_g)):
             return run, None
         stage = SolveStage(sum(map(len, warm.mesh)), warm.smoothing)
-        of_x, of_g = _scales(nlp)
+        of_x, of_g = _nlp_scales(nlp)
         begin = replace(
             warm,
             x=np.clip(warm.x / of_x, nlp.lower_x, nlp.upper_x),
             multipliers_x=warm.multipliers_x * of_x,
             multipliers_g=warm.multipliers_g * of_g,
         )
-        raw = solve_near(run, made, stage, begin.x, begin)
+        raw = solve_by_active_set(run, made, stage, begin.x, begin)
         if raw is None:
             raw = solve_stage(run, made, stage, begin.x, begin, "warm", "adaptive")
         ended = raw.status == "interrupted"
         if not (raw.converged or ended):
             return run, None
-        outcome = outcome_of(run, made, raw, warm.smoothing)
-        if not (ended or _is_sound(outcome)):
+        outcome = certify_outcome(run, made, raw, warm.smoothing)
+        if not (ended or _is_certified_optimum(outcome)):
             # A mesh that is fine enough for one problem may not be for another.
-            outcome = refined(run, outcome, None)
-            self._keep(Programme(outcome.transcription, outcome.solver))
+            outcome = refine(run, outcome, None)
+            self._store_programme(Programme(outcome.transcription, outcome.solver))
         if outcome.raw.status == "interrupted":
-            # Who stopped it does not want it solved from the beginning.
+            # After Ctrl-C no further solve is started.
             return run, outcome
-        sound = _is_sound(outcome)
-        if problem.avoids_collisions and collisions(run, outcome):
-            # A way around is sought from the beginning.
+        sound = _is_certified_optimum(outcome)
+        if problem.avoids_collisions and find_collisions(run, outcome):
+            # Collision avoidance needs a solve without the warm start.
             sound = False
         return run, outcome if sound else None
 
-    def _programme(self, run: SolveRun, warm: WarmStart) -> Programme:
-        """The programme on the mesh of a warm start, with the bounds and numbers of a problem."""
+    def _programme_for(self, run: SolveRun, warm: WarmStart) -> Programme:
+        """Return the programme on the mesh of a warm start, with a problem's bounds and numbers."""
         ocp = formulate(run.problem, run.motion, run.scales)
         options = solver_options(run.problem)
         wanted = warm.block_scales.tobytes()
@@ -225,33 +224,36 @@ class ProblemFamily:
             first = made.transcription
             if (
                 made.solver.options != options
-                or not _equal(first.mesh, warm.mesh)
+                or not _equal_meshes(first.mesh, warm.mesh)
                 or BlockScales.of(first.nlp).tobytes() != wanted
             ):
                 continue
             found = adapted(first, ocp)
             if found is not None:
-                made.solver.rebound(found.nlp)
-                near = made.near or NearOptimum(made.solver)
-                return self._keep(Programme(found, made.solver, near))
+                made.solver.set_bounds(found.nlp)
+                near = made.near or ActiveSetSolver(made.solver)
+                return self._store_programme(Programme(found, made.solver, near))
         made = build_programme(run, ocp, warm.mesh, scales=warm.block_scales)
-        return self._keep(replace(made, near=NearOptimum(made.solver)))
+        return self._store_programme(replace(made, near=ActiveSetSolver(made.solver)))
 
-    def _keep(self, made: Programme) -> Programme:
+    def _store_programme(self, made: Programme) -> Programme:
         key = (made.transcription.structure, BlockScales.of(made.transcription.nlp).tobytes())
         self._programmes[key] = made
         self._programmes.move_to_end(key)
-        while len(self._programmes) > _KEPT:
+        while len(self._programmes) > _MAX_KEPT_PROGRAMMES:
             self._programmes.popitem(last=False)
         return made
 
 
-def _is_sound(outcome: Outcome) -> bool:
-    return outcome.assessment.feasible(CERTIFIED) and outcome.objective_gap <= TRUE_OBJECTIVE
+def _is_certified_optimum(outcome: Outcome) -> bool:
+    return (
+        outcome.assessment.feasible(CERTIFICATE_TOLERANCE)
+        and outcome.objective_gap <= MAX_OBJECTIVE_GAP
+    )
 
 
-def _end(run: SolveRun, outcome: Outcome) -> WarmStart:
-    of_x, of_g = _scales(outcome.transcription.nlp)
+def _warm_start_of(run: SolveRun, outcome: Outcome) -> WarmStart:
+    of_x, of_g = _nlp_scales(outcome.transcription.nlp)
     return WarmStart(
         x=outcome.raw.x * of_x,
         multipliers_x=outcome.raw.multipliers_x / of_x,
@@ -260,12 +262,12 @@ def _end(run: SolveRun, outcome: Outcome) -> WarmStart:
         smoothing=outcome.smoothing,
         scales=run.scales.values,
         block_scales=BlockScales.of(outcome.transcription.nlp),
-        method=_method(run.problem),
+        method=_method_key(run.problem),
     )
 
 
-def _scales(nlp: Nlp) -> tuple[np.ndarray, np.ndarray]:
-    """Scales of all variables and rows."""
+def _nlp_scales(nlp: Nlp) -> tuple[np.ndarray, np.ndarray]:
+    """Return the scales of all variables and of all rows."""
     variables, rows = (
         np.concatenate([np.zeros(0), *(block.scales for block in blocks.items)])
         for blocks in (nlp.variables, nlp.rows)
@@ -273,10 +275,10 @@ def _scales(nlp: Nlp) -> tuple[np.ndarray, np.ndarray]:
     return variables, rows
 
 
-def _method(problem: TrajectoryProblem) -> str:
+def _method_key(problem: TrajectoryProblem) -> str:
     method = problem.method
     return f"{method.transcription} {method.intervals} {len(problem.vias)} {problem.is_shaped}"
 
 
-def _equal(one: Mesh, other: Mesh) -> bool:
+def _equal_meshes(one: Mesh, other: Mesh) -> bool:
     return len(one) == len(other) and all(map(np.array_equal, one, other))

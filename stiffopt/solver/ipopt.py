@@ -14,11 +14,11 @@ from stiffopt import native
 from stiffopt.errors import InputError
 from stiffopt.frontal import ipopt_options
 from stiffopt.interrupts import handle_interrupts
-from stiffopt.solver.monitor import Iterate, Monitor, Progress
+from stiffopt.solver.monitor import FEASIBLE_VIOLATION, Iterate, Monitor, Progress
 from stiffopt.symbolic import array_of
 from stiffopt.transcription.nlp import Nlp, NlpEntry, RowViolation
 
-_STATUS = {
+_STATUS_BY_RETURN_STATUS = {
     "Solve_Succeeded": "optimal",
     "Feasible_Point_Found": "optimal",
     "Solved_To_Acceptable_Level": "acceptable",
@@ -30,11 +30,8 @@ _STATUS = {
     "Invalid_Number_Detected": "invalid_number",
 }
 
-# Excess of a row, relative to its scale, up to which an iterate proves that the rows can hold.
-FEASIBLE = 1e-6
-
-# Times the tolerance, by which an iterate that rests moves at most.
-_RESTS = 10.0
+# Largest step of a stationary iterate, over the tolerance.
+_STATIONARY_STEP_FACTOR = 10.0
 
 _OPTIONS_HINT = (
     "Check IpoptOptions.extra and linear_solver; allowed linear solvers: auto, mumps, spral."
@@ -43,7 +40,7 @@ _OPTIONS_HINT = (
 
 @dataclass(frozen=True, kw_only=True)
 class IpoptOptions:
-    """What IPOPT is told; everything else stays at IPOPT's own defaults.
+    """Options of IPOPT; all others stay at IPOPT's defaults.
 
     Parameters
     ----------
@@ -55,13 +52,13 @@ class IpoptOptions:
     max_seconds : float
         Wall clock for one solve [s].
     linear_solver : str
-        "auto" for the package's own (see `frontal`), MUMPS without the compiled core; "mumps", or
+        "auto" for the package's frontal solver, MUMPS without the compiled core; "mumps", or
         "spral" with its environment variables set.
     print_level : int
         0 (silent) to 12.
     patience : int
-        Iterations after which a solve ends ("iteration_limit") whose best point still exceeds a row
-        by more than a hundredth of its scale; 0 for never.
+        Iterations after which a solve without a nearly feasible point (1 % of each row's scale)
+        ends with "iteration_limit"; 0 for never.
     extra : mapping
         Further options of IPOPT by their own names.
     """
@@ -92,15 +89,15 @@ class IpoptOptions:
 
 
 class Multipliers(Protocol):
-    """Whatever holds the multipliers of a programme at its end."""
+    """Multipliers of a programme at the end of a solve."""
 
     @property
     def multipliers_x(self) -> np.ndarray:
-        """Of the bounds."""
+        """Multipliers of the bounds."""
 
     @property
     def multipliers_g(self) -> np.ndarray:
-        """Of the rows."""
+        """Multipliers of the rows."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -116,7 +113,7 @@ class RawSolution:
         optimal, acceptable, infeasible, iteration_limit, time_limit, interrupted, invalid_number
         or stalled (no progress from a point that is neither optimal nor infeasible).
     reason : str
-        IPOPT's own word, and what is known beyond it.
+        IPOPT's return status, or the row without a finite value.
     x, g : array
         Scaled NLP variables and rows.
     objective : float
@@ -127,9 +124,9 @@ class RawSolution:
     conflicts : list of NlpEntry
         After "infeasible": the limits and boundary values that cannot hold together.
     iteration : int
-        From which the values are.
+        Iteration that the values are of.
     iterations : int
-        Number that were made.
+        Number of iterations.
     multipliers_x, multipliers_g : array
         Of the last iterate; pass the solution as `warm` to start another solve from them.
     history : list of Progress
@@ -155,7 +152,7 @@ class RawSolution:
 
     @property
     def converged(self) -> bool:
-        """Whether the solver met its tolerance, the full or the acceptable one."""
+        """True where the solver met its tolerance, the full or the acceptable one."""
         return self.status in ("optimal", "acceptable")
 
 
@@ -174,13 +171,13 @@ class IpoptSolver:
         begin = time.perf_counter()
         self._monitor = Monitor(nlp)
         self._symbols = nlp.casadi
-        self._solver = self._make({}, **nlp.derivatives)
-        self._warm: dict[tuple[str, float], ca.Function] = {}
+        self._solver = self._create_solver({}, **nlp.derivatives)
+        self._warm_solvers: dict[tuple[str, float], ca.Function] = {}
         self.build_s = time.perf_counter() - begin
 
     @property
     def derivatives(self) -> tuple[ca.Function, ca.Function, ca.Function]:
-        """Of the objective, of the rows and of the Lagrangian, as IPOPT is given them."""
+        """Gradient of the objective, Jacobian of the rows, Hessian of the Lagrangian."""
         names = ("nlp_grad_f", "nlp_jac_g", "nlp_hess_l")
         gradient, jacobian, hessian = map(self._solver.get_function, names)
         return gradient, jacobian, hessian
@@ -205,13 +202,13 @@ class IpoptSolver:
         parameters : array (np,), optional
             Zeros when absent.
         warm : Multipliers, optional
-            Such as the solution of the same NLP with other parameters: what to start from.
+            Initial multipliers, such as the solution of the same NLP with other parameters.
         barrier : "monotone" or "adaptive"
-            Of a warm start: the second takes half the iterations to the optimum of a near problem,
-            the first keeps to it where the problem bends (a step of the smoothing).
+            Strategy of a warm start: adaptive takes half the iterations to the optimum of a similar
+            problem, monotone is safer where the problem changes more (a step of the smoothing).
         push : float
-            How far a warm start is kept from bounds: a little more than nothing halves the
-            iterations where bounds have been drawn in beyond it.
+            Least distance of a warm start from bounds: 1e-3 halves the iterations where bounds have
+            been backed off beyond the start.
         report : callable, optional
             Called with a `Progress` in each iteration.
         max_seconds : float, optional
@@ -241,21 +238,21 @@ class IpoptSolver:
         if monitor.error is not None:
             raise monitor.error
         word = str(solver.stats()["return_status"])
-        status = monitor.stopped_by or _status(word)
+        status = monitor.stopped_by or _translate_status(word)
         if status == "acceptable":
-            # Its gradient is rounding along stiff directions: no step finds anything better.
+            # The residual gradient is rounding along stiff directions: full steps change nothing.
             lengths = solver.stats()["iterations"]["alpha_pr"]
-            if monitor.at_rest(_RESTS * self.options.tol, lengths):
+            if monitor.is_stationary(_STATIONARY_STEP_FACTOR * self.options.tol, lengths):
                 status = "optimal"
-        last = self._iterate(outputs)
+        last = self._last_iterate(outputs)
         best = last if status in ("optimal", "acceptable") else (monitor.best or last)
         reason = word
-        if status == "infeasible" and best.violation <= FEASIBLE:
-            # It has been where all rows hold: it lost its way, the problem has not none.
+        if status == "infeasible" and best.violation <= FEASIBLE_VIOLATION:
+            # A feasible iterate contradicts "infeasible": the solver diverged from it.
             status = "stalled"
         if status == "invalid_number":
-            reason = self._invalid_number([inputs["x0"], last.x], p) or word
-        lam_x, lam_g = self._multipliers(outputs, p)
+            reason = self._locate_invalid_number([inputs["x0"], last.x], p) or word
+        lam_x, lam_g = self._final_multipliers(outputs, p)
         return RawSolution(
             status=status,
             reason=reason,
@@ -274,19 +271,19 @@ class IpoptSolver:
             solve_s=solve_s,
         )
 
-    def rebound(self, nlp: Nlp) -> None:
-        """Take over the bounds of the same NLP, for the solves that follow."""
+    def set_bounds(self, nlp: Nlp) -> None:
+        """Replace the bounds, by those of the same NLP, for the solves that follow."""
         self.nlp = nlp
         self._monitor.nlp = nlp
 
-    def _make(self, further: dict[str, Any], **functions: ca.Function) -> ca.Function:
+    def _create_solver(self, further: dict[str, Any], **functions: ca.Function) -> ca.Function:
         options: dict[str, Any] = {
             "ipopt": {**self.options.for_ipopt(), **further},
             "iteration_callback": self._monitor,
             "print_time": False,
             "show_eval_warnings": False,
             "error_on_fail": False,
-            # The derivatives by parameters, which nobody reads, would be CasADi's own.
+            # CasADi would derive gradients for unused sensitivities to parameters.
             "calc_lam_p": False,
             "no_nlp_grad": True,
             **functions,
@@ -299,10 +296,10 @@ class IpoptSolver:
             raise InputError(f"{str(error).splitlines()[-1]}. {_OPTIONS_HINT}") from error
 
     def _warm_solver(self, barrier: str, push: float) -> ca.Function:
-        # IPOPT reads these options when it is set up; the derivatives are shared with the other.
-        if (barrier, push) not in self._warm:
+        # IPOPT reads these options at setup; the derivatives are shared with the cold solver.
+        if (barrier, push) not in self._warm_solvers:
             gradient, jacobian, hessian = self.derivatives
-            self._warm[barrier, push] = self._make(
+            self._warm_solvers[barrier, push] = self._create_solver(
                 {
                     "mu_strategy": barrier,
                     "warm_start_init_point": "yes",
@@ -317,12 +314,12 @@ class IpoptSolver:
                 jac_g=jacobian,
                 hess_lag=hessian,
             )
-        return self._warm[barrier, push]
+        return self._warm_solvers[barrier, push]
 
-    def _multipliers(
+    def _final_multipliers(
         self, outputs: dict[str, ca.DM], p: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Of bounds and rows; of fixed variables what the Lagrangian's gradient leaves there."""
+        """Return multipliers of bounds and rows; of fixed variables from the Lagrangian."""
         lam_x, lam_g = (array_of(outputs[name]).ravel() for name in ("lam_x", "lam_g"))
         fixed = self.nlp.lower_x == self.nlp.upper_x
         if fixed.any():
@@ -332,7 +329,7 @@ class IpoptSolver:
             lam_x[fixed] = -slope[fixed]
         return lam_x, lam_g
 
-    def _iterate(self, outputs: dict[str, ca.DM]) -> Iterate:
+    def _last_iterate(self, outputs: dict[str, ca.DM]) -> Iterate:
         g = array_of(outputs["g"]).ravel()
         excess = self.nlp.violations(g)
         return Iterate(
@@ -343,8 +340,8 @@ class IpoptSolver:
             violation=float(excess.max()) if excess.size else 0.0,
         )
 
-    def _invalid_number(self, points: list[np.ndarray], p: np.ndarray) -> str:
-        """Sentence that names the first row without a value or slope at one of the points."""
+    def _locate_invalid_number(self, points: list[np.ndarray], p: np.ndarray) -> str:
+        """Return a clause on the first row without a finite value or slope at one of the points."""
         value = ca.Function("value", [self.nlp.x, self.nlp.p], [self.nlp.f, self.nlp.g])
         slope = self._solver.get_function("nlp_jac_g")
         for x in points:
@@ -362,7 +359,7 @@ class IpoptSolver:
         return ""
 
 
-def _status(word: str) -> str:
+def _translate_status(word: str) -> str:
     if word == "Invalid_Option":
         raise InputError(f"IPOPT cannot use one of its options. {_OPTIONS_HINT}")
     if word == "Not_Enough_Degrees_Of_Freedom":
@@ -370,11 +367,11 @@ def _status(word: str) -> str:
             "The problem has more equations than free variables. Free a boundary value or remove "
             "an equation."
         )
-    return _STATUS.get(word, "stalled")
+    return _STATUS_BY_RETURN_STATUS.get(word, "stalled")
 
 
 def kkt_residual(nlp: Nlp, raw: RawSolution, parameters: np.ndarray | None = None) -> float:
-    """Largest residual of the Karush-Kuhn-Tucker conditions of a solve.
+    """Return the largest residual of the Karush-Kuhn-Tucker conditions of a solve.
 
     Parameters
     ----------
@@ -391,8 +388,8 @@ def kkt_residual(nlp: Nlp, raw: RawSolution, parameters: np.ndarray | None = Non
 
     Notes
     -----
-    Computed from fresh derivatives, not taken from the solver's word. For a convex problem a
-    residual of zero proves the global optimum.
+    Computed from fresh derivatives, independently of the solver. For a convex problem a residual of
+    zero proves the global optimum.
     """
     p = nlp.parameters(parameters)
     lagrangian = type(nlp.x).sym("lam", nlp.g.numel())

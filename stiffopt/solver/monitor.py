@@ -1,4 +1,4 @@
-"""Watches an IPOPT run: progress, time limit, Ctrl-C, and the best iterate so far."""
+"""Monitoring of an IPOPT run: progress, time limit, Ctrl-C and the best iterate."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import numpy as np
 from stiffopt.transcription.nlp import Nlp
 
 # Iterates with a smaller scaled violation count as feasible and are ranked by objective.
-FEASIBLE = 1e-6
+FEASIBLE_VIOLATION = 1e-6
 
 
 @dataclass(frozen=True)
@@ -28,7 +28,7 @@ class Progress:
     violation : float
         Worst row, relative to its scale.
     row : str
-        Name, label and place of that row; "" when nothing is violated.
+        Name, label and place of that row; "" without a violation.
     elapsed : float
         Since the solve began [s].
     """
@@ -50,20 +50,23 @@ class Iterate:
     objective: float
     violation: float
 
-    def better_than(self, other: Iterate | None) -> bool:
-        """Whether this one is to be kept: least violation, then lowest objective."""
+    def is_better_than(self, other: Iterate | None) -> bool:
+        """Return True where this one has less violation or, both feasible, a lower objective."""
         if other is None:
             return True
-        mine, theirs = max(self.violation, FEASIBLE), max(other.violation, FEASIBLE)
+        mine, theirs = (
+            max(self.violation, FEASIBLE_VIOLATION),
+            max(other.violation, FEASIBLE_VIOLATION),
+        )
         return mine < theirs or (mine == theirs and self.objective < other.objective)
 
 
-# Iterations in a row in which an iterate that rests has not moved.
-_RESTING = 5
-# Length from which a step is a full one.
-_FULL = 1.0 - 1e-9
-# Excess of a row, relative to its scale, that the next iterations may mend.
-_NEARLY = 1e-2
+# Consecutive iterations within the tolerance that make an iterate stationary.
+_STATIONARY_ITERATIONS = 5
+# Step length from which a step counts as full.
+_FULL_STEP_LENGTH = 1.0 - 1e-9
+# Excess of a row, relative to its scale, that further iterations are likely to remove.
+_NEARLY_FEASIBLE_VIOLATION = 1e-2
 
 
 class Monitor(ca.Callback):
@@ -84,7 +87,7 @@ class Monitor(ca.Callback):
         self.construct("monitor", {})
 
     def begin(self, report: Callable[[Progress], object] | None, max_seconds: float) -> None:
-        """Forget the last solve."""
+        """Reset the record before a solve."""
         self.report, self.max_seconds, self.patience = report, max_seconds, 0
         self.started = time.perf_counter()
         self.history: list[Progress] = []
@@ -100,7 +103,7 @@ class Monitor(ca.Callback):
         return int(ca.nlpsol_n_out())
 
     def get_n_out(self) -> int:
-        """Return one: zero to go on."""
+        """Return one: the stop flag."""
         return 1
 
     def get_name_in(self, i: int) -> str:
@@ -112,17 +115,17 @@ class Monitor(ca.Callback):
         return ca.Sparsity.dense(self._sizes.get(str(ca.nlpsol_out(i)), 0), 1)
 
     def has_eval_buffer(self) -> bool:
-        """Whether numbers come as they lie in memory: a tenth of the time of CasADi's matrices."""
+        """Return True: raw buffers take a tenth of the time of CasADi's matrices."""
         return True
 
     def eval_buffer(self, arg: Sequence[memoryview], res: Sequence[memoryview]) -> int:
-        """Take in one iteration; a result of 1 stops IPOPT."""
-        np.frombuffer(res[0])[0] = self._stop(arg)
+        """Record one iteration; a result of 1 stops IPOPT."""
+        np.frombuffer(res[0])[0] = self._evaluate_stop(arg)
         return 0
 
-    def _stop(self, arg: Sequence[memoryview]) -> float:
+    def _evaluate_stop(self, arg: Sequence[memoryview]) -> float:
         try:
-            self._take(arg)
+            self._record_iterate(arg)
         except BaseException as error:  # must not cross the C++ border; raised after the solve
             self.error = error
             return 1.0
@@ -130,29 +133,32 @@ class Monitor(ca.Callback):
             self.stopped_by = "interrupted"
         elif time.perf_counter() - self.started > self.max_seconds:
             self.stopped_by = "time_limit"
-        elif self.patience and len(self.history) > self.patience and not self._near():
+        elif self.patience and len(self.history) > self.patience and not self._is_nearly_feasible():
             self.stopped_by = "iteration_limit"
         return float(bool(self.stopped_by))
 
-    def at_rest(self, tolerance: float, lengths: Sequence[float]) -> bool:
-        """Whether the last iterates are one, all rows kept: full steps that change nothing more.
+    def is_stationary(self, tolerance: float, lengths: Sequence[float]) -> bool:
+        """Return True where the last iterates are feasible and stationary under full steps.
 
-        Line searches that cut steps off afterwards, as rounding makes them, do not count where none
-        led away.
+        Later steps that the line search shortened because of rounding do not matter as long as the
+        iterates stay.
 
         Parameters
         ----------
         tolerance : float
         lengths : sequence of float
-            Of the steps of all iterations, 1 where a line search cut nothing off.
+            Step lengths of all iterations, 1 for a full step.
         """
         still = 0
         for step in reversed(self.steps):
             if not step <= tolerance:
                 break
             still += 1
-        full = [length >= _FULL for length in lengths[len(lengths) - still :]]
-        if not any(all(full[k : k + _RESTING]) for k in range(still - _RESTING + 1)):
+        full = [length >= _FULL_STEP_LENGTH for length in lengths[len(lengths) - still :]]
+        if not any(
+            all(full[k : k + _STATIONARY_ITERATIONS])
+            for k in range(still - _STATIONARY_ITERATIONS + 1)
+        ):
             return False
         since = self.history[-still:]
         objectives = [each.objective for each in since]
@@ -162,13 +168,13 @@ class Monitor(ca.Callback):
             and max(each.violation for each in since) <= tolerance
         )
 
-    def _near(self) -> bool:
-        """Whether some point so far keeps all rows, or nearly."""
-        return self.best is not None and self.best.violation <= _NEARLY
+    def _is_nearly_feasible(self) -> bool:
+        """Return True where some iterate so far is nearly feasible."""
+        return self.best is not None and self.best.violation <= _NEARLY_FEASIBLE_VIOLATION
 
-    def _take(self, arg: Sequence[memoryview]) -> None:
+    def _record_iterate(self, arg: Sequence[memoryview]) -> None:
         nlp = self.nlp
-        # Copies: what lies there is IPOPT's.
+        # Copies: the buffers belong to IPOPT.
         x, g = (np.frombuffer(arg[k]).copy() for k in (0, 2))
         objective = float(np.frombuffer(arg[1])[0])
         objective *= nlp.objective_scale
@@ -177,7 +183,11 @@ class Monitor(ca.Callback):
         if self.last is not None:
             self.steps.append(float(np.abs(x - self.last.x).max(initial=0.0)))
         self.last = Iterate(number, x, g, objective, violation)
-        if np.isfinite(objective) and np.isfinite(violation) and self.last.better_than(self.best):
+        if (
+            np.isfinite(objective)
+            and np.isfinite(violation)
+            and self.last.is_better_than(self.best)
+        ):
             self.best = self.last
         elapsed = time.perf_counter() - self.started
         progress = Progress(number, objective, violation, row, elapsed)

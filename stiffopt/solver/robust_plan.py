@@ -1,14 +1,13 @@
-"""Of motions that are as good, the one that does best on arms that are not as modelled.
+"""Robust plan: among motions of nearly the same objective, the best one on uncertain arms.
 
-Many motions have nearly the least peak. They differ in how fast the deviation rises and falls,
-which swings where springs are softer or stiffer than the model, and in the room that they leave the
-drives for a command that leads by more than the nominal wind-up. So a solve ends with one more: the
-peak may grow by a little, and the deviation changes as slowly as it can. Whichever motion's command
-does better on the worst arm is taken.
+Many motions have nearly the least peak. They differ in the rate of change of the deviation, which
+excites vibration where springs differ from the model, and in the drive reserve for a command that
+leads by more than the nominal wind-up. So a solve ends with one more: the peak may grow slightly
+while the rate of the deviation is minimised. The motion whose command is better on the worst arm is
+returned.
 
-More may be given for a motion that is averaged over some of a swing (`solver.shaping`): whatever
-the springs, little swings on after it. It is taken where it gains more on the worst arm than it
-costs as modelled.
+An input-shaped motion (`solver.input_shaping`) may cost more: it excites little residual vibration
+whatever the springs. It is returned where it gains more on the worst arm than it costs as modelled.
 """
 
 from __future__ import annotations
@@ -19,74 +18,79 @@ from dataclasses import replace
 import numpy as np
 
 from stiffopt.certificate.objective_value import objective_value
-from stiffopt.certificate.violations import CERTIFIED
+from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
 from stiffopt.errors import NotSimulatedError
 from stiffopt.result.solution import Solution, SolverRecord
 from stiffopt.result.status import SolveStatus
-from stiffopt.solver.compensation import CommandOnArms, commands_on_arms
-from stiffopt.solver.refinement import refined_within, stopped
-from stiffopt.solver.shaping import Window, interrupted, windows_for_arms
+from stiffopt.solver.collision_avoidance import find_collisions
+from stiffopt.solver.command_search import CommandOnArms
+from stiffopt.solver.compensation import commands_on_arms
+from stiffopt.solver.input_shaping import Window, mark_solution_interrupted, windows_for_arms
+from stiffopt.solver.refinement import mark_interrupted, refine_within_mesh
 from stiffopt.solver.simulation import PlannedMotion, elastic_arm
 from stiffopt.solver.solve_run import SolveRun
 from stiffopt.solver.stages import Outcome, solve_again
-from stiffopt.solver.verdict import TRUE_OBJECTIVE
-from stiffopt.solver.way_around import collisions
+from stiffopt.solver.verdict import MAX_OBJECTIVE_GAP
 from stiffopt.transcription.nlp import Nlp
 
-# Share by which the peak at the nodes may grow, and that on the fine grid, where no less is stated.
-_COST, _COST_CERTIFIED = 7e-3, 1e-2
+# Shares by which the peak may grow at the nodes and on the fine grid; less where stated.
+_MAX_NODE_COST, _MAX_CERTIFIED_COST = 7e-3, 1e-2
 
-ShapedOver = Callable[[tuple[Window, ...]], Solution]
+SolveShaped = Callable[[tuple[Window, ...]], Solution]
 
 
 def robust_plan(run: SolveRun, outcome: Outcome) -> Outcome:
-    """The outcome, or one as good that is better on other arms, where there is any."""
-    if not _asked(run, outcome):
+    """Return the outcome, or one of nearly the same objective that is better on uncertain arms."""
+    if not _is_requested(run, outcome):
         return outcome
     before, price = outcome.solver.nlp, run.problem.uncertainty.price
-    nlp, cost = _capped(outcome, before, price), np.inf
+    nlp, cost = _cap_objective(outcome, before, price), np.inf
     try:
         found = solve_again(run, outcome, nlp, replace(outcome.smoothing, robust=1.0))
         if found.raw.converged:
-            found = refined_within(run, found, nlp)
+            found = refine_within_mesh(run, found, nlp)
         if found.raw.status == "interrupted":
-            outcome = stopped(outcome)
+            outcome = mark_interrupted(outcome)
         else:
-            cost = _cost(run, found, outcome)
-        if cost <= min(_COST_CERTIFIED, price):
-            own, least = _on_arms(run, found, outcome)
-            better = own.at_worst < least.at_worst
+            cost = _relative_cost(run, found, outcome)
+        if cost <= min(_MAX_CERTIFIED_COST, price):
+            own, least = _commands_on_arms(run, found, outcome)
+            better = own.worst_case_peaks < least.worst_case_peaks
             run.command = own if better else least
             if better:
                 run.notes.append(
-                    _note(cost, "it swings less there, and leaves the motors room to lead by more")
+                    _cost_note(
+                        cost, "it vibrates less there and leaves drive reserve for more lead"
+                    )
                 )
                 return found
     except NotSimulatedError:
         pass
     except KeyboardInterrupt:
-        outcome = stopped(outcome)
-    outcome.solver.rebound(before)
+        outcome = mark_interrupted(outcome)
+    outcome.solver.set_bounds(before)
     return outcome
 
 
-def _asked(run: SolveRun, outcome: Outcome) -> bool:
-    sound = outcome.raw.converged and outcome.assessment.feasible(CERTIFIED)
-    # Planes around what it must not touch are of the motion that was found.
+def _is_requested(run: SolveRun, outcome: Outcome) -> bool:
+    sound = outcome.raw.converged and outcome.assessment.feasible(CERTIFICATE_TOLERANCE)
+    # Separating planes hold only for the motion that was found.
     return run.problem.chosen_for_other_arms and sound and run.avoidance is None
 
 
-def _capped(outcome: Outcome, nlp: Nlp, price: float) -> Nlp:
-    """The programme with the bound on the peak limited to a little more than it is."""
+def _cap_objective(outcome: Outcome, nlp: Nlp, price: float) -> Nlp:
+    """Return the programme with the peak bounded to slightly more than its optimum."""
     upper, place = nlp.upper_x.copy(), outcome.transcription.statics.offset
-    upper[place] = (1.0 + min(_COST, _COST / _COST_CERTIFIED * price)) * outcome.raw.x[place]
+    upper[place] = (
+        1.0 + min(_MAX_NODE_COST, _MAX_NODE_COST / _MAX_CERTIFIED_COST * price)
+    ) * outcome.raw.x[place]
     return replace(nlp, upper_x=upper)
 
 
-def shaped_for_arms(
-    run: SolveRun, solution: Solution, least: Outcome, shaped: ShapedOver
+def choose_shaped_motion(
+    run: SolveRun, solution: Solution, least: Outcome, shaped: SolveShaped
 ) -> Solution:
-    """The solution, or a shaped motion that gains more on the worst arm than it costs.
+    """Return the solution, or a shaped motion that gains more on the worst arm than it costs.
 
     Parameters
     ----------
@@ -94,19 +98,19 @@ def shaped_for_arms(
     solution : Solution
         Found so far; its command on uncertain arms is the run's, where that is known.
     least : Outcome
-        Before anything was given for other arms.
+        The optimum before any cost for uncertain arms.
     shaped : callable
         Solves the run's problem shaped over given windows.
     """
     problem, price = run.problem, run.problem.uncertainty.price
-    if not solution.status.usable or solution.objective is None or not _asked(run, least):
+    if not solution.status.usable or solution.objective is None or not _is_requested(run, least):
         return solution
     best, own = objective_value(problem, least.assessment).value, run.command
     try:
         for window in windows_for_arms(problem, run.motion, price):
             tried = shaped((window,))
             if tried.status is SolveStatus.INTERRUPTED:
-                return interrupted(solution)
+                return mark_solution_interrupted(solution)
             if tried.status not in (SolveStatus.OPTIMAL, solution.status):
                 continue
             if tried.assessment is None or tried.trajectory is None:
@@ -114,28 +118,31 @@ def shaped_for_arms(
             value = objective_value(problem, tried.assessment)
             if value.value > (1.0 + price) * best:
                 continue
-            own = own or _command(run, solution)
-            other = _command(run, tried)
-            if other.at_worst * value.value >= own.at_worst * solution.objective.value:
+            own = own or _command_on_arms(run, solution)
+            other = _command_on_arms(run, tried)
+            if (
+                other.worst_case_peaks * value.value
+                >= own.worst_case_peaks * solution.objective.value
+            ):
                 continue
             run.command = other
-            note = _note(value.value / best - 1.0, "it swings on less there")
+            note = _cost_note(value.value / best - 1.0, "its residual vibration is smaller there")
             return replace(
                 tried,
                 objective=value,
                 notes=(*tried.notes, note),
-                solver=_both(solution.solver, tried.solver),
+                solver=_add_records(solution.solver, tried.solver),
                 inputs_hash=solution.inputs_hash,
             )
     except NotSimulatedError:
         pass
     except KeyboardInterrupt:
-        return interrupted(solution)
+        return mark_solution_interrupted(solution)
     return solution
 
 
-def _both(first: SolverRecord, second: SolverRecord) -> SolverRecord:
-    """What the solver did one after the other."""
+def _add_records(first: SolverRecord, second: SolverRecord) -> SolverRecord:
+    """Return the combined record of two solves."""
     return replace(
         second,
         iterations=first.iterations + second.iterations,
@@ -145,7 +152,7 @@ def _both(first: SolverRecord, second: SolverRecord) -> SolverRecord:
     )
 
 
-def _note(cost: float, why: str) -> str:
+def _cost_note(cost: float, why: str) -> str:
     given = f"{100.0 * max(cost, 0.0):.1f} % of the objective is given"
     return (
         f"As [uncertainty] is stated, {given} for a motion whose command deviates less on the "
@@ -153,14 +160,14 @@ def _note(cost: float, why: str) -> str:
     )
 
 
-def _command(run: SolveRun, solution: Solution) -> CommandOnArms:
-    """The command of a solution on uncertain arms."""
-    (found,) = _on_arms(run, solution)
+def _command_on_arms(run: SolveRun, solution: Solution) -> CommandOnArms:
+    """Return the command of a solution on uncertain arms."""
+    (found,) = _commands_on_arms(run, solution)
     return found
 
 
-def _on_arms(run: SolveRun, *outcomes: Outcome | Solution) -> list[CommandOnArms]:
-    """The commands of motions on uncertain arms."""
+def _commands_on_arms(run: SolveRun, *outcomes: Outcome | Solution) -> list[CommandOnArms]:
+    """Return the commands of motions on uncertain arms."""
     arm = elastic_arm(run.problem, run.motion.start)
     motions = [
         replace(PlannedMotion.of("optimised", each.assessment, True), motors=each.trajectory)
@@ -170,10 +177,10 @@ def _on_arms(run: SolveRun, *outcomes: Outcome | Solution) -> list[CommandOnArms
     return commands_on_arms(run.problem, arm, motions, run.motors)
 
 
-def _cost(run: SolveRun, found: Outcome, least: Outcome) -> float:
-    """Share by which the objective is larger; infinite where the motion is not sound."""
-    sound = found.raw.converged and found.assessment.feasible(CERTIFIED)
-    if not sound or found.objective_gap > TRUE_OBJECTIVE or collisions(run, found):
+def _relative_cost(run: SolveRun, found: Outcome, least: Outcome) -> float:
+    """Return the relative increase of the objective; infinite where the motion is not certified."""
+    sound = found.raw.converged and found.assessment.feasible(CERTIFICATE_TOLERANCE)
+    if not sound or found.objective_gap > MAX_OBJECTIVE_GAP or find_collisions(run, found):
         return np.inf
     own, best = (objective_value(run.problem, each.assessment).value for each in (found, least))
     return own / best - 1.0

@@ -1,4 +1,4 @@
-"""A solution and its baselines on the elastic arm: the third part of the certificate.
+"""Elastic simulation of a solution and its baselines, with its sensitivity to assumed damping.
 
 A quintic motion that exceeds a limit is simulated a second time, slowed until it keeps them all; it
 is counted where the problem allows that duration.
@@ -16,14 +16,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from stiffopt.baseline.baselines import slowed_quintic
-from stiffopt.certificate.violations import CERTIFIED
+from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
 from stiffopt.elastic.arm import ElasticArm
 from stiffopt.elastic.motor import MotorMotion
 from stiffopt.elastic.simulate import check_reach, simulate, typical_hysteresis
 from stiffopt.elastic.uncertainty import AssumedUncertainty
-from stiffopt.errors import NotSimulatedError
+from stiffopt.errors import NotSimulatedError, format_relative
 from stiffopt.interrupts import end_deferral
 from stiffopt.problem.formulation import smoothing_stages
+from stiffopt.problem.limit import LIMITS
 from stiffopt.problem.resolve import ResolvedMotion, resolve
 from stiffopt.result.assessment import PeakRms
 from stiffopt.result.simulation import (
@@ -34,8 +35,8 @@ from stiffopt.result.simulation import (
     Simulation,
 )
 from stiffopt.result.status import SolveStatus
-from stiffopt.solver.compensation import CommandOnArms, compensate
-from stiffopt.solver.other_damping import other_damping_note
+from stiffopt.solver.command_search import CommandOnArms
+from stiffopt.solver.compensation import compensate
 from stiffopt.solver.solve_run import ProgressCallback, SolveProgress
 
 if TYPE_CHECKING:
@@ -45,38 +46,38 @@ if TYPE_CHECKING:
     from stiffopt.result.solution import Baseline, Solution
     from stiffopt.result.trajectory import Trajectory
 
-_NOT_ASKED = (
-    "No command.csv: no objective or limit is about how the arm yields. State [uncertainty] for a "
-    "command that leads the wind-up, judged on uncertain arms."
+# Factors on the assumed damping of 2 % of critical: 1 and 3 %.
+_DAMPING_FACTORS = (0.5, 1.5)
+# Links slower than this are at rest [rad/s].
+_STANDSTILL_SPEED = 1e-6
+_COMMAND_NOT_REQUESTED = (
+    "No command.csv: no objective or limit concerns the arm's elasticity. State [uncertainty] for "
+    "a command with compensation of the wind-up, judged on uncertain arms."
 )
 
 
 def elastic_arm(problem: TrajectoryProblem, start: np.ndarray) -> ElasticArm:
-    """The problem's robot as an elastic arm, checked in its start pose (n,) [rad].
+    """Return the problem's robot as an elastic arm, checked in its start pose (n,) [rad].
 
     Raises
     ------
     RobotError
-        Damping or hysteresis is of no joint.
+        Damping or hysteresis is not physical.
     NotSimulatedError
         The arm cannot be simulated.
     """
     arm = ElasticArm(problem.robot, start, problem.process_force)
     parts = {objective.kind.deflection_part for objective in problem.objectives}
-    # What a force or the weight winds a joint up by counts in the other parts.
+    # The other parts of the deflection include the wind-up of all joints under weight and force.
     if not problem.process_force.any() and parts <= {"", "dynamic"}:
         arm = arm.with_fast_joints_following(start)
     check_reach(arm, start)
     return arm
 
 
-# Links slower than this are at rest [rad/s].
-_STANDSTILL = 1e-6
-
-
 @dataclass(frozen=True, kw_only=True)
 class PlannedMotion:
-    """A motion to be simulated.
+    """Motion to be simulated.
 
     Parameters
     ----------
@@ -88,11 +89,11 @@ class PlannedMotion:
     parts : dict of PeakRms
         Parts of its planned deflection by name, "dynamic" among them [m].
     counted : bool
-        Whether it keeps all limits and the problem's duration.
+        True where it keeps all limits and the problem's duration.
     motors : Trajectory or None
-        With what its links are planned to do, where that is planned apart from the motors' motion.
+        With the planned motion of its links, where that differs from the motors'.
     exceeded : tuple of str
-        Names of limits that it does not keep.
+        Names of limits that it exceeds.
     """
 
     name: str
@@ -106,18 +107,18 @@ class PlannedMotion:
 
     @property
     def link(self) -> Trajectory | None:
-        """Motion of the links, where that is planned."""
+        """Planned motion of the links, None where it is not planned."""
         return None if self.motors is None else self.motors.link
 
     @property
-    def swings_on(self) -> bool:
-        """Whether the links are planned to swing on when the motors stand."""
+    def vibrates_after_arrival(self) -> bool:
+        """True where the plan has residual vibration of the links after the motors' arrival."""
         link = self.link
-        return link is not None and bool(np.any(np.abs(link(link.duration, 1)) > _STANDSTILL))
+        return link is not None and bool(np.any(np.abs(link(link.duration, 1)) > _STANDSTILL_SPEED))
 
     @classmethod
     def of(cls, name: str, assessment: Assessment, counted: bool) -> PlannedMotion:
-        """From its certificate."""
+        """Make the motion from its certificate."""
         return cls(
             name=name,
             time=assessment.time,
@@ -125,17 +126,19 @@ class PlannedMotion:
             velocity=assessment.velocity,
             parts=assessment.deflection_summary(),
             counted=counted,
-            exceeded=tuple(v.limit for v in assessment.violations if v.value > CERTIFIED),
+            exceeded=tuple(
+                v.limit for v in assessment.violations if v.value > CERTIFICATE_TOLERANCE
+            ),
         )
 
 
-def rivals(
+def rival_motions(
     problem: TrajectoryProblem,
     motion: ResolvedMotion,
     baselines: dict[str, Baseline],
     strict: Baseline | None = None,
 ) -> list[PlannedMotion]:
-    """The baselines that exist; the quintic one also slowed where it exceeds a limit.
+    """Return the existing baselines, and the slowed quintic one where the quintic is infeasible.
 
     `strict` is the slowed one where it is known already.
     """
@@ -172,7 +175,7 @@ def simulate_motions(
     motions : sequence of PlannedMotion
     servo : Servo, optional
     band : float
-        Within which the tool counts as settled [m].
+        Settling band of the tool [m].
 
     Raises
     ------
@@ -190,7 +193,7 @@ def simulate_motions(
             reference = command.position(simulated.time)
             if part == "process":
                 reference = simulate(arm.without_force(), command, servo=servo).position
-            minimised = _part(arm, part, each.parts[part], simulated, reference)
+            minimised = _simulate_part(arm, part, each.parts[part], simulated, reference)
         found.append(
             ElasticMotion(
                 name=each.name,
@@ -208,14 +211,14 @@ def simulate_motions(
     )
 
 
-def _part(
+def _simulate_part(
     arm: ElasticArm,
     name: str,
     planned: PeakRms,
     simulated: SimulatedMotion,
     reference: np.ndarray,
 ) -> SimulatedPart:
-    """Way of the tool in flight from where it is with the joints at the reference (K, n)."""
+    """Return the tool's deviation in flight from the reference joint positions (K, n)."""
     flight = simulated.time <= simulated.duration
     away = arm.tool(simulated.position[flight]) - arm.tool(reference[flight])
     size, time = np.linalg.norm(away, axis=1), simulated.time[flight]
@@ -224,9 +227,9 @@ def _part(
 
 
 def check_simulation(problem: TrajectoryProblem, motion: ResolvedMotion) -> None:
-    """Raise `RobotError` where damping or hysteresis is of no joint: before a long solve."""
+    """Raise `RobotError` before a long solve where damping or hysteresis is not physical."""
     stated = (problem.robot.damping, problem.robot.hysteresis)
-    # What is not stated cannot be wrong.
+    # Defaults need no check.
     if problem.robot.yields and any(
         np.any(np.nan_to_num(each)) for each in stated if each is not None
     ):
@@ -241,74 +244,80 @@ def with_simulation(
     motion: ResolvedMotion | None = None,
     command: CommandOnArms | None = None,
 ) -> Solution:
-    """The solution with its simulation and its command; a note instead where there are none.
+    """Return the solution with its simulation and its command, or with a note on why there is none.
 
     `motion` are the problem's poses where they are resolved already; `command` is one of the
-    solve, which is taken where it is of this solution.
+    solve, used where it belongs to this solution.
     """
     stopped, assessment = solution.status is SolveStatus.INTERRUPTED, solution.assessment
     if assessment is None or stopped or not problem.robot.yields:
         return solution
     motion = resolve(problem) if motion is None else motion
     if not problem.robot.tool_yields(assessment.position):
-        return _noted(solution, "Not simulated: no joint that yields moves the tool.")
+        return _add_note(solution, "Not simulated: no elastic joint moves the tool.")
     try:
         end_deferral()
         arm = elastic_arm(problem, assessment.position[0])
-        counted = assessment.feasible(CERTIFIED)
+        counted = assessment.feasible(CERTIFICATE_TOLERANCE)
         own = PlannedMotion.of("optimised", assessment, counted)
-        others = rivals(problem, motion, solution.baselines, solution.strict_baseline)
+        others = rival_motions(problem, motion, solution.baselines, solution.strict_baseline)
         if solution.trajectory is not None and solution.trajectory.link is not None:
             own = replace(own, motors=solution.trajectory)
         band = problem.active_limits.settling_band
         simulation = simulate_motions(problem, arm, [own, *others], band=band)
         solution = replace(solution, simulation=simulation)
-        unsure = other_damping_note(problem, assessment) if counted else ""
-        solution = _noted(solution, unsure) if unsure else solution
+        unsure = damping_sensitivity_note(problem, assessment) if counted else ""
+        solution = _add_note(solution, unsure) if unsure else solution
         if problem.boundary_velocity is not None and np.any(problem.boundary_velocity):
-            return _noted(solution, "No command.csv: the motion does not start and end at rest.")
-        if own.swings_on:
-            return _noted(
+            return _add_note(solution, "No command.csv: the motion does not start and end at rest.")
+        if own.vibrates_after_arrival:
+            return _add_note(
                 solution,
-                "No command.csv: the links are planned to swing on after arrival, as far as the "
-                "limits allow; q of trajectory.csv is the command for that.",
+                "No command.csv: the plan has residual vibration within the limits; q of "
+                "trajectory.csv is the command for it.",
             )
-        if not _asks_for_command(problem):
-            return _noted(solution, _NOT_ASKED)
+        if not _requests_command(problem):
+            return _add_note(solution, _COMMAND_NOT_REQUESTED)
         if command is not None and command.motion.motors is not solution.trajectory:
             command = None
         compensation = compensate(
-            problem, arm, [own, *others], known=command, progress=_events(progress, solution)
+            problem,
+            arm,
+            [own, *others],
+            known=command,
+            progress=_progress_callback(progress, solution),
         )
     except KeyboardInterrupt:
         if solution.simulation is not None:
-            return _noted(
+            return _add_note(
                 solution,
-                "The choice of a command was interrupted: no command.csv was made; solve again for "
-                "it.",
+                "The search for a command was interrupted: no command.csv was written; solve again "
+                "for it.",
             )
-        return _noted(
+        return _add_note(
             solution,
-            "The simulation on the elastic arm was interrupted; `stiffopt simulate` does it anew. "
-            "No command.csv was made; solve again for it.",
+            "The elastic simulation was interrupted; `stiffopt simulate` repeats it. No "
+            "command.csv was written; solve again for it.",
         )
     except NotSimulatedError as error:
-        return _noted(solution, f"Not simulated on the elastic arm: {error}")
+        return _add_note(solution, f"Not simulated on the elastic arm: {error}")
     return replace(solution, compensation=compensation)
 
 
-def _asks_for_command(problem: TrajectoryProblem) -> bool:
-    """Whether an objective, a limit or a stated uncertainty is about how the arm yields."""
+def _requests_command(problem: TrajectoryProblem) -> bool:
+    """Return True where an objective, limit or stated uncertainty concerns the arm's elasticity."""
     return len(smoothing_stages(problem)) > 1 or problem.uncertainty != AssumedUncertainty()
 
 
-def _noted(solution: Solution, note: str) -> Solution:
+def _add_note(solution: Solution, note: str) -> Solution:
     return replace(solution, notes=(*solution.notes, note))
 
 
-def _events(progress: ProgressCallback | None, solution: Solution) -> Callable[[str], object]:
-    """Tells a solve's display which motion is being compensated."""
-    begun, value = time.perf_counter(), getattr(solution.objective, "value", np.nan)
+def _progress_callback(
+    progress: ProgressCallback | None, solution: Solution
+) -> Callable[[str], object]:
+    """Return a callback that reports which motion is being compensated."""
+    start, value = time.perf_counter(), getattr(solution.objective, "value", np.nan)
     numbers = itertools.count(1)
 
     def tell(name: str) -> None:
@@ -320,8 +329,50 @@ def _events(progress: ProgressCallback | None, solution: Solution) -> Callable[[
                     objective=value,
                     violation=0.0,
                     row="",
-                    elapsed=time.perf_counter() - begun,
+                    elapsed=time.perf_counter() - start,
                 )
             )
 
     return tell
+
+
+def damping_sensitive_limits(problem: TrajectoryProblem, motion: Assessment) -> dict[str, float]:
+    """Return the limits after arrival that arms of other damping exceed, with the overshoot.
+
+    Empty where the problem has none, or every joint states its damping. No motion is slowed for
+    that (decision 0027): a note reports it.
+
+    Raises
+    ------
+    NotSimulatedError
+        The arm cannot be simulated.
+    """
+    if motion.swing is None or motion.swing.peak_after is None:
+        return {}
+    limits = problem.active_limits
+    kinds = [each for each in limits.kinds if LIMITS[each.name].of_arrival]
+    arm = ElasticArm(problem.robot, motion.position[0], problem.process_force)
+    if not (kinds and arm.assumed_damping):
+        return {}
+    command = MotorMotion(motion.time, motion.position, motion.velocity)
+    found: dict[str, float] = {}
+    for factor in _DAMPING_FACTORS:
+        swing = simulate(arm.assumed_times(factor), command, band=limits.settling_band)
+        for kind in kinds:
+            over = LIMITS[kind.name].overshoot(limits, swing)
+            if over > max(found.get(kind.name, 0.0), 0.0):
+                found[kind.name] = over
+    return found
+
+
+def damping_sensitivity_note(problem: TrajectoryProblem, motion: Assessment) -> str:
+    """Return a note on limits that hold only with the assumed damping; "" where all hold."""
+    found = damping_sensitive_limits(problem, motion)
+    if not found:
+        return ""
+    listed = " and ".join(f"{name} by {format_relative(over)}" for name, over in found.items())
+    return (
+        "Limits after arrival hold with the assumed damping. With 0.5 or 1.5 times of it the "
+        f"residual vibration exceeds {listed}: state the joints' measured damping in the robot "
+        "file, or a lower limit."
+    )

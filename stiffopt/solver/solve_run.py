@@ -1,4 +1,4 @@
-"""One solve in progress: its clock, its record, what it found so far, what displays are told."""
+"""State of a solve in progress: clock, record, intermediate results, progress events."""
 
 from __future__ import annotations
 
@@ -22,20 +22,20 @@ from stiffopt.problem.motor_model import MotorLaw, law_smoothing, rounded_lag
 from stiffopt.problem.resolve import ResolvedMotion
 from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.result.solution import Baseline
-from stiffopt.solver.avoidance import Avoidance
-from stiffopt.solver.corners import CORNERS_TAKE, narrowest
+from stiffopt.solver.clearance_rows import ClearanceRows
 from stiffopt.solver.ipopt import RawSolution
-from stiffopt.solver.plan import SolveStage
+from stiffopt.solver.smoothing_width import TOLERABLE_KINK_EXCESS, narrowest_sufficient_width
+from stiffopt.solver.stage_plan import SolveStage
 
 if TYPE_CHECKING:
-    from stiffopt.solver.compensation import CommandOnArms
+    from stiffopt.solver.command_search import CommandOnArms
 
-# Of a solve once its time is over [s]: it ends with what it has.
-LEAST_TIME = 0.1
-# Of the time limit: if links that may swing on end in no motion by then, they are brought to rest.
-_OF_FREE_END = 0.4
-# Of the smooth quintic motion: pieces and instants.
-_PIECES, _INSTANTS = 30, 3001
+# Time limit of an NLP solve once the solve's own time is over [s].
+MIN_SOLVE_TIME = 0.1
+# Share of the time limit for a plan with residual vibration; then one that ends at rest is solved.
+_FREE_ARRIVAL_TIME_SHARE = 0.4
+# Smoothed quintic motion from which the initial smoothing width follows.
+_QUINTIC_SPLINE_PIECES, _QUINTIC_SAMPLES = 30, 3001
 
 
 @dataclass(frozen=True)
@@ -45,14 +45,14 @@ class SolveProgress:
     Attributes
     ----------
     stage : str
-        Which of how many, intervals and smoothing.
+        Number of the stage, intervals and smoothing.
     iteration : int
     objective : float
         In SI, of the smoothed model at the nodes.
     violation : float
         Worst row, relative to its scale.
     row : str
-        Its name; empty when nothing is violated.
+        Its name; empty without a violation.
     elapsed : float
         Since the solve began [s].
     """
@@ -70,14 +70,13 @@ ProgressCallback = Callable[[SolveProgress], object]
 
 @dataclass
 class SolveRun:
-    """One solve in progress: its clock, its record and what it found so far.
+    """State of one solve in progress.
 
-    `quintic` is the baseline by which corners of the motors' law are made wide enough;
-    `at_rest` says that nothing may swing on after arrival, whatever limits allow; `avoidance`, once
-    it is there, keeps the motion clear of collisions; `unavoided` says what was tried in vain,
-    `detour` is the motion along a path around; `strict` is the best baseline that keeps every
-    limit, once it is known; `command` is its command on uncertain arms, where
-    that has been asked for.
+    `quintic` is the baseline from which the smoothing width of the motor law follows; `at_rest`
+    forbids residual vibration, whatever the limits allow; `avoidance` are the clearance rows, once
+    needed; `avoidance_failure` says why collisions could not be avoided; `detour` is the motion
+    along the first collision-free path; `strict` is the best baseline that keeps every limit, once
+    known; `command` is its command on uncertain arms, where requested.
     """
 
     problem: TrajectoryProblem
@@ -86,8 +85,8 @@ class SolveRun:
     progress: ProgressCallback | None
     quintic: Baseline | None = None
     at_rest: bool = False
-    avoidance: Avoidance | None = None
-    unavoided: str = ""
+    avoidance: ClearanceRows | None = None
+    avoidance_failure: str = ""
     detour: Baseline | None = None
     strict: Baseline | None = None
     command: CommandOnArms | None = None
@@ -106,21 +105,21 @@ class SolveRun:
 
     @property
     def remaining(self) -> float:
-        """Seconds left of the time limit, or of the share of it in which links may swing on."""
-        share = _OF_FREE_END if self.end_modes else 1.0
-        return max(share * self.problem.method.time_limit - self.elapsed, LEAST_TIME)
+        """Seconds left of the time limit, or of its share for plans with residual vibration."""
+        share = _FREE_ARRIVAL_TIME_SHARE if self.end_modes else 1.0
+        return max(share * self.problem.method.time_limit - self.elapsed, MIN_SOLVE_TIME)
 
     @cached_property
     def end_modes(self) -> tuple[Mode, ...]:
-        """Modes in which the links may swing on after arrival; none where they may not.
+        """Elastic modes with residual vibration in the plan; none where it must end at rest.
 
-        Where corners of the motors' law are wide, what they leave is more than limits allow, and
-        only links that a plan brings to rest can be calmed.
+        With a wide smoothing of the motor law the residual vibration exceeds the limits, and
+        vibration suppression needs a plan that ends at rest.
         """
         problem = self.problem
         if self.at_rest or not problem.plans_links or problem.arrives_at_rest:
             return ()
-        if self.corners > 1.0:
+        if self.motor_smoothing > 1.0:
             return ()
         return modes(self.arm, self.motion.end)
 
@@ -131,41 +130,41 @@ class SolveRun:
 
     @cached_property
     def motors(self) -> MotorLaw:
-        """Motors that lead the problem's links."""
+        """Law of the motors that lead the problem's links."""
         return MotorLaw(self.problem.robot, self.problem.process_force)
 
     @cached_property
-    def corners(self) -> float:
-        """Factor on the widths of the motors' law with which a solve begins.
+    def motor_smoothing(self) -> float:
+        """Initial factor on the smoothing widths of the motor law.
 
-        As wide as the quintic motion needs, smoothed. Through narrower corners no motion in that
-        time gets within the limits, and rows do not see it: a corner is passed between nodes.
+        As wide as the smoothed quintic motion needs. With a narrower one no motion of that duration
+        keeps the limits, and rows do not show it, since kinks are passed between nodes.
         """
         problem = self.problem
         motion = None if self.quintic is None else self.quintic.trajectory
         if not problem.plans_links or motion is None:
             return 1.0
-        smooth = smooth_motion(motion, motion.duration / _PIECES)
-        times = np.linspace(0.0, motion.duration, _INSTANTS)
+        smooth = smooth_motion(motion, motion.duration / _QUINTIC_SPLINE_PIECES)
+        times = np.linspace(0.0, motion.duration, _QUINTIC_SAMPLES)
 
         def beyond(width: float) -> float:
             found = drive_violations(problem, self.motors.motion(smooth, width), times)
             return max((v.value for v in found if v.limit == "jerk"), default=-1.0)
 
         least = law_smoothing(problem)
-        return narrowest(beyond, least, CORNERS_TAKE) / least
+        return narrowest_sufficient_width(beyond, least, TOLERABLE_KINK_EXCESS) / least
 
-    def hold_at_rest(self) -> None:
-        """Let nothing swing on after arrival from now on."""
+    def require_rest_at_arrival(self) -> None:
+        """Forbid residual vibration from now on."""
         self.at_rest = True
         for known in ("end_modes", "lag"):
             self.__dict__.pop(known, None)
 
     @cached_property
     def lag(self) -> np.ndarray | None:
-        """Of the joints' wind-up behind their torque, by damping (n,) [s].
+        """Delay of the joints' wind-up behind their torque, by damping (n,) [s].
 
-        None where the motors do not come to rest smoothly, or the links cannot swing.
+        None where the motors do not come to rest smoothly, or the arm cannot be simulated.
         """
         problem = self.problem
         smooth = problem.boundary_acceleration == "zero" and not np.any(problem.boundary_velocity)
@@ -175,8 +174,8 @@ class SolveRun:
             return rounded_lag(self.arm.lag(self.motion.end))
         return None
 
-    def in_si(self, objective: float) -> float:
-        """The objective of an NLP in the unit that people see."""
+    def reported_value(self, objective: float) -> float:
+        """Return the objective of an NLP in its reported unit and sign."""
         first = self.problem.objectives[0]
         sign = -1.0 if is_maximised(self.problem) else 1.0
         return sign * objective * first.weight * self.scales.of(first.name)

@@ -1,4 +1,4 @@
-"""One staged solve: coarse before fine, wide smoothing before narrow; then the motion assessed."""
+"""Staged solve: from coarse mesh and wide smoothing to fine and narrow, then the certificate."""
 
 from __future__ import annotations
 
@@ -15,50 +15,49 @@ from stiffopt.certificate.objective_value import is_maximised, objective_value
 from stiffopt.problem.formulation import formulate
 from stiffopt.problem.motor_model import WIDER
 from stiffopt.problem.smoothing import Smoothing
-from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.result.assessment import Assessment
 from stiffopt.result.joint_path import JointPath
 from stiffopt.result.trajectory import Trajectory
-from stiffopt.solver.ipopt import FEASIBLE, IpoptSolver, Multipliers, RawSolution
-from stiffopt.solver.monitor import Progress
-from stiffopt.solver.near_optimum import NearOptimum
-from stiffopt.solver.phase_one import least_excess
-from stiffopt.solver.plan import SolveStage, solver_options
+from stiffopt.solver.active_set import ActiveSetSolver
+from stiffopt.solver.infeasibility import minimise_excess
+from stiffopt.solver.ipopt import IpoptSolver, Multipliers, RawSolution
+from stiffopt.solver.monitor import FEASIBLE_VIOLATION, Progress
 from stiffopt.solver.solve_run import SolveProgress, SolveRun
+from stiffopt.solver.stage_plan import (
+    SolveStage,
+    finer_mesh,
+    initial_mesh,
+    resolving_intervals,
+    solver_options,
+)
 from stiffopt.symbolic import array_of
 from stiffopt.transcription.build import transcribe
-from stiffopt.transcription.mesh import Mesh, split_counts, uniform_mesh
+from stiffopt.transcription.mesh import Mesh
 from stiffopt.transcription.nlp import BlockScales, Nlp
 from stiffopt.transcription.ocp import Guess, OptimalControlProblem
-from stiffopt.transcription.refine import refine_mesh
 from stiffopt.transcription.transcription import Transcription
 
-# Excess of all rows together, relative to their scales, from which on they are in conflict; and
-# that on a coarse mesh which no finer one mends.
-_CONFLICT = 1e-4
-_HOPELESS = 0.5
-# How often planes are laid anew at most; the objective has settled when it falls by no more.
-_ROUNDS, _COARSE_ROUNDS = 12, 2
-_SETTLED = 2e-5
-# What planes exceed falls to this share, or they are not laid anew.
-_NEARER = 0.7
-# Excess of a row, relative to its scale, up to which a start is near the optimum.
-_NEAR = 1.0
-# And that from which on it is a corner of the motors' law passed fast.
-_SPIKE = 10.0
-# Of a start whose bounds have been drawn in, from them.
-_PUSH = 1e-3
-# Intervals of a fixed path for each piece of its spline, at whose ends the rate of its curvature
-# jumps: limits that fewer do not see are exceeded between the nodes.
-_PER_PIECE = 3
-# Instants at which a guess is asked when it passes the knots of a path; and the time for a piece at
-# least, as a share of the average, where the guess is at rest.
-_PATH_INSTANTS, _LEAST_SHARE = 20001, 1e-2
+# Sum of the excesses of all rows, relative to their scales, from which on they are in conflict; and
+# that on a coarse mesh which no finer one removes.
+_MIN_CONFLICT_EXCESS = 1e-4
+_HOPELESS_COARSE_EXCESS = 0.5
+# Updates of separating planes in the last and in earlier stages, and relative decrease of the
+# objective below which they end.
+_MAX_PLANE_ROUNDS, _MAX_COARSE_PLANE_ROUNDS = 12, 2
+_MIN_RELATIVE_DECREASE = 2e-5
+# Share to which an infeasible violation must fall for another update.
+_MAX_REMAINING_VIOLATION = 0.7
+# Excess of a row, relative to its scale, up to which a guess counts as near the optimum.
+_NEAR_GUESS_EXCESS = 1.0
+# And that from which on it comes from passing a kink of the motor law fast.
+_SPIKE_EXCESS = 10.0
+# Least distance from backed-off bounds of a correction's start.
+_CORRECTION_BOUND_PUSH = 1e-3
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """End of one staged solve: the last NLP and what its motion is worth.
+    """End of one staged solve: the last NLP with its certified motion.
 
     Parameters
     ----------
@@ -67,7 +66,7 @@ class Outcome:
     trajectory : Trajectory
     assessment : Assessment
     objective_gap : float
-        How much worse the certified objective is than the one at the nodes, relative.
+        Relative excess of the certified objective over the one at the nodes.
     solver : IpoptSolver
     smoothing : Smoothing
         Of the last stage.
@@ -97,64 +96,68 @@ def run_stages(
     plan : tuple of SolveStage
     guess : Guess
     margins : dict
-        Shares by which limits are tightened.
+        Back-off of limits, as shares.
     mesh : Mesh, optional
         Of the first stage; uniform if left out.
 
     Raises
     ------
     KeyboardInterrupt
-        Ctrl-C before the first stage has begun; later the outcome so far is kept.
+        Ctrl-C before the first stage has started; later the outcome so far is returned.
     """
     done: tuple[Programme, SolveStage, RawSolution] | None = None
     try:
-        for each in _solved(run, plan, guess, margins, mesh):
+        for each in _iterate_stages(run, plan, guess, margins, mesh):
             done = each
     except KeyboardInterrupt:
-        # While the next programme was built: what the one before gave is the best so far.
+        # While the next programme was built: the stage before has the best result so far.
         if done is None:
             raise
         done = *done[:2], replace(done[2], status="interrupted", reason="Ctrl-C")
     assert done is not None
     made, stage, raw = done
-    return outcome_of(run, made, raw, stage.smoothing)
+    return certify_outcome(run, made, raw, stage.smoothing)
 
 
 def solve_again(run: SolveRun, before: Outcome, nlp: Nlp, smoothing: Smoothing) -> Outcome:
     """Solve the last stage again from where it ended, with other bounds or smoothing."""
     made = Programme(before.transcription, before.solver)
-    return outcome_of(run, made, corrected(run, made, before.raw, nlp, smoothing), smoothing)
+    return certify_outcome(
+        run, made, solve_correction(run, made, before.raw, nlp, smoothing), smoothing
+    )
 
 
-def corrected(
+def solve_correction(
     run: SolveRun, made: Programme, before: RawSolution, nlp: Nlp, smoothing: Smoothing
 ) -> RawSolution:
-    """As `solve_again`, without looking at the motion."""
-    made.solver.rebound(nlp)
+    """Solve as `solve_again`, without the certificate."""
+    made.solver.set_bounds(nlp)
     stage = SolveStage(len(made.transcription.intervals), smoothing)
-    return solve_stage(run, made, stage, before.x, before, "correction", "adaptive", _PUSH)
+    return solve_stage(
+        run, made, stage, before.x, before, "correction", "adaptive", _CORRECTION_BOUND_PUSH
+    )
 
 
-def motors_of(run: SolveRun, outcome: Outcome, share: float, *, sagged: bool) -> Trajectory:
-    """Motors of the same links by a law with this share of the outcome's smoothing widths.
+def motors_with_law(run: SolveRun, outcome: Outcome, share: float, *, sagged: bool) -> Trajectory:
+    """Return motors of the same links by a law with a share of the outcome's smoothing widths.
 
-    With springs that carry the links where they hang, or where they are planned.
+    With `sagged` the spring torques are those at the sagged, else at the planned link positions.
     """
     law, x = share * outcome.smoothing.law, outcome.raw.x
-    return _trajectory(run, outcome.transcription, x, law, sagged=sagged)
+    return _build_trajectory(run, outcome.transcription, x, law, sagged=sagged)
 
 
-def _solved(
+def _iterate_stages(
     run: SolveRun,
     plan: tuple[SolveStage, ...],
     guess: Guess,
     margins: dict[str, float],
     mesh: Mesh | None,
 ) -> Iterator[tuple[Programme, SolveStage, RawSolution]]:
-    """Every stage with its solution, each from the last."""
+    """Yield every stage with its solution, each started from the last."""
     ocp = formulate(run.problem, run.motion, run.scales, margins, run.end_modes)
     if run.lag is not None:
-        # The links arrive before their motors.
+        # By damping the links arrive before their motors.
         shortest, longest = (each - float(run.lag.max()) for each in ocp.duration)
         ocp = replace(ocp, duration=(shortest, longest))
     last = len(plan) - 1
@@ -163,34 +166,34 @@ def _solved(
     while index <= last:
         stage = plan[index]
         if made is None or raw is None:
-            first = mesh or _first_mesh(run.problem, ocp, stage, guess)
+            first = mesh or initial_mesh(run.problem, ocp, stage, guess)
             made = build_programme(run, ocp, first, guess)
             x = made.transcription.pack(guess)
         elif stage.new_mesh:
             guess = made.transcription.guess_from(raw.x)
             finer = finer_mesh(
-                run.problem, made.transcription, raw.x, _resolving(run.problem, stage)
+                run.problem, made.transcription, raw.x, resolving_intervals(run.problem, stage)
             )
             made = build_programme(run, ocp, finer, guess, smoothing=stage.smoothing)
             if run.problem.plans_links:
-                stage = _no_spike(stage, plan[index - 1], made.transcription, guess)
+                stage = _widen_until_no_spike(stage, plan[index - 1], made.transcription, guess)
             x, warm = made.transcription.pack(guess), None
         else:
             x, warm = raw.x, raw if raw.converged else None
         label = f"stage {index + 1} of {len(plan)}"
         raw = solve_stage(run, made, stage, x, warm, label)
-        raw, hopeless = _looked_into(run, made, stage, x, raw, last=index == last)
+        raw, hopeless = _analyse_failed_stage(run, made, stage, x, raw, last=index == last)
         if run.avoidance is not None:
-            rounds = _ROUNDS if index == last else _COARSE_ROUNDS
-            made, raw = _kept_clear(run, made, stage, x, raw, label, rounds)
+            rounds = _MAX_PLANE_ROUNDS if index == last else _MAX_COARSE_PLANE_ROUNDS
+            made, raw = _resolve_with_new_planes(run, made, stage, x, raw, label, rounds)
         yield made, stage, raw
         if hopeless or raw.status in ("interrupted", "time_limit"):
             break
-        # A coarse mesh may be infeasible where the fine one is not: ask the last stage at once.
+        # A coarse mesh may be infeasible where the fine one is not: continue with the last stage.
         index = last if raw.status == "infeasible" and index < last else index + 1
 
 
-def _looked_into(
+def _analyse_failed_stage(
     run: SolveRun,
     made: Programme,
     stage: SolveStage,
@@ -199,33 +202,35 @@ def _looked_into(
     *,
     last: bool,
 ) -> tuple[RawSolution, bool]:
-    """A stage from `x` that met no end: its answer, and whether no further stage can help.
+    """Analyse a stage from `x` that has not converged; return its result and True if hopeless.
 
-    Where its rows are exceeded, the motion that exceeds them least shows whether they can hold. A
-    coarse mesh and wide smoothing tell less than the last stage does, so more is asked of them.
+    The motion of least excess shows whether the rows can hold. A coarse mesh and wide smoothing
+    prove less than the last stage does, so a larger excess is required of them.
     """
     ended = raw.converged or raw.status in ("interrupted", "time_limit")
-    if ended or raw.violation <= FEASIBLE or not made.transcription.nlp.derivatives:
+    if ended or raw.violation <= FEASIBLE_VIOLATION or not made.transcription.nlp.derivatives:
         return raw, False
     nlp, parameters = made.solver.nlp, stage.smoothing.parameters
     begin = time.perf_counter()
-    # From where the stage began: what led nowhere has led away.
-    found = least_excess(nlp, x, parameters, run.remaining)
+    # From the start of the stage: its last iterate has diverged.
+    found = minimise_excess(nlp, x, parameters, run.remaining)
     run.solve_s += time.perf_counter() - begin
     run.iterations += found.iterations
     if found.status in ("interrupted", "time_limit"):
         return replace(raw, status=found.status), True
-    if found.converged and found.excess > (_CONFLICT if last else _HOPELESS):
+    if found.converged and found.excess > (
+        _MIN_CONFLICT_EXCESS if last else _HOPELESS_COARSE_EXCESS
+    ):
         conflicts = found.conflicts
         return replace(raw, x=found.x, status="infeasible", conflicts=conflicts), True
-    if found.converged and found.excess <= _CONFLICT:
-        # There are motions that keep all rows: on from one of them.
+    if found.converged and found.excess <= _MIN_CONFLICT_EXCESS:
+        # Feasible motions exist: continue from the one found.
         again = solve_stage(run, made, stage, found.x, None, "from a feasible motion")
         return (again if again.converged else raw), False
     return raw, False
 
 
-def _kept_clear(
+def _resolve_with_new_planes(
     run: SolveRun,
     made: Programme,
     stage: SolveStage,
@@ -234,35 +239,37 @@ def _kept_clear(
     label: str,
     rounds: int,
 ) -> tuple[Programme, RawSolution]:
-    """A stage from `x` solved again with its planes laid anew, until the objective has settled."""
+    """Solve a stage from `x` again with updated planes until the objective has converged."""
     avoidance = run.avoidance
     assert avoidance is not None
     for number in range(1, rounds + 1):
         if raw.status in ("interrupted", "time_limit"):
             break
         begin = time.perf_counter()
-        same, clear = False, not avoidance.ran_into(raw.x)
+        same, clear = False, not avoidance.collides_elsewhere(raw.x)
         if clear or not raw.converged:
-            # Where planes leave no motion, those of the nearest one may.
+            # Where the planes leave no feasible motion, those of the nearest one may.
             x = raw.x
-            transcription, same = avoidance.renewed(made.transcription, x)
+            transcription, same = avoidance.update_planes(made.transcription, x)
         else:
-            # On from where it was clear, with rows for what it ran into.
-            transcription = avoidance.begun_again(x)
+            # Restart from the collision-free point, with rows for the couples that collided.
+            transcription = avoidance.rows_at(x)
         if same:
-            made.solver.rebound(transcription.nlp)
-        again = Programme(transcription, made.solver) if same else _solvable(run, transcription)
+            made.solver.set_bounds(transcription.nlp)
+        again = (
+            Programme(transcription, made.solver) if same else _attach_solver(run, transcription)
+        )
         run.build_s += time.perf_counter() - begin
         text = f"{label}, clear of collisions, round {number}"
         warm = raw if same and raw.converged else None
         found = solve_stage(run, again, stage, x, warm, text, "adaptive")
         ended = found.status in ("interrupted", "time_limit")
         if raw.converged and not found.converged:
-            made.solver.rebound(made.transcription.nlp)
+            made.solver.set_bounds(made.transcription.nlp)
             return made, replace(raw, status=found.status) if ended else raw
         fell = raw.objective - found.objective
-        settled = raw.converged and same and fell <= _SETTLED * abs(found.objective)
-        stuck = not found.converged and found.violation > _NEARER * raw.violation
+        settled = raw.converged and same and fell <= _MIN_RELATIVE_DECREASE * abs(found.objective)
+        stuck = not found.converged and found.violation > _MAX_REMAINING_VIOLATION * raw.violation
         made, raw = again, found
         if settled or stuck:
             break
@@ -279,8 +286,8 @@ def solve_stage(
     barrier: Literal["monotone", "adaptive"] = "monotone",
     push: float = 1e-8,
 ) -> RawSolution:
-    """Solve one stage; where it stalls, once more from the best point without multipliers."""
-    report = _reporter(
+    """Solve one stage; after a stall once more from the best point without multipliers."""
+    report = _progress_reporter(
         run, f"{text}, {stage.intervals} intervals, smoothing {stage.smoothing.stiffness:g}"
     )
     for start in (warm, None):
@@ -296,27 +303,29 @@ def solve_stage(
         run.record(stage, raw)
         if raw.status != "stalled":
             break
-        # Once more from the best point, without the multipliers that led astray.
+        # Multipliers of a stalled solve mislead the next one.
         x = raw.x
     return raw
 
 
-def solve_near(
+def solve_by_active_set(
     run: SolveRun, made: Programme, stage: SolveStage, x: np.ndarray, warm: Multipliers
 ) -> RawSolution | None:
-    """A stage from the optimum of a near problem by what binds there; None where that fails."""
+    """Solve a stage from the active set of a similar problem's optimum; None where that fails."""
     if made.near is None:
         return None
-    report = _reporter(run, f"near, {stage.intervals} intervals")
+    report = _progress_reporter(run, f"active set, {stage.intervals} intervals")
     raw = made.near.solve(made.transcription, x, stage.smoothing.parameters, warm, report)
     if raw is not None:
         run.record(stage, raw)
     return raw
 
 
-def outcome_of(run: SolveRun, made: Programme, raw: RawSolution, smoothing: Smoothing) -> Outcome:
-    """The motion of a solved stage, with its certificate."""
-    trajectory = _trajectory(run, made.transcription, raw.x, smoothing.law)
+def certify_outcome(
+    run: SolveRun, made: Programme, raw: RawSolution, smoothing: Smoothing
+) -> Outcome:
+    """Return the motion of a solved stage with its certificate."""
+    trajectory = _build_trajectory(run, made.transcription, raw.x, smoothing.law)
     assessment = assess(run.problem, trajectory)
     return Outcome(
         raw=raw,
@@ -336,15 +345,15 @@ def _objective_gap(
     smoothing: Smoothing,
     assessment: Assessment,
 ) -> float:
-    """How much worse the certified objective is than the one at the nodes, relative."""
+    """Return the relative excess of the certified objective over the one at the nodes."""
     problem = run.problem
     if not all(objective.kind.comparable for objective in problem.objectives):
         return 0.0
     certified = objective_value(problem, assessment).value
-    claimed = run.in_si(raw.objective)
+    claimed = run.reported_value(raw.objective)
     if smoothing.robust:
         plain = replace(smoothing, robust=0.0).parameters
-        claimed = run.in_si(transcription.unpack(raw.x, plain).objective)
+        claimed = run.reported_value(transcription.unpack(raw.x, plain).objective)
     worse = claimed - certified if is_maximised(problem) else certified - claimed
     return float(worse / max(abs(claimed), abs(certified), 1e-300))
 
@@ -357,13 +366,13 @@ class Programme:
     ----------
     transcription : Transcription
     solver : IpoptSolver
-    near : NearOptimum, optional
-        For problems near one that is solved.
+    near : ActiveSetSolver, optional
+        For problems similar to a solved one.
     """
 
     transcription: Transcription
     solver: IpoptSolver
-    near: NearOptimum | None = None
+    near: ActiveSetSolver | None = None
 
 
 def build_programme(
@@ -376,97 +385,57 @@ def build_programme(
 ) -> Programme:
     """Transcribe a problem on a mesh, with its own scales or given ones, and set up its solver.
 
-    Where the motion is to be kept clear of collisions, `guess` says what comes near. With a
-    `smoothing` it is the motion of a coarser mesh, from which the solve begins.
+    With collision avoidance, `guess` determines the near couples. With a `smoothing` it is the
+    motion of a coarser mesh, from which the solve starts.
     """
     begin = time.perf_counter()
     transcription = transcribe(ocp, run.problem.method.transcription, mesh, scales=scales)
     if run.avoidance is not None and guess is not None:
-        transcription = run.avoidance.added(transcription, transcription.pack(guess))
+        transcription = run.avoidance.add_rows(transcription, transcription.pack(guess))
     near = False
     if guess is not None and smoothing is not None:
-        near = _near(transcription, guess, smoothing)
-    made = _solvable(run, transcription, near=near)
+        near = _is_near_guess(transcription, guess, smoothing)
+    made = _attach_solver(run, transcription, near=near)
     run.build_s += time.perf_counter() - begin
     return made
 
 
-def _solvable(run: SolveRun, transcription: Transcription, *, near: bool = False) -> Programme:
+def _attach_solver(run: SolveRun, transcription: Transcription, *, near: bool = False) -> Programme:
     options = solver_options(run.problem, near=near)
     return Programme(transcription, IpoptSolver(transcription.nlp, options))
 
 
-def _near(transcription: Transcription, guess: Guess, smoothing: Smoothing) -> bool:
-    """Whether a guess exceeds no row by much."""
-    return _excess(transcription, guess, smoothing) <= _NEAR
+def _is_near_guess(transcription: Transcription, guess: Guess, smoothing: Smoothing) -> bool:
+    """Return True where a guess exceeds all rows by little."""
+    return _largest_excess(transcription, guess, smoothing) <= _NEAR_GUESS_EXCESS
 
 
-def _no_spike(
+def _widen_until_no_spike(
     stage: SolveStage, before: SolveStage, transcription: Transcription, guess: Guess
 ) -> SolveStage:
-    """The stage with as wide corners of the motors' law as the motion before it needs.
+    """Return the stage with the motor law's smoothing as wide as the motion before it needs.
 
-    Passed fast, a narrow corner asks for many times a motor's jerk: no solve gets rid of that.
+    Passed fast, a kink with a narrow smoothing needs many times a motor's jerk limit, from which no
+    solve converges.
     """
     smoothing = stage.smoothing
     widest = before.smoothing.law
-    while smoothing.law < widest and _excess(transcription, guess, smoothing) > _SPIKE:
+    while (
+        smoothing.law < widest and _largest_excess(transcription, guess, smoothing) > _SPIKE_EXCESS
+    ):
         smoothing = replace(smoothing, corners=2.0 * smoothing.corners)
     return replace(stage, smoothing=smoothing)
 
 
-def _excess(transcription: Transcription, guess: Guess, smoothing: Smoothing) -> float:
-    """The largest by which a guess exceeds a row, relative to its scale."""
+def _largest_excess(transcription: Transcription, guess: Guess, smoothing: Smoothing) -> float:
+    """Return the largest excess of a row at a guess, relative to its scale."""
     nlp = transcription.nlp
     rows = ca.Function("rows", [nlp.x, nlp.p], [nlp.g])
     found = rows(transcription.pack(guess), nlp.parameters(smoothing.parameters))
     return float(nlp.violations(array_of(found)).max(initial=0.0))
 
 
-def _first_mesh(
-    problem: TrajectoryProblem, ocp: OptimalControlProblem, stage: SolveStage, guess: Guess
-) -> Mesh:
-    """Even intervals within each phase, or within each piece of a fixed path."""
-    if problem.path is not None:
-        return _path_mesh(problem.path, guess, _resolving(problem, stage))
-    return uniform_mesh(stage.intervals, ocp.phases, tuple(guess.phase_fractions))
-
-
-def finer_mesh(
-    problem: TrajectoryProblem, before: Transcription, x: np.ndarray, intervals: int
-) -> Mesh:
-    """Mesh for the motion `x`: short where its controls change, on a path between its waypoints."""
-    if problem.path is not None:
-        return _path_mesh(problem.path, before.guess_from(x), intervals)
-    return refine_mesh(before, x, intervals)
-
-
-def _path_mesh(waypoints: np.ndarray, guess: Guess, intervals: int) -> Mesh:
-    """Mesh with nodes where a motion passes the waypoints, at which the curvature's rate jumps.
-
-    Parameters
-    ----------
-    waypoints : array (m, n)
-    guess : Guess
-        The motion: path coordinate and its speed.
-    intervals : int
-    """
-    at = np.linspace(0.0, 1.0, _PATH_INSTANTS)
-    knots = JointPath.through(waypoints).knots
-    shares = np.diff(np.interp(knots, guess.states(at)[:, 0], at))
-    shares = np.maximum(shares, _LEAST_SHARE / len(shares))
-    shares /= shares.sum()
-    counts = split_counts(intervals, shares, _PER_PIECE)
-    return [np.repeat(shares / counts, counts)]
-
-
-def _resolving(problem: TrajectoryProblem, stage: SolveStage) -> int:
-    """Intervals of a stage, no fewer than show where the pieces of a fixed path bend."""
-    pieces = 0 if problem.path is None else len(problem.path) - 1
-    return max(stage.intervals, _PER_PIECE * pieces)
-
-
-def _trajectory(
+def _build_trajectory(
     run: SolveRun,
     transcription: Transcription,
     x: np.ndarray,
@@ -474,7 +443,7 @@ def _trajectory(
     *,
     sagged: bool = False,
 ) -> Trajectory:
-    """The motion of the joints, exactly as the transcription integrates it."""
+    """Return the motion of the joints, exactly as the transcription integrates it."""
     problem = run.problem
     motion = Trajectory.from_acceleration(*transcription.acceleration_polynomials(x))
     if problem.plans_links:
@@ -484,13 +453,13 @@ def _trajectory(
     return JointPath.through(problem.path).follow(motion)
 
 
-def _reporter(run: SolveRun, label: str) -> Callable[[Progress], None] | None:
+def _progress_reporter(run: SolveRun, label: str) -> Callable[[Progress], None] | None:
     if run.progress is None:
         return None
     report = run.progress
 
     def forward(event: Progress) -> None:
-        value = run.in_si(event.objective)
+        value = run.reported_value(event.objective)
         report(
             SolveProgress(label, event.iteration, value, event.violation, event.row, run.elapsed)
         )

@@ -12,7 +12,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from stiffopt.baseline.toppra_motion import _figures_later, _Later, toppra_baseline
+from stiffopt.baseline.toppra_motion import _defer_pyplot_import, _DeferredModule, toppra_baseline
 from stiffopt.problem.limit import Limits
 from stiffopt.result.joint_path import JointPath
 from stiffopt.result.trajectory import Trajectory
@@ -208,7 +208,7 @@ def test_a_load_that_cannot_be_held_gives_the_reason() -> None:
     assert "At rest at 100 % of the path the torque of joint 2 would be" in baseline.reason
 
 
-def test_toppra_says_nothing_itself(
+def test_toppra_output_is_suppressed(
     capfd: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
 ) -> None:
     with caplog.at_level(logging.DEBUG):
@@ -220,28 +220,28 @@ def test_toppra_says_nothing_itself(
     assert capfd.readouterr() == ("", "")
 
 
-def test_what_stands_for_the_figures_is_asked_like_any_module(monkeypatch: Any) -> None:
+def test_deferred_module_can_be_inspected(monkeypatch: Any) -> None:
     for name in ("toppra.algorithm", "matplotlib.pyplot"):
         monkeypatch.delitem(sys.modules, name, raising=False)
-    with _figures_later():
+    with _defer_pyplot_import():
         standing = sys.modules["matplotlib.pyplot"]
-        assert isinstance(standing, _Later)
+        assert isinstance(standing, _DeferredModule)
         assert getattr(standing, "__file__", None) is None
         assert not hasattr(standing, "__path__")
     assert "matplotlib.pyplot" not in sys.modules
 
 
-def test_toppra_comes_without_what_draws_its_figures() -> None:
+def test_toppra_import_does_not_load_pyplot() -> None:
     """Nor does anybody who asks for figures afterwards, or meanwhile, miss a part of them."""
     program = """
 import sys
-from stiffopt.baseline.toppra_motion import _figures_later
-with _figures_later():
+from stiffopt.baseline.toppra_motion import _defer_pyplot_import
+with _defer_pyplot_import():
     import toppra.algorithm
 assert not [name for name in sys.modules if name.partition(".")[0] == "matplotlib"]
 for name in [name for name in sys.modules if name.partition(".")[0] == "toppra"]:
     del sys.modules[name]
-with _figures_later():
+with _defer_pyplot_import():
     from matplotlib.figure import Figure
     import toppra.algorithm
 import matplotlib.pyplot
@@ -251,14 +251,14 @@ assert toppra.algorithm.algorithm.plt.figure is matplotlib.pyplot.figure
     subprocess.run([sys.executable, "-c", program], check=True, timeout=60)
 
 
-def test_what_stands_for_a_module_makes_room_for_it(monkeypatch: Any) -> None:
-    standing = _Later("colorsys")
+def test_deferred_module_is_replaced_on_access(monkeypatch: Any) -> None:
+    standing = _DeferredModule("colorsys")
     monkeypatch.setitem(sys.modules, "colorsys", standing)
     assert standing.rgb_to_hsv(1.0, 1.0, 1.0) == (0.0, 0.0, 1.0)
     assert sys.modules["colorsys"].__file__
 
 
-def test_nothing_stands_for_the_figures_while_toppra_computes(monkeypatch: Any) -> None:
+def test_no_deferred_module_while_toppra_computes(monkeypatch: Any) -> None:
     """Another thread may ask for them at any time."""
     from toppra.algorithm import TOPPRA
 

@@ -1,4 +1,4 @@
-"""What counts as the optimiser believing what is true, and what does not."""
+"""Agreement of the optimiser's prediction with the exact model."""
 
 from dataclasses import replace
 
@@ -14,7 +14,7 @@ from small_arms import (
     write_robot,
 )
 
-from stiffopt.certificate.agreement import differences
+from stiffopt.certificate.agreement import find_disagreements
 from stiffopt.problem.belief import believed_of
 from stiffopt.problem.files import load_problem
 from stiffopt.problem.smoothing import Smoothing
@@ -22,7 +22,7 @@ from stiffopt.result.trajectory import Trajectory
 
 
 def swing(problem, duration=0.5):
-    """From rest to rest in 20 pieces of linear acceleration, some of them backwards."""
+    """Rest-to-rest motion in 20 pieces of linear acceleration, some of them backwards."""
     way = problem.end.joints - problem.start.joints
     t = np.linspace(0.0, duration, 21)
     s = t / duration
@@ -43,10 +43,10 @@ def rubbing(tmp_path):
     return load_problem(path).problem
 
 
-def test_smooth_friction_and_corners_are_honest(rubbing):
+def test_smoothing_is_within_tolerance(rubbing):
     motion = swing(rubbing)
     assert np.min(motion(np.linspace(0.0, 0.5, 200), 1) * (rubbing.end.joints > 0)) < 0.0
-    found = differences(
+    found = find_disagreements(
         rubbing, motion, believed_of(rubbing, motion, Smoothing(0.25), elastic=True)
     )
     assert {d.quantity for d in found if d.joint} == {"spring torque", "drive torque", "wind-up"}
@@ -57,19 +57,19 @@ def test_smooth_friction_and_corners_are_honest(rubbing):
     ("name", "quantity"),
     [("coulomb", "drive torque"), ("viscous", "drive torque"), ("rotor_inertia", "drive torque")],
 )
-def test_other_numbers_are_seen_in_motion(rubbing, name, quantity):
+def test_wrong_numbers_are_detected(rubbing, name, quantity):
     motion = swing(rubbing)
     other = replace(rubbing.robot, **{name: getattr(rubbing.robot, name) + 0.01})
     believed = believed_of(replace(rubbing, robot=other), motion, Smoothing(0.25), elastic=True)
-    found = [d.quantity for d in differences(rubbing, motion, believed) if d.excess > 1.0]
+    found = [d.quantity for d in find_disagreements(rubbing, motion, believed) if d.excess > 1.0]
     assert set(found) == {quantity}
 
 
-def test_a_connection_that_slips_is_no_agreement(tmp_path):
+def test_slipping_connection_is_a_disagreement(tmp_path):
     """The smooth law goes on beyond slip, the true one has no end there."""
     problem = on_one_element(load(tmp_path, "pendulum"), small_flange(200.0))
     motion = swing(problem)
-    found = differences(
+    found = find_disagreements(
         problem, motion, believed_of(problem, motion, Smoothing(0.25), elastic=True)
     )
     wrong = {d.quantity for d in found if d.excess > 1.0}

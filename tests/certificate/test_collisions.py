@@ -1,4 +1,4 @@
-"""Collisions: known distances of small arms, the worst instant found, what was checked said."""
+"""Collisions: known distances of small arms, worst instant, reported scope."""
 
 import json
 
@@ -8,7 +8,11 @@ from shaped_arms import load, write_stl
 from small_arms import PLANAR, problem_text, write_robot
 
 from stiffopt.certificate.assess import assess
-from stiffopt.certificate.collisions import LIMIT, scope, with_collisions
+from stiffopt.certificate.collisions import (
+    COLLISION_LIMIT,
+    describe_collision_scope,
+    with_collisions,
+)
 from stiffopt.cli import run
 from stiffopt.errors import InputError
 from stiffopt.problem.files import load_problem
@@ -38,7 +42,7 @@ def problem_of(folder, cell="", urdf=SHAPED, **pieces):
 
 
 def swing(problem, start, end, duration=0.5):
-    """From rest to rest on the straight line between joint positions."""
+    """Rest-to-rest motion on the straight line between joint positions."""
     start, end = np.array(start), np.array(end)
     nodes = np.outer([0.0, 1.0, -1.0, 0.0], 8.0 / duration**2 * (end - start))
     times = duration * np.array([0.0, 0.25, 0.75, 1.0])
@@ -48,7 +52,7 @@ def swing(problem, start, end, duration=0.5):
 
 
 def rows(motion):
-    return {v.pair: v for v in motion.violations if v.limit == LIMIT}
+    return {v.pair: v for v in motion.violations if v.limit == COLLISION_LIMIT}
 
 
 def test_distances_of_known_poses(tmp_path):
@@ -92,12 +96,14 @@ def test_meshes_of_links_and_of_the_cell(tmp_path):
     assert found["fore", "jig"] == pytest.approx(0.2, abs=0.005)
 
 
-def test_of_many_meshes_that_are_not_there_two_are_named(tmp_path):
+def test_two_of_many_missing_meshes_are_named(tmp_path):
     problem = problem_of(tmp_path)
     problem.clearance_model.missing = ("a.stl", "b.stl")
-    assert scope(problem).endswith("Not found or no mesh: a.stl, b.stl.")
+    assert describe_collision_scope(problem).endswith("Not found or no mesh: a.stl, b.stl.")
     problem.clearance_model.missing = tuple("abcde")
-    assert scope(problem).endswith("Not found or no mesh: a, b and 3 more shapes of the URDF.")
+    assert describe_collision_scope(problem).endswith(
+        "Not found or no mesh: a, b and 3 more shapes of the URDF."
+    )
 
 
 def test_the_worst_instant_of_a_motion_is_found(tmp_path):
@@ -121,7 +127,7 @@ def test_the_worst_instant_of_a_motion_is_found(tmp_path):
     assert any(every.min(axis=0) < 0)
 
 
-def test_a_thin_thing_between_coarse_instants_is_not_missed(tmp_path):
+def test_thin_obstacle_between_coarse_instants_is_found(tmp_path):
     # 1 mm thick and passed at 2.4 m/s: the coarse instants lie 9 mm apart.
     problem = problem_of(
         tmp_path,
@@ -166,25 +172,25 @@ def test_a_solve_that_collides_fails_its_certificate(tmp_path, capsys):
     assert run(["export", str(out), "--to", "csv"]) == 2
 
 
-def test_a_usable_motion_says_what_was_checked(tmp_path):
+def test_unchecked_collisions_are_named(tmp_path):
     free = problem_of(tmp_path)
-    assert scope(free) == (
-        "Collisions were not checked: the arm with itself, the floor and the cell; state what "
-        "there is in [cell]."
+    assert describe_collision_scope(free) == (
+        "Collisions were not checked: the arm with itself, the floor and the cell; describe "
+        "the surroundings in [cell]."
     )
     bench = '[[cell.box]]\nname = "bench"\nsize = [1, 1, 0.1]\nposition = [0, 0, -2]\n'
     text = f'[cell]\nfloor = "-1 m"\n{bench}'
     checked = problem_of(tmp_path, text, urdf=SHAPED.replace('<link name="base"/>', POST))
-    assert scope(checked) == (
+    assert describe_collision_scope(checked) == (
         "Collisions were checked: the arm with itself (1 pairs of links), floor, bench."
     )
     bare = problem_of(tmp_path, text, urdf=PLANAR)
-    assert "rods of a guessed radius: upper, fore" in scope(bare)
-    assert "not checked: the arm with itself" in scope(bare)
+    assert "rods of a guessed radius: upper, fore" in describe_collision_scope(bare)
+    assert "not checked: the arm with itself" in describe_collision_scope(bare)
     thick = problem_of(
         tmp_path, text.replace("[cell]\n", '[cell]\nlink_radius = "50 mm"\n'), urdf=PLANAR
     )
-    assert "guessed" not in scope(thick)
+    assert "guessed" not in describe_collision_scope(thick)
 
 
 @pytest.mark.parametrize(
@@ -201,6 +207,6 @@ def test_a_usable_motion_says_what_was_checked(tmp_path):
         ),
     ],
 )  # fmt: skip
-def test_cells_that_cannot_be_are_refused(tmp_path, text, words):
+def test_invalid_cells_are_refused(tmp_path, text, words):
     with pytest.raises(InputError, match=words):
         _ = problem_of(tmp_path, text).clearance_model

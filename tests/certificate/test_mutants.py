@@ -23,7 +23,7 @@ from stiffopt.connection import BoltedFlange, Key, Reducer
 from stiffopt.contact import surrogate
 from stiffopt.contact.fractal import FractalLaw
 from stiffopt.drivetrain import catalogue
-from stiffopt.drivetrain.stage import Stage
+from stiffopt.drivetrain.chain import Stage
 from stiffopt.dynamics import deflection, newton_euler
 from stiffopt.problem import stage_model
 from stiffopt.problem.files import load_problem
@@ -55,7 +55,7 @@ def pendulum(folder, **pieces):
 
 
 def hurried(folder):
-    """As fast as the torque allows."""
+    """Torque-limited minimum duration."""
     return pendulum(
         folder,
         duration="{ lower = 0.1, upper = 2.0 }",
@@ -65,7 +65,7 @@ def hurried(folder):
 
 
 def capped(folder):
-    """As fast as the dynamic deflection allows."""
+    """Minimum duration limited by the dynamic deflection."""
     return pendulum(
         folder,
         duration="{ lower = 0.1, upper = 2.0 }",
@@ -121,7 +121,7 @@ def no_coriolis(patch):
 
 
 def no_gyroscopic(patch):
-    sound = newton_euler._outward
+    sound = newton_euler._outward_recursion
 
     def outward(gravity, joints, poses, v, a):
         forces, moments = sound(gravity, joints, poses, v, a)
@@ -132,12 +132,12 @@ def no_gyroscopic(patch):
             moments[i] -= ca.cross(spin, ca.mtimes(own.inertia, spin))
         return forces, moments
 
-    patch.setattr(newton_euler, "_outward", outward)
+    patch.setattr(newton_euler, "_outward_recursion", outward)
 
 
 def gravity_turned(patch):
-    sound = newton_euler._outward
-    patch.setattr(newton_euler, "_outward", lambda gravity, *rest: sound(-gravity, *rest))
+    sound = newton_euler._outward_recursion
+    patch.setattr(newton_euler, "_outward_recursion", lambda gravity, *rest: sound(-gravity, *rest))
 
 
 def lighter_rotors(patch):
@@ -169,7 +169,7 @@ def static_left_in(patch):
 
 
 def no_reflection(patch):
-    patch.setattr(Stage, "counts", property(lambda stage: stage.reduction))
+    patch.setattr(Stage, "windup_factor", property(lambda stage: stage.reduction))
 
 
 def smaller_key(patch):
@@ -198,7 +198,7 @@ def dropped_rows(name):
 
 @dataclass(frozen=True)
 class Mutant:
-    """A defect, the problem that is solved with it, and what the message then names."""
+    """A defect, the problem that is solved with it, and the quantity that the message names."""
 
     mutate: Callable
     problem: Callable
@@ -228,7 +228,7 @@ MUTANTS = {
 @pytest.fixture(autouse=True)
 def _own_models():
     """Fits of contact laws and dynamics are kept: a mutant must neither find nor leave any."""
-    kept = (surrogate.fit_log_cubic, newton_euler._recursion)
+    kept = (surrogate.fit_log_cubic, newton_euler._torque_recursion)
     for each in kept:
         each.cache_clear()
     yield
@@ -249,13 +249,13 @@ def test_the_certificate_notices_a_defect_of_the_optimiser(name, tmp_path, monke
 @pytest.mark.parametrize(
     "problem", [swinging_arm, pendulum, hurried, capped, keyed, flanged], ids=lambda p: p.__name__
 )
-def test_the_sound_optimiser_is_believed(problem, tmp_path):
+def test_sound_optimiser_passes(problem, tmp_path):
     solution = solve(problem(tmp_path), throw=False)
     assert solution.status is SolveStatus.OPTIMAL, solution.message
 
 
-def test_contact_laws_are_a_choice_that_the_optimiser_takes(tmp_path):
-    """The two fits wind up differently; what each misses of the true law is told, not hidden."""
+def test_contact_law_changes_the_optimiser_model(tmp_path):
+    """The two fits wind up differently; their errors against the exact law are reported."""
     torque = np.linspace(0.5, 6.0, 40)
     near, far = (keyed(tmp_path, contact_law=law) for law in ("log_cubic", "power_law"))
     models = [stage_model.CompactChain(p.robot.chains[0], 60.0) for p in (near, far)]
@@ -267,7 +267,7 @@ def test_contact_laws_are_a_choice_that_the_optimiser_takes(tmp_path):
     assert "log_cubic" in solution.message
 
 
-def test_a_better_baseline_is_never_passed_over(tmp_path, monkeypatch):
+def test_better_baseline_prevents_status_optimal(tmp_path, monkeypatch):
     """A coarse motion beside a fine one that keeps all limits is not called optimal."""
     fine = solve(pendulum(tmp_path))
     rival = Baseline(
@@ -282,4 +282,4 @@ def test_a_better_baseline_is_never_passed_over(tmp_path, monkeypatch):
     coarse = solve(pendulum(tmp_path, method="intervals = 4"))
     assert coarse.objective.value > 1.01 * fine.objective.value
     assert coarse.status is SolveStatus.ACCEPTABLE
-    assert "toppra motion beside it is better" in coarse.message
+    assert "toppra motion is better" in coarse.message

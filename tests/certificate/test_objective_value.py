@@ -26,7 +26,7 @@ def test_one_term_keeps_its_own_value_whatever_its_weight():
     assert is_maximised(problem)
 
 
-def test_several_terms_are_weighted_and_what_is_maximised_counts_against():
+def test_weighted_sum_subtracts_maximised_terms():
     problem = SimpleNamespace(
         objectives=[
             term(3.0, weight=5.0, name="deflection"),

@@ -27,7 +27,7 @@ BODY.shear_modulus = Material.shear_modulus.fget(BODY)
 PAIR = Quantified(first=BODY, second=BODY)
 
 
-def test_moduli() -> None:
+def test_contact_moduli_units() -> None:
     assert BODY.shear_modulus.check("[pressure]")
     modulus = SurfacePair.contact_modulus.fget(PAIR)
     shear = SurfacePair.contact_shear_modulus.fget(PAIR)
@@ -39,7 +39,7 @@ def test_moduli() -> None:
     assert ratio.to("").magnitude == pytest.approx(1.4 / 1.7)
 
 
-def test_line_contact() -> None:
+def test_line_contact_units() -> None:
     load, radius, modulus = 100 * UNITS.newton / UNITS.mm, 10 * UNITS.mm, 115.4 * GPA
     width = half_width(load, radius, modulus)
     assert width.check("[length]")
@@ -53,7 +53,7 @@ def test_line_contact() -> None:
     )
 
 
-def test_single_spot() -> None:
+def test_single_spot_units() -> None:
     # Tip radius, interference and force of one spot: G^(D-2) carries a fractional length.
     dimension, roughness, area = 2.4, 1.29e-9 * UNITS.m, 1e-8 * UNITS.m**2
     scale = roughness ** (dimension - 2) * math.sqrt(math.log(1.5))

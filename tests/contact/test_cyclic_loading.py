@@ -1,4 +1,4 @@
-"""Contacts that were loaded before: stiffer by what plastic deformation no longer takes."""
+"""Contacts under cyclic loading: stiffer, since plastic deformation has ended."""
 
 from dataclasses import replace
 
@@ -19,8 +19,8 @@ def cyclic(surface):
 
 @pytest.mark.parametrize("name", SURFACES)
 def test_unloading_is_two_to_three_times_stiffer(name):
-    # 2.4 to 3 times is what is known (at 70 MPa ultrasound over image correlation 3, Mulvihill and
-    # others, Exp. Mech. 53 (2013) 1245); the plastic spots, left out here, are what lacks of it.
+    # Known values are 2.4 to 3 times (at 70 MPa ultrasound over image correlation 3, Mulvihill and
+    # others, Exp. Mech. 53 (2013) 1245); the plastic spots, neglected here, are the difference.
     surface = SURFACES[name]
     first = FractalLaw(surface).normal_stiffness_per_area(PRESSURES)
     again = FractalLaw(cyclic(surface)).normal_stiffness_per_area(PRESSURES)
@@ -60,15 +60,15 @@ def test_cyclic_stiffness_is_the_sum_over_elastic_punches(name):
         assert found == pytest.approx(total / surface.reference_area, rel=1e-3)
 
 
-def test_load_does_not_depend_on_it():
-    # The load that a contact bore stays what it was; only its tangent differs.
+def test_load_is_independent_of_loading():
+    # The load of a contact is unchanged; only its tangent differs.
     first, again = FractalLaw(SURFACES["fine"]), FractalLaw(cyclic(SURFACES["fine"]))
     assert np.array_equal(first.largest_spot(PRESSURES), again.largest_spot(PRESSURES))
     assert np.array_equal(first.real_area_ratio(1e-7), again.real_area_ratio(1e-7))
 
 
-def test_elastic_spots_are_the_same():
-    # Without elastic-plastic spots nothing is left that loads and unloads differently.
+def test_elastic_spots_are_independent_of_loading():
+    # Without elastic-plastic spots loading and unloading are alike.
     first = FractalLaw(SURFACES["fine"], regimes=2)
     again = FractalLaw(cyclic(SURFACES["fine"]), regimes=2)
     assert np.array_equal(
@@ -76,13 +76,13 @@ def test_elastic_spots_are_the_same():
     )
 
 
-def test_smooth_fit_follows():
+def test_smooth_fit_of_cyclic_stiffness():
     fit, law = fit_log_cubic(cyclic(SURFACES["fine"])), FractalLaw(cyclic(SURFACES["fine"]))
     exact = law.normal_stiffness_per_area(PRESSURES)
     assert fit.max_error < 0.03
     assert fit.stiffness(PRESSURES) == pytest.approx(exact, rel=fit.max_error)
 
 
-def test_other_words_are_refused():
+def test_unknown_loading_is_refused():
     with pytest.raises(InputError, match="loading = 'twice' is not known"):
         steel_surface(2.4, 1.29e-9, loading="twice")

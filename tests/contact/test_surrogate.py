@@ -67,7 +67,7 @@ def test_fit_agrees_with_published_cubic() -> None:
     )
 
 
-def test_fits_are_kept() -> None:
+def test_fits_are_cached() -> None:
     assert fit_log_cubic(FINE) is fit_log_cubic(FINE)
     assert contact_law(FINE) is fit_log_cubic(FINE, 0.1e6, 200e6)
     own = PowerLaw(1.8e12, 0.86)

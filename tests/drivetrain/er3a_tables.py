@@ -14,7 +14,7 @@ POWER = {"fine_steel": (1.7985e12, 0.8604), "rough_steel": (6.7216e11, 0.8789)}
 
 
 _FLANKS = ("shaft_flank_height", "hub_flank_height")
-# Heights of the tables' output-side keys by what bears in the shaft [m].
+# Bearing heights in the shaft of the tables' output-side keys [m].
 _KEYWAYS = {3.5e-3: (4.0e-3, 3.3e-3), 2.5e-3: (3.0e-3, 2.3e-3)}
 
 

@@ -8,8 +8,7 @@ from hypothesis import strategies as st
 
 from stiffopt.connection import BoltedFlange, Constant, Key, Reducer
 from stiffopt.drivetrain import catalogue
-from stiffopt.drivetrain.chain import Chain
-from stiffopt.drivetrain.stage import Stage
+from stiffopt.drivetrain.chain import Chain, Stage
 from stiffopt.errors import InputError
 from stiffopt.exact.chain import (
     breakpoints,

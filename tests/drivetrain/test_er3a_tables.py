@@ -236,7 +236,7 @@ def test_shipped_robots_carry_the_reference_inputs(er3a, er3a_contact):
             given = [e.shaft_diameter, e.length, e.shaft_flank_height, e.hub_flank_height]
             wanted = [expected[k] for k in ("d_m", "length_m", "h1_m", "h2_m")]
             if e.name == "output_key":
-                # The inputs have the keyways, together higher than the key; what bears is less.
+                # The inputs are the keyways, together higher than the key; less of them bears.
                 assert sum(given[2:]) < catalogue.key(*SECTIONS[e.shaft_diameter]).height
                 assert sum(wanted[2:]) > catalogue.key(*SECTIONS[e.shaft_diameter]).height
                 given, wanted = given[:2], wanted[:2]

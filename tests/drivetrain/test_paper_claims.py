@@ -1,9 +1,10 @@
-"""What the paper says about joint stiffness, on both ER3A robots as shipped (exact law).
+"""Claims of the paper on joint stiffness, on both ER3A robots as shipped (exact law).
 
 Two statements need care where the reducer's own steps hide the contacts. Stated as a ratio to the
 reducer, the difference of `er3a_c60` shrinks across T1 (near 12 %) because the reducer stiffens
-there, not the contacts; so it is also stated as what the contacts add to the compliance. And where
-contacts carry half of the compliance (`er3a_c60_contact`) the stiffness is far from flat at 20 %.
+there, not the contacts; so it is also stated as the share of the contacts in the compliance. And
+where contacts carry half of the compliance (`er3a_c60_contact`) the stiffness is far from flat at
+20 %.
 """
 
 import numpy as np
@@ -99,7 +100,7 @@ def cyclic(robot):
 
 
 def test_claims_under_cyclic_loading():
-    """What a robot feels after its first motions: the same shape, contacts half as soft."""
+    """Claims after the first loading: the same shape, contacts half as soft."""
     for chain, limit in cyclic(load_robot("er3a_c60")):
         assert 1e-4 < rise(chain, limit) < 4e-3
     for chain, limit in cyclic(load_robot("er3a_c60_contact")):

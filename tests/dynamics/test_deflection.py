@@ -7,7 +7,7 @@ import pytest
 from arms import arm, states
 
 from stiffopt.dynamics.deflection import SpringTorques, spring_torques, tool_deflection
-from stiffopt.dynamics.friction import SMOOTH_SHARE, drive_torque, friction_torque
+from stiffopt.dynamics.friction import DRY_FRICTION_WIDTH_SHARE, drive_torque, friction_torque
 from stiffopt.dynamics.kinematics import point_jacobian
 from stiffopt.robot.body_tree import body_tree
 
@@ -58,7 +58,7 @@ def test_without_a_process_force_its_part_is_exactly_zero() -> None:
     assert np.all(values["process"] == 0.0)
 
 
-def test_a_force_pushes_the_tool_its_own_way() -> None:
+def test_force_deflects_tool_in_its_direction() -> None:
     values, _, _ = evaluate("sample", FORCE)
     assert float(FORCE @ values["process"].ravel()) > 0.0
 
@@ -76,7 +76,7 @@ def test_a_weight_pulls_the_tool_down() -> None:
     assert np.asarray(sag).ravel() == pytest.approx([0.0, 0.0, -10.0 * 9.81 / 1e4], rel=1e-12)
 
 
-def test_numbers_serve_as_well_as_symbols() -> None:
+def test_arrays_and_symbols_agree() -> None:
     torques = SpringTorques(
         gravity=np.array([1.0, 2.0]),
         motion=np.array([3.0, 5.0]),
@@ -109,7 +109,7 @@ def test_drive_carries_rotor_and_friction_on_top_of_the_spring() -> None:
 
 def test_friction_is_odd_smooth_and_never_drives() -> None:
     speed = np.linspace(-1.0, 1.0, 2001)
-    width = SMOOTH_SHARE * 4.0
+    width = DRY_FRICTION_WIDTH_SHARE * 4.0
     friction = friction_torque(speed, coulomb=3.0, viscous=2.0, width=width)
     assert friction == pytest.approx(-friction[::-1], abs=1e-14)
     assert np.all(friction * speed >= 0.0)

@@ -74,7 +74,7 @@ def test_equal_seeds_give_equal_angles_without_near() -> None:
     assert np.array_equal(first, second)
 
 
-def test_full_turns_are_taken_off() -> None:
+def test_full_turns_are_removed() -> None:
     arm_ = robot("ur10", bound=2 * np.pi)
     q = np.array([0.3, -1.2, 1.5, -0.7, 0.9, 0.4])
     place = pose(arm_, q)
@@ -82,9 +82,11 @@ def test_full_turns_are_taken_off() -> None:
     assert found - 2 * np.pi * (q < 0) == pytest.approx(q, abs=1e-6)
 
 
-def test_out_of_reach_says_how_close_it_comes() -> None:
+def test_unreachable_position_states_distance() -> None:
     arm_ = robot("ur10")
-    with pytest.raises(UnreachablePoseError, match=r"closest place.* mm away.*links can span") as e:
+    with pytest.raises(
+        UnreachablePoseError, match=r"closest pose.* mm away.*reach of the links"
+    ) as e:
         solve_pose(arm_, [5.0, 0.0, 0.5])
     reached = pose(arm_, e.value.joints).translation
     assert e.value.distance == pytest.approx(np.linalg.norm(reached - [5.0, 0.0, 0.5]), rel=1e-6)
@@ -92,7 +94,7 @@ def test_out_of_reach_says_how_close_it_comes() -> None:
     assert 5.0 - 1.7 < e.value.distance < 5.0 - 1.2
 
 
-def test_the_limit_that_stops_it_is_named() -> None:
+def test_active_limit_is_named() -> None:
     arm_ = robot("ur10")
     q = np.array([1.5, -1.2, 1.5, -0.7, 0.9, 0.4])
     place = pose(arm_, q)
@@ -101,7 +103,7 @@ def test_the_limit_that_stops_it_is_named() -> None:
         solve_pose(arm_, place.translation, None, np.clip(q, None, [0.5, 9, 9, 9, 9, 9]))
 
 
-def test_a_reachable_position_in_an_unreachable_orientation_is_told_apart() -> None:
+def test_unreachable_orientation_is_distinguished() -> None:
     arm_ = robot("ur10")
     q = np.array([0.3, -1.2, 1.5, -0.7, 0.9, 0.4])
     place = pose(arm_, q)
@@ -113,7 +115,7 @@ def test_a_reachable_position_in_an_unreachable_orientation_is_told_apart() -> N
     assert error.value.angle > 0.01
 
 
-def test_nonsense_is_refused() -> None:
+def test_invalid_poses_are_refused() -> None:
     arm_ = robot("sample")
     with pytest.raises(ProblemError, match="position must hold 3 finite numbers"):
         solve_pose(arm_, [0.1, np.nan, 0.2])

@@ -115,7 +115,7 @@ def test_results_that_cannot_be_simulated_say_why(copied, capsys):
     assert run(["simulate", str(out), "--problem", str(copied / "moved.toml")]) == 0
     text = (copied / "moved.toml").read_text()
     (copied / "problem.toml").write_text(text.replace("duration = 0.5", "duration = 0.6"))
-    refused("is not what was solved")
+    refused("differs from the problem solved")
     named = document.pop("problem")
     (out / "result.json").write_text(json.dumps(document))
     refused("was changed since `stiffopt solve` wrote it")

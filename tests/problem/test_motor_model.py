@@ -24,7 +24,7 @@ from stiffopt.problem.smoothing import Smoothing
 from stiffopt.problem.trajectory import Method
 from stiffopt.result.store import export_times, write_trajectory
 from stiffopt.result.trajectory import Trajectory
-from stiffopt.solver.guess import initial_guess
+from stiffopt.solver.initial_guess import initial_guess
 from stiffopt.solver.solve import solve
 from stiffopt.transcription import between
 from stiffopt.transcription.between import Excess, KnownRows, excess_of, tightened

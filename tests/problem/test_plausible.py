@@ -12,7 +12,7 @@ from small_arms import ROOT
 
 from stiffopt import Objective, Target, TrajectoryProblem, load_problem, load_robot, solve
 from stiffopt.baseline.baselines import baselines, strict_baseline
-from stiffopt.certificate.violations import CERTIFIED
+from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
 from stiffopt.cli import run
 from stiffopt.errors import ProblemError
 from stiffopt.problem.plausible import check_plausible, questionable_bodies, reach_of
@@ -112,10 +112,10 @@ def test_the_strict_baseline_keeps_every_limit():
     stated = load_problem(PROBLEM).problem
     motion = resolve(stated)
     beside = baselines(stated, motion)
-    assert not beside["toppra"].assessment.feasible(CERTIFIED)
+    assert not beside["toppra"].assessment.feasible(CERTIFICATE_TOLERANCE)
     strict = strict_baseline(stated, motion, beside)
     assert strict.name == "slowed quintic"
-    assert strict.assessment.feasible(CERTIFIED)
+    assert strict.assessment.feasible(CERTIFICATE_TOLERANCE)
     assert strict.assessment.duration > 0.6
     assert not strict.feasible
 

@@ -5,7 +5,7 @@ import pytest
 from shaped_arms import load, write_stl
 from small_arms import SPATIAL
 
-from stiffopt.dynamics.height_over_plane import height_over_plane
+from stiffopt.dynamics.kinematics import height_over_plane
 from stiffopt.robot.cell import Box, Cell, MeshObstacle, Plane
 from stiffopt.robot.clearance import ClearanceModel
 from stiffopt.robot.separating_planes import SeparatingPlanes

@@ -1,4 +1,4 @@
-"""What swings on after arrival: limited, minimised, and judged by the simulated arm."""
+"""Residual vibration: limited, minimised, and certified by elastic simulation."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ from stiffopt.report.solve.wording import objective_phrase
 from stiffopt.result.store import result_document
 from stiffopt.solver import refinement
 from stiffopt.solver import solve as solve_module
-from stiffopt.solver.other_damping import exceeded_otherwise, other_damping_note
-from stiffopt.solver.refinement import refined
+from stiffopt.solver.refinement import refine
+from stiffopt.solver.simulation import damping_sensitive_limits, damping_sensitivity_note
 from stiffopt.solver.solve import solve
 from stiffopt.solver.solve_run import SolveRun
 
@@ -39,7 +39,7 @@ EXCESS = 5e-3
 
 @pytest.fixture(scope="module")
 def shortest(tmp_path_factory):
-    """Shortest motions of a swivel, by what may swing on."""
+    """Shortest motions of a swivel for limits on the residual vibration."""
 
     def solved(limits, simulate=False):
         folder = tmp_path_factory.mktemp("arm")
@@ -54,7 +54,7 @@ def shortest(tmp_path_factory):
         # A mode of 21 Hz.
         spring = Constant(name="spring", torque_max=60.0, stiffness=1500.0)
         problem = on_one_element(problem, spring)
-        # A motion that swings on leaves out what damping takes.
+        # Free vibration after arrival neglects damping.
         little = replace(problem.robot, damping=np.array([0.05]))
         problem = replace(problem, robot=little)
         return problem, solve(problem, simulate=simulate)
@@ -83,7 +83,7 @@ def test_limits_hold_on_the_simulated_arm(shortest, name, limit):
     problem, solution = shortest[name]
     assert solution.status.usable
     assert excess(solution, limit) <= EXCESS
-    # Judged by a simulation of its own, of what the files hold.
+    # Judged by an independent simulation of the files.
     assessment = solution.assessment
     arm = ElasticArm(problem.robot, assessment.position[0])
     command = MotorMotion(assessment.time, assessment.position, assessment.velocity)
@@ -94,7 +94,7 @@ def test_limits_hold_on_the_simulated_arm(shortest, name, limit):
     assert np.allclose(assessment.velocity[-1], 0.0, atol=1e-6)
 
 
-def test_less_may_swing_on_and_the_motion_takes_longer(shortest):
+def test_smaller_residual_vibration_limit_takes_longer(shortest):
     took = {name: solution.duration for name, (_, solution) in shortest.items()}
     assert took["any"] < took["residual"] < took["little"]
     assert took["any"] < took["settling"] < took["little"]
@@ -103,11 +103,11 @@ def test_less_may_swing_on_and_the_motion_takes_longer(shortest):
     assert free.simulation.optimised.simulated.peak_after > 3e-4
 
 
-def test_what_an_assumed_damping_hides_is_said(shortest):
+def test_damping_sensitivity_is_noted(shortest):
     problem, solution = shortest["residual"]
     motion = solution.assessment
     # Its file states the damping.
-    assert exceeded_otherwise(problem, motion) == {}
+    assert damping_sensitive_limits(problem, motion) == {}
     unstated = replace(problem, robot=replace(problem.robot, damping=None))
     command = MotorMotion(motion.time, motion.position, motion.velocity)
     critical = 2.0 * np.sqrt(
@@ -119,33 +119,33 @@ def test_what_an_assumed_damping_hides_is_said(shortest):
         after.append(simulate(ElasticArm(robot, motion.position[0]), command).peak_after)
     over = max(after) / problem.active_limits.residual_vibration - 1.0
     assert over > 0.0
-    assert exceeded_otherwise(unstated, motion) == pytest.approx({"residual_vibration": over})
-    note = other_damping_note(unstated, motion)
+    assert damping_sensitive_limits(unstated, motion) == pytest.approx({"residual_vibration": over})
+    note = damping_sensitivity_note(unstated, motion)
     assert "residual_vibration" in note
     assert "damping" in note
 
 
-def test_links_are_brought_to_rest_where_no_optimum_is_found_that_swings_on(shortest, monkeypatch):
+def test_plan_ends_at_rest_without_optimum_with_vibration(shortest, monkeypatch):
     problem, _ = shortest["residual"]
     ways = []
 
     def unfinished(run, outcome, rival):
         ways.append(bool(run.end_modes))
-        found = refined(run, outcome, rival)
+        found = refine(run, outcome, rival)
         if run.end_modes:
             # It keeps all limits, and may be anywhere.
             return replace(found, raw=replace(found.raw, status="iteration_limit"))
         return found
 
-    monkeypatch.setattr(solve_module, "refined", unfinished)
+    monkeypatch.setattr(solve_module, "refine", unfinished)
     solution = solve(problem, throw=False)
     assert ways == [True, False]
     assert solution.status.usable
-    assert any("brings them to rest" in note for note in solution.notes)
+    assert any("brings the links to rest" in note for note in solution.notes)
 
 
-def test_the_size_after_arrival_is_that_of_the_modes(shortest):
-    """Predicted by the free swing of the end state, within 10 % or 5 um of the simulated one."""
+def test_residual_vibration_is_that_of_the_modes(shortest):
+    """Predicted from the end state, within 10 % or 5 um of the simulated one."""
     problem, solution = shortest["residual"]
     link = solution.trajectory.link
     end = np.array([link.duration])
@@ -157,11 +157,11 @@ def test_the_size_after_arrival_is_that_of_the_modes(shortest):
     found = solution.assessment.swing.peak_after
     assert found == pytest.approx(size, rel=0.1, abs=5e-6)
     assert solution.compensation is None
-    assert any("swing on after arrival" in note for note in solution.notes)
+    assert any("the plan has residual vibration" in note for note in solution.notes)
 
 
-def test_what_swings_on_is_limited_without_a_kink():
-    """By one row that the sum of the sizes never exceeds, smooth where single modes rest."""
+def test_residual_vibration_row_is_smooth():
+    """One row bounds the sum of the amplitudes, smooth where single modes are at rest."""
     size = ca.SX.sym("size", 3)
     arrival = Arrival(tuple(size[k] ** 2 for k in range(3)), np.array([1.0, 2.0, 3.0]))
     allowed, after = 1e-4, 0.1
@@ -177,7 +177,7 @@ def test_what_swings_on_is_limited_without_a_kink():
             inside = float(value(middle * allowed * sizes)) <= row.upper
             low, high = (middle, high) if inside else (low, middle)
         left = np.sum(low * allowed * sizes * np.exp(-arrival.decays * after))
-        # What rounds it off at zero is 1 % of what is allowed.
+        # The rounding at zero is 1 % of the limit.
         assert left <= (1.01 * row.upper + 1e-2) * allowed
     one = np.array([allowed, 0.0, 0.0])
     # A mode that rests has no corner: the row bends as far as it is from the other's size.
@@ -200,7 +200,7 @@ def test_least_residual_vibration(tmp_path):
     assert objective_phrase("residual_vibration", "") == "residual vibration of the tool"
 
 
-def test_snap_counts_without_a_limit_of_velocity(tmp_path):
+def test_snap_is_scaled_without_velocity_limit(tmp_path):
     wanted = {"minimise": 'objective = "residual_vibration"', "limits": 'velocity = "none"'}
     problem = load(tmp_path, **wanted)
     assert not np.isfinite(problem.active_limits.velocity).any()
@@ -245,7 +245,7 @@ BESIDE = {
 
 
 @pytest.mark.parametrize("case", BESIDE)
-def test_what_cannot_be_limited_is_said(case, tmp_path):
+def test_unsupported_arrival_limits_are_refused(case, tmp_path):
     pieces, words = BESIDE[case]
     path = write_problem(tmp_path, **{k: v for k, v in pieces.items() if v is not None})
     if case == "path":
@@ -258,7 +258,7 @@ def test_what_cannot_be_limited_is_said(case, tmp_path):
     assert str(error.value).count("\n") == 0
 
 
-def test_a_rigid_arm_cannot_swing_on(tmp_path):
+def test_rigid_arm_has_no_residual_vibration(tmp_path):
     path = write_problem(tmp_path, limits="residual_vibration = '0.1 mm'")
     write_robot(tmp_path, "planar", joints=[joint("shoulder", ""), joint("elbow", "")])
     with pytest.raises(InputError, match="no drivetrain"):
@@ -278,7 +278,7 @@ def test_an_arm_simulated_for_less_than_the_limit_is_judged_by_its_last_instant(
     )
 
 
-def test_links_are_brought_to_rest_at_once_where_corners_are_wide(tmp_path):
+def test_wide_smoothing_requires_rest_at_arrival(tmp_path):
     limited = load(
         tmp_path,
         "swivel",
@@ -288,17 +288,17 @@ def test_links_are_brought_to_rest_at_once_where_corners_are_wide(tmp_path):
     )
     for corners, swings in ((1.0, True), (4.0, False)):
         run = SolveRun(limited, resolve(limited), Scales(), None)
-        run.__dict__["corners"] = corners
+        run.__dict__["motor_smoothing"] = corners
         assert bool(run.end_modes) == swings
 
 
-def test_room_to_calm_is_taken_from_all_drives_once_and_then_from_the_jerk():
+def test_back_off_reserves_all_drives_first_then_jerk():
     outcome = SimpleNamespace(smoothing=Smoothing(1.0, 8.0))
     blocks = SimpleNamespace(rows=SimpleNamespace(items=[]))
     first, then = (
-        refinement._asked_of(None, outcome, blocks, {"settling_time": 2.0}, 0.0, again)
+        refinement._requested_back_off(None, outcome, blocks, {"settling_time": 2.0}, 0.0, again)
         for again in (0, 1)
     )
     # Of torque no more: it holds the arm's weight as well.
-    assert set(first) == set(refinement._OF_DRIVES)
+    assert set(first) == set(refinement._DRIVE_LIMITS)
     assert set(then) == {"jerk"}

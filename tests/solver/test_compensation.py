@@ -1,4 +1,4 @@
-"""Commands that make the links do the plan: what they give, what they exceed, what is said."""
+"""Wind-up compensation: tool deviation on uncertain arms, exceeded limits, messages."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ from stiffopt.report.solve.compensation import (
 )
 from stiffopt.result.compensation_store import compensation_document, write_command
 from stiffopt.result.joint_path import JointPath
-from stiffopt.solver import compensation
-from stiffopt.solver.compensation import compensate, compensated
+from stiffopt.solver import command_search
+from stiffopt.solver.compensation import compensate, compensate_motion
 from stiffopt.solver.simulation import PlannedMotion, elastic_arm
 
 
@@ -44,7 +44,7 @@ def smooth(tmp_path_factory):
     return problem, motion, compensate(problem, arm, [motion, toppra])
 
 
-def test_the_tool_does_what_was_planned(smooth):
+def test_tool_follows_the_plan(smooth):
     _, _, found = smooth
     own = found.optimised
     assert own.excess == ()
@@ -128,15 +128,15 @@ def test_a_command_beyond_the_motors_is_refused_with_joint_time_and_remedy(smoot
     assert write_command(found, tmp_path) is None
 
 
-def test_what_a_coarse_grid_steps_over_leaves_a_command_that_is_within(smooth, monkeypatch):
+def test_command_is_feasible_on_the_fine_grid(smooth, monkeypatch):
     problem, motion, _ = smooth
     # At the ends and in the middle an acceleration that is too large does not show.
-    monkeypatch.setattr(compensation, "_COARSE", 3)
+    monkeypatch.setattr(command_search, "_TRIAL_SAMPLES", 3)
     arm = elastic_arm(problem, motion.position[0])
-    _, best = compensated(problem, arm, motion)
+    _, best = compensate_motion(problem, arm, motion)
     most = np.max(np.abs(best(np.linspace(0.0, best.duration, 6001), 2)), axis=0)
     tight = replace(problem, limits=replace(problem.active_limits, acceleration=0.99 * most))
-    found, other = compensated(tight, arm, motion)
+    found, other = compensate_motion(tight, arm, motion)
     assert found.excess == ()
     assert np.max(np.abs(other(best.times) - best(best.times))) > 1e-7
 

@@ -1,4 +1,4 @@
-"""Problems of one programme: solved from one another, with the answer of a solve of their own."""
+"""Problem families: warm-started solves with the results of cold ones."""
 
 import io
 from dataclasses import replace
@@ -46,7 +46,7 @@ def first():
         "tool.offset=[0.45, 0.0, 0.0]",
     ],
 )
-def test_a_near_problem_is_solved_without_building(first, change):
+def test_similar_problem_reuses_the_programme(first, change):
     family, before, end = first
     near = problem("payload.mass=0.3", change)
     warm, _ = family.solve(near, end, compare=False)
@@ -70,7 +70,7 @@ def test_another_programme_is_built(first):
     assert set(solution.baselines) == {"toppra", "quintic"}
 
 
-def test_bytes_of_another_shape_are_no_warm_start(first):
+def test_bytes_of_other_layout_give_no_warm_start(first):
     older = io.BytesIO()
     empty = np.zeros(0)
     np.savez(
@@ -87,7 +87,7 @@ def test_bytes_of_another_shape_are_no_warm_start(first):
     assert all(WarmStart.from_bytes(own[:length]) is None for length in (0, 20, 1001, -8, -1))
 
 
-def test_an_end_goes_through_a_file(first):
+def test_warm_start_round_trip_through_bytes(first):
     _, _, end = first
     again = WarmStart.from_bytes(end.to_bytes())
     assert again is not None
@@ -99,7 +99,7 @@ def test_an_end_goes_through_a_file(first):
     assert solution.solver.build_s > 0.0
 
 
-def test_a_start_that_leads_nowhere_is_left(first):
+def test_failed_warm_start_falls_back_to_cold_solve(first):
     family, _, end = first
     x = np.full_like(end.x, np.nan)
     wrong = replace(end, x=x)
@@ -108,7 +108,7 @@ def test_a_start_that_leads_nowhere_is_left(first):
     assert solution.solver.intervals == 40
 
 
-def test_what_cannot_be_is_told_from_a_warm_start_as_well(first):
+def test_infeasible_problem_is_reported_after_warm_start(first):
     family, _, end = first
     solution, following = family.solve(problem("motion.duration=0.2 s"), end)
     assert str(solution.status) == "infeasible"
@@ -125,7 +125,7 @@ def test_what_cannot_be_is_told_from_a_warm_start_as_well(first):
         ("limits.scale={ velocity = 0.95 }", False),
     ],
 )
-def test_bounds_are_taken_over_only_where_they_are_the_same(monkeypatch, change, quick):
+def test_programme_is_reused_only_for_the_same_set_of_bounds(monkeypatch, change, quick):
     def stated(*changes):
         near = problem("payload.mass=0.3", *changes)
         return formulate(near, resolve(near), Scales())

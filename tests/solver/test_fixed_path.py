@@ -8,16 +8,16 @@ import pytest
 from small_arms import load
 
 from stiffopt.baseline.baselines import baselines
-from stiffopt.certificate.violations import CERTIFIED
+from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
 from stiffopt.problem.limit import Limits
 from stiffopt.problem.objective import Objective
 from stiffopt.problem.resolve import resolve
 from stiffopt.problem.trajectory import Method
 from stiffopt.result.joint_path import JointPath
 from stiffopt.result.status import SolveStatus
-from stiffopt.solver.guess import initial_guess
-from stiffopt.solver.solve import _perturbed, solve
-from stiffopt.solver.verdict import has_one_optimum, optimum_reach
+from stiffopt.solver.initial_guess import initial_guess, perturb_guess
+from stiffopt.solver.solve import solve
+from stiffopt.solver.verdict import describe_optimality, has_one_optimum
 
 NOISE = 2e-4  # rad
 
@@ -45,7 +45,7 @@ def noisy(tmp_path_factory):
 
 def test_toppras_motion_keeps_a_rest_without_acceleration(noisy):
     toppra = baselines(noisy, resolve(noisy))["toppra"]
-    assert toppra.assessment.feasible(CERTIFIED)
+    assert toppra.assessment.feasible(CERTIFICATE_TOLERANCE)
     assert np.allclose(toppra.assessment.acceleration[[0, -1]], 0.0, atol=1e-9)
     free = replace(noisy, boundary_acceleration="free")
     fastest = baselines(free, resolve(free))["toppra"].objective
@@ -55,12 +55,12 @@ def test_toppras_motion_keeps_a_rest_without_acceleration(noisy):
 def test_no_optimum_on_a_path_is_slower_than_toppras_motion(noisy):
     found = solve(noisy)
     assert found.status is SolveStatus.OPTIMAL
-    assert found.assessment.feasible(CERTIFIED)
+    assert found.assessment.feasible(CERTIFICATE_TOLERANCE)
     assert found.objective.value <= 1.005 * found.baselines["toppra"].objective
 
 
-def test_an_optimiser_that_stays_behind_hands_out_toppras_motion(noisy, monkeypatch):
-    monkeypatch.setattr("stiffopt.solver.verdict._WORSE", -1.0)
+def test_toppra_motion_replaces_a_slower_optimum(noisy, monkeypatch):
+    monkeypatch.setattr("stiffopt.solver.verdict._MIN_BASELINE_GAIN", -1.0)
     found = solve(noisy)
     assert found.status is SolveStatus.OPTIMAL
     assert found.objective.value == found.baselines["toppra"].objective
@@ -82,7 +82,7 @@ def test_starts_on_a_path_differ_in_their_timing(noisy):
     motion = resolve(noisy)
     guess = initial_guess(noisy, motion, baselines(noisy, motion))
     random, at = np.random.default_rng(1), np.linspace(0.0, 1.0, 2001)
-    starts = [_perturbed(guess, noisy, random).states(at) for _ in range(2)]
+    starts = [perturb_guess(guess, noisy, random).states(at) for _ in range(2)]
     for states in (*starts, guess.states(at)):
         rate = np.gradient(states[:, 0], at * guess.duration)
         assert np.allclose(states[:, 1], rate, atol=0.03)
@@ -94,10 +94,10 @@ def test_starts_on_a_path_differ_in_their_timing(noisy):
 def test_only_the_shortest_duration_on_a_path_is_called_a_global_optimum(noisy):
     beside = baselines(noisy, resolve(noisy))
     assert has_one_optimum(noisy, beside)
-    assert "global" in optimum_reach(noisy, beside, 1)
+    assert "global" in describe_optimality(noisy, beside, 1)
     other = replace(noisy, objectives=(Objective(name="torque_squared"),))
     assert not has_one_optimum(other, beside)
-    said = optimum_reach(other, beside, 3)
+    said = describe_optimality(other, beside, 3)
     assert "local optimum" in said
     assert "3 starts" in said
     assert "toppra" in said

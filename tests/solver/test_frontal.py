@@ -43,7 +43,7 @@ def solved(path, matrix, right):
 
 
 def system(random, unknowns, equations, rows, width, dense=0):
-    """As of an interior-point method, in any order: unknowns, slacks, equations, rows."""
+    """Linear system of an interior-point method, in random order."""
 
     def windows(count):
         found = np.zeros((count, unknowns))
@@ -105,7 +105,7 @@ def test_variables_of_one_row_only_are_no_slacks(made):
     assert np.abs(matrix @ x - right).max() < 1e-12 * np.abs(matrix).max() * np.abs(x).max()
 
 
-def test_a_singular_system_is_told(made):
+def test_singular_system_is_reported(made):
     random = np.random.default_rng(1)
     matrix = system(random, 20, 4, 30, 5)
     # One equation twice.
@@ -114,7 +114,7 @@ def test_a_singular_system_is_told(made):
 
 
 def test_entries_between_rows_of_two_pairs_are_allowed(made):
-    # Two leaves whose rows meet: only one of them may go by itself.
+    # Two leaves whose rows meet: only one of them may be eliminated alone.
     matrix = np.diag([1.0, 0.0, 0.0, 2.0])
     for i, j in ((0, 1), (1, 2), (2, 3)):
         matrix[i, j] = matrix[j, i] = -1.0
@@ -128,7 +128,7 @@ def rows_on_a_pendulum(states, controls):
 
 
 @pytest.mark.parametrize("stage_row", [None, rows_on_a_pendulum])
-def test_ipopt_goes_the_same_way_as_with_mumps(stage_row):
+def test_ipopt_iterates_equal_those_with_mumps(stage_row):
     nlp, x0 = pendulum(stage_row)
     slow = solver(nlp, linear_solver="mumps").solve(x0, GRAVITY)
     assert IpoptOptions().for_ipopt()["linear_solver"] == "ma97"

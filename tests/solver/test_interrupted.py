@@ -1,4 +1,4 @@
-"""Ctrl-C between the solver's own runs: what there is, is kept and said."""
+"""Ctrl-C between the solver's runs: the best result so far is kept and reported."""
 
 import json
 import signal
@@ -57,7 +57,7 @@ def test_between_stages_the_last_one_is_kept(stated, monkeypatch):
     assert kept.objective.value < min(b.objective for b in kept.baselines.values())
 
 
-def test_before_any_motion_nothing_is_claimed(stated, monkeypatch):
+def test_interruption_before_any_motion_is_raised(stated, monkeypatch):
     def interrupted(*_):
         raise KeyboardInterrupt
 
@@ -66,7 +66,7 @@ def test_before_any_motion_nothing_is_claimed(stated, monkeypatch):
         solving.solve(stated)
 
 
-def test_from_the_first_second_on_a_command_keeps_a_motion(tmp_path, monkeypatch, capsys):
+def test_command_interrupted_early_returns_a_motion(tmp_path, monkeypatch, capsys):
     path, out = write_problem(tmp_path), tmp_path / "out"
     plain = files.load_problem
 
@@ -80,7 +80,7 @@ def test_from_the_first_second_on_a_command_keeps_a_motion(tmp_path, monkeypatch
         assert run(["solve", str(path), "--out", str(out), "--quiet"]) == 130
         assert capsys.readouterr().out.startswith("interrupted: Stopped by the user before")
         assert json.loads((out / "result.json").read_text())["status"] == "interrupted"
-        # What lies there already is better than a baseline.
+        # An earlier result is better than a baseline.
         earlier = {each.name: each.read_bytes() for each in out.iterdir() if each.is_file()}
         assert run(["solve", str(path), "--out", str(out), "--quiet"]) == 130
         assert "the earlier answer" in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""How solves end: limits, Ctrl-C, errors, and what is kept."""
+"""Ends of IPOPT solves: limits, Ctrl-C, errors, best iterate."""
 
 import os
 import signal
@@ -176,7 +176,7 @@ def test_a_warm_start_saves_iterations():
 
 
 def test_a_feasible_iterate_is_never_called_infeasible(monkeypatch):
-    monkeypatch.setitem(ipopt._STATUS, "Maximum_Iterations_Exceeded", "infeasible")
+    monkeypatch.setitem(ipopt._STATUS_BY_RETURN_STATUS, "Maximum_Iterations_Exceeded", "infeasible")
     made, x0 = pendulum()
     best = solver(made).solve(x0, GRAVITY)
     near = solver(made, max_iterations=1).solve(best.x, GRAVITY)

@@ -1,4 +1,4 @@
-"""What is taken where the last mesh has its rows drawn in between the nodes."""
+"""Refinement: back-off of rows between the nodes of the last mesh."""
 
 from dataclasses import replace
 
@@ -6,13 +6,13 @@ import pytest
 from small_arms import ROOT, joint, load, problem_text, reducer, write_robot
 
 from stiffopt.certificate.objective_value import objective_value
-from stiffopt.certificate.violations import CERTIFIED
+from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
 from stiffopt.problem.files import load_problem
 from stiffopt.problem.objective import Objective
 from stiffopt.problem.smoothing import Smoothing
 from stiffopt.result.status import SolveStatus
 from stiffopt.solver import refinement
-from stiffopt.solver.solve import solve, solve_keeping
+from stiffopt.solver.solve import solve, solve_with_state
 
 NOISY_PATH = ROOT.parent / "shared" / "cases" / "planning" / "w04_noisy60.toml"
 PEAK = 'objective = "dynamic_deflection"\nmeasure = "peak"'
@@ -27,45 +27,45 @@ def problem(tmp_path_factory):
 @pytest.fixture
 def coarse(monkeypatch):
     """The mesh stays, so that a peak between its nodes is left to the rows."""
-    monkeypatch.setattr(refinement, "_REFINEMENTS", 0)
-    monkeypatch.setattr(refinement, "TRUE_OBJECTIVE", 0.004)
+    monkeypatch.setattr(refinement, "_MAX_REFINEMENTS", 0)
+    monkeypatch.setattr(refinement, "MAX_OBJECTIVE_GAP", 0.004)
 
 
 def left_alone(problem, monkeypatch):
     """The solution without corrections of the last mesh."""
     with monkeypatch.context() as plain:
-        plain.setattr(refinement, "_without_bulges", lambda run, outcome: outcome)
+        plain.setattr(refinement, "_remove_excess_between_nodes", lambda run, outcome: outcome)
         return solve(problem, throw=False)
 
 
-def test_a_correction_that_runs_out_of_time_replaces_no_optimum(problem, coarse, monkeypatch):
+def test_timed_out_correction_keeps_the_optimum(problem, coarse, monkeypatch):
     before = left_alone(problem, monkeypatch)
     assert before.status.usable
-    plain, calls = refinement.corrected, []
+    plain, calls = refinement.solve_correction, []
 
     def late(*given):
         calls.append(given)
         return replace(plain(*given), status="time_limit")
 
-    monkeypatch.setattr(refinement, "corrected", late)
+    monkeypatch.setattr(refinement, "solve_correction", late)
     after = solve(problem, throw=False)
     assert calls
     assert after.status is before.status
     assert after.objective.value == before.objective.value
 
 
-def test_ctrl_c_in_a_correction_is_told(problem, coarse, monkeypatch):
+def test_ctrl_c_in_a_correction_is_reported(problem, coarse, monkeypatch):
     def interrupted(*_):
         raise KeyboardInterrupt
 
     before = left_alone(problem, monkeypatch)
-    monkeypatch.setattr(refinement, "corrected", interrupted)
+    monkeypatch.setattr(refinement, "solve_correction", interrupted)
     after = solve(problem, throw=False)
     assert after.status is SolveStatus.INTERRUPTED
     assert after.objective.value == before.objective.value
 
 
-def test_a_correction_with_a_worse_peak_is_not_taken(problem, coarse, monkeypatch):
+def test_correction_with_worse_objective_is_rejected(problem, coarse, monkeypatch):
     before = left_alone(problem, monkeypatch)
     values = []
 
@@ -74,11 +74,11 @@ def test_a_correction_with_a_worse_peak_is_not_taken(problem, coarse, monkeypatc
             run, outcome, nlp, Smoothing(64.0 * outcome.smoothing.stiffness)
         )
         assert worse.raw.converged
-        assert worse.assessment.feasible(CERTIFIED)
+        assert worse.assessment.feasible(CERTIFICATE_TOLERANCE)
         values.append(objective_value(run.problem, worse.assessment).value)
         return replace(worse, objective_gap=0.0), nlp
 
-    monkeypatch.setattr(refinement, "_within_rows", nearer_but_worse)
+    monkeypatch.setattr(refinement, "_back_off_rows", nearer_but_worse)
     after = solve(problem, throw=False)
     assert values[0] > before.objective.value
     assert after.objective.value == before.objective.value
@@ -89,54 +89,52 @@ def test_nothing_is_solved_again_where_no_row_is_exceeded(problem, monkeypatch):
         raise AssertionError
 
     smooth = replace(problem, objectives=(Objective(name="torque_squared"),))
-    _, kept = solve_keeping(smooth)
+    _, kept = solve_with_state(smooth)
     run, outcome = kept
-    monkeypatch.setattr(refinement, "corrected", never)
+    monkeypatch.setattr(refinement, "solve_correction", never)
     worse = replace(outcome, objective_gap=0.5)
-    after, _ = refinement._within_rows(run, worse, worse.transcription.nlp)
+    after, _ = refinement._back_off_rows(run, worse, worse.transcription.nlp)
     assert after is worse
 
 
-def test_a_bend_that_the_smooth_law_rounds_off_is_drawn_in(tmp_path, coarse, monkeypatch):
+def test_excess_hidden_by_smoothing_is_backed_off(tmp_path, coarse, monkeypatch):
     soft = reducer(k1=3e3, k2=9e3, k3=1.2e4)
     softer = reducer(k1=1e3, k2=3e3, k3=6e3, t1=1.0)
     write_robot(tmp_path, "planar", [joint("shoulder", soft), joint("elbow", softer)])
     path = tmp_path / "problem.toml"
     path.write_text(problem_text("planar", duration="0.8", minimise=PEAK, method="intervals = 16"))
     stated = load_problem(path).problem
-    found, (_, outcome) = solve_keeping(stated)
-    monkeypatch.setattr(refinement, "_BENDS", 1.0)
-    rounded, (_, before) = solve_keeping(stated)
-    assert before.objective_gap > refinement.TRUE_OBJECTIVE
+    found, (_, outcome) = solve_with_state(stated)
+    monkeypatch.setattr(refinement, "_CHECK_SMOOTHING_SHARE", 1.0)
+    rounded, (_, before) = solve_with_state(stated)
+    assert before.objective_gap > refinement.MAX_OBJECTIVE_GAP
     assert outcome.objective_gap < 0.3 * before.objective_gap
     assert found.objective.value < rounded.objective.value
-    assert found.assessment.feasible(CERTIFIED)
+    assert found.assessment.feasible(CERTIFICATE_TOLERANCE)
 
 
 @pytest.mark.parametrize(("excess", "wider"), [(29.0, True), (0.5, False)])
-def test_corners_get_wider_before_the_first_correction_of_a_spike(
-    tmp_path, monkeypatch, excess, wider
-):
+def test_smoothing_widens_before_correcting_a_spike(tmp_path, monkeypatch, excess, wider):
     soft = joint("swivel", reducer(k1=100.0, k2=300.0, k3=500.0, t1=0.3, t2=0.9))
     write_robot(tmp_path, "swivel", [soft])
     path = tmp_path / "problem.toml"
     path.write_text(problem_text("swivel", duration="0.6", minimise='objective = "tool_deviation"'))
-    _, (run, outcome) = solve_keeping(load_problem(path).problem)
+    _, (run, outcome) = solve_with_state(load_problem(path).problem)
     tried = []
 
     def never_solved(run, made, raw, nlp, smoothing):
         tried.append(smoothing.corners)
         return replace(raw, status="iteration_limit")
 
-    monkeypatch.setattr(refinement, "_excess", lambda _: {"jerk": excess})
-    monkeypatch.setattr(refinement, "corrected", never_solved)
-    refinement._within_rows(run, outcome, outcome.transcription.nlp)
+    monkeypatch.setattr(refinement, "_excess_by_limit", lambda _: {"jerk": excess})
+    monkeypatch.setattr(refinement, "solve_correction", never_solved)
+    refinement._back_off_rows(run, outcome, outcome.transcription.nlp)
     before = outcome.smoothing.corners
     assert len(tried) == 1
     assert (tried[0] > 1.3 * before) == wider
 
 
-def test_a_via_that_late_windup_would_miss_is_met(tmp_path):
+def test_via_is_met_despite_delayed_windup(tmp_path):
     # Much damping: motors lag behind by more than the via may be missed by.
     write_robot(
         tmp_path,

@@ -1,4 +1,4 @@
-"""Plans that are chosen for arms that are not as modelled, where an uncertainty is stated."""
+"""Robust plans, chosen for uncertain arms where an uncertainty is stated."""
 
 from __future__ import annotations
 
@@ -8,23 +8,23 @@ import numpy as np
 import pytest
 from small_arms import load
 
-from stiffopt.certificate.violations import CERTIFIED
+from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
 from stiffopt.elastic.uncertainty import AssumedUncertainty, Uncertainty
 from stiffopt.problem.objective import Objective
 from stiffopt.problem.resolve import resolve
 from stiffopt.result.status import SolveStatus
 from stiffopt.solver import robust_plan
-from stiffopt.solver.compensation import compensated
-from stiffopt.solver.shaping import windows_for_arms
+from stiffopt.solver.compensation import compensate_motion
+from stiffopt.solver.input_shaping import windows_for_arms
 from stiffopt.solver.simulation import PlannedMotion, elastic_arm
-from stiffopt.solver.solve import solve, solve_keeping
+from stiffopt.solver.solve import solve, solve_with_state
 
 DEVIATION = 'objective = "tool_deviation"'
 
 
 @pytest.fixture(scope="module")
 def problem(tmp_path_factory):
-    """A planar arm, nothing stated of what is uncertain."""
+    """A planar arm without stated uncertainties."""
     return load(tmp_path_factory.mktemp("arm"), minimise=DEVIATION)
 
 
@@ -50,15 +50,15 @@ def at_worst(problem, solution):
     """Share of the wind-up that the command leads by; worst peaks in flight and after arrival."""
     arm = elastic_arm(problem, solution.assessment.position[0])
     own = PlannedMotion.of("optimised", solution.assessment, True)
-    motion, _ = compensated(problem, arm, replace(own, motors=solution.trajectory))
+    motion, _ = compensate_motion(problem, arm, replace(own, motors=solution.trajectory))
     assert motion.excess == ()
     return motion.share, motion.compensated.flight.worst, motion.compensated.after.worst
 
 
-def test_little_of_the_objective_is_given_for_a_slower_deviation(solved):
+def test_objective_cost_of_a_slower_deviation_is_small(solved):
     least, found = solved
     assert found.status is SolveStatus.OPTIMAL
-    assert found.assessment.feasible(CERTIFIED)
+    assert found.assessment.feasible(CERTIFICATE_TOLERANCE)
     cost = found.objective.value / least.objective.value - 1.0
     assert -1e-3 < cost < 1e-2
     assert rate(found) < 0.97 * rate(least)
@@ -72,7 +72,7 @@ def test_the_command_deviates_less_on_the_worst_arm(unsure, solved):
     assert sum(found) < sum(least)
 
 
-def test_stated_is_what_somebody_said(problem, unsure, tmp_path):
+def test_only_given_uncertainty_counts_as_stated(problem, unsure, tmp_path):
     assert not problem.uncertainty.stated
     assert not problem.chosen_for_other_arms
     assert unsure.uncertainty.stated
@@ -83,7 +83,7 @@ def test_stated_is_what_somebody_said(problem, unsure, tmp_path):
     assert replace(problem.uncertainty, payload=0.3) != AssumedUncertainty()
 
 
-def test_only_a_deviation_alone_and_of_fixed_duration_is_chosen_so(unsure):
+def test_robust_plan_needs_single_deviation_and_fixed_duration(unsure):
     for changes in (
         {"duration": (0.3, 0.6)},
         {"objectives": (*unsure.objectives, Objective(name="torque_squared"))},
@@ -93,27 +93,27 @@ def test_only_a_deviation_alone_and_of_fixed_duration_is_chosen_so(unsure):
         assert not replace(unsure, **changes).chosen_for_other_arms
 
 
-def test_a_motion_that_costs_too_much_is_not_taken(unsure, monkeypatch):
+def test_too_costly_motion_is_rejected(unsure, monkeypatch):
     monkeypatch.setattr("stiffopt.solver.solve.robust_plan", lambda run, outcome: outcome)
-    _, (run, outcome) = solve_keeping(unsure)
+    _, (run, outcome) = solve_with_state(unsure)
     monkeypatch.undo()
-    monkeypatch.setattr(robust_plan, "_COST_CERTIFIED", -1.0)
+    monkeypatch.setattr(robust_plan, "_MAX_CERTIFIED_COST", -1.0)
     bounds = outcome.solver.nlp
     assert robust_plan.robust_plan(run, outcome) is outcome
     assert outcome.solver.nlp is bounds
 
 
-def test_stopped_on_the_way_the_least_motion_stays(unsure, monkeypatch):
+def test_interruption_keeps_the_optimum(unsure, monkeypatch):
     def interrupted(*_):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(robust_plan, "solve_again", interrupted)
     found = solve(unsure, throw=False)
     assert found.status is SolveStatus.INTERRUPTED
-    assert found.assessment.feasible(CERTIFIED)
+    assert found.assessment.feasible(CERTIFICATE_TOLERANCE)
 
 
-def test_a_root_mean_square_is_chosen_so_as_well(unsure):
+def test_rms_objective_has_a_robust_plan(unsure):
     goal = Objective(name="tool_deviation", measure="rms")
     found = solve(replace(unsure, objectives=(goal,)))
     least = solve(replace(unsure, objectives=(goal,), uncertainty=AssumedUncertainty()))
@@ -123,23 +123,21 @@ def test_a_root_mean_square_is_chosen_so_as_well(unsure):
 
 @pytest.fixture(scope="module")
 def averaged(problem):
-    """More may be given than the optimum averaged over most of a swing costs."""
+    """The price exceeds the cost of a motion averaged over most of a period."""
     generous = replace(problem, uncertainty=Uncertainty(price=1.0))
     return generous, solve(generous)
 
 
-def test_a_motion_averaged_over_a_swing_is_taken_where_it_gains_more_than_it_costs(
-    unsure, solved, averaged
-):
+def test_shaped_motion_is_used_where_its_gain_exceeds_its_cost(unsure, solved, averaged):
     least, near = solved
     problem, found = averaged
     assert found.status is SolveStatus.OPTIMAL
     assert found.objective.name == "tool_deviation"
     assert found.solver.iterations > near.solver.iterations
-    assert found.assessment.feasible(CERTIFIED)
+    assert found.assessment.feasible(CERTIFICATE_TOLERANCE)
     given = [note for note in found.notes if note.startswith("As [uncertainty] is stated, ")]
     assert len(given) == 1
-    assert "swings on less" in given[0]
+    assert "residual vibration is smaller" in given[0]
     assert any(note.startswith("Averaged over") for note in found.notes)
     cost = found.objective.value / least.objective.value
     assert 1.01 < cost < 2.0
@@ -147,7 +145,7 @@ def test_a_motion_averaged_over_a_swing_is_taken_where_it_gains_more_than_it_cos
     assert sum(after) * cost < sum(before)
 
 
-def test_nothing_is_given_where_nothing_may(problem, solved):
+def test_zero_price_keeps_the_optimum(problem, solved):
     found = solve(replace(problem, uncertainty=Uncertainty(price=0.0)))
     assert found.objective.value <= (1.0 + 1e-9) * solved[0].objective.value
     assert not any("As [uncertainty] is stated" in note for note in found.notes)
@@ -161,11 +159,11 @@ def test_windows_that_cost_too_much_are_not_tried(problem):
     assert [share for share, _ in tried[-1]] == [1.0, 0.75, 0.5]
 
 
-def test_stopped_while_averaging_what_was_found_stays(averaged, monkeypatch):
+def test_interruption_of_shaping_keeps_the_solution(averaged, monkeypatch):
     def interrupted(*_):
         raise KeyboardInterrupt
 
     monkeypatch.setattr("stiffopt.solver.solve.solve_shaped", interrupted)
     found = solve(averaged[0], throw=False)
     assert found.status is SolveStatus.INTERRUPTED
-    assert found.assessment.feasible(CERTIFIED)
+    assert found.assessment.feasible(CERTIFICATE_TOLERANCE)

@@ -1,4 +1,4 @@
-"""Solutions on the elastic arm: what is simulated, counted, compared and said."""
+"""Elastic simulation of solutions and baselines: files, comparison, messages."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pytest
 from small_arms import load
 
 from stiffopt.baseline.baselines import baselines, slowed_quintic
-from stiffopt.certificate.violations import CERTIFIED
+from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
 from stiffopt.elastic.uncertainty import Uncertainty
 from stiffopt.errors import RobotError
 from stiffopt.problem.resolve import resolve
@@ -59,7 +59,7 @@ def test_headline_and_comparison_are_of_the_simulated_motion(solved):
     assert bool(said) is (abs(found.peak / solution.simulation.optimised.planned.peak - 1) > 0.1)
 
 
-def test_a_difference_from_the_plan_is_laid_to_what_the_plan_leaves_out(solved, tmp_path):
+def test_difference_from_plan_is_attributed_to_omitted_effects(solved, tmp_path):
     problem, solution = solved
     simulation = solution.simulation
     first = simulation.optimised
@@ -80,7 +80,7 @@ def test_only_the_motion_compared_with_is_said_to_be_excused(solved):
     other = next(name for name in ("toppra", "quintic") if name != counted)
 
     def excused(name):
-        """Whether the comparison excuses a baseline that exceeds a limit."""
+        """Return True where the comparison excuses a baseline that exceeds a limit."""
         baseline = solution.baselines[name]
         worst = replace(baseline.assessment.violations[0], value=1.0)
         assessment = replace(baseline.assessment, violations=(worst,))
@@ -116,10 +116,12 @@ def test_a_quintic_that_exceeds_a_limit_is_slowed_until_it_does_not(tmp_path):
     quintic = baselines(problem, motion)["quintic"]
     assert not quintic.feasible
     slowed = slowed_quintic(problem, motion)
-    assert slowed.feasible(CERTIFIED)
-    # Velocity alone binds, which goes with one over the duration.
+    assert slowed.feasible(CERTIFICATE_TOLERANCE)
+    # Only the velocity limit is active, which scales with one over the duration.
     excess = next(v.value for v in quintic.assessment.violations if v.limit == "velocity")
-    assert slowed.duration == pytest.approx(0.5 * (1 + excess) / (1 + CERTIFIED), rel=3e-3)
+    assert slowed.duration == pytest.approx(
+        0.5 * (1 + excess) / (1 + CERTIFICATE_TOLERANCE), rel=3e-3
+    )
 
 
 def test_damping_beyond_critical_is_refused_before_solving(tmp_path):
@@ -145,7 +147,7 @@ def test_an_arm_that_cannot_be_simulated_keeps_its_solution_with_a_note(solved):
 def test_other_parts_of_the_deflection_are_simulated_too(part, tmp_path):
     force = "[tool]\nprocess_force = [5.0, 2.0, -20.0]"
     goal = f'objective = "{part}_deflection"\nmeasure = "rms"'
-    # Slow enough to be nearly what is planned quasi-statically.
+    # Slow enough to be nearly quasi-static.
     problem = replace(load(tmp_path, minimise=goal, extra=force), duration=(3.0, 3.0))
     solution = solve(problem, simulate=True)
     simulation = solution.simulation
@@ -163,11 +165,11 @@ def test_other_parts_of_the_deflection_are_simulated_too(part, tmp_path):
 @pytest.mark.parametrize(
     ("stage", "told"),
     [
-        ("compensate", "no command.csv was made; solve again for it"),
-        ("simulate_motions", "`stiffopt simulate` does it anew"),
+        ("compensate", "no command.csv was written; solve again for it"),
+        ("simulate_motions", "`stiffopt simulate` repeats it"),
     ],
 )
-def test_an_interruption_tells_what_was_not_made(solved, monkeypatch, stage, told):
+def test_interruption_names_missing_results(solved, monkeypatch, stage, told):
     problem, solution = solved
 
     def interrupted(*_, **__):
@@ -181,7 +183,7 @@ def test_an_interruption_tells_what_was_not_made(solved, monkeypatch, stage, tol
     assert ("stiffopt simulate" in found.notes[-1]) == (stage == "simulate_motions")
 
 
-def test_no_command_is_chosen_where_nothing_asks_how_the_arm_yields(tmp_path):
+def test_no_command_without_elastic_objective_or_limit(tmp_path):
     plain = load(tmp_path, duration="0.6")
     solution = solve(plain, simulate=True)
     assert solution.simulation is not None

@@ -1,9 +1,9 @@
-"""A motion that makes a connection slip: told by name, with what it holds, and drawn."""
+"""A motion that makes a connection slip: name, slip torque, report."""
 
 import pytest
 from small_arms import load, on_one_element, small_flange
 
-from stiffopt.certificate.slipping import slips
+from stiffopt.certificate.violations import find_slips
 from stiffopt.report.solve.page import write_solve_report
 from stiffopt.solver.solve import solve
 
@@ -16,9 +16,9 @@ def slipping(request, tmp_path_factory):
     return request.param, problem, solve(problem, throw=False)
 
 
-def test_what_slips_is_named_with_what_it_holds(slipping):
+def test_slipping_connection_is_named_with_its_slip_torque(slipping):
     name, problem, solution = slipping
-    (slip,) = slips(problem.robot, solution.assessment)
+    (slip,) = find_slips(problem.robot, solution.assessment)
     assert (slip.element, slip.joint) == ("flange", 1)
     assert slip.holds == pytest.approx(12.0e-3 * 200.0, rel=1e-2)
     assert slip.carries == pytest.approx(abs(solution.assessment.spring_torque).max())
@@ -31,7 +31,7 @@ def test_what_slips_is_named_with_what_it_holds(slipping):
         assert any(text in note for note in solution.notes)
 
 
-def test_its_pages_are_written(slipping, tmp_path):
+def test_report_of_slipping_motion_is_written(slipping, tmp_path):
     _, problem, solution = slipping
     page = write_solve_report(problem, solution, tmp_path)
     assert "slips" in page.read_text()

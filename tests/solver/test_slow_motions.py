@@ -1,4 +1,4 @@
-"""Motions that are slow beside what the drives can do: scaled by themselves, lowered enough."""
+"""Motions slow beside the drive limits: scaling, sufficient objective."""
 
 import numpy as np
 import pytest
@@ -32,7 +32,7 @@ def test_fast_motions_are_scaled_by_the_limits():
     )
 
 
-def test_how_low_an_objective_is_asked_to_be():
+def test_sufficient_objective_value():
     moving = OBJECTIVES["tool_deviation"]
     assert moving.enough(1e-3) == 5e-6
     assert moving.enough(9e-6) == pytest.approx(3e-6)
@@ -43,7 +43,7 @@ def test_how_low_an_objective_is_asked_to_be():
 @pytest.mark.parametrize(
     ("name", "seconds"), [("er3a_pick_and_place", 10.0), ("ur10_tool_deviation", 12.0)]
 )
-def test_a_slow_motion_ends_as_low_as_is_enough(name, seconds):
+def test_slow_motion_stops_at_sufficient_objective(name, seconds):
     found = solve(slow(name, seconds))
     assert found.status in (SolveStatus.OPTIMAL, SolveStatus.ACCEPTABLE)
     assert found.ratio_to_better_baseline < 0.5

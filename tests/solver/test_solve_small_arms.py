@@ -1,4 +1,4 @@
-"""From a problem file to a certified motion, on arms whose answers can be checked by hand."""
+"""Certified solutions of problem files, for arms whose optima can be checked by hand."""
 
 from dataclasses import replace
 
@@ -30,7 +30,7 @@ def violation(solution, limit):
 
 
 def test_least_acceleration_is_a_known_polynomial(tmp_path):
-    """From rest to rest with free acceleration, the least squared acceleration is 12 d^2 / T^3."""
+    """The least squared acceleration from rest to rest is 12 d^2 / T^3."""
     _, solution = solved(
         tmp_path,
         "swivel",
@@ -276,7 +276,7 @@ def test_too_short_a_duration_ends_with_the_limits_that_conflict(tmp_path):
     assert solution.solver.solve_s < 20
     assert "joint 1" in solution.message
     assert "longer duration" in solution.message
-    # What cannot hold is named by the limit, not only by its number.
+    # Conflicts are named by the limit, not only by number.
     assert "acceleration" in solution.message or "torque" in solution.message
     assert solution.status.exit_code == 3
 
@@ -294,7 +294,7 @@ def test_a_time_limit_keeps_the_best_motion(tmp_path):
     assert "method.time_limit" in solution.message
 
 
-def test_what_cannot_hold_is_named_though_the_time_is_up(tmp_path):
+def test_conflict_is_named_at_the_time_limit(tmp_path):
     problem = load(
         tmp_path,
         duration="0.32",
@@ -304,7 +304,7 @@ def test_what_cannot_hold_is_named_though_the_time_is_up(tmp_path):
     )
     solution = solve(problem, throw=False)
     assert solution.status is SolveStatus.TIME_LIMIT
-    named = solution.message.partition("Furthest from being kept in the programme: ")[2]
+    named = solution.message.partition("Worst row of the programme: ")[2]
     assert named.startswith("dynamic_deflection, tool")
 
 
@@ -316,8 +316,8 @@ def test_a_deflection_that_no_motion_of_the_duration_meets_names_a_longer_one(tm
     }
     solution = solve(load(tmp_path, duration="0.5", **pieces), throw=False)
     assert solution.status is SolveStatus.INFEASIBLE
-    assert "limits.dynamic_deflection = 0.05 mm is hardly to be met" in solution.message
-    assert "0.994 mm at the tool in the toppra motion of 0.5 s" in solution.message
+    assert "limits.dynamic_deflection = 0.05 mm is out of reach" in solution.message
+    assert "by 0.994 mm in the toppra motion of 0.5 s" in solution.message
     assert "allow about 2.2 s" in solution.message
     assert solve(load(tmp_path, duration="2.3", **pieces), throw=False).status.usable
 
@@ -340,10 +340,10 @@ def test_several_starts_are_no_worse(tmp_path):
 
 
 @pytest.mark.parametrize("why", ["worse", "exceeds a limit"])
-def test_a_motion_behind_a_baseline_is_sought_again_from_there(tmp_path, monkeypatch, why):
+def test_solve_restarts_from_a_better_baseline(tmp_path, monkeypatch, why):
     problem = load(tmp_path, minimise='objective = "torque_squared"')
     begun = []
-    best_of_starts, certified_solve = solve_module._best_of_starts, solve_module._certified_solve
+    best_of_starts, certified_solve = solve_module._best_of_starts, solve_module._solve_and_refine
 
     def behind(run, guess, rival):
         found = best_of_starts(run, guess, rival)
@@ -361,14 +361,14 @@ def test_a_motion_behind_a_baseline_is_sought_again_from_there(tmp_path, monkeyp
 
     expected = solve(problem).objective.value
     monkeypatch.setattr(solve_module, "_best_of_starts", behind)
-    monkeypatch.setattr(solve_module, "_certified_solve", counted)
+    monkeypatch.setattr(solve_module, "_solve_and_refine", counted)
     solution = solve(problem)
     assert len(begun) == 2
     assert solution.status is SolveStatus.OPTIMAL
     assert solution.objective.value == pytest.approx(expected, rel=1e-6)
 
 
-def test_how_far_apart_several_starts_end_is_told(tmp_path):
+def test_spread_of_several_starts_is_noted(tmp_path):
     told = solve(load(tmp_path, "swivel", method="intervals = 16\nstarts = 3")).notes
     assert any(
         "Of 3 starts 3 ended in a certified optimum: 3 within 1 % of" in note for note in told

@@ -1,4 +1,4 @@
-"""How fine meshes are reached."""
+"""Stages: meshes, smoothing and solver options."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -10,10 +10,10 @@ from stiffopt.problem.files import load_problem
 from stiffopt.problem.formulation import Scales, formulate
 from stiffopt.problem.objective import Objective
 from stiffopt.problem.resolve import resolve
-from stiffopt.solver.guess import initial_guess
+from stiffopt.solver.initial_guess import initial_guess
 from stiffopt.solver.ipopt import IpoptSolver
-from stiffopt.solver.plan import solver_options, stages
 from stiffopt.solver.solve_run import SolveRun
+from stiffopt.solver.stage_plan import plan_stages, solver_options
 from stiffopt.transcription.build import transcribe
 from stiffopt.transcription.mesh import uniform_mesh
 
@@ -25,22 +25,22 @@ PROBLEMS = Path(__file__).resolve().parents[2] / "problems"
 )
 def test_first_meshes_of_a_peak_do_not_grow_with_the_last(intervals, expected):
     problem = load_problem(PROBLEMS / "ur10_dynamic_deflection.toml").problem
-    assert [stage.intervals for stage in stages(problem, intervals)] == expected
+    assert [stage.intervals for stage in plan_stages(problem, intervals)] == expected
 
 
 @pytest.mark.parametrize(("jerk", "corners"), [(1.0, 1.0), (0.3, 2.0)])
-def test_a_solve_begins_with_corners_as_wide_as_a_smooth_motion_needs(jerk, corners):
+def test_initial_smoothing_is_as_wide_as_a_smooth_motion_needs(jerk, corners):
     # With 0.3 of the jerk, the narrowest law asks for 2.3 times the limit, the next for 1.5 times.
     changes = [f"limits.scale.jerk={jerk}"]
     problem = load_problem(PROBLEMS / "ur10_tool_deviation.toml", changes).problem
     motion = resolve(problem)
     quintic = baselines(problem, motion)["quintic"]
     run = SolveRun(problem, motion, Scales(), None, quintic)
-    assert run.corners == corners
-    assert {s.smoothing.corners for s in stages(problem, 40, run.corners)} == {corners}
+    assert run.motor_smoothing == corners
+    assert {s.smoothing.corners for s in plan_stages(problem, 40, run.motor_smoothing)} == {corners}
 
 
-def test_a_minimum_duration_is_not_first_led_far_from_where_it_begins():
+def test_minimum_duration_starts_near_the_guess():
     problem = load_problem(PROBLEMS / "ur10_torque_squared.toml").problem
     problem = replace(problem, duration=(0.3, 5.0), objectives=(Objective(name="duration"),))
     motion = resolve(problem)

@@ -1,4 +1,4 @@
-"""What a problem may ask for, and what is said when it asks for the impossible."""
+"""Problem statements: checks before solving, and messages of impossible ones."""
 
 from dataclasses import replace
 
@@ -13,7 +13,7 @@ from stiffopt.problem.formulation import Scales, formulate
 from stiffopt.problem.resolve import resolve
 from stiffopt.result.status import SolveStatus
 from stiffopt.result.trajectory import Trajectory
-from stiffopt.solver.verdict import closer_model, named_conflicts
+from stiffopt.solver.verdict import model_accuracy_advice, named_conflicts
 from stiffopt.transcription.build import transcribe
 from stiffopt.transcription.mesh import uniform_mesh
 from stiffopt.transcription.nlp import NlpEntry
@@ -51,7 +51,7 @@ def test_boundary_velocities_are_certified(tmp_path):
     assert worst.value == pytest.approx(99.0)
 
 
-def test_objectives_that_nothing_can_change_are_refused(tmp_path):
+def test_constant_objectives_are_refused(tmp_path):
     problem = load(tmp_path, "planar")
     with pytest.raises(ProblemError, match=r"tool\.process_force"):
         replace(problem, objectives=(Objective(name="process_deflection", measure="rms"),))
@@ -59,11 +59,13 @@ def test_objectives_that_nothing_can_change_are_refused(tmp_path):
         replace(problem, objectives=(Objective(name="duration"),))
 
 
-def test_a_plan_of_the_links_comes_closer_with_more_intervals(tmp_path):
+def test_model_accuracy_advice_names_more_intervals(tmp_path):
     problem = load(tmp_path, "planar")
     swinging = replace(problem, objectives=(Objective(name="tool_deviation", measure="peak"),))
-    assert "report the robot" in closer_model(problem)
-    assert f"More than {problem.method.intervals} method.intervals" in closer_model(swinging)
+    assert "report the robot" in model_accuracy_advice(problem)
+    assert f"More than {problem.method.intervals} method.intervals" in model_accuracy_advice(
+        swinging
+    )
 
 
 def test_python_arguments_are_checked_like_files(tmp_path):
@@ -117,7 +119,7 @@ def test_conflicts_are_limits_by_their_names():
     )
 
 
-def test_limits_at_vias_and_free_ends_are_no_given_poses():
+def test_limits_at_vias_and_free_ends_are_named_as_limits():
     entries = [
         entry("control", "acceleration of joint 1", 0.0),
         entry("control", "acceleration of joint 2", 0.0, phase=1),
@@ -130,7 +132,7 @@ def test_limits_at_vias_and_free_ends_are_no_given_poses():
 
 
 @pytest.mark.parametrize("acceleration", ["zero", "free"])
-def test_a_programme_knows_what_is_given_at_its_ends(tmp_path, acceleration):
+def test_programme_marks_fixed_end_values(tmp_path, acceleration):
     via = "via = [{ joints = [0.0, 0.3] }]"
     problem = load(tmp_path, motion=f'boundary_acceleration = "{acceleration}"\n{via}')
     stated = formulate(problem, resolve(problem), Scales())
@@ -151,7 +153,7 @@ def test_a_ratio_needs_positive_values(tmp_path):
     assert improvement(problem, -0.2, 0.4) is None
 
 
-def test_a_slide_is_told_in_its_own_units(tmp_path):
+def test_prismatic_joint_is_reported_in_its_units(tmp_path):
     with pytest.raises(ProblemError, match=r"joint 1 at 3 m is outside its range -1 m to 1 m"):
         solve(load(tmp_path, "slide", end="{ joints = [3.0, 0.6] }"))
     floor = "joint_stiffness = { 1 = 2e6 }"
@@ -159,7 +161,7 @@ def test_a_slide_is_told_in_its_own_units(tmp_path):
         solve(load(tmp_path, "slide", limits=floor))
 
 
-def test_a_jerk_limit_on_a_fixed_path_names_the_way_out(tmp_path):
+def test_jerk_limit_on_fixed_path_names_the_remedy(tmp_path):
     problem = load(tmp_path, "planar", limits="jerk = [400.0, 400.0]")
     first, last = problem.start.joints, problem.end.joints
     path = np.linspace(first, last, 5)
@@ -169,7 +171,7 @@ def test_a_jerk_limit_on_a_fixed_path_names_the_way_out(tmp_path):
     assert solve(replace(without, path=path), simulate=False).status is SolveStatus.OPTIMAL
 
 
-def test_a_robots_own_jerk_limit_is_let_go_on_a_fixed_path(tmp_path):
+def test_robot_jerk_limit_is_ignored_on_fixed_path(tmp_path):
     problem = load(tmp_path, "planar", limits='jerk = "none"')
     robot = replace(problem.robot, jerk_max=np.array([400.0, 400.0]))
     path = np.linspace(problem.start.joints, problem.end.joints, 5)

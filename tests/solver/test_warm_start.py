@@ -1,4 +1,4 @@
-"""A solve that begins from the motion of an earlier one."""
+"""Solves that start from the motion of an earlier one."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from stiffopt.errors import ProblemError
 from stiffopt.problem.files import load_problem
 from stiffopt.result.store import export_times, write_trajectory
 from stiffopt.solver.solve import solve
-from stiffopt.solver.stored import read_guess
+from stiffopt.solver.stored_result import read_guess
 
 
 @pytest.fixture(scope="module")
@@ -30,7 +30,7 @@ def cold(tmp_path_factory):
     return folder, problem, solution
 
 
-def test_the_motion_of_a_folder_is_what_was_found(cold):
+def test_guess_of_a_folder_is_its_motion(cold):
     folder, problem, solution = cold
     guess = read_guess(folder, problem)
     assert guess.duration == pytest.approx(solution.guess.duration)
@@ -57,7 +57,7 @@ def test_the_guess_of_a_solution(cold):
         solve(problem, guess=fewer)
 
 
-def test_a_folder_without_a_motion_is_told(cold, tmp_path, capsys):
+def test_folder_without_motion_is_refused(cold, tmp_path, capsys):
     arguments = ["solve", str(cold[0] / "problem.toml"), "--guess", str(tmp_path)]
     assert run([*arguments, "--out", str(tmp_path / "out")]) == 2
     assert "trajectory.csv" in capsys.readouterr().err

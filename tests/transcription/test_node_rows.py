@@ -9,7 +9,7 @@ from stiffopt import native
 from stiffopt.baseline.baselines import baselines
 from stiffopt.problem.formulation import Scales, formulate
 from stiffopt.problem.resolve import resolve
-from stiffopt.solver.guess import initial_guess
+from stiffopt.solver.initial_guess import initial_guess
 from stiffopt.transcription.build import transcribe
 from stiffopt.transcription.mesh import uniform_mesh
 from stiffopt.transcription.node_rows import NodeRows, renumbered, with_node_rows

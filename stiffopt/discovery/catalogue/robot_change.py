@@ -11,8 +11,7 @@ from stiffopt.connection.connection import Connection
 from stiffopt.connection.constant import Constant
 from stiffopt.discovery.effect import FittedEffect, RobotChange
 from stiffopt.discovery.signals import JointConstants
-from stiffopt.drivetrain.chain import Chain
-from stiffopt.drivetrain.stage import Stage
+from stiffopt.drivetrain.chain import Chain, Stage
 from stiffopt.exact.chain import exact_windup
 from stiffopt.robot.robot import Robot
 

@@ -9,7 +9,7 @@ from typing import Any
 
 from stiffopt.certificate.assess import assess
 from stiffopt.certificate.objective_value import objective_value
-from stiffopt.certificate.violations import CERTIFIED
+from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
 from stiffopt.discovery.extended.model import ExtendedModel, load_extended
 from stiffopt.discovery.extended.planner_model import PlannerModel, planner_model
 from stiffopt.discovery.user_effects import load_effects
@@ -126,7 +126,7 @@ def _comparison(loop: ClosedLoop) -> tuple[str, ...]:
             )
         notes.append(_objective(loop, carried))
     worst = carried.worst_violation
-    if worst.value > CERTIFIED:
+    if worst.value > CERTIFICATE_TOLERANCE:
         notes.append(f"The motion planned without it would exceed {worst.describe()}.")
     return tuple(note for note in notes if note)
 

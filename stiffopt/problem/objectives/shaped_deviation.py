@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 class ShapedDeviation(ToolDeviation):
     """Dynamic deflection of a motion planned for the links and averaged over a swing.
 
-    Made by `stiffopt.solver.shaping`: the quasi-static optimum of a shorter time, averaged.
+    Made by `stiffopt.solver.input_shaping`: the quasi-static optimum of a shorter time, averaged.
     """
 
     shaped = True

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from stiffopt.baseline.baselines import better_baseline
-from stiffopt.certificate.violations import CERTIFIED
+from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
 from stiffopt.problem.objective import OBJECTIVES
 from stiffopt.report.common.citations import solve_references
 from stiffopt.report.common.page import Filters, PageFigures, write_page
@@ -90,7 +90,7 @@ def write_solve_report(
         "absent": "".join(f" No {name} motion: {reason}" for name, reason in absent.items()),
         "terms": [] if solution.objective is None else _terms(solution.objective.terms),
         "units": joint_units(problem.robot),
-        "tolerance": CERTIFIED,
+        "tolerance": CERTIFICATE_TOLERANCE,
         "part": part,
         "motions": motions,
         "deflection_parts": parts,

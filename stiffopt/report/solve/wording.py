@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from stiffopt.baseline.baselines import better_baseline
 from stiffopt.certificate.objective_value import is_maximised
-from stiffopt.certificate.violations import CERTIFIED
+from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
 from stiffopt.problem.objective import OBJECTIVES, ObjectiveKind
 from stiffopt.report.common.text import listed, percent, si, significant, words
 from stiffopt.result.assessment import Violation
@@ -104,7 +104,7 @@ def _excused(problem: TrajectoryProblem, solution: Solution) -> str:
     better = _counted(problem, solution)
     if better is None or better.assessment is None or solution.ratio_to_better_baseline is None:
         return ""
-    exceeded = [v for v in better.assessment.violations if v.value > CERTIFIED]
+    exceeded = [v for v in better.assessment.violations if v.value > CERTIFICATE_TOLERANCE]
     if not exceeded:
         return ""
     worst: dict[str, Violation] = {}

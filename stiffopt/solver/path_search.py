@@ -1,7 +1,7 @@
-"""A path free of collisions, to start a solve from: one pose between, else a tree of poses.
+"""Search of a collision-free path to start a solve from: one intermediate pose, else two trees.
 
-Every edge is free all along: no distance changes faster than the joints can move the farthest point
-of the arm, so that between two poses it cannot fall below what that leaves of both.
+Edges are free along their whole length: no distance changes faster than the joints can move the
+farthest point of the arm, which bounds it between two poses.
 
 Source: Kuffner, LaValle (2000), "RRT-connect: an efficient approach to single-query path planning".
 """
@@ -20,27 +20,28 @@ from stiffopt.result.joint_path import JointPath
 if TYPE_CHECKING:
     from stiffopt.problem.trajectory import TrajectoryProblem
 
-# Poses tried as the only one between, spread about the straight line by these shares of the range.
-_BETWEEN = 1500
-_SPREADS = (0.05, 0.1, 0.2, 0.4)
-# Steps of the tree, in shares of the joints' ranges; edges are looked at down to this step [rad].
-_STEP = 0.15
-_FINEST = 0.01
-_SHORTCUTS = 60
-# Of the spline through a path: instants looked at, and how often its corners are drawn sharper.
-_ALONG = 60
-_SHARPER = 4
+# Trial poses of a path by one intermediate pose, and their spreads about the straight line, as
+# shares of the joints' ranges.
+_INTERMEDIATE_POSES = 1500
+_INTERMEDIATE_SPREADS = (0.05, 0.1, 0.2, 0.4)
+# Step of the trees, as a share of the joints' ranges; resolution of edges [rad].
+_TREE_STEP = 0.15
+_MIN_EDGE_STEP = 0.01
+_SHORTCUT_ATTEMPTS = 60
+# Spline through a path: samples that are checked, and refinements towards the polyline.
+_SPLINE_SAMPLES = 60
+_MAX_REFINEMENTS = 4
 
 
 class FreeSpace:
-    """Poses of a problem's arm that keep the clearance, and paths through them.
+    """Collision-free poses of a problem's arm, and paths through them.
 
     Parameters
     ----------
     problem : TrajectoryProblem
     seed : int
     seconds : float
-        Time after which the search is given up.
+        Time limit of the search.
     """
 
     def __init__(self, problem: TrajectoryProblem, seed: int, seconds: float) -> None:
@@ -54,72 +55,76 @@ class FreeSpace:
         self._high = np.where(np.isfinite(high), high, np.pi)
         speed = limits.velocity
         self._speed = np.where(np.isfinite(speed), speed, 1.0)
-        # Poses that were tried.
+        # Number of poses evaluated.
         self.tried = 0
 
     def path(self, points: np.ndarray) -> np.ndarray | None:
-        """Poses (k, n) whose spline leads through all of `points` (m, n); None where none is found.
+        """Return poses (k, n) of a free spline through all `points` (m, n), None if none is found.
 
-        At once where one of `points` is `blocked`.
+        None without a search where one of `points` is `blocked`.
         """
         if self.blocked(points):
             return None
         found = [points[0]]
         for start, end in pairwise(points):
-            leg = self._leg(start, end)
+            leg = self._connect_poses(start, end)
             if leg is None:
                 return None
             found += leg[1:]
-        return self._rounded(found)
+        return self._refine_spline(found)
 
     def blocked(self, points: np.ndarray) -> list[int]:
-        """Which of `points` (m, n) nothing free is near: deeper than the finest step leads out."""
-        deepest = self._model.fastest(np.full(np.shape(points), _FINEST), np.asarray(points))
+        """Return indices of `points` (m, n) that overlap by more than the finest step resolves."""
+        deepest = self._model.fastest(np.full(np.shape(points), _MIN_EDGE_STEP), np.asarray(points))
         return [k for k, pose in enumerate(points) if self.gap(pose) <= -deepest[k]]
 
     def gap(self, pose: np.ndarray) -> float:
-        """Least distance beyond the clearance [m]."""
+        """Return the least distance beyond the clearance [m]."""
         self.tried += 1
         return float(self._model.couple_distances(pose).min()) - self._clearance
 
     def poses(self, count: int, random: np.random.Generator) -> np.ndarray:
-        """Poses (count, n) anywhere in the joints' ranges."""
+        """Return random poses (count, n) in the joints' ranges."""
         return random.uniform(self._low, self._high, (count, len(self._low)))
 
-    def _leg(self, start: np.ndarray, end: np.ndarray) -> list[np.ndarray] | None:
-        if self._free(start, end):
+    def _connect_poses(self, start: np.ndarray, end: np.ndarray) -> list[np.ndarray] | None:
+        if self._edge_is_free(start, end):
             return [start, end]
-        between = self._one_between(start, end)
+        between = self._connect_by_one_pose(start, end)
         if between is not None:
             return [start, between, end]
-        tree = self._connected(start, end)
-        return None if tree is None else self._shortened(tree)
+        tree = self._connect_by_trees(start, end)
+        return None if tree is None else self._replace_detours(tree)
 
-    def _one_between(self, start: np.ndarray, end: np.ndarray) -> np.ndarray | None:
-        """The pose that makes the shortest free path of two straight edges."""
-        count = _BETWEEN
+    def _connect_by_one_pose(self, start: np.ndarray, end: np.ndarray) -> np.ndarray | None:
+        """Return the intermediate pose of the shortest free path of two straight edges."""
+        count = _INTERMEDIATE_POSES
         width = self._high - self._low
-        spread = np.repeat(_SPREADS, count // len(_SPREADS))[:, None]
+        spread = np.repeat(_INTERMEDIATE_SPREADS, count // len(_INTERMEDIATE_SPREADS))[:, None]
         along = self._random.uniform(0.2, 0.8, (len(spread), 1))
         poses = start + along * (end - start)
         poses = poses + spread * width * self._random.normal(size=poses.shape)
         poses = np.clip(poses, self._low, self._high)
-        length = self._time(poses - start) + self._time(end - poses)
+        length = self._travel_times(poses - start) + self._travel_times(end - poses)
         for pose in poses[np.argsort(length)]:
             if time.perf_counter() > self._until:
                 return None
-            if self.gap(pose) > 0.0 and self._free(start, pose) and self._free(pose, end):
+            if (
+                self.gap(pose) > 0.0
+                and self._edge_is_free(start, pose)
+                and self._edge_is_free(pose, end)
+            ):
                 return np.asarray(pose)
         return None
 
-    def _connected(self, start: np.ndarray, end: np.ndarray) -> list[np.ndarray] | None:
-        """A path by two trees that grow towards each other."""
+    def _connect_by_trees(self, start: np.ndarray, end: np.ndarray) -> list[np.ndarray] | None:
+        """Connect two poses by two trees that grow towards each other."""
         trees: list[_Tree] = [_Tree(start), _Tree(end)]
         while time.perf_counter() < self._until:
             [aim] = self.poses(1, self._random)
-            reached = self._grown(trees[0], aim, once=True)
+            reached = self._grow_towards(trees[0], aim, once=True)
             if reached is not None:
-                other = self._grown(trees[1], trees[0].poses[reached], once=False)
+                other = self._grow_towards(trees[1], trees[0].poses[reached], once=False)
                 if other is not None and np.allclose(
                     trees[1].poses[other], trees[0].poses[reached]
                 ):
@@ -129,38 +134,38 @@ class FreeSpace:
             trees.reverse()
         return None
 
-    def _grown(self, tree: _Tree, aim: np.ndarray, *, once: bool) -> int | None:
-        """Number of the last pose of a tree grown towards an aim; None where it is blocked."""
+    def _grow_towards(self, tree: _Tree, aim: np.ndarray, *, once: bool) -> int | None:
+        """Grow a tree towards an aim; return the index of its last pose, None where blocked."""
         width = self._high - self._low
         nearest = tree.nearest(aim, width)
         found = None
         while time.perf_counter() < self._until:
             away = aim - tree.poses[nearest]
-            share = _STEP / max(float(np.linalg.norm(away / width)), 1e-12)
+            share = _TREE_STEP / max(float(np.linalg.norm(away / width)), 1e-12)
             pose = aim if share >= 1.0 else tree.poses[nearest] + share * away
-            if not self._free(tree.poses[nearest], pose):
+            if not self._edge_is_free(tree.poses[nearest], pose):
                 return found
             nearest = found = tree.add(pose, nearest)
             if once or share >= 1.0:
                 return found
         return None
 
-    def _shortened(self, path: list[np.ndarray]) -> list[np.ndarray]:
-        """The path without detours that straight edges can replace."""
-        for _ in range(_SHORTCUTS):
+    def _replace_detours(self, path: list[np.ndarray]) -> list[np.ndarray]:
+        """Return the path with detours replaced by free straight edges."""
+        for _ in range(_SHORTCUT_ATTEMPTS):
             if len(path) < 3 or time.perf_counter() > self._until:
                 break
             i, j = sorted(self._random.choice(len(path), 2, replace=False))
-            if j - i > 1 and self._free(path[i], path[j]):
+            if j - i > 1 and self._edge_is_free(path[i], path[j]):
                 path = [*path[: i + 1], *path[j:]]
         return path
 
-    def _rounded(self, path: list[np.ndarray]) -> np.ndarray:
-        """Poses whose spline is free, as near to the path as it needs."""
+    def _refine_spline(self, path: list[np.ndarray]) -> np.ndarray:
+        """Insert midpoints until the spline through the path is free."""
         poses = np.array(path)
-        for _ in range(_SHARPER):
+        for _ in range(_MAX_REFINEMENTS):
             spline = JointPath.through(poses, "chord")
-            if self._all_free(spline(np.linspace(0.0, 1.0, _ALONG + 1))):
+            if self._polyline_is_free(spline(np.linspace(0.0, 1.0, _SPLINE_SAMPLES + 1))):
                 break
             middle = 0.5 * (poses[:-1] + poses[1:])
             sharper = np.empty((len(poses) + len(middle), poses.shape[1]))
@@ -168,13 +173,13 @@ class FreeSpace:
             poses = sharper
         return poses
 
-    def _all_free(self, poses: np.ndarray) -> bool:
-        return all(self._free(one, other) for one, other in pairwise(poses))
+    def _polyline_is_free(self, poses: np.ndarray) -> bool:
+        return all(self._edge_is_free(one, other) for one, other in pairwise(poses))
 
-    def _free(self, start: np.ndarray, end: np.ndarray) -> bool:
-        """Whether a straight edge keeps the clearance all along, its ends apart."""
+    def _edge_is_free(self, start: np.ndarray, end: np.ndarray) -> bool:
+        """Return True where a straight edge keeps the clearance between its ends."""
         stack: list[Sequence[float]] = [(0.0, 1.0)]
-        travel = self._travel(start, end)
+        travel = self._distance_change_bound(start, end)
         size = float(np.max(np.abs(end - start), initial=0.0))
         gaps: dict[float, float] = {}
 
@@ -187,7 +192,7 @@ class FreeSpace:
             first, second = stack.pop()
             if (
                 gap(first) + gap(second) > travel * (second - first)
-                or size * (second - first) < _FINEST
+                or size * (second - first) < _MIN_EDGE_STEP
             ):
                 continue
             middle = 0.5 * (first + second)
@@ -196,19 +201,19 @@ class FreeSpace:
             stack += [(first, middle), (middle, second)]
         return True
 
-    def _travel(self, start: np.ndarray, end: np.ndarray) -> float:
-        """Bound on how far any distance changes along a straight edge [m]."""
+    def _distance_change_bound(self, start: np.ndarray, end: np.ndarray) -> float:
+        """Return an upper bound of the change of any distance along a straight edge [m]."""
         poses = np.stack([start, end])
         moved = np.abs(end - start)
         return float(self._model.fastest(np.stack([moved, moved]), poses).max())
 
-    def _time(self, step: np.ndarray) -> np.ndarray:
-        """Time that steps (k, n) take at full speed (k,)."""
+    def _travel_times(self, step: np.ndarray) -> np.ndarray:
+        """Return the times (k,) of steps (k, n) at full speed."""
         return np.asarray(np.max(np.abs(step) / self._speed, axis=-1))
 
 
 class _Tree:
-    """Poses, each with the one it was reached from."""
+    """Tree of poses with the index of each one's parent."""
 
     def __init__(self, root: np.ndarray) -> None:
         self.poses = [root]

@@ -1,4 +1,4 @@
-"""Optima near a known one: those of IPOPT, proved by their conditions; or nothing is said."""
+"""Active-set warm start: the optima of IPOPT, verified by their KKT conditions, or none."""
 
 from dataclasses import replace
 
@@ -8,9 +8,9 @@ from scipy.sparse import csr_matrix
 from small_arms import ROOT
 
 from stiffopt.problem.files import load_problem
-from stiffopt.solver import near_optimum
+from stiffopt.solver import active_set
+from stiffopt.solver.active_set import ActiveSetSolver
 from stiffopt.solver.family import ProblemFamily
-from stiffopt.solver.near_optimum import NearOptimum
 
 # Torque limits bind over a third of the motion.
 TIGHT = ("motion.duration=0.65 s", "limits.scale={ torque = 0.85 }", "method.intervals=40")
@@ -22,16 +22,16 @@ def problem(*changes):
 
 @pytest.fixture
 def asked(monkeypatch):
-    """What `NearOptimum` was asked and answered."""
+    """Requests and results of `ActiveSetSolver`."""
     calls = []
-    own = NearOptimum.solve
+    own = ActiveSetSolver.solve
 
     def noted(self, transcription, x0, parameters, near, report=None):
         raw = own(self, transcription, x0, parameters, near, report)
         calls.append((transcription, x0, parameters, near, raw))
         return raw
 
-    monkeypatch.setattr(NearOptimum, "solve", noted)
+    monkeypatch.setattr(ActiveSetSolver, "solve", noted)
     return calls
 
 
@@ -53,7 +53,7 @@ def drawn(count):
 
 
 @pytest.mark.parametrize("changes", list(drawn(12)))
-def test_near_optima_are_those_of_ipopt(first, asked, changes):
+def test_active_set_optima_equal_those_of_ipopt(first, asked, changes):
     family, end = first
     solution, _ = family.solve(problem(*changes), end, compare=False)
     transcription, x0, parameters, near, raw = asked[0]
@@ -113,14 +113,14 @@ def conditions(nlp, solver, raw, parameters):
     return max(each.max(initial=0.0) for each in worst)
 
 
-def test_most_near_problems_are_answered(first, asked):
+def test_most_similar_problems_are_solved(first, asked):
     family, end = first
     for changes in drawn(12):
         family.solve(problem(*changes), end, compare=False)
     assert sum(call[-1] is not None for call in asked) >= 9
 
 
-def test_wrong_multipliers_end_where_they_should_or_nowhere(first, asked):
+def test_wrong_multipliers_give_the_optimum_or_none(first, asked):
     family, end = first
     heavier = problem("payload.mass=0.33")
     right, _ = family.solve(heavier, end, compare=False)
@@ -131,7 +131,7 @@ def test_wrong_multipliers_end_where_they_should_or_nowhere(first, asked):
         assert solution.objective.value == pytest.approx(right.objective.value, rel=1e-6)
 
 
-def test_what_is_no_such_programme_is_left_to_ipopt(asked):
+def test_unsupported_programmes_are_left_to_ipopt(asked):
     family = ProblemFamily()
     shortest = (
         'minimise=[{ objective = "duration" }]',
@@ -144,21 +144,26 @@ def test_what_is_no_such_programme_is_left_to_ipopt(asked):
     assert [call[-1] for call in asked] == [None]
 
 
-def test_a_point_that_curves_down_is_no_minimum():
+def test_negative_curvature_is_rejected():
     curved, slope = csr_matrix(np.diag([1.0, -0.5, 2.0])), np.zeros(3)
     matrix, bounds = csr_matrix([[0.0, 1.0, 0.0]]), (np.array([-1.0]), np.array([1.0]))
     free, held = np.array([0]), np.array([1])
-    assert near_optimum._quadratic(curved, slope, matrix, bounds, np.zeros(1), free) is None
-    step, forces, _ = near_optimum._quadratic(curved, slope, matrix, bounds, np.zeros(1), held)
+    assert (
+        active_set._solve_quadratic_programme(curved, slope, matrix, bounds, np.zeros(1), free)
+        is None
+    )
+    step, forces, _ = active_set._solve_quadratic_programme(
+        curved, slope, matrix, bounds, np.zeros(1), held
+    )
     assert step == pytest.approx([0.0, 1.0, 0.0], abs=1e-9)
     assert forces == pytest.approx([0.5])
 
 
-def test_rows_that_depend_on_each_other_do_no_harm():
+def test_dependent_rows_are_handled():
     curved, slope = csr_matrix(np.diag([1.0, 4.0])), np.array([-3.0, -2.0])
     matrix = csr_matrix([[1.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
     bounds = np.full(3, -np.inf), np.array([1.0, 1.0, 9.0])
-    step, forces, side = near_optimum._quadratic(
+    step, forces, side = active_set._solve_quadratic_programme(
         curved, slope, matrix, bounds, np.zeros(3), np.array([1, 1, 0])
     )
     assert step == pytest.approx([1.0, 0.5], abs=1e-8)
@@ -166,8 +171,13 @@ def test_rows_that_depend_on_each_other_do_no_harm():
     assert side.tolist() == [1, 1, 0]
 
 
-def test_what_has_no_solution_is_told():
+def test_infeasible_quadratic_programme_gives_none():
     curved, slope = csr_matrix(np.diag([1.0])), np.array([1.0])
     matrix = csr_matrix([[1.0], [1.0]])
     bounds = np.array([2.0, -np.inf]), np.array([np.inf, 1.0])
-    assert near_optimum._quadratic(curved, slope, matrix, bounds, np.zeros(2), np.zeros(2)) is None
+    assert (
+        active_set._solve_quadratic_programme(
+            curved, slope, matrix, bounds, np.zeros(2), np.zeros(2)
+        )
+        is None
+    )

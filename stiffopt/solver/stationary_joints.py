@@ -1,9 +1,9 @@
-"""Joints that creep are brought to rest, where dry friction is what it is said to be.
+"""Stationary joints: creeping joints are fixed, where the smoothed dry friction is exact.
 
-Dry friction changes its sign within a small speed, so that the optimiser has a solution. Within it
-a joint has less friction than it truly has, and so the least squared torque lets joints creep that
-would better stand still: truly they are charged for all of their friction. No mesh and no narrower
-width changes that, as the speed falls with the width. At rest both laws agree.
+The optimiser's dry friction is smoothed about zero speed. Within that width a joint has less
+friction than the exact law, so that a minimum of squared torque lets joints creep that should be
+stationary: the certificate charges the full friction. Neither a finer mesh nor a narrower width
+changes that, as the speed falls with the width. At rest both laws agree.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from stiffopt.certificate.assess import assess
-from stiffopt.dynamics.friction import smoothing_width
+from stiffopt.dynamics.friction import dry_friction_width
 from stiffopt.problem.belief import believed_of
 from stiffopt.problem.coordinates import coordinates_of
 from stiffopt.problem.smoothing import Smoothing
@@ -21,16 +21,16 @@ from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.result.trajectory import Trajectory
 from stiffopt.transcription.transcription import Transcription
 
-# Of the width of the friction's change of sign: what moves no faster creeps.
-_SLOW = 0.5
-# Nodes in a row at which a joint creeps, and share of the motion; less is where it turns.
-_LEAST, _SHORTEST = 3, 0.02
+# Speed below which a joint creeps, as a share of the friction's smoothing width.
+_CREEP_SPEED_SHARE = 0.5
+# Consecutive nodes and share of the motion for which a joint must creep; a reversal is shorter.
+_MIN_CREEP_NODES, _MIN_CREEP_SHARE = 3, 0.02
 
 
-def at_rest(
+def fix_creeping_joints(
     transcription: Transcription, x: np.ndarray, problem: TrajectoryProblem
 ) -> Transcription | None:
-    """The transcription with bounds that keep joints at rest where they creep.
+    """Return the transcription with bounds that fix joints where they creep.
 
     Parameters
     ----------
@@ -42,7 +42,7 @@ def at_rest(
     Returns
     -------
     Transcription or None
-        None where no joint with dry friction creeps, or joints are not planned one by one.
+        None where no joint with dry friction creeps, or the states are not joint positions.
     """
     coordinates, robot = coordinates_of(problem), problem.robot
     n = coordinates.size
@@ -51,22 +51,22 @@ def at_rest(
     nlp, states, controls = transcription.nlp, transcription.states, transcription.controls
     assert states.places is not None
     assert controls.places is not None
-    width = _SLOW * np.asarray(smoothing_width(robot.velocity_max))
+    width = _CREEP_SPEED_SHARE * np.asarray(dry_friction_width(robot.velocity_max))
     slow = np.abs(transcription.node_states(x)[:, n:]) < width
     times = transcription.times_of(states.places, x)
     driven = transcription.times_of(controls.places, x)
-    least = _SHORTEST * float(transcription.phase_durations(x).sum())
+    least = _MIN_CREEP_SHARE * float(transcription.phase_durations(x).sum())
     still = np.zeros(nlp.variables.size, dtype=bool)
     for j in np.flatnonzero(np.asarray(robot.coulomb) > 0.0):
-        for run in _runs(slow[:, j]):
+        for run in _index_runs(slow[:, j]):
             first, last = times[run[0]], times[run[-1]]
-            if len(run) < _LEAST or last - first < least:
+            if len(run) < _MIN_CREEP_NODES or last - first < least:
                 continue
-            # What follows from it is left to the equations of motion: said twice, they depend.
+            # Only velocity and control: further bounds would be linearly dependent on the dynamics.
             still[states.offset + run[0] * 2 * n + n + j] = True
             held = np.flatnonzero((driven >= first) & (driven <= last))
             still[controls.offset + held * n + j] = True
-    # Given velocities stay.
+    # Given nonzero velocities are not changed.
     still &= (nlp.lower_x <= 0.0) & (nlp.upper_x >= 0.0)
     if not np.any(still):
         return None
@@ -74,10 +74,12 @@ def at_rest(
     return replace(transcription, nlp=replace(nlp, lower_x=lower, upper_x=upper))
 
 
-def lacking_friction(problem: TrajectoryProblem, motion: Trajectory, smoothing: Smoothing) -> float:
-    """What smooth dry friction lacks of the squared torque ratios at the optimiser's own instants.
+def missing_friction_share(
+    problem: TrajectoryProblem, motion: Trajectory, smoothing: Smoothing
+) -> float:
+    """Return the share of squared torque that smoothed dry friction misses at the nodes.
 
-    Relative to the true ones; 0 where no torque is minimised.
+    Relative to the exact one; 0 where no torque is minimised.
     """
     if not any(objective.kind.of_drives for objective in problem.objectives):
         return 0.0
@@ -93,7 +95,7 @@ def lacking_friction(problem: TrajectoryProblem, motion: Trajectory, smoothing: 
     return float(1.0 - sums[0] / sums[1]) if sums[1] > 0.0 else 0.0
 
 
-def _runs(where: np.ndarray) -> list[np.ndarray]:
-    """Indices of what is true, in runs without a gap."""
+def _index_runs(where: np.ndarray) -> list[np.ndarray]:
+    """Return the indices of true entries, split into runs without a gap."""
     index = np.flatnonzero(where)
     return np.split(index, np.flatnonzero(np.diff(index) > 1) + 1) if index.size else []

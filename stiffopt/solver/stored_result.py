@@ -1,4 +1,4 @@
-"""Results of earlier solves, read back from their folder to be simulated anew."""
+"""Results of earlier solves, read from their folder for a simulation or as an initial guess."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from scipy.interpolate import CubicHermiteSpline, CubicSpline, make_interp_splin
 
 from stiffopt.baseline.baselines import baselines
 from stiffopt.certificate.assess import assess
-from stiffopt.certificate.violations import CERTIFIED
+from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
 from stiffopt.elastic.motor import MotorMotion
 from stiffopt.elastic.uncertainty import Uncertainty
 from stiffopt.errors import InputFileError, shortened
@@ -26,8 +26,8 @@ from stiffopt.result.compensation_store import COMMAND_FILE
 from stiffopt.result.provenance import inputs_hash
 from stiffopt.result.store import RESULT_FILE, TRAJECTORY_FILE, read_document
 from stiffopt.result.trajectory import JointMotion
-from stiffopt.solver.compensation import MadeCommand
-from stiffopt.solver.simulation import PlannedMotion, rivals
+from stiffopt.solver.command_search import ExistingCommand
+from stiffopt.solver.simulation import PlannedMotion, rival_motions
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,7 +44,7 @@ class StoredResult:
     optimised : PlannedMotion
     windup : array (K, n)
         Of the joints along the stored motion [rad].
-    command : MadeCommand or None
+    command : ExistingCommand or None
         Of command.csv, where there is one.
     """
 
@@ -53,12 +53,12 @@ class StoredResult:
     motion: ResolvedMotion
     optimised: PlannedMotion
     windup: np.ndarray
-    command: MadeCommand | None = None
+    command: ExistingCommand | None = None
 
     def motions(self) -> list[PlannedMotion]:
-        """The stored motion, then the baselines made anew."""
-        beside = baselines(self.problem, self.motion)
-        return [self.optimised, *rivals(self.problem, self.motion, beside)]
+        """Return the stored motion, then recomputed baselines."""
+        compared = baselines(self.problem, self.motion)
+        return [self.optimised, *rival_motions(self.problem, self.motion, compared)]
 
 
 def read_result(
@@ -70,20 +70,20 @@ def read_result(
     ----------
     folder : Path
     problem : Path, optional
-        Problem file in place of the one that the result names.
+        Problem file, replaces the one that the result names.
     changes : sequence of str
-        Of entries of its [uncertainty], such as "uncertainty.stiffness=0.3": the motion is the same
-        for all of them.
+        Of entries of its [uncertainty], such as "uncertainty.stiffness=0.3"; the motion does not
+        depend on them.
 
     Raises
     ------
     InputFileError
-        A file is missing or of something else, names no problem, or the problem has changed.
+        A file is missing or invalid, names no problem, or the problem has changed.
     """
     path = folder / RESULT_FILE
     document = read_document(path)
     problem = problem_file(path, document, problem)
-    solved = changes_of(path, document)
+    solved = read_changes(path, document)
     stated = load_problem(problem, solved).problem
     check_inputs(path, document, problem, stated)
     unsure = stated.uncertainty
@@ -103,14 +103,14 @@ def read_result(
         raise InputFileError(
             path, "certificate", f"has no usable numbers: {shortened(error)}. Solve again."
         ) from error
-    time, position, velocity, windup = _trajectory(folder / TRAJECTORY_FILE, stated.joints)
+    time, position, velocity, windup = _read_trajectory(folder / TRAJECTORY_FILE, stated.joints)
     own = PlannedMotion(
         name="optimised",
         time=time,
         position=position,
         velocity=velocity,
         parts=parts,
-        counted=worst <= CERTIFIED,
+        counted=worst <= CERTIFICATE_TOLERANCE,
     )
     return StoredResult(
         problem=stated,
@@ -118,7 +118,7 @@ def read_result(
         motion=resolve(stated),
         optimised=own,
         windup=windup,
-        command=_command(folder, document, own),
+        command=_read_command(folder, document, own),
     )
 
 
@@ -148,7 +148,7 @@ def problem_file(path: Path, document: dict[str, Any], given: Path | None = None
     return problem
 
 
-def changes_of(path: Path, document: dict[str, Any]) -> tuple[str, ...]:
+def read_changes(path: Path, document: dict[str, Any]) -> tuple[str, ...]:
     """Return the entries of the problem file that the solve changed, as --set has them."""
     changes = document.get("changes", [])
     if not isinstance(changes, list) or not all(isinstance(each, str) for each in changes):
@@ -165,13 +165,15 @@ def check_inputs(
         raise InputFileError(
             path,
             "inputs_hash",
-            f"{problem} is not what was solved: it or its robot has changed since{with_model}. "
-            "Solve it again.",
+            f"{problem} differs from the problem solved: it or its robot has changed since"
+            f"{with_model}. Solve it again.",
         )
 
 
-def _command(folder: Path, document: dict[str, Any], planned: PlannedMotion) -> MadeCommand | None:
-    """The command that the solve wrote, None where it wrote none."""
+def _read_command(
+    folder: Path, document: dict[str, Any], planned: PlannedMotion
+) -> ExistingCommand | None:
+    """Read the command that the solve wrote, None where it wrote none."""
     path, joints = folder / COMMAND_FILE, planned.position.shape[1]
     try:
         made = document["compensation"]
@@ -186,11 +188,11 @@ def _command(folder: Path, document: dict[str, Any], planned: PlannedMotion) -> 
         ) from error
     check_result(folder, RESULT_FILE, COMMAND_FILE)
     quantities = ("q", "qd", "qdd")
-    rows = _table(path, joints, quantities)
+    rows = _read_joint_table(path, joints, quantities)
     names = [f"link{j}" for j in range(1, joints + 1)]
     table = read_table(folder / TRAJECTORY_FILE, ["t"], names)
     plan = MotorMotion(planned.time, planned.position, planned.velocity)
-    link = _TableMotion(*_table(folder / TRAJECTORY_FILE, joints, quantities))
+    link = _TableMotion(*_read_joint_table(folder / TRAJECTORY_FILE, joints, quantities))
     if all(name in table for name in names):
         moments = np.array(table["t"])
         links = CubicSpline(moments, np.array([table[n] for n in names]).T, bc_type="clamped")
@@ -198,16 +200,16 @@ def _command(folder: Path, document: dict[str, Any], planned: PlannedMotion) -> 
         link = _TableMotion(moments, links(moments), links(moments, 1), links(moments, 2))
     motors = _TableMotion(*rows)
     motors.link = link
-    return MadeCommand(motors, plan, spacing, share)
+    return ExistingCommand(motors, plan, spacing, share)
 
 
-def _trajectory(path: Path, joints: int) -> tuple[np.ndarray, ...]:
-    """Times (K,), positions, velocities and wind-ups (K, n) of a trajectory.csv."""
-    return _table(path, joints, ("q", "qd", "windup"))
+def _read_trajectory(path: Path, joints: int) -> tuple[np.ndarray, ...]:
+    """Read times (K,), positions, velocities and wind-ups (K, n) of a trajectory.csv."""
+    return _read_joint_table(path, joints, ("q", "qd", "windup"))
 
 
-def _table(path: Path, joints: int, quantities: Sequence[str]) -> tuple[np.ndarray, ...]:
-    """Times (K,) and quantities of the joints (K, n) of a table."""
+def _read_joint_table(path: Path, joints: int, quantities: Sequence[str]) -> tuple[np.ndarray, ...]:
+    """Read times (K,) and joint quantities (K, n) of a table."""
     names = [[f"{quantity}{j}" for j in range(1, joints + 1)] for quantity in quantities]
     table = read_table(path, ["t", *(name for own in names for name in own)])
     time = np.array(table["t"])
@@ -217,7 +219,7 @@ def _table(path: Path, joints: int, quantities: Sequence[str]) -> tuple[np.ndarr
 
 
 def read_guess(folder: Path, problem: TrajectoryProblem) -> Assessment:
-    """Motion of a result folder, of this problem or another of the same arm, to begin a solve from.
+    """Read the motion of a result folder of the same arm as an initial guess.
 
     Raises
     ------
@@ -225,15 +227,15 @@ def read_guess(folder: Path, problem: TrajectoryProblem) -> Assessment:
         The folder has no motion of as many joints.
     """
     check_result(folder, TRAJECTORY_FILE)
-    time, position, velocity, _ = _trajectory(folder / TRAJECTORY_FILE, problem.joints)
+    time, position, velocity, _ = _read_trajectory(folder / TRAJECTORY_FILE, problem.joints)
     return assess(problem, _TableMotion(time, position, velocity), times=time)
 
 
 class _TableMotion:
-    """A motion between the rows of a table, by cubic polynomials.
+    """Motion between the rows of a table, by cubic polynomials.
 
-    Where the table has accelerations, these run straight from row to row, so that neither they nor
-    their slope are above what the motion had; `link` is that of the links, where it is another.
+    Accelerations of the table are interpolated linearly, so that neither they nor their slope
+    exceed those of the motion; `link` is the motion of the links, where it differs.
     """
 
     def __init__(

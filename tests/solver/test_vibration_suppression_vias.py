@@ -1,4 +1,4 @@
-"""Motors that are changed to calm their links still pass what the motion has to pass."""
+"""Vias are kept by motors changed for vibration suppression."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from small_arms import load
 
 from stiffopt import Target
 from stiffopt.result.assessment import Violation
-from stiffopt.solver.motor_change import _Splines, _via_rows
+from stiffopt.solver.vibration_suppression import _Splines, _via_rows
 
 TIMES = np.linspace(0.0, 1.0, 101)
 AT = 40
@@ -22,7 +22,7 @@ def problem(tmp_path_factory):
 
 
 def rows_of(problem, via, position):
-    """The rows of one via that is passed at 0.4 s, and what coefficients do there."""
+    """Rows of one via passed at 0.4 s, with the response to coefficients there."""
     splines, joints = _Splines(1.0), np.arange(problem.joints)
     now = SimpleNamespace(
         time=TIMES,
@@ -37,7 +37,7 @@ def rows_of(problem, via, position):
     return rows @ change.ravel(), lower, upper, moved
 
 
-def test_joints_move_within_what_their_via_leaves(problem):
+def test_joints_use_remaining_via_tolerance(problem):
     position = np.array([0.2, 0.3])
     via = Target(joints=position + np.array([0.004, -0.01]), tolerance=0.01)
     found, lower, upper, moved = rows_of(problem, via, position)
@@ -50,7 +50,7 @@ def test_joints_move_within_what_their_via_leaves(problem):
 
 
 @pytest.mark.parametrize("turned", [False, True])
-def test_the_tool_stays_at_its_via(problem, turned):
+def test_tool_is_fixed_at_its_via(problem, turned):
     position, tool = np.array([0.2, 0.3]), problem.robot.tool
     bodies = problem.robot.rigid_bodies()
     place, _ = bodies.pose(tool, position)

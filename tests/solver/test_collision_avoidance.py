@@ -1,4 +1,4 @@
-"""Motions led around what they would meet: optima known in closed form, and what cannot be."""
+"""Collision avoidance: optima known in closed form, infeasible cases, interruptions."""
 
 import re
 import time
@@ -11,15 +11,15 @@ from gripper_arm import write_gripper_urdf
 from small_arms import PLANAR, problem_text, write_robot
 
 from stiffopt import solve
-from stiffopt.certificate.collisions import LIMIT
+from stiffopt.certificate.collisions import COLLISION_LIMIT
 from stiffopt.cli import run as command
 from stiffopt.errors import ProblemError
 from stiffopt.problem.files import load_problem
 from stiffopt.problem.resolve import resolve
-from stiffopt.solver import way_around
+from stiffopt.solver import collision_avoidance
 from stiffopt.solver.family import ProblemFamily
-from stiffopt.solver.free_path import FreeSpace
-from stiffopt.solver.solve import solve_keeping
+from stiffopt.solver.path_search import FreeSpace
+from stiffopt.solver.solve import solve_with_state
 
 WALLS = """[[cell.box]]
 name = "wall"
@@ -65,7 +65,9 @@ def test_least_force_around_a_post_is_the_exact_one(tmp_path, lowest, top):
     assert found.objective.value == pytest.approx(least_force(top), rel=1.5e-3)
     assert found.objective.value > least_force(top) * (1 - 1e-5)
     assert CLEARANCE - 1e-5 < nearest(problem, found.assessment) < CLEARANCE + 3e-4
-    assert not any(v.value > 0.005 for v in found.assessment.violations if v.limit == LIMIT)
+    assert not any(
+        v.value > 0.005 for v in found.assessment.violations if v.limit == COLLISION_LIMIT
+    )
     # The straight motions collide; it is compared with one along the path it began with.
     assert [name for name, each in found.baselines.items() if each.feasible] == ["detour"]
     assert nearest(problem, found.baselines["detour"].assessment) > CLEARANCE - 1e-6
@@ -102,7 +104,7 @@ def test_a_motion_that_collides_with_nothing_is_solved_as_before(tmp_path):
     assert found.solver.iterations == plain.solver.iterations
 
 
-def test_asked_to_check_it_leads_nothing_around(tmp_path):
+def test_check_mode_does_not_avoid_collisions(tmp_path):
     problem = gantry_problem(tmp_path, method='intervals = 20\ncollisions = "check"')
     found = solve(problem, throw=False)
     assert found.status == "certificate_failed"
@@ -129,40 +131,39 @@ def test_poses_that_collide_are_refused(tmp_path, capsys, pieces, words):
     assert "Traceback" not in capsys.readouterr().err
 
 
-def test_what_cannot_be_passed_is_named(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(way_around, "_SECONDS", 1.0)
+def test_impassable_obstacle_is_named(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(collision_avoidance, "_MAX_SEARCH_SECONDS", 1.0)
     path = write_gantry(tmp_path, cell=WALLS, method="intervals = 20")
     assert command(["solve", str(path), "--out", str(tmp_path / "out"), "--quiet"]) == 3
     said = " ".join(capsys.readouterr().out.split())
     assert "the clearance of hand and wall at 0.6" in said
-    assert "No way around was found" in said
+    assert "No collision-free path was found" in said
     assert "motion.via" in said
 
 
-def test_too_little_time_for_a_search_is_told(tmp_path):
+def test_timed_out_path_search_is_reported(tmp_path):
     problem = gantry_problem(tmp_path, cell=WALLS, method="intervals = 20\ntime_limit = 3")
     told = solve(problem, throw=False)
     assert told.status == "certificate_failed"
-    assert "The time limit came before a way around was found; raise method.time_limit." in (
-        told.message
-    )
+    assert "The time limit ended the collision avoidance" in told.message
+    assert "raise method.time_limit" in told.message
     assert "No way" not in told.message
 
 
-def test_too_little_time_for_the_solve_along_a_way_is_told(tmp_path, monkeypatch):
-    _, kept = solve_keeping(gantry_problem(tmp_path, method='collisions = "check"'))
+def test_timed_out_solve_along_path_is_reported(tmp_path, monkeypatch):
+    _, kept = solve_with_state(gantry_problem(tmp_path, method='collisions = "check"'))
     run, plain = kept
     ended = replace(plain, raw=replace(plain.raw, status="time_limit"))
-    monkeypatch.setattr(way_around, "_kept_clear", lambda *_: ended)
-    assert way_around.led_around(run, plain, None) is plain
-    assert "raise method.time_limit" in run.unavoided
+    monkeypatch.setattr(collision_avoidance, "_solve_clear", lambda *_: ended)
+    assert collision_avoidance.avoid_collisions(run, plain, None) is plain
+    assert "raise method.time_limit" in run.avoidance_failure
 
 
-def test_a_place_that_is_reached_in_no_free_pose_is_named_at_once(tmp_path, monkeypatch):
+def test_position_without_free_pose_is_named_without_search(tmp_path, monkeypatch):
     inside = "{ position = [0.0, 0.1, 0.1] }"
     problem = gantry_problem(tmp_path, end=inside, method="intervals = 20")
     seconds, started = 60.0, time.monotonic()
-    monkeypatch.setattr(way_around, "_SECONDS", seconds)
+    monkeypatch.setattr(collision_avoidance, "_MAX_SEARCH_SECONDS", seconds)
     found = solve(problem, throw=False)
     assert time.monotonic() - started < 0.5 * seconds
     assert found.status == "certificate_failed"
@@ -177,11 +178,11 @@ def test_a_place_that_is_reached_in_no_free_pose_is_named_at_once(tmp_path, monk
     assert space.path(points) is not None
 
 
-def test_interrupted_while_it_seeks_it_keeps_the_motion(tmp_path, monkeypatch):
+def test_interruption_of_the_search_keeps_the_motion(tmp_path, monkeypatch):
     def stop(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(way_around.FreeSpace, "path", stop)
+    monkeypatch.setattr(collision_avoidance.FreeSpace, "path", stop)
     found = solve(gantry_problem(tmp_path), throw=False)
     assert found.status == "interrupted"
     assert found.trajectory is not None
@@ -190,11 +191,11 @@ def test_interrupted_while_it_seeks_it_keeps_the_motion(tmp_path, monkeypatch):
     assert "keeps all limits" not in found.message
 
 
-def test_interrupted_while_collisions_are_looked_for_it_keeps_the_motion(tmp_path, monkeypatch):
+def test_interruption_of_the_collision_check_keeps_the_motion(tmp_path, monkeypatch):
     def stop(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(way_around, "with_collisions", stop)
+    monkeypatch.setattr(collision_avoidance, "with_collisions", stop)
     found = solve(gantry_problem(tmp_path), throw=False)
     assert found.status == "interrupted"
     assert found.solver.intervals == 40
@@ -211,7 +212,7 @@ def test_interrupted_while_collisions_are_looked_for_it_keeps_the_motion(tmp_pat
         ),
     ],
 )
-def test_what_ends_before_the_optimum_says_what_it_meets(tmp_path, pieces, words):
+def test_unfinished_solve_names_its_collisions(tmp_path, pieces, words):
     found = solve(gantry_problem(tmp_path, **pieces), throw=False)
     assert found.status == "iteration_limit"
     assert re.search(words, found.message)
@@ -219,7 +220,7 @@ def test_what_ends_before_the_optimum_says_what_it_meets(tmp_path, pieces, words
     assert found.message.endswith("do not run it.")
 
 
-def test_a_place_is_reached_in_a_pose_that_is_free(tmp_path):
+def test_position_is_reached_in_a_free_pose(tmp_path):
     # The tip can be at the end with the elbow up, which the box leaves room for, or down.
     urdf = PLANAR
     for name in ("upper", "fore"):
@@ -242,7 +243,7 @@ def test_a_place_is_reached_in_a_pose_that_is_free(tmp_path):
     assert found.assessment.position[-1][1] > 0.0 > resolved[1]
 
 
-def test_a_warm_start_that_would_collide_is_led_around(tmp_path):
+def test_colliding_warm_start_is_avoided(tmp_path):
     below = "{ joints = [-0.4, -0.6] }", "{ joints = [0.4, -0.6] }"
     free = gantry_problem(tmp_path, start=below[0], end=below[1])
     family = ProblemFamily()
@@ -265,10 +266,10 @@ def test_a_pose_too_near_is_refused_after_a_warm_start_as_well(tmp_path):
         family.solve(near, warm)
 
 
-def test_progress_says_what_is_sought_and_which_round_it_is(tmp_path):
+def test_progress_names_search_and_round(tmp_path):
     said = []
     solve(gantry_problem(tmp_path), progress=lambda event: said.append(event.stage))
-    assert "seeking a way around base and hand" in said
+    assert "searching a path around base and hand" in said
     assert any("clear of collisions, round 1" in stage for stage in said)
 
 
@@ -282,7 +283,7 @@ def test_progress_says_what_is_sought_and_which_round_it_is(tmp_path):
         ("shaped_deviation", 0.58),
     ],
 )
-def test_every_kind_of_objective_keeps_clear(tmp_path, objective, place):
+def test_every_objective_avoids_collisions(tmp_path, objective, place):
     urdf = PLANAR
     for name in ("upper", "fore"):
         urdf = urdf.replace(f'<link name="{name}">', f'<link name="{name}">{ROD}')

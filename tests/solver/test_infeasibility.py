@@ -1,4 +1,4 @@
-"""Whether rows can hold together, and which cannot."""
+"""Infeasibility analysis: feasible rows, and the names of conflicting ones."""
 
 import casadi as ca
 import numpy as np
@@ -8,7 +8,7 @@ from small_arms import load
 from stiffopt import SolveStatus, native, solve
 from stiffopt.problem.formulation import Scales, formulate
 from stiffopt.problem.resolve import resolve
-from stiffopt.solver.phase_one import _Relaxed, least_excess
+from stiffopt.solver.infeasibility import _RelaxedProgramme, minimise_excess
 from stiffopt.transcription.build import transcribe
 from stiffopt.transcription.mesh import uniform_mesh
 from stiffopt.transcription.nlp import Blocks, Nlp
@@ -27,9 +27,9 @@ def straight(made):
     return 0.5 * (low + high)
 
 
-def test_rows_that_can_hold_are_met(tmp_path):
+def test_feasible_rows_have_no_excess(tmp_path):
     made = programme(tmp_path, limits="tool_speed = 2.0")
-    found = least_excess(made.nlp, straight(made), made.ocp.parameters)
+    found = minimise_excess(made.nlp, straight(made), made.ocp.parameters)
     assert found.converged
     assert found.excess < 1e-4
     jacobian = made.nlp.derivatives["jac_g"]
@@ -37,9 +37,9 @@ def test_rows_that_can_hold_are_met(tmp_path):
     assert made.nlp.violations(g.full()).max() < 1e-4
 
 
-def test_the_row_that_cannot_hold_is_named(tmp_path):
+def test_conflicting_row_is_named(tmp_path):
     made = programme(tmp_path, limits="tool_speed = 0.05")
-    found = least_excess(made.nlp, straight(made), made.ocp.parameters)
+    found = minimise_excess(made.nlp, straight(made), made.ocp.parameters)
     assert found.converged
     # Rows are of the squared speed over the limit.
     assert found.excess > 1.0
@@ -51,7 +51,7 @@ def test_derivatives_are_those_of_the_relaxed_programme(tmp_path, monkeypatch):
     monkeypatch.setattr(native, "library", lambda: None)
     made = programme(tmp_path, limits="tool_speed = 0.5")
     x = straight(made)
-    relaxed = _Relaxed(made.nlp, x, made.ocp.parameters).nlp
+    relaxed = _RelaxedProgramme(made.nlp, x, made.ocp.parameters).nlp
     random = np.random.default_rng(4)
     z = np.append(x + 0.1 * random.normal(size=len(x)), random.random(relaxed.x.numel() - len(x)))
     p, multipliers = made.nlp.parameters(made.ocp.parameters), random.normal(size=relaxed.g.numel())
@@ -75,7 +75,7 @@ def test_derivatives_are_those_of_the_relaxed_programme(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("cap", ["0.5 um", "1 nm"])
-def test_a_cap_that_nothing_meets_is_named_soon(tmp_path, cap):
+def test_infeasible_cap_is_named_quickly(tmp_path, cap):
     limits = f'dynamic_deflection = "{cap}"'
     problem = load(tmp_path, "planar", duration="0.9", limits=limits)
     solution = solve(problem, throw=False)
@@ -111,14 +111,14 @@ def small():
     )  # fmt: skip
 
 
-def test_a_small_excess_after_a_large_start_is_told_as_it_is():
-    found = least_excess(small(), np.array([1.0, 0.0]), np.ones(1))
+def test_small_excess_after_large_start_is_exact():
+    found = minimise_excess(small(), np.array([1.0, 0.0]), np.ones(1))
     assert found.converged
     assert found.excess == pytest.approx(0.045, rel=0.02)
-    # By what is exceeded, not by what was left of it beside a large start.
+    # The excess itself, not its rounding beside a large start.
     assert [each.name for each in found.conflicts[:2]] == ["far", "near"]
 
 
-def test_slacks_of_rows_scaled_down_are_told_unscaled():
-    relaxed = _Relaxed(small(), np.array([1.0, 0.0]), np.ones(1))
+def test_slacks_of_scaled_rows_are_unscaled():
+    relaxed = _RelaxedProgramme(small(), np.array([1.0, 0.0]), np.ones(1))
     assert relaxed.unscaled(np.array([1.0, 1.0, 1.0])) == pytest.approx([100.0, 1.0, 1.0])

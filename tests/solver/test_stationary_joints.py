@@ -1,4 +1,4 @@
-"""Joints that would creep stand still, where dry friction is part of what is minimised."""
+"""Creeping joints are fixed where dry friction is part of the objective."""
 
 import numpy as np
 import pytest
@@ -9,7 +9,7 @@ from stiffopt.result.status import SolveStatus
 from stiffopt.solver import refinement
 from stiffopt.solver.solve import solve
 
-# Nearly hanging: what holds the arm is less than its friction.
+# Nearly hanging: the holding torque is less than the friction.
 PIECES = {
     "start": "{ joints = [1.5, 0.0] }",
     "end": "{ joints = [1.6, 0.2] }",
@@ -21,16 +21,16 @@ PIECES = {
 @pytest.fixture
 def creeping(tmp_path, monkeypatch):
     """An arm with dry friction, on one mesh."""
-    monkeypatch.setattr(refinement, "_REFINEMENTS", 0)
+    monkeypatch.setattr(refinement, "_MAX_REFINEMENTS", 0)
     path = write_problem(tmp_path, "planar", **PIECES)
     joints = [joint(name, reducer(), coulomb=3.0) for name in ("shoulder", "elbow")]
     write_robot(tmp_path, "planar", joints)
     return load_problem(path).problem
 
 
-def test_joints_stand_still_in_place_of_creeping(creeping, monkeypatch):
+def test_creeping_joints_are_fixed(creeping, monkeypatch):
     found = solve(creeping, throw=False)
-    monkeypatch.setattr(refinement, "_STANDS", 0)
+    monkeypatch.setattr(refinement, "_MAX_STATIONARY_SOLVES", 0)
     before = solve(creeping, throw=False)
     rests = [np.mean(np.abs(s.assessment.velocity) < 1e-9, axis=0) for s in (before, found)]
     # By the sharp law of the certificate: creeping was charged three quarters more than believed.
@@ -38,21 +38,21 @@ def test_joints_stand_still_in_place_of_creeping(creeping, monkeypatch):
     assert np.max(rests[0]) < 0.01
     assert np.min(rests[1]) > 0.3
     assert found.assessment.feasible(5e-3)
-    # What is left is said of friction, not of the mesh.
+    # The remaining gap is attributed to friction, not to the mesh.
     assert "joints creep" in before.message
     assert "between the nodes" not in before.message
 
 
-def test_arms_without_friction_are_left_alone(tmp_path, monkeypatch):
+def test_arms_without_friction_are_unchanged(tmp_path, monkeypatch):
     def never(*_):
         raise AssertionError
 
-    monkeypatch.setattr(refinement, "_CREEP", -1.0)
+    monkeypatch.setattr(refinement, "_CREEP_OBJECTIVE_GAP", -1.0)
     monkeypatch.setattr(refinement, "solve_again", never)
     assert solve(load(tmp_path, **PIECES), throw=False).status is SolveStatus.OPTIMAL
 
 
-def test_ctrl_c_in_it_keeps_the_motion(creeping, monkeypatch):
+def test_ctrl_c_keeps_the_motion(creeping, monkeypatch):
     def interrupted(*_):
         raise KeyboardInterrupt
 

@@ -1,4 +1,4 @@
-"""What is said of a duration in which no motion was found."""
+"""Advice on a feasible duration where no motion was found."""
 
 import re
 from dataclasses import replace
@@ -8,8 +8,8 @@ from small_arms import joint, problem_text, reducer, write_robot
 
 from stiffopt.problem.files import load_problem
 from stiffopt.result.status import SolveStatus
-from stiffopt.solver.slower import slower_advice
-from stiffopt.solver.solve import solution_of, solve, solve_keeping
+from stiffopt.solver.solve import solution_of, solve, solve_with_state
+from stiffopt.solver.trivial_outcomes import feasible_duration_advice
 
 DEVIATION = 'objective = "tool_deviation"'
 
@@ -25,7 +25,7 @@ def hurried(tmp_path_factory):
     return load_problem(path).problem
 
 
-def test_the_duration_that_is_named_is_possible(hurried):
+def test_advised_duration_is_feasible(hurried):
     found = solve(hurried, throw=False)
     assert found.status in (SolveStatus.INFEASIBLE, SolveStatus.CERTIFICATE_FAILED)
     named = re.search(r'motion\.duration = "([0-9.]+) s"', found.message)
@@ -35,15 +35,15 @@ def test_the_duration_that_is_named_is_possible(hurried):
     assert solve(replace(hurried, duration=(longer, longer)), throw=False).status.usable
 
 
-def test_nothing_is_said_where_the_duration_is_free(hurried):
+def test_no_advice_for_free_duration(hurried):
     free = replace(hurried, duration=(0.45, 2.0))
-    _, kept = solve_keeping(free)
+    _, kept = solve_with_state(free)
     assert kept is not None
-    assert slower_advice(*kept) == ""
+    assert feasible_duration_advice(*kept) == ""
 
 
-def test_a_solve_that_met_its_iteration_limit_names_a_duration_too(hurried):
-    _, (run, outcome) = solve_keeping(hurried)
+def test_iteration_limit_gets_duration_advice(hurried):
+    _, (run, outcome) = solve_with_state(hurried)
     met = replace(outcome, raw=replace(outcome.raw, status="iteration_limit"))
     found = solution_of(run, met, {}, ())
     assert found.status is SolveStatus.ITERATION_LIMIT

@@ -1,14 +1,12 @@
-"""Optima near a known one, by Newton's method on the bounds and rows that bind there.
+"""Active-set warm start: Newton's method from the active set of a nearby optimum.
 
-An interior-point method begins inside and has to find its way back to the bounds. Here the optimum
-of the programme before tells which of them bind. Each step is a quadratic programme, solved by
-letting go what has a multiplier of the wrong sign and taking in what is exceeded. With the
-coefficients of splines in place of states and controls no equations are left, and everything is
-banded in time.
+An interior-point method starts inside the bounds and has to converge back to them. Here the active
+set of the nearby programme is the first estimate. Each step is a quadratic programme, solved by
+dropping constraints with a multiplier of the wrong sign and adding violated ones. With spline
+coefficients in place of states and controls no equations remain, and all matrices are banded.
 
-What is found is accepted only as a local minimum, where the curvature is positive with a penalty on
-leaving what binds, and to the tolerance of the solver that it stands in for. Otherwise nothing is
-said.
+A result is accepted only as a local minimum, where the curvature with a penalty on the active set
+is positive definite, and to the tolerance of the IPOPT solver. Otherwise there is none.
 
 Source: Hintermueller, Ito, Kunisch (2002), "The primal-dual active set strategy as a semismooth
 Newton method".
@@ -31,24 +29,25 @@ from stiffopt.symbolic import InPlace
 from stiffopt.transcription.nlp import Nlp
 from stiffopt.transcription.transcription import Transcription
 
-# Steps, and exchanges in each, after which an optimum is not near.
-_STEPS, _EXCHANGES = 8, 40
-# Share of its distance from which on a multiplier says that a constraint binds, and excess from
-# which on it is taken in.
-_BINDS, _ENTERS = 1e-4, 1e-10
-# By which what binds may be missed, where what binds depends on each other.
-_KEPT = 1e-6
-# Of what binds: how much steeper than the objective its penalty is; rounds that leave none of it.
-_PENALTY, _ROUNDS = 1e4, 3
+# Newton steps, and changes of the active set in each, after which the search is given up.
+_MAX_NEWTON_STEPS, _MAX_ACTIVE_SET_CHANGES = 8, 40
+# A constraint is active initially where its multiplier exceeds this share of its slack; excess from
+# which on an inactive one is added.
+_ACTIVE_MULTIPLIER_SHARE, _ENTERING_EXCESS = 1e-4, 1e-10
+# Residual allowed in active constraints that are linearly dependent.
+_MAX_DEPENDENT_MISS = 1e-6
+# Penalty on active constraints relative to the objective's curvature, and rounds of multiplier
+# updates: each reduces their residual to 1e-4.
+_PENALTY_FACTOR, _MULTIPLIER_ROUNDS = 1e4, 3
 
 
-class NearOptimum:
-    """Finds optima of programmes that differ in numbers, each from one near it.
+class ActiveSetSolver:
+    """Solver of programmes that differ in numbers, each from a nearby optimum.
 
     Parameters
     ----------
     solver : IpoptSolver
-        Whose derivatives are used and whose tolerance is kept.
+        Provides derivatives and tolerance.
     """
 
     def __init__(self, solver: IpoptSolver) -> None:
@@ -64,21 +63,21 @@ class NearOptimum:
         near: Multipliers,
         report: Callable[[Progress], object] | None = None,
     ) -> RawSolution | None:
-        """The optimum; None where it is not found, which says nothing of the programme.
+        """Return the optimum, None where it is not found: the programme may have one still.
 
         Parameters
         ----------
         transcription : Transcription
             Of the solver's programme, with its own bounds and numbers.
         x0 : array
-            Scaled variables of the near optimum.
+            Scaled variables of the nearby optimum.
         parameters : array (np,)
         near : Multipliers
-            Of the near optimum.
+            Of the nearby optimum.
         report : callable, optional
         """
         begin = time.perf_counter()
-        motions = self._motions_of(transcription)
+        motions = self._select_motions(transcription)
         if motions is None or not np.isfinite(x0).all():
             return None
         basis = motions.basis
@@ -88,7 +87,7 @@ class NearOptimum:
         coefficients = motions.nearest(x0)
         history: list[Progress] = []
         forces, side = np.zeros(0), np.zeros(0)
-        for step in range(_STEPS):
+        for step in range(_MAX_NEWTON_STEPS):
             x = basis @ coefficients
             objective, gradient = (values.copy() for values in self._gradient(x, p))
             g = self._jacobian(x, p)[0].copy()
@@ -102,68 +101,70 @@ class NearOptimum:
             stationary = float(np.abs(slope + matrix.T @ forces).max())
             if not np.isfinite(stationary + violation):
                 return None
-            history.append(_progress(nlp, step, objective[0], g, time.perf_counter() - begin))
+            history.append(
+                _report_progress(nlp, step, objective[0], g, time.perf_counter() - begin)
+            )
             if report is not None:
                 report(history[-1])
             if step and max(stationary, violation) <= self._tolerance:
                 lam_x, lam_g = constraints.split(forces)
-                lam_g = motions.with_equations(nlp, gradient + lam_x, jacobian, lam_g)
+                lam_g = motions.complete_multipliers(nlp, gradient + lam_x, jacobian, lam_g)
                 seconds = time.perf_counter() - begin
-                return _solution(nlp, x, g, lam_x, lam_g, history, seconds)
-            curvature = self._curvature(x, p, constraints.split(forces)[1], motions)
+                return _raw_solution(nlp, x, g, lam_x, lam_g, history, seconds)
+            curvature = self._lagrangian_curvature(x, p, constraints.split(forces)[1], motions)
             to_bounds = constraints.lower - value, constraints.upper - value
-            taken = _quadratic(curvature, slope, matrix, to_bounds, forces, side)
+            taken = _solve_quadratic_programme(curvature, slope, matrix, to_bounds, forces, side)
             if taken is None:
                 return None
             moved, forces, side = taken
             coefficients = coefficients + moved
         return None
 
-    def _motions_of(self, transcription: Transcription) -> _Motions | None:
-        """All motions; kept while the duration is the same."""
+    def _select_motions(self, transcription: Transcription) -> _Motions | None:
+        """Return the basis of motions, cached while the duration is the same."""
         duration = transcription.ocp.duration[0]
         if self._motions is None or self._motions.duration != duration:
             basis = transcription.motion_basis()
             self._motions = None if basis is None else _Motions(duration, basis)
         return self._motions
 
-    def _curvature(
+    def _lagrangian_curvature(
         self, x: np.ndarray, p: np.ndarray, multipliers: np.ndarray, motions: _Motions
     ) -> csr_matrix:
-        """Of the Lagrangian by the coefficients (k, k)."""
+        """Return the Lagrangian's curvature in the coefficients (k, k)."""
         self._hessian(x, p, 1.0, multipliers)
         lower = self._hessian.sparse(0).T
-        lower.data[_rows(lower) == lower.indices] /= 2.0
+        lower.data[_entry_rows(lower) == lower.indices] /= 2.0
         half = motions.transposed @ (lower @ motions.basis)
         return half + half.T.tocsr()
 
 
 class _Motions:
-    """All motions that last as long: a basis with columns of unit length."""
+    """Basis, with columns of unit length, of all motions of one duration."""
 
     def __init__(self, duration: float, basis: csr_matrix) -> None:
         lengths = np.sqrt(np.asarray(basis.multiply(basis).sum(axis=0))).ravel()
         self.duration = duration
         self.basis = (basis @ diags(1.0 / lengths)).tocsr()
-        # Kept by rows as well: products of what is kept alike need no conversion.
+        # Stored by rows as well: products of matrices in one format need no conversion.
         self.transposed = self.basis.T.tocsr()
-        self._normal = splu((self.transposed @ self.basis).tocsc())
+        self._normal_factor = splu((self.transposed @ self.basis).tocsc())
         self._equations: tuple[csr_matrix, Any] | None = None
 
     def nearest(self, x: np.ndarray) -> np.ndarray:
-        """Coefficients of the motion nearest to variables."""
-        found: np.ndarray = self._normal.solve(self.transposed @ x)
+        """Return the coefficients of the motion nearest to variables."""
+        found: np.ndarray = self._normal_factor.solve(self.transposed @ x)
         return found
 
-    def with_equations(
+    def complete_multipliers(
         self, nlp: Nlp, slope: np.ndarray, jacobian: csr_matrix, multipliers: np.ndarray
     ) -> np.ndarray:
-        """Multipliers of all rows, with those of the equations that splines stand in for."""
+        """Return multipliers of all rows, with those of the equations that splines eliminate."""
         own = nlp.structural
         if not own.any():
             return multipliers
         if self._equations is None:
-            # Linear, or there were no splines: the same in every problem that lasts as long.
+            # Linear equations: the same in every problem of this duration.
             equations = jacobian[own]
             self._equations = equations, splu((equations @ equations.T).tocsc())
         equations, factor = self._equations
@@ -174,44 +175,46 @@ class _Motions:
 
 
 class _Constraints:
-    """Bounds of variables above rows, without equations that motions of splines obey anyway.
+    """Bounds of variables, then rows, without the equations that spline motions satisfy.
 
     A force on a constraint, its multiplier, is positive at the upper bound and negative at the
-    lower; a side is 1, -1, 0 where it does not bind and 2 where both are one.
+    lower. Sides are 1 (upper active), -1 (lower active), 0 (inactive) and 2 (equality).
     """
 
     def __init__(self, nlp: Nlp, basis: csr_matrix) -> None:
         self.nlp, self._basis = nlp, basis
         self.bounds = np.flatnonzero(np.isfinite(nlp.lower_x) | np.isfinite(nlp.upper_x))
         self.rows = np.flatnonzero(~nlp.structural)
-        self._of_bounds = basis[self.bounds]
+        self._bound_basis = basis[self.bounds]
         self.lower = np.append(nlp.lower_x[self.bounds], nlp.lower_g[self.rows])
         self.upper = np.append(nlp.upper_x[self.bounds], nlp.upper_g[self.rows])
 
     def values(self, x: np.ndarray, g: np.ndarray) -> np.ndarray:
-        """Of all constraints (c,)."""
+        """Return the values of all constraints (c,)."""
         return np.append(x[self.bounds], g[self.rows])
 
     def matrix(self, jacobian: csr_matrix) -> csr_matrix:
-        """Their slopes by the coefficients (c, k)."""
-        return vstack([self._of_bounds, jacobian[self.rows] @ self._basis], format="csr")
+        """Return the constraints' Jacobian in the coefficients (c, k)."""
+        return vstack([self._bound_basis, jacobian[self.rows] @ self._basis], format="csr")
 
     def split(self, forces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Multipliers of all variables and all rows."""
+        """Return the multipliers of all variables and of all rows."""
         of_x, of_g = np.zeros(len(self.nlp.lower_x)), np.zeros(len(self.nlp.lower_g))
         of_x[self.bounds], of_g[self.rows] = np.split(forces, [len(self.bounds)])
         return of_x, of_g
 
     def binding(self, near: Multipliers, value: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Forces (c,) of a near optimum and sides (c,), for values (c,) that it has here."""
+        """Return the initial forces (c,) and sides (c,) from a nearby optimum's multipliers."""
         forces = np.append(near.multipliers_x[self.bounds], near.multipliers_g[self.rows])
-        side = np.where(forces > _BINDS * np.maximum(self.upper - value, 0.0), 1, 0)
-        side[forces < -_BINDS * np.maximum(value - self.lower, 0.0)] = -1
+        side = np.where(
+            forces > _ACTIVE_MULTIPLIER_SHARE * np.maximum(self.upper - value, 0.0), 1, 0
+        )
+        side[forces < -_ACTIVE_MULTIPLIER_SHARE * np.maximum(value - self.lower, 0.0)] = -1
         side[self.lower == self.upper] = 2
         return np.where(side != 0, forces, 0.0), side
 
 
-def _quadratic(
+def _solve_quadratic_programme(
     curvature: csr_matrix,
     slope: np.ndarray,
     matrix: csr_matrix,
@@ -219,22 +222,26 @@ def _quadratic(
     forces: np.ndarray,
     side: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
-    """Step, forces and sides of min slope s + s curvature s / 2 with lower <= matrix s <= upper."""
+    """Solve min slope s + s curvature s / 2 with lower <= matrix s <= upper.
+
+    Returns step, forces and sides; None where the curvature is not positive definite or the active
+    set does not converge.
+    """
     lower, upper = to_bounds
-    lengths = np.bincount(_rows(matrix), matrix.data**2, len(side))
+    lengths = np.bincount(_entry_rows(matrix), matrix.data**2, len(side))
     steep = np.abs(curvature.data).max(initial=0.0)
-    stiffness = _PENALTY * steep / np.maximum(lengths, 1e-300)
-    width = _width(curvature, matrix)
-    bands, held = _bands(curvature, width), np.zeros(len(side), dtype=bool)
+    stiffness = _PENALTY_FACTOR * steep / np.maximum(lengths, 1e-300)
+    width = _half_bandwidth(curvature, matrix)
+    bands, held = _lower_bands(curvature, width), np.zeros(len(side), dtype=bool)
     seen = {side.tobytes()}
-    for _ in range(_EXCHANGES):
+    for _ in range(_MAX_ACTIVE_SET_CHANGES):
         bound = side != 0
         for sign, changed in ((1.0, bound & ~held), (-1.0, held & ~bound)):
             if changed.any():
                 rows = matrix[changed]
                 pulled = rows.T.tocsr()
                 pulled.data *= stiffness[changed][pulled.indices]
-                bands += sign * _bands(pulled @ rows, width)
+                bands += sign * _lower_bands(pulled @ rows, width)
         held = bound
         try:
             factor = cholesky_banded(bands, lower=True, check_finite=False), True
@@ -244,8 +251,8 @@ def _quadratic(
         columns = rows.T
         missing = np.where(side > 0, upper, lower)[bound]
         step, own = np.zeros(len(slope)), forces[bound]
-        # What is missed falls to a ten-thousandth each time.
-        for _ in range(_ROUNDS):
+        # Each round reduces the residual of active constraints to 1e-4.
+        for _ in range(_MULTIPLIER_ROUNDS):
             push = pull * missing
             unbalanced = slope + curvature @ step + columns @ (own - push)
             moved = cho_solve_banded(factor, -unbalanced, check_finite=False)
@@ -258,14 +265,14 @@ def _quadratic(
         value = matrix @ step
         now = side.copy()
         now[((side == 1) & (forces < 0.0)) | ((side == -1) & (forces > 0.0))] = 0
-        now[~bound & (value > upper + _ENTERS)] = 1
-        now[~bound & (value < lower - _ENTERS)] = -1
+        now[~bound & (value > upper + _ENTERING_EXCESS)] = 1
+        now[~bound & (value < lower - _ENTERING_EXCESS)] = -1
         changed = np.flatnonzero(now != side)
         if not changed.size:
             missed = np.abs(missing).max(initial=0.0)
-            return (step, forces, side) if missed <= _KEPT else None
+            return (step, forces, side) if missed <= _MAX_DEPENDENT_MISS else None
         if now.tobytes() in seen:
-            # All together go round in circles: the one that is worst, alone.
+            # The active set cycles: change the worst constraint only.
             excess = np.maximum(value - upper, lower - value)
             wrong = np.where(bound, np.abs(forces) / stiffness, excess)
             worst = changed[np.argmax(wrong[changed])]
@@ -275,34 +282,36 @@ def _quadratic(
     return None
 
 
-def _rows(matrix: csr_matrix) -> np.ndarray:
-    """Row of each entry."""
+def _entry_rows(matrix: csr_matrix) -> np.ndarray:
+    """Return the row of each entry."""
     return np.repeat(np.arange(matrix.shape[0]), np.diff(matrix.indptr))
 
 
-def _width(curvature: csr_matrix, matrix: csr_matrix) -> int:
-    """Half the band of the curvature with a penalty on any rows."""
+def _half_bandwidth(curvature: csr_matrix, matrix: csr_matrix) -> int:
+    """Return the half bandwidth of the curvature with a penalty on any rows."""
     filled = np.diff(matrix.indptr) > 0
     first, last = matrix.indptr[:-1][filled], matrix.indptr[1:][filled] - 1
     spans = matrix.indices[last] - matrix.indices[first]
-    beside = np.abs(_rows(curvature) - curvature.indices).max(initial=0)
+    beside = np.abs(_entry_rows(curvature) - curvature.indices).max(initial=0)
     return int(max(beside, spans.max(initial=0)))
 
 
-def _bands(matrix: csr_matrix, width: int) -> np.ndarray:
-    """Lower half of a symmetric matrix, diagonal by diagonal (width + 1, k)."""
-    below = _rows(matrix) - matrix.indices
+def _lower_bands(matrix: csr_matrix, width: int) -> np.ndarray:
+    """Return the lower half of a symmetric matrix, diagonal by diagonal (width + 1, k)."""
+    below = _entry_rows(matrix) - matrix.indices
     lower = below >= 0
     bands = np.zeros((width + 1, matrix.shape[0]))
     bands[below[lower], matrix.indices[lower]] = matrix.data[lower]
     return bands
 
 
-def _progress(nlp: Nlp, step: int, objective: float, g: np.ndarray, elapsed: float) -> Progress:
+def _report_progress(
+    nlp: Nlp, step: int, objective: float, g: np.ndarray, elapsed: float
+) -> Progress:
     return Progress(step, float(objective) * nlp.objective_scale, *nlp.worst_excess(g), elapsed)
 
 
-def _solution(
+def _raw_solution(
     nlp: Nlp,
     x: np.ndarray,
     g: np.ndarray,
@@ -314,7 +323,7 @@ def _solution(
     last = history[-1]
     return RawSolution(
         status="optimal",
-        reason="Newton steps on what binds at a near optimum",
+        reason="active-set Newton steps from a nearby optimum",
         x=np.clip(x, nlp.lower_x, nlp.upper_x),
         g=g,
         objective=last.objective,

@@ -5,10 +5,14 @@ import pytest
 
 from stiffopt.connection import BoltedFlange, Reducer
 from stiffopt.drivetrain import catalogue
-from stiffopt.drivetrain.chain import Chain
-from stiffopt.drivetrain.stage import Stage
-from stiffopt.exact.chain import breakpoints, exact_compliance, exact_windup
-from stiffopt.exact.joint_curve import compliance_along, windup_along
+from stiffopt.drivetrain.chain import Chain, Stage
+from stiffopt.exact.chain import (
+    breakpoints,
+    compliance_along,
+    exact_compliance,
+    exact_windup,
+    windup_along,
+)
 from stiffopt.robot.files import load_robot
 
 
@@ -21,7 +25,7 @@ def test_curve_is_the_exact_law(name, joint):
     corners = np.array(breakpoints(chain))
     torque = np.concatenate(
         [
-            # Beyond what the joint is meant for, over all magnitudes, at corners, at none.
+            # Beyond the rated torque, over all magnitudes, at kinks, at zero.
             random.uniform(-2.5, 2.5, 300) * most,
             most * 10.0 ** random.uniform(-14.0, 0.0, 300),
             corners,
@@ -35,7 +39,7 @@ def test_curve_is_the_exact_law(name, joint):
     )
 
 
-def test_what_slips_has_no_end():
+def test_slipping_windup_is_infinite():
     flange = BoltedFlange(
         name="flange",
         torque_max=50.0,

@@ -4,9 +4,9 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from stiffopt.certificate.moving_joints import (
+from stiffopt.certificate.rigid_body import (
     holding_torques,
-    joint_places,
+    joint_geometries,
     moving_joints,
     point_jacobian,
 )
@@ -40,7 +40,7 @@ def test_axes_along_a_motion_are_those_of_pinocchio(made):
     pin.seed(5)
     model = made()
     data, position = model.createData(), np.random.default_rng(1).normal(size=(7, model.nq))
-    joints, offset = moving_joints(joint_places(model), position), np.array([0.1, -0.2, 0.3])
+    joints, offset = moving_joints(joint_geometries(model), position), np.array([0.1, -0.2, 0.3])
     weights = holding_torques(joints, model.gravity.linear)
     for carrier in range(1, model.njoints):
         place = joints[carrier - 1].point(offset)

@@ -1,0 +1,373 @@
+"""Search for the motor command of one planned motion that deviates least on uncertain arms."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Generator, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, TypeVar
+
+import numpy as np
+
+from stiffopt.certificate.assess import drive_history
+from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE, find_drive_violations
+from stiffopt.elastic.many_arms import Asked, ManyArms, Member, Swings
+from stiffopt.elastic.motor import MotorMotion
+from stiffopt.elastic.simulate import REST, simulate
+from stiffopt.elastic.smooth_motion import smooth_motion
+from stiffopt.elastic.uncertainty import Departure, bounded, corners, draws, one_at_a_time
+from stiffopt.problem.motor_model import LEADS_MORE, MotorLaw, law_smoothing
+from stiffopt.result.compensation import CompensatedMotion, Spread, Spreads
+from stiffopt.result.trajectory import JointMotion, Trajectory
+from stiffopt.solver.smoothing_width import KNOT_SPACINGS, motors_with_sufficient_smoothing
+
+if TYPE_CHECKING:
+    from stiffopt.elastic.arm import ElasticArm
+    from stiffopt.elastic.motor import Servo
+    from stiffopt.elastic.uncertainty import Uncertainty
+    from stiffopt.problem.trajectory import TrajectoryProblem
+    from stiffopt.result.assessment import Violation
+    from stiffopt.result.simulation import SimulatedMotion
+    from stiffopt.solver.simulation import PlannedMotion
+
+# Shares of the nominal wind-up that are tried; a plan chosen for uncertain arms reserves drive
+# capacity for the second one (`LEADS_MORE`).
+_WINDUP_SHARES = (1.0, 1.0 + LEADS_MORE, 1.06, 1.09)
+# Samples at which candidates are judged; the chosen one is judged on the certificate's grid.
+_TRIAL_SAMPLES = 1001
+
+Result = TypeVar("Result")
+# Generator that requests simulations on its way to a result: the requests of several generators are
+# simulated together, which costs little more than one alone.
+SimulationRequests = Generator[Asked, Swings, Result]
+
+
+@dataclass(frozen=True, eq=False)
+class ExistingCommand:
+    """Command of an earlier solve.
+
+    Parameters
+    ----------
+    motors : JointMotion
+        Motion of the motors, with that of the links as its `link`.
+    plan : MotorMotion
+        Planned motion of the links.
+    spacing : float or None
+        As of `CompensatedMotion`.
+    share : float
+    """
+
+    motors: JointMotion
+    plan: MotorMotion
+    spacing: float | None
+    share: float
+
+
+@dataclass(frozen=True, eq=False)
+class CommandOnArms:
+    """Command with its results on the arm as modelled, at its bounds and as drawn.
+
+    Parameters
+    ----------
+    motion : PlannedMotion
+    motors : JointMotion
+        The command.
+    planned, compensated : Spreads
+        Of the motion as it is planned, and of the command.
+    nominal, worst : Departure
+        The arm as modelled, and the one on which the command deviates most in flight.
+    spacing, share : as of `CompensatedMotion`
+    excess : tuple of Violation
+        Limits of the motors that the command exceeds.
+    simulated : callable
+        Full elastic simulation of the command on an arm.
+    law : MotorLaw
+        By which the command was made.
+    """
+
+    motion: PlannedMotion
+    motors: JointMotion
+    planned: Spreads
+    compensated: Spreads
+    nominal: Departure
+    worst: Departure
+    spacing: float | None
+    share: float
+    excess: tuple[Violation, ...]
+    simulated: Callable[[Departure], SimulatedMotion]
+    law: MotorLaw
+
+    @property
+    def worst_case_peaks(self) -> float:
+        """Sum of the command's peaks on the worst arms, in flight and after arrival [m]."""
+        led = self.compensated
+        return np.inf if self.excess else led.flight.worst + led.after.worst
+
+    def for_reports(self) -> CompensatedMotion:
+        """Return the result for reports, with full simulations."""
+        optimised = self.motion.name == "optimised"
+        return CompensatedMotion(
+            name=self.motion.name,
+            planned=self.planned,
+            compensated=self.compensated,
+            simulated=self.simulated(self.nominal),
+            worst=self.simulated(self.worst) if optimised else None,
+            spacing=self.spacing,
+            share=self.share,
+            excess=self.excess,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class _Lead:
+    """Smooth motion of the links and the motors that lead it.
+
+    Parameters
+    ----------
+    link : Trajectory
+    motors : Trajectory
+        With all of the nominal wind-up.
+    spacing : float or None
+    """
+
+    link: Trajectory
+    motors: Trajectory
+    spacing: float | None
+
+    def command(self, share: float) -> Trajectory:
+        """Return the motors' motion with a share of the wind-up."""
+        if share == 1.0:
+            return self.motors
+        times = self.motors.times
+        derivatives = [
+            (1.0 - share) * self.link(times, k) + share * self.motors(times, k) for k in range(4)
+        ]
+        return Trajectory.through(times, np.stack(derivatives), self.link)
+
+
+class CommandSearch:
+    """Search for the command of one planned motion on many arms; a known servo is that of all."""
+
+    def __init__(
+        self,
+        problem: TrajectoryProblem,
+        arm: ElasticArm,
+        motion: PlannedMotion,
+        law: MotorLaw,
+        plan: MotorMotion | None = None,
+        servo: Servo | None = None,
+    ) -> None:
+        self._problem, self._arm, self._motion, self._law = problem, arm, motion, law
+        self._follows = MotorMotion(motion.time, motion.position, motion.velocity)
+        if plan is None:
+            plan = self._follows if motion.link is None else MotorMotion.of(motion.link)
+        self._plan, self._known = plan, servo
+        self._servo = problem.uncertainty.servo if servo is None else servo
+        self._many = ManyArms(arm, self._plan, self._servo)
+        self._carries = arm.robot.payload is not None
+        self._loads: dict[tuple[JointMotion, int], np.ndarray] = {}
+        (self._nominal,) = self._with_known_servo([Departure.none(arm.robot.n)])
+        self._corners = self._with_known_servo(
+            corners(self._uncertainty_with_servo, arm.robot.n, self._carries)
+        )
+
+    @property
+    def _uncertainty_with_servo(self) -> Uncertainty:
+        unsure = self._problem.uncertainty
+        if self._known is None:
+            return unsure
+        # An ideal servo: no uncertainty of it.
+        return replace(unsure, servo_feed_forward=1.0, servo_delay=0.0)
+
+    def _with_known_servo(self, arms: list[Departure]) -> list[Departure]:
+        return arms if self._known is None else [replace(each, servo=1.0) for each in arms]
+
+    def judged_command(self) -> SimulationRequests[CommandOnArms]:
+        """Choose the command and judge it on all arms."""
+        lead, share, signs = yield from self._choose_lead()
+        return (yield from self._judge_on_all_arms(lead.command(share), signs, lead.spacing, share))
+
+    def chosen_command(self) -> SimulationRequests[ExistingCommand]:
+        """Choose the command without judging it."""
+        lead, share, _ = yield from self._choose_lead()
+        return ExistingCommand(lead.command(share), self._plan, lead.spacing, share)
+
+    def judge_existing(self, made: ExistingCommand) -> SimulationRequests[CommandOnArms]:
+        """Judge an existing command on all arms."""
+        single = self._request_single_departures(MotorMotion.of(made.motors))
+        signs = self._worst_sign_departures(*(yield from single))
+        return (yield from self._judge_on_all_arms(made.motors, signs, made.spacing, made.share))
+
+    def _judge_on_all_arms(
+        self, motors: JointMotion, signs: list[Departure], spacing: float | None, share: float
+    ) -> SimulationRequests[CommandOnArms]:
+        """Simulate a command on the arm as modelled, at its bounds and as drawn."""
+        follows, plan, command = self._follows, self._plan, MotorMotion.of(motors)
+        drawn = self._with_known_servo(
+            draws(self._uncertainty_with_servo, self._arm.robot.n, self._carries)
+        )
+        arms = [self._nominal, *self._corners, *signs, *drawn]
+        members = [Member(command=follows, departure=each, reference=follows) for each in arms]
+        members += [Member(command=command, departure=each, reference=plan) for each in arms]
+        swings = yield Asked(self._many, members)
+        count = len(arms)
+        return CommandOnArms(
+            motion=self._motion,
+            motors=motors,
+            planned=_summarise_spreads(
+                swings.peak[:count], swings.peak_after[:count], arms, len(drawn)
+            ),
+            compensated=_summarise_spreads(
+                swings.peak[count:], swings.peak_after[count:], arms, len(drawn)
+            ),
+            nominal=self._nominal,
+            worst=arms[int(np.argmax(swings.peak[count:]))],
+            spacing=spacing,
+            share=share,
+            excess=self._motor_violations(motors),
+            simulated=functools.partial(self._simulate_on, command),
+            law=self._law,
+        )
+
+    def _choose_lead(self) -> SimulationRequests[tuple[_Lead, float, list[Departure]]]:
+        """Return spline and share of the least worst case, and the worst signs of stiffness."""
+        leads = self._candidate_leads()
+        within = [lead for lead in leads if self._keeps_plan_limits(lead.motors)] or leads
+        # A plan at a limit leaves no drive capacity for more than the nominal wind-up.
+        tried = [
+            (lead, share)
+            for lead in within
+            for share in _WINDUP_SHARES
+            if share == 1.0 or self._keeps_plan_limits(lead.command(share))
+        ]
+        commands = [MotorMotion.of(lead.command(share)) for lead, share in tried]
+        signs = self._worst_sign_departures(
+            *(yield from self._request_single_departures(commands[0]))
+        )
+        arms = [*self._corners, *signs]
+        members = [
+            Member(command=own, departure=arm, reference=self._plan)
+            for own in commands
+            for arm in arms
+        ]
+        swings = yield Asked(self._many, members)
+        shape = (len(commands), len(arms))
+        flight = swings.peak.reshape(shape).max(axis=1)
+        after = swings.peak_after.reshape(shape).max(axis=1)
+        best = [tried[k] for k in np.argsort(flight + after, kind="stable")]
+        # The trial grid may miss excesses shorter than its step, such as the jerk at an end.
+        lead, share = next(
+            (
+                each
+                for each in best
+                if self._excess_beyond_plan(each[0].command(each[1])) <= CERTIFICATE_TOLERANCE
+            ),
+            best[0],
+        )
+        return lead, share, signs
+
+    def _candidate_leads(self) -> list[_Lead]:
+        planned, own = self._motion.motors, []
+        if planned is not None and planned.link is not None:
+            # At a limit the planned motion cannot lead by more; a smoother spline may.
+            own = [_Lead(planned.link, planned, None)]
+        links = [(smooth_motion(self._plan, each), each) for each in KNOT_SPACINGS]
+        smoothing = law_smoothing(self._problem)
+        splines = [
+            _Lead(
+                link,
+                motors_with_sufficient_smoothing(
+                    functools.partial(self._law.motion, link),
+                    functools.partial(self._excess_beyond_plan, points=_TRIAL_SAMPLES),
+                    smoothing,
+                    CERTIFICATE_TOLERANCE,
+                ),
+                spacing,
+            )
+            for link, spacing in links
+        ]
+        return [*own, *splines]
+
+    def _request_single_departures(
+        self, command: MotorMotion
+    ) -> SimulationRequests[tuple[Swings, int]]:
+        """Simulate the nominal arm and those with one softer joint each; return their number."""
+        single = self._with_known_servo(
+            one_at_a_time(self._uncertainty_with_servo, self._arm.robot.n)
+        )
+        arms = [self._nominal, *single]
+        members = [Member(command=command, departure=arm, reference=self._plan) for arm in arms]
+        return (yield Asked(self._many, members)), len(arms)
+
+    def _worst_sign_departures(self, swings: Swings, count: int) -> list[Departure]:
+        """Return arms with signs of the joints' stiffness for which errors add up, to first order.
+
+        The first member is the nominal arm, those up to `count` have one softer joint each.
+        """
+        unsure, found = self._uncertainty_with_servo, []  # type: Uncertainty, list[Departure]
+        share = swings.deviation[1:count] - swings.deviation[0]
+        joints = np.flatnonzero(unsure.shares(self._arm.robot.n))
+        for chosen in (swings.flight, ~swings.flight):
+            own = share[:, chosen]
+            # Along each joint's own error, signs are chosen so that all projections add.
+            along = np.sign(np.einsum("jkx,ikx->ijk", own, own))
+            sums = np.linalg.norm(np.einsum("ijk,jkx->ikx", along, own), axis=2)
+            if not sums.size:
+                continue
+            i, k = np.unravel_index(int(np.argmax(sums)), sums.shape)
+            signs = np.zeros(self._arm.robot.n)
+            signs[joints] = -along[i, :, k]
+            payload = float(self._carries)
+            found += [
+                bounded(unsure, side * signs, -1.0, payload, float(unsure.servo is not None))
+                for side in (-1.0, 1.0)
+            ]
+        return self._with_known_servo(found)
+
+    def _keeps_plan_limits(self, motors: Trajectory) -> bool:
+        """Return True where no limit that the plan keeps is exceeded, on the trial grid."""
+        return self._excess_beyond_plan(motors, _TRIAL_SAMPLES) <= CERTIFICATE_TOLERANCE
+
+    def _excess_beyond_plan(self, motors: Trajectory, points: int | None = None) -> float:
+        """Return the largest excess of the limits that the plan keeps."""
+        excess = self._motor_violations(motors, points)
+        kept = [each.value for each in excess if each.limit not in self._motion.exceeded]
+        return max(kept, default=0.0)
+
+    def _motor_violations(
+        self, motors: JointMotion, points: int | None = None
+    ) -> tuple[Violation, ...]:
+        """Return the motor limits that a motion exceeds, worst first."""
+        # Spring torques follow from the links' motion: the same for all shares and widths.
+        link = getattr(motors, "link", None) or motors
+        times = None if points is None else np.linspace(0.0, motors.duration, points)
+        known = None if points is None else self._loads.get((link, points))
+        drives, loads = drive_history(self._problem, motors, times, known)
+        if points is not None:
+            self._loads[link, points] = loads
+        found = find_drive_violations(self._problem, drives)
+        return tuple(each for each in found if each.value > CERTIFICATE_TOLERANCE)
+
+    def _simulate_on(self, command: MotorMotion, departure: Departure) -> SimulatedMotion:
+        arm, servo = self._arm.departed(departure), self._servo
+        if servo is None or departure.servo == 0.0:
+            return simulate(arm, command, reference=self._plan)
+        late = servo.lagging(command, command.duration + REST, departure.servo)
+        return simulate(arm, late, reference=self._plan)
+
+
+def _summarise_spreads(
+    flight: np.ndarray, after: np.ndarray, arms: Sequence[Departure], drawn: int
+) -> Spreads:
+    """Summarise peaks (B,) over the arms: the nominal one first, drawn ones last."""
+    spreads = [
+        Spread(
+            nominal=float(peak[0]),
+            worst=float(peak.max()),
+            worst_case=arms[int(np.argmax(peak))].label,
+            worst_arm=arms[int(np.argmax(peak))].factors(),
+            draws=peak[len(arms) - drawn :],
+        )
+        for peak in (flight, after)
+    ]
+    return Spreads(flight=spreads[0], after=spreads[1])

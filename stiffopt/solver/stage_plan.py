@@ -1,0 +1,170 @@
+"""Stages of a solve with their meshes, and IPOPT's options."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from stiffopt.problem.formulation import smoothing_stages
+from stiffopt.problem.smoothing import Smoothing
+from stiffopt.problem.stage_terms import WINDUP_SMOOTHING
+from stiffopt.problem.trajectory import TrajectoryProblem
+from stiffopt.result.joint_path import JointPath
+from stiffopt.solver.ipopt import IpoptOptions
+from stiffopt.transcription.mesh import Mesh, split_counts, uniform_mesh
+from stiffopt.transcription.ocp import Guess, OptimalControlProblem
+from stiffopt.transcription.refine import refine_mesh
+from stiffopt.transcription.transcription import Transcription
+
+_MIN_INTERVALS = 16
+# Most intervals of the first and the second mesh where a deflection peak is minimised.
+_MAX_COARSE_INTERVALS, _MAX_MIDDLE_INTERVALS = 60, 100
+# Iterations without a nearly feasible point, after which infeasibility is analysed.
+_INFEASIBLE_ITERATIONS = 100
+# Initial barrier parameter, and so bound multipliers, where the duration is minimised.
+_INITIAL_DURATION_BARRIER = 1e-3
+# That of a peak on a fine mesh, from the motion of a coarse one; and IPOPT's decrease of the
+# inertia correction.
+_INITIAL_PEAK_BARRIER, _INERTIA_CORRECTION_DECREASE = 1e-6, 0.1
+# IPOPT's options of the least distance of a start from bounds.
+_BOUND_PUSH_OPTIONS = ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac")
+# Intervals per piece of a fixed path's spline, at whose ends the rate of curvature jumps: with
+# fewer, limits are exceeded between the nodes.
+_INTERVALS_PER_PATH_PIECE = 3
+# Samples that locate a motion on a path; least time of a piece of a path, as a share of the
+# average, where the guess is at rest.
+PATH_SAMPLES, _MIN_PIECE_SHARE = 20001, 1e-2
+
+
+@dataclass(frozen=True)
+class SolveStage:
+    """One NLP solve.
+
+    Parameters
+    ----------
+    intervals : int
+    smoothing : Smoothing
+    new_mesh : bool
+        New distribution of the intervals, short where the controls of the stage before change.
+    """
+
+    intervals: int
+    smoothing: Smoothing
+    new_mesh: bool = False
+
+
+def plan_stages(
+    problem: TrajectoryProblem, intervals: int, corners: float = 1.0
+) -> tuple[SolveStage, ...]:
+    """Return stages that end at `intervals` with the narrowest smoothing the problem needs.
+
+    `corners` is the factor on the smoothing widths of the motor law.
+    """
+    coarse = max(intervals // 2, min(_MIN_INTERVALS, intervals))
+    widths = tuple(Smoothing(width, corners) for width in smoothing_stages(problem))
+    if len(widths) == 1:
+        # Smooth problems converge directly from the guess; a coarse mesh would only cost time.
+        return (SolveStage(intervals, Smoothing(1.0)),)
+    if problem.plans_links:
+        # Long chains of integrators converge poorly on a new mesh: one change of mesh, directly
+        # with the narrow smoothing.
+        return (SolveStage(coarse, widths[1]), SolveStage(intervals, widths[-1], new_mesh=True))
+    if smoothing_stages(problem) == WINDUP_SMOOTHING:
+        # Each mesh is adapted to the motion before it. A middle one costs less than a second fine
+        # one, and its peaks are as low. Neither has to grow with the last one.
+        coarse = min(coarse, _MAX_COARSE_INTERVALS)
+        middle = max(min(2 * intervals // 3, _MAX_MIDDLE_INTERVALS), coarse)
+        between = Smoothing(float(np.sqrt(np.prod(WINDUP_SMOOTHING[-2:]))))
+        return (
+            SolveStage(coarse, widths[0]),
+            SolveStage(middle, between, new_mesh=True),
+            SolveStage(intervals, widths[-1], new_mesh=True),
+        )
+    first = [SolveStage(coarse, width) for width in widths[:2]]
+    fine = [SolveStage(intervals, width) for width in widths[1:]]
+    # On the first fine mesh the intervals follow the coarse motion.
+    fine[0] = replace(fine[0], new_mesh=True)
+    return (*first, *fine)
+
+
+def solver_options(problem: TrajectoryProblem, *, near: bool = False) -> IpoptOptions:
+    """Return IPOPT's options for a problem; `near` where it starts near the optimum."""
+    method = problem.method
+    # A barrier that adapts takes a fifth to a half of the iterations less, and steadier ones on
+    # long chains of integrators.
+    extra: dict[str, object] = {"mu_strategy": "adaptive"}
+    if (
+        problem.plans_links
+        or len(smoothing_stages(problem)) == 1
+        or method.intervals > _MAX_MIDDLE_INTERVALS
+    ):
+        # Splines and smooth programmes are well scaled: MUMPS' scaling costs iterations, with a
+        # free duration half of all. On fine meshes every iteration takes half the time.
+        extra |= {"mumps_pivot_order": 0, "mumps_permuting_scaling": 0, "mumps_scaling": 0}
+    if len(smoothing_stages(problem)) == 1 and not problem.plans_links:
+        # Steps of smooth programmes have a small residual without iterative refinement.
+        extra["min_refinement_steps"] = 0
+    fastest = any(each.name == "duration" for each in problem.objectives)
+    if fastest and not problem.plans_links:
+        # Beside one duration, multipliers of 1 at thousands of bounds lead far into the interior.
+        extra |= {"bound_mult_init_method": "mu-based", "mu_init": _INITIAL_DURATION_BARRIER}
+    peak = smoothing_stages(problem) == WINDUP_SMOOTHING and not fastest
+    if near and peak and not problem.plans_links and method.intervals > _MAX_MIDDLE_INTERVALS:
+        # All nodes share the peak's multiplier. Multipliers of 1 each distort the Hessian so much
+        # that the inertia correction is far too large, which takes many short steps.
+        extra |= {"bound_mult_init_method": "mu-based", "mu_init": _INITIAL_PEAK_BARRIER}
+        extra["perturb_dec_fact"] = _INERTIA_CORRECTION_DECREASE
+    if problem.plans_links and near:
+        # Multipliers of a small barrier, else the first steps lead far away from the start.
+        extra |= {"bound_mult_init_method": "mu-based", "mu_init": 1e-4}
+        extra |= dict.fromkeys(_BOUND_PUSH_OPTIONS, 1e-3)
+    return IpoptOptions(
+        tol=method.tolerance,
+        max_iterations=method.max_iterations,
+        patience=0 if problem.plans_links else _INFEASIBLE_ITERATIONS,
+        extra=extra,
+    )
+
+
+def initial_mesh(
+    problem: TrajectoryProblem, ocp: OptimalControlProblem, stage: SolveStage, guess: Guess
+) -> Mesh:
+    """Return equal intervals within each phase, or within each piece of a fixed path."""
+    if problem.path is not None:
+        return _mesh_along_path(problem.path, guess, resolving_intervals(problem, stage))
+    return uniform_mesh(stage.intervals, ocp.phases, tuple(guess.phase_fractions))
+
+
+def finer_mesh(
+    problem: TrajectoryProblem, before: Transcription, x: np.ndarray, intervals: int
+) -> Mesh:
+    """Return a mesh for the motion `x`: short where controls change, on a path by its waypoints."""
+    if problem.path is not None:
+        return _mesh_along_path(problem.path, before.guess_from(x), intervals)
+    return refine_mesh(before, x, intervals)
+
+
+def _mesh_along_path(waypoints: np.ndarray, guess: Guess, intervals: int) -> Mesh:
+    """Return a mesh with nodes at the waypoints, where the rate of the path's curvature jumps.
+
+    Parameters
+    ----------
+    waypoints : array (m, n)
+    guess : Guess
+        Path coordinate and its speed.
+    intervals : int
+    """
+    at = np.linspace(0.0, 1.0, PATH_SAMPLES)
+    knots = JointPath.through(waypoints).knots
+    shares = np.diff(np.interp(knots, guess.states(at)[:, 0], at))
+    shares = np.maximum(shares, _MIN_PIECE_SHARE / len(shares))
+    shares /= shares.sum()
+    counts = split_counts(intervals, shares, _INTERVALS_PER_PATH_PIECE)
+    return [np.repeat(shares / counts, counts)]
+
+
+def resolving_intervals(problem: TrajectoryProblem, stage: SolveStage) -> int:
+    """Return the intervals of a stage, enough to resolve the pieces of a fixed path."""
+    pieces = 0 if problem.path is None else len(problem.path) - 1
+    return max(stage.intervals, _INTERVALS_PER_PATH_PIECE * pieces)
