@@ -9,7 +9,7 @@ from stiffopt.streams import open_streams, unprinted
 
 # Of the search for unreachable cycles, of which a command leaves few: at every 700th object, as
 # Python has it, it was a tenth of a solve.
-_SELDOM = (50_000, 20, 100)
+_GC_THRESHOLDS = (50_000, 20, 100)
 
 
 def main() -> None:
@@ -17,7 +17,7 @@ def main() -> None:
 
     Of a solve it waits for a motion from the first moment on.
     """
-    gc.set_threshold(*_SELDOM)
+    gc.set_threshold(*_GC_THRESHOLDS)
     open_streams()
     try:
         with beginning() if sys.argv[1:2] == ["solve"] else nullcontext():

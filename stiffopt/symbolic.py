@@ -36,7 +36,7 @@ def array_of(matrix: ca.DM) -> np.ndarray:
     return np.array(dense.nonzeros(), dtype=float).reshape(matrix.shape, order="F")
 
 
-class InPlace:
+class BufferedFunction:
     """A function whose numbers lie in arrays of its own: no matrices are made at a call.
 
     Parameters
@@ -58,7 +58,7 @@ class InPlace:
             set_found(i, memoryview(found.data))
 
     @cached_property
-    def _patterns(self) -> list[tuple[np.ndarray, np.ndarray, tuple[int, int]]]:
+    def _sparsity_patterns(self) -> list[tuple[np.ndarray, np.ndarray, tuple[int, int]]]:
         patterns = [self.function.sparsity_out(i) for i in range(self.function.n_out())]
         return [(np.array(p.row()), np.array(p.colind()), p.shape) for p in patterns]
 
@@ -71,7 +71,7 @@ class InPlace:
 
     def sparse(self, output: int) -> csc_matrix:
         """An output of the last call as a matrix of its own."""
-        rows, starts, shape = self._patterns[output]
+        rows, starts, shape = self._sparsity_patterns[output]
         return csc_matrix((self._found[output].copy(), rows, starts), shape=shape)
 
 

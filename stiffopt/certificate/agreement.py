@@ -15,7 +15,7 @@ import numpy as np
 
 from stiffopt.certificate.assess import assess, drive_history, joint_windup
 from stiffopt.errors import relative
-from stiffopt.result.believed import Believed
+from stiffopt.result.believed import PredictedMotion
 
 if TYPE_CHECKING:
     from stiffopt.problem.trajectory import TrajectoryProblem
@@ -68,7 +68,7 @@ class Disagreement:
 
 
 def differences(
-    problem: TrajectoryProblem, motion: JointMotion, believed: Believed
+    problem: TrajectoryProblem, motion: JointMotion, believed: PredictedMotion
 ) -> tuple[Disagreement, ...]:
     """Largest difference of every quantity, the worst over its tolerance first.
 
@@ -84,7 +84,7 @@ def differences(
 
 
 def _compared(
-    problem: TrajectoryProblem, motion: JointMotion, believed: Believed
+    problem: TrajectoryProblem, motion: JointMotion, believed: PredictedMotion
 ) -> Iterator[Disagreement]:
     robot, time = problem.robot, believed.time
     true, carried = drive_history(problem, motion, time)

@@ -65,7 +65,7 @@ def employed(workers: int | None, scheduler: str | None) -> Workers:
 
     if workers is not None and workers < 1:
         raise InputError(f"--workers {workers}: at least 1 is needed.")
-    return known.workers(workers, scheduler)
+    return known.make_workers(workers, scheduler)
 
 
 def swept(sweep: Sweep, folder: Path, pool: Workers, *, open_report: bool, quiet: bool) -> int:

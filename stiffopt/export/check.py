@@ -17,9 +17,9 @@ from stiffopt.files import read_text
 
 # Of the numbers of a file against those of its result: rounding of another processor.
 _NUMBER_TOLERANCE = 1e-9
-_NUMBER = re.compile(r"[-+]?\d+(?:\.\d*)?(?:[eE][-+]?\d+)?")
+_NUMBER_PATTERN = re.compile(r"[-+]?\d+(?:\.\d*)?(?:[eE][-+]?\d+)?")
 # Subjects of the header, in the order in which they are told apart.
-_SUBJECTS = ("payload", "robot", "limits", "motion")
+_SEAL_SUBJECTS = ("payload", "robot", "limits", "motion")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,7 +68,7 @@ def check_file(file: Path, result: Path, problem: Path | None = None) -> Checked
     """
     entries, body = read_seal(read_text(file))
     kind, which = entries.get("format", ""), entries.get("of", "")
-    rate = _rate_of(entries)
+    rate = _read_rate(entries)
     if kind not in FORMATS or which not in ("motor", "link") or rate is None:
         raise InputFileError(
             file, "", "has no header of `stiffopt export` that names its motion, so nothing is "
@@ -85,7 +85,7 @@ def check_file(file: Path, result: Path, problem: Path | None = None) -> Checked
             "solve as --result."
         )  # fmt: skip
     stored = read_motion(result, "link" if which == "link" else "motor", problem)
-    for subject in _SUBJECTS:
+    for subject in _SEAL_SUBJECTS:
         if entries.get(subject) != stored.seal[subject]:
             verb = "are" if subject == "limits" else "is"
             raise InputFileError(
@@ -112,18 +112,18 @@ def check_file(file: Path, result: Path, problem: Path | None = None) -> Checked
         duration=float(motion.time[-1]),
         samples=len(motion.time),
         tightest=f"{tightest.limit.replace('_', ' ')} of joint {tightest.joint} at "
-        f"{tightest.time:.3f} s, {_margin(tightest.value)}",
+        f"{tightest.time:.3f} s, {_format_margin(tightest.value)}",
     )
 
 
-def _margin(value: float) -> str:
+def _format_margin(value: float) -> str:
     """Return a violation within the certificate's tolerance, in words."""
     if value > 0.0:
         return f"over by {relative(value)}, within the certificate's tolerance of {CERTIFIED:.1%}"
     return f"{relative(-value)} left"
 
 
-def _rate_of(entries: dict[str, str]) -> float | None:
+def _read_rate(entries: dict[str, str]) -> float | None:
     """Rate [Hz] of a header, None where it has no number."""
     try:
         return float(entries["rate"])
@@ -135,7 +135,7 @@ def _equal_numbers(one: str, other: str) -> bool:
     """Return whether two texts differ by no more than rounding of their numbers."""
     if one == other:
         return True
-    if _NUMBER.sub("#", one) != _NUMBER.sub("#", other):
+    if _NUMBER_PATTERN.sub("#", one) != _NUMBER_PATTERN.sub("#", other):
         return False
-    own, wanted = (np.array(_NUMBER.findall(text), dtype=float) for text in (one, other))
+    own, wanted = (np.array(_NUMBER_PATTERN.findall(text), dtype=float) for text in (one, other))
     return bool(np.allclose(own, wanted, rtol=_NUMBER_TOLERANCE, atol=_NUMBER_TOLERANCE))

@@ -18,7 +18,7 @@ from stiffopt.robot.robot import Robot
 
 
 @dataclass(frozen=True, kw_only=True)
-class FoundRobot:
+class DiagnosedRobot:
     """A recorded arm with what was found.
 
     Parameters
@@ -42,7 +42,9 @@ class FoundRobot:
     left_out: tuple[str, ...]
 
 
-def read_found(diagnosis: Path, recordings: Path, effects: Path | None = None) -> FoundRobot:
+def read_diagnosed_robot(
+    diagnosis: Path, recordings: Path, effects: Path | None = None
+) -> DiagnosedRobot:
     """Read extended.toml of a diagnosis and the robot of its recording set.
 
     Parameters
@@ -73,7 +75,7 @@ def read_found(diagnosis: Path, recordings: Path, effects: Path | None = None) -
     gain = np.ones(loaded.robot.n)
     gain[loaded.order] = torque_gains(model)
     left_out = tuple(each for each in planner.left_out if not each.startswith("torque_gain"))
-    return FoundRobot(
+    return DiagnosedRobot(
         name=model.name,
         nominal=loaded.robot,
         robot=planner.robot,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 
-from stiffopt.export.found import FoundRobot
+from stiffopt.export.found import DiagnosedRobot
 from stiffopt.problem.registry import Registry
 
 
@@ -23,15 +23,15 @@ class ModelFormat(ABC):
     file: str
 
     @abstractmethod
-    def text(self, found: FoundRobot) -> str:
+    def text(self, found: DiagnosedRobot) -> str:
         """Content of the file."""
 
-    def remarks(self, found: FoundRobot) -> list[str]:
+    def remarks(self, found: DiagnosedRobot) -> list[str]:
         """What else is not in it as in the robot, a line each."""
         return []
 
 
-def notes(found: FoundRobot) -> list[str]:
+def notes(found: DiagnosedRobot) -> list[str]:
     """What was changed and what has no place in such a model, a line each."""
     lines = [
         f"{each.quantity} of {each.name}: {each.old:.6g} -> {each.new:.6g} {each.unit}"

@@ -12,7 +12,7 @@ from scipy.interpolate import BPoly, CubicSpline, make_interp_spline
 
 from stiffopt.certificate.violations import CERTIFIED
 from stiffopt.errors import InputError, InputFileError, relative
-from stiffopt.export.judged import (
+from stiffopt.export.motion_checks import (
     SampledRows,
     judge_plan,
     judge_samples,
@@ -26,8 +26,8 @@ from stiffopt.result.store import (
     RESULT_FILE,
     TRAJECTORY_FILE,
     export_times,
-    joints_of,
     read_document,
+    read_joints,
 )
 
 if TYPE_CHECKING:
@@ -38,7 +38,7 @@ Which = Literal["motor", "link"]
 
 
 # Share of a joint's largest velocity below which it counts as standing.
-_AT_REST = 1e-3
+_REST_SPEED_SHARE = 1e-3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -148,7 +148,7 @@ class StoredMotion:
     def require_rest(self, owner: str) -> None:
         """Raise `InputError` unless the motion begins and ends at rest."""
         velocity = self.curve.derivative(1)(self.curve.x)
-        moves = np.abs(velocity[[0, -1]]) > _AT_REST * np.max(np.abs(velocity), axis=0)
+        moves = np.abs(velocity[[0, -1]]) > _REST_SPEED_SHARE * np.max(np.abs(velocity), axis=0)
         for k, side, stands in (
             (0, "start", "begins with a move to rest"),
             (1, "end", "stops there"),
@@ -183,7 +183,7 @@ def read_motion(folder: Path, which: Which = "motor", problem: Path | None = Non
     path = folder / RESULT_FILE
     document = read_document(path)
     duration = _certified_duration(path, document)
-    names, prismatic = joints_of(document, path)
+    names, prismatic = read_joints(document, path)
     stated = solved_problem(path, document, problem)
     file = folder / TRAJECTORY_FILE
     time, rows, link = read_rows(file, path, document, stated)

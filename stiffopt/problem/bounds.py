@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from stiffopt.errors import ProblemError
-from stiffopt.problem.objective import ACCEPT, Bound, Objective
+from stiffopt.problem.objective import ACCEPT_ADVICE, Bound, Objective
 from stiffopt.problem.resolve import ResolvedMotion
 from stiffopt.problem.trajectory import TrajectoryProblem
 
@@ -21,7 +21,7 @@ def find_bounds(problem: TrajectoryProblem, motion: ResolvedMotion) -> tuple[Bou
     found: list[Bound] = []
     for objective in problem.objectives:
         if alone and np.isinf(problem.duration[1]) and not objective.kind.ends_motion:
-            found.append(_endless(objective))
+            found.append(_unbounded_duration(objective))
         found += objective.kind.bounds(objective, problem, motion)
     return tuple(found)
 
@@ -41,7 +41,9 @@ def check_bounds(problem: TrajectoryProblem, motion: ResolvedMotion) -> tuple[st
     refused = [b for b in bounds if b.degenerate and b.objective not in accepted]
     if refused:
         raise ProblemError("\n".join(b.text for b in refused))
-    return tuple(b.text.removesuffix(ACCEPT) + "." * b.text.endswith(ACCEPT) for b in bounds)
+    return tuple(
+        b.text.removesuffix(ACCEPT_ADVICE) + "." * b.text.endswith(ACCEPT_ADVICE) for b in bounds
+    )
 
 
 def shortest_duration(problem: TrajectoryProblem, motion: ResolvedMotion) -> tuple[float, str]:
@@ -60,7 +62,7 @@ def shortest_duration(problem: TrajectoryProblem, motion: ResolvedMotion) -> tup
     needed, ways = np.zeros(problem.joints), np.zeros(problem.joints)
     for j in range(problem.joints):
         own = (float(limits.velocity[j]), float(limits.acceleration[j]))
-        pieces = _pieces(problem, motion, j)
+        pieces = _joint_travels(problem, motion, j)
         ways[j] = sum(pieces)
         straight = abs(float(motion.end[j] - motion.start[j]))
         needed[j] = max(
@@ -69,7 +71,7 @@ def shortest_duration(problem: TrajectoryProblem, motion: ResolvedMotion) -> tup
             sum(rest_to_rest(piece, *own, np.inf) for piece in pieces),
         )
     j = int(np.argmax(needed))
-    length, speed = _tool_way(problem, motion), float(getattr(limits, "tool_speed", np.inf))
+    length, speed = _tool_travel(problem, motion), float(getattr(limits, "tool_speed", np.inf))
     if length / speed > needed[j]:
         return length / speed, (
             f"The tool has to move by {1e3 * length:.4g} mm and needs {length / speed:.4g} s or "
@@ -125,7 +127,7 @@ def rest_to_rest(way: float, velocity: float, acceleration: float, jerk: float) 
     return float(2.0 * rise(float(speed)))
 
 
-def _pieces(problem: TrajectoryProblem, motion: ResolvedMotion, joint: int) -> list[float]:
+def _joint_travels(problem: TrajectoryProblem, motion: ResolvedMotion, joint: int) -> list[float]:
     """Ways of a joint between its turns, at least: vias may be missed by their tolerance."""
     low = high = float(motion.start[joint])
     places = [(low, high)]
@@ -147,7 +149,7 @@ def _pieces(problem: TrajectoryProblem, motion: ResolvedMotion, joint: int) -> l
     return pieces
 
 
-def _tool_way(problem: TrajectoryProblem, motion: ResolvedMotion) -> float:
+def _tool_travel(problem: TrajectoryProblem, motion: ResolvedMotion) -> float:
     """Straight way [m] of the tool through what is given of its positions, at least."""
     if problem.plans_links or not np.isfinite(problem.active_limits.tool_speed):
         return 0.0
@@ -162,7 +164,7 @@ def _tool_way(problem: TrajectoryProblem, motion: ResolvedMotion) -> float:
     return way + max(float(np.linalg.norm(ends[1] - at)) - missed, 0.0)
 
 
-def _endless(objective: Objective) -> Bound:
+def _unbounded_duration(objective: Objective) -> Bound:
     return Bound(
         objective.name,
         np.inf,

@@ -9,7 +9,7 @@ from stiffopt.problem.resolve import ResolvedMotion
 from stiffopt.problem.trajectory import Target, TrajectoryProblem
 
 # Distances are exact to this [m].
-_EXACT = 1e-5
+_DISTANCE_TOLERANCE = 1e-5
 
 
 def check_clear_poses(problem: TrajectoryProblem, motion: ResolvedMotion) -> None:
@@ -17,35 +17,37 @@ def check_clear_poses(problem: TrajectoryProblem, motion: ResolvedMotion) -> Non
     if not problem.avoids_collisions:
         return
     clearance = problem.stated_cell.clearance
-    for where, pose in _given(problem, motion):
+    for where, pose in _fixed_poses(problem, motion):
         distance = problem.clearance_model.distances(pose)
         k = int(np.argmin(distance))
-        if distance[k] < clearance - _EXACT:
-            met = _met(problem, problem.clearance_model.pairs[k], float(distance[k]))
+        if distance[k] < clearance - _DISTANCE_TOLERANCE:
+            met = _describe_collision(problem, problem.clearance_model.pairs[k], float(distance[k]))
             raise ProblemError(f"{where}: {met}")
 
 
-def room_at_poses(problem: TrajectoryProblem, motion: ResolvedMotion) -> float:
+def clearance_at_poses(problem: TrajectoryProblem, motion: ResolvedMotion) -> float:
     """The largest clearance that the given poses keep [m]."""
     model = problem.clearance_model
     return min(
-        (float(model.distances(q).min()) for _, q in _given(problem, motion)), default=np.inf
+        (float(model.distances(q).min()) for _, q in _fixed_poses(problem, motion)), default=np.inf
     )
 
 
-def _given(problem: TrajectoryProblem, motion: ResolvedMotion) -> list[tuple[str, np.ndarray]]:
+def _fixed_poses(
+    problem: TrajectoryProblem, motion: ResolvedMotion
+) -> list[tuple[str, np.ndarray]]:
     """The poses that leave the joints no freedom, and where they stand in files."""
-    every = zip(targets(problem), (motion.start, *motion.vias, motion.end), strict=True)
+    every = zip(located_targets(problem), (motion.start, *motion.vias, motion.end), strict=True)
     return [(where, pose) for (where, target), pose in every if target.fixes_pose]
 
 
-def targets(problem: TrajectoryProblem) -> list[tuple[str, Target]]:
+def located_targets(problem: TrajectoryProblem) -> list[tuple[str, Target]]:
     """Start, vias and end, and where they stand in files."""
     vias = [(f"motion.via[{k}]", via) for k, via in enumerate(problem.vias, start=1)]
     return [("motion.start", problem.start), *vias, ("motion.end", problem.end)]
 
 
-def _met(problem: TrajectoryProblem, pair: tuple[str, str], distance: float) -> str:
+def _describe_collision(problem: TrajectoryProblem, pair: tuple[str, str], distance: float) -> str:
     one, other = pair
     choices = ["Choose another pose"]
     if other in problem.stated_cell.names:

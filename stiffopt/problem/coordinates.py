@@ -17,9 +17,9 @@ from stiffopt.symbolic import Quantity
 
 # Angular frequency of the acceleration's rises and falls times the duration, for the scales of its
 # derivatives.
-_RISES = 40.0
+_SCALE_FREQUENCY = 40.0
 # Travel of a joint that velocity and acceleration of slow motions are scaled for [rad].
-_TRAVEL = 20.0
+_SCALE_TRAVEL = 20.0
 
 
 def coordinates_of(problem: TrajectoryProblem) -> Coordinates:
@@ -82,13 +82,13 @@ class JointCoordinates(Coordinates):
             f"{what} of joint {j + 1}" for what in ("position", "velocity") for j in range(n)
         )
         self.control_names = tuple(f"acceleration of joint {j + 1}" for j in range(n))
-        duration = _typical(problem.duration)
+        duration = _typical_duration(problem.duration)
         speed = np.where(np.isfinite(self.limits.velocity), self.limits.velocity, 1.0)
-        speed = np.minimum(speed, _TRAVEL / duration)
+        speed = np.minimum(speed, _SCALE_TRAVEL / duration)
         self.state_scale = np.concatenate([np.ones(n), speed])
         self.control_scale = np.where(
             np.isfinite(self.limits.acceleration),
-            np.minimum(self.limits.acceleration, 6.0 * _TRAVEL / duration**2),
+            np.minimum(self.limits.acceleration, 6.0 * _SCALE_TRAVEL / duration**2),
             6.0 * speed / duration,
         )
 
@@ -130,7 +130,7 @@ class LinkCoordinates(JointCoordinates):
         names = ("position", "velocity", "acceleration", "jerk", "snap")
         self.state_names = tuple(f"{what} of link {j + 1}" for what in names for j in range(n))
         self.control_names = tuple(f"crackle of link {j + 1}" for j in range(n))
-        rate = _RISES / _typical(problem.duration)
+        rate = _SCALE_FREQUENCY / _typical_duration(problem.duration)
         scales = [self.control_scale * rate**k for k in range(4)]
         self.state_scale = np.concatenate([self.state_scale, *scales[:3]])
         self.control_scale = scales[3]
@@ -174,7 +174,7 @@ class PathCoordinates(Coordinates):
         self.size = 1
         self.state_names = ("path position", "path speed")
         self.control_names = ("path acceleration",)
-        duration = _typical(problem.duration)
+        duration = _typical_duration(problem.duration)
         self.state_scale = np.array([1.0, 1.0 / duration])
         self.control_scale = np.array([6.0 / duration**2])
         path = JointPath.through(problem.path)
@@ -186,14 +186,14 @@ class PathCoordinates(Coordinates):
     def joint_motion(self, x: Quantity, u: Quantity) -> tuple[Quantity, Quantity, Quantity]:
         """Chain rule along the spline."""
         s, speed, acceleration = x[0], x[1], u[0]
-        position, tangent, curvature = (self._spline(s, order) for order in range(3))
+        position, tangent, curvature = (self._spline_derivative(s, order) for order in range(3))
         return (
             position,
             tangent * speed,
             tangent * acceleration + curvature * speed * speed,
         )
 
-    def _spline(self, s: Quantity, order: int) -> Quantity:
+    def _spline_derivative(self, s: Quantity, order: int) -> Quantity:
         """Derivative of the spline with respect to s, in truncated powers (C2 in s)."""
         factor = {0: (1, 1, 1, 1), 1: (0, 1, 2, 3), 2: (0, 0, 2, 6)}[order]
         value: Quantity = 0.0
@@ -220,6 +220,6 @@ class PathCoordinates(Coordinates):
         return np.array([0.0, 0.0]), np.array([1.0, 0.0])
 
 
-def _typical(duration: tuple[float, float]) -> float:
+def _typical_duration(duration: tuple[float, float]) -> float:
     """A duration for scales: one second if allowed, else the nearest allowed."""
     return float(np.clip(1.0, *duration))

@@ -72,20 +72,20 @@ def load_problem(
     path = Path(path)
     document = read_document(path, problem_file(), "trajectory", changes)
     with located(path, ""):
-        problem = _build(document, path, robots)
+        problem = _build_problem(document, path, robots)
     if document.expected is not None and len(problem.objectives) == 1:
         with located(path, "expected.unit"):
             convert(1.0, problem.objectives[0].unit, document.expected.unit)
     return LoadedProblem(problem, document.expected, path)
 
 
-def _build(
+def _build_problem(
     document: ProblemFile, path: Path, robots: Callable[[str | Path], Robot]
 ) -> TrajectoryProblem:
     robot = read_robot(document.robot, document.payload, document.tool, path, robots)
     motion = document.motion
     joints = JointLists(robot, path)
-    remarks = _remarks(document.payload)
+    remarks = _payload_remarks(document.payload)
     if isinstance(motion.duration, float):
         duration = (motion.duration, motion.duration)
     else:
@@ -111,9 +111,9 @@ def _build(
                 path, "motion", "give `start` and `end`, or a fixed joint `path`, or a [path] of "
                 "the tool."
             )  # fmt: skip
-        start = _target(motion.start, joints, "motion.start")
-        end = _target(motion.end, joints, "motion.end")
-    limits = _limits(document.limits, joints)
+        start = _read_target(motion.start, joints, "motion.start")
+        end = _read_target(motion.end, joints, "motion.end")
+    limits = _read_limits(document.limits, joints)
     if document.path is not None and document.path.speed is not None:
         fastest = min(limits.tool_speed, document.path.speed)
         limits = Limits({**limits.values, "tool_speed": fastest})
@@ -128,7 +128,8 @@ def _build(
         start=start,
         end=end,
         vias=tuple(
-            _target(via, joints, f"motion.via[{k}]") for k, via in enumerate(motion.via, start=1)
+            _read_target(via, joints, f"motion.via[{k}]")
+            for k, via in enumerate(motion.via, start=1)
         ),
         path=waypoints,
         duration=duration,
@@ -150,7 +151,7 @@ def _build(
     )
 
 
-def _remarks(payload: PayloadSection | None) -> tuple[str, ...]:
+def _payload_remarks(payload: PayloadSection | None) -> tuple[str, ...]:
     """What the file leaves open and a result has to say."""
     if payload is None or payload.inertia is not None or payload.mass == 0.0:
         return ()
@@ -223,7 +224,7 @@ class JointLists:
             )
 
 
-def _target(section: TargetSection, joints: JointLists, where: str) -> Target:
+def _read_target(section: TargetSection, joints: JointLists, where: str) -> Target:
     def angles(values: Sequence[float] | None, key: str) -> np.ndarray | None:
         return None if values is None else joints(values, "angle", f"{where}.{key}")
 
@@ -264,7 +265,7 @@ def tool_waypoints(section: PathSection, joints: JointLists) -> tuple[np.ndarray
     )
 
 
-def _limits(section: LimitsSection, joints: JointLists) -> Limits:
+def _read_limits(section: LimitsSection, joints: JointLists) -> Limits:
     values: dict[str, Any] = {}
     for kind in LIMITS.values():
         values |= kind.read(section, joints)

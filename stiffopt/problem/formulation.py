@@ -15,11 +15,11 @@ import casadi as ca
 import numpy as np
 
 from stiffopt.dynamics.kinematics import tool_pose
-from stiffopt.problem.arrival import Arrival
+from stiffopt.problem.arrival_modes import ArrivalModes
 from stiffopt.problem.coordinates import Coordinates, coordinates_of
-from stiffopt.problem.motor_model import WIDER, MotorModel, NearMotorModel
+from stiffopt.problem.motor_model import LAW_SMOOTHING_FACTOR, ApproximateMotorModel, MotorModel
 from stiffopt.problem.resolve import ResolvedMotion
-from stiffopt.problem.rest import torque_sides
+from stiffopt.problem.rest_poses import torque_sides
 from stiffopt.problem.smoothing import Smoothing
 from stiffopt.problem.stage_model import StageModel
 from stiffopt.problem.stage_terms import IntegralRow, ObjectiveTerms, PathRows, StaticVariable
@@ -80,8 +80,8 @@ def formulate(
     model = stage_model(problem, coordinates, x, u, smoothing, sides)
     goal = _WeightedSum(problem, model, scales)
     blocks = [*_limit_rows(problem, model, coordinates, margins), *goal.path_rows]
-    path = _stacked([row for block in blocks for row in block.expressions])
-    stage = ca.Function("stage", [x, u, goal.statics, p], [_stacked(goal.integrands), path])
+    path = _stack_entries([row for block in blocks for row in block.expressions])
+    stage = ca.Function("stage", [x, u, goal.statics, p], [_stack_entries(goal.integrands), path])
     through = ca.Function("torques", [x, u, goal.statics, p], [model.computed_torques])
     dynamics = ca.Function("dynamics", [x, u, p], [ca.vertcat(x[size:], u)])
     return OptimalControlProblem(
@@ -114,7 +114,7 @@ def formulate(
         static_scale=np.array(goal.static_scales),
         chains=tuple((*(k * size + i for k in range(order)), i) for i in range(size)),
         parameters=Smoothing(1.0).parameters,
-        **_bounds(problem, motion, coordinates, margins, swings_on=bool(modes)),
+        **_state_and_control_bounds(problem, motion, coordinates, margins, swings_on=bool(modes)),
     )
 
 
@@ -131,12 +131,12 @@ def exact_path_rows(
     smoothing = Smoothing(*ca.vertsplit(p))
     if problem.plans_links:
         derivatives = [*ca.vertsplit(x, coordinates.size), u]
-        model: StageModel = _leading(MotorModel, problem, derivatives, smoothing, sides)
+        model: StageModel = _make_motor_model(MotorModel, problem, derivatives, smoothing, sides)
     else:
         model = stage_model(problem, coordinates, x, u, smoothing, sides)
     goal = _WeightedSum(problem, model, scales)
     blocks = [*_limit_rows(problem, model, coordinates, {}), *goal.path_rows]
-    rows = _stacked([row for block in blocks for row in block.expressions])
+    rows = _stack_entries([row for block in blocks for row in block.expressions])
     return ca.Function("exact_path_rows", [x, u, goal.statics, p], [rows])
 
 
@@ -151,7 +151,7 @@ def stage_model(
     """The stage model of a problem at a state and control of its coordinates."""
     if problem.plans_links:
         derivatives = [*ca.vertsplit(x, coordinates.size), u]
-        return _leading(NearMotorModel, problem, derivatives, smoothing, sides)
+        return _make_motor_model(ApproximateMotorModel, problem, derivatives, smoothing, sides)
     return StageModel(
         problem.robot,
         *coordinates.joint_motion(x, u),
@@ -161,7 +161,7 @@ def stage_model(
     )
 
 
-def _leading(
+def _make_motor_model(
     kind: type[MotorModel],
     problem: TrajectoryProblem,
     derivatives: list[Quantity],
@@ -175,8 +175,8 @@ def _leading(
         smoothing.stiffness,
         sides,
         problem.process_force,
-        WIDER * smoothing.corners,
-        smoothing.robust if problem.chosen_for_other_arms else 0.0,
+        LAW_SMOOTHING_FACTOR * smoothing.corners,
+        smoothing.robust if problem.chosen_for_robustness else 0.0,
     )
 
 
@@ -216,7 +216,7 @@ def _limit_rows(
     return sorted(blocks, key=lambda rows: rows.labels[0] == "tool")
 
 
-def _stacked(entries: Sequence[Quantity]) -> Quantity:
+def _stack_entries(entries: Sequence[Quantity]) -> Quantity:
     return ca.vertcat(ca.SX(0, 1), *entries)
 
 
@@ -245,12 +245,12 @@ class _WeightedSum:
             self._values.append((sign * objective.weight * unit, start, terms))
             self.variables += variables
             self.static_scales += [scale if v.scale is None else v.scale for v in variables]
-            self.static_lower += [objective.kind.enough(scale)] * len(variables)
+            self.static_lower += [objective.kind.target_value(scale)] * len(variables)
             self.integrands += terms.integrands
             self.path_rows += terms.path_rows
             self.integral_rows += [(start, row) for row in terms.integral_rows]
             symbols += statics
-        self.statics = _stacked(symbols)
+        self.statics = _stack_entries(symbols)
 
     def function(self, states: int, p: ca.SX, robust: Quantity) -> ca.Function:
         """The weighted sum, of integrals, duration, statics, first and last state.
@@ -262,8 +262,8 @@ class _WeightedSum:
         value: Quantity = 0.0
         for weight, start, terms in self._values:
             own = terms.value(integral[start:], duration)
-            if terms.besides is not None:
-                own += robust * (terms.besides(integral[start:], duration) - own)
+            if terms.robust_value is not None:
+                own += robust * (terms.robust_value(integral[start:], duration) - own)
             value = value + weight * own
         return ca.Function("objective", [integral, duration, self.statics, x0, xf, p], [value])
 
@@ -273,10 +273,12 @@ class _WeightedSum:
             return None
         integral, duration = ca.SX.sym("integral", len(self.integrands)), ca.SX.sym("duration")
         rows = [row.expression(integral[start:], duration) for start, row in self.integral_rows]
-        return ca.Function("integral_rows", [integral, duration, self.statics, p], [_stacked(rows)])
+        return ca.Function(
+            "integral_rows", [integral, duration, self.statics, p], [_stack_entries(rows)]
+        )
 
 
-def _bounds(
+def _state_and_control_bounds(
     problem: TrajectoryProblem,
     motion: ResolvedMotion,
     coordinates: Coordinates,
@@ -328,7 +330,7 @@ def _end_waypoint(
     if not modes:
         return place
     x = ca.SX.sym("x", coordinates_of(problem).order * problem.joints)
-    model = _motors(problem, x, Smoothing(*ca.vertsplit(p)))
+    model = _motor_model_at(problem, x, Smoothing(*ca.vertsplit(p)))
     limits, joints = problem.active_limits, [f"joint {j + 1}" for j in range(problem.joints)]
     rows, expressions = [], []
     speed, acceleration = (
@@ -342,7 +344,7 @@ def _end_waypoint(
     for name, value in parts:
         rows.append(Rows.make(name, joints, 0.0, 0.0))
         expressions.append(value)
-    arrival = Arrival.of(modes, model)
+    arrival = ArrivalModes.of(modes, model)
     for kind in limits.kinds:
         for block in kind.arrival_rows(limits, arrival) if kind.of_arrival else ():
             rows.append(Rows.make(block.name, block.labels, block.lower, block.upper))
@@ -399,7 +401,7 @@ def _tool_pose(problem: TrajectoryProblem, p: ca.SX) -> tuple[ca.SX, Quantity, Q
     if problem.plans_links:
         corners = Smoothing(*ca.vertsplit(p)).corners
         last = Smoothing(smoothing_stages(problem)[-1], corners)
-        joints = _motors(problem, x, last).position
+        joints = _motor_model_at(problem, x, last).position
     tool = problem.robot.tool
     position, rotation = tool_pose(
         problem.robot.tree, tool.joint, tool.offset, tool.rotation, joints
@@ -407,7 +409,7 @@ def _tool_pose(problem: TrajectoryProblem, p: ca.SX) -> tuple[ca.SX, Quantity, Q
     return x, joints, position, rotation
 
 
-def _motors(problem: TrajectoryProblem, x: Quantity, smoothing: Smoothing) -> MotorModel:
+def _motor_model_at(problem: TrajectoryProblem, x: Quantity, smoothing: Smoothing) -> MotorModel:
     """Motors at a state of the links, by the law with these factors on its smoothing widths."""
     n = problem.joints
-    return _leading(MotorModel, problem, ca.vertsplit(x, n), smoothing, np.zeros(n))
+    return _make_motor_model(MotorModel, problem, ca.vertsplit(x, n), smoothing, np.zeros(n))

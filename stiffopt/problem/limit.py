@@ -20,7 +20,7 @@ from stiffopt.problem.stage_terms import UNSMOOTHED, PathRows
 from stiffopt.result.assessment import Violation
 
 if TYPE_CHECKING:
-    from stiffopt.problem.arrival import Arrival
+    from stiffopt.problem.arrival_modes import ArrivalModes
     from stiffopt.problem.files import JointLists
     from stiffopt.problem.resolve import ResolvedMotion
     from stiffopt.problem.schema import LimitsSection
@@ -111,7 +111,7 @@ class LimitKind(ABC):
         """Lower and upper bound (n,) of the derivative of that `order`, tightened by `margin`."""
         raise NotImplementedError(f"{self.name} bounds no derivative of the joint positions")
 
-    def arrival_rows(self, limits: Limits, arrival: Arrival) -> list[PathRows]:
+    def arrival_rows(self, limits: Limits, arrival: ArrivalModes) -> list[PathRows]:
         """Rows on what swings on after arrival; only asked where active and `of_arrival`."""
         return []
 

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from stiffopt.problem.trajectory import TrajectoryProblem
 
 
-def check_links(problem: TrajectoryProblem, what: str, instead: str) -> None:
+def check_link_planning(problem: TrajectoryProblem, what: str, instead: str) -> None:
     """Raise `ProblemError` unless the motion is free, with the one transcription it has.
 
     Parameters

@@ -38,19 +38,19 @@ if TYPE_CHECKING:
     from stiffopt.robot.robot import Robot
 
 # Smoothing widths of the motors' law over those of the deflection.
-WIDER = 2.0
+LAW_SMOOTHING_FACTOR = 2.0
 # Share of the nominal wind-up by which a command leads beyond it, on arms that are not as modelled.
-LEADS_MORE = 0.03
+ROBUST_LEAD_SHARE = 0.03
 # Distance of the samples of the motors' motion [s], and their least number in an interval of the
 # links': between them a polynomial of degree 7 is as good as exact.
-_STEP = 2.5e-3
-_LEAST = 4
+_SAMPLE_STEP = 2.5e-3
+_MIN_SAMPLES_PER_INTERVAL = 4
 # Lags are rounded to multiples of this [s].
-_LAGS = 2e-5
+_LAG_STEP = 2e-5
 # Instants nearer to each other are one [s].
-_SLACK = 1e-3 * _LAGS
+_TIME_TOLERANCE = 1e-3 * _LAG_STEP
 # The place where links hang has settled when it moves by no more [rad]; found in so many rounds.
-_SETTLED, _ROUNDS = 1e-10, 30
+_SAG_TOLERANCE, _MAX_SAG_ITERATIONS = 1e-10, 30
 
 
 class MotorModel(StageModel):
@@ -82,12 +82,12 @@ class MotorModel(StageModel):
         smoothing: Quantity,
         sides: np.ndarray,
         process_force: object = (0.0, 0.0, 0.0),
-        wider: Quantity = WIDER,
+        wider: Quantity = LAW_SMOOTHING_FACTOR,
         robust: Quantity = 0.0,
     ) -> None:
         self.robot, self.smoothing, self.sides, self.wider = robot, smoothing, sides, wider
         # Of the wind-up, kept to the drives' limits beyond what the motors lead by.
-        self._room = LEADS_MORE * robust
+        self._lead_margin = ROBUST_LEAD_SHARE * robust
         self.process_force = np.asarray(process_force, dtype=float)
         self._derivatives = derivatives
 
@@ -105,7 +105,7 @@ class MotorModel(StageModel):
     @cached_property
     def position(self) -> Quantity:
         """Of the motors (n,) [rad]."""
-        return self.hung + self.lead
+        return self.sagged_position + self.lead
 
     @cached_property
     def lead(self) -> Quantity:
@@ -113,7 +113,7 @@ class MotorModel(StageModel):
         return self.windup_of_motors(self.torques.spring)
 
     @cached_property
-    def hung(self) -> Quantity:
+    def sagged_position(self) -> Quantity:
         """The links' position less the wind-up that is calibrated away (n,) [rad]."""
         return self.link[0] - self.sag
 
@@ -125,23 +125,23 @@ class MotorModel(StageModel):
     @cached_property
     def velocity(self) -> Quantity:
         """Of the motors (n,) [rad/s]."""
-        moved = self._rate(self.position, 3)
-        return moved + self._room * (moved - self.link[1])
+        moved = self._time_derivative(self.position, 3)
+        return moved + self._lead_margin * (moved - self.link[1])
 
     @cached_property
     def deviation_rate(self) -> Quantity:
         """How fast the tool's deviation changes by that of the wind-up, nearly (3,) [m/s]."""
-        return ca.mtimes(self.jacobian, self._rate(self.lead, 3))
+        return ca.mtimes(self.jacobian, self._time_derivative(self.lead, 3))
 
     @cached_property
     def acceleration(self) -> Quantity:
         """Of the motors (n,) [rad/s^2]."""
-        return self._rate(self.velocity, 4)
+        return self._time_derivative(self.velocity, 4)
 
     @cached_property
     def jerk(self) -> Quantity:
         """Of the motors (n,) [rad/s^3]."""
-        return self._rate(self.acceleration, 5)
+        return self._time_derivative(self.acceleration, 5)
 
     @cached_property
     def deflection(self) -> Deflection:
@@ -167,11 +167,11 @@ class MotorModel(StageModel):
         ]
         return ca.vertcat(*angles)
 
-    def _rate(self, value: Quantity, orders: int) -> Quantity:
-        return _rate(value, self._derivatives, orders)
+    def _time_derivative(self, value: Quantity, orders: int) -> Quantity:
+        return _time_derivative(value, self._derivatives, orders)
 
 
-class NearMotorModel(MotorModel):
+class ApproximateMotorModel(MotorModel):
     """What the optimiser sees: derivatives of the motors that are nearly exact, and cheap.
 
     The law is differentiated exactly, the spring torques' first rate too; the second and third are
@@ -183,22 +183,22 @@ class NearMotorModel(MotorModel):
     @cached_property
     def velocity(self) -> Quantity:
         """Of the motors, nearly (n,) [rad/s]."""
-        return self.link[1] + self._lead[0] + self._room * self._lead[0]
+        return self.link[1] + self._lead_rates[0] + self._lead_margin * self._lead_rates[0]
 
     @cached_property
     def acceleration(self) -> Quantity:
         """Of the motors, nearly (n,) [rad/s^2]."""
-        return self.link[2] + self._lead[1] + self._room * self._lead[1]
+        return self.link[2] + self._lead_rates[1] + self._lead_margin * self._lead_rates[1]
 
     @cached_property
     def jerk(self) -> Quantity:
         """Of the motors, nearly (n,) [rad/s^3]."""
-        return self._derivatives[3] + self._lead[2] + self._room * self._lead[2]
+        return self._derivatives[3] + self._lead_rates[2] + self._lead_margin * self._lead_rates[2]
 
     @cached_property
     def deviation_rate(self) -> Quantity:
         """How fast the tool's deviation changes by that of the wind-up, nearly (3,) [m/s]."""
-        return ca.mtimes(self.jacobian, self._lead[0])
+        return ca.mtimes(self.jacobian, self._lead_rates[0])
 
     @property
     def computed_torques(self) -> Quantity:
@@ -218,7 +218,7 @@ class NearMotorModel(MotorModel):
         return [first, *(ca.mtimes(inertia, each) for each in along[1:])]
 
     @cached_property
-    def _lead(self) -> list[Quantity]:
+    def _lead_rates(self) -> list[Quantity]:
         """First three rates of the wind-up by which the motors are ahead, (n,) each."""
         first, second, third = self._torque_rates
         torque = ca.SX.sym("torque", self.robot.n)
@@ -235,12 +235,12 @@ class NearMotorModel(MotorModel):
 
 def law_smoothing(problem: TrajectoryProblem) -> float:
     """Factor on the smoothing widths of the law by which the motors lead a problem's links."""
-    return WINDUP_SMOOTHING[-1] * (WIDER if problem.plans_links else 1.0)
+    return WINDUP_SMOOTHING[-1] * (LAW_SMOOTHING_FACTOR if problem.plans_links else 1.0)
 
 
-def rounded_lag(lag: np.ndarray) -> np.ndarray:
+def round_lags(lag: np.ndarray) -> np.ndarray:
     """Lags as `MotorLaw` takes them [s]: alike, or well apart."""
-    return np.asarray(_LAGS * np.round(lag / _LAGS))
+    return np.asarray(_LAG_STEP * np.round(lag / _LAG_STEP))
 
 
 class MotorLaw:
@@ -259,10 +259,10 @@ class MotorLaw:
         smoothing = ca.SX.sym("smoothing")
         model = MotorModel(robot, motion, smoothing, np.zeros(n), process_force, 1.0)
         # What acts on the springs does not depend on how wide corners are: most of the cost, once.
-        self._spring = _law(motion, model.torques.spring)
+        self._spring = _compile_rates(motion, model.torques.spring)
         # All that motors need of it; each further rate costs twice the one before.
-        self._held = _law(motion[:1], model.torques.held)
-        self._windup = _law([torque], model.windup_of_motors(torque), smoothing)
+        self._held = _compile_rates(motion[:1], model.torques.held)
+        self._windup = _compile_rates([torque], model.windup_of_motors(torque), smoothing)
         self._last: tuple[Trajectory, np.ndarray, np.ndarray, np.ndarray] | None = None
 
     def motion(
@@ -289,15 +289,15 @@ class MotorLaw:
             p does, in place of where they are planned. Their weight differs there, and the motion
             of the sag has its own acceleration.
         """
-        moves = _sampled(link)
+        moves = _sample_times(link)
         if sagged:
             plan = np.stack([link(moves, k) for k in range(6)])
-            place = self._hanging(link, moves, plan, smoothing)
-            spring = _of(self._spring, place)
+            place = self._sagged_motion(link, moves, plan, smoothing)
+            spring = _evaluate_rates(self._spring, place)
         else:
-            plan, spring, weight = self._torques(link, moves)
-            place = plan[:4] - _of(self._windup, weight, smoothing)
-        lead = _of(self._windup, spring, smoothing)
+            plan, spring, weight = self._evaluate_torques(link, moves)
+            place = plan[:4] - _evaluate_rates(self._windup, weight, smoothing)
+        lead = _evaluate_rates(self._windup, spring, smoothing)
         if lag is None:
             return Trajectory.through(moves, place[:4] + lead, link)
         # The wind-up as a motion of its own, which begins and ends later than the rest.
@@ -305,18 +305,20 @@ class MotorLaw:
         hanging = Trajectory.through(moves, place[:4], link)
         held = link.held_for(float(np.max(lag)))
         # Where a wind-up begins and ends, its third rate jumps: intervals have either side of it.
-        times = np.union1d(_sampled(held), np.concatenate([lag, link.duration + np.asarray(lag)]))
-        times = times[np.concatenate([[True], np.diff(times) > _SLACK])]
+        times = np.union1d(
+            _sample_times(held), np.concatenate([lag, link.duration + np.asarray(lag)])
+        )
+        times = times[np.concatenate([[True], np.diff(times) > _TIME_TOLERANCE])]
         sides = []
-        for at, beside in ((times, _SLACK), (times[1:], -_SLACK)):
-            motors = _late(hanging, at, beside)
+        for at, beside in ((times, _TIME_TOLERANCE), (times[1:], -_TIME_TOLERANCE)):
+            motors = _evaluate_beside(hanging, at, beside)
             for own in np.unique(lag):
                 joints = lag == own
-                motors[:, :, joints] += _late(windup, at - own, beside)[:, :, joints]
+                motors[:, :, joints] += _evaluate_beside(windup, at - own, beside)[:, :, joints]
             sides.append(motors)
         return Trajectory.through(times, sides[0], held, sides[1])
 
-    def _torques(
+    def _evaluate_torques(
         self, link: Trajectory, moves: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The links' plan (6, K, n), torques of springs and at rest with three rates (4, K, n).
@@ -325,19 +327,27 @@ class MotorLaw:
         """
         if self._last is None or self._last[0] is not link:
             plan = np.stack([link(moves, k) for k in range(6)])
-            self._last = link, plan, _of(self._spring, plan), _of(self._held, plan[:4])
+            self._last = (
+                link,
+                plan,
+                _evaluate_rates(self._spring, plan),
+                _evaluate_rates(self._held, plan[:4]),
+            )
         return self._last[1:]
 
-    def _hanging(
+    def _sagged_motion(
         self, link: Trajectory, moves: np.ndarray, plan: np.ndarray, smoothing: float
     ) -> np.ndarray:
         """Where links hang under their own weight there, with five derivatives (6, K, n)."""
         place, sag = plan[:4], np.zeros_like(plan[:4])
         # The sag changes little with itself.
-        for _ in range(_ROUNDS):
-            before, sag = sag, _of(self._windup, _of(self._held, place), smoothing)
+        for _ in range(_MAX_SAG_ITERATIONS):
+            before, sag = (
+                sag,
+                _evaluate_rates(self._windup, _evaluate_rates(self._held, place), smoothing),
+            )
             place = plan[:4] - sag
-            if np.max(np.abs(sag[0] - before[0])) < _SETTLED:
+            if np.max(np.abs(sag[0] - before[0])) < _SAG_TOLERANCE:
                 break
         # Between two instants it is a polynomial of degree 7: formulas for two further rates would
         # be fifteen times as long.
@@ -345,12 +355,12 @@ class MotorLaw:
         return np.concatenate([place, plan[4:] - np.stack([along(moves, k) for k in (4, 5)])])
 
 
-def _rate(value: Quantity, along: Sequence[Quantity], orders: int) -> Quantity:
+def _time_derivative(value: Quantity, along: Sequence[Quantity], orders: int) -> Quantity:
     """Derivative by time of a value that depends on so many of a motion's derivatives."""
     return ca.jtimes(value, ca.vertcat(*along[:orders]), ca.vertcat(*along[1 : orders + 1]))
 
 
-def _law(given: list[Quantity], value: Quantity, *numbers: Quantity) -> PointFunction:
+def _compile_rates(given: list[Quantity], value: Quantity, *numbers: Quantity) -> PointFunction:
     """A value and its first three rates, for many instants and of numbers alike at all of them.
 
     Given is what it depends on: something that moves, its first derivative and so on.
@@ -362,29 +372,31 @@ def _law(given: list[Quantity], value: Quantity, *numbers: Quantity) -> PointFun
         along = [*ca.vertsplit(known, n), *(ca.SX.sym(f"r{k}", n) for k in range(3))]
         values = [found]
         for k in range(3):
-            values.append(_rate(values[-1], along, orders + k))
+            values.append(_time_derivative(values[-1], along, orders + k))
         # Nothing is computed twice.
         return ca.vertcat(*along), ca.vertcat(*ca.cse(values))
 
     return PointFunction(ca.Function("law", inputs, [value]), rates)
 
 
-def _of(law: PointFunction, rates: np.ndarray, *numbers: float) -> np.ndarray:
+def _evaluate_rates(law: PointFunction, rates: np.ndarray, *numbers: float) -> np.ndarray:
     """A law's values (m, K, n) along what has so many rates (k, K, n), and of further numbers."""
     orders, count, n = rates.shape
     values = law(rates.swapaxes(0, 1).reshape(count, orders * n).T, np.array(numbers))
     return values.reshape(-1, n, count).swapaxes(1, 2)
 
 
-def _sampled(motion: Trajectory) -> np.ndarray:
+def _sample_times(motion: Trajectory) -> np.ndarray:
     """Times between which a polynomial of degree 7 is as good as what leads a motion."""
     begins, ends = motion.times[:-1], motion.times[1:]
-    counts = np.maximum(np.ceil((ends - begins) / _STEP).astype(int), _LEAST)
+    counts = np.maximum(
+        np.ceil((ends - begins) / _SAMPLE_STEP).astype(int), _MIN_SAMPLES_PER_INTERVAL
+    )
     inside = [np.linspace(*each, endpoint=False) for each in zip(begins, ends, counts, strict=True)]
     return np.append(np.concatenate(inside), motion.duration)
 
 
-def _late(motion: Trajectory, at: np.ndarray, beside: float) -> np.ndarray:
+def _evaluate_beside(motion: Trajectory, at: np.ndarray, beside: float) -> np.ndarray:
     """A motion and its first three rates (4, K, n) just `beside` times; at rest around it."""
     inside = np.clip(at, 0.0, motion.duration)
     values = np.stack([motion(inside, k) for k in range(4)])

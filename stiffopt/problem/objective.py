@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from stiffopt.robot.robot import Robot
     from stiffopt.symbolic import Quantity
 
-ACCEPT = ", or set minimise.accept_bound = true."
+ACCEPT_ADVICE = ", or set minimise.accept_bound = true."
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class Bound:
 
 
 # Share of a typical value down to which one is lowered, however negligible it is.
-_GAINED = 1.0 / 3.0
+_MIN_TARGET_SHARE = 1.0 / 3.0
 
 
 class ObjectiveKind(ABC):
@@ -115,14 +115,14 @@ class ObjectiveKind(ABC):
     comparable = True
     of_drives = False
     shaped = False
-    chosen_for_other_arms = False
+    chosen_for_robustness = False
     negligible = 0.0
     comparatives = ("less", "more")
     compared_as_ratio = True
 
-    def enough(self, typical: float) -> float:
+    def target_value(self, typical: float) -> float:
         """Value down to which it is minimised, where a typical one is known."""
-        return min(self.negligible, _GAINED * typical)
+        return min(self.negligible, _MIN_TARGET_SHARE * typical)
 
     def check(self, objective: Objective, problem: TrajectoryProblem) -> None:
         """Raise `ProblemError` where the problem has nothing for this objective to change."""

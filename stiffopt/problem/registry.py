@@ -31,7 +31,7 @@ class Registry(Mapping[str, Kind]):
     def __init__(self, package: str) -> None:
         self._package = package
         self._kinds: dict[str, Kind] = {}
-        self._read = False
+        self._loaded = False
 
     def add(self, kind: Kind) -> None:
         """Make a kind known."""
@@ -41,20 +41,20 @@ class Registry(Mapping[str, Kind]):
         """Forget a kind."""
         self._kinds.pop(name, None)
 
-    def _all(self) -> dict[str, Kind]:
-        if not self._read:
-            self._read = True
+    def _load_kinds(self) -> dict[str, Kind]:
+        if not self._loaded:
+            self._loaded = True
             package = import_module(self._package)
             for module in iter_modules(package.__path__):
                 import_module(f"{self._package}.{module.name}")
         return self._kinds
 
     def __getitem__(self, name: str) -> Kind:
-        return self._all()[name]
+        return self._load_kinds()[name]
 
     def __iter__(self) -> Iterator[str]:
         # Whatever imported one of the files first.
-        return iter(sorted(self._all()))
+        return iter(sorted(self._load_kinds()))
 
     def __len__(self) -> int:
-        return len(self._all())
+        return len(self._load_kinds())

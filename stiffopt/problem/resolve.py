@@ -13,8 +13,8 @@ import numpy as np
 
 from stiffopt.dynamics.inverse_kinematics import solve_pose
 from stiffopt.errors import ProblemError
-from stiffopt.problem.plausible import check_plausible
-from stiffopt.problem.rest import gravity_torque
+from stiffopt.problem.input_checks import check_plausible
+from stiffopt.problem.rest_poses import gravity_torque
 from stiffopt.problem.trajectory import Target, TrajectoryProblem
 from stiffopt.robot.rotations import rotation_between, rotation_from_rpy, rpy_from_rotation
 from stiffopt.units import joint_unit
@@ -60,13 +60,15 @@ def resolve(problem: TrajectoryProblem) -> ResolvedMotion:
     check_plausible(problem)
     if problem.path is not None:
         return _resolve_path(problem)
-    start = _joints(problem, problem.start, "motion.start", None)
+    start = _resolve_target(problem, problem.start, "motion.start", None)
     vias = []
     near = start
-    end = _joints(problem, problem.end, "motion.end", start)
+    end = _resolve_target(problem, problem.end, "motion.end", start)
     for number, via in enumerate(problem.vias, start=1):
         where = f"motion.via[{number}]"
-        near = _joints(problem, _with_orientation(problem, via, start, end), where, near)
+        near = _resolve_target(
+            problem, _interpolate_orientation(problem, via, start, end), where, near
+        )
         vias.append(near)
     motion = ResolvedMotion(
         start, end, tuple(vias), problem.start.fixes_pose, problem.end.fixes_pose
@@ -85,7 +87,7 @@ def resolve(problem: TrajectoryProblem) -> ResolvedMotion:
     return motion
 
 
-def _joints(
+def _resolve_target(
     problem: TrajectoryProblem, target: Target, where: str, near: np.ndarray | None
 ) -> np.ndarray:
     if target.joints is not None:
@@ -111,7 +113,7 @@ def _within_limits(problem: TrajectoryProblem) -> Robot:
     )
 
 
-def _with_orientation(
+def _interpolate_orientation(
     problem: TrajectoryProblem, via: Target, start: np.ndarray, end: np.ndarray
 ) -> Target:
     """A via position with an orientation between those of start and end, if the arm can take it.
@@ -157,7 +159,7 @@ def check_range(
         if not low - 1e-9 <= angle <= high + 1e-9:
             key = "position_lower" if angle < low else "position_upper"
             at, lower, upper = (
-                _place(value, bool(robot.prismatic[j])) for value in (angle, low, high)
+                _format_position(value, bool(robot.prismatic[j])) for value in (angle, low, high)
             )
             raise ProblemError(
                 f"{where}: joint {j + 1} at {at} is outside its range {lower} to {upper}. Choose a "
@@ -195,7 +197,7 @@ def _check_rest(problem: TrajectoryProblem, where: str, angles: np.ndarray) -> N
         )
 
 
-def _place(position: float, prismatic: bool) -> str:
+def _format_position(position: float, prismatic: bool) -> str:
     if prismatic:
         return f"{position:.4g} m"
     return f"{position:.4g} rad ({np.degrees(position):.4g} deg)"

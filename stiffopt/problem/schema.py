@@ -127,7 +127,7 @@ class MotionSection(Section):
     )
 
     @model_validator(mode="after")
-    def _ends(self) -> MotionSection:
+    def _check_ends(self) -> MotionSection:
         # Without any of them the tool's path, [path], has to say where the motion goes.
         some = self.start or self.end or self.via
         if self.path is None and some and (self.start is None or self.end is None):
@@ -170,7 +170,7 @@ class SegmentSection(Section):
     ] = 0.0
 
     @model_validator(mode="after")
-    def _arc(self) -> SegmentSection:
+    def _check_arc(self) -> SegmentSection:
         if (self.type == "circ") != (self.through is not None):
             raise ValueError("`through` belongs to a segment of type circ, which needs it")
         return self

@@ -43,7 +43,7 @@ class Smoothing:
         """Factor on the widths of the law by which motors lead."""
         return float(self.stiffness * self.corners)
 
-    def bent(self, share: float) -> Smoothing:
+    def narrowed(self, share: float) -> Smoothing:
         """With stiffness that bends within a share of its widths; the motors' law is as wide."""
         corners = self.corners / share
         return replace(self, stiffness=share * self.stiffness, corners=corners)

@@ -97,7 +97,7 @@ class ObjectiveTerms:
     integrands: tuple[Quantity, ...] = ()
     path_rows: tuple[PathRows, ...] = ()
     integral_rows: tuple[IntegralRow, ...] = ()
-    besides: OfIntegrals | None = None
+    robust_value: OfIntegrals | None = None
 
 
 def squared_length(vector: Quantity) -> Quantity:

@@ -12,7 +12,7 @@ from stiffopt.declaration import POSITIVE, Bounds, Doc, Ratio, Time, check_field
 from stiffopt.elastic.uncertainty import AssumedUncertainty, Uncertainty
 from stiffopt.errors import ProblemError
 from stiffopt.problem.limit import Limits
-from stiffopt.problem.link_planning import check_arrival, check_links
+from stiffopt.problem.link_planning import check_arrival, check_link_planning
 from stiffopt.problem.objective import Objective
 from stiffopt.robot.cell import Cell
 
@@ -22,9 +22,9 @@ if TYPE_CHECKING:
     from stiffopt.robot.robot import Robot
 
 # Outside these a number is a slip, and it would overflow on the way.
-_FAR = 1e3
-_DURATIONS = (1e-3, 600.0)
-_NO_JERK = (
+_MAX_POSITION = 1e3
+_DURATION_RANGE = (1e-3, 600.0)
+_DROPPED_JERK_REMARK = (
     "The robot's own jerk limit is not kept: along a fixed path the acceleration jumps. Give poses "
     "instead of motion.path to have it kept."
 )
@@ -75,10 +75,13 @@ class Target:
             raise ProblemError("`rpy` needs a `position` beside it; `joints` fix both.")
         if self.position is not None:
             _check_vector("position", self.position)
-            if np.linalg.norm(np.clip(self.position, -_FAR, _FAR)) >= _FAR:
+            if (
+                np.linalg.norm(np.clip(self.position, -_MAX_POSITION, _MAX_POSITION))
+                >= _MAX_POSITION
+            ):
                 raise ProblemError(
                     f"position {np.asarray(self.position).tolist()} m is out of reach of any arm; "
-                    f"allowed: less than {_FAR:g} m from the base."
+                    f"allowed: less than {_MAX_POSITION:g} m from the base."
                 )
         if self.rpy is not None:
             _check_vector("rpy", self.rpy)
@@ -96,7 +99,7 @@ def _check_vector(name: str, value: np.ndarray) -> None:
 def _check_duration(duration: tuple[float, float]) -> None:
     """Raise `ProblemError` unless the range (lower, upper) [s] holds a motion of an arm."""
     lower, upper = duration
-    shortest, longest = _DURATIONS
+    shortest, longest = _DURATION_RANGE
     if not shortest <= lower <= min(upper, longest) or longest < upper < np.inf:
         raise ProblemError(
             f"motion.duration: from lower = {lower:g} s to upper = {upper:g} s cannot be used; "
@@ -198,7 +201,7 @@ class TrajectoryProblem:
         _check_duration(self.duration)
         if self.path is not None:
             object.__setattr__(self, "path", np.asarray(self.path, dtype=float))
-            self._let_go_of_jerk()
+            self._drop_robot_jerk_limit()
         object.__setattr__(self, "process_force", np.asarray(self.process_force, dtype=float))
         _check_vector("process_force", self.process_force)
         if self.boundary_acceleration not in ("zero", "free"):
@@ -213,10 +216,10 @@ class TrajectoryProblem:
             self._check_objective(objective, f"minimise[{number}]")
         for kind in self._arrival_limits:
             name = f"limits.{kind.name}"
-            check_links(self, name, f"leave {name} out")
+            check_link_planning(self, name, f"leave {name} out")
             check_arrival(self, name)
 
-    def _let_go_of_jerk(self) -> None:
+    def _drop_robot_jerk_limit(self) -> None:
         """On a fixed path the robot's own jerk limit is left out, where none was asked for."""
         own = Limits.of(self.robot)
         stated = own if self.limits is None else self.limits
@@ -224,7 +227,7 @@ class TrajectoryProblem:
             free = np.full(self.joints, np.inf)
             limits = Limits({**stated.values, "jerk": free})
             object.__setattr__(self, "limits", limits)
-            object.__setattr__(self, "remarks", (*self.remarks, _NO_JERK))
+            object.__setattr__(self, "remarks", (*self.remarks, _DROPPED_JERK_REMARK))
 
     def _choose_objective(self) -> None:
         """What a deflection problem minimises where nothing is said."""
@@ -272,9 +275,9 @@ class TrajectoryProblem:
         return [kind for kind in self.active_limits.kinds if kind.of_arrival]
 
     @property
-    def chosen_for_other_arms(self) -> bool:
+    def chosen_for_robustness(self) -> bool:
         """Whether of plans about as good that is taken which does best on other arms."""
-        alone = len(self.objectives) == 1 and self.objectives[0].kind.chosen_for_other_arms
+        alone = len(self.objectives) == 1 and self.objectives[0].kind.chosen_for_robustness
         if not (self.uncertainty.stated and alone):
             return False
         # Else there is no command to be led by more.

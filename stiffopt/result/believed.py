@@ -8,7 +8,7 @@ import numpy as np
 
 
 @dataclass(frozen=True)
-class Believed:
+class PredictedMotion:
     """Quantities of the optimiser's model along the motion it found.
 
     Parameters

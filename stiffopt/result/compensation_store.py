@@ -50,24 +50,24 @@ def compensation_document(compensation: Compensation | None) -> dict[str, Any] |
         "command": COMMAND_FILE if compensation.command is not None else None,
         "refusal": compensation.refusal,
         "uncertainty": compensation.uncertainty,
-        "motions": {motion.name: _motion(motion) for motion in compensation.motions},
+        "motions": {motion.name: _motion_document(motion) for motion in compensation.motions},
     }
 
 
-def _motion(motion: CompensatedMotion) -> dict[str, Any]:
+def _motion_document(motion: CompensatedMotion) -> dict[str, Any]:
     return {
         "within_motor_limits": not motion.excess,
         "excess": [dict(vars(each)) for each in motion.excess],
         "knot_spacing": motion.spacing,
         "share_of_windup": motion.share,
-        "as_planned": _spreads(motion.planned),
-        "compensated": _spreads(motion.compensated),
-        "simulated": _simulated(motion.simulated),
-        "simulated_worst": None if motion.worst is None else _simulated(motion.worst),
+        "as_planned": _spreads_document(motion.planned),
+        "compensated": _spreads_document(motion.compensated),
+        "simulated": _simulated_document(motion.simulated),
+        "simulated_worst": None if motion.worst is None else _simulated_document(motion.worst),
     }
 
 
-def _simulated(simulated: SimulatedMotion) -> dict[str, Any]:
+def _simulated_document(simulated: SimulatedMotion) -> dict[str, Any]:
     return {
         "in_flight": {"peak": simulated.peak, "rms": simulated.rms},
         "after_arrival": {"peak": simulated.peak_after, "rms": simulated.rms_after},
@@ -75,11 +75,14 @@ def _simulated(simulated: SimulatedMotion) -> dict[str, Any]:
     }
 
 
-def _spreads(spreads: Spreads) -> dict[str, Any]:
-    return {"in_flight": _spread(spreads.flight), "after_arrival": _spread(spreads.after)}
+def _spreads_document(spreads: Spreads) -> dict[str, Any]:
+    return {
+        "in_flight": _spread_document(spreads.flight),
+        "after_arrival": _spread_document(spreads.after),
+    }
 
 
-def _spread(spread: Spread) -> dict[str, Any]:
+def _spread_document(spread: Spread) -> dict[str, Any]:
     return {
         "nominal": spread.nominal,
         "worst": spread.worst,

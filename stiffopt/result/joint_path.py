@@ -71,13 +71,13 @@ class JointPath:
     def __call__(self, s: object, order: int = 0) -> np.ndarray:
         """Position (order 0) or derivative by s at the parameters `s` (k,), shape (k, n)."""
         positions = np.asarray(s, dtype=float)
-        return self._on_piece(positions, self._piece(positions), order)
+        return self._evaluate_piece(positions, self._piece_index(positions), order)
 
-    def _piece(self, s: np.ndarray) -> np.ndarray:
+    def _piece_index(self, s: np.ndarray) -> np.ndarray:
         last = len(self.knots) - 2
         return np.clip(np.searchsorted(self.knots, s, side="right") - 1, 0, last)
 
-    def _on_piece(self, s: np.ndarray, piece: np.ndarray, order: int) -> np.ndarray:
+    def _evaluate_piece(self, s: np.ndarray, piece: np.ndarray, order: int) -> np.ndarray:
         local = (s - self.knots[piece])[..., None]
         value = np.zeros((*s.shape, self.joints))
         for j in range(3, order - 1, -1):
@@ -93,25 +93,25 @@ class JointPath:
         law : Trajectory
             One "joint", the path parameter s, from 0 to 1 without turning back.
         """
-        times = _with_crossings(law, self.knots[1:-1])
+        times = _merge_crossings(law, self.knots[1:-1])
         begin, middle = times[:-1], 0.5 * (times[:-1] + times[1:])
-        piece = self._piece(law(middle)[:, 0])
+        piece = self._piece_index(law(middle)[:, 0])
         degree = law.acceleration.shape[1] + 1
         # Local Taylor polynomials: of s about each break, then of q about s there.
         s = np.stack([law(begin, j)[:, 0] / factorial(j) for j in range(degree + 1)], axis=1)
         start, s[:, 0] = s[:, 0].copy(), 0.0
-        taylor = [self._on_piece(start, piece, j) / factorial(j) for j in range(4)]
+        taylor = [self._evaluate_piece(start, piece, j) / factorial(j) for j in range(4)]
         motion = np.zeros((len(begin), 3 * degree + 1, self.joints))
         power = np.ones((len(begin), 1))
         for coefficient in taylor:
             motion[:, : power.shape[1]] += power[:, :, None] * coefficient[:, None, :]
-            power = _product(power, s)
+            power = _multiply_polynomials(power, s)
         j = np.arange(2, motion.shape[1])
         acceleration = motion[:, 2:] * (j * (j - 1.0))[:, None]
         return Trajectory.from_acceleration(times, acceleration, motion[0, 0], motion[0, 1])
 
 
-def _with_crossings(law: Trajectory, knots: np.ndarray) -> np.ndarray:
+def _merge_crossings(law: Trajectory, knots: np.ndarray) -> np.ndarray:
     """Merge the breaks of the law and the times at which it passes the inner knots."""
     breaks = law.times
     at_breaks = law(breaks)[:, 0]
@@ -127,7 +127,7 @@ def _with_crossings(law: Trajectory, knots: np.ndarray) -> np.ndarray:
     return np.union1d(breaks, crossings)
 
 
-def _product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+def _multiply_polynomials(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Product of polynomials (K, p) and (K, r), one pair a row."""
     result = np.zeros((len(a), a.shape[1] + b.shape[1] - 1))
     for j in range(a.shape[1]):

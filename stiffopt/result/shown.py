@@ -9,7 +9,7 @@ from typing import Any
 from stiffopt.errors import InputError
 
 
-class Shown:
+class DisplayedResult:
     """A result that shows itself shortly; subclasses say their facts and their table."""
 
     def facts(self) -> dict[str, str]:

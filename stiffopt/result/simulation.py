@@ -11,9 +11,9 @@ from stiffopt.result.assessment import PeakRms
 # Within which a tool counts as settled where nothing else is said [m].
 SETTLING_BAND = 5e-5
 # Share by which simulated and planned deflection may differ without a word.
-AGREEMENT = 0.1
+MAX_UNREPORTED_DIFFERENCE = 0.1
 # Time for which a settled tool has been seen to stay in the band [s]: half a swing of 10 Hz.
-_HELD = 0.05
+_MIN_SETTLED_TIME = 0.05
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,18 +61,18 @@ class SimulatedMotion:
     def rms(self) -> float:
         """Root mean square of the deviation in flight [m]."""
         flight = self.time <= self.duration
-        return self._rms(flight)
+        return self._rms_over(flight)
 
     @property
     def peak_after(self) -> float | None:
         """Largest deviation after arrival [m]; None where the motion does not end at rest."""
-        rest = self._rest
+        rest = self._after_arrival
         return float(self.distance[rest].max()) if rest.any() else None
 
     @property
     def rms_after(self) -> float | None:
         """Root mean square after arrival, of what is simulated [m]: the residual vibration."""
-        return self._rms(self._rest) if self._rest.any() else None
+        return self._rms_over(self._after_arrival) if self._after_arrival.any() else None
 
     @property
     def settling_time(self) -> float | None:
@@ -80,7 +80,7 @@ class SimulatedMotion:
 
         None where it does not within the simulated time, or does not come to rest at all.
         """
-        rest = self._rest
+        rest = self._after_arrival
         if not rest.any():
             return None
         outside = np.flatnonzero(self.distance[rest] > self.band)
@@ -89,15 +89,15 @@ class SimulatedMotion:
         after = self.time[rest] - self.duration
         last = int(outside[-1])
         # Nearer to the end it may only be passing through.
-        return None if after[-1] - after[last] < _HELD else float(after[last + 1])
+        return None if after[-1] - after[last] < _MIN_SETTLED_TIME else float(after[last + 1])
 
     @property
-    def _rest(self) -> np.ndarray:
+    def _after_arrival(self) -> np.ndarray:
         if self.time[-1] <= self.duration:
             return np.zeros(len(self.time), dtype=bool)
         return np.asarray(self.time >= self.duration)
 
-    def _rms(self, chosen: np.ndarray) -> float:
+    def _rms_over(self, chosen: np.ndarray) -> float:
         time, square = self.time[chosen], self.distance[chosen] ** 2
         return float(np.sqrt(np.trapezoid(square, time) / (time[-1] - time[0])))
 
@@ -221,4 +221,4 @@ class Simulation:
     def differs(self) -> bool:
         """Whether the optimised motion's deflection is not what was planned."""
         difference = self.optimised.difference
-        return difference is not None and abs(difference) > AGREEMENT
+        return difference is not None and abs(difference) > MAX_UNREPORTED_DIFFERENCE

@@ -9,7 +9,7 @@ import numpy as np
 
 from stiffopt.errors import InputError
 from stiffopt.result.assessment import Assessment
-from stiffopt.result.shown import Shown
+from stiffopt.result.shown import DisplayedResult
 from stiffopt.result.status import SolveStatus
 
 if TYPE_CHECKING:
@@ -60,7 +60,7 @@ class SolverRecord:
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
-class Solution(Shown):
+class Solution(DisplayedResult):
     """Outcome of `stiffopt.solve`.
 
     Parameters

@@ -31,11 +31,11 @@ class SolveStatus(StrEnum):
     @property
     def sentence(self) -> str:
         """What it means and what to do next."""
-        return _SENTENCES[self]
+        return _STATUS_SENTENCES[self]
 
 
 # What was checked for collisions stands behind them: `stiffopt.certificate.collisions.scope`.
-_SENTENCES = {
+_STATUS_SENTENCES = {
     SolveStatus.OPTIMAL: (
         "Solved and certified: every limit holds on the fine grid. Check the estimated inputs in "
         "the report before you rely on its numbers."

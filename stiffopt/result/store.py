@@ -84,12 +84,12 @@ def result_document(solution: Solution) -> dict[str, Any]:
         "schema": SCHEMA,
         "status": str(solution.status),
         "message": solution.message,
-        "objective": _objective(solution.objective),
+        "objective": _objective_document(solution.objective),
         "duration": solution.duration,
-        "certificate": _certificate(solution.assessment),
-        "baselines": {name: _baseline(each) for name, each in solution.baselines.items()},
+        "certificate": _certificate_document(solution.assessment),
+        "baselines": {name: _baseline_document(each) for name, each in solution.baselines.items()},
         "ratio_to_better_baseline": solution.ratio_to_better_baseline,
-        "strict_baseline": _strict(solution),
+        "strict_baseline": _strict_baseline_document(solution),
         "solver": vars(solution.solver),
         "notes": solution.notes,
         "simulation": simulation_document(solution.simulation),
@@ -100,12 +100,16 @@ def result_document(solution: Solution) -> dict[str, Any]:
     return {key: plain(value) for key, value in document.items()}
 
 
-def _strict(solution: Solution) -> dict[str, Any] | None:
+def _strict_baseline_document(solution: Solution) -> dict[str, Any] | None:
     """The baseline that keeps every limit, with the ratio to it."""
     strict = solution.strict_baseline
     if strict is None:
         return None
-    return {"name": strict.name, **_baseline(strict), "ratio": solution.ratio_to_strict_baseline}
+    return {
+        "name": strict.name,
+        **_baseline_document(strict),
+        "ratio": solution.ratio_to_strict_baseline,
+    }
 
 
 def write_result(
@@ -200,7 +204,7 @@ def read_document(path: Path) -> dict[str, Any]:
     return document
 
 
-def joints_of(document: dict[str, Any], path: Path) -> tuple[tuple[str, ...], np.ndarray]:
+def read_joints(document: dict[str, Any], path: Path) -> tuple[tuple[str, ...], np.ndarray]:
     """Names of the joints of a result, and which of them slide (n,).
 
     Raises
@@ -329,11 +333,11 @@ def write_simulation(
     return folder / SIMULATION_FILE
 
 
-def _objective(objective: ObjectiveValue | None) -> dict[str, Any] | None:
+def _objective_document(objective: ObjectiveValue | None) -> dict[str, Any] | None:
     return None if objective is None else dict(vars(objective))
 
 
-def _violation(violation: Violation) -> dict[str, Any]:
+def _violation_document(violation: Violation) -> dict[str, Any]:
     # Limits that are no collision have neither pair nor distance.
     return {
         key: value
@@ -342,37 +346,37 @@ def _violation(violation: Violation) -> dict[str, Any]:
     }
 
 
-def _lowest(lowest: LowestStiffness) -> dict[str, Any]:
+def _stiffness_document(lowest: LowestStiffness) -> dict[str, Any]:
     return dict(vars(lowest))
 
 
-def _deflection(assessment: Assessment) -> dict[str, Any]:
+def _deflection_document(assessment: Assessment) -> dict[str, Any]:
     return {part: dict(vars(value)) for part, value in assessment.deflection_summary().items()}
 
 
-def _certificate(assessment: Assessment | None) -> dict[str, Any] | None:
+def _certificate_document(assessment: Assessment | None) -> dict[str, Any] | None:
     if assessment is None:
         return None
     return {
         "points": len(assessment.time),
-        "worst_violation": _violation(assessment.worst_violation),
-        "min_stiffness": _lowest(assessment.min_stiffness),
-        "deflection": _deflection(assessment),
-        "violations": [_violation(each) for each in assessment.violations],
-        "lowest_stiffness": [_lowest(each) for each in assessment.lowest_stiffness],
+        "worst_violation": _violation_document(assessment.worst_violation),
+        "min_stiffness": _stiffness_document(assessment.min_stiffness),
+        "deflection": _deflection_document(assessment),
+        "violations": [_violation_document(each) for each in assessment.violations],
+        "lowest_stiffness": [_stiffness_document(each) for each in assessment.lowest_stiffness],
         "integrals": assessment.integrals,
     }
 
 
-def _baseline(baseline: Baseline) -> dict[str, Any]:
+def _baseline_document(baseline: Baseline) -> dict[str, Any]:
     motion = baseline.assessment
     return {
         "feasible": baseline.feasible,
         "duration": None if motion is None else motion.duration,
         "objective": baseline.objective,
-        "deflection": None if motion is None else _deflection(motion),
-        "min_stiffness": None if motion is None else _lowest(motion.min_stiffness),
-        "worst_violation": None if motion is None else _violation(motion.worst_violation),
+        "deflection": None if motion is None else _deflection_document(motion),
+        "min_stiffness": None if motion is None else _stiffness_document(motion.min_stiffness),
+        "worst_violation": None if motion is None else _violation_document(motion.worst_violation),
         "reason": baseline.reason,
     }
 
@@ -382,28 +386,28 @@ def simulation_document(simulation: Simulation | None) -> dict[str, Any] | None:
     if simulation is None:
         return None
     return {
-        "motions": {motion.name: _elastic(motion) for motion in simulation.motions},
+        "motions": {motion.name: _elastic_document(motion) for motion in simulation.motions},
         "ratio_to_better_baseline": simulation.ratio_to_better_baseline,
         "assumed_damping": simulation.assumed_damping,
         "typical_hysteresis": simulation.typical_hysteresis,
     }
 
 
-def _part(part: SimulatedPart | None) -> dict[str, Any] | None:
+def _part_document(part: SimulatedPart | None) -> dict[str, Any] | None:
     if part is None:
         return None
     planned, simulated = dict(vars(part.planned)), dict(vars(part.simulated))
     return {"part": part.name, "planned": planned, "in_flight": simulated}
 
 
-def _elastic(motion: ElasticMotion) -> dict[str, Any]:
+def _elastic_document(motion: ElasticMotion) -> dict[str, Any]:
     simulated = motion.simulated
     return {
         "counted": motion.counted,
         "duration": simulated.duration,
         "planned": dict(vars(motion.planned)),
         "in_flight": {"peak": simulated.peak, "rms": simulated.rms},
-        "minimised": _part(motion.minimised),
+        "minimised": _part_document(motion.minimised),
         "after_arrival": {"peak": simulated.peak_after, "rms": simulated.rms_after},
         "settling_time": simulated.settling_time,
         "settling_band": simulated.band,

@@ -16,7 +16,7 @@ from stiffopt.errors import OutOfValidityError, ProblemError
 # Rounding of a time computed elsewhere; not a licence to extrapolate.
 _TIME_SLACK = 1e-9
 # Steps over which rounding of a position shows in the jerk [s]: by 0.05 rad/s^3 at 3 rad.
-_SHORT = 2e-4
+_MIN_POSITION_STEP = 2e-4
 
 
 class JointMotion(Protocol):
@@ -63,8 +63,8 @@ class Trajectory:
         times = np.array(self.times, dtype=float)
         acceleration = np.array(self.acceleration, dtype=float)
         q0, v0 = (np.array(x, dtype=float).reshape(-1) for x in (self.q0, self.v0))
-        _check(times, acceleration, q0, v0)
-        position = _integrate(times, acceleration, q0, v0)
+        _check_coefficients(times, acceleration, q0, v0)
+        position = _integrate_acceleration(times, acceleration, q0, v0)
         names = ("times", "acceleration", "q0", "v0", "_position")
         for name, array in zip(names, (times, acceleration, q0, v0, position), strict=True):
             array.flags.writeable = False
@@ -134,7 +134,7 @@ class Trajectory:
         missing = wanted - np.einsum("kj,jin->kin", powers[:, :4], np.stack(first))
         last = np.einsum("jk,kin->jin", np.linalg.inv(powers[:, 4:]), missing)
         bent = np.einsum("jk,kin->jin", np.linalg.inv(powers[2:, 4:6]), missing[2:])
-        short = step[:, 0] < _SHORT
+        short = step[:, 0] < _MIN_POSITION_STEP
         last[:, short] = np.concatenate([bent, np.zeros_like(bent)])[:, short]
         position = np.concatenate([first, last])
         acceleration = [j * (j - 1) * position[j] / step**j for j in range(2, 8)]
@@ -175,7 +175,9 @@ class Trajectory:
             np.searchsorted(self.times, time, side="right") - 1, 0, len(self.times) - 2
         )
         # Power by power in memory of its own: read in half of the time.
-        powers = np.ascontiguousarray(_differentiate(self._position, order).swapaxes(0, 1))
+        powers = np.ascontiguousarray(
+            _differentiate_coefficients(self._position, order).swapaxes(0, 1)
+        )
         local = (np.clip(time, 0.0, self.duration) - self.times[interval])[..., None]
         value = np.take(powers[-1], interval, axis=0)
         for each in powers[-2::-1]:
@@ -217,7 +219,7 @@ class Trajectory:
         times = np.union1d(self.times, change.times)
         times = times[np.append(times[:-1] < self.duration * (1.0 - _TIME_SLACK), True)]
         times[-1] = self.duration
-        own, other = _about(times, self), _about(times, change)
+        own, other = _recentre_coefficients(times, self), _recentre_coefficients(times, change)
         if own.shape[1] < other.shape[1]:
             own, other = other, own
         own[:, : other.shape[1]] += other
@@ -256,7 +258,9 @@ class Trajectory:
         return times
 
 
-def _check(times: np.ndarray, acceleration: np.ndarray, q0: np.ndarray, v0: np.ndarray) -> None:
+def _check_coefficients(
+    times: np.ndarray, acceleration: np.ndarray, q0: np.ndarray, v0: np.ndarray
+) -> None:
     if times.ndim != 1 or times.size < 2 or times[0] != 0.0 or not np.all(np.diff(times) > 0):
         raise ProblemError(
             "the times of a trajectory must begin at 0 and increase strictly, with two at least."
@@ -273,7 +277,7 @@ def _check(times: np.ndarray, acceleration: np.ndarray, q0: np.ndarray, v0: np.n
             raise ProblemError(f"{name} of a trajectory holds a value that is not finite.")
 
 
-def _integrate(
+def _integrate_acceleration(
     times: np.ndarray, acceleration: np.ndarray, q0: np.ndarray, v0: np.ndarray
 ) -> np.ndarray:
     """Position coefficients (K, d + 3, n), continuous in position and velocity."""
@@ -291,7 +295,7 @@ def _integrate(
     return position
 
 
-def _about(times: np.ndarray, motion: Trajectory) -> np.ndarray:
+def _recentre_coefficients(times: np.ndarray, motion: Trajectory) -> np.ndarray:
     """Coefficients (K, d + 1, n) of a motion's acceleration about the starts of other intervals."""
     interval = np.searchsorted(motion.times, times[:-1], side="right") - 1
     interval = np.clip(interval, 0, len(motion.times) - 2)
@@ -305,7 +309,7 @@ def _about(times: np.ndarray, motion: Trajectory) -> np.ndarray:
     return moved
 
 
-def _differentiate(coefficients: np.ndarray, order: int) -> np.ndarray:
+def _differentiate_coefficients(coefficients: np.ndarray, order: int) -> np.ndarray:
     for _ in range(order):
         if coefficients.shape[1] == 1:
             return np.zeros_like(coefficients)

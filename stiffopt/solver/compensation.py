@@ -23,7 +23,7 @@ from stiffopt.elastic.motor import MotorMotion
 from stiffopt.elastic.simulate import REST, simulate
 from stiffopt.elastic.smooth_motion import smooth_motion
 from stiffopt.elastic.uncertainty import Departure, bounded, corners, draws, one_at_a_time
-from stiffopt.problem.motor_model import LEADS_MORE, MotorLaw, law_smoothing
+from stiffopt.problem.motor_model import ROBUST_LEAD_SHARE, MotorLaw, law_smoothing
 from stiffopt.result.compensation import CompensatedMotion, Compensation, Spread, Spreads
 from stiffopt.result.compensation_store import COMMAND_FILE
 from stiffopt.result.store import export_times
@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 # Of the knots of the splines that are tried [s], and shares of the nominal wind-up: a plan that is
 # chosen for other arms leaves room for the second.
 _SPACINGS = (0.005, 0.01, 0.02, 0.04)
-_SHARES = (1.0, 1.0 + LEADS_MORE, 1.06, 1.09)
+_SHARES = (1.0, 1.0 + ROBUST_LEAD_SHARE, 1.06, 1.09)
 # Of the grid on which the splines are tried; the chosen one is judged on the certificate's.
 _COARSE = 1001
 

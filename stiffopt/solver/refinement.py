@@ -240,7 +240,7 @@ def _within_rows(run: SolveRun, outcome: Outcome, nlp: Nlp) -> tuple[Outcome, Nl
                     smoothing = replace(smoothing, corners=_passable(run, outcome))
                 rows = rows or PointFunction(exact_path_rows(run.problem, run.motion, run.scales))
                 bends = _BENDS if outcome.objective_gap > TRUE_OBJECTIVE else 1.0
-                bent = smoothing.bent(bends).parameters
+                bent = smoothing.narrowed(bends).parameters
                 found = _driven(run.problem, outcome.assessment)
                 known = excess_of(made.transcription, raw.x, bent, rows, found)
                 unseen = _unseen(known, excess)

@@ -73,7 +73,7 @@ def robust_plan(run: SolveRun, outcome: Outcome) -> Outcome:
 def _asked(run: SolveRun, outcome: Outcome) -> bool:
     sound = outcome.raw.converged and outcome.assessment.feasible(CERTIFIED)
     # Planes around what it must not touch are of the motion that was found.
-    return run.problem.chosen_for_other_arms and sound and run.avoidance is None
+    return run.problem.chosen_for_robustness and sound and run.avoidance is None
 
 
 def _capped(outcome: Outcome, nlp: Nlp, price: float) -> Nlp:

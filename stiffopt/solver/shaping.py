@@ -30,7 +30,7 @@ from stiffopt.elastic.modes import modes
 from stiffopt.elastic.smooth_motion import smooth_motion
 from stiffopt.errors import ProblemError
 from stiffopt.problem.bounds import shortest_duration
-from stiffopt.problem.clear_poses import room_at_poses
+from stiffopt.problem.clear_poses import clearance_at_poses
 from stiffopt.problem.limit import Limits
 from stiffopt.problem.motor_model import MotorLaw
 from stiffopt.problem.objective import Objective
@@ -205,7 +205,7 @@ def _averaged(
 ) -> tuple[Solution, tuple[Trajectory, Assessment] | None]:
     """The solution of the inner quasi-static problem, and its motion averaged over a window [s]."""
     found = solve(inner)
-    room = room_at_poses(problem, motion) if problem.avoids_collisions else 0.0
+    room = clearance_at_poses(problem, motion) if problem.avoids_collisions else 0.0
     shaped = _shaped(problem, found, window)
     for number in range(_ROUNDS):
         # What is left after two rounds is drawn in by twice as much.

@@ -12,7 +12,7 @@ from stiffopt.baseline.baselines import slowed_quintic
 from stiffopt.certificate.assess import assess, drive_violations
 from stiffopt.certificate.collisions import with_collisions
 from stiffopt.certificate.violations import CERTIFIED
-from stiffopt.problem.motor_model import WIDER
+from stiffopt.problem.motor_model import LAW_SMOOTHING_FACTOR
 from stiffopt.solver.solve_run import SolveRun
 from stiffopt.solver.stages import Outcome
 
@@ -53,7 +53,7 @@ def _slowed(run: SolveRun, outcome: Outcome) -> float | None:
         return None
     for times in _SLOWER:
         slow = link.scaled_to(times * link.duration)
-        motors = run.motors.motion(slow, WIDER * outcome.smoothing.law, run.lag)
+        motors = run.motors.motion(slow, LAW_SMOOTHING_FACTOR * outcome.smoothing.law, run.lag)
         if drive_violations(problem, motors)[0].value > CERTIFIED:
             continue
         if with_collisions(problem, assess(problem, motors)).feasible(CERTIFIED):

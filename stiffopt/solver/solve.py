@@ -30,7 +30,7 @@ from stiffopt.problem.bounds import check_bounds, shortest_duration
 from stiffopt.problem.clear_poses import check_clear_poses
 from stiffopt.problem.files import LoadedProblem
 from stiffopt.problem.formulation import Scales
-from stiffopt.problem.plausible import questionable_belts, questionable_bodies
+from stiffopt.problem.input_checks import inconsistent_inertias, slack_belts
 from stiffopt.problem.resolve import ResolvedMotion, resolve
 from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.result.assessment import Assessment
@@ -229,7 +229,7 @@ def _begin(
 def notes_before(problem: TrajectoryProblem, motion: ResolvedMotion) -> tuple[str, ...]:
     """What can be said of a problem before it is solved; refuses those that are degenerate."""
     chosen = (problem.chosen,) if problem.chosen else ()
-    doubted = (*questionable_bodies(problem.robot), *questionable_belts(problem.robot))
+    doubted = (*inconsistent_inertias(problem.robot), *slack_belts(problem.robot))
     return (*chosen, *problem.remarks, *doubted, *_held(problem), *check_bounds(problem, motion))
 
 
@@ -432,7 +432,7 @@ def solution_of(
 def _low_enough(run: SolveRun, value: float) -> list[str]:
     """That a lower objective was not asked for, where that is so."""
     kind = run.problem.objectives[0].kind
-    enough = kind.enough(run.scales.of(kind.name))
+    enough = kind.target_value(run.scales.of(kind.name))
     if len(run.problem.objectives) > 1 or not 0.0 < value <= _LOW * enough:
         return []
     return [

@@ -18,7 +18,7 @@ from stiffopt.elastic.modes import Mode, modes
 from stiffopt.elastic.smooth_motion import smooth_motion
 from stiffopt.errors import NotSimulatedError
 from stiffopt.problem.formulation import Scales
-from stiffopt.problem.motor_model import MotorLaw, law_smoothing, rounded_lag
+from stiffopt.problem.motor_model import MotorLaw, law_smoothing, round_lags
 from stiffopt.problem.resolve import ResolvedMotion
 from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.result.solution import Baseline
@@ -172,7 +172,7 @@ class SolveRun:
         if not (problem.plans_links and smooth) or self.end_modes:
             return None
         with suppress(NotSimulatedError):
-            return rounded_lag(self.arm.lag(self.motion.end))
+            return round_lags(self.arm.lag(self.motion.end))
         return None
 
     def in_si(self, objective: float) -> float:

@@ -13,7 +13,7 @@ import numpy as np
 from stiffopt.certificate.assess import assess
 from stiffopt.certificate.objective_value import is_maximised, objective_value
 from stiffopt.problem.formulation import formulate
-from stiffopt.problem.motor_model import WIDER
+from stiffopt.problem.motor_model import LAW_SMOOTHING_FACTOR
 from stiffopt.problem.smoothing import Smoothing
 from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.result.assessment import Assessment
@@ -482,7 +482,7 @@ def _trajectory(
     problem = run.problem
     motion = Trajectory.from_acceleration(*transcription.acceleration_polynomials(x))
     if problem.plans_links:
-        return run.motors.motion(motion, WIDER * law, run.lag, sagged=sagged)
+        return run.motors.motion(motion, LAW_SMOOTHING_FACTOR * law, run.lag, sagged=sagged)
     if problem.path is None:
         return motion
     return JointPath.through(problem.path).follow(motion)

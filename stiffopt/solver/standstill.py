@@ -14,8 +14,8 @@ import numpy as np
 
 from stiffopt.certificate.assess import assess
 from stiffopt.dynamics.friction import smoothing_width
-from stiffopt.problem.belief import believed_of
 from stiffopt.problem.coordinates import coordinates_of
+from stiffopt.problem.prediction import predict_motion
 from stiffopt.problem.smoothing import Smoothing
 from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.result.trajectory import Trajectory
@@ -81,7 +81,7 @@ def lacking_friction(problem: TrajectoryProblem, motion: Trajectory, smoothing: 
     """
     if not any(objective.kind.of_drives for objective in problem.objectives):
         return 0.0
-    believed = believed_of(problem, motion, smoothing, elastic=False)
+    believed = predict_motion(problem, motion, smoothing, elastic=False)
     if believed.torque is None:
         return 0.0
     true = assess(problem, motion, times=believed.time).torque

@@ -19,8 +19,8 @@ from stiffopt.certificate.collisions import scope
 from stiffopt.certificate.objective_value import is_maximised, objective_value
 from stiffopt.certificate.slipping import slip_text, slips
 from stiffopt.certificate.violations import CERTIFIED
-from stiffopt.problem.belief import believed_of
 from stiffopt.problem.formulation import smoothing_stages
+from stiffopt.problem.prediction import predict_motion
 from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.result.assessment import Assessment
 from stiffopt.result.solution import Baseline
@@ -189,7 +189,7 @@ def _disagreements(problem: TrajectoryProblem, outcome: Outcome) -> list[Disagre
     """What the optimiser believed of its motion and is not true, the worst first."""
     widths = smoothing_stages(problem)
     polynomials = outcome.transcription.acceleration_polynomials(outcome.raw.x)
-    believed = believed_of(
+    believed = predict_motion(
         problem,
         Trajectory.from_acceleration(*polynomials),
         outcome.smoothing,

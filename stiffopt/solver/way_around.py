@@ -20,7 +20,7 @@ from stiffopt.certificate.objective_value import is_maximised, objective_value
 from stiffopt.certificate.violations import CERTIFIED
 from stiffopt.dynamics.inverse_kinematics import solve_pose
 from stiffopt.errors import ProblemError
-from stiffopt.problem.clear_poses import targets
+from stiffopt.problem.clear_poses import located_targets
 from stiffopt.result.assessment import Violation
 from stiffopt.result.joint_path import JointPath
 from stiffopt.result.solution import Baseline
@@ -127,7 +127,7 @@ def _starts(
         seconds = min(_SECONDS, _SHARE * run.remaining)
         space = FreeSpace(problem, problem.method.seed + number, seconds)
         points = _clear_points(run, space)
-        blocked = [targets(problem)[k][0] for k in space.blocked(points)]
+        blocked = [located_targets(problem)[k][0] for k in space.blocked(points)]
         if blocked:
             run.unavoided = f"No pose free of collisions was found for {' and '.join(blocked)}."
             return
@@ -150,7 +150,7 @@ def _clear_points(run: SolveRun, space: FreeSpace) -> np.ndarray:
     """Start, vias and end (k, n); where only the tool's place is given, poses that are free."""
     problem, points = run.problem, run.motion.points.copy()
     random = np.random.default_rng(problem.method.seed)
-    for k, (_, target) in enumerate(targets(problem)):
+    for k, (_, target) in enumerate(located_targets(problem)):
         if target.fixes_pose or space.gap(points[k]) > 0.0:
             continue
         for near in space.poses(_OTHER_POSES, random):

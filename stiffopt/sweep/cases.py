@@ -24,10 +24,10 @@ from stiffopt.recording.readers.read import files_of
 from stiffopt.recording.set_file import FILE as RECORDINGS
 from stiffopt.recording.set_file import described_by
 from stiffopt.robot.mesh_files import mesh_files
-from stiffopt.sweep.schema import MOST_CASES, RangeSection, SweepFile
+from stiffopt.sweep.schema import MAX_CASES, RangeSection, SweepFile
 from stiffopt.units import number_and_unit
 
-_LONGEST_NAME = 255
+_MAX_NAME_BYTES = 255
 KINDS = ("trajectory", "preload", "recordings")
 
 Change = tuple[str, Any]
@@ -70,7 +70,7 @@ class Case:
     @property
     def settings(self) -> tuple[str, ...]:
         """The changes as `load_problem` takes them."""
-        return (*self.common, *_settings(self.changes))
+        return (*self.common, *_format_settings(self.changes))
 
 
 @dataclass(frozen=True)
@@ -123,10 +123,10 @@ def load_sweep(path: str | os.PathLike[str], changes: Sequence[str] = ()) -> Swe
         With the file, the key, what is allowed and what to do next.
     """
     path = Path(path)
-    return sweep_of(read_document(path, SweepFile, "sweep", changes), path)
+    return build_sweep(read_document(path, SweepFile, "sweep", changes), path)
 
 
-def fleet_of(sets: Sequence[Path], changes: Sequence[str] = ()) -> Sweep:
+def fleet_sweep(sets: Sequence[Path], changes: Sequence[str] = ()) -> Sweep:
     """Recording sets as cases of a sweep, each with the changes of `--set`.
 
     Raises
@@ -152,10 +152,10 @@ def fleet_of(sets: Sequence[Path], changes: Sequence[str] = ()) -> Sweep:
             "base": [str(base) for base in bases],
         }
     )
-    return sweep_of(document, Path.cwd() / "fleet", changes)
+    return build_sweep(document, Path.cwd() / "fleet", changes)
 
 
-def sweep_of(document: SweepFile, path: Path, changes: Sequence[str] = ()) -> Sweep:
+def build_sweep(document: SweepFile, path: Path, changes: Sequence[str] = ()) -> Sweep:
     """The cases of a sweep file at a path; `changes` are of every base file, beside its own.
 
     Raises
@@ -164,25 +164,25 @@ def sweep_of(document: SweepFile, path: Path, changes: Sequence[str] = ()) -> Sw
         As of `load_sweep`.
     """
     names = [document.base] if isinstance(document.base, str) else document.base
-    bases = [_base(path, name) for name in names]
+    bases = [_read_base(path, name) for name in names]
     kinds = {kind for _, kind in bases}
     if len(kinds) != 1:
         raise InputFileError(path, "base", f"files of one kind, got {', '.join(sorted(kinds))}.")
     if document.starts > 1 and kinds != {"trajectory"}:
         raise InputFileError(path, "starts", "only trajectory problems have several starts.")
-    axes = list(_axes(document, path))
+    axes = list(_read_axes(document, path))
     count = len(bases) * document.starts * int(np.prod([float(len(axis)) for axis in axes]))
-    if count > MOST_CASES:
-        raise InputFileError(path, "", f"has {count} cases; allowed: {MOST_CASES}.")
+    if count > MAX_CASES:
+        raise InputFileError(path, "", f"has {count} cases; allowed: {MAX_CASES}.")
     cases: list[Case] = []
-    digest = functools.cache(_digest)
+    digest = functools.cache(_hash_inputs)
     for base, kind in bases:
         content = load_toml(base)
         for parts in itertools.product(*axes):
             own = tuple(change for part in parts for change in part)
-            changed = with_changes(copy.deepcopy(content), [*changes, *_settings(own)], base)
+            changed = with_changes(copy.deepcopy(content), [*changes, *_format_settings(own)], base)
             given = [change.partition("=")[2].strip(" \"'") for change in changes]
-            chosen = _named(base.parent, [value for _, value in own] + given)
+            chosen = _named_files(base.parent, [value for _, value in own] + given)
             inputs = "".join(digest(each) for each in (base, *chosen))
             for start in range(document.starts):
                 facts = [__version__, kind, changed, inputs, start, document.baselines]
@@ -215,7 +215,7 @@ def sweep_of(document: SweepFile, path: Path, changes: Sequence[str] = ()) -> Sw
     )
 
 
-def _base(path: Path, name: str) -> tuple[Path, str]:
+def _read_base(path: Path, name: str) -> tuple[Path, str]:
     """Absolute path of a base file and its kind."""
     base = (path.parent / name).resolve()
     if base.is_dir():
@@ -230,13 +230,13 @@ def _base(path: Path, name: str) -> tuple[Path, str]:
     return base, kind
 
 
-def _axes(document: SweepFile, path: Path) -> Iterator[list[tuple[Change, ...]]]:
+def _read_axes(document: SweepFile, path: Path) -> Iterator[list[tuple[Change, ...]]]:
     """Each axis as the changes of each of its points."""
     if document.front is not None:
         front = document.front
         bounds = RangeSection(lower=front.lower, upper=front.upper)
         shares = np.linspace(0.0, 1.0, front.points)
-        yield [((front.over, v),) for v in _values(bounds, shares, path, "front")]
+        yield [((front.over, v),) for v in _range_values(bounds, shares, path, "front")]
     for place, values in document.grid.items():
         yield [((place, value),) for value in values]
     if document.lists:
@@ -250,7 +250,7 @@ def _axes(document: SweepFile, path: Path) -> Iterator[list[tuple[Change, ...]]]
             )
         shares = latin_hypercube(cube.count, len(cube.ranges), cube.seed)
         columns = [
-            _values(each, own, path, f"latin_hypercube.{place}")
+            _range_values(each, own, path, f"latin_hypercube.{place}")
             for (place, each), own in zip(cube.ranges.items(), shares.T, strict=True)
         ]
         yield [tuple(zip(cube.ranges, row, strict=True)) for row in zip(*columns, strict=True)]
@@ -269,7 +269,7 @@ def latin_hypercube(count: int, ranges: int, seed: int) -> np.ndarray:
     return np.asarray((parts.T - within) / count)
 
 
-def _values(bounds: RangeSection, shares: np.ndarray, path: Path, where: str) -> list[Any]:
+def _range_values(bounds: RangeSection, shares: np.ndarray, path: Path, where: str) -> list[Any]:
     """Values at shares of a range, as numbers or as texts with its unit."""
     (low, unit), (high, other) = (number_and_unit(each) for each in (bounds.lower, bounds.upper))
     if unit is None or unit != other:
@@ -288,23 +288,27 @@ def _values(bounds: RangeSection, shares: np.ndarray, path: Path, where: str) ->
     return [f"{value!r} {unit}" for value in values] if unit else values
 
 
-def _settings(changes: Sequence[Change]) -> tuple[str, ...]:
-    return tuple(f"{place}={_toml(value)}" for place, value in changes)
+def _format_settings(changes: Sequence[Change]) -> tuple[str, ...]:
+    return tuple(f"{place}={_format_toml(value)}" for place, value in changes)
 
 
-def _toml(value: Any) -> str:
+def _format_toml(value: Any) -> str:
     """A value as TOML has it in one line."""
     if isinstance(value, dict):
-        return "{ " + ", ".join(f'"{key}" = {_toml(each)}' for key, each in value.items()) + " }"
+        return (
+            "{ "
+            + ", ".join(f'"{key}" = {_format_toml(each)}' for key, each in value.items())
+            + " }"
+        )
     if isinstance(value, list | tuple):
-        return f"[{', '.join(_toml(each) for each in value)}]"
+        return f"[{', '.join(_format_toml(each) for each in value)}]"
     if isinstance(value, float) and not math.isfinite(value):
         return str(value)
     # Dates have no form in JSON; no entry of a file is one.
     return json.dumps(value, ensure_ascii=False, default=str)
 
 
-def _digest(path: Path, seen: frozenset[Path] = frozenset()) -> str:
+def _hash_inputs(path: Path, seen: frozenset[Path] = frozenset()) -> str:
     """Hash of a file, of all that it names and that lies beside it, and of a URDF's meshes.
 
     What cannot be read has one as well: the case that needs it says so, and the others are solved.
@@ -316,23 +320,23 @@ def _digest(path: Path, seen: frozenset[Path] = frozenset()) -> str:
         return f"{path}: {error.strerror}"
     if path.suffix == ".urdf":
         for mesh in mesh_files(path):
-            found.update(_digest(mesh).encode())
+            found.update(_hash_inputs(mesh).encode())
     if path.suffix == ".toml" and path not in seen:
         with suppress(InputError):
-            for beside in _named(path.parent, load_toml(path)):
-                found.update(_digest(beside, seen | {path}).encode())
+            for beside in _named_files(path.parent, load_toml(path)):
+                found.update(_hash_inputs(beside, seen | {path}).encode())
     return found.hexdigest()
 
 
-def _named(folder: Path, value: Any) -> list[Path]:
+def _named_files(folder: Path, value: Any) -> list[Path]:
     """Files that texts of a value name, beside a folder's file: also as a run, or by their folder.
 
     The folder itself and those above it, which "." and "/" name, are none of them.
     """
     found: dict[Path, None] = {}
-    for name in sorted(_texts(value)):
+    for name in sorted(_collect_texts(value)):
         # What is longer names no file, and the system refuses to look.
-        if "\0" in name or len(name.encode()) > _LONGEST_NAME:
+        if "\0" in name or len(name.encode()) > _MAX_NAME_BYTES:
             continue
         place = folder / name
         if folder.is_relative_to(place.resolve()):
@@ -343,9 +347,9 @@ def _named(folder: Path, value: Any) -> list[Path]:
     return list(found)
 
 
-def _texts(value: Any) -> set[str]:
+def _collect_texts(value: Any) -> set[str]:
     if isinstance(value, dict):
-        return {text for each in value.values() for text in _texts(each)}
+        return {text for each in value.values() for text in _collect_texts(each)}
     if isinstance(value, list):
-        return {text for each in value for text in _texts(each)}
+        return {text for each in value for text in _collect_texts(each)}
     return {value} if isinstance(value, str) else set()

@@ -17,17 +17,17 @@ from stiffopt.errors import InputFileError
 from stiffopt.files import atomic_write, load_json
 from stiffopt.folders import is_regular
 from stiffopt.sweep.cases import Case, Sweep
-from stiffopt.sweep.order import ordered, predecessors
-from stiffopt.sweep.solve_case import CaseResult, document, solve_case
+from stiffopt.sweep.order import predecessors, spread_order
+from stiffopt.sweep.solve_case import CaseResult, case_document, solve_case
 from stiffopt.sweep.workers import Workers
 
-CASES = "cases"
+CASES_FOLDER = "cases"
 # Where cases ended; kept until the sweep is done.
-_WARM = "warm"
+_WARM_FOLDER = "warm"
 # Above any state that a case starts from: 16 million variables and multipliers [bytes].
 _MAX_WARM_SIZE = 2**27
 # Deaths of a worker that had nothing else to do, after which the case is to blame.
-_DEATHS = 2
+_MAX_WORKER_DEATHS = 2
 
 
 @dataclass(frozen=True)
@@ -74,22 +74,22 @@ def run_sweep(
         Content of each case's file, None where Ctrl-C came before it.
     interrupted : bool
     """
-    for place in (folder / CASES, folder / CASES / _WARM):
+    for place in (folder / CASES_FOLDER, folder / CASES_FOLDER / _WARM_FOLDER):
         if place.is_symlink() or (place.exists() and not place.is_dir()):
             raise InputFileError(
                 place, "", "is a link or a file, where the sweep keeps its cases in a folder of "
                 "its own. Remove or rename it."
             )  # fmt: skip
     own = {case.key: case for case in sweep.cases}
-    results = {key: found for key in own if (found := _read(folder, key)) is not None}
-    watch = _Watch(len(own), results, progress)
-    queue = _Queue(list(own.values()), set(results), folder)
+    results = {key: found for key in own if (found := _read_case(folder, key)) is not None}
+    watch = _ProgressWatch(len(own), results, progress)
+    queue = _CaseQueue(list(own.values()), set(results), folder)
     try:
-        for found, end in _solved(queue, pool):
+        for found, end in _solve_cases(queue, pool):
             # In this order: a case that is done has left what others start from.
             if end is not None:
                 atomic_write(queue.file(found["key"]), end)
-            _write(folder, found)
+            _write_case(folder, found)
             results[found["key"]] = found
             queue.done.add(found["key"])
             watch.tell()
@@ -100,11 +100,11 @@ def run_sweep(
         pool.close(now=True)
         raise
     pool.close(now=False)
-    shutil.rmtree(folder / CASES / _WARM, ignore_errors=True)
+    shutil.rmtree(folder / CASES_FOLDER / _WARM_FOLDER, ignore_errors=True)
     return [results.get(case.key) for case in sweep.cases], False
 
 
-class _Queue:
+class _CaseQueue:
     """Cases that are still to be solved, each with the one that it starts from.
 
     Parameters
@@ -118,7 +118,7 @@ class _Queue:
     def __init__(self, cases: list[Case], done: set[str], folder: Path) -> None:
         self.done, self._folder = done, folder
         self._before = predecessors(cases)
-        self._waiting = deque(case for case in ordered(cases) if case.key not in done)
+        self._waiting = deque(case for case in spread_order(cases) if case.key not in done)
 
     def __bool__(self) -> bool:
         return bool(self._waiting)
@@ -144,17 +144,17 @@ class _Queue:
 
     def file(self, key: str) -> Path:
         """Where a case ended."""
-        return self._folder / CASES / _WARM / key
+        return self._folder / CASES_FOLDER / _WARM_FOLDER / key
 
 
-_Solved = tuple[dict[str, Any], bytes | None]
+_SolvedCase = tuple[dict[str, Any], bytes | None]
 
 
-def _solved(queue: _Queue, pool: Workers) -> Iterator[_Solved]:
+def _solve_cases(queue: _CaseQueue, pool: Workers) -> Iterator[_SolvedCase]:
     """Results as they come; a case whose worker dies is tried again."""
     alone = deque[Case]()
     deaths: dict[str, int] = {}
-    busy: dict[Future[_Solved], Case] = {}
+    busy: dict[Future[_SolvedCase], Case] = {}
     lonely = False
     while queue or alone or busy:
         if alone and not busy:
@@ -174,15 +174,15 @@ def _solved(queue: _Queue, pool: Workers) -> Iterator[_Solved]:
                 yield future.result()
             except pool.lost:
                 deaths[case.key] = deaths.get(case.key, 0) + lonely
-                if deaths[case.key] < _DEATHS:
+                if deaths[case.key] < _MAX_WORKER_DEATHS:
                     alone.append(case)
                 else:
                     text = "Its worker process died each time, as one without memory does."
-                    yield document(case, CaseResult("failed", text, {}, {}), 0.0), None
+                    yield case_document(case, CaseResult("failed", text, {}, {}), 0.0), None
         lonely = lonely and bool(busy)
 
 
-class _Watch:
+class _ProgressWatch:
     """Counts cases and estimates the time left."""
 
     def __init__(
@@ -208,13 +208,13 @@ def is_unusable(found: dict[str, Any]) -> bool:
     return found["status"] not in usable
 
 
-def _file(folder: Path, key: str) -> Path:
-    return folder / CASES / f"{key}.json"
+def _case_file(folder: Path, key: str) -> Path:
+    return folder / CASES_FOLDER / f"{key}.json"
 
 
-def _read(folder: Path, key: str) -> dict[str, Any] | None:
+def _read_case(folder: Path, key: str) -> dict[str, Any] | None:
     """Content of a case's file; None where there is none, or none of this case."""
-    path = _file(folder, key)
+    path = _case_file(folder, key)
     with suppress(InputFileError):
         found = load_json(path) if is_regular(path.parent, path.name) else None
         # What a dying worker left undone is tried anew.
@@ -238,6 +238,6 @@ def _is_document(found: Any) -> TypeGuard[dict[str, Any]]:
     )
 
 
-def _write(folder: Path, found: dict[str, Any]) -> None:
+def _write_case(folder: Path, found: dict[str, Any]) -> None:
     text = json.dumps(found, indent=1, ensure_ascii=False, allow_nan=False)
-    atomic_write(_file(folder, found["key"]), text + "\n")
+    atomic_write(_case_file(folder, found["key"]), text + "\n")

@@ -11,7 +11,7 @@ from stiffopt.declaration import Bounds, Doc
 from stiffopt.validation import Section
 
 # More cases than this are a slip of the pen.
-MOST_CASES = 100_000
+MAX_CASES = 100_000
 
 
 class RangeSection(Section):
@@ -27,7 +27,7 @@ class HypercubeSection(Section):
     model_config = ConfigDict(extra="allow")
     __pydantic_extra__: dict[str, RangeSection]
 
-    count: Annotated[int, Bounds(least=1, most=MOST_CASES), Doc("Number of points.")]
+    count: Annotated[int, Bounds(least=1, most=MAX_CASES), Doc("Number of points.")]
     seed: Annotated[int, Bounds(least=0), Doc("Of the random numbers.")] = 1
 
     @property
@@ -79,17 +79,17 @@ class SweepFile(Section):
 
     @field_validator("grid", "lists", mode="before")
     @classmethod
-    def _flat(cls, value: object) -> object:
+    def _flatten_axes(cls, value: object) -> object:
         """`motion.duration` may be written without quotes, which TOML reads as nested tables."""
-        return dict(_leaves(value)) if isinstance(value, Mapping) else value
+        return dict(_flatten_tables(value)) if isinstance(value, Mapping) else value
 
     @field_validator("latin_hypercube", mode="before")
     @classmethod
-    def _flat_ranges(cls, value: object) -> object:
-        return dict(_leaves(value)) if isinstance(value, Mapping) else value
+    def _flatten_ranges(cls, value: object) -> object:
+        return dict(_flatten_tables(value)) if isinstance(value, Mapping) else value
 
     @model_validator(mode="after")
-    def _lengths(self) -> SweepFile:
+    def _check_axes(self) -> SweepFile:
         empty = [key for key, values in (self.grid | self.lists).items() if not values]
         if empty:
             raise ValueError(f"{empty[0]} has no value; give at least one")
@@ -105,13 +105,13 @@ class SweepFile(Section):
         return self
 
 
-def _leaves(table: Mapping[str, Any], where: str = "") -> list[tuple[str, Any]]:
+def _flatten_tables(table: Mapping[str, Any], where: str = "") -> list[tuple[str, Any]]:
     """Entries of nested tables by dotted key; a range is no table."""
     found: list[tuple[str, Any]] = []
     for key, value in table.items():
         place = f"{where}.{key}" if where else str(key)
         if isinstance(value, Mapping) and not {"lower", "upper"} & set(value):
-            found += _leaves(value, place)
+            found += _flatten_tables(value, place)
         else:
             found.append((place, value))
     return found

@@ -95,7 +95,7 @@ class SweepSummary:
         if len(bases) > 1:
             table["base"] = [bases[case.base] for case, _ in done]
         for place in self.sweep.places:
-            table[place] = [cell(dict(case.changes)[place]) for case, _ in done]
+            table[place] = [table_cell(dict(case.changes)[place]) for case, _ in done]
         if self.sweep.starts > 1:
             table["start"] = [case.start for case, _ in done]
         table["status"] = [found["status"] for _, found in done]
@@ -125,14 +125,14 @@ class SweepSummary:
         bases = self.sweep.base_names
         groups: dict[tuple[Cell, ...], list[tuple[int, float | None]]] = {}
         for case, found in self.done:
-            name = (bases[case.base], *(cell(value) for _, value in case.changes))
-            groups.setdefault(name, []).append((case.start, objective(found)))
+            name = (bases[case.base], *(table_cell(value) for _, value in case.changes))
+            groups.setdefault(name, []).append((case.start, objective_value(found)))
         spreads = {}
         for name, own in groups.items():
             values = {start: value for start, value in own if value is not None}
             if not values:
                 continue
-            best = self._better(values, key=lambda start: values[start])
+            best = self._best_start(values, key=lambda start: values[start])
             spread = max(abs(value - values[best]) for value in values.values())
             near = [v for v in values.values() if abs(v - values[best]) <= 0.01 * abs(values[best])]
             worst = values[best] + (-spread if self.maximised else spread)
@@ -141,7 +141,7 @@ class SweepSummary:
             )
         return spreads
 
-    def _better(self, starts: dict[int, float], key: Any) -> int:
+    def _best_start(self, starts: dict[int, float], key: Any) -> int:
         return max(starts, key=key) if self.maximised else min(starts, key=key)
 
     @property
@@ -158,7 +158,7 @@ class SweepSummary:
         points = sorted(
             (at, sign * value)
             for (at, _), (_, found) in zip(over, self.done, strict=True)
-            if (value := objective(found)) is not None
+            if (value := objective_value(found)) is not None
         )
         kept: list[tuple[float, float]] = []
         for value, cost in points:
@@ -196,7 +196,7 @@ class SweepSummary:
         }
 
 
-def objective(found: dict[str, Any]) -> float | None:
+def objective_value(found: dict[str, Any]) -> float | None:
     """Objective [SI] of a usable result."""
     if is_unusable(found):
         return None
@@ -204,7 +204,7 @@ def objective(found: dict[str, Any]) -> float | None:
     return None if value is None else float(value)
 
 
-def cell(value: Any) -> Cell:
+def table_cell(value: Any) -> Cell:
     """A varied value as a cell: numbers stay numbers."""
     if isinstance(value, str) or (isinstance(value, int | float) and not isinstance(value, bool)):
         return value if isinstance(value, str) else float(value)

@@ -93,7 +93,7 @@ class Cluster:
         self._client.close()
 
 
-def workers(count: int | None, scheduler: str | None) -> Workers:
+def make_workers(count: int | None, scheduler: str | None) -> Workers:
     """Workers as the command line asks for them: None counts the cores."""
     if scheduler is not None:
         return Cluster(scheduler)

@@ -15,8 +15,8 @@ from small_arms import (
 )
 
 from stiffopt.certificate.agreement import differences
-from stiffopt.problem.belief import believed_of
 from stiffopt.problem.files import load_problem
+from stiffopt.problem.prediction import predict_motion
 from stiffopt.problem.smoothing import Smoothing
 from stiffopt.result.trajectory import Trajectory
 
@@ -47,7 +47,7 @@ def test_smooth_friction_and_corners_are_honest(rubbing):
     motion = swing(rubbing)
     assert np.min(motion(np.linspace(0.0, 0.5, 200), 1) * (rubbing.end.joints > 0)) < 0.0
     found = differences(
-        rubbing, motion, believed_of(rubbing, motion, Smoothing(0.25), elastic=True)
+        rubbing, motion, predict_motion(rubbing, motion, Smoothing(0.25), elastic=True)
     )
     assert {d.quantity for d in found if d.joint} == {"spring torque", "drive torque", "wind-up"}
     assert found[0].excess < 1.0
@@ -60,7 +60,7 @@ def test_smooth_friction_and_corners_are_honest(rubbing):
 def test_other_numbers_are_seen_in_motion(rubbing, name, quantity):
     motion = swing(rubbing)
     other = replace(rubbing.robot, **{name: getattr(rubbing.robot, name) + 0.01})
-    believed = believed_of(replace(rubbing, robot=other), motion, Smoothing(0.25), elastic=True)
+    believed = predict_motion(replace(rubbing, robot=other), motion, Smoothing(0.25), elastic=True)
     found = [d.quantity for d in differences(rubbing, motion, believed) if d.excess > 1.0]
     assert set(found) == {quantity}
 
@@ -70,7 +70,7 @@ def test_a_connection_that_slips_is_no_agreement(tmp_path):
     problem = on_one_element(load(tmp_path, "pendulum"), small_flange(200.0))
     motion = swing(problem)
     found = differences(
-        problem, motion, believed_of(problem, motion, Smoothing(0.25), elastic=True)
+        problem, motion, predict_motion(problem, motion, Smoothing(0.25), elastic=True)
     )
     wrong = {d.quantity for d in found if d.excess > 1.0}
     assert "wind-up" in wrong

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from small_arms import PLANAR
 
-from stiffopt.export.found import FoundRobot
+from stiffopt.export.found import DiagnosedRobot
 from stiffopt.export.model_format import MODEL_FORMATS
 from stiffopt.robot.files import load_robot
 
@@ -29,7 +29,7 @@ def test_mujoco_reads_bodies_that_cannot_be(moments, tmp_path):
     *parts, last = re.split(r"<inertia [^>]*/>", PLANAR)
     (tmp_path / "arm.urdf").write_text(inertia.join([*parts, last]))
     arm = load_robot(tmp_path / "arm.urdf")
-    found = FoundRobot(
+    found = DiagnosedRobot(
         name="arm", nominal=arm, robot=arm, gain=np.ones(arm.n), changes=(), left_out=()
     )
     mjcf = MODEL_FORMATS["mjcf"]

@@ -11,7 +11,7 @@ from diagnosed_two_link import TWO_LINK, diagnosed
 
 from stiffopt.cli import run
 from stiffopt.discovery.extended.changes import value_changes
-from stiffopt.export.found import FoundRobot, read_found
+from stiffopt.export.found import DiagnosedRobot, read_diagnosed_robot
 from stiffopt.export.model_format import MODEL_FORMATS
 from stiffopt.robot.files import load_robot
 
@@ -19,8 +19,8 @@ pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(scope="module")
-def found() -> FoundRobot:
-    return read_found(diagnosed(), TWO_LINK)
+def found() -> DiagnosedRobot:
+    return read_diagnosed_robot(diagnosed(), TWO_LINK)
 
 
 def held_out() -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -34,7 +34,7 @@ def held_out() -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     return time, *motion
 
 
-def predicted(found: FoundRobot, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
+def predicted(found: DiagnosedRobot, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
     """Drive torque of the found robot (K, n) [N m]."""
     robot, bodies = found.robot, found.robot.rigid_bodies()
     rigid = np.array([bodies.torque(*each) for each in zip(q, v, a, strict=True)])

@@ -176,7 +176,7 @@ def test_refused_on_the_command_line(tmp_path, capsys):
 @pytest.mark.parametrize("torque", [3.0, 12.0, -30.0])
 def test_values_are_those_of_the_exact_law(torque, tmp_path):
     """The stiffness that a bound names is the slope of the three-line reducer."""
-    from stiffopt.problem.rest import stiffness_at
+    from stiffopt.problem.rest_poses import stiffness_at
 
     slope = K1 if abs(torque) < 7 else 1.2e4 if abs(torque) < 25 else 1.6e4
     assert stiffness_at(load(tmp_path, "pendulum"), 1, torque) == pytest.approx(slope, rel=1e-12)

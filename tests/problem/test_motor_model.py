@@ -18,7 +18,13 @@ from stiffopt.elastic.motor import MotorMotion
 from stiffopt.elastic.simulate import simulate
 from stiffopt.errors import InputError
 from stiffopt.problem.formulation import Scales, exact_path_rows, formulate
-from stiffopt.problem.motor_model import WIDER, MotorLaw, MotorModel, NearMotorModel, rounded_lag
+from stiffopt.problem.motor_model import (
+    LAW_SMOOTHING_FACTOR,
+    ApproximateMotorModel,
+    MotorLaw,
+    MotorModel,
+    round_lags,
+)
 from stiffopt.problem.resolve import resolve
 from stiffopt.problem.smoothing import Smoothing
 from stiffopt.problem.trajectory import Method
@@ -65,7 +71,8 @@ def models(robot, force=(0.0, 0.0, 0.0)):
     symbols = [ca.SX.sym(f"d{k}", robot.n) for k in range(6)]
     given = (robot, symbols, SMOOTHING, np.zeros(robot.n), force)
     return [
-        ca.Function("law", symbols, rates(kind(*given))) for kind in (MotorModel, NearMotorModel)
+        ca.Function("law", symbols, rates(kind(*given)))
+        for kind in (MotorModel, ApproximateMotorModel)
     ]
 
 
@@ -101,7 +108,7 @@ def test_rows_of_motors_are_nearly_right_where_the_stiffness_bends(planar, link)
 
 def test_exported_motors_follow_the_law_between_samples(planar, link):
     robot = planar.robot
-    motors = MotorLaw(robot).motion(link, WIDER * SMOOTHING)
+    motors = MotorLaw(robot).motion(link, LAW_SMOOTHING_FACTOR * SMOOTHING)
     law, _ = models(robot)
     assert motors.link is link
     times = np.linspace(0.0, 0.7, 997)
@@ -129,7 +136,7 @@ def test_the_swinging_arm_does_what_is_predicted_and_rests(planar, link):
 
 def test_motors_of_links_that_hang_leave_less_after_arrival(planar, link):
     law, arm = MotorLaw(planar.robot), ElasticArm(planar.robot, link(0.0))
-    lag = rounded_lag(arm.lag(link(link.duration)))
+    lag = round_lags(arm.lag(link(link.duration)))
     left = {}
     for sagged in (True, False):
         # Narrow corners: wide ones leave as much by themselves.

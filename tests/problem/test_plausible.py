@@ -15,7 +15,7 @@ from stiffopt.baseline.baselines import baselines, strict_baseline
 from stiffopt.certificate.violations import CERTIFIED
 from stiffopt.cli import run
 from stiffopt.errors import ProblemError
-from stiffopt.problem.plausible import check_plausible, questionable_bodies, reach_of
+from stiffopt.problem.input_checks import check_plausible, inconsistent_inertias, max_reach
 from stiffopt.problem.resolve import resolve
 from stiffopt.report.solve.wording import comparison
 
@@ -64,7 +64,7 @@ def test_millimetres_are_no_metres():
     heavy = robot.with_payload(1.0, [0.0, 0.0, 50.0])
     with pytest.raises(ProblemError, match=r"payload\.com"):
         check_plausible(problem(Target(joints=np.zeros(6)), heavy))
-    assert 0.8 < reach_of(robot) < 2.0
+    assert 0.8 < max_reach(robot) < 2.0
 
 
 PENDULUM = """<robot name="pendulum"><link name="base"/><link name="rod"><inertial>
@@ -142,9 +142,9 @@ def solution_of_two_baselines():
 
 def test_an_inertia_of_no_body_is_told():
     robot = load_robot("ur10")
-    assert questionable_bodies(robot) == ()
+    assert inconsistent_inertias(robot) == ()
     tree = robot.tree
     wrong = replace(tree.bodies[2], inertia=np.diag([0.1, 0.1, 0.3]))
     bodies = (*tree.bodies[:2], wrong, *tree.bodies[3:])
-    (text,) = questionable_bodies(SimpleNamespace(tree=replace(tree, bodies=bodies)))
+    (text,) = inconsistent_inertias(SimpleNamespace(tree=replace(tree, bodies=bodies)))
     assert "j3 ([0.1, 0.1, 0.3] kg m^2)" in text

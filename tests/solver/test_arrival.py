@@ -16,7 +16,7 @@ from stiffopt.elastic.modes import modes
 from stiffopt.elastic.motor import MotorMotion
 from stiffopt.elastic.simulate import simulate
 from stiffopt.errors import InputError
-from stiffopt.problem.arrival import Arrival
+from stiffopt.problem.arrival_modes import ArrivalModes
 from stiffopt.problem.files import load_problem
 from stiffopt.problem.formulation import Scales
 from stiffopt.problem.limit import LIMITS
@@ -163,7 +163,7 @@ def test_the_size_after_arrival_is_that_of_the_modes(shortest):
 def test_what_swings_on_is_limited_without_a_kink():
     """By one row that the sum of the sizes never exceeds, smooth where single modes rest."""
     size = ca.SX.sym("size", 3)
-    arrival = Arrival(tuple(size[k] ** 2 for k in range(3)), np.array([1.0, 2.0, 3.0]))
+    arrival = ArrivalModes(tuple(size[k] ** 2 for k in range(3)), np.array([1.0, 2.0, 3.0]))
     allowed, after = 1e-4, 0.1
     row = arrival.row("residual_vibration", allowed, after)
     value = ca.Function("value", [size], [row.expressions[0]])
@@ -182,7 +182,7 @@ def test_what_swings_on_is_limited_without_a_kink():
     one = np.array([allowed, 0.0, 0.0])
     # A mode that rests has no corner: the row bends as far as it is from the other's size.
     assert float(np.abs(bend(one)).max()) * allowed**2 < 10.0
-    alone = Arrival((size[0] ** 2,), np.zeros(1)).row("residual_vibration", allowed, 0.0)
+    alone = ArrivalModes((size[0] ** 2,), np.zeros(1)).row("residual_vibration", allowed, 0.0)
     single = ca.Function("single", [size], [alone.expressions[0]])
     assert float(single(one)) == pytest.approx(1.0, rel=1e-2)
 

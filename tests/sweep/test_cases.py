@@ -6,7 +6,7 @@ from small_arms import CONSTANT, ROOT, joint, write_problem, write_robot
 
 from stiffopt.errors import InputFileError
 from stiffopt.sweep.cases import latin_hypercube, load_sweep
-from stiffopt.sweep.order import ordered, predecessors
+from stiffopt.sweep.order import predecessors, spread_order
 from stiffopt.sweep.solve_case import solve_case
 
 BASE = ROOT / "problems" / "two_link.toml"
@@ -212,7 +212,7 @@ def test_each_case_starts_from_the_nearest_of_the_rounds_before(tmp_path):
     sweep = load_sweep(sweep_file(tmp_path, f'[grid]\n"payload.mass" = [{values}]'))
     cases, before = list(sweep.cases), predecessors(list(sweep.cases))
     masses = {case.key: dict(case.changes)["payload.mass"] for case in cases}
-    first, *others = ordered(cases)
+    first, *others = spread_order(cases)
     assert before[first.key] is None
     steps = [abs(masses[case.key] - masses[before[case.key]]) for case in others]
     # Half of them start from a neighbour.

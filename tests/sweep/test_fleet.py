@@ -9,7 +9,7 @@ import pytest
 from small_arms import ROOT
 
 from stiffopt.cli import run
-from stiffopt.sweep.cases import fleet_of
+from stiffopt.sweep.cases import fleet_sweep
 
 SET = ROOT / "problems" / "recordings" / "two_link_friction"
 
@@ -25,17 +25,17 @@ def sets(tmp_path):
 
 
 def test_sets_are_cases_with_the_changes_of_all(sets):
-    fleet = fleet_of([sets[0], sets[1] / "recordings.toml"], ["title=Arm"])
+    fleet = fleet_sweep([sets[0], sets[1] / "recordings.toml"], ["title=Arm"])
     assert fleet.kind == "recordings"
     assert [case.base for case in fleet.cases] == [each / "recordings.toml" for each in sets]
     assert all(case.settings == ("title=Arm",) for case in fleet.cases)
     # What a case is named by is all that it holds: the title is now the same.
-    assert len({case.key for case in fleet_of(sets).cases}) == 2
+    assert len({case.key for case in fleet_sweep(sets).cases}) == 2
 
 
 def test_sets_of_the_same_content_share_no_case(sets):
     shutil.copyfile(sets[0] / "recordings.toml", sets[1] / "recordings.toml")
-    assert len({case.key for case in fleet_of(sets).cases}) == 2
+    assert len({case.key for case in fleet_sweep(sets).cases}) == 2
 
 
 def test_what_is_no_set_is_named_as_it_is_alone(sets, tmp_path, capsys):
@@ -108,8 +108,8 @@ def test_a_file_that_cannot_be_read_is_told_by_its_own_case(sets, monkeypatch):
             raise PermissionError(13, "Permission denied", str(path))
         return opened(path, *arguments, **options)
 
-    before = [case.key for case in fleet_of(sets).cases]
+    before = [case.key for case in fleet_sweep(sets).cases]
     monkeypatch.setattr(Path, "open", barred)
-    after = [case.key for case in fleet_of(sets).cases]
+    after = [case.key for case in fleet_sweep(sets).cases]
     assert before[0] == after[0]
     assert before[1] != after[1]

@@ -19,7 +19,7 @@ from stiffopt.sweep.cases import load_sweep
 from stiffopt.sweep.processes import Processes, WorkerLost, load_ahead
 from stiffopt.sweep.run import SweepProgress, run_sweep
 from stiffopt.sweep.summary import SweepSummary, knee
-from stiffopt.sweep.workers import InProcess, workers
+from stiffopt.sweep.workers import InProcess, make_workers
 
 GRID = '[grid]\n"motion.duration" = ["1 s", "1.2 s", "1.5 s"]\n"payload.mass" = [0.0, 0.5]'
 
@@ -206,9 +206,9 @@ def test_workers_load_ahead_where_there_will_be_some(tmp_path, monkeypatch, argu
 
 
 def test_one_worker_is_this_process():
-    assert isinstance(workers(1, None), InProcess)
+    assert isinstance(make_workers(1, None), InProcess)
     # One more than processes waits, so that none idles.
-    assert workers(3, None).slots == 4
+    assert make_workers(3, None).slots == 4
 
 
 def test_several_starts_tell_the_spread(tmp_path, capsys):

@@ -10,7 +10,7 @@ from stiffopt.export.format import FORMATS, ExportFormat
 from stiffopt.export.motion import SampledMotion, StoredMotion
 from stiffopt.export.six_axes import require_cycle, require_six_axes
 
-_AXES = tuple(f"A{axis}" for axis in range(1, 7))
+_AXIS_NAMES = tuple(f"A{axis}" for axis in range(1, 7))
 
 
 class KrlRsi(ExportFormat):
@@ -44,16 +44,16 @@ class KrlRsi(ExportFormat):
         spans = ", ".join(
             f"{axis} {low:.3f} to {high:.3f}"
             for axis, low, high in zip(
-                _AXES, corrections.min(axis=0), corrections.max(axis=0), strict=True
+                _AXIS_NAMES, corrections.min(axis=0), corrections.max(axis=0), strict=True
             )
         )
         start = ", ".join(
-            f"{axis} {value:.6f}" for axis, value in zip(_AXES, angles[0], strict=True)
+            f"{axis} {value:.6f}" for axis, value in zip(_AXIS_NAMES, angles[0], strict=True)
         )
         program = [
             "&ACCESS RVP",
             f"DEF {name}( )",
-            f"; {_plain(motion.title)}: motion of the {motion.which}s, {rate:g} Hz, "
+            f"; {_to_ascii(motion.title)}: motion of the {motion.which}s, {rate:g} Hz, "
             f"{motion.time[-1]:g} s",
             f"; Send one row of {name}_rsi.csv a cycle as AKorr; signs and zeros of the axes are",
             "; those of the URDF: compare them with the controller's before the first run.",
@@ -64,27 +64,27 @@ class KrlRsi(ExportFormat):
             "BAS (#VEL_PTP,10)",
             f"PTP {{{start}}}",
             f'ret = RSI_CREATE("{name}.rsi", context, TRUE)',
-            *_halt(),
+            *_halt_on_error(),
             "ret = RSI_ON(#ABSOLUTE)",
-            *_halt(),
+            *_halt_on_error(),
             "RSI_MOVECORR()",
             "ret = RSI_OFF()",
-            *_halt(),
+            *_halt_on_error(),
             "END",
         ]
         rows = [",".join(f"{value:.6f}" for value in row) for row in corrections]
         return {
             f"{name}.src": "\n".join(program) + "\n",
-            f"{name}_rsi.csv": "\n".join([",".join(_AXES), *rows]) + "\n",
+            f"{name}_rsi.csv": "\n".join([",".join(_AXIS_NAMES), *rows]) + "\n",
         }
 
 
-def _halt() -> list[str]:
+def _halt_on_error() -> list[str]:
     """What follows every call of RSI."""
     return ["IF (ret <> RSIOK) THEN", "  HALT", "ENDIF"]
 
 
-def _plain(title: str) -> str:
+def _to_ascii(title: str) -> str:
     """KRL sources are ASCII."""
     return title.encode("ascii", "replace").decode()
 

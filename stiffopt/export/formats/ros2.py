@@ -11,7 +11,7 @@ from stiffopt.export.format import FORMATS, ExportFormat
 from stiffopt.export.motion import SampledMotion
 
 MESSAGE_FILE, SCRIPT_FILE = "joint_trajectory.yaml", "publish_trajectory.py"
-_NANO = 1_000_000_000
+_NANOSECONDS_PER_SECOND = 1_000_000_000
 
 
 class Ros2(ExportFormat):
@@ -43,11 +43,13 @@ class Ros2(ExportFormat):
             motion.time, motion.position, motion.velocity, motion.acceleration, strict=True
         )  # fmt: skip
         for time, position, velocity, acceleration in rows:
-            seconds, rest = divmod(round(float(time) * _NANO), _NANO)
+            seconds, rest = divmod(
+                round(float(time) * _NANOSECONDS_PER_SECOND), _NANOSECONDS_PER_SECOND
+            )
             lines += [
-                f"- positions: {_numbers(position)}",
-                f"  velocities: {_numbers(velocity)}",
-                f"  accelerations: {_numbers(acceleration)}",
+                f"- positions: {_format_numbers(position)}",
+                f"  velocities: {_format_numbers(velocity)}",
+                f"  accelerations: {_format_numbers(acceleration)}",
                 "  effort: []",
                 f"  time_from_start: {{sec: {seconds}, nanosec: {rest}}}",
             ]
@@ -62,7 +64,7 @@ class Ros2(ExportFormat):
         return {SCRIPT_FILE: script.replace("@FILE@", MESSAGE_FILE).replace("@SHA256@", content)}
 
 
-def _numbers(values: Iterable[float]) -> str:
+def _format_numbers(values: Iterable[float]) -> str:
     """List of floats; YAML reads 1e-05 as a text, 1.0e-05 as a number."""
     texts = [repr(float(value)) for value in values]
     exact = [t if "." in t or "e" not in t else t.replace("e", ".0e") for t in texts]

@@ -12,9 +12,9 @@ from stiffopt.export.motion import SampledMotion, StoredMotion
 from stiffopt.export.six_axes import require_cycle, require_six_axes
 
 # Joints of these arms turn by one turn to either side [rad].
-_RANGE = 2.0 * np.pi
+_MAX_ANGLE = 2.0 * np.pi
 # The shortest look-ahead rounds and delays the motion least; the gain is the controller's default.
-_LOOKAHEAD, _GAIN = 0.03, 300
+_LOOKAHEAD_TIME, _SERVO_GAIN = 0.03, 300
 
 
 class UrScript(ExportFormat):
@@ -39,7 +39,7 @@ class UrScript(ExportFormat):
         require_cycle(rate, self.rate_max, self.title)
         motion = stored.sampled(rate)
         largest = np.max(np.abs(motion.position), axis=0)
-        for j in np.flatnonzero(largest > _RANGE):
+        for j in np.flatnonzero(largest > _MAX_ANGLE):
             raise InputError(
                 f"joint {j + 1} ({stored.joint_names[j]}) goes to {largest[j]:.4g} rad; arms of "
                 "Universal Robots turn by 2 pi rad to either side. Change its range in [limits]."
@@ -50,7 +50,7 @@ class UrScript(ExportFormat):
         name = re.sub(r"\W", "_", motion.title.lower(), flags=re.ASCII).strip("_")[:40]
         name = f"stiffopt_{name}"
         poses = [f"[{', '.join(f'{angle:.9f}' for angle in row)}]" for row in motion.position]
-        follow = f"t={1.0 / rate:g}, lookahead_time={_LOOKAHEAD:g}, gain={_GAIN}"
+        follow = f"t={1.0 / rate:g}, lookahead_time={_LOOKAHEAD_TIME:g}, gain={_SERVO_GAIN}"
         lines = [
             f"# {motion.title}: motion of the {motion.which}s, {rate:g} Hz, {motion.time[-1]:g} s.",
             f"# Joints: {', '.join(motion.joint_names)}. Try it at reduced speed first.",

@@ -6,7 +6,7 @@ import xml.etree.ElementTree as ET
 
 import numpy as np
 
-from stiffopt.export.found import FoundRobot
+from stiffopt.export.found import DiagnosedRobot
 from stiffopt.export.model_format import MODEL_FORMATS, ModelFormat, notes
 from stiffopt.robot.body_tree import Body
 from stiffopt.robot.xml_files import parse_xml
@@ -25,7 +25,7 @@ class Urdf(ModelFormat):
     name = "urdf"
     file = "found.urdf"
 
-    def text(self, found: FoundRobot) -> str:
+    def text(self, found: DiagnosedRobot) -> str:
         """Content of found.urdf."""
         # Comments of the file stay.
         assert found.nominal.urdf is not None
@@ -43,7 +43,7 @@ class Urdf(ModelFormat):
             dynamics.set("friction", repr(float(found.robot.coulomb[j])))
             old, new = found.nominal.tree.bodies[j], found.robot.tree.bodies[j]
             if not np.allclose(old.inertial_parameters, new.inertial_parameters, rtol=1e-9):
-                carried = _carried(root, joint)
+                carried = _carried_links(root, joint)
                 _set_inertial(links[carried[0]], new)
                 for other in carried[1:]:
                     for inertial in links[other].findall("inertial"):
@@ -52,19 +52,19 @@ class Urdf(ModelFormat):
         return '<?xml version="1.0"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
 
 
-def _carried(root: ET.Element, joint: ET.Element) -> list[str]:
+def _carried_links(root: ET.Element, joint: ET.Element) -> list[str]:
     """Links that a joint carries: its own first, then those fixed to it."""
-    found = [_end(joint, "child")]
+    found = [_link_name(joint, "child")]
     for link in found:
         found += [
-            _end(each, "child")
+            _link_name(each, "child")
             for each in root.findall("joint")
-            if each.get("type") == "fixed" and _end(each, "parent") == link
+            if each.get("type") == "fixed" and _link_name(each, "parent") == link
         ]
     return found
 
 
-def _end(joint: ET.Element, which: str) -> str:
+def _link_name(joint: ET.Element, which: str) -> str:
     end = joint.find(which)
     return "" if end is None else end.get("link", "")
 

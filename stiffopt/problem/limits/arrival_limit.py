@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from stiffopt.result.simulation import SimulatedMotion
 
 
-class ArrivalLimit(UpperBound):
+class ArrivalBound(UpperBound):
     """A number at most, of the simulated second after arrival."""
 
     of_arrival = True
@@ -24,6 +24,6 @@ class ArrivalLimit(UpperBound):
         """None: it holds after the motion."""
         return []
 
-    def never_at_rest(self, swing: SimulatedMotion) -> Violation:
+    def rest_missing(self, swing: SimulatedMotion) -> Violation:
         """Of a motion that does not end at rest."""
         return Violation(1.0, self.name, None, swing.duration)

@@ -9,8 +9,8 @@ import numpy as np
 from stiffopt.declaration import Length
 from stiffopt.errors import ProblemError
 from stiffopt.problem.limit import LIMITS
-from stiffopt.problem.limits.tool_magnitude import ToolMagnitude
-from stiffopt.problem.rest import rest_deflection, rest_poses
+from stiffopt.problem.limits.tool_magnitude import ToolMagnitudeBound
+from stiffopt.problem.rest_poses import rest_deflection, rest_poses
 from stiffopt.problem.stage_terms import WINDUP_SMOOTHING
 
 if TYPE_CHECKING:
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from stiffopt.symbolic import Quantity
 
 
-class DeflectionCap(ToolMagnitude):
+class DeflectionCap(ToolMagnitudeBound):
     """Peak of one part of the tool's deflection."""
 
     smoothing = WINDUP_SMOOTHING

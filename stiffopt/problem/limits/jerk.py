@@ -36,7 +36,7 @@ class Jerk(JointMagnitude):
         slope = np.abs(np.diff(motion.acceleration, axis=0)) / np.diff(motion.time)[:, None]
         jerk = np.abs(motion.jerk)
         jerk[:-1] = np.maximum(jerk[:-1], slope)
-        return [self._worst(limits, motion, jerk)]
+        return [self._worst_violation(limits, motion, jerk)]
 
 
 LIMITS.add(

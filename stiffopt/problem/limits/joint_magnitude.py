@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from stiffopt.symbolic import Quantity
 
 # Beyond this a number is a slip, and it would spoil the scales of the optimisation.
-_LARGEST = 1e9
+_MAX_LIMIT = 1e9
 
 
 class JointMagnitude(DriveLimit):
@@ -65,11 +65,11 @@ class JointMagnitude(DriveLimit):
             array = np.full(len(joints.names), np.inf)
         else:
             array = joints(given, self.dimension, f"limits.{self.name}")
-            if np.any(array <= 0) or np.any(array > _LARGEST):
+            if np.any(array <= 0) or np.any(array > _MAX_LIMIT):
                 raise InputFileError(
                     joints.path,
                     f"limits.{self.name}",
-                    f"every limit must be greater than zero and at most {_LARGEST:g}; "
+                    f"every limit must be greater than zero and at most {_MAX_LIMIT:g}; "
                     f'got {array.tolist()}. Write "none" where there is no limit.',
                 )
         return {self.name: array * getattr(section.scale, self.name)}
@@ -86,9 +86,11 @@ class JointMagnitude(DriveLimit):
 
     def violations(self, limits: Limits, motion: DriveHistory) -> list[Violation]:
         """The worst joint and instant."""
-        return [self._worst(limits, motion, np.abs(getattr(motion, self.name)))]
+        return [self._worst_violation(limits, motion, np.abs(getattr(motion, self.name)))]
 
-    def _worst(self, limits: Limits, motion: DriveHistory, magnitude: np.ndarray) -> Violation:
+    def _worst_violation(
+        self, limits: Limits, motion: DriveHistory, magnitude: np.ndarray
+    ) -> Violation:
         return worst_joint(self.name, magnitude / getattr(limits, self.name) - 1.0, motion)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from stiffopt.declaration import POSITIVE, JointStiffness
 from stiffopt.errors import ProblemError
 from stiffopt.problem.limit import LIMITS, LimitKey, LimitKind, Limits
-from stiffopt.problem.rest import gravity_torque, rest_poses, sign_change, stiffness_at
+from stiffopt.problem.rest_poses import gravity_torque, rest_poses, stiffness_at, torque_sign_change
 from stiffopt.problem.stage_terms import STIFFNESS_SMOOTHING, PathRows
 from stiffopt.result.assessment import Assessment, Violation
 from stiffopt.units import joint_unit
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 # Share of the torque at which the exact stiffness jumps.
 _BESIDE_JUMP = 2e-3
 # Factor on the smoothing widths at which a reducer's step is as good as a jump.
-_SHARP = 1e-6
+_SHARP_SMOOTHING = 1e-6
 
 
 class JointStiffnessFloor(LimitKind):
@@ -89,8 +89,8 @@ class JointStiffnessFloor(LimitKind):
                 raise ProblemError(
                     f"limits.joint_stiffness names joint {joint}; allowed: 1 to {problem.joints}."
                 )
-            unit = _unit(problem.robot, joint)
-            cause = sign_change(problem, motion, joint)
+            unit = _stiffness_unit(problem.robot, joint)
+            cause = torque_sign_change(problem, motion, joint)
             value = stiffness_at(problem, joint, 0.0)
             if cause and value < floor:
                 raise ProblemError(
@@ -105,7 +105,7 @@ class JointStiffnessFloor(LimitKind):
             for joint, floor in floors.items():
                 value = stiffness_at(problem, joint, float(torque[joint - 1]))
                 if value < floor:
-                    unit = _unit(problem.robot, joint)
+                    unit = _stiffness_unit(problem.robot, joint)
                     raise ProblemError(
                         f"limits.joint_stiffness: joint {joint} has {value:.4g} {unit} at rest in "
                         f"the {pose.name} pose, below the limit {floor:.4g} {unit}, whatever the "
@@ -116,12 +116,12 @@ class JointStiffnessFloor(LimitKind):
     def statements(self, limits: Limits, robot: Robot) -> list[tuple[str, float, str]]:
         """One line a joint with a floor."""
         return [
-            (f"stiffness of joint {joint} at least", floor, _unit(robot, joint))
+            (f"stiffness of joint {joint} at least", floor, _stiffness_unit(robot, joint))
             for joint, floor in limits.joint_stiffness.items()
         ]
 
 
-def _unit(robot: Robot, joint: int) -> str:
+def _stiffness_unit(robot: Robot, joint: int) -> str:
     return joint_unit("N m/rad", bool(robot.prismatic[joint - 1]))
 
 
@@ -136,7 +136,7 @@ def _torque_of_stiffness(model: StageModel, joint: int, floor: float) -> float |
         return None
 
     def stiff(torque: Quantity) -> Quantity:
-        return chain.tangent_stiffness(torque, smoothing=_SHARP) >= floor
+        return chain.tangent_stiffness(torque, smoothing=_SHARP_SMOOTHING) >= floor
 
     largest = 1.5 * float(model.robot.torque_max[joint - 1])
     torques = np.array([0.0, *np.geomspace(1e-4 * largest, largest, 1000)])

@@ -8,19 +8,19 @@ import numpy as np
 
 from stiffopt.declaration import Length
 from stiffopt.problem.limit import LIMITS, Limits
-from stiffopt.problem.limits.arrival_limit import ArrivalLimit
+from stiffopt.problem.limits.arrival_limit import ArrivalBound
 from stiffopt.result.assessment import Assessment, Violation
 
 if TYPE_CHECKING:
-    from stiffopt.problem.arrival import Arrival
+    from stiffopt.problem.arrival_modes import ArrivalModes
     from stiffopt.problem.stage_terms import PathRows
     from stiffopt.result.simulation import SimulatedMotion
 
 
-class ResidualVibrationLimit(ArrivalLimit):
+class ResidualVibrationLimit(ArrivalBound):
     """Peak of the tool's deviation once the motors stand still, as simulated."""
 
-    def arrival_rows(self, limits: Limits, arrival: Arrival) -> list[PathRows]:
+    def arrival_rows(self, limits: Limits, arrival: ArrivalModes) -> list[PathRows]:
         """The sum of the modes' sizes at the tool: never less than the peak."""
         return [arrival.row(self.name, limits.residual_vibration, 0.0)]
 
@@ -30,7 +30,7 @@ class ResidualVibrationLimit(ArrivalLimit):
         if swing is None:
             return []
         if swing.peak_after is None:
-            return [self.never_at_rest(swing)]
+            return [self.rest_missing(swing)]
         after = np.where(swing.time >= swing.duration, swing.distance, 0.0)
         when = float(swing.time[int(np.argmax(after))])
         return [Violation(self.overshoot(limits, swing), self.name, None, when)]

@@ -6,16 +6,16 @@ from typing import TYPE_CHECKING, Annotated
 
 from stiffopt.declaration import POSITIVE, Bounds, Length, Time
 from stiffopt.problem.limit import LIMITS, LimitKey, Limits
-from stiffopt.problem.limits.arrival_limit import ArrivalLimit
+from stiffopt.problem.limits.arrival_limit import ArrivalBound
 from stiffopt.result.assessment import Assessment, Violation
 from stiffopt.result.simulation import SETTLING_BAND, SimulatedMotion
 
 if TYPE_CHECKING:
-    from stiffopt.problem.arrival import Arrival
+    from stiffopt.problem.arrival_modes import ArrivalModes
     from stiffopt.problem.stage_terms import PathRows
 
 
-class SettlingTimeLimit(ArrivalLimit):
+class SettlingTimeLimit(ArrivalBound):
     """Time from the motors' stop until the tool stays within a band, as simulated."""
 
     def __init__(self) -> None:
@@ -34,7 +34,7 @@ class SettlingTimeLimit(ArrivalLimit):
         )
         self.keys = (*self.keys, band)
 
-    def arrival_rows(self, limits: Limits, arrival: Arrival) -> list[PathRows]:
+    def arrival_rows(self, limits: Limits, arrival: ArrivalModes) -> list[PathRows]:
         """The modes have decayed to the band by then."""
         return [arrival.row(self.name, limits.settling_band, limits.settling_time)]
 
@@ -44,7 +44,7 @@ class SettlingTimeLimit(ArrivalLimit):
         if swing is None:
             return []
         if swing.peak_after is None:
-            return [self.never_at_rest(swing)]
+            return [self.rest_missing(swing)]
         took = swing.settling_time
         excess = 1.0
         if took is None:

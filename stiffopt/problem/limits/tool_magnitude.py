@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from stiffopt.symbolic import Quantity
 
 
-class ToolMagnitude(UpperBound):
+class ToolMagnitudeBound(UpperBound):
     """|vector| <= limit at every instant."""
 
     @abstractmethod

@@ -8,7 +8,7 @@ import numpy as np
 
 from stiffopt.declaration import Speed
 from stiffopt.problem.limit import LIMITS
-from stiffopt.problem.limits.tool_magnitude import ToolMagnitude
+from stiffopt.problem.limits.tool_magnitude import ToolMagnitudeBound
 
 if TYPE_CHECKING:
     from stiffopt.problem.stage_model import StageModel
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from stiffopt.symbolic import Quantity
 
 
-class ToolSpeed(ToolMagnitude):
+class ToolSpeed(ToolMagnitudeBound):
     """Speed of the tool's point."""
 
     def vector(self, model: StageModel) -> Quantity:

@@ -55,7 +55,7 @@ class VelocityByPosition(DriveLimit):
         positions, speeds = problem.active_limits.velocity_map
         expressions, labels = [], []
         for j in range(positions.shape[1]):
-            allowed = _interpolated(model.position[j], positions[:, j], speeds[:, j])
+            allowed = _interpolate_symbolic(model.position[j], positions[:, j], speeds[:, j])
             scale = float(np.max(speeds[:, j]))
             for sign, side in ((1.0, "forward"), (-1.0, "backward")):
                 slack = sign * model.velocity[j] - (1.0 - margin) * allowed
@@ -76,7 +76,7 @@ def velocity_at(table: tuple[np.ndarray, np.ndarray], position: np.ndarray) -> n
     return np.stack(columns, axis=1)
 
 
-def _interpolated(x: Quantity, knots: np.ndarray, values: np.ndarray) -> Quantity:
+def _interpolate_symbolic(x: Quantity, knots: np.ndarray, values: np.ndarray) -> Quantity:
     """Linear interpolation, constant outside the knots, as a sum of hinges."""
     slopes = np.concatenate(([0.0], np.diff(values) / np.diff(knots), [0.0]))
     result: Quantity = float(values[0])

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from stiffopt.errors import ProblemError
-from stiffopt.problem.objective import ACCEPT, OBJECTIVES, Bound, Objective, ObjectiveKind
-from stiffopt.problem.rest import poses_within_limits, rest_deflection, rest_poses
+from stiffopt.problem.objective import ACCEPT_ADVICE, OBJECTIVES, Bound, Objective, ObjectiveKind
+from stiffopt.problem.rest_poses import poses_within_limits, rest_deflection, rest_poses
 from stiffopt.problem.stage_terms import (
     WINDUP_SMOOTHING,
     IntegralRow,
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 # Of the dynamic part [m]: no arm of geared joints repeats its path better, and in a slow motion
 # less takes detours of the wrist.
-_NEGLIGIBLE = 5e-6
+_NEGLIGIBLE_DEFLECTION = 5e-6
 
 
 class ToolDeflection(ObjectiveKind):
@@ -58,7 +58,7 @@ class ToolDeflection(ObjectiveKind):
     ) -> None:
         self.name = f"{part}_deflection"
         self.deflection_part = part
-        self.negligible = _NEGLIGIBLE if part == "dynamic" else 0.0
+        self.negligible = _NEGLIGIBLE_DEFLECTION if part == "dynamic" else 0.0
         self.phrase, self.description = phrase, description
         self.pinned_by, self.instead = pinned_by, instead
 
@@ -75,11 +75,11 @@ class ToolDeflection(ObjectiveKind):
     ) -> list[Bound]:
         """Deflections of given rest poses, below which the peak over the motion cannot be."""
         # Of a robot without any drivetrain the stage's model says what is missing.
-        if problem.robot.yields and not problem.robot.tool_yields(_passed(problem, motion)):
+        if problem.robot.yields and not problem.robot.tool_yields(_sample_poses(problem, motion)):
             text = (
                 f"{self.name} is zero whatever the motion: no joint of {problem.robot.name} that "
                 "yields moves the tool in any pose. Describe the elements of the others in "
-                f"the robot file, give tool.offset, or minimise 'torque_squared'{ACCEPT}"
+                f"the robot file, give tool.offset, or minimise 'torque_squared'{ACCEPT_ADVICE}"
             )
             return [Bound(self.name, 0.0, text, True)]
         if not self.pinned_by or objective.measure != "peak":
@@ -95,7 +95,7 @@ class ToolDeflection(ObjectiveKind):
         text = (
             f"The peak {self.name.replace('_', ' ')} cannot be below {self.pinned_by} of the "
             f"{where} pose, {1e3 * value:.4g} mm, whatever the motion. Minimise {self.instead}its "
-            f"rms{ACCEPT}"
+            f"rms{ACCEPT_ADVICE}"
         )
         return [Bound(self.name, value, text, True)]
 
@@ -142,7 +142,7 @@ class ToolDeflection(ObjectiveKind):
         return float(getattr(motion.deflection_summary()[self.deflection_part], objective.measure))
 
 
-def _passed(problem: TrajectoryProblem, motion: ResolvedMotion) -> np.ndarray:
+def _sample_poses(problem: TrajectoryProblem, motion: ResolvedMotion) -> np.ndarray:
     """Poses (K, n) that tell what any motion meets: the given ones, and some that it may take."""
     if problem.path is None:
         others = poses_within_limits(problem)

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from stiffopt.errors import ProblemError
-from stiffopt.problem.objective import ACCEPT, OBJECTIVES, Bound, Objective, ObjectiveKind
-from stiffopt.problem.rest import gravity_torque, rest_poses, sign_change, stiffness_at
+from stiffopt.problem.objective import ACCEPT_ADVICE, OBJECTIVES, Bound, Objective, ObjectiveKind
+from stiffopt.problem.rest_poses import gravity_torque, rest_poses, stiffness_at, torque_sign_change
 from stiffopt.problem.stage_terms import (
     STIFFNESS_SMOOTHING,
     ObjectiveTerms,
@@ -59,7 +59,7 @@ class LowestJointStiffness(ObjectiveKind):
                     "stiffness. Describe its elements in the robot file, or leave it out of "
                     "minimise.joints."
                 )
-            cause = sign_change(problem, motion, joint)
+            cause = torque_sign_change(problem, motion, joint)
             weight = objective.weight_of(joint)
             slides = bool(problem.robot.prismatic[joint - 1])
             unit = joint_unit("N m/rad", slides)
@@ -69,7 +69,7 @@ class LowestJointStiffness(ObjectiveKind):
                     f"The torque of joint {joint} must change sign ({cause}), so its lowest "
                     f"stiffness is the one at zero torque, {value:.4g} {unit}, whatever the "
                     f"motion. Leave joint {joint} out (minimise.joints), minimise "
-                    f"'mean_compliance' or 'dynamic_deflection' instead{ACCEPT}"
+                    f"'mean_compliance' or 'dynamic_deflection' instead{ACCEPT_ADVICE}"
                 )
                 found.append(Bound(self.name, value / weight, text, True))
                 continue
@@ -93,7 +93,7 @@ class LowestJointStiffness(ObjectiveKind):
             name="minimum joint stiffness",
             start=lambda motion: self.certified_value(objective, motion),
         )
-        kept = _one_sided(objective, problem, sides)
+        kept = _single_sided_joints(objective, problem, sides)
         if not kept:
             return (bound,)
         columns = np.array(kept) - 1
@@ -123,7 +123,7 @@ class LowestJointStiffness(ObjectiveKind):
                 bound * objective.weight_of(j) * model.compliance(j) - 1.0 for j in joints
             ),
         )
-        kept = _one_sided(objective, problem, model.sides)
+        kept = _single_sided_joints(objective, problem, model.sides)
         if not kept:
             return ObjectiveTerms(value=lambda integrals, duration: bound, path_rows=(stiff,))
         relief = statics[1]
@@ -150,7 +150,7 @@ class LowestJointStiffness(ObjectiveKind):
         )
 
 
-def _one_sided(
+def _single_sided_joints(
     objective: Objective, problem: TrajectoryProblem, sides: np.ndarray
 ) -> tuple[int, ...]:
     """Joints (1-based) that count and can keep their spring torque on one side."""

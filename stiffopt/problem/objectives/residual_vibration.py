@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
-from stiffopt.problem.link_planning import check_arrival, check_links
+from stiffopt.problem.link_planning import check_arrival, check_link_planning
 from stiffopt.problem.objective import OBJECTIVES, Objective, ObjectiveKind
 from stiffopt.problem.stage_terms import WINDUP_SMOOTHING, ObjectiveTerms
 
@@ -18,9 +18,9 @@ if TYPE_CHECKING:
     from stiffopt.symbolic import Quantity
 
 # Of the snap that tells motions apart, in units of the objective: it must not count beside others.
-_SLIGHT = 1e-3
+_SNAP_WEIGHT = 1e-3
 # Of a motion's rises and falls, times its duration.
-_RATE = 4.0 * np.pi
+_SNAP_FREQUENCY = 4.0 * np.pi
 
 
 class ResidualVibration(ObjectiveKind):
@@ -45,7 +45,7 @@ class ResidualVibration(ObjectiveKind):
 
     def check(self, objective: Objective, problem: TrajectoryProblem) -> None:
         """The links' motion has to be one that can be planned, and end at rest."""
-        check_links(problem, self.name, "minimise 'dynamic_deflection'")
+        check_link_planning(problem, self.name, "minimise 'dynamic_deflection'")
         check_arrival(problem, self.name)
 
     def terms(
@@ -60,10 +60,12 @@ class ResidualVibration(ObjectiveKind):
         snap = cast("MotorModel", model).snap
         speed = problem.active_limits.velocity
         # Without a limit of velocity one that any joint has: its snap has to count all the same.
-        typical = np.where(np.isfinite(speed), speed, 1.0) * (_RATE / problem.duration[0]) ** 3
+        typical = (
+            np.where(np.isfinite(speed), speed, 1.0) * (_SNAP_FREQUENCY / problem.duration[0]) ** 3
+        )
         total = sum((snap[j] / typical[j]) ** 2 for j in range(problem.joints))
         return ObjectiveTerms(
-            value=lambda integrals, duration: _SLIGHT * scale * integrals[0] / duration,
+            value=lambda integrals, duration: _SNAP_WEIGHT * scale * integrals[0] / duration,
             integrands=(total,),
         )
 

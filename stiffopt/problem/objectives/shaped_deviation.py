@@ -20,7 +20,7 @@ class ShapedDeviation(ToolDeviation):
     """
 
     shaped = True
-    chosen_for_other_arms = False
+    chosen_for_robustness = False
 
     def __init__(self) -> None:
         super().__init__()

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING, cast
 
-from stiffopt.problem.link_planning import check_links
+from stiffopt.problem.link_planning import check_link_planning
 from stiffopt.problem.objective import OBJECTIVES
 from stiffopt.problem.objectives.deflection import ToolDeflection
 from stiffopt.problem.stage_terms import squared_length
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from stiffopt.symbolic import Quantity
 
 # Rises and falls of a deviation in a motion, which give its rates their size.
-_RISES = 20.0
+_RATE_FREQUENCY = 20.0
 
 
 class ToolDeviation(ToolDeflection):
@@ -30,7 +30,7 @@ class ToolDeviation(ToolDeflection):
     """
 
     plans_links = True
-    chosen_for_other_arms = True
+    chosen_for_robustness = True
 
     def __init__(self) -> None:
         super().__init__(
@@ -44,7 +44,7 @@ class ToolDeviation(ToolDeflection):
 
     def check(self, objective: Objective, problem: TrajectoryProblem) -> None:
         """The links' motion has to be one that can be planned."""
-        check_links(problem, self.name, "minimise 'dynamic_deflection'")
+        check_link_planning(problem, self.name, "minimise 'dynamic_deflection'")
 
     def terms(
         self,
@@ -56,14 +56,16 @@ class ToolDeviation(ToolDeflection):
     ) -> ObjectiveTerms:
         """Besides, the mean squared rate of the deviation: what swings where springs differ."""
         own = super().terms(objective, problem, model, statics, scale)
-        if not problem.chosen_for_other_arms:
+        if not problem.chosen_for_robustness:
             return own
-        rate = cast("MotorModel", model).deviation_rate * (problem.duration[1] / _RISES / scale)
+        rate = cast("MotorModel", model).deviation_rate * (
+            problem.duration[1] / _RATE_FREQUENCY / scale
+        )
         first = len(own.integrands)
         return replace(
             own,
             integrands=(*own.integrands, squared_length(rate)),
-            besides=lambda integrals, duration: scale * integrals[first] / duration,
+            robust_value=lambda integrals, duration: scale * integrals[first] / duration,
         )
 
 

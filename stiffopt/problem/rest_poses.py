@@ -80,7 +80,7 @@ def rest_deflection(problem: TrajectoryProblem, angles: np.ndarray, part: str) -
     return float(np.linalg.norm(tool_jacobian(problem, angles) @ windup))
 
 
-def sign_change(problem: TrajectoryProblem, motion: ResolvedMotion, joint: int) -> str:
+def torque_sign_change(problem: TrajectoryProblem, motion: ResolvedMotion, joint: int) -> str:
     """Why the spring torque of a joint must pass zero; empty where it need not."""
     poses = rest_poses(problem, motion)
     if problem.boundary_acceleration == "zero" and all(p.fixed for p in poses):
@@ -106,7 +106,7 @@ def sign_change(problem: TrajectoryProblem, motion: ResolvedMotion, joint: int) 
 def torque_sides(problem: TrajectoryProblem, motion: ResolvedMotion) -> np.ndarray:
     """Sign of each joint's torque at rest in the start pose; 0 where it must change (n,)."""
     signs = np.sign(gravity_torque(problem, motion.start))
-    forced = [bool(sign_change(problem, motion, j + 1)) for j in range(problem.joints)]
+    forced = [bool(torque_sign_change(problem, motion, j + 1)) for j in range(problem.joints)]
     return np.asarray(np.where(forced, 0.0, signs))
 
 

@@ -201,7 +201,7 @@ def judge_plan(problem: TrajectoryProblem, motion: SampledRows, file: Path) -> N
     Vias are passed between rows, which a tool does not meet within their tolerance.
     """
     found = assess(problem, motion, times=motion.time).violations
-    _refuse([each for each in found if not each.limit.startswith("via_")], str(file))
+    _require_within_limits([each for each in found if not each.limit.startswith("via_")], str(file))
 
 
 def judge_samples(problem: TrajectoryProblem, motion: SampledRows, name: str) -> Violation:
@@ -213,11 +213,11 @@ def judge_samples(problem: TrajectoryProblem, motion: SampledRows, name: str) ->
         It is exceeded.
     """
     found = drive_violations(problem, motion, motion.time)
-    _refuse(found, name)
+    _require_within_limits(found, name)
     return found[0]
 
 
-def _refuse(found: Sequence[Violation], name: str) -> None:
+def _require_within_limits(found: Sequence[Violation], name: str) -> None:
     """Raise `InputError` where a limit is exceeded by more than the certificate's tolerance."""
     # `not <=`: what is not a number keeps no limit.
     over = [each for each in found if not each.value <= CERTIFIED]

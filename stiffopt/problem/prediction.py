@@ -10,16 +10,16 @@ from stiffopt.problem.coordinates import coordinates_of
 from stiffopt.problem.formulation import stage_model
 from stiffopt.problem.smoothing import Smoothing
 from stiffopt.problem.trajectory import TrajectoryProblem
-from stiffopt.result.believed import Believed
+from stiffopt.result.believed import PredictedMotion
 from stiffopt.result.trajectory import Trajectory
 from stiffopt.symbolic import array_of
 
-PARTS = ("static", "dynamic", "process", "total")
+DEFLECTION_PARTS = ("static", "dynamic", "process", "total")
 
 
-def believed_of(
+def predict_motion(
     problem: TrajectoryProblem, motion: Trajectory, smoothing: Smoothing, *, elastic: bool
-) -> Believed:
+) -> PredictedMotion:
     """Evaluate the stage model at the nodes and midpoints of a motion.
 
     Parameters
@@ -42,17 +42,17 @@ def believed_of(
         outputs["torque"] = model.drive_torque
     if elastic:
         outputs["windup"] = model.windup(model.torques.spring)
-        outputs |= {part: getattr(model.deflection, part) for part in PARTS}
+        outputs |= {part: getattr(model.deflection, part) for part in DEFLECTION_PARTS}
     time = np.union1d(motion.times, 0.5 * (motion.times[1:] + motion.times[:-1]))
     states = np.hstack([motion(time, k) for k in range(order)])
     function = ca.Function("believed", [x, u], [ca.densify(value) for value in outputs.values()])
     found = function.map(len(time))(states.T, motion(time, order).T)
     values = {name: array_of(value).T for name, value in zip(outputs, found, strict=True)}
-    return Believed(
+    return PredictedMotion(
         time=time,
         spring_torque=values["spring_torque"],
         torque=values.get("torque"),
         friction_width=np.asarray(smoothing_width(problem.robot.velocity_max)),
         windup=values.get("windup"),
-        deflection={part: values[part] for part in PARTS if part in values},
+        deflection={part: values[part] for part in DEFLECTION_PARTS if part in values},
     )

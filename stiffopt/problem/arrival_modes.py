@@ -24,15 +24,15 @@ if TYPE_CHECKING:
 
 # What a plan leaves after arrival though its links are at rest: damping is left out of the wind-up
 # and corners of the stiffness are smoothed [m].
-_LEFT = 5e-6
+_MODEL_AMPLITUDE_ERROR = 5e-6
 # The size is smooth at zero, within this share of what is allowed.
-_ROUNDED = 1e-2
+_ROOT_SMOOTHING = 1e-2
 # Share of what is allowed that the modes may take where nearly all of it is left anyway.
-_LEAST = 0.2
+_MIN_BOUND_SHARE = 0.2
 
 
 @dataclass(frozen=True, eq=False)
-class Arrival:
+class ArrivalModes:
     """The modes in which the links swing on.
 
     Parameters
@@ -47,7 +47,7 @@ class Arrival:
     decays: np.ndarray
 
     @classmethod
-    def of(cls, modes: Sequence[Mode], model: MotorModel) -> Arrival:
+    def of(cls, modes: Sequence[Mode], model: MotorModel) -> ArrivalModes:
         """From the modes in the end pose and the model of the end state."""
         shapes = np.stack([mode.shape for mode in modes], axis=1)
         # The other way round: from joints to modes; rigid joints are in none.
@@ -72,6 +72,6 @@ class Arrival:
         share = np.exp(-self.decays * after) / allowed
         weights = len(share) * share**2
         squares = sum(float(own) * size for own, size in zip(weights, self.sizes, strict=True))
-        total = ca.sqrt(squares + _ROUNDED**2) - _ROUNDED
-        upper = max(1.0 - _LEFT / allowed, _LEAST)
+        total = ca.sqrt(squares + _ROOT_SMOOTHING**2) - _ROOT_SMOOTHING
+        upper = max(1.0 - _MODEL_AMPLITUDE_ERROR / allowed, _MIN_BOUND_SHARE)
         return PathRows(name=name, labels=("tool",), expressions=(total,), upper=upper)

@@ -12,13 +12,13 @@ from stiffopt.problem.trajectory import Target, TrajectoryProblem
 from stiffopt.robot.frames import link_frame, link_names
 from stiffopt.robot.robot import Robot
 
-_TURN = 2.0 * np.pi
+_FULL_TURN = 2.0 * np.pi
 # A tool or a centre of mass so many reaches of the arm away is in another unit.
-_FAR = 2.0
+_MAX_OFFSET_OVER_REACH = 2.0
 # Share by which a principal inertia may exceed the sum of the other two: files are rounded.
-_ROUNDED = 1e-2
+_INERTIA_ROUNDING = 1e-2
 # Share of all masses that is none.
-_ROUNDING = 1e-9
+_NO_MASS_SHARE = 1e-9
 
 
 def check_plausible(problem: TrajectoryProblem) -> None:
@@ -28,12 +28,12 @@ def check_plausible(problem: TrajectoryProblem) -> None:
     a tool or a centre of mass much farther out than the arm is long.
     """
     robot = problem.robot
-    reach = reach_of(robot)
+    reach = max_reach(robot)
     _check_robot(robot)
     for where, target in _targets(problem):
         if target.rpy is not None:
-            for k in np.flatnonzero(np.abs(target.rpy) > _TURN + 1e-9):
-                raise ProblemError(_more_than_a_turn(f"{where}.rpy[{k + 1}]", target.rpy[k]))
+            for k in np.flatnonzero(np.abs(target.rpy) > _FULL_TURN + 1e-9):
+                raise ProblemError(_full_turn_message(f"{where}.rpy[{k + 1}]", target.rpy[k]))
         for key in ("joints", "near"):
             angles = getattr(target, key)
             if angles is not None and angles.shape == (problem.joints,):
@@ -42,9 +42,9 @@ def check_plausible(problem: TrajectoryProblem) -> None:
             distance = float(np.linalg.norm(target.position))
             if distance > reach * 1.001:
                 raise ProblemError(
-                    f"{where}.position = {_listed(target.position)} m lies {distance:.4g} m from"
+                    f"{where}.position = {_format_vector(target.position)} m lies {distance:.4g} m from"
                     f" the base; {robot.name} with its tool reaches no farther than {reach:.4g} m."
-                    f" Lengths are in m: was {_listed(target.position)} mm meant? Then write"
+                    f" Lengths are in m: was {_format_vector(target.position)} mm meant? Then write"
                     f' texts such as "{target.position[0]:g} mm".'
                 )
     if problem.path is not None and problem.path.ndim == 2:
@@ -53,13 +53,15 @@ def check_plausible(problem: TrajectoryProblem) -> None:
                 _check_angles(problem, f"motion.path[{number}]", angles)
 
 
-def questionable_bodies(robot: Robot) -> tuple[str, ...]:
+def inconsistent_inertias(robot: Robot) -> tuple[str, ...]:
     """A sentence on links whose inertia belongs to no body, as files of many arms have them."""
     wrong = []
     for body in robot.tree.bodies:
         least, middle, largest = np.linalg.eigvalsh(body.inertia)
-        if largest > (1.0 + _ROUNDED) * (least + middle):
-            wrong.append(f"{body.name} ({_listed(np.array([least, middle, largest]))} kg m^2)")
+        if largest > (1.0 + _INERTIA_ROUNDING) * (least + middle):
+            wrong.append(
+                f"{body.name} ({_format_vector(np.array([least, middle, largest]))} kg m^2)"
+            )
     if not wrong:
         return ()
     return (
@@ -69,7 +71,7 @@ def questionable_bodies(robot: Robot) -> tuple[str, ...]:
     )
 
 
-def questionable_belts(robot: Robot) -> tuple[str, ...]:
+def slack_belts(robot: Robot) -> tuple[str, ...]:
     """A sentence on each belt whose tension does not carry the largest torque of its joint."""
     found = []
     for joint, chain in zip(robot.joint_names, robot.chains, strict=True):
@@ -88,7 +90,7 @@ def questionable_belts(robot: Robot) -> tuple[str, ...]:
     return tuple(found)
 
 
-def reach_of(robot: Robot) -> float:
+def max_reach(robot: Robot) -> float:
     """Distance from the base that the tool cannot exceed [m]; infinite on an endless slide."""
     way = 0.0
     for j, body in enumerate(robot.tree.bodies):
@@ -107,15 +109,15 @@ def _targets(problem: TrajectoryProblem) -> Iterator[tuple[str, Target]]:
 
 def _check_angles(problem: TrajectoryProblem, where: str, angles: np.ndarray) -> None:
     limits = problem.active_limits
-    for j in np.flatnonzero(np.abs(angles) > _TURN + 1e-9):
+    for j in np.flatnonzero(np.abs(angles) > _FULL_TURN + 1e-9):
         low, high = limits.position_lower[j], limits.position_upper[j]
         if problem.robot.prismatic[j] or (np.isfinite(high - low) and low <= angles[j] <= high):
             continue
         name = problem.robot.joint_names[j]
-        raise ProblemError(_more_than_a_turn(f"{where}[{j + 1}] ({name})", float(angles[j])))
+        raise ProblemError(_full_turn_message(f"{where}[{j + 1}] ({name})", float(angles[j])))
 
 
-def _more_than_a_turn(where: str, value: float) -> str:
+def _full_turn_message(where: str, value: float) -> str:
     return (
         f"{where} = {value:g} rad is more than a whole turn. A bare number is in rad: for degrees"
         f' write "{value:g} deg" (in Python, numpy.radians({value:g})).'
@@ -127,18 +129,18 @@ def _check_robot(robot: Robot) -> None:
     tool = float(np.linalg.norm(robot.tool.offset))
     # What the URDF fixes to the last joint, such as a link whose own joint is held, is arm too,
     # and so is the last link: nothing but where its mass lies tells how long it is.
-    arm = reach_of(robot) - tool + max(_fixed_length(robot), _last_length(robot))
+    arm = max_reach(robot) - tool + max(_tool_link_length(robot), _last_link_length(robot))
     if not 0.0 < arm < np.inf:
         return
-    if tool > _FAR * arm:
+    if tool > _MAX_OFFSET_OVER_REACH * arm:
         raise ProblemError(
             f"tool.offset: the tool lies {tool:.4g} m from its joint, the whole arm of {robot.name}"
             f' is {arm:.4g} m long. Lengths are in m; for millimetres write "78.5 mm".'
         )
-    arm = reach_of(robot) + _fixed_length(robot)
+    arm = max_reach(robot) + _tool_link_length(robot)
     for j, body in enumerate(robot.tree.bodies, start=1):
         far = float(np.linalg.norm(body.centre))
-        if body.mass > 0.0 and far > _FAR * arm:
+        if body.mass > 0.0 and far > _MAX_OFFSET_OVER_REACH * arm:
             raise ProblemError(
                 f"the centre of mass behind joint {j} ({body.name}), payload included, lies"
                 f" {far:.4g} m from the joint; the whole arm is {arm:.4g} m long. Lengths are in m:"
@@ -146,14 +148,14 @@ def _check_robot(robot: Robot) -> None:
             )
 
 
-def _fixed_length(robot: Robot) -> float:
+def _tool_link_length(robot: Robot) -> float:
     """How far the link of the tool lies from its joint [m]."""
     if robot.tool.link not in link_names(robot.model):
         return 0.0
     return float(np.linalg.norm(link_frame(robot.model, robot.tool.link).offset))
 
 
-def _last_length(robot: Robot) -> float:
+def _last_link_length(robot: Robot) -> float:
     """Length of a rod that turns as easily as the last link does without a payload [m]."""
     last = robot.with_payload_times(0.0).tree.bodies[-1]
     if last.mass <= 0.0:
@@ -166,7 +168,7 @@ def _check_masses(robot: Robot) -> None:
     """An arm without masses has no torques and no deflections of its own."""
     total = float(sum(body.mass for body in robot.tree.bodies))
     payload = 0.0 if robot.payload is None else float(robot.payload[0])
-    if total - payload <= _ROUNDING * total and not robot.rotor_inertia.any():
+    if total - payload <= _NO_MASS_SHARE * total and not robot.rotor_inertia.any():
         zero = "those of the payload alone" if payload else "zero"
         raise ProblemError(
             f"no link of {robot.name} has a mass: its URDF gives no <inertial>, so all torques and"
@@ -175,5 +177,5 @@ def _check_masses(robot: Robot) -> None:
         )
 
 
-def _listed(values: np.ndarray) -> str:
+def _format_vector(values: np.ndarray) -> str:
     return "[" + ", ".join(f"{value:g}" for value in values) + "]"
