@@ -25,7 +25,7 @@ from stiffopt.solver.family import ProblemFamily
 from stiffopt.solver.ipopt import IpoptSolver
 from stiffopt.solver.near_optimum import NearOptimum
 from stiffopt.sweep.cases import Case, load_sweep
-from stiffopt.sweep.order import predecessors, spread_order
+from stiffopt.sweep.run import predecessors, spread_order
 from stiffopt.sweep.solve_case import solve_case
 
 TITLE = "Sweeps"

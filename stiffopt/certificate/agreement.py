@@ -15,7 +15,7 @@ import numpy as np
 
 from stiffopt.certificate.assess import assess, drive_history, joint_windup
 from stiffopt.errors import relative
-from stiffopt.result.believed import PredictedMotion
+from stiffopt.result.assessment import PredictedMotion
 
 if TYPE_CHECKING:
     from stiffopt.problem.trajectory import TrajectoryProblem

@@ -120,8 +120,7 @@ def check(
 
 def _found(result: Path, to: str, recordings: Path, effects: Path | None) -> dict[str, str]:
     """Text of a robot with what a diagnosis found; the changes are printed."""
-    from stiffopt.export.found import read_diagnosed_robot
-    from stiffopt.export.model_format import MODEL_FORMATS, notes
+    from stiffopt.export.model_format import MODEL_FORMATS, notes, read_diagnosed_robot
 
     found = read_diagnosed_robot(result, recordings, effects)
     for line in (*notes(found), *MODEL_FORMATS[to].remarks(found)):

@@ -27,7 +27,7 @@ from stiffopt.discovery.settings import Settings
 from stiffopt.discovery.training import Training
 from stiffopt.recording.recording_set import RecordingSet
 from stiffopt.recording.run import Fault
-from stiffopt.result.shown import DisplayedResult
+from stiffopt.result.solution import DisplayedResult
 
 Verdict = Literal["named", "nothing_missing", "outside_catalogue"]
 

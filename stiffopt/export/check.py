@@ -10,9 +10,8 @@ import numpy as np
 
 from stiffopt.certificate.violations import CERTIFIED
 from stiffopt.errors import InputFileError, relative
-from stiffopt.export.format import FORMATS
+from stiffopt.export.format import FORMATS, is_whole, read_seal
 from stiffopt.export.motion import read_motion
-from stiffopt.export.seal import is_whole, read_seal
 from stiffopt.files import read_text
 
 # Of the numbers of a file against those of its result: rounding of another processor.

@@ -21,7 +21,7 @@ from stiffopt.export.motion_checks import (
     solved_problem,
 )
 from stiffopt.folders import check_result
-from stiffopt.result.compensation_store import COMMAND_FILE
+from stiffopt.result.compensation import COMMAND_FILE
 from stiffopt.result.store import (
     RESULT_FILE,
     TRAJECTORY_FILE,

@@ -11,8 +11,7 @@ import numpy as np
 
 from stiffopt.errors import ProblemError
 from stiffopt.problem.objective import ACCEPT_ADVICE, Bound, Objective
-from stiffopt.problem.resolve import ResolvedMotion
-from stiffopt.problem.trajectory import TrajectoryProblem
+from stiffopt.problem.trajectory import ResolvedMotion, TrajectoryProblem
 
 
 def find_bounds(problem: TrajectoryProblem, motion: ResolvedMotion) -> tuple[Bound, ...]:

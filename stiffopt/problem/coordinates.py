@@ -10,8 +10,7 @@ import numpy as np
 
 from stiffopt.errors import ProblemError
 from stiffopt.problem.limit import Limits, derivative_bounds
-from stiffopt.problem.resolve import ResolvedMotion
-from stiffopt.problem.trajectory import TrajectoryProblem
+from stiffopt.problem.trajectory import ResolvedMotion, TrajectoryProblem
 from stiffopt.result.joint_path import JointPath
 from stiffopt.symbolic import Quantity
 

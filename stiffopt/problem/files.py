@@ -13,6 +13,7 @@ import numpy as np
 from stiffopt.declaration import declared
 from stiffopt.errors import InputFileError
 from stiffopt.files import read_document
+from stiffopt.problem.joint_lists import JointLists
 from stiffopt.problem.limit import LIMITS, Limits
 from stiffopt.problem.objective import Objective
 from stiffopt.problem.schema import (
@@ -34,7 +35,7 @@ from stiffopt.robot.elements import located
 from stiffopt.robot.files import load_robot, shipped_robots
 from stiffopt.robot.robot import Robot
 from stiffopt.robot.rotations import rotation_from_rpy
-from stiffopt.units import convert, fit_joint
+from stiffopt.units import convert
 
 
 @dataclass(frozen=True)
@@ -191,37 +192,6 @@ def read_robot(
         with located(path, "tool"):
             robot = robot.with_tool(tool.link, tool.offset)
     return robot
-
-
-class JointLists:
-    """Turns lists of the file into arrays with one entry a joint, or says which list is wrong."""
-
-    def __init__(self, robot: Robot, path: Path) -> None:
-        self.robot, self.path = robot, path
-        self.names = robot.joint_names
-        self.prismatic = robot.prismatic
-
-    def __call__(self, values: Sequence[float], dimension: str, where: str) -> np.ndarray:
-        """Array (n,) of a list whose entries have this dimension; `where` is its key."""
-        if len(values) != len(self.names):
-            raise InputFileError(
-                self.path,
-                where,
-                f"needs {len(self.names)} values, one a joint ({', '.join(self.names)}); got "
-                f"{len(values)}.",
-            )
-        numbers = []
-        for j, value in enumerate(values):
-            with located(self.path, f"{where}[{j + 1}]"):
-                numbers.append(fit_joint(value, bool(self.prismatic[j]), dimension, self.names[j]))
-        return np.array(numbers)
-
-    def check_number(self, joint: int, where: str) -> None:
-        """Joint numbers start at 1."""
-        if not 1 <= joint <= len(self.names):
-            raise InputFileError(
-                self.path, where, f"there is no joint {joint}; allowed: 1 to {len(self.names)}."
-            )
 
 
 def _read_target(section: TargetSection, joints: JointLists, where: str) -> Target:

@@ -18,12 +18,17 @@ from stiffopt.dynamics.kinematics import tool_pose
 from stiffopt.problem.arrival_modes import ArrivalModes
 from stiffopt.problem.coordinates import Coordinates, coordinates_of
 from stiffopt.problem.motor_model import LAW_SMOOTHING_FACTOR, ApproximateMotorModel, MotorModel
-from stiffopt.problem.resolve import ResolvedMotion
 from stiffopt.problem.rest_poses import torque_sides
-from stiffopt.problem.smoothing import Smoothing
 from stiffopt.problem.stage_model import StageModel
-from stiffopt.problem.stage_terms import IntegralRow, ObjectiveTerms, PathRows, StaticVariable
-from stiffopt.problem.trajectory import Target, TrajectoryProblem
+from stiffopt.problem.stage_terms import (
+    WINDUP_SMOOTHING,
+    IntegralRow,
+    ObjectiveTerms,
+    PathRows,
+    Smoothing,
+    StaticVariable,
+)
+from stiffopt.problem.trajectory import ResolvedMotion, Target, TrajectoryProblem
 from stiffopt.robot.rotations import rotation_from_rpy
 from stiffopt.symbolic import Quantity
 from stiffopt.transcription.ocp import OptimalControlProblem, Rows, Waypoint
@@ -197,6 +202,11 @@ def smoothing_stages(problem: TrajectoryProblem) -> tuple[float, ...]:
     asked = [objective.kind.smoothing for objective in problem.objectives]
     asked += [kind.smoothing for kind in problem.active_limits.kinds]
     return max(asked, key=len)
+
+
+def law_smoothing(problem: TrajectoryProblem) -> float:
+    """Factor on the smoothing widths of the law by which the motors lead a problem's links."""
+    return WINDUP_SMOOTHING[-1] * (LAW_SMOOTHING_FACTOR if problem.plans_links else 1.0)
 
 
 def _limit_rows(

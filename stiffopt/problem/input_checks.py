@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 
 from stiffopt.connection import TimingBelt
 from stiffopt.errors import ProblemError
-from stiffopt.problem.trajectory import Target, TrajectoryProblem
+from stiffopt.problem.trajectory import ResolvedMotion, Target, TrajectoryProblem
 from stiffopt.robot.frames import link_frame, link_names
 from stiffopt.robot.robot import Robot
 
@@ -30,7 +28,7 @@ def check_plausible(problem: TrajectoryProblem) -> None:
     robot = problem.robot
     reach = max_reach(robot)
     _check_robot(robot)
-    for where, target in _targets(problem):
+    for where, target in located_targets(problem):
         if target.rpy is not None:
             for k in np.flatnonzero(np.abs(target.rpy) > _FULL_TURN + 1e-9):
                 raise ProblemError(_full_turn_message(f"{where}.rpy[{k + 1}]", target.rpy[k]))
@@ -41,10 +39,11 @@ def check_plausible(problem: TrajectoryProblem) -> None:
         if target.position is not None:
             distance = float(np.linalg.norm(target.position))
             if distance > reach * 1.001:
+                listed = _format_vector(target.position)
                 raise ProblemError(
-                    f"{where}.position = {_format_vector(target.position)} m lies {distance:.4g} m from"
-                    f" the base; {robot.name} with its tool reaches no farther than {reach:.4g} m."
-                    f" Lengths are in m: was {_format_vector(target.position)} mm meant? Then write"
+                    f"{where}.position = {listed} m lies {distance:.4g} m from the base;"
+                    f" {robot.name} with its tool reaches no farther than {reach:.4g} m."
+                    f" Lengths are in m: was {listed} mm meant? Then write"
                     f' texts such as "{target.position[0]:g} mm".'
                 )
     if problem.path is not None and problem.path.ndim == 2:
@@ -98,13 +97,6 @@ def max_reach(robot: Robot) -> float:
         if body.prismatic:
             way += max(abs(robot.position_lower[j]), abs(robot.position_upper[j]))
     return way + float(np.linalg.norm(robot.tool.offset))
-
-
-def _targets(problem: TrajectoryProblem) -> Iterator[tuple[str, Target]]:
-    yield "motion.start", problem.start
-    for number, via in enumerate(problem.vias, start=1):
-        yield f"motion.via[{number}]", via
-    yield "motion.end", problem.end
 
 
 def _check_angles(problem: TrajectoryProblem, where: str, angles: np.ndarray) -> None:
@@ -179,3 +171,58 @@ def _check_masses(robot: Robot) -> None:
 
 def _format_vector(values: np.ndarray) -> str:
     return "[" + ", ".join(f"{value:g}" for value in values) + "]"
+
+
+# Distances are exact to this [m].
+_DISTANCE_TOLERANCE = 1e-5
+
+
+def check_clear_poses(problem: TrajectoryProblem, motion: ResolvedMotion) -> None:
+    """Raise `ProblemError` where a given pose is nearer to something than the clearance."""
+    if not problem.avoids_collisions:
+        return
+    clearance = problem.stated_cell.clearance
+    for where, pose in _fixed_poses(problem, motion):
+        distance = problem.clearance_model.distances(pose)
+        k = int(np.argmin(distance))
+        if distance[k] < clearance - _DISTANCE_TOLERANCE:
+            met = _describe_collision(problem, problem.clearance_model.pairs[k], float(distance[k]))
+            raise ProblemError(f"{where}: {met}")
+
+
+def clearance_at_poses(problem: TrajectoryProblem, motion: ResolvedMotion) -> float:
+    """The largest clearance that the given poses keep [m]."""
+    model = problem.clearance_model
+    return min(
+        (float(model.distances(q).min()) for _, q in _fixed_poses(problem, motion)), default=np.inf
+    )
+
+
+def _fixed_poses(
+    problem: TrajectoryProblem, motion: ResolvedMotion
+) -> list[tuple[str, np.ndarray]]:
+    """The poses that leave the joints no freedom, and where they stand in files."""
+    every = zip(located_targets(problem), (motion.start, *motion.vias, motion.end), strict=True)
+    return [(where, pose) for (where, target), pose in every if target.fixes_pose]
+
+
+def located_targets(problem: TrajectoryProblem) -> list[tuple[str, Target]]:
+    """Start, vias and end, and where they stand in files."""
+    vias = [(f"motion.via[{k}]", via) for k, via in enumerate(problem.vias, start=1)]
+    return [("motion.start", problem.start), *vias, ("motion.end", problem.end)]
+
+
+def _describe_collision(problem: TrajectoryProblem, pair: tuple[str, str], distance: float) -> str:
+    one, other = pair
+    choices = ["Choose another pose"]
+    if other in problem.stated_cell.names:
+        choices.append(f"correct the place of {other}")
+    advice = ", ".join([*choices, "or plan all the same with method.collisions = 'check'."])
+    if distance < 0.0:
+        deep = f"{one} is {-1e3 * distance:.1f} mm deep in {other} there"
+        return f"{deep}, so no motion is free of collisions. {advice}"
+    clearance = problem.stated_cell.clearance
+    return (
+        f"{one} is {1e3 * distance:.1f} mm from {other} there, nearer than cell.clearance, "
+        f"{1e3 * clearance:.1f} mm. Lower the clearance. {advice}"
+    )

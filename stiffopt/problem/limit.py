@@ -21,14 +21,13 @@ from stiffopt.result.assessment import Violation
 
 if TYPE_CHECKING:
     from stiffopt.problem.arrival_modes import ArrivalModes
-    from stiffopt.problem.files import JointLists
-    from stiffopt.problem.resolve import ResolvedMotion
-    from stiffopt.problem.schema import LimitsSection
+    from stiffopt.problem.joint_lists import JointLists
     from stiffopt.problem.stage_model import StageModel
-    from stiffopt.problem.trajectory import TrajectoryProblem
+    from stiffopt.problem.trajectory import ResolvedMotion, TrajectoryProblem
     from stiffopt.result.assessment import Assessment, DriveHistory
     from stiffopt.result.simulation import SimulatedMotion
     from stiffopt.robot.robot import Robot
+    from stiffopt.validation import Section
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,7 +95,7 @@ class LimitKind(ABC):
         """Whether these limits hold one of this kind."""
 
     @abstractmethod
-    def read(self, section: LimitsSection, joints: JointLists) -> dict[str, Any]:
+    def read(self, section: Section, joints: JointLists) -> dict[str, Any]:
         """Attributes of `Limits` from the section of a file; [limits] is `section`."""
 
     @abstractmethod

@@ -28,13 +28,11 @@ import numpy as np
 
 from stiffopt.dynamics.deflection import Deflection
 from stiffopt.problem.stage_model import StageModel
-from stiffopt.problem.stage_terms import WINDUP_SMOOTHING
 from stiffopt.result.trajectory import Trajectory
 from stiffopt.symbolic import Quantity
 from stiffopt.transcription.point_function import PointFunction
 
 if TYPE_CHECKING:
-    from stiffopt.problem.trajectory import TrajectoryProblem
     from stiffopt.robot.robot import Robot
 
 # Smoothing widths of the motors' law over those of the deflection.
@@ -231,11 +229,6 @@ class ApproximateMotorModel(MotorModel):
             steep * second + bent * first**2,
             steep * third + 3.0 * bent * first * second + twisted * first**3,
         ]
-
-
-def law_smoothing(problem: TrajectoryProblem) -> float:
-    """Factor on the smoothing widths of the law by which the motors lead a problem's links."""
-    return WINDUP_SMOOTHING[-1] * (LAW_SMOOTHING_FACTOR if problem.plans_links else 1.0)
 
 
 def round_lags(lag: np.ndarray) -> np.ndarray:

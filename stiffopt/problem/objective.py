@@ -19,9 +19,8 @@ from stiffopt.problem.registry import Registry
 from stiffopt.problem.stage_terms import UNSMOOTHED, ObjectiveTerms, StaticVariable
 
 if TYPE_CHECKING:
-    from stiffopt.problem.resolve import ResolvedMotion
     from stiffopt.problem.stage_model import StageModel
-    from stiffopt.problem.trajectory import TrajectoryProblem
+    from stiffopt.problem.trajectory import ResolvedMotion, TrajectoryProblem
     from stiffopt.result.assessment import Assessment
     from stiffopt.robot.robot import Robot
     from stiffopt.symbolic import Quantity

@@ -8,9 +8,9 @@ import numpy as np
 from stiffopt.dynamics.friction import smoothing_width
 from stiffopt.problem.coordinates import coordinates_of
 from stiffopt.problem.formulation import stage_model
-from stiffopt.problem.smoothing import Smoothing
+from stiffopt.problem.stage_terms import Smoothing
 from stiffopt.problem.trajectory import TrajectoryProblem
-from stiffopt.result.believed import PredictedMotion
+from stiffopt.result.assessment import PredictedMotion
 from stiffopt.result.trajectory import Trajectory
 from stiffopt.symbolic import array_of
 

@@ -6,7 +6,7 @@ reach, a pose that the drives cannot hold at rest.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,38 +15,13 @@ from stiffopt.dynamics.inverse_kinematics import solve_pose
 from stiffopt.errors import ProblemError
 from stiffopt.problem.input_checks import check_plausible
 from stiffopt.problem.rest_poses import gravity_torque
-from stiffopt.problem.trajectory import Target, TrajectoryProblem
+from stiffopt.problem.trajectory import ResolvedMotion, Target, TrajectoryProblem
 from stiffopt.robot.rotations import rotation_between, rotation_from_rpy, rpy_from_rotation
 from stiffopt.units import joint_unit
 
 if TYPE_CHECKING:
     from stiffopt.problem.limit import Limits
     from stiffopt.robot.robot import Robot
-
-
-@dataclass(frozen=True)
-class ResolvedMotion:
-    """Joint angles of the poses.
-
-    Parameters
-    ----------
-    start, end : array (n,) [rad]
-    vias : tuple of array (n,) [rad]
-        One solution each; the optimiser may pass a via in another.
-    start_fixed, end_fixed : bool
-        False where only the tool's position is given: the angles are then a first guess.
-    """
-
-    start: np.ndarray
-    end: np.ndarray
-    vias: tuple[np.ndarray, ...]
-    start_fixed: bool
-    end_fixed: bool
-
-    @property
-    def points(self) -> np.ndarray:
-        """Start, vias and end, (k, n)."""
-        return np.stack([self.start, *self.vias, self.end])
 
 
 def resolve(problem: TrajectoryProblem) -> ResolvedMotion:

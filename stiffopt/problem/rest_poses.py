@@ -15,8 +15,7 @@ from stiffopt.exact.chain import exact_compliance, exact_windup
 from stiffopt.units import joint_unit
 
 if TYPE_CHECKING:
-    from stiffopt.problem.resolve import ResolvedMotion
-    from stiffopt.problem.trajectory import TrajectoryProblem
+    from stiffopt.problem.trajectory import ResolvedMotion, TrajectoryProblem
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ instant; what couples instants is an integral or a static variable.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from stiffopt.result.assessment import Assessment
     from stiffopt.symbolic import Quantity
 
-    # (integrals of the objective's own integrands, duration) -> scalar
     OfIntegrals = Callable[[Quantity, Quantity], Quantity]
+
 
 # Factors on the smoothing widths of the stiffness model, stage by stage. Reducer steps blur the
 # tangent stiffness far more than the wind-up, so that what depends on it ends narrower.
@@ -103,3 +103,39 @@ class ObjectiveTerms:
 def squared_length(vector: Quantity) -> Quantity:
     """Square of the length of a vector (3,): smooth at zero."""
     return sum(vector[i] * vector[i] for i in range(3))
+
+
+@dataclass(frozen=True)
+class Smoothing:
+    """Factors on the widths over which laws are smooth, numbers or symbols.
+
+    Parameters
+    ----------
+    stiffness : float or SX
+        Corners and steps of the joints' stiffness; from wide to narrow stage by stage.
+    corners : float or SX
+        The same corners, besides, in the law by which motors lead planned links: as wide as the
+        motors' jerk needs them, while the deflection keeps its own.
+    robust : float or SX
+        From 0, the objective alone, to 1: what an objective asks besides, for arms that are not as
+        modelled, with as much room for the motors as such arms take.
+    """
+
+    stiffness: Quantity
+    corners: Quantity = 1.0
+    robust: Quantity = 0.0
+
+    @property
+    def parameters(self) -> np.ndarray:
+        """As the parameters of a programme (3,)."""
+        return np.array(astuple(self), dtype=float)
+
+    @property
+    def law(self) -> float:
+        """Factor on the widths of the law by which motors lead."""
+        return float(self.stiffness * self.corners)
+
+    def narrowed(self, share: float) -> Smoothing:
+        """With stiffness that bends within a share of its widths; the motors' law is as wide."""
+        corners = self.corners / share
+        return replace(self, stiffness=share * self.stiffness, corners=corners)

@@ -167,8 +167,8 @@ def joint_waypoints(
         if count >= _MAX_WAYPOINTS:
             raise ProblemError(
                 f"path: {count} waypoints follow the segments within {1e3 * error:.3g} mm and the "
-                f"speed within {uneven:.2%}; asked are {1e3 * tolerance:.3g} mm and {_MAX_SPEED_DEVIATION:.2%}. "
-                "Give a larger tolerance, or larger blends."
+                f"speed within {uneven:.2%}; asked are {1e3 * tolerance:.3g} mm and "
+                f"{_MAX_SPEED_DEVIATION:.2%}. Give a larger tolerance, or larger blends."
             )
         count = 2 * (count - 1) + 1
 

@@ -12,7 +12,6 @@ from stiffopt.declaration import POSITIVE, Bounds, Doc, Ratio, Time, check_field
 from stiffopt.elastic.uncertainty import AssumedUncertainty, Uncertainty
 from stiffopt.errors import ProblemError
 from stiffopt.problem.limit import Limits
-from stiffopt.problem.link_planning import check_arrival, check_link_planning
 from stiffopt.problem.objective import Objective
 from stiffopt.robot.cell import Cell
 
@@ -20,6 +19,7 @@ if TYPE_CHECKING:
     from stiffopt.problem.limit import LimitKind
     from stiffopt.robot.clearance import ClearanceModel
     from stiffopt.robot.robot import Robot
+
 
 # Outside these a number is a slip, and it would overflow on the way.
 _MAX_POSITION = 1e3
@@ -89,6 +89,31 @@ class Target:
             value = getattr(self, name)
             if not (np.isfinite(value) and value > 0):
                 raise ProblemError(f"{name} = {value:g} must be finite and greater than zero.")
+
+
+@dataclass(frozen=True)
+class ResolvedMotion:
+    """Joint angles of the poses.
+
+    Parameters
+    ----------
+    start, end : array (n,) [rad]
+    vias : tuple of array (n,) [rad]
+        One solution each; the optimiser may pass a via in another.
+    start_fixed, end_fixed : bool
+        False where only the tool's position is given: the angles are then a first guess.
+    """
+
+    start: np.ndarray
+    end: np.ndarray
+    vias: tuple[np.ndarray, ...]
+    start_fixed: bool
+    end_fixed: bool
+
+    @property
+    def points(self) -> np.ndarray:
+        """Start, vias and end, (k, n)."""
+        return np.stack([self.start, *self.vias, self.end])
 
 
 def _check_vector(name: str, value: np.ndarray) -> None:
@@ -316,3 +341,40 @@ class TrajectoryProblem:
     def joints(self) -> int:
         """Number of joints."""
         return len(self.robot.joint_names)
+
+
+def check_link_planning(problem: TrajectoryProblem, what: str, instead: str) -> None:
+    """Raise `ProblemError` unless the motion is free, with the one transcription it has.
+
+    Parameters
+    ----------
+    problem : TrajectoryProblem
+    what : str
+        What plans the links, as users write it: "tool_deviation".
+    instead : str
+        What to do in place of it: "minimise 'dynamic_deflection'".
+    """
+    if problem.path is not None:
+        raise ProblemError(
+            f"{what} cannot be combined with motion.path, whose spline has a jump in its third "
+            f"derivative: give start, via and end, or {instead}."
+        )
+    if problem.method.transcription != "piecewise_linear_acceleration":
+        raise ProblemError(
+            f"{what} needs the transcription 'piecewise_linear_acceleration', the "
+            f"default; leave method.transcription out, or {instead}."
+        )
+
+
+def check_arrival(problem: TrajectoryProblem, what: str) -> None:
+    """Raise `ProblemError` unless the motion ends at rest and the arm can swing on."""
+    if problem.boundary_velocity is not None and np.any(problem.boundary_velocity[1]):
+        raise ProblemError(
+            f"{what} is about the arm after it has stopped, and the motion ends with a velocity: "
+            f"leave boundary_velocity.end out, or leave {what} out."
+        )
+    if not problem.robot.yields:
+        raise ProblemError(
+            f"{what} needs a joint that yields, and {problem.robot.name} has no drivetrain: "
+            f"describe the joints' elements in the robot file, or leave {what} out."
+        )

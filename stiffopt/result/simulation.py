@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -222,3 +223,37 @@ class Simulation:
         """Whether the optimised motion's deflection is not what was planned."""
         difference = self.optimised.difference
         return difference is not None and abs(difference) > MAX_UNREPORTED_DIFFERENCE
+
+
+def simulation_document(simulation: Simulation | None) -> dict[str, Any] | None:
+    """Content of `simulation` in result.json, and of simulation.json."""
+    if simulation is None:
+        return None
+    return {
+        "motions": {motion.name: _elastic_document(motion) for motion in simulation.motions},
+        "ratio_to_better_baseline": simulation.ratio_to_better_baseline,
+        "assumed_damping": simulation.assumed_damping,
+        "typical_hysteresis": simulation.typical_hysteresis,
+    }
+
+
+def _part_document(part: SimulatedPart | None) -> dict[str, Any] | None:
+    if part is None:
+        return None
+    planned, simulated = dict(vars(part.planned)), dict(vars(part.simulated))
+    return {"part": part.name, "planned": planned, "in_flight": simulated}
+
+
+def _elastic_document(motion: ElasticMotion) -> dict[str, Any]:
+    simulated = motion.simulated
+    return {
+        "counted": motion.counted,
+        "duration": simulated.duration,
+        "planned": dict(vars(motion.planned)),
+        "in_flight": {"peak": simulated.peak, "rms": simulated.rms},
+        "minimised": _part_document(motion.minimised),
+        "after_arrival": {"peak": simulated.peak_after, "rms": simulated.rms_after},
+        "settling_time": simulated.settling_time,
+        "settling_band": simulated.band,
+        "notes": simulated.notes,
+    }

@@ -20,9 +20,9 @@ from stiffopt.errors import InputError, InputFileError
 from stiffopt.files import atomic_write, load_json, plain, write_csv
 from stiffopt.folders import check_result
 from stiffopt.result.assessment import Assessment, LowestStiffness, Violation
-from stiffopt.result.compensation_store import COMMAND_FILE, compensation_document
+from stiffopt.result.compensation import COMMAND_FILE, compensation_document
 from stiffopt.result.provenance import inputs_hash
-from stiffopt.result.simulation import ElasticMotion, SimulatedPart, Simulation
+from stiffopt.result.simulation import Simulation, simulation_document
 from stiffopt.result.solution import Baseline, ObjectiveValue, Solution
 
 if TYPE_CHECKING:
@@ -378,38 +378,4 @@ def _baseline_document(baseline: Baseline) -> dict[str, Any]:
         "min_stiffness": None if motion is None else _stiffness_document(motion.min_stiffness),
         "worst_violation": None if motion is None else _violation_document(motion.worst_violation),
         "reason": baseline.reason,
-    }
-
-
-def simulation_document(simulation: Simulation | None) -> dict[str, Any] | None:
-    """Content of `simulation` in result.json, and of simulation.json."""
-    if simulation is None:
-        return None
-    return {
-        "motions": {motion.name: _elastic_document(motion) for motion in simulation.motions},
-        "ratio_to_better_baseline": simulation.ratio_to_better_baseline,
-        "assumed_damping": simulation.assumed_damping,
-        "typical_hysteresis": simulation.typical_hysteresis,
-    }
-
-
-def _part_document(part: SimulatedPart | None) -> dict[str, Any] | None:
-    if part is None:
-        return None
-    planned, simulated = dict(vars(part.planned)), dict(vars(part.simulated))
-    return {"part": part.name, "planned": planned, "in_flight": simulated}
-
-
-def _elastic_document(motion: ElasticMotion) -> dict[str, Any]:
-    simulated = motion.simulated
-    return {
-        "counted": motion.counted,
-        "duration": simulated.duration,
-        "planned": dict(vars(motion.planned)),
-        "in_flight": {"peak": simulated.peak, "rms": simulated.rms},
-        "minimised": _part_document(motion.minimised),
-        "after_arrival": {"peak": simulated.peak_after, "rms": simulated.rms_after},
-        "settling_time": simulated.settling_time,
-        "settling_band": simulated.band,
-        "notes": simulated.notes,
     }

@@ -23,9 +23,15 @@ from stiffopt.elastic.motor import MotorMotion
 from stiffopt.elastic.simulate import REST, simulate
 from stiffopt.elastic.smooth_motion import smooth_motion
 from stiffopt.elastic.uncertainty import Departure, bounded, corners, draws, one_at_a_time
-from stiffopt.problem.motor_model import ROBUST_LEAD_SHARE, MotorLaw, law_smoothing
-from stiffopt.result.compensation import CompensatedMotion, Compensation, Spread, Spreads
-from stiffopt.result.compensation_store import COMMAND_FILE
+from stiffopt.problem.formulation import law_smoothing
+from stiffopt.problem.motor_model import ROBUST_LEAD_SHARE, MotorLaw
+from stiffopt.result.compensation import (
+    COMMAND_FILE,
+    CompensatedMotion,
+    Compensation,
+    Spread,
+    Spreads,
+)
 from stiffopt.result.store import export_times
 from stiffopt.result.trajectory import JointMotion, Trajectory
 from stiffopt.solver.corners import widened

@@ -25,7 +25,8 @@ from stiffopt.elastic.uncertainty import AssumedUncertainty
 from stiffopt.errors import NotSimulatedError
 from stiffopt.interrupts import delivered
 from stiffopt.problem.formulation import smoothing_stages
-from stiffopt.problem.resolve import ResolvedMotion, resolve
+from stiffopt.problem.resolve import resolve
+from stiffopt.problem.trajectory import ResolvedMotion
 from stiffopt.result.assessment import PeakRms
 from stiffopt.result.simulation import (
     SETTLING_BAND,

@@ -27,12 +27,11 @@ from stiffopt.elastic.arm import questionable_springs
 from stiffopt.errors import NoSolutionFound, ProblemError
 from stiffopt.interrupts import delivered
 from stiffopt.problem.bounds import check_bounds, shortest_duration
-from stiffopt.problem.clear_poses import check_clear_poses
 from stiffopt.problem.files import LoadedProblem
 from stiffopt.problem.formulation import Scales
-from stiffopt.problem.input_checks import inconsistent_inertias, slack_belts
-from stiffopt.problem.resolve import ResolvedMotion, resolve
-from stiffopt.problem.trajectory import TrajectoryProblem
+from stiffopt.problem.input_checks import check_clear_poses, inconsistent_inertias, slack_belts
+from stiffopt.problem.resolve import resolve
+from stiffopt.problem.trajectory import ResolvedMotion, TrajectoryProblem
 from stiffopt.result.assessment import Assessment
 from stiffopt.result.provenance import inputs_hash, versions
 from stiffopt.result.solution import Baseline, Solution

@@ -17,10 +17,9 @@ from stiffopt.elastic.arm import ElasticArm
 from stiffopt.elastic.modes import Mode, modes
 from stiffopt.elastic.smooth_motion import smooth_motion
 from stiffopt.errors import NotSimulatedError
-from stiffopt.problem.formulation import Scales
-from stiffopt.problem.motor_model import MotorLaw, law_smoothing, round_lags
-from stiffopt.problem.resolve import ResolvedMotion
-from stiffopt.problem.trajectory import TrajectoryProblem
+from stiffopt.problem.formulation import Scales, law_smoothing
+from stiffopt.problem.motor_model import MotorLaw, round_lags
+from stiffopt.problem.trajectory import ResolvedMotion, TrajectoryProblem
 from stiffopt.result.solution import Baseline
 from stiffopt.solver.avoidance import Avoidance
 from stiffopt.solver.corners import CORNERS_TAKE, narrowest

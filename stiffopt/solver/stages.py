@@ -14,7 +14,7 @@ from stiffopt.certificate.assess import assess
 from stiffopt.certificate.objective_value import is_maximised, objective_value
 from stiffopt.problem.formulation import formulate
 from stiffopt.problem.motor_model import LAW_SMOOTHING_FACTOR
-from stiffopt.problem.smoothing import Smoothing
+from stiffopt.problem.stage_terms import Smoothing
 from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.result.assessment import Assessment
 from stiffopt.result.joint_path import JointPath

@@ -16,7 +16,7 @@ from stiffopt.certificate.assess import assess
 from stiffopt.dynamics.friction import smoothing_width
 from stiffopt.problem.coordinates import coordinates_of
 from stiffopt.problem.prediction import predict_motion
-from stiffopt.problem.smoothing import Smoothing
+from stiffopt.problem.stage_terms import Smoothing
 from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.result.trajectory import Trajectory
 from stiffopt.transcription.transcription import Transcription

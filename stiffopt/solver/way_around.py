@@ -20,7 +20,7 @@ from stiffopt.certificate.objective_value import is_maximised, objective_value
 from stiffopt.certificate.violations import CERTIFIED
 from stiffopt.dynamics.inverse_kinematics import solve_pose
 from stiffopt.errors import ProblemError
-from stiffopt.problem.clear_poses import located_targets
+from stiffopt.problem.input_checks import located_targets
 from stiffopt.result.assessment import Violation
 from stiffopt.result.joint_path import JointPath
 from stiffopt.result.solution import Baseline

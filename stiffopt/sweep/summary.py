@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import io
+import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from stiffopt.files import atomic_write, plain, write_csv
 from stiffopt.sweep.cases import Case, Sweep
 from stiffopt.sweep.run import is_unusable
 from stiffopt.units import number_and_unit
@@ -224,3 +228,35 @@ def knee(values: np.ndarray, costs: np.ndarray) -> int | None:
     x = (values - values[0]) / (values[-1] - values[0])
     y = (costs - costs[-1]) / (costs[0] - costs[-1])
     return int(np.argmax(1.0 - x - y))
+
+
+SUMMARY_FILE = "sweep.json"
+TABLE_FILE = "table.csv"
+PARQUET_FILE = "table.parquet"
+
+
+def write_sweep(summary: SweepSummary, directory: str | Path) -> Path:
+    """Write table and summary; return the table's path. Parquet only where pyarrow is installed."""
+    folder = Path(directory)
+    columns = summary.columns()
+    rows = zip(*columns.values(), strict=True)
+    write_csv(folder / TABLE_FILE, list(columns), rows)
+    try:
+        import pyarrow
+        from pyarrow import parquet
+    except ImportError:
+        pass
+    else:
+        # Columns of numbers and of texts with a unit alike: pyarrow wants one kind a column.
+        uniform = {
+            name: [None if c is None else str(c) for c in cells]
+            if any(isinstance(c, str) for c in cells)
+            else cells
+            for name, cells in columns.items()
+        }
+        stream = io.BytesIO()
+        parquet.write_table(pyarrow.table(uniform), stream)
+        atomic_write(folder / PARQUET_FILE, stream.getvalue())
+    text = json.dumps(plain(summary.document()), indent=1, ensure_ascii=False, allow_nan=False)
+    atomic_write(folder / SUMMARY_FILE, text + "\n")
+    return folder / TABLE_FILE

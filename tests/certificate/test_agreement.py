@@ -17,7 +17,7 @@ from small_arms import (
 from stiffopt.certificate.agreement import differences
 from stiffopt.problem.files import load_problem
 from stiffopt.problem.prediction import predict_motion
-from stiffopt.problem.smoothing import Smoothing
+from stiffopt.problem.stage_terms import Smoothing
 from stiffopt.result.trajectory import Trajectory
 
 

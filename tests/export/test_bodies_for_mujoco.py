@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from small_arms import PLANAR
 
-from stiffopt.export.found import DiagnosedRobot
-from stiffopt.export.model_format import MODEL_FORMATS
+from stiffopt.export.model_format import MODEL_FORMATS, DiagnosedRobot
 from stiffopt.robot.files import load_robot
 
 

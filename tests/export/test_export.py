@@ -13,9 +13,8 @@ import pytest
 from synthetic_solution import assessment, solution
 
 from stiffopt.cli import run
-from stiffopt.export.format import FORMATS
+from stiffopt.export.format import FORMATS, read_seal
 from stiffopt.export.motion import read_motion
-from stiffopt.export.seal import read_seal
 from stiffopt.files import write_csv
 from stiffopt.problem.files import load_problem
 from stiffopt.result.provenance import inputs_hash

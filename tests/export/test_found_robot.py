@@ -11,8 +11,7 @@ from diagnosed_two_link import TWO_LINK, diagnosed
 
 from stiffopt.cli import run
 from stiffopt.discovery.extended.changes import value_changes
-from stiffopt.export.found import DiagnosedRobot, read_diagnosed_robot
-from stiffopt.export.model_format import MODEL_FORMATS
+from stiffopt.export.model_format import MODEL_FORMATS, DiagnosedRobot, read_diagnosed_robot
 from stiffopt.robot.files import load_robot
 
 pytestmark = pytest.mark.slow

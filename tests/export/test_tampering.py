@@ -13,7 +13,7 @@ import pytest
 from test_export import DURATION, FAR, seal, swing, write_motion, write_stated
 
 from stiffopt.cli import run
-from stiffopt.export.seal import read_seal, with_seal
+from stiffopt.export.format import read_seal, with_seal
 from stiffopt.result.store import export_times
 
 

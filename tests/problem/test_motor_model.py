@@ -26,7 +26,7 @@ from stiffopt.problem.motor_model import (
     round_lags,
 )
 from stiffopt.problem.resolve import resolve
-from stiffopt.problem.smoothing import Smoothing
+from stiffopt.problem.stage_terms import Smoothing
 from stiffopt.problem.trajectory import Method
 from stiffopt.result.store import export_times, write_trajectory
 from stiffopt.result.trajectory import Trajectory

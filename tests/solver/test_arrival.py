@@ -22,7 +22,7 @@ from stiffopt.problem.formulation import Scales
 from stiffopt.problem.limit import LIMITS
 from stiffopt.problem.objective import OBJECTIVES
 from stiffopt.problem.resolve import resolve
-from stiffopt.problem.smoothing import Smoothing
+from stiffopt.problem.stage_terms import Smoothing
 from stiffopt.report.solve.wording import objective_phrase
 from stiffopt.result.store import result_document
 from stiffopt.solver import refinement

@@ -9,7 +9,7 @@ from stiffopt.certificate.objective_value import objective_value
 from stiffopt.certificate.violations import CERTIFIED
 from stiffopt.problem.files import load_problem
 from stiffopt.problem.objective import Objective
-from stiffopt.problem.smoothing import Smoothing
+from stiffopt.problem.stage_terms import Smoothing
 from stiffopt.result.status import SolveStatus
 from stiffopt.solver import refinement
 from stiffopt.solver.solve import solve, solve_keeping

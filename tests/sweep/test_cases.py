@@ -6,7 +6,7 @@ from small_arms import CONSTANT, ROOT, joint, write_problem, write_robot
 
 from stiffopt.errors import InputFileError
 from stiffopt.sweep.cases import latin_hypercube, load_sweep
-from stiffopt.sweep.order import predecessors, spread_order
+from stiffopt.sweep.run import predecessors, spread_order
 from stiffopt.sweep.solve_case import solve_case
 
 BASE = ROOT / "problems" / "two_link.toml"

@@ -6,9 +6,8 @@ import re
 
 import numpy as np
 
-from stiffopt.export.format import FORMATS, ExportFormat
+from stiffopt.export.format import FORMATS, ExportFormat, require_cycle, require_six_axes
 from stiffopt.export.motion import SampledMotion, StoredMotion
-from stiffopt.export.six_axes import require_cycle, require_six_axes
 
 _AXIS_NAMES = tuple(f"A{axis}" for axis in range(1, 7))
 

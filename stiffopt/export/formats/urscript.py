@@ -7,9 +7,8 @@ import re
 import numpy as np
 
 from stiffopt.errors import InputError
-from stiffopt.export.format import FORMATS, ExportFormat
+from stiffopt.export.format import FORMATS, ExportFormat, require_cycle, require_six_axes
 from stiffopt.export.motion import SampledMotion, StoredMotion
-from stiffopt.export.six_axes import require_cycle, require_six_axes
 
 # Joints of these arms turn by one turn to either side [rad].
 _MAX_ANGLE = 2.0 * np.pi

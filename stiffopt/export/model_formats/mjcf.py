@@ -9,8 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from stiffopt.errors import RobotError
-from stiffopt.export.found import DiagnosedRobot
-from stiffopt.export.model_format import MODEL_FORMATS, ModelFormat, notes
+from stiffopt.export.model_format import MODEL_FORMATS, DiagnosedRobot, ModelFormat, notes
 
 # MuJoCo's dry friction is a soft constraint: these make it nearly full at 1 mrad/s.
 _FRICTION_TIME, _FRICTION_IMPEDANCE = 0.002, "0.9999 0.9999 0.001 0.5 2"

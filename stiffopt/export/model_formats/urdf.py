@@ -6,8 +6,7 @@ import xml.etree.ElementTree as ET
 
 import numpy as np
 
-from stiffopt.export.found import DiagnosedRobot
-from stiffopt.export.model_format import MODEL_FORMATS, ModelFormat, notes
+from stiffopt.export.model_format import MODEL_FORMATS, DiagnosedRobot, ModelFormat, notes
 from stiffopt.robot.body_tree import Body
 from stiffopt.robot.xml_files import parse_xml
 

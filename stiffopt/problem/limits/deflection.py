@@ -9,14 +9,13 @@ import numpy as np
 from stiffopt.declaration import Length
 from stiffopt.errors import ProblemError
 from stiffopt.problem.limit import LIMITS
-from stiffopt.problem.limits.tool_magnitude import ToolMagnitudeBound
+from stiffopt.problem.limits.upper_bound import ToolMagnitudeBound
 from stiffopt.problem.rest_poses import rest_deflection, rest_poses
 from stiffopt.problem.stage_terms import WINDUP_SMOOTHING
 
 if TYPE_CHECKING:
-    from stiffopt.problem.resolve import ResolvedMotion
     from stiffopt.problem.stage_model import StageModel
-    from stiffopt.problem.trajectory import TrajectoryProblem
+    from stiffopt.problem.trajectory import ResolvedMotion, TrajectoryProblem
     from stiffopt.result.assessment import Assessment
     from stiffopt.symbolic import Quantity
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from operator import attrgetter
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -12,11 +13,11 @@ from stiffopt.problem.stage_terms import PathRows
 from stiffopt.result.assessment import DriveHistory, Violation
 
 if TYPE_CHECKING:
-    from stiffopt.problem.files import JointLists
-    from stiffopt.problem.schema import LimitsSection
+    from stiffopt.problem.joint_lists import JointLists
     from stiffopt.problem.stage_model import StageModel
     from stiffopt.problem.trajectory import TrajectoryProblem
     from stiffopt.symbolic import Quantity
+    from stiffopt.validation import Section
 
 # Beyond this a number is a slip, and it would spoil the scales of the optimisation.
 _MAX_LIMIT = 1e9
@@ -56,7 +57,7 @@ class JointMagnitude(DriveLimit):
         """Whether any joint has one."""
         return bool(np.any(np.isfinite(getattr(limits, self.name))))
 
-    def read(self, section: LimitsSection, joints: JointLists) -> dict[str, Any]:
+    def read(self, section: Section, joints: JointLists) -> dict[str, Any]:
         """List, "none" or the robot's own, times the factor of limits.scale."""
         given = getattr(section, self.name)
         if given is None:
@@ -72,7 +73,7 @@ class JointMagnitude(DriveLimit):
                     f"every limit must be greater than zero and at most {_MAX_LIMIT:g}; "
                     f'got {array.tolist()}. Write "none" where there is no limit.',
                 )
-        return {self.name: array * getattr(section.scale, self.name)}
+        return {self.name: array * attrgetter(f"scale.{self.name}")(section)}
 
     def bounds(self, limits: Limits, margin: float) -> tuple[np.ndarray, np.ndarray]:
         """The same magnitude either way."""

@@ -15,13 +15,12 @@ from stiffopt.result.assessment import Assessment, Violation
 from stiffopt.units import joint_unit
 
 if TYPE_CHECKING:
-    from stiffopt.problem.files import JointLists
-    from stiffopt.problem.resolve import ResolvedMotion
-    from stiffopt.problem.schema import LimitsSection
+    from stiffopt.problem.joint_lists import JointLists
     from stiffopt.problem.stage_model import StageModel
-    from stiffopt.problem.trajectory import TrajectoryProblem
+    from stiffopt.problem.trajectory import ResolvedMotion, TrajectoryProblem
     from stiffopt.robot.robot import Robot
     from stiffopt.symbolic import Quantity
+    from stiffopt.validation import Section
 
 # Share of the torque at which the exact stiffness jumps.
 _BESIDE_JUMP = 2e-3
@@ -51,7 +50,7 @@ class JointStiffnessFloor(LimitKind):
         """Whether any joint has a floor."""
         return bool(limits.joint_stiffness)
 
-    def read(self, section: LimitsSection, joints: JointLists) -> dict[str, Any]:
+    def read(self, section: Section, joints: JointLists) -> dict[str, Any]:
         """Floors of joints that exist."""
         floors = getattr(section, self.name) or {}
         for joint in floors:

@@ -14,10 +14,10 @@ from stiffopt.problem.stage_terms import PathRows
 from stiffopt.result.assessment import DriveHistory, Violation
 
 if TYPE_CHECKING:
-    from stiffopt.problem.files import JointLists
-    from stiffopt.problem.schema import LimitsSection
+    from stiffopt.problem.joint_lists import JointLists
     from stiffopt.problem.stage_model import StageModel
     from stiffopt.problem.trajectory import TrajectoryProblem
+    from stiffopt.validation import Section
 
 
 class Position(DriveLimit):
@@ -46,7 +46,7 @@ class Position(DriveLimit):
         """Whether any joint has a range."""
         return bool(np.any(np.isfinite(limits.position_upper - limits.position_lower)))
 
-    def read(self, section: LimitsSection, joints: JointLists) -> dict[str, Any]:
+    def read(self, section: Section, joints: JointLists) -> dict[str, Any]:
         """Lists or the robot's own, lower below upper."""
         values = {}
         for key in self.keys:

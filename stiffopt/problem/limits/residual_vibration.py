@@ -8,7 +8,7 @@ import numpy as np
 
 from stiffopt.declaration import Length
 from stiffopt.problem.limit import LIMITS, Limits
-from stiffopt.problem.limits.arrival_limit import ArrivalBound
+from stiffopt.problem.limits.upper_bound import ArrivalBound
 from stiffopt.result.assessment import Assessment, Violation
 
 if TYPE_CHECKING:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from stiffopt.declaration import POSITIVE, Bounds, Length, Time
 from stiffopt.problem.limit import LIMITS, LimitKey, Limits
-from stiffopt.problem.limits.arrival_limit import ArrivalBound
+from stiffopt.problem.limits.upper_bound import ArrivalBound
 from stiffopt.result.assessment import Assessment, Violation
 from stiffopt.result.simulation import SETTLING_BAND, SimulatedMotion
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from stiffopt.declaration import Speed
 from stiffopt.problem.limit import LIMITS
-from stiffopt.problem.limits.tool_magnitude import ToolMagnitudeBound
+from stiffopt.problem.limits.upper_bound import ToolMagnitudeBound
 
 if TYPE_CHECKING:
     from stiffopt.problem.stage_model import StageModel

@@ -15,11 +15,11 @@ from stiffopt.problem.stage_terms import PathRows
 from stiffopt.result.assessment import DriveHistory, Violation
 
 if TYPE_CHECKING:
-    from stiffopt.problem.files import JointLists
-    from stiffopt.problem.schema import LimitsSection
+    from stiffopt.problem.joint_lists import JointLists
     from stiffopt.problem.stage_model import StageModel
     from stiffopt.problem.trajectory import TrajectoryProblem
     from stiffopt.symbolic import Quantity
+    from stiffopt.validation import Section
 
 
 class VelocityByPosition(DriveLimit):
@@ -44,7 +44,7 @@ class VelocityByPosition(DriveLimit):
         """Whether there is a map."""
         return limits.velocity_map is not None
 
-    def read(self, section: LimitsSection, joints: JointLists) -> dict[str, Any]:
+    def read(self, section: Section, joints: JointLists) -> dict[str, Any]:
         """The table of the file that is named."""
         name = getattr(section, self.name)
         table = None if name is None else _read_map(joints.path.parent / name, len(joints.names))

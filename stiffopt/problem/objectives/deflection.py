@@ -20,9 +20,8 @@ from stiffopt.problem.stage_terms import (
 from stiffopt.result.joint_path import JointPath
 
 if TYPE_CHECKING:
-    from stiffopt.problem.resolve import ResolvedMotion
     from stiffopt.problem.stage_model import StageModel
-    from stiffopt.problem.trajectory import TrajectoryProblem
+    from stiffopt.problem.trajectory import ResolvedMotion, TrajectoryProblem
     from stiffopt.result.assessment import Assessment
     from stiffopt.symbolic import Quantity
 

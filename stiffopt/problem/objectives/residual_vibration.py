@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
-from stiffopt.problem.link_planning import check_arrival, check_link_planning
 from stiffopt.problem.objective import OBJECTIVES, Objective, ObjectiveKind
 from stiffopt.problem.stage_terms import WINDUP_SMOOTHING, ObjectiveTerms
+from stiffopt.problem.trajectory import check_arrival, check_link_planning
 
 if TYPE_CHECKING:
     from stiffopt.problem.motor_model import MotorModel

@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING, cast
 
-from stiffopt.problem.link_planning import check_link_planning
 from stiffopt.problem.objective import OBJECTIVES
 from stiffopt.problem.objectives.deflection import ToolDeflection
 from stiffopt.problem.stage_terms import squared_length
+from stiffopt.problem.trajectory import check_link_planning
 
 if TYPE_CHECKING:
     from stiffopt.problem.motor_model import MotorModel

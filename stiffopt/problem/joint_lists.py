@@ -1,0 +1,44 @@
+"""Lists of a file with one entry a joint, as arrays."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from stiffopt.errors import InputFileError
+from stiffopt.robot.elements import located
+from stiffopt.robot.robot import Robot
+from stiffopt.units import fit_joint
+
+
+class JointLists:
+    """Turns lists of the file into arrays with one entry a joint, or says which list is wrong."""
+
+    def __init__(self, robot: Robot, path: Path) -> None:
+        self.robot, self.path = robot, path
+        self.names = robot.joint_names
+        self.prismatic = robot.prismatic
+
+    def __call__(self, values: Sequence[float], dimension: str, where: str) -> np.ndarray:
+        """Array (n,) of a list whose entries have this dimension; `where` is its key."""
+        if len(values) != len(self.names):
+            raise InputFileError(
+                self.path,
+                where,
+                f"needs {len(self.names)} values, one a joint ({', '.join(self.names)}); got "
+                f"{len(values)}.",
+            )
+        numbers = []
+        for j, value in enumerate(values):
+            with located(self.path, f"{where}[{j + 1}]"):
+                numbers.append(fit_joint(value, bool(self.prismatic[j]), dimension, self.names[j]))
+        return np.array(numbers)
+
+    def check_number(self, joint: int, where: str) -> None:
+        """Joint numbers start at 1."""
+        if not 1 <= joint <= len(self.names):
+            raise InputFileError(
+                self.path, where, f"there is no joint {joint}; allowed: 1 to {len(self.names)}."
+            )
