@@ -1,4 +1,4 @@
-"""What every format of an exported robot must answer, and the registry that holds them."""
+"""Diagnosed robots, and the interface and registry of robot formats."""
 
 from __future__ import annotations
 
@@ -21,19 +21,19 @@ from stiffopt.robot.robot import Robot
 
 @dataclass(frozen=True, kw_only=True)
 class DiagnosedRobot:
-    """A recorded arm with what was found.
+    """Recorded arm with the findings of a diagnosis.
 
     Parameters
     ----------
     name : str
-        Of the recording set.
+        Name of the recording set.
     nominal, robot : Robot
-        Before and after.
+        Nominal robot, and the robot with the findings.
     gain : array (n,)
-        Torque given for one that the drive reports, in the order of the robot's joints.
+        Actual over reported drive torque, in the order of the robot's joints.
     changes : tuple of ValueChange
     left_out : tuple of str
-        Findings that such a model has no place for.
+        Findings that such a model cannot represent.
     """
 
     name: str
@@ -56,12 +56,12 @@ def read_diagnosed_robot(
     recordings : Path
         The recording set.
     effects : Path, optional
-        File of the effects that are not of the catalogue.
+        File of effects outside the catalogue.
 
     Raises
     ------
     InputFileError
-        A file is missing, or the set is of another robot.
+        A file is missing, or the set belongs to another robot.
     """
     check_result(diagnosis, MODEL_FILE)
     model = read_model(diagnosis / MODEL_FILE, effects)
@@ -70,8 +70,8 @@ def read_diagnosed_robot(
         raise InputFileError(
             loaded.path,
             "joints",
-            f"this diagnosis is of {', '.join(model.joints)}, the set of "
-            f"{', '.join(loaded.joints)}. Give the set that was diagnosed.",
+            f"the diagnosis has the joints {', '.join(model.joints)}, the set "
+            f"{', '.join(loaded.joints)}. Give the diagnosed set.",
         )
     planner = planner_model(loaded.robot, model)
     gain = np.ones(loaded.robot.n)
@@ -88,14 +88,14 @@ def read_diagnosed_robot(
 
 
 class ModelFormat(ABC):
-    """A way to hand a robot to others.
+    """Format of an exported robot.
 
     Attributes
     ----------
     name : str
-        Of `--to`.
+        Name for `--to`.
     file : str
-        That is written.
+        Name of the written file.
     """
 
     name: str
@@ -103,26 +103,26 @@ class ModelFormat(ABC):
 
     @abstractmethod
     def text(self, found: DiagnosedRobot) -> str:
-        """Content of the file."""
+        """Return the content of the file."""
 
     def remarks(self, found: DiagnosedRobot) -> list[str]:
-        """What else is not in it as in the robot, a line each."""
+        """Further differences from the robot, one per line."""
         return []
 
 
 def notes(found: DiagnosedRobot) -> list[str]:
-    """What was changed and what has no place in such a model, a line each."""
+    """Changed values and findings that the model cannot represent, one per line."""
     lines = [
         f"{each.quantity} of {each.name}: {each.old:.6g} -> {each.new:.6g} {each.unit}"
         for each in found.changes
     ]
     lines += [
-        f"torque given for one reported by {name}: 1 -> {gain:.6g}"
+        f"actual over reported torque of {name}: 1 -> {gain:.6g}"
         for name, gain in zip(found.robot.joint_names, found.gain, strict=True)
         if gain != 1.0
     ]
-    lines += [f"found, but no value of such a model: {each}" for each in found.left_out]
-    return lines or ["nothing was found that changes a value"]
+    lines += [f"finding without a value in this model: {each}" for each in found.left_out]
+    return lines or ["no finding changes a value"]
 
 
 MODEL_FORMATS: Registry[ModelFormat] = Registry("stiffopt.export.model_formats")

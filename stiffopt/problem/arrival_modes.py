@@ -1,8 +1,8 @@
-"""How an arm swings on after its motors have stopped, as a smooth function of the links' end.
+"""Residual vibration as a smooth function of the links' state at arrival.
 
-The links of a planned motion need not be at rest when the motors are: what is left swings freely
-in the modes of the end pose and decays. In flat coordinates (`problem.motor_model`) the links'
-state at the end and the motors' are functions of the same derivatives.
+The links of a planned motion need not be at rest when the motors stop: they then vibrate freely
+in the elastic modes of the end pose and decay. In flat coordinates (`problem.motor_model`) the
+end states of links and motors are functions of the same derivatives.
 """
 
 from __future__ import annotations
@@ -22,25 +22,25 @@ if TYPE_CHECKING:
     from stiffopt.problem.motor_model import MotorModel
     from stiffopt.symbolic import Quantity
 
-# What a plan leaves after arrival though its links are at rest: damping is left out of the wind-up
-# and corners of the stiffness are smoothed [m].
+# Residual vibration of a plan whose links end at rest [m]: the optimiser's wind-up neglects damping
+# and smooths the kinks of the stiffness.
 _MODEL_AMPLITUDE_ERROR = 5e-6
-# The size is smooth at zero, within this share of what is allowed.
+# Width over which the root of the squared amplitudes is smoothed at zero, over the bound.
 _ROOT_SMOOTHING = 1e-2
-# Share of what is allowed that the modes may take where nearly all of it is left anyway.
+# Least share of the bound left to the modes where the model's error takes most of it.
 _MIN_BOUND_SHARE = 0.2
 
 
 @dataclass(frozen=True, eq=False)
 class ArrivalModes:
-    """The modes in which the links swing on.
+    """Elastic modes of the end pose with their amplitudes at arrival.
 
     Parameters
     ----------
     sizes : tuple of Quantity
-        Square of the size at the tool when the motors stop, one a mode [m^2].
+        Squared amplitude at the tool when the motors stop, for each mode [m^2].
     decays : array (K,)
-        Rates at which the sizes decay [1/s].
+        Decay rates of the amplitudes [1/s].
     """
 
     sizes: tuple[Quantity, ...]
@@ -48,9 +48,9 @@ class ArrivalModes:
 
     @classmethod
     def of(cls, modes: Sequence[Mode], model: MotorModel) -> ArrivalModes:
-        """From the modes in the end pose and the model of the end state."""
+        """Project the end state of `model` onto the modes of the end pose."""
         shapes = np.stack([mode.shape for mode in modes], axis=1)
-        # The other way round: from joints to modes; rigid joints are in none.
+        # Pseudo-inverse: modes span the compliant joints only.
         along = np.linalg.pinv(shapes)
         links, speed, _ = model.link
         displaced = ca.mtimes(ca.DM(along), links - model.position)
@@ -64,10 +64,10 @@ class ArrivalModes:
         return cls(sizes=tuple(sizes), decays=np.array(decays))
 
     def row(self, name: str, allowed: float, after: float) -> PathRows:
-        """Sum of the modes' sizes [m] at most `allowed`, a time `after` the motors' stop [s].
+        """Bound the sum of modal amplitudes by `allowed` [m], a time `after` [s] the motors' stop.
 
-        By the root of their squares and number, which is never less: the sum itself has a corner
-        wherever a mode rests, and is least just there.
+        The root of the mode count times the summed squares is used: it is never less than the sum,
+        and smooth where the sum has a kink, at every mode at rest.
         """
         share = np.exp(-self.decays * after) / allowed
         weights = len(share) * share**2

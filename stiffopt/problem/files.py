@@ -40,7 +40,7 @@ from stiffopt.units import convert
 
 @dataclass(frozen=True)
 class LoadedProblem:
-    """A problem with what its file expects of the solution.
+    """Problem of a file, with the expected value of its solution.
 
     Parameters
     ----------
@@ -62,13 +62,13 @@ def load_problem(
 ) -> LoadedProblem:
     """Read a trajectory problem file.
 
-    `changes` such as "motion.duration=0.5 s" count in place of what the file says; `robots` gives
-    the robot of a name or file, for those who keep it.
+    `changes` such as "motion.duration=0.5 s" override entries of the file; `robots` loads the robot
+    of a name or file, for callers with a cache.
 
     Raises
     ------
     InputFileError
-        With the file, the key, what is allowed and what to do next.
+        The file is invalid: file, key, allowed values and remedy.
     """
     path = Path(path)
     document = read_document(path, problem_file(), "trajectory", changes)
@@ -101,7 +101,7 @@ def _build_problem(
     elif document.path is not None:
         if motion.start is not None:
             raise InputFileError(
-                path, "path", "fixes where the tool goes. Remove start, via and end of [motion]."
+                path, "path", "fixes the motion of the tool. Remove start, via and end of [motion]."
             )
         waypoints, followed = tool_waypoints(document.path, joints)
         remarks += followed
@@ -153,12 +153,12 @@ def _build_problem(
 
 
 def _payload_remarks(payload: PayloadSection | None) -> tuple[str, ...]:
-    """What the file leaves open and a result has to say."""
+    """Assumptions about the payload, repeated in results."""
     if payload is None or payload.inertia is not None or payload.mass == 0.0:
         return ()
     return (
-        f"The payload of {payload.mass:g} kg has no inertia: it is taken as a point at its centre "
-        "of mass. Give payload.inertia.",
+        f"The payload of {payload.mass:g} kg has no inertia: a point mass at its centre of mass is "
+        "assumed. Give payload.inertia.",
     )
 
 
@@ -169,7 +169,7 @@ def read_robot(
     path: Path,
     robots: Callable[[str | Path], Robot] = load_robot,
 ) -> Robot:
-    """Robot that a problem or study file names, with the file's payload and tool.
+    """Robot of a problem or study file, with the file's payload and tool.
 
     Parameters
     ----------
@@ -177,9 +177,9 @@ def read_robot(
         A shipped robot, or the path of a robot file beside `path`.
     payload, tool : sections of the file
     path : Path
-        Of the file that names the robot.
+        Problem or study file.
     robots : callable
-        As of `load_problem`.
+        Loader, as for `load_problem`.
     """
     beside = path.parent / name
     source = name if name in shipped_robots() else beside if beside.exists() else name
@@ -211,7 +211,7 @@ def _read_target(section: TargetSection, joints: JointLists, where: str) -> Targ
 
 
 def tool_waypoints(section: PathSection, joints: JointLists) -> tuple[np.ndarray, tuple[str, ...]]:
-    """Joint waypoints (k, n) of a tool path, and a sentence on how closely they follow it."""
+    """Joint waypoints (k, n) of a tool path, and a remark with the path error."""
     robot, start = joints.robot, section.start
     limits = np.stack([robot.position_lower, robot.position_upper])
     near = np.where(np.isfinite(limits).all(axis=0), limits.mean(axis=0), 0.0)

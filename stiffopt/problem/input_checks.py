@@ -1,4 +1,4 @@
-"""Angles and lengths that are most likely in another unit: questioned by name before a solve."""
+"""Checks of poses, lengths, masses and clearance before a solve."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ from stiffopt.robot.frames import link_frame, link_names
 from stiffopt.robot.robot import Robot
 
 _FULL_TURN = 2.0 * np.pi
-# A tool or a centre of mass so many reaches of the arm away is in another unit.
+# Tool offsets and centres of mass farther out, in reaches of the arm, are in another unit.
 _MAX_OFFSET_OVER_REACH = 2.0
-# Share by which a principal inertia may exceed the sum of the other two: files are rounded.
+# Excess of a principal inertia over the sum of the other two that rounding of files explains.
 _INERTIA_ROUNDING = 1e-2
-# Share of all masses that is none.
+# Share of the total mass below which the links count as massless.
 _NO_MASS_SHARE = 1e-9
 
 
 def check_plausible(problem: TrajectoryProblem) -> None:
     """Raise `ProblemError` where an angle or a length cannot be meant in rad or m.
 
-    Angles beyond a turn, unless the joint's own range holds them; positions beyond the arm's reach;
-    a tool or a centre of mass much farther out than the arm is long.
+    Refused are angles beyond one turn outside the joint's range, positions beyond the reach, and
+    tool offsets or centres of mass far beyond the arm's length.
     """
     robot = problem.robot
     reach = max_reach(robot)
@@ -53,7 +53,7 @@ def check_plausible(problem: TrajectoryProblem) -> None:
 
 
 def inconsistent_inertias(robot: Robot) -> tuple[str, ...]:
-    """A sentence on links whose inertia belongs to no body, as files of many arms have them."""
+    """Name links whose principal inertias violate the triangle inequality, in one sentence."""
     wrong = []
     for body in robot.tree.bodies:
         least, middle, largest = np.linalg.eigvalsh(body.inertia)
@@ -64,14 +64,14 @@ def inconsistent_inertias(robot: Robot) -> tuple[str, ...]:
     if not wrong:
         return ()
     return (
-        "No body has principal inertias of which one exceeds the sum of the other two; so it is "
-        f"with what moves behind {', '.join(wrong)}. Torques and swings rest on them: look at the "
-        "URDF and the [[link]] sections.",
+        "Principal inertias of which one exceeds the sum of the other two belong to no rigid body: "
+        f"{', '.join(wrong)}. Torques and vibration depend on them: check the URDF and the "
+        "[[link]] sections.",
     )
 
 
 def slack_belts(robot: Robot) -> tuple[str, ...]:
-    """A sentence on each belt whose tension does not carry the largest torque of its joint."""
+    """Name each belt that goes slack below the largest torque of its joint."""
     found = []
     for joint, chain in zip(robot.joint_names, robot.chains, strict=True):
         for belt in () if chain is None else chain.elements.values():
@@ -90,7 +90,7 @@ def slack_belts(robot: Robot) -> tuple[str, ...]:
 
 
 def max_reach(robot: Robot) -> float:
-    """Distance from the base that the tool cannot exceed [m]; infinite on an endless slide."""
+    """Upper bound of the tool's distance from the base [m]; infinite on an unlimited slide."""
     way = 0.0
     for j, body in enumerate(robot.tree.bodies):
         way += float(np.linalg.norm(body.translation))
@@ -119,8 +119,8 @@ def _full_turn_message(where: str, value: float) -> str:
 def _check_robot(robot: Robot) -> None:
     _check_masses(robot)
     tool = float(np.linalg.norm(robot.tool.offset))
-    # What the URDF fixes to the last joint, such as a link whose own joint is held, is arm too,
-    # and so is the last link: nothing but where its mass lies tells how long it is.
+    # Links fixed to the last joint and the last link itself count as arm; the length of the last
+    # link shows only in its mass distribution.
     arm = max_reach(robot) - tool + max(_tool_link_length(robot), _last_link_length(robot))
     if not 0.0 < arm < np.inf:
         return
@@ -141,14 +141,14 @@ def _check_robot(robot: Robot) -> None:
 
 
 def _tool_link_length(robot: Robot) -> float:
-    """How far the link of the tool lies from its joint [m]."""
+    """Distance of the tool's link from its joint [m]."""
     if robot.tool.link not in link_names(robot.model):
         return 0.0
     return float(np.linalg.norm(link_frame(robot.model, robot.tool.link).offset))
 
 
 def _last_link_length(robot: Robot) -> float:
-    """Length of a rod that turns as easily as the last link does without a payload [m]."""
+    """Length of the rod with the rotational inertia of the last link, without payload [m]."""
     last = robot.with_payload_times(0.0).tree.bodies[-1]
     if last.mass <= 0.0:
         return 0.0
@@ -157,7 +157,7 @@ def _last_link_length(robot: Robot) -> float:
 
 
 def _check_masses(robot: Robot) -> None:
-    """An arm without masses has no torques and no deflections of its own."""
+    """Raise `ProblemError` where no link has a mass."""
     total = float(sum(body.mass for body in robot.tree.bodies))
     payload = 0.0 if robot.payload is None else float(robot.payload[0])
     if total - payload <= _NO_MASS_SHARE * total and not robot.rotor_inertia.any():
@@ -173,12 +173,12 @@ def _format_vector(values: np.ndarray) -> str:
     return "[" + ", ".join(f"{value:g}" for value in values) + "]"
 
 
-# Distances are exact to this [m].
+# Accuracy of computed distances [m].
 _DISTANCE_TOLERANCE = 1e-5
 
 
 def check_clear_poses(problem: TrajectoryProblem, motion: ResolvedMotion) -> None:
-    """Raise `ProblemError` where a given pose is nearer to something than the clearance."""
+    """Raise `ProblemError` where a fixed pose falls below the clearance."""
     if not problem.avoids_collisions:
         return
     clearance = problem.stated_cell.clearance
@@ -191,7 +191,7 @@ def check_clear_poses(problem: TrajectoryProblem, motion: ResolvedMotion) -> Non
 
 
 def clearance_at_poses(problem: TrajectoryProblem, motion: ResolvedMotion) -> float:
-    """The largest clearance that the given poses keep [m]."""
+    """Largest clearance that all fixed poses keep [m]."""
     model = problem.clearance_model
     return min(
         (float(model.distances(q).min()) for _, q in _fixed_poses(problem, motion)), default=np.inf
@@ -201,13 +201,13 @@ def clearance_at_poses(problem: TrajectoryProblem, motion: ResolvedMotion) -> fl
 def _fixed_poses(
     problem: TrajectoryProblem, motion: ResolvedMotion
 ) -> list[tuple[str, np.ndarray]]:
-    """The poses that leave the joints no freedom, and where they stand in files."""
+    """Poses that fix all joints, each with its key in problem files."""
     every = zip(located_targets(problem), (motion.start, *motion.vias, motion.end), strict=True)
     return [(where, pose) for (where, target), pose in every if target.fixes_pose]
 
 
 def located_targets(problem: TrajectoryProblem) -> list[tuple[str, Target]]:
-    """Start, vias and end, and where they stand in files."""
+    """Start, vias and end, each with its key in problem files."""
     vias = [(f"motion.via[{k}]", via) for k, via in enumerate(problem.vias, start=1)]
     return [("motion.start", problem.start), *vias, ("motion.end", problem.end)]
 
@@ -217,12 +217,14 @@ def _describe_collision(problem: TrajectoryProblem, pair: tuple[str, str], dista
     choices = ["Choose another pose"]
     if other in problem.stated_cell.names:
         choices.append(f"correct the place of {other}")
-    advice = ", ".join([*choices, "or plan all the same with method.collisions = 'check'."])
+    advice = ", ".join([*choices, "or plan without avoidance by method.collisions = 'check'."])
     if distance < 0.0:
-        deep = f"{one} is {-1e3 * distance:.1f} mm deep in {other} there"
-        return f"{deep}, so no motion is free of collisions. {advice}"
+        return (
+            f"{one} is {-1e3 * distance:.1f} mm deep in {other} at this pose, so no motion is free "
+            f"of collisions. {advice}"
+        )
     clearance = problem.stated_cell.clearance
     return (
-        f"{one} is {1e3 * distance:.1f} mm from {other} there, nearer than cell.clearance, "
+        f"{one} is {1e3 * distance:.1f} mm from {other} at this pose, below cell.clearance of "
         f"{1e3 * clearance:.1f} mm. Lower the clearance. {advice}"
     )

@@ -1,4 +1,4 @@
-"""Lists of a file with one entry a joint, as arrays."""
+"""Lists of a file with one entry per joint, as arrays."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from stiffopt.units import fit_joint
 
 
 class JointLists:
-    """Turns lists of the file into arrays with one entry a joint, or says which list is wrong."""
+    """Convert lists of a file to arrays with one entry per joint; errors name the list."""
 
     def __init__(self, robot: Robot, path: Path) -> None:
         self.robot, self.path = robot, path
@@ -22,7 +22,7 @@ class JointLists:
         self.prismatic = robot.prismatic
 
     def __call__(self, values: Sequence[float], dimension: str, where: str) -> np.ndarray:
-        """Array (n,) of a list whose entries have this dimension; `where` is its key."""
+        """Convert a list of this dimension to an array (n,); `where` is its key."""
         if len(values) != len(self.names):
             raise InputFileError(
                 self.path,
@@ -37,7 +37,7 @@ class JointLists:
         return np.array(numbers)
 
     def check_number(self, joint: int, where: str) -> None:
-        """Joint numbers start at 1."""
+        """Raise `InputFileError` unless the joint number is in 1 to n."""
         if not 1 <= joint <= len(self.names):
             raise InputFileError(
                 self.path, where, f"there is no joint {joint}; allowed: 1 to {len(self.names)}."

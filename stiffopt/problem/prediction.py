@@ -1,4 +1,4 @@
-"""The optimiser's own model along a motion that it found: what it believed, as numbers."""
+"""Quantities that the optimiser's model predicts along its own solution."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ def predict_motion(
     ----------
     problem : TrajectoryProblem
     motion : Trajectory
-        Of the problem's coordinates: all joints, or the one of a fixed path.
+        In the problem's coordinates: all joints, or the parameter of a fixed path.
     smoothing : Smoothing
-        Of the last stage.
+        Widths of the last stage.
     elastic : bool
-        Whether stiffness plays a part in the problem.
+        Add wind-up and deflection; True where stiffness enters the problem.
     """
     coordinates = coordinates_of(problem)
     size, order = coordinates.size, coordinates.order
@@ -38,7 +38,7 @@ def predict_motion(
     model = stage_model(problem, coordinates, x, u, smoothing, np.zeros(problem.joints))
     outputs = {"spring_torque": model.torques.spring}
     if not problem.plans_links:
-        # A motor ahead of its link accelerates nearly as the optimiser believes: see `MotorModel`.
+        # With links planned, the optimiser's motor acceleration is approximate: see `MotorModel`.
         outputs["torque"] = model.drive_torque
     if elastic:
         outputs["windup"] = model.windup(model.torques.spring)

@@ -1,4 +1,4 @@
-"""Kinds of one thing, found by name: every file of a package adds its own."""
+"""Plug-in registry: every module of a package adds its kinds, found by name."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Protocol, TypeVar
 
 
 class HasName(Protocol):
-    """What a registry holds."""
+    """Entry of a registry."""
 
     @property
     def name(self) -> str:
@@ -25,7 +25,7 @@ class Registry(Mapping[str, Kind]):
     Parameters
     ----------
     package : str
-        Its modules are imported when the registry is first read; each calls `add`.
+        Package whose modules are imported on first access; each calls `add`.
     """
 
     def __init__(self, package: str) -> None:
@@ -34,11 +34,11 @@ class Registry(Mapping[str, Kind]):
         self._loaded = False
 
     def add(self, kind: Kind) -> None:
-        """Make a kind known."""
+        """Register a kind."""
         self._kinds[kind.name] = kind
 
     def discard(self, name: str) -> None:
-        """Forget a kind."""
+        """Remove a kind."""
         self._kinds.pop(name, None)
 
     def _load_kinds(self) -> dict[str, Kind]:
@@ -53,7 +53,7 @@ class Registry(Mapping[str, Kind]):
         return self._load_kinds()[name]
 
     def __iter__(self) -> Iterator[str]:
-        # Whatever imported one of the files first.
+        # Sorted: the order does not depend on which module was imported first.
         return iter(sorted(self._load_kinds()))
 
     def __len__(self) -> int:

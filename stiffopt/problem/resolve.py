@@ -1,6 +1,6 @@
-"""Poses of a problem as joint angles, and the checks that need no solver.
+"""Inverse kinematics of a problem's poses, with the checks that need no solver.
 
-What no duration can cure is an input error here: a start outside the joint range, a pose out of
+Input errors are faults that no duration can remedy: a start outside the joint range, a pose out of
 reach, a pose that the drives cannot hold at rest.
 """
 
@@ -81,7 +81,7 @@ def _resolve_target(
 
 
 def _within_limits(problem: TrajectoryProblem) -> Robot:
-    """The robot with the joint range of the problem, in which poses are sought."""
+    """Robot with the position limits of the problem, for inverse kinematics."""
     limits = problem.active_limits
     return replace(
         problem.robot, position_lower=limits.position_lower, position_upper=limits.position_upper
@@ -91,9 +91,9 @@ def _within_limits(problem: TrajectoryProblem) -> Robot:
 def _interpolate_orientation(
     problem: TrajectoryProblem, via: Target, start: np.ndarray, end: np.ndarray
 ) -> Target:
-    """A via position with an orientation between those of start and end, if the arm can take it.
+    """Give a via position an orientation between those of start and end, if it can be reached.
 
-    The optimiser leaves the orientation at a via free; a guess and a baseline need one.
+    The optimiser leaves the orientation at a via free; initial guess and baselines need one.
     """
     if via.position is None or via.rpy is not None:
         return via
@@ -159,7 +159,7 @@ def _check_boundary_velocity(problem: TrajectoryProblem) -> None:
 
 
 def _check_rest(problem: TrajectoryProblem, where: str, angles: np.ndarray) -> None:
-    """A pose held at rest must be within the torque limits, whatever the duration."""
+    """Raise `ProblemError` where holding a pose at rest exceeds a torque limit."""
     if problem.boundary_acceleration != "zero" or problem.boundary_velocity is not None:
         return
     torque, limit = gravity_torque(problem, angles), problem.active_limits.torque

@@ -22,15 +22,15 @@ from stiffopt.result.joint_path import JointPath
 if TYPE_CHECKING:
     from stiffopt.robot.robot import Robot
 
-# Directions that differ by less are no corner [rad].
+# Smaller changes of direction are no corner [rad].
 _MIN_CORNER_ANGLE = 0.01
-# Samples of a piece, for its length.
+# Samples for the arc length of a piece.
 _SAMPLES_PER_PIECE = 400
-# Share by which the tool's speed may differ from the parameter's.
+# Relative deviation of the tool's speed from the path parameter's that is accepted.
 _MAX_SPEED_DEVIATION = 5e-3
-# Waypoints to begin with, and at most.
+# Waypoints of the first and of the last refinement.
 _MIN_WAYPOINTS, _MAX_WAYPOINTS = 17, 257
-# Between neighbours a joint that turns further changes the arm's posture [rad].
+# Larger joint steps between neighbouring waypoints are a change of posture [rad].
 _MAX_JOINT_STEP = 0.6
 
 
@@ -41,9 +41,9 @@ class ToolSegment:
     Parameters
     ----------
     end : array (3,)
-        Where it ends, base frame [m].
+        End point, base frame [m].
     rotation : array (3, 3) or None
-        Orientation of the tool at its end; None keeps the one before.
+        Orientation of the tool at the end; None keeps the previous one.
     through : array (3,) or None
         A point on the arc; None for a straight line [m].
     blend : float
@@ -58,7 +58,7 @@ class ToolSegment:
 
 @dataclass(frozen=True, eq=False)
 class _PathPiece:
-    """Samples of a smooth piece: path from its start (S,) [m] and points (S, 3)."""
+    """Samples of a smooth piece: arc length (S,) and points (S, 3) [m]."""
 
     length: np.ndarray
     points: np.ndarray
@@ -76,11 +76,11 @@ class _PathPiece:
         return np.stack([np.interp(along, self.length, column) for column in self.points.T], axis=1)
 
     def cut(self, before: float, after: float) -> _PathPiece:
-        """Without its first and last stretch."""
+        """Shorten the piece at both ends [m]."""
         return _PathPiece.of(self.at(np.linspace(before, self.total - after, _SAMPLES_PER_PIECE)))
 
     def direction(self, end: int) -> np.ndarray:
-        """Unit vector at its start (0) or end (-1)."""
+        """Unit tangent at the start (0) or end (-1)."""
         step = self.points[1] - self.points[0] if end == 0 else self.points[-1] - self.points[-2]
         return np.asarray(step / np.linalg.norm(step))
 
@@ -128,26 +128,26 @@ class ToolPath:
 def joint_waypoints(
     robot: Robot, path: ToolPath, near: np.ndarray, tolerance: float
 ) -> tuple[np.ndarray, float]:
-    """Waypoints of the joints (k, n) whose spline follows a tool path, and by how much it errs.
+    """Joint waypoints (k, n) whose spline follows a tool path, and the path error.
 
     Parameters
     ----------
     robot : Robot
     path : ToolPath
     near : array (n,)
-        Chooses between the solutions at the start [rad].
+        Selects the inverse-kinematics solution at the start [rad].
     tolerance : float
-        Of the tool's position [m].
+        Largest error of the tool's position [m].
 
     Returns
     -------
     (array, float)
-        [rad], and the largest distance of the tool from the path [m].
+        Waypoints [rad], and the largest distance of the tool from the path [m].
 
     Raises
     ------
     ProblemError
-        Out of reach, through a change of posture, or not within the tolerance.
+        The path is out of reach, needs a change of posture, or exceeds the tolerance.
     """
     bodies, tool, count = robot.rigid_bodies(), robot.tool, _MIN_WAYPOINTS
     while True:
@@ -158,7 +158,7 @@ def joint_waypoints(
         wanted = path.poses(between * path.length)[0]
         found = np.array([bodies.pose(tool, q)[0] for q in spline(between)])
         error = float(np.linalg.norm(found - wanted, axis=1).max())
-        # A step of the parameter is the same step of the path, so that a speed can be held.
+        # Equal parameter steps must be equal path steps, so that a tool speed can be held.
         slopes = zip(spline(between), spline(between, 1), strict=True)
         rates = [np.linalg.norm(bodies.jacobian(tool, q)[:3] @ slope) for q, slope in slopes]
         uneven = float(np.abs(np.array(rates) / path.length - 1.0).max())
@@ -176,12 +176,12 @@ def joint_waypoints(
 def _solve_waypoints(
     robot: Robot, path: ToolPath, along: np.ndarray, near: np.ndarray
 ) -> np.ndarray:
-    """Joints (k, n) at distances along the path, each near the one before."""
+    """Joint angles (k, n) along the path, each close to the previous."""
     positions, rotations = path.poses(along)
     waypoints: list[np.ndarray] = []
     for place, position, rotation in zip(along, positions, rotations, strict=True):
         before = waypoints[-1] if waypoints else near
-        # From the waypoint before, the arm keeps its posture or does not get there.
+        # No restarts after the first waypoint: they could change the posture.
         restarts = 0 if waypoints else 60
         try:
             found = solve_pose(robot, position, rotation, before, restarts=restarts)
@@ -191,15 +191,15 @@ def _solve_waypoints(
             j = int(np.argmax(np.abs(found - before)))
             raise ProblemError(
                 f"path, {place:.3f} m from its start: joint {j + 1} would turn by "
-                f"{np.degrees(abs(found[j] - before[j])):.0f} deg at once, through a singular "
-                "pose. Choose another posture by path.start.near, or another path."
+                f"{np.degrees(abs(found[j] - before[j])):.0f} deg in one step, through a "
+                "singular pose. Choose another posture by path.start.near, or another path."
             )
         waypoints.append(np.asarray(found))
     return np.stack(waypoints)
 
 
 def _sample_segment(start: np.ndarray, segment: ToolSegment, where: str) -> _PathPiece:
-    """Points of a line or an arc."""
+    """Sample a line or an arc."""
     share = np.linspace(0.0, 1.0, _SAMPLES_PER_PIECE)[:, None]
     chord = segment.end - start
     if not np.linalg.norm(chord) > 1e-6:
@@ -224,7 +224,7 @@ def _sample_segment(start: np.ndarray, segment: ToolSegment, where: str) -> _Pat
 def _blend_corners(
     pieces: Sequence[_PathPiece], blends: Sequence[float]
 ) -> tuple[list[_PathPiece], list[float]]:
-    """Pieces with rounded corners, and the path up to the middle of each corner [m]."""
+    """Pieces with blended corners, and the path length at the middle of each corner [m]."""
     cuts = []
     for number, (one, other) in enumerate(pairwise(pieces), start=1):
         turn = np.arccos(np.clip(one.direction(-1) @ other.direction(0), -1.0, 1.0))
@@ -261,7 +261,7 @@ def _blend_corners(
 
 
 def _blend_curve(one: _PathPiece, other: _PathPiece, size: float) -> _PathPiece:
-    """A cubic from the end of one piece to the start of another, along both.
+    """Cubic blend from the end of one piece to the start of another, tangent to both.
 
     Between two lines it is the parabola whose tangents meet in the corner.
     """

@@ -1,4 +1,4 @@
-"""TrajectoryProblem: what to move, from where to where, how well, within which limits."""
+"""Trajectory problems: robot, poses, objectives, limits and solution method."""
 
 from __future__ import annotations
 
@@ -21,32 +21,33 @@ if TYPE_CHECKING:
     from stiffopt.robot.robot import Robot
 
 
-# Outside these a number is a slip, and it would overflow on the way.
+# Largest distance from the base [m] and range of durations [s]: values beyond are input errors and
+# overflow in the solve.
 _MAX_POSITION = 1e3
 _DURATION_RANGE = (1e-3, 600.0)
 _DROPPED_JERK_REMARK = (
-    "The robot's own jerk limit is not kept: along a fixed path the acceleration jumps. Give poses "
-    "instead of motion.path to have it kept."
+    "The robot's own jerk limit is dropped: along a fixed path the acceleration jumps. Give poses "
+    "instead of motion.path to keep it."
 )
 
 
 @dataclass(frozen=True, kw_only=True)
 class Target:
-    """A place to be: joint angles, a tool pose, or a tool position.
+    """Joint angles, a tool pose, or a tool position.
 
     Parameters
     ----------
     joints : array (n,) or None [rad]
     position : array (3,) or None [m]
-        Of the tool, base frame.
+        Tool position, base frame.
     rpy : array (3,) or None [rad]
         Fixed-axis roll, pitch, yaw of the tool; None leaves the orientation free.
     near : array (n,) or None [rad]
-        Joint angles that choose between the solutions of the inverse kinematics.
+        Joint angles that select the solution of the inverse kinematics.
     tolerance : float [m] (a tool position) or [rad] (joints)
-        How far a via point may be missed.
+        Tolerance of a via point.
     angle_tolerance : float [rad]
-        How far the orientation of a via pose may be missed.
+        Tolerance of the orientation of a via pose.
     """
 
     joints: np.ndarray | None = None
@@ -58,7 +59,7 @@ class Target:
 
     @property
     def fixes_pose(self) -> bool:
-        """Whether it leaves the joints no freedom."""
+        """True for joint angles or a tool pose, which leave the joints no freedom."""
         return self.joints is not None or self.rpy is not None
 
     def __post_init__(self) -> None:
@@ -93,15 +94,15 @@ class Target:
 
 @dataclass(frozen=True)
 class ResolvedMotion:
-    """Joint angles of the poses.
+    """Joint angles of a problem's poses.
 
     Parameters
     ----------
     start, end : array (n,) [rad]
     vias : tuple of array (n,) [rad]
-        One solution each; the optimiser may pass a via in another.
+        One inverse-kinematics solution each; the optimiser may pass a via in another.
     start_fixed, end_fixed : bool
-        False where only the tool's position is given: the angles are then a first guess.
+        False where only the tool's position is given: the angles are then an initial guess.
     """
 
     start: np.ndarray
@@ -134,20 +135,22 @@ def _check_duration(duration: tuple[float, float]) -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class Method:
-    """How to solve; the defaults suit most problems."""
+    """Solution method; the defaults suit most problems."""
 
     transcription: Annotated[
         Literal["piecewise_linear_acceleration", "hermite_simpson", "radau"],
-        Doc("How the motion becomes a nonlinear programme."),
+        Doc("Transcription of the motion to a nonlinear programme."),
     ] = "piecewise_linear_acceleration"
     intervals: Annotated[int, Bounds(least=4, most=2000), Doc("Intervals of the whole motion.")] = (
         60
     )
-    time_limit: Annotated[Time, POSITIVE, Doc("Time after which the best motion is taken.")] = 300.0
+    time_limit: Annotated[
+        Time, POSITIVE, Doc("Time after which the best motion so far is returned.")
+    ] = 300.0
     max_iterations: Annotated[
         int,
         Bounds(least=1, most=1_000_000),
-        Doc("Largest number of iterations of IPOPT, each stage."),
+        Doc("Largest number of IPOPT iterations of each stage."),
     ] = 500
     starts: Annotated[
         int,
@@ -157,13 +160,10 @@ class Method:
     tolerance: Annotated[
         Ratio, Bounds(above=0.0, most=1e-2), Doc("Relative tolerance of IPOPT.")
     ] = 1e-8
-    seed: Annotated[int, Bounds(least=0), Doc("Of the further initial guesses.")] = 1
+    seed: Annotated[int, Bounds(least=0), Doc("Random seed of the further initial guesses.")] = 1
     collisions: Annotated[
         Literal["avoid", "check"],
-        Doc(
-            "Whether a motion that would collide is led around what it meets, or only told. On a "
-            "fixed path it is only told."
-        ),
+        Doc("Avoid collisions, or report them only. On a fixed path they are only reported."),
     ] = "avoid"
 
     def __post_init__(self) -> None:
@@ -186,21 +186,21 @@ class TrajectoryProblem:
     duration : (lower, upper) [s]
         Equal values fix it.
     objectives : tuple of Objective
-        Left out: the peak tool deviation, or the quasi-static dynamic deflection where the links
-        cannot be planned; `chosen` then says so.
+        Default: the peak tool deviation, or the quasi-static dynamic deflection where the links
+        cannot be planned; `chosen` states which.
     limits : Limits or None
-        None: the robot's own.
+        Default: the robot's own.
     boundary_velocity : (start (n,), end (n,)) [rad/s]
     boundary_acceleration : "zero" or "free"
     process_force : array (3,) [N]
-        Acts on the tool, base frame.
+        Force on the tool, base frame.
     remarks : tuple of str
-        What was left open and a result has to say.
+        Assumptions for incomplete input, repeated in results.
     uncertainty : Uncertainty
-        How far the arm may be from its model; judges the command. Where it is stated, it also
-        chooses between plans that are about as good (`chosen_for_other_arms`).
+        Ranges of stiffness, damping and payload for which the command is judged. Where stated, it
+        also selects among plans of about equal value (`chosen_for_robustness`).
     cell : Cell or None
-        What the arm must not touch; None: itself alone, as far as its URDF shows it.
+        Obstacles; None: collisions of the arm with itself, by the shapes of its URDF.
     """
 
     robot: Robot
@@ -219,7 +219,7 @@ class TrajectoryProblem:
     remarks: tuple[str, ...] = ()
     uncertainty: Uncertainty = field(default_factory=AssumedUncertainty)
     cell: Cell | None = None
-    # Why these objectives, where none were given; no field: the problem is the same.
+    # Reason for default objectives. No field: it does not change the problem.
     chosen: ClassVar[str] = ""
 
     def __post_init__(self) -> None:
@@ -245,7 +245,7 @@ class TrajectoryProblem:
             check_arrival(self, name)
 
     def _drop_robot_jerk_limit(self) -> None:
-        """On a fixed path the robot's own jerk limit is left out, where none was asked for."""
+        """Drop the robot's own jerk limit on a fixed path, where no other was given."""
         own = Limits.of(self.robot)
         stated = own if self.limits is None else self.limits
         if np.any(np.isfinite(stated.jerk)) and np.array_equal(stated.jerk, own.jerk):
@@ -255,7 +255,7 @@ class TrajectoryProblem:
             object.__setattr__(self, "remarks", (*self.remarks, _DROPPED_JERK_REMARK))
 
     def _choose_objective(self) -> None:
-        """What a deflection problem minimises where nothing is said."""
+        """Choose the default objective."""
         if all(chain is None for chain in self.robot.chains):
             raise ProblemError(
                 f"The problem has no objective, and {self.robot.name} has no drivetrain whose "
@@ -281,17 +281,17 @@ class TrajectoryProblem:
 
     @property
     def plans_links(self) -> bool:
-        """Whether the links' motion is planned, and the motors follow with the wind-up added."""
+        """True where the links' motion is planned and the motors lead it by the wind-up."""
         return self.arrives_at_rest or bool(self._arrival_limits)
 
     @property
     def arrives_at_rest(self) -> bool:
-        """Whether nothing is to swing on after arrival; else as much as limits allow."""
+        """True where no residual vibration is allowed; else limits bound it."""
         return any(objective.kind.plans_links for objective in self.objectives)
 
     @property
     def judges_arrival(self) -> bool:
-        """Whether an objective or a limit is about what swings on after arrival."""
+        """True where an objective or a limit refers to residual vibration."""
         asked = any(objective.kind.of_arrival for objective in self.objectives)
         return asked or bool(self._arrival_limits)
 
@@ -301,38 +301,38 @@ class TrajectoryProblem:
 
     @property
     def chosen_for_robustness(self) -> bool:
-        """Whether of plans about as good that is taken which does best on other arms."""
+        """True where uncertain arms decide among plans of about equal value."""
         alone = len(self.objectives) == 1 and self.objectives[0].kind.chosen_for_robustness
         if not (self.uncertainty.stated and alone):
             return False
-        # Else there is no command to be led by more.
+        # Only a motion from rest to rest of fixed duration has a command whose lead can vary.
         at_rest = self.boundary_velocity is None or not np.any(self.boundary_velocity)
         return at_rest and self.duration[0] == self.duration[1]
 
     @property
     def is_shaped(self) -> bool:
-        """Whether the motion is averaged over a swing of the arm's lowest mode."""
+        """True where the motion is averaged over a period of the lowest elastic mode."""
         return any(objective.kind.shaped for objective in self.objectives)
 
     @cached_property
     def active_limits(self) -> Limits:
-        """The limits in force."""
+        """Limits of the problem, by default the robot's own."""
         return Limits.of(self.robot) if self.limits is None else self.limits
 
     @property
     def stated_cell(self) -> Cell:
-        """The cell, an empty one where none is stated."""
+        """The cell; empty by default."""
         return Cell() if self.cell is None else self.cell
 
     @property
     def avoids_collisions(self) -> bool:
-        """Whether a motion that would collide is led around."""
+        """True where collision avoidance is part of the solve."""
         free = self.path is None and self.method.collisions == "avoid"
         return free and bool(self.clearance_model.pairs)
 
     @cached_property
     def clearance_model(self) -> ClearanceModel:
-        """Distances between links and to the cell; made once, as hulls of meshes take time."""
+        """Distances between links and to the cell; cached, as hulls of meshes take time."""
         from stiffopt.robot.clearance import ClearanceModel
 
         return ClearanceModel(self.robot, self.stated_cell)
@@ -343,38 +343,38 @@ class TrajectoryProblem:
         return len(self.robot.joint_names)
 
 
-def check_link_planning(problem: TrajectoryProblem, what: str, instead: str) -> None:
-    """Raise `ProblemError` unless the motion is free, with the one transcription it has.
+def check_link_planning(problem: TrajectoryProblem, subject: str, instead: str) -> None:
+    """Raise `ProblemError` unless the links' motion can be planned.
 
     Parameters
     ----------
     problem : TrajectoryProblem
-    what : str
-        What plans the links, as users write it: "tool_deviation".
+    subject : str
+        Objective or limit that plans the links, as users write it: "tool_deviation".
     instead : str
-        What to do in place of it: "minimise 'dynamic_deflection'".
+        Alternative: "minimise 'dynamic_deflection'".
     """
     if problem.path is not None:
         raise ProblemError(
-            f"{what} cannot be combined with motion.path, whose spline has a jump in its third "
+            f"{subject} cannot be combined with motion.path, whose spline has a jump in its third "
             f"derivative: give start, via and end, or {instead}."
         )
     if problem.method.transcription != "piecewise_linear_acceleration":
         raise ProblemError(
-            f"{what} needs the transcription 'piecewise_linear_acceleration', the "
+            f"{subject} needs the transcription 'piecewise_linear_acceleration', the "
             f"default; leave method.transcription out, or {instead}."
         )
 
 
-def check_arrival(problem: TrajectoryProblem, what: str) -> None:
-    """Raise `ProblemError` unless the motion ends at rest and the arm can swing on."""
+def check_arrival(problem: TrajectoryProblem, subject: str) -> None:
+    """Raise `ProblemError` unless the motion ends at rest and the arm is elastic."""
     if problem.boundary_velocity is not None and np.any(problem.boundary_velocity[1]):
         raise ProblemError(
-            f"{what} is about the arm after it has stopped, and the motion ends with a velocity: "
-            f"leave boundary_velocity.end out, or leave {what} out."
+            f"{subject} refers to the arm after arrival, and the motion ends with a velocity: "
+            f"leave boundary_velocity.end out, or leave {subject} out."
         )
     if not problem.robot.yields:
         raise ProblemError(
-            f"{what} needs a joint that yields, and {problem.robot.name} has no drivetrain: "
-            f"describe the joints' elements in the robot file, or leave {what} out."
+            f"{subject} needs an elastic joint, and {problem.robot.name} has no drivetrain: "
+            f"describe the joints' elements in the robot file, or leave {subject} out."
         )

@@ -1,4 +1,4 @@
-"""What a result was made from: a hash of all inputs, and the versions of the packages."""
+"""Provenance of a result: hash of all inputs, and package versions."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from stiffopt.drivetrain.chain import Chain
 
 
 def versions() -> dict[str, str]:
-    """Versions of what decides the numbers."""
+    """Versions of Python and of the packages that determine the numbers."""
     return dict(_package_versions())
 
 
@@ -28,25 +28,25 @@ def _package_versions() -> tuple[tuple[str, str], ...]:
 
 
 def inputs_hash(problem: object) -> str:
-    """SHA-256 over everything that the result depends on; equal inputs give equal hashes."""
+    """SHA-256 of all inputs of a result; equal inputs give equal hashes."""
     document = json.dumps(_plain_data(problem), sort_keys=True)
     return hashlib.sha256(document.encode()).hexdigest()
 
 
-# Drivetrains by what they are, not by what they equal: 1 and 1.0 are not written alike. Robots with
-# other payloads share them.
+# Plain data by identity of the drivetrain, as 1 and 1.0 are equal but written differently. Robots
+# with other payloads share drivetrains.
 _plain_chains: OrderedDict[int, tuple[Chain, object]] = OrderedDict()
 _MAX_CACHED_CHAINS = 64
 
 
 @functools.cache
 def _compared_fields(kind: Any) -> tuple[str, ...]:
-    """Fields of a dataclass; what takes no part in comparisons, as a path, is no input."""
+    """Compared fields of a dataclass; others, such as paths, are no inputs."""
     return tuple(f.name for f in dataclasses.fields(kind) if f.compare)
 
 
 def _plain_data(value: object) -> object:
-    """Nested plain data of dataclasses, arrays and rigid-body models."""
+    """Convert dataclasses, arrays and rigid-body models to nested plain data."""
     if isinstance(value, Chain):
         if id(value) not in _plain_chains:
             _plain_chains[id(value)] = value, _plain_fields(value)
@@ -75,7 +75,7 @@ def _plain_fields(value: object) -> dict[str, object]:
 
 
 def _plain_model(model: Any) -> object:
-    """Placements and inertias; names and file paths do not matter."""
+    """Placements and inertias of a model, without names and file paths."""
     if not hasattr(model, "jointPlacements"):
         return str(model)
     placements = [_plain_data(np.asarray(m.homogeneous)) for m in model.jointPlacements]

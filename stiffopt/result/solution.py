@@ -1,4 +1,4 @@
-"""The outcome of a solve: motion, certificate, baselines, and what the solver did."""
+"""Outcome of a solve: motion, certificate, baselines and solver record."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ if TYPE_CHECKING:
 
 
 class DisplayedResult:
-    """A result that shows itself shortly; subclasses say their facts and their table."""
+    """Result with a short display and a data frame; subclasses give facts and table."""
 
     def facts(self) -> dict[str, str]:
-        """What matters, by name, as texts; the first is the heading."""
+        """Main facts by name; the first is the heading."""
         raise NotImplementedError
 
     def table(self) -> dict[str, Any]:
-        """Columns of the data frame, each of the same length."""
+        """Columns of the data frame, of equal length."""
         raise NotImplementedError
 
     def __repr__(self) -> str:
@@ -42,7 +42,7 @@ class DisplayedResult:
         return f"<table>{rows}</table>"
 
     def to_dataframe(self) -> Any:
-        """The result's table as a pandas.DataFrame, SI.
+        """Return the table of the result as a pandas.DataFrame, SI.
 
         Raises
         ------
@@ -58,14 +58,14 @@ class DisplayedResult:
         return pandas.DataFrame(self.table())
 
     def plot(self) -> Any:
-        """Figure of the result, a matplotlib.figure.Figure; notebooks show it."""
-        # Figures are drawn in `report`, which knows results and is not known to them.
+        """Return the figure of the result, a matplotlib.figure.Figure; notebooks show it."""
+        # Loaded on demand: `report` is a higher layer.
         return import_module("stiffopt.report.notebook").figure_of(self)
 
 
 @dataclass(frozen=True, kw_only=True)
 class ObjectiveValue:
-    """The certified value of the objective, in SI.
+    """Certified value of the objective, in SI.
 
     `terms` holds the value of each weighted term when there are several.
     """
@@ -79,9 +79,9 @@ class ObjectiveValue:
 
 @dataclass(frozen=True, kw_only=True)
 class Baseline:
-    """A motion to compare with, or the reason why there is none.
+    """Baseline motion, or the reason for its absence.
 
-    `feasible` is False where a limit is exceeded; such a baseline is shown, never counted.
+    `feasible` is False where a limit is exceeded; such a baseline is shown but not compared.
     """
 
     name: str
@@ -94,7 +94,7 @@ class Baseline:
 
 @dataclass(frozen=True, kw_only=True)
 class SolverRecord:
-    """What the solver did: for reports and for regression of effort."""
+    """Solver effort, for reports and regression tests."""
 
     iterations: int
     build_s: float
@@ -112,28 +112,28 @@ class Solution(DisplayedResult):
     ----------
     status : SolveStatus
     message : str
-        A sentence that says what happened and what to do next.
+        Sentence on the outcome and the remedy.
     trajectory : Trajectory or None
-        Callable `trajectory(t, order=0)`; None where no motion was found at all.
+        Callable `trajectory(t, order=0)`; None if no motion was found.
     assessment : Assessment or None
-        The certificate: fine grid, unsmoothed model.
+        Certificate: fine grid, unsmoothed model.
     objective : ObjectiveValue or None
         Evaluated on the certificate's grid.
     baselines : dict
-        "toppra" and "quintic"; "detour" where a path around what they meet was sought.
+        "toppra" and "quintic"; "detour" where a path around obstacles was sought.
     ratio_to_better_baseline : float or None
-        Objective over the objective of the better feasible baseline; below one is a gain where the
-        objective is minimised. None where no baseline is feasible.
+        Objective over that of the better feasible baseline; below one is an improvement of a
+        minimised objective. None without a feasible baseline.
     notes : tuple of str
-        Bounds that the objective cannot beat, estimated inputs, and the like.
+        Bounds of the objective, estimated inputs and other remarks.
     strict_baseline : Baseline or None
-        The best baseline that keeps every limit; slowed where none does at the problem's duration.
+        Best baseline that keeps every limit, slowed if none does at the problem's duration.
     ratio_to_strict_baseline : float or None
-        As the other ratio, to that one.
+        Objective over that of the strict baseline.
     simulation : Simulation or None
-        What the elastic arm does with this motion and the baselines; None where not simulated.
+        Elastic simulation of this motion and the baselines; None if not simulated.
     compensation : Compensation or None
-        The command that makes the links do this motion, and what it gives on uncertain arms.
+        Command that makes the links follow this motion, and its effect on uncertain arms.
     """
 
     status: SolveStatus
@@ -154,7 +154,7 @@ class Solution(DisplayedResult):
 
     @property
     def guess(self) -> Assessment:
-        """Motion that another solve can begin from: `solve(problem, guess=solution.guess)`.
+        """Initial guess for another solve: `solve(problem, guess=solution.guess)`.
 
         Raises
         ------
@@ -162,11 +162,11 @@ class Solution(DisplayedResult):
             No motion was found.
         """
         if self.assessment is None:
-            raise ValueError("no motion was found that another solve could begin from.")
+            raise ValueError("no motion was found that could be an initial guess.")
         return self.assessment
 
     def facts(self) -> dict[str, str]:
-        """Status, objective, duration and ratio in a few words."""
+        """Status, objective, duration and ratio as short texts."""
         found = {"status": str(self.status)}
         if self.objective is not None:
             value = self.objective

@@ -303,7 +303,7 @@ def _check_gyrations(tree: ET.Element, path: Path) -> None:
             )
         principal = np.linalg.eigvalsh(inertia)
         slack = _ROUNDED * np.abs(principal).max()
-        # One above the sum of the others is found in many files; `questionable_bodies` tells of it.
+        # One above the sum of the others occurs in many files; `inconsistent_inertias` reports it.
         if principal[0] < -slack:
             raise RobotError(
                 f"{path}: link {name!r}: its principal moments"

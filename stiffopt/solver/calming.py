@@ -69,7 +69,7 @@ class Calmed:
 
     def overshoot(self, problem: TrajectoryProblem) -> float:
         """Share by which the arm goes too far after arrival for the problem's limits; 0 if none."""
-        limits, swing = problem.active_limits, self.assessment.swing
+        limits, swing = problem.active_limits, self.assessment.simulated
         if swing is None or swing.peak_after is None:
             return 0.0
         beyond = [each.overshoot(limits, swing) for each in limits.kinds if each.of_arrival]

@@ -32,7 +32,7 @@ def exceeded_otherwise(problem: TrajectoryProblem, motion: Assessment) -> dict[s
     NotSimulatedError
         The arm cannot be simulated.
     """
-    if motion.swing is None or motion.swing.peak_after is None:
+    if motion.simulated is None or motion.simulated.peak_after is None:
         return {}
     limits = problem.active_limits
     kinds = [each for each in limits.kinds if LIMITS[each.name].of_arrival]

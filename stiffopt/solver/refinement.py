@@ -415,9 +415,9 @@ def _after_arrival(problem: TrajectoryProblem, assessment: Assessment) -> dict[s
     """Limits that the arm exceeds after arrival, by what its size is above the allowed one."""
     exceeded = {v.limit for v in assessment.violations if _of_arrival(v) and v.value > _AIM}
     limits = problem.active_limits
-    if assessment.swing is None or assessment.swing.peak_after is None:
+    if assessment.simulated is None or assessment.simulated.peak_after is None:
         return {}
-    return {name: LIMITS[name].overshoot(limits, assessment.swing) for name in exceeded}
+    return {name: LIMITS[name].overshoot(limits, assessment.simulated) for name in exceeded}
 
 
 def _of_arrival(violation: Violation) -> bool:

@@ -27,10 +27,10 @@ from stiffopt.interrupts import delivered
 from stiffopt.problem.formulation import smoothing_stages
 from stiffopt.problem.resolve import resolve
 from stiffopt.problem.trajectory import ResolvedMotion
-from stiffopt.result.assessment import PeakRms
 from stiffopt.result.simulation import (
     SETTLING_BAND,
     ElasticMotion,
+    PeakRms,
     SimulatedMotion,
     SimulatedPart,
     Simulation,

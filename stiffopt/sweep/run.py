@@ -1,4 +1,4 @@
-"""A sweep in progress: cases out to workers, one result file each, begun anew where it stopped."""
+"""Run of a sweep: cases to workers in warm-start order, one result file each, resumable."""
 
 from __future__ import annotations
 
@@ -24,26 +24,26 @@ from stiffopt.sweep.workers import Workers
 from stiffopt.units import number_and_unit
 
 CASES_FOLDER = "cases"
-# Where cases ended; kept until the sweep is done.
+# Folder of warm starts; removed when the sweep is complete.
 _WARM_FOLDER = "warm"
-# Above any state that a case starts from: 16 million variables and multipliers [bytes].
+# Largest warm-start file [bytes]: 16 million variables and multipliers.
 _MAX_WARM_SIZE = 2**27
-# Deaths of a worker that had nothing else to do, after which the case is to blame.
+# Deaths of a worker that ran a case alone, after which the case counts as failed.
 _MAX_WORKER_DEATHS = 2
 
 
 @dataclass(frozen=True)
 class SweepProgress:
-    """How far a sweep is.
+    """Progress of a sweep.
 
     Attributes
     ----------
     done, total : int
-        Cases, those of earlier runs included.
+        Cases, earlier runs included.
     unusable : int
-        Done without a usable result.
+        Cases done without a usable result.
     elapsed, left : float or None
-        Of this run, and estimated to its end [s].
+        Elapsed and estimated remaining time of this run [s].
     """
 
     done: int
@@ -59,7 +59,7 @@ ProgressCallback = Callable[[SweepProgress], object]
 def run_sweep(
     sweep: Sweep, folder: Path, pool: Workers, progress: ProgressCallback | None = None
 ) -> tuple[list[dict[str, Any] | None], bool]:
-    """Solve the cases that have no result file yet.
+    """Solve the cases without a result file.
 
     Parameters
     ----------
@@ -68,19 +68,19 @@ def run_sweep(
         Its subfolder `cases` holds the result files.
     pool : Workers
     progress : callable, optional
-        Called with a `SweepProgress` at the begin and after each case.
+        Called with a `SweepProgress` at the start and after each case.
 
     Returns
     -------
     results : list of dict or None
-        Content of each case's file, None where Ctrl-C came before it.
+        Content of each case's file; None for cases not reached before Ctrl-C.
     interrupted : bool
     """
     for place in (folder / CASES_FOLDER, folder / CASES_FOLDER / _WARM_FOLDER):
         if place.is_symlink() or (place.exists() and not place.is_dir()):
             raise InputFileError(
-                place, "", "is a link or a file, where the sweep keeps its cases in a folder of "
-                "its own. Remove or rename it."
+                place, "", "is a link or a file, where the sweep needs a folder for its cases. "
+                "Remove or rename it."
             )  # fmt: skip
     own = {case.key: case for case in sweep.cases}
     results = {key: found for key in own if (found := _read_case(folder, key)) is not None}
@@ -88,13 +88,13 @@ def run_sweep(
     queue = _CaseQueue(list(own.values()), set(results), folder)
     try:
         for found, end in _solve_cases(queue, pool):
-            # In this order: a case that is done has left what others start from.
+            # The warm start first: successors of a finished case need it.
             if end is not None:
                 atomic_write(queue.file(found["key"]), end)
             _write_case(folder, found)
             results[found["key"]] = found
             queue.done.add(found["key"])
-            watch.tell()
+            watch.report()
     except KeyboardInterrupt:
         pool.close(now=True)
         return [results.get(case.key) for case in sweep.cases], True
@@ -107,13 +107,13 @@ def run_sweep(
 
 
 class _CaseQueue:
-    """Cases that are still to be solved, each with the one that it starts from.
+    """Queue of open cases, each after its predecessor.
 
     Parameters
     ----------
     cases : list of Case
     done : set of str
-        Keys of those that have a result.
+        Keys of cases with a result.
     folder : Path
     """
 
@@ -126,7 +126,7 @@ class _CaseQueue:
         return bool(self._waiting)
 
     def take(self) -> Case | None:
-        """The next case whose predecessor is done; None where there is none yet."""
+        """Remove and return the next case whose predecessor is done; None without one."""
         for case in self._waiting:
             before = self._before[case.key]
             if before is None or before in self.done:
@@ -135,7 +135,7 @@ class _CaseQueue:
         return None
 
     def warm(self, case: Case) -> bytes | None:
-        """Where the predecessor ended, or what that began from where it led nowhere."""
+        """Warm start of a case: final state of its nearest predecessor that has one."""
         before = self._before[case.key]
         while before is not None:
             path = self.file(before)
@@ -145,7 +145,7 @@ class _CaseQueue:
         return None
 
     def file(self, key: str) -> Path:
-        """Where a case ended."""
+        """File of a case's warm start."""
         return self._folder / CASES_FOLDER / _WARM_FOLDER / key
 
 
@@ -153,14 +153,14 @@ _SolvedCase = tuple[dict[str, Any], bytes | None]
 
 
 def _solve_cases(queue: _CaseQueue, pool: Workers) -> Iterator[_SolvedCase]:
-    """Results as they come; a case whose worker dies is tried again."""
+    """Yield results as they come; retry cases whose worker died."""
     alone = deque[Case]()
     deaths: dict[str, int] = {}
     busy: dict[Future[_SolvedCase], Case] = {}
     lonely = False
     while queue or alone or busy:
         if alone and not busy:
-            # Whose fault a death was shows with nobody beside.
+            # A retry runs alone, to attribute the death to its case.
             case = alone.popleft()
             busy[pool.submit(solve_case, case, queue.warm(case))] = case
             lonely = True
@@ -179,22 +179,22 @@ def _solve_cases(queue: _CaseQueue, pool: Workers) -> Iterator[_SolvedCase]:
                 if deaths[case.key] < _MAX_WORKER_DEATHS:
                     alone.append(case)
                 else:
-                    text = "Its worker process died each time, as one without memory does."
+                    text = "Its worker process died at each attempt, for example out of memory."
                     yield case_document(case, CaseResult("failed", text, {}, {}), 0.0), None
         lonely = lonely and bool(busy)
 
 
 class _ProgressWatch:
-    """Counts cases and estimates the time left."""
+    """Count cases and estimate the remaining time."""
 
     def __init__(
         self, total: int, results: dict[str, dict[str, Any]], progress: ProgressCallback | None
     ) -> None:
         self._total, self._results, self._progress = total, results, progress
         self._begin, self._before = time.monotonic(), len(results)
-        self.tell()
+        self.report()
 
-    def tell(self) -> None:
+    def report(self) -> None:
         if self._progress is None:
             return
         done, elapsed = len(self._results), time.monotonic() - self._begin
@@ -205,7 +205,7 @@ class _ProgressWatch:
 
 
 def is_unusable(found: dict[str, Any]) -> bool:
-    """Whether a case has no usable result."""
+    """Return True if a case has no usable result."""
     usable = ("optimal", "acceptable", "named", "nothing_missing", "outside_catalogue")
     return found["status"] not in usable
 
@@ -215,18 +215,18 @@ def _case_file(folder: Path, key: str) -> Path:
 
 
 def _read_case(folder: Path, key: str) -> dict[str, Any] | None:
-    """Content of a case's file; None where there is none, or none of this case."""
+    """Read a case's file; None if it is absent or of another case."""
     path = _case_file(folder, key)
     with suppress(InputFileError):
         found = load_json(path) if is_regular(path.parent, path.name) else None
-        # What a dying worker left undone is tried anew.
+        # Failed cases are tried again.
         if _is_document(found) and found["key"] == key and found["status"] != "failed":
             return found
     return None
 
 
 def _is_document(found: Any) -> TypeGuard[dict[str, Any]]:
-    """Return whether a file has what tables and reports read of a case."""
+    """Return True if a file has the fields that tables and reports need."""
     kinds = {"key": str, "status": str, "message": str, "values": dict, "maximised": bool}
     return (
         isinstance(found, dict)
@@ -246,20 +246,25 @@ def _write_case(folder: Path, found: dict[str, Any]) -> None:
 
 
 def spread_order(cases: list[Case]) -> list[Case]:
-    """Cases far from each other first: the order in which rounds take them."""
+    """Order cases so that early ones are far apart.
+
+    The first case starts cold. Each following round doubles the number of cases; every case
+    starts from the nearest of earlier rounds. So nearly all starts are near, few cases wait, and the
+    start of a case depends neither on workers nor on interruptions.
+    """
     count = max(len(cases) - 1, 1).bit_length()
-    # Numbers with their bits reversed spread evenly over a grid.
+    # Bit-reversed numbers spread evenly over a grid.
     keys = [int(f"{number:0{count}b}"[::-1], 2) for number in range(len(cases))]
     return [cases[k] for k in np.argsort(keys, kind="stable")]
 
 
 def predecessors(cases: list[Case]) -> dict[str, str | None]:
-    """Key of the case that each starts from, by its key; None for those that start cold."""
+    """Key of each case's warm-start case, by its own key; None for cold starts."""
     found: dict[str, str | None] = {}
     groups: dict[object, list[Case]] = {}
     for case in spread_order(cases):
         found[case.key] = None
-        # Other starts than the usual one, and other kinds than motions, start from the beginning.
+        # Other kinds than trajectories, and further initial guesses, start cold.
         if case.kind == "trajectory" and case.start == 0:
             groups.setdefault(case.base, []).append(case)
     for own in groups.values():
@@ -272,7 +277,7 @@ def predecessors(cases: list[Case]) -> dict[str, str | None]:
 
 
 def _normalised_values(cases: list[Case]) -> np.ndarray:
-    """Varied values (cases, values): numbers from 0 to 1, of others which one it is."""
+    """Varied values (cases, values) scaled to 0 to 1; texts count by their rank."""
     columns = []
     for k in range(len(cases[0].changes)):
         values = [case.changes[k][1] for case in cases]

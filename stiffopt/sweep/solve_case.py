@@ -1,4 +1,4 @@
-"""One case of a sweep, solved: what a worker does."""
+"""Solve of one case of a sweep, in a worker."""
 
 from __future__ import annotations
 
@@ -25,20 +25,20 @@ SCHEMA = 1
 
 @dataclass(frozen=True)
 class CaseResult:
-    """Outcome of one case.
+    """Result of one case.
 
     Parameters
     ----------
     status : str
-        Of the solve or diagnosis; "invalid" where the case cannot be stated, "failed" where its
-        worker died or met an error of its own.
+        Status of the solve or verdict of the diagnosis; "invalid" for invalid input, "failed" if the
+        worker died or raised another error.
     message : str
     values : dict of name to (value in SI or text, unit)
-        What the table has.
+        Values of the table.
     result : dict
-        The whole answer, as its own file has it.
+        Complete result document.
     maximised : bool
-        Whether a larger objective is better.
+        True if a larger objective is better.
     """
 
     status: str
@@ -50,25 +50,25 @@ class CaseResult:
 
 _CaseEnd = tuple[CaseResult, bytes | None]
 
-# What a worker has built stays with it; Dask's have threads.
+# Cache of a worker, per thread: workers of Dask have several.
 _worker_cache = threading.local()
 
 
 def solve_case(case: Case, warm: bytes | None = None) -> tuple[dict[str, Any], bytes | None]:
-    """Content of a case's file; no error of the case leaves this function.
+    """Solve a case and return the content of its file; errors of the case become its status.
 
     Parameters
     ----------
     case : Case
     warm : bytes, optional
-        Where another case ended.
+        Final state of another case.
 
     Returns
     -------
     dict
         Plain numbers, strings, lists and dicts.
     bytes or None
-        Where this one ended, for others to start from.
+        Final state of this case, for warm starts of others.
     """
     begin = time.perf_counter()
     end = None
@@ -77,7 +77,7 @@ def solve_case(case: Case, warm: bytes | None = None) -> tuple[dict[str, Any], b
     except InputError as error:
         found = CaseResult("invalid", str(error), {}, {})
     except Exception as error:
-        # One case's trouble must not cost the others.
+        # An error in one case must not end the sweep.
         found = CaseResult("failed", f"{type(error).__name__}: {error}", {}, {})
     return case_document(case, found, time.perf_counter() - begin), end
 
@@ -147,7 +147,7 @@ def _solve_trajectory(case: Case, warm: bytes | None) -> _CaseEnd:
 
 
 def _cached_robots(case: Case) -> Callable[[str | Path], Robot]:
-    """Robots of the files as they were when the sweep began; cases of one sweep share them."""
+    """Return a loader with a cache of robots, valid while the input files are unchanged."""
     from stiffopt.robot.files import load_robot
 
     robots: dict[str | Path, Robot]

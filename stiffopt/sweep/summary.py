@@ -1,4 +1,4 @@
-"""What a sweep shows: its table, the spread of optima from several starts, the knee of a front."""
+"""Summary of a sweep: table, spread of optima over initial guesses, trade-off front; its files."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ Cell = float | int | str | None
 
 @dataclass(frozen=True)
 class StartSpread:
-    """Optima of one case from several starts.
+    """Optima of one case from several initial guesses.
 
     Parameters
     ----------
@@ -30,9 +30,9 @@ class StartSpread:
         Objective in SI.
     unit : str
     usable, starts : int
-        Starts that ended with a usable result, of how many.
+        Number of starts with a usable result, and of all starts.
     near : int
-        Those within 1 % of the best.
+        Number of starts within 1 % of the best.
     best_start : int
     """
 
@@ -47,16 +47,16 @@ class StartSpread:
 
 @dataclass(frozen=True)
 class Front:
-    """Trade-off of one entry and the objective: the points that no other beats in both.
+    """Pareto front of one entry and the objective.
 
     Parameters
     ----------
     over, unit : str
-        The entry, and what its values are in; "" for bare numbers.
+        Entry and unit of its values; "" for bare numbers.
     values, objectives : array (k,)
-        By rising value; objectives fall (rise, where they are maximised).
+        Increasing values with decreasing objectives (increasing, if maximised).
     knee : int or None
-        Where giving more of the one begins to bring little of the other; None below three points.
+        Index of the knee; None below three points.
     """
 
     over: str
@@ -68,13 +68,13 @@ class Front:
 
 @dataclass(frozen=True)
 class SweepSummary:
-    """A sweep with its results.
+    """Sweep with its results.
 
     Parameters
     ----------
     sweep : Sweep
     results : sequence of dict or None
-        Of the cases, in order.
+        Content of the cases' files, in order.
     interrupted : bool
     """
 
@@ -84,7 +84,7 @@ class SweepSummary:
 
     @cached_property
     def units(self) -> dict[str, str]:
-        """Names of the values and their units, as they first come up."""
+        """Names and units of the values, in order of first occurrence."""
         found: dict[str, str] = {}
         for each in self.results:
             for name, entry in (each or {"values": {}})["values"].items():
@@ -92,7 +92,7 @@ class SweepSummary:
         return found
 
     def columns(self) -> dict[str, list[Cell]]:
-        """The table: case, what varies, status and values (SI), one row a case that is done."""
+        """Table of finished cases: number, varied entries, status and values (SI)."""
         done = self.done
         bases = self.sweep.base_names
         table: dict[str, list[Cell]] = {"case": [case.number for case, _ in done]}
@@ -110,12 +110,12 @@ class SweepSummary:
 
     @property
     def done(self) -> list[tuple[Case, dict[str, Any]]]:
-        """Cases with a result, and the result."""
+        """Finished cases with their results."""
         pairs = zip(self.sweep.cases, self.results, strict=True)
         return [(case, found) for case, found in pairs if found is not None]
 
     def statuses(self) -> dict[str, int]:
-        """Number of cases by status; "open" are those without a result."""
+        """Number of cases by status; "open" without a result."""
         found: dict[str, int] = {}
         for each in self.results:
             status = "open" if each is None else str(each["status"])
@@ -123,7 +123,7 @@ class SweepSummary:
         return found
 
     def spreads(self) -> dict[tuple[Cell, ...], StartSpread]:
-        """Spread of the optima of each case, where there are several starts."""
+        """Spread of the optima of each case over several starts."""
         if self.sweep.starts < 2:
             return {}
         bases = self.sweep.base_names
@@ -150,11 +150,11 @@ class SweepSummary:
 
     @property
     def maximised(self) -> bool:
-        """Whether a larger objective is better."""
+        """True if a larger objective is better."""
         return any(found["maximised"] for _, found in self.done)
 
     def front(self) -> Front | None:
-        """The trade-off front, where the sweep asks for one."""
+        """Trade-off front, if the sweep has one."""
         if not self.sweep.front:
             return None
         sign = -1.0 if self.maximised else 1.0
@@ -209,16 +209,14 @@ def objective_value(found: dict[str, Any]) -> float | None:
 
 
 def table_cell(value: Any) -> Cell:
-    """A varied value as a cell: numbers stay numbers."""
+    """Convert a varied value to a cell; numbers stay numbers."""
     if isinstance(value, str) or (isinstance(value, int | float) and not isinstance(value, bool)):
         return value if isinstance(value, str) else float(value)
     return str(value)
 
 
 def knee(values: np.ndarray, costs: np.ndarray) -> int | None:
-    """Point of a falling curve that lies farthest below the line between its ends.
-
-    Both axes run from 0 to 1, so that units do not matter.
+    """Knee of a falling curve: point farthest below the line between its ends, axes scaled to 0..1.
 
     >>> knee(np.array([1.0, 2.0, 3.0, 4.0]), np.array([9.0, 2.0, 1.0, 0.0]))
     1
@@ -247,7 +245,7 @@ def write_sweep(summary: SweepSummary, directory: str | Path) -> Path:
     except ImportError:
         pass
     else:
-        # Columns of numbers and of texts with a unit alike: pyarrow wants one kind a column.
+        # pyarrow needs one type per column: mixed columns become texts.
         uniform = {
             name: [None if c is None else str(c) for c in cells]
             if any(isinstance(c, str) for c in cells)

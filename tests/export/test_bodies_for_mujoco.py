@@ -40,4 +40,4 @@ def test_mujoco_reads_bodies_that_cannot_be(moments, tmp_path):
         assert model.body_inertia[2] == pytest.approx(moments)
     else:
         assert len(said) == arm.n
-        assert "belongs to no body, and MuJoCo refuses it" in said[0]
+        assert "belongs to no rigid body, which MuJoCo refuses" in said[0]

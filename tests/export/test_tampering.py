@@ -86,11 +86,11 @@ TAMPERED = {
     "two joints' positions swapped": (swap_joints, "velocity of joint"),
     "velocities and accelerations swapped": (swap_rates, "velocity of joint"),
     "no number": (without_number, "needs a finite number"),
-    "two rows swapped": (shuffled, "must begin at 0 and increase"),
+    "two rows swapped": (shuffled, "must start at 0 and increase"),
     "content of two rows swapped": (shuffled_content, "velocity of joint"),
     "all signs turned": (other_sign, "exceeds end"),
     "a row twice": (lambda rows: np.repeat(rows, [1] * 9 + [2] + [1] * (len(rows) - 10), axis=0),
-                    "must begin at 0 and increase"),
+                    "must start at 0 and increase"),
 }  # fmt: skip
 
 
@@ -164,10 +164,10 @@ def test_an_exported_file_is_checked(folder, to, capsys):
         for tampered, words in (
             (
                 text.replace(body[digit - 9 :], changed[digit - 9 :]),
-                "was changed since it was exported",
+                "was changed after its export",
             ),
             (text.replace("rate: ", "rate: 1"), ""),
-            (with_seal(changed, entries, file.name), "though its header says so"),
+            (with_seal(changed, entries, file.name), "although its header matches"),
             (body, "has no header"),
         ):
             assert tampered != text

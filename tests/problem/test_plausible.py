@@ -98,7 +98,7 @@ def test_a_last_link_is_as_long_as_its_mass_says(tmp_path):
 def test_a_payload_without_inertia_is_told(tmp_path):
     inertia = re.search(r"\ninertia = .*", PROBLEM.read_text())[0]
     loaded = load_problem(changed(tmp_path, inertia, ""))
-    assert "taken as a point" in loaded.problem.remarks[0]
+    assert "a point mass" in loaded.problem.remarks[0]
     assert load_problem(PROBLEM).problem.remarks == ()
 
 

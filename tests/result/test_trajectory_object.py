@@ -104,7 +104,7 @@ def test_no_answer_outside(time: float) -> None:
 @pytest.mark.parametrize(
     ("times", "coefficients", "message"),
     [
-        ([0.1, 1.0], [[[1.0]]], "begin at 0"),
+        ([0.1, 1.0], [[[1.0]]], "start at 0"),
         ([0.0, 1.0, 1.0], [[[1.0]], [[1.0]]], "increase strictly"),
         ([0.0, 1.0], [[[1.0]], [[1.0]]], "shape"),
         ([0.0, 1.0], [[[np.nan]]], "not finite"),

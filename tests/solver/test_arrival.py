@@ -99,7 +99,7 @@ def test_less_may_swing_on_and_the_motion_takes_longer(shortest):
     assert took["any"] < took["residual"] < took["little"]
     assert took["any"] < took["settling"] < took["little"]
     _, free = shortest["any"]
-    assert free.assessment.swing is None
+    assert free.assessment.simulated is None
     assert free.simulation.optimised.simulated.peak_after > 3e-4
 
 
@@ -154,7 +154,7 @@ def test_the_size_after_arrival_is_that_of_the_modes(shortest):
     rate = 2.0 * np.pi * mode.frequency
     away = link(end)[0] - solution.assessment.position[-1]
     size = 0.4 * float(np.hypot(away, link(end, 1)[0] / rate)[0])
-    found = solution.assessment.swing.peak_after
+    found = solution.assessment.simulated.peak_after
     assert found == pytest.approx(size, rel=0.1, abs=5e-6)
     assert solution.compensation is None
     assert any("swing on after arrival" in note for note in solution.notes)

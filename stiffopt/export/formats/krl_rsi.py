@@ -1,4 +1,4 @@
-"""KUKA: a KRL program that goes to the start, and the axis corrections that RSI is sent then."""
+"""KUKA: KRL program that approaches the start, and axis corrections for RSI."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ _AXIS_NAMES = tuple(f"A{axis}" for axis in range(1, 7))
 
 
 class KrlRsi(ExportFormat):
-    """Absolute corrections of the axes from the start, in degrees, one row a cycle.
+    """Absolute axis corrections from the start in degrees, one row per cycle.
 
     Notes
     -----
     KUKA.RobotSensorInterface: a cycle of 4 ms (IPO_FAST) or 12 ms; with RSI_ON(#ABSOLUTE) a
-    correction counts from where the sensor-guided motion began. What sends the rows over Ethernet,
-    and the limits of the corrections in the RSI context, are the cell's own.
+    correction is relative to the start of the sensor-guided motion. The sender of the rows over
+    Ethernet and the correction limits of the RSI context belong to the cell.
     """
 
     name = "krl-rsi"
@@ -30,12 +30,12 @@ class KrlRsi(ExportFormat):
     from_rest = True
 
     def check(self, stored: StoredMotion, rate: float) -> None:
-        """Six turning joints, at a whole number of cycles."""
+        """Require six revolute joints and a whole number of cycles."""
         require_six_axes(stored, self.title)
         require_cycle(rate, self.rate_max, self.title)
 
     def files(self, motion: SampledMotion, rate: float) -> dict[str, str]:
-        """The program, the rows, and the range of each correction in the program's head."""
+        """Texts of program and rows; the program's head states the range of each correction."""
         name = re.sub(r"\W", "_", motion.title.lower(), flags=re.ASCII).strip("_")[:12]
         name = f"stiffopt_{name}".rstrip("_")
         angles = np.degrees(motion.position)
@@ -79,12 +79,12 @@ class KrlRsi(ExportFormat):
 
 
 def _halt_on_error() -> list[str]:
-    """What follows every call of RSI."""
+    """KRL lines that halt on an RSI error."""
     return ["IF (ret <> RSIOK) THEN", "  HALT", "ENDIF"]
 
 
 def _to_ascii(title: str) -> str:
-    """KRL sources are ASCII."""
+    """Replace characters that KRL sources, which are ASCII, cannot hold."""
     return title.encode("ascii", "replace").decode()
 
 

@@ -1,4 +1,4 @@
-"""ROS 2: a trajectory_msgs/msg/JointTrajectory as YAML, for a joint trajectory controller."""
+"""ROS 2: trajectory_msgs/msg/JointTrajectory as YAML, for a joint trajectory controller."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _NANOSECONDS_PER_SECOND = 1_000_000_000
 
 
 class Ros2(ExportFormat):
-    """Fields of the message in their order; efforts are left to the controller.
+    """Message fields in their order; efforts stay empty.
 
     Notes
     -----
@@ -30,7 +30,7 @@ class Ros2(ExportFormat):
     rate_max = 20000.0
 
     def files(self, motion: SampledMotion, rate: float) -> dict[str, str]:
-        """One file."""
+        """Text of the message."""
         lines = [
             f"# {motion.title}: motion of the {motion.which}s at {rate:g} Hz, "
             "trajectory_msgs/msg/JointTrajectory. Run it with:",
@@ -56,7 +56,7 @@ class Ros2(ExportFormat):
         return {MESSAGE_FILE: "\n".join(lines) + "\n"}
 
     def programs(self, texts: dict[str, str]) -> dict[str, str]:
-        """The script that publishes the message: no command line holds it."""
+        """Script that publishes the message, which is too long for a command line."""
         script = (
             resources.files("stiffopt.export").joinpath("publish_trajectory.py.txt").read_text()
         )
@@ -65,7 +65,7 @@ class Ros2(ExportFormat):
 
 
 def _format_numbers(values: Iterable[float]) -> str:
-    """List of floats; YAML reads 1e-05 as a text, 1.0e-05 as a number."""
+    """Format a list of floats; YAML reads 1e-05 as text, 1.0e-05 as a number."""
     texts = [repr(float(value)) for value in values]
     exact = [t if "." in t or "e" not in t else t.replace("e", ".0e") for t in texts]
     return f"[{', '.join(exact)}]"

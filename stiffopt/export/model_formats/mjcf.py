@@ -1,4 +1,4 @@
-"""MJCF: the recorded arm for MuJoCo, with friction, rotor inertia and gains as found."""
+"""MJCF: recorded arm for MuJoCo, with diagnosed friction, rotor inertia and gains."""
 
 from __future__ import annotations
 
@@ -11,10 +11,11 @@ from scipy.spatial.transform import Rotation
 from stiffopt.errors import RobotError
 from stiffopt.export.model_format import MODEL_FORMATS, DiagnosedRobot, ModelFormat, notes
 
-# MuJoCo's dry friction is a soft constraint: these make it nearly full at 1 mrad/s.
+# MuJoCo's dry friction is a soft constraint: with these settings nearly full at 1 mrad/s.
 _FRICTION_TIME, _FRICTION_IMPEDANCE = 0.002, "0.9999 0.9999 0.001 0.5 2"
 
-# MuJoCo's least moment of inertia is 1e-15 kg m^2; and what rounding needs of the largest.
+# Least moments of inertia [kg m^2], and as a share of the largest, for rounding; MuJoCo refuses
+# moments below 1e-15 kg m^2.
 _MIN_MOMENT, _MIN_MOMENT_SHARE = 1e-9, 1e-6
 
 
@@ -23,15 +24,15 @@ class Mjcf(ModelFormat):
 
     Notes
     -----
-    MuJoCo, XML reference. A motor's `gear` is the torque that the joint gets for one that its drive
-    is commanded. Elastic joints are rigid here; shapes are left to the URDF.
+    MuJoCo, XML reference. A motor's `gear` is the joint torque per commanded torque. Elastic joints
+    become rigid; shapes are omitted.
     """
 
     name = "mjcf"
     file = "found.xml"
 
     def text(self, found: DiagnosedRobot) -> str:
-        """Content of found.xml."""
+        """Return the content of found.xml."""
         robot = found.robot
         root = ET.Element("mujoco", model=found.name)
         for line in (*notes(found), *self.remarks(found)):
@@ -65,9 +66,9 @@ class Mjcf(ModelFormat):
         return ET.tostring(root, encoding="unicode") + "\n"
 
     def remarks(self, found: DiagnosedRobot) -> list[str]:
-        """Bodies whose inertia MuJoCo would refuse."""
+        """Name bodies whose inertia MuJoCo would refuse."""
         return [
-            f"inertia behind {name} belongs to no body, and MuJoCo refuses it: moments of"
+            f"inertia behind {name} belongs to no rigid body, which MuJoCo refuses: moments of"
             f" {_format_moments(before)} kg m^2 become {_format_moments(after)}"
             for name, body in zip(found.robot.joint_names, found.robot.tree.bodies, strict=True)
             for before, _ in [np.linalg.eigh(body.inertia)]
@@ -114,14 +115,14 @@ class Mjcf(ModelFormat):
 
 
 def _realisable_inertia(inertia: np.ndarray) -> np.ndarray:
-    """The inertia (3, 3), or the nearest that a body can have with the same largest moment."""
+    """Raise an inertia (3, 3) to that of a rigid body with the same largest moment."""
     moments, axes = np.linalg.eigh(inertia)
     raised = _realisable_moments(moments)
     return inertia if raised is moments else axes @ np.diag(raised) @ axes.T
 
 
 def _realisable_moments(moments: np.ndarray) -> np.ndarray:
-    """Principal moments (3,), in order: themselves, or raised until two make up the third."""
+    """Raise ascending principal moments (3,) until the triangle inequality holds."""
     least = max(_MIN_MOMENT, _MIN_MOMENT_SHARE * moments[2])
     if moments[0] >= least and moments[0] + moments[1] >= moments[2]:
         return moments
@@ -136,14 +137,14 @@ def _format_moments(moments: np.ndarray) -> str:
 
 
 def _range_attributes(kind: str, low: float, high: float) -> dict[str, str]:
-    """Attributes of a range; none where it is infinite."""
+    """Attributes of a finite range; empty for an infinite one."""
     if not (np.isfinite(low) and np.isfinite(high)):
         return {}
     return {f"{kind}limited": "true", f"{kind}range": _format_numbers([low, high])}
 
 
 def _to_quaternion(rotation: np.ndarray) -> np.ndarray:
-    """w, x, y, z."""
+    """Convert a rotation to a quaternion w, x, y, z."""
     x, y, z, w = Rotation.from_matrix(rotation).as_quat()
     return np.array([w, x, y, z])
 

@@ -1,4 +1,4 @@
-"""URDF: the recorded arm's own file with friction and inertias as found; all else stays."""
+"""URDF: file of the recorded arm with diagnosed friction and inertias, otherwise unchanged."""
 
 from __future__ import annotations
 
@@ -12,21 +12,20 @@ from stiffopt.robot.xml_files import parse_xml
 
 
 class Urdf(ModelFormat):
-    """`<dynamics>` of every joint, `<inertial>` of the bodies that were found to be others.
+    """New `<dynamics>` of every joint and `<inertial>` of changed bodies.
 
     Notes
     -----
-    A body that was found to be another is what its joint carries, with all that is fixed to it:
-    the first of its links gets the whole inertia, the others keep their shapes only. A URDF has no
-    place for rotor inertia; the comment at its head states it.
+    A changed body comprises its link and all links fixed to it: the first gets the whole inertia,
+    the others keep only their shapes. URDF has no rotor inertia; the comment at its head states it.
     """
 
     name = "urdf"
     file = "found.urdf"
 
     def text(self, found: DiagnosedRobot) -> str:
-        """Content of found.urdf."""
-        # Comments of the file stay.
+        """Return the content of found.urdf."""
+        # Keep the comments of the file.
         assert found.nominal.urdf is not None
         root = parse_xml(found.nominal.urdf, comments=True)
         for number, line in enumerate(notes(found)):
@@ -52,7 +51,7 @@ class Urdf(ModelFormat):
 
 
 def _carried_links(root: ET.Element, joint: ET.Element) -> list[str]:
-    """Links that a joint carries: its own first, then those fixed to it."""
+    """Links that a joint carries: its own, then those fixed to it."""
     found = [_link_name(joint, "child")]
     for link in found:
         found += [
@@ -69,7 +68,7 @@ def _link_name(joint: ET.Element, which: str) -> str:
 
 
 def _set_inertial(link: ET.Element, body: Body) -> None:
-    """The whole body in the link's frame, which is that of its joint."""
+    """Set the inertial of the whole body in the link frame, which is the joint's."""
     for inertial in link.findall("inertial"):
         link.remove(inertial)
     inertial = ET.SubElement(link, "inertial")

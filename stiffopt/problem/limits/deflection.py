@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 class DeflectionCap(ToolMagnitudeBound):
-    """Peak of one part of the tool's deflection."""
+    """Limit on the peak of one part of the tool's deflection."""
 
     smoothing = WINDUP_SMOOTHING
 
@@ -30,15 +30,15 @@ class DeflectionCap(ToolMagnitudeBound):
         self.part = part
 
     def vector(self, model: StageModel) -> Quantity:
-        """That part of the deflection [m]."""
+        """Part of the deflection (3,) [m]."""
         return getattr(model.deflection, self.part)
 
     def magnitude(self, motion: Assessment) -> np.ndarray:
-        """Its length [m]."""
+        """Length of that part [m]."""
         return np.asarray(np.linalg.norm(motion.deflection[self.part], axis=1))
 
     def check(self, problem: TrajectoryProblem, motion: ResolvedMotion) -> None:
-        """The sag of a pose at rest must be below a cap on the total deflection."""
+        """Raise `ProblemError` where the static sag of a rest pose exceeds the limit."""
         cap = getattr(problem.active_limits, self.name)
         for pose in rest_poses(problem, motion) if self.part == "total" else ():
             sag = rest_deflection(problem, pose.angles, self.part) if pose.fixed else 0.0

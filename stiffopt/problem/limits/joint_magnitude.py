@@ -1,4 +1,4 @@
-"""Limits on the magnitude of a quantity of every joint, on which the others build."""
+"""Base class of limits on the magnitude of a joint quantity."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from stiffopt.symbolic import Quantity
     from stiffopt.validation import Section
 
-# Beyond this a number is a slip, and it would spoil the scales of the optimisation.
+# Largest limit accepted [SI]: larger values are input errors and spoil the scaling of the NLP.
 _MAX_LIMIT = 1e9
 
 
@@ -29,11 +29,11 @@ class JointMagnitude(DriveLimit):
     Parameters
     ----------
     name : str
-        Of the key, of the attribute of `Assessment`, and NAME_max of the robot.
+        Key, attribute of `Assessment`, and NAME_max of the robot.
     form : type
-        Of one entry in a file.
+        Type of one entry in a file.
     dimension : str
-        Of a revolute joint.
+        Dimension for a revolute joint.
     description : str
     order : int or None
     """
@@ -54,11 +54,11 @@ class JointMagnitude(DriveLimit):
         )
 
     def active(self, limits: Limits) -> bool:
-        """Whether any joint has one."""
+        """Return True if any joint has a finite limit."""
         return bool(np.any(np.isfinite(getattr(limits, self.name))))
 
     def read(self, section: Section, joints: JointLists) -> dict[str, Any]:
-        """List, "none" or the robot's own, times the factor of limits.scale."""
+        """Read a list, "none" or the robot's own, times the factor of limits.scale."""
         given = getattr(section, self.name)
         if given is None:
             array = self.keys[0].value(joints.robot)
@@ -76,7 +76,7 @@ class JointMagnitude(DriveLimit):
         return {self.name: array * attrgetter(f"scale.{self.name}")(section)}
 
     def bounds(self, limits: Limits, margin: float) -> tuple[np.ndarray, np.ndarray]:
-        """The same magnitude either way."""
+        """Symmetric bounds."""
         bound = getattr(limits, self.name) * (1.0 - margin)
         return -bound, bound
 
@@ -86,7 +86,7 @@ class JointMagnitude(DriveLimit):
         return [magnitude_rows(self.name, getattr(model, self.name), bound, margin)]
 
     def violations(self, limits: Limits, motion: DriveHistory) -> list[Violation]:
-        """The worst joint and instant."""
+        """Violation of the worst joint and instant."""
         return [self._worst_violation(limits, motion, np.abs(getattr(motion, self.name)))]
 
     def _worst_violation(
@@ -96,7 +96,7 @@ class JointMagnitude(DriveLimit):
 
 
 def magnitude_rows(name: str, values: Quantity, bound: np.ndarray, margin: float) -> PathRows:
-    """|value| <= bound (n,) for every joint with a finite bound, relative to it."""
+    """Rows |value| <= bound (n,) of joints with a finite bound, relative to it."""
     joints = np.flatnonzero(np.isfinite(bound))
     return PathRows(
         name=name,
@@ -108,6 +108,6 @@ def magnitude_rows(name: str, values: Quantity, bound: np.ndarray, margin: float
 
 
 def worst_joint(name: str, excess: np.ndarray, motion: DriveHistory) -> Violation:
-    """The largest entry of an excess (K, n)."""
+    """Violation at the largest entry of a relative excess (K, n)."""
     k, j = np.unravel_index(int(np.argmax(excess)), excess.shape)
     return Violation(float(excess[k, j]), name, int(j) + 1, float(motion.time[k]))

@@ -22,17 +22,17 @@ if TYPE_CHECKING:
     from stiffopt.symbolic import Quantity
     from stiffopt.validation import Section
 
-# Share of the torque at which the exact stiffness jumps.
+# Back-off from the torque at which the exact stiffness jumps, relative to it.
 _BESIDE_JUMP = 2e-3
-# Factor on the smoothing widths at which a reducer's step is as good as a jump.
+# Factor on the smoothing widths that makes a reducer's step a jump.
 _SHARP_SMOOTHING = 1e-6
 
 
 class JointStiffnessFloor(LimitKind):
-    """Tangent stiffness above a floor, as torque where a torque separates stiff from soft.
+    """Lower bound of the tangent stiffness, as a torque bound where one torque separates the two.
 
-    The stiffness of a reducer jumps at two torques. A bound on the torque is smooth where one on
-    the smoothed stiffness is flat, then steep, and still meets the jump only nearly.
+    The stiffness of a reducer jumps at two torques. A bound on the torque is smooth and exact; one
+    on the smoothed stiffness is flat, then steep, and approximates the jump.
     """
 
     name = "joint_stiffness"
@@ -47,33 +47,33 @@ class JointStiffnessFloor(LimitKind):
     )
 
     def active(self, limits: Limits) -> bool:
-        """Whether any joint has a floor."""
+        """Return True if any joint has a lower bound."""
         return bool(limits.joint_stiffness)
 
     def read(self, section: Section, joints: JointLists) -> dict[str, Any]:
-        """Floors of joints that exist."""
+        """Read lower bounds by joint number."""
         floors = getattr(section, self.name) or {}
         for joint in floors:
             joints.check_number(joint, "limits.joint_stiffness")
         return {"joint_stiffness": dict(floors)}
 
     def rows(self, problem: TrajectoryProblem, model: StageModel, margin: float) -> list[PathRows]:
-        """One row a joint with a floor."""
+        """One row per joint with a lower bound."""
         labels, expressions = [], []
         for j, floor in sorted(problem.active_limits.joint_stiffness.items()):
             labels.append(f"joint {j}")
             needed = _torque_of_stiffness(model, j, floor)
             if needed and model.sides[j - 1]:
-                # A little beyond the jump, so that rounding does not fall off it.
+                # Back off beyond the jump, so that rounding does not cross it.
                 share = model.sides[j - 1] * model.torques.spring[j - 1] / needed
                 expressions.append(1.0 + _BESIDE_JUMP + margin - share)
             else:
-                # In compliance, which is bounded where stiffness is steep.
+                # Compliance is bounded where stiffness is steep.
                 expressions.append(floor * model.compliance(j) - (1.0 - margin))
         return [PathRows(name=self.name, labels=tuple(labels), expressions=tuple(expressions))]
 
     def violations(self, limits: Limits, motion: Assessment) -> list[Violation]:
-        """One a joint with a floor."""
+        """One violation per joint with a lower bound."""
         found = []
         for joint, floor in limits.joint_stiffness.items():
             low = motion.lowest_stiffness[joint - 1]
@@ -81,7 +81,7 @@ class JointStiffnessFloor(LimitKind):
         return found
 
     def check(self, problem: TrajectoryProblem, motion: ResolvedMotion) -> None:
-        """A sign change or a pose at rest may rule a floor out."""
+        """Raise `ProblemError` where a sign change or a rest pose rules a bound out."""
         floors = problem.active_limits.joint_stiffness
         for joint, floor in floors.items():
             if not 1 <= joint <= problem.joints:
@@ -113,7 +113,7 @@ class JointStiffnessFloor(LimitKind):
                     )
 
     def statements(self, limits: Limits, robot: Robot) -> list[tuple[str, float, str]]:
-        """One line a joint with a floor."""
+        """One statement per joint with a lower bound."""
         return [
             (f"stiffness of joint {joint} at least", floor, _stiffness_unit(robot, joint))
             for joint, floor in limits.joint_stiffness.items()
@@ -125,10 +125,10 @@ def _stiffness_unit(robot: Robot, joint: int) -> str:
 
 
 def _torque_of_stiffness(model: StageModel, joint: int, floor: float) -> float | None:
-    """Torque [N m] from which on a joint is at least as stiff as `floor` [N m/rad].
+    """Torque [N m] above which a joint is at least as stiff as `floor` [N m/rad].
 
-    None where no such torque separates the stiff from the soft: the stiffness falls again within
-    one and a half times the joint's largest torque, or the joint is rigid.
+    None without such a torque: the stiffness falls again within 1.5 times the joint's largest
+    torque, or the joint is rigid.
     """
     chain = model.robot.chains[joint - 1]
     if chain is None:

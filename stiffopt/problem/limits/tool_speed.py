@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 class ToolSpeed(ToolMagnitudeBound):
-    """Speed of the tool's point."""
+    """Limit on the speed of the tool's point."""
 
     def vector(self, model: StageModel) -> Quantity:
         """Velocity of the tool [m/s]."""

@@ -1,4 +1,4 @@
-"""Limits that are one number at most, on which the others build."""
+"""Base classes of limits with one upper bound, on the tool and on residual vibration."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ if TYPE_CHECKING:
 
 
 class UpperBound(LimitKind):
-    """A number at most; absent where it is left out.
+    """Upper bound of one number; infinite by default.
 
     Parameters
     ----------
     name : str
-        Of the key and the attribute.
+        Name of key and attribute.
     form : type
-        Of the key in a file.
+        Type of the key in a file.
     unit : str
-        SI.
+        SI unit.
     description : str
     """
 
@@ -48,34 +48,34 @@ class UpperBound(LimitKind):
         )
 
     def active(self, limits: Limits) -> bool:
-        """Whether it is finite."""
+        """Return True if the bound is finite."""
         return bool(np.isfinite(getattr(limits, self.name)))
 
     def read(self, section: Section, joints: JointLists) -> dict[str, Any]:
-        """Values of the keys, what they are without one where they are left out."""
+        """Values of the keys, with their defaults."""
         given = {key.name: getattr(section, key.key) for key in self.keys}
         without = {key.name: key.value(joints.robot) for key in self.keys}
         return {name: without[name] if value is None else value for name, value in given.items()}
 
     def statements(self, limits: Limits, robot: Robot) -> list[tuple[str, float, str]]:
-        """One line."""
+        """Statement of the bound."""
         phrase = f"{self.name.replace('_', ' ')} at most"
         return [(phrase, getattr(limits, self.name), self.unit)]
 
 
 class ToolMagnitudeBound(UpperBound):
-    """|vector| <= limit at every instant."""
+    """Bound of a vector's length at the tool, at every instant."""
 
     @abstractmethod
     def vector(self, model: StageModel) -> Quantity:
-        """What is limited (3,), symbolic."""
+        """Limited vector (3,), symbolic."""
 
     @abstractmethod
     def magnitude(self, motion: Assessment) -> np.ndarray:
-        """Its length on the fine grid (K,)."""
+        """Length of the vector on the fine grid (K,)."""
 
     def rows(self, problem: TrajectoryProblem, model: StageModel, margin: float) -> list[PathRows]:
-        """Squared, so that it is smooth at zero."""
+        """Row on the squared length, which is smooth at zero."""
         relative = self.vector(model) / getattr(problem.active_limits, self.name)
         return [
             PathRows(
@@ -87,7 +87,7 @@ class ToolMagnitudeBound(UpperBound):
         ]
 
     def violations(self, limits: Limits, motion: Assessment) -> list[Violation]:
-        """The largest length."""
+        """Violation at the largest length."""
         series = self.magnitude(motion)
         k = int(np.argmax(series))
         excess = float(series[k] / getattr(limits, self.name) - 1.0)
@@ -95,15 +95,15 @@ class ToolMagnitudeBound(UpperBound):
 
 
 class ArrivalBound(UpperBound):
-    """A number at most, of the simulated second after arrival."""
+    """Bound of a quantity of the simulated second after arrival."""
 
     of_arrival = True
     smoothing = WINDUP_SMOOTHING
 
     def rows(self, problem: TrajectoryProblem, model: StageModel, margin: float) -> list[PathRows]:
-        """None: it holds after the motion."""
+        """No rows: the limit applies after the motion."""
         return []
 
-    def rest_missing(self, swing: SimulatedMotion) -> Violation:
-        """Of a motion that does not end at rest."""
-        return Violation(1.0, self.name, None, swing.duration)
+    def rest_missing(self, simulated: SimulatedMotion) -> Violation:
+        """Violation of a motion that does not end at rest."""
+        return Violation(1.0, self.name, None, simulated.duration)

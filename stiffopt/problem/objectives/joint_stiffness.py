@@ -1,4 +1,4 @@
-"""Lowest tangent stiffness of the joints over the motion, which is maximised."""
+"""Maximisation of the lowest tangent stiffness of the joints over the motion."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ if TYPE_CHECKING:
     from stiffopt.result.assessment import Assessment
     from stiffopt.symbolic import Quantity
 
-# Relative loss of stiffness that outweighs a torque of torque_max on the other side.
+# Penalty of a sign change by torque_max, as a relative loss of stiffness.
 _RELIEF_PRICE = 10.0
 
 
 class LowestJointStiffness(ObjectiveKind):
-    """The smallest of k_j / weight_j over time and joints, through a lower bound on it.
+    """Smallest k_j / weight_j over time and joints, maximised through a lower bound.
 
-    A joint whose torque changes sign has its stiffness at zero torque as the minimum. A motion with
-    a higher one stays on one side; further rows hold it there, because it could change over
-    between nodes. A motion too quick to stay on one side needs some relief from them, at a price.
+    A joint whose torque changes sign has its minimum at zero torque. Further rows keep torques on
+    one side, as they could cross zero between nodes; motions too fast for that violate them by a
+    penalised slack, the relief.
     """
 
     name = "joint_stiffness"
@@ -49,7 +49,7 @@ class LowestJointStiffness(ObjectiveKind):
     def bounds(
         self, objective: Objective, problem: TrajectoryProblem, motion: ResolvedMotion
     ) -> list[Bound]:
-        """Stiffness at zero torque where the torque must change sign, else that of a rest pose."""
+        """Stiffness at zero torque where a torque must change sign, else that of a rest pose."""
         found = []
         for joint in objective.numbers(problem.joints):
             if problem.robot.chains[joint - 1] is None:
@@ -87,7 +87,7 @@ class LowestJointStiffness(ObjectiveKind):
     def static_variables(
         self, objective: Objective, problem: TrajectoryProblem, sides: np.ndarray
     ) -> tuple[StaticVariable, ...]:
-        """The lower bound [N m/rad], and the relief [-] where a joint can stay on one side."""
+        """Lower bound [N m/rad], and the relief [-] if any joint can keep its sign."""
         bound = StaticVariable(
             name="minimum joint stiffness",
             start=lambda motion: self.certified_value(objective, motion),
@@ -111,13 +111,13 @@ class LowestJointStiffness(ObjectiveKind):
         statics: tuple[Quantity, ...],
         scale: float,
     ) -> ObjectiveTerms:
-        """The bound less the price of relief."""
+        """Lower bound less the penalty of the relief."""
         bound = statics[0]
         joints = objective.numbers(problem.joints)
         stiff = PathRows(
             name="minimum joint stiffness",
             labels=tuple(f"joint {j}" for j in joints),
-            # In compliance, not stiffness: 1/k is smooth and bounded where k is steep.
+            # Compliance is smooth and bounded where stiffness is steep.
             expressions=tuple(
                 bound * objective.weight_of(j) * model.compliance(j) - 1.0 for j in joints
             ),
@@ -152,7 +152,7 @@ class LowestJointStiffness(ObjectiveKind):
 def _single_sided_joints(
     objective: Objective, problem: TrajectoryProblem, sides: np.ndarray
 ) -> tuple[int, ...]:
-    """Joints (1-based) that count and can keep their spring torque on one side."""
+    """Joints (1-based) of the objective that can keep the sign of their spring torque."""
     return tuple(j for j in objective.numbers(problem.joints) if sides[j - 1] != 0)
 
 

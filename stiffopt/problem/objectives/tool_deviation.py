@@ -1,4 +1,4 @@
-"""Deviation of the elastic arm's tool from where it would hang, swinging included."""
+"""Deviation of the elastic arm's tool from its static equilibrium, vibration included."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ if TYPE_CHECKING:
     from stiffopt.problem.trajectory import TrajectoryProblem
     from stiffopt.symbolic import Quantity
 
-# Rises and falls of a deviation in a motion, which give its rates their size.
+# Angular frequency of the deviation times the duration, for the scale of its rate.
 _RATE_FREQUENCY = 20.0
 
 
 class ToolDeviation(ToolDeflection):
-    """Dynamic deflection of a motion planned for the links.
+    """Dynamic deflection with planned links.
 
-    The formula is that of the quasi-static deflection; on a link motion that the motors can make
-    it is exact, and nothing swings on after arrival.
+    The formula is that of the quasi-static deflection; it is exact for planned links, which have no
+    residual vibration.
     """
 
     plans_links = True
@@ -36,14 +36,14 @@ class ToolDeviation(ToolDeflection):
         super().__init__(
             "dynamic",
             phrase="deviation of the elastic arm's tool",
-            description="Deviation of the tool from where it would hang at the same motor "
-            "position, with the links' swing: planned for the links, at rest after arrival; "
-            "lowered as far as dynamic_deflection.",
+            description="Deviation of the tool from its static equilibrium at the same motor "
+            "position, vibration included: planned for the links, at rest after arrival; "
+            "minimised as far as dynamic_deflection.",
         )
         self.name = "tool_deviation"
 
     def check(self, objective: Objective, problem: TrajectoryProblem) -> None:
-        """The links' motion has to be one that can be planned."""
+        """Raise `ProblemError` unless the links can be planned."""
         check_link_planning(problem, self.name, "minimise 'dynamic_deflection'")
 
     def terms(
@@ -54,7 +54,7 @@ class ToolDeviation(ToolDeflection):
         statics: tuple[Quantity, ...],
         scale: float,
     ) -> ObjectiveTerms:
-        """Besides, the mean squared rate of the deviation: what swings where springs differ."""
+        """Add the mean squared rate of the deviation, which excites arms with other springs."""
         own = super().terms(objective, problem, model, statics, scale)
         if not problem.chosen_for_robustness:
             return own
