@@ -249,8 +249,8 @@ def spread_order(cases: list[Case]) -> list[Case]:
     """Order cases so that early ones are far apart.
 
     The first case starts cold. Each following round doubles the number of cases; every case
-    starts from the nearest of earlier rounds. So nearly all starts are near, few cases wait, and the
-    start of a case depends neither on workers nor on interruptions.
+    starts from the nearest of earlier rounds. So nearly all starts are near, few cases wait, and
+    the start of a case depends neither on workers nor on interruptions.
     """
     count = max(len(cases) - 1, 1).bit_length()
     # Bit-reversed numbers spread evenly over a grid.

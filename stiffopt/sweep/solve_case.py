@@ -30,8 +30,8 @@ class CaseResult:
     Parameters
     ----------
     status : str
-        Status of the solve or verdict of the diagnosis; "invalid" for invalid input, "failed" if the
-        worker died or raised another error.
+        Status of the solve or verdict of the diagnosis; "invalid" for invalid input, "failed" if
+        the worker died or raised another error.
     message : str
     values : dict of name to (value in SI or text, unit)
         Values of the table.

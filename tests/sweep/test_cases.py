@@ -183,7 +183,7 @@ def test_no_limit_is_a_value_like_others(tmp_path):
     ("text", "named"),
     [
         ('[grid]\n"payload.mass" = []', "payload.mass has no value"),
-        ('[lists]\n"a" = [1]\n"b" = [1, 2]', "differ in number"),
+        ('[lists]\n"a" = [1]\n"b" = [1, 2]', "differ in length"),
         ('[grid]\n"a" = [1]\n[lists]\n"a" = [1]', "two axes"),
         ("[latin_hypercube]\ncount = 3", "has no range"),
         ("[latin_hypercube]\ncount = 3\na = [1, 2]", "Its keys: lower, upper"),

@@ -170,7 +170,7 @@ def is_known(number):
 
 @pytest.mark.slow
 def test_processes_that_cannot_begin_are_told(monkeypatch):
-    monkeypatch.setattr("stiffopt.sweep.processes._work", os.abort)
+    monkeypatch.setattr("stiffopt.sweep.processes._serve_calls", os.abort)
     pool = Processes(2)
     with pytest.raises(WorkerLost):
         pool.submit(abs, -1).result()
@@ -194,7 +194,7 @@ def test_processes_that_cannot_begin_are_told(monkeypatch):
 )
 def test_workers_load_ahead_where_there_will_be_some(tmp_path, monkeypatch, arguments, ahead):
     begun = []
-    monkeypatch.setattr("stiffopt.sweep.processes._load_once", lambda: begun.append(True))
+    monkeypatch.setattr("stiffopt.sweep.processes._start_fork_server", lambda: begun.append(True))
     monkeypatch.setattr("stiffopt.sweep.processes.cores", lambda: 4)
     file = str(sweep_file(tmp_path, GRID))
     load_ahead([file if each == "FILE" else each for each in arguments])
