@@ -149,15 +149,15 @@ class StoredMotion:
         """Raise `InputError` unless the motion starts and ends at rest."""
         velocity = self.curve.derivative(1)(self.curve.x)
         moves = np.abs(velocity[[0, -1]]) > _REST_SPEED_SHARE * np.max(np.abs(velocity), axis=0)
-        for k, side, stands in (
-            (0, "start", "begins with a move to rest"),
+        for k, side, action in (
+            (0, "start", "starts with an approach to rest"),
             (1, "end", "stops there"),
         ):
             if np.any(moves[k]):
                 j = int(np.argmax(moves[k]))
                 raise InputError(
                     f"joint {j + 1} ({self.joint_names[j]}) moves at the {side}, by "
-                    f"{velocity[-k, j]:.4g} rad/s; a program of {owner} {stands}. Export it with "
+                    f"{velocity[-k, j]:.4g} rad/s; a program of {owner} {action}. Export it with "
                     "--to ros2 or csv, or plan without motion.boundary_velocity."
                 )
 

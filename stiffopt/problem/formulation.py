@@ -183,7 +183,7 @@ def _make_motor_model(
         smoothing.stiffness,
         sides,
         problem.process_force,
-        LAW_SMOOTHING_FACTOR * smoothing.corners,
+        LAW_SMOOTHING_FACTOR * smoothing.lead,
         smoothing.robust if problem.chosen_for_robustness else 0.0,
     )
 
@@ -412,8 +412,7 @@ def _tool_pose(problem: TrajectoryProblem, p: ca.SX) -> tuple[ca.SX, Quantity, Q
     x = ca.SX.sym("x", coordinates_of(problem).order * n)
     joints = x[:n]
     if problem.plans_links:
-        corners = Smoothing(*ca.vertsplit(p)).corners
-        last = Smoothing(smoothing_stages(problem)[-1], corners)
+        last = Smoothing(smoothing_stages(problem)[-1], Smoothing(*ca.vertsplit(p)).lead)
         joints = _motor_model_at(problem, x, last).position
     tool = problem.robot.tool
     position, rotation = tool_pose(

@@ -116,7 +116,7 @@ class Smoothing:
     ----------
     stiffness : float or SX
         On the kinks and steps of the joints' stiffness; from wide to narrow stage by stage.
-    corners : float or SX
+    lead : float or SX
         Further factor in the feedforward-lead law of planned links: as wide as the motors' jerk
         limit needs, while the deflection keeps its own width.
     robust : float or SX
@@ -125,7 +125,7 @@ class Smoothing:
     """
 
     stiffness: Quantity
-    corners: Quantity = 1.0
+    lead: Quantity = 1.0
     robust: Quantity = 0.0
 
     @property
@@ -136,9 +136,8 @@ class Smoothing:
     @property
     def law(self) -> float:
         """Factor on the widths of the feedforward-lead law."""
-        return float(self.stiffness * self.corners)
+        return float(self.stiffness * self.lead)
 
     def narrowed(self, share: float) -> Smoothing:
         """Narrow the stiffness widths to a share; the feedforward-lead law keeps its widths."""
-        corners = self.corners / share
-        return replace(self, stiffness=share * self.stiffness, corners=corners)
+        return replace(self, stiffness=share * self.stiffness, lead=self.lead / share)

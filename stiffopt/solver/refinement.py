@@ -205,7 +205,7 @@ def _asked_of(
 
     `late` are the limits that it exceeds after arrival.
     """
-    wide = outcome.smoothing.corners > 1.0
+    wide = outcome.smoothing.lead > 1.0
     if any(block.rows.name in late for block in nlp.rows.items):
         # The size that rows know is more than the arm's: it gives way slowly. What wide corners
         # leave they do not know at all.
@@ -237,7 +237,7 @@ def _within_rows(run: SolveRun, outcome: Outcome, nlp: Nlp) -> tuple[Outcome, Nl
                 if not _to_mend(outcome, excess):
                     break
                 if worst > (_CORNER if attempt > 1 else _SPIKE):
-                    smoothing = replace(smoothing, corners=_passable(run, outcome))
+                    smoothing = replace(smoothing, lead=_passable(run, outcome))
                 rows = rows or PointFunction(exact_path_rows(run.problem, run.motion, run.scales))
                 bends = _BENDS if outcome.objective_gap > TRUE_OBJECTIVE else 1.0
                 bent = smoothing.narrowed(bends).parameters
@@ -273,7 +273,7 @@ def _passable(run: SolveRun, outcome: Outcome) -> float:
 
     As wide as they are where that lowers no excess: then it is none of a corner.
     """
-    corners = outcome.smoothing.corners
+    corners = outcome.smoothing.lead
 
     @functools.cache
     def beyond(width: float) -> float:

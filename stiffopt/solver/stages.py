@@ -415,7 +415,7 @@ def _no_spike(
     smoothing = stage.smoothing
     widest = before.smoothing.law
     while smoothing.law < widest and _excess(transcription, guess, smoothing) > _SPIKE:
-        smoothing = replace(smoothing, corners=2.0 * smoothing.corners)
+        smoothing = replace(smoothing, lead=2.0 * smoothing.lead)
     return replace(stage, smoothing=smoothing)
 
 

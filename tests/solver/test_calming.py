@@ -41,7 +41,7 @@ def solved(request, tmp_path_factory):
         plain.setattr(refinement, "_OFF", np.inf)
         plain.setattr(refinement, "calmed", calming.calmed)
         after, _ = solve_keeping(problem)
-    assert outcome.smoothing.corners > 1.0
+    assert outcome.smoothing.lead > 1.0
     return problem, before, after
 
 
@@ -104,7 +104,7 @@ def test_an_arm_of_constant_springs_is_calmed_as_well(tmp_path, monkeypatch):
     after, (_, outcome) = solve_keeping(problem)
     monkeypatch.setattr(refinement, "calmed", refused)
     before, _ = solve_keeping(problem)
-    assert outcome.smoothing.corners == 1.0
+    assert outcome.smoothing.lead == 1.0
     assert after.assessment.feasible(CERTIFIED)
     plain, found = swing(problem, before), swing(problem, after)
     assert plain.peak_after > 5e-5

@@ -41,10 +41,10 @@ def test_what_width_does_not_mend_is_no_corner():
     ],
 )
 def test_corners_that_are_passed_too_fast_get_wider_and_no_others(monkeypatch, excess, corners):
-    outcome = SimpleNamespace(smoothing=SimpleNamespace(corners=4.0))
+    outcome = SimpleNamespace(smoothing=SimpleNamespace(lead=4.0))
 
     def motors(run, outcome, share, *, sagged):
-        return share * outcome.smoothing.corners
+        return share * outcome.smoothing.lead
 
     def drives(problem, width):
         return [SimpleNamespace(value=-0.1), SimpleNamespace(value=excess(width))]

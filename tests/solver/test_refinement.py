@@ -125,13 +125,13 @@ def test_corners_get_wider_before_the_first_correction_of_a_spike(
     tried = []
 
     def never_solved(run, made, raw, nlp, smoothing):
-        tried.append(smoothing.corners)
+        tried.append(smoothing.lead)
         return replace(raw, status="iteration_limit")
 
     monkeypatch.setattr(refinement, "_excess", lambda _: {"jerk": excess})
     monkeypatch.setattr(refinement, "corrected", never_solved)
     refinement._within_rows(run, outcome, outcome.transcription.nlp)
-    before = outcome.smoothing.corners
+    before = outcome.smoothing.lead
     assert len(tried) == 1
     assert (tried[0] > 1.3 * before) == wider
 

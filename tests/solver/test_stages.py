@@ -37,7 +37,7 @@ def test_a_solve_begins_with_corners_as_wide_as_a_smooth_motion_needs(jerk, corn
     quintic = baselines(problem, motion)["quintic"]
     run = SolveRun(problem, motion, Scales(), None, quintic)
     assert run.corners == corners
-    assert {s.smoothing.corners for s in stages(problem, 40, run.corners)} == {corners}
+    assert {s.smoothing.lead for s in stages(problem, 40, run.corners)} == {corners}
 
 
 def test_a_minimum_duration_is_not_first_led_far_from_where_it_begins():

@@ -45,7 +45,7 @@ LIMITS.add(
         "residual_vibration",
         Length,
         "m",
-        "Largest deviation of the tool after arrival from where it hangs at rest, on the elastic "
+        "Largest deviation of the tool after arrival from its static equilibrium, on the elastic "
         "arm [m].",
     )
 )

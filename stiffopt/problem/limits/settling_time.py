@@ -23,8 +23,8 @@ class SettlingTimeLimit(ArrivalBound):
             "settling_time",
             Annotated[Time, Bounds(above=0.0, most=1.0)],
             "s",
-            "Longest time from the motors' stop until the tool stays within settling_band of where "
-            "it hangs at rest, on the elastic arm [s].",
+            "Longest time from the motors' stop until the tool stays within settling_band of its "
+            "static equilibrium, on the elastic arm [s].",
         )
         band = LimitKey(
             key="settling_band",

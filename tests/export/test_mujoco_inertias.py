@@ -1,4 +1,4 @@
-"""Inertias of URDFs that belong to no body, in an MJCF: MuJoCo would refuse them."""
+"""MJCF export of inertias that violate the triangle inequality."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from stiffopt.robot.files import load_robot
         (0.2, 0.2, 0.2),
     ],
 )
-def test_mujoco_reads_bodies_that_cannot_be(moments, tmp_path):
+def test_mujoco_reads_raised_inertias(moments, tmp_path):
     mujoco = pytest.importorskip("mujoco")
     values = dict(zip(("ixx", "iyy", "izz"), moments, strict=True))
     written = " ".join(f'{key}="{value}"' for key, value in values.items())
