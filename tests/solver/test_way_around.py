@@ -115,7 +115,7 @@ def test_asked_to_check_it_leads_nothing_around(tmp_path):
 @pytest.mark.parametrize(
     ("pieces", "words"),
     [
-        ({"start": "{ joints = [0.0, 0.1] }"}, r"motion.start: base is 90.0 mm deep in hand at this pose"),
+        ({"start": "{ joints = [0.0, 0.1] }"}, r"start: base is 90.0 mm deep in hand at this pose"),
         ({"end": "{ joints = [0.0, 0.195] }"}, r"motion.end: .* below cell.clearance of 10.0"),
         ({"motion": "via = [{ joints = [0.0, 0.1] }]"}, r"motion.via\[1\]: base is"),
         ({"cell": WALLS, "end": "{ joints = [0.2, 0.3] }"}, "correct the place of wall"),

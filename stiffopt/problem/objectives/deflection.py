@@ -76,9 +76,10 @@ class ToolDeflection(ObjectiveKind):
         # A robot without any drivetrain is refused by the stage model.
         if problem.robot.yields and not problem.robot.tool_yields(_sample_poses(problem, motion)):
             text = (
-                f"{self.name} is zero whatever the motion: no joint of {problem.robot.name} that "
-                "yields moves the tool in any pose. Describe the elements of the others in "
-                f"the robot file, give tool.offset, or minimise 'torque_squared'{ACCEPT_ADVICE}"
+                f"{self.name} is zero whatever the motion: no elastic joint of "
+                f"{problem.robot.name} moves the tool in any pose. Describe the elements of the "
+                f"others in the robot file, give tool.offset, or minimise "
+                f"'torque_squared'{ACCEPT_ADVICE}"
             )
             return [Bound(self.name, 0.0, text, True)]
         if not self.pinned_by or objective.measure != "peak":
