@@ -23,7 +23,7 @@ from stiffopt.certificate.assess import assess
 from stiffopt.problem.files import load_problem
 from stiffopt.problem.formulation import Scales, formulate
 from stiffopt.problem.resolve import resolve
-from stiffopt.problem.smoothing import Smoothing
+from stiffopt.problem.stage_terms import Smoothing
 from stiffopt.problem.trajectory import Method, TrajectoryProblem
 from stiffopt.result.solution import Solution
 from stiffopt.result.trajectory import Trajectory

@@ -24,7 +24,7 @@ from stiffopt.solver.active_set import ActiveSetSolver
 from stiffopt.solver.family import ProblemFamily
 from stiffopt.solver.ipopt import IpoptSolver
 from stiffopt.sweep.cases import Case, load_sweep
-from stiffopt.sweep.order import ordered, predecessors
+from stiffopt.sweep.run import predecessors, spread_order
 from stiffopt.sweep.solve_case import solve_case
 
 TITLE = "Sweeps"
@@ -84,7 +84,7 @@ def warm_cases(folder: Path) -> list[Row]:
         mock.patch.object(IpoptSolver, "solve", timed(IpoptSolver.solve)),
         mock.patch.object(ActiveSetSolver, "solve", timed(ActiveSetSolver.solve)),
     ):
-        first, second, *others = ordered(cases)
+        first, second, *others = spread_order(cases)
         cold, end = _cpu(first, None)
         ends = {first.key: end, second.key: _cpu(second, end)[1]}
         inside = warm = 0.0

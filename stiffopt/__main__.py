@@ -1,4 +1,4 @@
-"""`python -m stiffopt`, and the `stiffopt` command."""
+"""Entry point of `python -m stiffopt` and of the `stiffopt` command."""
 
 import gc
 import sys
@@ -7,17 +7,17 @@ from contextlib import nullcontext
 from stiffopt.interrupts import defer_until_result
 from stiffopt.streams import open_streams, output_failure
 
-# Of the search for unreachable cycles, of which a command leaves few: at every 700th object, as
-# Python has it, it was a tenth of a solve.
-_SELDOM = (50_000, 20, 100)
+# Thresholds of the cyclic garbage collector: with Python's default of 700 objects it takes a tenth
+# of a solve.
+_GC_THRESHOLDS = (50_000, 20, 100)
 
 
 def main() -> None:
-    """Run the command line; Ctrl-C while it is still loading is an interruption as well.
+    """Run the command line; Ctrl-C during loading is an interruption as well.
 
-    Of a solve it waits for a motion from the first moment on.
+    In a solve, Ctrl-C waits for a motion from the start.
     """
-    gc.set_threshold(*_SELDOM)
+    gc.set_threshold(*_GC_THRESHOLDS)
     open_streams()
     try:
         with defer_until_result() if sys.argv[1:2] == ["solve"] else nullcontext():
@@ -35,10 +35,10 @@ def main() -> None:
     if failure is not None:
         from stiffopt import folders
 
-        kept = f" {folders.written[-1]} was written all the same." if folders.written else ""
+        kept = f" {folders.written[-1]} was written nevertheless." if folders.written else ""
         print(f"stiffopt: stdout: {failure.strerror}.{kept}", file=sys.stderr)
         code = code if kept else 2
-    # What is left goes with the process: nothing of it is looked through once more.
+    # Skip the final garbage collection: the process ends.
     gc.freeze()
     sys.exit(code)
 

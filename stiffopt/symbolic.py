@@ -1,6 +1,6 @@
-"""The one owner of CasADi conventions: formulas in plain NumPy serve floats, arrays, SX and MX.
+"""CasADi conventions: formulas in plain NumPy serve floats, arrays, SX and MX.
 
-CasADi 3.8 answers `np.exp(SX)` and friends; `setNumpyMode(-1)` makes the result type follow the
+CasADi 3.8 supports `np.exp(SX)` and the like; `setNumpyMode(-1)` makes the result type follow the
 input and silences the warning. Import this module (not casadi) before evaluating a formula on
 symbols.
 """
@@ -17,27 +17,26 @@ from scipy.sparse import csc_matrix
 
 ca.GlobalOptions.setNumpyMode(-1)
 
-# A float, an array, an SX or an MX: whatever np.* and arithmetic accept.
+# Float, array, SX or MX: anything that np.* and arithmetic accept.
 Quantity = Any
 
 
 def is_symbolic(value: Quantity) -> bool:
-    """Whether `value` is an SX or MX expression."""
+    """Return True for SX and MX expressions."""
     return isinstance(value, ca.SX | ca.MX)
 
 
 def array_of(matrix: ca.DM) -> np.ndarray:
-    """Numbers of a matrix.
+    """Convert a matrix to an array.
 
-    `DM.full()` runs Python code within C++: a Ctrl-C that comes then is lost in it, and None is
-    answered in place of the numbers.
+    Unlike this, `DM.full()` runs Python code within C++, which loses a Ctrl-C and returns None.
     """
     dense = matrix if matrix.is_dense() else ca.densify(matrix)
     return np.array(dense.nonzeros(), dtype=float).reshape(matrix.shape, order="F")
 
 
-class InPlace:
-    """A function whose numbers lie in arrays of its own: no matrices are made at a call.
+class BufferedFunction:
+    """CasADi function with preallocated buffers: calls create no matrices.
 
     Parameters
     ----------
@@ -49,7 +48,7 @@ class InPlace:
         self._buffer, self._evaluate = function.buffer()
         self._given = [np.zeros(function.nnz_in(i)) for i in range(function.n_in())]
         self._found = [np.zeros(function.nnz_out(i)) for i in range(function.n_out())]
-        # Sizes are told by the memory itself, which CasADi's annotations do not know.
+        # CasADi's annotations lack the overload that takes sizes from the memory view.
         set_given: Any = self._buffer.set_arg
         set_found: Any = self._buffer.set_res
         for i, given in enumerate(self._given):
@@ -58,20 +57,20 @@ class InPlace:
             set_found(i, memoryview(found.data))
 
     @cached_property
-    def _patterns(self) -> list[tuple[np.ndarray, np.ndarray, tuple[int, int]]]:
+    def _sparsity_patterns(self) -> list[tuple[np.ndarray, np.ndarray, tuple[int, int]]]:
         patterns = [self.function.sparsity_out(i) for i in range(self.function.n_out())]
         return [(np.array(p.row()), np.array(p.colind()), p.shape) for p in patterns]
 
     def __call__(self, *given: np.ndarray | float) -> list[np.ndarray]:
-        """Non-zeros of all outputs, for those of dense inputs; overwritten by the next call."""
+        """Evaluate the nonzeros of all outputs; overwritten by the next call."""
         for own, value in zip(self._given, given, strict=True):
             own[:] = value
         self._evaluate()
         return self._found
 
     def sparse(self, output: int) -> csc_matrix:
-        """An output of the last call as a matrix of its own."""
-        rows, starts, shape = self._patterns[output]
+        """Copy an output of the last call to a sparse matrix."""
+        rows, starts, shape = self._sparsity_patterns[output]
         return csc_matrix((self._found[output].copy(), rows, starts), shape=shape)
 
 
@@ -98,7 +97,7 @@ def elementwise_derivative(
     Parameters
     ----------
     formula : callable
-        Acts on each element of its argument independently.
+        Function that acts elementwise.
     x : scalar or array or SX or MX
     order : int
         1 or higher.

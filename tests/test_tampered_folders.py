@@ -327,11 +327,11 @@ def test_a_sweep_keeps_no_case_behind_a_link(tmp_path, outside, place):
     ],
 )
 def test_a_case_file_of_something_else_is_made_anew(tmp_path, text):
-    from stiffopt.sweep.run import _read
+    from stiffopt.sweep.run import _read_case
 
     (tmp_path / "cases").mkdir()
     (tmp_path / "cases" / "k.json").write_text(text)
-    assert _read(tmp_path, "k") is None
+    assert _read_case(tmp_path, "k") is None
     (tmp_path / "cases" / "k.json").unlink()
     os.mkfifo(tmp_path / "cases" / "k.json")
-    assert _read(tmp_path, "k") is None
+    assert _read_case(tmp_path, "k") is None

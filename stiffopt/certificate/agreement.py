@@ -15,7 +15,7 @@ import numpy as np
 
 from stiffopt.certificate.assess import assess, drive_history, joint_windup
 from stiffopt.errors import format_relative
-from stiffopt.result.believed import Believed
+from stiffopt.result.assessment import PredictedMotion
 
 if TYPE_CHECKING:
     from stiffopt.problem.trajectory import TrajectoryProblem
@@ -69,7 +69,7 @@ class Disagreement:
 
 
 def find_disagreements(
-    problem: TrajectoryProblem, motion: JointMotion, believed: Believed
+    problem: TrajectoryProblem, motion: JointMotion, believed: PredictedMotion
 ) -> tuple[Disagreement, ...]:
     """Return the largest difference of every quantity, the worst over its tolerance first.
 
@@ -85,7 +85,7 @@ def find_disagreements(
 
 
 def _compare_quantities(
-    problem: TrajectoryProblem, motion: JointMotion, believed: Believed
+    problem: TrajectoryProblem, motion: JointMotion, believed: PredictedMotion
 ) -> Iterator[Disagreement]:
     robot, time = problem.robot, believed.time
     true, carried = drive_history(problem, motion, time)

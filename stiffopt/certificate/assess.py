@@ -115,7 +115,7 @@ def assess(
         arm = ElasticArm(robot, position[0], problem.process_force)
         command = MotorMotion(times, position, velocity)
         swing = simulate(arm, command, band=problem.active_limits.settling_band)
-    return find_violations(problem, replace(assessment, integrals=named, swing=swing))
+    return find_violations(problem, replace(assessment, integrals=named, simulated=swing))
 
 
 def drive_violations(

@@ -120,10 +120,9 @@ def check(
 
 def _found(result: Path, to: str, recordings: Path, effects: Path | None) -> dict[str, str]:
     """Text of a robot with what a diagnosis found; the changes are printed."""
-    from stiffopt.export.found import read_found
-    from stiffopt.export.model_format import MODEL_FORMATS, notes
+    from stiffopt.export.model_format import MODEL_FORMATS, notes, read_diagnosed_robot
 
-    found = read_found(result, recordings, effects)
+    found = read_diagnosed_robot(result, recordings, effects)
     for line in (*notes(found), *MODEL_FORMATS[to].remarks(found)):
         print(line)
     return {MODEL_FORMATS[to].file: MODEL_FORMATS[to].text(found)}

@@ -56,7 +56,7 @@ def solve(
     with defer_until_result():
         from stiffopt.certificate.assess import assess
         from stiffopt.problem.files import load_problem
-        from stiffopt.result.compensation_store import write_command
+        from stiffopt.result.compensation import write_command
         from stiffopt.result.status import SolveStatus
         from stiffopt.result.store import (
             RESULT_FILE,

@@ -82,9 +82,9 @@ def diagnose(
             if given:
                 raise InputError(f"{option} is of one recording set, not of {1 + len(more)}.")
         from stiffopt.cli.sweeps import employed, swept
-        from stiffopt.sweep.cases import fleet_of
+        from stiffopt.sweep.cases import fleet_sweep
 
-        fleet = fleet_of([recordings, *more], changes)
+        fleet = fleet_sweep([recordings, *more], changes)
         folder = out or Path("out") / "fleet"
         pool = employed(workers, scheduler)
         return swept(fleet, folder, pool, open_report=open_report, quiet=quiet)

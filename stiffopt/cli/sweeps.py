@@ -65,15 +65,14 @@ def employed(workers: int | None, scheduler: str | None) -> Workers:
 
     if workers is not None and workers < 1:
         raise InputError(f"--workers {workers}: at least 1 is needed.")
-    return known.workers(workers, scheduler)
+    return known.make_workers(workers, scheduler)
 
 
 def swept(sweep: Sweep, folder: Path, pool: Workers, *, open_report: bool, quiet: bool) -> int:
     """Solve the cases of a sweep and write what it found; exit code."""
     from stiffopt.report.sweep.terminal import SweepDisplay, print_sweep
     from stiffopt.sweep.run import run_sweep
-    from stiffopt.sweep.store import PARQUET_FILE, write_sweep
-    from stiffopt.sweep.summary import SweepSummary
+    from stiffopt.sweep.summary import PARQUET_FILE, SweepSummary, write_sweep
 
     with output_folder(folder, "sweep", maybe=(PARQUET_FILE,)) as stage:
         with nullcontext() if quiet else SweepDisplay(sweep.title) as progress, _loading(pool):

@@ -83,7 +83,7 @@ def simulate(
     from stiffopt.elastic.motor import Servo
     from stiffopt.report.solve.simulation_page import write_simulation_report
     from stiffopt.report.solve.terminal import print_compensation, print_simulation
-    from stiffopt.result.compensation_store import COMMAND_FILE
+    from stiffopt.result.compensation import COMMAND_FILE
     from stiffopt.result.store import write_simulation
     from stiffopt.solver.compensation import judge_existing_command
     from stiffopt.solver.simulation import elastic_arm, simulate_motions

@@ -26,7 +26,7 @@ from stiffopt.discovery.settings import Settings
 from stiffopt.discovery.training import Training
 from stiffopt.recording.recording_set import RecordingSet
 from stiffopt.recording.run import Fault
-from stiffopt.result.shown import Shown
+from stiffopt.result.solution import DisplayedResult
 
 Verdict = Literal["named", "nothing_missing", "outside_catalogue"]
 
@@ -148,7 +148,7 @@ class ChannelFit:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class Diagnosis(Shown):
+class Diagnosis(DisplayedResult):
     """What the nominal model of a recording set lacks, and the proof of it.
 
     Parameters

@@ -1,1 +1,1 @@
-"""Results as files that controllers, simulators and other tools read, one format a file."""
+"""Export of motions and robots for controllers, simulators and other tools, one format per file."""

@@ -1,4 +1,4 @@
-"""An exported motion read back: whole or not, whose it is, and whether it keeps its limits."""
+"""Check of exported motions: integrity, origin and limits."""
 
 from __future__ import annotations
 
@@ -10,32 +10,31 @@ import numpy as np
 
 from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
 from stiffopt.errors import InputFileError, format_relative
-from stiffopt.export.format import FORMATS
+from stiffopt.export.format import FORMATS, is_whole, read_seal
 from stiffopt.export.motion import read_motion
-from stiffopt.export.seal import is_whole, read_seal
 from stiffopt.files import read_text
 
-# Of the numbers of a file against those of its result: rounding of another processor.
+# Relative and absolute tolerance of numbers against a fresh export: rounding of other processors.
 _NUMBER_TOLERANCE = 1e-9
-_NUMBER = re.compile(r"[-+]?\d+(?:\.\d*)?(?:[eE][-+]?\d+)?")
-# Subjects of the header, in the order in which they are told apart.
-_SUBJECTS = ("payload", "robot", "limits", "motion")
+_NUMBER_PATTERN = re.compile(r"[-+]?\d+(?:\.\d*)?(?:[eE][-+]?\d+)?")
+# Hashes of the header, in the order of comparison: the first difference names the cause.
+_SEAL_SUBJECTS = ("payload", "robot", "limits", "motion")
 
 
 @dataclass(frozen=True, kw_only=True)
 class CheckedMotion:
-    """An exported motion that is whole and keeps its limits.
+    """Exported motion that is unchanged and keeps its limits.
 
     Parameters
     ----------
     format, which, title, robot : str
-        Of `--to`, "motor" or "link", of the result, and the robot's name.
+        Name of `--to`, "motor" or "link", title of the result, name of the robot.
     payload : float or None [kg]
     rate : float [Hz]
     duration : float [s]
     samples : int
     tightest : str
-        The limit with the least margin, in words.
+        Description of the limit with the least margin.
     """
 
     format: str
@@ -50,7 +49,7 @@ class CheckedMotion:
 
 
 def check_file(file: Path, result: Path, problem: Path | None = None) -> CheckedMotion:
-    """Check an exported file against its result, which is judged anew.
+    """Check an exported file against its result, whose motion is assessed again.
 
     Parameters
     ----------
@@ -58,45 +57,45 @@ def check_file(file: Path, result: Path, problem: Path | None = None) -> Checked
     result : Path
         Folder of the solve.
     problem : Path, optional
-        Problem file in place of the one that the result names.
+        Problem file in place of that of the result.
 
     Raises
     ------
     InputError
-        The file has no header, was changed, or is of another result; or the result's motion is not
-        the certified one.
+        The file has no header, was changed, or belongs to another result; or the motion of the
+        result is not the certified one.
     """
     entries, body = read_seal(read_text(file))
     kind, which = entries.get("format", ""), entries.get("of", "")
-    rate = _rate_of(entries)
+    rate = _read_rate(entries)
     if kind not in FORMATS or which not in ("motor", "link") or rate is None:
         raise InputFileError(
-            file, "", "has no header of `stiffopt export` that names its motion, so nothing is "
-            "known of it. Export the motion again."
+            file, "", "has no header of `stiffopt export`, so it cannot be checked. Export the "
+            "motion again."
         )  # fmt: skip
     if not is_whole(entries, body):
         raise InputFileError(
-            file, "", "was changed since it was exported: its header has another hash of its "
+            file, "", "was changed after its export: the hash of its header is that of another "
             "content. Export the motion again."
         )  # fmt: skip
     if not (result / "result.json").is_file():
         raise InputFileError(
-            file, "", f"{result} holds no result.json to hold it against. Give the folder of its "
-            "solve as --result."
+            file, "", f"{result} has no result.json to compare with. Give the folder of its solve "
+            "as --result."
         )  # fmt: skip
     stored = read_motion(result, "link" if which == "link" else "motor", problem)
-    for subject in _SUBJECTS:
+    for subject in _SEAL_SUBJECTS:
         if entries.get(subject) != stored.seal[subject]:
             verb = "are" if subject == "limits" else "is"
             raise InputFileError(
-                file, "", f"its {subject} {verb} not that of {result}: it is of another solve. "
-                "Give that as --result, or export again."
+                file, "", f"its {subject} {verb} not that of {result}: it belongs to another "
+                "solve. Give that solve as --result, or export again."
             )  # fmt: skip
     texts = FORMATS[kind].export(stored, rate)
     fresh = texts.get(entries.get("file", ""))
     if fresh is None or not _equal_numbers(body, read_seal(fresh)[1]):
         raise InputFileError(
-            file, "", f"is not the motion of {result}, though its header says so. Export the "
+            file, "", f"is not the motion of {result}, although its header matches. Export the "
             "motion again."
         )  # fmt: skip
     motion = stored.sampled(rate, whole_steps=FORMATS[kind].whole_steps)
@@ -112,20 +111,20 @@ def check_file(file: Path, result: Path, problem: Path | None = None) -> Checked
         duration=float(motion.time[-1]),
         samples=len(motion.time),
         tightest=f"{tightest.limit.replace('_', ' ')} of joint {tightest.joint} at "
-        f"{tightest.time:.3f} s, {_margin(tightest.value)}",
+        f"{tightest.time:.3f} s, {_format_margin(tightest.value)}",
     )
 
 
-def _margin(value: float) -> str:
-    """Return a violation within the certificate's tolerance, in words."""
+def _format_margin(value: float) -> str:
+    """Format a violation within the certificate's tolerance."""
     if value > 0.0:
         tolerance = f"the certificate's tolerance of {CERTIFICATE_TOLERANCE:.1%}"
         return f"over by {format_relative(value)}, within {tolerance}"
     return f"{format_relative(-value)} left"
 
 
-def _rate_of(entries: dict[str, str]) -> float | None:
-    """Rate [Hz] of a header, None where it has no number."""
+def _read_rate(entries: dict[str, str]) -> float | None:
+    """Read the rate [Hz] of a header; None without a number."""
     try:
         return float(entries["rate"])
     except (KeyError, ValueError):
@@ -133,10 +132,10 @@ def _rate_of(entries: dict[str, str]) -> float | None:
 
 
 def _equal_numbers(one: str, other: str) -> bool:
-    """Return whether two texts differ by no more than rounding of their numbers."""
+    """Return True if two texts differ only by rounding of their numbers."""
     if one == other:
         return True
-    if _NUMBER.sub("#", one) != _NUMBER.sub("#", other):
+    if _NUMBER_PATTERN.sub("#", one) != _NUMBER_PATTERN.sub("#", other):
         return False
-    own, wanted = (np.array(_NUMBER.findall(text), dtype=float) for text in (one, other))
+    own, wanted = (np.array(_NUMBER_PATTERN.findall(text), dtype=float) for text in (one, other))
     return bool(np.allclose(own, wanted, rtol=_NUMBER_TOLERANCE, atol=_NUMBER_TOLERANCE))

@@ -1,31 +1,40 @@
-"""What every format of an exported motion must answer, and the registry that holds them."""
+"""Interface and registry of motion formats, with the header that identifies an exported motion."""
 
 from __future__ import annotations
 
+import hashlib
+import re
 from abc import ABC, abstractmethod
+from pathlib import PurePath
+from typing import TYPE_CHECKING
 
+import numpy as np
+
+from stiffopt.errors import InputError
 from stiffopt.export.motion import SampledMotion, StoredMotion, check_rate
-from stiffopt.export.seal import seal_entries, with_seal
 from stiffopt.problem.registry import Registry
+
+if TYPE_CHECKING:
+    from stiffopt.export.motion import StoredMotion
 
 
 class ExportFormat(ABC):
-    """A way to hand a motion to others.
+    """Format of an exported motion.
 
     Attributes
     ----------
     name : str
-        Of `--to`.
+        Name for `--to`.
     title : str
-        What reads it.
+        Reader of the format.
     rate : float
-        Where none is given [Hz].
+        Default rate [Hz].
     rate_max : float
-        The most that it takes [Hz].
+        Largest rate [Hz].
     whole_steps : bool
-        Whether it has a fixed cycle: every step is then 1/rate.
+        True for a fixed cycle: every step is 1/rate.
     from_rest : bool
-        Whether its programs move to the start and stop at the end, so that the motion must begin
+        True if its programs approach the start and stop at the end, so that the motion must start
         and end at rest.
     """
 
@@ -37,7 +46,7 @@ class ExportFormat(ABC):
     from_rest = False
 
     def export(self, stored: StoredMotion, rate: float | None = None) -> dict[str, str]:
-        """Texts of the files by their name.
+        """Export a motion as texts by file name.
 
         Parameters
         ----------
@@ -47,8 +56,8 @@ class ExportFormat(ABC):
         Raises
         ------
         InputError
-            The rate, the joints or their positions are beyond what the format takes, or the samples
-            exceed a limit.
+            Rate, joints or positions are outside the range of the format, or the samples exceed a
+            limit.
         """
         chosen = self.rate if rate is None else rate
         check_rate(chosen, self.rate_max, self.title)
@@ -64,15 +73,75 @@ class ExportFormat(ABC):
         return texts | self.programs(texts)
 
     def check(self, stored: StoredMotion, rate: float) -> None:  # noqa: B027
-        """Raise `InputError` for what the format cannot hold; default: it holds all."""
+        """Raise `InputError` for motions outside the range of the format."""
 
     @abstractmethod
     def files(self, motion: SampledMotion, rate: float) -> dict[str, str]:
-        """Texts of the files by their name, of a motion sampled at `rate` [Hz]."""
+        """Texts by file name, of a motion sampled at `rate` [Hz]."""
 
     def programs(self, texts: dict[str, str]) -> dict[str, str]:
-        """Texts of programs that send the files, by name; default: none."""
+        """Texts of programs that send the files, by file name."""
         return {}
 
 
 FORMATS: Registry[ExportFormat] = Registry("stiffopt.export.formats")
+
+
+# Lines of KRL sources are of ASCII and below 256 characters: one entry a line.
+_ENTRY_PATTERN = re.compile(r"^[#;] stiffopt (\w+): (.*)\n", re.MULTILINE)
+# Comment mark by suffix, and the number of lines before the header.
+_COMMENT_STYLES = {".src": (";", 2)}
+
+
+def seal_entries(stored: StoredMotion, to: str, rate: float, file: str) -> dict[str, str]:
+    """Entries of a file's header: motion, hashes and sampling."""
+    return {
+        "file": file,
+        "format": to,
+        "of": stored.which,
+        "rate": repr(float(rate)),
+        **stored.seal,
+    }
+
+
+def with_seal(text: str, entries: dict[str, str], file: str) -> str:
+    """Add the header, which includes the hash of all other lines."""
+    mark, before = _COMMENT_STYLES.get(PurePath(file).suffix, ("#", 0))
+    # Hash the text as `read_seal` returns it: a title may look like an entry.
+    content = hashlib.sha256(_ENTRY_PATTERN.sub("", text).encode()).hexdigest()
+    lines = text.splitlines(keepends=True)
+    header = [f"{mark} stiffopt {key}: {value}\n" for key, value in entries.items()]
+    header.append(f"{mark} stiffopt content: {content}\n")
+    return "".join([*lines[:before], *header, *lines[before:]])
+
+
+def read_seal(text: str) -> tuple[dict[str, str], str]:
+    """Split a file into the entries of its header and the remaining text."""
+    return dict(reversed(_ENTRY_PATTERN.findall(text))), _ENTRY_PATTERN.sub("", text)
+
+
+def is_whole(entries: dict[str, str], body: str) -> bool:
+    """Return True if the text has the hash of its header."""
+    return entries.get("content") == hashlib.sha256(body.encode()).hexdigest()
+
+
+def require_six_axes(stored: StoredMotion, owner: str) -> None:
+    """Raise `InputError` unless the arm has six revolute joints."""
+    slides = int(np.sum(stored.prismatic))
+    if len(stored.joint_names) != 6 or slides:
+        those = f", {slides} of them sliding" if slides else ""
+        raise InputError(
+            f"{owner} moves arms of 6 turning joints; this motion has "
+            f"{len(stored.joint_names)} joints{those}. Export it with --to ros2 or csv."
+        )
+
+
+def require_cycle(rate: float, fastest: float, owner: str) -> None:
+    """Raise `InputError` unless 1/rate is a whole number of controller cycles."""
+    cycles = fastest / rate
+    if abs(cycles - round(cycles)) > 1e-6 * cycles:
+        allowed = ", ".join(f"{fastest / k:g}" for k in (1, 2, 4, 5))
+        raise InputError(
+            f"--rate {rate:g} Hz: {owner} has a cycle of {1e3 / fastest:g} ms, so the rate must be "
+            f"{fastest:g} Hz divided by a whole number, such as {allowed}."
+        )

@@ -1,4 +1,4 @@
-"""The motion of a result folder, sampled anew at the rate of what shall run it."""
+"""Motion of a result folder, resampled for export."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from scipy.interpolate import BPoly, CubicSpline, make_interp_spline
 
 from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
 from stiffopt.errors import InputError, InputFileError, format_relative
-from stiffopt.export.judged import (
+from stiffopt.export.motion_checks import (
     SampledRows,
     judge_plan,
     judge_samples,
@@ -21,13 +21,13 @@ from stiffopt.export.judged import (
     solved_problem,
 )
 from stiffopt.folders import check_result
-from stiffopt.result.compensation_store import COMMAND_FILE
+from stiffopt.result.compensation import COMMAND_FILE
 from stiffopt.result.store import (
     RESULT_FILE,
     TRAJECTORY_FILE,
     export_times,
-    joints_of,
     read_document,
+    read_joints,
 )
 
 if TYPE_CHECKING:
@@ -37,27 +37,27 @@ if TYPE_CHECKING:
 Which = Literal["motor", "link"]
 
 
-# Share of a joint's largest velocity below which it counts as standing.
-_AT_REST = 1e-3
+# Share of a joint's largest velocity below which it counts as at rest.
+_REST_SPEED_SHARE = 1e-3
 
 
 @dataclass(frozen=True, kw_only=True)
 class SampledMotion:
-    """A motion as a controller takes it.
+    """Sampled motion for a controller.
 
     Parameters
     ----------
     title : str
-        Of the result.
+        Title of the result.
     which : "motor" or "link"
-        Whose motion it is.
+        Motion of motors or links.
     joint_names : tuple of str
     prismatic : array (n,) of bool
-        Which joints slide.
+        True for prismatic joints.
     time : array (K,) [s]
-        From 0.
+        Times from 0.
     position, velocity, acceleration : array (K, n)
-        [rad], [rad/s], [rad/s^2]; metres for radians where a joint slides.
+        [rad], [rad/s], [rad/s^2]; metres for radians of prismatic joints.
     """
 
     title: str
@@ -72,7 +72,7 @@ class SampledMotion:
 
 @dataclass(frozen=True, kw_only=True)
 class StoredMotion:
-    """The motion of a result folder between the rows of its trajectory.csv.
+    """Motion of a result folder, interpolated between the rows of its trajectory.csv.
 
     Parameters
     ----------
@@ -83,9 +83,9 @@ class StoredMotion:
     curve : BPoly or CubicSpline
         Position over time [s].
     link : CubicSpline or None
-        Motion of the links, whose loads the motors bear, where this is that of the motors.
+        Motion of the links, which determines motor loads, if this is the motion of the motors.
     problem : TrajectoryProblem
-        By whose limits it is judged.
+        Problem whose limits apply.
     seal : dict
         Hashes of the motion's file, the robot, its payload and the limits.
     """
@@ -106,8 +106,8 @@ class StoredMotion:
         ----------
         rate : float [Hz]
         whole_steps : bool
-            All steps are 1/rate: the end position is held to the next whole step. Else the last
-            step ends exactly with the motion.
+            Hold the end position to the next multiple of 1/rate; else the last step ends with the
+            motion.
         """
         end = float(self.curve.x[-1])
         times = export_times(end, rate)
@@ -115,10 +115,10 @@ class StoredMotion:
             times = np.arange(math.ceil(end * rate - 1e-6) + 1) / rate
         moving = times <= end
         inside = np.minimum(times, end)
-        # Held at the end: at rest, whatever the curve's derivatives say of its last instant.
+        # The held end is at rest, whatever the derivatives of the curve at its end.
         velocity = self.curve.derivative(1)(inside)
-        # Straight from row to row: neither it nor its slope is above what the motion had, where a
-        # polynomial would swing over a jump.
+        # Linear interpolation: acceleration and jerk stay within those of the motion, where a
+        # polynomial would overshoot at jumps.
         breaks = self.curve.x
         acceleration = make_interp_spline(breaks, self.curve.derivative(2)(breaks), k=1)(inside)
         return SampledMotion(
@@ -133,7 +133,7 @@ class StoredMotion:
         )
 
     def judge(self, motion: SampledMotion) -> Violation:
-        """Return the tightest limit of the drives at the samples that leave.
+        """Return the tightest limit of the drives at the exported samples.
 
         Raises
         ------
@@ -146,44 +146,43 @@ class StoredMotion:
         )
 
     def require_rest(self, owner: str) -> None:
-        """Raise `InputError` unless the motion begins and ends at rest."""
+        """Raise `InputError` unless the motion starts and ends at rest."""
         velocity = self.curve.derivative(1)(self.curve.x)
-        moves = np.abs(velocity[[0, -1]]) > _AT_REST * np.max(np.abs(velocity), axis=0)
-        for k, side, stands in (
-            (0, "start", "begins with a move to rest"),
+        moves = np.abs(velocity[[0, -1]]) > _REST_SPEED_SHARE * np.max(np.abs(velocity), axis=0)
+        for k, side, action in (
+            (0, "start", "starts with an approach to rest"),
             (1, "end", "stops there"),
         ):
             if np.any(moves[k]):
                 j = int(np.argmax(moves[k]))
                 raise InputError(
                     f"joint {j + 1} ({self.joint_names[j]}) moves at the {side}, by "
-                    f"{velocity[-k, j]:.4g} rad/s; a program of {owner} {stands}. Export it with "
+                    f"{velocity[-k, j]:.4g} rad/s; a program of {owner} {action}. Export it with "
                     "--to ros2 or csv, or plan without motion.boundary_velocity."
                 )
 
 
 def read_motion(folder: Path, which: Which = "motor", problem: Path | None = None) -> StoredMotion:
-    """Motion of a result folder, judged anew.
+    """Read and assess the motion of a result folder.
 
     Parameters
     ----------
     folder : Path
-        Of `stiffopt solve`.
+        Folder of `stiffopt solve`.
     which : "motor" or "link"
-        What the drives are commanded (command.csv where there is one), or what the links shall do.
+        Command of the drives (command.csv if present), or planned motion of the links.
     problem : Path, optional
-        Problem file in place of the one that the result names.
+        Problem file in place of that of the result.
 
     Raises
     ------
     InputError
-        No result, or none whose motion is the certified one and keeps its limits, or no columns of
-        the links.
+        No result, a motion that is not the certified one or exceeds a limit, or no link columns.
     """
     path = folder / RESULT_FILE
     document = read_document(path)
     duration = _certified_duration(path, document)
-    names, prismatic = joints_of(document, path)
+    names, prismatic = read_joints(document, path)
     stated = solved_problem(path, document, problem)
     file = folder / TRAJECTORY_FILE
     time, rows, link = read_rows(file, path, document, stated)
@@ -201,14 +200,14 @@ def read_motion(folder: Path, which: Which = "motor", problem: Path | None = Non
         if which == "motor":
             file, (time, rows, link) = command, moved
         elif link is None:
-            # The plan is the links' motion, where a command of the motors stands beside it.
+            # Beside a motor command, the plan is the links' motion.
             link = CubicSpline(time, rows[0], bc_type="clamped")
     if which == "link" and link is None:
         raise InputFileError(
             file,
             "link1",
-            "one motion is planned for motors and links, so there is none of the links alone. "
-            "Export the motors'.",
+            "one motion is planned for motors and links; there is no separate link motion. "
+            "Export that of the motors.",
         )
     curve = link if which == "link" else BPoly.from_derivatives(time, rows.transpose(1, 0, 2))
     seal = {key: sealed(path, document)[key] for key in ("robot", "payload", "limits")}
@@ -225,10 +224,10 @@ def read_motion(folder: Path, which: Which = "motor", problem: Path | None = Non
 
 
 def _certified_duration(path: Path, document: dict[str, Any]) -> float:
-    """Duration [s] of a result whose certificate holds, as result.json has it."""
+    """Read the duration [s] of a certified result."""
     certificate = document.get("certificate")
     if not isinstance(certificate, dict):
-        raise InputFileError(path, "certificate", "this solve found no motion to export.")
+        raise InputFileError(path, "certificate", "the solve found no motion to export.")
     try:
         worst = float(certificate["worst_violation"]["value"])
         limit = str(certificate["worst_violation"]["limit"])

@@ -25,7 +25,8 @@ from stiffopt.preload.schema import (
     StudyMotionSection,
 )
 from stiffopt.preload.study import value_units
-from stiffopt.problem.files import JointLists, load_problem, read_robot
+from stiffopt.problem.files import load_problem, read_robot
+from stiffopt.problem.joint_lists import JointLists
 from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.robot.elements import locate_errors
 from stiffopt.robot.files import load_own_entries

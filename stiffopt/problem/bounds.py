@@ -1,8 +1,8 @@
-"""Values that an objective or a limit cannot get past whatever the motion, found before solving.
+"""Bounds of objectives and of the duration that hold for every motion, found before solving.
 
-What pins one objective or limit is in its own file; here is what holds for all: with a free
-duration and no upper bound, deflection, torque and compliance fall for ever, and no joint can be
-faster than its velocity and acceleration limits.
+Bounds of a single objective or limit are in its own file. Here are the general ones: with a free
+duration and no upper bound, deflection, torque and compliance decrease without end, and the limits
+of joints and tool bound the duration from below.
 """
 
 from __future__ import annotations
@@ -10,29 +10,28 @@ from __future__ import annotations
 import numpy as np
 
 from stiffopt.errors import ProblemError
-from stiffopt.problem.objective import ACCEPT, Bound, Objective
-from stiffopt.problem.resolve import ResolvedMotion
-from stiffopt.problem.trajectory import TrajectoryProblem
+from stiffopt.problem.objective import ACCEPT_ADVICE, Bound, Objective
+from stiffopt.problem.trajectory import ResolvedMotion, TrajectoryProblem
 
 
 def find_bounds(problem: TrajectoryProblem, motion: ResolvedMotion) -> tuple[Bound, ...]:
-    """Bounds of all objectives of a problem."""
+    """Return the bounds of all objectives of a problem."""
     alone = len(problem.objectives) == 1
     found: list[Bound] = []
     for objective in problem.objectives:
         if alone and np.isinf(problem.duration[1]) and not objective.kind.ends_motion:
-            found.append(_endless(objective))
+            found.append(_unbounded_duration(objective))
         found += objective.kind.bounds(objective, problem, motion)
     return tuple(found)
 
 
 def check_bounds(problem: TrajectoryProblem, motion: ResolvedMotion) -> tuple[str, ...]:
-    """Refuse degenerate objectives and limits that no motion can meet; notes about the rest.
+    """Refuse degenerate objectives and limits that no motion can meet; return notes on the others.
 
     Raises
     ------
     ProblemError
-        With the value that cannot be beaten, its cause and the choices.
+        An objective is at its bound for every motion: value, cause and alternatives.
     """
     for kind in problem.active_limits.kinds:
         kind.check(problem, motion)
@@ -41,35 +40,38 @@ def check_bounds(problem: TrajectoryProblem, motion: ResolvedMotion) -> tuple[st
     refused = [b for b in bounds if b.degenerate and b.objective not in accepted]
     if refused:
         raise ProblemError("\n".join(b.text for b in refused))
-    return tuple(b.text.removesuffix(ACCEPT) + "." * b.text.endswith(ACCEPT) for b in bounds)
+    return tuple(
+        b.text.removesuffix(ACCEPT_ADVICE) + "." * b.text.endswith(ACCEPT_ADVICE) for b in bounds
+    )
 
 
 def shortest_duration(problem: TrajectoryProblem, motion: ResolvedMotion) -> tuple[float, str]:
-    """A duration [s] that no motion can undercut, and the sentence why; (0, "") where none is seen.
+    """Lower bound of the duration [s], and its explanation; (0, "") without a bound.
 
-    Each joint on its own, from rest to rest: its way with turns at vias, its velocity, acceleration
-    and jerk limit; and the straight way of the tool at its speed limit.
+    The bound is the largest of: each joint alone from rest to rest over its travel, with reversals
+    at vias, within velocity, acceleration and jerk limits; and the tool's straight travel at its
+    speed limit.
     """
     if not (motion.start_fixed and motion.end_fixed) or problem.boundary_velocity is not None:
         return 0.0, ""
     limits = problem.active_limits
-    # From an acceleration of its own a joint starts without any jerk.
+    # The jerk bound needs zero acceleration at both ends.
     still = problem.boundary_acceleration == "zero" and problem.path is None
     still = still and not problem.plans_links
     jerk = limits.jerk if still else np.full(problem.joints, np.inf)
     needed, ways = np.zeros(problem.joints), np.zeros(problem.joints)
     for j in range(problem.joints):
         own = (float(limits.velocity[j]), float(limits.acceleration[j]))
-        pieces = _pieces(problem, motion, j)
+        pieces = _joint_travels(problem, motion, j)
         ways[j] = sum(pieces)
         straight = abs(float(motion.end[j] - motion.start[j]))
         needed[j] = max(
             rest_to_rest(straight, *own, float(jerk[j])),
-            # Where it turns at a via it stands, but need not be without acceleration.
+            # At a reversal the velocity is zero, the acceleration need not be.
             sum(rest_to_rest(piece, *own, np.inf) for piece in pieces),
         )
     j = int(np.argmax(needed))
-    length, speed = _tool_way(problem, motion), float(getattr(limits, "tool_speed", np.inf))
+    length, speed = _tool_travel(problem, motion), float(getattr(limits, "tool_speed", np.inf))
     if length / speed > needed[j]:
         return length / speed, (
             f"The tool has to move by {1e3 * length:.4g} mm and needs {length / speed:.4g} s or "
@@ -92,8 +94,8 @@ def shortest_duration(problem: TrajectoryProblem, motion: ResolvedMotion) -> tup
     )
 
 
-def rest_to_rest(way: float, velocity: float, acceleration: float, jerk: float) -> float:
-    """Shortest time [s] of one joint over a way [rad] between two rests; 0 without any limit.
+def rest_to_rest(travel: float, velocity: float, acceleration: float, jerk: float) -> float:
+    """Shortest time [s] of one joint from rest to rest over a travel [rad]; 0 without limits.
 
     >>> rest_to_rest(2.0, 1.0, np.inf, np.inf), rest_to_rest(1.0, np.inf, 4.0, np.inf)
     (2.0, 1.0)
@@ -102,31 +104,31 @@ def rest_to_rest(way: float, velocity: float, acceleration: float, jerk: float) 
     """
 
     def rise(speed: float) -> float:
-        """Time from rest to a speed and to no acceleration."""
+        """Time from rest to a constant speed."""
         if np.isinf(jerk):
             return speed / acceleration
         if speed * jerk <= acceleration * acceleration:
             return float(2.0 * np.sqrt(speed / jerk))
         return speed / acceleration + acceleration / jerk
 
-    if way <= 0.0:
+    if travel <= 0.0:
         return 0.0
-    if np.isfinite(velocity) and velocity * rise(velocity) <= way:
-        return way / velocity + rise(velocity)
-    # Rises to a speed s and falls at once: the way is s rise(s), which grows with s.
+    if np.isfinite(velocity) and velocity * rise(velocity) <= travel:
+        return travel / velocity + rise(velocity)
+    # No constant-speed phase: the travel s rise(s) grows with the peak speed s.
     if np.isinf(jerk):
-        return 0.0 if np.isinf(acceleration) else float(2.0 * np.sqrt(way / acceleration))
-    by_jerk = float(np.cbrt(way * way * jerk / 4.0))
+        return 0.0 if np.isinf(acceleration) else float(2.0 * np.sqrt(travel / acceleration))
+    by_jerk = float(np.cbrt(travel * travel * jerk / 4.0))
     if by_jerk * jerk <= acceleration * acceleration:
         return 2.0 * rise(by_jerk)
-    # s^2 / a + s a / j = way
+    # s^2 / a + s a / j = travel
     ramp = acceleration * acceleration / jerk
-    speed = 0.5 * (np.sqrt(ramp * ramp + 4.0 * acceleration * way) - ramp)
+    speed = 0.5 * (np.sqrt(ramp * ramp + 4.0 * acceleration * travel) - ramp)
     return float(2.0 * rise(float(speed)))
 
 
-def _pieces(problem: TrajectoryProblem, motion: ResolvedMotion, joint: int) -> list[float]:
-    """Ways of a joint between its turns, at least: vias may be missed by their tolerance."""
+def _joint_travels(problem: TrajectoryProblem, motion: ResolvedMotion, joint: int) -> list[float]:
+    """Least travels of a joint between its reversals, with the tolerances of vias."""
     low = high = float(motion.start[joint])
     places = [(low, high)]
     for via in () if problem.path is not None or problem.plans_links else problem.vias:
@@ -134,7 +136,7 @@ def _pieces(problem: TrajectoryProblem, motion: ResolvedMotion, joint: int) -> l
             middle = float(via.joints[joint])
             places.append((middle - via.tolerance, middle + via.tolerance))
     places.append((float(motion.end[joint]),) * 2)
-    # The least way through all intervals in order: move no further than each asks for.
+    # Least travel through all intervals in order: move only as far as each requires.
     at, pieces, direction = places[0][0], [0.0], 0
     for low, high in places[1:]:
         step = min(max(at, low), high) - at
@@ -147,8 +149,8 @@ def _pieces(problem: TrajectoryProblem, motion: ResolvedMotion, joint: int) -> l
     return pieces
 
 
-def _tool_way(problem: TrajectoryProblem, motion: ResolvedMotion) -> float:
-    """Straight way [m] of the tool through what is given of its positions, at least."""
+def _tool_travel(problem: TrajectoryProblem, motion: ResolvedMotion) -> float:
+    """Least travel [m] of the tool through its given positions."""
     if problem.plans_links or not np.isfinite(problem.active_limits.tool_speed):
         return 0.0
     poses = [motion.start, motion.end]
@@ -162,7 +164,7 @@ def _tool_way(problem: TrajectoryProblem, motion: ResolvedMotion) -> float:
     return way + max(float(np.linalg.norm(ends[1] - at)) - missed, 0.0)
 
 
-def _endless(objective: Objective) -> Bound:
+def _unbounded_duration(objective: Objective) -> Bound:
     return Bound(
         objective.name,
         np.inf,

@@ -1,4 +1,4 @@
-"""What moves freely: all joints, or one path coordinate along a fixed joint path."""
+"""Coordinates of the optimisation: joints, links, or a path parameter on a fixed joint path."""
 
 from __future__ import annotations
 
@@ -10,20 +10,18 @@ import numpy as np
 
 from stiffopt.errors import ProblemError
 from stiffopt.problem.limit import Limits, derivative_bounds
-from stiffopt.problem.resolve import ResolvedMotion
-from stiffopt.problem.trajectory import TrajectoryProblem
+from stiffopt.problem.trajectory import ResolvedMotion, TrajectoryProblem
 from stiffopt.result.joint_path import JointPath
 from stiffopt.symbolic import Quantity
 
-# Angular frequency of the acceleration's rises and falls times the duration, for the scales of its
-# derivatives.
-_RISES = 40.0
-# Travel of a joint that velocity and acceleration of slow motions are scaled for [rad].
-_TRAVEL = 20.0
+# Angular frequency of the acceleration times the duration; scales the derivatives of the links.
+_SCALE_FREQUENCY = 40.0
+# Joint travel that scales velocity and acceleration of slow motions [rad].
+_SCALE_TRAVEL = 20.0
 
 
 def coordinates_of(problem: TrajectoryProblem) -> Coordinates:
-    """The coordinates of a problem: joints, or the path coordinate where a path is given."""
+    """Return the coordinates of a problem."""
     if problem.path is not None:
         return PathCoordinates(problem)
     if problem.plans_links:
@@ -62,38 +60,40 @@ class Coordinates(ABC):
 
     @property
     def order(self) -> int:
-        """Which derivative of the coordinates the controls are."""
+        """Order of the derivative of the coordinates that is the control."""
         return len(self.state_names) // self.size
 
     @property
     def bounds_joints(self) -> bool:
-        """Whether joint limits are bounds of states and controls rather than path rows."""
+        """True where joint limits are bounds of states and controls rather than path rows."""
         return type(self) is JointCoordinates
 
 
 class JointCoordinates(Coordinates):
-    """States are joint positions and velocities; controls are joint accelerations."""
+    """Joint positions and velocities as states, joint accelerations as controls."""
 
     def __init__(self, problem: TrajectoryProblem) -> None:
         self.problem = problem
         self.limits: Limits = problem.active_limits
         n = self.size = problem.joints
         self.state_names = tuple(
-            f"{what} of joint {j + 1}" for what in ("position", "velocity") for j in range(n)
+            f"{quantity} of joint {j + 1}"
+            for quantity in ("position", "velocity")
+            for j in range(n)
         )
         self.control_names = tuple(f"acceleration of joint {j + 1}" for j in range(n))
-        duration = _typical(problem.duration)
+        duration = _typical_duration(problem.duration)
         speed = np.where(np.isfinite(self.limits.velocity), self.limits.velocity, 1.0)
-        speed = np.minimum(speed, _TRAVEL / duration)
+        speed = np.minimum(speed, _SCALE_TRAVEL / duration)
         self.state_scale = np.concatenate([np.ones(n), speed])
         self.control_scale = np.where(
             np.isfinite(self.limits.acceleration),
-            np.minimum(self.limits.acceleration, 6.0 * _TRAVEL / duration**2),
+            np.minimum(self.limits.acceleration, 6.0 * _SCALE_TRAVEL / duration**2),
             6.0 * speed / duration,
         )
 
     def joint_motion(self, x: Quantity, u: Quantity) -> tuple[Quantity, Quantity, Quantity]:
-        """The states and controls themselves."""
+        """States and controls themselves."""
         return x[: self.size], x[self.size :], u
 
     def state_bounds(self, margins: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
@@ -117,26 +117,28 @@ class JointCoordinates(Coordinates):
 
 
 class LinkCoordinates(JointCoordinates):
-    """States are the motion of the links and its derivatives up to snap; controls are crackles.
+    """Link motion up to its snap as states, its crackle as controls.
 
-    The motors add the wind-up to it, a function of the links' acceleration: a motor's jerk holds
-    the links' fifth derivative. What limits the motors are path rows; bounds of the states only
-    keep the positions within their range.
+    The motors lead by the wind-up, a function of the links' acceleration, so that a motor's jerk
+    depends on the links' fifth derivative. Motor limits are path rows; state bounds only keep
+    positions within their range.
     """
 
     def __init__(self, problem: TrajectoryProblem) -> None:
         super().__init__(problem)
         n = self.size
         names = ("position", "velocity", "acceleration", "jerk", "snap")
-        self.state_names = tuple(f"{what} of link {j + 1}" for what in names for j in range(n))
+        self.state_names = tuple(
+            f"{quantity} of link {j + 1}" for quantity in names for j in range(n)
+        )
         self.control_names = tuple(f"crackle of link {j + 1}" for j in range(n))
-        rate = _RISES / _typical(problem.duration)
+        rate = _SCALE_FREQUENCY / _typical_duration(problem.duration)
         scales = [self.control_scale * rate**k for k in range(4)]
         self.state_scale = np.concatenate([self.state_scale, *scales[:3]])
         self.control_scale = scales[3]
 
     def joint_motion(self, x: Quantity, u: Quantity) -> tuple[Quantity, Quantity, Quantity]:
-        """The first three states, of the links."""
+        """First three derivatives of the links."""
         n = self.size
         return x[:n], x[n : 2 * n], x[2 * n : 3 * n]
 
@@ -147,21 +149,21 @@ class LinkCoordinates(JointCoordinates):
         return np.concatenate([low, -free]), np.concatenate([high, free])
 
     def control_bounds(self, margins: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
-        """None: motors are limited by path rows."""
+        """Infinite bounds: motors are limited by path rows."""
         free = np.full(self.size, np.inf)
         return -free, free
 
     rate_bounds = control_bounds
 
     def boundary_states(self, motion: ResolvedMotion) -> tuple[np.ndarray, np.ndarray]:
-        """Resolved poses and given velocities, all else at rest, so that nothing swings on."""
+        """Resolved poses with the boundary velocities and no residual vibration."""
         start, end = super().boundary_states(motion)
         rest = np.zeros(3 * self.size)
         return np.concatenate([start, rest]), np.concatenate([end, rest])
 
 
 class PathCoordinates(Coordinates):
-    """One coordinate s in [0, 1] along a not-a-knot cubic spline through given waypoints."""
+    """Path parameter s in [0, 1] on a not-a-knot cubic spline through given waypoints."""
 
     def __init__(self, problem: TrajectoryProblem) -> None:
         assert problem.path is not None
@@ -174,7 +176,7 @@ class PathCoordinates(Coordinates):
         self.size = 1
         self.state_names = ("path position", "path speed")
         self.control_names = ("path acceleration",)
-        duration = _typical(problem.duration)
+        duration = _typical_duration(problem.duration)
         self.state_scale = np.array([1.0, 1.0 / duration])
         self.control_scale = np.array([6.0 / duration**2])
         path = JointPath.through(problem.path)
@@ -186,14 +188,14 @@ class PathCoordinates(Coordinates):
     def joint_motion(self, x: Quantity, u: Quantity) -> tuple[Quantity, Quantity, Quantity]:
         """Chain rule along the spline."""
         s, speed, acceleration = x[0], x[1], u[0]
-        position, tangent, curvature = (self._spline(s, order) for order in range(3))
+        position, tangent, curvature = (self._spline_derivative(s, order) for order in range(3))
         return (
             position,
             tangent * speed,
             tangent * acceleration + curvature * speed * speed,
         )
 
-    def _spline(self, s: Quantity, order: int) -> Quantity:
+    def _spline_derivative(self, s: Quantity, order: int) -> Quantity:
         """Derivative of the spline with respect to s, in truncated powers (C2 in s)."""
         factor = {0: (1, 1, 1, 1), 1: (0, 1, 2, 3), 2: (0, 0, 2, 6)}[order]
         value: Quantity = 0.0
@@ -204,15 +206,15 @@ class PathCoordinates(Coordinates):
         return value
 
     def state_bounds(self, margins: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
-        """The whole path, never backwards."""
+        """Bounds of the whole path, without reversal."""
         return np.array([0.0, 0.0]), np.array([1.0, np.inf])
 
     def control_bounds(self, margins: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
-        """None: joint limits are path rows."""
+        """Infinite bounds: joint limits are path rows."""
         return np.array([-np.inf]), np.array([np.inf])
 
     def rate_bounds(self, margins: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
-        """None."""
+        """Infinite bounds."""
         return np.array([-np.inf]), np.array([np.inf])
 
     def boundary_states(self, motion: ResolvedMotion) -> tuple[np.ndarray, np.ndarray]:
@@ -220,6 +222,6 @@ class PathCoordinates(Coordinates):
         return np.array([0.0, 0.0]), np.array([1.0, 0.0])
 
 
-def _typical(duration: tuple[float, float]) -> float:
-    """A duration for scales: one second if allowed, else the nearest allowed."""
+def _typical_duration(duration: tuple[float, float]) -> float:
+    """Duration for scales [s]: 1 s, clipped to the allowed range."""
     return float(np.clip(1.0, *duration))

@@ -13,6 +13,7 @@ import numpy as np
 from stiffopt.declaration import declared
 from stiffopt.errors import InputFileError
 from stiffopt.files import read_document
+from stiffopt.problem.joint_lists import JointLists
 from stiffopt.problem.limit import LIMITS, Limits
 from stiffopt.problem.objective import Objective
 from stiffopt.problem.schema import (
@@ -34,12 +35,12 @@ from stiffopt.robot.elements import locate_errors
 from stiffopt.robot.files import load_robot, shipped_robots
 from stiffopt.robot.frames import rotation_from_rpy
 from stiffopt.robot.robot import Robot
-from stiffopt.units import convert, fit_joint
+from stiffopt.units import convert
 
 
 @dataclass(frozen=True)
 class LoadedProblem:
-    """A problem with what its file expects of the solution.
+    """Problem of a file, with the expected value of its solution.
 
     Parameters
     ----------
@@ -61,31 +62,31 @@ def load_problem(
 ) -> LoadedProblem:
     """Read a trajectory problem file.
 
-    `changes` such as "motion.duration=0.5 s" count in place of what the file says; `robots` gives
-    the robot of a name or file, for those who keep it.
+    `changes` such as "motion.duration=0.5 s" override entries of the file; `robots` loads the robot
+    of a name or file, for callers with a cache.
 
     Raises
     ------
     InputFileError
-        With the file, the key, what is allowed and what to do next.
+        The file is invalid: file, key, allowed values and remedy.
     """
     path = Path(path)
     document = read_document(path, problem_file(), "trajectory", changes)
     with locate_errors(path, ""):
-        problem = _build(document, path, robots)
+        problem = _build_problem(document, path, robots)
     if document.expected is not None and len(problem.objectives) == 1:
         with locate_errors(path, "expected.unit"):
             convert(1.0, problem.objectives[0].unit, document.expected.unit)
     return LoadedProblem(problem, document.expected, path)
 
 
-def _build(
+def _build_problem(
     document: ProblemFile, path: Path, robots: Callable[[str | Path], Robot]
 ) -> TrajectoryProblem:
     robot = read_robot(document.robot, document.payload, document.tool, path, robots)
     motion = document.motion
     joints = JointLists(robot, path)
-    remarks = _remarks(document.payload)
+    remarks = _payload_remarks(document.payload)
     if isinstance(motion.duration, float):
         duration = (motion.duration, motion.duration)
     else:
@@ -100,7 +101,7 @@ def _build(
     elif document.path is not None:
         if motion.start is not None:
             raise InputFileError(
-                path, "path", "fixes where the tool goes. Remove start, via and end of [motion]."
+                path, "path", "fixes the motion of the tool. Remove start, via and end of [motion]."
             )
         waypoints, followed = tool_waypoints(document.path, joints)
         remarks += followed
@@ -111,9 +112,9 @@ def _build(
                 path, "motion", "give `start` and `end`, or a fixed joint `path`, or a [path] of "
                 "the tool."
             )  # fmt: skip
-        start = _target(motion.start, joints, "motion.start")
-        end = _target(motion.end, joints, "motion.end")
-    limits = _limits(document.limits, joints)
+        start = _read_target(motion.start, joints, "motion.start")
+        end = _read_target(motion.end, joints, "motion.end")
+    limits = _read_limits(document.limits, joints)
     if document.path is not None and document.path.speed is not None:
         fastest = min(limits.tool_speed, document.path.speed)
         limits = Limits({**limits.values, "tool_speed": fastest})
@@ -128,7 +129,8 @@ def _build(
         start=start,
         end=end,
         vias=tuple(
-            _target(via, joints, f"motion.via[{k}]") for k, via in enumerate(motion.via, start=1)
+            _read_target(via, joints, f"motion.via[{k}]")
+            for k, via in enumerate(motion.via, start=1)
         ),
         path=waypoints,
         duration=duration,
@@ -150,13 +152,13 @@ def _build(
     )
 
 
-def _remarks(payload: PayloadSection | None) -> tuple[str, ...]:
-    """What the file leaves open and a result has to say."""
+def _payload_remarks(payload: PayloadSection | None) -> tuple[str, ...]:
+    """Assumptions about the payload, repeated in results."""
     if payload is None or payload.inertia is not None or payload.mass == 0.0:
         return ()
     return (
-        f"The payload of {payload.mass:g} kg has no inertia: it is taken as a point at its centre "
-        "of mass. Give payload.inertia.",
+        f"The payload of {payload.mass:g} kg has no inertia: a point mass at its centre of mass is "
+        "assumed. Give payload.inertia.",
     )
 
 
@@ -167,7 +169,7 @@ def read_robot(
     path: Path,
     robots: Callable[[str | Path], Robot] = load_robot,
 ) -> Robot:
-    """Robot that a problem or study file names, with the file's payload and tool.
+    """Robot of a problem or study file, with the file's payload and tool.
 
     Parameters
     ----------
@@ -175,9 +177,9 @@ def read_robot(
         A shipped robot, or the path of a robot file beside `path`.
     payload, tool : sections of the file
     path : Path
-        Of the file that names the robot.
+        Problem or study file.
     robots : callable
-        As of `load_problem`.
+        Loader, as for `load_problem`.
     """
     beside = path.parent / name
     source = name if name in shipped_robots() else beside if beside.exists() else name
@@ -192,38 +194,7 @@ def read_robot(
     return robot
 
 
-class JointLists:
-    """Turns lists of the file into arrays with one entry a joint, or says which list is wrong."""
-
-    def __init__(self, robot: Robot, path: Path) -> None:
-        self.robot, self.path = robot, path
-        self.names = robot.joint_names
-        self.prismatic = robot.prismatic
-
-    def __call__(self, values: Sequence[float], dimension: str, where: str) -> np.ndarray:
-        """Array (n,) of a list whose entries have this dimension; `where` is its key."""
-        if len(values) != len(self.names):
-            raise InputFileError(
-                self.path,
-                where,
-                f"needs {len(self.names)} values, one a joint ({', '.join(self.names)}); got "
-                f"{len(values)}.",
-            )
-        numbers = []
-        for j, value in enumerate(values):
-            with locate_errors(self.path, f"{where}[{j + 1}]"):
-                numbers.append(fit_joint(value, bool(self.prismatic[j]), dimension, self.names[j]))
-        return np.array(numbers)
-
-    def check_number(self, joint: int, where: str) -> None:
-        """Joint numbers start at 1."""
-        if not 1 <= joint <= len(self.names):
-            raise InputFileError(
-                self.path, where, f"there is no joint {joint}; allowed: 1 to {len(self.names)}."
-            )
-
-
-def _target(section: TargetSection, joints: JointLists, where: str) -> Target:
+def _read_target(section: TargetSection, joints: JointLists, where: str) -> Target:
     def angles(values: Sequence[float] | None, key: str) -> np.ndarray | None:
         return None if values is None else joints(values, "angle", f"{where}.{key}")
 
@@ -240,7 +211,7 @@ def _target(section: TargetSection, joints: JointLists, where: str) -> Target:
 
 
 def tool_waypoints(section: PathSection, joints: JointLists) -> tuple[np.ndarray, tuple[str, ...]]:
-    """Joint waypoints (k, n) of a tool path, and a sentence on how closely they follow it."""
+    """Joint waypoints (k, n) of a tool path, and a remark with the path error."""
     robot, start = joints.robot, section.start
     limits = np.stack([robot.position_lower, robot.position_upper])
     near = np.where(np.isfinite(limits).all(axis=0), limits.mean(axis=0), 0.0)
@@ -264,7 +235,7 @@ def tool_waypoints(section: PathSection, joints: JointLists) -> tuple[np.ndarray
     )
 
 
-def _limits(section: LimitsSection, joints: JointLists) -> Limits:
+def _read_limits(section: LimitsSection, joints: JointLists) -> Limits:
     values: dict[str, Any] = {}
     for kind in LIMITS.values():
         values |= kind.read(section, joints)

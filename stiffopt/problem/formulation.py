@@ -1,8 +1,8 @@
-"""From a trajectory problem to the optimal-control problem that is transcribed.
+"""Optimal-control problem of a trajectory problem.
 
 States are joint positions and velocities, controls are accelerations (or path position, speed and
 acceleration on a fixed path); torque enters by inverse dynamics. The parameters are factors on the
-widths over which laws are smooth (`problem.smoothing`).
+widths over which laws are smooth (`problem.stage_terms`).
 """
 
 from __future__ import annotations
@@ -15,15 +15,20 @@ import casadi as ca
 import numpy as np
 
 from stiffopt.dynamics.kinematics import tool_pose
-from stiffopt.problem.arrival import Arrival
+from stiffopt.problem.arrival_modes import ArrivalModes
 from stiffopt.problem.coordinates import Coordinates, coordinates_of
-from stiffopt.problem.motor_model import WIDER, MotorModel, NearMotorModel
-from stiffopt.problem.resolve import ResolvedMotion
-from stiffopt.problem.rest import torque_sides
-from stiffopt.problem.smoothing import Smoothing
+from stiffopt.problem.motor_model import LAW_SMOOTHING_FACTOR, ApproximateMotorModel, MotorModel
+from stiffopt.problem.rest_poses import torque_sides
 from stiffopt.problem.stage_model import StageModel
-from stiffopt.problem.stage_terms import IntegralRow, ObjectiveTerms, PathRows, StaticVariable
-from stiffopt.problem.trajectory import Target, TrajectoryProblem
+from stiffopt.problem.stage_terms import (
+    WINDUP_SMOOTHING,
+    IntegralRow,
+    ObjectiveTerms,
+    PathRows,
+    Smoothing,
+    StaticVariable,
+)
+from stiffopt.problem.trajectory import ResolvedMotion, Target, TrajectoryProblem
 from stiffopt.robot.frames import rotation_from_rpy
 from stiffopt.symbolic import Quantity
 from stiffopt.transcription.ocp import OptimalControlProblem, Rows, Waypoint
@@ -34,7 +39,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Scales:
-    """Typical sizes that condition the NLP; they do not change its solution.
+    """Typical objective values that scale the NLP without changing its solution.
 
     Parameters
     ----------
@@ -57,18 +62,20 @@ def formulate(
     margins: Mapping[str, float] | None = None,
     modes: Sequence[Mode] = (),
 ) -> OptimalControlProblem:
-    """The optimal-control problem of a trajectory problem.
+    """Formulate the optimal-control problem of a trajectory problem.
 
     Parameters
     ----------
     problem : TrajectoryProblem
     motion : ResolvedMotion
-        Its poses as joint angles.
+        Resolved poses of the problem.
     scales : Scales
     margins : mapping limit name -> float, optional
-        Share by which a limit is tightened, where a certificate found it exceeded between nodes.
+        Constraint back-off as a share of each limit that a certificate found exceeded between
+        nodes.
     modes : sequence of Mode
-        In the end pose, where the links may swing on after arrival; else they are at rest.
+        Elastic modes of the end pose where residual vibration is allowed; empty: links end at
+        rest.
     """
     margins = margins or {}
     coordinates = coordinates_of(problem)
@@ -80,8 +87,8 @@ def formulate(
     model = stage_model(problem, coordinates, x, u, smoothing, sides)
     goal = _WeightedSum(problem, model, scales)
     blocks = [*_limit_rows(problem, model, coordinates, margins), *goal.path_rows]
-    path = _stacked([row for block in blocks for row in block.expressions])
-    stage = ca.Function("stage", [x, u, goal.statics, p], [_stacked(goal.integrands), path])
+    path = _stack_entries([row for block in blocks for row in block.expressions])
+    stage = ca.Function("stage", [x, u, goal.statics, p], [_stack_entries(goal.integrands), path])
     through = ca.Function("torques", [x, u, goal.statics, p], [model.computed_torques])
     dynamics = ca.Function("dynamics", [x, u, p], [ca.vertcat(x[size:], u)])
     return OptimalControlProblem(
@@ -114,16 +121,18 @@ def formulate(
         static_scale=np.array(goal.static_scales),
         chains=tuple((*(k * size + i for k in range(order)), i) for i in range(size)),
         parameters=Smoothing(1.0).parameters,
-        **_bounds(problem, motion, coordinates, margins, swings_on=bool(modes)),
+        **_state_and_control_bounds(
+            problem, motion, coordinates, margins, vibrates_after=bool(modes)
+        ),
     )
 
 
 def exact_path_rows(
     problem: TrajectoryProblem, motion: ResolvedMotion, scales: Scales
 ) -> ca.Function:
-    """Path rows (x, u, z, p) -> (m,) in the order of `formulate`, without what is nearly so.
+    """Path rows (x, u, z, p) -> (m,) in the order of `formulate`, without approximation.
 
-    Those of a motion planned for the links are nearly so there (`NearMotorModel`).
+    `formulate` approximates them where the links are planned (`ApproximateMotorModel`).
     """
     coordinates = coordinates_of(problem)
     x, u = ca.SX.sym("x", coordinates.order * coordinates.size), ca.SX.sym("u", coordinates.size)
@@ -131,12 +140,12 @@ def exact_path_rows(
     smoothing = Smoothing(*ca.vertsplit(p))
     if problem.plans_links:
         derivatives = [*ca.vertsplit(x, coordinates.size), u]
-        model: StageModel = _leading(MotorModel, problem, derivatives, smoothing, sides)
+        model: StageModel = _make_motor_model(MotorModel, problem, derivatives, smoothing, sides)
     else:
         model = stage_model(problem, coordinates, x, u, smoothing, sides)
     goal = _WeightedSum(problem, model, scales)
     blocks = [*_limit_rows(problem, model, coordinates, {}), *goal.path_rows]
-    rows = _stacked([row for block in blocks for row in block.expressions])
+    rows = _stack_entries([row for block in blocks for row in block.expressions])
     return ca.Function("exact_path_rows", [x, u, goal.statics, p], [rows])
 
 
@@ -148,10 +157,10 @@ def stage_model(
     smoothing: Smoothing,
     sides: np.ndarray,
 ) -> StageModel:
-    """The stage model of a problem at a state and control of its coordinates."""
+    """Stage model of a problem at a state and control of its coordinates."""
     if problem.plans_links:
         derivatives = [*ca.vertsplit(x, coordinates.size), u]
-        return _leading(NearMotorModel, problem, derivatives, smoothing, sides)
+        return _make_motor_model(ApproximateMotorModel, problem, derivatives, smoothing, sides)
     return StageModel(
         problem.robot,
         *coordinates.joint_motion(x, u),
@@ -161,22 +170,21 @@ def stage_model(
     )
 
 
-def _leading(
+def _make_motor_model(
     kind: type[MotorModel],
     problem: TrajectoryProblem,
     derivatives: list[Quantity],
     smoothing: Smoothing,
     sides: np.ndarray,
 ) -> MotorModel:
-    """Motors that lead the problem's links."""
     return kind(
         problem.robot,
         derivatives,
         smoothing.stiffness,
         sides,
         problem.process_force,
-        WIDER * smoothing.corners,
-        smoothing.robust if problem.chosen_for_other_arms else 0.0,
+        LAW_SMOOTHING_FACTOR * smoothing.lead,
+        smoothing.robust if problem.chosen_for_robustness else 0.0,
     )
 
 
@@ -193,10 +201,15 @@ def static_variables(
 
 
 def smoothing_stages(problem: TrajectoryProblem) -> tuple[float, ...]:
-    """Factors on the smoothing widths, wide to narrow: those of what needs most of them."""
+    """Factors on the smoothing widths, wide to narrow: the longest list of all active kinds."""
     asked = [objective.kind.smoothing for objective in problem.objectives]
     asked += [kind.smoothing for kind in problem.active_limits.kinds]
     return max(asked, key=len)
+
+
+def law_smoothing(problem: TrajectoryProblem) -> float:
+    """Factor on the smoothing widths of the feedforward-lead law of a problem."""
+    return WINDUP_SMOOTHING[-1] * (LAW_SMOOTHING_FACTOR if problem.plans_links else 1.0)
 
 
 def _limit_rows(
@@ -205,23 +218,23 @@ def _limit_rows(
     coordinates: Coordinates,
     margins: Mapping[str, float],
 ) -> list[PathRows]:
-    """Rows of the limits that are not bounds of states and controls, those of joints first."""
+    """Rows of all limits other than bounds of states and controls, joint limits first."""
     blocks = [
         rows
         for kind in problem.active_limits.kinds
         if kind.order is None or not coordinates.bounds_joints
         for rows in kind.rows(problem, model, margins.get(kind.name, 0.0))
     ]
-    # The linear solver's pivots, and so which of two near optima is found, follow the order.
+    # Row order decides the linear solver's pivots, and so which of two close optima is found.
     return sorted(blocks, key=lambda rows: rows.labels[0] == "tool")
 
 
-def _stacked(entries: Sequence[Quantity]) -> Quantity:
+def _stack_entries(entries: Sequence[Quantity]) -> Quantity:
     return ca.vertcat(ca.SX(0, 1), *entries)
 
 
 class _WeightedSum:
-    """All objectives of a problem in pieces, scaled so that the first is about one."""
+    """Weighted objectives of a problem, scaled so that the first is about one."""
 
     def __init__(self, problem: TrajectoryProblem, model: StageModel, scales: Scales) -> None:
         self.variables: list[StaticVariable] = []
@@ -229,7 +242,7 @@ class _WeightedSum:
         self.static_lower: list[float] = []
         self.integrands: list[Quantity] = []
         self.path_rows: list[PathRows] = []
-        # With the number of the first integral of the objective that the row belongs to.
+        # Each with the index of the first integral of its objective.
         self.integral_rows: list[tuple[int, IntegralRow]] = []
         self._values: list[tuple[float, int, ObjectiveTerms]] = []
         symbols: list[Quantity] = []
@@ -245,43 +258,45 @@ class _WeightedSum:
             self._values.append((sign * objective.weight * unit, start, terms))
             self.variables += variables
             self.static_scales += [scale if v.scale is None else v.scale for v in variables]
-            self.static_lower += [objective.kind.enough(scale)] * len(variables)
+            self.static_lower += [objective.kind.target_value(scale)] * len(variables)
             self.integrands += terms.integrands
             self.path_rows += terms.path_rows
             self.integral_rows += [(start, row) for row in terms.integral_rows]
             symbols += statics
-        self.statics = _stacked(symbols)
+        self.statics = _stack_entries(symbols)
 
     def function(self, states: int, p: ca.SX, robust: Quantity) -> ca.Function:
-        """The weighted sum, of integrals, duration, statics, first and last state.
+        """Weighted sum of integrals, duration, statics, first and last state.
 
-        From 0 to 1, `robust` takes what objectives ask besides in place of their values.
+        `robust` blends from the objectives' values (0) to their robust values (1).
         """
         integral, duration = ca.SX.sym("integral", len(self.integrands)), ca.SX.sym("duration")
         x0, xf = ca.SX.sym("x0", states), ca.SX.sym("xf", states)
         value: Quantity = 0.0
         for weight, start, terms in self._values:
             own = terms.value(integral[start:], duration)
-            if terms.besides is not None:
-                own += robust * (terms.besides(integral[start:], duration) - own)
+            if terms.robust_value is not None:
+                own += robust * (terms.robust_value(integral[start:], duration) - own)
             value = value + weight * own
         return ca.Function("objective", [integral, duration, self.statics, x0, xf, p], [value])
 
     def integral_function(self, p: ca.SX) -> ca.Function | None:
-        """The integral rows, stacked; None where there are none."""
+        """Stacked integral rows; None without any."""
         if not self.integral_rows:
             return None
         integral, duration = ca.SX.sym("integral", len(self.integrands)), ca.SX.sym("duration")
         rows = [row.expression(integral[start:], duration) for start, row in self.integral_rows]
-        return ca.Function("integral_rows", [integral, duration, self.statics, p], [_stacked(rows)])
+        return ca.Function(
+            "integral_rows", [integral, duration, self.statics, p], [_stack_entries(rows)]
+        )
 
 
-def _bounds(
+def _state_and_control_bounds(
     problem: TrajectoryProblem,
     motion: ResolvedMotion,
     coordinates: Coordinates,
     margins: Mapping[str, float],
-    swings_on: bool,
+    vibrates_after: bool,
 ) -> dict[str, Any]:
     """Bounds and scales of states and controls."""
     lower, upper = coordinates.state_bounds(margins)
@@ -308,10 +323,10 @@ def _bounds(
         if not fixed:
             low[free], high[free] = lower[free], upper[free]
         if problem.plans_links and problem.boundary_acceleration == "free":
-            # A motor's acceleration is the links' snap where these are at rest.
+            # With links at rest, the motors' acceleration is a function of the links' snap.
             snap = slice(4 * coordinates.size, None)
             low[snap], high[snap] = lower[snap], upper[snap]
-        if side == "final" and swings_on:
+        if side == "final" and vibrates_after:
             low, high = lower.copy(), upper.copy()
         bounds[f"{side}_lower"], bounds[f"{side}_upper"] = low, high
         held = coordinates.order == 2 and problem.boundary_acceleration == "zero"
@@ -323,12 +338,12 @@ def _bounds(
 def _end_waypoint(
     problem: TrajectoryProblem, motion: ResolvedMotion, modes: Sequence[Mode], p: ca.SX
 ) -> Waypoint | None:
-    """Rows on the last state: the tool's position, motors at rest and what may swing on."""
+    """Rows on the last state: tool position, motors at rest, residual vibration."""
     place = None if motion.end_fixed else _boundary_waypoint(problem, problem.end, "end", p)
     if not modes:
         return place
     x = ca.SX.sym("x", coordinates_of(problem).order * problem.joints)
-    model = _motors(problem, x, Smoothing(*ca.vertsplit(p)))
+    model = _motor_model_at(problem, x, Smoothing(*ca.vertsplit(p)))
     limits, joints = problem.active_limits, [f"joint {j + 1}" for j in range(problem.joints)]
     rows, expressions = [], []
     speed, acceleration = (
@@ -342,7 +357,7 @@ def _end_waypoint(
     for name, value in parts:
         rows.append(Rows.make(name, joints, 0.0, 0.0))
         expressions.append(value)
-    arrival = Arrival.of(modes, model)
+    arrival = ArrivalModes.of(modes, model)
     for kind in limits.kinds:
         for block in kind.arrival_rows(limits, arrival) if kind.of_arrival else ():
             rows.append(Rows.make(block.name, block.labels, block.lower, block.upper))
@@ -355,14 +370,14 @@ def _end_waypoint(
 
 
 def _boundary_waypoint(problem: TrajectoryProblem, target: Target, side: str, p: ca.SX) -> Waypoint:
-    """The tool position at the start or end of a motion whose end pose is otherwise free."""
+    """Tool position at the start or end of a motion whose end pose is otherwise free."""
     x, _, position, _ = _tool_pose(problem, p)
     rows = Rows.make(f"{side} position", ["x", "y", "z"], 0.0, 0.0, unit="m")
     return Waypoint(function=ca.Function(side, [x, p], [position - target.position]), rows=(rows,))
 
 
 def _via_waypoint(problem: TrajectoryProblem, target: Target, number: int, p: ca.SX) -> Waypoint:
-    """A via point: joints, a tool position or a tool pose, each within its tolerance."""
+    """Rows of a via point: joints, tool position or tool pose within their tolerances."""
     x, joints, position, rotation = _tool_pose(problem, p)
     name = f"via {number}"
     if target.joints is not None:
@@ -375,7 +390,7 @@ def _via_waypoint(problem: TrajectoryProblem, target: Target, number: int, p: ca
     expressions = [ca.dot(offset, offset)]
     if target.rpy is not None:
         wanted = rotation_from_rpy(target.rpy)
-        # sin(angle) times the axis: smooth at zero, where the trace alone has no slope.
+        # sin(angle) times the axis is smooth at zero, where the trace has zero gradient.
         difference = ca.mtimes(ca.DM(wanted.T), rotation)
         sine = ca.vertcat(
             difference[2, 1] - difference[1, 2],
@@ -384,7 +399,7 @@ def _via_waypoint(problem: TrajectoryProblem, target: Target, number: int, p: ca
         ) / (2.0 * np.sin(target.angle_tolerance))
         blocks.append(Rows.make(name, ["tool orientation"], -np.inf, 1.0))
         expressions.append(ca.dot(sine, sine))
-        # Excludes the half turn, whose sine is zero too.
+        # The sine vanishes at a half turn as well: exclude it.
         blocks.append(Rows.make(name, ["tool half turn"], 0.0, np.inf))
         expressions.append(ca.trace(difference) - 1.0)
     function = ca.Function("via", [x, p], [ca.vertcat(*expressions)])
@@ -392,14 +407,13 @@ def _via_waypoint(problem: TrajectoryProblem, target: Target, number: int, p: ca
 
 
 def _tool_pose(problem: TrajectoryProblem, p: ca.SX) -> tuple[ca.SX, Quantity, Quantity, Quantity]:
-    """Symbol of the state, and the planned joints, tool position and tool rotation there."""
+    """State symbol with the planned joints, tool position and tool rotation."""
     n = problem.joints
     x = ca.SX.sym("x", coordinates_of(problem).order * n)
     joints = x[:n]
     if problem.plans_links:
-        corners = Smoothing(*ca.vertsplit(p)).corners
-        last = Smoothing(smoothing_stages(problem)[-1], corners)
-        joints = _motors(problem, x, last).position
+        last = Smoothing(smoothing_stages(problem)[-1], Smoothing(*ca.vertsplit(p)).lead)
+        joints = _motor_model_at(problem, x, last).position
     tool = problem.robot.tool
     position, rotation = tool_pose(
         problem.robot.tree, tool.joint, tool.offset, tool.rotation, joints
@@ -407,7 +421,7 @@ def _tool_pose(problem: TrajectoryProblem, p: ca.SX) -> tuple[ca.SX, Quantity, Q
     return x, joints, position, rotation
 
 
-def _motors(problem: TrajectoryProblem, x: Quantity, smoothing: Smoothing) -> MotorModel:
-    """Motors at a state of the links, by the law with these factors on its smoothing widths."""
+def _motor_model_at(problem: TrajectoryProblem, x: Quantity, smoothing: Smoothing) -> MotorModel:
+    """Motor model at a state of the links."""
     n = problem.joints
-    return _leading(MotorModel, problem, ca.vertsplit(x, n), smoothing, np.zeros(n))
+    return _make_motor_model(MotorModel, problem, ca.vertsplit(x, n), smoothing, np.zeros(n))

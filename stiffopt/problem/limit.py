@@ -1,7 +1,7 @@
-"""What limits a motion: the values of all limits, and what each kind of limit must know.
+"""Limits of a motion: their values, and the interface of each kind of limit.
 
-A kind is one class in one file of `problem/limits/`; schema, optimiser, certificate, report and
-reference ask the registry, so that a new limit is a new file and nothing else.
+A kind is one class in one file of `problem/limits/`. Schema, optimiser, certificate, report and
+file reference use the registry, so that a new limit needs only a new file.
 """
 
 from __future__ import annotations
@@ -20,15 +20,14 @@ from stiffopt.problem.stage_terms import UNSMOOTHED, PathRows
 from stiffopt.result.assessment import Violation
 
 if TYPE_CHECKING:
-    from stiffopt.problem.arrival import Arrival
-    from stiffopt.problem.files import JointLists
-    from stiffopt.problem.resolve import ResolvedMotion
-    from stiffopt.problem.schema import LimitsSection
+    from stiffopt.problem.arrival_modes import ArrivalModes
+    from stiffopt.problem.joint_lists import JointLists
     from stiffopt.problem.stage_model import StageModel
-    from stiffopt.problem.trajectory import TrajectoryProblem
+    from stiffopt.problem.trajectory import ResolvedMotion, TrajectoryProblem
     from stiffopt.result.assessment import Assessment, DriveHistory
     from stiffopt.result.simulation import SimulatedMotion
     from stiffopt.robot.robot import Robot
+    from stiffopt.validation import Section
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,19 +37,19 @@ class LimitKey:
     Parameters
     ----------
     key : str
-        In files.
+        Key in files.
     form : type
-        What may stand there, as an annotation of pydantic; None where it is left out.
+        Type of the entry as a pydantic annotation; includes None for an omitted key.
     description : str
         One sentence, with the unit of a bare number.
     attribute : str
-        Of `Limits`; "" where it is the key.
+        Attribute of `Limits`; "" for the same name as the key.
     value : callable
-        Value where it is left out, from the robot.
+        Default value, from the robot.
     of_robot : bool
-        Whether `value` needs the robot.
+        True if `value` needs the robot.
     scaled : bool
-        Whether limits.scale has a factor for it.
+        True if limits.scale has a factor for the key.
     """
 
     key: str
@@ -68,21 +67,20 @@ class LimitKey:
 
 
 class LimitKind(ABC):
-    """All that is known about one kind of limit.
+    """Interface of one kind of limit.
 
     Attributes
     ----------
     name : str
-        In certificates, margins and results.
+        Name in certificates, back-offs and results.
     keys : tuple of LimitKey
     smoothing : tuple of float
-        Factors on the smoothing widths of the stiffness model, stage by stage, where it is active.
+        Factors on the smoothing widths of the stiffness model, stage by stage, while active.
     order : int or None
-        Of the derivative of the joint positions that it bounds; None where it bounds another
-        quantity.
+        Order of the derivative of the joint positions that is bounded; None for other quantities.
     of_arrival : bool
-        Whether it is about what swings on after arrival: the links' motion is then planned, and
-        simulated where it is judged.
+        True for limits on residual vibration: the links' motion is then planned, and simulated for
+        the certificate.
     """
 
     name: str
@@ -93,47 +91,47 @@ class LimitKind(ABC):
 
     @abstractmethod
     def active(self, limits: Limits) -> bool:
-        """Whether these limits hold one of this kind."""
+        """Return True if `limits` include this kind."""
 
     @abstractmethod
-    def read(self, section: LimitsSection, joints: JointLists) -> dict[str, Any]:
-        """Attributes of `Limits` from the section of a file; [limits] is `section`."""
+    def read(self, section: Section, joints: JointLists) -> dict[str, Any]:
+        """Read attributes of `Limits` from the section [limits] of a file."""
 
     @abstractmethod
     def rows(self, problem: TrajectoryProblem, model: StageModel, margin: float) -> list[PathRows]:
-        """Rows of the optimiser, tightened by the share `margin`; only asked where active."""
+        """Constraint rows, backed off by the share `margin`; called only while active."""
 
     @abstractmethod
     def violations(self, limits: Limits, motion: Assessment) -> list[Violation]:
-        """Worst excess on the fine grid, relative to the limit; only asked where active."""
+        """Largest violations on the fine grid, relative to the limit; called only while active."""
 
     def bounds(self, limits: Limits, margin: float) -> tuple[np.ndarray, np.ndarray]:
-        """Lower and upper bound (n,) of the derivative of that `order`, tightened by `margin`."""
+        """Lower and upper bound (n,) of the derivative `order`, backed off by `margin`."""
         raise NotImplementedError(f"{self.name} bounds no derivative of the joint positions")
 
-    def arrival_rows(self, limits: Limits, arrival: Arrival) -> list[PathRows]:
-        """Rows on what swings on after arrival; only asked where active and `of_arrival`."""
+    def arrival_rows(self, limits: Limits, arrival: ArrivalModes) -> list[PathRows]:
+        """Rows on residual vibration; called only while active and `of_arrival`."""
         return []
 
-    def overshoot(self, limits: Limits, swing: SimulatedMotion) -> float:
-        """Share by which the tool swings further than `arrival_rows` allow."""
+    def overshoot(self, limits: Limits, simulated: SimulatedMotion) -> float:
+        """Relative excess of the simulated residual vibration over the bound of `arrival_rows`."""
         return 0.0
 
     def check(self, problem: TrajectoryProblem, motion: ResolvedMotion) -> None:
-        """Raise `ProblemError` where no motion can meet it; only asked where active."""
+        """Raise `ProblemError` where no motion can meet the limit; called only while active."""
         return None
 
     def statements(self, limits: Limits, robot: Robot) -> list[tuple[str, float, str]]:
-        """Phrase, value [SI] and unit of what is not in a report's table of joint limits."""
+        """Phrase, value [SI] and unit of limits outside a report's table of joint limits."""
         return []
 
 
 class DriveLimit(LimitKind):
-    """A limit on what the drives do, whatever that does to the tool."""
+    """Limit on quantities of the drives alone."""
 
     @abstractmethod
     def violations(self, limits: Limits, motion: DriveHistory) -> list[Violation]:
-        """As of `LimitKind`, of the drives alone."""
+        """Largest violations from a drive history."""
 
 
 LIMITS: Registry[LimitKind] = Registry("stiffopt.problem.limits")
@@ -141,13 +139,13 @@ LIMITS: Registry[LimitKind] = Registry("stiffopt.problem.limits")
 
 @dataclass(frozen=True, init=False)
 class Limits:
-    """Limits of the motion by name: `limits.torque`; the names are those of all `LimitKey`.
+    """Limits of a motion as attributes, such as `limits.torque`; names are those of `LimitKey`.
 
     Parameters
     ----------
     **values
         position_lower, position_upper, velocity, acceleration, jerk and torque, arrays (n,), are
-        required (see `Limits.of`), inf where there is none; the others are absent if left out.
+        required (see `Limits.of`), inf for no limit; the others are optional.
 
     Examples
     --------
@@ -184,20 +182,20 @@ class Limits:
 
     @classmethod
     def of(cls, robot: Robot) -> Limits:
-        """The robot's own limits."""
+        """Limits of a robot."""
         keys = [key for kind in LIMITS.values() for key in kind.keys]
         return cls({key.name: key.value(robot) for key in keys})
 
     @cached_property
     def kinds(self) -> tuple[LimitKind, ...]:
-        """The kinds of limit that are active."""
+        """Active kinds of limit."""
         return tuple(kind for kind in LIMITS.values() if kind.active(self))
 
 
 def derivative_bounds(
     limits: Limits, order: int, margins: Mapping[str, float]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Lower and upper bound (n,) of a derivative of the joint positions, of all limits on it."""
+    """Intersect the bounds (n,) of all limits on one derivative of the joint positions."""
     pairs = [
         kind.bounds(limits, margins.get(kind.name, 0.0))
         for kind in LIMITS.values()

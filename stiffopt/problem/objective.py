@@ -1,7 +1,7 @@
-"""What can be minimised: the statement of one term, and what each kind of objective must know.
+"""Objectives of a motion: one term of a problem, and the interface of each kind.
 
-A kind is one class in one file of `problem/objectives/`; schema, optimiser, certificate, report and
-reference ask the registry, so that a new objective is a new file and nothing else.
+A kind is one class in one file of `problem/objectives/`. Schema, optimiser, certificate, report and
+file reference use the registry, so that a new objective needs only a new file.
 """
 
 from __future__ import annotations
@@ -19,29 +19,28 @@ from stiffopt.problem.registry import Registry
 from stiffopt.problem.stage_terms import UNSMOOTHED, ObjectiveTerms, StaticVariable
 
 if TYPE_CHECKING:
-    from stiffopt.problem.resolve import ResolvedMotion
     from stiffopt.problem.stage_model import StageModel
-    from stiffopt.problem.trajectory import TrajectoryProblem
+    from stiffopt.problem.trajectory import ResolvedMotion, TrajectoryProblem
     from stiffopt.result.assessment import Assessment
     from stiffopt.robot.robot import Robot
     from stiffopt.symbolic import Quantity
 
-ACCEPT = ", or set minimise.accept_bound = true."
+ACCEPT_ADVICE = ", or set minimise.accept_bound = true."
 
 
 @dataclass(frozen=True)
 class Bound:
-    """A value that the objective cannot beat.
+    """Bound of an objective over all motions.
 
     Parameters
     ----------
     objective : str
     value : float
-        In the objective's SI unit; inf where it has no optimum.
+        Bound in the objective's SI unit; inf without an optimum.
     text : str
-        A sentence with the value and its cause.
+        Sentence with the value and its cause.
     degenerate : bool
-        Whether the objective is pinned to it, so that the motion is left undetermined.
+        True if every motion attains the bound, so that the motion is undetermined.
     """
 
     objective: str
@@ -50,54 +49,54 @@ class Bound:
     degenerate: bool
 
 
-# Share of a typical value down to which one is lowered, however negligible it is.
-_GAINED = 1.0 / 3.0
+# Share of a typical value down to which an objective is minimised even where it is negligible.
+_MIN_TARGET_SHARE = 1.0 / 3.0
 
 
 class ObjectiveKind(ABC):
-    """All that is known about the objectives of one name.
+    """Interface of one kind of objective.
 
     Attributes
     ----------
     name : str
-        In files and results.
+        Name in files and results.
     unit : str
         SI unit of the value.
     description : str
         One sentence, for the file reference.
     phrase : str
-        As people say it, without the measure.
+        Name in sentences, without the measure.
     prefixed : bool
-        Whether its unit is read with a prefix, such as mm; not where it stands for an integral.
+        True if reports use prefixes of the unit, such as mm; False for integrals.
     maximised : bool
-        Whether a larger value is better.
+        True if a larger value is better.
     measured : bool
-        Whether it is a peak or a root mean square over time.
+        True for a peak or root mean square over time.
     ends_motion : bool
-        Whether it has an optimum with a free duration; False: a slower motion is always better.
+        True if it has an optimum for a free duration; False: a slower motion is always better.
     smoothing : tuple of float
         Factors on the smoothing widths, stage by stage.
     deflection_part : str
-        Part of the tool's deflection that it is about; "" for none.
+        Part of the tool's deflection that is minimised; "" for none.
     plans_links : bool
-        Whether the links' motion is planned, with the motors ahead of it by the wind-up.
+        True if the links' motion is planned and the motors lead it by the wind-up.
     of_arrival : bool
-        Whether it is about what swings on after arrival, so that the certificate simulates it.
+        True if it depends on residual vibration, which the certificate then simulates.
     comparable : bool
-        Whether the optimiser's value is to agree with the certified one.
+        True if the optimiser's value has to agree with the certified one.
     of_drives : bool
-        Whether it holds the drives' torque, and so their dry friction.
+        True if it depends on the drive torque, and so on dry friction.
     shaped : bool
-        Whether the motion is averaged over a swing of the arm's lowest mode.
+        True if the motion is averaged over a period of the lowest elastic mode.
     chosen_for_other_arms : bool
-        Whether `terms` says what to prefer, of motions about as good, on arms not as modelled.
+        True if `terms` gives a robust value that selects among motions of about equal value.
     negligible : float
-        Value that need not be lowered, in `unit`; such a kind has one static variable, a bound on
-        its value.
+        Value below which there is no benefit, in `unit`; such a kind has one static variable, an
+        upper bound of its value.
     comparatives : (str, str)
-        Of a smaller and of a larger value.
+        Words for a smaller and a larger value.
     compared_as_ratio : bool
-        Whether "3 times less" is said of a large change; else always a percentage.
+        True if large changes are stated as "3 times less"; else as percentages.
     """
 
     name: str
@@ -115,31 +114,31 @@ class ObjectiveKind(ABC):
     comparable = True
     of_drives = False
     shaped = False
-    chosen_for_other_arms = False
+    chosen_for_robustness = False
     negligible = 0.0
     comparatives = ("less", "more")
     compared_as_ratio = True
 
-    def enough(self, typical: float) -> float:
-        """Value down to which it is minimised, where a typical one is known."""
-        return min(self.negligible, _GAINED * typical)
+    def target_value(self, typical: float) -> float:
+        """Value down to which it is minimised, from a typical one."""
+        return min(self.negligible, _MIN_TARGET_SHARE * typical)
 
     def check(self, objective: Objective, problem: TrajectoryProblem) -> None:
-        """Raise `ProblemError` where the problem has nothing for this objective to change."""
+        """Raise `ProblemError` where the problem gives the objective no freedom."""
         return None
 
     def bounds(
         self, objective: Objective, problem: TrajectoryProblem, motion: ResolvedMotion
     ) -> list[Bound]:
-        """Values that no motion can beat, known before solving."""
+        """Bounds over all motions, known before solving."""
         return []
 
     def static_variables(
         self, objective: Objective, problem: TrajectoryProblem, sides: np.ndarray
     ) -> tuple[StaticVariable, ...]:
-        """Static variables in the order in which `terms` gets them.
+        """Static variables, in the order of the argument of `terms`.
 
-        `sides` (n,) is the sign of the spring torque of joints that need not change it.
+        `sides` (n,) is the sign of the spring torque of joints that can keep it.
         """
         return ()
 
@@ -152,14 +151,14 @@ class ObjectiveKind(ABC):
         statics: tuple[Quantity, ...],
         scale: float,
     ) -> ObjectiveTerms:
-        """Pieces of the optimal-control problem; `scale` is a typical value in SI."""
+        """Contributions to the optimal-control problem; `scale` is a typical value in SI."""
 
     @abstractmethod
     def certified_value(self, objective: Objective, motion: Assessment) -> float:
-        """The value [SI] on the fine grid of an assessed motion."""
+        """Value [SI] on the fine grid of an assessed motion."""
 
     def joint_integrals(self, robot: Robot, motion: Assessment) -> np.ndarray | None:
-        """Integrals over an assessed motion, one a joint (n,), where it is a sum of such."""
+        """Integral of each joint (n,) over an assessed motion; None for other kinds."""
         return None
 
 
@@ -168,7 +167,7 @@ OBJECTIVES: Registry[ObjectiveKind] = Registry("stiffopt.problem.objectives")
 
 @dataclass(frozen=True, kw_only=True)
 class Objective:
-    """One term of the objective; `name` is that of a kind in `problem/objectives/`."""
+    """One term of the objective; `name` is a kind of `problem/objectives/`."""
 
     name: str = "tool_deviation"
     measure: Annotated[
@@ -176,7 +175,7 @@ class Objective:
     ] = "peak"
     weight: Annotated[Ratio, POSITIVE, Doc("Weight in the sum of all terms.")] = 1.0
     joints: Annotated[
-        tuple[Annotated[int, Bounds(least=1)], ...], Doc("Joints that count; default all.")
+        tuple[Annotated[int, Bounds(least=1)], ...], Doc("Joints of the term; default all.")
     ] = ()
     joint_weights: Annotated[
         Mapping[int, Annotated[Ratio, POSITIVE]],
@@ -184,7 +183,7 @@ class Objective:
     ] = field(default_factory=dict)
     accept_bound: Annotated[
         bool,
-        Doc("Solve even where the objective cannot get past a value that no motion changes."),
+        Doc("Solve even where every motion attains the objective's bound."),
     ] = False
 
     def __post_init__(self) -> None:
@@ -194,12 +193,12 @@ class Objective:
 
     @property
     def kind(self) -> ObjectiveKind:
-        """What is known about objectives of this name."""
+        """Kind of the objective."""
         return OBJECTIVES[self.name]
 
     @property
     def maximised(self) -> bool:
-        """Whether a larger value is better."""
+        """True if a larger value is better."""
         return self.kind.maximised
 
     @property
@@ -209,11 +208,11 @@ class Objective:
 
     @property
     def shown_measure(self) -> str:
-        """The measure where the kind has one, else ""."""
+        """Measure of kinds that have one, else ""."""
         return self.measure if self.kind.measured else ""
 
     def numbers(self, joints: int) -> tuple[int, ...]:
-        """Numbers (1-based) of the joints that count, of an arm with so many."""
+        """Joint numbers (1-based) of the term, for an arm of `joints` joints."""
         return tuple(self.joints) or tuple(range(1, joints + 1))
 
     def weight_of(self, joint: int) -> float:

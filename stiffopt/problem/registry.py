@@ -1,4 +1,4 @@
-"""Kinds of one thing, found by name: every file of a package adds its own."""
+"""Plug-in registry: every module of a package adds its kinds, found by name."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Protocol, TypeVar
 
 
 class HasName(Protocol):
-    """What a registry holds."""
+    """Entry of a registry."""
 
     @property
     def name(self) -> str:
@@ -25,36 +25,36 @@ class Registry(Mapping[str, Kind]):
     Parameters
     ----------
     package : str
-        Its modules are imported when the registry is first read; each calls `add`.
+        Package whose modules are imported on first access; each calls `add`.
     """
 
     def __init__(self, package: str) -> None:
         self._package = package
         self._kinds: dict[str, Kind] = {}
-        self._read = False
+        self._loaded = False
 
     def add(self, kind: Kind) -> None:
-        """Make a kind known."""
+        """Register a kind."""
         self._kinds[kind.name] = kind
 
     def discard(self, name: str) -> None:
-        """Forget a kind."""
+        """Remove a kind."""
         self._kinds.pop(name, None)
 
-    def _all(self) -> dict[str, Kind]:
-        if not self._read:
-            self._read = True
+    def _load_kinds(self) -> dict[str, Kind]:
+        if not self._loaded:
+            self._loaded = True
             package = import_module(self._package)
             for module in iter_modules(package.__path__):
                 import_module(f"{self._package}.{module.name}")
         return self._kinds
 
     def __getitem__(self, name: str) -> Kind:
-        return self._all()[name]
+        return self._load_kinds()[name]
 
     def __iter__(self) -> Iterator[str]:
-        # Whatever imported one of the files first.
-        return iter(sorted(self._all()))
+        # Sorted: the order does not depend on which module was imported first.
+        return iter(sorted(self._load_kinds()))
 
     def __len__(self) -> int:
-        return len(self._all())
+        return len(self._load_kinds())

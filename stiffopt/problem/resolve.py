@@ -1,52 +1,27 @@
-"""Poses of a problem as joint angles, and the checks that need no solver.
+"""Inverse kinematics of a problem's poses, with the checks that need no solver.
 
-What no duration can cure is an input error here: a start outside the joint range, a pose out of
+Input errors are faults that no duration can remedy: a start outside the joint range, a pose out of
 reach, a pose that the drives cannot hold at rest.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from stiffopt.dynamics.inverse_kinematics import solve_pose
 from stiffopt.errors import ProblemError
-from stiffopt.problem.plausible import check_plausible
-from stiffopt.problem.rest import gravity_torque
-from stiffopt.problem.trajectory import Target, TrajectoryProblem
+from stiffopt.problem.input_checks import check_plausible
+from stiffopt.problem.rest_poses import gravity_torque
+from stiffopt.problem.trajectory import ResolvedMotion, Target, TrajectoryProblem
 from stiffopt.robot.frames import interpolate_rotation, rotation_from_rpy, rpy_from_rotation
 from stiffopt.units import joint_unit
 
 if TYPE_CHECKING:
     from stiffopt.problem.limit import Limits
     from stiffopt.robot.robot import Robot
-
-
-@dataclass(frozen=True)
-class ResolvedMotion:
-    """Joint angles of the poses.
-
-    Parameters
-    ----------
-    start, end : array (n,) [rad]
-    vias : tuple of array (n,) [rad]
-        One solution each; the optimiser may pass a via in another.
-    start_fixed, end_fixed : bool
-        False where only the tool's position is given: the angles are then a first guess.
-    """
-
-    start: np.ndarray
-    end: np.ndarray
-    vias: tuple[np.ndarray, ...]
-    start_fixed: bool
-    end_fixed: bool
-
-    @property
-    def points(self) -> np.ndarray:
-        """Start, vias and end, (k, n)."""
-        return np.stack([self.start, *self.vias, self.end])
 
 
 def resolve(problem: TrajectoryProblem) -> ResolvedMotion:
@@ -60,13 +35,15 @@ def resolve(problem: TrajectoryProblem) -> ResolvedMotion:
     check_plausible(problem)
     if problem.path is not None:
         return _resolve_path(problem)
-    start = _joints(problem, problem.start, "motion.start", None)
+    start = _resolve_target(problem, problem.start, "motion.start", None)
     vias = []
     near = start
-    end = _joints(problem, problem.end, "motion.end", start)
+    end = _resolve_target(problem, problem.end, "motion.end", start)
     for number, via in enumerate(problem.vias, start=1):
         where = f"motion.via[{number}]"
-        near = _joints(problem, _with_orientation(problem, via, start, end), where, near)
+        near = _resolve_target(
+            problem, _interpolate_orientation(problem, via, start, end), where, near
+        )
         vias.append(near)
     motion = ResolvedMotion(
         start, end, tuple(vias), problem.start.fixes_pose, problem.end.fixes_pose
@@ -86,7 +63,7 @@ def resolve(problem: TrajectoryProblem) -> ResolvedMotion:
     return motion
 
 
-def _joints(
+def _resolve_target(
     problem: TrajectoryProblem, target: Target, where: str, near: np.ndarray | None
 ) -> np.ndarray:
     if target.joints is not None:
@@ -105,19 +82,19 @@ def _joints(
 
 
 def _within_limits(problem: TrajectoryProblem) -> Robot:
-    """The robot with the joint range of the problem, in which poses are sought."""
+    """Robot with the position limits of the problem, for inverse kinematics."""
     limits = problem.active_limits
     return replace(
         problem.robot, position_lower=limits.position_lower, position_upper=limits.position_upper
     )
 
 
-def _with_orientation(
+def _interpolate_orientation(
     problem: TrajectoryProblem, via: Target, start: np.ndarray, end: np.ndarray
 ) -> Target:
-    """A via position with an orientation between those of start and end, if the arm can take it.
+    """Give a via position an orientation between those of start and end, if it can be reached.
 
-    The optimiser leaves the orientation at a via free; a guess and a baseline need one.
+    The optimiser leaves the orientation at a via free; initial guess and baselines need one.
     """
     if via.position is None or via.rpy is not None:
         return via
@@ -158,7 +135,7 @@ def check_range(
         if not low - 1e-9 <= angle <= high + 1e-9:
             key = "position_lower" if angle < low else "position_upper"
             at, lower, upper = (
-                _place(value, bool(robot.prismatic[j])) for value in (angle, low, high)
+                _format_position(value, bool(robot.prismatic[j])) for value in (angle, low, high)
             )
             raise ProblemError(
                 f"{where}: joint {j + 1} at {at} is outside its range {lower} to {upper}. Choose a "
@@ -207,12 +184,13 @@ def _check_stopping_distance(problem: TrajectoryProblem, motion: ResolvedMotion)
         )
         for j in np.flatnonzero((needed > room) & (velocity * other <= 0.0)) if fixed else ():
             prismatic = bool(problem.robot.prismatic[j])
+            ahead, braking = (_format_position(d, prismatic) for d in (room[j], needed[j]))
             raise ProblemError(
-                f"motion.boundary_velocity.{side}: joint {j + 1} has {_place(room[j], prismatic)} "
-                f"to its position limit and needs {_place(needed[j], prismatic)} to brake from "
-                f"{abs(velocity[j]):.4g} {joint_unit('rad/s', prismatic)} within its acceleration "
-                "and jerk limits, so no duration can connect it. Lower the velocity, or choose a "
-                "pose further from the limit."
+                f"motion.boundary_velocity.{side}: joint {j + 1} has {ahead} to its position limit "
+                f"and needs {braking} to brake from {abs(velocity[j]):.4g} "
+                f"{joint_unit('rad/s', prismatic)} within its acceleration and jerk limits, so no "
+                "duration can connect it. Lower the velocity, or choose a pose further from the "
+                "limit."
             )
 
 
@@ -240,7 +218,7 @@ def stopping_distance(
 
 
 def _check_rest(problem: TrajectoryProblem, where: str, angles: np.ndarray) -> None:
-    """A pose held at rest must be within the torque limits, whatever the duration."""
+    """Raise `ProblemError` where holding a pose at rest exceeds a torque limit."""
     if problem.boundary_acceleration != "zero" or problem.boundary_velocity is not None:
         return
     torque, limit = gravity_torque(problem, angles), problem.active_limits.torque
@@ -253,7 +231,7 @@ def _check_rest(problem: TrajectoryProblem, where: str, angles: np.ndarray) -> N
         )
 
 
-def _place(position: float, prismatic: bool) -> str:
+def _format_position(position: float, prismatic: bool) -> str:
     if prismatic:
         return f"{position:.4g} m"
     return f"{position:.4g} rad ({np.degrees(position):.4g} deg)"

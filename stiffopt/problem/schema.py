@@ -51,12 +51,10 @@ class PayloadSection(Section):
 
 
 class ToolSection(Section):
-    """Point whose deflection counts, and the force that acts on it."""
+    """Tool point whose deflection is evaluated, and the process force on it."""
 
-    link: Annotated[str | None, Doc("Link that it is fixed to; default that of the robot's.")] = (
-        None
-    )
-    offset: Annotated[Vector3 | None, Doc("Origin in the frame of the link.")] = None
+    link: Annotated[str | None, Doc("Link that carries the tool; default the robot's.")] = None
+    offset: Annotated[Vector3 | None, Doc("Tool point in the frame of the link.")] = None
     process_force: Annotated[tuple[Force, Force, Force], Doc("Force ON the tool, base frame.")] = (
         0.0,
         0.0,
@@ -65,7 +63,7 @@ class ToolSection(Section):
 
 
 class TargetSection(Section):
-    """A place: joints, or a position of the tool with or without an orientation."""
+    """Joint angles, or a tool position with or without an orientation."""
 
     joints: Annotated[list[JointPosition] | None, Doc("Joint positions, one a joint.")] = None
     position: Annotated[Vector3 | None, Doc("Position of the tool, base frame.")] = None
@@ -75,15 +73,15 @@ class TargetSection(Section):
     ] = None
     near: Annotated[
         list[JointPosition] | None,
-        Doc("Joint positions that choose between the solutions of the inverse kinematics."),
+        Doc("Joint positions that select the solution of the inverse kinematics."),
     ] = None
     tolerance: Annotated[
         Length | Angle | None,
         POSITIVE,
-        Doc("How far a via point may be missed, [m] of a position, [rad] of joints; default 1e-4."),
+        Doc("Tolerance of a via point, [m] of a position, [rad] of joints; default 1e-4."),
     ] = None
     angle_tolerance: Annotated[
-        Angle, POSITIVE, Doc("How far the orientation of a via pose may be missed.")
+        Angle, POSITIVE, Doc("Tolerance of the orientation of a via pose.")
     ] = 0.01
 
 
@@ -102,13 +100,13 @@ class BoundaryVelocity(Section):
 
 
 class MotionSection(Section):
-    """Start and end with places between, or a fixed joint path."""
+    """Start and end with via points, or a fixed joint path."""
 
-    start: Annotated[TargetSection | None, Doc("Where the motion starts.")] = None
+    start: Annotated[TargetSection | None, Doc("Start of the motion.")] = None
     via: Annotated[
-        tuple[TargetSection, ...], Doc("Places passed in order; the time of passing is free.")
+        tuple[TargetSection, ...], Doc("Via points, passed in order at free times.")
     ] = ()
-    end: Annotated[TargetSection | None, Doc("Where the motion ends.")] = None
+    end: Annotated[TargetSection | None, Doc("End of the motion.")] = None
     path: Annotated[
         list[list[JointPosition]] | None,
         Doc(
@@ -127,8 +125,8 @@ class MotionSection(Section):
     )
 
     @model_validator(mode="after")
-    def _ends(self) -> MotionSection:
-        # Without any of them the tool's path, [path], has to say where the motion goes.
+    def _check_ends(self) -> MotionSection:
+        # Without any of them the tool path, [path], defines the motion.
         some = self.start or self.end or self.via
         if self.path is None and some and (self.start is None or self.end is None):
             raise ValueError("give `start` and `end`, or a fixed joint `path`")
@@ -140,7 +138,7 @@ class MotionSection(Section):
 
 
 class PathEndSection(Section):
-    """A pose of the tool on its path."""
+    """Pose of the tool on its path."""
 
     position: Annotated[Vector3, Doc("Position of the tool, base frame.")]
     rpy: Annotated[
@@ -150,27 +148,27 @@ class PathEndSection(Section):
 
 
 class PathStartSection(PathEndSection):
-    """Where the tool's path starts."""
+    """Start of the tool path."""
 
     rpy: Annotated[tuple[Angle, Angle, Angle], Doc("Fixed-axis roll, pitch, yaw of the tool.")]
     near: Annotated[
         list[JointPosition] | None,
-        Doc("Joint positions that choose between the solutions of the inverse kinematics."),
+        Doc("Joint positions that select the solution of the inverse kinematics."),
     ] = None
 
 
 class SegmentSection(Section):
-    """A segment of the tool's path."""
+    """Segment of the tool path."""
 
     type: Annotated[Literal["lin", "circ"], Doc("A straight line, or an arc.")]
-    to: Annotated[PathEndSection, Doc("Where it ends.")]
+    to: Annotated[PathEndSection, Doc("End pose.")]
     through: Annotated[Vector3 | None, Doc("A point on the arc; `circ` needs it.")] = None
     blend: Annotated[
         Length, NOT_NEGATIVE, Doc("Distance from its end at which the rounding begins.")
     ] = 0.0
 
     @model_validator(mode="after")
-    def _arc(self) -> SegmentSection:
+    def _check_arc(self) -> SegmentSection:
         if (self.type == "circ") != (self.through is not None):
             raise ValueError("`through` belongs to a segment of type circ, which needs it")
         return self
@@ -179,45 +177,45 @@ class SegmentSection(Section):
 class PathSection(Section):
     """A fixed path of the tool, in place of [motion] start, via, end and path."""
 
-    start: Annotated[PathStartSection, Doc("Where it starts.")]
+    start: Annotated[PathStartSection, Doc("Start pose.")]
     segment: Annotated[
         tuple[SegmentSection, ...], Field(min_length=1), Doc("Lines and arcs, one after another.")
     ]
     speed: Annotated[
         Speed | None,
         POSITIVE,
-        Doc("Of the tool: held where limits and the ends allow it, never exceeded."),
+        Doc("Tool speed: held where limits and the ends allow it, never exceeded."),
     ] = None
     tolerance: Annotated[
-        Length, POSITIVE, Doc("How far the tool may be from the path: the joints follow a spline.")
+        Length,
+        POSITIVE,
+        Doc("Largest distance of the tool from the path, as the joints follow a spline."),
     ] = 5e-5
 
 
 class MinimiseSection(Section):
-    """One term of the objective; several are summed with their weights."""
+    """One term of the objective; terms are summed with their weights."""
 
     objective: str
 
 
 class LimitsSection(Section):
-    """Limits; the robot's own where a key is left out, "none" removes one."""
+    """Limits; the robot's own where a key is left out, "none" removes a limit."""
 
     scale: Section = Section()
 
 
 class ExpectedSection(Section):
-    """What `stiffopt verify` compares, and where the value comes from."""
+    """Expected value for `stiffopt verify`, with its source."""
 
     objective: Annotated[float, Doc("Value of the objective, in `unit`.")]
     unit: Annotated[str, Doc("Unit of the value.")]
-    rtol: Annotated[
-        Ratio, Bounds(above=0.0, most=0.1), Doc("Relative difference that is allowed.")
-    ] = 1e-4
-    source: Annotated[str, Doc("Where the value comes from: never the same run alone.")]
+    rtol: Annotated[Ratio, Bounds(above=0.0, most=0.1), Doc("Allowed relative difference.")] = 1e-4
+    source: Annotated[str, Doc("Independent source of the value: never the same run alone.")]
 
 
 class ProblemFile(Section):
-    """What to move, from where to where, how well and within which limits."""
+    """Trajectory problem: robot, motion, objective and limits."""
 
     schema_: Annotated[int, Field(alias="schema"), Doc("Version of the format: 1.")]
     kind: Annotated[Literal["trajectory"], Doc("Kind of file.")]
@@ -238,7 +236,7 @@ class ProblemFile(Section):
         ),
     ] = None
     limits: LimitsSection = LimitsSection()
-    cell: Annotated[Cell | None, Doc("What the arm must not touch.")] = None
+    cell: Annotated[Cell | None, Doc("Obstacles around the arm.")] = None
     method: Method = Method()
     uncertainty: Uncertainty = AssumedUncertainty()
     expected: ExpectedSection | None = None
@@ -254,7 +252,7 @@ def problem_file() -> type[ProblemFile]:
 def _problem_file(objectives: tuple[str, ...], keys: tuple[LimitKey, ...]) -> type[ProblemFile]:
     names: Any = Literal[objectives]
     kinds = (f"{name}: {OBJECTIVES[name].description}" for name in objectives)
-    objective = Field(description="What is minimised. " + " ".join(kinds))
+    objective = Field(description="Quantity to minimise. " + " ".join(kinds))
     term: dict[str, Any] = {
         name: (
             field.annotation,

@@ -1,4 +1,4 @@
-"""The quantities of one instant, symbolic and built only when an objective or a limit asks.
+"""Symbolic torques, stiffness and deflection at one instant, built on demand.
 
 Rotor inertia and friction load the drive, not the spring.
 """
@@ -35,11 +35,11 @@ class StageModel:
     robot : Robot
     position, velocity, acceleration : SX (n,)
     process_force : array (3,) [N]
-        Acts on the tool, base frame.
+        Force on the tool, base frame.
     smoothing : SX or float
         Factor on every smoothing width of the stiffness model.
     sides : array (n,)
-        Sign of the spring torque of joints that need not change it; 0 for the others.
+        Sign of the spring torque of joints that can keep it; 0 for the others.
     """
 
     def __init__(
@@ -60,12 +60,12 @@ class StageModel:
 
     @property
     def link(self) -> tuple[Quantity, Quantity, Quantity]:
-        """Motion that loads the springs: position, velocity, acceleration."""
+        """Position, velocity and acceleration of the links, which load the springs."""
         return self.position, self.velocity, self.acceleration
 
     @cached_property
     def chains(self) -> list[CompactChain | None]:
-        """Drivetrains in their compact form."""
+        """Compact form of the drivetrains."""
         return [
             None if chain is None else CompactChain(chain, float(self.robot.torque_max[j]))
             for j, chain in enumerate(self.robot.chains)
@@ -73,11 +73,11 @@ class StageModel:
 
     @cached_property
     def torques(self) -> SpringTorques:
-        """Torques in the joints' springs: gravity, motion, and with the process force."""
+        """Spring torques of gravity, motion and process force."""
         return self.spring_torques()
 
     def spring_torques(self) -> SpringTorques:
-        """The same, written out in the model's motion."""
+        """Build the spring torques from the model's motion."""
         tool = self.robot.tool
         force = self.process_force if np.any(self.process_force) else None
         return spring_torques(
@@ -90,7 +90,7 @@ class StageModel:
 
     @property
     def computed_torques(self) -> Quantity:
-        """Torques of gravity and motion, if anything asked for them so far; else empty."""
+        """Torques of gravity and motion, if already built; else empty."""
         if "torques" not in self.__dict__:
             return ca.SX(0, 1)
         return ca.vertcat(self.torques.gravity, self.torques.motion)
@@ -115,10 +115,11 @@ class StageModel:
         )
 
     def torque_envelope(self, side: float) -> Quantity:
-        """Drive torque with dry friction as it is on one side of standstill (n,) [N m].
+        """Drive torque (n,) [N m] with an envelope of the dry friction on one side (+1 or -1).
 
-        Friction jumps at standstill, between nodes as well. On the upper side (+1) it is taken as
-        if the joint were two smoothing widths faster, so that the limit holds for the sharp law.
+        Friction jumps at zero velocity, between nodes as well. On the upper side (+1) the smoothed
+        friction is evaluated two smoothing widths faster, so that the limit holds for the
+        discontinuous law.
         """
         robot = self.robot
         without = drive_torque(
@@ -159,7 +160,7 @@ class StageModel:
 
     @cached_property
     def deflection(self) -> Deflection:
-        """Deflection of the tool in its static, dynamic and process parts (3,) [m]."""
+        """Static, dynamic and process parts of the tool deflection (3,) [m]."""
         if all(chain is None for chain in self.robot.chains):
             raise ProblemError(
                 f"{self.robot.name} has no drivetrain, so its tool does not deflect. Describe the "

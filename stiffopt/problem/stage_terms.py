@@ -1,15 +1,14 @@
-"""What an objective or a limit asks of the optimiser, in pieces of one stage.
+"""Rows, integrands and static variables that objectives and limits contribute to a stage.
 
-The files of objectives and limits write their rows by plain arithmetic on the quantities that a
-`StageModel` hands them, so that they need no CasADi and the certificate may import them; only
-`problem.formulation` turns the pieces into an optimal-control problem. Every piece belongs to one
-instant; what couples instants is an integral or a static variable.
+Objectives and limits write their rows by plain arithmetic on the quantities of a `StageModel`, so
+that they need no CasADi and the certificate may import them; only `problem.formulation` builds the
+optimal-control problem. Rows belong to one instant; integrals and static variables couple instants.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -21,8 +20,9 @@ if TYPE_CHECKING:
     # (integrals of the objective's own integrands, duration) -> scalar
     OfIntegrals = Callable[[Quantity, Quantity], Quantity]
 
+
 # Factors on the smoothing widths of the stiffness model, stage by stage. Reducer steps blur the
-# tangent stiffness far more than the wind-up, so that what depends on it ends narrower.
+# tangent stiffness far more than the wind-up, so that its list ends narrower.
 UNSMOOTHED = (1.0,)
 WINDUP_SMOOTHING = (4.0, 1.0, 0.25)
 STIFFNESS_SMOOTHING = (4.0, 1.0, 0.25, 0.05)
@@ -30,16 +30,16 @@ STIFFNESS_SMOOTHING = (4.0, 1.0, 0.25, 0.05)
 
 @dataclass(frozen=True, kw_only=True)
 class PathRows:
-    """Rows that hold at every node and midpoint.
+    """Constraint rows at every node and midpoint.
 
     Parameters
     ----------
     name : str
-        What is limited; certificates and margins use the same name.
+        Limited quantity; certificates and back-offs use the same name.
     labels : tuple of str (m,)
         "joint 2" or "tool".
     expressions : tuple of Quantity (m,)
-        Relative to the limit, so that they are of the order of one.
+        Relative to the limit, so that they are of order one.
     lower, upper : float
     """
 
@@ -67,7 +67,7 @@ class StaticVariable:
     ----------
     name : str
     start : callable
-        Its value on an assessed motion.
+        Initial value, from an assessed motion.
     scale : float or None
         Typical magnitude; None: that of the objective.
     """
@@ -79,7 +79,7 @@ class StaticVariable:
 
 @dataclass(frozen=True, kw_only=True)
 class ObjectiveTerms:
-    """One objective in pieces.
+    """Contributions of one objective.
 
     Parameters
     ----------
@@ -90,16 +90,54 @@ class ObjectiveTerms:
     path_rows : tuple of PathRows
     integral_rows : tuple of IntegralRow
     besides : callable, optional
-        Of the integrals and the duration too: what is minimised among motions that are as good.
+        Function of integrals and duration that is minimised among motions of about equal value,
+        for robustness to model errors.
     """
 
     value: OfIntegrals
     integrands: tuple[Quantity, ...] = ()
     path_rows: tuple[PathRows, ...] = ()
     integral_rows: tuple[IntegralRow, ...] = ()
-    besides: OfIntegrals | None = None
+    robust_value: OfIntegrals | None = None
 
 
 def squared_length(vector: Quantity) -> Quantity:
-    """Square of the length of a vector (3,): smooth at zero."""
+    """Squared length of a vector (3,), smooth at zero."""
     return sum(vector[i] * vector[i] for i in range(3))
+
+
+@dataclass(frozen=True)
+class Smoothing:
+    """Factors on the default smoothing widths of the optimiser's laws, numbers or symbols.
+
+    They are parameters of the optimal-control problem: one programme is solved for several.
+
+    Parameters
+    ----------
+    stiffness : float or SX
+        On the kinks and steps of the joints' stiffness; from wide to narrow stage by stage.
+    lead : float or SX
+        Further factor in the feedforward-lead law of planned links: as wide as the motors' jerk
+        limit needs, while the deflection keeps its own width.
+    robust : float or SX
+        From 0, the objective alone, to 1, its robust value, with the motor back-off that uncertain
+        arms need.
+    """
+
+    stiffness: Quantity
+    lead: Quantity = 1.0
+    robust: Quantity = 0.0
+
+    @property
+    def parameters(self) -> np.ndarray:
+        """Parameter vector of the programme (3,)."""
+        return np.array(astuple(self), dtype=float)
+
+    @property
+    def law(self) -> float:
+        """Factor on the widths of the feedforward-lead law."""
+        return float(self.stiffness * self.lead)
+
+    def narrowed(self, share: float) -> Smoothing:
+        """Narrow the stiffness widths to a share; the feedforward-lead law keeps its widths."""
+        return replace(self, stiffness=share * self.stiffness, lead=self.lead / share)

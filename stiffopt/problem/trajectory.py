@@ -1,4 +1,4 @@
-"""TrajectoryProblem: what to move, from where to where, how well, within which limits."""
+"""Trajectory problems: robot, poses, objectives, limits and solution method."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ from stiffopt.declaration import POSITIVE, Bounds, Doc, Ratio, Time, check_field
 from stiffopt.elastic.uncertainty import AssumedUncertainty, Uncertainty
 from stiffopt.errors import ProblemError
 from stiffopt.problem.limit import Limits
-from stiffopt.problem.link_planning import check_arrival, check_links
 from stiffopt.problem.objective import Objective
 from stiffopt.robot.cell import Cell
 
@@ -21,32 +20,34 @@ if TYPE_CHECKING:
     from stiffopt.robot.clearance import ClearanceModel
     from stiffopt.robot.robot import Robot
 
-# Outside these a number is a slip, and it would overflow on the way.
-_FAR = 1e3
-_DURATIONS = (1e-3, 600.0)
-_NO_JERK = (
-    "The robot's own jerk limit is not kept: along a fixed path the acceleration jumps. Give poses "
-    "instead of motion.path to have it kept."
+
+# Largest distance from the base [m] and range of durations [s]: values beyond are input errors and
+# overflow in the solve.
+_MAX_POSITION = 1e3
+_DURATION_RANGE = (1e-3, 600.0)
+_DROPPED_JERK_REMARK = (
+    "The robot's own jerk limit is dropped: along a fixed path the acceleration jumps. Give poses "
+    "instead of motion.path to keep it."
 )
 
 
 @dataclass(frozen=True, kw_only=True)
 class Target:
-    """A place to be: joint angles, a tool pose, or a tool position.
+    """Joint angles, a tool pose, or a tool position.
 
     Parameters
     ----------
     joints : array (n,) or None [rad]
     position : array (3,) or None [m]
-        Of the tool, base frame.
+        Tool position, base frame.
     rpy : array (3,) or None [rad]
         Fixed-axis roll, pitch, yaw of the tool; None leaves the orientation free.
     near : array (n,) or None [rad]
-        Joint angles that choose between the solutions of the inverse kinematics.
+        Joint angles that select the solution of the inverse kinematics.
     tolerance : float [m] (a tool position) or [rad] (joints)
-        How far a via point may be missed.
+        Tolerance of a via point.
     angle_tolerance : float [rad]
-        How far the orientation of a via pose may be missed.
+        Tolerance of the orientation of a via pose.
     """
 
     joints: np.ndarray | None = None
@@ -58,7 +59,7 @@ class Target:
 
     @property
     def fixes_pose(self) -> bool:
-        """Whether it leaves the joints no freedom."""
+        """True for joint angles or a tool pose, which leave the joints no freedom."""
         return self.joints is not None or self.rpy is not None
 
     def __post_init__(self) -> None:
@@ -75,10 +76,13 @@ class Target:
             raise ProblemError("`rpy` needs a `position` beside it; `joints` fix both.")
         if self.position is not None:
             _check_vector("position", self.position)
-            if np.linalg.norm(np.clip(self.position, -_FAR, _FAR)) >= _FAR:
+            if (
+                np.linalg.norm(np.clip(self.position, -_MAX_POSITION, _MAX_POSITION))
+                >= _MAX_POSITION
+            ):
                 raise ProblemError(
                     f"position {np.asarray(self.position).tolist()} m is out of reach of any arm; "
-                    f"allowed: less than {_FAR:g} m from the base."
+                    f"allowed: less than {_MAX_POSITION:g} m from the base."
                 )
         if self.rpy is not None:
             _check_vector("rpy", self.rpy)
@@ -86,6 +90,31 @@ class Target:
             value = getattr(self, name)
             if not (np.isfinite(value) and value > 0):
                 raise ProblemError(f"{name} = {value:g} must be finite and greater than zero.")
+
+
+@dataclass(frozen=True)
+class ResolvedMotion:
+    """Joint angles of a problem's poses.
+
+    Parameters
+    ----------
+    start, end : array (n,) [rad]
+    vias : tuple of array (n,) [rad]
+        One inverse-kinematics solution each; the optimiser may pass a via in another.
+    start_fixed, end_fixed : bool
+        False where only the tool's position is given: the angles are then an initial guess.
+    """
+
+    start: np.ndarray
+    end: np.ndarray
+    vias: tuple[np.ndarray, ...]
+    start_fixed: bool
+    end_fixed: bool
+
+    @property
+    def points(self) -> np.ndarray:
+        """Start, vias and end, (k, n)."""
+        return np.stack([self.start, *self.vias, self.end])
 
 
 def _check_vector(name: str, value: np.ndarray) -> None:
@@ -96,7 +125,7 @@ def _check_vector(name: str, value: np.ndarray) -> None:
 def _check_duration(duration: tuple[float, float]) -> None:
     """Raise `ProblemError` unless the range (lower, upper) [s] holds a motion of an arm."""
     lower, upper = duration
-    shortest, longest = _DURATIONS
+    shortest, longest = _DURATION_RANGE
     if not shortest <= lower <= min(upper, longest) or longest < upper < np.inf:
         raise ProblemError(
             f"motion.duration: from lower = {lower:g} s to upper = {upper:g} s cannot be used; "
@@ -106,20 +135,22 @@ def _check_duration(duration: tuple[float, float]) -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class Method:
-    """How to solve; the defaults suit most problems."""
+    """Solution method; the defaults suit most problems."""
 
     transcription: Annotated[
         Literal["piecewise_linear_acceleration", "hermite_simpson", "radau"],
-        Doc("How the motion becomes a nonlinear programme."),
+        Doc("Transcription of the motion to a nonlinear programme."),
     ] = "piecewise_linear_acceleration"
     intervals: Annotated[int, Bounds(least=4, most=2000), Doc("Intervals of the whole motion.")] = (
         60
     )
-    time_limit: Annotated[Time, POSITIVE, Doc("Time after which the best motion is taken.")] = 300.0
+    time_limit: Annotated[
+        Time, POSITIVE, Doc("Time after which the best motion so far is returned.")
+    ] = 300.0
     max_iterations: Annotated[
         int,
         Bounds(least=1, most=1_000_000),
-        Doc("Largest number of iterations of IPOPT, each stage."),
+        Doc("Largest number of IPOPT iterations of each stage."),
     ] = 500
     starts: Annotated[
         int,
@@ -129,13 +160,10 @@ class Method:
     tolerance: Annotated[
         Ratio, Bounds(above=0.0, most=1e-2), Doc("Relative tolerance of IPOPT.")
     ] = 1e-8
-    seed: Annotated[int, Bounds(least=0), Doc("Of the further initial guesses.")] = 1
+    seed: Annotated[int, Bounds(least=0), Doc("Random seed of the further initial guesses.")] = 1
     collisions: Annotated[
         Literal["avoid", "check"],
-        Doc(
-            "Whether a motion that would collide is led around what it meets, or only told. On a "
-            "fixed path it is only told."
-        ),
+        Doc("Avoid collisions, or report them only. On a fixed path they are only reported."),
     ] = "avoid"
 
     def __post_init__(self) -> None:
@@ -158,21 +186,21 @@ class TrajectoryProblem:
     duration : (lower, upper) [s]
         Equal values fix it.
     objectives : tuple of Objective
-        Left out: the peak tool deviation, or the quasi-static dynamic deflection where the links
-        cannot be planned; `chosen` then says so.
+        Default: the peak tool deviation, or the quasi-static dynamic deflection where the links
+        cannot be planned; `chosen` states which.
     limits : Limits or None
-        None: the robot's own.
+        Default: the robot's own.
     boundary_velocity : (start (n,), end (n,)) [rad/s]
     boundary_acceleration : "zero" or "free"
     process_force : array (3,) [N]
-        Acts on the tool, base frame.
+        Force on the tool, base frame.
     remarks : tuple of str
-        What was left open and a result has to say.
+        Assumptions for incomplete input, repeated in results.
     uncertainty : Uncertainty
-        How far the arm may be from its model; judges the command. Where it is stated, it also
-        chooses between plans that are about as good (`chosen_for_other_arms`).
+        Ranges of stiffness, damping and payload for which the command is judged. Where stated, it
+        also selects among plans of about equal value (`chosen_for_robustness`).
     cell : Cell or None
-        What the arm must not touch; None: itself alone, as far as its URDF shows it.
+        Obstacles; None: collisions of the arm with itself, by the shapes of its URDF.
     """
 
     robot: Robot
@@ -191,14 +219,14 @@ class TrajectoryProblem:
     remarks: tuple[str, ...] = ()
     uncertainty: Uncertainty = field(default_factory=AssumedUncertainty)
     cell: Cell | None = None
-    # Why these objectives, where none were given; no field: the problem is the same.
+    # Reason for default objectives. No field: it does not change the problem.
     chosen: ClassVar[str] = ""
 
     def __post_init__(self) -> None:
         _check_duration(self.duration)
         if self.path is not None:
             object.__setattr__(self, "path", np.asarray(self.path, dtype=float))
-            self._let_go_of_jerk()
+            self._drop_robot_jerk_limit()
         object.__setattr__(self, "process_force", np.asarray(self.process_force, dtype=float))
         _check_vector("process_force", self.process_force)
         if self.boundary_acceleration not in ("zero", "free"):
@@ -213,21 +241,21 @@ class TrajectoryProblem:
             self._check_objective(objective, f"minimise[{number}]")
         for kind in self._arrival_limits:
             name = f"limits.{kind.name}"
-            check_links(self, name, f"leave {name} out")
+            check_link_planning(self, name, f"leave {name} out")
             check_arrival(self, name)
 
-    def _let_go_of_jerk(self) -> None:
-        """On a fixed path the robot's own jerk limit is left out, where none was asked for."""
+    def _drop_robot_jerk_limit(self) -> None:
+        """Drop the robot's own jerk limit on a fixed path, where no other was given."""
         own = Limits.of(self.robot)
         stated = own if self.limits is None else self.limits
         if np.any(np.isfinite(stated.jerk)) and np.array_equal(stated.jerk, own.jerk):
             free = np.full(self.joints, np.inf)
             limits = Limits({**stated.values, "jerk": free})
             object.__setattr__(self, "limits", limits)
-            object.__setattr__(self, "remarks", (*self.remarks, _NO_JERK))
+            object.__setattr__(self, "remarks", (*self.remarks, _DROPPED_JERK_REMARK))
 
     def _choose_objective(self) -> None:
-        """What a deflection problem minimises where nothing is said."""
+        """Choose the default objective."""
         if all(chain is None for chain in self.robot.chains):
             raise ProblemError(
                 f"The problem has no objective, and {self.robot.name} has no drivetrain whose "
@@ -253,17 +281,17 @@ class TrajectoryProblem:
 
     @property
     def plans_links(self) -> bool:
-        """Whether the links' motion is planned, and the motors follow with the wind-up added."""
+        """True where the links' motion is planned and the motors lead it by the wind-up."""
         return self.arrives_at_rest or bool(self._arrival_limits)
 
     @property
     def arrives_at_rest(self) -> bool:
-        """Whether nothing is to swing on after arrival; else as much as limits allow."""
+        """True where no residual vibration is allowed; else limits bound it."""
         return any(objective.kind.plans_links for objective in self.objectives)
 
     @property
     def judges_arrival(self) -> bool:
-        """Whether an objective or a limit is about what swings on after arrival."""
+        """True where an objective or a limit refers to residual vibration."""
         asked = any(objective.kind.of_arrival for objective in self.objectives)
         return asked or bool(self._arrival_limits)
 
@@ -272,39 +300,39 @@ class TrajectoryProblem:
         return [kind for kind in self.active_limits.kinds if kind.of_arrival]
 
     @property
-    def chosen_for_other_arms(self) -> bool:
-        """Whether of plans about as good that is taken which does best on other arms."""
-        alone = len(self.objectives) == 1 and self.objectives[0].kind.chosen_for_other_arms
+    def chosen_for_robustness(self) -> bool:
+        """True where uncertain arms decide among plans of about equal value."""
+        alone = len(self.objectives) == 1 and self.objectives[0].kind.chosen_for_robustness
         if not (self.uncertainty.stated and alone):
             return False
-        # Else there is no command to be led by more.
+        # Only a motion from rest to rest of fixed duration has a command whose lead can vary.
         at_rest = self.boundary_velocity is None or not np.any(self.boundary_velocity)
         return at_rest and self.duration[0] == self.duration[1]
 
     @property
     def is_shaped(self) -> bool:
-        """Whether the motion is averaged over a swing of the arm's lowest mode."""
+        """True where the motion is averaged over a period of the lowest elastic mode."""
         return any(objective.kind.shaped for objective in self.objectives)
 
     @cached_property
     def active_limits(self) -> Limits:
-        """The limits in force."""
+        """Limits of the problem, by default the robot's own."""
         return Limits.of(self.robot) if self.limits is None else self.limits
 
     @property
     def stated_cell(self) -> Cell:
-        """The cell, an empty one where none is stated."""
+        """The cell; empty by default."""
         return Cell() if self.cell is None else self.cell
 
     @property
     def avoids_collisions(self) -> bool:
-        """Whether a motion that would collide is led around."""
+        """True where collision avoidance is part of the solve."""
         free = self.path is None and self.method.collisions == "avoid"
         return free and bool(self.clearance_model.pairs)
 
     @cached_property
     def clearance_model(self) -> ClearanceModel:
-        """Distances between links and to the cell; made once, as hulls of meshes take time."""
+        """Distances between links and to the cell; cached, as hulls of meshes take time."""
         from stiffopt.robot.clearance import ClearanceModel
 
         return ClearanceModel(self.robot, self.stated_cell)
@@ -313,3 +341,40 @@ class TrajectoryProblem:
     def joints(self) -> int:
         """Number of joints."""
         return len(self.robot.joint_names)
+
+
+def check_link_planning(problem: TrajectoryProblem, subject: str, instead: str) -> None:
+    """Raise `ProblemError` unless the links' motion can be planned.
+
+    Parameters
+    ----------
+    problem : TrajectoryProblem
+    subject : str
+        Objective or limit that plans the links, as users write it: "tool_deviation".
+    instead : str
+        Alternative: "minimise 'dynamic_deflection'".
+    """
+    if problem.path is not None:
+        raise ProblemError(
+            f"{subject} cannot be combined with motion.path, whose spline has a jump in its third "
+            f"derivative: give start, via and end, or {instead}."
+        )
+    if problem.method.transcription != "piecewise_linear_acceleration":
+        raise ProblemError(
+            f"{subject} needs the transcription 'piecewise_linear_acceleration', the "
+            f"default; leave method.transcription out, or {instead}."
+        )
+
+
+def check_arrival(problem: TrajectoryProblem, subject: str) -> None:
+    """Raise `ProblemError` unless the motion ends at rest and the arm is elastic."""
+    if problem.boundary_velocity is not None and np.any(problem.boundary_velocity[1]):
+        raise ProblemError(
+            f"{subject} refers to the arm after arrival, and the motion ends with a velocity: "
+            f"leave boundary_velocity.end out, or leave {subject} out."
+        )
+    if not problem.robot.yields:
+        raise ProblemError(
+            f"{subject} needs an elastic joint, and {problem.robot.name} has no drivetrain: "
+            f"describe the joints' elements in the robot file, or leave {subject} out."
+        )

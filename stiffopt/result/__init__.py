@@ -1,1 +1,1 @@
-"""What a solve returns: status, trajectory, assessment, and the files they are written to."""
+"""Results of a solve: status, trajectory, assessment, and their files."""

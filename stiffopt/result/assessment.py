@@ -1,36 +1,25 @@
-"""What a motion does to the robot on a fine grid: the quantities of certificate, report and files.
+"""Assessment of a motion on a fine grid, for certificate, report and files.
 
-Pure data. `stiffopt.certificate.assess` fills it for the optimised motion and for the baselines
-alike, so that the two are always compared with the same numbers.
+Pure data. `stiffopt.certificate.assess` computes it for the optimised motion and the baselines
+alike, so that both are compared by the same quantities.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from stiffopt.errors import format_relative
-
-if TYPE_CHECKING:
-    from stiffopt.result.simulation import SimulatedMotion
-
-
-@dataclass(frozen=True)
-class PeakRms:
-    """Peak over time and root mean square over time of a deflection's magnitude [m]."""
-
-    peak: float
-    rms: float
+from stiffopt.result.simulation import PeakRms, SimulatedMotion
 
 
 @dataclass(frozen=True)
 class Violation:
-    """How far a limit is exceeded, relative to the limit; negative means margin left.
+    """Excess over a limit, relative to it; negative values are margins.
 
-    `joint` is 1-based, None where the limit is not of one joint. Of a collision: the two things
-    that come near, and the distance between them [m], negative where they overlap.
+    `joint` is 1-based, None for limits without a joint. `pair` and `distance` [m] belong to
+    collisions: the two bodies and their distance, negative where they overlap.
     """
 
     value: float
@@ -41,23 +30,23 @@ class Violation:
     distance: float | None = None
 
     def describe(self) -> str:
-        """Text for messages: "torque of joint 2 at 0.210 s by 1.2 %"."""
+        """Format for messages: "torque of joint 2 at 0.210 s by 1.2 %"."""
         if self.pair is not None and self.distance is not None:
             names = " and ".join(self.pair)
-            return f"the clearance of {names} at {self.time:.3f} s: {self.apart()}"
+            return f"the clearance of {names} at {self.time:.3f} s: {self.describe_distance()}"
         owner = f" of joint {self.joint}" if self.joint else ""
         excess = format_relative(self.value)
         return f"{self.limit.replace('_', ' ')}{owner} at {self.time:.3f} s by {excess}"
 
-    def apart(self) -> str:
-        """How far the two of a collision are apart: "12.3 mm deep", "35.0 mm apart"."""
+    def describe_distance(self) -> str:
+        """Format the distance of a collision pair: "12.3 mm deep", "35.0 mm apart"."""
         assert self.distance is not None
         return f"{1e3 * abs(self.distance):.1f} mm {'deep' if self.distance < 0 else 'apart'}"
 
 
 @dataclass(frozen=True)
 class LowestStiffness:
-    """Lowest tangent stiffness of a joint along the motion."""
+    """Lowest tangent stiffness of a joint along a motion."""
 
     value: float
     joint: int
@@ -66,7 +55,7 @@ class LowestStiffness:
 
 @dataclass(frozen=True)
 class DriveHistory:
-    """What the drives do along a motion.
+    """Motion and torque of the drives.
 
     Parameters
     ----------
@@ -96,25 +85,25 @@ class Assessment(DriveHistory):
     Parameters
     ----------
     time, position, velocity, acceleration, jerk, torque : array
-        As of `DriveHistory`.
+        As in `DriveHistory`.
     spring_torque : array (K, n)
-        Torque in the joint's spring [N m].
+        Spring torque [N m].
     stiffness, windup : array (K, n)
         Tangent stiffness [N m/rad] and wind-up [rad] at the spring torque.
     tool : array (K, 3)
         Planned tool position, base frame [m].
     deflection : dict of array (K, 3)
-        Keys dynamic, static, process, total; base frame [m]. They add up.
+        Keys dynamic, static, process and their sum total; base frame [m].
     violations : tuple of Violation
-        The worst of every limit, worst first.
+        Largest violation of each limit, worst first.
     lowest_stiffness : tuple of LowestStiffness
-        One a joint.
+        One per joint.
     integrals : dict
-        Time integrals and means, named by objective and joint: "torque_squared_2".
+        Time integrals and means by objective and joint: "torque_squared_2".
     link : array (K, n) or None
-        Position [rad] of the links, sag calibrated away, where planned apart from the motors'.
-    swing : SimulatedMotion or None
-        The motion on the elastic arm, where a limit or an objective is about its arrival.
+        Link positions [rad] without the calibrated sag, where planned apart from the motors'.
+    simulated : SimulatedMotion or None
+        Elastic simulation, where a limit or an objective refers to residual vibration.
     """
 
     spring_torque: np.ndarray
@@ -127,20 +116,20 @@ class Assessment(DriveHistory):
     lowest_stiffness: tuple[LowestStiffness, ...]
     integrals: dict[str, float] = field(default_factory=dict)
     link: np.ndarray | None = None
-    swing: SimulatedMotion | None = None
+    simulated: SimulatedMotion | None = None
 
     @property
     def worst_violation(self) -> Violation:
-        """The limit that is exceeded most (or has the least margin)."""
+        """Largest violation, or least margin."""
         return self.violations[0]
 
     @property
     def min_stiffness(self) -> LowestStiffness:
-        """The lowest stiffness of all joints."""
+        """Lowest stiffness of all joints."""
         return min(self.lowest_stiffness, key=lambda low: low.value)
 
     def feasible(self, tolerance: float) -> bool:
-        """Whether no limit is exceeded by more than `tolerance` (relative)."""
+        """Return True if no limit is exceeded by more than `tolerance` (relative)."""
         return self.worst_violation.value <= tolerance
 
     def deflection_summary(self) -> dict[str, PeakRms]:
@@ -151,3 +140,31 @@ class Assessment(DriveHistory):
             mean = np.trapezoid(square, self.time) / self.duration
             summary[part] = PeakRms(float(np.sqrt(square.max())), float(np.sqrt(mean)))
         return summary
+
+
+@dataclass(frozen=True)
+class PredictedMotion:
+    """Quantities predicted by the optimiser's model along its solution.
+
+    Parameters
+    ----------
+    time : array (K,)
+        Nodes and midpoints [s].
+    spring_torque : array (K, n)
+        Spring torque [N m].
+    torque : array (K, n) or None
+        Drive torque [N m]; None where the optimiser's model approximates it.
+    friction_width : array (n,)
+        Smoothing width of the dry friction in `torque`, tanh(velocity/width) [rad/s].
+    windup : array (K, n) or None
+        Wind-up [rad]; None where stiffness does not enter the problem.
+    deflection : dict of array (K, 3)
+        Parts of the tool deflection, base frame [m]; empty where stiffness does not enter.
+    """
+
+    time: np.ndarray
+    spring_torque: np.ndarray
+    torque: np.ndarray | None
+    friction_width: np.ndarray
+    windup: np.ndarray | None = None
+    deflection: dict[str, np.ndarray] = field(default_factory=dict)

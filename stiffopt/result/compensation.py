@@ -1,13 +1,16 @@
-"""What comes of a motion when its motors lead the links, on the arm as it is and as it may be."""
+"""Compensated motions on nominal and uncertain arms, and their files."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from stiffopt.files import write_csv
 from stiffopt.result.assessment import Violation
+from stiffopt.result.simulation import SimulatedMotion
 
 if TYPE_CHECKING:
     from stiffopt.result.assessment import Assessment
@@ -16,21 +19,21 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Spread:
-    """Peaks of the tool's deviation on many arms, in flight or after arrival [m].
+    """Peaks of the tool's deviation over uncertain arms, in flight or after arrival [m].
 
     Parameters
     ----------
     nominal : float
-        On the arm as it is modelled.
+        Peak on the nominal arm.
     worst : float
-        The largest of all.
+        Worst case.
     worst_case : str
-        Which arm that is, in words.
+        Description of the worst arm.
     worst_arm : dict
-        The same as factors on nominal values: stiffness (a list), damping, payload; and servo, how
-        much of the worst servo's lag.
+        Worst arm as factors on nominal values: stiffness (a list), damping, payload; and servo,
+        the share of the worst servo's lag.
     draws : array (D,)
-        On arms drawn from within the uncertainties.
+        Peaks on arms sampled from the uncertainties.
     """
 
     nominal: float
@@ -40,13 +43,13 @@ class Spread:
     draws: np.ndarray
 
     def quantile(self, share: float) -> float:
-        """Peak that this share of the draws does not exceed."""
+        """Quantile of the sampled peaks."""
         return float(np.quantile(self.draws, share))
 
 
 @dataclass(frozen=True, kw_only=True)
 class Spreads:
-    """The same in flight and after arrival."""
+    """Peaks in flight and after arrival."""
 
     flight: Spread
     after: Spread
@@ -54,26 +57,26 @@ class Spreads:
 
 @dataclass(frozen=True, kw_only=True)
 class CompensatedMotion:
-    """A motion as planned, and with motors that lead its links by the wind-up.
+    """Motion as planned and with compensation, the motors leading by the wind-up.
 
     Parameters
     ----------
     name : str
-        "optimised" or that of a baseline.
+        "optimised" or the name of a baseline.
     planned : Spreads
-        The motors follow the plan.
+        Peaks with motors that follow the plan.
     compensated : Spreads
-        The motors follow the command that makes the links do it.
+        Peaks with motors that follow the compensating command.
     simulated : SimulatedMotion
-        The compensated motion on the nominal arm, by the full simulation.
+        Elastic simulation of the compensated motion on the nominal arm.
     worst : SimulatedMotion or None
-        The same on the worst arm; of the optimised motion.
+        The same on the worst arm, for the optimised motion.
     spacing : float or None
-        Of the knots of the spline through the plan [s]; None where it was smooth enough.
+        Knot spacing of the spline through the plan [s]; None for plans that are smooth enough.
     share : float
-        How much of the nominal wind-up the motors lead by, chosen for the worst case.
+        Lead as a share of the nominal wind-up, chosen for the worst case.
     excess : tuple of Violation
-        Motor limits that the command exceeds; not counted then.
+        Motor limits that the command exceeds; such a motion is not compared.
     """
 
     name: str
@@ -88,23 +91,23 @@ class CompensatedMotion:
 
 @dataclass(frozen=True, kw_only=True)
 class Compensation:
-    """The command of the optimised motion, and what compensation gives of it and the baselines.
+    """Compensation of the optimised motion and the baselines, with the command.
 
     Parameters
     ----------
     motions : tuple of CompensatedMotion
-        The optimised one first.
+        The optimised motion first.
     command : Assessment or None
-        Motion of the motors every 2 ms; None where it exceeds a limit.
+        Motor motion every 2 ms; None where it exceeds a limit.
     refusal : str
-        Why there is none; "" where there is.
+        Reason for a missing command; else "".
     uncertainty : tuple of str
-        What was taken as uncertain, in words.
+        Description of the uncertain quantities.
     draws : int
     loop : str
-        Of the position loops that all arms have, in words; "" where servos are uncertain.
+        Description of the position loops of all arms; "" where servos are uncertain.
     file : str
-        Where the command lies that was judged; "" where it was made with the motion.
+        File of the assessed command; "" for one computed with the motion.
     """
 
     motions: tuple[CompensatedMotion, ...]
@@ -117,5 +120,86 @@ class Compensation:
 
     @property
     def optimised(self) -> CompensatedMotion:
-        """The optimised motion."""
+        """Optimised motion."""
         return self.motions[0]
+
+
+COMMAND_FILE = "command.csv"
+
+
+def write_command(compensation: Compensation | None, directory: str | Path) -> Path | None:
+    """Write command.csv into `directory`; return its path.
+
+    Columns are position, velocity and acceleration of the motors every 2 ms, the drive torque of
+    the links' motion, and the link positions. Without a command, the file of an earlier solve is
+    removed, as it belongs to another motion.
+    """
+    path = Path(directory) / COMMAND_FILE
+    if compensation is None or compensation.command is None:
+        path.unlink(missing_ok=True)
+        return None
+    command = compensation.command
+    joints = range(1, command.position.shape[1] + 1)
+    names = ["t", *(f"{quantity}{j}" for quantity in ("q", "qd", "qdd", "tau") for j in joints)]
+    columns = [
+        command.time[:, None],
+        command.position,
+        command.velocity,
+        command.acceleration,
+        command.torque,
+    ]
+    if command.link is not None:
+        columns.append(command.link)
+        names += [f"link{j}" for j in joints]
+    write_csv(path, names, np.hstack(columns).tolist())
+    return path
+
+
+def compensation_document(compensation: Compensation | None) -> dict[str, Any] | None:
+    """Content of `compensation` in result.json; lengths in m."""
+    if compensation is None:
+        return None
+    return {
+        "command": COMMAND_FILE if compensation.command is not None else None,
+        "refusal": compensation.refusal,
+        "uncertainty": compensation.uncertainty,
+        "motions": {motion.name: _motion_document(motion) for motion in compensation.motions},
+    }
+
+
+def _motion_document(motion: CompensatedMotion) -> dict[str, Any]:
+    return {
+        "within_motor_limits": not motion.excess,
+        "excess": [dict(vars(each)) for each in motion.excess],
+        "knot_spacing": motion.spacing,
+        "share_of_windup": motion.share,
+        "as_planned": _spreads_document(motion.planned),
+        "compensated": _spreads_document(motion.compensated),
+        "simulated": _simulated_document(motion.simulated),
+        "simulated_worst": None if motion.worst is None else _simulated_document(motion.worst),
+    }
+
+
+def _simulated_document(simulated: SimulatedMotion) -> dict[str, Any]:
+    return {
+        "in_flight": {"peak": simulated.peak, "rms": simulated.rms},
+        "after_arrival": {"peak": simulated.peak_after, "rms": simulated.rms_after},
+        "notes": simulated.notes,
+    }
+
+
+def _spreads_document(spreads: Spreads) -> dict[str, Any]:
+    return {
+        "in_flight": _spread_document(spreads.flight),
+        "after_arrival": _spread_document(spreads.after),
+    }
+
+
+def _spread_document(spread: Spread) -> dict[str, Any]:
+    return {
+        "nominal": spread.nominal,
+        "worst": spread.worst,
+        "worst_case": spread.worst_case,
+        "worst_arm": spread.worst_arm,
+        "draws": spread.draws,
+    }

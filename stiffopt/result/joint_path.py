@@ -1,7 +1,7 @@
-"""A geometric joint path, and motions along it that stay exactly piecewise polynomial.
+"""Geometric joint path, and exact piecewise-polynomial motions along it.
 
-The path is cubic in its parameter s between knots, a time law s(t) is polynomial in t between
-breaks; so the motion q(s(t)) is polynomial between the times at which either changes its piece.
+The path is cubic in its parameter s between knots, a time law s(t) polynomial in t between breaks;
+the motion q(s(t)) is polynomial between the knots and breaks of both.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from stiffopt.result.trajectory import Trajectory
 
 @dataclass(frozen=True)
 class JointPath:
-    """Path through waypoints; s runs from 0 to 1.
+    """Spline path through waypoints, with the parameter s from 0 to 1.
 
     Parameters
     ----------
@@ -40,8 +40,8 @@ class JointPath:
         waypoints : array_like (m, n)
             Start, via points, end; neighbours must differ. [rad] or [m]
         spacing : str
-            How far apart the waypoints lie in s: "uniform", or "chord" for distances in joint
-            space, which keeps a spline from overshooting where they are very uneven.
+            Distances of the waypoints in s: "uniform", or "chord" for distances in joint space,
+            which avoids overshoot of the spline between very uneven waypoints.
         """
         from scipy.interpolate import CubicSpline
 
@@ -60,7 +60,7 @@ class JointPath:
         knots = np.concatenate([[0.0], np.cumsum(steps) / np.sum(steps)])
         knots[-1] = 1.0
         spline = CubicSpline(knots, points, bc_type="not-a-knot")
-        # scipy stores the highest power first and the piece second.
+        # SciPy stores the highest power first and the piece second.
         return cls(knots, np.ascontiguousarray(spline.c[::-1].transpose(1, 0, 2)))
 
     @property
@@ -69,15 +69,15 @@ class JointPath:
         return int(self.coefficients.shape[2])
 
     def __call__(self, s: object, order: int = 0) -> np.ndarray:
-        """Position (order 0) or derivative by s at the parameters `s` (k,), shape (k, n)."""
+        """Evaluate position (order 0) or a derivative by s at `s` (k,), shape (k, n)."""
         positions = np.asarray(s, dtype=float)
-        return self._on_piece(positions, self._piece(positions), order)
+        return self._evaluate_piece(positions, self._piece_index(positions), order)
 
-    def _piece(self, s: np.ndarray) -> np.ndarray:
+    def _piece_index(self, s: np.ndarray) -> np.ndarray:
         last = len(self.knots) - 2
         return np.clip(np.searchsorted(self.knots, s, side="right") - 1, 0, last)
 
-    def _on_piece(self, s: np.ndarray, piece: np.ndarray, order: int) -> np.ndarray:
+    def _evaluate_piece(self, s: np.ndarray, piece: np.ndarray, order: int) -> np.ndarray:
         local = (s - self.knots[piece])[..., None]
         value = np.zeros((*s.shape, self.joints))
         for j in range(3, order - 1, -1):
@@ -86,33 +86,33 @@ class JointPath:
         return value
 
     def follow(self, law: Trajectory) -> Trajectory:
-        """Motion q(s(t)) along the path, exact but for rounding.
+        """Compose the motion q(s(t)) along the path, exact up to rounding.
 
         Parameters
         ----------
         law : Trajectory
-            One "joint", the path parameter s, from 0 to 1 without turning back.
+            Path parameter s as a single joint, from 0 to 1 without reversal.
         """
-        times = _with_crossings(law, self.knots[1:-1])
+        times = _merge_crossings(law, self.knots[1:-1])
         begin, middle = times[:-1], 0.5 * (times[:-1] + times[1:])
-        piece = self._piece(law(middle)[:, 0])
+        piece = self._piece_index(law(middle)[:, 0])
         degree = law.acceleration.shape[1] + 1
-        # Local Taylor polynomials: of s about each break, then of q about s there.
+        # Local Taylor polynomials: of s about each break, then of q about s at the break.
         s = np.stack([law(begin, j)[:, 0] / factorial(j) for j in range(degree + 1)], axis=1)
         start, s[:, 0] = s[:, 0].copy(), 0.0
-        taylor = [self._on_piece(start, piece, j) / factorial(j) for j in range(4)]
+        taylor = [self._evaluate_piece(start, piece, j) / factorial(j) for j in range(4)]
         motion = np.zeros((len(begin), 3 * degree + 1, self.joints))
         power = np.ones((len(begin), 1))
         for coefficient in taylor:
             motion[:, : power.shape[1]] += power[:, :, None] * coefficient[:, None, :]
-            power = _product(power, s)
+            power = _multiply_polynomials(power, s)
         j = np.arange(2, motion.shape[1])
         acceleration = motion[:, 2:] * (j * (j - 1.0))[:, None]
         return Trajectory.from_acceleration(times, acceleration, motion[0, 0], motion[0, 1])
 
 
-def _with_crossings(law: Trajectory, knots: np.ndarray) -> np.ndarray:
-    """Merge the breaks of the law and the times at which it passes the inner knots."""
+def _merge_crossings(law: Trajectory, knots: np.ndarray) -> np.ndarray:
+    """Merge the breaks of the law with its crossings of the inner knots."""
     breaks = law.times
     at_breaks = law(breaks)[:, 0]
     crossings = []
@@ -127,8 +127,8 @@ def _with_crossings(law: Trajectory, knots: np.ndarray) -> np.ndarray:
     return np.union1d(breaks, crossings)
 
 
-def _product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Product of polynomials (K, p) and (K, r), one pair a row."""
+def _multiply_polynomials(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Multiply polynomials (K, p) and (K, r) row by row."""
     result = np.zeros((len(a), a.shape[1] + b.shape[1] - 1))
     for j in range(a.shape[1]):
         result[:, j : j + b.shape[1]] += a[:, j : j + 1] * b

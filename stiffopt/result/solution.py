@@ -1,15 +1,16 @@
-"""The outcome of a solve: motion, certificate, baselines, and what the solver did."""
+"""Outcome of a solve: motion, certificate, baselines and solver record."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from html import escape
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from stiffopt.errors import InputError
 from stiffopt.result.assessment import Assessment
-from stiffopt.result.shown import Shown
 from stiffopt.result.status import SolveStatus
 
 if TYPE_CHECKING:
@@ -18,9 +19,53 @@ if TYPE_CHECKING:
     from stiffopt.result.trajectory import Trajectory
 
 
+class DisplayedResult:
+    """Result with a short display and a data frame; subclasses give facts and table."""
+
+    def facts(self) -> dict[str, str]:
+        """Main facts by name; the first is the heading."""
+        raise NotImplementedError
+
+    def table(self) -> dict[str, Any]:
+        """Columns of the data frame, of equal length."""
+        raise NotImplementedError
+
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__} {', '.join(self.facts().values())}>"
+
+    def _repr_html_(self) -> str:
+        rows = "".join(
+            f"<tr><th style='text-align:left'>{escape(name)}</th>"
+            f"<td style='text-align:left'>{escape(value)}</td></tr>"
+            for name, value in self.facts().items()
+        )
+        return f"<table>{rows}</table>"
+
+    def to_dataframe(self) -> Any:
+        """Return the table of the result as a pandas.DataFrame, SI.
+
+        Raises
+        ------
+        InputError
+            pandas is not installed.
+        """
+        try:
+            pandas = import_module("pandas")
+        except ModuleNotFoundError as error:
+            raise InputError(
+                "to_dataframe needs pandas. Install it: pip install 'stiffopt[notebook]'"
+            ) from error
+        return pandas.DataFrame(self.table())
+
+    def plot(self) -> Any:
+        """Return the figure of the result, a matplotlib.figure.Figure; notebooks show it."""
+        # Loaded on demand: `report` is a higher layer.
+        return import_module("stiffopt.report.notebook").figure_of(self)
+
+
 @dataclass(frozen=True, kw_only=True)
 class ObjectiveValue:
-    """The certified value of the objective, in SI.
+    """Certified value of the objective, in SI.
 
     `terms` holds the value of each weighted term when there are several.
     """
@@ -34,9 +79,9 @@ class ObjectiveValue:
 
 @dataclass(frozen=True, kw_only=True)
 class Baseline:
-    """A motion to compare with, or the reason why there is none.
+    """Baseline motion, or the reason for its absence.
 
-    `feasible` is False where a limit is exceeded; such a baseline is shown, never counted.
+    `feasible` is False where a limit is exceeded; such a baseline is shown but not compared.
     """
 
     name: str
@@ -49,7 +94,7 @@ class Baseline:
 
 @dataclass(frozen=True, kw_only=True)
 class SolverRecord:
-    """What the solver did: for reports and for regression of effort."""
+    """Solver effort, for reports and regression tests."""
 
     iterations: int
     build_s: float
@@ -60,35 +105,35 @@ class SolverRecord:
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
-class Solution(Shown):
+class Solution(DisplayedResult):
     """Outcome of `stiffopt.solve`.
 
     Parameters
     ----------
     status : SolveStatus
     message : str
-        A sentence that says what happened and what to do next.
+        Sentence on the outcome and the remedy.
     trajectory : Trajectory or None
-        Callable `trajectory(t, order=0)`; None where no motion was found at all.
+        Callable `trajectory(t, order=0)`; None if no motion was found.
     assessment : Assessment or None
-        The certificate: fine grid, unsmoothed model.
+        Certificate: fine grid, unsmoothed model.
     objective : ObjectiveValue or None
         Evaluated on the certificate's grid.
     baselines : dict
-        "toppra" and "quintic"; "detour" where a path around what they meet was sought.
+        "toppra" and "quintic"; "detour" where a path around obstacles was sought.
     ratio_to_better_baseline : float or None
-        Objective over the objective of the better feasible baseline; below one is a gain where the
-        objective is minimised. None where no baseline is feasible.
+        Objective over that of the better feasible baseline; below one is an improvement of a
+        minimised objective. None without a feasible baseline.
     notes : tuple of str
-        Bounds that the objective cannot beat, estimated inputs, and the like.
+        Bounds of the objective, estimated inputs and other remarks.
     strict_baseline : Baseline or None
-        The best baseline that keeps every limit; slowed where none does at the problem's duration.
+        Best baseline that keeps every limit, slowed if none does at the problem's duration.
     ratio_to_strict_baseline : float or None
-        As the other ratio, to that one.
+        Objective over that of the strict baseline.
     simulation : Simulation or None
-        What the elastic arm does with this motion and the baselines; None where not simulated.
+        Elastic simulation of this motion and the baselines; None if not simulated.
     compensation : Compensation or None
-        The command that makes the links do this motion, and what it gives on uncertain arms.
+        Command that makes the links follow this motion, and its effect on uncertain arms.
     """
 
     status: SolveStatus
@@ -109,7 +154,7 @@ class Solution(Shown):
 
     @property
     def guess(self) -> Assessment:
-        """Motion that another solve can begin from: `solve(problem, guess=solution.guess)`.
+        """Initial guess for another solve: `solve(problem, guess=solution.guess)`.
 
         Raises
         ------
@@ -117,11 +162,11 @@ class Solution(Shown):
             No motion was found.
         """
         if self.assessment is None:
-            raise ValueError("no motion was found that another solve could begin from.")
+            raise ValueError("no motion was found that could be an initial guess.")
         return self.assessment
 
     def facts(self) -> dict[str, str]:
-        """Status, objective, duration and ratio in a few words."""
+        """Status, objective, duration and ratio as short texts."""
         found = {"status": str(self.status)}
         if self.objective is not None:
             value = self.objective

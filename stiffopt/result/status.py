@@ -1,4 +1,4 @@
-"""How a solve ended: a word for programs, an exit code for shells, a sentence for people."""
+"""Status of a solve, with exit code and sentence."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from enum import StrEnum
 
 
 class SolveStatus(StrEnum):
-    """End of a solve; `usable` ones come with a certified motion."""
+    """Status of a solve; `usable` ones have a certified motion."""
 
     OPTIMAL = "optimal"
     ACCEPTABLE = "acceptable"
@@ -18,24 +18,24 @@ class SolveStatus(StrEnum):
 
     @property
     def usable(self) -> bool:
-        """Whether the motion may be run."""
+        """True if the motion is certified and may be run."""
         return self in (SolveStatus.OPTIMAL, SolveStatus.ACCEPTABLE)
 
     @property
     def exit_code(self) -> int:
-        """Exit code of the command line: 0 usable, 130 interrupted, 3 for the rest."""
+        """Exit code of the command line: 0 usable, 130 interrupted, 3 otherwise."""
         if self.usable:
             return 0
         return 130 if self is SolveStatus.INTERRUPTED else 3
 
     @property
     def sentence(self) -> str:
-        """What it means and what to do next."""
-        return _SENTENCES[self]
+        """Meaning and remedy."""
+        return _STATUS_SENTENCES[self]
 
 
-# The scope of the collision check follows them: `certificate.collisions.describe_collision_scope`.
-_SENTENCES = {
+# The scope of the collision check is appended: `stiffopt.certificate.collisions.scope`.
+_STATUS_SENTENCES = {
     SolveStatus.OPTIMAL: (
         "Solved and certified: every limit holds on the fine grid. Check the estimated inputs in "
         "the report before you rely on its numbers."
@@ -57,10 +57,10 @@ _SENTENCES = {
         "method.time_limit or lower method.intervals."
     ),
     SolveStatus.INTERRUPTED: (
-        "Stopped by the user; the best motion so far is kept. Run the same command to start anew."
+        "Stopped by the user; the best motion so far is kept. Run the same command to solve again."
     ),
     SolveStatus.CERTIFICATE_FAILED: (
-        "The solver finished, but the fine grid shows otherwise between the nodes. Do not run this "
-        "motion; raise method.intervals, or lower the scale of the limit that is named."
+        "The solver finished, but a limit is exceeded on the fine grid between nodes. Do not run "
+        "this motion; raise method.intervals, or lower the scale of the named limit."
     ),
 }

@@ -1,6 +1,6 @@
-"""result.json and trajectory.csv: the files a solve leaves behind.
+"""Result files of a solve: result.json, trajectory.csv and simulation.json.
 
-Values are SI with full precision; what is not a finite number is null in JSON. Joint numbers are
+Values are SI with full precision; numbers that are not finite are null in JSON. Joint numbers are
 1-based.
 """
 
@@ -20,9 +20,9 @@ from stiffopt.errors import InputError, InputFileError
 from stiffopt.files import atomic_write, load_json, to_json_types, write_csv
 from stiffopt.folders import check_result
 from stiffopt.result.assessment import Assessment, LowestStiffness, Violation
-from stiffopt.result.compensation_store import COMMAND_FILE, compensation_document
+from stiffopt.result.compensation import COMMAND_FILE, compensation_document
 from stiffopt.result.provenance import inputs_hash
-from stiffopt.result.simulation import ElasticMotion, SimulatedPart, Simulation
+from stiffopt.result.simulation import Simulation, simulation_document
 from stiffopt.result.solution import Baseline, ObjectiveValue, Solution
 
 if TYPE_CHECKING:
@@ -30,8 +30,9 @@ if TYPE_CHECKING:
     from stiffopt.result.compensation import Compensation
 
 SCHEMA = 1
+# Rate of trajectory.csv [Hz].
 EXPORT_RATE = 500.0
-# Of one motion in a table; at 500 Hz half an hour, in a file of 500 MB.
+# Samples of one motion in a table: half an hour at 500 Hz, a file of 500 MB.
 MAX_SAMPLES = 1_000_000
 RESULT_FILE = "result.json"
 TRAJECTORY_FILE = "trajectory.csv"
@@ -42,22 +43,22 @@ COLUMNS = {
     "t": ("s", "Time, every 2 ms and at the end."),
     "qN, qdN, qddN": (
         "rad, rad/s, rad/s^2 (m, m/s, m/s^2)",
-        "Motion of the motors; of motors and links alike where no linkN columns follow.",
+        "Motion of the motors; of motors and links alike without linkN columns.",
     ),
     "tauN": (
         "N m (N)",
-        "Drive torque: of links that do linkN, where those columns are there, else qN; rotor "
-        "inertia and friction of motors that do qN.",
+        "Drive torque: of links that follow linkN if present, else qN; rotor inertia and friction "
+        "of motors that follow qN.",
     ),
     "tau_springN, kN, windupN": (
         "N m, N m/rad, rad",
-        "Torque, tangent stiffness and wind-up of the joint's spring: of the links' motion, as "
-        "tauN. Inverse dynamics of qN gives other values where linkN columns follow.",
+        "Torque, tangent stiffness and wind-up of the joint's spring for the links' motion, as "
+        "tauN. Inverse dynamics of qN gives other values if linkN columns are present.",
     ),
     "tool_x, tool_y, tool_z": ("m", "Planned position of the tool."),
     "deflection_x ..., deflection_dynamic_x ...": (
         "m",
-        "Deflection of the tool, all of it and what the motion adds.",
+        "Deflection of the tool: total and dynamic.",
     ),
     "linkN": (
         "rad (m)",
@@ -73,7 +74,7 @@ def result_document(solution: Solution) -> dict[str, Any]:
     Parameters
     ----------
     solution : Solution
-        Of any status; what does not exist (no motion, no certificate) is None.
+        Solution of any status; missing parts (no motion, no certificate) are None.
 
     Returns
     -------
@@ -84,12 +85,12 @@ def result_document(solution: Solution) -> dict[str, Any]:
         "schema": SCHEMA,
         "status": str(solution.status),
         "message": solution.message,
-        "objective": _objective(solution.objective),
+        "objective": _objective_document(solution.objective),
         "duration": solution.duration,
-        "certificate": _certificate(solution.assessment),
-        "baselines": {name: _baseline(each) for name, each in solution.baselines.items()},
+        "certificate": _certificate_document(solution.assessment),
+        "baselines": {name: _baseline_document(each) for name, each in solution.baselines.items()},
         "ratio_to_better_baseline": solution.ratio_to_better_baseline,
-        "strict_baseline": _strict(solution),
+        "strict_baseline": _strict_baseline_document(solution),
         "solver": vars(solution.solver),
         "notes": solution.notes,
         "simulation": simulation_document(solution.simulation),
@@ -100,12 +101,16 @@ def result_document(solution: Solution) -> dict[str, Any]:
     return {key: to_json_types(value) for key, value in document.items()}
 
 
-def _strict(solution: Solution) -> dict[str, Any] | None:
-    """The baseline that keeps every limit, with the ratio to it."""
+def _strict_baseline_document(solution: Solution) -> dict[str, Any] | None:
+    """Baseline that keeps every limit, with the ratio to it."""
     strict = solution.strict_baseline
     if strict is None:
         return None
-    return {"name": strict.name, **_baseline(strict), "ratio": solution.ratio_to_strict_baseline}
+    return {
+        "name": strict.name,
+        **_baseline_document(strict),
+        "ratio": solution.ratio_to_strict_baseline,
+    }
 
 
 def write_result(
@@ -119,23 +124,22 @@ def write_result(
     model: str | Path | None = None,
     effects: str | Path | None = None,
 ) -> Path:
-    """Write result.json into `directory`, after the files of the motion; return its path.
+    """Write result.json into `directory`, after the motion files; return its path.
 
     Parameters
     ----------
     solution : Solution
     directory : path
     problem : path, optional
-        File that was solved; kept relative to the folder, so that both can move together.
+        Solved file; stored relative to the folder, so that both can move together.
     stated : TrajectoryProblem, optional
-        Its title, the names of its joints, and the hashes of motion, robot, payload and limits go
-        with the motion.
+        Adds title, joint names, and hashes of motion, robot, payload and limits.
     home : path, optional
-        Folder where the file will lie, where it is another than `directory`.
+        Final folder of the file, if other than `directory`.
     changes : sequence of str, optional
-        Entries of the problem file that were changed, as --set has them.
+        Changed entries of the problem file, as given to --set.
     model, effects : path, optional
-        Extended model that was planned with, and the file of its effects.
+        Extended model of the plan, and the file of its effects.
     """
     document = result_document(solution)
     if stated is not None:
@@ -158,16 +162,16 @@ def write_result(
 
 
 def motion_seal(stated: TrajectoryProblem, directory: str | Path) -> dict[str, Any]:
-    """Hashes (SHA-256) of what a motion was judged by, and of the files that hold it.
+    """Hashes (SHA-256) of robot, payload, limits and files of a certified motion.
 
     Parameters
     ----------
     stated : TrajectoryProblem
     directory : path
-        Of trajectory.csv and command.csv, as far as they were written.
+        Folder of trajectory.csv and command.csv, as far as written.
     """
     return {
-        # First what is part of the next: a payload is in the robot as well.
+        # Payload before robot, which contains it: the first difference names the cause.
         "payload": inputs_hash(getattr(stated.robot, "payload", None)),
         "robot": inputs_hash(stated.robot),
         "limits": inputs_hash(stated.active_limits),
@@ -191,7 +195,7 @@ def read_document(path: Path) -> dict[str, Any]:
     Raises
     ------
     InputFileError
-        No such file, or one of something else.
+        The file is missing or no result.
     """
     check_result(path.parent, RESULT_FILE, TRAJECTORY_FILE)
     document = load_json(path)
@@ -200,13 +204,13 @@ def read_document(path: Path) -> dict[str, Any]:
     return document
 
 
-def joints_of(document: dict[str, Any], path: Path) -> tuple[tuple[str, ...], np.ndarray]:
-    """Names of the joints of a result, and which of them slide (n,).
+def read_joints(document: dict[str, Any], path: Path) -> tuple[tuple[str, ...], np.ndarray]:
+    """Joint names of a result, and its prismatic joints (n,).
 
     Raises
     ------
     InputFileError
-        The result does not say; `path` is its file.
+        The result has no joint names; `path` is its file.
     """
     try:
         joints = [(str(joint["name"]), bool(joint["slides"])) for joint in document["joints"]]
@@ -218,7 +222,7 @@ def joints_of(document: dict[str, Any], path: Path) -> tuple[tuple[str, ...], np
 
 
 def check_samples(duration: float, rate: float) -> None:
-    """Raise `InputError` where a motion [s] at a rate [Hz] has more samples than any table."""
+    """Raise `InputError` where duration [s] times rate [Hz] exceeds `MAX_SAMPLES`."""
     if not duration * rate <= MAX_SAMPLES + 1:
         raise InputError(
             f"{duration:.4g} s at {rate:.4g} Hz are more than {MAX_SAMPLES:.0e} samples. Check the"
@@ -227,13 +231,13 @@ def check_samples(duration: float, rate: float) -> None:
 
 
 def export_times(duration: float, rate: float | None = None) -> np.ndarray:
-    """Instants of trajectory.csv: every 1/rate, the last one exactly the end.
+    """Times of trajectory.csv: every 1/rate, and exactly the end.
 
     Parameters
     ----------
     duration : float [s]
     rate : float [Hz], optional
-        `EXPORT_RATE`, or as many samples of a longer motion as a table takes.
+        Default: `EXPORT_RATE`, or as many samples of a long motion as a table holds.
 
     Returns
     -------
@@ -246,7 +250,7 @@ def export_times(duration: float, rate: float | None = None) -> np.ndarray:
     """
     rate = min(EXPORT_RATE, MAX_SAMPLES / duration) if rate is None else rate
     check_samples(duration, rate)
-    # A last step shorter than a millionth of the others is rounding, not a sample.
+    # A last step below a millionth of the others is rounding, not a sample.
     whole = math.floor(duration * rate - 1e-6)
     return np.append(np.arange(whole + 1) / rate, duration)
 
@@ -264,9 +268,8 @@ def trajectory_columns(joints: int) -> list[str]:
 def write_trajectory(assessment: Assessment, directory: str | Path) -> Path:
     """Write trajectory.csv into `directory`; return its path.
 
-    Where the links are planned apart from the motors, their positions follow as further columns:
-    q is then the command that makes them do what they are planned to, and torques are of that
-    motion of theirs (`COLUMNS`).
+    With planned links, link positions are added as columns: q is then the motor command, and
+    torques are those of the links' motion (`COLUMNS`).
 
     Parameters
     ----------
@@ -302,12 +305,12 @@ def write_simulation(
 ) -> Path:
     """Write simulation.json and simulation.csv (the optimised motion); return the first's path.
 
-    With what the command gives on uncertain arms, where there is a command.
+    Includes the effect of the command on uncertain arms, if there is one.
     """
     folder = Path(directory)
     content = {"schema": SCHEMA, **(simulation_document(simulation) or {})}
     if compensation is not None:
-        # Of a command that exists already.
+        # The command was written by an earlier solve.
         led = {**(compensation_document(compensation) or {}), "command": compensation.file}
         content["compensation"] = {**led, "servo": compensation.loop or None}
     document = to_json_types(content)
@@ -329,12 +332,12 @@ def write_simulation(
     return folder / SIMULATION_FILE
 
 
-def _objective(objective: ObjectiveValue | None) -> dict[str, Any] | None:
+def _objective_document(objective: ObjectiveValue | None) -> dict[str, Any] | None:
     return None if objective is None else dict(vars(objective))
 
 
-def _violation(violation: Violation) -> dict[str, Any]:
-    # Limits that are no collision have neither pair nor distance.
+def _violation_document(violation: Violation) -> dict[str, Any]:
+    # Only collisions have pair and distance.
     return {
         key: value
         for key, value in vars(violation).items()
@@ -342,70 +345,36 @@ def _violation(violation: Violation) -> dict[str, Any]:
     }
 
 
-def _lowest(lowest: LowestStiffness) -> dict[str, Any]:
+def _stiffness_document(lowest: LowestStiffness) -> dict[str, Any]:
     return dict(vars(lowest))
 
 
-def _deflection(assessment: Assessment) -> dict[str, Any]:
+def _deflection_document(assessment: Assessment) -> dict[str, Any]:
     return {part: dict(vars(value)) for part, value in assessment.deflection_summary().items()}
 
 
-def _certificate(assessment: Assessment | None) -> dict[str, Any] | None:
+def _certificate_document(assessment: Assessment | None) -> dict[str, Any] | None:
     if assessment is None:
         return None
     return {
         "points": len(assessment.time),
-        "worst_violation": _violation(assessment.worst_violation),
-        "min_stiffness": _lowest(assessment.min_stiffness),
-        "deflection": _deflection(assessment),
-        "violations": [_violation(each) for each in assessment.violations],
-        "lowest_stiffness": [_lowest(each) for each in assessment.lowest_stiffness],
+        "worst_violation": _violation_document(assessment.worst_violation),
+        "min_stiffness": _stiffness_document(assessment.min_stiffness),
+        "deflection": _deflection_document(assessment),
+        "violations": [_violation_document(each) for each in assessment.violations],
+        "lowest_stiffness": [_stiffness_document(each) for each in assessment.lowest_stiffness],
         "integrals": assessment.integrals,
     }
 
 
-def _baseline(baseline: Baseline) -> dict[str, Any]:
+def _baseline_document(baseline: Baseline) -> dict[str, Any]:
     motion = baseline.assessment
     return {
         "feasible": baseline.feasible,
         "duration": None if motion is None else motion.duration,
         "objective": baseline.objective,
-        "deflection": None if motion is None else _deflection(motion),
-        "min_stiffness": None if motion is None else _lowest(motion.min_stiffness),
-        "worst_violation": None if motion is None else _violation(motion.worst_violation),
+        "deflection": None if motion is None else _deflection_document(motion),
+        "min_stiffness": None if motion is None else _stiffness_document(motion.min_stiffness),
+        "worst_violation": None if motion is None else _violation_document(motion.worst_violation),
         "reason": baseline.reason,
-    }
-
-
-def simulation_document(simulation: Simulation | None) -> dict[str, Any] | None:
-    """Content of `simulation` in result.json, and of simulation.json."""
-    if simulation is None:
-        return None
-    return {
-        "motions": {motion.name: _elastic(motion) for motion in simulation.motions},
-        "ratio_to_better_baseline": simulation.ratio_to_better_baseline,
-        "assumed_damping": simulation.assumed_damping,
-        "typical_hysteresis": simulation.typical_hysteresis,
-    }
-
-
-def _part(part: SimulatedPart | None) -> dict[str, Any] | None:
-    if part is None:
-        return None
-    planned, simulated = dict(vars(part.planned)), dict(vars(part.simulated))
-    return {"part": part.name, "planned": planned, "in_flight": simulated}
-
-
-def _elastic(motion: ElasticMotion) -> dict[str, Any]:
-    simulated = motion.simulated
-    return {
-        "counted": motion.counted,
-        "duration": simulated.duration,
-        "planned": dict(vars(motion.planned)),
-        "in_flight": {"peak": simulated.peak, "rms": simulated.rms},
-        "minimised": _part(motion.minimised),
-        "after_arrival": {"peak": simulated.peak_after, "rms": simulated.rms_after},
-        "settling_time": simulated.settling_time,
-        "settling_band": simulated.band,
-        "notes": simulated.notes,
     }

@@ -1,6 +1,6 @@
-"""Joint motion whose acceleration is piecewise polynomial, integrated exactly.
+"""Joint motion with piecewise-polynomial acceleration, integrated exactly.
 
-A trajectory is called like toppra's: `trajectory(t, order)`; both plot with the same code.
+Trajectories have toppra's interface, `trajectory(t, order)`, so that the same code plots both.
 """
 
 from __future__ import annotations
@@ -13,21 +13,22 @@ import numpy as np
 
 from stiffopt.errors import OutOfValidityError, ProblemError
 
-# Rounding of a time computed elsewhere; not a licence to extrapolate.
+# Relative rounding of times from other computations; no extrapolation.
 _TIME_SLACK = 1e-9
-# Steps over which rounding of a position shows in the jerk [s]: by 0.05 rad/s^3 at 3 rad.
-_SHORT = 2e-4
+# Shortest step over which positions are interpolated [s]: below, rounding at 3 rad gives more than
+# 0.05 rad/s^3 of jerk.
+_MIN_POSITION_STEP = 2e-4
 
 
 class JointMotion(Protocol):
-    """A motion of n joints that can be sampled, `motion(times, order)` like a `Trajectory`."""
+    """Interface of sampled motions of n joints, `motion(times, order)` as `Trajectory`."""
 
     @property
     def duration(self) -> float:
         """Time from start to end [s]."""
 
     def __call__(self, t: np.ndarray, order: int = 0) -> np.ndarray:
-        """Position (order 0) or its derivative at the times (K,), shape (K, n)."""
+        """Evaluate position (order 0) or a derivative at times (K,), shape (K, n)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,13 +44,13 @@ class Trajectory:
     q0, v0 : array (n,)
         Position [rad] or [m] and velocity [rad/s] or [m/s] at time 0.
     link : Trajectory or None
-        Motion of the links, where this is that of the motors, ahead by the wind-up; None where one
-        motion is planned for both.
+        Motion of the links, if this is the motion of motors that lead them; None for one motion of
+        both.
 
     Notes
     -----
     Position and velocity are continuous by construction. At a break, acceleration and jerk are
-    those of the interval that begins there; at the end, those of the last interval.
+    those of the following interval; at the end, those of the last interval.
     """
 
     times: np.ndarray
@@ -63,8 +64,8 @@ class Trajectory:
         times = np.array(self.times, dtype=float)
         acceleration = np.array(self.acceleration, dtype=float)
         q0, v0 = (np.array(x, dtype=float).reshape(-1) for x in (self.q0, self.v0))
-        _check(times, acceleration, q0, v0)
-        position = _integrate(times, acceleration, q0, v0)
+        _check_coefficients(times, acceleration, q0, v0)
+        position = _integrate_acceleration(times, acceleration, q0, v0)
         names = ("times", "acceleration", "q0", "v0", "_position")
         for name, array in zip(names, (times, acceleration, q0, v0, position), strict=True):
             array.flags.writeable = False
@@ -110,10 +111,10 @@ class Trajectory:
         link: Trajectory,
         ends: np.ndarray | None = None,
     ) -> Trajectory:
-        """Motion of motors ahead of their links: of degree 7 between samples, C3 at them.
+        """Interpolate samples by polynomials of degree 7, three times continuously differentiable.
 
-        Over steps below 0.2 ms it follows acceleration and jerk alone: rounding of a position over
-        the cube of the step would be a jerk.
+        Steps below 0.2 ms interpolate acceleration and jerk alone: rounding of a position over
+        the cube of the step would appear as jerk.
 
         Parameters
         ----------
@@ -123,18 +124,18 @@ class Trajectory:
             Position, velocity, acceleration and jerk at the samples.
         link : Trajectory
         ends : array (4, K, n), optional
-            The same where intervals end, if they jump at samples.
+            Left-hand values at the interval ends, if they jump at samples.
         """
         step = np.diff(times)[:, None]
         ends = derivatives[:, 1:] if ends is None else ends
-        # Taylor coefficients in the share of an interval: four from its start, four for its end.
+        # Coefficients in the normalised time of an interval: four each from its start and end.
         first = [derivatives[k, :-1] * step**k / math.factorial(k) for k in range(4)]
         wanted = np.stack([ends[k] * step**k for k in range(4)])
         powers = np.array([[float(math.perm(j, k)) for j in range(8)] for k in range(4)])
         missing = wanted - np.einsum("kj,jin->kin", powers[:, :4], np.stack(first))
         last = np.einsum("jk,kin->jin", np.linalg.inv(powers[:, 4:]), missing)
         bent = np.einsum("jk,kin->jin", np.linalg.inv(powers[2:, 4:6]), missing[2:])
-        short = step[:, 0] < _SHORT
+        short = step[:, 0] < _MIN_POSITION_STEP
         last[:, short] = np.concatenate([bent, np.zeros_like(bent)])[:, short]
         position = np.concatenate([first, last])
         acceleration = [j * (j - 1) * position[j] / step**j for j in range(2, 8)]
@@ -152,7 +153,7 @@ class Trajectory:
         return int(self.q0.size)
 
     def __call__(self, t: object, order: int = 0) -> np.ndarray:
-        """Position (order 0), velocity (1), acceleration (2) or jerk (3) at the times `t`.
+        """Evaluate position (order 0), velocity (1), acceleration (2) or jerk (3) at times `t`.
 
         Parameters
         ----------
@@ -174,8 +175,10 @@ class Trajectory:
         interval = np.clip(
             np.searchsorted(self.times, time, side="right") - 1, 0, len(self.times) - 2
         )
-        # Power by power in memory of its own: read in half of the time.
-        powers = np.ascontiguousarray(_differentiate(self._position, order).swapaxes(0, 1))
+        # Contiguous powers halve the evaluation time.
+        powers = np.ascontiguousarray(
+            _differentiate_coefficients(self._position, order).swapaxes(0, 1)
+        )
         local = (np.clip(time, 0.0, self.duration) - self.times[interval])[..., None]
         value = np.take(powers[-1], interval, axis=0)
         for each in powers[-2::-1]:
@@ -184,7 +187,7 @@ class Trajectory:
         return value
 
     def scaled_to(self, duration: float) -> Trajectory:
-        """Follow the same path at a uniformly changed speed.
+        """Scale the speed uniformly along the same path.
 
         Parameters
         ----------
@@ -205,26 +208,26 @@ class Trajectory:
         )
 
     def plus(self, change: Trajectory) -> Trajectory:
-        """Sum of this motion and one of the same duration, exact however near their breaks are.
+        """Add a motion of the same duration exactly, whatever the distance of their breaks.
 
-        A motion fitted through samples of both would divide rounding by the cube of short steps.
+        Interpolating samples of the sum would divide rounding by the cube of short steps.
 
         Parameters
         ----------
         change : Trajectory
-            What is added; the links' motion stays this one's.
+            Motion to add; the link motion stays that of this trajectory.
         """
         times = np.union1d(self.times, change.times)
         times = times[np.append(times[:-1] < self.duration * (1.0 - _TIME_SLACK), True)]
         times[-1] = self.duration
-        own, other = _about(times, self), _about(times, change)
+        own, other = _recentre_coefficients(times, self), _recentre_coefficients(times, change)
         if own.shape[1] < other.shape[1]:
             own, other = other, own
         own[:, : other.shape[1]] += other
         return Trajectory(times, own, self.q0 + change.q0, self.v0 + change.v0, self.link)
 
     def held_for(self, rest: float) -> Trajectory:
-        """The same motion with a rest after it, so long [s], for one that ends at rest."""
+        """Append a rest [s] to a motion that ends at rest."""
         if rest <= 0.0:
             return self
         return Trajectory(
@@ -235,12 +238,12 @@ class Trajectory:
         )
 
     def sample(self, step: float) -> np.ndarray:
-        """List times from 0 to the end, `step` apart, the end itself included.
+        """Sampling times from 0 to the end, `step` apart, the end included.
 
         Parameters
         ----------
         step : float
-            Distance of the times; the last one may be shorter. [s]
+            Step; the last one may be shorter. [s]
 
         Returns
         -------
@@ -256,10 +259,12 @@ class Trajectory:
         return times
 
 
-def _check(times: np.ndarray, acceleration: np.ndarray, q0: np.ndarray, v0: np.ndarray) -> None:
+def _check_coefficients(
+    times: np.ndarray, acceleration: np.ndarray, q0: np.ndarray, v0: np.ndarray
+) -> None:
     if times.ndim != 1 or times.size < 2 or times[0] != 0.0 or not np.all(np.diff(times) > 0):
         raise ProblemError(
-            "the times of a trajectory must begin at 0 and increase strictly, with two at least."
+            "the times of a trajectory must start at 0 and increase strictly, with at least two."
         )
     shape = (times.size - 1, q0.size)
     if acceleration.ndim != 3 or acceleration.shape[::2] != shape or v0.size != q0.size:
@@ -273,7 +278,7 @@ def _check(times: np.ndarray, acceleration: np.ndarray, q0: np.ndarray, v0: np.n
             raise ProblemError(f"{name} of a trajectory holds a value that is not finite.")
 
 
-def _integrate(
+def _integrate_acceleration(
     times: np.ndarray, acceleration: np.ndarray, q0: np.ndarray, v0: np.ndarray
 ) -> np.ndarray:
     """Position coefficients (K, d + 3, n), continuous in position and velocity."""
@@ -291,8 +296,8 @@ def _integrate(
     return position
 
 
-def _about(times: np.ndarray, motion: Trajectory) -> np.ndarray:
-    """Coefficients (K, d + 1, n) of a motion's acceleration about the starts of other intervals."""
+def _recentre_coefficients(times: np.ndarray, motion: Trajectory) -> np.ndarray:
+    """Acceleration coefficients (K, d + 1, n) about the starts of other intervals."""
     interval = np.searchsorted(motion.times, times[:-1], side="right") - 1
     interval = np.clip(interval, 0, len(motion.times) - 2)
     coefficients = motion.acceleration[interval]
@@ -305,7 +310,7 @@ def _about(times: np.ndarray, motion: Trajectory) -> np.ndarray:
     return moved
 
 
-def _differentiate(coefficients: np.ndarray, order: int) -> np.ndarray:
+def _differentiate_coefficients(coefficients: np.ndarray, order: int) -> np.ndarray:
     for _ in range(order):
         if coefficients.shape[1] == 1:
             return np.zeros_like(coefficients)

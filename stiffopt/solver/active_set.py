@@ -25,7 +25,7 @@ from scipy.sparse.linalg import splu
 
 from stiffopt.solver.ipopt import IpoptSolver, Multipliers, RawSolution
 from stiffopt.solver.monitor import Progress
-from stiffopt.symbolic import InPlace
+from stiffopt.symbolic import BufferedFunction
 from stiffopt.transcription.nlp import Nlp
 from stiffopt.transcription.transcription import Transcription
 
@@ -52,7 +52,7 @@ class ActiveSetSolver:
 
     def __init__(self, solver: IpoptSolver) -> None:
         self._tolerance = solver.options.tol
-        self._gradient, self._jacobian, self._hessian = map(InPlace, solver.derivatives)
+        self._gradient, self._jacobian, self._hessian = map(BufferedFunction, solver.derivatives)
         self._motions: _Motions | None = None
 
     def solve(

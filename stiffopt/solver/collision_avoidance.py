@@ -19,7 +19,7 @@ from stiffopt.certificate.objective_value import is_maximised, objective_value
 from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
 from stiffopt.dynamics.inverse_kinematics import solve_pose
 from stiffopt.errors import ProblemError
-from stiffopt.problem.clear_poses import targets
+from stiffopt.problem.input_checks import located_targets
 from stiffopt.result.assessment import Violation
 from stiffopt.result.joint_path import JointPath
 from stiffopt.result.solution import Baseline
@@ -130,7 +130,7 @@ def _candidate_starts(
         seconds = min(_MAX_SEARCH_SECONDS, _SEARCH_TIME_SHARE * run.remaining)
         space = FreeSpace(problem, problem.method.seed + number, seconds)
         points = _collision_free_points(run, space)
-        blocked = [targets(problem)[k][0] for k in space.blocked(points)]
+        blocked = [located_targets(problem)[k][0] for k in space.blocked(points)]
         if blocked:
             run.avoidance_failure = (
                 f"No pose free of collisions was found for {' and '.join(blocked)}."
@@ -159,7 +159,7 @@ def _collision_free_points(run: SolveRun, space: FreeSpace) -> np.ndarray:
     """Return start, vias and end (k, n), collision-free where only positions are given."""
     problem, points = run.problem, run.motion.points.copy()
     random = np.random.default_rng(problem.method.seed)
-    for k, (_, target) in enumerate(targets(problem)):
+    for k, (_, target) in enumerate(located_targets(problem)):
         if target.fixes_pose or space.gap(points[k]) > 0.0:
             continue
         for near in space.poses(_ALTERNATIVE_POSES, random):

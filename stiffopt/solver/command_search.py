@@ -16,7 +16,8 @@ from stiffopt.elastic.motor import MotorMotion
 from stiffopt.elastic.simulate import REST, simulate
 from stiffopt.elastic.smooth_motion import smooth_motion
 from stiffopt.elastic.uncertainty import Departure, bounded, corners, draws, one_at_a_time
-from stiffopt.problem.motor_model import LEADS_MORE, MotorLaw, law_smoothing
+from stiffopt.problem.formulation import law_smoothing
+from stiffopt.problem.motor_model import ROBUST_LEAD_SHARE, MotorLaw
 from stiffopt.result.compensation import CompensatedMotion, Spread, Spreads
 from stiffopt.result.trajectory import JointMotion, Trajectory
 from stiffopt.solver.smoothing_width import KNOT_SPACINGS, motors_with_sufficient_smoothing
@@ -32,7 +33,7 @@ if TYPE_CHECKING:
 
 # Shares of the nominal wind-up that are tried; a plan chosen for uncertain arms reserves drive
 # capacity for the second one (`LEADS_MORE`).
-_WINDUP_SHARES = (1.0, 1.0 + LEADS_MORE, 1.06, 1.09)
+_WINDUP_SHARES = (1.0, 1.0 + ROBUST_LEAD_SHARE, 1.06, 1.09)
 # Samples at which candidates are judged; the chosen one is judged on the certificate's grid.
 _TRIAL_SAMPLES = 1001
 

@@ -16,8 +16,7 @@ from typing import TYPE_CHECKING, TypeVar
 from stiffopt.certificate.assess import assess
 from stiffopt.elastic.many_arms import Asked, swings_together
 from stiffopt.problem.motor_model import MotorLaw
-from stiffopt.result.compensation import CompensatedMotion, Compensation
-from stiffopt.result.compensation_store import COMMAND_FILE
+from stiffopt.result.compensation import COMMAND_FILE, CompensatedMotion, Compensation
 from stiffopt.result.store import export_times
 from stiffopt.result.trajectory import JointMotion
 from stiffopt.solver.command_search import (

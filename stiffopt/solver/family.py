@@ -16,10 +16,10 @@ import numpy as np
 from stiffopt.baseline.baselines import baselines
 from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
 from stiffopt.problem.bounds import shortest_duration
-from stiffopt.problem.clear_poses import check_clear_poses
 from stiffopt.problem.formulation import Scales, formulate
+from stiffopt.problem.input_checks import check_clear_poses
 from stiffopt.problem.resolve import resolve
-from stiffopt.problem.smoothing import Smoothing
+from stiffopt.problem.stage_terms import Smoothing
 from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.result.solution import Solution
 from stiffopt.solver.active_set import ActiveSetSolver

@@ -30,13 +30,12 @@ from stiffopt.elastic.modes import modes
 from stiffopt.elastic.smooth_motion import smooth_motion
 from stiffopt.errors import ProblemError
 from stiffopt.problem.bounds import shortest_duration
-from stiffopt.problem.clear_poses import room_at_poses
+from stiffopt.problem.input_checks import clearance_at_poses
 from stiffopt.problem.limit import Limits
 from stiffopt.problem.motor_model import MotorLaw
 from stiffopt.problem.objective import Objective
-from stiffopt.problem.resolve import ResolvedMotion
 from stiffopt.problem.stage_terms import WINDUP_SMOOTHING
-from stiffopt.problem.trajectory import TrajectoryProblem
+from stiffopt.problem.trajectory import ResolvedMotion, TrajectoryProblem
 from stiffopt.result.assessment import Assessment
 from stiffopt.result.provenance import inputs_hash
 from stiffopt.result.solution import Baseline, Solution
@@ -211,7 +210,7 @@ def _solve_averaged(
 ) -> tuple[Solution, tuple[Trajectory, Assessment] | None]:
     """Solve the inner quasi-static problem and average its motion over a window [s]."""
     found = solve(inner)
-    room = room_at_poses(problem, motion) if problem.avoids_collisions else 0.0
+    room = clearance_at_poses(problem, motion) if problem.avoids_collisions else 0.0
     shaped = _shape_motion(problem, found, window)
     for number in range(_MAX_BACK_OFF_ROUNDS):
         # An excess that remains after two rounds is backed off by twice as much.

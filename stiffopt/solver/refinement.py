@@ -215,7 +215,7 @@ def _requested_back_off(
 
     `late` are the limits that it exceeds after arrival.
     """
-    wide = outcome.smoothing.corners > 1.0
+    wide = outcome.smoothing.lead > 1.0
     if any(block.rows.name in late for block in nlp.rows.items):
         # The rows overestimate the arm's vibration, so that back-off acts slowly. They do not model
         # the residual vibration of a wide smoothing at all.
@@ -248,10 +248,10 @@ def _back_off_rows(run: SolveRun, outcome: Outcome, nlp: Nlp) -> tuple[Outcome, 
                     break
                 # A large excess that a correction has not removed comes from a kink.
                 if worst > (KINK_EXCESS if attempt > 1 else _SPIKE_EXCESS):
-                    smoothing = replace(smoothing, corners=_widen_motor_smoothing(run, outcome))
+                    smoothing = replace(smoothing, lead=_widen_motor_smoothing(run, outcome))
                 rows = rows or PointFunction(exact_path_rows(run.problem, run.motion, run.scales))
                 bends = _CHECK_SMOOTHING_SHARE if outcome.objective_gap > MAX_OBJECTIVE_GAP else 1.0
-                bent = smoothing.bent(bends).parameters
+                bent = smoothing.narrowed(bends).parameters
                 found = _known_drive_rows(run.problem, outcome.assessment)
                 known = excess_of(made.transcription, raw.x, bent, rows, found)
                 unseen = _unexplained_excess(known, excess)
@@ -284,7 +284,7 @@ def _widen_motor_smoothing(run: SolveRun, outcome: Outcome) -> float:
 
     The present one where a wider one lowers no excess, which then is not due to a kink.
     """
-    corners = outcome.smoothing.corners
+    corners = outcome.smoothing.lead
 
     @functools.cache
     def beyond(width: float) -> float:
@@ -435,9 +435,9 @@ def _arrival_overshoot(problem: TrajectoryProblem, assessment: Assessment) -> di
         v.limit for v in assessment.violations if _concerns_arrival(v) and v.value > _TARGET_EXCESS
     }
     limits = problem.active_limits
-    if assessment.swing is None or assessment.swing.peak_after is None:
+    if assessment.simulated is None or assessment.simulated.peak_after is None:
         return {}
-    return {name: LIMITS[name].overshoot(limits, assessment.swing) for name in exceeded}
+    return {name: LIMITS[name].overshoot(limits, assessment.simulated) for name in exceeded}
 
 
 def _concerns_arrival(violation: Violation) -> bool:

@@ -75,7 +75,7 @@ def robust_plan(run: SolveRun, outcome: Outcome) -> Outcome:
 def _is_requested(run: SolveRun, outcome: Outcome) -> bool:
     sound = outcome.raw.converged and outcome.assessment.feasible(CERTIFICATE_TOLERANCE)
     # Separating planes hold only for the motion that was found.
-    return run.problem.chosen_for_other_arms and sound and run.avoidance is None
+    return run.problem.chosen_for_robustness and sound and run.avoidance is None
 
 
 def _cap_objective(outcome: Outcome, nlp: Nlp, price: float) -> Nlp:

@@ -25,11 +25,12 @@ from stiffopt.errors import NotSimulatedError, format_relative
 from stiffopt.interrupts import end_deferral
 from stiffopt.problem.formulation import smoothing_stages
 from stiffopt.problem.limit import LIMITS
-from stiffopt.problem.resolve import ResolvedMotion, resolve
-from stiffopt.result.assessment import PeakRms
+from stiffopt.problem.resolve import resolve
+from stiffopt.problem.trajectory import ResolvedMotion
 from stiffopt.result.simulation import (
     SETTLING_BAND,
     ElasticMotion,
+    PeakRms,
     SimulatedMotion,
     SimulatedPart,
     Simulation,
@@ -347,7 +348,7 @@ def damping_sensitive_limits(problem: TrajectoryProblem, motion: Assessment) -> 
     NotSimulatedError
         The arm cannot be simulated.
     """
-    if motion.swing is None or motion.swing.peak_after is None:
+    if motion.simulated is None or motion.simulated.peak_after is None:
         return {}
     limits = problem.active_limits
     kinds = [each for each in limits.kinds if LIMITS[each.name].of_arrival]

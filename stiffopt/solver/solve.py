@@ -26,12 +26,11 @@ from stiffopt.elastic.arm import questionable_springs
 from stiffopt.errors import NoSolutionFound, ProblemError
 from stiffopt.interrupts import end_deferral
 from stiffopt.problem.bounds import check_bounds, shortest_duration
-from stiffopt.problem.clear_poses import check_clear_poses
 from stiffopt.problem.files import LoadedProblem
 from stiffopt.problem.formulation import Scales
-from stiffopt.problem.plausible import questionable_belts, questionable_bodies
-from stiffopt.problem.resolve import ResolvedMotion, resolve
-from stiffopt.problem.trajectory import TrajectoryProblem
+from stiffopt.problem.input_checks import check_clear_poses, inconsistent_inertias, slack_belts
+from stiffopt.problem.resolve import resolve
+from stiffopt.problem.trajectory import ResolvedMotion, TrajectoryProblem
 from stiffopt.result.assessment import Assessment
 from stiffopt.result.provenance import inputs_hash, versions
 from stiffopt.result.solution import Baseline, Solution
@@ -238,7 +237,7 @@ def _select_guess(
 def preliminary_notes(problem: TrajectoryProblem, motion: ResolvedMotion) -> tuple[str, ...]:
     """Return notes on a problem before it is solved; raise `ProblemError` if it is degenerate."""
     chosen = (problem.chosen,) if problem.chosen else ()
-    doubted = (*questionable_bodies(problem.robot), *questionable_belts(problem.robot))
+    doubted = (*inconsistent_inertias(problem.robot), *slack_belts(problem.robot))
     return (
         *chosen,
         *problem.remarks,
@@ -416,7 +415,7 @@ def solution_of(
 def _describe_sufficient_objective(run: SolveRun, value: float) -> list[str]:
     """Return a note where the objective was lowered to its sufficient value only."""
     kind = run.problem.objectives[0].kind
-    enough = kind.enough(run.scales.of(kind.name))
+    enough = kind.target_value(run.scales.of(kind.name))
     if len(run.problem.objectives) > 1 or not 0.0 < value <= _SUFFICIENT_OBJECTIVE_FACTOR * enough:
         return []
     return [

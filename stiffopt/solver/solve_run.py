@@ -17,10 +17,9 @@ from stiffopt.elastic.arm import ElasticArm
 from stiffopt.elastic.modes import Mode, modes
 from stiffopt.elastic.smooth_motion import smooth_motion
 from stiffopt.errors import NotSimulatedError
-from stiffopt.problem.formulation import Scales
-from stiffopt.problem.motor_model import MotorLaw, law_smoothing, rounded_lag
-from stiffopt.problem.resolve import ResolvedMotion
-from stiffopt.problem.trajectory import TrajectoryProblem
+from stiffopt.problem.formulation import Scales, law_smoothing
+from stiffopt.problem.motor_model import MotorLaw, round_lags
+from stiffopt.problem.trajectory import ResolvedMotion, TrajectoryProblem
 from stiffopt.result.solution import Baseline
 from stiffopt.solver.clearance_rows import ClearanceRows
 from stiffopt.solver.ipopt import RawSolution
@@ -171,7 +170,7 @@ class SolveRun:
         if not (problem.plans_links and smooth) or self.end_modes:
             return None
         with suppress(NotSimulatedError):
-            return rounded_lag(self.arm.lag(self.motion.end))
+            return round_lags(self.arm.lag(self.motion.end))
         return None
 
     def reported_value(self, objective: float) -> float:

@@ -7,8 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stiffopt.problem.formulation import smoothing_stages
-from stiffopt.problem.smoothing import Smoothing
-from stiffopt.problem.stage_terms import WINDUP_SMOOTHING
+from stiffopt.problem.stage_terms import WINDUP_SMOOTHING, Smoothing
 from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.result.joint_path import JointPath
 from stiffopt.solver.ipopt import IpoptOptions

@@ -13,8 +13,8 @@ import numpy as np
 from stiffopt.certificate.assess import assess
 from stiffopt.certificate.objective_value import is_maximised, objective_value
 from stiffopt.problem.formulation import formulate
-from stiffopt.problem.motor_model import WIDER
-from stiffopt.problem.smoothing import Smoothing
+from stiffopt.problem.motor_model import LAW_SMOOTHING_FACTOR
+from stiffopt.problem.stage_terms import Smoothing
 from stiffopt.result.assessment import Assessment
 from stiffopt.result.joint_path import JointPath
 from stiffopt.result.trajectory import Trajectory
@@ -423,7 +423,7 @@ def _widen_until_no_spike(
     while (
         smoothing.law < widest and _largest_excess(transcription, guess, smoothing) > _SPIKE_EXCESS
     ):
-        smoothing = replace(smoothing, corners=2.0 * smoothing.corners)
+        smoothing = replace(smoothing, lead=2.0 * smoothing.lead)
     return replace(stage, smoothing=smoothing)
 
 
@@ -447,7 +447,7 @@ def _build_trajectory(
     problem = run.problem
     motion = Trajectory.from_acceleration(*transcription.acceleration_polynomials(x))
     if problem.plans_links:
-        return run.motors.motion(motion, WIDER * law, run.lag, sagged=sagged)
+        return run.motors.motion(motion, LAW_SMOOTHING_FACTOR * law, run.lag, sagged=sagged)
     if problem.path is None:
         return motion
     return JointPath.through(problem.path).follow(motion)

@@ -14,9 +14,9 @@ import numpy as np
 
 from stiffopt.certificate.assess import assess
 from stiffopt.dynamics.friction import dry_friction_width
-from stiffopt.problem.belief import believed_of
 from stiffopt.problem.coordinates import coordinates_of
-from stiffopt.problem.smoothing import Smoothing
+from stiffopt.problem.prediction import predict_motion
+from stiffopt.problem.stage_terms import Smoothing
 from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.result.trajectory import Trajectory
 from stiffopt.transcription.transcription import Transcription
@@ -83,7 +83,7 @@ def missing_friction_share(
     """
     if not any(objective.kind.of_drives for objective in problem.objectives):
         return 0.0
-    believed = believed_of(problem, motion, smoothing, elastic=False)
+    believed = predict_motion(problem, motion, smoothing, elastic=False)
     if believed.torque is None:
         return 0.0
     true = assess(problem, motion, times=believed.time).torque

@@ -19,11 +19,12 @@ from stiffopt.errors import InputFileError, shortened
 from stiffopt.files import read_table
 from stiffopt.folders import check_result
 from stiffopt.problem.files import load_problem
-from stiffopt.problem.resolve import ResolvedMotion, resolve
-from stiffopt.problem.trajectory import TrajectoryProblem
-from stiffopt.result.assessment import Assessment, PeakRms
-from stiffopt.result.compensation_store import COMMAND_FILE
+from stiffopt.problem.resolve import resolve
+from stiffopt.problem.trajectory import ResolvedMotion, TrajectoryProblem
+from stiffopt.result.assessment import Assessment
+from stiffopt.result.compensation import COMMAND_FILE
 from stiffopt.result.provenance import inputs_hash
+from stiffopt.result.simulation import PeakRms
 from stiffopt.result.store import RESULT_FILE, TRAJECTORY_FILE, read_document
 from stiffopt.result.trajectory import JointMotion
 from stiffopt.solver.command_search import ExistingCommand

@@ -10,7 +10,7 @@ from stiffopt.certificate.collisions import with_collisions
 from stiffopt.certificate.objective_value import is_maximised, objective_value
 from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
 from stiffopt.problem.bounds import find_bounds
-from stiffopt.problem.motor_model import WIDER
+from stiffopt.problem.motor_model import LAW_SMOOTHING_FACTOR
 from stiffopt.problem.objective import Bound
 from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.result.assessment import Assessment
@@ -221,7 +221,7 @@ def _feasible_duration_of_links(run: SolveRun, outcome: Outcome) -> float | None
         return None
     for times in _DURATION_FACTORS:
         slow = link.scaled_to(times * link.duration)
-        motors = run.motors.motion(slow, WIDER * outcome.smoothing.law, run.lag)
+        motors = run.motors.motion(slow, LAW_SMOOTHING_FACTOR * outcome.smoothing.law, run.lag)
         if drive_violations(problem, motors)[0].value > CERTIFICATE_TOLERANCE:
             continue
         if with_collisions(problem, assess(problem, motors)).feasible(CERTIFICATE_TOLERANCE):

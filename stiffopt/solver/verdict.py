@@ -17,8 +17,8 @@ from stiffopt.certificate.agreement import Disagreement, find_disagreements
 from stiffopt.certificate.collisions import COLLISION_LIMIT, describe_collision_scope
 from stiffopt.certificate.objective_value import is_maximised, objective_value
 from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE, describe_slips, find_slips
-from stiffopt.problem.belief import believed_of
 from stiffopt.problem.formulation import smoothing_stages
+from stiffopt.problem.prediction import predict_motion
 from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.result.assessment import Assessment
 from stiffopt.result.solution import Baseline
@@ -195,7 +195,7 @@ def _significant_disagreements(problem: TrajectoryProblem, outcome: Outcome) -> 
     """Return the disagreements beyond their tolerances, worst first."""
     widths = smoothing_stages(problem)
     polynomials = outcome.transcription.acceleration_polynomials(outcome.raw.x)
-    believed = believed_of(
+    believed = predict_motion(
         problem,
         Trajectory.from_acceleration(*polynomials),
         outcome.smoothing,

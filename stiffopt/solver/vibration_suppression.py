@@ -369,7 +369,7 @@ class SimulatedMotors:
 
     def overshoot(self, problem: TrajectoryProblem) -> float:
         """Return the relative excess of the problem's limits after arrival; 0 without one."""
-        limits, swing = problem.active_limits, self.assessment.swing
+        limits, swing = problem.active_limits, self.assessment.simulated
         if swing is None or swing.peak_after is None:
             return 0.0
         beyond = [each.overshoot(limits, swing) for each in limits.kinds if each.of_arrival]

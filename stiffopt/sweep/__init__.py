@@ -1,1 +1,1 @@
-"""Sweeps: a problem, study or diagnosis for many values of its entries, resumable, in parallel."""
+"""Resumable parallel sweeps of problems, studies and diagnoses over values of their entries."""

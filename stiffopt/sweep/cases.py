@@ -1,4 +1,4 @@
-"""Cases of a sweep: which entries of which file have which values, and what names a case."""
+"""Cases of a sweep: base file, changed entries, and key."""
 
 from __future__ import annotations
 
@@ -23,10 +23,11 @@ from stiffopt.files import apply_changes, check_file, load_toml, read_document
 from stiffopt.recording.readers.read import SET_FILE as RECORDINGS
 from stiffopt.recording.readers.read import files_of, find_set_file
 from stiffopt.robot.urdf_xml import mesh_files
-from stiffopt.sweep.schema import MOST_CASES, RangeSection, SweepFile
+from stiffopt.sweep.schema import MAX_CASES, RangeSection, SweepFile
 from stiffopt.units import number_and_unit
 
-_LONGEST_NAME = 255
+# Longest file name of common file systems [bytes].
+_MAX_NAME_BYTES = 255
 KINDS = ("trajectory", "preload", "recordings")
 
 Change = tuple[str, Any]
@@ -34,7 +35,7 @@ Change = tuple[str, Any]
 
 @dataclass(frozen=True)
 class Case:
-    """One solve of a sweep.
+    """One case of a sweep.
 
     Parameters
     ----------
@@ -43,17 +44,17 @@ class Case:
     kind : str
         trajectory, preload or recordings.
     base : Path
-        Absolute: workers may stand in another folder.
+        Absolute path: workers may have another working folder.
     changes : tuple of (place, value)
     start : int
-        0 is the usual one, others begin with a random detour.
+        Number of the initial guess: 0 is the usual one, others start from a random detour.
     baselines : bool
     key : str
-        Names the case by all that its result depends on.
+        Hash of all inputs of the result.
     common : tuple of str
-        Changes that all cases have, as `--set` takes them.
+        Changes of all cases, in the form of `--set`.
     files : str
-        Hash of the files that it is read from.
+        Hash of the input files.
     """
 
     number: int
@@ -68,24 +69,24 @@ class Case:
 
     @property
     def settings(self) -> tuple[str, ...]:
-        """The changes as `load_problem` takes them."""
-        return (*self.common, *_settings(self.changes))
+        """Changes in the form of `load_problem`."""
+        return (*self.common, *_format_settings(self.changes))
 
 
 @dataclass(frozen=True)
 class Sweep:
-    """A sweep file with its cases.
+    """Sweep file with its cases.
 
     Parameters
     ----------
     path : Path
     title : str
     kind : str
-        Of its base files.
+        Kind of the base files.
     places : tuple of str
-        Entries that vary, in order.
+        Varied entries, in order.
     front : str
-        Entry whose trade-off with the objective is looked for; "" for none.
+        Entry of the trade-off front with the objective; "" for none.
     starts : int
     cases : tuple of Case
     """
@@ -100,14 +101,14 @@ class Sweep:
 
     @property
     def base_names(self) -> dict[Path, str]:
-        """The shortest ends of the base files' paths that tell them apart.
+        """Shortest unique ends of the base files' paths.
 
         Recording sets are named by their folder.
         """
         bases = list(dict.fromkeys(case.base for case in self.cases))
-        told = [base.parent if base.name == RECORDINGS else base.with_suffix("") for base in bases]
+        ends = [base.parent if base.name == RECORDINGS else base.with_suffix("") for base in bases]
         for count in range(1, max(len(base.parts) for base in bases)):
-            names = ["/".join(each.parts[-count:]) for each in told]
+            names = ["/".join(each.parts[-count:]) for each in ends]
             if len(set(names)) == len(bases):
                 return dict(zip(bases, names, strict=True))
         return {base: str(base) for base in bases}
@@ -119,19 +120,19 @@ def load_sweep(path: str | os.PathLike[str], changes: Sequence[str] = ()) -> Swe
     Raises
     ------
     InputFileError
-        With the file, the key, what is allowed and what to do next.
+        The file is invalid: file, key, allowed values and remedy.
     """
     path = Path(path)
-    return sweep_of(read_document(path, SweepFile, "sweep", changes), path)
+    return build_sweep(read_document(path, SweepFile, "sweep", changes), path)
 
 
-def fleet_of(sets: Sequence[Path], changes: Sequence[str] = ()) -> Sweep:
-    """Recording sets as cases of a sweep, each with the changes of `--set`.
+def fleet_sweep(sets: Sequence[Path], changes: Sequence[str] = ()) -> Sweep:
+    """Build a sweep of recording sets, each with the changes of `--set`.
 
     Raises
     ------
     InputFileError
-        A set cannot be read, is named twice, or is none.
+        A file is no recording set, is unreadable, or is named twice.
     """
     bases = [find_set_file(each).resolve() for each in sets]
     for base in bases:
@@ -142,7 +143,7 @@ def fleet_of(sets: Sequence[Path], changes: Sequence[str] = ()) -> Sweep:
                 f"a set, or its {RECORDINGS}."
             )  # fmt: skip
         if bases.count(base) > 1:
-            raise InputFileError(base, "", "is named twice; once is enough.")
+            raise InputFileError(base, "", "is named twice. Name it once.")
     document = SweepFile.model_validate(
         {
             "schema": 1,
@@ -151,41 +152,43 @@ def fleet_of(sets: Sequence[Path], changes: Sequence[str] = ()) -> Sweep:
             "base": [str(base) for base in bases],
         }
     )
-    return sweep_of(document, Path.cwd() / "fleet", changes)
+    return build_sweep(document, Path.cwd() / "fleet", changes)
 
 
-def sweep_of(document: SweepFile, path: Path, changes: Sequence[str] = ()) -> Sweep:
-    """The cases of a sweep file at a path; `changes` are of every base file, beside its own.
+def build_sweep(document: SweepFile, path: Path, changes: Sequence[str] = ()) -> Sweep:
+    """Build the cases of a sweep file at `path`; `changes` apply to every base file.
 
     Raises
     ------
     InputFileError
-        As of `load_sweep`.
+        As `load_sweep`.
     """
     names = [document.base] if isinstance(document.base, str) else document.base
-    bases = [_base(path, name) for name in names]
+    bases = [_read_base(path, name) for name in names]
     kinds = {kind for _, kind in bases}
     if len(kinds) != 1:
         raise InputFileError(path, "base", f"files of one kind, got {', '.join(sorted(kinds))}.")
     if document.starts > 1 and kinds != {"trajectory"}:
         raise InputFileError(path, "starts", "only trajectory problems have several starts.")
-    axes = list(_axes(document, path))
+    axes = list(_read_axes(document, path))
     count = len(bases) * document.starts * int(np.prod([float(len(axis)) for axis in axes]))
-    if count > MOST_CASES:
-        raise InputFileError(path, "", f"has {count} cases; allowed: {MOST_CASES}.")
+    if count > MAX_CASES:
+        raise InputFileError(path, "", f"has {count} cases; allowed: {MAX_CASES}.")
     cases: list[Case] = []
-    digest = functools.cache(_digest)
+    digest = functools.cache(_hash_inputs)
     for base, kind in bases:
         content = load_toml(base)
         for parts in itertools.product(*axes):
             own = tuple(change for part in parts for change in part)
-            changed = apply_changes(copy.deepcopy(content), [*changes, *_settings(own)], base)
+            changed = apply_changes(
+                copy.deepcopy(content), [*changes, *_format_settings(own)], base
+            )
             given = [change.partition("=")[2].strip(" \"'") for change in changes]
-            chosen = _named(base.parent, [value for _, value in own] + given)
+            chosen = _named_files(base.parent, [value for _, value in own] + given)
             inputs = "".join(digest(each) for each in (base, *chosen))
             for start in range(document.starts):
                 facts = [__version__, kind, changed, inputs, start, document.baselines]
-                # Nobody has the diagnosis of another robot, whatever its files hold.
+                # Diagnoses are never shared: equal files of two robots remain two cases.
                 facts += [str(base)] if kind == "recordings" else []
                 text = json.dumps(facts, sort_keys=True, default=str)
                 key = hashlib.sha256(text.encode()).hexdigest()[:20]
@@ -214,8 +217,8 @@ def sweep_of(document: SweepFile, path: Path, changes: Sequence[str] = ()) -> Sw
     )
 
 
-def _base(path: Path, name: str) -> tuple[Path, str]:
-    """Absolute path of a base file and its kind."""
+def _read_base(path: Path, name: str) -> tuple[Path, str]:
+    """Find a base file: absolute path and kind."""
     base = (path.parent / name).resolve()
     if base.is_dir():
         base = base / RECORDINGS
@@ -229,13 +232,13 @@ def _base(path: Path, name: str) -> tuple[Path, str]:
     return base, kind
 
 
-def _axes(document: SweepFile, path: Path) -> Iterator[list[tuple[Change, ...]]]:
-    """Each axis as the changes of each of its points."""
+def _read_axes(document: SweepFile, path: Path) -> Iterator[list[tuple[Change, ...]]]:
+    """Yield the changes at the points of each axis."""
     if document.front is not None:
         front = document.front
         bounds = RangeSection(lower=front.lower, upper=front.upper)
         shares = np.linspace(0.0, 1.0, front.points)
-        yield [((front.over, v),) for v in _values(bounds, shares, path, "front")]
+        yield [((front.over, v),) for v in _range_values(bounds, shares, path, "front")]
     for place, values in document.grid.items():
         yield [((place, value),) for value in values]
     if document.lists:
@@ -249,16 +252,17 @@ def _axes(document: SweepFile, path: Path) -> Iterator[list[tuple[Change, ...]]]
             )
         shares = latin_hypercube(cube.count, len(cube.ranges), cube.seed)
         columns = [
-            _values(each, own, path, f"latin_hypercube.{place}")
+            _range_values(each, own, path, f"latin_hypercube.{place}")
             for (place, each), own in zip(cube.ranges.items(), shares.T, strict=True)
         ]
         yield [tuple(zip(cube.ranges, row, strict=True)) for row in zip(*columns, strict=True)]
 
 
 def latin_hypercube(count: int, ranges: int, seed: int) -> np.ndarray:
-    """Points (count, ranges) from 0 to 1, one in each of `count` equal parts of every range.
+    """Latin hypercube (count, ranges) in 0 to 1, with one point in each part of every range.
 
-    Those of `scipy.stats.qmc.LatinHypercube`, which takes longer to load than many a case to solve.
+    The points are those of `scipy.stats.qmc.LatinHypercube`, whose import takes longer than many
+    cases.
     """
     (random,) = np.random.default_rng(seed).spawn(1)
     within = random.uniform(size=(count, ranges))
@@ -268,8 +272,8 @@ def latin_hypercube(count: int, ranges: int, seed: int) -> np.ndarray:
     return np.asarray((parts.T - within) / count)
 
 
-def _values(bounds: RangeSection, shares: np.ndarray, path: Path, where: str) -> list[Any]:
-    """Values at shares of a range, as numbers or as texts with its unit."""
+def _range_values(bounds: RangeSection, shares: np.ndarray, path: Path, where: str) -> list[Any]:
+    """Interpolate a range, as numbers or texts with its unit."""
     (low, unit), (high, other) = (number_and_unit(each) for each in (bounds.lower, bounds.upper))
     if unit is None or unit != other:
         raise InputFileError(
@@ -282,31 +286,36 @@ def _values(bounds: RangeSection, shares: np.ndarray, path: Path, where: str) ->
         )
     if not low < high:
         raise InputFileError(path, where, f"lower = {low:g} must be below upper = {high:g}.")
-    # Twelve digits: no tails of binary fractions in tables.
+    # Twelve digits avoid binary fractions such as 0.30000000000000004 in tables.
     values = [float(f"{low + share * (high - low):.12g}") for share in shares]
     return [f"{value!r} {unit}" for value in values] if unit else values
 
 
-def _settings(changes: Sequence[Change]) -> tuple[str, ...]:
-    return tuple(f"{place}={_toml(value)}" for place, value in changes)
+def _format_settings(changes: Sequence[Change]) -> tuple[str, ...]:
+    return tuple(f"{place}={_format_toml(value)}" for place, value in changes)
 
 
-def _toml(value: Any) -> str:
-    """A value as TOML has it in one line."""
+def _format_toml(value: Any) -> str:
+    """Format a value as TOML in one line."""
     if isinstance(value, dict):
-        return "{ " + ", ".join(f'"{key}" = {_toml(each)}' for key, each in value.items()) + " }"
+        return (
+            "{ "
+            + ", ".join(f'"{key}" = {_format_toml(each)}' for key, each in value.items())
+            + " }"
+        )
     if isinstance(value, list | tuple):
-        return f"[{', '.join(_toml(each) for each in value)}]"
+        return f"[{', '.join(_format_toml(each) for each in value)}]"
     if isinstance(value, float) and not math.isfinite(value):
         return str(value)
-    # Dates have no form in JSON; no entry of a file is one.
+    # Strings and numbers of TOML and JSON agree; no entry is a date.
     return json.dumps(value, ensure_ascii=False, default=str)
 
 
-def _digest(path: Path, seen: frozenset[Path] = frozenset()) -> str:
-    """Hash of a file, of all that it names and that lies beside it, and of a URDF's meshes.
+def _hash_inputs(path: Path, seen: frozenset[Path] = frozenset()) -> str:
+    """Hash a file with all files that it names, and the meshes of a URDF.
 
-    What cannot be read has one as well: the case that needs it says so, and the others are solved.
+    Unreadable files are hashed by their error: the case that needs them reports it, and others are
+    solved.
     """
     try:
         with path.open("rb") as stream:
@@ -315,36 +324,36 @@ def _digest(path: Path, seen: frozenset[Path] = frozenset()) -> str:
         return f"{path}: {error.strerror}"
     if path.suffix == ".urdf":
         for mesh in mesh_files(path):
-            found.update(_digest(mesh).encode())
+            found.update(_hash_inputs(mesh).encode())
     if path.suffix == ".toml" and path not in seen:
         with suppress(InputError):
-            for beside in _named(path.parent, load_toml(path)):
-                found.update(_digest(beside, seen | {path}).encode())
+            for beside in _named_files(path.parent, load_toml(path)):
+                found.update(_hash_inputs(beside, seen | {path}).encode())
     return found.hexdigest()
 
 
-def _named(folder: Path, value: Any) -> list[Path]:
-    """Files that texts of a value name, beside a folder's file: also as a run, or by their folder.
+def _named_files(folder: Path, value: Any) -> list[Path]:
+    """Find files in a folder that texts of a value name, runs and folders of runs included.
 
-    The folder itself and those above it, which "." and "/" name, are none of them.
+    The folder itself and its parents, named by "." and "/", are excluded.
     """
     found: dict[Path, None] = {}
-    for name in sorted(_texts(value)):
-        # What is longer names no file, and the system refuses to look.
-        if "\0" in name or len(name.encode()) > _LONGEST_NAME:
+    for name in sorted(_collect_texts(value)):
+        # The system refuses longer names.
+        if "\0" in name or len(name.encode()) > _MAX_NAME_BYTES:
             continue
         place = folder / name
         if folder.is_relative_to(place.resolve()):
             continue
-        # Not every "#" stands before an episode.
+        # "#" marks an episode in names of runs only.
         with suppress(InputFileError):
             found |= dict.fromkeys(file.resolve() for file in files_of(place))
     return list(found)
 
 
-def _texts(value: Any) -> set[str]:
+def _collect_texts(value: Any) -> set[str]:
     if isinstance(value, dict):
-        return {text for each in value.values() for text in _texts(each)}
+        return {text for each in value.values() for text in _collect_texts(each)}
     if isinstance(value, list):
-        return {text for each in value for text in _texts(each)}
+        return {text for each in value for text in _collect_texts(each)}
     return {value} if isinstance(value, str) else set()

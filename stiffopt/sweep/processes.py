@@ -1,7 +1,8 @@
-"""Worker processes of this machine, each at the end of a pipe of its own.
+"""Worker processes of this machine, each at the end of its own pipe.
 
-Pipes are known to nobody else: when all are killed at once, nothing is left that anybody would have
-to clear away, as the semaphores of the standard library's pool are.
+A pool of `concurrent.futures` shares a queue and its semaphores: a killed parent leaks them, which
+Python reports on stderr, and one dead worker breaks the calls of all others. Pipes leave nothing
+behind, and a dead worker costs its own call only.
 """
 
 from __future__ import annotations
@@ -25,22 +26,22 @@ from typing import Any
 
 from stiffopt.errors import InputError
 
-_NEEDED = "stiffopt.solver.family"
-# Copies of a process are safe where no library begins threads of the system's own when it loads.
-_FORKS = sys.platform == "linux"
-# One process begins at a time: what it finds in the environment is everybody's.
-_beginning = threading.Lock()
+_PRELOADED_MODULE = "stiffopt.solver.family"
+# Forking is safe on Linux only: elsewhere libraries start threads when they are loaded.
+_USES_FORK_SERVER = sys.platform == "linux"
+# Processes start one at a time: `_worker_environment` changes the environment of all threads.
+_start_lock = threading.Lock()
 
-_Work = tuple[Callable[..., Any], tuple[Any, ...]]
-_Calls = SimpleQueue["tuple[Future[Any], _Work] | None"]
+_Call = tuple[Callable[..., Any], tuple[Any, ...]]
+_CallQueue = SimpleQueue["tuple[Future[Any], _Call] | None"]
 
 
 class WorkerLost(Exception):
-    """A worker process died with a call."""
+    """A worker process died during a call."""
 
 
 class Processes:
-    """Processes of this machine.
+    """Pool of worker processes on this machine.
 
     Parameters
     ----------
@@ -51,131 +52,137 @@ class Processes:
 
     def __init__(self, count: int) -> None:
         self._count = count
-        self._calls: _Calls = SimpleQueue()
-        self._hands: list[_Hand] = []
-        # What all begin from loads while the cases are still being read.
-        with _environment():
-            _load_once()
+        self._calls: _CallQueue = SimpleQueue()
+        self._threads: list[_WorkerThread] = []
+        # The fork server loads while the cases are being read.
+        with _worker_environment():
+            _start_fork_server()
 
     @property
     def slots(self) -> int:
-        """One more than processes, so that none waits while its answer is written."""
+        """Number of processes and one, so that none waits while its result is written."""
         return self._count + 1
 
     def submit(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
-        """Have a call made; all processes begin with the first one."""
-        if any(hand.stillborn for hand in self._hands):
-            raise InputError("worker processes die as soon as they begin; try --workers 1.")
-        while len(self._hands) < self._count:
-            self._hands.append(_Hand(self._calls))
-            self._hands[-1].start()
+        """Queue a call; the first one starts all processes.
+
+        Raises
+        ------
+        InputError
+            Worker processes die at their start.
+        """
+        if any(thread.failed_to_start for thread in self._threads):
+            raise InputError("worker processes die at their start; use --workers 1.")
+        while len(self._threads) < self._count:
+            self._threads.append(_WorkerThread(self._calls))
+            self._threads[-1].start()
         future: Future[Any] = Future()
         self._calls.put((future, (function, arguments)))
         return future
 
     def close(self, *, now: bool) -> None:
-        """Let the processes go; they leave while the answer is written."""
-        for hand in self._hands:
-            hand.closed = True
+        """End the processes after their current calls; `now`: immediately."""
+        for thread in self._threads:
+            thread.closed = True
             self._calls.put(None)
         if now:
-            for hand in self._hands:
-                hand.end()
-        self._hands = []
+            for thread in self._threads:
+                thread.terminate()
+        self._threads = []
 
 
 def load_ahead(arguments: Sequence[str]) -> None:
-    """Begin to load what workers need before the command line itself is, where it asks for some.
+    """Start loading the workers' modules before the command line is loaded, if workers are used.
 
     Parameters
     ----------
     arguments : sequence of str
-        Of `stiffopt sweep`. What is wrong with them is not told here.
+        Arguments of `stiffopt sweep`, not checked for errors.
     """
     words = [word for each in arguments for word in each.split("=", 1)]
     alone = cores() == 1 if "--workers" not in words else ("--workers", "1") in pairwise(words)
     if alone or "--scheduler" in words or not any(Path(word).is_file() for word in words):
         return
-    with _environment():
-        _load_once()
+    with _worker_environment():
+        _start_fork_server()
 
 
 def cores() -> int:
-    """Cores that this process may use; macOS tells only how many there are."""
+    """Cores available to this process; on macOS all cores."""
     allowed = getattr(os, "sched_getaffinity", None)
     return len(allowed(0)) if allowed is not None else os.cpu_count() or 1
 
 
-class _Hand(threading.Thread):
-    """Hands calls to a worker process, and to another one when it has died.
+class _WorkerThread(threading.Thread):
+    """Thread that passes calls to one worker process, and replaces the process when it dies.
 
     Parameters
     ----------
     calls : queue
-        Of all hands; None is the end.
+        Calls of all threads; None ends one thread.
     """
 
-    def __init__(self, calls: _Calls) -> None:
+    def __init__(self, calls: _CallQueue) -> None:
         super().__init__(daemon=True)
         self._calls = calls
         self._process: BaseProcess | None = None
         self.closed = False
-        # Whether its process died before it could take a call.
-        self.stillborn = False
+        # True if a process died before its first call.
+        self.failed_to_start = False
 
     def run(self) -> None:
-        """Begin a process, and hand calls on until there are no more."""
-        pipe = self._begun()
+        """Start a process and pass calls on until the queue ends."""
+        pipe = self._start_process()
         while (call := self._calls.get()) is not None and not self.closed:
             future, work = call
             if self._process is None or not self._process.is_alive():
-                pipe = self._begun()
+                pipe = self._start_process()
             try:
                 pipe.send(work)
-                found, error = pipe.recv()
+                result, error = pipe.recv()
             except (EOFError, OSError):
                 pipe.close()
                 self._process = None
                 future.set_exception(WorkerLost("its worker process died"))
             else:
-                future.set_result(found) if error is None else future.set_exception(error)
+                future.set_result(result) if error is None else future.set_exception(error)
         pipe.close()
 
-    def end(self) -> None:
-        """End the process, whatever it does."""
+    def terminate(self) -> None:
+        """End the process during its call."""
         if self._process is not None:
             self._process.terminate()
 
-    def _begun(self) -> Connection:
-        """A new process: the pipe to it, once it has loaded."""
-        context: Any = multiprocessing.get_context("forkserver" if _FORKS else "spawn")
+    def _start_process(self) -> Connection:
+        """Start a process; return the pipe to it once its modules are loaded."""
+        context: Any = multiprocessing.get_context("forkserver" if _USES_FORK_SERVER else "spawn")
         ends: tuple[Connection, Connection] = context.Pipe()
         pipe, other = ends
-        with _beginning, _environment():
-            _load_once()
-            process = context.Process(target=_work, args=(other,))
+        with _start_lock, _worker_environment():
+            _start_fork_server()
+            process = context.Process(target=_serve_calls, args=(other,))
             process.start()
-        # Only what has begun can be ended.
+        # Set after the start: only a started process can be terminated.
         self._process = process
         other.close()
         try:
             pipe.recv()
         except (EOFError, OSError):
-            self.stillborn = not self.closed
+            self.failed_to_start = not self.closed
         return pipe
 
 
-def _load_once() -> None:
-    """Have one process load what nearly all cases need, of which the workers are copies.
+def _start_fork_server() -> None:
+    """Start the fork server, which loads the modules of nearly all cases.
 
-    It does nothing else: there are no threads and no locks that a copy could miss.
+    It has no threads and no locks that a forked worker would lack.
     """
-    if not _FORKS:
+    if not _USES_FORK_SERVER:
         return
-    forkserver.set_forkserver_preload([_NEEDED])
-    # This one comes with it, and lets Ctrl-C through again when it has begun.
+    forkserver.set_forkserver_preload([_PRELOADED_MODULE])
+    # Started explicitly: its start unblocks Ctrl-C.
     resource_tracker.ensure_running()
-    # Ctrl-C while it loads is its parent's to take as well.
+    # The fork server inherits the blocked Ctrl-C, which the parent handles alone.
     before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
     try:
         forkserver.ensure_running()
@@ -183,37 +190,34 @@ def _load_once() -> None:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def _work(pipe: Connection) -> None:
-    """A worker process: makes calls until there are no more.
-
-    Ctrl-C is its parent's to take, whose end is its own.
-    """
+def _serve_calls(pipe: Connection) -> None:
+    """Run calls in a worker process until its parent ends; the parent handles Ctrl-C."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     parent = multiprocessing.parent_process()
     if parent is not None:
-        threading.Thread(target=_end_with, args=(parent.sentinel,), daemon=True).start()
-    import_module(_NEEDED)
+        threading.Thread(target=_exit_with_parent, args=(parent.sentinel,), daemon=True).start()
+    import_module(_PRELOADED_MODULE)
     with suppress(EOFError, OSError):
         pipe.send(None)
         while True:
             function, arguments = pipe.recv()
-            found, failed = None, None
+            result, failure = None, None
             try:
-                found = function(*arguments)
+                result = function(*arguments)
             except BaseException as error:
-                failed = error
-            pipe.send((found, failed))
+                failure = error
+            pipe.send((result, failure))
 
 
-def _end_with(sentinel: int) -> None:
-    # A parent that was killed cannot tell its workers.
+def _exit_with_parent(sentinel: int) -> None:
+    # A killed parent cannot end its workers.
     connection.wait([sentinel])
     os._exit(1)
 
 
 @contextmanager
-def _environment() -> Iterator[None]:
-    """Of processes that begin: of one thread each, and nothing in the working folder is run."""
+def _worker_environment() -> Iterator[None]:
+    """Environment of workers: one thread each, no imports from the working folder."""
     wanted = {"OMP_NUM_THREADS": "1", "PYTHONSAFEPATH": "1"}
     added = [name for name in wanted if name not in os.environ]
     os.environ.update({name: wanted[name] for name in added})

@@ -1,4 +1,4 @@
-"""A sweep in progress: cases out to workers, one result file each, begun anew where it stopped."""
+"""Run of a sweep: cases to workers in warm-start order, one result file each, resumable."""
 
 from __future__ import annotations
 
@@ -13,35 +13,37 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeGuard
 
+import numpy as np
+
 from stiffopt.errors import InputFileError
 from stiffopt.files import atomic_write, load_json
 from stiffopt.folders import is_regular
 from stiffopt.sweep.cases import Case, Sweep
-from stiffopt.sweep.order import ordered, predecessors
-from stiffopt.sweep.solve_case import CaseResult, document, solve_case
+from stiffopt.sweep.solve_case import CaseResult, case_document, solve_case
 from stiffopt.sweep.workers import Workers
+from stiffopt.units import number_and_unit
 
-CASES = "cases"
-# Where cases ended; kept until the sweep is done.
-_WARM = "warm"
-# Above any state that a case starts from: 16 million variables and multipliers [bytes].
+CASES_FOLDER = "cases"
+# Folder of warm starts; removed when the sweep is complete.
+_WARM_FOLDER = "warm"
+# Largest warm-start file [bytes]: 16 million variables and multipliers.
 _MAX_WARM_SIZE = 2**27
-# Deaths of a worker that had nothing else to do, after which the case is to blame.
-_DEATHS = 2
+# Deaths of a worker that ran a case alone, after which the case counts as failed.
+_MAX_WORKER_DEATHS = 2
 
 
 @dataclass(frozen=True)
 class SweepProgress:
-    """How far a sweep is.
+    """Progress of a sweep.
 
     Attributes
     ----------
     done, total : int
-        Cases, those of earlier runs included.
+        Cases, earlier runs included.
     unusable : int
-        Done without a usable result.
+        Cases done without a usable result.
     elapsed, left : float or None
-        Of this run, and estimated to its end [s].
+        Elapsed and estimated remaining time of this run [s].
     """
 
     done: int
@@ -57,7 +59,7 @@ ProgressCallback = Callable[[SweepProgress], object]
 def run_sweep(
     sweep: Sweep, folder: Path, pool: Workers, progress: ProgressCallback | None = None
 ) -> tuple[list[dict[str, Any] | None], bool]:
-    """Solve the cases that have no result file yet.
+    """Solve the cases without a result file.
 
     Parameters
     ----------
@@ -66,33 +68,33 @@ def run_sweep(
         Its subfolder `cases` holds the result files.
     pool : Workers
     progress : callable, optional
-        Called with a `SweepProgress` at the begin and after each case.
+        Called with a `SweepProgress` at the start and after each case.
 
     Returns
     -------
     results : list of dict or None
-        Content of each case's file, None where Ctrl-C came before it.
+        Content of each case's file; None for cases not reached before Ctrl-C.
     interrupted : bool
     """
-    for place in (folder / CASES, folder / CASES / _WARM):
+    for place in (folder / CASES_FOLDER, folder / CASES_FOLDER / _WARM_FOLDER):
         if place.is_symlink() or (place.exists() and not place.is_dir()):
             raise InputFileError(
-                place, "", "is a link or a file, where the sweep keeps its cases in a folder of "
-                "its own. Remove or rename it."
+                place, "", "is a link or a file, where the sweep needs a folder for its cases. "
+                "Remove or rename it."
             )  # fmt: skip
     own = {case.key: case for case in sweep.cases}
-    results = {key: found for key in own if (found := _read(folder, key)) is not None}
-    watch = _Watch(len(own), results, progress)
-    queue = _Queue(list(own.values()), set(results), folder)
+    results = {key: found for key in own if (found := _read_case(folder, key)) is not None}
+    watch = _ProgressWatch(len(own), results, progress)
+    queue = _CaseQueue(list(own.values()), set(results), folder)
     try:
-        for found, end in _solved(queue, pool):
-            # In this order: a case that is done has left what others start from.
+        for found, end in _solve_cases(queue, pool):
+            # The warm start first: successors of a finished case need it.
             if end is not None:
                 atomic_write(queue.file(found["key"]), end)
-            _write(folder, found)
+            _write_case(folder, found)
             results[found["key"]] = found
             queue.done.add(found["key"])
-            watch.tell()
+            watch.report()
     except KeyboardInterrupt:
         pool.close(now=True)
         return [results.get(case.key) for case in sweep.cases], True
@@ -100,31 +102,31 @@ def run_sweep(
         pool.close(now=True)
         raise
     pool.close(now=False)
-    shutil.rmtree(folder / CASES / _WARM, ignore_errors=True)
+    shutil.rmtree(folder / CASES_FOLDER / _WARM_FOLDER, ignore_errors=True)
     return [results.get(case.key) for case in sweep.cases], False
 
 
-class _Queue:
-    """Cases that are still to be solved, each with the one that it starts from.
+class _CaseQueue:
+    """Queue of open cases, each after its predecessor.
 
     Parameters
     ----------
     cases : list of Case
     done : set of str
-        Keys of those that have a result.
+        Keys of cases with a result.
     folder : Path
     """
 
     def __init__(self, cases: list[Case], done: set[str], folder: Path) -> None:
         self.done, self._folder = done, folder
         self._before = predecessors(cases)
-        self._waiting = deque(case for case in ordered(cases) if case.key not in done)
+        self._waiting = deque(case for case in spread_order(cases) if case.key not in done)
 
     def __bool__(self) -> bool:
         return bool(self._waiting)
 
     def take(self) -> Case | None:
-        """The next case whose predecessor is done; None where there is none yet."""
+        """Remove and return the next case whose predecessor is done; None without one."""
         for case in self._waiting:
             before = self._before[case.key]
             if before is None or before in self.done:
@@ -133,7 +135,7 @@ class _Queue:
         return None
 
     def warm(self, case: Case) -> bytes | None:
-        """Where the predecessor ended, or what that began from where it led nowhere."""
+        """Warm start of a case: final state of its nearest predecessor that has one."""
         before = self._before[case.key]
         while before is not None:
             path = self.file(before)
@@ -143,22 +145,22 @@ class _Queue:
         return None
 
     def file(self, key: str) -> Path:
-        """Where a case ended."""
-        return self._folder / CASES / _WARM / key
+        """File of a case's warm start."""
+        return self._folder / CASES_FOLDER / _WARM_FOLDER / key
 
 
-_Solved = tuple[dict[str, Any], bytes | None]
+_SolvedCase = tuple[dict[str, Any], bytes | None]
 
 
-def _solved(queue: _Queue, pool: Workers) -> Iterator[_Solved]:
-    """Results as they come; a case whose worker dies is tried again."""
+def _solve_cases(queue: _CaseQueue, pool: Workers) -> Iterator[_SolvedCase]:
+    """Yield results as they come; retry cases whose worker died."""
     alone = deque[Case]()
     deaths: dict[str, int] = {}
-    busy: dict[Future[_Solved], Case] = {}
+    busy: dict[Future[_SolvedCase], Case] = {}
     lonely = False
     while queue or alone or busy:
         if alone and not busy:
-            # Whose fault a death was shows with nobody beside.
+            # A retry runs alone, to attribute the death to its case.
             case = alone.popleft()
             busy[pool.submit(solve_case, case, queue.warm(case))] = case
             lonely = True
@@ -174,25 +176,25 @@ def _solved(queue: _Queue, pool: Workers) -> Iterator[_Solved]:
                 yield future.result()
             except pool.lost:
                 deaths[case.key] = deaths.get(case.key, 0) + lonely
-                if deaths[case.key] < _DEATHS:
+                if deaths[case.key] < _MAX_WORKER_DEATHS:
                     alone.append(case)
                 else:
-                    text = "Its worker process died each time, as one without memory does."
-                    yield document(case, CaseResult("failed", text, {}, {}), 0.0), None
+                    text = "Its worker process died at each attempt, for example out of memory."
+                    yield case_document(case, CaseResult("failed", text, {}, {}), 0.0), None
         lonely = lonely and bool(busy)
 
 
-class _Watch:
-    """Counts cases and estimates the time left."""
+class _ProgressWatch:
+    """Count cases and estimate the remaining time."""
 
     def __init__(
         self, total: int, results: dict[str, dict[str, Any]], progress: ProgressCallback | None
     ) -> None:
         self._total, self._results, self._progress = total, results, progress
         self._begin, self._before = time.monotonic(), len(results)
-        self.tell()
+        self.report()
 
-    def tell(self) -> None:
+    def report(self) -> None:
         if self._progress is None:
             return
         done, elapsed = len(self._results), time.monotonic() - self._begin
@@ -203,28 +205,28 @@ class _Watch:
 
 
 def is_unusable(found: dict[str, Any]) -> bool:
-    """Whether a case has no usable result."""
+    """Return True if a case has no usable result."""
     usable = ("optimal", "acceptable", "named", "nothing_missing", "outside_catalogue")
     return found["status"] not in usable
 
 
-def _file(folder: Path, key: str) -> Path:
-    return folder / CASES / f"{key}.json"
+def _case_file(folder: Path, key: str) -> Path:
+    return folder / CASES_FOLDER / f"{key}.json"
 
 
-def _read(folder: Path, key: str) -> dict[str, Any] | None:
-    """Content of a case's file; None where there is none, or none of this case."""
-    path = _file(folder, key)
+def _read_case(folder: Path, key: str) -> dict[str, Any] | None:
+    """Read a case's file; None if it is absent or of another case."""
+    path = _case_file(folder, key)
     with suppress(InputFileError):
         found = load_json(path) if is_regular(path.parent, path.name) else None
-        # What a dying worker left undone is tried anew.
+        # Failed cases are tried again.
         if _is_document(found) and found["key"] == key and found["status"] != "failed":
             return found
     return None
 
 
 def _is_document(found: Any) -> TypeGuard[dict[str, Any]]:
-    """Return whether a file has what tables and reports read of a case."""
+    """Return True if a file has the fields that tables and reports need."""
     kinds = {"key": str, "status": str, "message": str, "values": dict, "maximised": bool}
     return (
         isinstance(found, dict)
@@ -238,6 +240,57 @@ def _is_document(found: Any) -> TypeGuard[dict[str, Any]]:
     )
 
 
-def _write(folder: Path, found: dict[str, Any]) -> None:
+def _write_case(folder: Path, found: dict[str, Any]) -> None:
     text = json.dumps(found, indent=1, ensure_ascii=False, allow_nan=False)
-    atomic_write(_file(folder, found["key"]), text + "\n")
+    atomic_write(_case_file(folder, found["key"]), text + "\n")
+
+
+def spread_order(cases: list[Case]) -> list[Case]:
+    """Order cases so that early ones are far apart.
+
+    The first case starts cold. Each following round doubles the number of cases; every case
+    starts from the nearest of earlier rounds. So nearly all starts are near, few cases wait, and
+    the start of a case depends neither on workers nor on interruptions.
+    """
+    count = max(len(cases) - 1, 1).bit_length()
+    # Bit-reversed numbers spread evenly over a grid.
+    keys = [int(f"{number:0{count}b}"[::-1], 2) for number in range(len(cases))]
+    return [cases[k] for k in np.argsort(keys, kind="stable")]
+
+
+def predecessors(cases: list[Case]) -> dict[str, str | None]:
+    """Key of each case's warm-start case, by its own key; None for cold starts."""
+    found: dict[str, str | None] = {}
+    groups: dict[object, list[Case]] = {}
+    for case in spread_order(cases):
+        found[case.key] = None
+        # Other kinds than trajectories, and further initial guesses, start cold.
+        if case.kind == "trajectory" and case.start == 0:
+            groups.setdefault(case.base, []).append(case)
+    for own in groups.values():
+        places = _normalised_values(own)
+        for k in range(1, len(own)):
+            rounds = 1 << (k.bit_length() - 1)
+            distance = np.abs(places[:rounds] - places[k]).sum(axis=1)
+            found[own[k].key] = own[int(np.argmin(distance))].key
+    return found
+
+
+def _normalised_values(cases: list[Case]) -> np.ndarray:
+    """Varied values (cases, values) scaled to 0 to 1; texts count by their rank."""
+    columns = []
+    for k in range(len(cases[0].changes)):
+        values = [case.changes[k][1] for case in cases]
+        numbers = [_number_or_nan(value) for value in values]
+        if not np.all(np.isfinite(numbers)):
+            texts = sorted({str(value) for value in values})
+            numbers = [float(texts.index(str(value))) for value in values]
+        column = np.array(numbers)
+        columns.append((column - column.min()) / (np.ptp(column) or 1.0))
+    return np.stack(columns, axis=1) if columns else np.zeros((len(cases), 0))
+
+
+def _number_or_nan(value: object) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float | str):
+        return np.nan
+    return number_and_unit(value)[0]

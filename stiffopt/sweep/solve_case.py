@@ -1,4 +1,4 @@
-"""One case of a sweep, solved: what a worker does."""
+"""Solve of one case of a sweep, in a worker."""
 
 from __future__ import annotations
 
@@ -25,20 +25,20 @@ SCHEMA = 1
 
 @dataclass(frozen=True)
 class CaseResult:
-    """Outcome of one case.
+    """Result of one case.
 
     Parameters
     ----------
     status : str
-        Of the solve or diagnosis; "invalid" where the case cannot be stated, "failed" where its
-        worker died or met an error of its own.
+        Status of the solve or verdict of the diagnosis; "invalid" for invalid input, "failed" if
+        the worker died or raised another error.
     message : str
     values : dict of name to (value in SI or text, unit)
-        What the table has.
+        Values of the table.
     result : dict
-        The whole answer, as its own file has it.
+        Complete result document.
     maximised : bool
-        Whether a larger objective is better.
+        True if a larger objective is better.
     """
 
     status: str
@@ -48,41 +48,41 @@ class CaseResult:
     maximised: bool = False
 
 
-_End = tuple[CaseResult, bytes | None]
+_CaseEnd = tuple[CaseResult, bytes | None]
 
-# What a worker has built stays with it; Dask's have threads.
-_own = threading.local()
+# Cache of a worker, per thread: workers of Dask have several.
+_worker_cache = threading.local()
 
 
 def solve_case(case: Case, warm: bytes | None = None) -> tuple[dict[str, Any], bytes | None]:
-    """Content of a case's file; no error of the case leaves this function.
+    """Solve a case and return the content of its file; errors of the case become its status.
 
     Parameters
     ----------
     case : Case
     warm : bytes, optional
-        Where another case ended.
+        Final state of another case.
 
     Returns
     -------
     dict
         Plain numbers, strings, lists and dicts.
     bytes or None
-        Where this one ended, for others to start from.
+        Final state of this case, for warm starts of others.
     """
     begin = time.perf_counter()
     end = None
     try:
-        found, end = _SOLVERS[case.kind](case, warm)
+        found, end = _CASE_SOLVERS[case.kind](case, warm)
     except InputError as error:
         found = CaseResult("invalid", str(error), {}, {})
     except Exception as error:
-        # One case's trouble must not cost the others.
+        # An error in one case must not end the sweep.
         found = CaseResult("failed", f"{type(error).__name__}: {error}", {}, {})
-    return document(case, found, time.perf_counter() - begin), end
+    return case_document(case, found, time.perf_counter() - begin), end
 
 
-def document(case: Case, found: CaseResult, seconds: float) -> dict[str, Any]:
+def case_document(case: Case, found: CaseResult, seconds: float) -> dict[str, Any]:
     """Content of a case's file."""
     content: dict[str, Any] = to_json_types(
         {
@@ -104,14 +104,14 @@ def document(case: Case, found: CaseResult, seconds: float) -> dict[str, Any]:
     return content
 
 
-def _trajectory(case: Case, warm: bytes | None) -> _End:
+def _solve_trajectory(case: Case, warm: bytes | None) -> _CaseEnd:
     from stiffopt.certificate.objective_value import is_maximised
     from stiffopt.problem.files import load_problem
     from stiffopt.result.store import result_document
     from stiffopt.solver.family import ProblemFamily, WarmStart
 
-    problem = load_problem(case.base, case.settings, robots=_robots_of(case)).problem
-    family: ProblemFamily = _own.__dict__.setdefault("family", ProblemFamily())
+    problem = load_problem(case.base, case.settings, robots=_cached_robots(case)).problem
+    family: ProblemFamily = _worker_cache.__dict__.setdefault("family", ProblemFamily())
     solution, end = family.solve(
         problem,
         None if warm is None else WarmStart.from_bytes(warm),
@@ -146,15 +146,15 @@ def _trajectory(case: Case, warm: bytes | None) -> _End:
     return found, None if end is None else end.to_bytes()
 
 
-def _robots_of(case: Case) -> Callable[[str | Path], Robot]:
-    """Robots of the files as they were when the sweep began; cases of one sweep share them."""
+def _cached_robots(case: Case) -> Callable[[str | Path], Robot]:
+    """Return a loader with a cache of robots, valid while the input files are unchanged."""
     from stiffopt.robot.files import load_robot
 
     robots: dict[str | Path, Robot]
-    files, robots = _own.__dict__.setdefault("robots", ("", {}))
+    files, robots = _worker_cache.__dict__.setdefault("robots", ("", {}))
     if files != case.files:
         robots = {}
-        _own.robots = case.files, robots
+        _worker_cache.robots = case.files, robots
 
     def robot(source: str | Path) -> Robot:
         if source not in robots:
@@ -164,7 +164,7 @@ def _robots_of(case: Case) -> Callable[[str | Path], Robot]:
     return robot
 
 
-def _preload(case: Case, _: bytes | None) -> _End:
+def _solve_study(case: Case, _: bytes | None) -> _CaseEnd:
     from stiffopt.preload.files import load_study
     from stiffopt.preload.store import study_document
     from stiffopt.preload.study import named_values, preload_study
@@ -190,7 +190,7 @@ def _preload(case: Case, _: bytes | None) -> _End:
     return found, None
 
 
-def _recordings(case: Case, _: bytes | None) -> _End:
+def _diagnose_recordings(case: Case, _: bytes | None) -> _CaseEnd:
     from stiffopt.discovery.diagnose import diagnose
     from stiffopt.discovery.store import answer
     from stiffopt.recording.recording_set import load_recordings
@@ -210,8 +210,8 @@ def _recordings(case: Case, _: bytes | None) -> _End:
     return CaseResult(str(found.verdict), text, values, answer(found)), None
 
 
-_SOLVERS: dict[str, Callable[[Case, bytes | None], _End]] = {
-    "trajectory": _trajectory,
-    "preload": _preload,
-    "recordings": _recordings,
+_CASE_SOLVERS: dict[str, Callable[[Case, bytes | None], _CaseEnd]] = {
+    "trajectory": _solve_trajectory,
+    "preload": _solve_study,
+    "recordings": _diagnose_recordings,
 }

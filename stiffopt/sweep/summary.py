@@ -1,14 +1,18 @@
-"""What a sweep shows: its table, the spread of optima from several starts, the knee of a front."""
+"""Summary of a sweep: table, spread of optima over initial guesses, trade-off front; its files."""
 
 from __future__ import annotations
 
+import io
+import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from stiffopt.files import atomic_write, to_json_types, write_csv
 from stiffopt.sweep.cases import Case, Sweep
 from stiffopt.sweep.run import is_unusable
 from stiffopt.units import number_and_unit
@@ -18,7 +22,7 @@ Cell = float | int | str | None
 
 @dataclass(frozen=True)
 class StartSpread:
-    """Optima of one case from several starts.
+    """Optima of one case from several initial guesses.
 
     Parameters
     ----------
@@ -26,9 +30,9 @@ class StartSpread:
         Objective in SI.
     unit : str
     usable, starts : int
-        Starts that ended with a usable result, of how many.
+        Number of starts with a usable result, and of all starts.
     near : int
-        Those within 1 % of the best.
+        Number of starts within 1 % of the best.
     best_start : int
     """
 
@@ -43,16 +47,16 @@ class StartSpread:
 
 @dataclass(frozen=True)
 class Front:
-    """Trade-off of one entry and the objective: the points that no other beats in both.
+    """Pareto front of one entry and the objective.
 
     Parameters
     ----------
     over, unit : str
-        The entry, and what its values are in; "" for bare numbers.
+        Entry and unit of its values; "" for bare numbers.
     values, objectives : array (k,)
-        By rising value; objectives fall (rise, where they are maximised).
+        Increasing values with decreasing objectives (increasing, if maximised).
     knee : int or None
-        Where giving more of the one begins to bring little of the other; None below three points.
+        Index of the knee; None below three points.
     """
 
     over: str
@@ -64,13 +68,13 @@ class Front:
 
 @dataclass(frozen=True)
 class SweepSummary:
-    """A sweep with its results.
+    """Sweep with its results.
 
     Parameters
     ----------
     sweep : Sweep
     results : sequence of dict or None
-        Of the cases, in order.
+        Content of the cases' files, in order.
     interrupted : bool
     """
 
@@ -80,7 +84,7 @@ class SweepSummary:
 
     @cached_property
     def units(self) -> dict[str, str]:
-        """Names of the values and their units, as they first come up."""
+        """Names and units of the values, in order of first occurrence."""
         found: dict[str, str] = {}
         for each in self.results:
             for name, entry in (each or {"values": {}})["values"].items():
@@ -88,14 +92,14 @@ class SweepSummary:
         return found
 
     def columns(self) -> dict[str, list[Cell]]:
-        """The table: case, what varies, status and values (SI), one row a case that is done."""
+        """Table of finished cases: number, varied entries, status and values (SI)."""
         done = self.done
         bases = self.sweep.base_names
         table: dict[str, list[Cell]] = {"case": [case.number for case, _ in done]}
         if len(bases) > 1:
             table["base"] = [bases[case.base] for case, _ in done]
         for place in self.sweep.places:
-            table[place] = [cell(dict(case.changes)[place]) for case, _ in done]
+            table[place] = [table_cell(dict(case.changes)[place]) for case, _ in done]
         if self.sweep.starts > 1:
             table["start"] = [case.start for case, _ in done]
         table["status"] = [found["status"] for _, found in done]
@@ -106,12 +110,12 @@ class SweepSummary:
 
     @property
     def done(self) -> list[tuple[Case, dict[str, Any]]]:
-        """Cases with a result, and the result."""
+        """Finished cases with their results."""
         pairs = zip(self.sweep.cases, self.results, strict=True)
         return [(case, found) for case, found in pairs if found is not None]
 
     def statuses(self) -> dict[str, int]:
-        """Number of cases by status; "open" are those without a result."""
+        """Number of cases by status; "open" without a result."""
         found: dict[str, int] = {}
         for each in self.results:
             status = "open" if each is None else str(each["status"])
@@ -119,20 +123,20 @@ class SweepSummary:
         return found
 
     def spreads(self) -> dict[tuple[Cell, ...], StartSpread]:
-        """Spread of the optima of each case, where there are several starts."""
+        """Spread of the optima of each case over several starts."""
         if self.sweep.starts < 2:
             return {}
         bases = self.sweep.base_names
         groups: dict[tuple[Cell, ...], list[tuple[int, float | None]]] = {}
         for case, found in self.done:
-            name = (bases[case.base], *(cell(value) for _, value in case.changes))
-            groups.setdefault(name, []).append((case.start, objective(found)))
+            name = (bases[case.base], *(table_cell(value) for _, value in case.changes))
+            groups.setdefault(name, []).append((case.start, objective_value(found)))
         spreads = {}
         for name, own in groups.items():
             values = {start: value for start, value in own if value is not None}
             if not values:
                 continue
-            best = self._better(values, key=lambda start: values[start])
+            best = self._best_start(values, key=lambda start: values[start])
             spread = max(abs(value - values[best]) for value in values.values())
             near = [v for v in values.values() if abs(v - values[best]) <= 0.01 * abs(values[best])]
             worst = values[best] + (-spread if self.maximised else spread)
@@ -141,16 +145,16 @@ class SweepSummary:
             )
         return spreads
 
-    def _better(self, starts: dict[int, float], key: Any) -> int:
+    def _best_start(self, starts: dict[int, float], key: Any) -> int:
         return max(starts, key=key) if self.maximised else min(starts, key=key)
 
     @property
     def maximised(self) -> bool:
-        """Whether a larger objective is better."""
+        """True if a larger objective is better."""
         return any(found["maximised"] for _, found in self.done)
 
     def front(self) -> Front | None:
-        """The trade-off front, where the sweep asks for one."""
+        """Trade-off front, if the sweep has one."""
         if not self.sweep.front:
             return None
         sign = -1.0 if self.maximised else 1.0
@@ -158,7 +162,7 @@ class SweepSummary:
         points = sorted(
             (at, sign * value)
             for (at, _), (_, found) in zip(over, self.done, strict=True)
-            if (value := objective(found)) is not None
+            if (value := objective_value(found)) is not None
         )
         kept: list[tuple[float, float]] = []
         for value, cost in points:
@@ -196,7 +200,7 @@ class SweepSummary:
         }
 
 
-def objective(found: dict[str, Any]) -> float | None:
+def objective_value(found: dict[str, Any]) -> float | None:
     """Objective [SI] of a usable result."""
     if is_unusable(found):
         return None
@@ -204,17 +208,15 @@ def objective(found: dict[str, Any]) -> float | None:
     return None if value is None else float(value)
 
 
-def cell(value: Any) -> Cell:
-    """A varied value as a cell: numbers stay numbers."""
+def table_cell(value: Any) -> Cell:
+    """Convert a varied value to a cell; numbers stay numbers."""
     if isinstance(value, str) or (isinstance(value, int | float) and not isinstance(value, bool)):
         return value if isinstance(value, str) else float(value)
     return str(value)
 
 
 def knee(values: np.ndarray, costs: np.ndarray) -> int | None:
-    """Point of a falling curve that lies farthest below the line between its ends.
-
-    Both axes run from 0 to 1, so that units do not matter.
+    """Knee of a falling curve: point farthest below the line between its ends, axes scaled to 0..1.
 
     >>> knee(np.array([1.0, 2.0, 3.0, 4.0]), np.array([9.0, 2.0, 1.0, 0.0]))
     1
@@ -224,3 +226,37 @@ def knee(values: np.ndarray, costs: np.ndarray) -> int | None:
     x = (values - values[0]) / (values[-1] - values[0])
     y = (costs - costs[-1]) / (costs[0] - costs[-1])
     return int(np.argmax(1.0 - x - y))
+
+
+SUMMARY_FILE = "sweep.json"
+TABLE_FILE = "table.csv"
+PARQUET_FILE = "table.parquet"
+
+
+def write_sweep(summary: SweepSummary, directory: str | Path) -> Path:
+    """Write table and summary; return the table's path. Parquet only where pyarrow is installed."""
+    folder = Path(directory)
+    columns = summary.columns()
+    rows = zip(*columns.values(), strict=True)
+    write_csv(folder / TABLE_FILE, list(columns), rows)
+    try:
+        import pyarrow
+        from pyarrow import parquet
+    except ImportError:
+        pass
+    else:
+        # pyarrow needs one type per column: mixed columns become texts.
+        uniform = {
+            name: [None if c is None else str(c) for c in cells]
+            if any(isinstance(c, str) for c in cells)
+            else cells
+            for name, cells in columns.items()
+        }
+        stream = io.BytesIO()
+        parquet.write_table(pyarrow.table(uniform), stream)
+        atomic_write(folder / PARQUET_FILE, stream.getvalue())
+    text = json.dumps(
+        to_json_types(summary.document()), indent=1, ensure_ascii=False, allow_nan=False
+    )
+    atomic_write(folder / SUMMARY_FILE, text + "\n")
+    return folder / TABLE_FILE

@@ -1,6 +1,6 @@
-"""Who solves the cases: this process, processes of this machine, or a Dask cluster.
+"""Workers of a sweep: this process, processes of this machine, or a Dask cluster.
 
-All take a call and give a `concurrent.futures.Future`; `Workers.lost` is what tells of a death.
+All return a `concurrent.futures.Future` for a call, which raises `Workers.lost` if its worker dies.
 """
 
 from __future__ import annotations
@@ -17,24 +17,24 @@ Call = Callable[..., Any]
 
 
 class Workers(Protocol):
-    """Takes calls; `slots` is how many to give it at once."""
+    """Executor of calls."""
 
-    # What a future raises whose worker died.
+    # Exceptions of a future whose worker died.
     lost: tuple[type[BaseException], ...]
 
     @property
     def slots(self) -> int:
-        """How many calls keep it busy."""
+        """Number of simultaneous calls that keeps all workers busy."""
 
     def submit(self, function: Call, *arguments: Any) -> Future[Any]:
-        """Have a call made."""
+        """Queue a call."""
 
     def close(self, *, now: bool) -> None:
-        """Let the workers go; `now`: without waiting for what they do."""
+        """End the workers; `now`: without waiting for their calls."""
 
 
 class InProcess:
-    """Makes each call at once, here."""
+    """Worker that makes each call on submission in this process."""
 
     lost: tuple[type[BaseException], ...] = ()
     slots = 1
@@ -46,16 +46,16 @@ class InProcess:
         return future
 
     def close(self, *, now: bool) -> None:
-        """Nothing to let go."""
+        """Do nothing."""
 
 
 class Cluster:
-    """A Dask cluster; its scheduler gives a call whose worker died to another one.
+    """Dask cluster, whose scheduler repeats the calls of dead workers.
 
     Parameters
     ----------
     address : str
-        Of the scheduler. Its workers see the same files under the same paths.
+        Address of the scheduler, whose workers see the same files under the same paths.
 
     Raises
     ------
@@ -79,22 +79,22 @@ class Cluster:
 
     @property
     def slots(self) -> int:
-        """Twice the threads of all workers, so that none waits for the next call."""
+        """Twice the number of worker threads, so that none waits for the next call."""
         return max(2 * int(sum(self._client.nthreads().values())), 1)
 
     def submit(self, function: Call, *arguments: Any) -> Future[Any]:
-        """Have a call made."""
+        """Queue a call."""
         future: Future[Any] = self._executor.submit(function, *arguments)
         return future
 
     def close(self, *, now: bool) -> None:
-        """Let the cluster go; what it has not begun is dropped."""
+        """Disconnect from the cluster; pending calls are dropped."""
         self._executor.shutdown(wait=not now)
         self._client.close()
 
 
-def workers(count: int | None, scheduler: str | None) -> Workers:
-    """Workers as the command line asks for them: None counts the cores."""
+def make_workers(count: int | None, scheduler: str | None) -> Workers:
+    """Make the workers of the command line: one per core for `count` None, or a Dask cluster."""
     if scheduler is not None:
         return Cluster(scheduler)
     count = cores() if count is None else count

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import casadi as ca
 import numpy as np
 
-from stiffopt.symbolic import InPlace
+from stiffopt.symbolic import BufferedFunction
 from stiffopt.transcription.evaluated import point_function
 from stiffopt.transcription.node_derivatives import numbered
 
@@ -54,5 +54,5 @@ class PointFunction:
         # Columns of matrices are rows of arrays.
         filled = np.pad(variables.T, ((0, calls * lanes - count), (0, 0)), mode="edge")
         same = (np.tile(each, calls) for each in (parameters, self._numbers))
-        (values,) = InPlace(function.map(calls))(filled.ravel(), *same)
+        (values,) = BufferedFunction(function.map(calls))(filled.ravel(), *same)
         return np.asarray(values.reshape(len(filled), -1)[:count].T)

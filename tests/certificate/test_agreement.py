@@ -15,9 +15,9 @@ from small_arms import (
 )
 
 from stiffopt.certificate.agreement import find_disagreements
-from stiffopt.problem.belief import believed_of
 from stiffopt.problem.files import load_problem
-from stiffopt.problem.smoothing import Smoothing
+from stiffopt.problem.prediction import predict_motion
+from stiffopt.problem.stage_terms import Smoothing
 from stiffopt.result.trajectory import Trajectory
 
 
@@ -47,7 +47,7 @@ def test_smoothing_is_within_tolerance(rubbing):
     motion = swing(rubbing)
     assert np.min(motion(np.linspace(0.0, 0.5, 200), 1) * (rubbing.end.joints > 0)) < 0.0
     found = find_disagreements(
-        rubbing, motion, believed_of(rubbing, motion, Smoothing(0.25), elastic=True)
+        rubbing, motion, predict_motion(rubbing, motion, Smoothing(0.25), elastic=True)
     )
     assert {d.quantity for d in found if d.joint} == {"spring torque", "drive torque", "wind-up"}
     assert found[0].excess < 1.0
@@ -60,7 +60,7 @@ def test_smoothing_is_within_tolerance(rubbing):
 def test_wrong_numbers_are_detected(rubbing, name, quantity):
     motion = swing(rubbing)
     other = replace(rubbing.robot, **{name: getattr(rubbing.robot, name) + 0.01})
-    believed = believed_of(replace(rubbing, robot=other), motion, Smoothing(0.25), elastic=True)
+    believed = predict_motion(replace(rubbing, robot=other), motion, Smoothing(0.25), elastic=True)
     found = [d.quantity for d in find_disagreements(rubbing, motion, believed) if d.excess > 1.0]
     assert set(found) == {quantity}
 
@@ -70,7 +70,7 @@ def test_slipping_connection_is_a_disagreement(tmp_path):
     problem = on_one_element(load(tmp_path, "pendulum"), small_flange(200.0))
     motion = swing(problem)
     found = find_disagreements(
-        problem, motion, believed_of(problem, motion, Smoothing(0.25), elastic=True)
+        problem, motion, predict_motion(problem, motion, Smoothing(0.25), elastic=True)
     )
     wrong = {d.quantity for d in found if d.excess > 1.0}
     assert "wind-up" in wrong

@@ -1,4 +1,4 @@
-"""Exported motions read back by what reads them: the same motion, the same joints."""
+"""Exported motions, read back by their readers."""
 
 from __future__ import annotations
 
@@ -13,9 +13,8 @@ import pytest
 from synthetic_solution import assessment, solution
 
 from stiffopt.cli import run
-from stiffopt.export.format import FORMATS
+from stiffopt.export.format import FORMATS, read_seal
 from stiffopt.export.motion import read_motion
-from stiffopt.export.seal import read_seal
 from stiffopt.files import write_csv
 from stiffopt.problem.files import load_problem
 from stiffopt.result.provenance import inputs_hash
@@ -99,7 +98,7 @@ def folder(tmp_path):
     return tmp_path
 
 
-def test_sampled_between_rows_the_motion_is_the_same(folder):
+def test_resampled_motion_is_unchanged(folder):
     motion = read_motion(folder).sampled(777.0)
     position, velocity, acceleration = swing(motion.time)
     assert motion.time[-1] == DURATION
@@ -112,7 +111,7 @@ def test_sampled_between_rows_the_motion_is_the_same(folder):
     np.testing.assert_allclose(links.position, 0.99 * position, atol=1e-6)
 
 
-def test_motors_follow_the_command_where_there_is_one(folder):
+def test_export_uses_the_command_if_present(folder):
     names = [f"{quantity}{j}" for quantity in ("q", "qd", "qdd") for j in range(1, 7)]
     time = export_times(DURATION + 0.02)
     moved = swing(np.minimum(time, DURATION))
@@ -125,7 +124,7 @@ def test_motors_follow_the_command_where_there_is_one(folder):
     np.testing.assert_allclose(link.position[100], 0.99 * swing(link.time)[0][100], atol=1e-6)
 
 
-def test_whole_steps_hold_the_end(folder):
+def test_whole_steps_hold_the_end_position(folder):
     motion = read_motion(folder).sampled(250.0, whole_steps=True)
     np.testing.assert_allclose(np.diff(motion.time), 4e-3, rtol=1e-9)
     assert DURATION <= motion.time[-1] < DURATION + 4e-3
@@ -172,11 +171,11 @@ def test_ros2_is_a_message_of_rosbags_types(folder):
 
 
 def test_tiny_numbers_stay_numbers_in_yaml():
-    from stiffopt.export.formats.ros2 import _numbers
+    from stiffopt.export.formats.ros2 import _format_numbers
 
     yaml = pytest.importorskip("ruamel.yaml").YAML(typ="safe")
     values = [1e-05, -3e-17, 1.5e-08, 0.0, 12.0]
-    assert yaml.load(_numbers(values)) == values
+    assert yaml.load(_format_numbers(values)) == values
 
 
 def test_urscript_parsed_back_is_the_motion(folder):
@@ -199,7 +198,7 @@ def test_urscript_parsed_back_is_the_motion(folder):
     assert time[-1] == DURATION
 
 
-def test_krl_starts_where_the_corrections_count_from(folder):
+def test_krl_corrections_are_relative_to_the_start(folder):
     assert run(["export", str(folder), "--to", "krl-rsi", "--of", "link"]) == 0
     (source,) = folder.glob("*.src")
     program = source.read_text(encoding="ascii").splitlines()
@@ -240,7 +239,7 @@ def test_csv_has_the_joints_names(folder, tmp_path):
         (["--to", "abb"], "Allowed: csv, krl-rsi, mjcf, ros2, urdf, urscript"),
     ],
 )
-def test_beyond_a_format_is_refused(folder, arguments, words, capsys):
+def test_values_outside_a_format_are_refused(folder, arguments, words, capsys):
     assert run(["export", str(folder), *arguments]) == 2
     assert words in capsys.readouterr().err
 
@@ -253,32 +252,32 @@ def test_controllers_of_six_axes_refuse_other_arms(folder, name):
         FORMATS[name].export(other)
 
 
-def test_one_motion_of_motors_and_links_has_none_of_the_links_alone(folder):
+def test_link_export_without_planned_links_is_refused(folder):
     path = folder / "trajectory.csv"
     with path.open(newline="") as stream:
         rows = [row[:-6] for row in csv.reader(stream)]
     write_csv(path, rows[0], rows[1:])
     seal(folder)
-    with pytest.raises(ValueError, match="none of the links alone"):
+    with pytest.raises(ValueError, match="no separate link motion"):
         read_motion(folder, "link")
 
 
-def test_a_turn_too_far_is_refused_for_universal_robots(folder):
+def test_angles_beyond_two_pi_are_refused_for_universal_robots(folder):
     far = FAR * np.array([1, 1, 1, 1, 1, 1.1])
     write_stated(folder, far)
     write_motion(folder, far)
     seal(folder)
-    with pytest.raises(ValueError, match=r"joint 6 \(\w+\) goes to 6\.6 rad"):
+    with pytest.raises(ValueError, match=r"joint 6 \(\w+\) reaches 6\.6 rad"):
         FORMATS["urscript"].export(read_motion(folder))
 
 
-def test_a_motion_that_breaks_a_limit_is_not_exported(folder, capsys):
+def test_motion_beyond_a_limit_is_not_exported(folder, capsys):
     seal(folder, assessment=assessment(6, DURATION, excess=0.02))
     assert run(["export", str(folder), "--to", "csv"]) == 2
     assert "exceeds torque by 2.00%" in capsys.readouterr().err
 
 
-def test_results_that_name_no_joints_are_refused(folder, capsys):
+def test_results_without_joint_names_are_refused(folder, capsys):
     path = folder / "result.json"
     document = json.loads(path.read_text())
     del document["joints"]

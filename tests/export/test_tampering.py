@@ -1,4 +1,4 @@
-"""Motions that were changed after their solve, and exported files that were changed after that."""
+"""Motions changed after their solve, and exported files changed after their export."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import pytest
 from test_export import DURATION, FAR, seal, swing, write_motion, write_stated
 
 from stiffopt.cli import run
-from stiffopt.export.seal import read_seal, with_seal
+from stiffopt.export.format import read_seal, with_seal
 from stiffopt.result.store import export_times
 
 
@@ -86,17 +86,17 @@ TAMPERED = {
     "two joints' positions swapped": (swap_joints, "velocity of joint"),
     "velocities and accelerations swapped": (swap_rates, "velocity of joint"),
     "no number": (without_number, "needs a finite number"),
-    "two rows swapped": (shuffled, "must begin at 0 and increase"),
+    "two rows swapped": (shuffled, "must start at 0 and increase"),
     "content of two rows swapped": (shuffled_content, "velocity of joint"),
     "all signs turned": (other_sign, "exceeds end"),
     "a row twice": (lambda rows: np.repeat(rows, [1] * 9 + [2] + [1] * (len(rows) - 10), axis=0),
-                    "must begin at 0 and increase"),
+                    "must start at 0 and increase"),
 }  # fmt: skip
 
 
 @pytest.mark.parametrize("case", TAMPERED)
 @pytest.mark.parametrize("resealed", [False, True], ids=["as changed", "hash made to fit"])
-def test_a_changed_motion_does_not_leave(folder, case, resealed, capsys):
+def test_changed_motion_is_not_exported(folder, case, resealed, capsys):
     change, words = TAMPERED[case]
     write_motion(folder, change=change)
     if resealed:
@@ -117,14 +117,14 @@ def test_a_changed_motion_does_not_leave(folder, case, resealed, capsys):
         ({"end": [0.5, -1.0, 1.2, -2.0, 0.3, 6.1]}, "differs from the problem solved"),
     ],
 )
-def test_a_result_of_other_inputs_does_not_leave(folder, changes, words, capsys):
+def test_result_of_other_inputs_is_not_exported(folder, changes, words, capsys):
     write_stated(folder, **changes)
     assert run(["export", str(folder), "--to", "csv"]) == 2
     assert words in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("key", ["robot", "payload", "limits", "files", "all"])
-def test_a_result_with_an_edited_or_no_seal_does_not_leave(folder, key, capsys):
+def test_result_with_edited_or_missing_seal_is_not_exported(folder, key, capsys):
     path = folder / "result.json"
     document = json.loads(path.read_text())
     if key == "all":
@@ -136,7 +136,7 @@ def test_a_result_with_an_edited_or_no_seal_does_not_leave(folder, key, capsys):
     assert capsys.readouterr().err.count("\n") == 1
 
 
-def test_a_limit_that_the_samples_exceed_is_told(folder, capsys):
+def test_limit_exceeded_by_the_samples_is_reported(folder, capsys):
     fastest = np.max(np.abs(swing(export_times(DURATION))[1][:, 5]))
     write_stated(folder, velocity=0.9 * fastest)
     seal(folder)
@@ -164,10 +164,10 @@ def test_an_exported_file_is_checked(folder, to, capsys):
         for tampered, words in (
             (
                 text.replace(body[digit - 9 :], changed[digit - 9 :]),
-                "was changed since it was exported",
+                "was changed after its export",
             ),
             (text.replace("rate: ", "rate: 1"), ""),
-            (with_seal(changed, entries, file.name), "though its header says so"),
+            (with_seal(changed, entries, file.name), "although its header matches"),
             (body, "has no header"),
         ):
             assert tampered != text
@@ -176,7 +176,7 @@ def test_an_exported_file_is_checked(folder, to, capsys):
             assert words in capsys.readouterr().err
 
 
-def test_a_file_of_another_result_is_told(folder, tmp_path_factory, capsys):
+def test_file_of_another_result_is_refused(folder, tmp_path_factory, capsys):
     out = tmp_path_factory.mktemp("out")
     assert run(["export", str(folder), "--to", "csv", "--rate", "100", "--out", str(out)]) == 0
     other = tmp_path_factory.mktemp("other")
@@ -191,7 +191,7 @@ def test_a_file_of_another_result_is_told(folder, tmp_path_factory, capsys):
 
 
 @pytest.mark.parametrize("to", ["urscript", "krl-rsi"])
-def test_a_program_that_moves_to_its_start_takes_no_moving_start(folder, to, capsys):
+def test_program_with_an_approach_refuses_a_moving_start(folder, to, capsys):
     speed = FAR / DURATION
     path = write_stated(folder)
     moving = f"boundary_velocity = {{ start = {speed.tolist()}, end = {speed.tolist()} }}\n"
@@ -208,7 +208,7 @@ def test_a_program_that_moves_to_its_start_takes_no_moving_start(folder, to, cap
     seal(folder)
     assert run(["export", str(folder), "--to", to]) == 2
     assert "joint 1" in (said := capsys.readouterr().err)
-    assert "begins with a move to rest" in said
+    assert "starts with an approach to rest" in said
     assert run(["export", str(folder), "--to", "ros2"]) == 0
 
 
@@ -240,7 +240,7 @@ def fake_ros(published):
     return modules
 
 
-def test_the_script_publishes_the_file_and_no_other(folder, monkeypatch, capsys):
+def test_script_publishes_only_its_own_file(folder, monkeypatch, capsys):
     pytest.importorskip("yaml")
     assert run(["export", str(folder), "--to", "ros2"]) == 0
     script = folder / "publish_trajectory.py"

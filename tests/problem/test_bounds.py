@@ -1,4 +1,4 @@
-"""Objectives that no motion can improve are named with the value, before anything is solved."""
+"""Bounds of objectives, reported before a solve."""
 
 import re
 from dataclasses import replace
@@ -61,7 +61,7 @@ def test_stiffness_with_gravity_on_opposite_sides(tmp_path):
     assert number(message, "zero torque,") == pytest.approx(K1, rel=1e-3)
 
 
-def test_stiffness_of_a_vertical_axis_that_need_not_rest(tmp_path):
+def test_stiffness_bound_of_a_vertical_axis_without_rest_at_the_ends(tmp_path):
     goal = 'objective = "joint_stiffness"\njoints = [1]'
     free = 'boundary_acceleration = "free"'
     message = refusal(load(tmp_path, "spatial", minimise=goal, motion=free))
@@ -69,7 +69,7 @@ def test_stiffness_of_a_vertical_axis_that_need_not_rest(tmp_path):
     assert number(message, "zero torque,") == pytest.approx(K1, rel=1e-3)
 
 
-def test_stiffness_of_joints_that_keep_their_sign_is_no_bound(tmp_path):
+def test_stiffness_of_joints_that_keep_their_torque_sign_has_no_bound(tmp_path):
     goal = 'objective = "joint_stiffness"\njoints = [1, 2]'
     solution = solve(load(tmp_path, "planar", duration="1.5", minimise=goal))
     assert solution.status.usable
@@ -80,7 +80,7 @@ def test_stiffness_of_joints_that_keep_their_sign_is_no_bound(tmp_path):
     assert solution.objective.value > 1e3
 
 
-def test_stiffness_of_a_motion_too_quick_to_keep_its_sign(tmp_path):
+def test_stiffness_of_a_motion_too_fast_to_keep_the_torque_sign(tmp_path):
     """The rest poses allow more, but stopping in time reverses the torque of both joints."""
     goal = 'objective = "joint_stiffness"\njoints = [1]'
     solution = solve(load(tmp_path, "planar", duration="0.4", minimise=goal))
@@ -156,14 +156,14 @@ def test_free_duration_without_an_upper_bound(objective, tmp_path):
     assert "'duration'" in message
 
 
-def test_free_duration_with_a_price_has_an_optimum(tmp_path):
+def test_weighted_free_duration_has_an_optimum(tmp_path):
     goal = 'objective = "acceleration_squared"\nweight = 0.01\n---\nobjective = "duration"'
     solution = solve(load(tmp_path, "swivel", duration="{ lower = 0.2 }", minimise=goal))
     assert solution.status is SolveStatus.OPTIMAL
     assert 0.21 < solution.duration < 10.0
 
 
-def test_refused_on_the_command_line(tmp_path, capsys):
+def test_degenerate_objective_is_refused_on_the_command_line(tmp_path, capsys):
     path = write_problem(tmp_path, "pendulum", minimise='objective = "total_deflection"')
     out = tmp_path / "out"
     assert run(["solve", str(path), "--out", str(out), "--quiet"]) == 2
@@ -174,15 +174,15 @@ def test_refused_on_the_command_line(tmp_path, capsys):
 
 
 @pytest.mark.parametrize("torque", [3.0, 12.0, -30.0])
-def test_values_are_those_of_the_exact_law(torque, tmp_path):
+def test_bounds_equal_the_exact_law(torque, tmp_path):
     """The stiffness that a bound names is the slope of the three-line reducer."""
-    from stiffopt.problem.rest import stiffness_at
+    from stiffopt.problem.rest_poses import stiffness_at
 
     slope = K1 if abs(torque) < 7 else 1.2e4 if abs(torque) < 25 else 1.6e4
     assert stiffness_at(load(tmp_path, "pendulum"), 1, torque) == pytest.approx(slope, rel=1e-12)
 
 
-def test_stiffness_that_a_given_pose_pins_is_told_before_a_solve(tmp_path):
+def test_stiffness_bound_by_a_given_pose_is_reported_before_the_solve(tmp_path):
     """At rest both poses are on the reducer's first slope, and so is the whole slow motion."""
     goal = 'objective = "joint_stiffness"'
     start, end = "{ joints = [-1.0] }", "{ joints = [-0.9] }"
@@ -197,7 +197,7 @@ def test_stiffness_that_a_given_pose_pins_is_told_before_a_solve(tmp_path):
 
 
 @pytest.mark.parametrize("objective", ["dynamic_deflection", "tool_deviation", "shaped_deviation"])
-def test_a_tool_on_the_axis_of_all_that_yields(tmp_path, objective):
+def test_tool_on_the_axis_of_all_elastic_joints_is_refused(tmp_path, objective):
     minimise = f'objective = "{objective}"'
     problem = load(tmp_path, "swivel", minimise=minimise)
     robot = replace(problem.robot, tool=replace(problem.robot.tool, offset=np.zeros(3)))
@@ -216,13 +216,13 @@ def aside_between(tmp_path):
     return replace(problem, robot=robot, limits=Limits.of(robot), start=start, end=end)
 
 
-def test_a_tool_on_the_axis_at_both_ends_alone(aside_between):
+def test_tool_on_the_elastic_axis_only_at_both_ends_is_accepted(aside_between):
     motion = resolve(aside_between)
     assert not aside_between.robot.tool_yields(motion.points)
     assert check_bounds(aside_between, motion) == ()
 
 
-def test_a_path_on_which_nothing_yields_is_refused(aside_between):
+def test_path_without_tool_deflection_is_refused(aside_between):
     """Whatever other poses there are: the waist alone turns, with the arm straight up."""
     path = np.array([[turn, -np.pi / 2, 0.0] for turn in (0.0, 0.3, 0.6, 1.0)])
     start, end = Target(joints=path[0]), Target(joints=path[-1])
@@ -230,7 +230,7 @@ def test_a_path_on_which_nothing_yields_is_refused(aside_between):
     assert message.startswith("dynamic_deflection is zero")
 
 
-def test_a_motion_that_yields_on_its_way_is_simulated(aside_between, monkeypatch):
+def test_motion_with_deflection_between_the_ends_is_simulated(aside_between, monkeypatch):
     def met(*given):
         raise NotSimulatedError("as far as the arm.")
 

@@ -1,4 +1,4 @@
-"""Motors that lead their links by the wind-up: derivatives, export, and the arm that swings."""
+"""Feedforward lead of the motors: derivatives, export, back-off and elastic simulation."""
 
 from __future__ import annotations
 
@@ -18,9 +18,15 @@ from stiffopt.elastic.motor import MotorMotion
 from stiffopt.elastic.simulate import simulate
 from stiffopt.errors import InputError
 from stiffopt.problem.formulation import Scales, exact_path_rows, formulate
-from stiffopt.problem.motor_model import WIDER, MotorLaw, MotorModel, NearMotorModel, rounded_lag
+from stiffopt.problem.motor_model import (
+    LAW_SMOOTHING_FACTOR,
+    ApproximateMotorModel,
+    MotorLaw,
+    MotorModel,
+    round_lags,
+)
 from stiffopt.problem.resolve import resolve
-from stiffopt.problem.smoothing import Smoothing
+from stiffopt.problem.stage_terms import Smoothing
 from stiffopt.problem.trajectory import Method
 from stiffopt.result.store import export_times, write_trajectory
 from stiffopt.result.trajectory import Trajectory
@@ -65,12 +71,13 @@ def models(robot, force=(0.0, 0.0, 0.0)):
     symbols = [ca.SX.sym(f"d{k}", robot.n) for k in range(6)]
     given = (robot, symbols, SMOOTHING, np.zeros(robot.n), force)
     return [
-        ca.Function("law", symbols, rates(kind(*given))) for kind in (MotorModel, NearMotorModel)
+        ca.Function("law", symbols, rates(kind(*given)))
+        for kind in (MotorModel, ApproximateMotorModel)
     ]
 
 
 @pytest.mark.parametrize("force", [(0.0, 0.0, 0.0), (20.0, -10.0, -60.0)])
-def test_exact_derivatives_are_those_of_the_position(planar, link, force):
+def test_motor_derivatives_equal_differences_of_the_position(planar, link, force):
     law, near = models(planar.robot, force)
     step = 2e-5
     for t in np.linspace(0.1, 0.6, 7):
@@ -87,7 +94,7 @@ def test_exact_derivatives_are_those_of_the_position(planar, link, force):
         assert np.all(law(*leaving)[order].full() != 0.0)
 
 
-def test_rows_of_motors_are_nearly_right_where_the_stiffness_bends(planar, link):
+def test_approximate_motor_rows_are_close_to_exact_at_stiffness_kinks(planar, link):
     law, near = models(planar.robot)
     times = np.linspace(0.0, 0.7, 141)
     exact, seen = (
@@ -99,9 +106,9 @@ def test_rows_of_motors_are_nearly_right_where_the_stiffness_bends(planar, link)
     assert np.max(np.abs(seen - exact)) < 0.03 * np.max(np.abs(exact))
 
 
-def test_exported_motors_follow_the_law_between_samples(planar, link):
+def test_interpolated_motor_motion_follows_the_lead_law_between_samples(planar, link):
     robot = planar.robot
-    motors = MotorLaw(robot).motion(link, WIDER * SMOOTHING)
+    motors = MotorLaw(robot).motion(link, LAW_SMOOTHING_FACTOR * SMOOTHING)
     law, _ = models(robot)
     assert motors.link is link
     times = np.linspace(0.0, 0.7, 997)
@@ -115,7 +122,7 @@ def test_exported_motors_follow_the_law_between_samples(planar, link):
         assert motors(t, 1) == pytest.approx(0.0, abs=1e-9)
 
 
-def test_the_swinging_arm_does_what_is_predicted_and_rests(planar, link):
+def test_elastic_simulation_matches_the_prediction_and_has_no_residual_vibration(planar, link):
     motors = MotorLaw(planar.robot).motion(link, SMOOTHING)
     predicted = assess(planar, motors).deflection_summary()["dynamic"].peak
     arm = ElasticArm(planar.robot, motors(0.0))
@@ -127,9 +134,9 @@ def test_the_swinging_arm_does_what_is_predicted_and_rests(planar, link):
     assert rigid.peak_after > 3.0 * found.peak_after
 
 
-def test_motors_of_links_that_hang_leave_less_after_arrival(planar, link):
+def test_lead_at_the_sagged_links_reduces_residual_vibration(planar, link):
     law, arm = MotorLaw(planar.robot), ElasticArm(planar.robot, link(0.0))
-    lag = rounded_lag(arm.lag(link(link.duration)))
+    lag = round_lags(arm.lag(link(link.duration)))
     left = {}
     for sagged in (True, False):
         # Narrow corners: wide ones leave as much by themselves.
@@ -141,7 +148,7 @@ def test_motors_of_links_that_hang_leave_less_after_arrival(planar, link):
     assert left[True] < 0.2 * left[False]
 
 
-def test_motors_whose_windup_is_late_wait_for_it(planar):
+def test_motor_motion_is_extended_by_the_windup_lag(planar):
     # The fifth derivative is not zero at the ends: there the wind-up's third rate jumps.
     speed = 630.0 * Polynomial([0, 1]) ** 4 * Polynomial([1, -1]) ** 4
     second = speed.deriv().coef / 0.7 ** (2.0 + np.arange(8))
@@ -157,7 +164,7 @@ def test_motors_whose_windup_is_late_wait_for_it(planar):
     assert np.abs(arrived).max() < 1e-6 * np.abs(motors(lag[0], 3)[0])
 
 
-def test_the_command_makes_the_links_do_what_is_written(planar, link, tmp_path):
+def test_command_moves_the_links_along_the_written_plan(planar, link, tmp_path):
     motors = MotorLaw(planar.robot).motion(link, SMOOTHING)
     times = export_times(motors.duration)
     write_trajectory(assess(planar, motors, times=times), tmp_path)
@@ -176,7 +183,7 @@ def test_the_command_makes_the_links_do_what_is_written(planar, link, tmp_path):
     assert missed < 0.05 * plain
 
 
-def test_planned_for_the_links_nothing_rings(planar):
+def test_planned_links_have_no_residual_vibration(planar):
     solution = solve(planar, simulate=True)
     assert solution.status.usable
     assert solution.assessment.worst_violation.value <= 5e-3
@@ -188,7 +195,7 @@ def test_planned_for_the_links_nothing_rings(planar):
     assert swinging.peak_after < max(0.01 * solution.objective.value, 5e-6)
 
 
-def test_velocities_at_the_ends_are_kept(tmp_path):
+def test_boundary_velocities_are_kept(tmp_path):
     ends = "boundary_velocity = { start = [0.6, 0.4], end = [0.5, 0.3] }"
     solution = solve(load(tmp_path, minimise=GOAL, motion=ends))
     assert solution.status.usable
@@ -196,14 +203,14 @@ def test_velocities_at_the_ends_are_kept(tmp_path):
     assert solution.trajectory(solution.duration, 1) == pytest.approx([0.5, 0.3], abs=1e-2)
 
 
-def test_free_acceleration_at_the_ends_is_used(tmp_path, planar):
+def test_free_boundary_acceleration_is_used(tmp_path, planar):
     freed = solve(load(tmp_path, minimise=GOAL, motion='boundary_acceleration = "free"'))
     assert freed.status.usable
     assert np.max(np.abs(freed.trajectory(0.0, 2))) > 1.0
     assert freed.objective.value < solve(planar).objective.value
 
 
-def test_a_process_force_is_hung_from_where_it_holds_the_tool(tmp_path):
+def test_process_force_shifts_the_static_equilibrium(tmp_path):
     force = "[tool]\nprocess_force = [5.0, 2.0, -20.0]"
     problem = load(tmp_path, minimise=GOAL, extra=force)
     solution = solve(problem, simulate=True)
@@ -220,12 +227,12 @@ def test_a_process_force_is_hung_from_where_it_holds_the_tool(tmp_path):
         ({"method": 'transcription = "radau"'}, "piecewise_linear_acceleration"),
     ],
 )
-def test_what_cannot_be_planned_for_the_links_is_said(pieces, words, tmp_path):
+def test_link_planning_of_unsupported_problems_is_refused(pieces, words, tmp_path):
     with pytest.raises(InputError, match=words):
         solve(load(tmp_path, minimise=GOAL, **pieces))
 
 
-def test_what_is_minimised_where_nothing_is_said(planar):
+def test_default_objective(planar):
     plain = replace(planar, objectives=())
     assert [each.name for each in plain.objectives] == ["tool_deviation"]
     assert plain.chosen == "tool_deviation is minimised, by default."
@@ -239,7 +246,7 @@ def test_what_is_minimised_where_nothing_is_said(planar):
         replace(plain, robot=bare, objectives=())
 
 
-def test_bounds_are_drawn_in_about_what_exceeds_them(planar):
+def test_back_off_is_local_to_violations(planar):
     motion = resolve(planar)
     ocp = formulate(planar, motion, Scales())
     transcription = transcribe(ocp, mesh=uniform_mesh(8))
@@ -261,7 +268,7 @@ def test_bounds_are_drawn_in_about_what_exceeds_them(planar):
     assert np.all(np.nan_to_num(nlp.upper_g - further.upper_g) >= 0.0)
 
 
-def test_only_bounds_that_were_drawn_in_before_go_as_far_again(monkeypatch):
+def test_repeated_back_off_applies_only_to_rows_backed_off_before(monkeypatch):
     monkeypatch.setattr(between, "replace", lambda nlp, **bounds: SimpleNamespace(**bounds))
     index = np.arange(3)[:, None]
     near = np.array([[0.02], [0.02], [0.0]])
@@ -276,7 +283,7 @@ def test_only_bounds_that_were_drawn_in_before_go_as_far_again(monkeypatch):
     assert np.array_equal(found.lower_g, before.lower_g)
 
 
-def test_rows_drawn_in_from_both_sides_do_not_pass_themselves(monkeypatch):
+def test_back_off_from_both_sides_keeps_rows_feasible(monkeypatch):
     monkeypatch.setattr(between, "replace", lambda nlp, **bounds: SimpleNamespace(**bounds))
     index, near = np.arange(2)[:, None], np.array([[0.7], [0.2]])
     block = SimpleNamespace(rows=SimpleNamespace(name="peak"))
@@ -286,7 +293,7 @@ def test_rows_drawn_in_from_both_sides_do_not_pass_themselves(monkeypatch):
     assert found.upper_g == pytest.approx([0.5, 0.3])
 
 
-def test_what_motors_do_in_truth_draws_rows_in_where_they_do_it(planar):
+def test_exact_motor_rows_determine_the_back_off(planar):
     motion = resolve(planar)
     transcription = transcribe(formulate(planar, motion, Scales()), mesh=uniform_mesh(8))
     x = transcription.pack(initial_guess(planar, motion, baselines(planar, motion)))
@@ -311,7 +318,7 @@ def test_what_motors_do_in_truth_draws_rows_in_where_they_do_it(planar):
         assert np.all(np.sort(late)[changed[:, 1]] > 0.7 * duration)
 
 
-def test_wide_corners_are_the_motors_alone(planar):
+def test_wide_smoothing_applies_to_the_lead_law_only(planar):
     problem = replace(planar, limits=replace(planar.limits, dynamic_deflection=1e-3))
     motion, random = resolve(problem), np.random.default_rng(3)
     rows = exact_path_rows(problem, motion, Scales())

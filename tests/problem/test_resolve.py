@@ -1,4 +1,4 @@
-"""Poses that a motion passes, where the file leaves joints to be found."""
+"""Inverse kinematics of given poses."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from stiffopt import Target
 from stiffopt.problem.resolve import resolve
 
 
-def test_a_place_is_found_for_joints_without_limits(tmp_path):
+def test_pose_is_found_for_joints_without_limits(tmp_path):
     """Whose middle is none: warnings are errors here."""
     problem = load(tmp_path)
     lower, upper = np.array([-np.inf, -np.inf]), np.array([np.inf, 2.0])

@@ -1,4 +1,4 @@
-"""Durations that no motion can undercut: joint by joint, with turns at vias, and of the tool."""
+"""Lower bounds of the duration from joint limits, reversals at vias and tool speed."""
 
 import dataclasses
 
@@ -41,7 +41,7 @@ def by_switching(way, velocity, acceleration, jerk):
 
 @pytest.mark.parametrize("way", [0.01, 0.3, 1.0, 5.0])
 @pytest.mark.parametrize("limits", [(2.0, 4.0, 30.0), (1.0, 20.0, 50.0), (9.0, 2.0, 400.0)])
-def test_one_joint_from_rest_to_rest(way, limits):
+def test_shortest_time_of_one_joint_from_rest_to_rest(way, limits):
     assert rest_to_rest(way, *limits) == pytest.approx(by_switching(way, *limits), rel=1e-9)
 
 
@@ -69,7 +69,7 @@ def test_jerk_counts_where_the_motion_starts_without_acceleration(tmp_path):
     assert solution.solver.iterations == 0
 
 
-def test_a_turn_at_a_via_takes_its_time(tmp_path):
+def test_reversal_at_a_via_lengthens_the_shortest_duration(tmp_path):
     problem = limited(tmp_path, jerk=np.full(2, np.inf))
     start, end = problem.start.joints, problem.end.joints
     beyond = end + 1.5 * np.sign(end - start)
@@ -79,7 +79,7 @@ def test_a_turn_at_a_via_takes_its_time(tmp_path):
     assert of(back)[0] > 1.5 * of(problem)[0]
 
 
-def test_the_tool_has_a_speed_limit(tmp_path):
+def test_tool_speed_limit_bounds_the_duration(tmp_path):
     problem = limited(tmp_path, tool_speed=0.05)
     needed, why = of(problem)
     bodies = problem.robot.rigid_bodies()

@@ -1,4 +1,4 @@
-"""The optimiser's smooth model of one instant against the certificate and pinocchio."""
+"""Smooth stage model against the certificate and pinocchio."""
 
 import casadi as ca
 import numpy as np
@@ -82,7 +82,7 @@ def test_compliance_within_a_percent_away_from_jumps(er3a):
                 assert compliance[j, 0] == pytest.approx(exact[j], rel=1e-2)
 
 
-def test_a_robot_without_drivetrain_cannot_be_asked_for_its_stiffness(tmp_path):
+def test_stiffness_of_a_robot_without_drivetrain_is_refused(tmp_path):
     from small_arms import joint, write_problem, write_robot
 
     from stiffopt import solve

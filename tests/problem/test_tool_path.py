@@ -1,4 +1,4 @@
-"""Tool paths of lines and arcs: geometry, joints that follow it, speed held where it can be."""
+"""Tool paths of lines and arcs: geometry, joint spline, tool speed."""
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ ORIGIN, X, Y = np.zeros(3), np.array([1.0, 0, 0]), np.array([0, 1.0, 0])
 FRAME = np.eye(3)
 
 
-def test_a_line_is_a_line():
+def test_line_segment_is_straight():
     path = ToolPath(
         ORIGIN, FRAME, [ToolSegment(end=2 * X, rotation=rotation_from_rpy([0, 0, 1.0]))]
     )
@@ -26,7 +26,7 @@ def test_a_line_is_a_line():
 
 
 @pytest.mark.parametrize(("side", "angle"), [(1.0, 0.5), (-1.0, 1.5)])
-def test_an_arc_goes_through_its_point(side, angle):
+def test_arc_passes_its_intermediate_point(side, angle):
     """A quarter or three quarters of a circle about (1, 0) from the origin to (1, 1)."""
     through = X + side * np.array([-np.sqrt(0.5), np.sqrt(0.5), 0])
     path = ToolPath(ORIGIN, FRAME, [ToolSegment(end=X + Y, through=through)])
@@ -66,12 +66,12 @@ def test_tangential_segments_need_no_blend():
         (ToolSegment(end=X, through=0.5 * X), "lie on a line"),
     ],
 )
-def test_segments_that_cannot_be(segment, words):
+def test_invalid_segments_are_refused(segment, words):
     with pytest.raises(ProblemError, match=words):
         ToolPath(ORIGIN, FRAME, [segment])
 
 
-def test_joints_follow_within_the_tolerance():
+def test_joint_spline_follows_the_path_within_the_tolerance():
     arm = load_robot("er3a_c60")
     down = rotation_from_rpy([np.pi, 0, 0])
     start, middle = np.array([0.35, -0.15, 0.25]), np.array([0.35, 0.0, 0.25])
@@ -140,7 +140,7 @@ def write(tmp_path, text=PROBLEM):
 
 
 @pytest.mark.slow
-def test_the_tool_keeps_its_speed_between_the_ends(tmp_path):
+def test_tool_speed_is_constant_between_the_ends(tmp_path):
     from stiffopt import solve
 
     solution = solve(write(tmp_path))
@@ -172,13 +172,13 @@ def test_a_path_is_read_as_waypoints_and_a_speed(tmp_path):
         ('speed = "0.2 m/s"', 'speed = "0 m/s"', "speed"),
     ],
 )
-def test_paths_that_cannot_be_are_refused(tmp_path, old, new, words):
+def test_invalid_paths_are_refused(tmp_path, old, new, words):
     text = PROBLEM.replace(old, new, 1)
     with pytest.raises(InputError, match=words):
         write(tmp_path, text)
 
 
-def test_a_motion_to_nowhere_is_refused(tmp_path):
+def test_motion_without_end_is_refused(tmp_path):
     write_robot(tmp_path)
     path = tmp_path / "problem.toml"
     path.write_text(

@@ -21,7 +21,7 @@ def test_two_waypoints_are_joined_by_a_straight_line() -> None:
 
 
 @pytest.mark.parametrize("spacing", ["uniform", "chord"])
-def test_more_waypoints_by_the_not_a_knot_spline(spacing: str) -> None:
+def test_more_waypoints_are_joined_by_the_not_a_knot_spline(spacing: str) -> None:
     path = JointPath.through(POINTS, spacing)
     assert path(path.knots) == pytest.approx(POINTS, abs=1e-14)
     spline = CubicSpline(path.knots, POINTS, bc_type="not-a-knot")
@@ -38,7 +38,9 @@ def test_more_waypoints_by_the_not_a_knot_spline(spacing: str) -> None:
         ([[1.0]], "at least two waypoints, start and end included, each different"),
     ],
 )
-def test_a_path_that_stands_still_is_told_where(points: list[list[float]], said: str) -> None:
+def test_path_with_equal_waypoints_is_refused_with_their_number(
+    points: list[list[float]], said: str
+) -> None:
     with pytest.raises(ProblemError, match=said):
         JointPath.through(points)
 
@@ -56,7 +58,7 @@ def test_chord_spacing_follows_the_distances() -> None:
         Trajectory.from_acceleration([0.0, 0.5, 1.0], [[[4.0]], [[-4.0]]], [0.0], [0.0]),
     ],
 )
-def test_following_is_exact(law: Trajectory) -> None:
+def test_composed_motion_is_exact(law: Trajectory) -> None:
     path = JointPath.through(POINTS, "chord")
     motion = path.follow(law)
     t = np.linspace(0.0, law.duration, 997)
@@ -81,6 +83,6 @@ def test_quintic_rests_at_both_ends_with_its_known_peaks() -> None:
     assert np.max(np.abs(motion(t, 2)), axis=0) == pytest.approx(peak, rel=1e-7)
 
 
-def test_unknown_spacing() -> None:
+def test_unknown_spacing_is_refused() -> None:
     with pytest.raises(ProblemError, match="Allowed: chord, uniform"):
         JointPath.through(POINTS, "arc")

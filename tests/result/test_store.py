@@ -87,7 +87,7 @@ def test_numbers_keep_their_full_precision(tmp_path):
     assert document["ratio_to_better_baseline"] == value
 
 
-def test_what_is_not_finite_becomes_null(tmp_path):
+def test_values_that_are_not_finite_become_null(tmp_path):
     motion = replace(
         assessment(),
         lowest_stiffness=(LowestStiffness(np.inf, 1, 0.0), LowestStiffness(np.nan, 2, 0.0)),
@@ -113,7 +113,7 @@ def test_a_result_without_a_motion_is_written(tmp_path):
     assert set(SHAPE) <= set(document)
 
 
-def test_document_of_a_solution_needs_no_conversion():
+def test_document_of_a_solution_is_plain_data():
     text = json.dumps(result_document(solution()), allow_nan=False)
     assert json.loads(text) == result_document(solution())
 
@@ -154,7 +154,7 @@ def test_trajectory_has_the_columns_in_order_and_exact_values(tmp_path):
 
 
 @pytest.mark.parametrize("write", [write_result, write_trajectory])
-def test_nothing_is_left_behind_when_writing_fails(tmp_path, monkeypatch, write):
+def test_failed_write_leaves_no_file(tmp_path, monkeypatch, write):
     def fail(*_):
         raise OSError(28, "No space left on device")
 

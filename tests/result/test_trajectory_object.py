@@ -19,7 +19,7 @@ def random_trajectory(seed: int, degree: int = 2, joints: int = 3) -> Trajectory
     return Trajectory.from_acceleration(times, coefficients, rng.normal(size=joints), [1, -2, 0])
 
 
-def test_constant_acceleration_is_the_fall_of_a_stone() -> None:
+def test_constant_acceleration_gives_a_parabola() -> None:
     fall = Trajectory.from_acceleration([0.0, 1.0, 3.0], [[[-9.81]], [[-9.81]]], [2.0], [4.0])
     t = np.linspace(0, 3, 31)
     assert fall(t)[:, 0] == pytest.approx(2 + 4 * t - 9.81 / 2 * t**2, rel=1e-13)
@@ -62,7 +62,7 @@ def test_linear_acceleration_passes_its_nodes() -> None:
     assert motion(1.0, 1) == pytest.approx(np.array([2, 3]) + gain.sum(axis=0), rel=1e-14)
 
 
-def test_slowing_down_keeps_the_path_and_scales_the_rates() -> None:
+def test_scaled_duration_keeps_the_path_and_scales_the_rates() -> None:
     motion = random_trajectory(5)
     slow = motion.scaled_to(2.5 * motion.duration)
     x = np.linspace(0, 1, 101)[:-1]
@@ -83,7 +83,7 @@ def test_single_times_and_shapes() -> None:
     assert motion(motion.duration, 3) == pytest.approx(motion(motion.duration - 1e-9, 3), rel=1e-6)
 
 
-def test_samples_end_at_the_end() -> None:
+def test_samples_include_the_end() -> None:
     motion = Trajectory.from_acceleration([0.0, 1.0], [[[1.0]]], [0.0], [0.0])
     assert motion.sample(0.25) == pytest.approx([0, 0.25, 0.5, 0.75, 1.0], abs=1e-15)
     assert motion.sample(0.3) == pytest.approx([0, 0.3, 0.6, 0.9, 1.0], abs=1e-15)
@@ -95,7 +95,7 @@ def test_samples_end_at_the_end() -> None:
 
 
 @pytest.mark.parametrize("time", [-0.1, 1.1, np.nan])
-def test_no_answer_outside(time: float) -> None:
+def test_times_outside_are_refused(time: float) -> None:
     motion = Trajectory.from_acceleration([0.0, 1.0], [[[1.0]]], [0.0], [0.0])
     with pytest.raises(OutOfValidityError, match="validity range 0 to 1"):
         motion(time)
@@ -104,24 +104,26 @@ def test_no_answer_outside(time: float) -> None:
 @pytest.mark.parametrize(
     ("times", "coefficients", "message"),
     [
-        ([0.1, 1.0], [[[1.0]]], "begin at 0"),
+        ([0.1, 1.0], [[[1.0]]], "start at 0"),
         ([0.0, 1.0, 1.0], [[[1.0]], [[1.0]]], "increase strictly"),
         ([0.0, 1.0], [[[1.0]], [[1.0]]], "shape"),
         ([0.0, 1.0], [[[np.nan]]], "not finite"),
     ],
 )
-def test_nonsense_is_refused(times: object, coefficients: object, message: str) -> None:
+def test_invalid_coefficients_are_refused(
+    times: object, coefficients: object, message: str
+) -> None:
     with pytest.raises(ProblemError, match=message):
         Trajectory.from_acceleration(times, coefficients, [0.0], [0.0])
 
 
-def test_it_cannot_be_changed_afterwards() -> None:
+def test_trajectory_is_immutable() -> None:
     motion = random_trajectory(1)
     with pytest.raises(ValueError, match="read-only"):
         motion.times[0] = 1.0
 
 
-def test_it_stays_light() -> None:
+def test_import_of_trajectory_is_light() -> None:
     code = (
         "import sys, stiffopt.result.trajectory;"
         "print([m for m in ('scipy', 'casadi', 'pinocchio', 'toppra') if m in sys.modules])"
@@ -130,7 +132,7 @@ def test_it_stays_light() -> None:
     assert done.stdout.strip() == "[]"
 
 
-def test_a_change_on_top_is_exact_where_breaks_are_microseconds_apart():
+def test_sum_is_exact_for_breaks_microseconds_apart():
     rng = np.random.default_rng(2)
     own, other = np.array([0.0, 0.4, 0.4 + 5e-6, 1.0]), np.array([0.0, 0.4 + 2e-6, 0.7, 1.0])
     motion = Trajectory(own, rng.normal(size=(3, 6, 2)), np.ones(2), np.ones(2))
@@ -146,7 +148,7 @@ def test_a_change_on_top_is_exact_where_breaks_are_microseconds_apart():
     np.testing.assert_allclose(again(times, 3), both(times, 3), rtol=1e-9, atol=1e-9)
 
 
-def test_rounding_of_positions_is_no_jerk_over_short_steps():
+def test_short_steps_do_not_turn_rounding_into_jerk():
     times = np.array([0.0, 1e-3, 1e-3 + 5e-6, 2e-3])
     # Far from zero, as joints are.
     sine = [2.0 + np.sin(times), np.cos(times), -np.sin(times), -np.cos(times)]
@@ -157,7 +159,7 @@ def test_rounding_of_positions_is_no_jerk_over_short_steps():
     assert motion(dense, 3)[:, 0] == pytest.approx(-np.cos(dense), abs=1e-3)
 
 
-def test_a_rate_that_jumps_at_a_sample_jumps_there_alone():
+def test_jump_at_a_sample_stays_local():
     times = np.array([0.0, 1e-2, 2e-2])
     # At rest, then with a constant jerk.
     later = times - 1e-2

@@ -16,13 +16,13 @@ from stiffopt.elastic.modes import modes
 from stiffopt.elastic.motor import MotorMotion
 from stiffopt.elastic.simulate import simulate
 from stiffopt.errors import InputError
-from stiffopt.problem.arrival import Arrival
+from stiffopt.problem.arrival_modes import ArrivalModes
 from stiffopt.problem.files import load_problem
 from stiffopt.problem.formulation import Scales
 from stiffopt.problem.limit import LIMITS
 from stiffopt.problem.objective import OBJECTIVES
 from stiffopt.problem.resolve import resolve
-from stiffopt.problem.smoothing import Smoothing
+from stiffopt.problem.stage_terms import Smoothing
 from stiffopt.report.solve.wording import objective_phrase
 from stiffopt.result.store import result_document
 from stiffopt.solver import refinement
@@ -99,7 +99,7 @@ def test_smaller_residual_vibration_limit_takes_longer(shortest):
     assert took["any"] < took["residual"] < took["little"]
     assert took["any"] < took["settling"] < took["little"]
     _, free = shortest["any"]
-    assert free.assessment.swing is None
+    assert free.assessment.simulated is None
     assert free.simulation.optimised.simulated.peak_after > 3e-4
 
 
@@ -154,7 +154,7 @@ def test_residual_vibration_is_that_of_the_modes(shortest):
     rate = 2.0 * np.pi * mode.frequency
     away = link(end)[0] - solution.assessment.position[-1]
     size = 0.4 * float(np.hypot(away, link(end, 1)[0] / rate)[0])
-    found = solution.assessment.swing.peak_after
+    found = solution.assessment.simulated.peak_after
     assert found == pytest.approx(size, rel=0.1, abs=5e-6)
     assert solution.compensation is None
     assert any("the plan has residual vibration" in note for note in solution.notes)
@@ -163,7 +163,7 @@ def test_residual_vibration_is_that_of_the_modes(shortest):
 def test_residual_vibration_row_is_smooth():
     """One row bounds the sum of the amplitudes, smooth where single modes are at rest."""
     size = ca.SX.sym("size", 3)
-    arrival = Arrival(tuple(size[k] ** 2 for k in range(3)), np.array([1.0, 2.0, 3.0]))
+    arrival = ArrivalModes(tuple(size[k] ** 2 for k in range(3)), np.array([1.0, 2.0, 3.0]))
     allowed, after = 1e-4, 0.1
     row = arrival.row("residual_vibration", allowed, after)
     value = ca.Function("value", [size], [row.expressions[0]])
@@ -182,7 +182,7 @@ def test_residual_vibration_row_is_smooth():
     one = np.array([allowed, 0.0, 0.0])
     # A mode that rests has no corner: the row bends as far as it is from the other's size.
     assert float(np.abs(bend(one)).max()) * allowed**2 < 10.0
-    alone = Arrival((size[0] ** 2,), np.zeros(1)).row("residual_vibration", allowed, 0.0)
+    alone = ArrivalModes((size[0] ** 2,), np.zeros(1)).row("residual_vibration", allowed, 0.0)
     single = ca.Function("single", [size], [alone.expressions[0]])
     assert float(single(one)) == pytest.approx(1.0, rel=1e-2)
 

@@ -117,8 +117,8 @@ def test_check_mode_does_not_avoid_collisions(tmp_path):
 @pytest.mark.parametrize(
     ("pieces", "words"),
     [
-        ({"start": "{ joints = [0.0, 0.1] }"}, r"motion.start: base is 90.0 mm deep in hand there"),
-        ({"end": "{ joints = [0.0, 0.195] }"}, r"motion.end: .* nearer than cell.clearance, 10.0"),
+        ({"start": "{ joints = [0.0, 0.1] }"}, r"start: base is 90.0 mm deep in hand at this pose"),
+        ({"end": "{ joints = [0.0, 0.195] }"}, r"motion.end: .* below cell.clearance of 10.0"),
         ({"motion": "via = [{ joints = [0.0, 0.1] }]"}, r"motion.via\[1\]: base is"),
         ({"cell": WALLS, "end": "{ joints = [0.2, 0.3] }"}, "correct the place of wall"),
     ],
@@ -262,7 +262,7 @@ def test_a_pose_too_near_is_refused_after_a_warm_start_as_well(tmp_path):
     _, warm = family.solve(gantry_problem(tmp_path, end="{ joints = [0.0, 0.3] }", **above))
     assert warm is not None
     near = gantry_problem(tmp_path, end=f"{{ joints = [0.0, {TOP - 3e-5}] }}", **above)
-    with pytest.raises(ProblemError, match=r"motion.end: .* nearer than cell.clearance"):
+    with pytest.raises(ProblemError, match=r"motion.end: .* below cell.clearance"):
         family.solve(near, warm)
 
 

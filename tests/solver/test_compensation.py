@@ -19,7 +19,7 @@ from stiffopt.report.solve.compensation import (
     compensation_table,
     compensation_text,
 )
-from stiffopt.result.compensation_store import compensation_document, write_command
+from stiffopt.result.compensation import compensation_document, write_command
 from stiffopt.result.joint_path import JointPath
 from stiffopt.solver import command_search
 from stiffopt.solver.compensation import compensate, compensate_motion

@@ -12,7 +12,7 @@ from stiffopt import native, solve
 from stiffopt.problem.files import load_problem
 from stiffopt.problem.formulation import Scales, formulate
 from stiffopt.problem.resolve import resolve
-from stiffopt.problem.smoothing import Smoothing
+from stiffopt.problem.stage_terms import Smoothing
 from stiffopt.solver.family import ProblemFamily, WarmStart
 from stiffopt.transcription import build
 from stiffopt.transcription.mesh import uniform_mesh

@@ -9,7 +9,7 @@ from stiffopt.certificate.objective_value import objective_value
 from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
 from stiffopt.problem.files import load_problem
 from stiffopt.problem.objective import Objective
-from stiffopt.problem.smoothing import Smoothing
+from stiffopt.problem.stage_terms import Smoothing
 from stiffopt.result.status import SolveStatus
 from stiffopt.solver import refinement
 from stiffopt.solver.solve import solve, solve_with_state
@@ -123,13 +123,13 @@ def test_smoothing_widens_before_correcting_a_spike(tmp_path, monkeypatch, exces
     tried = []
 
     def never_solved(run, made, raw, nlp, smoothing):
-        tried.append(smoothing.corners)
+        tried.append(smoothing.lead)
         return replace(raw, status="iteration_limit")
 
     monkeypatch.setattr(refinement, "_excess_by_limit", lambda _: {"jerk": excess})
     monkeypatch.setattr(refinement, "solve_correction", never_solved)
     refinement._back_off_rows(run, outcome, outcome.transcription.nlp)
-    before = outcome.smoothing.corners
+    before = outcome.smoothing.lead
     assert len(tried) == 1
     assert (tried[0] > 1.3 * before) == wider
 

@@ -74,9 +74,9 @@ def test_the_command_deviates_less_on_the_worst_arm(unsure, solved):
 
 def test_only_given_uncertainty_counts_as_stated(problem, unsure, tmp_path):
     assert not problem.uncertainty.stated
-    assert not problem.chosen_for_other_arms
+    assert not problem.chosen_for_robustness
     assert unsure.uncertainty.stated
-    assert unsure.chosen_for_other_arms
+    assert unsure.chosen_for_robustness
     said = load(tmp_path, minimise=DEVIATION, extra="[uncertainty]\nstiffness = 0.2")
     assert said.uncertainty.stated
     assert said.uncertainty != AssumedUncertainty()
@@ -90,7 +90,7 @@ def test_robust_plan_needs_single_deviation_and_fixed_duration(unsure):
         {"objectives": (Objective(name="shaped_deviation"),)},
         {"objectives": (Objective(name="dynamic_deflection"),)},
     ):
-        assert not replace(unsure, **changes).chosen_for_other_arms
+        assert not replace(unsure, **changes).chosen_for_robustness
 
 
 def test_too_costly_motion_is_rejected(unsure, monkeypatch):

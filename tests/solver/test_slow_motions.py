@@ -34,9 +34,9 @@ def test_fast_motions_are_scaled_by_the_limits():
 
 def test_sufficient_objective_value():
     moving = OBJECTIVES["tool_deviation"]
-    assert moving.enough(1e-3) == 5e-6
-    assert moving.enough(9e-6) == pytest.approx(3e-6)
-    assert OBJECTIVES["total_deflection"].enough(1e-3) == 0.0
+    assert moving.target_value(1e-3) == 5e-6
+    assert moving.target_value(9e-6) == pytest.approx(3e-6)
+    assert OBJECTIVES["total_deflection"].target_value(1e-3) == 0.0
 
 
 @pytest.mark.slow

@@ -237,7 +237,7 @@ def test_a_process_force_loads_the_springs(tmp_path):
 
 
 def _jacobians(problem, positions):
-    from stiffopt.problem.rest import tool_jacobian
+    from stiffopt.problem.rest_poses import tool_jacobian
 
     return np.stack([tool_jacobian(problem, q) for q in positions])
 

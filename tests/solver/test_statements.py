@@ -178,7 +178,7 @@ def test_robot_jerk_limit_is_ignored_on_fixed_path(tmp_path):
     own = replace(problem, robot=robot, limits=None, path=path)
     solution = solve(own, simulate=False)
     assert solution.status is SolveStatus.OPTIMAL
-    assert any("own jerk limit is not kept" in note for note in solution.notes)
+    assert any("own jerk limit is dropped" in note for note in solution.notes)
     # And is not said to be.
     assert "as far as position, velocity, acceleration, torque and" in solution.message
     kept = solve(replace(problem, robot=robot, limits=None), simulate=False)

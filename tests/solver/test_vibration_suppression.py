@@ -41,7 +41,7 @@ def solved(request, tmp_path_factory):
         plain.setattr(refinement, "_MAX_PLAN_DEVIATION", np.inf)
         plain.setattr(refinement, "suppress_vibration", vibration_suppression.suppress_vibration)
         after, _ = solve_with_state(problem)
-    assert outcome.smoothing.corners > 1.0
+    assert outcome.smoothing.lead > 1.0
     return problem, before, after
 
 
@@ -104,7 +104,7 @@ def test_vibration_is_suppressed_with_constant_springs(tmp_path, monkeypatch):
     after, (_, outcome) = solve_with_state(problem)
     monkeypatch.setattr(refinement, "suppress_vibration", refused)
     before, _ = solve_with_state(problem)
-    assert outcome.smoothing.corners == 1.0
+    assert outcome.smoothing.lead == 1.0
     assert after.assessment.feasible(CERTIFICATE_TOLERANCE)
     plain, found = swing(problem, before), swing(problem, after)
     assert plain.peak_after > 5e-5

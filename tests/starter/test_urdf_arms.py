@@ -16,8 +16,8 @@ from stiffopt.cli import run
 from stiffopt.elastic.arm import ElasticArm
 from stiffopt.elastic.modes import modes
 from stiffopt.errors import InputError, NotSimulatedError, RobotError
-from stiffopt.problem.clear_poses import check_clear_poses
 from stiffopt.problem.files import load_problem
+from stiffopt.problem.input_checks import check_clear_poses
 from stiffopt.problem.resolve import resolve
 from stiffopt.robot.cell import Cell
 from stiffopt.robot.clearance import ClearanceModel

@@ -1,4 +1,4 @@
-"""What a sweep file says: its cases, their names, and what is refused."""
+"""Sweep files: cases, keys and refusals."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,7 @@ from small_arms import CONSTANT, ROOT, joint, write_problem, write_robot
 
 from stiffopt.errors import InputFileError
 from stiffopt.sweep.cases import latin_hypercube, load_sweep
-from stiffopt.sweep.order import ordered, predecessors
+from stiffopt.sweep.run import predecessors, spread_order
 from stiffopt.sweep.solve_case import solve_case
 
 BASE = ROOT / "problems" / "two_link.toml"
@@ -22,7 +22,7 @@ def changes(sweep):
     return [dict(case.changes) for case in sweep.cases]
 
 
-def test_a_grid_is_every_combination_and_lists_go_together(tmp_path):
+def test_grids_are_combined_and_lists_vary_together(tmp_path):
     text = """
 [grid]
 "motion.duration" = ["1 s", "2 s"]
@@ -69,7 +69,7 @@ def test_a_latin_hypercube_is_that_of_scipy(count, ranges, seed):
     np.testing.assert_array_equal(latin_hypercube(count, ranges, seed), known)
 
 
-def test_a_case_is_named_by_all_that_its_result_depends_on(tmp_path):
+def test_case_key_depends_on_all_inputs(tmp_path):
     robot = tmp_path / "robot.toml"
     base = tmp_path / "base.toml"
     for source, copy in ((BASE, base), (ROOT / "problems" / "two_link_robot.toml", robot)):
@@ -83,7 +83,7 @@ def test_a_case_is_named_by_all_that_its_result_depends_on(tmp_path):
     assert load_sweep(path).cases[0].key != before.key
 
 
-def test_meshes_of_links_and_of_the_cell_are_part_of_its_name(tmp_path):
+def test_case_key_depends_on_meshes_of_links_and_cell(tmp_path):
     (tmp_path / "arm.urdf").write_text(
         '<robot name="arm"><link name="base"><visual><geometry><mesh filename="meshes/base.stl"/>'
         '</geometry></visual></link><link><visual><geometry><mesh filename="gone.stl"/>'
@@ -116,7 +116,7 @@ def test_meshes_of_links_and_of_the_cell_are_part_of_its_name(tmp_path):
         ("a_Ipo.dat", "a_Drive#1.r64"),
     ],
 )
-def test_all_that_a_run_is_read_from_is_part_of_its_name(tmp_path, run, file):
+def test_case_key_depends_on_all_run_files(tmp_path, run, file):
     for name in (
         "run.parquet", "meta/info.json", "bag/metadata.yaml", "bag/0.db3", "bag/1.db3",
         "a_Ipo.dat", "a_Ipo.r64", "a_Drive#1.dat", "a_Drive#1.r64",
@@ -133,13 +133,13 @@ def test_all_that_a_run_is_read_from_is_part_of_its_name(tmp_path, run, file):
     assert load_sweep(path).cases[0].key != before.key
 
 
-def test_long_texts_name_no_file(tmp_path):
+def test_long_texts_are_not_taken_for_file_names(tmp_path):
     base = tmp_path / "base.toml"
     base.write_text(f'kind = "trajectory"\ntitle = "{200 * "ü"}"\n', encoding="utf-8")
     assert len(load_sweep(sweep_file(tmp_path, "", base.name)).cases) == 1
 
 
-def test_a_file_that_a_case_chooses_is_part_of_its_name(tmp_path):
+def test_case_key_depends_on_files_named_by_changes(tmp_path):
     for name in ("one", "other"):
         (tmp_path / f"{name}.toml").write_text('kind = "robot"\n')
     base = tmp_path / "base.toml"
@@ -151,7 +151,7 @@ def test_a_file_that_a_case_chooses_is_part_of_its_name(tmp_path):
     assert [a == b for a, b in zip(before, after, strict=True)] == [True, False]
 
 
-def test_sets_in_folders_of_their_own_are_told_apart(tmp_path):
+def test_sets_are_named_by_their_folders(tmp_path):
     for name in ("one", "other"):
         (tmp_path / name).mkdir()
         (tmp_path / name / "recordings.toml").write_text("schema = 1\n")
@@ -161,7 +161,7 @@ def test_sets_in_folders_of_their_own_are_told_apart(tmp_path):
     assert names == ["one", "other"]
 
 
-def test_stiffness_of_a_slide_is_in_its_own_unit(tmp_path):
+def test_stiffness_of_a_prismatic_joint_has_its_unit(tmp_path):
     base = write_problem(tmp_path, "slide", method="intervals = 8")
     soft = joint("rail", CONSTANT.format(stiffness=1e3), torque_max=200.0)
     write_robot(tmp_path, "slide", [soft, joint("arm", CONSTANT.format(stiffness=1e4))])
@@ -170,7 +170,7 @@ def test_stiffness_of_a_slide_is_in_its_own_unit(tmp_path):
     assert found["values"]["least_stiffness"] == {"value": pytest.approx(1e3), "unit": "N/m"}
 
 
-def test_no_limit_is_a_value_like_others(tmp_path):
+def test_infinite_limit_is_a_valid_value(tmp_path):
     text = '[grid]\n"limits.torque" = [inf, 10.0]\ntitle = [1979-05-27]'
     sweep = load_sweep(sweep_file(tmp_path, text))
     assert [case.settings[0] for case in sweep.cases] == ["limits.torque=inf", "limits.torque=10.0"]
@@ -183,7 +183,7 @@ def test_no_limit_is_a_value_like_others(tmp_path):
     ("text", "named"),
     [
         ('[grid]\n"payload.mass" = []', "payload.mass has no value"),
-        ('[lists]\n"a" = [1]\n"b" = [1, 2]', "differ in number"),
+        ('[lists]\n"a" = [1]\n"b" = [1, 2]', "differ in length"),
         ('[grid]\n"a" = [1]\n[lists]\n"a" = [1]', "two axes"),
         ("[latin_hypercube]\ncount = 3", "has no range"),
         ("[latin_hypercube]\ncount = 3\na = [1, 2]", "Its keys: lower, upper"),
@@ -197,7 +197,7 @@ def test_no_limit_is_a_value_like_others(tmp_path):
          "200000 cases"),
     ],
 )  # fmt: skip
-def test_what_cannot_be_a_sweep_is_refused(tmp_path, text, named):
+def test_invalid_sweeps_are_refused(tmp_path, text, named):
     with pytest.raises(InputFileError, match=named):
         load_sweep(sweep_file(tmp_path, text))
 
@@ -207,12 +207,12 @@ def test_a_base_of_another_kind_is_refused(tmp_path):
         load_sweep(sweep_file(tmp_path, "", ROOT / "problems" / "two_link_robot.toml"))
 
 
-def test_each_case_starts_from_the_nearest_of_the_rounds_before(tmp_path):
+def test_case_starts_from_the_nearest_of_earlier_rounds(tmp_path):
     values = ", ".join(f"{0.5 + 0.1 * k:.1f}" for k in range(16))
     sweep = load_sweep(sweep_file(tmp_path, f'[grid]\n"payload.mass" = [{values}]'))
     cases, before = list(sweep.cases), predecessors(list(sweep.cases))
     masses = {case.key: dict(case.changes)["payload.mass"] for case in cases}
-    first, *others = ordered(cases)
+    first, *others = spread_order(cases)
     assert before[first.key] is None
     steps = [abs(masses[case.key] - masses[before[case.key]]) for case in others]
     # Half of them start from a neighbour.
@@ -227,7 +227,7 @@ def test_each_case_starts_from_the_nearest_of_the_rounds_before(tmp_path):
     assert depth <= 4
 
 
-def test_diagnoses_and_further_starts_begin_anew(tmp_path):
+def test_diagnoses_and_further_guesses_start_cold(tmp_path):
     sweep = load_sweep(sweep_file(tmp_path, 'starts = 3\n[grid]\n"payload.mass" = [0.1, 0.2]'))
     before = predecessors(list(sweep.cases))
     begun = [case.start for case in sweep.cases if before[case.key] is not None]

@@ -1,4 +1,4 @@
-"""`stiffopt diagnose SET...`: recording sets of a fleet, by the machinery of sweeps."""
+"""`stiffopt diagnose SET...`: diagnoses of several recording sets as a sweep."""
 
 import csv
 import json
@@ -9,7 +9,7 @@ import pytest
 from small_arms import ROOT
 
 from stiffopt.cli import run
-from stiffopt.sweep.cases import fleet_of
+from stiffopt.sweep.cases import fleet_sweep
 
 SET = ROOT / "problems" / "recordings" / "two_link_friction"
 
@@ -24,21 +24,21 @@ def sets(tmp_path):
     return places
 
 
-def test_sets_are_cases_with_the_changes_of_all(sets):
-    fleet = fleet_of([sets[0], sets[1] / "recordings.toml"], ["title=Arm"])
+def test_sets_are_cases_with_common_changes(sets):
+    fleet = fleet_sweep([sets[0], sets[1] / "recordings.toml"], ["title=Arm"])
     assert fleet.kind == "recordings"
     assert [case.base for case in fleet.cases] == [each / "recordings.toml" for each in sets]
     assert all(case.settings == ("title=Arm",) for case in fleet.cases)
     # What a case is named by is all that it holds: the title is now the same.
-    assert len({case.key for case in fleet_of(sets).cases}) == 2
+    assert len({case.key for case in fleet_sweep(sets).cases}) == 2
 
 
-def test_sets_of_the_same_content_share_no_case(sets):
+def test_sets_of_equal_content_are_separate_cases(sets):
     shutil.copyfile(sets[0] / "recordings.toml", sets[1] / "recordings.toml")
-    assert len({case.key for case in fleet_of(sets).cases}) == 2
+    assert len({case.key for case in fleet_sweep(sets).cases}) == 2
 
 
-def test_what_is_no_set_is_named_as_it_is_alone(sets, tmp_path, capsys):
+def test_other_files_are_refused_as_with_a_single_set(sets, tmp_path, capsys):
     problem = ROOT / "problems" / "two_link.toml"
     assert run(["diagnose", str(sets[0]), str(problem)]) == 2
     said = capsys.readouterr().err
@@ -61,12 +61,12 @@ def test_what_is_no_set_is_named_as_it_is_alone(sets, tmp_path, capsys):
         (["--workers", "0"], "at least 1"),
     ],
 )
-def test_what_is_of_one_set_is_refused(sets, capsys, arguments, named):
+def test_options_of_a_single_set_are_refused(sets, capsys, arguments, named):
     assert run(["diagnose", *map(str, sets), *arguments]) == 2
     assert named in capsys.readouterr().err
 
 
-def test_one_set_takes_no_workers_and_no_set_is_named_twice(sets, capsys):
+def test_workers_of_one_set_and_repeated_sets_are_refused(sets, capsys):
     assert run(["diagnose", str(sets[0]), "--workers", "2"]) == 2
     assert "--workers is of several recording sets" in capsys.readouterr().err
     assert run(["diagnose", str(sets[0]), str(sets[0] / "recordings.toml")]) == 2
@@ -77,7 +77,7 @@ def test_one_set_takes_no_workers_and_no_set_is_named_twice(sets, capsys):
 
 
 @pytest.mark.slow
-def test_a_fleet_ends_with_a_table_and_goes_on(sets, tmp_path, capsys):
+def test_fleet_writes_a_table_and_resumes(sets, tmp_path, capsys):
     out = tmp_path / "fleet"
     command = ["diagnose", *map(str, sets), "--out", str(out), "--workers", "1", "--quiet"]
     assert run(command) == 0
@@ -96,7 +96,7 @@ def test_a_fleet_ends_with_a_table_and_goes_on(sets, tmp_path, capsys):
     assert [each.stat().st_mtime_ns for each in files] == times
 
 
-def test_a_file_that_cannot_be_read_is_told_by_its_own_case(sets, monkeypatch):
+def test_unreadable_file_is_reported_by_its_case(sets, monkeypatch):
     """The machine may let nobody read it, or a file that a text names may be no TOML."""
     (sets[1] / "notes.toml").write_text("x = [")
     document = sets[1] / "recordings.toml"
@@ -108,8 +108,8 @@ def test_a_file_that_cannot_be_read_is_told_by_its_own_case(sets, monkeypatch):
             raise PermissionError(13, "Permission denied", str(path))
         return opened(path, *arguments, **options)
 
-    before = [case.key for case in fleet_of(sets).cases]
+    before = [case.key for case in fleet_sweep(sets).cases]
     monkeypatch.setattr(Path, "open", barred)
-    after = [case.key for case in fleet_of(sets).cases]
+    after = [case.key for case in fleet_sweep(sets).cases]
     assert before[0] == after[0]
     assert before[1] != after[1]

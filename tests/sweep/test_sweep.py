@@ -1,4 +1,4 @@
-"""Sweeps from file to table: begun anew after a kill, on workers that die; front and spread."""
+"""Sweeps from file to table: resumption, dead workers, front and spread."""
 
 import csv
 import json
@@ -19,7 +19,7 @@ from stiffopt.sweep.cases import load_sweep
 from stiffopt.sweep.processes import Processes, WorkerLost, load_ahead
 from stiffopt.sweep.run import SweepProgress, run_sweep
 from stiffopt.sweep.summary import SweepSummary, knee
-from stiffopt.sweep.workers import InProcess, workers
+from stiffopt.sweep.workers import InProcess, make_workers
 
 GRID = '[grid]\n"motion.duration" = ["1 s", "1.2 s", "1.5 s"]\n"payload.mass" = [0.0, 0.5]'
 
@@ -29,7 +29,7 @@ def rows(folder):
         return list(csv.DictReader(stream))
 
 
-def test_a_sweep_gives_a_row_and_a_file_a_case(tmp_path, capsys):
+def test_sweep_writes_a_row_and_a_file_per_case(tmp_path, capsys):
     path = sweep_file(tmp_path, GRID)
     out = tmp_path / "out"
     assert run(["sweep", str(path), "--out", str(out), "--workers", "1", "--quiet"]) == 0
@@ -51,7 +51,7 @@ def test_a_sweep_gives_a_row_and_a_file_a_case(tmp_path, capsys):
     assert parquet.read_table(out / "table.parquet").to_pylist()[0]["motion.duration"] == "1 s"
 
 
-def test_what_is_done_is_not_done_again(tmp_path):
+def test_finished_cases_are_not_repeated(tmp_path):
     sweep = load_sweep(sweep_file(tmp_path, GRID))
     seen: list[SweepProgress] = []
 
@@ -75,7 +75,7 @@ def test_what_is_done_is_not_done_again(tmp_path):
     assert all(path.stat().st_mtime_ns == then for path, then in files.items())
 
 
-def test_a_case_that_cannot_be_stated_costs_no_other(tmp_path):
+def test_invalid_case_does_not_affect_others(tmp_path):
     sweep = load_sweep(sweep_file(tmp_path, '[grid]\n"payload.mass" = [-1.0, 0.5, "2 s"]'))
     results, _ = run_sweep(sweep, tmp_path, InProcess())
     assert [each["status"] for each in results] == ["invalid", "optimal", "invalid"]
@@ -108,7 +108,7 @@ class Dying:
 
 
 @pytest.mark.parametrize(("times", "status"), [(1, "optimal"), (2, "optimal"), (9, "failed")])
-def test_a_worker_that_dies_costs_a_retry(tmp_path, times, status):
+def test_case_of_a_dead_worker_is_retried(tmp_path, times, status):
     sweep = load_sweep(sweep_file(tmp_path, GRID))
     pool = Dying(3, times)
     results, _ = run_sweep(sweep, tmp_path, pool)
@@ -121,7 +121,7 @@ def test_a_worker_that_dies_costs_a_retry(tmp_path, times, status):
 
 
 @pytest.mark.slow
-def test_processes_are_replaced_when_one_dies():
+def test_dead_process_is_replaced():
     pool = Processes(2)
     assert pool.submit(abs, -1).result() == 1
     with pytest.raises(WorkerLost):
@@ -131,7 +131,7 @@ def test_processes_are_replaced_when_one_dies():
 
 
 @pytest.mark.slow
-def test_killed_processes_leave_nothing_to_complain_of(tmp_path):
+def test_killed_parent_leaves_no_workers_and_no_messages(tmp_path):
     """Nor do workers outlive who employed them."""
     program = """
 import os, time
@@ -169,8 +169,8 @@ def is_known(number):
 
 
 @pytest.mark.slow
-def test_processes_that_cannot_begin_are_told(monkeypatch):
-    monkeypatch.setattr("stiffopt.sweep.processes._work", os.abort)
+def test_processes_that_die_at_their_start_are_reported(monkeypatch):
+    monkeypatch.setattr("stiffopt.sweep.processes._serve_calls", os.abort)
     pool = Processes(2)
     with pytest.raises(WorkerLost):
         pool.submit(abs, -1).result()
@@ -192,9 +192,9 @@ def test_processes_that_cannot_begin_are_told(monkeypatch):
         (["missing.toml"], False),
     ],
 )
-def test_workers_load_ahead_where_there_will_be_some(tmp_path, monkeypatch, arguments, ahead):
+def test_workers_load_ahead_if_the_command_uses_them(tmp_path, monkeypatch, arguments, ahead):
     begun = []
-    monkeypatch.setattr("stiffopt.sweep.processes._load_once", lambda: begun.append(True))
+    monkeypatch.setattr("stiffopt.sweep.processes._start_fork_server", lambda: begun.append(True))
     monkeypatch.setattr("stiffopt.sweep.processes.cores", lambda: 4)
     file = str(sweep_file(tmp_path, GRID))
     load_ahead([file if each == "FILE" else each for each in arguments])
@@ -206,12 +206,12 @@ def test_workers_load_ahead_where_there_will_be_some(tmp_path, monkeypatch, argu
 
 
 def test_one_worker_is_this_process():
-    assert isinstance(workers(1, None), InProcess)
+    assert isinstance(make_workers(1, None), InProcess)
     # One more than processes waits, so that none idles.
-    assert workers(3, None).slots == 4
+    assert make_workers(3, None).slots == 4
 
 
-def test_several_starts_tell_the_spread(tmp_path, capsys):
+def test_several_starts_give_the_spread(tmp_path, capsys):
     path = sweep_file(tmp_path, 'starts = 4\n[grid]\n"motion.duration" = ["1.5 s"]')
     assert run(["sweep", str(path), "--out", str(tmp_path / "o"), "--workers", "1"]) == 0
     assert "4 of 4 usable starts end within 1 %" in capsys.readouterr().out
@@ -220,7 +220,7 @@ def test_several_starts_tell_the_spread(tmp_path, capsys):
     assert 0.0 <= spread["worst"] - spread["best"] < 1e-6 * spread["best"]
 
 
-def test_the_front_falls_and_its_knee_is_marked(tmp_path, capsys):
+def test_front_decreases_and_has_its_knee_marked(tmp_path, capsys):
     text = '[front]\nover = "motion.duration"\nlower = "0.8 s"\nupper = "2.4 s"\npoints = 5'
     path = sweep_file(tmp_path, text)
     assert run(["sweep", str(path), "--out", str(tmp_path / "o"), "--workers", "1"]) == 0
@@ -232,7 +232,7 @@ def test_the_front_falls_and_its_knee_is_marked(tmp_path, capsys):
 
 
 @pytest.mark.slow
-def test_a_killed_sweep_goes_on_and_ends_as_an_undisturbed_one(tmp_path):
+def test_killed_sweep_resumes_with_the_results_of_an_undisturbed_one(tmp_path):
     text = '[latin_hypercube]\ncount = 12\n"motion.duration" = { lower = "1 s", upper = "2 s" }'
     path = sweep_file(tmp_path, text)
     command = [sys.executable, "-m", "stiffopt", "sweep", str(path), "--workers", "2", "--out"]
@@ -256,7 +256,7 @@ def test_a_killed_sweep_goes_on_and_ends_as_an_undisturbed_one(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_cluster_whose_worker_is_killed_ends_all_cases(tmp_path):
+def test_cluster_with_a_killed_worker_finishes_all_cases(tmp_path):
     pytest.importorskip("distributed")
     text = '[latin_hypercube]\ncount = 16\n"motion.duration" = { lower = "1 s", upper = "2 s" }'
     path = sweep_file(tmp_path, text)
@@ -298,7 +298,7 @@ def test_a_cluster_whose_worker_is_killed_ends_all_cases(tmp_path):
     assert [row["status"] for row in rows(out)] == 16 * ["optimal"]
 
 
-def test_no_scheduler_is_an_error_of_the_command_line(tmp_path, capsys):
+def test_missing_scheduler_is_a_command_line_error(tmp_path, capsys):
     pytest.importorskip("distributed")
     path = sweep_file(tmp_path, GRID)
     out = tmp_path / "o"
@@ -307,7 +307,7 @@ def test_no_scheduler_is_an_error_of_the_command_line(tmp_path, capsys):
     assert not out.exists()
 
 
-def test_a_sweep_of_cases_that_cannot_be_stated_is_refused(tmp_path, capsys):
+def test_sweep_of_invalid_cases_is_refused(tmp_path, capsys):
     path = sweep_file(tmp_path, GRID.replace("motion.duration", "motion.duratoin"))
     out = tmp_path / "out"
     assert run(["sweep", str(path), "--out", str(out), "--workers", "1", "--quiet"]) == 2

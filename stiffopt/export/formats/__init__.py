@@ -1,1 +1,1 @@
-"""Formats of exported motions, one a file; each adds itself to `export.format.FORMATS`."""
+"""Motion formats, one per file; each registers itself in `export.format.FORMATS`."""

@@ -1,4 +1,4 @@
-"""CSV: time, then positions, velocities and accelerations under the joints' names."""
+"""CSV: time, positions, velocities and accelerations under the joints' names."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from stiffopt.export.motion import SampledMotion
 
 
 class Csv(ExportFormat):
-    """One header row, SI numbers with full precision."""
+    """CSV file with one header row, SI numbers with full precision."""
 
     name = "csv"
     title = "CSV"
@@ -20,7 +20,7 @@ class Csv(ExportFormat):
     rate_max = 20000.0
 
     def files(self, motion: SampledMotion, rate: float) -> dict[str, str]:
-        """One file."""
+        """Text of the one file."""
         names = ["time"]
         for suffix in ("", "_velocity", "_acceleration"):
             names += [f"{joint}{suffix}" for joint in motion.joint_names]

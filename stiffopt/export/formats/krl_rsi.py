@@ -1,4 +1,4 @@
-"""KUKA: a KRL program that goes to the start, and the axis corrections that RSI is sent then."""
+"""KUKA: KRL program that approaches the start, and axis corrections for RSI."""
 
 from __future__ import annotations
 
@@ -6,21 +6,20 @@ import re
 
 import numpy as np
 
-from stiffopt.export.format import FORMATS, ExportFormat
+from stiffopt.export.format import FORMATS, ExportFormat, require_cycle, require_six_axes
 from stiffopt.export.motion import SampledMotion, StoredMotion
-from stiffopt.export.six_axes import require_cycle, require_six_axes
 
-_AXES = tuple(f"A{axis}" for axis in range(1, 7))
+_AXIS_NAMES = tuple(f"A{axis}" for axis in range(1, 7))
 
 
 class KrlRsi(ExportFormat):
-    """Absolute corrections of the axes from the start, in degrees, one row a cycle.
+    """Absolute axis corrections from the start in degrees, one row per cycle.
 
     Notes
     -----
     KUKA.RobotSensorInterface: a cycle of 4 ms (IPO_FAST) or 12 ms; with RSI_ON(#ABSOLUTE) a
-    correction counts from where the sensor-guided motion began. What sends the rows over Ethernet,
-    and the limits of the corrections in the RSI context, are the cell's own.
+    correction is relative to the start of the sensor-guided motion. The sender of the rows over
+    Ethernet and the correction limits of the RSI context belong to the cell.
     """
 
     name = "krl-rsi"
@@ -31,12 +30,12 @@ class KrlRsi(ExportFormat):
     from_rest = True
 
     def check(self, stored: StoredMotion, rate: float) -> None:
-        """Six turning joints, at a whole number of cycles."""
+        """Require six revolute joints and a whole number of cycles."""
         require_six_axes(stored, self.title)
         require_cycle(rate, self.rate_max, self.title)
 
     def files(self, motion: SampledMotion, rate: float) -> dict[str, str]:
-        """The program, the rows, and the range of each correction in the program's head."""
+        """Texts of program and rows; the program's head states the range of each correction."""
         name = re.sub(r"\W", "_", motion.title.lower(), flags=re.ASCII).strip("_")[:12]
         name = f"stiffopt_{name}".rstrip("_")
         angles = np.degrees(motion.position)
@@ -44,16 +43,16 @@ class KrlRsi(ExportFormat):
         spans = ", ".join(
             f"{axis} {low:.3f} to {high:.3f}"
             for axis, low, high in zip(
-                _AXES, corrections.min(axis=0), corrections.max(axis=0), strict=True
+                _AXIS_NAMES, corrections.min(axis=0), corrections.max(axis=0), strict=True
             )
         )
         start = ", ".join(
-            f"{axis} {value:.6f}" for axis, value in zip(_AXES, angles[0], strict=True)
+            f"{axis} {value:.6f}" for axis, value in zip(_AXIS_NAMES, angles[0], strict=True)
         )
         program = [
             "&ACCESS RVP",
             f"DEF {name}( )",
-            f"; {_plain(motion.title)}: motion of the {motion.which}s, {rate:g} Hz, "
+            f"; {_to_ascii(motion.title)}: motion of the {motion.which}s, {rate:g} Hz, "
             f"{motion.time[-1]:g} s",
             f"; Send one row of {name}_rsi.csv a cycle as AKorr; signs and zeros of the axes are",
             "; those of the URDF: compare them with the controller's before the first run.",
@@ -64,28 +63,28 @@ class KrlRsi(ExportFormat):
             "BAS (#VEL_PTP,10)",
             f"PTP {{{start}}}",
             f'ret = RSI_CREATE("{name}.rsi", context, TRUE)',
-            *_halt(),
+            *_halt_on_error(),
             "ret = RSI_ON(#ABSOLUTE)",
-            *_halt(),
+            *_halt_on_error(),
             "RSI_MOVECORR()",
             "ret = RSI_OFF()",
-            *_halt(),
+            *_halt_on_error(),
             "END",
         ]
         rows = [",".join(f"{value:.6f}" for value in row) for row in corrections]
         return {
             f"{name}.src": "\n".join(program) + "\n",
-            f"{name}_rsi.csv": "\n".join([",".join(_AXES), *rows]) + "\n",
+            f"{name}_rsi.csv": "\n".join([",".join(_AXIS_NAMES), *rows]) + "\n",
         }
 
 
-def _halt() -> list[str]:
-    """What follows every call of RSI."""
+def _halt_on_error() -> list[str]:
+    """KRL lines that halt on an RSI error."""
     return ["IF (ret <> RSIOK) THEN", "  HALT", "ENDIF"]
 
 
-def _plain(title: str) -> str:
-    """KRL sources are ASCII."""
+def _to_ascii(title: str) -> str:
+    """Replace characters that KRL sources, which are ASCII, cannot hold."""
     return title.encode("ascii", "replace").decode()
 
 

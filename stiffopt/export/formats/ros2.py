@@ -1,4 +1,4 @@
-"""ROS 2: a trajectory_msgs/msg/JointTrajectory as YAML, for a joint trajectory controller."""
+"""ROS 2: trajectory_msgs/msg/JointTrajectory as YAML, for a joint trajectory controller."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from stiffopt.export.format import FORMATS, ExportFormat
 from stiffopt.export.motion import SampledMotion
 
 MESSAGE_FILE, SCRIPT_FILE = "joint_trajectory.yaml", "publish_trajectory.py"
-_NANO = 1_000_000_000
+_NANOSECONDS_PER_SECOND = 1_000_000_000
 
 
 class Ros2(ExportFormat):
-    """Fields of the message in their order; efforts are left to the controller.
+    """Message fields in their order; efforts stay empty.
 
     Notes
     -----
@@ -30,7 +30,7 @@ class Ros2(ExportFormat):
     rate_max = 20000.0
 
     def files(self, motion: SampledMotion, rate: float) -> dict[str, str]:
-        """One file."""
+        """Text of the message."""
         lines = [
             f"# {motion.title}: motion of the {motion.which}s at {rate:g} Hz, "
             "trajectory_msgs/msg/JointTrajectory. Run it with:",
@@ -43,18 +43,20 @@ class Ros2(ExportFormat):
             motion.time, motion.position, motion.velocity, motion.acceleration, strict=True
         )  # fmt: skip
         for time, position, velocity, acceleration in rows:
-            seconds, rest = divmod(round(float(time) * _NANO), _NANO)
+            seconds, rest = divmod(
+                round(float(time) * _NANOSECONDS_PER_SECOND), _NANOSECONDS_PER_SECOND
+            )
             lines += [
-                f"- positions: {_numbers(position)}",
-                f"  velocities: {_numbers(velocity)}",
-                f"  accelerations: {_numbers(acceleration)}",
+                f"- positions: {_format_numbers(position)}",
+                f"  velocities: {_format_numbers(velocity)}",
+                f"  accelerations: {_format_numbers(acceleration)}",
                 "  effort: []",
                 f"  time_from_start: {{sec: {seconds}, nanosec: {rest}}}",
             ]
         return {MESSAGE_FILE: "\n".join(lines) + "\n"}
 
     def programs(self, texts: dict[str, str]) -> dict[str, str]:
-        """The script that publishes the message: no command line holds it."""
+        """Script that publishes the message, which is too long for a command line."""
         script = (
             resources.files("stiffopt.export").joinpath("publish_trajectory.py.txt").read_text()
         )
@@ -62,8 +64,8 @@ class Ros2(ExportFormat):
         return {SCRIPT_FILE: script.replace("@FILE@", MESSAGE_FILE).replace("@SHA256@", content)}
 
 
-def _numbers(values: Iterable[float]) -> str:
-    """List of floats; YAML reads 1e-05 as a text, 1.0e-05 as a number."""
+def _format_numbers(values: Iterable[float]) -> str:
+    """Format a list of floats; YAML reads 1e-05 as text, 1.0e-05 as a number."""
     texts = [repr(float(value)) for value in values]
     exact = [t if "." in t or "e" not in t else t.replace("e", ".0e") for t in texts]
     return f"[{', '.join(exact)}]"

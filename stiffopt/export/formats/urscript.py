@@ -1,4 +1,4 @@
-"""URScript: a program of servoj commands for arms of Universal Robots."""
+"""URScript: program of servoj commands for arms of Universal Robots."""
 
 from __future__ import annotations
 
@@ -7,18 +7,18 @@ import re
 import numpy as np
 
 from stiffopt.errors import InputError
-from stiffopt.export.format import FORMATS, ExportFormat
+from stiffopt.export.format import FORMATS, ExportFormat, require_cycle, require_six_axes
 from stiffopt.export.motion import SampledMotion, StoredMotion
-from stiffopt.export.six_axes import require_cycle, require_six_axes
 
-# Joints of these arms turn by one turn to either side [rad].
-_RANGE = 2.0 * np.pi
-# The shortest look-ahead rounds and delays the motion least; the gain is the controller's default.
-_LOOKAHEAD, _GAIN = 0.03, 300
+# Position range of these arms: one turn to either side [rad].
+_MAX_ANGLE = 2.0 * np.pi
+# Arguments of servoj. The shortest look-ahead time [s] rounds and delays the motion least; the gain
+# is the controller's default.
+_LOOKAHEAD_TIME, _SERVO_GAIN = 0.03, 300
 
 
 class UrScript(ExportFormat):
-    """Slow approach to the start, then one servoj a cycle.
+    """Slow approach to the start, then one servoj per cycle.
 
     Notes
     -----
@@ -34,23 +34,23 @@ class UrScript(ExportFormat):
     from_rest = True
 
     def check(self, stored: StoredMotion, rate: float) -> None:
-        """Six turning joints, within one turn, at a whole number of cycles."""
+        """Require six revolute joints within one turn and a whole number of cycles."""
         require_six_axes(stored, self.title)
         require_cycle(rate, self.rate_max, self.title)
         motion = stored.sampled(rate)
         largest = np.max(np.abs(motion.position), axis=0)
-        for j in np.flatnonzero(largest > _RANGE):
+        for j in np.flatnonzero(largest > _MAX_ANGLE):
             raise InputError(
-                f"joint {j + 1} ({stored.joint_names[j]}) goes to {largest[j]:.4g} rad; arms of "
+                f"joint {j + 1} ({stored.joint_names[j]}) reaches {largest[j]:.4g} rad; arms of "
                 "Universal Robots turn by 2 pi rad to either side. Change its range in [limits]."
             )
 
     def files(self, motion: SampledMotion, rate: float) -> dict[str, str]:
-        """One program."""
+        """Text of the program."""
         name = re.sub(r"\W", "_", motion.title.lower(), flags=re.ASCII).strip("_")[:40]
         name = f"stiffopt_{name}"
         poses = [f"[{', '.join(f'{angle:.9f}' for angle in row)}]" for row in motion.position]
-        follow = f"t={1.0 / rate:g}, lookahead_time={_LOOKAHEAD:g}, gain={_GAIN}"
+        follow = f"t={1.0 / rate:g}, lookahead_time={_LOOKAHEAD_TIME:g}, gain={_SERVO_GAIN}"
         lines = [
             f"# {motion.title}: motion of the {motion.which}s, {rate:g} Hz, {motion.time[-1]:g} s.",
             f"# Joints: {', '.join(motion.joint_names)}. Try it at reduced speed first.",

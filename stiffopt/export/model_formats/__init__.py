@@ -1,1 +1,1 @@
-"""Formats of exported robots, one a file; each adds itself to `export.model_format`."""
+"""Robot formats, one per file; each registers itself in `export.model_format`."""

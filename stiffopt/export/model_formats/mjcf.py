@@ -1,4 +1,4 @@
-"""MJCF: the recorded arm for MuJoCo, with friction, rotor inertia and gains as found."""
+"""MJCF: recorded arm for MuJoCo, with diagnosed friction, rotor inertia and gains."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from stiffopt.errors import RobotError
-from stiffopt.export.found import FoundRobot
-from stiffopt.export.model_format import MODEL_FORMATS, ModelFormat, notes
+from stiffopt.export.model_format import MODEL_FORMATS, DiagnosedRobot, ModelFormat, notes
 
-# MuJoCo's dry friction is a soft constraint: these make it nearly full at 1 mrad/s.
+# MuJoCo's dry friction is a soft constraint: with these settings nearly full at 1 mrad/s.
 _FRICTION_TIME, _FRICTION_IMPEDANCE = 0.002, "0.9999 0.9999 0.001 0.5 2"
 
-# MuJoCo's least moment of inertia is 1e-15 kg m^2; and what rounding needs of the largest.
-_LEAST_MOMENT, _LEAST_SHARE = 1e-9, 1e-6
+# Least moments of inertia [kg m^2], and as a share of the largest, for rounding; MuJoCo refuses
+# moments below 1e-15 kg m^2.
+_MIN_MOMENT, _MIN_MOMENT_SHARE = 1e-9, 1e-6
 
 
 class Mjcf(ModelFormat):
@@ -24,15 +24,15 @@ class Mjcf(ModelFormat):
 
     Notes
     -----
-    MuJoCo, XML reference. A motor's `gear` is the torque that the joint gets for one that its drive
-    is commanded. Elastic joints are rigid here; shapes are left to the URDF.
+    MuJoCo, XML reference. A motor's `gear` is the joint torque per commanded torque. Elastic joints
+    become rigid; shapes are omitted.
     """
 
     name = "mjcf"
     file = "found.xml"
 
-    def text(self, found: FoundRobot) -> str:
-        """Content of found.xml."""
+    def text(self, found: DiagnosedRobot) -> str:
+        """Return the content of found.xml."""
         robot = found.robot
         root = ET.Element("mujoco", model=found.name)
         for line in (*notes(found), *self.remarks(found)):
@@ -40,38 +40,42 @@ class Mjcf(ModelFormat):
         ET.SubElement(root, "compiler", angle="radian", inertiafromgeom="false")
         gravity = robot.tree.gravity
         ET.SubElement(
-            root, "option", gravity=_numbers(gravity), timestep="0.0005", integrator="implicitfast"
+            root,
+            "option",
+            gravity=_format_numbers(gravity),
+            timestep="0.0005",
+            integrator="implicitfast",
         )
         places = {0: ET.SubElement(root, "worldbody")}
         for j, body in enumerate(robot.tree.bodies):
-            places[j + 1] = self._body(places[body.parent], found, j)
+            places[j + 1] = self._add_body(places[body.parent], found, j)
         tool = robot.tool
         ET.SubElement(
             places[tool.joint],
             "site",
             name="tool",
-            pos=_numbers(tool.offset),
-            quat=_numbers(_quaternion(tool.rotation)),
+            pos=_format_numbers(tool.offset),
+            quat=_format_numbers(_to_quaternion(tool.rotation)),
         )
         actuators = ET.SubElement(root, "actuator")
         for j, name in enumerate(robot.joint_names):
             motor = {"name": f"{name}_motor", "joint": name, "gear": repr(float(found.gain[j]))}
-            motor |= _range("ctrl", -robot.torque_max[j], robot.torque_max[j])
+            motor |= _range_attributes("ctrl", -robot.torque_max[j], robot.torque_max[j])
             ET.SubElement(actuators, "motor", motor)
         ET.indent(root)
         return ET.tostring(root, encoding="unicode") + "\n"
 
-    def remarks(self, found: FoundRobot) -> list[str]:
-        """Bodies whose inertia MuJoCo would refuse."""
+    def remarks(self, found: DiagnosedRobot) -> list[str]:
+        """Name bodies whose inertia MuJoCo would refuse."""
         return [
-            f"inertia behind {name} belongs to no body, and MuJoCo refuses it: moments of"
-            f" {_listed(before)} kg m^2 become {_listed(after)}"
+            f"inertia behind {name} belongs to no rigid body, which MuJoCo refuses: moments of"
+            f" {_format_moments(before)} kg m^2 become {_format_moments(after)}"
             for name, body in zip(found.robot.joint_names, found.robot.tree.bodies, strict=True)
             for before, _ in [np.linalg.eigh(body.inertia)]
-            if (after := _possible(before)) is not before
+            if (after := _realisable_moments(before)) is not before
         ]
 
-    def _body(self, parent: ET.Element, found: FoundRobot, j: int) -> ET.Element:
+    def _add_body(self, parent: ET.Element, found: DiagnosedRobot, j: int) -> ET.Element:
         robot = found.robot
         body, name = robot.tree.bodies[j], robot.joint_names[j]
         if not body.mass > 0.0:
@@ -83,69 +87,69 @@ class Mjcf(ModelFormat):
             parent,
             "body",
             name=f"{name}_link",
-            pos=_numbers(body.translation),
-            quat=_numbers(_quaternion(body.rotation)),
+            pos=_format_numbers(body.translation),
+            quat=_format_numbers(_to_quaternion(body.rotation)),
         )
         # xx, yy, zz, xy, xz, yz about the centre of mass, in the body's axes.
         rows, columns = (0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)
         ET.SubElement(
             element,
             "inertial",
-            pos=_numbers(body.centre),
+            pos=_format_numbers(body.centre),
             mass=repr(float(body.mass)),
-            fullinertia=_numbers(_of_a_body(body.inertia)[rows, columns]),
+            fullinertia=_format_numbers(_realisable_inertia(body.inertia)[rows, columns]),
         )
         joint = {
             "name": name,
             "type": "slide" if body.prismatic else "hinge",
-            "axis": _numbers(body.axis),
+            "axis": _format_numbers(body.axis),
             "frictionloss": repr(float(robot.coulomb[j])),
             "damping": repr(float(robot.viscous[j])),
             "armature": repr(float(robot.rotor_inertia[j])),
             "solreffriction": f"{_FRICTION_TIME} 1",
             "solimpfriction": _FRICTION_IMPEDANCE,
-            **_range("", robot.position_lower[j], robot.position_upper[j]),
+            **_range_attributes("", robot.position_lower[j], robot.position_upper[j]),
         }
         ET.SubElement(element, "joint", joint)
         return element
 
 
-def _of_a_body(inertia: np.ndarray) -> np.ndarray:
-    """The inertia (3, 3), or the nearest that a body can have with the same largest moment."""
+def _realisable_inertia(inertia: np.ndarray) -> np.ndarray:
+    """Raise an inertia (3, 3) to that of a rigid body with the same largest moment."""
     moments, axes = np.linalg.eigh(inertia)
-    raised = _possible(moments)
+    raised = _realisable_moments(moments)
     return inertia if raised is moments else axes @ np.diag(raised) @ axes.T
 
 
-def _possible(moments: np.ndarray) -> np.ndarray:
-    """Principal moments (3,), in order: themselves, or raised until two make up the third."""
-    least = max(_LEAST_MOMENT, _LEAST_SHARE * moments[2])
+def _realisable_moments(moments: np.ndarray) -> np.ndarray:
+    """Raise ascending principal moments (3,) until the triangle inequality holds."""
+    least = max(_MIN_MOMENT, _MIN_MOMENT_SHARE * moments[2])
     if moments[0] >= least and moments[0] + moments[1] >= moments[2]:
         return moments
     raised: np.ndarray = np.maximum(moments, least)
-    lacking = float((1.0 + _LEAST_SHARE) * raised[2] - raised[0] - raised[1])
+    lacking = float((1.0 + _MIN_MOMENT_SHARE) * raised[2] - raised[0] - raised[1])
     raised[:2] += 0.5 * max(lacking, 0.0)
     return raised
 
 
-def _listed(moments: np.ndarray) -> str:
+def _format_moments(moments: np.ndarray) -> str:
     return ", ".join(f"{each:.4g}" for each in moments)
 
 
-def _range(kind: str, low: float, high: float) -> dict[str, str]:
-    """Attributes of a range; none where it is infinite."""
+def _range_attributes(kind: str, low: float, high: float) -> dict[str, str]:
+    """Attributes of a finite range; empty for an infinite one."""
     if not (np.isfinite(low) and np.isfinite(high)):
         return {}
-    return {f"{kind}limited": "true", f"{kind}range": _numbers([low, high])}
+    return {f"{kind}limited": "true", f"{kind}range": _format_numbers([low, high])}
 
 
-def _quaternion(rotation: np.ndarray) -> np.ndarray:
-    """w, x, y, z."""
+def _to_quaternion(rotation: np.ndarray) -> np.ndarray:
+    """Convert a rotation to a quaternion w, x, y, z."""
     x, y, z, w = Rotation.from_matrix(rotation).as_quat()
     return np.array([w, x, y, z])
 
 
-def _numbers(values: Iterable[float]) -> str:
+def _format_numbers(values: Iterable[float]) -> str:
     return " ".join(repr(float(value)) for value in values)
 
 

@@ -1,4 +1,4 @@
-"""URDF: the recorded arm's own file with friction and inertias as found; all else stays."""
+"""URDF: file of the recorded arm with diagnosed friction and inertias, otherwise unchanged."""
 
 from __future__ import annotations
 
@@ -6,28 +6,26 @@ import xml.etree.ElementTree as ET
 
 import numpy as np
 
-from stiffopt.export.found import FoundRobot
-from stiffopt.export.model_format import MODEL_FORMATS, ModelFormat, notes
+from stiffopt.export.model_format import MODEL_FORMATS, DiagnosedRobot, ModelFormat, notes
 from stiffopt.robot.body_tree import Body
 from stiffopt.robot.urdf_xml import parse_xml
 
 
 class Urdf(ModelFormat):
-    """`<dynamics>` of every joint, `<inertial>` of the bodies that were found to be others.
+    """New `<dynamics>` of every joint and `<inertial>` of changed bodies.
 
     Notes
     -----
-    A body that was found to be another is what its joint carries, with all that is fixed to it:
-    the first of its links gets the whole inertia, the others keep their shapes only. A URDF has no
-    place for rotor inertia; the comment at its head states it.
+    A changed body comprises its link and all links fixed to it: the first gets the whole inertia,
+    the others keep only their shapes. URDF has no rotor inertia; the comment at its head states it.
     """
 
     name = "urdf"
     file = "found.urdf"
 
-    def text(self, found: FoundRobot) -> str:
-        """Content of found.urdf."""
-        # Comments of the file stay.
+    def text(self, found: DiagnosedRobot) -> str:
+        """Return the content of found.urdf."""
+        # Keep the comments of the file.
         assert found.nominal.urdf is not None
         root = parse_xml(found.nominal.urdf, comments=True)
         for number, line in enumerate(notes(found)):
@@ -43,7 +41,7 @@ class Urdf(ModelFormat):
             dynamics.set("friction", repr(float(found.robot.coulomb[j])))
             old, new = found.nominal.tree.bodies[j], found.robot.tree.bodies[j]
             if not np.allclose(old.inertial_parameters, new.inertial_parameters, rtol=1e-9):
-                carried = _carried(root, joint)
+                carried = _carried_links(root, joint)
                 _set_inertial(links[carried[0]], new)
                 for other in carried[1:]:
                     for inertial in links[other].findall("inertial"):
@@ -52,25 +50,25 @@ class Urdf(ModelFormat):
         return '<?xml version="1.0"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
 
 
-def _carried(root: ET.Element, joint: ET.Element) -> list[str]:
-    """Links that a joint carries: its own first, then those fixed to it."""
-    found = [_end(joint, "child")]
+def _carried_links(root: ET.Element, joint: ET.Element) -> list[str]:
+    """Links that a joint carries: its own, then those fixed to it."""
+    found = [_link_name(joint, "child")]
     for link in found:
         found += [
-            _end(each, "child")
+            _link_name(each, "child")
             for each in root.findall("joint")
-            if each.get("type") == "fixed" and _end(each, "parent") == link
+            if each.get("type") == "fixed" and _link_name(each, "parent") == link
         ]
     return found
 
 
-def _end(joint: ET.Element, which: str) -> str:
+def _link_name(joint: ET.Element, which: str) -> str:
     end = joint.find(which)
     return "" if end is None else end.get("link", "")
 
 
 def _set_inertial(link: ET.Element, body: Body) -> None:
-    """The whole body in the link's frame, which is that of its joint."""
+    """Set the inertial of the whole body in the link frame, which is the joint's."""
     for inertial in link.findall("inertial"):
         link.remove(inertial)
     inertial = ET.SubElement(link, "inertial")

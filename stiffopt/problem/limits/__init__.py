@@ -1,1 +1,1 @@
-"""What can limit a motion, one kind a file; each adds itself to `problem.limit.LIMITS`."""
+"""Kinds of limit, one per file; each registers itself in `problem.limit.LIMITS`."""

@@ -9,20 +9,19 @@ import numpy as np
 from stiffopt.declaration import Length
 from stiffopt.errors import ProblemError
 from stiffopt.problem.limit import LIMITS
-from stiffopt.problem.limits.tool_magnitude import ToolMagnitude
-from stiffopt.problem.rest import rest_deflection, rest_poses
+from stiffopt.problem.limits.upper_bound import ToolMagnitudeBound
+from stiffopt.problem.rest_poses import rest_deflection, rest_poses
 from stiffopt.problem.stage_terms import WINDUP_SMOOTHING
 
 if TYPE_CHECKING:
-    from stiffopt.problem.resolve import ResolvedMotion
     from stiffopt.problem.stage_model import StageModel
-    from stiffopt.problem.trajectory import TrajectoryProblem
+    from stiffopt.problem.trajectory import ResolvedMotion, TrajectoryProblem
     from stiffopt.result.assessment import Assessment
     from stiffopt.symbolic import Quantity
 
 
-class DeflectionCap(ToolMagnitude):
-    """Peak of one part of the tool's deflection."""
+class DeflectionCap(ToolMagnitudeBound):
+    """Limit on the peak of one part of the tool's deflection."""
 
     smoothing = WINDUP_SMOOTHING
 
@@ -31,15 +30,15 @@ class DeflectionCap(ToolMagnitude):
         self.part = part
 
     def vector(self, model: StageModel) -> Quantity:
-        """That part of the deflection [m]."""
+        """Part of the deflection (3,) [m]."""
         return getattr(model.deflection, self.part)
 
     def magnitude(self, motion: Assessment) -> np.ndarray:
-        """Its length [m]."""
+        """Length of that part [m]."""
         return np.asarray(np.linalg.norm(motion.deflection[self.part], axis=1))
 
     def check(self, problem: TrajectoryProblem, motion: ResolvedMotion) -> None:
-        """The sag of a pose at rest must be below a cap on the total deflection."""
+        """Raise `ProblemError` where the static sag of a rest pose exceeds the limit."""
         cap = getattr(problem.active_limits, self.name)
         for pose in rest_poses(problem, motion) if self.part == "total" else ():
             sag = rest_deflection(problem, pose.angles, self.part) if pose.fixed else 0.0

@@ -19,10 +19,10 @@ if TYPE_CHECKING:
 
 
 class Jerk(JointMagnitude):
-    """Bound of the controls' rate; a jump of the acceleration exceeds any."""
+    """Jerk limit, a bound of the controls' rate; jumps of the acceleration exceed any limit."""
 
     def rows(self, problem: TrajectoryProblem, model: StageModel, margin: float) -> list[PathRows]:
-        """One row a joint; none can be kept on a fixed path, where it bounds no control's rate."""
+        """One row per joint with planned links; refused on a fixed path."""
         if problem.plans_links:
             return super().rows(problem, model, margin)
         raise ProblemError(
@@ -32,11 +32,11 @@ class Jerk(JointMagnitude):
         )
 
     def violations(self, limits: Limits, motion: DriveHistory) -> list[Violation]:
-        """The worst joint, at a jump of the acceleration as steep as the grid can show it."""
+        """Violation of the worst joint; acceleration jumps count by their slope on the grid."""
         slope = np.abs(np.diff(motion.acceleration, axis=0)) / np.diff(motion.time)[:, None]
         jerk = np.abs(motion.jerk)
         jerk[:-1] = np.maximum(jerk[:-1], slope)
-        return [self._worst(limits, motion, jerk)]
+        return [self._worst_violation(limits, motion, jerk)]
 
 
 LIMITS.add(

@@ -1,7 +1,8 @@
-"""Limits on the magnitude of a quantity of every joint, on which the others build."""
+"""Base class of limits on the magnitude of a joint quantity."""
 
 from __future__ import annotations
 
+from operator import attrgetter
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -12,14 +13,14 @@ from stiffopt.problem.stage_terms import PathRows
 from stiffopt.result.assessment import DriveHistory, Violation
 
 if TYPE_CHECKING:
-    from stiffopt.problem.files import JointLists
-    from stiffopt.problem.schema import LimitsSection
+    from stiffopt.problem.joint_lists import JointLists
     from stiffopt.problem.stage_model import StageModel
     from stiffopt.problem.trajectory import TrajectoryProblem
     from stiffopt.symbolic import Quantity
+    from stiffopt.validation import Section
 
-# Beyond this a number is a slip, and it would spoil the scales of the optimisation.
-_LARGEST = 1e9
+# Largest limit accepted [SI]: larger values are input errors and spoil the scaling of the NLP.
+_MAX_LIMIT = 1e9
 
 
 class JointMagnitude(DriveLimit):
@@ -28,11 +29,11 @@ class JointMagnitude(DriveLimit):
     Parameters
     ----------
     name : str
-        Of the key, of the attribute of `Assessment`, and NAME_max of the robot.
+        Key, attribute of `Assessment`, and NAME_max of the robot.
     form : type
-        Of one entry in a file.
+        Type of one entry in a file.
     dimension : str
-        Of a revolute joint.
+        Dimension for a revolute joint.
     description : str
     order : int or None
     """
@@ -53,11 +54,11 @@ class JointMagnitude(DriveLimit):
         )
 
     def active(self, limits: Limits) -> bool:
-        """Whether any joint has one."""
+        """Return True if any joint has a finite limit."""
         return bool(np.any(np.isfinite(getattr(limits, self.name))))
 
-    def read(self, section: LimitsSection, joints: JointLists) -> dict[str, Any]:
-        """List, "none" or the robot's own, times the factor of limits.scale."""
+    def read(self, section: Section, joints: JointLists) -> dict[str, Any]:
+        """Read a list, "none" or the robot's own, times the factor of limits.scale."""
         given = getattr(section, self.name)
         if given is None:
             array = self.keys[0].value(joints.robot)
@@ -65,17 +66,17 @@ class JointMagnitude(DriveLimit):
             array = np.full(len(joints.names), np.inf)
         else:
             array = joints(given, self.dimension, f"limits.{self.name}")
-            if np.any(array <= 0) or np.any(array > _LARGEST):
+            if np.any(array <= 0) or np.any(array > _MAX_LIMIT):
                 raise InputFileError(
                     joints.path,
                     f"limits.{self.name}",
-                    f"every limit must be greater than zero and at most {_LARGEST:g}; "
+                    f"every limit must be greater than zero and at most {_MAX_LIMIT:g}; "
                     f'got {array.tolist()}. Write "none" where there is no limit.',
                 )
-        return {self.name: array * getattr(section.scale, self.name)}
+        return {self.name: array * attrgetter(f"scale.{self.name}")(section)}
 
     def bounds(self, limits: Limits, margin: float) -> tuple[np.ndarray, np.ndarray]:
-        """The same magnitude either way."""
+        """Symmetric bounds."""
         bound = getattr(limits, self.name) * (1.0 - margin)
         return -bound, bound
 
@@ -85,15 +86,17 @@ class JointMagnitude(DriveLimit):
         return [magnitude_rows(self.name, getattr(model, self.name), bound, margin)]
 
     def violations(self, limits: Limits, motion: DriveHistory) -> list[Violation]:
-        """The worst joint and instant."""
-        return [self._worst(limits, motion, np.abs(getattr(motion, self.name)))]
+        """Violation of the worst joint and instant."""
+        return [self._worst_violation(limits, motion, np.abs(getattr(motion, self.name)))]
 
-    def _worst(self, limits: Limits, motion: DriveHistory, magnitude: np.ndarray) -> Violation:
+    def _worst_violation(
+        self, limits: Limits, motion: DriveHistory, magnitude: np.ndarray
+    ) -> Violation:
         return worst_joint(self.name, magnitude / getattr(limits, self.name) - 1.0, motion)
 
 
 def magnitude_rows(name: str, values: Quantity, bound: np.ndarray, margin: float) -> PathRows:
-    """|value| <= bound (n,) for every joint with a finite bound, relative to it."""
+    """Rows |value| <= bound (n,) of joints with a finite bound, relative to it."""
     joints = np.flatnonzero(np.isfinite(bound))
     return PathRows(
         name=name,
@@ -105,6 +108,6 @@ def magnitude_rows(name: str, values: Quantity, bound: np.ndarray, margin: float
 
 
 def worst_joint(name: str, excess: np.ndarray, motion: DriveHistory) -> Violation:
-    """The largest entry of an excess (K, n)."""
+    """Violation at the largest entry of a relative excess (K, n)."""
     k, j = np.unravel_index(int(np.argmax(excess)), excess.shape)
     return Violation(float(excess[k, j]), name, int(j) + 1, float(motion.time[k]))

@@ -9,31 +9,30 @@ import numpy as np
 from stiffopt.declaration import POSITIVE, JointStiffness
 from stiffopt.errors import ProblemError
 from stiffopt.problem.limit import LIMITS, LimitKey, LimitKind, Limits
-from stiffopt.problem.rest import gravity_torque, rest_poses, sign_change, stiffness_at
+from stiffopt.problem.rest_poses import gravity_torque, rest_poses, stiffness_at, torque_sign_change
 from stiffopt.problem.stage_terms import STIFFNESS_SMOOTHING, PathRows
 from stiffopt.result.assessment import Assessment, Violation
 from stiffopt.units import joint_unit
 
 if TYPE_CHECKING:
-    from stiffopt.problem.files import JointLists
-    from stiffopt.problem.resolve import ResolvedMotion
-    from stiffopt.problem.schema import LimitsSection
+    from stiffopt.problem.joint_lists import JointLists
     from stiffopt.problem.stage_model import StageModel
-    from stiffopt.problem.trajectory import TrajectoryProblem
+    from stiffopt.problem.trajectory import ResolvedMotion, TrajectoryProblem
     from stiffopt.robot.robot import Robot
     from stiffopt.symbolic import Quantity
+    from stiffopt.validation import Section
 
-# Share of the torque at which the exact stiffness jumps.
+# Back-off from the torque at which the exact stiffness jumps, relative to it.
 _BESIDE_JUMP = 2e-3
-# Factor on the smoothing widths at which a reducer's step is as good as a jump.
-_SHARP = 1e-6
+# Factor on the smoothing widths that makes a reducer's step a jump.
+_SHARP_SMOOTHING = 1e-6
 
 
 class JointStiffnessFloor(LimitKind):
-    """Tangent stiffness above a floor, as torque where a torque separates stiff from soft.
+    """Lower bound of the tangent stiffness, as a torque bound where one torque separates the two.
 
-    The stiffness of a reducer jumps at two torques. A bound on the torque is smooth where one on
-    the smoothed stiffness is flat, then steep, and still meets the jump only nearly.
+    The stiffness of a reducer jumps at two torques. A bound on the torque is smooth and exact; one
+    on the smoothed stiffness is flat, then steep, and approximates the jump.
     """
 
     name = "joint_stiffness"
@@ -48,33 +47,33 @@ class JointStiffnessFloor(LimitKind):
     )
 
     def active(self, limits: Limits) -> bool:
-        """Whether any joint has a floor."""
+        """Return True if any joint has a lower bound."""
         return bool(limits.joint_stiffness)
 
-    def read(self, section: LimitsSection, joints: JointLists) -> dict[str, Any]:
-        """Floors of joints that exist."""
+    def read(self, section: Section, joints: JointLists) -> dict[str, Any]:
+        """Read lower bounds by joint number."""
         floors = getattr(section, self.name) or {}
         for joint in floors:
             joints.check_number(joint, "limits.joint_stiffness")
         return {"joint_stiffness": dict(floors)}
 
     def rows(self, problem: TrajectoryProblem, model: StageModel, margin: float) -> list[PathRows]:
-        """One row a joint with a floor."""
+        """One row per joint with a lower bound."""
         labels, expressions = [], []
         for j, floor in sorted(problem.active_limits.joint_stiffness.items()):
             labels.append(f"joint {j}")
             needed = _torque_of_stiffness(model, j, floor)
             if needed and model.sides[j - 1]:
-                # A little beyond the jump, so that rounding does not fall off it.
+                # Back off beyond the jump, so that rounding does not cross it.
                 share = model.sides[j - 1] * model.torques.spring[j - 1] / needed
                 expressions.append(1.0 + _BESIDE_JUMP + margin - share)
             else:
-                # In compliance, which is bounded where stiffness is steep.
+                # Compliance is bounded where stiffness is steep.
                 expressions.append(floor * model.compliance(j) - (1.0 - margin))
         return [PathRows(name=self.name, labels=tuple(labels), expressions=tuple(expressions))]
 
     def violations(self, limits: Limits, motion: Assessment) -> list[Violation]:
-        """One a joint with a floor."""
+        """One violation per joint with a lower bound."""
         found = []
         for joint, floor in limits.joint_stiffness.items():
             low = motion.lowest_stiffness[joint - 1]
@@ -82,15 +81,15 @@ class JointStiffnessFloor(LimitKind):
         return found
 
     def check(self, problem: TrajectoryProblem, motion: ResolvedMotion) -> None:
-        """A sign change or a pose at rest may rule a floor out."""
+        """Raise `ProblemError` where a sign change or a rest pose rules a bound out."""
         floors = problem.active_limits.joint_stiffness
         for joint, floor in floors.items():
             if not 1 <= joint <= problem.joints:
                 raise ProblemError(
                     f"limits.joint_stiffness names joint {joint}; allowed: 1 to {problem.joints}."
                 )
-            unit = _unit(problem.robot, joint)
-            cause = sign_change(problem, motion, joint)
+            unit = _stiffness_unit(problem.robot, joint)
+            cause = torque_sign_change(problem, motion, joint)
             value = stiffness_at(problem, joint, 0.0)
             if cause and value < floor:
                 raise ProblemError(
@@ -105,7 +104,7 @@ class JointStiffnessFloor(LimitKind):
             for joint, floor in floors.items():
                 value = stiffness_at(problem, joint, float(torque[joint - 1]))
                 if value < floor:
-                    unit = _unit(problem.robot, joint)
+                    unit = _stiffness_unit(problem.robot, joint)
                     raise ProblemError(
                         f"limits.joint_stiffness: joint {joint} has {value:.4g} {unit} at rest in "
                         f"the {pose.name} pose, below the limit {floor:.4g} {unit}, whatever the "
@@ -114,29 +113,29 @@ class JointStiffnessFloor(LimitKind):
                     )
 
     def statements(self, limits: Limits, robot: Robot) -> list[tuple[str, float, str]]:
-        """One line a joint with a floor."""
+        """One statement per joint with a lower bound."""
         return [
-            (f"stiffness of joint {joint} at least", floor, _unit(robot, joint))
+            (f"stiffness of joint {joint} at least", floor, _stiffness_unit(robot, joint))
             for joint, floor in limits.joint_stiffness.items()
         ]
 
 
-def _unit(robot: Robot, joint: int) -> str:
+def _stiffness_unit(robot: Robot, joint: int) -> str:
     return joint_unit("N m/rad", bool(robot.prismatic[joint - 1]))
 
 
 def _torque_of_stiffness(model: StageModel, joint: int, floor: float) -> float | None:
-    """Torque [N m] from which on a joint is at least as stiff as `floor` [N m/rad].
+    """Torque [N m] above which a joint is at least as stiff as `floor` [N m/rad].
 
-    None where no such torque separates the stiff from the soft: the stiffness falls again within
-    one and a half times the joint's largest torque, or the joint is rigid.
+    None without such a torque: the stiffness falls again within 1.5 times the joint's largest
+    torque, or the joint is rigid.
     """
     chain = model.robot.chains[joint - 1]
     if chain is None:
         return None
 
     def stiff(torque: Quantity) -> Quantity:
-        return chain.tangent_stiffness(torque, smoothing=_SHARP) >= floor
+        return chain.tangent_stiffness(torque, smoothing=_SHARP_SMOOTHING) >= floor
 
     largest = 1.5 * float(model.robot.torque_max[joint - 1])
     torques = np.array([0.0, *np.geomspace(1e-4 * largest, largest, 1000)])

@@ -14,14 +14,14 @@ from stiffopt.problem.stage_terms import PathRows
 from stiffopt.result.assessment import DriveHistory, Violation
 
 if TYPE_CHECKING:
-    from stiffopt.problem.files import JointLists
-    from stiffopt.problem.schema import LimitsSection
+    from stiffopt.problem.joint_lists import JointLists
     from stiffopt.problem.stage_model import StageModel
     from stiffopt.problem.trajectory import TrajectoryProblem
+    from stiffopt.validation import Section
 
 
 class Position(DriveLimit):
-    """Lower and upper position; an excess or margin counts against the whole range."""
+    """Lower and upper position limits; excess and back-off are relative to the whole range."""
 
     name = "position"
     order = 0
@@ -43,11 +43,11 @@ class Position(DriveLimit):
     )
 
     def active(self, limits: Limits) -> bool:
-        """Whether any joint has a range."""
+        """Return True if any joint has a finite range."""
         return bool(np.any(np.isfinite(limits.position_upper - limits.position_lower)))
 
-    def read(self, section: LimitsSection, joints: JointLists) -> dict[str, Any]:
-        """Lists or the robot's own, lower below upper."""
+    def read(self, section: Section, joints: JointLists) -> dict[str, Any]:
+        """Read lists or the robot's own limits."""
         values = {}
         for key in self.keys:
             given = getattr(section, key.name)
@@ -67,17 +67,17 @@ class Position(DriveLimit):
         return values
 
     def bounds(self, limits: Limits, margin: float) -> tuple[np.ndarray, np.ndarray]:
-        """The range, narrowed by the margin's share of it at either end."""
+        """Range, narrowed by `margin` times its width at either end."""
         span = limits.position_upper - limits.position_lower
         inset = margin * np.where(np.isfinite(span), span, 0.0)
         return limits.position_lower + inset, limits.position_upper - inset
 
     def rows(self, problem: TrajectoryProblem, model: StageModel, margin: float) -> list[PathRows]:
-        """None: it bounds states, and a fixed path is checked when it is read."""
+        """No rows: states are bounded, and a fixed path is checked on reading."""
         return []
 
     def violations(self, limits: Limits, motion: DriveHistory) -> list[Violation]:
-        """The worst joint, relative to its range."""
+        """Violation of the worst joint, relative to its range."""
         span = limits.position_upper - limits.position_lower
         beyond = np.maximum(
             motion.position - limits.position_upper, limits.position_lower - motion.position

@@ -8,7 +8,7 @@ import numpy as np
 
 from stiffopt.declaration import Speed
 from stiffopt.problem.limit import LIMITS
-from stiffopt.problem.limits.tool_magnitude import ToolMagnitude
+from stiffopt.problem.limits.upper_bound import ToolMagnitudeBound
 
 if TYPE_CHECKING:
     from stiffopt.problem.stage_model import StageModel
@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from stiffopt.symbolic import Quantity
 
 
-class ToolSpeed(ToolMagnitude):
-    """Speed of the tool's point."""
+class ToolSpeed(ToolMagnitudeBound):
+    """Limit on the speed of the tool's point."""
 
     def vector(self, model: StageModel) -> Quantity:
         """Velocity of the tool [m/s]."""

@@ -18,10 +18,10 @@ if TYPE_CHECKING:
 
 
 class Torque(JointMagnitude):
-    """|drive torque| <= limit, rotor inertia and friction included."""
+    """Limit on the drive torque, rotor inertia and friction included."""
 
     def rows(self, problem: TrajectoryProblem, model: StageModel, margin: float) -> list[PathRows]:
-        """One row a joint; with dry friction, each side by its own envelope."""
+        """One row per joint; with dry friction, one per side by its envelope."""
         bound = problem.active_limits.torque
         if not np.any(problem.robot.coulomb):
             return [magnitude_rows(self.name, model.drive_torque, bound, margin)]

@@ -15,15 +15,15 @@ from stiffopt.problem.stage_terms import PathRows
 from stiffopt.result.assessment import DriveHistory, Violation
 
 if TYPE_CHECKING:
-    from stiffopt.problem.files import JointLists
-    from stiffopt.problem.schema import LimitsSection
+    from stiffopt.problem.joint_lists import JointLists
     from stiffopt.problem.stage_model import StageModel
     from stiffopt.problem.trajectory import TrajectoryProblem
     from stiffopt.symbolic import Quantity
+    from stiffopt.validation import Section
 
 
 class VelocityByPosition(DriveLimit):
-    """|velocity| below a piecewise-linear function of the position, constant beyond its ends.
+    """Velocity limit as a piecewise-linear function of position, constant beyond its ends.
 
     The attribute `velocity_map` is (positions (k, n) [rad], velocities (k, n) [rad/s]) or None.
     """
@@ -34,28 +34,28 @@ class VelocityByPosition(DriveLimit):
             key="velocity_by_position",
             attribute="velocity_map",
             form=str | None,
-            description="CSV file beside this one with the columns q1.., v1.., one of each a joint "
+            description="CSV file beside this one with the columns q1.., v1.., one each per joint "
             "[rad, m; rad/s, m/s]: largest velocity over that joint's own position.",
             value=lambda robot: None,
         ),
     )
 
     def active(self, limits: Limits) -> bool:
-        """Whether there is a map."""
+        """Return True if a table is given."""
         return limits.velocity_map is not None
 
-    def read(self, section: LimitsSection, joints: JointLists) -> dict[str, Any]:
-        """The table of the file that is named."""
+    def read(self, section: Section, joints: JointLists) -> dict[str, Any]:
+        """Read the table of the named file."""
         name = getattr(section, self.name)
         table = None if name is None else _read_map(joints.path.parent / name, len(joints.names))
         return {"velocity_map": table}
 
     def rows(self, problem: TrajectoryProblem, model: StageModel, margin: float) -> list[PathRows]:
-        """Forward and backward speed of each joint."""
+        """Rows on forward and backward velocity of each joint."""
         positions, speeds = problem.active_limits.velocity_map
         expressions, labels = [], []
         for j in range(positions.shape[1]):
-            allowed = _interpolated(model.position[j], positions[:, j], speeds[:, j])
+            allowed = _interpolate_symbolic(model.position[j], positions[:, j], speeds[:, j])
             scale = float(np.max(speeds[:, j]))
             for sign, side in ((1.0, "forward"), (-1.0, "backward")):
                 slack = sign * model.velocity[j] - (1.0 - margin) * allowed
@@ -64,7 +64,7 @@ class VelocityByPosition(DriveLimit):
         return [PathRows(name=self.name, labels=tuple(labels), expressions=tuple(expressions))]
 
     def violations(self, limits: Limits, motion: DriveHistory) -> list[Violation]:
-        """The worst joint and instant."""
+        """Violation of the worst joint and instant."""
         allowed = velocity_at(limits.velocity_map, motion.position)
         return [worst_joint(self.name, np.abs(motion.velocity) / allowed - 1.0, motion)]
 
@@ -76,7 +76,7 @@ def velocity_at(table: tuple[np.ndarray, np.ndarray], position: np.ndarray) -> n
     return np.stack(columns, axis=1)
 
 
-def _interpolated(x: Quantity, knots: np.ndarray, values: np.ndarray) -> Quantity:
+def _interpolate_symbolic(x: Quantity, knots: np.ndarray, values: np.ndarray) -> Quantity:
     """Linear interpolation, constant outside the knots, as a sum of hinges."""
     slopes = np.concatenate(([0.0], np.diff(values) / np.diff(knots), [0.0]))
     result: Quantity = float(values[0])
@@ -87,7 +87,7 @@ def _interpolated(x: Quantity, knots: np.ndarray, values: np.ndarray) -> Quantit
 
 
 def _read_map(path: Path, joints: int) -> tuple[np.ndarray, np.ndarray]:
-    """Positions, which increase from row to row, and speeds, (k, joints) each, in SI."""
+    """Read increasing positions and speed limits, (k, joints) each, in SI."""
     columns = [f"{letter}{j + 1}" for letter in "qv" for j in range(joints)]
     read = read_table(path, columns)
     table = np.column_stack([read[column] for column in columns])

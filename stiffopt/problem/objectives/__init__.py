@@ -1,1 +1,1 @@
-"""What can be minimised, one kind a file; each adds itself to `problem.objective.OBJECTIVES`."""
+"""Kinds of objective, one per file; each registers itself in `problem.objective.OBJECTIVES`."""

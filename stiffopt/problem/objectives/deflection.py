@@ -1,4 +1,4 @@
-"""Deflection of the tool: what the motion adds, all of it, or what the process force adds."""
+"""Deflection of the tool: the dynamic part, the total, or the part of the process force."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from stiffopt.errors import ProblemError
-from stiffopt.problem.objective import ACCEPT, OBJECTIVES, Bound, Objective, ObjectiveKind
-from stiffopt.problem.rest import poses_within_limits, rest_deflection, rest_poses
+from stiffopt.problem.objective import ACCEPT_ADVICE, OBJECTIVES, Bound, Objective, ObjectiveKind
+from stiffopt.problem.rest_poses import poses_within_limits, rest_deflection, rest_poses
 from stiffopt.problem.stage_terms import (
     WINDUP_SMOOTHING,
     IntegralRow,
@@ -20,16 +20,15 @@ from stiffopt.problem.stage_terms import (
 from stiffopt.result.joint_path import JointPath
 
 if TYPE_CHECKING:
-    from stiffopt.problem.resolve import ResolvedMotion
     from stiffopt.problem.stage_model import StageModel
-    from stiffopt.problem.trajectory import TrajectoryProblem
+    from stiffopt.problem.trajectory import ResolvedMotion, TrajectoryProblem
     from stiffopt.result.assessment import Assessment
     from stiffopt.symbolic import Quantity
 
 
-# Of the dynamic part [m]: no arm of geared joints repeats its path better, and in a slow motion
-# less takes detours of the wrist.
-_NEGLIGIBLE = 5e-6
+# Dynamic deflection that is not minimised further [m]: below the repeatability of geared arms, and
+# in slow motions less would require detours of the wrist.
+_NEGLIGIBLE_DEFLECTION = 5e-6
 
 
 class ToolDeflection(ObjectiveKind):
@@ -44,9 +43,9 @@ class ToolDeflection(ObjectiveKind):
         "dynamic", "total" or "process".
     phrase, description : str
     pinned_by : str
-        What fixes the peak in a pose at rest; "" where nothing does.
+        Quantity that bounds the peak in a rest pose; "" for none.
     instead : str
-        Choice to be named where the peak is pinned.
+        Alternative to suggest where the peak is at its bound.
     """
 
     unit = "m"
@@ -58,12 +57,12 @@ class ToolDeflection(ObjectiveKind):
     ) -> None:
         self.name = f"{part}_deflection"
         self.deflection_part = part
-        self.negligible = _NEGLIGIBLE if part == "dynamic" else 0.0
+        self.negligible = _NEGLIGIBLE_DEFLECTION if part == "dynamic" else 0.0
         self.phrase, self.description = phrase, description
         self.pinned_by, self.instead = pinned_by, instead
 
     def check(self, objective: Objective, problem: TrajectoryProblem) -> None:
-        """A deflection by the process force needs one."""
+        """Raise `ProblemError` for process deflection without a process force."""
         if self.deflection_part == "process" and not np.any(problem.process_force):
             raise ProblemError(
                 "process_deflection is the deflection that a force on the tool causes, and there "
@@ -73,13 +72,14 @@ class ToolDeflection(ObjectiveKind):
     def bounds(
         self, objective: Objective, problem: TrajectoryProblem, motion: ResolvedMotion
     ) -> list[Bound]:
-        """Deflections of given rest poses, below which the peak over the motion cannot be."""
-        # Of a robot without any drivetrain the stage's model says what is missing.
-        if problem.robot.yields and not problem.robot.tool_yields(_passed(problem, motion)):
+        """Deflection of fixed rest poses, a lower bound of the peak over the motion."""
+        # A robot without any drivetrain is refused by the stage model.
+        if problem.robot.yields and not problem.robot.tool_yields(_sample_poses(problem, motion)):
             text = (
-                f"{self.name} is zero whatever the motion: no joint of {problem.robot.name} that "
-                "yields moves the tool in any pose. Describe the elements of the others in "
-                f"the robot file, give tool.offset, or minimise 'torque_squared'{ACCEPT}"
+                f"{self.name} is zero whatever the motion: no elastic joint of "
+                f"{problem.robot.name} moves the tool in any pose. Describe the elements of the "
+                f"others in the robot file, give tool.offset, or minimise "
+                f"'torque_squared'{ACCEPT_ADVICE}"
             )
             return [Bound(self.name, 0.0, text, True)]
         if not self.pinned_by or objective.measure != "peak":
@@ -95,14 +95,14 @@ class ToolDeflection(ObjectiveKind):
         text = (
             f"The peak {self.name.replace('_', ' ')} cannot be below {self.pinned_by} of the "
             f"{where} pose, {1e3 * value:.4g} mm, whatever the motion. Minimise {self.instead}its "
-            f"rms{ACCEPT}"
+            f"rms{ACCEPT_ADVICE}"
         )
         return [Bound(self.name, value, text, True)]
 
     def static_variables(
         self, objective: Objective, problem: TrajectoryProblem, sides: np.ndarray
     ) -> tuple[StaticVariable, ...]:
-        """The bound on the peak or root mean square [m]."""
+        """Upper bound of the peak or root mean square [m]."""
         return (
             StaticVariable(
                 name=f"{objective.measure} {self.deflection_part} deflection",
@@ -118,7 +118,7 @@ class ToolDeflection(ObjectiveKind):
         statics: tuple[Quantity, ...],
         scale: float,
     ) -> ObjectiveTerms:
-        """The bound itself, and the row that holds the deflection below it."""
+        """Upper bound as the value, and the row that enforces it."""
         (bound,) = statics
         name = f"{self.deflection_part} deflection {objective.measure}"
         square = squared_length(getattr(model.deflection, self.deflection_part) / scale)
@@ -142,8 +142,8 @@ class ToolDeflection(ObjectiveKind):
         return float(getattr(motion.deflection_summary()[self.deflection_part], objective.measure))
 
 
-def _passed(problem: TrajectoryProblem, motion: ResolvedMotion) -> np.ndarray:
-    """Poses (K, n) that tell what any motion meets: the given ones, and some that it may take."""
+def _sample_poses(problem: TrajectoryProblem, motion: ResolvedMotion) -> np.ndarray:
+    """Given poses and samples of those that a motion may take (K, n)."""
     if problem.path is None:
         others = poses_within_limits(problem)
     else:
@@ -155,9 +155,9 @@ OBJECTIVES.add(
     ToolDeflection(
         "dynamic",
         phrase="dynamic tool deflection",
-        description="Quasi-static deviation of the tool from the static sag of the same pose: what "
-        "calibration cannot remove, without the links' swing; lowered to 5 um or a third of the "
-        "baseline's, whichever is less, and no further.",
+        description="Quasi-static deviation of the tool from the static sag of the same pose, "
+        "which calibration cannot remove, without vibration of the links; minimised down to 5 um "
+        "or a third of the baseline's, whichever is less.",
     )
 )
 OBJECTIVES.add(
@@ -166,14 +166,14 @@ OBJECTIVES.add(
         phrase="total tool deflection",
         description="Deflection of the tool with the static sag and the process force.",
         pinned_by="the static sag",
-        instead="'dynamic_deflection' (what the motion adds), or ",
+        instead="'dynamic_deflection' (the part that the motion adds), or ",
     )
 )
 OBJECTIVES.add(
     ToolDeflection(
         "process",
         phrase="tool deflection under the process force",
-        description="Further deflection of the tool under the process force.",
-        pinned_by="what the process force does at rest",
+        description="Additional deflection of the tool under the process force.",
+        pinned_by="the process deflection at rest",
     )
 )

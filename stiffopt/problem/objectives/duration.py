@@ -27,11 +27,11 @@ class Duration(ObjectiveKind):
     compared_as_ratio = False
 
     def check(self, objective: Objective, problem: TrajectoryProblem) -> None:
-        """A fixed duration cannot be minimised."""
+        """Raise `ProblemError` for a fixed duration."""
         if problem.duration[0] == problem.duration[1]:
             raise ProblemError(
                 f"The duration is fixed at {problem.duration[0]:g} s, so it cannot be minimised. "
-                "Give motion.duration as { lower, upper }, or minimise something else."
+                "Give motion.duration as { lower, upper }, or choose another objective."
             )
 
     def terms(
@@ -42,7 +42,7 @@ class Duration(ObjectiveKind):
         statics: tuple[Quantity, ...],
         scale: float,
     ) -> ObjectiveTerms:
-        """The duration itself."""
+        """Duration as the value."""
         return ObjectiveTerms(value=lambda integrals, duration: duration)
 
     def certified_value(self, objective: Objective, motion: Assessment) -> float:

@@ -19,17 +19,17 @@ if TYPE_CHECKING:
 
 
 class JointIntegral(ObjectiveKind):
-    """Integral over time, or mean over time, summed over the joints that count."""
+    """Integral or mean over time, summed over the joints of the objective."""
 
     mean = False
 
     @abstractmethod
     def integrand(self, problem: TrajectoryProblem, model: StageModel, joint: int) -> Quantity:
-        """What is integrated for a joint (1-based), symbolic."""
+        """Integrand of a joint (1-based), symbolic."""
 
     @abstractmethod
     def certified_integrand(self, robot: Robot, motion: Assessment) -> np.ndarray:
-        """The same on the fine grid, (K, n)."""
+        """Integrand on the fine grid, (K, n)."""
 
     def terms(
         self,
@@ -39,7 +39,7 @@ class JointIntegral(ObjectiveKind):
         statics: tuple[Quantity, ...],
         scale: float,
     ) -> ObjectiveTerms:
-        """One integral over the sum of the joints."""
+        """Integral of the sum over the joints."""
         joints = objective.numbers(problem.joints)
         total = sum(self.integrand(problem, model, joint) for joint in joints)
         if self.mean:
@@ -54,7 +54,7 @@ class JointIntegral(ObjectiveKind):
         return float(sum(motion.integrals[f"{self.name}_{j}"] for j in numbers))
 
     def joint_integrals(self, robot: Robot, motion: Assessment) -> np.ndarray:
-        """By the trapezoidal rule on the fine grid (n,); joint by joint, which rounds least."""
+        """Integrals (n,) by the trapezoidal rule, joint by joint for least rounding."""
         over = motion.duration if self.mean else 1.0
         integrand = self.certified_integrand(robot, motion) / over
         return np.array([np.trapezoid(column, motion.time) for column in integrand.T])
@@ -71,12 +71,12 @@ class TorqueSquared(JointIntegral):
     of_drives = True
 
     def integrand(self, problem: TrajectoryProblem, model: StageModel, joint: int) -> Quantity:
-        """Square of the share of the largest drive torque."""
+        """Squared ratio of drive torque to largest torque."""
         ratio = model.drive_torque[joint - 1] / problem.robot.torque_max[joint - 1]
         return ratio * ratio
 
     def certified_integrand(self, robot: Robot, motion: Assessment) -> np.ndarray:
-        """The same from the certificate's torques."""
+        """Squared ratio from the certificate's torques."""
         return np.asarray((motion.torque / robot.torque_max) ** 2)
 
 
@@ -90,11 +90,11 @@ class AccelerationSquared(JointIntegral):
     prefixed = False
 
     def integrand(self, problem: TrajectoryProblem, model: StageModel, joint: int) -> Quantity:
-        """Square of the acceleration."""
+        """Squared acceleration."""
         return model.acceleration[joint - 1] ** 2
 
     def certified_integrand(self, robot: Robot, motion: Assessment) -> np.ndarray:
-        """The same on the fine grid."""
+        """Squared acceleration on the fine grid."""
         return np.asarray(motion.acceleration**2)
 
 
@@ -113,7 +113,7 @@ class MeanCompliance(JointIntegral):
         return model.compliance(joint)
 
     def certified_integrand(self, robot: Robot, motion: Assessment) -> np.ndarray:
-        """The same by the exact law."""
+        """Tangent compliance by the exact law."""
         with np.errstate(divide="ignore"):
             return np.asarray(1.0 / motion.stiffness)
 

@@ -1,4 +1,4 @@
-"""Lowest tangent stiffness of the joints over the motion, which is maximised."""
+"""Maximisation of the lowest tangent stiffness of the joints over the motion."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from stiffopt.errors import ProblemError
-from stiffopt.problem.objective import ACCEPT, OBJECTIVES, Bound, Objective, ObjectiveKind
-from stiffopt.problem.rest import gravity_torque, rest_poses, sign_change, stiffness_at
+from stiffopt.problem.objective import ACCEPT_ADVICE, OBJECTIVES, Bound, Objective, ObjectiveKind
+from stiffopt.problem.rest_poses import gravity_torque, rest_poses, stiffness_at, torque_sign_change
 from stiffopt.problem.stage_terms import (
     STIFFNESS_SMOOTHING,
     ObjectiveTerms,
@@ -18,22 +18,21 @@ from stiffopt.problem.stage_terms import (
 from stiffopt.units import joint_unit
 
 if TYPE_CHECKING:
-    from stiffopt.problem.resolve import ResolvedMotion
     from stiffopt.problem.stage_model import StageModel
-    from stiffopt.problem.trajectory import TrajectoryProblem
+    from stiffopt.problem.trajectory import ResolvedMotion, TrajectoryProblem
     from stiffopt.result.assessment import Assessment
     from stiffopt.symbolic import Quantity
 
-# Relative loss of stiffness that outweighs a torque of torque_max on the other side.
+# Penalty of a sign change by torque_max, as a relative loss of stiffness.
 _RELIEF_PRICE = 10.0
 
 
 class LowestJointStiffness(ObjectiveKind):
-    """The smallest of k_j / weight_j over time and joints, through a lower bound on it.
+    """Smallest k_j / weight_j over time and joints, maximised through a lower bound.
 
-    A joint whose torque changes sign has its stiffness at zero torque as the minimum. A motion with
-    a higher one stays on one side; further rows hold it there, because it could change over
-    between nodes. A motion too quick to stay on one side needs some relief from them, at a price.
+    A joint whose torque changes sign has its minimum at zero torque. Further rows keep torques on
+    one side, as they could cross zero between nodes; motions too fast for that violate them by a
+    penalised slack, the relief.
     """
 
     name = "joint_stiffness"
@@ -50,7 +49,7 @@ class LowestJointStiffness(ObjectiveKind):
     def bounds(
         self, objective: Objective, problem: TrajectoryProblem, motion: ResolvedMotion
     ) -> list[Bound]:
-        """Stiffness at zero torque where the torque must change sign, else that of a rest pose."""
+        """Stiffness at zero torque where a torque must change sign, else that of a rest pose."""
         found = []
         for joint in objective.numbers(problem.joints):
             if problem.robot.chains[joint - 1] is None:
@@ -59,7 +58,7 @@ class LowestJointStiffness(ObjectiveKind):
                     "stiffness. Describe its elements in the robot file, or leave it out of "
                     "minimise.joints."
                 )
-            cause = sign_change(problem, motion, joint)
+            cause = torque_sign_change(problem, motion, joint)
             weight = objective.weight_of(joint)
             slides = bool(problem.robot.prismatic[joint - 1])
             unit = joint_unit("N m/rad", slides)
@@ -69,7 +68,7 @@ class LowestJointStiffness(ObjectiveKind):
                     f"The torque of joint {joint} must change sign ({cause}), so its lowest "
                     f"stiffness is the one at zero torque, {value:.4g} {unit}, whatever the "
                     f"motion. Leave joint {joint} out (minimise.joints), minimise "
-                    f"'mean_compliance' or 'dynamic_deflection' instead{ACCEPT}"
+                    f"'mean_compliance' or 'dynamic_deflection' instead{ACCEPT_ADVICE}"
                 )
                 found.append(Bound(self.name, value / weight, text, True))
                 continue
@@ -88,12 +87,12 @@ class LowestJointStiffness(ObjectiveKind):
     def static_variables(
         self, objective: Objective, problem: TrajectoryProblem, sides: np.ndarray
     ) -> tuple[StaticVariable, ...]:
-        """The lower bound [N m/rad], and the relief [-] where a joint can stay on one side."""
+        """Lower bound [N m/rad], and the relief [-] if any joint can keep its sign."""
         bound = StaticVariable(
             name="minimum joint stiffness",
             start=lambda motion: self.certified_value(objective, motion),
         )
-        kept = _one_sided(objective, problem, sides)
+        kept = _single_sided_joints(objective, problem, sides)
         if not kept:
             return (bound,)
         columns = np.array(kept) - 1
@@ -112,18 +111,18 @@ class LowestJointStiffness(ObjectiveKind):
         statics: tuple[Quantity, ...],
         scale: float,
     ) -> ObjectiveTerms:
-        """The bound less the price of relief."""
+        """Lower bound less the penalty of the relief."""
         bound = statics[0]
         joints = objective.numbers(problem.joints)
         stiff = PathRows(
             name="minimum joint stiffness",
             labels=tuple(f"joint {j}" for j in joints),
-            # In compliance, not stiffness: 1/k is smooth and bounded where k is steep.
+            # Compliance is smooth and bounded where stiffness is steep.
             expressions=tuple(
                 bound * objective.weight_of(j) * model.compliance(j) - 1.0 for j in joints
             ),
         )
-        kept = _one_sided(objective, problem, model.sides)
+        kept = _single_sided_joints(objective, problem, model.sides)
         if not kept:
             return ObjectiveTerms(value=lambda integrals, duration: bound, path_rows=(stiff,))
         relief = statics[1]
@@ -150,10 +149,10 @@ class LowestJointStiffness(ObjectiveKind):
         )
 
 
-def _one_sided(
+def _single_sided_joints(
     objective: Objective, problem: TrajectoryProblem, sides: np.ndarray
 ) -> tuple[int, ...]:
-    """Joints (1-based) that count and can keep their spring torque on one side."""
+    """Joints (1-based) of the objective that can keep the sign of their spring torque."""
     return tuple(j for j in objective.numbers(problem.joints) if sides[j - 1] != 0)
 
 

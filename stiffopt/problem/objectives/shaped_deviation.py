@@ -1,4 +1,4 @@
-"""Deviation of the elastic arm's tool by a motion that is shaped to the arm's lowest mode."""
+"""Deviation of the elastic arm's tool with input shaping to the lowest mode."""
 
 from __future__ import annotations
 
@@ -14,29 +14,30 @@ if TYPE_CHECKING:
 
 
 class ShapedDeviation(ToolDeviation):
-    """Dynamic deflection of a motion planned for the links and averaged over a swing.
+    """Dynamic deflection with planned links and input shaping.
 
-    Made by `stiffopt.solver.input_shaping`: the quasi-static optimum of a shorter time, averaged.
+    `stiffopt.solver.input_shaping` averages the quasi-static optimum of a shorter
+    duration over a period of the lowest mode.
     """
 
     shaped = True
-    chosen_for_other_arms = False
+    chosen_for_robustness = False
 
     def __init__(self) -> None:
         super().__init__()
         self.name = "shaped_deviation"
         self.phrase = "deviation of the elastic arm's tool, shaped"
         self.description = (
-            "As tool_deviation, of a motion averaged over a swing of the lowest mode: somewhat "
-            "more on the arm as modelled, least on one that is not; of fixed duration."
+            "As tool_deviation, with the motion averaged over a period of the lowest mode (input "
+            "shaping): somewhat more on the nominal arm, least with model errors; fixed duration."
         )
 
     def check(self, objective: Objective, problem: TrajectoryProblem) -> None:
-        """As `tool_deviation`, alone and of fixed duration."""
+        """Check as `tool_deviation`; the objective must be alone and the duration fixed."""
         super().check(objective, problem)
         if problem.duration[0] != problem.duration[1] or len(problem.objectives) > 1:
             raise ProblemError(
-                "shaped_deviation needs a fixed duration and no objective beside it; minimise "
+                "shaped_deviation needs a fixed duration and no other objective; minimise "
                 "'tool_deviation', or fix the duration."
             )
 

@@ -9,8 +9,13 @@ from matplotlib.figure import Figure
 
 from stiffopt.report.common.svg import BLUE, GREY, VERMILLION, WIDTH, house_style
 from stiffopt.report.common.text import listed, scale, si, significant
-from stiffopt.result.compensation import CompensatedMotion, Compensation, Spread, Spreads
-from stiffopt.result.compensation_store import COMMAND_FILE
+from stiffopt.result.compensation import (
+    COMMAND_FILE,
+    CompensatedMotion,
+    Compensation,
+    Spread,
+    Spreads,
+)
 
 _FOLLOW, _LEAD = "as planned", "compensated"
 # What its figure shows, for those who do not see it.

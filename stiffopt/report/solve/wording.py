@@ -245,7 +245,7 @@ def limit_text(violation: Violation) -> str:
 def violation_text(violation: Violation) -> str:
     """Excess or margin of a limit in words: "exceeded by 0.12 %", "margin 8.5 %", "2 mm deep"."""
     if violation.distance is not None:
-        return violation.apart()
+        return violation.describe_distance()
     if abs(violation.value) < _AT_LIMIT:
         return "at the limit"
     size = percent(abs(violation.value))

@@ -9,8 +9,7 @@ from stiffopt.report.common.status_line import StatusLine
 from stiffopt.report.common.terminal import print_lines
 from stiffopt.report.sweep.sentences import headline, knee_sentence, spread_sentence
 from stiffopt.sweep.run import SweepProgress
-from stiffopt.sweep.store import TABLE_FILE
-from stiffopt.sweep.summary import SweepSummary
+from stiffopt.sweep.summary import TABLE_FILE, SweepSummary
 
 PLAIN_INTERVAL = 5.0
 

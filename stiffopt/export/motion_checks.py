@@ -1,7 +1,7 @@
-"""The motion of a result folder, judged again before it leaves: what is in the files, not the page.
+"""Assessment of a stored motion before its export.
 
-A result says of its motion what was certified, and files can change after that. Rows are therefore
-held against the hashes, the duration and the limits of the problem, by the certificate's own model.
+Files can change after certification. Rows are therefore checked against hashes, duration and the
+limits of the problem, by the certificate's own model.
 """
 
 from __future__ import annotations
@@ -28,21 +28,21 @@ if TYPE_CHECKING:
     from stiffopt.problem.trajectory import TrajectoryProblem
     from stiffopt.result.assessment import Violation
 
-# Largest difference of an instant from its place in the grid of 2 ms [s]: rounding of the file.
+# Tolerance of times on the grid of 2 ms [s]: rounding of the file.
 _TIME_ROUNDING = 1e-9
 
 
 class SampledRows:
-    """A motion at samples alone, as the certificate takes it.
+    """Sampled motion with the interface of the certificate.
 
     Parameters
     ----------
     time : array (K,) [s]
     rows : three of array (K, n)
-        Position, velocity and acceleration. The jerk is the slope of the acceleration from sample
-        to sample: never above the largest of the motion that was sampled.
+        Position, velocity and acceleration. Jerk is the slope of the acceleration between samples,
+        at most the largest jerk of the sampled motion.
     link : CubicSpline or None
-        Positions of the links, where their motion is planned apart.
+        Link positions, where planned apart from the motors'.
     """
 
     def __init__(
@@ -60,19 +60,19 @@ class SampledRows:
             self.link = lambda t, order=0: link(np.minimum(t, end), order)
 
     def __call__(self, t: np.ndarray, order: int = 0) -> np.ndarray:
-        """Quantity of this order (K, n); `t` are the samples themselves."""
+        """Derivative of this order (K, n); `t` are the sampling times."""
         return self._orders[order]
 
 
 def solved_problem(
     path: Path, document: dict[str, Any], given: Path | None = None
 ) -> TrajectoryProblem:
-    """Return the problem that a result.json at `path` solved, with its changes and its model.
+    """Return the solved problem of a result.json at `path`, with its changes and model.
 
     Raises
     ------
     InputFileError
-        A file is missing, or robot, payload, limits or problem are not those that were solved.
+        A file is missing, or robot, payload, limits or problem have changed.
     """
     file = problem_file(path, document, given)
     stated = load_problem(file, read_changes(path, document)).problem
@@ -87,20 +87,20 @@ def solved_problem(
             raise InputFileError(
                 path,
                 f"seal.{key}",
-                f"the {key} of {file} {'are' if key == 'limits' else 'is'} not what this motion "
-                "was certified with. Solve again.",
+                f"the {key} of {file} {'differ' if key == 'limits' else 'differs'} from the "
+                "certified one. Solve again.",
             )
     check_inputs(path, document, file, stated)
     return stated
 
 
 def sealed(path: Path, document: dict[str, Any]) -> dict[str, Any]:
-    """Return the hashes that a result.json at `path` holds of its motion.
+    """Return the hashes of the motion in a result.json at `path`.
 
     Raises
     ------
     InputFileError
-        It is of an earlier version, which had none.
+        The result has no hashes, as those of earlier versions.
     """
     seal = document.get("seal")
     texts = isinstance(seal, dict) and all(
@@ -110,8 +110,8 @@ def sealed(path: Path, document: dict[str, Any]) -> dict[str, Any]:
         raise InputFileError(
             path,
             "seal",
-            "this result holds no hashes of its motion, robot, payload and limits, as those of an "
-            "earlier version. Solve again.",
+            "this result has no hashes of its motion, robot, payload and limits, as results of "
+            "earlier versions. Solve again.",
         )
     return dict(seal)
 
@@ -119,21 +119,21 @@ def sealed(path: Path, document: dict[str, Any]) -> dict[str, Any]:
 def read_rows(
     file: Path, path: Path, document: dict[str, Any], problem: TrajectoryProblem
 ) -> tuple[np.ndarray, np.ndarray, CubicSpline | None]:
-    """Return times (K,), derivatives 0 to 2 of the positions (3, K, n) and the links of a table.
+    """Read times (K,), position to acceleration (3, K, n) and links of a table.
 
     Parameters
     ----------
     file : Path
         trajectory.csv or command.csv.
     path : Path
-        Of its result.json, whose content is `document`.
+        Path of its result.json, whose content is `document`.
     problem : TrajectoryProblem
 
     Raises
     ------
     InputFileError
-        The table is not the one that was certified: another hash, rows missing, instants or
-        columns that do not fit together.
+        The table is not the certified one: another hash, missing rows, inconsistent times or
+        columns.
     """
     joints = problem.joints
     names = [[f"{quantity}{j}" for j in range(1, joints + 1)] for quantity in ("q", "qd", "qdd")]
@@ -150,19 +150,19 @@ def read_rows(
     _check_derivatives(file, time, rows, ~np.isfinite(problem.active_limits.jerk))
     if not all(name in table for name in links):
         return time, rows, None
-    # The links' velocities at the ends: those of the motors, as the wind-up hardly changes there.
+    # End velocities of the links are those of the motors: the wind-up is nearly constant there.
     ends = ((1, rows[1, 0]), (1, rows[1, -1]))
     moved = CubicSpline(time, np.array([table[name] for name in links]).T, bc_type=ends)
     return time, rows, moved
 
 
 def _check_times(file: Path, time: np.ndarray) -> None:
-    """Raise `InputFileError` unless the instants are those of the grid that solves write."""
+    """Raise `InputFileError` unless the times are the export grid."""
     wanted = export_times(float(time[-1])) if time[-1] > 0.0 else np.zeros(0)
     if len(wanted) == len(time) and np.all(np.abs(time - wanted) <= _TIME_ROUNDING):
         return
     if time[0] != 0.0 or not np.all(np.diff(time) > 0.0):
-        raise InputFileError(file, "t", "the times must begin at 0 and increase.")
+        raise InputFileError(file, "t", "the times must start at 0 and increase.")
     row = int(np.argmax(np.abs(time[: len(wanted)] - wanted[: len(time)]) > _TIME_ROUNDING)) + 1
     raise InputFileError(
         file, f"row {row}, t", "is not every 2 ms: rows are missing or the times were changed. "
@@ -171,16 +171,16 @@ def _check_times(file: Path, time: np.ndarray) -> None:
 
 
 def _check_derivatives(file: Path, time: np.ndarray, rows: np.ndarray, jumps: np.ndarray) -> None:
-    """Raise `InputFileError` where velocities or accelerations are not those of the positions."""
+    """Raise `InputFileError` where velocities or accelerations contradict the positions."""
     step = np.diff(time)[:, None]
-    # What the acceleration may do between two rows: without a jerk limit it may jump and return.
+    # Change of the acceleration between two rows; without a jerk limit it may jump and return.
     bend = np.abs(np.diff(rows[2], axis=0))
     bend = np.where(jumps, 2.0 * np.max(np.abs(rows[2]), axis=0), bend)
     for order, quantity in ((0, "velocity"), (1, "acceleration")):
         own, rate = rows[order], rows[order + 1]
         mean = np.diff(own, axis=0) / step
-        # The mean of what runs monotonically from row to row lies between the two; the velocity,
-        # which bends by the acceleration, is off their mean by an eighth of that change at most.
+        # The mean of a monotonic acceleration lies between its rows; that of the velocity is off
+        # the mean of its rows by at most an eighth of the change of acceleration times the step.
         off = bend * step / 8.0 if order == 0 else bend / 2.0
         rounding = 1e-12 / step
         room = CERTIFICATE_TOLERANCE * np.max(np.abs(rate), axis=0) + off + rounding
@@ -190,7 +190,7 @@ def _check_derivatives(file: Path, time: np.ndarray, rows: np.ndarray, jumps: np
             raise InputFileError(
                 file,
                 f"row {k + 1}",
-                f"the {quantity} of joint {j + 1} is not that of the motion to the next row at "
+                f"the {quantity} of joint {j + 1} contradicts the motion to the next row at "
                 f"{time[k]:.3f} s: the file was changed. Solve again.",
             )
 
@@ -198,10 +198,10 @@ def _check_derivatives(file: Path, time: np.ndarray, rows: np.ndarray, jumps: np
 def judge_plan(problem: TrajectoryProblem, motion: SampledRows, file: Path) -> None:
     """Raise `InputFileError` where the rows of a trajectory.csv exceed a limit or miss an end.
 
-    Vias are passed between rows, which a tool does not meet within their tolerance.
+    Vias are not checked: they are passed between rows.
     """
     found = assess(problem, motion, times=motion.time).violations
-    _refuse([each for each in found if not each.limit.startswith("via_")], str(file))
+    _require_within_limits([each for each in found if not each.limit.startswith("via_")], str(file))
 
 
 def judge_samples(problem: TrajectoryProblem, motion: SampledRows, name: str) -> Violation:
@@ -210,16 +210,16 @@ def judge_samples(problem: TrajectoryProblem, motion: SampledRows, name: str) ->
     Raises
     ------
     InputError
-        It is exceeded.
+        A limit is exceeded.
     """
     found = drive_violations(problem, motion, motion.time)
-    _refuse(found, name)
+    _require_within_limits(found, name)
     return found[0]
 
 
-def _refuse(found: Sequence[Violation], name: str) -> None:
+def _require_within_limits(found: Sequence[Violation], name: str) -> None:
     """Raise `InputError` where a limit is exceeded by more than the certificate's tolerance."""
-    # `not <=`: what is not a number keeps no limit.
+    # `not <=` refuses nan as well.
     over = [each for each in found if not each.value <= CERTIFICATE_TOLERANCE]
     if over:
         raise InputError(

@@ -1,4 +1,4 @@
-"""An objective and a limit that one class each brings: nothing else has to know of them."""
+"""A new objective and a new limit, each added by one class."""
 
 import numpy as np
 import pytest
@@ -102,7 +102,7 @@ def _registered():
 GOAL = 'objective = "peak_velocity"\njoints = [1]'
 
 
-def test_schema_and_reference_have_them():
+def test_schema_and_reference_contain_new_kinds():
     text = str(file_schema("trajectory"))
     page = reference_page()
     for kind in (PeakVelocity, JointPower):
@@ -112,7 +112,7 @@ def test_schema_and_reference_have_them():
     assert JointPower.keys[0].description in page
 
 
-def test_the_optimiser_keeps_and_the_certificate_judges_them(tmp_path):
+def test_optimiser_and_certificate_use_new_kinds(tmp_path):
     free = solve(load(tmp_path, minimise=GOAL))
     assert free.status == "optimal"
     # From -0.6 to 0.5 rad in 0.5 s, at rest at both ends: the mean velocity is a bound.
@@ -142,6 +142,6 @@ def test_the_optimiser_keeps_and_the_certificate_judges_them(tmp_path):
     assert "joint power" in page
 
 
-def test_words(tmp_path):
+def test_messages_name_new_kinds(tmp_path):
     assert objective_phrase("peak_velocity", "") == "largest joint velocity"
     assert "joint_power" in problem_file().model_fields["limits"].annotation.model_fields

@@ -1,4 +1,4 @@
-"""The optimiser's own model along a motion that it found: what it believed, as numbers."""
+"""Quantities that the optimiser's model predicts along its own solution."""
 
 from __future__ import annotations
 
@@ -8,29 +8,29 @@ import numpy as np
 from stiffopt.dynamics.friction import dry_friction_width
 from stiffopt.problem.coordinates import coordinates_of
 from stiffopt.problem.formulation import stage_model
-from stiffopt.problem.smoothing import Smoothing
+from stiffopt.problem.stage_terms import Smoothing
 from stiffopt.problem.trajectory import TrajectoryProblem
-from stiffopt.result.believed import Believed
+from stiffopt.result.assessment import PredictedMotion
 from stiffopt.result.trajectory import Trajectory
 from stiffopt.symbolic import array_of
 
-PARTS = ("static", "dynamic", "process", "total")
+DEFLECTION_PARTS = ("static", "dynamic", "process", "total")
 
 
-def believed_of(
+def predict_motion(
     problem: TrajectoryProblem, motion: Trajectory, smoothing: Smoothing, *, elastic: bool
-) -> Believed:
+) -> PredictedMotion:
     """Evaluate the stage model at the nodes and midpoints of a motion.
 
     Parameters
     ----------
     problem : TrajectoryProblem
     motion : Trajectory
-        Of the problem's coordinates: all joints, or the one of a fixed path.
+        In the problem's coordinates: all joints, or the parameter of a fixed path.
     smoothing : Smoothing
-        Of the last stage.
+        Widths of the last stage.
     elastic : bool
-        Whether stiffness plays a part in the problem.
+        Add wind-up and deflection; True where stiffness enters the problem.
     """
     coordinates = coordinates_of(problem)
     size, order = coordinates.size, coordinates.order
@@ -38,21 +38,21 @@ def believed_of(
     model = stage_model(problem, coordinates, x, u, smoothing, np.zeros(problem.joints))
     outputs = {"spring_torque": model.torques.spring}
     if not problem.plans_links:
-        # A motor ahead of its link accelerates nearly as the optimiser believes: see `MotorModel`.
+        # With links planned, the optimiser's motor acceleration is approximate: see `MotorModel`.
         outputs["torque"] = model.drive_torque
     if elastic:
         outputs["windup"] = model.windup(model.torques.spring)
-        outputs |= {part: getattr(model.deflection, part) for part in PARTS}
+        outputs |= {part: getattr(model.deflection, part) for part in DEFLECTION_PARTS}
     time = np.union1d(motion.times, 0.5 * (motion.times[1:] + motion.times[:-1]))
     states = np.hstack([motion(time, k) for k in range(order)])
     function = ca.Function("believed", [x, u], [ca.densify(value) for value in outputs.values()])
     found = function.map(len(time))(states.T, motion(time, order).T)
     values = {name: array_of(value).T for name, value in zip(outputs, found, strict=True)}
-    return Believed(
+    return PredictedMotion(
         time=time,
         spring_torque=values["spring_torque"],
         torque=values.get("torque"),
         friction_width=np.asarray(dry_friction_width(problem.robot.velocity_max)),
         windup=values.get("windup"),
-        deflection={part: values[part] for part in PARTS if part in values},
+        deflection={part: values[part] for part in DEFLECTION_PARTS if part in values},
     )

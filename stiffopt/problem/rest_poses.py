@@ -1,7 +1,7 @@
-"""The arm at rest in the poses that a problem gives, by the exact laws.
+"""Torque, stiffness and deflection of the arm at rest in given poses, by the exact laws.
 
-What a pose at rest fixes, no motion can change: torque, stiffness and sag there, and whether the
-torque of a joint must change sign between two such poses.
+No motion can change the quantities of a fixed rest pose, nor avoid the sign change of a joint
+torque between two of them.
 """
 
 from __future__ import annotations
@@ -15,13 +15,12 @@ from stiffopt.exact.chain import exact_compliance, exact_windup
 from stiffopt.units import joint_unit
 
 if TYPE_CHECKING:
-    from stiffopt.problem.resolve import ResolvedMotion
-    from stiffopt.problem.trajectory import TrajectoryProblem
+    from stiffopt.problem.trajectory import ResolvedMotion, TrajectoryProblem
 
 
 @dataclass(frozen=True)
 class RestPose:
-    """Start or end of a motion.
+    """Start or end pose of a motion.
 
     Parameters
     ----------
@@ -29,7 +28,7 @@ class RestPose:
         "start" or "end".
     angles : array (n,) [rad]
     fixed : bool
-        Whether the arm rests in just this pose.
+        True if the arm is at rest in exactly this pose.
     """
 
     name: str
@@ -38,7 +37,7 @@ class RestPose:
 
 
 def rest_poses(problem: TrajectoryProblem, motion: ResolvedMotion) -> tuple[RestPose, RestPose]:
-    """Start and end of the motion."""
+    """Start and end pose of the motion."""
     rest = problem.boundary_acceleration == "zero" and problem.boundary_velocity is None
     return (
         RestPose("start", motion.start, motion.start_fixed and rest),
@@ -47,7 +46,7 @@ def rest_poses(problem: TrajectoryProblem, motion: ResolvedMotion) -> tuple[Rest
 
 
 def gravity_torque(problem: TrajectoryProblem, angles: np.ndarray) -> np.ndarray:
-    """Torque (n,) [N m] that holds a pose at rest, with the process force."""
+    """Static torque (n,) [N m] in a pose, process force included."""
     torque = problem.robot.rigid_bodies().gravity_torque(angles)
     if np.any(problem.process_force):
         return np.asarray(torque - tool_jacobian(problem, angles).T @ problem.process_force)
@@ -69,7 +68,7 @@ def stiffness_at(problem: TrajectoryProblem, joint: int, torque: float) -> float
 
 
 def rest_deflection(problem: TrajectoryProblem, angles: np.ndarray, part: str) -> float:
-    """Length [m] of the "total" or "process" part of the tool's deflection at rest in a pose."""
+    """Magnitude [m] of the "total" or "process" part of the static tool deflection in a pose."""
     torque = gravity_torque(problem, angles)
     without_force = torque + tool_jacobian(problem, angles).T @ problem.process_force
     windup = np.zeros(problem.joints)
@@ -80,12 +79,12 @@ def rest_deflection(problem: TrajectoryProblem, angles: np.ndarray, part: str) -
     return float(np.linalg.norm(tool_jacobian(problem, angles) @ windup))
 
 
-def sign_change(problem: TrajectoryProblem, motion: ResolvedMotion, joint: int) -> str:
-    """Why the spring torque of a joint must pass zero; empty where it need not."""
+def torque_sign_change(problem: TrajectoryProblem, motion: ResolvedMotion, joint: int) -> str:
+    """Reason why the spring torque of a joint must change sign; empty if it need not."""
     poses = rest_poses(problem, motion)
     if problem.boundary_acceleration == "zero" and all(p.fixed for p in poses):
         start, end = (gravity_torque(problem, p.angles)[joint - 1] for p in poses)
-        # Angles solved numerically leave a residue of the order of 1e-6 of the torque.
+        # Inverse kinematics leaves residual torques of about 1e-6 of the maximum.
         threshold = 1e-5 * float(problem.robot.torque_max[joint - 1])
         if start * end < 0 and min(abs(start), abs(end)) > threshold:
             unit = joint_unit("N m", bool(problem.robot.prismatic[joint - 1]))
@@ -104,14 +103,14 @@ def sign_change(problem: TrajectoryProblem, motion: ResolvedMotion, joint: int) 
 
 
 def torque_sides(problem: TrajectoryProblem, motion: ResolvedMotion) -> np.ndarray:
-    """Sign of each joint's torque at rest in the start pose; 0 where it must change (n,)."""
+    """Sign (n,) of the static torques in the start pose; 0 for torques that must change sign."""
     signs = np.sign(gravity_torque(problem, motion.start))
-    forced = [bool(sign_change(problem, motion, j + 1)) for j in range(problem.joints)]
+    forced = [bool(torque_sign_change(problem, motion, j + 1)) for j in range(problem.joints)]
     return np.asarray(np.where(forced, 0.0, signs))
 
 
 def poses_within_limits(problem: TrajectoryProblem) -> np.ndarray:
-    """Twenty poses (20, n), the same ones always, for what is so in every pose or in none."""
+    """Reproducible random poses (20, n) within the position limits, for pose-independent checks."""
     random = np.random.default_rng(0)
     limits = problem.active_limits
     low = np.where(np.isfinite(limits.position_lower), limits.position_lower, -np.pi)
@@ -120,7 +119,7 @@ def poses_within_limits(problem: TrajectoryProblem) -> np.ndarray:
 
 
 def _never_loaded_by_gravity(problem: TrajectoryProblem, joint: int) -> bool:
-    """Whether a first joint's gravity torque is zero in all of many poses."""
+    """Return True if the gravity torque of a first joint vanishes in all sampled poses."""
     bodies, poses = problem.robot.bodies_in_motion(), poses_within_limits(problem)
     torques = np.abs(bodies.gravity_torque(poses)[:, joint - 1])
     return bool(torques.max() < 1e-9 * float(problem.robot.torque_max[joint - 1]))

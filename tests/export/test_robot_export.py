@@ -1,4 +1,4 @@
-"""What a diagnosis found as files of others: read back, and run in MuJoCo on a held-out motion."""
+"""Diagnosed robots as URDF and MJCF: read back, and simulated in MuJoCo."""
 
 from __future__ import annotations
 
@@ -11,16 +11,15 @@ from diagnosed_two_link import TWO_LINK, diagnosed
 
 from stiffopt.cli import run
 from stiffopt.discovery.extended.changes import value_changes
-from stiffopt.export.found import FoundRobot, read_found
-from stiffopt.export.model_format import MODEL_FORMATS
+from stiffopt.export.model_format import MODEL_FORMATS, DiagnosedRobot, read_diagnosed_robot
 from stiffopt.robot.files import load_robot
 
 pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(scope="module")
-def found() -> FoundRobot:
-    return read_found(diagnosed(), TWO_LINK)
+def found() -> DiagnosedRobot:
+    return read_diagnosed_robot(diagnosed(), TWO_LINK)
 
 
 def held_out() -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -34,7 +33,7 @@ def held_out() -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     return time, *motion
 
 
-def predicted(found: FoundRobot, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
+def predicted(found: DiagnosedRobot, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
     """Drive torque of the found robot (K, n) [N m]."""
     robot, bodies = found.robot, found.robot.rigid_bodies()
     rigid = np.array([bodies.torque(*each) for each in zip(q, v, a, strict=True)])
@@ -66,7 +65,7 @@ def rollout(
     return np.stack([np.interp(time, at, each) for each in np.array(applied).T], axis=1)
 
 
-def test_mujoco_on_a_held_out_motion_takes_the_predicted_torque(found, tmp_path):
+def test_mujoco_torque_on_a_held_out_motion_equals_the_prediction(found, tmp_path):
     pytest.importorskip("mujoco")
     (tmp_path / "found.xml").write_text(MODEL_FORMATS["mjcf"].text(found))
     time, *motion = held_out()
@@ -78,7 +77,7 @@ def test_mujoco_on_a_held_out_motion_takes_the_predicted_torque(found, tmp_path)
     assert (error / size < 0.02).all(), error / size
 
 
-def test_mujoco_takes_the_torque_that_the_diagnosis_wrote(found, tmp_path):
+def test_mujoco_torque_equals_that_of_the_diagnosis(found, tmp_path):
     """Where a joint moves: at rest dry friction holds with any torque within it."""
     pytest.importorskip("mujoco")
     (tmp_path / "found.xml").write_text(MODEL_FORMATS["mjcf"].text(found))
@@ -94,7 +93,7 @@ def test_mujoco_takes_the_torque_that_the_diagnosis_wrote(found, tmp_path):
         assert error < 0.02 * np.sqrt(np.mean(written[moves] ** 2)), j
 
 
-def test_mujoco_tells_the_nominal_robot_apart(found, tmp_path):
+def test_mujoco_torque_of_the_nominal_robot_differs(found, tmp_path):
     pytest.importorskip("mujoco")
     from dataclasses import replace
 
@@ -108,7 +107,7 @@ def test_mujoco_tells_the_nominal_robot_apart(found, tmp_path):
     assert error > 0.05 * np.sqrt(np.mean(torque[21:-21, 1] ** 2))
 
 
-def test_the_urdf_read_back_is_the_found_robot(found, tmp_path):
+def test_urdf_read_back_is_the_diagnosed_robot(found, tmp_path):
     heavier = found.robot.tree.bodies[1].inertial_parameters * 1.25
     from dataclasses import replace
 
@@ -129,7 +128,7 @@ def test_the_urdf_read_back_is_the_found_robot(found, tmp_path):
     assert names == [joint.get("name") for joint in original.findall("joint")]
 
 
-def test_changes_are_printed_and_stand_at_the_top_of_the_report(tmp_path, capsys):
+def test_changes_are_printed_and_head_the_report(tmp_path, capsys):
     out = diagnosed()
     arguments = ["export", str(out), "--recordings", str(TWO_LINK), "--out", str(tmp_path)]
     assert run([*arguments, "--to", "urdf"]) == 0
@@ -140,6 +139,6 @@ def test_changes_are_printed_and_stand_at_the_top_of_the_report(tmp_path, capsys
     assert "<td>1.7 N m</td><td>2.3" in header
 
 
-def test_a_robot_needs_the_set(capsys):
+def test_robot_export_without_a_set_is_refused(capsys):
     assert run(["export", str(diagnosed()), "--to", "mjcf"]) == 2
     assert "--recordings" in capsys.readouterr().err

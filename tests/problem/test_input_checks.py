@@ -1,4 +1,4 @@
-"""Angles and lengths in another unit are questioned by name; what was left open is told."""
+"""Checks of units, inertias and payloads before a solve."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from stiffopt.baseline.baselines import baselines, strict_baseline
 from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
 from stiffopt.cli import run
 from stiffopt.errors import ProblemError
-from stiffopt.problem.plausible import check_plausible, questionable_bodies, reach_of
+from stiffopt.problem.input_checks import check_plausible, inconsistent_inertias, max_reach
 from stiffopt.problem.resolve import resolve
 from stiffopt.report.solve.wording import comparison
 
@@ -40,7 +40,7 @@ def problem(start: Target, robot=None) -> TrajectoryProblem:
     )
 
 
-def test_bare_degrees_in_a_file_are_no_radians(tmp_path, capsys):
+def test_bare_degrees_in_a_file_are_refused(tmp_path, capsys):
     rpy = re.search(r"rpy = \[.*?\]", PROBLEM.read_text())[0]
     path = changed(tmp_path, rpy, "rpy = [180, 0, 0]")
     assert run(["solve", str(path), "--out", str(tmp_path / "out")]) == 2
@@ -49,13 +49,13 @@ def test_bare_degrees_in_a_file_are_no_radians(tmp_path, capsys):
     assert 'Write "180 deg" if that is meant' in said
 
 
-def test_joints_beyond_a_turn_are_asked_about_unless_the_joint_may():
+def test_angles_beyond_a_turn_are_refused_outside_the_joint_range():
     with pytest.raises(ProblemError, match=r"motion.start.joints\[2\] \(joint_2\) = 90 rad"):
         check_plausible(problem(Target(joints=[0, 90, 0, 0, 0, 0])))
     check_plausible(problem(Target(joints=[0, 0, 0, 0, 0, 2 * np.pi])))
 
 
-def test_millimetres_are_no_metres():
+def test_lengths_in_millimetres_are_refused():
     with pytest.raises(ProblemError, match=r"lies 430.* m from the base.*350 mm"):
         check_plausible(problem(Target(position=[350, 0, 250])))
     robot = load_robot("er3a_c60")
@@ -64,7 +64,7 @@ def test_millimetres_are_no_metres():
     heavy = robot.with_payload(1.0, [0.0, 0.0, 50.0])
     with pytest.raises(ProblemError, match=r"payload\.com"):
         check_plausible(problem(Target(joints=np.zeros(6)), heavy))
-    assert 0.8 < reach_of(robot) < 2.0
+    assert 0.8 < max_reach(robot) < 2.0
 
 
 PENDULUM = """<robot name="pendulum"><link name="base"/><link name="rod"><inertial>
@@ -75,7 +75,7 @@ PENDULUM = """<robot name="pendulum"><link name="base"/><link name="rod"><inerti
 <limit lower="-3" upper="3" effort="40" velocity="4"/></joint></robot>"""
 
 
-def test_a_last_link_is_as_long_as_its_mass_says(tmp_path):
+def test_last_link_length_follows_from_its_inertia(tmp_path):
     (tmp_path / "pendulum.urdf").write_text(PENDULUM)
     robot = load_robot(tmp_path / "pendulum.urdf")
 
@@ -95,14 +95,14 @@ def test_a_last_link_is_as_long_as_its_mass_says(tmp_path):
         check_plausible(at(0.5))
 
 
-def test_a_payload_without_inertia_is_told(tmp_path):
+def test_payload_without_inertia_is_reported(tmp_path):
     inertia = re.search(r"\ninertia = .*", PROBLEM.read_text())[0]
     loaded = load_problem(changed(tmp_path, inertia, ""))
-    assert "taken as a point" in loaded.problem.remarks[0]
+    assert "a point mass" in loaded.problem.remarks[0]
     assert load_problem(PROBLEM).problem.remarks == ()
 
 
-def test_what_load_problem_gives_can_be_solved_at_once():
+def test_loaded_problem_can_be_solved():
     solution = solve(load_problem(ROOT / "problems" / "two_link.toml"))
     assert solution.status.usable
     assert solution.strict_baseline.name == "toppra"
@@ -121,7 +121,7 @@ def test_the_strict_baseline_keeps_every_limit():
 
 
 @pytest.mark.slow
-def test_a_baseline_that_is_excused_is_said_to_be(solution_of_two_baselines):
+def test_excused_baseline_is_reported(solution_of_two_baselines):
     stated, solution = solution_of_two_baselines
     text = comparison(stated, solution)
     assert "toppra's motion is excused from limits its method cannot take: jerk" in text.lower()
@@ -140,11 +140,11 @@ def solution_of_two_baselines():
     return stated, solve(stated, throw=False)
 
 
-def test_an_inertia_of_no_body_is_told():
+def test_inconsistent_inertia_is_reported():
     robot = load_robot("ur10")
-    assert questionable_bodies(robot) == ()
+    assert inconsistent_inertias(robot) == ()
     tree = robot.tree
     wrong = replace(tree.bodies[2], inertia=np.diag([0.1, 0.1, 0.3]))
     bodies = (*tree.bodies[:2], wrong, *tree.bodies[3:])
-    (text,) = questionable_bodies(SimpleNamespace(tree=replace(tree, bodies=bodies)))
+    (text,) = inconsistent_inertias(SimpleNamespace(tree=replace(tree, bodies=bodies)))
     assert "j3 ([0.1, 0.1, 0.3] kg m^2)" in text

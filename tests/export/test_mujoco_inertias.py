@@ -1,4 +1,4 @@
-"""Inertias of URDFs that belong to no body, in an MJCF: MuJoCo would refuse them."""
+"""MJCF export of inertias that violate the triangle inequality."""
 
 from __future__ import annotations
 
@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from small_arms import PLANAR
 
-from stiffopt.export.found import FoundRobot
-from stiffopt.export.model_format import MODEL_FORMATS
+from stiffopt.export.model_format import MODEL_FORMATS, DiagnosedRobot
 from stiffopt.robot.files import load_robot
 
 
@@ -21,7 +20,7 @@ from stiffopt.robot.files import load_robot
         (0.2, 0.2, 0.2),
     ],
 )
-def test_mujoco_reads_bodies_that_cannot_be(moments, tmp_path):
+def test_mujoco_reads_raised_inertias(moments, tmp_path):
     mujoco = pytest.importorskip("mujoco")
     values = dict(zip(("ixx", "iyy", "izz"), moments, strict=True))
     written = " ".join(f'{key}="{value}"' for key, value in values.items())
@@ -29,7 +28,7 @@ def test_mujoco_reads_bodies_that_cannot_be(moments, tmp_path):
     *parts, last = re.split(r"<inertia [^>]*/>", PLANAR)
     (tmp_path / "arm.urdf").write_text(inertia.join([*parts, last]))
     arm = load_robot(tmp_path / "arm.urdf")
-    found = FoundRobot(
+    found = DiagnosedRobot(
         name="arm", nominal=arm, robot=arm, gain=np.ones(arm.n), changes=(), left_out=()
     )
     mjcf = MODEL_FORMATS["mjcf"]
@@ -41,4 +40,4 @@ def test_mujoco_reads_bodies_that_cannot_be(moments, tmp_path):
         assert model.body_inertia[2] == pytest.approx(moments)
     else:
         assert len(said) == arm.n
-        assert "belongs to no body, and MuJoCo refuses it" in said[0]
+        assert "belongs to no rigid body, which MuJoCo refuses" in said[0]
