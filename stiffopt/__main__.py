@@ -8,7 +8,7 @@ from stiffopt.interrupts import beginning
 
 # Of the search for unreachable cycles, of which a command leaves few: at every 700th object, as
 # Python has it, it was a tenth of a solve.
-_SELDOM = (50_000, 20, 100)
+_GC_THRESHOLDS = (50_000, 20, 100)
 
 
 def main() -> None:
@@ -16,7 +16,7 @@ def main() -> None:
 
     Of a solve it waits for a motion from the first moment on.
     """
-    gc.set_threshold(*_SELDOM)
+    gc.set_threshold(*_GC_THRESHOLDS)
     try:
         with beginning() if sys.argv[1:2] == ["solve"] else nullcontext():
             if sys.argv[1:2] == ["sweep"]:

@@ -14,7 +14,7 @@ from cyclopts import CycloptsError, UnusedCliTokensError
 from stiffopt import folders
 
 # In the order in which help lists them; importing registers them.
-from stiffopt.cli import cache, exports, motions, recordings, schemas, starters, sweeps, swings
+from stiffopt.cli import cache, elastic, exports, motions, recordings, schemas, starters, sweeps
 from stiffopt.cli.base import app
 from stiffopt.errors import InputError, NoSolutionFound, shortened
 
@@ -39,7 +39,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
     try:
         code = app(tokens, exit_on_error=False, print_error=False, result_action="return_value")
     except UnusedCliTokensError as error:
-        print(f"stiffopt: {_too_many(error)}", file=sys.stderr)
+        print(f"stiffopt: {_describe_unused_tokens(error)}", file=sys.stderr)
         return 2
     except (InputError, CycloptsError) as error:
         print(f"stiffopt: {error}", file=sys.stderr)
@@ -60,7 +60,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
     return code if isinstance(code, int) else 0
 
 
-def _too_many(error: UnusedCliTokensError) -> str:
+def _describe_unused_tokens(error: UnusedCliTokensError) -> str:
     """Name what was given beyond what a command takes."""
     command, unused = " ".join(error.command_chain or ()), error.unused_tokens or []
     known = error.app.assemble_argument_collection() if error.app else ()

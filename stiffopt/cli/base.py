@@ -53,15 +53,17 @@ Open = Annotated[
 
 
 # Of the name of a folder.
-_LONGEST = 100
+_MAX_CHANGES_LENGTH = 100
 
 
 def default_folder(name: str, changes: Sequence[str]) -> Path:
     """Where results go without --out; those of --set beside those of the file as it is."""
     bare = (re.sub(r"[\"']", "", change) for change in changes)
     said = "".join("-" + re.sub(r"[^\w.=+-]+", "_", each, flags=re.ASCII) for each in bare)
-    if len(said) > _LONGEST:
-        said = f"{said[:_LONGEST]}-{hashlib.sha256(repr(changes).encode()).hexdigest()[:8]}"
+    if len(said) > _MAX_CHANGES_LENGTH:
+        said = (
+            f"{said[:_MAX_CHANGES_LENGTH]}-{hashlib.sha256(repr(changes).encode()).hexdigest()[:8]}"
+        )
     return Path("out") / f"{name}{said}"
 
 
@@ -91,14 +93,16 @@ def number_or_text(argument: str) -> float | str:
 # Of commands that take a folder of results or write a first file: understood, and refused with a
 # reason.
 NoChanges = Annotated[tuple[str, ...], Parameter(name="--set", negative=(), show=False)]
-_RESULTS = (
+_RESULT_FOLDER_REASON = (
     "a folder of results is what was solved, and has no entries to change. Solve, study or"
     " diagnose again with --set."
 )
-STARTED = "the file that this writes is yours to edit, and the command that reads it takes --set."
+STARTER_FILE_REASON = (
+    "the file that this writes is yours to edit, and the command that reads it takes --set."
+)
 
 
-def refuse_changes(changes: tuple[str, ...], why: str = _RESULTS) -> None:
+def refuse_changes(changes: tuple[str, ...], why: str = _RESULT_FOLDER_REASON) -> None:
     """Raise `InputError` where entries were to be changed of what has none."""
     if changes:
         raise InputError(f"--set {shortened(changes[0])}: {why}")

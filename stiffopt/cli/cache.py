@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from stiffopt.cli.base import app
 
-_WITHOUT = "solves take three to seven times as long (same results)."
+_NO_COMPILER_NOTE = "solves take three to seven times as long (same results)."
 
 
 @app.command
@@ -31,9 +31,9 @@ def cache(*, clear: bool = False) -> int:
     print(held)
     program = compiler.compiler()
     if program is None:
-        print(f"C compiler: none; {_WITHOUT}")
+        print(f"C compiler: none; {_NO_COMPILER_NOTE}")
     elif compiler.compiles(program):
         print(f"C compiler: {program}")
     else:
-        print(f"C compiler: {program} makes no library; {_WITHOUT} CC names another.")
+        print(f"C compiler: {program} makes no library; {_NO_COMPILER_NOTE} CC names another.")
     return 0

@@ -67,7 +67,7 @@ def export(
                 f"--to {to}: give the recording set of the diagnosis as --recordings, whose robot "
                 "is changed by what was found."
             )
-        texts, maker = _found(result, to, recordings, effects), "diagnose"
+        texts, maker = _extended_robot_files(result, to, recordings, effects), "diagnose"
     elif to in FORMATS:
         texts, maker = FORMATS[to].export(read_motion(result, of, problem), rate), "solve"
     else:
@@ -118,7 +118,9 @@ def check(
     return 0
 
 
-def _found(result: Path, to: str, recordings: Path, effects: Path | None) -> dict[str, str]:
+def _extended_robot_files(
+    result: Path, to: str, recordings: Path, effects: Path | None
+) -> dict[str, str]:
     """Text of a robot with what a diagnosis found; the changes are printed."""
     from stiffopt.export.found import read_found
     from stiffopt.export.model_format import MODEL_FORMATS, notes

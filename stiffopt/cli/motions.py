@@ -81,7 +81,7 @@ def solve(
         begin = None if guess is None else read_guess(guess, stated)
         folder = out or default_folder(problem.stem, changes)
         with output_folder(folder, "solve", maybe=(TRAJECTORY_FILE,)) as stage:
-            with _progress(stated, quiet) as progress, _about(problem):
+            with _problem_progress(stated, quiet) as progress, _name_file_in_errors(problem):
                 if found is None:
                     solution = optimise(
                         stated, progress=progress, guess=begin, throw=False, simulate=True
@@ -153,13 +153,13 @@ def preload(
     loaded = load_study(study, changes)
     folder = out or default_folder(study.stem, changes)
     with output_folder(folder, "preload") as stage:
-        with _named_progress(loaded.problem.title, quiet) as display, _about(study):
+        with _progress_display(loaded.problem.title, quiet) as display, _name_file_in_errors(study):
             result = preload_study(
                 loaded.problem,
                 motion=loaded.motion,
                 rounds=loaded.rounds,
                 front_points=loaded.front_points,
-                progress=_study_progress(display),
+                progress=_study_callback(display),
             )
         with finishing():
             write_preload_report(result, stage)
@@ -201,8 +201,8 @@ def verify(problems: Path, *more: Path, changes: Changes = (), quiet: bool = Fal
     for number, path in enumerate(paths, start=1):
         if not quiet:
             print_check_begins(path, number, len(paths))
-        with _named_progress(path.stem, quiet) as display, _about(path):
-            found = verification.verify(path, _study_progress(display), changes)
+        with _progress_display(path.stem, quiet) as display, _name_file_in_errors(path):
+            found = verification.verify(path, _study_callback(display), changes)
         checks += found
         if not quiet:
             print_check_ends(found)
@@ -250,7 +250,7 @@ def stiffness(
 
 
 @contextmanager
-def _about(path: Path) -> Iterator[None]:
+def _name_file_in_errors(path: Path) -> Iterator[None]:
     """Add the problem file to what is said about the problem."""
     try:
         yield
@@ -260,19 +260,21 @@ def _about(path: Path) -> Iterator[None]:
         raise InputFileError(path, "", str(error)) from error
 
 
-def _progress(problem: TrajectoryProblem, quiet: bool) -> Display:
+def _problem_progress(problem: TrajectoryProblem, quiet: bool) -> Display:
     first = problem.objectives[0]
-    return _named_progress(problem.title, quiet, first.unit if len(problem.objectives) == 1 else "")
+    return _progress_display(
+        problem.title, quiet, first.unit if len(problem.objectives) == 1 else ""
+    )
 
 
-def _study_progress(display: ProgressDisplay | None) -> StudyProgress | None:
+def _study_callback(display: ProgressDisplay | None) -> StudyProgress | None:
     """Callback of a preload study; `display` is None where nothing is to be shown."""
     from stiffopt.report.common.progress import StudyProgress
 
     return None if display is None else StudyProgress(display)
 
 
-def _named_progress(title: str, quiet: bool, unit: str = "") -> Display:
+def _progress_display(title: str, quiet: bool, unit: str = "") -> Display:
     from stiffopt.report.common.progress import ProgressDisplay
 
     return nullcontext() if quiet else ProgressDisplay(title, unit)

@@ -81,13 +81,13 @@ def diagnose(
         for option, given in of_one.items():
             if given:
                 raise InputError(f"{option} is of one recording set, not of {1 + len(more)}.")
-        from stiffopt.cli.sweeps import employed, swept
+        from stiffopt.cli.sweeps import run_cases, start_workers
         from stiffopt.sweep.cases import fleet_of
 
         fleet = fleet_of([recordings, *more], changes)
         folder = out or Path("out") / "fleet"
-        pool = employed(workers, scheduler)
-        return swept(fleet, folder, pool, open_report=open_report, quiet=quiet)
+        pool = start_workers(workers, scheduler)
+        return run_cases(fleet, folder, pool, open_report=open_report, quiet=quiet)
     for option, other in (("--workers", workers), ("--scheduler", scheduler)):
         if other is not None:
             raise InputError(f"{option} is of several recording sets; this is one.")

@@ -44,9 +44,9 @@ def explain(key: str) -> int:
         Name or place of a key: prepressure, motion.duration, limits.jerk.
     """
     from stiffopt.report.common.terminal import print_lines
-    from stiffopt.report.explain import explained
+    from stiffopt.report.explain import explain_key
 
-    print_lines(explained(key))
+    print_lines(explain_key(key))
     return 0
 
 
@@ -69,13 +69,13 @@ def catalogue(
     from contextlib import nullcontext
 
     from stiffopt.drivetrain.catalogue import with_own
-    from stiffopt.report.catalogue_tables import catalogue_table, kinds
+    from stiffopt.report.catalogue_tables import catalogue_kinds, catalogue_table
     from stiffopt.report.common.terminal import print_table
     from stiffopt.robot.own_catalogue import read_own_catalogue
 
     with nullcontext() if own is None else with_own(read_own_catalogue(own)):
         if kind is None:
-            print_table(("stiffopt catalogue", "entries", "named in files as"), kinds())
+            print_table(("stiffopt catalogue", "entries", "named in files as"), catalogue_kinds())
         else:
             print_table(*catalogue_table(kind))
     return 0
@@ -93,10 +93,10 @@ def compare(first: Path, second: Path, *, changes: NoChanges = ()) -> int:
         Another of the same kind.
     """
     from stiffopt.report.common.terminal import print_lines, print_table
-    from stiffopt.report.compare import compared
+    from stiffopt.report.compare import compare_results
 
     refuse_changes(changes)
-    name, rows = compared(first, second)
+    name, rows = compare_results(first, second)
     if rows:
         print_table((name, str(first), str(second), "change"), rows)
     else:

@@ -9,7 +9,7 @@ from cyclopts import App, Parameter
 
 from stiffopt.cli.base import (
     OUT_NAMES,
-    STARTED,
+    STARTER_FILE_REASON,
     NoChanges,
     app,
     number_or_text,
@@ -52,7 +52,7 @@ def robot(
     from stiffopt.starter.robot_file import robot_text
     from stiffopt.starter.writing import write_new
 
-    refuse_changes(changes, STARTED)
+    refuse_changes(changes, STARTER_FILE_REASON)
     path = out or urdf.with_name(f"{urdf.stem}_robot.toml")
     started = robot_text(urdf, path.parent, tip, catalogue=catalogue)
     written = write_new(path, started.text)
@@ -79,7 +79,7 @@ def problem(source: str, *, out: File = None, changes: NoChanges = ()) -> int:
     from stiffopt.starter.problem_file import problem_text
     from stiffopt.starter.writing import write_new
 
-    refuse_changes(changes, STARTED)
+    refuse_changes(changes, STARTER_FILE_REASON)
     arm = load_robot(source)
     file = source if source in shipped_robots() else Path(source)
     path = out or (file.parent if isinstance(file, Path) else Path()) / f"{arm.name}_first.toml"
@@ -123,7 +123,7 @@ def recording(
     """
     from stiffopt.starter.recording_set import start_recording_set
 
-    refuse_changes(changes, STARTED)
+    refuse_changes(changes, STARTER_FILE_REASON)
     folder = out or data[0].with_name(f"{data[0].stem}_set")
     started = start_recording_set(data, urdf, folder, rate, tip)
     print_lines(
@@ -184,7 +184,7 @@ def flange(
     from stiffopt.starter.flange_files import write_flange
     from stiffopt.units import to_si
 
-    refuse_changes(changes, STARTED)
+    refuse_changes(changes, STARTER_FILE_REASON)
     files = write_flange(
         out,
         torque=to_si(number_or_text(torque), "torque", "--torque"),

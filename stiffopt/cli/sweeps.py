@@ -51,15 +51,15 @@ def sweep(
     from stiffopt.files import check_file
 
     check_file(file)
-    pool = employed(workers, scheduler)
+    pool = start_workers(workers, scheduler)
     from stiffopt.sweep.cases import load_sweep
 
     loaded = load_sweep(file, changes)
     folder = out or Path("out") / file.stem
-    return swept(loaded, folder, pool, open_report=open_report, quiet=quiet)
+    return run_cases(loaded, folder, pool, open_report=open_report, quiet=quiet)
 
 
-def employed(workers: int | None, scheduler: str | None) -> Workers:
+def start_workers(workers: int | None, scheduler: str | None) -> Workers:
     """Workers as the command line asks for them, which load while the cases are being read."""
     from stiffopt.sweep import workers as known
 
@@ -68,7 +68,7 @@ def employed(workers: int | None, scheduler: str | None) -> Workers:
     return known.workers(workers, scheduler)
 
 
-def swept(sweep: Sweep, folder: Path, pool: Workers, *, open_report: bool, quiet: bool) -> int:
+def run_cases(sweep: Sweep, folder: Path, pool: Workers, *, open_report: bool, quiet: bool) -> int:
     """Solve the cases of a sweep and write what it found; exit code."""
     from stiffopt.report.sweep.terminal import SweepDisplay, print_sweep
     from stiffopt.sweep.run import run_sweep
@@ -76,7 +76,10 @@ def swept(sweep: Sweep, folder: Path, pool: Workers, *, open_report: bool, quiet
     from stiffopt.sweep.summary import SweepSummary
 
     with output_folder(folder, "sweep", maybe=(PARQUET_FILE,)) as stage:
-        with nullcontext() if quiet else SweepDisplay(sweep.title) as progress, _loading(pool):
+        with (
+            nullcontext() if quiet else SweepDisplay(sweep.title) as progress,
+            _load_report_meanwhile(pool),
+        ):
             results, interrupted = run_sweep(sweep, folder, pool, progress)
         from stiffopt.report.sweep.page import write_sweep_report
 
@@ -95,12 +98,12 @@ def swept(sweep: Sweep, folder: Path, pool: Workers, *, open_report: bool, quiet
 
 
 @contextmanager
-def _loading(pool: Workers) -> Iterator[None]:
+def _load_report_meanwhile(pool: Workers) -> Iterator[None]:
     """Load what the answer is written with while others work, who begin with a single case."""
     if pool.slots == 1:
         yield
         return
-    loader = threading.Thread(target=_load)
+    loader = threading.Thread(target=_load_report_modules)
     loader.start()
     try:
         yield
@@ -108,7 +111,7 @@ def _loading(pool: Workers) -> Iterator[None]:
         loader.join()
 
 
-def _load() -> None:
+def _load_report_modules() -> None:
     import_module("stiffopt.report.sweep.page")
     # What fails is told where it is needed.
     with suppress(ImportError):

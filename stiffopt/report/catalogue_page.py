@@ -11,7 +11,7 @@ from stiffopt.discovery.catalogue import CATALOGUE, confused_with
 from stiffopt.discovery.effect import Effect, Need
 from stiffopt.discovery.identifiable import needs
 
-_HEAD = """# Catalogue of effects
+_PAGE_HEAD = """# Catalogue of effects
 
 What `stiffopt diagnose` can name, one line an effect. An effect is located at a joint, a link, a
 run or the robot as a whole (scope). In equations: motor angle th, speed w, link angle q and
@@ -24,7 +24,7 @@ motion that separates them; `stiffopt solve --model` plans with those marked "ye
 | effect | family | scope | equation | how it shows | needs | taken for | planned with | source |
 |---|---|---|---|---|---|---|---|---|
 """
-_NEEDS: dict[Need, str] = {
+_NEED_PHRASES: dict[Need, str] = {
     "torque": "torque",
     "link": "link encoder",
     "sensor": "torque or link encoder",
@@ -48,17 +48,19 @@ _NEEDS: dict[Need, str] = {
 
 def catalogue_page(effects: Sequence[Effect] = CATALOGUE) -> str:
     """Markdown of the page."""
-    return _HEAD + "".join(f"| {' | '.join(_cells(each, effects))} |\n" for each in effects)
+    return _PAGE_HEAD + "".join(
+        f"| {' | '.join(_effect_cells(each, effects))} |\n" for each in effects
+    )
 
 
-def _cells(effect: Effect, effects: Sequence[Effect]) -> tuple[str, ...]:
+def _effect_cells(effect: Effect, effects: Sequence[Effect]) -> tuple[str, ...]:
     return (
         f"`{effect.name}`",
         effect.family,
         effect.scope,
         f"`{effect.equation}`",
         effect.signature,
-        ", ".join(_NEEDS[need] for need in needs(effect)),
+        ", ".join(_NEED_PHRASES[need] for need in needs(effect)),
         ", ".join(f"`{name}`" for name in confused_with(effect, effects)),
         "yes" if effect.change_robot else "",
         effect.reference,

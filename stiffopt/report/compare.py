@@ -15,10 +15,10 @@ from stiffopt.report.common.text import DASH, si, words
 
 ANSWERS = ("result.json", "diagnosis.json", "study.json", "stiffness.json")
 # Relative difference below which two numbers are the same; times of a solver never are.
-_SAME = 1e-9
-_LEFT_OUT = ("versions", "solver", "inputs_hash", "detection_limits", "faults", "homotopy")
+_EQUAL_RELATIVE_TOLERANCE = 1e-9
+_IGNORED_ENTRIES = ("versions", "solver", "inputs_hash", "detection_limits", "faults", "homotopy")
 # SI units of entries that have one name in all answers.
-_UNITS = {
+_ENTRY_UNITS = {
     "duration": "s",
     "time": "s",
     "settling_time": "s",
@@ -31,7 +31,7 @@ _UNITS = {
 Row = tuple[str, str, str, str]
 
 
-def compared(first: Path, second: Path) -> tuple[str, list[Row]]:
+def compare_results(first: Path, second: Path) -> tuple[str, list[Row]]:
     """Name of the answer and a row for each entry that differs.
 
     Raises
@@ -39,20 +39,23 @@ def compared(first: Path, second: Path) -> tuple[str, list[Row]]:
     InputFileError
         A folder without an answer, or answers of two kinds.
     """
-    names = [_answer(folder) for folder in (first, second)]
+    names = [_find_answer(folder) for folder in (first, second)]
     if names[0] != names[1]:
         raise InputFileError(
             second, "", f"holds {names[1]}, {first} holds {names[0]}. Compare two of one kind."
         )
     documents = [load_json(folder / names[0]) for folder in (first, second)]
-    one, two = (dict(_leaves(document)) for document in documents)
+    one, two = (dict(_flatten(document)) for document in documents)
     units = [_objective_unit(document) for document in documents]
     rows = []
     for key in dict.fromkeys((*one, *two)):
         a, b = one.get(key), two.get(key)
-        if not _equal(a, b):
-            was, now = _text(a, _unit_of(key, units[0])), _text(b, _unit_of(key, units[1]))
-            rows.append((quantity(key), was, now, _change(key, a, b)))
+        if not _is_equal(a, b):
+            was, now = (
+                _format_value(a, _unit_of(key, units[0])),
+                _format_value(b, _unit_of(key, units[1])),
+            )
+            rows.append((quantity(key), was, now, _format_change(key, a, b)))
     return names[0], rows
 
 
@@ -79,10 +82,10 @@ def _unit_of(key: str, objective: str) -> str:
         r"(baselines\..+|strict_baseline)\.objective", place
     ):
         return objective
-    return _UNITS.get(place.rpartition(".")[2], "")
+    return _ENTRY_UNITS.get(place.rpartition(".")[2], "")
 
 
-def _answer(folder: Path) -> str:
+def _find_answer(folder: Path) -> str:
     for name in ANSWERS:
         check_result(folder, name)
         if (folder / name).is_file():
@@ -92,25 +95,25 @@ def _answer(folder: Path) -> str:
     )
 
 
-def _leaves(value: Any, place: str = "") -> Iterator[tuple[str, Any]]:
+def _flatten(value: Any, place: str = "") -> Iterator[tuple[str, Any]]:
     if isinstance(value, dict):
         for key, inside in value.items():
-            if key not in _LEFT_OUT:
-                yield from _leaves(inside, f"{place}.{key}".lstrip("."))
+            if key not in _IGNORED_ENTRIES:
+                yield from _flatten(inside, f"{place}.{key}".lstrip("."))
     elif isinstance(value, list):
         for number, inside in enumerate(value, start=1):
-            yield from _leaves(inside, f"{place}[{number}]")
+            yield from _flatten(inside, f"{place}[{number}]")
     else:
         yield place, value
 
 
-def _equal(a: Any, b: Any) -> bool:
+def _is_equal(a: Any, b: Any) -> bool:
     if isinstance(a, float | int) and isinstance(b, float | int):
-        return math.isclose(a, b, rel_tol=_SAME, abs_tol=1e-15)
+        return math.isclose(a, b, rel_tol=_EQUAL_RELATIVE_TOLERANCE, abs_tol=1e-15)
     return bool(a == b)
 
 
-def _text(value: Any, unit: str) -> str:
+def _format_value(value: Any, unit: str) -> str:
     if value is None:
         return DASH
     if isinstance(value, float):
@@ -119,7 +122,7 @@ def _text(value: Any, unit: str) -> str:
     return text if len(text) <= 60 else f"{text[:57]}..."
 
 
-def _change(key: str, a: Any, b: Any) -> str:
+def _format_change(key: str, a: Any, b: Any) -> str:
     if key.rpartition(".")[2] == "joint":
         # Which one, not how much.
         return ""

@@ -14,7 +14,7 @@ from stiffopt.cli import run
 from stiffopt.errors import InputError, InputFileError
 from stiffopt.files import with_changes
 from stiffopt.problem.files import load_problem
-from stiffopt.report.compare import compared
+from stiffopt.report.compare import compare_results
 from stiffopt.solver.solve import solve
 
 TWO_LINK = ROOT / "problems" / "two_link.toml"
@@ -118,7 +118,7 @@ def test_another_joint_is_no_percentage(tmp_path):
         (tmp_path / name).mkdir()
         answer = {"worst": {"joint": joint, "time": time}}
         (tmp_path / name / "result.json").write_text(json.dumps(answer))
-    _, rows = compared(tmp_path / "one", tmp_path / "two")
+    _, rows = compare_results(tmp_path / "one", tmp_path / "two")
     assert rows == [("worst, joint", "6", "4", ""), ("worst, time", "1 s", "1.5 s", "+50 %")]
 
 

@@ -18,20 +18,20 @@ from stiffopt.report.diagnosis.held_out import trace, worst_windows
 from stiffopt.report.diagnosis.mismatch import mismatches
 from stiffopt.report.diagnosis.page import write_diagnosis_report
 from stiffopt.report.diagnosis.residuals import (
-    binned,
+    binned_means,
     channel_residuals,
-    contribution,
-    direction,
+    finding_contribution,
+    motion_direction,
     regimes,
 )
 from stiffopt.report.diagnosis.terminal import print_diagnosis
 from stiffopt.report.diagnosis.words import (
     channels_in_words,
-    clipped_words,
+    format_probability,
     headline,
     lead,
-    percent_sure,
     proof_sentence,
+    saturation_sentences,
 )
 from stiffopt.units import joint_unit
 from tests.discovery.simulated_sets import COULOMB, diagnosed
@@ -86,7 +86,7 @@ def test_values_that_read_alike_are_no_changes(friction, monkeypatch):
         ValueChange(1, "a", "mass behind it", 35.8, new, "kg") for new in (35.8004, 35.81, 36.0)
     ]
     monkeypatch.setattr(page, "value_changes", lambda *_: changes)
-    assert [(old, new) for _, old, new in page._changes(friction)] == [
+    assert [(old, new) for _, old, new in page._model_changes(friction)] == [
         ("35.8", "35.81"),
         ("35.8", "36"),
     ]
@@ -134,7 +134,7 @@ def test_rows_are_those_of_the_search(friction):
 def test_contribution_is_the_friction_that_was_found(friction):
     (finding,) = friction.findings
     rows = channel_residuals(friction, "torque_2")
-    added = contribution(friction, finding, rows)
+    added = finding_contribution(friction, finding, rows)
     speed = next(r.values for r in regimes(friction, rows) if r.name == "speed")
 
     def by_hand(run):
@@ -145,9 +145,11 @@ def test_contribution_is_the_friction_that_was_found(friction):
 
     filtered = friction.search.comparison.rows.sampled(by_hand)[rows.chosen]
     assert added == pytest.approx(finding.parameters[0].value * filtered, rel=1e-6, abs=1e-9)
-    assert np.array_equal(direction(friction, rows), np.sign(speed))
+    assert np.array_equal(motion_direction(friction, rows), np.sign(speed))
     # Friction of one joint is no business of another's.
-    assert not contribution(friction, finding, channel_residuals(friction, "torque_1")).any()
+    assert not finding_contribution(
+        friction, finding, channel_residuals(friction, "torque_1")
+    ).any()
 
 
 def test_squares_of_a_trace_are_those_of_the_proof(friction):
@@ -178,7 +180,7 @@ def test_means_by_bins():
     rng = np.random.default_rng(1)
     x, y = rng.uniform(0, 3, 200), rng.normal(size=200)
     edges = np.array([0.0, 1.0, 1.02, 3.0])
-    centre, mean, sd = binned(x, y, edges, least=10)
+    centre, mean, sd = binned_means(x, y, edges, least=10)
     first, last = y[x < 1.0], y[x >= 1.02]
     assert mean == pytest.approx([first.mean(), last.mean()])
     assert sd == pytest.approx([first.std() / np.sqrt(len(first)), last.std() / len(last) ** 0.5])
@@ -284,8 +286,8 @@ def test_words_of_channels_units_and_probability():
     )
     assert joint_unit("N m s/rad", prismatic=True) == "N s/m"
     assert joint_unit("N m s/rad", prismatic=False) == "N m s/rad"
-    assert percent_sure(1.0) == "above 99 %"
-    assert percent_sure(0.97) == "97 %"
+    assert format_probability(1.0) == "above 99 %"
+    assert format_probability(0.97) == "97 %"
 
 
 def test_torques_that_are_cut_off_are_told_first():
@@ -295,7 +297,7 @@ def test_torques_that_are_cut_off_are_told_first():
         ("run2", _saturated(2, 0.40)),
         ("run2", _saturated(3, 0.01)),
     ]
-    (line,) = clipped_words(SimpleNamespace(faults=told))
+    (line,) = saturation_sentences(SimpleNamespace(faults=told))
     assert line.startswith("The torque of joint 2 rests on its largest value in 40 % of run2")
 
 

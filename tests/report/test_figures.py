@@ -7,7 +7,7 @@ import pytest
 from synthetic_solution import assessment, problem, robot, solution
 
 from stiffopt.report.common.robot import joint_units
-from stiffopt.report.common.svg import line_style, thin, to_png, to_svg
+from stiffopt.report.common.svg import decimate_curve, line_style, to_png, to_svg
 from stiffopt.report.solve.figures import (
     compared_motions,
     deflection_figure,
@@ -117,7 +117,7 @@ def test_thin_keeps_ends_and_peaks():
     time = np.linspace(0, 1, 20001)
     values = np.sin(3 * time)
     values[7777], values[12345] = 5.0, -5.0
-    t, v = thin(time, values, 400)
+    t, v = decimate_curve(time, values, 400)
     assert len(t) <= 402
     assert v.max() == 5.0
     assert v.min() == -5.0

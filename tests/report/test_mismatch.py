@@ -9,10 +9,10 @@ import pytest
 from stiffopt.discovery.judging.shares import Part, Share
 from stiffopt.discovery.search.rigid import OF_A_BODY, Counterweight, RigidStage
 from stiffopt.report.diagnosis.mismatch import (
-    _channels,
-    _probabilities,
-    _range,
-    _span,
+    _format_channels,
+    _format_probability_range,
+    _format_range,
+    _format_share_range,
     counterbalance_sentences,
     mismatches,
 )
@@ -100,16 +100,16 @@ def test_a_counterbalance_is_told_beside_the_weight_that_it_is_like(gain, words)
 
 
 def test_shares_are_rounded_before_they_are_told():
-    assert _range(-0.001, 0.03) == "0 to 3 %"
-    assert _range(-0.001, 0.001) == "0 %"
-    assert _range(np.float64(0.1), np.float64(0.5)) == "10 to 50 %"
+    assert _format_share_range(-0.001, 0.03) == "0 to 3 %"
+    assert _format_share_range(-0.001, 0.001) == "0 %"
+    assert _format_share_range(np.float64(0.1), np.float64(0.5)) == "10 to 50 %"
 
 
 def test_groups_say_from_which_to_which():
-    assert _span([3.2, 15.4], 1) == "3 to 15"
-    assert _span([3.2, 3.3], 1) == "3"
-    assert _span([155.2, 0.123], 2) == "0.12 to 155"
-    assert _channels(["torque_1", "torque_3", "torque_2"]) == "torques of joints 1 to 3"
-    assert _channels(["link_position_2"]) == "link encoder of joint 2"
-    assert _probabilities([0.6, 0.999]) == "60 to above 99 %"
-    assert _probabilities([0.6]) == "60 %"
+    assert _format_range([3.2, 15.4], 1) == "3 to 15"
+    assert _format_range([3.2, 3.3], 1) == "3"
+    assert _format_range([155.2, 0.123], 2) == "0.12 to 155"
+    assert _format_channels(["torque_1", "torque_3", "torque_2"]) == "torques of joints 1 to 3"
+    assert _format_channels(["link_position_2"]) == "link encoder of joint 2"
+    assert _format_probability_range([0.6, 0.999]) == "60 to above 99 %"
+    assert _format_probability_range([0.6]) == "60 %"

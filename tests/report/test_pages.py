@@ -10,8 +10,8 @@ from stiffopt.errors import InputError, InputFileError
 from stiffopt.problem.objective import Objective
 from stiffopt.report.common.citations import cited, references
 from stiffopt.report.common.text import si
-from stiffopt.report.compare import compared
-from stiffopt.report.explain import explained
+from stiffopt.report.compare import compare_results
+from stiffopt.report.explain import explain_key
 from stiffopt.report.solve.page import write_solve_report
 from stiffopt.report.solve.wording import amount, comparison, objective_text
 from stiffopt.report.stiffness.page import write_stiffness_report
@@ -188,11 +188,11 @@ def test_an_integral_over_time_is_no_duration():
 
 
 def test_explain_finds_values_and_guesses_only_what_is_spelled_nearly_so():
-    assert next(explained("shaped_deviation")) == "minimise.objective (trajectory)"
+    assert next(explain_key("shaped_deviation")) == "minimise.objective (trajectory)"
     with pytest.raises(InputError, match="Did you mean 'shaped_deviation'"):
-        next(explained("shaped_deviaton"))
+        next(explain_key("shaped_deviaton"))
     with pytest.raises(InputError) as error:
-        next(explained("damped_position"))
+        next(explain_key("damped_position"))
     assert "Did you mean" not in str(error.value)
 
 
@@ -204,6 +204,6 @@ def test_quantities_that_differ_have_their_unit(tmp_path):
             "baselines": {"toppra": {"objective": 3 * value}},
         }
         (tmp_path / name / "result.json").write_text(json.dumps(answer))
-    _, rows = compared(tmp_path / "one", tmp_path / "two")
+    _, rows = compare_results(tmp_path / "one", tmp_path / "two")
     assert rows[0] == ("objective, value", "0.1 mm", "0.2 mm", "+100 %")
     assert rows[1][:3] == ("baselines, toppra, objective", "0.3 mm", "0.6 mm")

@@ -16,12 +16,12 @@ from stiffopt.report.preload.joint_diagram import joint_diagrams
 from stiffopt.report.preload.overview import most_used, utilisation_matrix
 from stiffopt.report.preload.page import write_preload_report
 from stiffopt.report.preload.words import (
+    active_limits_sentence,
     fastener_words,
     prose,
     readable,
     stiffness_sentence,
     weakest_sentence,
-    what_binds,
 )
 
 FIGURES = (
@@ -231,7 +231,7 @@ def test_stiffness_sentence_blames_slip_only_where_slip_decides():
     assert {row.kind for row in study.solution.rows if row.active} == {"joint stiffness"}
     text = stiffness_sentence(study.problem, study.solution)
     assert "sets the preload" not in text
-    assert "joint stiffness" in what_binds(study.problem, study.solution)
+    assert "joint stiffness" in active_limits_sentence(study.problem, study.solution)
 
 
 def test_stiffness_sentence_gives_the_change_of_the_least_stiffness():

@@ -13,7 +13,7 @@ from stiffopt.certificate.violations import CERTIFIED
 from stiffopt.elastic.uncertainty import Uncertainty
 from stiffopt.errors import RobotError
 from stiffopt.problem.resolve import resolve
-from stiffopt.report.solve.swing import simulation_notes, simulation_table
+from stiffopt.report.solve.simulation import simulation_notes, simulation_table
 from stiffopt.report.solve.wording import comparison, difference_text, headline_text
 from stiffopt.result.store import result_document
 from stiffopt.solver.simulation import with_simulation

@@ -52,7 +52,7 @@ class PageFigures(dict[str, Markup]):
             self.files[f"{full}.png"] = to_png(figure)
 
 
-def with_contents(page: str) -> str:
+def add_contents(page: str) -> str:
     """Page whose sections can be reached: a list of them behind its header."""
     titles: list[str] = []
 
@@ -102,7 +102,7 @@ def write_page(
     )
     environment.tests["finite"] = math.isfinite
     environment.filters |= FILTERS | (filters or {})
-    page = with_contents(environment.get_template(template).render(context, figures=figures))
+    page = add_contents(environment.get_template(template).render(context, figures=figures))
     contents = {path.parent / name: content for name, content in figures.files.items()}
     contents[path] = page
     new = [each for each in contents if not each.exists()]

@@ -67,11 +67,11 @@ class ProgressDisplay(ExitStack):
         self._pending = False
 
     def __enter__(self) -> ProgressDisplay:
-        self.callback(lambda: self._print() if self._pending else None)
+        self.callback(lambda: self._print_event() if self._pending else None)
         if self._console.is_terminal:
             self._live = self.enter_context(
                 Live(
-                    get_renderable=self._table,
+                    get_renderable=self._event_table,
                     console=self._console,
                     refresh_per_second=DRAWS_PER_SECOND,
                     transient=True,
@@ -88,22 +88,22 @@ class ProgressDisplay(ExitStack):
         now = self._clock()
         if event.stage != self._stage or now - self._printed_at >= PLAIN_INTERVAL:
             self._stage, self._printed_at = event.stage, now
-            self._print()
+            self._print_event()
 
-    def _print(self) -> None:
+    def _print_event(self) -> None:
         assert self._event is not None
         self._pending = False
         line = "  ".join(
-            f"{label} {value}".strip() for label, value in _fields(self._event, self.unit)
+            f"{label} {value}".strip() for label, value in _event_fields(self._event, self.unit)
         )
         self._console.print(Text(line), soft_wrap=True)
 
-    def _table(self) -> Table:
+    def _event_table(self) -> Table:
         table = Table.grid(padding=(0, 2))
         table.add_row(Text(self.title or "solving", style="bold"))
         if self._event is not None:
             grid = Table.grid(padding=(0, 1))
-            for label, value in _fields(self._event, self.unit):
+            for label, value in _event_fields(self._event, self.unit):
                 grid.add_row(Text(label or "", style="dim"), Text(value))
             table.add_row(grid)
         return table
@@ -151,7 +151,7 @@ class StudyProgress:
             self._display(SolveProgress(stage=self._stage, **values))
 
 
-def _fields(event: SolveProgress, unit: str) -> list[tuple[str, str]]:
+def _event_fields(event: SolveProgress, unit: str) -> list[tuple[str, str]]:
     worst = "none"
     if event.violation > NEGLIGIBLE:
         worst = f"{100 * event.violation:.2g} % {event.row}".strip()

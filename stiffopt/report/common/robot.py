@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from stiffopt.robot.robot import Robot
 
 # Of the kinds of connections, in the order of their names.
-_COLOURS = (GREEN, PURPLE, BLACK, SKY, VERMILLION, BLUE, GREY, ORANGE)
+_KIND_COLOURS = (GREEN, PURPLE, BLACK, SKY, VERMILLION, BLUE, GREY, ORANGE)
 
 
 @dataclass(frozen=True)
@@ -93,20 +93,20 @@ def estimated_inputs(robot: Robot, joints: Container[str] | None = None) -> list
 
 def element_colour(kind: str) -> str:
     """Colour of a kind of connection, the same in every figure."""
-    return _COLOURS[list(connection_kinds()).index(kind) % len(_COLOURS)]
+    return _KIND_COLOURS[list(connection_kinds()).index(kind) % len(_KIND_COLOURS)]
 
 
 def windup_by_kind(chain: Chain | None, torque: float) -> dict[str, float]:
     """Share of the wind-up at a torque by kind of element, largest first; empty if rigid."""
-    return {} if chain is None else _by_kind(chain, windup_shares(chain, torque))
+    return {} if chain is None else _sum_by_kind(chain, windup_shares(chain, torque))
 
 
 def compliance_by_kind(chain: Chain | None, torque: float) -> dict[str, float]:
     """Share of the tangent compliance at a torque by kind, largest first; empty if rigid."""
-    return {} if chain is None else _by_kind(chain, compliance_shares(chain, torque))
+    return {} if chain is None else _sum_by_kind(chain, compliance_shares(chain, torque))
 
 
-def _by_kind(chain: Chain, shares: Mapping[str, float]) -> dict[str, float]:
+def _sum_by_kind(chain: Chain, shares: Mapping[str, float]) -> dict[str, float]:
     totals: dict[str, float] = {}
     for name, share in shares.items():
         kind = chain.elements[name].kind

@@ -33,11 +33,11 @@ POINTS = 600
 # Matplotlib's own names for laying out the ticks of an axis and a text.
 _TICKS, _LAYOUT = "_update_ticks", "_get_layout"
 # Of every figure, in inches: the text column of a page, and what is left free around it.
-WIDTH, _MARGIN = 10.4, 0.06
+WIDTH, _MARGIN_INCH = 10.4, 0.06
 # Of an SVG in an inch.
 _DOTS = 72.0
 
-_STYLE: Any = {
+_FIGURE_STYLE: Any = {
     "svg.fonttype": "none",
     "path.simplify": True,
     "path.simplify_threshold": 0.2,
@@ -80,9 +80,9 @@ _STYLE: Any = {
 
 
 @contextmanager
-def house_style() -> Iterator[None]:
+def figure_style() -> Iterator[None]:
     """Context in which figures are made and drawn."""
-    with mpl.rc_context(_STYLE):
+    with mpl.rc_context(_FIGURE_STYLE):
         yield
 
 
@@ -95,7 +95,7 @@ def line_style(index: int) -> dict[str, Any]:
     return {"color": PALETTE[colour], "linestyle": DASHES[(colour + round_) % len(DASHES)]}
 
 
-def thin(time: np.ndarray, values: np.ndarray, points: int = POINTS) -> tuple[Any, Any]:
+def decimate_curve(time: np.ndarray, values: np.ndarray, points: int = POINTS) -> tuple[Any, Any]:
     """Curve with at most `points` samples that keeps every visible peak.
 
     The curve is cut into pieces and each keeps its lowest and highest sample.
@@ -121,7 +121,7 @@ def thin(time: np.ndarray, values: np.ndarray, points: int = POINTS) -> tuple[An
     return time[chosen], values[chosen]
 
 
-def shade_beyond(axes: Axes, lower: float, upper: float) -> None:
+def shade_limits(axes: Axes, lower: float, upper: float) -> None:
     """Draw bounds as lines with the forbidden side shaded, where they are near the curves.
 
     A bound far outside the curves would flatten them: it is written in the corner instead.
@@ -171,14 +171,14 @@ def to_svg(figure: Figure, name: str, description: str) -> str:
     description : str
         What the figure shows, for readers that cannot see it.
     """
-    with mpl.rc_context({**_STYLE, "svg.hashsalt": name}):
+    with mpl.rc_context({**_FIGURE_STYLE, "svg.hashsalt": name}):
         buffer = io.StringIO()
         drawn = _Measured(figure, buffer)
         with _ticks_once(figure):
             figure.draw(drawn)
         drawn.finalize()
     box = drawn.extent(figure)
-    text = _compact(_cut(buffer.getvalue(), box, figure), name, description)
+    text = _compact_svg(_cut(buffer.getvalue(), box, figure), name, description)
     times = time_axes(figure, box)
     mark = f' data-times="{json.dumps(times, separators=(",", ":"))}"' if times else ""
     return text.replace("<svg", f"<svg{mark}", 1)
@@ -224,7 +224,7 @@ class _Measured(_Renderer):  # type: ignore[misc]
         boxes = [*self._texts, *(each.bbox for each in axes)]
         boxes += [each.get_window_extent(self) for each in legends if each is not None]
         covered = Bbox.union([box for box in boxes if box.width or box.height])
-        return covered.transformed(Affine2D().scale(1.0 / _DOTS)).padded(_MARGIN)
+        return covered.transformed(Affine2D().scale(1.0 / _DOTS)).padded(_MARGIN_INCH)
 
 
 def _cut(text: str, box: Bbox, figure: Figure) -> str:
@@ -267,11 +267,11 @@ def time_axes(figure: Figure, extent: Bbox) -> list[list[float]]:
 
 def to_png(figure: Figure) -> bytes:
     """Figure as PNG, 150 dots per inch on white."""
-    with mpl.rc_context(_STYLE):
+    with mpl.rc_context(_FIGURE_STYLE):
         buffer = io.BytesIO()
         with _ticks_once(figure):
             # `bbox_inches="tight"` draws every figure once more only to know this.
-            box = figure.get_tightbbox().padded(_MARGIN)
+            box = figure.get_tightbbox().padded(_MARGIN_INCH)
             figure.savefig(buffer, format="png", bbox_inches=box, facecolor="white")
     return buffer.getvalue()
 
@@ -307,7 +307,7 @@ def _ticks_once(figure: Figure) -> Iterator[None]:
             vars(artist).pop(method, None)
 
 
-def _compact(text: str, name: str, description: str) -> str:
+def _compact_svg(text: str, name: str, description: str) -> str:
     text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
     used = set(re.findall(r'href="#([^"]+)"|url\(#([^)]+)\)', text))
     referenced = {first or second for first, second in used}
@@ -319,11 +319,13 @@ def _compact(text: str, name: str, description: str) -> str:
     text = re.sub(r'href="#([^"]+)"', rf'href="#{name}-\1"', text)
     text = re.sub(r"url\(#([^)]+)\)", rf"url(#{name}-\1)", text)
     text = re.sub(r'font-family: [^;"]+', f"font-family: {FONTS}", text)
-    text = re.sub(r'(?<= d=")[^"]+', lambda match: re.sub(r"-?\d+\.\d{2,}", _short, match[0]), text)
+    text = re.sub(
+        r'(?<= d=")[^"]+', lambda match: re.sub(r"-?\d+\.\d{2,}", _round_number, match[0]), text
+    )
     text = re.sub(r"\n\s*", "\n", text)
     label = description.replace("&", "&amp;").replace("<", "&lt;").replace('"', "&quot;")
     return text.replace("<svg", f'<svg role="img" aria-label="{label}"', 1).strip()
 
 
-def _short(match: re.Match[str]) -> str:
+def _round_number(match: re.Match[str]) -> str:
     return f"{float(match[0]):.2f}".rstrip("0").rstrip(".")

@@ -9,7 +9,7 @@ from rich.table import Table
 from rich.text import Text
 
 # Of a table in a file or a log, where cells must not be cut.
-_LOG_WIDTH = 160
+_LOG_COLUMNS = 160
 
 
 def print_lines(lines: Iterable[str | Text | None]) -> None:
@@ -29,7 +29,7 @@ def print_table(
     """Print a table; columns of these headings to the right."""
     console = Console(highlight=False)
     if not console.is_terminal:
-        console = Console(highlight=False, width=_LOG_WIDTH)
+        console = Console(highlight=False, width=_LOG_COLUMNS)
     table = Table(title=title)
     for name in head:
         table.add_column(Text(name), justify="right" if name in numbers else "left")

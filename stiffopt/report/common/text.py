@@ -16,7 +16,7 @@ from stiffopt.units import joint_unit
 
 DASH = "–"
 # Units that are asked for by name, alone or before a slash, in SI.
-_NAMED = {
+_UNIT_FACTORS = {
     "kN": 1e3,
     "MPa": 1e6,
     "mm": 1e-3,
@@ -26,7 +26,7 @@ _NAMED = {
     "min": 60.0,
 }
 # SI units that are read in another size: the first row whose least value is reached counts.
-_SCALES: dict[str, tuple[tuple[float, float, str], ...]] = {
+_UNIT_SCALES: dict[str, tuple[tuple[float, float, str], ...]] = {
     "m": ((0.5, 1.0, "m"), (5e-5, 1e-3, "mm"), (0.0, 1e-6, "µm")),
     "rad": ((0.5, 1.0, "rad"), (5e-4, 1e-3, "mrad"), (0.0, 1e-6, "µrad")),
     "s": ((0.1, 1.0, "s"), (0.0, 1e-3, "ms")),
@@ -38,7 +38,7 @@ _SCALES: dict[str, tuple[tuple[float, float, str], ...]] = {
     "m/N": ((0.5, 1.0, "m/N"), (5e-4, 1e-3, "mm/N"), (0.0, 1e-6, "µm/N")),
 }
 # Least number that is written in the smallest unit of a scale: a nanometre, a microsecond.
-_FINEST = 1e-3
+_MIN_SCALED_VALUE = 1e-3
 # A relative change below this is none.
 UNCHANGED = 5e-5
 
@@ -50,9 +50,9 @@ def scale(largest: float, unit: str) -> tuple[float, str]:
     ((1000.0, 'mm'), (0.001, 'kN'), (1000.0, 'mm/s'), (1.0, 'N m'))
     """
     base = unit.partition("/")[0]
-    if base in _NAMED:
-        return 1.0 / _NAMED[base], unit
-    for least, size, name in _SCALES.get(unit, ()):
+    if base in _UNIT_FACTORS:
+        return 1.0 / _UNIT_FACTORS[base], unit
+    for least, size, name in _UNIT_SCALES.get(unit, ()):
         if abs(largest) >= least:
             return 1.0 / size, name
     return 1.0, unit
@@ -70,9 +70,9 @@ def si(value: float | None, unit: str, digits: int = 4) -> str:
         return DASH
     factor, name = scale(value, unit)
     size = abs(factor * value)
-    if unit in _SCALES and 0.0 < size < _FINEST:
+    if unit in _UNIT_SCALES and 0.0 < size < _MIN_SCALED_VALUE:
         # No smaller unit is left, and no number that an arm could show.
-        return f"below {_FINEST:g} {name}"
+        return f"below {_MIN_SCALED_VALUE:g} {name}"
     return f"{significant(factor * value, digits)} {name}".strip()
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.colors import LinearSegmentedColormap, LogNorm
 from matplotlib.figure import Figure
 
-from stiffopt.report.common.svg import BLUE, GREY, ORANGE, PALE, VERMILLION, WIDTH, house_style
+from stiffopt.report.common.svg import BLUE, GREY, ORANGE, PALE, VERMILLION, WIDTH, figure_style
 from stiffopt.report.common.text import significant
 from stiffopt.report.diagnosis.words import regressor_words
 from stiffopt.units import joint_unit
@@ -18,13 +18,13 @@ if TYPE_CHECKING:
 
 HEAT = LinearSegmentedColormap.from_list("heat", ["#f5f7f9", "#f7d99a", ORANGE, "#a33b00"])
 # Residual over noise at which the darkest colour is reached at the earliest.
-_DARKEST = 10.0
+_MIN_DARKEST_RATIO = 10.0
 # Of signals that a remainder depends on.
-_UNITS = {"q": "rad", "qd": "rad/s", "qdd": "rad/s^2", "torque": "N m"}
-_ROLES = (("test", "test runs"), ("extrapolate", "extrapolation runs"))
+_SIGNAL_UNITS = {"q": "rad", "qd": "rad/s", "qdd": "rad/s^2", "torque": "N m"}
+_ROLE_TITLES = (("test", "test runs"), ("extrapolate", "extrapolation runs"))
 
 
-def balances_figure(diagnosis: Diagnosis) -> Figure:
+def residual_figure(diagnosis: Diagnosis) -> Figure:
     """Residual over noise by joint and balance: nominal, within tolerance, with the findings."""
     search, n = diagnosis.search, diagnosis.recordings.n
     stages = [
@@ -38,8 +38,8 @@ def balances_figure(diagnosis: Diagnosis) -> Figure:
         stages.append((words, search.after))
     every = np.concatenate([s[1] for s in stages])
     known = every[np.isfinite(every)]
-    top = max(_DARKEST, float(known.max()) if known.size else 0.0)
-    with house_style():
+    top = max(_MIN_DARKEST_RATIO, float(known.max()) if known.size else 0.0)
+    with figure_style():
         figure = Figure(figsize=(WIDTH, 1.0 + 0.36 * n))
         grid = figure.subplots(1, len(stages), squeeze=False)[0]
         for axes, (title, ratios) in zip(grid, stages, strict=True):
@@ -68,8 +68,8 @@ def balances_figure(diagnosis: Diagnosis) -> Figure:
 
 def held_out_figure(diagnosis: Diagnosis) -> Figure:
     """Residual over noise of every channel of the held-out runs, before and after."""
-    roles = [(role, words) for role, words in _ROLES if diagnosis.proofs(role)]
-    with house_style():
+    roles = [(role, words) for role, words in _ROLE_TITLES if diagnosis.proofs(role)]
+    with figure_style():
         names = list(dict.fromkeys(c.name for p in diagnosis.held_out for c in p.channels))
         names.sort(key=lambda name: (not name.startswith("torque"), int(name.rpartition("_")[2])))
         figure = Figure(figsize=(WIDTH, 1.0 + 0.24 * max(len(names), 3)))
@@ -85,11 +85,11 @@ def held_out_figure(diagnosis: Diagnosis) -> Figure:
             low, high = axes.get_xlim()
             axes.set_xlim(min(low, 0.8), max(high, 4.0))
             axes.xaxis.set_major_formatter(lambda x, _: significant(x, 2))
-            axes.xaxis.set_minor_formatter(lambda x, _: _sparse(x))
+            axes.xaxis.set_minor_formatter(lambda x, _: _format_minor_tick(x))
             axes.set_xlabel("residual over noise (root mean squares)")
             axes.set_title(words)
             axes.grid(visible=False, axis="y")
-        grid[0].set_yticks(range(len(names)), [_short(name) for name in names])
+        grid[0].set_yticks(range(len(names)), [_channel_label(name) for name in names])
         grid[0].set_ylim(len(names) - 0.4, -0.6)
         handles = [
             grid[0].plot([], [], "o", mfc="white", mec=VERMILLION, mew=1.5, ms=6)[0],
@@ -108,11 +108,11 @@ def held_out_figure(diagnosis: Diagnosis) -> Figure:
         return figure
 
 
-def dependence_figure(diagnosis: Diagnosis) -> Figure:
+def noise_ceiling_figure(diagnosis: Diagnosis) -> Figure:
     """What a black box finds in what is left, along the signals that it goes with most."""
     assert diagnosis.rod is not None
     depends = diagnosis.rod.depends
-    with house_style():
+    with figure_style():
         figure = Figure(figsize=(WIDTH, 2.4))
         grid = figure.subplots(1, len(depends), squeeze=False, sharey=True)[0]
         for axes, each in zip(grid, depends, strict=True):
@@ -120,7 +120,7 @@ def dependence_figure(diagnosis: Diagnosis) -> Figure:
             slides = diagnosis.training.constants.joints[int(number) - 1].prismatic
             axes.plot(each.at, each.mean, color=BLUE)
             axes.axhline(0.0, color=GREY, linewidth=1.0, zorder=0)
-            unit = joint_unit(_UNITS[kind], slides)
+            unit = joint_unit(_SIGNAL_UNITS[kind], slides)
             axes.set_xlabel(f"{regressor_words(each.signal).removeprefix('the ')} [{unit}]")
         own = int(depends[0].channel.rpartition("_")[2]) - 1
         unit = joint_unit("N m", diagnosis.training.constants.joints[own].prismatic)
@@ -138,12 +138,12 @@ def channel_ratio(diagnosis: Diagnosis, role: str, name: str) -> tuple[float, fl
     return before, float(np.sqrt(sum(c.after / c.noise**2 for c in own) / count))
 
 
-def _short(name: str) -> str:
+def _channel_label(name: str) -> str:
     kind, _, joint = name.rpartition("_")
     return f"J{joint} {'torque' if kind == 'torque' else 'link encoder'}"
 
 
-def _sparse(value: float) -> str:
+def _format_minor_tick(value: float) -> str:
     """Labels of a logarithmic axis between its decades: only 2 and 5 of each."""
     first = f"{value:.0e}"[0]
     return significant(value, 1) if first in "25" else ""

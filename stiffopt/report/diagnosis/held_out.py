@@ -11,7 +11,15 @@ from matplotlib.figure import Figure
 
 from stiffopt.discovery.settings import MOVING
 from stiffopt.recording.facts import velocities
-from stiffopt.report.common.svg import BLUE, INK, PALE, VERMILLION, WIDTH, house_style, thin
+from stiffopt.report.common.svg import (
+    BLUE,
+    INK,
+    PALE,
+    VERMILLION,
+    WIDTH,
+    decimate_curve,
+    figure_style,
+)
 from stiffopt.report.common.text import scale, significant
 from stiffopt.units import joint_unit
 
@@ -19,11 +27,11 @@ if TYPE_CHECKING:
     from stiffopt.discovery.diagnosis import Diagnosis
     from stiffopt.discovery.proof.proof import ChannelError, RunProof
 
-_WINDOW = 0.5
+_WINDOW_LENGTH = 0.5
 # Points of a curve, and missing samples over which it is drawn all the same.
-_CURVE, _BRIDGED = 1400, 10
+_MAX_CURVE_POINTS, _MAX_BRIDGED_SAMPLES = 1400, 10
 # Residual over noise from which a window is listed, and how many at most.
-_WORTH, _MOST = 2.0, 8
+_MIN_LISTED_RATIO, _MAX_WINDOWS = 2.0, 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,21 +120,21 @@ def overlay_figure(shown: Trace) -> Figure:
     factor, unit = scale(largest, shown.unit)
     fine, small = scale(rest, shown.unit)
     count, noise = shown.error.samples, shown.error.noise
-    with house_style():
+    with figure_style():
         figure = Figure(figsize=(WIDTH, 4.6))
         top, below = figure.subplots(2, 1, sharex=True, height_ratios=(1.2, 1.0))
-        _curve(top, shown.time, factor * shown.measured, INK, "measured", 0.9)
+        _draw_curve(top, shown.time, factor * shown.measured, INK, "measured", 0.9)
         below.axhspan(-2 * fine * noise, 2 * fine * noise, color=PALE, zorder=0, linewidth=0)
         for name, colour, squares in (
             ("before", VERMILLION, shown.error.before),
             ("after", BLUE, shown.error.after),
         ):
             predicted = getattr(shown, name)
-            _curve(top, shown.time, factor * predicted, colour, name, 1.2)
+            _draw_curve(top, shown.time, factor * predicted, colour, name, 1.2)
             rms = fine * np.sqrt(squares / count)
             left = np.where(shown.used, shown.measured - predicted, np.nan)
             label = f"{name}, rms {significant(rms, 3)} {small}"
-            _curve(below, shown.time, fine * left, colour, label, 0.9)
+            _draw_curve(below, shown.time, fine * left, colour, label, 0.9)
         kind = "torque" if shown.error.kind == "torque" else "wind-up"
         top.set_ylabel(f"{kind} [{unit}]")
         below.set_ylabel(f"residual [{small}]")
@@ -142,15 +150,15 @@ def overlay_figure(shown: Trace) -> Figure:
         return figure
 
 
-def _curve(
+def _draw_curve(
     axes: Axes, time: np.ndarray, values: np.ndarray, colour: str, label: str, width: float
 ) -> None:
     """One curve, thinned; gaps longer than a few samples stay gaps."""
     known = np.flatnonzero(np.isfinite(values))
     if not len(known):
         return
-    x, y = thin(time[known], values[known], _CURVE)
-    gap = np.flatnonzero(np.diff(known) > _BRIDGED)
+    x, y = decimate_curve(time[known], values[known], _MAX_CURVE_POINTS)
+    gap = np.flatnonzero(np.diff(known) > _MAX_BRIDGED_SAMPLES)
     # A nan in the middle of every gap breaks the line there.
     middle = 0.5 * (time[known[gap]] + time[known[gap + 1]])
     x, y = np.concatenate([x, middle]), np.concatenate([y, np.full(len(middle), np.nan)])
@@ -165,30 +173,30 @@ def worst_windows(diagnosis: Diagnosis) -> list[Window]:
         for error in proof.channels:
             shown = trace(diagnosis, proof, error.name)
             if shown is not None:
-                found += _windows(proof.run.name, shown)
+                found += _run_windows(proof.run.name, shown)
     found.sort(key=lambda w: -w.ratio)
     # One a channel and run: the rest of it looks alike.
     first = {(w.run, w.error.name): w for w in reversed(found)}
-    return sorted(first.values(), key=lambda w: -w.ratio)[:_MOST]
+    return sorted(first.values(), key=lambda w: -w.ratio)[:_MAX_WINDOWS]
 
 
-def _windows(run: str, shown: Trace) -> list[Window]:
+def _run_windows(run: str, shown: Trace) -> list[Window]:
     left = shown.measured - shown.after
-    number = np.floor((shown.time - shown.time[0]) / _WINDOW).astype(int)
+    number = np.floor((shown.time - shown.time[0]) / _WINDOW_LENGTH).astype(int)
     windows = []
     for k in np.unique(number):
         own = (number == k) & shown.used
         if own.sum() < 5:
             continue
         rms = float(np.sqrt(np.mean(left[own] ** 2)))
-        if rms > _WORTH * shown.error.noise:
-            begin = float(shown.time[0] + k * _WINDOW)
+        if rms > _MIN_LISTED_RATIO * shown.error.noise:
+            begin = float(shown.time[0] + k * _WINDOW_LENGTH)
             windows.append(
                 Window(
                     run=run,
                     error=shown.error,
                     begin=begin,
-                    end=min(begin + _WINDOW, float(shown.time[-1])),
+                    end=min(begin + _WINDOW_LENGTH, float(shown.time[-1])),
                     rms=rms,
                     ratio=rms / shown.error.noise,
                     slowest=float(np.nanmin(shown.speed[own])),

@@ -11,12 +11,12 @@ from stiffopt.report.common.text import listed, pm, significant
 from stiffopt.report.diagnosis.overview import moved_values
 from stiffopt.report.diagnosis.words import (
     channel_words,
-    fall,
+    format_probability,
+    is_prismatic,
     joints_in_words,
-    percent_sure,
     place,
-    prismatic,
     regressor_words,
+    residual_reduction,
     unstated_groups,
 )
 from stiffopt.units import joint_unit
@@ -28,13 +28,17 @@ if TYPE_CHECKING:
     from stiffopt.discovery.judging.shares import Share
 
 # Shares below are not told apart from nothing, nor above from all.
-_LEAST, _ALL = 0.005, 0.995
+_MIN_SHARE, _FULL_SHARE = 0.005, 0.995
 # Share of nominal values from which it is said which of them moved.
-_TELLING = 0.2
+_MIN_NOMINAL_SHARE = 0.2
 # Names of nominal values of joints, where they are not those of the files.
-_NOMINAL = {"coulomb": "Coulomb friction", "viscous": "viscous friction", "com": "centre of mass"}
-_SOMETHING = "Something that touches, loads or offsets"
-_MEASURED = {"torque": "the torques", "link_position": "the link encoders"}
+_NOMINAL_NAMES = {
+    "coulomb": "Coulomb friction",
+    "viscous": "viscous friction",
+    "com": "centre of mass",
+}
+_CONTACT_PHRASE = "Something that touches, loads or offsets"
+_CHANNEL_KINDS = {"torque": "the torques", "link_position": "the link encoders"}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -101,38 +105,38 @@ def mismatches(diagnosis: Diagnosis) -> list[Mismatch]:
     for kind in kinds:
         pieces = [
             NamedShare(
-                words="open" if each.part is None else _part_words(diagnosis, each),
+                words="open" if each.part is None else _part_phrase(diagnosis, each),
                 share=each.share,
                 open=each.part is None,
             )
             for each in diagnosis.shares
-            if each.measured == kind and (each.part is None or abs(each.share) >= _LEAST)
+            if each.measured == kind and (each.part is None or abs(each.share) >= _MIN_SHARE)
         ]
-        of = f" of {_MEASURED[kind]}" if len(measured) > 1 else ""
-        found.append(Mismatch(sentence=_sentence(of, pieces), pieces=pieces))
+        of = f" of {_CHANNEL_KINDS[kind]}" if len(measured) > 1 else ""
+        found.append(Mismatch(sentence=_share_sentence(of, pieces), pieces=pieces))
     return found
 
 
-def _sentence(of: str, pieces: Sequence[NamedShare]) -> str:
+def _share_sentence(of: str, pieces: Sequence[NamedShare]) -> str:
     # What is open may come out below nothing where less is left than noise; only parts do harm.
     helps = ", ".join(
-        f"{_percent(max(p.share, 0.0))} {p.words}" for p in pieces if p.open or p.share >= 0.0
+        f"{_format_share(max(p.share, 0.0))} {p.words}" for p in pieces if p.open or p.share >= 0.0
     )
     harms = listed(
-        f"{p.words} by {_percent(-p.share)}" for p in pieces if not p.open and p.share < 0.0
+        f"{p.words} by {_format_share(-p.share)}" for p in pieces if not p.open and p.share < 0.0
     )
     text = f"Of the mismatch{of} on runs left out: {helps or 'nothing is explained'}."
     return f"{text} There it is made worse: {harms}." if harms else text
 
 
-def _percent(share: float) -> str:
+def _format_share(share: float) -> str:
     size = 100.0 * share
     if 0.0 < size < 0.1:
         return "below 0.1 %"
     return f"{size:.0f} %" if size >= 1.0 or size == 0.0 else f"{size:.1g} %"
 
 
-def rod_sentence(diagnosis: Diagnosis) -> str:
+def noise_ceiling_sentence(diagnosis: Diagnosis) -> str:
     """What is explained of what a black box could explain; "" where none was asked.
 
     On runs left out, and of torques alone: what is predicted within the training runs, or of link
@@ -144,7 +148,7 @@ def rod_sentence(diagnosis: Diagnosis) -> str:
     channels = {c.kind for proof in diagnosis.held_out for c in proof.channels}
     of = " of the torques" if "link_position" in channels else ""
     box = "a black box that was fitted to what is left in the training runs"
-    if not rod.depends and rod.explained > _ALL:
+    if not rod.depends and rod.explained > _FULL_SHARE:
         text = f"Explained{of} on runs left out: as much as {box} could; it finds next to nothing"
         text = f"{text} more there."
     else:
@@ -156,10 +160,10 @@ def rod_sentence(diagnosis: Diagnosis) -> str:
             text = f"{text}; the rest depends on {what} (most in {where})."
         else:
             text = f"{text}; it finds next to nothing more."
-    return f"{text}{_beside_rod(diagnosis)}"
+    return f"{text}{_noise_ceiling_remark(diagnosis)}"
 
 
-def _beside_rod(diagnosis: Diagnosis) -> str:
+def _noise_ceiling_remark(diagnosis: Diagnosis) -> str:
     """How what is outside the catalogue goes with a box that finds nothing more."""
     left, rod = diagnosis.unexplained, diagnosis.rod
     if left is None or left.brief or rod is None:
@@ -198,9 +202,9 @@ def counterbalance_sentences(diagnosis: Diagnosis) -> list[str]:
     return found
 
 
-def carried_over_sentences(diagnosis: Diagnosis) -> list[str]:
+def transfer_sentences(diagnosis: Diagnosis) -> list[str]:
     """One for every value that does not carry over to a held-out run."""
-    found = [_drift_words(diagnosis, each) for each in diagnosis.drift]
+    found = [_drift_sentence(diagnosis, each) for each in diagnosis.drift]
     for each in diagnosis.not_carried_over:
         if each.kind == "friction drift":
             found.append(
@@ -223,7 +227,7 @@ def carried_over_sentences(diagnosis: Diagnosis) -> list[str]:
     return found
 
 
-def _drift_words(diagnosis: Diagnosis, each: Drift) -> str:
+def _drift_sentence(diagnosis: Diagnosis, each: Drift) -> str:
     slides = diagnosis.training.constants.joints[each.joint].prismatic
     return (
         f"Friction of joint {each.joint + 1} differs from run to run: a further run is predicted"
@@ -242,11 +246,14 @@ def episode_sentences(diagnosis: Diagnosis) -> list[str]:
             for j, size in zip(each.joints, each.sizes, strict=True)
         )
         if each.role == "train":
-            head, tail = f"{_SOMETHING} was at work in", "left out of the fit"
+            head, tail = f"{_CONTACT_PHRASE} was at work in", "left out of the fit"
         elif each.stays:
             head, tail = "A change that stays, as of a load, is in", "part of what judges the model"
         else:
-            head, tail = f"{_SOMETHING} does not carry over to", "left out of what judges the model"
+            head, tail = (
+                f"{_CONTACT_PHRASE} does not carry over to",
+                "left out of what judges the model",
+            )
         if each.nrmse_with is not None and each.nrmse_without is not None:
             tail += (
                 f"; residual of {each.run} {significant(each.nrmse_with, 2)} times the noise with"
@@ -260,30 +267,30 @@ def unstated_rows(diagnosis: Diagnosis, findings: Sequence[Finding]) -> list[Uns
     """Values that the nominal model does not give, one row a kind."""
     rows = []
     for own in unstated_groups(findings):
-        slides = prismatic(diagnosis, own[0].located)
+        slides = is_prismatic(diagnosis, own[0].located)
         first = own[0].parameters[0]
         unit = joint_unit(first.unit, slides)
         values = ", ".join(
             f"{f.joint}: {pm(f.parameters[0].value, f.parameters[0].sd, unit)}" for f in own
         )
         shares = [f.variance_explained for f in own]
-        left = [fall(diagnosis, f.channel) for f in own]
+        left = [residual_reduction(diagnosis, f.channel) for f in own]
         rows.append(
             UnstatedRow(
                 effect=own[0].effect.title,
                 where=joints_in_words([f.joint for f in own if f.joint is not None]),
                 values=f"{first.name} of joint {values}",
-                from_nothing=f"{_span([f.significance for f in own], 1)} sd",
-                shows_in=_channels(list(dict.fromkeys(f.channel for f in own))),
-                falls=" → ".join(_span([falls[k] for falls in left], 2) for k in (0, 1)),
-                explains=_range(min(shares), max(shares)),
-                probability=_probabilities([f.probability for f in own]),
+                from_nothing=f"{_format_range([f.significance for f in own], 1)} sd",
+                shows_in=_format_channels(list(dict.fromkeys(f.channel for f in own))),
+                falls=" → ".join(_format_range([falls[k] for falls in left], 2) for k in (0, 1)),
+                explains=_format_share_range(min(shares), max(shares)),
+                probability=_format_probability_range([f.probability for f in own]),
             )
         )
     return rows
 
 
-def _part_words(diagnosis: Diagnosis, share: Share) -> str:
+def _part_phrase(diagnosis: Diagnosis, share: Share) -> str:
     part = share.part
     assert part is not None
     joints = sorted({e.joint + 1 for e in part.effects if e.joint is not None})
@@ -294,12 +301,14 @@ def _part_words(diagnosis: Diagnosis, share: Share) -> str:
     if part.kind == "usual":
         return f"offsets{where}"
     if part.kind == "nominal":
-        text = _masses(diagnosis, part.effects)
-        return f"{text}{_foremost(diagnosis) if share.share > _TELLING else ''}"
+        text = _nominal_part_phrase(diagnosis, part.effects)
+        return (
+            f"{text}{_largest_moved_value(diagnosis) if share.share > _MIN_NOMINAL_SHARE else ''}"
+        )
     return f"{part.effects[0].effect.title}{where}"
 
 
-def _foremost(diagnosis: Diagnosis) -> str:
+def _largest_moved_value(diagnosis: Diagnosis) -> str:
     """The nominal value that moved furthest within its tolerance, where that says something."""
     moved = [each for each in moved_values(diagnosis) if abs(each.change) >= each.tolerance]
     if not moved:
@@ -307,7 +316,10 @@ def _foremost(diagnosis: Diagnosis) -> str:
     first = moved[0]
     kind, *rest = first.name.split()
     joint = next(each for each in rest if each.isdecimal())
-    words = [_NOMINAL.get(kind, kind.replace("_", " ")), *(each for each in rest if each != joint)]
+    words = [
+        _NOMINAL_NAMES.get(kind, kind.replace("_", " ")),
+        *(each for each in rest if each != joint),
+    ]
     where = "behind" if kind in ("mass", "com") else "of"
     size = f"{100.0 * first.change:+.2g} %"
     if first.unit:
@@ -315,7 +327,7 @@ def _foremost(diagnosis: Diagnosis) -> str:
     return f" (most of all {' '.join(words)} {where} joint {joint}: {size})"
 
 
-def _masses(diagnosis: Diagnosis, effects: Sequence[LocatedEffect]) -> str:
+def _nominal_part_phrase(diagnosis: Diagnosis, effects: Sequence[LocatedEffect]) -> str:
     found = [f"{e.effect.title} ({place(diagnosis, e)})" for e in effects]
     rigid = diagnosis.search.rigid
     if rigid is not None and rigid.freed:
@@ -327,7 +339,7 @@ def _masses(diagnosis: Diagnosis, effects: Sequence[LocatedEffect]) -> str:
     return listed(found)
 
 
-def _channels(names: Sequence[str]) -> str:
+def _format_channels(names: Sequence[str]) -> str:
     """Channels of one kind together: "torques of joints 1 to 6"."""
     kinds: dict[str, list[int]] = {}
     for name in names:
@@ -340,7 +352,7 @@ def _channels(names: Sequence[str]) -> str:
     )
 
 
-def _span(values: Sequence[float], digits: int) -> str:
+def _format_range(values: Sequence[float], digits: int) -> str:
     """The least and the most, one where both read alike; what is large to its whole number."""
     ends = [
         f"{v:.0f}" if v >= 10.0**digits else significant(v, digits)
@@ -349,13 +361,13 @@ def _span(values: Sequence[float], digits: int) -> str:
     return " to ".join(dict.fromkeys(ends))
 
 
-def _probabilities(values: Sequence[float]) -> str:
+def _format_probability_range(values: Sequence[float]) -> str:
     """From the least to the most likely, never certain."""
-    ends = [percent_sure(min(values)), percent_sure(max(values))]
+    ends = [format_probability(min(values)), format_probability(max(values))]
     return " to ".join(dict.fromkeys(ends)).replace(" % to", " to")
 
 
-def _range(low: float, high: float) -> str:
+def _format_share_range(low: float, high: float) -> str:
     """Shares as percentages, one where both read alike."""
     least, most = round(100 * low), round(100 * high)
     return f"{most} %" if least == most else f"{least} to {most} %"

@@ -21,10 +21,10 @@ if TYPE_CHECKING:
     from stiffopt.discovery.judging.detection import DetectionLimit
 
 # Nominal values that are shown at most.
-_MOST_MOVED = 12
+_MAX_MOVED_VALUES = 12
 # A parameter counts as shown where its standard deviation fell below this share of the prior's.
-_VISIBLE = 0.3
-_UNITS = ("kg", *("kg m",) * 3, *("kg m^2",) * 6)
+_MAX_SD_OVER_PRIOR = 0.3
+_INERTIAL_UNITS = ("kg", *("kg m",) * 3, *("kg m^2",) * 6)
 
 
 @dataclass(frozen=True)
@@ -111,7 +111,7 @@ def moved_values(diagnosis: Diagnosis) -> list[MovedValue]:
     order = [k for k in np.argsort(-np.abs(moved / sd)) if not names[k].startswith("body ")]
     return [
         MovedValue(names[k], units.get(names[k].split()[0], ""), float(moved[k]), float(sd[k]))
-        for k in order[:_MOST_MOVED]
+        for k in order[:_MAX_MOVED_VALUES]
     ]
 
 
@@ -128,9 +128,9 @@ def moved_bodies(diagnosis: Diagnosis) -> list[MovedBody]:
         shown = [
             (name, float(value), float(sd), unit)
             for name, value, sd, wide, unit in zip(
-                PARAMETERS, change, spread, prior, _UNITS, strict=True
+                PARAMETERS, change, spread, prior, _INERTIAL_UNITS, strict=True
             )
-            if sd < _VISIBLE * wide
+            if sd < _MAX_SD_OVER_PRIOR * wide
         ]
         link = diagnosis.training.constants.links[body]
         if shown:

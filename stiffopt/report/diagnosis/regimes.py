@@ -17,25 +17,25 @@ from stiffopt.report.common.svg import (
     SKY,
     VERMILLION,
     WIDTH,
-    house_style,
+    figure_style,
 )
 from stiffopt.report.common.text import scale
 from stiffopt.report.diagnosis.residuals import (
     ChannelResiduals,
     Regime,
-    binned,
-    contribution,
-    direction,
+    binned_means,
+    finding_contribution,
+    motion_direction,
     regimes,
 )
 
 if TYPE_CHECKING:
     from stiffopt.discovery.diagnosis import Diagnosis, Finding
 
-_BINS, _CELLS = 28, 14
+_BIN_COUNT, _CELL_COUNT = 28, 14
 # Points of a cloud that a page can carry.
-_POINTS = 1500
-_SIDES = ((1, VERMILLION, "positive direction"), (-1, BLUE, "negative direction"))
+_MAX_POINTS = 1500
+_DIRECTION_STYLES = ((1, VERMILLION, "positive direction"), (-1, BLUE, "negative direction"))
 
 
 def regime_figure(diagnosis: Diagnosis, rows: ChannelResiduals, finding: Finding | None) -> Figure:
@@ -44,29 +44,36 @@ def regime_figure(diagnosis: Diagnosis, rows: ChannelResiduals, finding: Finding
     With a finding: the residual that is left with everything else explained, and the finding's
     model as a line; without one, what is left of the channel.
     """
-    added = np.zeros(len(rows.after)) if finding is None else contribution(diagnosis, finding, rows)
+    added = (
+        np.zeros(len(rows.after))
+        if finding is None
+        else finding_contribution(diagnosis, finding, rows)
+    )
     residual = rows.after + added
     factor, unit = scale(float(np.quantile(np.abs(residual), 0.95)), rows.unit)
-    sides = direction(diagnosis, rows)
+    sides = motion_direction(diagnosis, rows)
     electrical = finding is not None and "pole_pairs" in finding.effect.needs
     shown = list(regimes(diagnosis, rows, electrical))
     noise = factor * float(np.median(rows.noise))
-    with house_style():
+    with figure_style():
         figure = Figure(figsize=(WIDTH, 5.0))
         grid = figure.subplots(2, 3, sharey=True)
         for axes, regime in zip(grid.flat, shown, strict=True):
             axes.axhspan(-noise, noise, color=PALE, alpha=0.55, zorder=0, linewidth=0)
-            for side, colour, _ in _SIDES:
+            for side, colour, _ in _DIRECTION_STYLES:
                 own = sides == side
                 if own.sum() > 1:
-                    _one_side(
+                    _draw_direction(
                         axes, regime, own, factor * residual, factor * added, rows.run, colour
                     )
             axes.set_xlabel(regime.label)
         for line in grid:
             line[0].set_ylabel(f"mean residual [{unit}]")
-        handles = [grid[0, 0].plot([], [], "o", color=colour, ms=4)[0] for _, colour, _ in _SIDES]
-        labels = [words for _, _, words in _SIDES]
+        handles = [
+            grid[0, 0].plot([], [], "o", color=colour, ms=4)[0]
+            for _, colour, _ in _DIRECTION_STYLES
+        ]
+        labels = [words for _, _, words in _DIRECTION_STYLES]
         if finding is not None:
             handles.append(grid[0, 0].plot([], [], color=GREY, linewidth=1.4)[0])
             labels.append("model of the finding")
@@ -77,7 +84,7 @@ def regime_figure(diagnosis: Diagnosis, rows: ChannelResiduals, finding: Finding
         return figure
 
 
-def _one_side(
+def _draw_direction(
     axes: Axes,
     regime: Regime,
     own: np.ndarray,
@@ -92,13 +99,13 @@ def _one_side(
         if group.sum() < 2:
             continue
         low, high = np.quantile(x[group], (0.002, 0.998))
-        edges = np.linspace(low, high, 6 if regime.apart else _BINS)
-        centre, mean, sd = binned(x[group], residual[own][group], edges)
+        edges = np.linspace(low, high, 6 if regime.apart else _BIN_COUNT)
+        centre, mean, sd = binned_means(x[group], residual[own][group], edges)
         if not len(centre):
             continue
         axes.errorbar(centre, mean, yerr=2.0 * sd, fmt="o", color=colour, ms=3.2, elinewidth=0.9)
         if added.any():
-            centre, model, _ = binned(x[group], added[own][group], edges)
+            centre, model, _ = binned_means(x[group], added[own][group], edges)
             axes.plot(centre, model, color=colour, linewidth=1.4, alpha=0.75)
 
 
@@ -106,18 +113,20 @@ def map_figure(diagnosis: Diagnosis, rows: ChannelResiduals, finding: Finding | 
     """Mean residual over noise in the planes of speed with load and position, without and with."""
     by_name = {regime.name: regime for regime in regimes(diagnosis, rows)}
     stages = (
-        [("without it", contribution(diagnosis, finding, rows) + rows.after)] if finding else []
+        [("without it", finding_contribution(diagnosis, finding, rows) + rows.after)]
+        if finding
+        else []
     )
     stages.append(("with it" if finding else "what is left", rows.after))
     ratios = [values / rows.noise for _, values in stages]
     panels = [(other, number) for other in ("load", "position") for number in range(len(stages))]
     maps = [
-        _cells(by_name["speed"].values, by_name[other].values, ratios[number])
+        _cell_means(by_name["speed"].values, by_name[other].values, ratios[number])
         for other, number in panels
     ]
     filled = np.concatenate([np.abs(m[2][np.isfinite(m[2])]) for m in maps])
     top = max(2.0, float(np.quantile(filled, 0.98))) if filled.size else 2.0
-    with house_style():
+    with figure_style():
         figure = Figure(figsize=(WIDTH, 2.9))
         grid = figure.subplots(1, len(panels), squeeze=False)[0]
         for axes, (other, number), (x, y, values) in zip(grid, panels, maps, strict=True):
@@ -135,14 +144,14 @@ def map_figure(diagnosis: Diagnosis, rows: ChannelResiduals, finding: Finding | 
         return figure
 
 
-def _cells(
+def _cell_means(
     x: np.ndarray, y: np.ndarray, z: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Edges and means of z over a grid in x and y; nan in cells with too few samples."""
     ends = [np.quantile(v, (0.002, 0.998)) for v in (x, y)]
-    edges = [np.linspace(low, high, _CELLS + 1) for low, high in ends]
+    edges = [np.linspace(low, high, _CELL_COUNT + 1) for low, high in ends]
     if not all(np.all(np.diff(e) > 0.0) for e in edges):
-        edges = [np.linspace(v.min() - 1e-9, v.max() + 1e-9, _CELLS + 1) for v in (x, y)]
+        edges = [np.linspace(v.min() - 1e-9, v.max() + 1e-9, _CELL_COUNT + 1) for v in (x, y)]
     count, total = (np.histogram2d(x, y, bins=edges, weights=weights)[0] for weights in (None, z))
     means = np.where(count >= 4, total / np.maximum(count, 1.0), np.nan)
     return edges[0], edges[1], means
@@ -150,18 +159,18 @@ def _cells(
 
 def regressor_figure(diagnosis: Diagnosis, rows: ChannelResiduals, finding: Finding) -> Figure:
     """Residual with everything else explained, against what the finding's model says."""
-    added = contribution(diagnosis, finding, rows)
+    added = finding_contribution(diagnosis, finding, rows)
     residual = rows.after + added
     factor, unit = scale(float(np.quantile(np.abs(residual), 0.95)), rows.unit)
     x, y = factor * added, factor * residual
-    step = max(1, len(x) // _POINTS)
-    with house_style():
+    step = max(1, len(x) // _MAX_POINTS)
+    with figure_style():
         figure = Figure(figsize=(WIDTH, 3.4))
         left, right = figure.subplots(1, 2, width_ratios=(1.5, 1.0))
         left.plot(x[::step], y[::step], ".", color=SKY, ms=3, alpha=0.5, label="samples, filtered")
         edges = np.unique(np.quantile(x, np.linspace(0.0, 1.0, 25)))
         if len(edges) > 2:
-            centre, mean, sd = binned(x, y, edges)
+            centre, mean, sd = binned_means(x, y, edges)
             left.errorbar(
                 centre,
                 mean,
@@ -177,12 +186,12 @@ def regressor_figure(diagnosis: Diagnosis, rows: ChannelResiduals, finding: Find
         left.set_xlabel(f"what the finding adds by its model [{unit}]")
         left.set_ylabel(f"residual without it [{unit}]")
         left.legend(loc="upper left")
-        _histogram(right, rows, residual)
+        _draw_histogram(right, rows, residual)
         figure.subplots_adjust(left=0.065, right=0.99, wspace=0.2)
         return figure
 
 
-def _histogram(axes: Axes, rows: ChannelResiduals, residual: np.ndarray) -> None:
+def _draw_histogram(axes: Axes, rows: ChannelResiduals, residual: np.ndarray) -> None:
     """Distribution of the residual over noise, without and with the finding, beside the normal."""
     without, with_it = residual / rows.noise, rows.after / rows.noise
     reach = float(np.clip(np.quantile(np.abs(without), 0.99), 4.0, 40.0))
@@ -213,7 +222,7 @@ def spectrum_figure(rows: ChannelResiduals, time: np.ndarray, period: float) -> 
         for i, f in enumerate(frequencies):
             waves = np.column_stack([np.sin(2 * np.pi * f * t), np.cos(2 * np.pi * f * t)])
             share[i] += float((waves.T @ y) @ np.linalg.solve(waves.T @ waves, waves.T @ y))
-    with house_style():
+    with figure_style():
         figure = Figure(figsize=(WIDTH, 2.6))
         axes = figure.subplots()
         axes.plot(frequencies, 100.0 * share / total, color=BLUE)

@@ -91,7 +91,9 @@ def channel_residuals(diagnosis: Diagnosis, name: str) -> ChannelResiduals:
     )
 
 
-def contribution(diagnosis: Diagnosis, finding: Finding, rows: ChannelResiduals) -> np.ndarray:
+def finding_contribution(
+    diagnosis: Diagnosis, finding: Finding, rows: ChannelResiduals
+) -> np.ndarray:
     """What a finding adds to a channel, as fitted beside all others (m,)."""
     search = diagnosis.search
     begin = 0
@@ -147,7 +149,7 @@ def regimes(
         yield Regime("time", "time in the run [s]", time)
 
 
-def direction(diagnosis: Diagnosis, rows: ChannelResiduals) -> np.ndarray:
+def motion_direction(diagnosis: Diagnosis, rows: ChannelResiduals) -> np.ndarray:
     """Direction of the joint's motion at every row, -1 or 1."""
     speed = diagnosis.search.comparison.rows.sampled(
         lambda run: run.signals.motor_velocity[:, rows.joint]
@@ -155,7 +157,7 @@ def direction(diagnosis: Diagnosis, rows: ChannelResiduals) -> np.ndarray:
     return np.where(speed < 0.0, -1, 1)
 
 
-def binned(
+def binned_means(
     x: np.ndarray, y: np.ndarray, edges: np.ndarray, least: int = 6
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Mean of y by bins of x.

@@ -8,22 +8,22 @@ from typing import TYPE_CHECKING
 from stiffopt.report.common.terminal import print_lines, print_table
 from stiffopt.report.common.text import DASH, listed, pm, significant
 from stiffopt.report.diagnosis.mismatch import (
-    carried_over_sentences,
     counterbalance_sentences,
     episode_sentences,
     mismatches,
-    rod_sentence,
+    noise_ceiling_sentence,
+    transfer_sentences,
     unstated_rows,
 )
 from stiffopt.report.diagnosis.words import (
     channels_in_words,
-    clipped_words,
-    joints_without_torque,
+    is_partly_unexplained,
+    is_prismatic,
     new_and_unstated,
     place,
-    prismatic,
-    stays_open,
-    unchanged,
+    saturation_sentences,
+    unassessed_joint_sentences,
+    unchanged_sentence,
     unexplained_sentence,
 )
 from stiffopt.units import joint_unit
@@ -31,7 +31,7 @@ from stiffopt.units import joint_unit
 if TYPE_CHECKING:
     from stiffopt.discovery.diagnosis import Diagnosis, Finding
 
-_VERDICTS = {
+_VERDICT_SENTENCES = {
     "named": "Something is missing in the nominal model, and what it is was found.",
     "nothing_missing": "Nothing is missing: the nominal model within its tolerances explains the"
     " recordings.",
@@ -39,28 +39,28 @@ _VERDICTS = {
 }
 NOT_GIVEN = "no nominal value"
 # Channels that were left out and are told one by one.
-_FAULTS = 5
-_HEAD = ("effect", "where", "parameters", "explains", "probability", "confused with")
+_MAX_FAULT_LINES = 5
+_FINDING_COLUMNS = ("effect", "where", "parameters", "explains", "probability", "confused with")
 
 
 def print_diagnosis(diagnosis: Diagnosis, folder: Path) -> None:
     """Verdict, findings with deviations and rivals, fit on held-out runs, where the files are."""
     label = diagnosis.verdict
-    part = label == "named" and stays_open(diagnosis)
-    print_lines([f"{'named in part' if part else label}: {_verdict(diagnosis)}"])
+    part = label == "named" and is_partly_unexplained(diagnosis)
+    print_lines([f"{'named in part' if part else label}: {_verdict_sentence(diagnosis)}"])
     more = [each.sentence for each in mismatches(diagnosis)]
     more += counterbalance_sentences(diagnosis)
     more += [
-        *joints_without_torque(diagnosis),
-        *clipped_words(diagnosis),
+        *unassessed_joint_sentences(diagnosis),
+        *saturation_sentences(diagnosis),
         *episode_sentences(diagnosis),
-        rod_sentence(diagnosis),
+        noise_ceiling_sentence(diagnosis),
     ]
-    more += carried_over_sentences(diagnosis)
+    more += transfer_sentences(diagnosis)
     print_lines([line for line in more if line])
     new, unstated = new_and_unstated(diagnosis)
     if diagnosis.findings:
-        rows = [_row(diagnosis, finding) for finding in new]
+        rows = [_finding_row(diagnosis, finding) for finding in new]
         rows += [
             (
                 each.effect,
@@ -72,7 +72,7 @@ def print_diagnosis(diagnosis: Diagnosis, folder: Path) -> None:
             )
             for each in unstated_rows(diagnosis, unstated)
         ]
-        print_table(_HEAD, rows)
+        print_table(_FINDING_COLUMNS, rows)
     lines = []
     if diagnosis.unexplained is not None:
         lines.append(f"Outside the catalogue. {unexplained_sentence(diagnosis)}")
@@ -97,18 +97,18 @@ def fault_lines(diagnosis: Diagnosis) -> list[str]:
             left_out.setdefault((fault.channel, fault.detail), []).append(run)
     lines = [
         f"Fault of the recordings: {channel} of {listed(runs)} {detail}"
-        for (channel, detail), runs in list(left_out.items())[:_FAULTS]
+        for (channel, detail), runs in list(left_out.items())[:_MAX_FAULT_LINES]
     ]
-    told = sum(map(len, list(left_out.values())[:_FAULTS]))
+    told = sum(map(len, list(left_out.values())[:_MAX_FAULT_LINES]))
     if rest := len(diagnosis.faults) - told:
         faults = "Further faults" if told else "Faults"
         lines.append(f"{faults} of the recordings: {rest}, in diagnosis.json.")
     return lines
 
 
-def _verdict(diagnosis: Diagnosis) -> str:
+def _verdict_sentence(diagnosis: Diagnosis) -> str:
     left = diagnosis.unexplained
-    if left is not None and stays_open(diagnosis):
+    if left is not None and is_partly_unexplained(diagnosis):
         much = (
             f"{significant(left.ratio, 2)} times the noise stays open in"
             f" {channels_in_words(left.channels[:1])}"
@@ -123,11 +123,11 @@ def _verdict(diagnosis: Diagnosis) -> str:
             " findings there may stand for something else. Look first whether unit, torque constant"
             " and masses are right."
         )
-    return unchanged(diagnosis) or _VERDICTS[diagnosis.verdict]
+    return unchanged_sentence(diagnosis) or _VERDICT_SENTENCES[diagnosis.verdict]
 
 
-def _row(diagnosis: Diagnosis, finding: Finding) -> tuple[str, ...]:
-    slides = prismatic(diagnosis, finding.located)
+def _finding_row(diagnosis: Diagnosis, finding: Finding) -> tuple[str, ...]:
+    slides = is_prismatic(diagnosis, finding.located)
     parameters = (
         f"{p.name} = {pm(p.value, p.sd, joint_unit(p.unit, slides))}" for p in finding.parameters
     )

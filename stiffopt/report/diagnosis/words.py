@@ -22,12 +22,12 @@ VERDICTS = {
     "outside_catalogue": "outside the catalogue",
 }
 # From here on more or fewer decimals say nothing to a reader.
-_SURE = 0.995
+_MAX_SHOWN_PROBABILITY = 0.995
 # Residual over noise of held-out runs from which a reader is told that much is left.
-_MUCH_LEFT = 2.0
+_LARGE_RESIDUAL_RATIO = 2.0
 
 # Share of a run from which on a torque at its limit is told first.
-_CLIPPED = 0.05
+_MIN_SATURATED_SHARE = 0.05
 
 
 def place(diagnosis: Diagnosis, located: LocatedEffect) -> str:
@@ -39,7 +39,7 @@ def place(diagnosis: Diagnosis, located: LocatedEffect) -> str:
     return f"joint {located.joint + 1}" + (f", {located.run}" if located.run else "")
 
 
-def prismatic(diagnosis: Diagnosis, located: LocatedEffect) -> bool:
+def is_prismatic(diagnosis: Diagnosis, located: LocatedEffect) -> bool:
     """Whether an effect's joint slides."""
     joints = diagnosis.training.constants.joints
     return located.joint is not None and joints[located.joint].prismatic
@@ -56,14 +56,14 @@ def new_and_unstated(diagnosis: Diagnosis) -> tuple[list[Finding], list[Finding]
     return [f for f in diagnosis.findings if f not in unstated], unstated
 
 
-def phrase(finding: Finding, unstated: bool = False) -> str:
+def effect_phrase(finding: Finding, unstated: bool = False) -> str:
     """What is missing, in plain words."""
     if unstated:
         return f"{finding.effect.nominal_words}, for which there is no nominal value"
     return finding.effect.phrase_of(finding.estimated.amplitudes)
 
 
-def unchanged(diagnosis: Diagnosis) -> str:
+def unchanged_sentence(diagnosis: Diagnosis) -> str:
     """That nothing has changed since the model that was started from, and what that left open.
 
     Empty without such a model, and where all that it leaves is to be explained.
@@ -82,10 +82,10 @@ def unchanged(diagnosis: Diagnosis) -> str:
 
 def headline(diagnosis: Diagnosis) -> str:
     """What is missing and where, or that nothing is."""
-    if nothing := unchanged(diagnosis):
+    if nothing := unchanged_sentence(diagnosis):
         return nothing.removesuffix(".")
     if diagnosis.verdict == "nothing_missing":
-        silent = " ".join(joints_without_torque(diagnosis)).removesuffix(".")
+        silent = " ".join(unassessed_joint_sentences(diagnosis)).removesuffix(".")
         return f"Nothing is missing within the tolerances{silent and '. '}{silent}"
     if not diagnosis.findings:
         where = (
@@ -94,16 +94,16 @@ def headline(diagnosis: Diagnosis) -> str:
         return f"Something outside the catalogue acts on {where}"
     new, unstated = new_and_unstated(diagnosis)
     if not new:
-        text = f"Found what the nominal model does not give: {_unstated_words(unstated)}"
-        return text + _open_words(diagnosis)
+        text = f"Found what the nominal model does not give: {_unstated_phrase(unstated)}"
+        return text + _unexplained_clause(diagnosis)
     by_place: dict[str, list[str]] = {}
     for finding in new:
-        by_place.setdefault(place(diagnosis, finding.located), []).append(phrase(finding))
+        by_place.setdefault(place(diagnosis, finding.located), []).append(effect_phrase(finding))
     text = "; ".join(f"{where}: {listed(what)}" for where, what in by_place.items())
-    return capital(text) + _open_words(diagnosis)
+    return capital(text) + _unexplained_clause(diagnosis)
 
 
-def stays_open(diagnosis: Diagnosis) -> bool:
+def is_partly_unexplained(diagnosis: Diagnosis) -> bool:
     """Whether findings leave so much that they may stand for something else."""
     left = diagnosis.unexplained
     if not diagnosis.findings or left is None:
@@ -111,16 +111,16 @@ def stays_open(diagnosis: Diagnosis) -> bool:
     return diagnosis.verdict == "outside_catalogue" or left.ratio >= OPEN_RATIO
 
 
-def _open_words(diagnosis: Diagnosis) -> str:
+def _unexplained_clause(diagnosis: Diagnosis) -> str:
     """That much is open, where findings leave many times the noise."""
     left = diagnosis.unexplained
-    if left is None or not stays_open(diagnosis):
+    if left is None or not is_partly_unexplained(diagnosis):
         return ""
     where = channels_in_words(left.channels[:1])
     return f"; {significant(left.ratio, 2)} times the noise stays open in {where}"
 
 
-def joints_without_torque(diagnosis: Diagnosis) -> list[str]:
+def unassessed_joint_sentences(diagnosis: Diagnosis) -> list[str]:
     """Torques that are stated but show in no training run: a sentence for each joint."""
     training, n = diagnosis.training, diagnosis.training.robot.n
     stated = diagnosis.recordings.signals.torque or ("",) * n
@@ -145,11 +145,15 @@ def joints_without_torque(diagnosis: Diagnosis) -> list[str]:
     return found
 
 
-def clipped_words(diagnosis: Diagnosis) -> list[str]:
+def saturation_sentences(diagnosis: Diagnosis) -> list[str]:
     """Torques that rest on their largest value: a sentence for each joint."""
     worst: dict[int, tuple[float, str]] = {}
     for run, fault in diagnosis.faults:
-        if fault.kind == "saturated" and fault.joint is not None and fault.share > _CLIPPED:
+        if (
+            fault.kind == "saturated"
+            and fault.joint is not None
+            and fault.share > _MIN_SATURATED_SHARE
+        ):
             worst[fault.joint] = max(worst.get(fault.joint, (0.0, "")), (fault.share, run))
     return [
         f"The torque of joint {joint} rests on its largest value in {100.0 * share:.0f} % of {run}:"
@@ -162,7 +166,7 @@ def verdict_words(diagnosis: Diagnosis) -> str:
     """The verdict, and beside findings that it is not all."""
     if diagnosis.findings and diagnosis.verdict == "outside_catalogue":
         return "named in part, much stays open"
-    if stays_open(diagnosis):
+    if is_partly_unexplained(diagnosis):
         return "the most is named, much stays open"
     return VERDICTS[diagnosis.verdict]
 
@@ -172,7 +176,9 @@ def lead(diagnosis: Diagnosis) -> str:
     if diagnosis.verdict == "nothing_missing":
         most = worst_ratio(diagnosis.search.after)
         within = (
-            "" if unchanged(diagnosis) else "With nominal values moved within their tolerances, "
+            ""
+            if unchanged_sentence(diagnosis)
+            else "With nominal values moved within their tolerances, "
         )
         text = "No effect of the catalogue is needed. " + capital(
             f"{within}the worst channel of the training runs is at {most:.2g} times its noise."
@@ -181,11 +187,13 @@ def lead(diagnosis: Diagnosis) -> str:
         text = unexplained_sentence(diagnosis)
     else:
         new, unstated = new_and_unstated(diagnosis)
-        parts = [how_sure(finding) for finding in new]
-        parts += [fall_sentence(diagnosis, c) for c in dict.fromkeys(f.channel for f in new)]
+        parts = [confidence_sentence(finding) for finding in new]
+        parts += [
+            residual_reduction_sentence(diagnosis, c) for c in dict.fromkeys(f.channel for f in new)
+        ]
         if new and unstated:
             parts.append(
-                f"Also found, not given by the nominal model: {_unstated_words(unstated)}."
+                f"Also found, not given by the nominal model: {_unstated_phrase(unstated)}."
             )
         elif unstated:
             parts.append("Beyond these, no effect of the catalogue is needed.")
@@ -195,16 +203,16 @@ def lead(diagnosis: Diagnosis) -> str:
     return " ".join([text, *(str(mode) for mode in diagnosis.modes if mode.elsewhere)])
 
 
-def how_sure(finding: Finding) -> str:
+def confidence_sentence(finding: Finding) -> str:
     """Probability against rivals and deviations from nothing, in a sentence."""
     if finding.rivals:
         rival = finding.rivals[0]
         other = rival.located.effect.title
-        sure = f"{percent_sure(finding.probability)} sure; the nearest rival is {other}"
+        sure = f"{format_probability(finding.probability)} sure; the nearest rival is {other}"
         if rival.located.joint not in (None, finding.located.joint):
             sure += f" of joint {rival.located.joint + 1}"
     elif finding.misfit:
-        sure = f"{percent_sure(finding.probability)} sure; no rival comes near"
+        sure = f"{format_probability(finding.probability)} sure; no rival comes near"
     else:
         sure = "no rival comes near"
     if round(100 * finding.misfit):
@@ -213,16 +221,16 @@ def how_sure(finding: Finding) -> str:
     return f"{name}: {sure}; {finding.significance:.0f} standard deviations from nothing."
 
 
-def fall_sentence(diagnosis: Diagnosis, channel: str) -> str:
+def residual_reduction_sentence(diagnosis: Diagnosis, channel: str) -> str:
     """How far the residual of a channel falls in the training runs."""
-    within, after = fall(diagnosis, channel)
+    within, after = residual_reduction(diagnosis, channel)
     return (
         f"{capital(channels_in_words([channel]))} is left at {significant(within, 2)} times its "
         f"noise by nominal values within tolerance, at {significant(after, 2)} with what was found."
     )
 
 
-def fall(diagnosis: Diagnosis, channel: str) -> tuple[float, float]:
+def residual_reduction(diagnosis: Diagnosis, channel: str) -> tuple[float, float]:
     """Residual over noise in training: nominal values within tolerance, then with findings."""
     number = channel_number(diagnosis, channel)
     return float(diagnosis.search.calibrated[number]), float(diagnosis.search.after[number])
@@ -233,7 +241,7 @@ def unexplained_sentence(diagnosis: Diagnosis) -> str:
     unexplained = diagnosis.unexplained
     if unexplained is None:
         return ""
-    text = _followed(unexplained)
+    text = _dependence_sentence(unexplained)
     if unexplained.alone is not None:
         run, ratio = unexplained.alone
         text += (
@@ -243,14 +251,14 @@ def unexplained_sentence(diagnosis: Diagnosis) -> str:
     return text
 
 
-def _followed(unexplained: Unexplained) -> str:
+def _dependence_sentence(unexplained: Unexplained) -> str:
     channels = channels_in_words(unexplained.channels)
     if unexplained.brief:
         return (
             f"In bursts, {channels} leaves {unexplained.ratio:.2g} times the noise:"
             f" {100 * unexplained.gain:.0f} % of what remains lies where"
             f" {regressor_words(unexplained.regressors[0])} is largest, as with a drive that"
-            f" {_DRIVES[unexplained.regressors[0].partition('_')[0]]}."
+            f" {_BURST_CAUSES[unexplained.regressors[0].partition('_')[0]]}."
         )
     text = f"In {channels} up to {unexplained.ratio:.2g} times the noise remains unexplained"
     if unexplained.period is not None:
@@ -280,18 +288,18 @@ def proof_sentence(diagnosis: Diagnosis) -> str:
         "of the sensor noise."
     )
     left = [diagnosis.nrmse(role)[1] for role in ("test", "extrapolate") if diagnosis.proofs(role)]
-    if max(left) > _MUCH_LEFT and diagnosis.findings:
+    if max(left) > _LARGE_RESIDUAL_RATIO and diagnosis.findings:
         worst = worst_channel(diagnosis, diagnosis.search.after)
         text += (
             f" So not all is explained: most is left in {channels_in_words([worst])}, at "
-            f"{significant(fall(diagnosis, worst)[1], 2)} times its noise in the training runs."
+            f"{significant(residual_reduction(diagnosis, worst)[1], 2)} times its noise in the training runs."
         )
     return text
 
 
-def percent_sure(probability: float) -> str:
+def format_probability(probability: float) -> str:
     """Probability in percent that never claims certainty."""
-    return "above 99 %" if probability > _SURE else f"{100 * probability:.0f} %"
+    return "above 99 %" if probability > _MAX_SHOWN_PROBABILITY else f"{100 * probability:.0f} %"
 
 
 def worst_ratio(ratios: np.ndarray) -> float:
@@ -301,7 +309,7 @@ def worst_ratio(ratios: np.ndarray) -> float:
 
 
 # What bursts look like, by what they follow.
-_DRIVES = {"torque": "gives no more than a limit", "dtorque": "changes its torque too slowly"}
+_BURST_CAUSES = {"torque": "gives no more than a limit", "dtorque": "changes its torque too slowly"}
 
 
 def channel_words(name: str) -> str:
@@ -354,7 +362,7 @@ def unstated_groups(unstated: Sequence[Finding]) -> list[list[Finding]]:
     return [sorted(own, key=lambda f: f.joint or 0) for own in groups.values()]
 
 
-def _unstated_words(unstated: Sequence[Finding]) -> str:
+def _unstated_phrase(unstated: Sequence[Finding]) -> str:
     return listed(
         f"{own[0].effect.nominal_words} of {joints_in_words([f.joint for f in own if f.joint])}"
         for own in unstated_groups(unstated)

@@ -14,11 +14,11 @@ from stiffopt.report.common.svg import (
     SKY,
     VERMILLION,
     WIDTH,
-    house_style,
+    figure_style,
 )
 from stiffopt.report.common.text import scale
 
-_MARKS = (
+_MARKER_STYLES = (
     ("stiffness", "identified, 95 % interval", "o", BLUE, 6),
     ("least_squares", "plain least squares", "d", ORANGE, 4),
     ("nominal", "nominal", "|", VERMILLION, 14),
@@ -28,7 +28,7 @@ _MARKS = (
 def stiffness_figure(result: StaticStiffness) -> Figure:
     """Stiffness of every joint with its interval, beside plain least squares and nominal."""
     shown = [joint for joint in result.joints if joint.lower is not None]
-    with house_style():
+    with figure_style():
         figure = Figure(figsize=(WIDTH, 0.9 + 0.42 * max(len(result.joints), 2)))
         axes = figure.subplots()
         values = [
@@ -43,7 +43,7 @@ def stiffness_figure(result: StaticStiffness) -> Figure:
             axes.plot([start, end], [row, row], color=BLUE, linewidth=2.2, solid_capstyle="butt")
             if joint.upper is None:
                 axes.plot(high, row, marker=">", color=BLUE, markersize=6, clip_on=False)
-        for name, label, marker, colour, size in _MARKS:
+        for name, label, marker, colour, size in _MARKER_STYLES:
             known = [(getattr(j, name), j.joint) for j in result.joints if getattr(j, name)]
             if known:
                 x, y = zip(*known, strict=True)
@@ -74,7 +74,7 @@ def prediction_figure(result: StaticStiffness) -> Figure:
     factor, unit = scale(float(np.max(np.abs(measured))), "m")
     outlying = np.zeros(len(measured), dtype=bool)
     outlying[[pose - 1 for pose in result.outliers]] = True
-    with house_style():
+    with figure_style():
         figure = Figure(figsize=(WIDTH, 3.5))
         grid = figure.subplots(1, 3)
         for i, (axes, name) in enumerate(zip(grid, "xyz", strict=True)):
@@ -103,7 +103,7 @@ def poses_figure(result: StaticStiffness) -> Figure:
     error = np.linalg.norm(measured - result.left_out, axis=1)
     factor, unit = scale(float(np.max(error)), "m")
     pose = np.arange(1, len(measured) + 1)
-    with house_style():
+    with figure_style():
         figure = Figure(figsize=(WIDTH, 2.9))
         axes = figure.subplots()
         colours = [VERMILLION if k in result.outliers else BLUE for k in pose.tolist()]
@@ -130,7 +130,7 @@ def models_figure(result: StaticStiffness) -> Figure:
     """Error on the poses fitted to and on poses left out, per model of the wind-up."""
     models = result.torque_dependence.models
     factor, unit = scale(max(model.left_out for model in models), "m")
-    with house_style():
+    with figure_style():
         figure = Figure(figsize=(WIDTH, 0.8 + 0.36 * len(models)))
         axes = figure.subplots()
         for row, model in enumerate(models):
@@ -156,7 +156,7 @@ def models_figure(result: StaticStiffness) -> Figure:
 def secant_figure(result: StaticStiffness) -> Figure:
     """Secant stiffness of every joint at small, middle and large torque, by the best model."""
     secant = result.torque_dependence.secant
-    with house_style():
+    with figure_style():
         figure = Figure(figsize=(WIDTH, 3.0))
         axes = figure.subplots()
         colours = (BLUE, VERMILLION, GREEN, ORANGE, SKY, GREY)

@@ -9,8 +9,8 @@ from stiffopt.report.common.terminal import print_lines, print_table
 from stiffopt.report.common.text import DASH, decades
 from stiffopt.report.identification.page import error_sentence, headline, interval, status_words
 
-_NUMBERS = ("stiffness", "standard deviation", "95 % interval", "nominal")
-_SOFTER = "softer than nominal by (standard deviations)"
+_NUMBER_COLUMNS = ("stiffness", "standard deviation", "95 % interval", "nominal")
+_DEVIATION_COLUMN = "softer than nominal by (standard deviations)"
 
 
 def print_static(result: StaticStiffness, folder: Path) -> None:
@@ -29,7 +29,11 @@ def print_static(result: StaticStiffness, folder: Path) -> None:
         )
         for joint in result.joints
     ]
-    print_table(("", "", *_NUMBERS, "unit", _SOFTER), rows, numbers=(*_NUMBERS, _SOFTER))
+    print_table(
+        ("", "", *_NUMBER_COLUMNS, "unit", _DEVIATION_COLUMN),
+        rows,
+        numbers=(*_NUMBER_COLUMNS, _DEVIATION_COLUMN),
+    )
     outliers = ", ".join(map(str, result.outliers))
     print_lines(
         (

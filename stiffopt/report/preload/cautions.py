@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from stiffopt.preload.solution import PreloadSolution
 
 # Connections that a sentence names.
-_NAMED = 3
+_MAX_NAMED_CONNECTIONS = 3
 
 
 def cautions(problem: PreloadProblem, solution: PreloadSolution) -> list[str]:
@@ -32,7 +32,7 @@ def cautions(problem: PreloadProblem, solution: PreloadSolution) -> list[str]:
     for row in sorted(solution.rows, key=lambda row: -row.utilisation):
         if not row.binding and row.utilisation > 1.0:
             over.setdefault(row.kind, []).append(row)
-    return [*(_said(own) for own in over.values()), *_stainless_friction(problem)]
+    return [*(_warning_sentence(own) for own in over.values()), *_stainless_friction(problem)]
 
 
 def _stainless_friction(problem: PreloadProblem) -> Iterator[str]:
@@ -52,10 +52,14 @@ def _stainless_friction(problem: PreloadProblem) -> Iterator[str]:
         )
 
 
-def _said(rows: Sequence[UtilisationRow]) -> str:
+def _warning_sentence(rows: Sequence[UtilisationRow]) -> str:
     owners = list(dict.fromkeys(owner_name(row) for row in rows))
-    more = len(owners) - _NAMED
-    where = listed(owners) if more < 1 else f"{', '.join(owners[:_NAMED])} and {more} more"
+    more = len(owners) - _MAX_NAMED_CONNECTIONS
+    where = (
+        listed(owners)
+        if more < 1
+        else f"{', '.join(owners[:_MAX_NAMED_CONNECTIONS])} and {more} more"
+    )
     worst = rows[0]
     used = percent(worst.utilisation, 3) if math.isfinite(worst.utilisation) else "any multiple"
     of = "" if is_factor(worst.utilisation) else " of"

@@ -21,7 +21,7 @@ from stiffopt.report.common.svg import (
     SKY,
     VERMILLION,
     WIDTH,
-    house_style,
+    figure_style,
 )
 from stiffopt.report.preload.words import present_preload, readable
 
@@ -31,10 +31,10 @@ if TYPE_CHECKING:
     from stiffopt.preload.solution import PreloadSolution
 
 # Of the width of a panel: lines closer than this share one label.
-_MERGE = 0.055
-_LABEL = 7.0
+_LABEL_WIDTH_SHARE = 0.055
+_LABEL_FONT_SIZE = 7.0
 # Inches: room above the panels, below them with the legend, and between two rows.
-_TOP, _BOTTOM, _BETWEEN = 0.3, 0.85, 0.5
+_TOP_INCH, _BOTTOM_INCH, _ROW_GAP_INCH = 0.3, 0.85, 0.5
 
 
 @dataclass(frozen=True)
@@ -121,8 +121,8 @@ def curves_figure(
     columns = min(2 if count in (2, 4) else 3, count)
     rows = -(-count // columns)
     panel = 1.75 if columns == 3 else 2.3 if columns == 2 else 2.6
-    height = _TOP + rows * panel + (rows - 1) * _BETWEEN + _BOTTOM
-    with house_style():
+    height = _TOP_INCH + rows * panel + (rows - 1) * _ROW_GAP_INCH + _BOTTOM_INCH
+    with figure_style():
         figure = Figure(figsize=(WIDTH, height))
         grid = figure.subplots(rows, columns, squeeze=False).ravel()
         for axes in grid[count:]:
@@ -131,8 +131,10 @@ def curves_figure(
             axes = grid[place]
             own = [curve for curve in curves if curve.key == element.key]
             own.sort(key=lambda curve: -abs(curve.torque))
-            _panel(axes, [preload_view(problem, solution, element, curve) for curve in own])
-            axes.set_title(f"{readable(element.key).capitalize()} [{_unit(units, element)}]")
+            _draw_panel(axes, [preload_view(problem, solution, element, curve) for curve in own])
+            axes.set_title(
+                f"{readable(element.key).capitalize()} [{_stiffness_unit(units, element)}]"
+            )
             if place + columns >= count:
                 axes.set_xlabel("preload of one bolt or pin [kN]")
         drawn = [axes.get_legend_handles_labels() for axes in grid[:count]]
@@ -149,19 +151,19 @@ def curves_figure(
         figure.subplots_adjust(
             left=0.07,
             right=0.995,
-            bottom=_BOTTOM / height,
-            top=1 - _TOP / height,
+            bottom=_BOTTOM_INCH / height,
+            top=1 - _TOP_INCH / height,
             wspace=0.24,
-            hspace=_BETWEEN / panel,
+            hspace=_ROW_GAP_INCH / panel,
         )
         return figure
 
 
-def _unit(units: Sequence[JointUnits], element: FreeElement) -> str:
+def _stiffness_unit(units: Sequence[JointUnits], element: FreeElement) -> str:
     return units[element.joint - 1].stiffness
 
 
-def _panel(axes: Axes, views: Sequence[PreloadView]) -> None:
+def _draw_panel(axes: Axes, views: Sequence[PreloadView]) -> None:
     main = views[0]
     least, largest = main.least / 1e3, main.largest / 1e3
     axes.axvspan(
@@ -208,7 +210,7 @@ def _panel(axes: Axes, views: Sequence[PreloadView]) -> None:
     right = 1.03 * max(shown)
     ceilings = sorted(f for n, f in main.bounds.items() if n not in FLOORS and f <= right)
     for lines, force in enumerate(reversed(ceilings), start=1):
-        right = max(right, force / (1.0 - lines * _MERGE))
+        right = max(right, force / (1.0 - lines * _LABEL_WIDTH_SHARE))
     axes.set_xlim(0.0, 1.001 * right / 1e3)
     drawn = {n: f / 1e3 for n, f in main.bounds.items() if n in FLOORS or f in ceilings}
     _draw_bounds(axes, drawn, main.binding)
@@ -254,21 +256,23 @@ def _draw_bounds(axes: Axes, bounds: Mapping[str, float], binding: Collection[st
         style = {"linewidth": 1.8} if name in binding else {"linewidth": 1.0, "dashes": (4, 2)}
         axes.axvline(force, color=colour, zorder=1, **style)
         # A label is as wide as it has lines.
-        line = _MERGE * (right - left)
+        line = _LABEL_WIDTH_SHARE * (right - left)
         near = groups and force - groups[-1][0] < len(groups[-1][1]) * line
         if near and name not in FLOORS and groups[-1][1][0] not in FLOORS:
             groups[-1][1].append(name)
         else:
             groups.append((force, [name]))
     for force, names in groups:
-        _label(axes, force, names, names[0] in FLOORS, any(name in binding for name in names))
+        _draw_label(axes, force, names, names[0] in FLOORS, any(name in binding for name in names))
 
 
-def _label(axes: Axes, force: float, names: Sequence[str], beside_left: bool, binds: bool) -> None:
+def _draw_label(
+    axes: Axes, force: float, names: Sequence[str], beside_left: bool, binds: bool
+) -> None:
     """Names along a line: at the top of limits from below, at the foot of those from above."""
     left, right = axes.get_xlim()
     floor = names[0] in FLOORS
-    room = _MERGE * (right - left) * len(names)
+    room = _LABEL_WIDTH_SHARE * (right - left) * len(names)
     if beside_left and force - left < room:
         beside_left = False
     elif not beside_left and right - force < room:
@@ -282,7 +286,7 @@ def _label(axes: Axes, force: float, names: Sequence[str], beside_left: bool, bi
         rotation=90,
         ha="right" if beside_left else "left",
         va="top" if floor else "bottom",
-        fontsize=_LABEL,
+        fontsize=_LABEL_FONT_SIZE,
         fontweight="bold" if binds else "normal",
         linespacing=1.1,
         color=VERMILLION if floor else GREY,

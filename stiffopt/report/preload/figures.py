@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
 from stiffopt.report.common.robot import JointUnits, element_colour
-from stiffopt.report.common.svg import BLUE, GREEN, ORANGE, VERMILLION, WIDTH, house_style
+from stiffopt.report.common.svg import BLUE, GREEN, ORANGE, VERMILLION, WIDTH, figure_style
 from stiffopt.report.common.text import percent, significant
 from stiffopt.report.preload.words import readable
 
@@ -41,7 +41,7 @@ def front_figure(front: ParetoFront, units: Sequence[JointUnits], joints: Sequen
     else:
         value = 100 * np.array([point.level for point in front.points])
         label = "least relative stiffness of any joint [%]"
-    with house_style():
+    with figure_style():
         figure = Figure(figsize=(WIDTH * 0.62, 3.2))
         axes = figure.subplots()
         axes.plot(total, value, "o-", color=BLUE, markersize=3.5)
@@ -58,14 +58,14 @@ def front_figure(front: ParetoFront, units: Sequence[JointUnits], joints: Sequen
         _level_if_flat(axes)
         axes.set_xlabel("total preload of all bolts and pins [kN]")
         axes.set_ylabel(label)
-        beside = axes.secondary_yaxis("right", functions=_relative(float(value[0])))
+        beside = axes.secondary_yaxis("right", functions=_percent_above(float(value[0])))
         beside.set_ylabel("more than with the least preload [%]")
         beside.spines["right"].set_visible(True)
         figure.subplots_adjust(left=0.12, right=0.9)
         return figure
 
 
-def _relative(first: float) -> tuple[Callable[[Any], Any], Callable[[Any], Any]]:
+def _percent_above(first: float) -> tuple[Callable[[Any], Any], Callable[[Any], Any]]:
     """To per cent above a value, and back."""
 
     def above(value: Any) -> Any:
@@ -98,8 +98,8 @@ def shares_figure(shares: Mapping[int, Sequence[WindupShare]], free: Sequence[st
     columns = min(3, len(shares))
     rows = -(-len(shares) // columns)
     most = max(len(each) for each in shares.values())
-    with house_style():
-        height = 0.5 + rows * _tall(most)
+    with figure_style():
+        height = 0.5 + rows * _bars_height(most)
         figure = Figure(figsize=(WIDTH if columns > 1 else WIDTH * 0.62, height))
         grid = figure.subplots(rows, columns, squeeze=False).ravel()
         for axes in grid[len(shares) :]:
@@ -135,12 +135,12 @@ def shares_figure(shares: Mapping[int, Sequence[WindupShare]], free: Sequence[st
             bottom=0.45 / height,
             top=1 - 0.3 / height,
             wspace=0.62,
-            hspace=0.5 / (_tall(most) - 0.5),
+            hspace=0.5 / (_bars_height(most) - 0.5),
         )
         return figure
 
 
-def _tall(bars: int) -> float:
+def _bars_height(bars: int) -> float:
     return 0.62 + 0.23 * bars
 
 
@@ -153,7 +153,7 @@ def loosening_figure(first_slip: Mapping[str, float], slip: Mapping[str, float])
         Share of the least preload that is left then.
     """
     keys = list(slip)
-    with house_style():
+    with figure_style():
         height = 0.75 + 0.3 * len(keys)
         figure = Figure(figsize=(WIDTH * 0.8, height))
         axes = figure.subplots()

@@ -11,7 +11,7 @@ from matplotlib.patches import Annulus, Circle
 
 from stiffopt.drivetrain import catalogue
 from stiffopt.preload.bolt_sheet import BoltSheet
-from stiffopt.report.common.svg import BLUE, GREY, INK, PALE, VERMILLION, WIDTH, house_style
+from stiffopt.report.common.svg import BLUE, GREY, INK, PALE, VERMILLION, WIDTH, figure_style
 from stiffopt.report.common.text import significant
 from stiffopt.report.preload.words import readable
 
@@ -26,20 +26,20 @@ def flange_drawings(sheets: Sequence[BoltSheet]) -> Figure:
     rows = -(-len(sheets) // columns)
     side = WIDTH / columns if columns > 1 else 0.45 * WIDTH
     width, height = side * columns, (side + 0.35) * rows
-    with house_style():
+    with figure_style():
         figure = Figure(figsize=(width, height))
         grid = figure.subplots(rows, columns, squeeze=False).ravel()
         for axes in grid:
             axes.set_axis_off()
         for axes, sheet in zip(grid, sheets, strict=False):
-            _draw(axes, sheet)
+            _draw_flange(axes, sheet)
         figure.subplots_adjust(
             left=0.01, right=0.99, bottom=0.02, top=1 - 0.32 / height, wspace=0.05, hspace=0.16
         )
         return figure
 
 
-def _draw(axes: Axes, sheet: BoltSheet) -> None:
+def _draw_flange(axes: Axes, sheet: BoltSheet) -> None:
     flange = sheet.flange
     assert flange.bolt is not None
     outer, inner = 1e3 * flange.outer_radius, 1e3 * flange.inner_radius

@@ -17,7 +17,7 @@ from stiffopt.report.common.svg import (
     SKY,
     VERMILLION,
     WIDTH,
-    house_style,
+    figure_style,
 )
 from stiffopt.report.preload.words import readable
 
@@ -33,13 +33,13 @@ def joint_diagrams(sheets: Sequence[BoltSheet]) -> Figure:
     rows = -(-len(sheets) // columns)
     width = WIDTH if columns > 1 else 0.62 * WIDTH
     height = 0.85 + 2.9 * rows
-    with house_style():
+    with figure_style():
         figure = Figure(figsize=(width, height))
         grid = figure.subplots(rows, columns, squeeze=False).ravel()
         for axes in grid[len(sheets) :]:
             axes.set_visible(False)
         for axes, sheet in zip(grid, sheets, strict=False):
-            _diagram(axes, sheet)
+            _draw_diagram(axes, sheet)
         for place, axes in enumerate(grid[: len(sheets)]):
             if place % columns == 0:
                 axes.set_ylabel("force of one bolt [kN]")
@@ -57,7 +57,7 @@ def joint_diagrams(sheets: Sequence[BoltSheet]) -> Figure:
         return figure
 
 
-def _diagram(axes: Axes, sheet: BoltSheet) -> None:
+def _draw_diagram(axes: Axes, sheet: BoltSheet) -> None:
     bolt, plates = 1e6 * sheet.bolt_compliance, 1e6 * sheet.plate_compliance
     largest, least = sheet.largest / 1e3, sheet.least / 1e3
     service = max(sheet.in_service, 0.0) / 1e3

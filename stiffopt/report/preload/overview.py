@@ -21,11 +21,11 @@ if TYPE_CHECKING:
     from stiffopt.preload.solution import PreloadSolution
 
 Item = TypeVar("Item")
-_KEY = "key pressure"
+_KEY_PRESSURE = "key pressure"
 # With more rows than this a matrix gives the overview.
-_SHOWN_ROWS = 14
+_MAX_LISTED_ROWS = 14
 # A kind of requirement that no connection uses more than this has no column there.
-_SHOWN_USE = 0.2
+_MIN_SHOWN_UTILISATION = 0.2
 
 
 @dataclass(frozen=True)
@@ -75,7 +75,7 @@ class StiffnessChange:
     required: float | None
 
 
-def _worst(
+def _largest_by_owner(
     items: Iterable[Item], owner: Callable[[Item], Hashable], size: Callable[[Item], float]
 ) -> dict[Hashable, Item]:
     """Item of the largest size of each owner; the first where several are alike."""
@@ -86,12 +86,16 @@ def _worst(
     return worst
 
 
-def _used(row: UtilisationRow) -> float:
+def _utilisation(row: UtilisationRow) -> float:
     return row.utilisation
 
 
-def _by_owner(rows: Iterable[UtilisationRow]) -> list[UtilisationRow]:
-    return list(_worst(rows, lambda row: (row.kind, row.element, row.joint), _used).values())
+def _worst_cases(rows: Iterable[UtilisationRow]) -> list[UtilisationRow]:
+    return list(
+        _largest_by_owner(
+            rows, lambda row: (row.kind, row.element, row.joint), _utilisation
+        ).values()
+    )
 
 
 def most_used(rows: Sequence[UtilisationRow]) -> list[UtilisationRow]:
@@ -100,9 +104,9 @@ def most_used(rows: Sequence[UtilisationRow]) -> list[UtilisationRow]:
     The worst load case of each kind and owner; where these are too many, the worst owner of each
     kind. Warnings stop no design: `cautions` has those that are exceeded.
     """
-    shown = _by_owner(row for row in rows if row.binding)
-    if len(shown) > _SHOWN_ROWS:
-        shown = list(_worst(rows, lambda row: row.kind, _used).values())
+    shown = _worst_cases(row for row in rows if row.binding)
+    if len(shown) > _MAX_LISTED_ROWS:
+        shown = list(_largest_by_owner(rows, lambda row: row.kind, _utilisation).values())
     return sorted(shown, key=lambda row: -row.utilisation)
 
 
@@ -111,25 +115,25 @@ def utilisation_matrix(rows: Sequence[UtilisationRow]) -> UtilisationMatrix | No
 
     Keys have but one requirement, so the worst of them stands for all.
     """
-    worst = _by_owner(rows)
-    if len(worst) <= _SHOWN_ROWS:
+    worst = _worst_cases(rows)
+    if len(worst) <= _MAX_LISTED_ROWS:
         return None
     # Steps of VDI 2230 that are hardly used anywhere, and warnings, are in the full list.
     largest = {k: max(r.utilisation for r in worst if r.kind == k) for k in {r.kind for r in worst}}
     worst = [
         row
         for row in worst
-        if row.binding and (not row.equation or largest[row.kind] >= _SHOWN_USE)
+        if row.binding and (not row.equation or largest[row.kind] >= _MIN_SHOWN_UTILISATION)
     ]
     kinds = tuple(dict.fromkeys(row.kind for row in worst))
-    keys = [row for row in worst if row.kind == _KEY]
+    keys = [row for row in worst if row.kind == _KEY_PRESSURE]
     if keys:
-        most = max(keys, key=_used)
-        worst = [row for row in worst if row.kind != _KEY or row is most]
+        most = max(keys, key=_utilisation)
+        worst = [row for row in worst if row.kind != _KEY_PRESSURE or row is most]
     cells: dict[str, dict[str, UtilisationRow]] = {}
     for row in worst:
         name = owner_name(row)
-        if row.kind == _KEY and len(keys) > 1:
+        if row.kind == _KEY_PRESSURE and len(keys) > 1:
             name = f"{name}, worst of {len(keys)} keys"
         cells.setdefault(name, {})[row.kind] = row
     rows_of = {name: tuple(own.get(kind) for kind in kinds) for name, own in cells.items()}
@@ -150,16 +154,16 @@ def shown_sheets(
 
 def vdi_steps(rows: Sequence[UtilisationRow]) -> dict[str, list[UtilisationRow]]:
     """Steps of VDI 2230 by connection, each in its worst load case, in the order of the steps."""
-    steps = _worst(
-        [row for row in rows if row.equation], lambda row: (row.element, row.kind), _used
+    steps = _largest_by_owner(
+        [row for row in rows if row.equation], lambda row: (row.element, row.kind), _utilisation
     ).values()
     found: dict[str, list[UtilisationRow]] = {}
-    for row in sorted(steps, key=lambda row: _step(row.equation)):
+    for row in sorted(steps, key=lambda row: _step_order(row.equation)):
         found.setdefault(row.element, []).append(row)
     return found
 
 
-def _step(equation: str) -> tuple[int, str]:
+def _step_order(equation: str) -> tuple[int, str]:
     """Place of a step: R2/3 before R10/1, what has no number last."""
     number = re.match(r"R(\d+)", equation)
     return (int(number[1]) if number else 99, equation)
@@ -191,14 +195,14 @@ def stiffness_changes(problem: PreloadProblem, solution: PreloadSolution) -> lis
 
 def loosened_connections(result: Loosening) -> dict[str, list[Loosened]]:
     """The joint nearest to slip of each connection by fraction of preload left, most first."""
-    worst = _worst(result.rows, lambda r: (r.key, r.fraction), lambda r: -r.slip_safety)
+    worst = _largest_by_owner(result.rows, lambda r: (r.key, r.fraction), lambda r: -r.slip_safety)
     fractions = sorted({row.fraction for row in result.rows}, reverse=True)
     return {key: [worst[key, fraction] for fraction in fractions] for key in result.slip_fraction}
 
 
 def preload_worth(result: Sensitivity) -> list[PreloadWorth]:
     """Of each connection, where one more newton is worth most."""
-    return list(_worst(result.worth, lambda w: w.key, lambda w: w.elasticity).values())
+    return list(_largest_by_owner(result.worth, lambda w: w.key, lambda w: w.elasticity).values())
 
 
 def shares_by_joint(

@@ -38,6 +38,8 @@ from stiffopt.report.preload.overview import (
 from stiffopt.report.preload.words import (
     METHOD_WORDS,
     OBJECTIVE_WORDS,
+    active_limits_sentence,
+    active_limits_text,
     amount,
     fastener_words,
     fasteners,
@@ -45,10 +47,8 @@ from stiffopt.report.preload.words import (
     owner_name,
     prose,
     readable,
-    set_by,
     stiffness_sentence,
     weakest_sentence,
-    what_binds,
 )
 
 if TYPE_CHECKING:
@@ -71,10 +71,10 @@ def write_preload_report(study: PreloadStudy, directory: str | Path) -> Path:
     Path
     """
     with with_own(study.problem.robot.own):
-        return _written(study, directory)
+        return _write_page(study, directory)
 
 
-def _written(study: PreloadStudy, directory: str | Path) -> Path:
+def _write_page(study: PreloadStudy, directory: str | Path) -> Path:
     problem, solution = study.problem, study.solution
     units = joint_units(problem.robot)
     shares = shares_by_joint(study.sensitivity, problem, solution)
@@ -106,7 +106,7 @@ def _written(study: PreloadStudy, directory: str | Path) -> Path:
         "unit": OBJECTIVES[problem.objective],
         "title": problem.title or f"Preloads of {problem.robot.title or problem.robot.name}",
         "headline": headline(problem, solution),
-        "lead": what_binds(problem, solution),
+        "lead": active_limits_sentence(problem, solution),
         "gain": stiffness_sentence(problem, solution, study.front),
         "weakest": weakest_sentence(shares, free),
         "mark": EstimateMarks(problem).of,
@@ -135,7 +135,7 @@ def _written(study: PreloadStudy, directory: str | Path) -> Path:
         "fasteners": fasteners,
         "fastener_words": fastener_words,
         "owner": owner_name,
-        "set_by": lambda element: set_by(solution, element.key, element.joint),
+        "set_by": lambda element: active_limits_text(solution, element.key, element.joint),
     }
     path = Path(directory) / REPORT_FILE
     return write_page("preload/page.html.j2", path, context, figures, filters)

@@ -9,19 +9,27 @@ from stiffopt.report.common.terminal import print_lines, print_table
 from stiffopt.report.common.text import DASH, si, significant
 from stiffopt.report.preload.cautions import cautions
 from stiffopt.report.preload.words import (
+    active_limits_sentence,
+    active_limits_text,
     fasteners,
     headline,
     readable,
-    set_by,
     stiffness_sentence,
-    what_binds,
 )
 
 if TYPE_CHECKING:
     from stiffopt.preload.problem import FreeElement
     from stiffopt.preload.study import PreloadStudy
 
-_HEAD = ("connection", "fasteners", "preload", "at least", "tightening torque", "used", "set by")
+_CONNECTION_COLUMNS = (
+    "connection",
+    "fasteners",
+    "preload",
+    "at least",
+    "tightening torque",
+    "used",
+    "set by",
+)
 
 
 def print_study(study: PreloadStudy, folder: Path) -> None:
@@ -31,11 +39,13 @@ def print_study(study: PreloadStudy, folder: Path) -> None:
         print_lines(
             (
                 f"{solution.status}: {headline(problem, solution)}.",
-                what_binds(problem, solution) or None,
+                active_limits_sentence(problem, solution) or None,
                 stiffness_sentence(problem, solution) or None,
             )
         )
-        print_table(_HEAD, [_row(study, element) for element in problem.elements])
+        print_table(
+            _CONNECTION_COLUMNS, [_connection_row(study, element) for element in problem.elements]
+        )
     else:
         print_lines([f"{solution.status}: {solution.message}"])
     print_lines(
@@ -49,7 +59,7 @@ def print_study(study: PreloadStudy, folder: Path) -> None:
     )
 
 
-def _row(study: PreloadStudy, element: FreeElement) -> tuple[str, ...]:
+def _connection_row(study: PreloadStudy, element: FreeElement) -> tuple[str, ...]:
     """One connection."""
     solution, key = study.solution, element.key
     preload, torque = solution.preloads[key], solution.tightening[key]
@@ -66,5 +76,5 @@ def _row(study: PreloadStudy, element: FreeElement) -> tuple[str, ...]:
         if torque is None
         else f"{si(torque.nominal, 'N m', 3)} ({significant(torque.lower, 3)} at least)",
         f"{100 * used.utilisation:.0f} % of {used.kind}",
-        set_by(solution, key, element.joint),
+        active_limits_text(solution, key, element.joint),
     )

@@ -20,9 +20,9 @@ if TYPE_CHECKING:
     from stiffopt.preload.solution import PreloadSolution
 
 # Below this share of what holds against slip the loads are nothing, or in another unit.
-_IDLE = 0.05
+_NEGLIGIBLE_SLIP_UTILISATION = 0.05
 # Below this relative change of stiffness the preload is set by something else.
-_SMALL = 0.02
+_SMALL_STIFFNESS_GAIN = 0.02
 # Marks an estimated number.
 MARK = " *"
 OBJECTIVE_WORDS = {
@@ -50,10 +50,10 @@ def readable(text: str) -> str:
     >>> readable("a smaller require.least_preload")
     'a smaller require.least_preload'
     """
-    return re.sub(r"[A-Za-z][\w.]*\w", _as_words, text)
+    return re.sub(r"[A-Za-z][\w.]*\w", _key_in_words, text)
 
 
-def _as_words(word: re.Match[str]) -> str:
+def _key_in_words(word: re.Match[str]) -> str:
     """Dots and underscores of a key as spaces, unless it is a key of a study file."""
     key = word[0]
     return key if key.startswith("require.") else words(key.replace(".", " "))
@@ -112,7 +112,7 @@ def amount(value: float, unit: str, digits: int = 4) -> str:
     return si(value, {"N": "kN", "Pa": "MPa"}.get(unit, unit), digits)
 
 
-def set_by(solution: PreloadSolution, key: str, joint: int) -> str:
+def active_limits_text(solution: PreloadSolution, key: str, joint: int) -> str:
     """What an element's preload is set by: its own active limits, else its joint's, else a dash."""
     own = [row.kind for row in solution.rows if row.active and row.element == key]
     if not own:
@@ -139,13 +139,13 @@ def headline(problem: PreloadProblem, solution: PreloadSolution) -> str:
     return f"Tighten {len(problem.elements)} connections as listed, {total} in all"
 
 
-def what_binds(problem: PreloadProblem, solution: PreloadSolution) -> str:
+def active_limits_sentence(problem: PreloadProblem, solution: PreloadSolution) -> str:
     """Sentence on the limits at which the design lies."""
     if not solution.status.usable:
         return ""
-    said = _what_binds(problem, solution)
+    said = _active_limits(problem, solution)
     slip = [row.utilisation for row in solution.rows if row.kind == "slip safety"]
-    if slip and max(slip) < _IDLE:
+    if slip and max(slip) < _NEGLIGIBLE_SLIP_UTILISATION:
         said += (
             f" Against slip there is {1.0 / max(slip):.3g} times what is required: no load decides"
             " here. Are the loads in the unit that was meant?"
@@ -155,24 +155,24 @@ def what_binds(problem: PreloadProblem, solution: PreloadSolution) -> str:
     return said
 
 
-def _what_binds(problem: PreloadProblem, solution: PreloadSolution) -> str:
+def _active_limits(problem: PreloadProblem, solution: PreloadSolution) -> str:
     counts: dict[str, int] = {}
     for element in problem.elements:
-        why = set_by(solution, element.key, element.joint)
+        why = active_limits_text(solution, element.key, element.joint)
         counts[why] = counts.get(why, 0) + 1
     free = counts.pop("–", 0)
     if not counts:
         return "No limit binds; the objective alone sets the preloads."
     if len(problem.elements) == 1:
-        return f"It is set by {next(iter(counts))}{_where(problem, solution)}."
+        return f"It is set by {next(iter(counts))}{_active_case(problem, solution)}."
     if len(counts) == 1 and not free:
-        return f"All are set by {next(iter(counts))}{_where(problem, solution)}."
+        return f"All are set by {next(iter(counts))}{_active_case(problem, solution)}."
     parts = [f"{why} in {count}" for why, count in sorted(counts.items(), key=lambda e: -e[1])]
     rest = f"; {free} at no limit" if free else ""
     return f"They are set by {listed(parts)}{rest}."
 
 
-def _where(problem: PreloadProblem, solution: PreloadSolution) -> str:
+def _active_case(problem: PreloadProblem, solution: PreloadSolution) -> str:
     """Load case of a single active row, where there is a choice of load cases."""
     cases = {row.case for row in solution.rows if row.active and row.case}
     return f" at {cases.pop()}" if len(cases) == 1 and len(solution.cases) > 1 else ""
@@ -221,16 +221,16 @@ def stiffness_sentence(
             f"{listed(slipping)} {verb}."
         )
     if known and compared:
-        parts.append(_changes(known))
+        parts.append(_stiffness_change_sentence(known))
     room = front_gain(front)
-    small = [abs(gain - 1.0) < _SMALL for gain in known.values()] if compared else []
+    small = [abs(gain - 1.0) < _SMALL_STIFFNESS_GAIN for gain in known.values()] if compared else []
     if room is not None:
-        small.append(room < _SMALL)
-    if small and all(small) and _slip_decides(solution):
+        small.append(room < _SMALL_STIFFNESS_GAIN)
+    if small and all(small) and _is_slip_limited(solution):
         more = (
             ""
             if room is None
-            else f"All the preload that the limits allow would add {_plus(room)}: "
+            else f"All the preload that the limits allow would add {_format_gain(room)}: "
         )
         parts.append(f"{more}{'slip' if more else 'Slip'}, not stiffness, sets the preload.")
     return " ".join(parts)
@@ -275,11 +275,11 @@ def weakest_sentence(shares: Mapping[int, Sequence[WindupShare]], free: Collecti
     )
 
 
-def _plus(gain: float) -> str:
+def _format_gain(gain: float) -> str:
     return "no stiffness" if gain < UNCHANGED else f"{percent(gain)} of stiffness"
 
 
-def _changes(gains: dict[int, float]) -> str:
+def _stiffness_change_sentence(gains: dict[int, float]) -> str:
     if len(gains) == 1:
         joint, gain = next(iter(gains.items()))
         return (
@@ -296,6 +296,6 @@ def _changes(gains: dict[int, float]) -> str:
     return f"From the present to the recommended preload the stiffness changes by {each}."
 
 
-def _slip_decides(solution: PreloadSolution) -> bool:
+def _is_slip_limited(solution: PreloadSolution) -> bool:
     active = {row.kind for row in solution.rows if row.active}
     return "slip safety" in active and not active & {"joint stiffness", "tool deflection"}

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from stiffopt.robot.robot import Robot
 
 # Of all meshes of an arm together, so that a page stays below 3 MB.
-_TRIANGLES = 60000
+_MAX_ARM_TRIANGLES = 60000
 
 
 def scene_document(
@@ -55,17 +55,17 @@ def scene_document(
                 "name": body.name,
                 "parent": body.parent,
                 "prismatic": body.prismatic,
-                "axis": _short(body.axis),
-                "rotation": _short(body.rotation),
-                "translation": _short(body.translation),
+                "axis": _round_nested(body.axis),
+                "rotation": _round_nested(body.rotation),
+                "translation": _round_nested(body.translation),
                 "radius": radius,
             }
             for number, (body, radius) in enumerate(zip(robot.tree.bodies, radii, strict=True), 1)
         ],
-        "tool": {"joint": robot.tool.joint, "offset": _short(robot.tool.offset)},
-        "shapes": _shapes(robot),
-        "around": _around(robot, cell),
-        "motions": [_motion(name, poses) for name, poses in motions.items()],
+        "tool": {"joint": robot.tool.joint, "offset": _round_nested(robot.tool.offset)},
+        "shapes": _arm_shapes(robot),
+        "around": _cell_shapes(robot, cell),
+        "motions": [_motion_data(name, poses) for name, poses in motions.items()],
         "parts": list(first.bend),
         "part": part if part in first.bend else next(iter(first.bend), ""),
         "factor": factor,
@@ -78,18 +78,18 @@ def scene_json(document: Mapping[str, Any]) -> str:
     return text.replace("<", "\\u003c")
 
 
-def _motion(name: str, poses: Poses) -> dict[str, Any]:
+def _motion_data(name: str, poses: Poses) -> dict[str, Any]:
     return {
         "name": name,
-        "time": _short(poses.time),
-        "position": _short(poses.position),
-        "bend": {part: _short(values, 9) for part, values in poses.bend.items()},
-        "share": {part: _short(values, 4) for part, values in poses.share.items()},
-        "deflection": {part: _short(values, 9) for part, values in poses.deflection.items()},
+        "time": _round_nested(poses.time),
+        "position": _round_nested(poses.position),
+        "bend": {part: _round_nested(values, 9) for part, values in poses.bend.items()},
+        "share": {part: _round_nested(values, 4) for part, values in poses.share.items()},
+        "deflection": {part: _round_nested(values, 9) for part, values in poses.deflection.items()},
     }
 
 
-def _shapes(robot: Robot) -> list[dict[str, Any]]:
+def _arm_shapes(robot: Robot) -> list[dict[str, Any]]:
     """Shapes of the URDF; capsules for moving links that it does not show."""
     placed = [each for each in robot.joint_shapes("visual") if each.shape.known]
     placed = placed or [each for each in robot.joint_shapes("collision") if each.shape.known]
@@ -98,7 +98,7 @@ def _shapes(robot: Robot) -> list[dict[str, Any]]:
     for each in placed:
         # A mesh that cannot be read leaves a capsule: a picture is no reason to lose a page.
         with suppress(InputFileError):
-            shapes.append(_shape(each, _TRIANGLES // meshes))
+            shapes.append(_shape_data(each, _MAX_ARM_TRIANGLES // meshes))
     shown = {shape["joint"] for shape in shapes}
     for rod in capsules(robot.tree, robot.tool):
         # What carries shapes needs no capsule; the base is shown where the rest is not.
@@ -108,38 +108,40 @@ def _shapes(robot: Robot) -> list[dict[str, Any]]:
             {
                 "joint": rod.joint,
                 "kind": "capsule",
-                "begin": _short(rod.begin),
-                "end": _short(rod.end),
+                "begin": _round_nested(rod.begin),
+                "end": _round_nested(rod.end),
                 "radius": rod.radius,
             }
         )
     return shapes
 
 
-def _around(robot: Robot, cell: Cell | None) -> list[dict[str, Any]]:
+def _cell_shapes(robot: Robot, cell: Cell | None) -> list[dict[str, Any]]:
     placed = shapes_around(cell, reach(robot.tree, robot.tool))
     meshes = max(sum(each.shape.kind == "mesh" for each in placed), 1)
     found = []
     for each in placed:
         with suppress(InputFileError):
-            found.append(_shape(each, _TRIANGLES // meshes) | {"name": each.shape.name})
+            found.append(
+                _shape_data(each, _MAX_ARM_TRIANGLES // meshes) | {"name": each.shape.name}
+            )
     return found
 
 
-def _shape(placed: JointShape, triangles: int) -> dict[str, Any]:
+def _shape_data(placed: JointShape, triangles: int) -> dict[str, Any]:
     shape = placed.shape
     document = {
         "joint": placed.joint,
         "kind": shape.kind,
-        "offset": _short(placed.offset),
-        "rotation": _short(placed.rotation),
+        "offset": _round_nested(placed.offset),
+        "rotation": _round_nested(placed.rotation),
     }
     if shape.kind == "mesh":
         return document | compact_mesh(shape, min(triangles, 6000))
     return document | {"size": list(shape.size)}
 
 
-def _short(values: np.ndarray, digits: int = 6) -> list[Any]:
+def _round_nested(values: np.ndarray, digits: int = 6) -> list[Any]:
     """Nested lists, rounded: a page needs no more."""
     rounded: list[Any] = np.round(np.asarray(values, dtype=float), digits).tolist()
     return rounded

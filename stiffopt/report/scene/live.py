@@ -22,10 +22,10 @@ if TYPE_CHECKING:
     from stiffopt.robot.cell import Cell
     from stiffopt.robot.robot import Robot
 
-_BENT, _PLANNED, _GHOST = (196, 64, 56), (58, 108, 178), (150, 150, 150)
-_STEP = 1.0 / 30.0
+_BENT_COLOUR, _PLANNED_COLOUR, _GHOST_COLOUR = (196, 64, 56), (58, 108, 178), (150, 150, 150)
+_FRAME_TIME = 1.0 / 30.0
 # Of a slab that stands for a wall, which more must be seen through [m].
-_THIN = 5e-3
+_MAX_WALL_THICKNESS = 5e-3
 
 
 class LiveScene:
@@ -72,19 +72,21 @@ class LiveScene:
         self.server.scene.set_up_direction("+z")
         self.server.scene.add_grid("/floor", width=4.0, height=4.0, cell_size=0.1)
         self._arms = {
-            "/bent": _Arm(self.server, robot, "/bent", _BENT, None),
-            "/planned": _Arm(self.server, robot, "/planned", _PLANNED, 0.35),
+            "/bent": _ArmFrames(self.server, robot, "/bent", _BENT_COLOUR, None),
+            "/planned": _ArmFrames(self.server, robot, "/planned", _PLANNED_COLOUR, 0.35),
         }
         if ghost is not None:
-            self._arms["/ghost"] = _Arm(self.server, robot, "/ghost", _GHOST, 0.25)
+            self._arms["/ghost"] = _ArmFrames(self.server, robot, "/ghost", _GHOST_COLOUR, 0.25)
         for number, solid in enumerate(shapes_around(cell, reach(robot.tree, robot.tool))):
-            wall = solid.shape.kind == "box" and solid.shape.size[2] < _THIN
-            _add_shape(self.server.scene, f"/cell/{number}", solid, _GHOST, 0.2 if wall else 0.45)
+            wall = solid.shape.kind == "box" and solid.shape.size[2] < _MAX_WALL_THICKNESS
+            _add_shape(
+                self.server.scene, f"/cell/{number}", solid, _GHOST_COLOUR, 0.2 if wall else 0.45
+            )
         path = tool_positions(robot.tree, robot.tool, poses.position)
         self.server.scene.add_line_segments(
             "/path",
             np.stack([path[:-1], path[1:]], axis=1),
-            _PLANNED,
+            _PLANNED_COLOUR,
             thickness=2.0,
             thickness_units="screen",
         )
@@ -105,14 +107,14 @@ class LiveScene:
     def draw(self) -> None:
         """Show the arm at the slider's time."""
         poses, at = self.poses, float(self.time.value)
-        planned = _at(poses.time, poses.position, at)
+        planned = _interpolate_row(poses.time, poses.position, at)
         bend = poses.bend.get(self.part.value)
         bent = planned
         if bend is not None:
-            bent = planned - float(self.factor.value) * _at(poses.time, bend, at)
+            bent = planned - float(self.factor.value) * _interpolate_row(poses.time, bend, at)
         shown = {"/bent": bent, "/planned": planned}
         if self._ghost is not None:
-            shown["/ghost"] = _at(self._ghost.time, self._ghost.position, at)
+            shown["/ghost"] = _interpolate_row(self._ghost.time, self._ghost.position, at)
         with self.server.atomic():
             for name, q in shown.items():
                 self._arms[name].move(q)
@@ -125,10 +127,10 @@ class LiveScene:
         """Play while the box is ticked, until interrupted."""
         try:
             while True:
-                time.sleep(_STEP)
+                time.sleep(_FRAME_TIME)
                 if self.playing.value:
                     end = float(self.poses.time[-1])
-                    self.time.value = (float(self.time.value) + _STEP) % end
+                    self.time.value = (float(self.time.value) + _FRAME_TIME) % end
         except KeyboardInterrupt:
             pass
         finally:
@@ -178,7 +180,7 @@ def is_own_request(headers: Any, hosts: set[str]) -> bool:
     return all(origin.lower() == f"http://{named[0].lower()}" for origin in origins)
 
 
-class _Arm:
+class _ArmFrames:
     """Frames of the joints, with the shapes that hang on them."""
 
     def __init__(
@@ -205,7 +207,7 @@ class _Arm:
             if rod.joint in shown or (rod.joint == 0 and shown):
                 continue
             place = f"{name}/J{rod.joint}" if rod.joint else name
-            _add_rod(server.scene, f"{place}/rod{number}", rod, color, opacity)
+            _add_capsule(server.scene, f"{place}/rod{number}", rod, color, opacity)
 
     def move(self, q: np.ndarray) -> None:
         """Put the joints at positions (n,)."""
@@ -246,7 +248,7 @@ def _add_shape(
     return True
 
 
-def _add_rod(
+def _add_capsule(
     scene: Any,
     name: str,
     rod: Capsule,
@@ -270,7 +272,7 @@ def _add_rod(
         )
 
 
-def _at(times: np.ndarray, values: np.ndarray, t: float) -> np.ndarray:
+def _interpolate_row(times: np.ndarray, values: np.ndarray, t: float) -> np.ndarray:
     """Row of values (K, n) at a time, held beyond the end."""
     columns: Sequence[float] = [np.interp(t, times, column) for column in values.T]
     return np.array(columns)

@@ -10,11 +10,11 @@ import numpy as np
 from stiffopt.robot.link_shapes import LinkShape, triangles
 
 # Triangles of one shape, and cells of the grid along the longest edge to begin with.
-_TRIANGLES = 6000
-_CELLS = 1024
+_MAX_TRIANGLES = 6000
+_INITIAL_GRID_CELLS = 1024
 
 
-def compact_mesh(shape: LinkShape, most: int = _TRIANGLES) -> dict[str, Any]:
+def compact_mesh(shape: LinkShape, most: int = _MAX_TRIANGLES) -> dict[str, Any]:
     """Mesh of a shape as the scene reads it.
 
     Parameters
@@ -33,7 +33,7 @@ def compact_mesh(shape: LinkShape, most: int = _TRIANGLES) -> dict[str, Any]:
     vertices, corners = triangles(shape)
     low = vertices.min(axis=0)
     longest = max(float(np.ptp(vertices, axis=0).max()), 1e-9)
-    cells = _CELLS
+    cells = _INITIAL_GRID_CELLS
     while True:
         step = longest / cells
         cell = np.round((vertices - low) / step).astype(int)
@@ -48,10 +48,10 @@ def compact_mesh(shape: LinkShape, most: int = _TRIANGLES) -> dict[str, Any]:
     return {
         "origin": low.tolist(),
         "step": step,
-        "vertices": _packed(unique[used]),
-        "triangles": _packed(compact.reshape(-1)),
+        "vertices": _encode_uint16(unique[used]),
+        "triangles": _encode_uint16(compact.reshape(-1)),
     }
 
 
-def _packed(numbers: np.ndarray) -> str:
+def _encode_uint16(numbers: np.ndarray) -> str:
     return base64.b64encode(numbers.astype("<u2").tobytes()).decode()

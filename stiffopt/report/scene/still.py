@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
-from stiffopt.report.common.svg import BLUE, GREY, PALE, VERMILLION, WIDTH, house_style
+from stiffopt.report.common.svg import BLUE, GREY, PALE, VERMILLION, WIDTH, figure_style
 from stiffopt.report.common.text import si
 from stiffopt.report.scene.poses import Poses, joint_frames, tool_positions
 from stiffopt.report.scene.surroundings import edges_around
@@ -21,13 +21,13 @@ from stiffopt.robot.skeleton import capsules, joint_radii
 if TYPE_CHECKING:
     from stiffopt.robot.cell import Cell
 
-_HEIGHT = 4.6
+_HEIGHT_INCH = 4.6
 # What is seen at least [m], also of an arm whose joints and tool lie at one point.
-_LEAST_SEEN = 0.1
+_MIN_VIEW_SIZE = 0.1
 # Of the picture over what is drawn: lines have a width.
-_MARGIN = 1.02
+_VIEW_MARGIN = 1.02
 # Looked at from this far above the horizon [rad].
-_ABOVE = 0.4
+_VIEW_ELEVATION = 0.4
 
 
 def still_figure(
@@ -58,26 +58,26 @@ def still_figure(
     poses, at = motions[0], largest(motions[0], part)
     bent = poses.position - factor * poses.bend[part] if part else poses.position
     share = poses.share[part][at] if part else np.zeros(tree.n)
-    view = _view(tree, tool, poses.position)
+    view = _view_axes(tree, tool, poses.position)
     paths: list[tuple[np.ndarray, str, Any]] = [(poses.position, BLUE, "-")]
     if part:
         paths.append((bent, VERMILLION, "-"))
     paths += [(other.position, GREY, (0, (4, 2))) for other in motions[1:]]
-    with house_style():
-        figure = Figure(figsize=(WIDTH, _HEIGHT))
+    with figure_style():
+        figure = Figure(figsize=(WIDTH, _HEIGHT_INCH))
         axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
         axes.set_axis_off()
         ends = poses.position[[0, -1]]
         flats = [tool_positions(tree, tool, each) @ view.T for each, _, _ in paths]
         seen = np.vstack([flat[:, :2] for flat in flats])
-        scale = _fit(axes, tree, tool, view, np.vstack([ends, bent[at : at + 1]]), seen)
+        scale = _fit_view(axes, tree, tool, view, np.vstack([ends, bent[at : at + 1]]), seen)
         for edge in edges_around(cell):
             axes.plot(*(edge @ view.T)[:, :2].T, color=GREY, linewidth=0.8, zorder=0.5)
         for q in ends:
-            _arm(axes, tree, tool, view, q, scale, PALE, None, 0.55)
+            _draw_arm(axes, tree, tool, view, q, scale, PALE, None, 0.55)
         if part:
-            _arm(axes, tree, tool, view, poses.position[at], scale, BLUE, None, 0.25)
-        _arm(axes, tree, tool, view, bent[at], scale, "#c3c9d1", share, 1.0)
+            _draw_arm(axes, tree, tool, view, poses.position[at], scale, BLUE, None, 0.25)
+        _draw_arm(axes, tree, tool, view, bent[at], scale, "#c3c9d1", share, 1.0)
         for flat, (_, colour, dash) in zip(flats, paths, strict=True):
             axes.plot(*flat[:, :2].T, color=colour, linestyle=dash, zorder=20)
         flat = tool_positions(tree, tool, bent[at : at + 1]) @ view.T
@@ -109,20 +109,20 @@ def still_caption(motions: Mapping[str, Poses], part: str, factor: float) -> str
     )
 
 
-def _view(tree: BodyTree, tool: LinkFrame, positions: np.ndarray) -> np.ndarray:
+def _view_axes(tree: BodyTree, tool: LinkFrame, positions: np.ndarray) -> np.ndarray:
     """Rows: right, up and towards the eye; across the plane in which the arm stretches out."""
     points = tool_positions(tree, tool, positions)
     forward = points.mean(axis=0) - np.array([0.0, 0.0, 0.0])
     heading = np.arctan2(forward[1], forward[0]) if np.hypot(*forward[:2]) > 1e-6 else 0.0
     turn = heading - 0.35 * np.pi
-    back = np.array([np.cos(turn), np.sin(turn), 0.0]) * np.cos(_ABOVE)
-    back[2] = np.sin(_ABOVE)
+    back = np.array([np.cos(turn), np.sin(turn), 0.0]) * np.cos(_VIEW_ELEVATION)
+    back[2] = np.sin(_VIEW_ELEVATION)
     right = np.cross([0.0, 0.0, 1.0], back)
     right /= np.linalg.norm(right)
     return np.stack([right, np.cross(back, right), back])
 
 
-def _rods(
+def _placed_capsules(
     tree: BodyTree, tool: LinkFrame, q: np.ndarray
 ) -> list[tuple[np.ndarray, np.ndarray, float]]:
     """Ends and radius of the arm's capsules in the base frame."""
@@ -136,7 +136,7 @@ def _rods(
     return rods
 
 
-def _fit(
+def _fit_view(
     axes: Axes,
     tree: BodyTree,
     tool: LinkFrame,
@@ -148,22 +148,22 @@ def _fit(
     ends = [
         (view @ point)[:2] + side * radius
         for q in positions
-        for begin, end, radius in _rods(tree, tool, q)
+        for begin, end, radius in _placed_capsules(tree, tool, q)
         for point in (begin, end)
         for side in (-1.6, 1.6)
     ]
     every = np.vstack([*ends, seen])
     low, high = every.min(axis=0), every.max(axis=0)
-    wide, tall = _MARGIN * np.maximum(high - low, _LEAST_SEEN)
-    scale = min(WIDTH / wide, _HEIGHT / tall)
+    wide, tall = _VIEW_MARGIN * np.maximum(high - low, _MIN_VIEW_SIZE)
+    scale = min(WIDTH / wide, _HEIGHT_INCH / tall)
     middle = 0.5 * (low + high)
-    half = 0.5 * np.array([WIDTH, _HEIGHT]) / scale
+    half = 0.5 * np.array([WIDTH, _HEIGHT_INCH]) / scale
     axes.set_xlim(middle[0] - half[0], middle[0] + half[0])
     axes.set_ylim(middle[1] - half[1], middle[1] + half[1])
     return float(72.0 * scale)
 
 
-def _arm(
+def _draw_arm(
     axes: Axes,
     tree: BodyTree,
     tool: LinkFrame,
@@ -178,25 +178,25 @@ def _arm(
     front = 10.0 if share is not None else 1.0
     parts = [
         (0.5 * (begin + end), np.stack([begin, end]), radius, colour)
-        for begin, end, radius in _rods(tree, tool, q)
+        for begin, end, radius in _placed_capsules(tree, tool, q)
     ]
     if share is not None:
         _, origins = joint_frames(tree, q[None])
         for j, radius in enumerate(joint_radii(tree, tool)):
             # In front of the links that it joins.
             at = origins[0, j] + 1.5 * radius * view[2]
-            parts.append((at, np.stack([at, at]), 0.62 * radius, _heat(float(share[j]))))
+            parts.append((at, np.stack([at, at]), 0.62 * radius, _share_colour(float(share[j]))))
     depth = [float(view[2] @ middle) for middle, *_ in parts]
     for rank, k in enumerate(np.argsort(depth)):
         _, ends, radius, own = parts[k]
         flat = ends @ view.T
         width, order = 2.0 * radius * scale, front + 0.01 * rank
         if share is not None:
-            _rod(axes, flat, GREY, width + 1.4, order, 1.0)
-        _rod(axes, flat, own, width, order + 0.005, opacity)
+            _draw_capsule(axes, flat, GREY, width + 1.4, order, 1.0)
+        _draw_capsule(axes, flat, own, width, order + 0.005, opacity)
 
 
-def _rod(
+def _draw_capsule(
     axes: Axes, flat: np.ndarray, colour: str, width: float, order: float, opacity: float
 ) -> None:
     """A thick line with round ends, `width` in points on paper."""
@@ -215,7 +215,7 @@ def _rod(
     )
 
 
-def _heat(share: float) -> str:
+def _share_colour(share: float) -> str:
     """Colour of a share, as in the scene: half of the deflection is as red as it gets."""
     own = min(max(2.0 * share, 0.0), 1.0)
     mixed = (1.0 - own) * np.array(to_rgb("#f2f4f6")) + own * np.array(to_rgb(VERMILLION))

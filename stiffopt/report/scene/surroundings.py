@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from stiffopt.robot.cell import Cell
 
 # A wall is shown as a slab so thick [m], so many reaches of the arm to each side.
-_SLAB, _WIDE = 2e-3, 1.2
+_WALL_THICKNESS, _WALL_HALF_WIDTH_REACHES = 2e-3, 1.2
 
 
 def shapes_around(cell: Cell | None, reach: float) -> list[JointShape]:
@@ -30,26 +30,28 @@ def shapes_around(cell: Cell | None, reach: float) -> list[JointShape]:
     if cell is None:
         return []
     found = [
-        _shape(box.name, "box", box.size, np.array(box.position), rotation_from_rpy(box.rpy))
+        _placed_shape(box.name, "box", box.size, np.array(box.position), rotation_from_rpy(box.rpy))
         for box in cell.box
     ]
     for mesh in cell.mesh:
         at, turn = np.array(mesh.position), rotation_from_rpy(mesh.rpy)
         scale = (mesh.scale,) * 3
-        found.append(_shape(mesh.name, "mesh", scale, at, turn, Path(mesh.file)))
+        found.append(_placed_shape(mesh.name, "mesh", scale, at, turn, Path(mesh.file)))
     walls = [(plane.name, np.array(plane.point), np.array(plane.normal)) for plane in cell.plane]
     if cell.floor is not None:
         walls.append(("floor", np.array([0.0, 0.0, cell.floor]), np.array([0.0, 0.0, 1.0])))
-    side = 2.0 * _WIDE * reach
+    side = 2.0 * _WALL_HALF_WIDTH_REACHES * reach
     for name, point, normal in walls:
         out = normal / np.linalg.norm(normal)
         # Seen from the base, and all of it behind the face.
-        middle = out * (out @ point - 0.5 * _SLAB)
-        found.append(_shape(name, "box", (side, side, _SLAB), middle, _upright(out)))
+        middle = out * (out @ point - 0.5 * _WALL_THICKNESS)
+        found.append(
+            _placed_shape(name, "box", (side, side, _WALL_THICKNESS), middle, _frame_along(out))
+        )
     return found
 
 
-def _shape(
+def _placed_shape(
     name: str,
     kind: Kind,
     size: tuple[float, ...],
@@ -70,7 +72,7 @@ def _shape(
     return JointShape(shape, 0, offset, rotation)
 
 
-def _upright(axis: np.ndarray) -> np.ndarray:
+def _frame_along(axis: np.ndarray) -> np.ndarray:
     """Rotation (3, 3) whose third column is a unit vector."""
     other = np.eye(3)[int(np.argmin(np.abs(axis)))]
     first = np.cross(other, axis)

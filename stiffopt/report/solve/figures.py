@@ -23,10 +23,10 @@ from stiffopt.report.common.svg import (
     GREY,
     VERMILLION,
     WIDTH,
-    house_style,
+    decimate_curve,
+    figure_style,
     line_style,
-    shade_beyond,
-    thin,
+    shade_limits,
 )
 from stiffopt.report.common.text import scale, si, significant
 from stiffopt.result.assessment import Assessment
@@ -108,7 +108,7 @@ def deflection_figure(motions: Sequence[ComparedMotion], part: str = "dynamic") 
     part : str
         Key of `Assessment.deflection` that is compared.
     """
-    with house_style():
+    with figure_style():
         figure = Figure(figsize=(WIDTH, 3.7))
         left, right = figure.subplots(1, 2, width_ratios=(3, 2))
         factor, unit = scale(max(m.peak(part) for m in motions), "m")
@@ -147,7 +147,7 @@ def _peak_curve(
         text = f"{label}: peak {significant(values[at], 3)} {unit} at {time[at]:.3f} s"
     else:
         text = f"{label}: slips from {time[at]:.3f} s on"
-    axes.plot(*thin(time, values), label=text, **style)
+    axes.plot(*decimate_curve(time, values), label=text, **style)
     axes.plot(time[at], values[at], "o", color=style["color"], markersize=4.5)
 
 
@@ -167,7 +167,7 @@ def motion_figure(
     limits, units = problem.active_limits, joint_units(problem.robot)
     upper = (limits.position_upper, limits.velocity, limits.acceleration, limits.jerk)
     lower = (limits.position_lower, -limits.velocity, -limits.acceleration, -limits.jerk)
-    with house_style():
+    with figure_style():
         count = len(units)
         figure = Figure(figsize=(WIDTH, 0.55 + 1.08 * count))
         grid = figure.subplots(count, 4, sharex=True, squeeze=False)
@@ -177,12 +177,14 @@ def motion_figure(
                 factor = scale(1.0, unit.position)[0] if column < 2 else 1.0
                 if other is not None and quantity != "jerk":
                     theirs = getattr(other.assessment, quantity)[:, j] * factor
-                    curve = thin(other.assessment.time, theirs, _SMALL_POINTS)
+                    curve = decimate_curve(other.assessment.time, theirs, _SMALL_POINTS)
                     axes.plot(*curve, color=VERMILLION, linewidth=0.9, linestyle=(0, (4, 1.5)))
                 values = getattr(motion, quantity)[:, j] * factor
-                axes.plot(*thin(motion.time, values, _SMALL_POINTS), color=BLUE, linewidth=1.5)
+                axes.plot(
+                    *decimate_curve(motion.time, values, _SMALL_POINTS), color=BLUE, linewidth=1.5
+                )
                 _level_if_flat(axes)
-                shade_beyond(axes, lower[column][j] * factor, upper[column][j] * factor)
+                shade_limits(axes, lower[column][j] * factor, upper[column][j] * factor)
                 axes.margins(x=0.0)
                 axes.locator_params(axis="y", nbins=4)
                 if j == count - 1:
@@ -221,19 +223,19 @@ def torque_figure(problem: TrajectoryProblem, motion: Assessment) -> Figure:
     limit, units = problem.active_limits.torque, joint_units(problem.robot)
     columns = min(3, len(units))
     rows = -(-len(units) // columns)
-    with house_style():
+    with figure_style():
         figure = Figure(figsize=(WIDTH, 0.7 + 1.55 * rows))
         grid = figure.subplots(rows, columns, sharex=True, squeeze=False)
         for j, axes in enumerate(grid.flat):
             if j >= len(units):
                 axes.set_visible(False)
                 continue
-            spring = thin(motion.time, motion.spring_torque[:, j], _SMALL_POINTS)
-            drive = thin(motion.time, motion.torque[:, j], _SMALL_POINTS)
+            spring = decimate_curve(motion.time, motion.spring_torque[:, j], _SMALL_POINTS)
+            drive = decimate_curve(motion.time, motion.torque[:, j], _SMALL_POINTS)
             axes.plot(*spring, color=VERMILLION, linewidth=1.1, linestyle=(0, (5, 1.5)))
             axes.plot(*drive, color=BLUE, linewidth=1.6)
             _level_if_flat(axes)
-            shade_beyond(axes, -limit[j], limit[j])
+            shade_limits(axes, -limit[j], limit[j])
             axes.set_title(f"{units[j].label} [{units[j].torque}]")
             axes.margins(x=0.0)
             axes.locator_params(axis="y", nbins=5)
@@ -248,7 +250,7 @@ def stiffness_figure(problem: TrajectoryProblem, motion: Assessment) -> Figure:
     """Tangent stiffness of every joint over time, lowest values marked, floors drawn."""
     units = joint_units(problem.robot)
     floors = problem.active_limits.joint_stiffness
-    with house_style():
+    with figure_style():
         figure = Figure(figsize=(WIDTH, 3.9))
         axes = figure.subplots()
         for j, unit in enumerate(units):
@@ -258,7 +260,7 @@ def stiffness_figure(problem: TrajectoryProblem, motion: Assessment) -> Figure:
             style = line_style(j)
             low = motion.lowest_stiffness[j]
             text = f"{unit.label}: lowest {si(low.value, unit.stiffness)} at {low.time:.3f} s"
-            axes.plot(*thin(motion.time, values), label=text, **style)
+            axes.plot(*decimate_curve(motion.time, values), label=text, **style)
             axes.plot(low.time, low.value, "o", color=style["color"], markersize=5)
             if j + 1 in floors:
                 axes.axhline(floors[j + 1], color=style["color"], linewidth=0.8, linestyle="--")

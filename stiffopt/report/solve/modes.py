@@ -9,10 +9,10 @@ from matplotlib.figure import Figure
 
 from stiffopt.elastic.survey import PoseModes
 from stiffopt.files import atomic_write
-from stiffopt.report.common.svg import WIDTH, house_style, line_style, to_svg
+from stiffopt.report.common.svg import WIDTH, figure_style, line_style, to_svg
 from stiffopt.report.common.terminal import print_lines, print_table
 from stiffopt.report.common.text import percent, significant
-from stiffopt.report.solve.swing import assumed_damping_note
+from stiffopt.report.solve.simulation import assumed_damping_note
 
 
 def print_modes(rows: Sequence[PoseModes]) -> None:
@@ -34,7 +34,7 @@ def print_modes(rows: Sequence[PoseModes]) -> None:
 
 def write_modes_figure(rows: Sequence[PoseModes], path: Path) -> Path:
     """Write the frequencies over a motion as SVG; return the path."""
-    with house_style():
+    with figure_style():
         figure = Figure(figsize=(WIDTH, 3.7))
         axes = figure.subplots()
         times = [row.time for row in rows]

@@ -28,8 +28,8 @@ from stiffopt.report.solve.figures import (
     stiffness_figure,
     torque_figure,
 )
+from stiffopt.report.solve.simulation import deviation_figure, simulation_notes, simulation_table
 from stiffopt.report.solve.space_figures import path_figure, windup_figure
-from stiffopt.report.solve.swing import simulation_notes, simulation_table, swing_figure
 from stiffopt.report.solve.wording import (
     comparison,
     difference_text,
@@ -76,7 +76,7 @@ def write_solve_report(
         "problem": problem,
         "solution": solution,
         "title": problem.title or f"Motion of {problem.robot.name}",
-        "headline": _headline(solution),
+        "headline": _page_headline(solution),
         "comparison": comparison(problem, solution),
         "read_first": [
             text for text in (difference_text(problem, solution), *solution.notes) if text
@@ -88,7 +88,7 @@ def write_solve_report(
         "lead": compensation_section(solution.compensation),
         "better": better_baseline(problem, solution.baselines),
         "absent": "".join(f" No {name} motion: {reason}" for name, reason in absent.items()),
-        "terms": [] if solution.objective is None else _terms(solution.objective.terms),
+        "terms": [] if solution.objective is None else _objective_terms(solution.objective.terms),
         "units": joint_units(problem.robot),
         "tolerance": CERTIFIED,
         "part": part,
@@ -112,24 +112,24 @@ def write_solve_report(
         ),
         "phrase": lambda objective: objective_phrase(objective.name, objective.measure),
     }
-    figures = _figures(problem, solution, part)
+    figures = _draw_figures(problem, solution, part)
     if motions:
         better = better_baseline(problem, solution.baselines)
-        arm = arm_in_space(problem, _shown(motions, better), part)
+        arm = arm_in_space(problem, _shown_motions(motions, better), part)
         figures.draw("arm", arm.still, "The arm with the paths of its tool, planned and deflected")
         context |= {"space": arm.embedded, "still": arm.caption}
     path = Path(directory) / REPORT_FILE
     return write_page("solve/page.html.j2", path, context, figures, filters)
 
 
-def _headline(solution: Solution) -> str:
+def _page_headline(solution: Solution) -> str:
     if solution.objective is None:
         return "No motion found"
     text = headline_text(solution)
     return capital(text if solution.status.usable else f"{words(solution.status)}: {text}")
 
 
-def _terms(terms: dict[str, float]) -> list[tuple[str, str]]:
+def _objective_terms(terms: dict[str, float]) -> list[tuple[str, str]]:
     """Phrase and value with its unit of each term of a weighted sum."""
     split = [(*term.partition(" ")[::2], value) for term, value in terms.items()]
     return [
@@ -138,7 +138,7 @@ def _terms(terms: dict[str, float]) -> list[tuple[str, str]]:
     ]
 
 
-def _shown(motions: list[ComparedMotion], better: Baseline | None) -> list[ComparedMotion]:
+def _shown_motions(motions: list[ComparedMotion], better: Baseline | None) -> list[ComparedMotion]:
     """The motion itself, and the better feasible baseline where there is one."""
     return [
         motions[0],
@@ -146,12 +146,12 @@ def _shown(motions: list[ComparedMotion], better: Baseline | None) -> list[Compa
     ]
 
 
-def _figures(problem: TrajectoryProblem, solution: Solution, part: str) -> PageFigures:
+def _draw_figures(problem: TrajectoryProblem, solution: Solution, part: str) -> PageFigures:
     figures = PageFigures("solve", svg=False, png=False)
     motion, motions = solution.assessment, compared_motions(solution)
     if motion is None:
         return figures
-    shown = _shown(motions, better_baseline(problem, solution.baselines))
+    shown = _shown_motions(motions, better_baseline(problem, solution.baselines))
     other = shown[1] if len(shown) > 1 else None
     for name, figure, description in (
         (
@@ -181,7 +181,7 @@ def _figures(problem: TrajectoryProblem, solution: Solution, part: str) -> PageF
     if solution.simulation is not None:
         figures.draw(
             "swing",
-            swing_figure(solution.simulation),
+            deviation_figure(solution.simulation),
             "Deviation of the tool over time on the elastic arm, in flight and after arrival",
         )
     if solution.compensation is not None:

@@ -16,7 +16,7 @@ from stiffopt.report.solve.compensation import (
     compensation_figure,
     compensation_section,
 )
-from stiffopt.report.solve.swing import simulation_notes, simulation_table, swing_figure
+from stiffopt.report.solve.simulation import deviation_figure, simulation_notes, simulation_table
 
 if TYPE_CHECKING:
     from stiffopt.elastic.arm import ElasticArm
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 PAGE_FILE = "simulation.html"
 # Time behind the arrival that the scene shows [s], and its frames.
-_AFTER, _FRAMES = 0.4, 241
+_TIME_AFTER_ARRIVAL, _FRAME_COUNT = 0.4, 241
 
 
 def write_simulation_report(
@@ -50,10 +50,10 @@ def write_simulation_report(
     """
     own = simulation.optimised.simulated
     shown = [motion for motion in simulation.motions if motion.name != "optimised"][:1]
-    motions = {"optimised": swinging_poses(arm, own)}
-    motions |= {each.name: swinging_poses(arm, each.simulated) for each in shown}
+    motions = {"optimised": elastic_poses(arm, own)}
+    motions |= {each.name: elastic_poses(arm, each.simulated) for each in shown}
     figures = PageFigures("simulation", png=False)
-    figures.draw("swing", swing_figure(simulation), "Deviation of the tool over time")
+    figures.draw("swing", deviation_figure(simulation), "Deviation of the tool over time")
     if compensation is not None:
         drawn = compensation_figure(compensation)
         figures.draw("compensation", drawn, COMPENSATED)
@@ -73,9 +73,9 @@ def write_simulation_report(
     return write_page("solve/simulation.html.j2", path, context, figures)
 
 
-def swinging_poses(arm: ElasticArm, motion: SimulatedMotion, frames: int = _FRAMES) -> Poses:
+def elastic_poses(arm: ElasticArm, motion: SimulatedMotion, frames: int = _FRAME_COUNT) -> Poses:
     """Where the arm would hang at rest at each instant, and how far its links are from there."""
-    end = min(float(motion.time[-1]), motion.duration + _AFTER)
+    end = min(float(motion.time[-1]), motion.duration + _TIME_AFTER_ARRIVAL)
     at = np.unique(np.searchsorted(motion.time, np.linspace(0.0, end, frames)))
     at = np.unique([*at[at < len(motion.time)], int(np.argmax(motion.distance))])
     hanging = arm.hanging((motion.position + motion.windup)[at])

@@ -16,7 +16,7 @@ from stiffopt.report.solve.compensation import (
     compensation_table,
     compensation_text,
 )
-from stiffopt.report.solve.swing import simulation_notes, simulation_table
+from stiffopt.report.solve.simulation import simulation_notes, simulation_table
 from stiffopt.report.solve.wording import comparison, difference_text, headline_text
 from stiffopt.result.status import SolveStatus
 
@@ -62,23 +62,23 @@ def print_compensation(compensation: Compensation) -> None:
 
 def print_check_begins(path: Path, number: int, count: int) -> None:
     """Which file is solved now, on standard error: the table of all comes last."""
-    _console().print(Text(f"{path} ({number} of {count}) ..."), soft_wrap=True)
+    _error_console().print(Text(f"{path} ({number} of {count}) ..."), soft_wrap=True)
 
 
 def print_check_ends(checks: Sequence[Check]) -> None:
     """What became of a file."""
     for check in checks:
-        found, name = _verdict(check), check.name or "objective"
+        found, name = _check_verdict(check), check.name or "objective"
         took = si(check.seconds, "s", 3)
-        value = f"{_value(check.value, check.unit)}, expected {_value(check.expected, check.unit)}"
-        _console().print(Text(f"  {found}: {name} {value} ({took})"), soft_wrap=True)
+        value = f"{_format_checked_value(check.value, check.unit)}, expected {_format_checked_value(check.expected, check.unit)}"
+        _error_console().print(Text(f"  {found}: {name} {value} ({took})"), soft_wrap=True)
 
 
-def _console() -> Console:
+def _error_console() -> Console:
     return Console(stderr=True)
 
 
-def _verdict(check: Check) -> str:
+def _check_verdict(check: Check) -> str:
     return "ok" if check.passed else f"OFF ({check.status})"
 
 
@@ -98,12 +98,12 @@ def print_checks(checks: Sequence[Check]) -> None:
         (
             check.path.stem,
             check.name or "objective",
-            _value(check.expected, check.unit),
-            _value(check.value, check.unit),
+            _format_checked_value(check.expected, check.unit),
+            _format_checked_value(check.value, check.unit),
             "–" if check.deviation is None else f"{check.deviation:.1e}",
             f"{check.rtol:.0e}",
             si(check.seconds, "s", 3),
-            _verdict(check),
+            _check_verdict(check),
         )
         for check in checks
     ]
@@ -111,6 +111,6 @@ def print_checks(checks: Sequence[Check]) -> None:
     print_lines(f"{check.path}: {check.message}" for check in checks if not check.passed)
 
 
-def _value(value: float | None, unit: str) -> str:
+def _format_checked_value(value: float | None, unit: str) -> str:
     """SI with the digits that are compared."""
     return "–" if value is None else f"{value:.6g} {unit}"

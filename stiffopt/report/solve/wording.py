@@ -17,10 +17,10 @@ if TYPE_CHECKING:
     from stiffopt.result.simulation import Simulation
 
 # Below this ratio a gain reads better as "3.4 times less" than as a percentage.
-_TIMES_BELOW = 0.6
-_EQUAL_WITHIN = 5e-4
+_MAX_FACTOR_RATIO = 0.6
+_EQUAL_RATIO_TOLERANCE = 5e-4
 # An excess or margin below this is neither.
-_AT_LIMIT = 1e-5
+_AT_LIMIT_TOLERANCE = 1e-5
 
 
 def objective_phrase(name: str, measure: str) -> str:
@@ -96,12 +96,12 @@ def difference_text(problem: TrajectoryProblem, solution: Solution) -> str:
 
 def comparison(problem: TrajectoryProblem, solution: Solution) -> str:
     """Sentence on the better feasible baseline, and what it was excused from."""
-    return f"{_comparison(problem, solution)}{_excused(problem, solution)}"
+    return f"{_simulated_comparison(problem, solution)}{_exemption_sentence(problem, solution)}"
 
 
-def _excused(problem: TrajectoryProblem, solution: Solution) -> str:
+def _exemption_sentence(problem: TrajectoryProblem, solution: Solution) -> str:
     """What the counted baseline exceeds, and the ratio to one that keeps every limit."""
-    better = _counted(problem, solution)
+    better = _counted_baseline(problem, solution)
     if better is None or better.assessment is None or solution.ratio_to_better_baseline is None:
         return ""
     exceeded = [v for v in better.assessment.violations if v.value > CERTIFIED]
@@ -111,12 +111,12 @@ def _excused(problem: TrajectoryProblem, solution: Solution) -> str:
     for each in sorted(exceeded, key=lambda v: -v.value):
         worst.setdefault(each.limit, each)
     limits = listed(f"{words(v.limit)} ({violation_text(v)})" for v in worst.values())
-    motion = _motion_of(better.name)
+    motion = _motion_phrase(better.name)
     text = f" {motion[0].upper()}{motion[1:]} is excused from limits its method cannot take: "
-    return f"{text}{limits}.{_strict(problem, solution)}"
+    return f"{text}{limits}.{_strict_comparison(problem, solution)}"
 
 
-def _counted(problem: TrajectoryProblem, solution: Solution) -> Baseline | None:
+def _counted_baseline(problem: TrajectoryProblem, solution: Solution) -> Baseline | None:
     """The baseline that the comparison is with: the better one as it was simulated, if it was."""
     simulation = solution.simulation
     if simulation is not None and simulation.ratio_to_better_baseline is not None:
@@ -126,7 +126,7 @@ def _counted(problem: TrajectoryProblem, solution: Solution) -> Baseline | None:
     return better_baseline(problem, solution.baselines)
 
 
-def _strict(problem: TrajectoryProblem, solution: Solution) -> str:
+def _strict_comparison(problem: TrajectoryProblem, solution: Solution) -> str:
     strict, simulation = solution.strict_baseline, solution.simulation
     if strict is None or strict.assessment is None:
         return " No baseline was found that keeps every limit."
@@ -142,10 +142,10 @@ def _strict(problem: TrajectoryProblem, solution: Solution) -> str:
     slowed = "" if name == strict.name else f", slowed to {si(strict.assessment.duration, 's', 3)}"
     term = problem.objectives[0].name if len(problem.objectives) == 1 else ""
     how_much = amount(ratio, term, is_maximised(problem))
-    return f" {how_much} {_motion_of(name)}{slowed}, which keeps every limit{how}."
+    return f" {how_much} {_motion_phrase(name)}{slowed}, which keeps every limit{how}."
 
 
-def _comparison(problem: TrajectoryProblem, solution: Solution) -> str:
+def _simulated_comparison(problem: TrajectoryProblem, solution: Solution) -> str:
     """Sentence on the better feasible baseline, both simulated where a deflection is minimised."""
     simulation = solution.simulation
     if simulation is not None and simulation.ratio_to_better_baseline is not None:
@@ -159,11 +159,11 @@ def _comparison(problem: TrajectoryProblem, solution: Solution) -> str:
         if own is None or other is None:
             return f"{text}."
         text += f"; after arrival {si(own, 'm', 3)} against {si(other, 'm', 3)}."
-        return f"{text}{_calmer(simulation, own)}"
+        return f"{text}{_least_vibration_sentence(simulation, own)}"
     return _certified_comparison(problem, solution)
 
 
-def _calmer(simulation: Simulation, own: float) -> str:
+def _least_vibration_sentence(simulation: Simulation, own: float) -> str:
     """Sentence on the motion that rings least after arrival, where that is another."""
     rings = {
         motion.name: (motion.simulated.peak_after, motion.simulated.duration)
@@ -172,7 +172,7 @@ def _calmer(simulation: Simulation, own: float) -> str:
     name, (peak, duration) = min(rings.items(), key=lambda item: item[1][0] or 0.0)
     if peak is None or peak >= own:
         return ""
-    motion = _motion_of(name)
+    motion = _motion_phrase(name)
     return (
         f" {motion[0].upper()}{motion[1:]}, {si(duration, 's')}, rings least: {si(peak, 'm', 3)}."
     )
@@ -192,14 +192,14 @@ def _certified_comparison(problem: TrajectoryProblem, solution: Solution) -> str
     if better is None or ratio is None:
         return "No baseline meets all limits, so none is counted."
     other, name = better.assessment, better.name
-    motion = _motion_of(name)
+    motion = _motion_phrase(name)
     if other is not None and abs(other.duration - solution.assessment.duration) < 1e-6:
         motion += " of the same duration"
     term = problem.objectives[0].name if len(problem.objectives) == 1 else ""
     return f"{amount(ratio, term, maximised)} {motion}."
 
 
-def _motion_of(name: str) -> str:
+def _motion_phrase(name: str) -> str:
     return "toppra's motion" if name == "toppra" else f"the {name} motion"
 
 
@@ -222,12 +222,12 @@ def amount(ratio: float, name: str = "", maximised: bool = False) -> str:
     ('4 times less than', '10 % less than', '10 % more than', '2 times as much as')
     """
     value = 1.0 / ratio if maximised else ratio
-    if abs(value - 1.0) < _EQUAL_WITHIN:
+    if abs(value - 1.0) < _EQUAL_RATIO_TOLERANCE:
         return "The same as"
     kind = OBJECTIVES.get(name, ObjectiveKind)
-    if kind.compared_as_ratio and value < _TIMES_BELOW:
+    if kind.compared_as_ratio and value < _MAX_FACTOR_RATIO:
         return f"{significant(1.0 / value, 2)} times less than"
-    if kind.compared_as_ratio and value > 1.0 / _TIMES_BELOW:
+    if kind.compared_as_ratio and value > 1.0 / _MAX_FACTOR_RATIO:
         return f"{significant(value, 2)} times as much as"
     less, more = kind.comparatives
     change = 100.0 * abs(value - 1.0)
@@ -246,7 +246,7 @@ def violation_text(violation: Violation) -> str:
     """Excess or margin of a limit in words: "exceeded by 0.12 %", "margin 8.5 %", "2 mm deep"."""
     if violation.distance is not None:
         return violation.apart()
-    if abs(violation.value) < _AT_LIMIT:
+    if abs(violation.value) < _AT_LIMIT_TOLERANCE:
         return "at the limit"
     size = percent(abs(violation.value))
     return f"exceeded by {size}" if violation.value > 0 else f"margin {size}"

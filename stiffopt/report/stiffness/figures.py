@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from stiffopt.report.common.robot import JointUnits, compliance_by_kind, element_colour
-from stiffopt.report.common.svg import BLUE, GREY, VERMILLION, WIDTH, house_style, line_style
+from stiffopt.report.common.svg import BLUE, GREY, VERMILLION, WIDTH, figure_style, line_style
 
 if TYPE_CHECKING:
     from stiffopt.robot.robot import Robot
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 SHARE_RATIOS = (0.001, 0.01, 0.1, 1.0)
 # Ratio of two joints' largest losses from which on both are not legible on one linear axis.
-_DECADE = 10.0
+_MAX_LINEAR_RATIO = 10.0
 
 
 @dataclass(frozen=True)
@@ -100,7 +100,7 @@ def tangent_figure(
     low_torque : bool
         Logarithmic torque axis, which opens the region near zero torque.
     """
-    with house_style():
+    with figure_style():
         columns = min(3, len(curves))
         rows = -(-len(curves) // columns)
         figure = Figure(figsize=(WIDTH, 0.9 + 2.0 * rows))
@@ -108,7 +108,7 @@ def tangent_figure(
         for axes in grid[len(curves) :]:
             axes.set_visible(False)
         for place, (joint, readings) in enumerate(curves.items()):
-            _tangent_panel(grid[place], readings, low_torque)
+            _draw_tangent_panel(grid[place], readings, low_torque)
             unit = units[joint - 1]
             grid[place].set_title(f"{unit.label} [{unit.stiffness}]")
             if place + columns >= len(curves):
@@ -120,7 +120,7 @@ def tangent_figure(
         return figure
 
 
-def _tangent_panel(axes: Axes, readings: Sequence[StiffnessCurve], low_torque: bool) -> None:
+def _draw_tangent_panel(axes: Axes, readings: Sequence[StiffnessCurve], low_torque: bool) -> None:
     own = readings[0]
     for other in readings[1:]:
         label = f"with contacts, flanks in {other.flanks}"
@@ -147,7 +147,7 @@ def loss_figure(
     The axis is logarithmic where the joints' shares are so far apart that a linear one would merge
     the small ones.
     """
-    with house_style():
+    with figure_style():
         figure = Figure(figsize=(WIDTH, 3.8))
         axes = figure.subplots()
         losses = []
@@ -159,7 +159,7 @@ def loss_figure(
         axes.set_xscale("log")
         axes.xaxis.set_major_formatter("{x:g}")
         highest = [float(np.max(each)) for each in losses]
-        if min(highest) > 0.0 and max(highest) > _DECADE * min(highest):
+        if min(highest) > 0.0 and max(highest) > _MAX_LINEAR_RATIO * min(highest):
             axes.set_yscale("log")
             axes.yaxis.set_major_formatter("{x:g}")
         else:
@@ -175,7 +175,7 @@ def loss_figure(
 def shares_figure(robot: Robot, units: Sequence[JointUnits]) -> Figure:
     """Share of every kind of element in the tangent compliance, at several torque ratios."""
     jointed = [j for j, chain in enumerate(robot.chains) if chain is not None]
-    with house_style():
+    with figure_style():
         figure = Figure(figsize=(WIDTH, 0.9 + max(0.34 * len(jointed), 1.0)))
         grid = figure.subplots(1, len(SHARE_RATIOS), sharey=True)
         named: dict[str, Any] = {}

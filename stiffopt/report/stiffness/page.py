@@ -90,7 +90,7 @@ def write_stiffness_report(
         "curves": curves,
         "units": units,
         "slip": _first_slips(robot),
-        "loading": _loading(robot),
+        "loading": _contact_loading(robot),
         "estimated": estimated_inputs(robot),
         "references": robot_references(robot),
     }
@@ -129,7 +129,7 @@ def _largest_loss(curves: Mapping[int, Sequence[StiffnessCurve]]) -> LargestLoss
     return max(every, key=lambda each: (each.loss, -each.joint))
 
 
-def _loading(robot: Robot) -> str:
+def _contact_loading(robot: Robot) -> str:
     """Loading of the rough contacts that the robot file states."""
     surfaces = (
         getattr(element, "surface", None)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.figure import Figure
 
-from stiffopt.report.common.svg import BLUE, GREY, VERMILLION, WIDTH, house_style
+from stiffopt.report.common.svg import BLUE, GREY, VERMILLION, WIDTH, figure_style
 from stiffopt.report.common.text import scale, words
 from stiffopt.sweep.run import is_unusable
 from stiffopt.sweep.summary import Front, SweepSummary
@@ -28,14 +28,14 @@ def axes_figure(summary: SweepSummary) -> Figure | None:
         return None
     drawn = {}
     for place in summary.sweep.places:
-        numbers = [_number(changes[place]) for changes, _ in points]
+        numbers = [_value_and_unit(changes[place]) for changes, _ in points]
         units = {unit for _, unit in numbers}
         if None not in units and len(units) == 1 and len(set(numbers)) > 1:
             drawn[place] = (np.array([value for value, _ in numbers]), numbers[0][1] or "SI")
     if not drawn:
         return None
     factor, unit = scale(float(np.nanmax(np.abs(held))), summary.units[name])
-    with house_style():
+    with figure_style():
         columns = min(3, len(drawn))
         rows = -(-len(drawn) // columns)
         figure = Figure(figsize=(WIDTH, 0.9 + 2.4 * rows))
@@ -57,7 +57,7 @@ def axes_figure(summary: SweepSummary) -> Figure | None:
 def front_figure(front: Front, unit: str) -> Figure:
     """The trade-off front with its knee."""
     factor, shown = scale(float(np.abs(front.objectives).max()), unit)
-    with house_style():
+    with figure_style():
         figure = Figure(figsize=(WIDTH, 3.2))
         axes = figure.subplots()
         axes.plot(front.values, factor * front.objectives, "o-", color=BLUE, markersize=4.0)
@@ -74,7 +74,7 @@ def front_figure(front: Front, unit: str) -> Figure:
 def spread_figure(summary: SweepSummary) -> Figure:
     """Optima of each case from its starts, over the best of them."""
     spreads = summary.spreads()
-    with house_style():
+    with figure_style():
         figure = Figure(figsize=(WIDTH, 3.0))
         axes = figure.subplots()
         ratios = [each.worst / each.best for each in spreads.values() if each.best]
@@ -86,7 +86,7 @@ def spread_figure(summary: SweepSummary) -> Figure:
     return figure
 
 
-def _number(value: object) -> tuple[float, str | None]:
+def _value_and_unit(value: object) -> tuple[float, str | None]:
     if isinstance(value, bool) or not isinstance(value, int | float | str):
         return 0.0, None
     return number_and_unit(value)

@@ -12,7 +12,7 @@ from stiffopt.sweep.summary import Cell, SweepSummary
 
 PAGE_FILE = "report.html"
 # Of the table on the page; table.csv has all.
-_ROWS = 200
+_MAX_ROWS = 200
 
 
 def write_sweep_report(summary: SweepSummary, folder: Path) -> Path:
@@ -37,15 +37,15 @@ def write_sweep_report(summary: SweepSummary, folder: Path) -> Path:
         "head": [name if name in summary.sweep.places else words(name) for name in shown],
         "rows": [
             [
-                _text(cell, summary.units.get(name, ""))
+                _format_cell(cell, summary.units.get(name, ""))
                 for name, cell in zip(shown, row, strict=True)
             ]
-            for row in rows[:_ROWS]
+            for row in rows[:_MAX_ROWS]
         ],
-        "more": max(len(rows) - _ROWS, 0),
+        "more": max(len(rows) - _MAX_ROWS, 0),
     }
     return write_page("sweep/page.html.j2", folder / PAGE_FILE, context, figures)
 
 
-def _text(cell: Cell, unit: str) -> str:
+def _format_cell(cell: Cell, unit: str) -> str:
     return cell if isinstance(cell, str) else si(cell, unit, 5)

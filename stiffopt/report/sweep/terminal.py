@@ -35,10 +35,10 @@ def progress_line(event: SweepProgress) -> str:
     '30 of 200 cases (1 without a usable result), 1 min 0 s, about 5 min 40 s left'
     """
     bad = f" ({event.unusable} without a usable result)" if event.unusable else ""
-    line = f"{event.done} of {event.total} cases{bad}, {_duration(event.elapsed)}"
+    line = f"{event.done} of {event.total} cases{bad}, {_format_duration(event.elapsed)}"
     if event.left is None or event.done == event.total:
         return line
-    return f"{line}, about {_duration(event.left)} left"
+    return f"{line}, about {_format_duration(event.left)} left"
 
 
 def print_sweep(summary: SweepSummary, folder: Path) -> None:
@@ -55,7 +55,7 @@ def print_sweep(summary: SweepSummary, folder: Path) -> None:
     )
 
 
-def _duration(seconds: float) -> str:
+def _format_duration(seconds: float) -> str:
     minutes, rest = divmod(round(seconds), 60)
     hours, minutes = divmod(minutes, 60)
     if hours:

@@ -24,12 +24,12 @@ from stiffopt.errors import InputError, shortened
 from stiffopt.folders import output_folder
 
 # Entries that a simulation may change: no motion depends on them.
-_UNSURE = re.compile(r"\s*uncertainty\b")
-_SOLVED = (
+_UNCERTAINTY_ENTRY = re.compile(r"\s*uncertainty\b")
+_SOLVED_MOTION_REASON = (
     "the motion was solved; only [uncertainty] may change, such as uncertainty.stiffness=0.3. Solve"
     " again with --set"
 )
-_OF_SERVOS = re.compile(r"\bservo_(bandwidth|feed_forward|delay)\b")
+_SERVO_ENTRY = re.compile(r"\bservo_(bandwidth|feed_forward|delay)\b")
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -90,7 +90,9 @@ def simulate(
     from stiffopt.solver.stored import read_result
     from stiffopt.units import to_si
 
-    refuse_changes(tuple(each for each in changes if not _UNSURE.match(each)), _SOLVED)
+    refuse_changes(
+        tuple(each for each in changes if not _UNCERTAINTY_ENTRY.match(each)), _SOLVED_MOTION_REASON
+    )
     settled = to_si(number_or_text(band), "length", "--band")
     late = to_si(number_or_text(delay), "time", "--delay")
     if settled <= 0.0:
@@ -98,7 +100,7 @@ def simulate(
     if bandwidth is None and (late != 0.0 or feed_forward != 1.0):
         raise InputError("delay and feed-forward are of a position loop: give its --bandwidth too.")
     for each in changes:
-        if bandwidth is not None and _OF_SERVOS.search(each):
+        if bandwidth is not None and _SERVO_ENTRY.search(each):
             raise InputError(
                 f"--set {shortened(each)}: with --bandwidth every arm has the loop that is given, "
                 "and nothing of servos is uncertain. Leave one of the two out."
@@ -215,14 +217,14 @@ def modes(
         print_modes([rows[0], rows[len(rows) // 2], rows[-1]])
         print(f"Wrote {folder / 'modes.csv'} and {folder / figure.name}")
         return 0
-    robot, poses = _poses(source, at, changes)
+    robot, poses = _named_poses(source, at, changes)
     print_modes(modes_at(robot, poses))
     if soft := questionable_springs(robot, next(iter(poses.values()))):
         print_lines([soft])
     return 0
 
 
-def _poses(
+def _named_poses(
     source: str, at: str | None, changes: Sequence[str]
 ) -> tuple[Robot, dict[str, np.ndarray]]:
     """Robot and named joint angles: of a problem file, or of a robot at --at or its first start."""
@@ -236,7 +238,7 @@ def _poses(
     if path.suffix == ".toml" and path.is_file() and load_toml(path).get("kind") == "trajectory":
         problem = load_problem(path, changes).problem
         if at is not None:
-            return problem.robot, {at: _pose(at, problem.robot)}
+            return problem.robot, {at: _parse_pose(at, problem.robot)}
         motion = resolve(problem)
         vias = {f"via {k}": angles for k, angles in enumerate(motion.vias, start=1)}
         return problem.robot, {"start": motion.start, **vias, "end": motion.end}
@@ -244,10 +246,10 @@ def _poses(
     if at is None:
         # The pose that `init` lets the robot's first problem start in.
         return robot, {"start of its first problem": first_motion(robot).start}
-    return robot, {at: _pose(at, robot)}
+    return robot, {at: _parse_pose(at, robot)}
 
 
-def _pose(text: str, robot: Robot) -> np.ndarray:
+def _parse_pose(text: str, robot: Robot) -> np.ndarray:
     """Joint angles (n,) [rad] of a text such as "0 45deg -0.3", or with commas."""
     import numpy as np
 

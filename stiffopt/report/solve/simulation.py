@@ -8,18 +8,18 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from stiffopt.report.common.svg import BLACK, BLUE, GREEN, GREY, VERMILLION, WIDTH, house_style
+from stiffopt.report.common.svg import BLACK, BLUE, GREEN, GREY, VERMILLION, WIDTH, figure_style
 from stiffopt.report.common.text import listed, scale, si
 from stiffopt.result.simulation import ElasticMotion, Simulation
 
-_STYLES: tuple[dict[str, Any], ...] = (
+_MOTION_STYLES: tuple[dict[str, Any], ...] = (
     {"color": BLUE, "linewidth": 2.2},
     {"color": VERMILLION, "linestyle": (0, (5, 1.5))},
     {"color": GREEN, "linestyle": (0, (1.5, 1.2))},
     {"color": BLACK, "linestyle": (0, (1.0, 2.5))},
 )
 # Shown after the arrival [s].
-_SHOWN_AFTER = 0.4
+_TIME_AFTER_ARRIVAL = 0.4
 
 
 def simulation_table(simulation: Simulation) -> tuple[list[str], list[list[str]]]:
@@ -30,10 +30,10 @@ def simulation_table(simulation: Simulation) -> tuple[list[str], list[list[str]]
         *("simulated rms", "peak after arrival", "rms after arrival"),
         *(f"within {band} after", "verdict"),
     ]
-    return head, [_row(motion) for motion in simulation.motions]
+    return head, [_motion_row(motion) for motion in simulation.motions]
 
 
-def _row(motion: ElasticMotion) -> list[str]:
+def _motion_row(motion: ElasticMotion) -> list[str]:
     found = motion.simulated
     settled = "–"
     if found.settling_time is not None:
@@ -90,16 +90,16 @@ def _hysteresis_note(simulation: Simulation) -> list[str]:
     ]
 
 
-def swing_figure(simulation: Simulation) -> Figure:
+def deviation_figure(simulation: Simulation) -> Figure:
     """Size of the tool's deviation over time, all motions."""
-    with house_style():
+    with figure_style():
         figure = Figure(figsize=(WIDTH, 3.7))
         axes = figure.subplots()
         largest = max(motion.simulated.peak for motion in simulation.motions)
         factor, unit = scale(largest, "m")
-        for motion, style in zip(simulation.motions, _STYLES, strict=False):
+        for motion, style in zip(simulation.motions, _MOTION_STYLES, strict=False):
             found = motion.simulated
-            shown = found.time <= found.duration + _SHOWN_AFTER
+            shown = found.time <= found.duration + _TIME_AFTER_ARRIVAL
             values = factor * found.distance[shown]
             axes.plot(found.time[shown], values, label=motion.name, **style)
             at = int(np.searchsorted(found.time, found.duration))
