@@ -18,8 +18,7 @@ from stiffopt.recording.clock import read_clock
 from stiffopt.recording.readers.csv import read as read_run
 from stiffopt.recording.schema import RecordingsFile
 from stiffopt.recording.signals import Signals
-from stiffopt.report.explain import explain_key
-from stiffopt.report.file_reference import file_models, file_schema
+from stiffopt.report.file_reference import explain_key, file_models, file_schema
 from stiffopt.robot.element_sections import BoltsSection
 from stiffopt.robot.files import load_robot
 from stiffopt.robot.own_catalogue import CatalogueFile

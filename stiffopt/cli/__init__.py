@@ -21,6 +21,7 @@ from stiffopt.errors import InputError, NoSolutionFound, shortened
 __all__ = [
     "app",
     "cache",
+    "elastic",
     "exports",
     "motions",
     "recordings",
@@ -28,7 +29,6 @@ __all__ = [
     "schemas",
     "starters",
     "sweeps",
-    "swings",
 ]
 
 

@@ -81,7 +81,7 @@ def simulate(
     """
     from stiffopt.elastic.arm import rigid_arm
     from stiffopt.elastic.motor import Servo
-    from stiffopt.report.solve.simulation_page import write_simulation_report
+    from stiffopt.report.solve.simulation import write_simulation_report
     from stiffopt.report.solve.terminal import print_compensation, print_simulation
     from stiffopt.result.compensation_store import COMMAND_FILE
     from stiffopt.result.store import write_simulation
@@ -200,7 +200,7 @@ def modes(
     from stiffopt.elastic.arm import questionable_springs
     from stiffopt.elastic.survey import modes_along, modes_at, write_modes_csv
     from stiffopt.report.common.terminal import print_lines
-    from stiffopt.report.solve.modes import print_modes, write_modes_figure
+    from stiffopt.report.solve.simulation import print_modes, write_modes_figure
     from stiffopt.solver.stored import read_result
 
     path = Path(source)

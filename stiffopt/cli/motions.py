@@ -147,8 +147,7 @@ def preload(
     from stiffopt.preload.files import load_study
     from stiffopt.preload.store import write_curves, write_study
     from stiffopt.preload.study import preload_study
-    from stiffopt.report.preload.page import write_preload_report
-    from stiffopt.report.preload.terminal import print_study
+    from stiffopt.report.preload.page import print_study, write_preload_report
 
     loaded = load_study(study, changes)
     folder = out or default_folder(study.stem, changes)

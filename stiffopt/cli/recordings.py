@@ -95,7 +95,7 @@ def diagnose(
     from stiffopt.discovery.experiment.design import EXPERIMENT_FILE
     from stiffopt.discovery.store import write_diagnosis
     from stiffopt.recording.recording_set import load_recordings
-    from stiffopt.report.common.status_line import StepDisplay
+    from stiffopt.report.common.terminal import StepDisplay
     from stiffopt.report.diagnosis.terminal import print_diagnosis
 
     loaded = load_recordings(recordings, changes)
@@ -214,8 +214,7 @@ def identify_stiffness(
     from stiffopt.identification.stiffness import identify_stiffness as identify
     from stiffopt.identification.store import write_static
     from stiffopt.recording.static_set import load_static_set
-    from stiffopt.report.identification.page import write_static_report
-    from stiffopt.report.identification.terminal import print_static
+    from stiffopt.report.identification.page import print_static, write_static_report
 
     recorded = load_static_set(recordings, changes)
     folder = out or default_folder(recorded.path.resolve().parent.name, changes)

@@ -44,7 +44,7 @@ def explain(key: str) -> int:
         Name or place of a key: prepressure, motion.duration, limits.jerk.
     """
     from stiffopt.report.common.terminal import print_lines
-    from stiffopt.report.explain import explain_key
+    from stiffopt.report.file_reference import explain_key
 
     print_lines(explain_key(key))
     return 0

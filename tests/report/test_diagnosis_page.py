@@ -14,10 +14,10 @@ from stiffopt.discovery.judging.unexplained import Unexplained
 from stiffopt.recording.run import Fault
 from stiffopt.report.common.text import pm, significant
 from stiffopt.report.diagnosis import page
-from stiffopt.report.diagnosis.held_out import trace, worst_windows
+from stiffopt.report.diagnosis.figures import trace, worst_windows
 from stiffopt.report.diagnosis.mismatch import mismatches
 from stiffopt.report.diagnosis.page import write_diagnosis_report
-from stiffopt.report.diagnosis.residuals import (
+from stiffopt.report.diagnosis.regimes import (
     binned_means,
     channel_residuals,
     finding_contribution,

@@ -16,14 +16,14 @@ from stiffopt.report.solve.figures import (
     torque_figure,
 )
 from stiffopt.report.solve.space_figures import exaggeration, path_figure, windup_figure
-from stiffopt.report.stiffness.figures import (
+from stiffopt.report.stiffness.page import (
     StiffnessCurve,
     loss_figure,
     shares_figure,
     stiffness_curves,
     tangent_figure,
+    where_contacts_matter,
 )
-from stiffopt.report.stiffness.page import where_contacts_matter
 from stiffopt.robot.stiffness_study import StiffnessRow
 
 

@@ -13,7 +13,7 @@ from synthetic_solution import solution
 from stiffopt.certificate.assess import assess
 from stiffopt.problem.files import load_problem
 from stiffopt.report.solve.page import write_solve_report
-from stiffopt.report.solve.simulation_page import write_simulation_report
+from stiffopt.report.solve.simulation import write_simulation_report
 from stiffopt.result.solution import Baseline
 from stiffopt.result.trajectory import Trajectory
 from stiffopt.solver.simulation import PlannedMotion, elastic_arm, simulate_motions

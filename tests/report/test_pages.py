@@ -11,7 +11,7 @@ from stiffopt.problem.objective import Objective
 from stiffopt.report.common.citations import cited, references
 from stiffopt.report.common.text import si
 from stiffopt.report.compare import compare_results
-from stiffopt.report.explain import explain_key
+from stiffopt.report.file_reference import explain_key
 from stiffopt.report.solve.page import write_solve_report
 from stiffopt.report.solve.wording import amount, comparison, objective_text
 from stiffopt.report.stiffness.page import write_stiffness_report

@@ -11,8 +11,7 @@ from small_arms import SLIDE, SPATIAL, write_problem
 
 from stiffopt.certificate.assess import assess
 from stiffopt.problem.files import load_problem
-from stiffopt.report.scene.document import scene_document, scene_json
-from stiffopt.report.scene.mesh import compact_mesh
+from stiffopt.report.scene.document import compact_mesh, edges_around, scene_document, scene_json
 from stiffopt.report.scene.poses import (
     Poses,
     joint_frames,
@@ -21,7 +20,6 @@ from stiffopt.report.scene.poses import (
     tool_positions,
 )
 from stiffopt.report.scene.still import still_figure
-from stiffopt.report.scene.surroundings import edges_around
 from stiffopt.result.trajectory import Trajectory
 from stiffopt.robot.cell import Box, Cell, MeshObstacle, Plane
 from stiffopt.robot.frames import LinkFrame

@@ -18,12 +18,15 @@ from stiffopt.report.common.citations import diagnosis_references
 from stiffopt.report.common.page import Filters, PageFigures, write_page
 from stiffopt.report.common.text import significant
 from stiffopt.report.diagnosis.figures import (
+    Trace,
     channel_ratio,
     held_out_figure,
     noise_ceiling_figure,
+    overlay_figure,
     residual_figure,
+    trace,
+    worst_windows,
 )
-from stiffopt.report.diagnosis.held_out import Trace, overlay_figure, trace, worst_windows
 from stiffopt.report.diagnosis.mismatch import (
     counterbalance_sentences,
     episode_sentences,
@@ -41,12 +44,12 @@ from stiffopt.report.diagnosis.overview import (
     undetectable_effects,
 )
 from stiffopt.report.diagnosis.regimes import (
+    channel_residuals,
     map_figure,
     regime_figure,
     regressor_figure,
     spectrum_figure,
 )
-from stiffopt.report.diagnosis.residuals import channel_residuals
 from stiffopt.report.diagnosis.words import (
     channel_words,
     channels_in_words,

@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+import base64
 import json
 from collections.abc import Mapping
 from contextlib import suppress
+from itertools import product
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from stiffopt.errors import InputFileError
 from stiffopt.files import plain
-from stiffopt.report.scene.mesh import compact_mesh
 from stiffopt.report.scene.poses import Poses
-from stiffopt.report.scene.surroundings import shapes_around
-from stiffopt.robot.link_shapes import JointShape
+from stiffopt.robot.link_shapes import JointShape, Kind, LinkShape, triangles
+from stiffopt.robot.rotations import rotation_from_rpy
 from stiffopt.robot.skeleton import capsules, joint_radii, reach
 
 if TYPE_CHECKING:
@@ -145,3 +147,132 @@ def _round_nested(values: np.ndarray, digits: int = 6) -> list[Any]:
     """Nested lists, rounded: a page needs no more."""
     rounded: list[Any] = np.round(np.asarray(values, dtype=float), digits).tolist()
     return rounded
+
+
+# Triangles of one shape, and cells of the grid along the longest edge to begin with.
+_MAX_TRIANGLES = 6000
+_INITIAL_GRID_CELLS = 1024
+
+
+def compact_mesh(shape: LinkShape, most: int = _MAX_TRIANGLES) -> dict[str, Any]:
+    """Mesh of a shape as the scene reads it.
+
+    Parameters
+    ----------
+    shape : LinkShape
+        A mesh that was found.
+    most : int
+        Triangles; a finer mesh is put on a coarser and coarser grid until it fits.
+
+    Returns
+    -------
+    dict
+        `origin` [m] and `step` [m] of the grid; `vertices` and `triangles`, little-endian
+        16-bit numbers in base 64.
+    """
+    vertices, corners = triangles(shape)
+    low = vertices.min(axis=0)
+    longest = max(float(np.ptp(vertices, axis=0).max()), 1e-9)
+    cells = _INITIAL_GRID_CELLS
+    while True:
+        step = longest / cells
+        cell = np.round((vertices - low) / step).astype(int)
+        unique, number = np.unique(cell, axis=0, return_inverse=True)
+        faces = number.reshape(-1)[corners]
+        a, b, c = faces.T
+        faces = faces[(a != b) & (b != c) & (c != a)]
+        if (len(faces) <= most and len(unique) < 2**16) or cells <= 8:
+            break
+        cells = int(cells / 1.5)
+    used, compact = np.unique(faces, return_inverse=True)
+    return {
+        "origin": low.tolist(),
+        "step": step,
+        "vertices": _encode_uint16(unique[used]),
+        "triangles": _encode_uint16(compact.reshape(-1)),
+    }
+
+
+def _encode_uint16(numbers: np.ndarray) -> str:
+    return base64.b64encode(numbers.astype("<u2").tobytes()).decode()
+
+
+# A wall is shown as a slab so thick [m], so many reaches of the arm to each side.
+_WALL_THICKNESS, _WALL_HALF_WIDTH_REACHES = 2e-3, 1.2
+
+
+def shapes_around(cell: Cell | None, reach: float) -> list[JointShape]:
+    """Boxes, meshes, and the near part of walls and floor, in the base frame.
+
+    Parameters
+    ----------
+    cell : Cell or None
+    reach : float
+        Of the arm [m]: what lies farther out of a wall is not shown.
+    """
+    if cell is None:
+        return []
+    found = [
+        _placed_shape(box.name, "box", box.size, np.array(box.position), rotation_from_rpy(box.rpy))
+        for box in cell.box
+    ]
+    for mesh in cell.mesh:
+        at, turn = np.array(mesh.position), rotation_from_rpy(mesh.rpy)
+        scale = (mesh.scale,) * 3
+        found.append(_placed_shape(mesh.name, "mesh", scale, at, turn, Path(mesh.file)))
+    walls = [(plane.name, np.array(plane.point), np.array(plane.normal)) for plane in cell.plane]
+    if cell.floor is not None:
+        walls.append(("floor", np.array([0.0, 0.0, cell.floor]), np.array([0.0, 0.0, 1.0])))
+    side = 2.0 * _WALL_HALF_WIDTH_REACHES * reach
+    for name, point, normal in walls:
+        out = normal / np.linalg.norm(normal)
+        # Seen from the base, and all of it behind the face.
+        middle = out * (out @ point - 0.5 * _WALL_THICKNESS)
+        found.append(
+            _placed_shape(name, "box", (side, side, _WALL_THICKNESS), middle, _frame_along(out))
+        )
+    return found
+
+
+def _placed_shape(
+    name: str,
+    kind: Kind,
+    size: tuple[float, ...],
+    offset: np.ndarray,
+    rotation: np.ndarray,
+    file: Path | None = None,
+) -> JointShape:
+    shape = LinkShape(
+        link=name,
+        purpose="visual",
+        kind=kind,
+        size=tuple(size),
+        offset=offset,
+        rotation=rotation,
+        name=name,
+        file=file,
+    )
+    return JointShape(shape, 0, offset, rotation)
+
+
+def _frame_along(axis: np.ndarray) -> np.ndarray:
+    """Rotation (3, 3) whose third column is a unit vector."""
+    other = np.eye(3)[int(np.argmin(np.abs(axis)))]
+    first = np.cross(other, axis)
+    first = first / np.linalg.norm(first)
+    return np.column_stack([first, np.cross(axis, first), axis])
+
+
+def edges_around(cell: Cell | None) -> np.ndarray:
+    """Edges of all boxes (k, 2, 3), base frame [m]."""
+    edges = []
+    for box in () if cell is None else cell.box:
+        turn, half = rotation_from_rpy(box.rpy), 0.5 * np.array(box.size)
+        for axis in range(3):
+            for signs in product((-1.0, 1.0), repeat=2):
+                begin = np.insert(signs, axis, -1.0)
+                end = np.insert(signs, axis, 1.0)
+                edges.append(
+                    [np.array(box.position) + turn @ (half * each) for each in (begin, end)]
+                )
+    return np.array(edges).reshape(-1, 2, 3)

@@ -13,8 +13,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from stiffopt.errors import InputError, InputFileError
+from stiffopt.report.scene.document import shapes_around
 from stiffopt.report.scene.poses import Poses, joint_frames, tool_positions
-from stiffopt.report.scene.surroundings import shapes_around
 from stiffopt.robot.link_shapes import JointShape, triangles
 from stiffopt.robot.skeleton import Capsule, capsules, reach
 

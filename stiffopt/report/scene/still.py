@@ -3,23 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from importlib import resources
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from markupsafe import Markup
 from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
 from stiffopt.report.common.svg import BLUE, GREY, PALE, VERMILLION, WIDTH, figure_style
 from stiffopt.report.common.text import si
+from stiffopt.report.scene.document import edges_around, scene_document, scene_json
 from stiffopt.report.scene.poses import Poses, joint_frames, tool_positions
-from stiffopt.report.scene.surroundings import edges_around
+from stiffopt.report.solve.space_figures import exaggeration
 from stiffopt.robot.body_tree import BodyTree
 from stiffopt.robot.frames import LinkFrame
 from stiffopt.robot.skeleton import capsules, joint_radii
 
 if TYPE_CHECKING:
     from stiffopt.robot.cell import Cell
+    from stiffopt.robot.robot import Robot
 
 _HEIGHT_INCH = 4.6
 # What is seen at least [m], also of an arm whose joints and tool lie at one point.
@@ -220,3 +225,46 @@ def _share_colour(share: float) -> str:
     own = min(max(2.0 * share, 0.0), 1.0)
     mixed = (1.0 - own) * np.array(to_rgb("#f2f4f6")) + own * np.array(to_rgb(VERMILLION))
     return "#" + "".join(f"{round(255 * c):02x}" for c in mixed)
+
+
+@dataclass(frozen=True)
+class ArmInSpace:
+    """A figure with its caption, and the texts of the scene, which stand on a page unescaped."""
+
+    still: Figure
+    caption: str
+    embedded: dict[str, Markup]
+
+
+def embedded_scene(
+    robot: Robot, motions: Mapping[str, Poses], part: str, cell: Cell | None = None
+) -> ArmInSpace:
+    """The first motion, bent by a part of its deflection, and the ghost of the second.
+
+    Parameters
+    ----------
+    robot : Robot
+    motions : mapping of name to Poses
+    part : str
+        Of the deflection; where that is zero, the first that is not.
+    cell : Cell, optional
+        What stands around the arm.
+    """
+    first = next(iter(motions.values()))
+    shown = part if part in first.bend else next(iter(first.bend), "")
+    tool = tool_positions(robot.tree, robot.tool, first.position)
+    extent = max(float(np.ptp(tool, axis=0).max()), 1e-3)
+    factor = exaggeration(extent, float(first.deflection[shown].max())) if shown else 1.0
+    still = still_figure(robot.tree, robot.tool, list(motions.values()), shown, factor, cell)
+    here = resources.files("stiffopt.report.scene")
+    texts = {
+        "document": scene_json(scene_document(robot, motions, shown, factor, cell)),
+        "library": here.joinpath("three.min.js").read_text(encoding="utf-8"),
+        "script": here.joinpath("scene.js").read_text(encoding="utf-8"),
+    }
+    # Scripts of this package, and data whose "<" is escaped.
+    return ArmInSpace(
+        still,
+        still_caption(motions, shown, factor),
+        {name: Markup(text) for name, text in texts.items()},
+    )

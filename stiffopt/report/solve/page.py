@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,7 +13,8 @@ from stiffopt.report.common.citations import solve_references
 from stiffopt.report.common.page import Filters, PageFigures, write_page
 from stiffopt.report.common.robot import estimated_inputs, joint_units
 from stiffopt.report.common.text import capital, scale, words
-from stiffopt.report.solve.arm import arm_in_space
+from stiffopt.report.scene.poses import poses_along
+from stiffopt.report.scene.still import ArmInSpace, embedded_scene
 from stiffopt.report.solve.compensation import (
     COMPENSATED,
     compensation_figure,
@@ -191,3 +193,11 @@ def _draw_figures(problem: TrajectoryProblem, solution: Solution, part: str) -> 
             COMPENSATED,
         )
     return figures
+
+
+def arm_in_space(
+    problem: TrajectoryProblem, motions: Sequence[ComparedMotion], part: str
+) -> ArmInSpace:
+    """The first motion, bent by a part of its deflection, and the ghost of the second."""
+    poses = {motion.label: poses_along(problem, motion.assessment) for motion in motions}
+    return embedded_scene(problem.robot, poses, part, problem.cell)

@@ -3,14 +3,42 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from stiffopt.report.common.svg import BLACK, BLUE, GREEN, GREY, VERMILLION, WIDTH, figure_style
-from stiffopt.report.common.text import listed, scale, si
+from stiffopt.elastic.survey import PoseModes
+from stiffopt.files import atomic_write
+from stiffopt.report.common.page import PageFigures, write_page
+from stiffopt.report.common.svg import (
+    BLACK,
+    BLUE,
+    GREEN,
+    GREY,
+    VERMILLION,
+    WIDTH,
+    figure_style,
+    line_style,
+    to_svg,
+)
+from stiffopt.report.common.terminal import print_lines, print_table
+from stiffopt.report.common.text import listed, percent, scale, si, significant
+from stiffopt.report.scene.poses import Poses, joint_shares, tool_jacobian
+from stiffopt.report.scene.still import embedded_scene
+from stiffopt.report.solve.compensation import (
+    COMPENSATED,
+    compensation_figure,
+    compensation_section,
+)
 from stiffopt.result.simulation import ElasticMotion, Simulation
+
+if TYPE_CHECKING:
+    from stiffopt.elastic.arm import ElasticArm
+    from stiffopt.problem.trajectory import TrajectoryProblem
+    from stiffopt.result.compensation import Compensation
+    from stiffopt.result.simulation import SimulatedMotion, Simulation
 
 _MOTION_STYLES: tuple[dict[str, Any], ...] = (
     {"color": BLUE, "linewidth": 2.2},
@@ -112,3 +140,105 @@ def deviation_figure(simulation: Simulation) -> Figure:
         axes.legend(loc="upper right")
         figure.subplots_adjust(left=0.06, right=0.995)
         return figure
+
+
+def print_modes(rows: Sequence[PoseModes]) -> None:
+    """A table of each pose, lowest mode first, and what the damping rests on."""
+    head = ("mode", "frequency", "damping", "shape")
+    for row in rows:
+        cells = [
+            (
+                str(k),
+                f"{significant(mode.frequency, 4)} Hz",
+                percent(mode.damping, 2),
+                mode.describe(),
+            )
+            for k, mode in enumerate(row.modes, start=1)
+        ]
+        print_table(head, cells, title=row.name, numbers=head[:3])
+    print_lines(assumed_damping_note(rows[0].assumed_damping))
+
+
+def write_modes_figure(rows: Sequence[PoseModes], path: Path) -> Path:
+    """Write the frequencies over a motion as SVG; return the path."""
+    with figure_style():
+        figure = Figure(figsize=(WIDTH, 3.7))
+        axes = figure.subplots()
+        times = [row.time for row in rows]
+        for k in range(len(rows[0].modes)):
+            frequencies = [row.modes[k].frequency for row in rows]
+            axes.plot(times, frequencies, label=f"mode {k + 1}", **line_style(k))
+        axes.set_yscale("log")
+        axes.set_xlabel("time [s]")
+        axes.set_ylabel("frequency [Hz]")
+        axes.margins(x=0.01)
+        axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
+        svg = to_svg(figure, "modes", "Frequencies of the arm's modes along the motion")
+    atomic_write(path, svg)
+    return path
+
+
+PAGE_FILE = "simulation.html"
+# Time behind the arrival that the scene shows [s], and its frames.
+_TIME_AFTER_ARRIVAL, _FRAME_COUNT = 0.4, 241
+
+
+def write_simulation_report(
+    problem: TrajectoryProblem,
+    arm: ElasticArm,
+    simulation: Simulation,
+    directory: str | Path,
+    compensation: Compensation | None = None,
+) -> Path:
+    """Write simulation.html and its figures; return its path.
+
+    Parameters
+    ----------
+    problem : TrajectoryProblem
+    arm : ElasticArm
+        That was simulated.
+    simulation : Simulation
+    directory : path
+    compensation : Compensation, optional
+        Of the command that is written, on uncertain arms.
+    """
+    own = simulation.optimised.simulated
+    shown = [motion for motion in simulation.motions if motion.name != "optimised"][:1]
+    motions = {"optimised": elastic_poses(arm, own)}
+    motions |= {each.name: elastic_poses(arm, each.simulated) for each in shown}
+    figures = PageFigures("simulation", png=False)
+    figures.draw("swing", deviation_figure(simulation), "Deviation of the tool over time")
+    if compensation is not None:
+        drawn = compensation_figure(compensation)
+        figures.draw("compensation", drawn, COMPENSATED)
+    scene = embedded_scene(problem.robot, motions, "swing", problem.cell)
+    figures.draw("arm", scene.still, "The arm with the paths of its tool")
+    after = "" if own.peak_after is None else f", {si(own.peak_after, 'm', 3)} after arrival"
+    context = {
+        "title": f"{problem.title or problem.robot.name}, simulated",
+        "headline": f"The tool swings by up to {si(own.peak, 'm', 3)} in flight{after}",
+        "simulated": simulation_table(simulation),
+        "notes": simulation_notes(simulation),
+        "lead": compensation_section(compensation),
+        "space": scene.embedded,
+        "still": scene.caption,
+    }
+    path = Path(directory) / PAGE_FILE
+    return write_page("solve/simulation.html.j2", path, context, figures)
+
+
+def elastic_poses(arm: ElasticArm, motion: SimulatedMotion, frames: int = _FRAME_COUNT) -> Poses:
+    """Where the arm would hang at rest at each instant, and how far its links are from there."""
+    end = min(float(motion.time[-1]), motion.duration + _TIME_AFTER_ARRIVAL)
+    at = np.unique(np.searchsorted(motion.time, np.linspace(0.0, end, frames)))
+    at = np.unique([*at[at < len(motion.time)], int(np.argmax(motion.distance))])
+    hanging = arm.hanging((motion.position + motion.windup)[at])
+    bend = hanging - motion.position[at]
+    jacobian = tool_jacobian(arm.robot.tree, arm.robot.tool, hanging)
+    return Poses(
+        time=motion.time[at],
+        position=hanging,
+        bend={"swing": bend},
+        share={"swing": joint_shares(jacobian, bend)},
+        deflection={"swing": motion.distance[at]},
+    )

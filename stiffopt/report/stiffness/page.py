@@ -6,21 +6,23 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from stiffopt.report.common.citations import robot_references
 from stiffopt.report.common.page import PageFigures, write_page
-from stiffopt.report.common.robot import estimated_inputs, joint_units
-from stiffopt.report.common.text import listed, percent
-from stiffopt.report.stiffness.figures import (
-    StiffnessCurve,
-    loss_figure,
-    shares_figure,
-    stiffness_curves,
-    tangent_figure,
+from stiffopt.report.common.robot import (
+    JointUnits,
+    compliance_by_kind,
+    element_colour,
+    estimated_inputs,
+    joint_units,
 )
+from stiffopt.report.common.svg import BLUE, GREY, VERMILLION, WIDTH, figure_style, line_style
+from stiffopt.report.common.text import listed, percent
 
 if TYPE_CHECKING:
     from stiffopt.robot.robot import Robot
@@ -148,3 +150,192 @@ def _first_slips(robot: Robot) -> list[FirstSlip]:
             name = min(slip, key=lambda each: slip[each])
             found.append(FirstSlip(number, name, slip[name], float(robot.torque_max[number - 1])))
     return found
+
+
+SHARE_RATIOS = (0.001, 0.01, 0.1, 1.0)
+# Ratio of two joints' largest losses from which on both are not legible on one linear axis.
+_MAX_LINEAR_RATIO = 10.0
+
+
+@dataclass(frozen=True)
+class StiffnessCurve:
+    """Stiffness of one joint over the torque ratio, for one reading of the key flanks.
+
+    Parameters
+    ----------
+    joint : int
+        From 1.
+    flanks : str
+    ratio : array (K,)
+        Torque over the largest torque.
+    tangent, reducer_only, relative : array (K,)
+        With contacts and without [N m/rad], and their ratio.
+    windup : array (K,) [rad]
+    first, cyclic : array (K,)
+        Tangent stiffness under first loading and under cyclic loading of the contacts [N m/rad].
+    """
+
+    joint: int
+    flanks: str
+    ratio: np.ndarray
+    tangent: np.ndarray
+    reducer_only: np.ndarray
+    relative: np.ndarray
+    windup: np.ndarray
+    first: np.ndarray
+    cyclic: np.ndarray
+
+    @property
+    def loss(self) -> np.ndarray:
+        """Share of the reducer's stiffness that the contacts take (K,)."""
+        return 1.0 - self.relative
+
+    @property
+    def ratio_of_largest_loss(self) -> float:
+        """Torque ratio at which contacts matter most."""
+        return float(self.ratio[np.argmax(self.loss)])
+
+    def at(self, ratio: float, values: np.ndarray) -> float:
+        """Value of one of the curve's arrays at a torque ratio, interpolated."""
+        return float(np.interp(np.log(ratio), np.log(self.ratio), values))
+
+
+def stiffness_curves(rows: Iterable[StiffnessRow]) -> dict[int, list[StiffnessCurve]]:
+    """Curves by joint; the robot's own reading of the flanks first."""
+    groups: dict[tuple[int, str], list[StiffnessRow]] = {}
+    for row in rows:
+        groups.setdefault((row.joint, row.flanks), []).append(row)
+    curves: dict[int, list[StiffnessCurve]] = {}
+    for (joint, flanks), own in groups.items():
+        table = sorted(
+            (
+                row.torque_ratio,
+                row.tangent_stiffness,
+                row.reducer_only_tangent_stiffness,
+                row.ratio_to_reducer_only,
+                row.windup,
+                row.first_loading_stiffness,
+                row.cyclic_stiffness,
+            )
+            for row in own
+        )
+        curves.setdefault(joint, []).append(StiffnessCurve(joint, flanks, *np.array(table).T))
+    return curves
+
+
+def tangent_figure(
+    curves: Mapping[int, Sequence[StiffnessCurve]], units: Sequence[JointUnits], low_torque: bool
+) -> Figure:
+    """Tangent stiffness of every joint: with contacts, and the reducer alone.
+
+    Parameters
+    ----------
+    curves : mapping joint number -> curves
+    units : sequence of JointUnits
+    low_torque : bool
+        Logarithmic torque axis, which opens the region near zero torque.
+    """
+    with figure_style():
+        columns = min(3, len(curves))
+        rows = -(-len(curves) // columns)
+        figure = Figure(figsize=(WIDTH, 0.9 + 2.0 * rows))
+        grid = figure.subplots(rows, columns, squeeze=False).ravel()
+        for axes in grid[len(curves) :]:
+            axes.set_visible(False)
+        for place, (joint, readings) in enumerate(curves.items()):
+            _draw_tangent_panel(grid[place], readings, low_torque)
+            unit = units[joint - 1]
+            grid[place].set_title(f"{unit.label} [{unit.stiffness}]")
+            if place + columns >= len(curves):
+                grid[place].set_xlabel("torque over largest torque")
+        handles, labels = grid[0].get_legend_handles_labels()
+        below = -0.12 / figure.get_figheight()
+        figure.legend(handles, labels, loc="upper left", ncols=3, bbox_to_anchor=(0.05, below))
+        figure.subplots_adjust(left=0.07, right=0.995, wspace=0.24, hspace=0.34)
+        return figure
+
+
+def _draw_tangent_panel(axes: Axes, readings: Sequence[StiffnessCurve], low_torque: bool) -> None:
+    own = readings[0]
+    for other in readings[1:]:
+        label = f"with contacts, flanks in {other.flanks}"
+        axes.plot(other.ratio, other.tangent, color=GREY, linewidth=1.0, label=label)
+    keys = f", flanks in {own.flanks} (this robot)" if own.flanks in ("series", "parallel") else ""
+    dashes = (0, (5, 1.5))
+    axes.plot(
+        own.ratio, own.reducer_only, color=VERMILLION, linestyle=dashes, label="reducer alone"
+    )
+    axes.plot(own.ratio, own.tangent, color=BLUE, linewidth=2.0, label=f"with contacts{keys}")
+    if low_torque:
+        axes.set_xscale("log")
+        axes.xaxis.set_major_formatter("{x:g}")
+    axes.set_ylim(bottom=0.0)
+    axes.margins(x=0.01)
+    axes.locator_params(axis="y", nbins=5)
+
+
+def loss_figure(
+    curves: Mapping[int, Sequence[StiffnessCurve]], units: Sequence[JointUnits]
+) -> Figure:
+    """Share of the reducer's tangent stiffness that contacts take, all joints.
+
+    The axis is logarithmic where the joints' shares are so far apart that a linear one would merge
+    the small ones.
+    """
+    with figure_style():
+        figure = Figure(figsize=(WIDTH, 3.8))
+        axes = figure.subplots()
+        losses = []
+        for joint, readings in curves.items():
+            own = readings[0]
+            losses.append(100.0 * own.loss)
+            style = line_style(joint - 1)
+            axes.plot(own.ratio, losses[-1], label=units[joint - 1].label, **style)
+        axes.set_xscale("log")
+        axes.xaxis.set_major_formatter("{x:g}")
+        highest = [float(np.max(each)) for each in losses]
+        if min(highest) > 0.0 and max(highest) > _MAX_LINEAR_RATIO * min(highest):
+            axes.set_yscale("log")
+            axes.yaxis.set_major_formatter("{x:g}")
+        else:
+            axes.set_ylim(bottom=0.0)
+        axes.set_xlabel("torque over largest torque")
+        axes.set_ylabel("stiffness lost to contacts [%]")
+        axes.margins(x=0.01)
+        axes.legend(loc="best", ncols=2)
+        figure.subplots_adjust(left=0.07, right=0.995)
+        return figure
+
+
+def shares_figure(robot: Robot, units: Sequence[JointUnits]) -> Figure:
+    """Share of every kind of element in the tangent compliance, at several torque ratios."""
+    jointed = [j for j, chain in enumerate(robot.chains) if chain is not None]
+    with figure_style():
+        figure = Figure(figsize=(WIDTH, 0.9 + max(0.34 * len(jointed), 1.0)))
+        grid = figure.subplots(1, len(SHARE_RATIOS), sharey=True)
+        named: dict[str, Any] = {}
+        for axes, ratio in zip(grid, SHARE_RATIOS, strict=True):
+            for row, j in enumerate(jointed):
+                left = 0.0
+                torque = ratio * float(robot.torque_max[j])
+                for kind, share in compliance_by_kind(robot.chains[j], torque).items():
+                    colour = element_colour(kind)
+                    bar = axes.barh(row, 100 * share, left=left, height=0.66, color=colour)
+                    named.setdefault(kind.replace("_", " "), bar)
+                    left += 100 * share
+            axes.set_xlim(0.0, 100.0)
+            axes.set_title(f"{100 * ratio:g} % of the largest torque")
+            axes.set_xlabel("compliance [%]")
+            axes.grid(visible=False, axis="y")
+        grid[0].set_yticks(range(len(jointed)), [units[j].label for j in jointed])
+        grid[0].invert_yaxis()
+        below = -0.3 / figure.get_figheight()
+        figure.legend(
+            list(named.values()),
+            list(named),
+            loc="upper left",
+            ncols=8,
+            bbox_to_anchor=(0.03, below),
+        )
+        figure.subplots_adjust(left=0.04, right=0.985, wspace=0.14)
+        return figure
