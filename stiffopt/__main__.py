@@ -6,15 +6,14 @@ from contextlib import nullcontext
 
 from stiffopt.interrupts import beginning
 
-# Of the search for unreachable cycles, of which a command leaves few: at every 700th object, as
-# Python has it, it was a tenth of a solve.
+# Collection of reference cycles: Python's default, every 700 objects, took a tenth of a solve.
 _GC_THRESHOLDS = (50_000, 20, 100)
 
 
 def main() -> None:
-    """Run the command line; Ctrl-C while it is still loading is an interruption as well.
+    """Run the command line; Ctrl-C is handled from the first import on.
 
-    Of a solve it waits for a motion from the first moment on.
+    In `solve` an interruption waits for a first motion.
     """
     gc.set_threshold(*_GC_THRESHOLDS)
     try:
@@ -29,7 +28,7 @@ def main() -> None:
     except KeyboardInterrupt:
         print("stiffopt: interrupted; nothing was written.", file=sys.stderr)
         code = 130
-    # What is left goes with the process: nothing of it is looked through once more.
+    # The process ends: no further collection of its objects.
     gc.freeze()
     sys.exit(code)
 

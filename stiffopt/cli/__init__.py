@@ -1,7 +1,7 @@
 """The command line: `stiffopt solve`, `preload`, `diagnose`, `recording check` and the others.
 
-Exit codes: 0 done, 1 a verified value is off, 2 wrong input or command line, 3 no usable result,
-130 interrupted. Commands import what they need, so that help and errors come at once.
+Exit codes: 0 success, 1 a verified value deviates, 2 invalid input or command line, 3 no usable
+result, 130 interrupted. Commands import their modules when called, so that help is fast.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from cyclopts import CycloptsError, UnusedCliTokensError
 
 from stiffopt import folders
 
-# In the order in which help lists them; importing registers them.
+# Importing registers the commands.
 from stiffopt.cli import cache, elastic, exports, motions, recordings, schemas, starters, sweeps
 from stiffopt.cli.base import app
 from stiffopt.errors import InputError, NoSolutionFound, shortened
@@ -33,7 +33,7 @@ __all__ = [
 
 
 def run(arguments: Sequence[str] | None = None) -> int:
-    """Run a command line; return its exit code. Errors of the user become one message."""
+    """Run a command line and return its exit code; user errors become one message."""
     folders.written.clear()
     tokens = list(sys.argv[1:] if arguments is None else arguments)
     try:
@@ -49,9 +49,9 @@ def run(arguments: Sequence[str] | None = None) -> int:
         return 3
     except KeyboardInterrupt as stop:
         kept = " and ".join(map(str, folders.written))
-        said = f"{kept} was written before." if kept else "nothing was written."
-        said = next((each for each in stop.args if isinstance(each, str)), said)
-        print(f"stiffopt: interrupted; {said}", file=sys.stderr)
+        state = f"{kept} was written before." if kept else "nothing was written."
+        state = next((each for each in stop.args if isinstance(each, str)), state)
+        print(f"stiffopt: interrupted; {state}", file=sys.stderr)
         return 130
     except OSError as error:
         place = f"{error.filename}: " if error.filename else ""
@@ -61,10 +61,11 @@ def run(arguments: Sequence[str] | None = None) -> int:
 
 
 def _describe_unused_tokens(error: UnusedCliTokensError) -> str:
-    """Name what was given beyond what a command takes."""
+    """Return a message on arguments that a command does not accept."""
     command, unused = " ".join(error.command_chain or ()), error.unused_tokens or []
     known = error.app.assemble_argument_collection() if error.app else ()
     options = {name for argument in known for name in argument.names}
     meant = [f" Did you mean --{token}?" for token in unused if f"--{token}" in options]
-    more = f"`stiffopt {command} --help` tells what it takes."
-    return f"{command}: {shortened(' '.join(unused))} is more than it takes.{''.join(meant)} {more}"
+    extra = shortened(" ".join(unused))
+    more = f"See `stiffopt {command} --help`."
+    return f"{command}: unexpected argument {extra}.{''.join(meant)} {more}"

@@ -1,4 +1,4 @@
-"""`stiffopt cache`: the compiled stage functions that later solves start with."""
+"""`stiffopt cache`: cache of compiled functions."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ _NO_COMPILER_NOTE = "solves take three to seven times as long (same results)."
 
 @app.command
 def cache(*, clear: bool = False) -> int:
-    """Show the compiled functions of this user, or remove them.
+    """Show or clear the user's cache of compiled functions.
 
-    A solve has its stage compiled beside it and later solves of the same kind use that, with the
-    same result. STIFFOPT_COMPILE=never turns it off, STIFFOPT_CACHE names another folder.
+    Functions are compiled in the background of a solve and used by later solves of the same kind,
+    with the same result. STIFFOPT_COMPILE=never disables it, STIFFOPT_CACHE sets the folder.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""`stiffopt schema`, `explain`, `catalogue` and `compare`: files, what there is, what differs."""
+"""`stiffopt schema`, `explain`, `catalogue` and `compare`."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ def schema(
         "extended",
     ] = "trajectory",
 ) -> int:
-    """Print the JSON Schema of a file kind, for editors.
+    """Print the JSON Schema of a kind of file, for editors.
 
     Parameters
     ----------
     kind
-        Which file.
+        Kind of file.
     """
     from stiffopt.report.file_reference import file_schema
 
@@ -36,12 +36,12 @@ def schema(
 
 @app.command
 def explain(key: str) -> int:
-    """Say what a key of a file means: its sentence, what may stand there, unit and default.
+    """Explain a key of a file: description, allowed values, unit and default.
 
     Parameters
     ----------
     key
-        Name or place of a key: prepressure, motion.duration, limits.jerk.
+        Name or path of a key, such as prepressure, motion.duration or limits.jerk.
     """
     from stiffopt.report.common.terminal import print_lines
     from stiffopt.report.file_reference import explain_key
@@ -57,14 +57,14 @@ def catalogue(
     *,
     own: Path | None = None,
 ) -> int:
-    """List what the package brings along, with where each number comes from.
+    """List the shipped catalogues with the sources of their numbers.
 
     Parameters
     ----------
     kind
-        Which table; without it, the kinds there are.
+        Catalogue to list; without it, the available catalogues.
     own
-        One's own catalogue file, which is read and shown beside.
+        User catalogue file, whose entries are added.
     """
     from contextlib import nullcontext
 
@@ -83,14 +83,14 @@ def catalogue(
 
 @app.command
 def compare(first: Path, second: Path, *, changes: NoChanges = ()) -> int:
-    """Compare the answers of two result folders: every entry that differs.
+    """Compare two result folders and list every entry that differs.
 
     Parameters
     ----------
     first
-        Folder of a solve, a study or a diagnosis.
+        Folder of a solve, a preload study or a diagnosis.
     second
-        Another of the same kind.
+        Another folder of the same kind.
     """
     from stiffopt.report.common.terminal import print_lines, print_table
     from stiffopt.report.compare import compare_results
@@ -100,5 +100,5 @@ def compare(first: Path, second: Path, *, changes: NoChanges = ()) -> int:
     if rows:
         print_table((name, str(first), str(second), "change"), rows)
     else:
-        print_lines((f"{name}: the two answers are the same.",))
+        print_lines((f"{name}: no differences.",))
     return 0

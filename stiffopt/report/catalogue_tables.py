@@ -1,4 +1,4 @@
-"""Tables of what the package brings along: reducers, bolts, keys, belts, surfaces, and so on."""
+"""Tables of the shipped catalogues: reducers, bolts, keys, belts, surfaces, robots, effects."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ Table = tuple[tuple[str, ...], list[tuple[str, ...]]]
 
 
 def catalogue_table(kind: CatalogueKind) -> Table:
-    """Head and rows of one kind, as texts."""
+    """Return header and rows of one catalogue as text."""
     return _TABLE_BUILDERS[kind]()
 
 
 def catalogue_kinds() -> list[tuple[str, str, str]]:
-    """Each kind with how many there are and where a file names them."""
+    """Return each catalogue with its number of entries and the key that refers to it in files."""
     return [
         (kind, str(len(_TABLE_BUILDERS[kind]()[1])), _FILE_ENTRIES[kind])
         for kind in get_args(CatalogueKind)
@@ -61,7 +61,6 @@ def _bolt_table() -> Table:
 
 
 def _format_washer(size: str) -> str:
-    """Diameter and thickness of a bolt's washer."""
     try:
         found = catalogue.washer(size)
     except InputError:
@@ -112,7 +111,7 @@ def _robot_table() -> Table:
 
 
 def _effect_table() -> Table:
-    head = ("effect", "family", "scope", "equation", "how it shows")
+    head = ("effect", "family", "scope", "equation", "signature")
     return head, [(e.name, e.family, e.scope, e.equation, e.signature) for e in CATALOGUE]
 
 
@@ -141,5 +140,5 @@ _FILE_ENTRIES = {
     "belts": 'profile = "NAME" of an element of type "timing_belt"',
     "surfaces": 'surface = "NAME" of keys, flanges and pins',
     "robots": 'robot = "NAME" of problems, studies and recording sets',
-    "effects": "what `stiffopt diagnose` can name",
+    "effects": "effects that `stiffopt diagnose` can identify",
 }

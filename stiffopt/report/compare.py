@@ -1,4 +1,4 @@
-"""Two result folders side by side: what differs between their answers."""
+"""Comparison of two result folders, entry by entry."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from stiffopt.folders import check_result
 from stiffopt.report.common.text import DASH, si, words
 
 ANSWERS = ("result.json", "diagnosis.json", "study.json", "stiffness.json")
-# Relative difference below which two numbers are the same; times of a solver never are.
+# Relative difference below which two numbers count as equal.
 _EQUAL_RELATIVE_TOLERANCE = 1e-9
 _IGNORED_ENTRIES = ("versions", "solver", "inputs_hash", "detection_limits", "faults", "homotopy")
 # SI units of entries that have one name in all answers.
@@ -32,12 +32,12 @@ Row = tuple[str, str, str, str]
 
 
 def compare_results(first: Path, second: Path) -> tuple[str, list[Row]]:
-    """Name of the answer and a row for each entry that differs.
+    """Return the name of the result file and one row per differing entry.
 
     Raises
     ------
     InputFileError
-        A folder without an answer, or answers of two kinds.
+        A folder has no result file, or the two are of different kinds.
     """
     names = [_find_answer(folder) for folder in (first, second)]
     if names[0] != names[1]:
@@ -45,7 +45,7 @@ def compare_results(first: Path, second: Path) -> tuple[str, list[Row]]:
             second, "", f"holds {names[1]}, {first} holds {names[0]}. Compare two of one kind."
         )
     documents = [load_json(folder / names[0]) for folder in (first, second)]
-    one, two = (dict(_flatten(document)) for document in documents)
+    one, two = (dict(_flatten_entries(document)) for document in documents)
     units = [_objective_unit(document) for document in documents]
     rows = []
     for key in dict.fromkeys((*one, *two)):
@@ -60,7 +60,7 @@ def compare_results(first: Path, second: Path) -> tuple[str, list[Row]]:
 
 
 def quantity(key: str) -> str:
-    """Place of an entry in words.
+    """Return the path of an entry in words.
 
     >>> quantity("certificate.violations[2].value"), quantity("baselines.toppra.duration")
     ('certificate, violations 2, value', 'baselines, toppra, duration')
@@ -70,13 +70,13 @@ def quantity(key: str) -> str:
 
 
 def _objective_unit(document: Any) -> str:
-    """Unit of the objective's value in a document; "" where it says none."""
+    """Return the unit of the objective's value, or ""."""
     objective = document.get("objective") if isinstance(document, dict) else None
     return str(objective.get("unit", "")) if isinstance(objective, dict) else ""
 
 
 def _unit_of(key: str, objective: str) -> str:
-    """SI unit of an entry as far as its name tells, `objective` of the objective's values."""
+    """Return the SI unit of an entry by its name; `objective` is that of objective values."""
     place = re.sub(r"\[\d+\]", "", key)
     if place == "objective.value" or re.fullmatch(
         r"(baselines\..+|strict_baseline)\.objective", place
@@ -95,14 +95,14 @@ def _find_answer(folder: Path) -> str:
     )
 
 
-def _flatten(value: Any, place: str = "") -> Iterator[tuple[str, Any]]:
+def _flatten_entries(value: Any, place: str = "") -> Iterator[tuple[str, Any]]:
     if isinstance(value, dict):
         for key, inside in value.items():
             if key not in _IGNORED_ENTRIES:
-                yield from _flatten(inside, f"{place}.{key}".lstrip("."))
+                yield from _flatten_entries(inside, f"{place}.{key}".lstrip("."))
     elif isinstance(value, list):
         for number, inside in enumerate(value, start=1):
-            yield from _flatten(inside, f"{place}[{number}]")
+            yield from _flatten_entries(inside, f"{place}[{number}]")
     else:
         yield place, value
 
@@ -124,7 +124,7 @@ def _format_value(value: Any, unit: str) -> str:
 
 def _format_change(key: str, a: Any, b: Any) -> str:
     if key.rpartition(".")[2] == "joint":
-        # Which one, not how much.
+        # A joint number has no relative change.
         return ""
     numbers = all(isinstance(v, float | int) and not isinstance(v, bool) for v in (a, b))
     return more(b, a, 3) if numbers and a else ""

@@ -1,6 +1,6 @@
-"""Reference of the files: every key with its unit, default and sentence, from the declarations.
+"""Reference of the input files, from their declarations: each key with unit, range and default.
 
-`python -m stiffopt.report.file_reference > .github/files.md` writes the page anew.
+`python -m stiffopt.report.file_reference > .github/files.md` regenerates the page.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from stiffopt.robot.schema import robot_file
 from stiffopt.sweep.schema import SweepFile
 from stiffopt.validation import Section
 
-# More names of the catalogue than these are not written out.
+# Catalogue names listed for one key.
 _MAX_NAMES = 12
 
 _PAGE_HEAD = """# Files
@@ -55,7 +55,7 @@ _KIND_TITLES = {
 
 
 def file_models() -> dict[str, type[Section]]:
-    """Schema of each kind of file, as a pydantic model."""
+    """Return the pydantic model of each kind of file."""
     return {
         "trajectory": problem_file(),
         "preload": PreloadFile,
@@ -69,12 +69,12 @@ def file_models() -> dict[str, type[Section]]:
 
 
 def file_schema(kind: str) -> dict[str, Any]:
-    """JSON Schema of a kind of file."""
+    """Return the JSON Schema of a kind of file."""
     return file_models()[kind].model_json_schema(by_alias=True)
 
 
 def reference_page() -> str:
-    """Whole page, in Markdown."""
+    """Return the reference page as Markdown."""
     parts = [_PAGE_HEAD]
     for kind, title in _KIND_TITLES.items():
         parts.append(f"## {title}")
@@ -84,14 +84,14 @@ def reference_page() -> str:
 
 
 def _column_table() -> str:
-    """Return the table of the columns of a motion."""
+    """Return the table of the columns of trajectory.csv."""
     rows = ["| column | unit | |", "|---|---|---|"]
     rows += [f"| `{name}` | {unit} | {text} |" for name, (unit, text) in COLUMNS.items()]
     return "\n".join(rows)
 
 
 def sentence(field: dict[str, Any], definitions: dict[str, Any]) -> str:
-    """What a key is: its own sentence, else that of the section that it holds."""
+    """Return the description of a key, or of the section that it contains."""
     if "description" in field:
         return " ".join(field["description"].split())
     held = [form["$ref"].rpartition("/")[2] for form in forms(field) if "$ref" in form]
@@ -99,7 +99,7 @@ def sentence(field: dict[str, Any], definitions: dict[str, Any]) -> str:
 
 
 def units(field: dict[str, Any]) -> list[str]:
-    """Units of a key, in brackets behind the first that of a prismatic joint."""
+    """Return the units of a key; that of a prismatic joint follows in brackets."""
     found = [
         f"{form['unit']} ({form['unit_prismatic']})" if "unit_prismatic" in form else form["unit"]
         for form in forms(field)
@@ -109,7 +109,7 @@ def units(field: dict[str, Any]) -> list[str]:
 
 
 def plausible(field: dict[str, Any]) -> str:
-    """Plausible magnitudes in the SI unit, in brackets behind them those of a prismatic joint."""
+    """Return the plausible range [SI]; that of a prismatic joint follows in brackets."""
     ranges = {
         word: [range_text(form[word]) for form in forms(field) if word in form]
         for word in ("plausible", "plausible_prismatic")
@@ -120,7 +120,7 @@ def plausible(field: dict[str, Any]) -> str:
 
 
 def forms(field: dict[str, Any]) -> Iterator[dict[str, Any]]:
-    """A key's schema and all that it may hold."""
+    """Yield the schema of a key and, recursively, those of its alternatives and items."""
     yield field
     for word in ("anyOf", "oneOf", "prefixItems"):
         for form in field.get(word, ()):
@@ -132,7 +132,7 @@ def forms(field: dict[str, Any]) -> Iterator[dict[str, Any]]:
 
 @dataclass(frozen=True)
 class FileKey:
-    """A key of a file: where it stands and what may stand there, as texts."""
+    """A key of a file as text: place, type, unit, plausible range, default and description."""
 
     place: str
     value: str
@@ -143,7 +143,7 @@ class FileKey:
 
 
 def file_keys(kind: str) -> Iterator[FileKey]:
-    """Every key of a kind of file; its place such as "motion.start.rpy"."""
+    """Yield every key of a kind of file; its place reads such as "motion.start.rpy"."""
     schema = file_schema(kind)
     definitions = schema.get("$defs", {})
     for places, section in _section_places(schema):
@@ -155,7 +155,7 @@ def file_keys(kind: str) -> Iterator[FileKey]:
 
 
 def _format_sections(schema: dict[str, Any]) -> Iterator[str]:
-    """Text and table of the file as a whole and of each of its sections."""
+    """Yield description and table of the file and of each of its sections."""
     definitions = schema.get("$defs", {})
     for used, section in _section_places(schema):
         if used:
@@ -167,7 +167,7 @@ def _format_sections(schema: dict[str, Any]) -> Iterator[str]:
 
 
 def _section_places(schema: dict[str, Any]) -> Iterator[tuple[list[str], dict[str, Any]]]:
-    """Sections of a file with the headings under which they stand; the file itself has none."""
+    """Yield the sections of a file with their headings; the file itself has none."""
     definitions = schema.get("$defs", {})
     places: dict[str, list[str]] = {}
     waiting = [(schema, "")]
@@ -186,7 +186,7 @@ def _section_places(schema: dict[str, Any]) -> Iterator[tuple[list[str], dict[st
 
 
 def _section_references(field: dict[str, Any], place: str) -> Iterator[tuple[str, str, str]]:
-    """Name, place and heading of the sections that a key holds."""
+    """Yield name, place and heading of the sections that a key contains."""
     for form in forms(field):
         if "$ref" in form:
             inside = f"{place}.NAME" if _is_in_mapping(field, form) else place
@@ -215,7 +215,7 @@ def _key_table(section: dict[str, Any], definitions: dict[str, Any]) -> str:
 
 
 def _key_rows(section: dict[str, Any], definitions: dict[str, Any]) -> Iterator[tuple[str, ...]]:
-    """Key, value, unit, plausible range, default and sentence of every key of a section."""
+    """Yield key, type, unit, plausible range, default and description of a section's keys."""
     required = section.get("required", ())
     for key, field in section["properties"].items():
         if "const" in field and key == "type":
@@ -233,7 +233,7 @@ def _key_rows(section: dict[str, Any], definitions: dict[str, Any]) -> Iterator[
 
 
 def _format_type(field: dict[str, Any]) -> str:
-    """What may stand there, in words."""
+    """Return the type of a key in words."""
     if "const" in field:
         return f"`{field['const']!r}`".replace("'", '"')
     if "enum" in field:
@@ -258,7 +258,7 @@ def _format_type(field: dict[str, Any]) -> str:
 
 
 def _format_bounds(field: dict[str, Any]) -> str:
-    """Bounds of a number, of whichever of its forms has them."""
+    """Return the bounds of a number, from any of its alternatives."""
     texts = {
         "exclusiveMinimum": "above",
         "minimum": "at least",
@@ -288,7 +288,7 @@ def _format_default(field: dict[str, Any]) -> str:
 
 
 def _format_examples(field: dict[str, Any]) -> str:
-    """Names that the catalogue has for a key."""
+    """Return the catalogue names that a key accepts, shortened."""
     names = [name for form in forms(field) for name in form.get("examples", ())]
     more = ", ..." if len(names) > _MAX_NAMES else ""
     return f" One of {', '.join(names[:_MAX_NAMES])}{more}." if names else ""
@@ -299,20 +299,20 @@ if __name__ == "__main__":
 
 
 _MAX_PLACES = 12
-# Share of letters in common from which on another word is taken for what was meant: "durration" and
-# "duration" have 0.94, "shaped_deviation" and "head_friction" 0.62.
+# difflib ratio from which another word is suggested: "durration" and "duration" have 0.94,
+# "shaped_deviation" and "head_friction" 0.62.
 _MIN_SPELLING_SIMILARITY = 0.8
 
 
 def explain_key(key: str) -> Iterator[str]:
-    """Lines about every key of that name or place, such as "prepressure" or "motion.duration".
+    """Yield lines on every key of a name or place, such as "prepressure" or "motion.duration".
 
-    A word that stands as a value, such as the name of an objective, is found as well.
+    Allowed values, such as the name of an objective, are found as well.
 
     Raises
     ------
     InputError
-        No file has such a key or value; one that is spelled nearly so is named.
+        No file has such a key or value; the message suggests a similar one.
     """
     wanted = key.strip().strip("[]").replace("[[", "").replace("]]", "").replace(" ", "")
     every = [(kind, each) for kind in file_models() for each in file_keys(kind)]
@@ -340,7 +340,7 @@ def explain_key(key: str) -> Iterator[str]:
 
 
 def _allowed_words(key: FileKey) -> list[str]:
-    """Words of which one stands at a key."""
+    """Return the words that a key accepts as value."""
     return re.findall(r'"([^"]+)"', key.value)
 
 

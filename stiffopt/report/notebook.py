@@ -14,7 +14,7 @@ from stiffopt.result.solution import Solution
 
 
 def figure_of(result: Any) -> Figure:
-    """Joint motion and deflection of a solution; residuals over noise of a diagnosis."""
+    """Plot joint motion and deflection of a solution, or residuals over noise of a diagnosis."""
     if isinstance(result, Diagnosis):
         return residual_figure(result)
     assert isinstance(result, Solution)

@@ -1,4 +1,4 @@
-"""What `stiffopt recording check` prints."""
+"""Output of `stiffopt recording check`."""
 
 from __future__ import annotations
 
@@ -17,22 +17,22 @@ from stiffopt.report.common.terminal import print_lines
 
 
 def print_check(report: RecordingReport, effects: Sequence[EffectCheck]) -> None:
-    """A recording set: runs with their faults, what is missing, what can be identified."""
+    """Print the check of a recording set."""
     _print_styled(report_lines(report, effects))
 
 
 def report_lines(report: RecordingReport, effects: Sequence[EffectCheck]) -> Iterator[str]:
-    """Lines of text: runs, channels, faults, what is missing, what can be identified."""
+    """Yield lines on runs, channels, faults, missing signals and identifiable effects."""
     yield f"{report.title}: {len(report.joints)} joints, {len(report.runs)} runs"
     for run in report.runs:
         yield ""
         yield from _run_lines(run)
     yield ""
-    yield "Balances"
+    yield "Residuals that can be computed"
     for joint, (name, found) in enumerate(zip(report.joints, report.balances, strict=True), 1):
         yield f"  joint {joint} ({name}): {', '.join(found) or 'none'}"
     yield ""
-    yield "Can be identified"
+    yield "Identifiable effects"
     yield from _effect_lines(effects)
     for heading, sentences in (
         ("Missing", report.missing),
@@ -45,7 +45,7 @@ def report_lines(report: RecordingReport, effects: Sequence[EffectCheck]) -> Ite
 
 
 def _run_lines(run: RunCheck) -> Iterator[str]:
-    gap = f", longest wait {1e3 * run.longest_gap:.3g} ms" if run.jitter > 0.0 else ""
+    gap = f", longest gap {1e3 * run.longest_gap:.3g} ms" if run.jitter > 0.0 else ""
     yield (
         f"{run.file} ({run.role}): {run.samples} samples, {run.duration:.4g} s, "
         f"{run.rate:.4g} Hz, jitter {1e3 * run.jitter:.2g} ms{gap}"
@@ -73,7 +73,7 @@ def _channel_line(channel: ChannelCheck) -> str:
 
 
 def _effect_lines(every: Sequence[EffectCheck]) -> Iterator[str]:
-    """Each effect with the joints it can be found on, and the reasons for the others."""
+    """Yield each effect with the joints at which it is identifiable, and reasons for the others."""
     for effect in dict.fromkeys(check.effect.name for check in every):
         checks = [check for check in every if check.effect.name == effect]
         if checks[0].joint is None:
@@ -101,17 +101,17 @@ def _format_reasons(lacks: tuple[str, ...]) -> str:
 
 
 def print_static_check(facts: dict[str, Any]) -> None:
-    """A static set, from `static_facts`."""
+    """Print the check of a static set, from `static_facts`."""
     _print_styled(_static_lines(facts))
 
 
 def static_facts(recorded: StaticSet) -> dict[str, Any]:
-    """What a static set holds and what can be identified with it, as plain data for JSON.
+    """Return content and identifiability of a static set as plain data for JSON.
 
     Raises
     ------
     InputFileError
-        Too few poses, weight in the displacements and no masses.
+        Too few poses, or displacements under weight without known masses.
     """
     can = identifiable(static_rows(recorded).compliance_columns())
     force = np.linalg.norm(recorded.force, axis=1)
@@ -152,12 +152,12 @@ def _static_lines(facts: dict[str, Any]) -> Iterator[str]:
     yield f"{facts['title']}: static set, {len(facts['joints'])} joints, {facts['poses']} poses"
     yield f"  force {low:.4g} to {high:.4g} N, displacement {least:.3g} to {most:.3g} m"
     yield (
-        "  displacements are differences of two load states: weight is out"
+        "  displacements are differences of two load states: weight cancels"
         if facts["difference"]
-        else "  displacements include what the weight of the links adds"
+        else "  displacements include the deflection under the links' weight"
     )
     yield ""
-    yield "Joint stiffness that can be identified"
+    yield "Identifiable joint stiffness"
     for joint in facts["joints"]:
         yield (
             f"  joint {joint['joint']} ({joint['name']}, {joint['lowest']:.3g} to"
@@ -166,7 +166,7 @@ def _static_lines(facts: dict[str, Any]) -> Iterator[str]:
     if not facts["nominal_stiffness"]:
         yield ""
         yield "Missing"
-        yield "  No nominal stiffness: what is found is compared with nothing."
+        yield "  No nominal stiffness: identified values cannot be compared with it."
 
 
 def _identifiability_phrase(joint: dict[str, Any]) -> str:
@@ -176,12 +176,12 @@ def _identifiability_phrase(joint: dict[str, Any]) -> str:
     if not joint["identifiable"]:
         return "no, no pose loads it"
     if joint["leverage"] < WEAK:
-        return "hardly, the poses load it little"
+        return "poorly, the poses load it little"
     return f"yes, load {joint['leverage']:.2g} of that of the most loaded joint"
 
 
 def _print_styled(lines: Iterable[str]) -> None:
-    """Headings bold, faults yellow."""
+    """Print headings bold and faults yellow."""
     print_lines(Text(line, style=_line_style(line)) for line in lines)
 
 

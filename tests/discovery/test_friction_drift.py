@@ -106,7 +106,7 @@ def test_drift_is_named_as_one_effect_with_its_spread(tmp_path):
     (kind,) = [each.kind for each in found.not_carried_over]
     assert kind == "friction drift"
     assert drift.rms > 0.5
-    assert "a further run is predicted with the mean" in transfer_sentences(found)[0]
+    assert "predictions use the mean" in transfer_sentences(found)[0]
     path = tmp_path / "extended.toml"
     path.write_text(extended_text(found), encoding="utf-8")
     (again,) = load_extended(path).extension.effects

@@ -107,7 +107,7 @@ def test_one_entry_changed_for_a_run_and_the_answers_compared(tmp_path, capsys):
     assert "objective.value" not in said
     assert "-87.5 %" in said
     assert run(["compare", str(one), str(one)]) == 0
-    assert "the two answers are the same" in capsys.readouterr().out
+    assert "no differences" in capsys.readouterr().out
     assert run(["compare", str(one), str(tmp_path)]) == 2
     assert run(["solve", str(TWO_LINK), "--set", "motion.durration=1 s"]) == 2
     assert "Did you mean 'duration'?" in capsys.readouterr().err

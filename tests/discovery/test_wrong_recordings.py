@@ -110,7 +110,7 @@ def test_a_torque_that_is_never_seen_is_not_called_explained(tmp_path: Path) -> 
     diagnosis = diagnose(SCARA.write(tmp_path / "set", constant_torque), experiment=False)
     assert diagnosis.verdict == "nothing_missing"
     (sentence,) = unassessed_joint_sentences(diagnosis)
-    assert sentence == "Joint 2 was not judged: its torque can be used in no training run."
+    assert sentence == "Joint 2 was not assessed: its torque is usable in no training run."
     assert sentence.removesuffix(".") in headline(diagnosis)
     (line,) = fault_lines(diagnosis)
     assert "torque of joint 2 of run_1, run_2, run_3 and run_4 stays at 1.234" in line
@@ -127,4 +127,4 @@ def test_the_run_with_another_payload_is_named(tmp_path: Path) -> None:
     diagnosis = diagnose(SCARA.write(tmp_path / "set", payload=(1, 0.6)), experiment=False)
     assert diagnosis.verdict == "outside_catalogue"
     assert not diagnosis.findings
-    assert "In run_2 the nominal model leaves" in unexplained_sentence(diagnosis)
+    assert "In run_2 the residual of the nominal model" in unexplained_sentence(diagnosis)

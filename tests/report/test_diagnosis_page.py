@@ -73,7 +73,7 @@ def test_page_says_what_was_found(friction, tmp_path):
     assert f"dFc = {pm(parameter.value, parameter.sd, parameter.unit)}" in text
     for role in ("test", "extrapolate"):
         before, after = (significant(v, 3) for v in friction.nrmse(role))
-        assert f"from {before} to {after} on" in text
+        assert f"from {before} to {after} in" in text
     assert friction.next_experiment in text
     names = {path.stem for path in tmp_path.glob("*.svg")}
     assert {"diagnosis_balances", "diagnosis_regimes_1", "diagnosis_extrapolate"} <= names
@@ -97,22 +97,22 @@ def test_named_findings_that_leave_much_say_so(friction, tmp_path, capsys):
     left = unexplained_in(friction, ratio=42.0, left=0.4).unexplained
     found = replace(friction, unexplained=left)
     text = page_of(found, tmp_path).text
-    assert "42 times the noise stays open in the torque of joint 2" in text
-    assert "the most is named, much stays open" in text
+    assert "42 times the noise remains unexplained in the torque of joint 2" in text
+    assert "mostly identified, large unexplained residual" in text
     print_diagnosis(found, tmp_path)
     said = " ".join(capsys.readouterr().out.split())
-    assert "what it is was found" not in said
-    assert "Look first whether unit, torque constant and masses are right" in said
+    assert "which were identified." not in said
+    assert "Check unit, torque constant and masses first" in said
     near = replace(friction, unexplained=replace(left, ratio=3.0))
     print_diagnosis(near, tmp_path)
-    assert "what it is was found" in " ".join(capsys.readouterr().out.split())
+    assert "which were identified." in " ".join(capsys.readouterr().out.split())
 
 
 def test_page_of_what_the_catalogue_lacks(friction, tmp_path):
     found = replace(unexplained_in(friction), held_out=friction.proofs("test"), faults=())
     text = page_of(found, tmp_path).text
-    assert "Something outside the catalogue acts on the torque of joint 2" in text
-    assert "repeats every 0.5 s, whatever the motion" in text
+    assert "effect outside the catalogue acts on the torque of joint 2" in text
+    assert "has a period of 0.5 s" in text
     assert "extrapolation, before" not in text
     assert (tmp_path / "diagnosis_spectrum.svg").exists()
 
@@ -195,7 +195,7 @@ def test_nothing_missing_in_words(friction, tmp_path):
     assert page.table("channel", "noise")[0][0] == "torque of joint 1"
     limits = page.table("effect", "parameter", "J1", "J2")
     assert len({tuple(row[:2]) for row in limits}) == len(limits)
-    assert "The worst channel" in page.text
+    assert "Channel with the largest residual" in page.text
 
 
 def test_what_a_remainder_follows_in_words(friction):
@@ -204,8 +204,8 @@ def test_what_a_remainder_follows_in_words(friction):
     )
     text = lead(followed)
     assert "the position of joint 1 and the direction of motion" in text
-    assert "the session time, which predicts 40 % of it in stretches of" in text
-    assert "nothing that was recorded" in lead(unexplained_in(friction, period=None, regressors=()))
+    assert "the session time, which predicts 40 % of it" in text
+    assert "no recorded signal" in lead(unexplained_in(friction, period=None, regressors=()))
 
 
 def test_rivals_are_ranked(friction, tmp_path):
@@ -213,10 +213,9 @@ def test_rivals_are_ranked(friction, tmp_path):
     other = replace(finding.located, joint=0)
     shared = replace(finding, probability=0.4, rivals=(Rival(located=other, probability=0.6),))
     page = page_of(replace(friction, findings=(shared,)), tmp_path)
-    rivals = page.table("", "effect", "where", "probability")
+    rivals = page.table("", "effect", "place", "probability")
     assert [row[2:4] for row in rivals] == [["joint 1", "60 %"], ["joint 2", "40 %"]]
-    assert "40 % sure" in page.text
-    assert "Coulomb friction of joint 1" in page.text
+    assert "probability 40 %, nearest rival Coulomb friction of joint 1" in page.text
 
 
 def test_torques_and_encoders_are_shared_out_each_for_themselves(friction, tmp_path, capsys):
@@ -233,12 +232,12 @@ def test_torques_and_encoders_are_shared_out_each_for_themselves(friction, tmp_p
     mixed = replace(friction, shares=shares)
     torques, encoders = [each.sentence for each in mismatches(mixed)]
     assert torques == (
-        "Of the mismatch of the torques on runs left out: 99 % Coulomb friction (joint 2), "
-        "0.8 % open."
+        "Mismatch of the torques on held-out runs: 99 % Coulomb friction (joint 2), "
+        "0.8 % unexplained."
     )
     assert encoders == (
-        "Of the mismatch of the link encoders on runs left out: 125 % open. There it is made worse:"
-        " Coulomb friction (joint 2) by 25 %."
+        "Mismatch of the link encoders on held-out runs: 125 % unexplained. Increased by Coulomb"
+        " friction (joint 2) (25 %)."
     )
     print_diagnosis(mixed, tmp_path)
     shown, page = " ".join(capsys.readouterr().out.split()), page_of(mixed, tmp_path).text
@@ -254,16 +253,16 @@ def test_values_without_a_nominal_one_are_no_surprise(friction):
     recordings = friction.recordings
     stated = recordings.stated.model_copy(update={"coulomb": None})
     silent = replace(friction, recordings=recordings.with_nominal(stated, recordings.path))
-    assert headline(silent) == "Found what the nominal model does not give: dry friction of joint 2"
+    assert headline(silent).endswith("without nominal value: dry friction of joint 2")
 
 
 def test_much_left_is_said(friction):
-    assert "not all is explained" not in proof_sentence(friction)
+    assert "largest residual" not in proof_sentence(friction)
     worse = [
         replace(p, channels=tuple(replace(c, after=50.0 * c.before) for c in p.channels))
         for p in friction.held_out
     ]
-    assert "not all is explained" in proof_sentence(replace(friction, held_out=tuple(worse)))
+    assert "largest residual" in proof_sentence(replace(friction, held_out=tuple(worse)))
 
 
 @pytest.mark.parametrize(
@@ -298,7 +297,7 @@ def test_torques_that_are_cut_off_are_told_first():
         ("run2", _saturated(3, 0.01)),
     ]
     (line,) = saturation_sentences(SimpleNamespace(faults=told))
-    assert line.startswith("The torque of joint 2 rests on its largest value in 40 % of run2")
+    assert line.startswith("The torque of joint 2 is saturated in 40 % of run2")
 
 
 def _saturated(joint, share):

@@ -160,7 +160,7 @@ def test_stiffness_page_and_its_plots(tmp_path):
     page = Page(path.read_text(encoding="utf-8"))
     assert page.outside == []
     assert page.tags.count("svg") == 4
-    assert "Contacts take up to 55 % of the stiffness" in page.text
+    assert "Contacts reduce the stiffness by up to 55 %" in page.text
     assert "1.50" in page.text  # slip safety 45 N m / 30 N m
     names = {each.name for each in tmp_path.iterdir()}
     kinds = ("tangent", "low_torque", "loss", "shares")

@@ -83,7 +83,7 @@ def test_from_the_first_second_on_a_command_keeps_a_motion(tmp_path, monkeypatch
         # What lies there already is better than a baseline.
         earlier = {each.name: each.read_bytes() for each in out.iterdir() if each.is_file()}
         assert run(["solve", str(path), "--out", str(out), "--quiet"]) == 130
-        assert "the earlier answer" in capsys.readouterr().err
+        assert "the earlier result" in capsys.readouterr().err
         assert earlier == {each.name: each.read_bytes() for each in out.iterdir() if each.is_file()}
     finally:
         signal.signal(signal.SIGINT, before)

@@ -56,8 +56,8 @@ def test_what_is_no_set_is_named_as_it_is_alone(sets, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("arguments", "named"),
     [
-        (["--model", "m.toml"], "--model is of one recording set, not of 2"),
-        (["--no-report"], "--no-report is of one recording set"),
+        (["--model", "m.toml"], "--model needs a single recording set; 2 were given"),
+        (["--no-report"], "--no-report needs a single recording set"),
         (["--workers", "0"], "at least 1"),
     ],
 )
@@ -68,7 +68,7 @@ def test_what_is_of_one_set_is_refused(sets, capsys, arguments, named):
 
 def test_one_set_takes_no_workers_and_no_set_is_named_twice(sets, capsys):
     assert run(["diagnose", str(sets[0]), "--workers", "2"]) == 2
-    assert "--workers is of several recording sets" in capsys.readouterr().err
+    assert "--workers needs several recording sets" in capsys.readouterr().err
     assert run(["diagnose", str(sets[0]), str(sets[0] / "recordings.toml")]) == 2
     assert "named twice" in capsys.readouterr().err
     problem = ROOT / "problems" / "two_link.toml"

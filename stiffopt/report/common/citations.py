@@ -1,4 +1,4 @@
-"""The literature that a run rests on, from the package's references.bib."""
+"""Literature cited by a report, from the package's references.bib."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class Reference:
 
 @functools.cache
 def references() -> dict[str, Reference]:
-    """All entries by key."""
+    """Return all entries by key."""
     text = files("stiffopt").joinpath("references.bib").read_text(encoding="utf-8")
     found = {}
     for match in re.finditer(r"@\w+\{(\w+),(.*?)\n\}", text, flags=re.DOTALL):
@@ -102,7 +102,7 @@ def preload_references(study: PreloadStudy) -> list[Reference]:
 
 
 def diagnosis_references(effects: Iterable[Effect]) -> list[Reference]:
-    """Collect the sources of a diagnosis: identification, judgement of rivals, effects found."""
+    """Collect the sources of a diagnosis: identification, model comparison, effects found."""
     keys = ["SweversEtAl2007", "KassRaftery1995", _SOLVER_KEYS[2]]
     sources = list(dict.fromkeys(effect.reference for effect in effects if effect.reference))
     known = references()

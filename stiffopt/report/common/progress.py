@@ -1,6 +1,6 @@
-"""Live progress of a command in the terminal; plain lines where the output is no terminal.
+"""Live progress of a solve in the terminal; plain lines where the output is not a terminal.
 
-Only the last event counts, so that drawing never slows the solver down.
+Only the latest event is drawn, so that drawing never delays the solver.
 """
 
 from __future__ import annotations
@@ -21,8 +21,7 @@ from stiffopt.solver.solve_run import SolveProgress
 
 PLAIN_INTERVAL = 1.0
 DRAWS_PER_SECOND = 8
-# Relative violations below this are not worth a reader's attention.
-NEGLIGIBLE = 1e-6
+NEGLIGIBLE = 1e-6  # relative violation below which "none" is shown
 
 
 class ProgressDisplay(ExitStack):
@@ -31,9 +30,9 @@ class ProgressDisplay(ExitStack):
     Parameters
     ----------
     title : str
-        Of the problem.
+        Title of the problem.
     unit : str
-        SI unit of the objective; shown in a size that reads well (mm, ms, ...).
+        SI unit of the objective; shown with a suitable prefix (mm, ms, ...).
     console : rich.console.Console or None
         None: standard error, so that standard output stays free for results.
     clock : callable
@@ -80,7 +79,7 @@ class ProgressDisplay(ExitStack):
         return self
 
     def __call__(self, event: SolveProgress) -> None:
-        """Show the event; a line at most once a second where there is no terminal."""
+        """Show the event; without a terminal print at most one line per second and stage."""
         self._event = event
         self._pending = True
         if self._live is not None:
@@ -110,19 +109,19 @@ class ProgressDisplay(ExitStack):
 
 
 class StudyProgress:
-    """Events of a preload study for a display: quiet while it is quick, with the time of it all.
+    """Adapter from the events of a preload study to a display, with totals over its many solves.
 
-    Events of the many short solves have no stage and begin at zero seconds and iterations each, so
-    that those of all are counted; those of motions have both and go through as they are.
+    Each short solve counts time and iterations from zero and has no stage: these events are summed.
+    Events of motions are passed on unchanged.
 
     Parameters
     ----------
     display : callable
         Called with events that have a stage.
     stage : str
-        Of events that have none.
+        Stage shown for events that have none.
     after : float
-        Nothing is shown before [s].
+        Time before which nothing is shown [s].
     clock : callable
         Seconds; replaced in tests.
     """
@@ -145,7 +144,7 @@ class StudyProgress:
             return
         elapsed = self._clock() - self._begin
         self._iterations += event.iteration > 0
-        # What a solve begins with is that of every other: only where it gets to tells anything.
+        # Every solve starts from the same point: only later iterations are informative.
         if elapsed >= self._after and event.iteration > 0:
             values = {**vars(event), "elapsed": elapsed, "iteration": self._iterations}
             self._display(SolveProgress(stage=self._stage, **values))

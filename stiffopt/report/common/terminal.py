@@ -1,4 +1,4 @@
-"""What commands print when they are done: sentences, and tables that nothing cuts."""
+"""Terminal output of commands: status line, sentences, and tables without truncated cells."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from rich.status import Status
 from rich.table import Table
 from rich.text import Text
 
-# Of a table in a file or a log, where cells must not be cut.
+# Width of a table in a file or log, where rich would truncate cells at 80 columns.
 _LOG_COLUMNS = 160
 
 
 def print_lines(lines: Iterable[str | Text | None]) -> None:
-    """Print each on a line of its own, as it is; None is left out."""
+    """Print each text on its own line, without markup; None is skipped."""
     console = Console(highlight=False, soft_wrap=True)
     for line in lines:
         if line is not None:
@@ -30,7 +30,7 @@ def print_table(
     title: str | None = None,
     numbers: Collection[str] = (),
 ) -> None:
-    """Print a table; columns of these headings to the right."""
+    """Print a table; the columns named in `numbers` are right-aligned."""
     console = Console(highlight=False)
     if not console.is_terminal:
         console = Console(highlight=False, width=_LOG_COLUMNS)
@@ -43,7 +43,7 @@ def print_table(
 
 
 class StatusLine(ExitStack):
-    """Context manager that shows a line: on a terminal one that moves, elsewhere each on its own.
+    """Context manager that shows a line: updated in place on a terminal, else printed each time.
 
     Parameters
     ----------
@@ -73,11 +73,11 @@ class StatusLine(ExitStack):
 
     @property
     def moves(self) -> bool:
-        """Whether there is one line that moves."""
+        """True where the line is updated in place."""
         return self._status is not None
 
     def show(self, line: str, *, stays: bool = False) -> None:
-        """Show a line; on a terminal one that `stays` is left on the screen as well."""
+        """Show a line; `stays` also prints it permanently on a terminal."""
         if self._status is not None:
             self._status.update(Text(f"{self._title}: {line}"))
         if self._status is None or stays:
@@ -92,6 +92,6 @@ class StepDisplay(StatusLine):
         return super().__enter__()
 
     def __call__(self, sentence: str) -> None:
-        """Show a step; what was found stays on the screen."""
+        """Show a step; findings remain on the screen."""
         line = f"{self._clock() - self._begin:.1f} s  {sentence}"
         self.show(line, stays=sentence.startswith("found "))

@@ -1,4 +1,4 @@
-"""Figures of a diagnosis over all joints: residual over noise, before and after."""
+"""Figures of a diagnosis: residual over noise of all channels, and held-out runs over time."""
 
 from __future__ import annotations
 
@@ -32,24 +32,22 @@ if TYPE_CHECKING:
     from stiffopt.discovery.proof.proof import ChannelError, RunProof
 
 HEAT = LinearSegmentedColormap.from_list("heat", ["#f5f7f9", "#f7d99a", ORANGE, "#a33b00"])
-# Residual over noise at which the darkest colour is reached at the earliest.
+# Least residual over noise of the darkest colour.
 _MIN_DARKEST_RATIO = 10.0
-# Of signals that a remainder depends on.
+# Units of the signals that a residual may depend on.
 _SIGNAL_UNITS = {"q": "rad", "qd": "rad/s", "qdd": "rad/s^2", "torque": "N m"}
 _ROLE_TITLES = (("test", "test runs"), ("extrapolate", "extrapolation runs"))
 
 
 def residual_figure(diagnosis: Diagnosis) -> Figure:
-    """Residual over noise by joint and balance: nominal, within tolerance, with the findings."""
+    """Plot residual over noise by joint and channel: nominal, within tolerance, with findings."""
     search, n = diagnosis.search, diagnosis.recordings.n
     stages = [
         ("nominal model", search.before),
-        ("nominal values moved within tolerance", search.calibrated),
+        ("nominal values within tolerance", search.calibrated),
     ]
     if search.selected:
-        words = (
-            "and with what was found" if diagnosis.findings else "and with effects that were tried"
-        )
+        words = "with the findings" if diagnosis.findings else "with rejected candidate effects"
         stages.append((words, search.after))
     every = np.concatenate([s[1] for s in stages])
     known = every[np.isfinite(every)]
@@ -82,7 +80,7 @@ def residual_figure(diagnosis: Diagnosis) -> Figure:
 
 
 def held_out_figure(diagnosis: Diagnosis) -> Figure:
-    """Residual over noise of every channel of the held-out runs, before and after."""
+    """Plot residual over noise of every channel of the held-out runs, before and after."""
     roles = [(role, words) for role, words in _ROLE_TITLES if diagnosis.proofs(role)]
     with figure_style():
         names = list(dict.fromkeys(c.name for p in diagnosis.held_out for c in p.channels))
@@ -124,7 +122,7 @@ def held_out_figure(diagnosis: Diagnosis) -> Figure:
 
 
 def noise_ceiling_figure(diagnosis: Diagnosis) -> Figure:
-    """What a black box finds in what is left, along the signals that it goes with most."""
+    """Plot the black-box fit of the remaining residual along its most important signals."""
     assert diagnosis.rod is not None
     depends = diagnosis.rod.depends
     with figure_style():
@@ -139,12 +137,15 @@ def noise_ceiling_figure(diagnosis: Diagnosis) -> Figure:
             axes.set_xlabel(f"{regressor_words(each.signal).removeprefix('the ')} [{unit}]")
         own = int(depends[0].channel.rpartition("_")[2]) - 1
         unit = joint_unit("N m", diagnosis.training.constants.joints[own].prismatic)
-        grid[0].set_ylabel(f"left of torque, joint {own + 1} [{unit}]")
+        grid[0].set_ylabel(f"residual torque, joint {own + 1} [{unit}]")
         return figure
 
 
 def channel_ratio(diagnosis: Diagnosis, role: str, name: str) -> tuple[float, float]:
-    """Residual over noise of a channel over the runs of a role, before and after; maybe nan."""
+    """Return residual over noise of a channel in the runs of a role, before and after.
+
+    Both are nan where no run has samples of the channel.
+    """
     own = [c for p in diagnosis.proofs(role) for c in p.channels if c.name == name]
     count = sum(c.samples for c in own)
     if not count:
@@ -159,15 +160,15 @@ def _channel_label(name: str) -> str:
 
 
 def _format_minor_tick(value: float) -> str:
-    """Labels of a logarithmic axis between its decades: only 2 and 5 of each."""
+    """Format minor ticks 2 and 5 of a logarithmic axis, others as ""."""
     first = f"{value:.0e}"[0]
     return significant(value, 1) if first in "25" else ""
 
 
 _WINDOW_LENGTH = 0.5
-# Points of a curve, and missing samples over which it is drawn all the same.
+# Points of a plotted curve, and missing samples that it bridges.
 _MAX_CURVE_POINTS, _MAX_BRIDGED_SAMPLES = 1400, 10
-# Residual over noise from which a window is listed, and how many at most.
+# Least residual over noise of a listed window, and number of windows.
 _MIN_LISTED_RATIO, _MAX_WINDOWS = 2.0, 8
 
 
@@ -184,7 +185,7 @@ class Trace:
     used : array (K,) of bool
         Samples that count: torque only while the joint moves.
     speed : array (K,)
-        Of the joint.
+        Speed of the joint.
     error : ChannelError
     unit : str
     """
@@ -201,7 +202,7 @@ class Trace:
 
 @dataclass(frozen=True)
 class Window:
-    """A stretch of a held-out run that is predicted badly.
+    """Interval of a held-out run with a large residual.
 
     Parameters
     ----------
@@ -210,11 +211,11 @@ class Window:
     begin, end : float
         [s]
     rms : float
-        Residual with the extended model.
+        Root mean square of the residual with the extended model.
     ratio : float
-        Over noise.
+        The same over noise.
     slowest, fastest : float
-        Speeds of the joint.
+        Range of the joint's speed.
     unit : str
     """
 
@@ -230,7 +231,7 @@ class Window:
 
 
 def trace(diagnosis: Diagnosis, proof: RunProof, name: str) -> Trace | None:
-    """A channel of a held-out run with its predictions; None where it was not recorded."""
+    """Return a channel of a held-out run with its predictions; None where it was not recorded."""
     error = next((c for c in proof.channels if c.name == name), None)
     if error is None:
         return None
@@ -251,7 +252,7 @@ def trace(diagnosis: Diagnosis, proof: RunProof, name: str) -> Trace | None:
 
 
 def overlay_figure(shown: Trace) -> Figure:
-    """Measured channel with its predictions, and their residuals with the noise band."""
+    """Plot a measured channel with its predictions, and their residuals with the noise band."""
     largest = float(np.nanquantile(np.abs(shown.measured), 0.99))
     rest = float(np.nanquantile(np.abs(shown.measured - shown.before), 0.99))
     factor, unit = scale(largest, shown.unit)
@@ -290,13 +291,13 @@ def overlay_figure(shown: Trace) -> Figure:
 def _draw_curve(
     axes: Axes, time: np.ndarray, values: np.ndarray, colour: str, label: str, width: float
 ) -> None:
-    """One curve, thinned; gaps longer than a few samples stay gaps."""
+    """Draw a decimated curve, interrupted at gaps longer than a few samples."""
     known = np.flatnonzero(np.isfinite(values))
     if not len(known):
         return
     x, y = decimate_curve(time[known], values[known], _MAX_CURVE_POINTS)
     gap = np.flatnonzero(np.diff(known) > _MAX_BRIDGED_SAMPLES)
-    # A nan in the middle of every gap breaks the line there.
+    # A nan in the middle of every gap interrupts the line.
     middle = 0.5 * (time[known[gap]] + time[known[gap + 1]])
     x, y = np.concatenate([x, middle]), np.concatenate([y, np.full(len(middle), np.nan)])
     order = np.argsort(x, kind="stable")
@@ -304,7 +305,7 @@ def _draw_curve(
 
 
 def worst_windows(diagnosis: Diagnosis) -> list[Window]:
-    """Half seconds of held-out runs with the largest residual of the extended model."""
+    """Return half seconds of held-out runs with the largest residual of the extended model."""
     found = []
     for proof in diagnosis.held_out:
         for error in proof.channels:
@@ -312,7 +313,7 @@ def worst_windows(diagnosis: Diagnosis) -> list[Window]:
             if shown is not None:
                 found += _run_windows(proof.run.name, shown)
     found.sort(key=lambda w: -w.ratio)
-    # One a channel and run: the rest of it looks alike.
+    # One per channel and run: its other windows look alike.
     first = {(w.run, w.error.name): w for w in reversed(found)}
     return sorted(first.values(), key=lambda w: -w.ratio)[:_MAX_WINDOWS]
 

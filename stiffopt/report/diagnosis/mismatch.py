@@ -1,4 +1,4 @@
-"""What a mismatch is made of, in words: the first thing that an answer says."""
+"""Sentences on the composition of a mismatch, the noise ceiling, contact and held-out runs."""
 
 from __future__ import annotations
 
@@ -27,29 +27,29 @@ if TYPE_CHECKING:
     from stiffopt.discovery.judging.carried_over import Drift
     from stiffopt.discovery.judging.shares import Share
 
-# Shares below are not told apart from nothing, nor above from all.
+# Shares of the mismatch below and above which they are written as none and as all.
 _MIN_SHARE, _FULL_SHARE = 0.005, 0.995
-# Share of nominal values from which it is said which of them moved.
+# Share of nominal values above which the value that moved most is named.
 _MIN_NOMINAL_SHARE = 0.2
-# Names of nominal values of joints, where they are not those of the files.
+# Names of nominal values of joints, where they differ from the keys of files.
 _NOMINAL_NAMES = {
     "coulomb": "Coulomb friction",
     "viscous": "viscous friction",
     "com": "centre of mass",
 }
-_CONTACT_PHRASE = "Something that touches, loads or offsets"
+_CONTACT_PHRASE = "Contact, load or offset"
 _CHANNEL_KINDS = {"torque": "the torques", "link_position": "the link encoders"}
 
 
 @dataclass(frozen=True, kw_only=True)
 class Mismatch:
-    """What one kind of channel's mismatch on runs left out is made of.
+    """Composition of the mismatch of one kind of channel on held-out runs.
 
     Parameters
     ----------
     sentence : str
     pieces : list of NamedShare
-        The largest first and what is open last.
+        Explained parts, the largest first, and the unexplained part last.
     """
 
     sentence: str
@@ -58,15 +58,15 @@ class Mismatch:
 
 @dataclass(frozen=True, kw_only=True)
 class NamedShare:
-    """A piece of the bar.
+    """A part of the mismatch, shown as a piece of the bar.
 
     Parameters
     ----------
     words : str
     share : float
-        Of the mismatch on runs left out.
+        Share of the mismatch on held-out runs.
     open : bool
-        Whether nothing explains it.
+        True for the unexplained part.
     """
 
     words: str
@@ -76,12 +76,12 @@ class NamedShare:
 
 @dataclass(frozen=True, kw_only=True)
 class UnstatedRow:
-    """One kind of value that the nominal model does not give, of all its joints.
+    """Table row of one kind of value without a nominal value, all its joints together.
 
     Parameters
     ----------
     effect, where, values, from_nothing, shows_in, falls, explains, probability : str
-        From the least of the joints to the most.
+        Texts; numbers are ranges over the joints. `from_nothing` is the significance.
     """
 
     effect: str
@@ -95,17 +95,17 @@ class UnstatedRow:
 
 
 def mismatches(diagnosis: Diagnosis) -> list[Mismatch]:
-    """Of torques and link encoders, in words; none without runs left out or findings."""
+    """Return the mismatches of torques and of link encoders; none without findings."""
     if not diagnosis.findings:
         return []
     kinds = list(dict.fromkeys(each.measured for each in diagnosis.shares))
-    # Shares of what is within twice its noise are not asked.
+    # Channels within twice their noise have no shares.
     measured = {channel.kind for proof in diagnosis.held_out for channel in proof.channels}
     found = []
     for kind in kinds:
         pieces = [
             NamedShare(
-                words="open" if each.part is None else _part_phrase(diagnosis, each),
+                words="unexplained" if each.part is None else _part_phrase(diagnosis, each),
                 share=each.share,
                 open=each.part is None,
             )
@@ -118,15 +118,15 @@ def mismatches(diagnosis: Diagnosis) -> list[Mismatch]:
 
 
 def _share_sentence(of: str, pieces: Sequence[NamedShare]) -> str:
-    # What is open may come out below nothing where less is left than noise; only parts do harm.
+    # The unexplained share may be negative where less than the noise remains.
     helps = ", ".join(
         f"{_format_share(max(p.share, 0.0))} {p.words}" for p in pieces if p.open or p.share >= 0.0
     )
     harms = listed(
-        f"{p.words} by {_format_share(-p.share)}" for p in pieces if not p.open and p.share < 0.0
+        f"{p.words} ({_format_share(-p.share)})" for p in pieces if not p.open and p.share < 0.0
     )
-    text = f"Of the mismatch{of} on runs left out: {helps or 'nothing is explained'}."
-    return f"{text} There it is made worse: {harms}." if harms else text
+    text = f"Mismatch{of} on held-out runs: {helps or 'not explained'}."
+    return f"{text} Increased by {harms}." if harms else text
 
 
 def _format_share(share: float) -> str:
@@ -137,81 +137,84 @@ def _format_share(share: float) -> str:
 
 
 def noise_ceiling_sentence(diagnosis: Diagnosis) -> str:
-    """What is explained of what a black box could explain; "" where none was asked.
+    """Return a sentence on the explained share of the noise ceiling; "" where it is not known.
 
-    On runs left out, and of torques alone: what is predicted within the training runs, or of link
-    encoders, is no contradiction of it.
+    The noise ceiling is the fit of a black box, of torques on held-out runs. Dependences within
+    the training runs, or of link encoders, do not contradict it.
     """
     rod = diagnosis.rod
     if rod is None:
         return ""
     channels = {c.kind for proof in diagnosis.held_out for c in proof.channels}
     of = " of the torques" if "link_position" in channels else ""
-    box = "a black box that was fitted to what is left in the training runs"
+    box = "a black-box fit of the residual that remains in the training runs"
     if not rod.depends and rod.explained > _FULL_SHARE:
-        text = f"Explained{of} on runs left out: as much as {box} could; it finds next to nothing"
-        text = f"{text} more there."
+        text = f"Noise ceiling{of}: reached on held-out runs; {box} explains hardly more there."
     else:
-        share = f"{100 * rod.explained:.0f} %" if rod.explained > 0.0 else "nothing"
-        text = f"Explained{of}: {share} of what is explainable, measured by {box}"
+        share = f"{100 * rod.explained:.0f} %" if rod.explained > 0.0 else "0 %"
+        text = (
+            f"Noise ceiling{of}: {share} of the explainable mismatch is explained, judged by {box}"
+        )
         if rod.depends:
-            what = listed(regressor_words(each.signal) for each in rod.depends)
+            signals = listed(regressor_words(each.signal) for each in rod.depends)
             where = channel_words(rod.depends[0].channel)
-            text = f"{text}; the rest depends on {what} (most in {where})."
+            text = f"{text}; the remainder depends on {signals} (most in {where})."
         else:
-            text = f"{text}; it finds next to nothing more."
+            text = f"{text}, which explains hardly more."
     return f"{text}{_noise_ceiling_remark(diagnosis)}"
 
 
 def _noise_ceiling_remark(diagnosis: Diagnosis) -> str:
-    """How what is outside the catalogue goes with a box that finds nothing more."""
+    """Return a remark where a residual outside the catalogue seems to contradict the ceiling."""
     left, rod = diagnosis.unexplained, diagnosis.rod
     if left is None or left.brief or rod is None:
         return ""
     if left.channels[0].startswith("link_position"):
-        return " Link encoders were not asked, of which more stays open."
+        return " Link encoders are not included; more of them is unexplained."
     if rod.depends or not left.regressors or left.gain < SHOWN_SHARE:
         return ""
-    what = listed(regressor_words(each) for each in left.regressors)
+    signals = listed(regressor_words(each) for each in left.regressors)
     return (
-        f" How what is left follows {what} within the training runs does not carry over to runs"
-        " left out."
+        f" The dependence of the residual on {signals} within the training runs does not carry over"
+        " to held-out runs."
     )
 
 
 def counterbalance_sentences(diagnosis: Diagnosis) -> list[str]:
-    """One for every body that was re-identified as a counterbalance pulls."""
+    """Return a sentence on every re-identified body that may be a counterbalance."""
     rigid = diagnosis.search.rigid
     found = []
     for each in () if rigid is None else rigid.counterweights:
         joint, link = each.joint + 1, diagnosis.training.constants.links[each.joint]
         unit = joint_unit("N m", diagnosis.training.constants.joints[each.joint].prismatic)
         is_it = (
-            "it is likelier a counterbalance, which predicts recordings left out better"
+            "the counterbalance is more likely, since it predicts held-out recordings better"
             if each.balanced
-            else "recordings left out do not tell the two apart"
+            else "held-out recordings do not separate the two"
         )
         found.append(
-            f"Counterbalance of joint {joint}, or the weight of {link}: as re-identified, the"
-            f" link's first moment changes by {significant(each.change, 2)} kg m, of"
-            f" {significant(each.nominal, 2)}, as nothing is made; a counterbalance of up to"
-            f" {significant(each.torque, 2)} {unit} pulls alike, and {is_it}. The extended model"
-            f" holds it as mass. Accelerate joint {joint} hard at one place: mass resists, a"
-            " counterbalance does not."
+            f"Counterbalance of joint {joint} or weight of {link}: the"
+            " re-identified first moment of"
+            f" the link changes by {significant(each.change, 2)} kg m, from"
+            f" {significant(each.nominal, 2)} kg m, more than is"
+            " plausible; a counterbalance of up to"
+            f" {significant(each.torque, 2)} {unit} has the same effect, and {is_it}. The extended"
+            f" model includes it as mass. To separate them, accelerate joint {joint} strongly near"
+            " one position: only a mass has inertia."
         )
     return found
 
 
 def transfer_sentences(diagnosis: Diagnosis) -> list[str]:
-    """One for every value that does not carry over to a held-out run."""
+    """Return a sentence on every value that differs between training and held-out runs."""
     found = [_drift_sentence(diagnosis, each) for each in diagnosis.drift]
     for each in diagnosis.not_carried_over:
         if each.kind == "friction drift":
             found.append(
-                f"Friction of {each.run} in {channel_words(each.channel)} lies"
-                f" {significant(abs(each.value), 2)} spreads"
+                f"Friction of {each.run} in {channel_words(each.channel)} is"
+                f" {significant(abs(each.value), 2)} standard deviations"
                 f" {'above' if each.value > 0.0 else 'below'} the mean of the training runs"
-                f" ({100 * each.share:.0f} % of what is left there)."
+                f" ({100 * each.share:.0f} % of the residual there)."
             )
             continue
         kind, _, joint = each.channel.rpartition("_")
@@ -219,10 +222,10 @@ def transfer_sentences(diagnosis: Diagnosis) -> list[str]:
         unit = "rad" if kind == "link_position" else "N m"
         unit = f"{unit} s/rad" if each.kind == "viscous friction" else unit
         value = f"{significant(each.value, 2)} {joint_unit(unit, slides)}"
-        what = "A constant" if each.kind == "constant" else each.kind.capitalize()
+        kind = "A constant" if each.kind == "constant" else each.kind.capitalize()
         found.append(
-            f"{what} does not carry over: {each.run} has {value} more than the training runs in"
-            f" {channel_words(each.channel)} ({100 * each.share:.0f} % of what is left there)."
+            f"{kind} does not carry over: {each.run} has {value} more than the training runs in"
+            f" {channel_words(each.channel)} ({100 * each.share:.0f} % of the residual there)."
         )
     return found
 
@@ -230,14 +233,15 @@ def transfer_sentences(diagnosis: Diagnosis) -> list[str]:
 def _drift_sentence(diagnosis: Diagnosis, each: Drift) -> str:
     slides = diagnosis.training.constants.joints[each.joint].prismatic
     return (
-        f"Friction of joint {each.joint + 1} differs from run to run: a further run is predicted"
-        f" with the mean, give or take {significant(each.rms, 2)} {joint_unit('N m', slides)} (one"
-        " standard deviation between runs)."
+        f"Friction of joint {each.joint + 1} differs from run to run:"
+        " predictions use the mean, with"
+        f" a standard deviation between runs of {significant(each.rms, 2)}"
+        f" {joint_unit('N m', slides)}."
     )
 
 
 def episode_sentences(diagnosis: Diagnosis) -> list[str]:
-    """One for every time in which something was at work."""
+    """Return a sentence on every contact interval."""
     joints = diagnosis.training.constants.joints
     found = []
     for each in diagnosis.episodes:
@@ -246,25 +250,22 @@ def episode_sentences(diagnosis: Diagnosis) -> list[str]:
             for j, size in zip(each.joints, each.sizes, strict=True)
         )
         if each.role == "train":
-            head, tail = f"{_CONTACT_PHRASE} was at work in", "left out of the fit"
+            head, tail = f"{_CONTACT_PHRASE} in", "excluded from the fit"
         elif each.stays:
-            head, tail = "A change that stays, as of a load, is in", "part of what judges the model"
+            head, tail = "Permanent change, as of a load, in", "included in the validation"
         else:
-            head, tail = (
-                f"{_CONTACT_PHRASE} does not carry over to",
-                "left out of what judges the model",
-            )
+            head, tail = f"{_CONTACT_PHRASE} in", "excluded from the validation"
         if each.nrmse_with is not None and each.nrmse_without is not None:
             tail += (
                 f"; residual of {each.run} {significant(each.nrmse_with, 2)} times the noise with"
-                f" it, {significant(each.nrmse_without, 2)} without"
+                f" this interval, {significant(each.nrmse_without, 2)} without"
             )
         found.append(f"{head} {each.run}: {each.begin:.2f} to {each.end:.2f} s, {sizes}; {tail}.")
     return found
 
 
 def unstated_rows(diagnosis: Diagnosis, findings: Sequence[Finding]) -> list[UnstatedRow]:
-    """Values that the nominal model does not give, one row a kind."""
+    """Return values that the nominal model does not state, one row per kind."""
     rows = []
     for own in unstated_groups(findings):
         slides = is_prismatic(diagnosis, own[0].located)
@@ -297,7 +298,7 @@ def _part_phrase(diagnosis: Diagnosis, share: Share) -> str:
     where = f" ({joints_in_words(joints)})" if joints else ""
     if part.kind == "unstated":
         names = dict.fromkeys(e.effect.nominal_words for e in part.effects)
-        return f"{listed(names)} that nobody had given{where}"
+        return f"{listed(names)} without nominal value{where}"
     if part.kind == "usual":
         return f"offsets{where}"
     if part.kind == "nominal":
@@ -309,7 +310,7 @@ def _part_phrase(diagnosis: Diagnosis, share: Share) -> str:
 
 
 def _largest_moved_value(diagnosis: Diagnosis) -> str:
-    """The nominal value that moved furthest within its tolerance, where that says something."""
+    """Return the nominal value that moved most, where it exceeds its tolerance; else ""."""
     moved = [each for each in moved_values(diagnosis) if abs(each.change) >= each.tolerance]
     if not moved:
         return ""
@@ -324,7 +325,7 @@ def _largest_moved_value(diagnosis: Diagnosis) -> str:
     size = f"{100.0 * first.change:+.2g} %"
     if first.unit:
         size = f"{significant(first.change, 2)} {first.unit}"
-    return f" (most of all {' '.join(words)} {where} joint {joint}: {size})"
+    return f" (mainly {' '.join(words)} {where} joint {joint}: {size})"
 
 
 def _nominal_part_phrase(diagnosis: Diagnosis, effects: Sequence[LocatedEffect]) -> str:
@@ -340,7 +341,7 @@ def _nominal_part_phrase(diagnosis: Diagnosis, effects: Sequence[LocatedEffect])
 
 
 def _format_channels(names: Sequence[str]) -> str:
-    """Channels of one kind together: "torques of joints 1 to 6"."""
+    """Return channels grouped by kind, such as "torques of joints 1 to 6"."""
     kinds: dict[str, list[int]] = {}
     for name in names:
         kind, _, joint = name.rpartition("_")
@@ -353,7 +354,7 @@ def _format_channels(names: Sequence[str]) -> str:
 
 
 def _format_range(values: Sequence[float], digits: int) -> str:
-    """The least and the most, one where both read alike; what is large to its whole number."""
+    """Format the range of values; one number where both ends read alike, large ones rounded."""
     ends = [
         f"{v:.0f}" if v >= 10.0**digits else significant(v, digits)
         for v in (min(values), max(values))
@@ -362,12 +363,12 @@ def _format_range(values: Sequence[float], digits: int) -> str:
 
 
 def _format_probability_range(values: Sequence[float]) -> str:
-    """From the least to the most likely, never certain."""
+    """Format a range of probabilities, never as certainty."""
     ends = [format_probability(min(values)), format_probability(max(values))]
     return " to ".join(dict.fromkeys(ends)).replace(" % to", " to")
 
 
 def _format_share_range(low: float, high: float) -> str:
-    """Shares as percentages, one where both read alike."""
+    """Format a range of shares in percent; one number where both ends read alike."""
     least, most = round(100 * low), round(100 * high)
     return f"{most} %" if least == most else f"{least} to {most} %"

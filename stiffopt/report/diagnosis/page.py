@@ -1,4 +1,4 @@
-"""report.html of a diagnosis: what is missing, where, how sure, and the proof of it."""
+"""report.html of a diagnosis: missing effects with confidence, and their validation."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ if TYPE_CHECKING:
     from stiffopt.discovery.diagnosis import Diagnosis, Finding
 
 PAGE_FILE = "report.html"
-# Findings that are shown with figures of their own, from this many samples on.
+# Findings with their own figures, and samples of a channel that these need.
 _MAX_SHOWN_FINDINGS, _MIN_FIGURE_SAMPLES = 3, 50
 
 
@@ -85,7 +85,7 @@ def write_diagnosis_report(
     Parameters
     ----------
     diagnosis : Diagnosis
-        Of any verdict.
+        Diagnosis of any verdict.
     directory : path
     png : bool
         Write the figures as PNG as well.
@@ -100,19 +100,19 @@ def write_diagnosis_report(
     shown = [*new, *unstated][:_MAX_SHOWN_FINDINGS]
     overlays = _overlay_traces(diagnosis)
     figures = PageFigures("diagnosis", png=png)
-    figures.draw("balances", residual_figure(diagnosis), "Residual over noise of all balances")
+    figures.draw("balances", residual_figure(diagnosis), "Residual over noise of all channels")
     for number, finding in enumerate(shown, start=1):
         _draw_finding(figures, diagnosis, finding, number)
     _draw_unexplained(figures, diagnosis)
     if diagnosis.rod is not None and diagnosis.rod.depends:
         drawn = noise_ceiling_figure(diagnosis)
-        figures.draw("dependence", drawn, "What a black box finds in what is left")
+        figures.draw("dependence", drawn, "Black-box fit of the remaining residual")
     figures.draw("held_out", held_out_figure(diagnosis), "Residual over noise of held-out runs")
     for role, (_, curve) in overlays.items():
         figures.draw(role, overlay_figure(curve), "Measured and predicted, before and after")
     context = {
         "diagnosis": diagnosis,
-        "title": f"{recordings.title}: what the nominal model lacks",
+        "title": f"{recordings.title}: diagnosis of the nominal model",
         "headline": headline(diagnosis),
         "lead": lead(diagnosis),
         "verdict": verdict_words(diagnosis),
@@ -173,14 +173,14 @@ def _draw_finding(
     if len(rows.after) >= _MIN_FIGURE_SAMPLES:
         for name, figure, description in (
             ("regressor", regressor_figure, "Measured against the model of the finding"),
-            ("regimes", regime_figure, "Residual by what the joint was doing"),
+            ("regimes", regime_figure, "Residual over speed, load, position and other signals"),
             ("maps", map_figure, "Mean residual without and with the finding"),
         ):
             figures.draw(f"{name}_{number}", figure(diagnosis, rows, finding), description)
 
 
 def _draw_unexplained(figures: PageFigures, diagnosis: Diagnosis) -> None:
-    """Of what is left, or of a set in which nothing is missing its worst channel."""
+    """Draw the unexplained residual or, where nothing is missing, the worst channel."""
     unexplained, after = diagnosis.unexplained, diagnosis.search.after
     if unexplained is not None:
         rows = channel_residuals(diagnosis, unexplained.channels[0])
@@ -188,14 +188,16 @@ def _draw_unexplained(figures: PageFigures, diagnosis: Diagnosis) -> None:
             time = diagnosis.search.comparison.rows.sampled(lambda run: run.time)[rows.chosen]
             spectrum = spectrum_figure(rows, time, unexplained.period)
             figures.draw("spectrum", spectrum, "Share of the residual by frequency")
-        figures.draw("outside", regime_figure(diagnosis, rows, None), "What is left by regime")
+        figures.draw(
+            "outside", regime_figure(diagnosis, rows, None), "Unexplained residual by regime"
+        )
     if diagnosis.verdict == "nothing_missing" and _has_residuals(after):
         rows = channel_residuals(diagnosis, worst_channel(diagnosis, after))
         figures.draw("quiet", regime_figure(diagnosis, rows, None), "The worst channel by regime")
 
 
 def _model_changes(diagnosis: Diagnosis) -> list[tuple[ValueChange, str, str]]:
-    """Values of the nominal robot that the findings change, and old and new as they are shown."""
+    """Return values of the nominal robot that the findings change, with old and new as text."""
     if not diagnosis.findings:
         return []
     model = extended_model(diagnosis.recordings, diagnosis.training.constants, diagnosis.extension)
@@ -206,7 +208,7 @@ def _model_changes(diagnosis: Diagnosis) -> list[tuple[ValueChange, str, str]]:
 
 
 def _overlay_traces(diagnosis: Diagnosis) -> dict[str, tuple[str, Trace]]:
-    """By role, the first run that has the channel that the answer is about."""
+    """Return by role the first run that has the leading channel."""
     new, unstated = new_and_unstated(diagnosis)
     if diagnosis.unexplained is not None and not new:
         name = diagnosis.unexplained.channels[0]

@@ -1,4 +1,4 @@
-"""Figures of one channel: its residual by regime, and against what a finding adds to it."""
+"""Residuals of one channel, and their figures by regime and against a finding's model."""
 
 from __future__ import annotations
 
@@ -29,16 +29,16 @@ if TYPE_CHECKING:
     from stiffopt.discovery.diagnosis import Diagnosis, Finding
 
 _BIN_COUNT, _CELL_COUNT = 28, 14
-# Points of a cloud that a page can carry.
+# Points of a scatter plot.
 _MAX_POINTS = 1500
 _DIRECTION_STYLES = ((1, VERMILLION, "positive direction"), (-1, BLUE, "negative direction"))
 
 
 def regime_figure(diagnosis: Diagnosis, rows: ChannelResiduals, finding: Finding | None) -> Figure:
-    """Mean residual over speed, load, position, acceleration, session time and rotor angle.
+    """Plot the mean residual over speed, load, position, acceleration, session time, rotor angle.
 
-    With a finding: the residual that is left with everything else explained, and the finding's
-    model as a line; without one, what is left of the channel.
+    With a finding: residual without this finding but with all others, and the finding's model as a
+    line. Without one: the remaining residual.
     """
     added = (
         np.zeros(len(rows.after))
@@ -106,14 +106,14 @@ def _draw_direction(
 
 
 def map_figure(diagnosis: Diagnosis, rows: ChannelResiduals, finding: Finding | None) -> Figure:
-    """Mean residual over noise in the planes of speed with load and position, without and with."""
+    """Plot the mean residual over speed and load, and speed and position, without and with it."""
     by_name = {regime.name: regime for regime in regimes(diagnosis, rows)}
     stages = (
         [("without it", finding_contribution(diagnosis, finding, rows) + rows.after)]
         if finding
         else []
     )
-    stages.append(("with it" if finding else "what is left", rows.after))
+    stages.append(("with it" if finding else "residual", rows.after))
     ratios = [values / rows.noise for _, values in stages]
     panels = [(other, number) for other in ("load", "position") for number in range(len(stages))]
     maps = [
@@ -143,7 +143,7 @@ def map_figure(diagnosis: Diagnosis, rows: ChannelResiduals, finding: Finding | 
 def _cell_means(
     x: np.ndarray, y: np.ndarray, z: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Edges and means of z over a grid in x and y; nan in cells with too few samples."""
+    """Return edges and means of z over a grid in x and y; nan in cells with too few samples."""
     ends = [np.quantile(v, (0.002, 0.998)) for v in (x, y)]
     edges = [np.linspace(low, high, _CELL_COUNT + 1) for low, high in ends]
     if not all(np.all(np.diff(e) > 0.0) for e in edges):
@@ -154,7 +154,7 @@ def _cell_means(
 
 
 def regressor_figure(diagnosis: Diagnosis, rows: ChannelResiduals, finding: Finding) -> Figure:
-    """Residual with everything else explained, against what the finding's model says."""
+    """Plot the residual without a finding, but with all others, against the finding's model."""
     added = finding_contribution(diagnosis, finding, rows)
     residual = rows.after + added
     factor, unit = scale(float(np.quantile(np.abs(residual), 0.95)), rows.unit)
@@ -179,7 +179,7 @@ def regressor_figure(diagnosis: Diagnosis, rows: ChannelResiduals, finding: Find
             )
         ends = np.array([x.min(), x.max()])
         left.plot(ends, ends, color=VERMILLION, linewidth=1.6, label="model: measured = predicted")
-        left.set_xlabel(f"what the finding adds by its model [{unit}]")
+        left.set_xlabel(f"contribution of the finding by its model [{unit}]")
         left.set_ylabel(f"residual without it [{unit}]")
         left.legend(loc="upper left")
         _draw_histogram(right, rows, residual)
@@ -188,7 +188,7 @@ def regressor_figure(diagnosis: Diagnosis, rows: ChannelResiduals, finding: Find
 
 
 def _draw_histogram(axes: Axes, rows: ChannelResiduals, residual: np.ndarray) -> None:
-    """Distribution of the residual over noise, without and with the finding, beside the normal."""
+    """Draw histograms of residual over noise, without and with the finding, and the normal."""
     without, with_it = residual / rows.noise, rows.after / rows.noise
     reach = float(np.clip(np.quantile(np.abs(without), 0.99), 4.0, 40.0))
     bins = np.linspace(-reach, reach, 61).tolist()
@@ -207,7 +207,7 @@ def _draw_histogram(axes: Axes, rows: ChannelResiduals, residual: np.ndarray) ->
 
 
 def spectrum_figure(rows: ChannelResiduals, time: np.ndarray, period: float) -> Figure:
-    """Wave in time that best fits each run by frequency, as a share of the residual's squares."""
+    """Plot the share of the squared residual that a sinusoid of each frequency explains."""
     runs = [rows.run == r for r in np.unique(rows.run)]
     span = min(float(np.ptp(time[own])) for own in runs)
     frequencies = np.arange(1.5 / span, max(4.0 / period, 20.0 / span), 0.2 / span)
@@ -232,24 +232,24 @@ def spectrum_figure(rows: ChannelResiduals, time: np.ndarray, period: float) -> 
 
 @dataclass(frozen=True, eq=False)
 class ChannelResiduals:
-    """Filtered samples of one channel that a search has compared.
+    """Filtered residuals of one channel in the training runs.
 
     Parameters
     ----------
     name : str
-        Such as "torque_3".
+        Name such as "torque_3".
     joint : int
         From 0.
     unit : str
-        Of the residuals, SI.
+        Unit of the residuals, SI.
     before, after : array (m,)
-        Residual of the nominal model, and with all that was found and calibrated.
+        Residual of the nominal model, and with findings and calibrated nominal values.
     noise : array (m,)
-        One standard deviation of each sample.
+        Standard deviation of each sample.
     run : array (m,) of int
-        Number of the run.
+        Index of the run.
     chosen : array (m,) of int
-        Place among the rows of the search.
+        Indices of the rows in the search.
     """
 
     name: str
@@ -264,7 +264,7 @@ class ChannelResiduals:
 
 @dataclass(frozen=True, eq=False)
 class Regime:
-    """What a residual may depend on.
+    """A signal on which a residual may depend.
 
     Parameters
     ----------
@@ -273,7 +273,7 @@ class Regime:
     values : array (m,)
         In the label's unit.
     apart : bool
-        Values come in groups, one a run, between which no line may be drawn.
+        True where each run is a separate group of values, not to be connected.
     """
 
     name: str
@@ -283,7 +283,7 @@ class Regime:
 
 
 def channel_residuals(diagnosis: Diagnosis, name: str) -> ChannelResiduals:
-    """Residuals of a channel before and after, in its own unit."""
+    """Return the residuals of a channel in its own unit, before and after."""
     search = diagnosis.search
     rows, comparison = search.comparison.rows, search.comparison
     number = channel_number(diagnosis, name)
@@ -309,7 +309,7 @@ def channel_residuals(diagnosis: Diagnosis, name: str) -> ChannelResiduals:
 def finding_contribution(
     diagnosis: Diagnosis, finding: Finding, rows: ChannelResiduals
 ) -> np.ndarray:
-    """What a finding adds to a channel, as fitted beside all others (m,)."""
+    """Return the contribution of a finding to a channel (m,), fitted beside all others."""
     search = diagnosis.search
     begin = 0
     for located in search.fit.effects:
@@ -326,14 +326,14 @@ def finding_contribution(
 def regimes(
     diagnosis: Diagnosis, rows: ChannelResiduals, electrical: bool = False
 ) -> Iterator[Regime]:
-    """Speed, load, position, acceleration, session time and rotor angle of a channel's joint.
+    """Yield speed, load, position, acceleration, session time and rotor angle of the joint.
 
     Parameters
     ----------
     diagnosis : Diagnosis
     rows : ChannelResiduals
     electrical : bool
-        Fold the rotor angle by electrical turns of the motor, where its pole pairs are known.
+        Use the electrical angle of the motor, where its pole pairs are known.
     """
     sampled = diagnosis.search.comparison.rows.sampled
     constants = diagnosis.training.constants.joints[rows.joint]
@@ -365,7 +365,7 @@ def regimes(
 
 
 def motion_direction(diagnosis: Diagnosis, rows: ChannelResiduals) -> np.ndarray:
-    """Direction of the joint's motion at every row, -1 or 1."""
+    """Return the direction of the joint's motion at every row, -1 or 1."""
     speed = diagnosis.search.comparison.rows.sampled(
         lambda run: run.signals.motor_velocity[:, rows.joint]
     )[rows.chosen]
@@ -375,19 +375,19 @@ def motion_direction(diagnosis: Diagnosis, rows: ChannelResiduals) -> np.ndarray
 def binned_means(
     x: np.ndarray, y: np.ndarray, edges: np.ndarray, least: int = 6
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Mean of y by bins of x.
+    """Return means of y in bins of x.
 
     Parameters
     ----------
     x, y : array (m,)
     edges : array (b + 1,)
     least : int
-        Samples below which a bin is left out.
+        Minimum samples of a bin.
 
     Returns
     -------
     (array, array, array)
-        Mean x, mean y and standard deviation of the mean of every bin that is kept.
+        Mean x, mean y and standard error of the mean of every bin with enough samples.
     """
     number = np.digitize(x, edges) - 1
     found = []

@@ -1,4 +1,4 @@
-"""What `stiffopt diagnose` prints."""
+"""Terminal output of `stiffopt diagnose`."""
 
 from __future__ import annotations
 
@@ -32,19 +32,19 @@ if TYPE_CHECKING:
     from stiffopt.discovery.diagnosis import Diagnosis, Finding
 
 _VERDICT_SENTENCES = {
-    "named": "Something is missing in the nominal model, and what it is was found.",
+    "named": "The nominal model lacks effects, which were identified.",
     "nothing_missing": "Nothing is missing: the nominal model within its tolerances explains the"
     " recordings.",
-    "outside_catalogue": "Something is missing that no entry of the catalogue explains.",
+    "outside_catalogue": "The nominal model lacks an effect that is not in the catalogue.",
 }
 NOT_GIVEN = "no nominal value"
-# Channels that were left out and are told one by one.
+# Excluded channels that are listed individually.
 _MAX_FAULT_LINES = 5
 _FINDING_COLUMNS = ("effect", "where", "parameters", "explains", "probability", "confused with")
 
 
 def print_diagnosis(diagnosis: Diagnosis, folder: Path) -> None:
-    """Verdict, findings with deviations and rivals, fit on held-out runs, where the files are."""
+    """Print verdict, findings, validation on held-out runs, assumptions and paths of the files."""
     label = diagnosis.verdict
     part = label == "named" and is_partly_unexplained(diagnosis)
     print_lines([f"{'named in part' if part else label}: {_verdict_sentence(diagnosis)}"])
@@ -79,9 +79,9 @@ def print_diagnosis(diagnosis: Diagnosis, folder: Path) -> None:
     for role, meaning in (("test", "test"), ("extrapolate", "extrapolation")):
         if diagnosis.proofs(role):
             before, after = (significant(v, 3) for v in diagnosis.nrmse(role))
-            lines.append(f"Residual over noise on {meaning} runs: {before} before, {after} after.")
+            lines.append(f"Residual over noise in {meaning} runs: {before} before, {after} after.")
     if diagnosis.next_experiment:
-        lines.append(f"Next: {diagnosis.next_experiment}")
+        lines.append(f"Next experiment: {diagnosis.next_experiment}")
     lines += [f"Assumed: {note}" for note in diagnosis.assumptions]
     lines += fault_lines(diagnosis)
     page = folder / "report.html"
@@ -90,7 +90,7 @@ def print_diagnosis(diagnosis: Diagnosis, folder: Path) -> None:
 
 
 def fault_lines(diagnosis: Diagnosis) -> list[str]:
-    """What is wrong with channels: those that were left out by name, of the others how many."""
+    """Return lines on excluded channels, and the number of further faults."""
     left_out: dict[tuple[str, str], list[str]] = {}
     for run, fault in diagnosis.faults:
         if fault.left_out:
@@ -110,18 +110,17 @@ def _verdict_sentence(diagnosis: Diagnosis) -> str:
     left = diagnosis.unexplained
     if left is not None and is_partly_unexplained(diagnosis):
         much = (
-            f"{significant(left.ratio, 2)} times the noise stays open in"
+            f"{significant(left.ratio, 2)} times the noise remains unexplained in"
             f" {channels_in_words(left.channels[:1])}"
         )
         if diagnosis.verdict == "outside_catalogue":
             return (
-                f"Something is missing in the nominal model; part of it was found, but {much}, so"
-                " that no finding is more than a start."
+                f"The nominal model lacks effects, which were identified in part, but {much}: all"
+                " findings are tentative."
             )
         return (
-            f"Something is missing in the nominal model; the most of it was found, but {much}:"
-            " findings there may stand for something else. Look first whether unit, torque constant"
-            " and masses are right."
+            f"The nominal model lacks effects, most of which were identified, but {much}: findings"
+            " there may be misattributed. Check unit, torque constant and masses first."
         )
     return unchanged_sentence(diagnosis) or _VERDICT_SENTENCES[diagnosis.verdict]
 

@@ -19,14 +19,14 @@ from stiffopt.report.common.svg import (
 from stiffopt.report.common.text import scale
 
 _MARKER_STYLES = (
-    ("stiffness", "identified, 95 % interval", "o", BLUE, 6),
-    ("least_squares", "plain least squares", "d", ORANGE, 4),
+    ("stiffness", "identified, 95 % confidence interval", "o", BLUE, 6),
+    ("least_squares", "ordinary least squares", "d", ORANGE, 4),
     ("nominal", "nominal", "|", VERMILLION, 14),
 )
 
 
 def stiffness_figure(result: StaticStiffness) -> Figure:
-    """Stiffness of every joint with its interval, beside plain least squares and nominal."""
+    """Plot the stiffness of every joint with its confidence interval, and nominal values."""
     shown = [joint for joint in result.joints if joint.lower is not None]
     with figure_style():
         figure = Figure(figsize=(WIDTH, 0.9 + 0.42 * max(len(result.joints), 2)))
@@ -69,7 +69,7 @@ def stiffness_figure(result: StaticStiffness) -> Figure:
 
 
 def prediction_figure(result: StaticStiffness) -> Figure:
-    """Displacement of every pose as measured, against its prediction without that pose."""
+    """Plot measured displacements against leave-one-out predictions, every pose."""
     measured = result.rows.displacement
     factor, unit = scale(float(np.max(np.abs(measured))), "m")
     outlying = np.zeros(len(measured), dtype=bool)
@@ -98,7 +98,7 @@ def prediction_figure(result: StaticStiffness) -> Figure:
 
 
 def poses_figure(result: StaticStiffness) -> Figure:
-    """Error of every pose: left out of the fit, and with the nominal stiffness."""
+    """Plot the leave-one-out error of every pose, and that of the nominal stiffness."""
     measured = result.rows.displacement
     error = np.linalg.norm(measured - result.left_out, axis=1)
     factor, unit = scale(float(np.max(error)), "m")
@@ -127,7 +127,7 @@ def poses_figure(result: StaticStiffness) -> Figure:
 
 
 def models_figure(result: StaticStiffness) -> Figure:
-    """Error on the poses fitted to and on poses left out, per model of the wind-up."""
+    """Plot the error on fitted and on left-out poses, per model of the wind-up."""
     models = result.torque_dependence.models
     factor, unit = scale(max(model.left_out for model in models), "m")
     with figure_style():
@@ -146,7 +146,8 @@ def models_figure(result: StaticStiffness) -> Figure:
         axes.set_yticks(range(len(models)), [model.name for model in models])
         axes.set_ylim(len(models) - 0.5, -0.5)
         axes.set_xlabel(
-            f"root mean square error [{unit}]: open on the poses fitted to, full on poses left out"
+            f"root mean square error [{unit}]: open symbols fitted poses,"
+            " full symbols left-out poses"
         )
         axes.grid(visible=False, axis="y")
         figure.subplots_adjust(left=0.2, right=0.98)
@@ -154,7 +155,7 @@ def models_figure(result: StaticStiffness) -> Figure:
 
 
 def secant_figure(result: StaticStiffness) -> Figure:
-    """Secant stiffness of every joint at small, middle and large torque, by the best model."""
+    """Plot the secant stiffness of every joint at small, middle and large torque."""
     secant = result.torque_dependence.secant
     with figure_style():
         figure = Figure(figsize=(WIDTH, 3.0))
@@ -171,7 +172,7 @@ def secant_figure(result: StaticStiffness) -> Figure:
                 lambda x, _: f"{x:.0e}".replace("e+0", "e").replace("e-0", "e-")
             )
             each.set_minor_formatter("")
-        axes.set_xlabel("torque [N m]: 5, 50 and 95 % of the poses load the joint by no more")
+        axes.set_xlabel("torque [N m], at the 5, 50 and 95 % quantiles of the poses")
         axes.set_ylabel("secant stiffness [N m/rad]")
         axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
         figure.subplots_adjust(left=0.07, right=0.92)

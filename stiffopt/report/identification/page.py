@@ -1,4 +1,4 @@
-"""report.html of a static set: stiffness of the joints, how sure, and torque dependence."""
+"""report.html and terminal output of an identified joint stiffness with confidence intervals."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _STATUS_WORDS = {
 
 @dataclass(frozen=True)
 class OutlyingPose:
-    """A pose (from 1) that does not fit the others: lengths [m] and the weight left to it."""
+    """An outlier (pose number from 1): displacement and error [m], weight in the fit."""
 
     number: int
     displacement: float
@@ -45,7 +45,7 @@ def write_static_report(result: StaticStiffness, folder: Path) -> Path:
     figures.draw("prediction", prediction_figure(result), "Displacement measured and predicted")
     figures.draw("poses", poses_figure(result), "Error by pose")
     if result.torque_dependence.models:
-        figures.draw("models", models_figure(result), "Does compliance depend on torque?")
+        figures.draw("models", models_figure(result), "Torque dependence of the compliance")
     if result.torque_dependence.secant:
         figures.draw("secant", secant_figure(result), "Stiffness over torque")
     context = {
@@ -61,30 +61,30 @@ def write_static_report(result: StaticStiffness, folder: Path) -> Path:
 
 
 def headline(result: StaticStiffness) -> str:
-    """How many joints were identified, in words."""
+    """Return the number of identified joints in words."""
     count = sum(joint.status == "identified" for joint in result.joints)
     return f"Stiffness of {count} of {len(result.joints)} joints identified"
 
 
 def error_sentence(result: StaticStiffness) -> str:
-    """Error on poses left out, beside the nominal stiffness where there is one."""
+    """Return the leave-one-out error in words, with that of the nominal stiffness if known."""
     errors = result.errors
     text = (
-        f"Poses left out are predicted to {si(errors.left_out, 'm', 3)} of "
-        f"{si(errors.displacement, 'm', 3)} (rms of one component)"
+        f"Leave-one-out error {si(errors.left_out, 'm', 3)} of a displacement of "
+        f"{si(errors.displacement, 'm', 3)} (rms per component)"
     )
     if errors.nominal is not None:
-        text += f"; with the nominal stiffness to {si(errors.nominal, 'm', 3)}"
+        text += f"; error of the nominal stiffness {si(errors.nominal, 'm', 3)}"
     return f"{text}."
 
 
 def status_words(joint: JointStiffness) -> str:
-    """What could be said of a joint."""
+    """Return the status of a joint in words."""
     return _STATUS_WORDS[joint.status]
 
 
 def interval(lower: float | None, upper: float | None) -> str:
-    """Interval of a stiffness, which may be open above."""
+    """Format a confidence interval, which may be open above."""
     if lower is None:
         return DASH
     return f"above {decades(lower)}" if upper is None else f"{decades(lower)} to {decades(upper)}"
@@ -103,12 +103,12 @@ def _outlying_poses(result: StaticStiffness) -> list[OutlyingPose]:
     ]
 
 
-_NUMBER_COLUMNS = ("stiffness", "standard deviation", "95 % interval", "nominal")
+_NUMBER_COLUMNS = ("stiffness", "standard deviation", "95 % confidence interval", "nominal")
 _DEVIATION_COLUMN = "softer than nominal by (standard deviations)"
 
 
 def print_static(result: StaticStiffness, folder: Path) -> None:
-    """Stiffness of the joints, errors, the verdict on torque dependence, where the files are."""
+    """Print stiffness of the joints, errors, outliers, torque dependence, path of the report."""
     print_lines([f"{headline(result)}. {error_sentence(result)}"])
     rows = [
         (
@@ -132,7 +132,7 @@ def print_static(result: StaticStiffness, folder: Path) -> None:
     print_lines(
         (
             *(f"J{joint.joint}: {joint.reason}" for joint in result.joints if joint.reason),
-            f"Poses that do not fit the others: {outliers}" if outliers else None,
+            f"Outliers: poses {outliers}" if outliers else None,
             f"Torque-dependent stiffness: {result.torque_dependence.sentence}",
             f"Report: {folder / 'report.html'}",
         )

@@ -1,4 +1,4 @@
-"""Joint diagram of VDI 2230: force of bolt and clamped parts over their elongation."""
+"""Figures of bolts: joint diagrams of VDI 2230, and flanges with the load of each bolt."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ from stiffopt.report.preload.words import readable
 
 
 def joint_diagrams(sheets: Sequence[BoltSheet]) -> Figure:
-    """One diagram for each flange, forces of one bolt in kN, elongations in um.
+    """Draw a joint diagram for each flange, forces of one bolt in kN, elongations in um.
 
-    From the left the bolt's line 1/delta_S, from the right that of the clamped parts 1/delta_P;
-    they meet at the assembly preload. Drawn at its least and at its largest; the band between is
-    the scatter. The working load opens the lens on the least line, where clamp load is judged.
+    The bolt's line 1/delta_S rises from the left, that of the clamped parts 1/delta_P from the
+    right; they meet at the assembly preload, drawn at its largest value and at the least in
+    service. The working load is drawn at the latter, which determines the clamp load.
     """
     columns = min(3, len(sheets))
     rows = -(-len(sheets) // columns)
@@ -67,7 +67,7 @@ def _draw_diagram(axes: Axes, sheet: BoltSheet) -> None:
     largest, least = sheet.largest / 1e3, sheet.least / 1e3
     service = max(sheet.in_service, 0.0) / 1e3
     bolt, plates = 1e3 * bolt, 1e3 * plates  # um per kN
-    # The bolt's line is one; each preload has its own line of the clamped parts.
+    # One line of the bolt; a line of the clamped parts for each preload.
     end = bolt * largest
     axes.axhspan(least, largest, color=SKY, alpha=0.25, linewidth=0, zorder=0, label="scatter")
     axes.plot([0, end], [0, largest], color=BLUE, label="bolt, 1/δS")
@@ -94,14 +94,14 @@ def _draw_diagram(axes: Axes, sheet: BoltSheet) -> None:
         )
     needed = sheet.clamp_needed / 1e3
     axes.axhline(
-        needed, color=ORANGE, linewidth=1.0, linestyle=(0, (4, 2)), label="clamp load asked for"
+        needed, color=ORANGE, linewidth=1.0, linestyle=(0, (4, 2)), label="required clamp load"
     )
     axes.set_xlim(0.0, 1.04 * (bolt + plates) * largest)
     axes.set_ylim(min(0.0, service + taken - load), 1.16 * top)
     names = [("F_M max", largest), ("F_M min", least), ("F_V min", service)]
     previous = float("inf")
     for name, force in names:
-        # Names that would lie on each other move apart.
+        # Overlapping labels are moved apart.
         place = min(force, previous - 0.055 * top)
         axes.annotate(
             f"{name} {force:.3g}",
@@ -118,10 +118,10 @@ def _draw_diagram(axes: Axes, sheet: BoltSheet) -> None:
 
 
 def flange_drawings(sheets: Sequence[BoltSheet]) -> Figure:
-    """Flanges in their load case of the most clamp load, one scale each.
+    """Draw each flange in the load case that requires the largest clamp load, each to its scale.
 
-    Beside each bolt its axial load in N, above 0 where it is pulled; arrows are its transverse
-    load, the longest as long as half the bolt circle's radius.
+    Numbers are axial loads of bolts in N, positive in tension; arrows are transverse loads, the
+    longest half the radius of the bolt circle.
     """
     columns = min(3 if len(sheets) != 4 else 4, len(sheets))
     rows = -(-len(sheets) // columns)
@@ -173,10 +173,8 @@ def _draw_flange(axes: Axes, sheet: BoltSheet) -> None:
             fontsize=7.5,
             color=VERMILLION if pulled else INK,
         )
-    axes.text(
-        0, 0, f"{significant(longest, 3)} N\nacross, most", ha="center", va="center", fontsize=7.0,
-        color=BLUE,
-    )  # fmt: skip
+    largest = f"{significant(longest, 3)} N\ntransverse, max."
+    axes.text(0, 0, largest, ha="center", va="center", fontsize=7.0, color=BLUE)
     reach = 1.36 * outer
     axes.set_xlim(-reach, reach)
     axes.set_ylim(-reach, reach)

@@ -1,4 +1,4 @@
-"""report.html of a preload study: what to tighten to, what binds, and what it rests on."""
+"""report.html and terminal output of a preload study: tightening, active limits, assumptions."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def write_preload_report(study: PreloadStudy, directory: str | Path) -> Path:
     Parameters
     ----------
     study : PreloadStudy
-        Of any status; parts that were not run are left out.
+        Study of any status; parts that were not run are omitted.
     directory : path
 
     Returns
@@ -98,7 +98,7 @@ def _write_page(study: PreloadStudy, directory: str | Path) -> Path:
     figures.draw(
         "loosening",
         loosening_figure(loosening.first_slip_fraction, loosening.slip_fraction),
-        "How far each connection may loosen",
+        "Remaining preload at slip",
     )
     context = {
         "study": study,
@@ -146,16 +146,16 @@ def _write_page(study: PreloadStudy, directory: str | Path) -> Path:
 _CONNECTION_COLUMNS = (
     "connection",
     "fasteners",
-    "preload",
-    "at least",
+    "largest preload",
+    "least preload",
     "tightening torque",
-    "used",
-    "set by",
+    "utilisation",
+    "active limits",
 )
 
 
 def print_study(study: PreloadStudy, folder: Path) -> None:
-    """What to tighten to, what binds, how much of each limit is used, and where the files are."""
+    """Print tightening, active limits, utilisation, notes and path of the report."""
     problem, solution = study.problem, study.solution
     if solution.status.usable:
         print_lines(
@@ -182,10 +182,10 @@ def print_study(study: PreloadStudy, folder: Path) -> None:
 
 
 def _connection_row(study: PreloadStudy, element: FreeElement) -> tuple[str, ...]:
-    """One connection."""
+
     solution, key = study.solution, element.key
     preload, torque = solution.preloads[key], solution.tightening[key]
-    # What no preload changes is not used up by it, nor is a warning.
+    # Limits that do not depend on the preload, and warnings, are not listed.
     fixed = {limit.name for limit in element.limits if not limit.depends_on_preload}
     own = [r for r in solution.rows if r.element == key and r.binding and r.kind not in fixed]
     used = max(own, key=lambda r: r.utilisation)

@@ -1,4 +1,4 @@
-"""What the browser draws: the arm, its motions and the parts of the deflection, as plain data."""
+"""Content of a 3D scene as plain data: arm, cell, motions and parts of the deflection."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from stiffopt.robot.cell import Cell
     from stiffopt.robot.robot import Robot
 
-# Of all meshes of an arm together, so that a page stays below 3 MB.
+# Triangles of all meshes of an arm together, so that a page stays below 3 MB.
 _MAX_ARM_TRIANGLES = 60000
 
 
@@ -34,19 +34,19 @@ def scene_document(
     factor: float,
     cell: Cell | None = None,
 ) -> dict[str, Any]:
-    """Content of a scene.
+    """Return the content of a scene.
 
     Parameters
     ----------
     robot : Robot
     motions : mapping of name to Poses
-        The one that is shown first, then its ghost.
+        The motion that is shown, then the one drawn as its ghost.
     part : str
-        Of the deflection that is shown at first.
+        Part of the deflection that is shown first.
     factor : float
-        By which it is enlarged at first.
+        Initial magnification of the deflection.
     cell : Cell, optional
-        Its boxes and meshes are shown, and what is near of its walls and floor.
+        Cell around the arm: boxes, meshes, and walls and floor near the arm.
     """
     radii = joint_radii(robot.tree, robot.tool)
     first = next(iter(motions.values()))
@@ -75,7 +75,7 @@ def scene_document(
 
 
 def scene_json(document: Mapping[str, Any]) -> str:
-    """Text that may stand inside a script element of a page."""
+    """Return the document as JSON that is safe inside a script element."""
     text = json.dumps(plain(document), separators=(",", ":"), ensure_ascii=False, allow_nan=False)
     return text.replace("<", "\\u003c")
 
@@ -92,18 +92,18 @@ def _motion_data(name: str, poses: Poses) -> dict[str, Any]:
 
 
 def _arm_shapes(robot: Robot) -> list[dict[str, Any]]:
-    """Shapes of the URDF; capsules for moving links that it does not show."""
+    """Return the shapes of the URDF, and capsules for links without one."""
     placed = [each for each in robot.joint_shapes("visual") if each.shape.known]
     placed = placed or [each for each in robot.joint_shapes("collision") if each.shape.known]
     meshes = max(sum(each.shape.kind == "mesh" for each in placed), 1)
     shapes: list[dict[str, Any]] = []
     for each in placed:
-        # A mesh that cannot be read leaves a capsule: a picture is no reason to lose a page.
+        # An unreadable mesh is replaced by a capsule: the page must not fail for a picture.
         with suppress(InputFileError):
             shapes.append(_shape_data(each, _MAX_ARM_TRIANGLES // meshes))
     shown = {shape["joint"] for shape in shapes}
     for rod in capsules(robot.tree, robot.tool):
-        # What carries shapes needs no capsule; the base is shown where the rest is not.
+        # Links with shapes need no capsule; the base has one only where no shapes exist.
         if rod.joint in shown or (rod.joint == 0 and shown):
             continue
         shapes.append(
@@ -144,25 +144,25 @@ def _shape_data(placed: JointShape, triangles: int) -> dict[str, Any]:
 
 
 def _round_nested(values: np.ndarray, digits: int = 6) -> list[Any]:
-    """Nested lists, rounded: a page needs no more."""
+    """Return nested lists of rounded values."""
     rounded: list[Any] = np.round(np.asarray(values, dtype=float), digits).tolist()
     return rounded
 
 
-# Triangles of one shape, and cells of the grid along the longest edge to begin with.
+# Triangles of one shape, and initial number of grid cells along its longest edge.
 _MAX_TRIANGLES = 6000
 _INITIAL_GRID_CELLS = 1024
 
 
 def compact_mesh(shape: LinkShape, most: int = _MAX_TRIANGLES) -> dict[str, Any]:
-    """Mesh of a shape as the scene reads it.
+    """Return the mesh of a shape, vertices on a grid, triangles that vanish on it removed.
 
     Parameters
     ----------
     shape : LinkShape
-        A mesh that was found.
+        A mesh whose file exists.
     most : int
-        Triangles; a finer mesh is put on a coarser and coarser grid until it fits.
+        Maximum number of triangles; the grid is coarsened until it holds.
 
     Returns
     -------
@@ -197,18 +197,18 @@ def _encode_uint16(numbers: np.ndarray) -> str:
     return base64.b64encode(numbers.astype("<u2").tobytes()).decode()
 
 
-# A wall is shown as a slab so thick [m], so many reaches of the arm to each side.
+# A wall is shown as a slab of this thickness [m] and half width [reaches of the arm].
 _WALL_THICKNESS, _WALL_HALF_WIDTH_REACHES = 2e-3, 1.2
 
 
 def shapes_around(cell: Cell | None, reach: float) -> list[JointShape]:
-    """Boxes, meshes, and the near part of walls and floor, in the base frame.
+    """Return boxes, meshes, and the near part of walls and floor, in the base frame.
 
     Parameters
     ----------
     cell : Cell or None
     reach : float
-        Of the arm [m]: what lies farther out of a wall is not shown.
+        Reach of the arm [m], which bounds the part of a wall that is shown.
     """
     if cell is None:
         return []
@@ -226,7 +226,7 @@ def shapes_around(cell: Cell | None, reach: float) -> list[JointShape]:
     side = 2.0 * _WALL_HALF_WIDTH_REACHES * reach
     for name, point, normal in walls:
         out = normal / np.linalg.norm(normal)
-        # Seen from the base, and all of it behind the face.
+        # Centred at the base and entirely behind the face.
         middle = out * (out @ point - 0.5 * _WALL_THICKNESS)
         found.append(
             _placed_shape(name, "box", (side, side, _WALL_THICKNESS), middle, _frame_along(out))
@@ -256,7 +256,7 @@ def _placed_shape(
 
 
 def _frame_along(axis: np.ndarray) -> np.ndarray:
-    """Rotation (3, 3) whose third column is a unit vector."""
+    """Return a rotation (3, 3) whose third column is the unit vector `axis`."""
     other = np.eye(3)[int(np.argmin(np.abs(axis)))]
     first = np.cross(other, axis)
     first = first / np.linalg.norm(first)
@@ -264,7 +264,7 @@ def _frame_along(axis: np.ndarray) -> np.ndarray:
 
 
 def edges_around(cell: Cell | None) -> np.ndarray:
-    """Edges of all boxes (k, 2, 3), base frame [m]."""
+    """Return the edges of all boxes (k, 2, 3), base frame [m]."""
     edges = []
     for box in () if cell is None else cell.box:
         turn, half = rotation_from_rpy(box.rpy), 0.5 * np.array(box.size)

@@ -1,4 +1,4 @@
-"""A solved motion in the browser, live: `stiffopt view`, drawn by viser (extra `view`)."""
+"""Live view of a solved motion in the browser: `stiffopt view`, drawn by viser (extra `view`)."""
 
 from __future__ import annotations
 
@@ -24,24 +24,24 @@ if TYPE_CHECKING:
 
 _BENT_COLOUR, _PLANNED_COLOUR, _GHOST_COLOUR = (196, 64, 56), (58, 108, 178), (150, 150, 150)
 _FRAME_TIME = 1.0 / 30.0
-# Of a slab that stands for a wall, which more must be seen through [m].
+# Boxes thinner than this [m] are walls, drawn more transparent.
 _MAX_WALL_THICKNESS = 5e-3
 
 
 class LiveScene:
-    """A server whose page shows an arm along a motion: sliders of time and enlargement, a ghost.
+    """Server of a page that shows an arm along a motion, with sliders of time and magnification.
 
     Parameters
     ----------
     robot : Robot
     poses : Poses
-        Of the motion, with one part of the deflection or more.
+        Motion with one or more parts of the deflection.
     ghost : Poses or None
-        Of a motion to compare with.
+        Motion to compare with.
     cell : Cell or None
-        What stands around the arm.
+        Cell around the arm.
     host, port : str, int
-        Where the page is served; a port that is taken gives the next one. Requests for another
+        Address of the page; if the port is in use, the next one is taken. Requests for another
         host, or from pages of another origin, are refused with status 403.
 
     Raises
@@ -101,7 +101,7 @@ class LiveScene:
 
     @property
     def address(self) -> str:
-        """Of the page."""
+        """Address of the page."""
         return f"http://{self.server.get_host()}:{self.server.get_port()}"
 
     def draw(self) -> None:
@@ -120,7 +120,7 @@ class LiveScene:
                 self._arms[name].move(q)
 
     def tool(self) -> np.ndarray:
-        """Where the bent arm's tool is shown (3,) [m]."""
+        """Return the displayed position of the bent arm's tool (3,) [m]."""
         return self._arms["/bent"].tool()
 
     def run(self) -> None:
@@ -143,7 +143,7 @@ class LiveScene:
 
 @contextmanager
 def _guarded_server(hosts: set[str]) -> Iterator[None]:
-    """Have a server that viser begins refuse pages of others, for which it has no option."""
+    """Make the server that viser starts refuse foreign pages; viser has no option for it."""
     from websockets.asyncio import server
 
     plain, guarded = server.serve, False
@@ -165,14 +165,13 @@ def _guarded_server(hosts: set[str]) -> Iterator[None]:
     finally:
         server.serve = plain  # type: ignore[misc]
     if not guarded:
-        raise InputError("this viser begins its server in a way not known here. Install another.")
+        raise InputError("this version of viser is not supported. Install viser 1.0 or later.")
 
 
 def is_own_request(headers: Any, hosts: set[str]) -> bool:
-    """Return whether a request names one of the hosts and comes from its page, or from none.
+    """Return True for a request that names one of the hosts and has its origin, or no origin.
 
-    A name that an attacker's server resolves to this machine is none of the hosts, and a page of
-    another server has another origin.
+    This refuses DNS rebinding (a foreign name resolved to this machine) and pages of other servers.
     """
     named, origins = headers.get_all("Host"), headers.get_all("Origin")
     if len(named) != 1 or re.sub(r":\d+$", "", named[0]).lower() not in hosts:
@@ -181,7 +180,7 @@ def is_own_request(headers: Any, hosts: set[str]) -> bool:
 
 
 class _ArmFrames:
-    """Frames of the joints, with the shapes that hang on them."""
+    """Frames of the joints with the shapes attached to them."""
 
     def __init__(
         self,
@@ -203,14 +202,14 @@ class _ArmFrames:
             if _add_shape(server.scene, f"{place}/shape{number}", each, color, opacity):
                 shown.add(each.joint)
         for number, rod in enumerate(capsules(robot.tree, robot.tool)):
-            # What carries shapes needs no rod; the base is shown where the rest is not.
+            # Links with shapes need no capsule; the base has one only where no shapes exist.
             if rod.joint in shown or (rod.joint == 0 and shown):
                 continue
             place = f"{name}/J{rod.joint}" if rod.joint else name
             _add_capsule(server.scene, f"{place}/rod{number}", rod, color, opacity)
 
     def move(self, q: np.ndarray) -> None:
-        """Put the joints at positions (n,)."""
+        """Move the joints to positions (n,)."""
         rotations, origins = joint_frames(self._robot.tree, q[None])
         turns = Rotation.from_matrix(rotations[0]).as_quat(scalar_first=True)
         for frame, turn, origin in zip(self._frames, turns, origins[0], strict=True):
@@ -273,6 +272,6 @@ def _add_capsule(
 
 
 def _interpolate_row(times: np.ndarray, values: np.ndarray, t: float) -> np.ndarray:
-    """Row of values (K, n) at a time, held beyond the end."""
+    """Interpolate values (K, n) at a time; constant beyond the ends."""
     columns: Sequence[float] = [np.interp(t, times, column) for column in values.T]
     return np.array(columns)

@@ -1,4 +1,4 @@
-"""A still of the arm for the top of a page: there without WebGL, without scripts and in print."""
+"""Still picture of the arm for a page, needed without WebGL, without scripts and in print."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ if TYPE_CHECKING:
     from stiffopt.robot.robot import Robot
 
 _HEIGHT_INCH = 4.6
-# What is seen at least [m], also of an arm whose joints and tool lie at one point.
+# Least extent of the view [m], for an arm whose joints and tool coincide.
 _MIN_VIEW_SIZE = 0.1
-# Of the picture over what is drawn: lines have a width.
+# Picture over content: lines have a width.
 _VIEW_MARGIN = 1.02
-# Looked at from this far above the horizon [rad].
+# Elevation of the viewpoint above the horizon [rad].
 _VIEW_ELEVATION = 0.4
 
 
@@ -43,22 +43,22 @@ def still_figure(
     factor: float,
     cell: Cell | None = None,
 ) -> Figure:
-    """The arm at the largest deflection, bent and as planned, with start, end and tool paths.
+    """Draw the arm at the largest deflection, bent and planned, with start, end and tool paths.
 
-    It holds no words, so that it can be as small as a screen: `still_caption` has them.
+    The picture has no text, so that it fits small screens; `still_caption` returns the caption.
 
     Parameters
     ----------
     tree : BodyTree
     tool : LinkFrame
     motions : sequence of Poses
-        The one that is drawn as an arm; a second one as a path only.
+        The first is drawn as an arm, others as tool paths.
     part : str
-        Of the deflection; "" where the motion has none.
+        Part of the deflection; "" where the motion has none.
     factor : float
-        By which it is enlarged.
+        Magnification of the deflection.
     cell : Cell, optional
-        Edges of its boxes are drawn.
+        Cell whose box edges are drawn.
     """
     poses, at = motions[0], largest(motions[0], part)
     bent = poses.position - factor * poses.bend[part] if part else poses.position
@@ -91,12 +91,12 @@ def still_figure(
 
 
 def largest(poses: Poses, part: str) -> int:
-    """Instant of the largest deflection; the middle where there is none."""
+    """Return the index of the largest deflection, or the middle where there is none."""
     return int(np.argmax(poses.deflection[part])) if part else len(poses.time) // 2
 
 
 def still_caption(motions: Mapping[str, Poses], part: str, factor: float) -> str:
-    """What the still shows, in words."""
+    """Return the caption of the still picture."""
     (_, poses), *others = motions.items()
     at = largest(poses, part)
     dashed = "".join(f"; dashed: {name}" for name, _ in others)
@@ -108,14 +108,14 @@ def still_caption(motions: Mapping[str, Poses], part: str, factor: float) -> str
     )
     size = si(float(poses.deflection[part][at]), "m", 3)
     return (
-        f"The arm at {poses.time[at]:.3f} s, where its {part} deflection is largest, {size}; start "
-        f"and end are pale. Blue: as planned; red: with {part} deflection × {factor:g}{dashed}. "
-        f"A joint is the redder, the more of the deflection it makes: {shares}."
+        f"The arm at {poses.time[at]:.3f} s, where its {part} deflection is largest, {size};"
+        f" start and end are pale. Blue: planned; red: {part} deflection × {factor:g}{dashed}. "
+        f"Joints are coloured by their share of the deflection: {shares}."
     )
 
 
 def _view_axes(tree: BodyTree, tool: LinkFrame, positions: np.ndarray) -> np.ndarray:
-    """Rows: right, up and towards the eye; across the plane in which the arm stretches out."""
+    """Return the view's axes as rows (right, up, towards the viewer), oblique to the motion."""
     points = tool_positions(tree, tool, positions)
     forward = points.mean(axis=0) - np.array([0.0, 0.0, 0.0])
     heading = np.arctan2(forward[1], forward[0]) if np.hypot(*forward[:2]) > 1e-6 else 0.0
@@ -130,7 +130,7 @@ def _view_axes(tree: BodyTree, tool: LinkFrame, positions: np.ndarray) -> np.nda
 def _placed_capsules(
     tree: BodyTree, tool: LinkFrame, q: np.ndarray
 ) -> list[tuple[np.ndarray, np.ndarray, float]]:
-    """Ends and radius of the arm's capsules in the base frame."""
+    """Return ends and radius of the arm's capsules in the base frame."""
     rotations, origins = joint_frames(tree, q[None])
     rods = []
     for rod in capsules(tree, tool):
@@ -149,7 +149,7 @@ def _fit_view(
     positions: np.ndarray,
     seen: np.ndarray,
 ) -> float:
-    """Limits in which all poses and points (K, 2) have room; return points on paper per metre."""
+    """Set the axes' limits to hold all poses and points (K, 2); return printed points per metre."""
     ends = [
         (view @ point)[:2] + side * radius
         for q in positions
@@ -179,7 +179,7 @@ def _draw_arm(
     share: np.ndarray | None,
     opacity: float,
 ) -> None:
-    """Capsules as thick lines, what is farther away first; joints by their share."""
+    """Draw capsules as thick lines from back to front, joints coloured by their share."""
     front = 10.0 if share is not None else 1.0
     parts = [
         (0.5 * (begin + end), np.stack([begin, end]), radius, colour)
@@ -188,7 +188,7 @@ def _draw_arm(
     if share is not None:
         _, origins = joint_frames(tree, q[None])
         for j, radius in enumerate(joint_radii(tree, tool)):
-            # In front of the links that it joins.
+            # Shifted towards the viewer, in front of its links.
             at = origins[0, j] + 1.5 * radius * view[2]
             parts.append((at, np.stack([at, at]), 0.62 * radius, _share_colour(float(share[j]))))
     depth = [float(view[2] @ middle) for middle, *_ in parts]
@@ -204,7 +204,7 @@ def _draw_arm(
 def _draw_capsule(
     axes: Axes, flat: np.ndarray, colour: str, width: float, order: float, opacity: float
 ) -> None:
-    """A thick line with round ends, `width` in points on paper."""
+    """Draw a thick line with round ends; `width` in printed points."""
     axes.plot(
         flat[:, 0],
         flat[:, 1],
@@ -213,7 +213,7 @@ def _draw_capsule(
         zorder=order,
         alpha=opacity,
         solid_capstyle="round",
-        # A joint is a dot, and a line without length may not be drawn.
+        # A line of zero length may not be drawn: a joint gets a marker.
         marker="o" if np.array_equal(flat[0], flat[1]) else None,
         markersize=width,
         markeredgewidth=0.0,
@@ -221,7 +221,7 @@ def _draw_capsule(
 
 
 def _share_colour(share: float) -> str:
-    """Colour of a share, as in the scene: half of the deflection is as red as it gets."""
+    """Return the colour of a share as in the scene: full red from one half on."""
     own = min(max(2.0 * share, 0.0), 1.0)
     mixed = (1.0 - own) * np.array(to_rgb("#f2f4f6")) + own * np.array(to_rgb(VERMILLION))
     return "#" + "".join(f"{round(255 * c):02x}" for c in mixed)
@@ -229,7 +229,7 @@ def _share_colour(share: float) -> str:
 
 @dataclass(frozen=True)
 class ArmInSpace:
-    """A figure with its caption, and the texts of the scene, which stand on a page unescaped."""
+    """Still picture with caption, and the texts of the scene, which enter a page unescaped."""
 
     still: Figure
     caption: str
@@ -239,16 +239,16 @@ class ArmInSpace:
 def embedded_scene(
     robot: Robot, motions: Mapping[str, Poses], part: str, cell: Cell | None = None
 ) -> ArmInSpace:
-    """The first motion, bent by a part of its deflection, and the ghost of the second.
+    """Return scene and still of the first motion, its deflection magnified, the second as ghost.
 
     Parameters
     ----------
     robot : Robot
     motions : mapping of name to Poses
     part : str
-        Of the deflection; where that is zero, the first that is not.
+        Part of the deflection; the first nonzero one where it is zero.
     cell : Cell, optional
-        What stands around the arm.
+        Cell around the arm.
     """
     first = next(iter(motions.values()))
     shown = part if part in first.bend else next(iter(first.bend), "")
@@ -262,7 +262,7 @@ def embedded_scene(
         "library": here.joinpath("three.min.js").read_text(encoding="utf-8"),
         "script": here.joinpath("scene.js").read_text(encoding="utf-8"),
     }
-    # Scripts of this package, and data whose "<" is escaped.
+    # Safe unescaped: scripts of this package, and JSON whose "<" is escaped.
     return ArmInSpace(
         still,
         still_caption(motions, shown, factor),

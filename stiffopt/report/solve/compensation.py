@@ -1,4 +1,4 @@
-"""Motions whose motors lead the links, on arms as they may be: table, figure, words."""
+"""Compensated motions on uncertain arms: table, figure and sentences."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from stiffopt.result.compensation import CompensatedMotion, Compensation, Spread
 from stiffopt.result.compensation_store import COMMAND_FILE
 
 _PLANNED_LABEL, _COMPENSATED_LABEL = "as planned", "compensated"
-# What its figure shows, for those who do not see it.
+# Text alternative of the figure.
 COMPENSATED = "Peak deviations on uncertain arms, as planned and compensated"
-# Dots of draws are spread over this height of a row.
+# Half height over which the dots of a row are spread.
 _DOT_SPREAD = 0.25
 
 
 def compensation_table(compensation: Compensation) -> tuple[list[str], list[list[str]]]:
-    """Head and rows of text, two rows a motion."""
+    """Return header and rows as text, two rows per motion."""
     head = ["motion", "motors"]
     for phase in ("in flight", "after"):
         head += [f"{phase}, nominal", "90 % of draws", "worst"]
@@ -52,7 +52,7 @@ def _limit_cell(motion: CompensatedMotion, how: str) -> str:
 
 
 def compensation_section(compensation: Compensation | None) -> dict[str, Any] | None:
-    """Text, table and notes, as pages have them; None where nothing was compensated."""
+    """Return text, table and notes for a page, or None without compensation."""
     if compensation is None:
         return None
     return {
@@ -64,25 +64,28 @@ def compensation_section(compensation: Compensation | None) -> dict[str, Any] | 
 
 
 def compensation_text(compensation: Compensation) -> str:
-    """What the command gives, nominally and at worst, against toppra's motion."""
+    """Return a paragraph on nominal and worst deviations, compared with toppra's motion."""
     if compensation.refusal:
         return compensation.refusal
     own = compensation.optimised
     text = (
-        f"Commanded as {compensation.file or COMMAND_FILE}, the elastic arm's tool is within "
-        f"{_format_deviations(own.compensated)} of the plan in flight and after arrival, at worst within "
-        f"{_format_deviations(own.compensated, True)}"
+        f"With the command {compensation.file or COMMAND_FILE} the"
+        " elastic arm's tool deviates from "
+        f"the plan by at most {_format_deviations(own.compensated)} in flight / after arrival, in "
+        f"the worst case {_format_deviations(own.compensated, True)}"
     )
     other = next((each for each in compensation.motions if each.name == "toppra"), None)
     if other is None:
         return f"{text}."
     plain, led = other.planned, other.compensated
     return (
-        f"{text}; toppra's motion as planned {_format_deviations(plain)}, at worst {_format_deviations(plain, True)}, with "
-        f"the same compensation {_format_deviations(led)} and {_format_deviations(led, True)}. That is "
-        f"{_compare_deviations(plain, own.compensated)} toppra as planned, at worst "
-        f"{_compare_deviations(plain, own.compensated, True)} it, and {_compare_deviations(led, own.compensated, True)} it "
-        "compensated, at worst."
+        f"{text}; toppra's motion as planned {_format_deviations(plain)}, worst case "
+        f"{_format_deviations(plain, True)}; compensated alike"
+        f" {_format_deviations(led)}, worst case "
+        f"{_format_deviations(led, True)}. This is {_compare_deviations(plain, own.compensated)} "
+        f"toppra as planned; in the worst case "
+        f"{_compare_deviations(plain, own.compensated, True)} toppra as planned and "
+        f"{_compare_deviations(led, own.compensated, True)} toppra compensated."
     )
 
 
@@ -92,7 +95,7 @@ def _format_deviations(spreads: Spreads, worst: bool = False) -> str:
 
 
 def _compare_deviations(other: Spreads, own: Spreads, worst: bool = False) -> str:
-    """How far below the other, in flight and after arrival: "8.5 / 5.7 times below"."""
+    """Return a comparison in flight and after arrival, such as "8.5 / 5.7 times below"."""
     phases = ((other.flight, own.flight), (other.after, own.after))
     pairs = [[s.worst if worst else s.nominal for s in pair] for pair in phases]
     (flight, first), (after, second) = (_compare_sizes(theirs, ours) for theirs, ours in pairs)
@@ -102,7 +105,7 @@ def _compare_deviations(other: Spreads, own: Spreads, worst: bool = False) -> st
 
 
 def _compare_sizes(theirs: float, ours: float) -> tuple[str, str]:
-    """Ratio of two sizes, "" where there is none, and what it means: ("8.5", "times below")."""
+    """Return ratio of two magnitudes ("" without one) and relation, as ("8.5", "times below")."""
     if not np.isfinite([theirs, ours]).all():
         return "", "not comparable with"
     if theirs == ours:
@@ -116,27 +119,28 @@ def _compare_sizes(theirs: float, ours: float) -> tuple[str, str]:
 
 
 def compensation_notes(compensation: Compensation) -> list[str]:
-    """What was taken as uncertain, and how the command was made."""
+    """Return notes on the uncertainties and on the computation of the command."""
     own = compensation.optimised
     made = (
-        "The plan is smooth enough as it is"
+        "The plan needs no smoothing"
         if own.spacing is None
         else f"Splines with knots every {si(own.spacing, 's', 2)} smooth the plan"
     )
     loop = compensation.loop
     return [
-        *([f"Every arm's motors follow by position loops of {loop}."] if loop else []),
-        f"Uncertain: {listed(compensation.uncertainty)}. The worst arm has each at a bound, or the "
-        f"joints' stiffness such that their errors add up; {compensation.draws} arms are drawn "
-        "evenly between the bounds. The problem's limits, settling included, are judged on the arm "
-        "as modelled only.",
-        f"{made}; the motors lead by {100 * own.share:.0f} % of the nominal wind-up, "
-        f"{'as chosen by the solve' if compensation.file else 'which is best for the worst arm'}.",
+        *([f"The motors of every arm follow in position loops of {loop}."] if loop else []),
+        f"Uncertain: {listed(compensation.uncertainty)}. The worst"
+        " case is over arms with each value "
+        "at a bound, and with the joints' stiffness such that their errors add up; "
+        f"{compensation.draws} arms are drawn uniformly within the bounds. The problem's limits, "
+        "settling included, are checked on the nominal arm only.",
+        f"{made}; the feedforward lead is {100 * own.share:.0f} % of the nominal wind-up, "
+        f"{'as chosen by the solve' if compensation.file else 'the best for the worst case'}.",
     ]
 
 
 def compensation_figure(compensation: Compensation) -> Figure:
-    """Peaks on all drawn arms, nominal and worst, in flight and after arrival."""
+    """Plot peak deviations of all sampled arms, in flight and after arrival."""
     rows = [
         (f"{motion.name}, {how}", color, spreads)
         for motion in compensation.motions

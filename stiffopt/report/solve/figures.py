@@ -53,7 +53,7 @@ _PART_STYLES: dict[str, dict[str, Any]] = {
 
 @dataclass(frozen=True)
 class ComparedMotion:
-    """A motion with the name it bears on the page."""
+    """A motion with its name on the page."""
 
     name: str
     assessment: Assessment
@@ -61,7 +61,7 @@ class ComparedMotion:
 
     @property
     def label(self) -> str:
-        """Name, marked where a limit is exceeded."""
+        """Name, with a remark where a limit is exceeded."""
         return self.name if self.feasible else f"{self.name} (exceeds limits)"
 
     def magnitude(self, part: str) -> np.ndarray:
@@ -69,7 +69,7 @@ class ComparedMotion:
         return np.asarray(np.linalg.norm(self.assessment.deflection[part], axis=1))
 
     def peak(self, part: str) -> float:
-        """Largest magnitude that is finite [m]; where a connection slips, it is not."""
+        """Largest finite magnitude [m]; it is infinite where a connection slips."""
         magnitude = self.magnitude(part)
         return float(np.max(magnitude, where=np.isfinite(magnitude), initial=0.0))
 
@@ -86,7 +86,7 @@ def compared_motions(solution: Solution) -> list[ComparedMotion]:
 
 
 def focus_part(problem: TrajectoryProblem) -> str:
-    """Part of the deflection that the problem is about; dynamic unless another is minimised."""
+    """Return the part of the deflection that the problem minimises, else "dynamic"."""
     for objective in problem.objectives:
         if objective.kind.deflection_part:
             return objective.kind.deflection_part
@@ -94,12 +94,12 @@ def focus_part(problem: TrajectoryProblem) -> str:
 
 
 def motion_style(index: int) -> dict[str, Any]:
-    """Line style of a compared motion: the optimised one is number 0."""
+    """Return the line style of a compared motion; the optimised one has index 0."""
     return dict(_MOTION_STYLES[index % len(_MOTION_STYLES)])
 
 
 def deflection_figure(motions: Sequence[ComparedMotion], part: str = "dynamic") -> Figure:
-    """Deflection of the tool over time: one part of all motions, and all parts of the first.
+    """Plot the tool deflection over time: one part of all motions, and all parts of the first.
 
     Parameters
     ----------
@@ -154,15 +154,15 @@ def _peak_curve(
 def motion_figure(
     problem: TrajectoryProblem, motion: Assessment, other: ComparedMotion | None
 ) -> Figure:
-    """Position, velocity, acceleration and jerk of every joint with the bounds.
+    """Plot position, velocity, acceleration and jerk of every joint with the bounds.
 
     Parameters
     ----------
     problem : TrajectoryProblem
-        Its limits are drawn.
+        Problem whose limits are drawn.
     motion : Assessment
     other : ComparedMotion or None
-        A baseline drawn thinly beside it; its jerk is left out.
+        Baseline drawn with thin lines, without its jerk.
     """
     limits, units = problem.active_limits, joint_units(problem.robot)
     upper = (limits.position_upper, limits.velocity, limits.acceleration, limits.jerk)
@@ -210,7 +210,7 @@ def _motion_titles(units: Sequence[JointUnits]) -> list[str]:
 
 
 def _level_if_flat(axes: Axes) -> None:
-    """Show a joint that stands still as a level line, not as magnified rounding."""
+    """Widen the range of a stationary joint, whose rounding errors would otherwise be magnified."""
     low, high = axes.get_ylim()
     least = 0.02 * max(abs(low), abs(high), 0.05)
     if high - low < least:
@@ -219,7 +219,7 @@ def _level_if_flat(axes: Axes) -> None:
 
 
 def torque_figure(problem: TrajectoryProblem, motion: Assessment) -> Figure:
-    """Drive torque of every joint with its bounds, and the torque in its spring."""
+    """Plot the drive torque of every joint with its bounds, and its spring torque."""
     limit, units = problem.active_limits.torque, joint_units(problem.robot)
     columns = min(3, len(units))
     rows = -(-len(units) // columns)
@@ -247,7 +247,7 @@ def torque_figure(problem: TrajectoryProblem, motion: Assessment) -> Figure:
 
 
 def stiffness_figure(problem: TrajectoryProblem, motion: Assessment) -> Figure:
-    """Tangent stiffness of every joint over time, lowest values marked, floors drawn."""
+    """Plot the tangent stiffness of every joint over time with lowest values and lower limits."""
     units = joint_units(problem.robot)
     floors = problem.active_limits.joint_stiffness
     with figure_style():
@@ -278,6 +278,6 @@ def stiffness_figure(problem: TrajectoryProblem, motion: Assessment) -> Figure:
 
 
 def _leading_digit(value: float, _: int) -> str:
-    """Label 1, 2, 3 and 5 of every decade of a logarithmic axis in plain figures."""
+    """Format ticks 1, 2, 3 and 5 of every decade of a logarithmic axis, others as ""."""
     digit = value / 10 ** np.floor(np.log10(value) + 1e-9)
     return f"{value:g}" if round(digit) in (1, 2, 3, 5) else ""

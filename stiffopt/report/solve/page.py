@@ -1,4 +1,4 @@
-"""report.html of a solve: one self-contained page with figures, tables and what they rest on."""
+"""report.html of a solve: a self-contained page with figures, tables and assumptions."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def write_solve_report(
     ----------
     problem : TrajectoryProblem
     solution : Solution
-        Of any status; a page is made also where there is no motion.
+        Solution of any status; the page is written also without a motion.
     directory : path
 
     Returns
@@ -83,11 +83,11 @@ def write_solve_report(
         "read_first": [
             text for text in (difference_text(problem, solution), *solution.notes) if text
         ],
-        "swing": None if solution.simulation is None else simulation_table(solution.simulation),
-        "swing_notes": (
+        "simulated": None if solution.simulation is None else simulation_table(solution.simulation),
+        "simulation_notes": (
             [] if solution.simulation is None else simulation_notes(solution.simulation)
         ),
-        "lead": compensation_section(solution.compensation),
+        "compensation": compensation_section(solution.compensation),
         "better": better_baseline(problem, solution.baselines),
         "absent": "".join(f" No {name} motion: {reason}" for name, reason in absent.items()),
         "terms": [] if solution.objective is None else _objective_terms(solution.objective.terms),
@@ -132,7 +132,7 @@ def _page_headline(solution: Solution) -> str:
 
 
 def _objective_terms(terms: dict[str, float]) -> list[tuple[str, str]]:
-    """Phrase and value with its unit of each term of a weighted sum."""
+    """Return phrase and formatted value of each term of a weighted sum."""
     split = [(*term.partition(" ")[::2], value) for term, value in terms.items()]
     return [
         (objective_phrase(name, by), objective_amount(name, value, OBJECTIVES[name].unit, 3))
@@ -141,7 +141,7 @@ def _objective_terms(terms: dict[str, float]) -> list[tuple[str, str]]:
 
 
 def _shown_motions(motions: list[ComparedMotion], better: Baseline | None) -> list[ComparedMotion]:
-    """The motion itself, and the better feasible baseline where there is one."""
+    """Return the motion and, where there is one, the better feasible baseline."""
     return [
         motions[0],
         *(m for m in motions[1:] if better is not None and m.name == better.name),
@@ -182,7 +182,7 @@ def _draw_figures(problem: TrajectoryProblem, solution: Solution, part: str) -> 
         figures.draw(name, figure, description)
     if solution.simulation is not None:
         figures.draw(
-            "swing",
+            "simulation",
             deviation_figure(solution.simulation),
             "Deviation of the tool over time on the elastic arm, in flight and after arrival",
         )
@@ -198,6 +198,6 @@ def _draw_figures(problem: TrajectoryProblem, solution: Solution, part: str) -> 
 def arm_in_space(
     problem: TrajectoryProblem, motions: Sequence[ComparedMotion], part: str
 ) -> ArmInSpace:
-    """The first motion, bent by a part of its deflection, and the ghost of the second."""
+    """Return scene and still of the first motion, with a ghost of the second."""
     poses = {motion.label: poses_along(problem, motion.assessment) for motion in motions}
     return embedded_scene(problem.robot, poses, part, problem.cell)

@@ -1,4 +1,4 @@
-"""Motions as the elastic arm does them: table, figure, and what they rest on."""
+"""Elastic simulation: table, figure, notes and page (simulation.html); elastic modes of an arm."""
 
 from __future__ import annotations
 
@@ -46,12 +46,14 @@ _MOTION_STYLES: tuple[dict[str, Any], ...] = (
     {"color": GREEN, "linestyle": (0, (1.5, 1.2))},
     {"color": BLACK, "linestyle": (0, (1.0, 2.5))},
 )
-# Shown after the arrival [s].
-_TIME_AFTER_ARRIVAL = 0.4
+PAGE_FILE = "simulation.html"
+_TIME_AFTER_ARRIVAL = 0.4  # shown in the figure and the scene [s]
+_FRAME_COUNT = 241  # of the scene
+_VIBRATION_PART = "vibratory"  # part of the deflection that the scene magnifies
 
 
 def simulation_table(simulation: Simulation) -> tuple[list[str], list[list[str]]]:
-    """Head and rows of text, the optimised motion first."""
+    """Return header and rows as text, the optimised motion first."""
     band = si(simulation.optimised.simulated.band, "m")
     head = [
         *("motion", "duration", "planned peak", "simulated peak"),
@@ -84,7 +86,7 @@ def _motion_row(motion: ElasticMotion) -> list[str]:
 
 
 def simulation_notes(simulation: Simulation) -> list[str]:
-    """Assumed damping, slip and hysteresis; what holds for all motions is said once."""
+    """Return notes on damping, slip and hysteresis; those of all motions appear once."""
     notes = assumed_damping_note(simulation.assumed_damping) + _hysteresis_note(simulation)
     told = [motion.simulated.notes for motion in simulation.motions]
     shared = [note for note in told[0] if all(note in each for each in told)] if told else []
@@ -95,31 +97,33 @@ def simulation_notes(simulation: Simulation) -> list[str]:
 
 
 def assumed_damping_note(joints: Sequence[int]) -> list[str]:
-    """Sentence on joints (from 1) whose damping is assumed; none where there are none."""
+    """Return a sentence on the joints (from 1) whose damping is assumed, if any."""
     if not joints:
         return []
     named = f"joint{'s' if len(joints) > 1 else ''} {listed(str(j) for j in joints)}"
     return [
-        f"The damping of {named} is assumed, 2 % of critical for each swinging alone, of which "
-        "modes have more or less; give its damping in the robot file where it has been measured."
+        f"The damping of {named} is assumed: 2 % of critical for each"
+        " joint on its own, so that the "
+        "damping ratios of modes differ; state damping in the robot file where it was measured."
     ]
 
 
 def _hysteresis_note(simulation: Simulation) -> list[str]:
-    """How much of the result hysteresis of the usual size would take, where none is stated."""
+    """Return a note on the effect of hysteresis of typical size, where none is stated."""
     reach, peak = simulation.typical_hysteresis, simulation.optimised.simulated.peak
     if reach is None or peak <= 0.0:
         return []
     return [
-        "No joint states its hysteresis: loops of 0.05 mrad half width in all of them, as measured "
-        f"on reducers, could hold the tool {si(reach, 'm', 2)} from where it would hang, "
-        f"{100.0 * reach / peak:.0f} % of the optimised peak; give hysteresis in the robot file "
-        "where it has been measured."
+        "No joint states its hysteresis: loops of 0.05 mrad half"
+        " width in all joints, as measured on "
+        f"reducers, could hold the tool {si(reach, 'm', 2)} from its static equilibrium, "
+        f"{100.0 * reach / peak:.0f} % of the optimised peak; state hysteresis in the robot file "
+        "where it was measured."
     ]
 
 
 def deviation_figure(simulation: Simulation) -> Figure:
-    """Size of the tool's deviation over time, all motions."""
+    """Plot the magnitude of the tool's deviation over time, all motions."""
     with figure_style():
         figure = Figure(figsize=(WIDTH, 3.7))
         axes = figure.subplots()
@@ -143,7 +147,7 @@ def deviation_figure(simulation: Simulation) -> Figure:
 
 
 def print_modes(rows: Sequence[PoseModes]) -> None:
-    """A table of each pose, lowest mode first, and what the damping rests on."""
+    """Print a table of modes per pose, lowest first, and the note on assumed damping."""
     head = ("mode", "frequency", "damping", "shape")
     for row in rows:
         cells = [
@@ -173,14 +177,9 @@ def write_modes_figure(rows: Sequence[PoseModes], path: Path) -> Path:
         axes.set_ylabel("frequency [Hz]")
         axes.margins(x=0.01)
         axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
-        svg = to_svg(figure, "modes", "Frequencies of the arm's modes along the motion")
+        svg = to_svg(figure, "modes", "Natural frequencies of the elastic modes along the motion")
     atomic_write(path, svg)
     return path
-
-
-PAGE_FILE = "simulation.html"
-# Time behind the arrival that the scene shows [s], and its frames.
-_TIME_AFTER_ARRIVAL, _FRAME_COUNT = 0.4, 241
 
 
 def write_simulation_report(
@@ -196,30 +195,30 @@ def write_simulation_report(
     ----------
     problem : TrajectoryProblem
     arm : ElasticArm
-        That was simulated.
+        The simulated arm.
     simulation : Simulation
     directory : path
     compensation : Compensation, optional
-        Of the command that is written, on uncertain arms.
+        Deviations of the written command on uncertain arms.
     """
     own = simulation.optimised.simulated
     shown = [motion for motion in simulation.motions if motion.name != "optimised"][:1]
     motions = {"optimised": elastic_poses(arm, own)}
     motions |= {each.name: elastic_poses(arm, each.simulated) for each in shown}
     figures = PageFigures("simulation", png=False)
-    figures.draw("swing", deviation_figure(simulation), "Deviation of the tool over time")
+    figures.draw("deviation", deviation_figure(simulation), "Deviation of the tool over time")
     if compensation is not None:
         drawn = compensation_figure(compensation)
         figures.draw("compensation", drawn, COMPENSATED)
-    scene = embedded_scene(problem.robot, motions, "swing", problem.cell)
+    scene = embedded_scene(problem.robot, motions, _VIBRATION_PART, problem.cell)
     figures.draw("arm", scene.still, "The arm with the paths of its tool")
     after = "" if own.peak_after is None else f", {si(own.peak_after, 'm', 3)} after arrival"
     context = {
-        "title": f"{problem.title or problem.robot.name}, simulated",
-        "headline": f"The tool swings by up to {si(own.peak, 'm', 3)} in flight{after}",
+        "title": f"{problem.title or problem.robot.name}: elastic simulation",
+        "headline": f"Peak vibration of the tool {si(own.peak, 'm', 3)} in flight{after}",
         "simulated": simulation_table(simulation),
         "notes": simulation_notes(simulation),
-        "lead": compensation_section(compensation),
+        "compensation": compensation_section(compensation),
         "space": scene.embedded,
         "still": scene.caption,
     }
@@ -228,7 +227,7 @@ def write_simulation_report(
 
 
 def elastic_poses(arm: ElasticArm, motion: SimulatedMotion, frames: int = _FRAME_COUNT) -> Poses:
-    """Where the arm would hang at rest at each instant, and how far its links are from there."""
+    """Return static equilibria at the simulated motor positions, with the links' vibration."""
     end = min(float(motion.time[-1]), motion.duration + _TIME_AFTER_ARRIVAL)
     at = np.unique(np.searchsorted(motion.time, np.linspace(0.0, end, frames)))
     at = np.unique([*at[at < len(motion.time)], int(np.argmax(motion.distance))])
@@ -238,7 +237,7 @@ def elastic_poses(arm: ElasticArm, motion: SimulatedMotion, frames: int = _FRAME
     return Poses(
         time=motion.time[at],
         position=hanging,
-        bend={"swing": bend},
-        share={"swing": joint_shares(jacobian, bend)},
-        deflection={"swing": motion.distance[at]},
+        bend={_VIBRATION_PART: bend},
+        share={_VIBRATION_PART: joint_shares(jacobian, bend)},
+        deflection={_VIBRATION_PART: motion.distance[at]},
     )

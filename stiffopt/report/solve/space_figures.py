@@ -1,4 +1,4 @@
-"""Figures of a solve in space: the tool's path, and where the wind-up comes from."""
+"""Figures of a solve in space: path of the tool, and wind-up of the joints by element."""
 
 from __future__ import annotations
 
@@ -20,24 +20,24 @@ if TYPE_CHECKING:
     from stiffopt.problem.trajectory import TrajectoryProblem
 
 _PATH_POINTS = 300
-# Share of the path's extent that the largest deflection takes on paper.
+# Share of the path's extent to which the largest deflection is magnified.
 _DEFLECTION_SHARE = 0.08
 # Paths flatter than this are drawn one projection above the other.
 _MAX_STACKED_ASPECT = 0.45
-# Inches: of the flattest projection, and between two.
+# Least height of a projection, and gap between two [inch].
 _MIN_HEIGHT_INCH = 1.1
 _PANEL_GAP_INCH = 0.55
 
 
 def path_figure(problem: TrajectoryProblem, motions: Sequence[ComparedMotion], part: str) -> Figure:
-    """Path of the tool in two projections, planned and with the deflection exaggerated.
+    """Plot the tool path in two projections, planned and with magnified deflection.
 
     Parameters
     ----------
     problem : TrajectoryProblem
-        Its via points are marked.
+        Problem whose via points are marked.
     motions : sequence of ComparedMotion
-        All with the same exaggeration.
+        Motions, all with the same magnification.
     part : str
         Part of the deflection that is added to the planned path.
     """
@@ -61,7 +61,7 @@ def path_figure(problem: TrajectoryProblem, motions: Sequence[ComparedMotion], p
 
 
 def _fit_panels(figure: Figure, grid: list[Axes], stacked: bool) -> None:
-    """Place the axes so that one scale serves all directions and no paper is wasted."""
+    """Place the axes with one scale for all directions."""
     across = max(float(np.ptp(axes.get_xlim())) for axes in grid)
     width = (0.92 if stacked else 0.43) * WIDTH
     scale = width / across
@@ -108,14 +108,14 @@ def _draw_projection(
 
 
 def exaggeration(extent: float, largest: float) -> float:
-    """Round factor (1, 2 or 5 times a power of ten) that makes a deflection visible.
+    """Return a round factor (1, 2 or 5 times a power of ten) that makes a deflection visible.
 
     Parameters
     ----------
     extent : float
-        Of the path [m].
+        Extent of the path [m].
     largest : float
-        Deflection [m].
+        Largest deflection [m].
     """
     if largest <= 0:
         return 1.0
@@ -125,10 +125,9 @@ def exaggeration(extent: float, largest: float) -> float:
 
 
 def windup_figure(problem: TrajectoryProblem, motion: Assessment, part: str) -> Figure:
-    """Wind-up of every joint at the instant of the largest deflection, split by element.
+    """Plot the wind-up of every joint at the instant of the largest deflection, split by element.
 
-    The split needs the robot's chains; without them a bar is of one colour. A joint that slips has
-    no bar.
+    Without drivetrain chains there is no split; a joint that slips has no bar.
     """
     magnitude = np.linalg.norm(motion.deflection[part], axis=1)
     at = int(np.argmax(magnitude))

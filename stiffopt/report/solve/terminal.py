@@ -1,4 +1,4 @@
-"""What `stiffopt solve` and `stiffopt verify` print."""
+"""Terminal output of `stiffopt solve`, `simulate` and `verify`."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 
 def print_solution(problem: TrajectoryProblem, solution: Solution, folder: Path) -> None:
-    """A few lines: what came out, how it compares, what to do next, where the files are."""
+    """Print status, objective, comparison with the baselines, notes and path of the report."""
     lines = [f"{solution.status}: {solution.message}"]
     if solution.objective is not None and solution.status is not SolveStatus.INFEASIBLE:
         lines += [headline_text(solution), comparison(problem, solution)]
@@ -44,34 +44,37 @@ def print_solution(problem: TrajectoryProblem, solution: Solution, folder: Path)
 
 
 def print_simulation(simulation: Simulation) -> None:
-    """A table of the motions as the elastic arm does them, and what it rests on."""
+    """Print the table of simulated motions with its notes."""
     head, rows = simulation_table(simulation)
-    print_table(head, rows, title="on the elastic arm", numbers=head[2:-1])
+    print_table(head, rows, title="Elastic simulation", numbers=head[2:-1])
     print_lines(simulation_notes(simulation))
 
 
 def print_compensation(compensation: Compensation) -> None:
-    """A table of the motions as planned and compensated, and what it rests on."""
+    """Print the table of planned and compensated motions with its notes."""
     head, rows = compensation_table(compensation)
     short = [*head[:-2], head[-1]]
     cells = [[*row[:-2], row[-1]] for row in rows]
-    title = "on uncertain arms, motors that follow the plan and that lead the links"
+    title = "Deviations on uncertain arms, as planned and compensated"
     print_table(short, cells, title=title, numbers=short[2:-1])
     print_lines([compensation_text(compensation), *compensation_notes(compensation)])
 
 
 def print_check_begins(path: Path, number: int, count: int) -> None:
-    """Which file is solved now, on standard error: the table of all comes last."""
+    """Print the file that is being solved, on standard error."""
     _error_console().print(Text(f"{path} ({number} of {count}) ..."), soft_wrap=True)
 
 
 def print_check_ends(checks: Sequence[Check]) -> None:
-    """What became of a file."""
+    """Print the verdict on a solved file, on standard error."""
     for check in checks:
         found, name = _check_verdict(check), check.name or "objective"
         took = si(check.seconds, "s", 3)
-        value = f"{_format_checked_value(check.value, check.unit)}, expected {_format_checked_value(check.expected, check.unit)}"
-        _error_console().print(Text(f"  {found}: {name} {value} ({took})"), soft_wrap=True)
+        value, expected = (
+            _format_checked_value(each, check.unit) for each in (check.value, check.expected)
+        )
+        line = f"  {found}: {name} {value}, expected {expected} ({took})"
+        _error_console().print(Text(line), soft_wrap=True)
 
 
 def _error_console() -> Console:
@@ -83,7 +86,7 @@ def _check_verdict(check: Check) -> str:
 
 
 def print_checks(checks: Sequence[Check]) -> None:
-    """A table of expected and found values."""
+    """Print the table of expected and found values."""
     head = (
         "problem",
         "value",
@@ -112,5 +115,5 @@ def print_checks(checks: Sequence[Check]) -> None:
 
 
 def _format_checked_value(value: float | None, unit: str) -> str:
-    """SI with the digits that are compared."""
+    """Return a value with the six digits that are compared, and its unit."""
     return "–" if value is None else f"{value:.6g} {unit}"

@@ -1,4 +1,4 @@
-"""Sentences of a report: what was minimised, and how much better it is than the baselines."""
+"""Sentences of a solve's report on objective, elastic simulation and baselines."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ if TYPE_CHECKING:
     from stiffopt.problem.trajectory import TrajectoryProblem
     from stiffopt.result.simulation import Simulation
 
-# Below this ratio a gain reads better as "3.4 times less" than as a percentage.
+# Ratio below which a gain is written as "3.4 times less", above it as a percentage.
 _MAX_FACTOR_RATIO = 0.6
 _EQUAL_RATIO_TOLERANCE = 5e-4
-# An excess or margin below this is neither.
+# Relative excess or margin that is written as "at the limit".
 _AT_LIMIT_TOLERANCE = 1e-5
 
 
 def objective_phrase(name: str, measure: str) -> str:
-    """Name of an objective as people say it.
+    """Return the name of an objective in words.
 
     >>> objective_phrase("dynamic_deflection", "peak"), objective_phrase("duration", "")
     ('peak dynamic tool deflection', 'duration')
@@ -36,13 +36,13 @@ def objective_phrase(name: str, measure: str) -> str:
 
 
 def objective_text(objective: ObjectiveValue) -> str:
-    """Phrase and value: "peak dynamic tool deflection 0.297 mm"."""
+    """Return phrase and value, such as "peak dynamic tool deflection 0.297 mm"."""
     phrase = objective_phrase(objective.name, objective.measure)
     return f"{phrase} {objective_amount(objective.name, objective.value, objective.unit, 3)}"
 
 
 def objective_amount(name: str, value: float | None, unit: str, digits: int = 4) -> str:
-    """Value of an objective with its unit: integrals over time in seconds, never milliseconds.
+    """Format an objective's value with its unit; integrals over time always in seconds.
 
     >>> objective_amount("torque_squared", 0.0111, "s"), objective_amount("duration", 0.0111, "s")
     ('0.0111 s', '11.1 ms')
@@ -54,7 +54,7 @@ def objective_amount(name: str, value: float | None, unit: str, digits: int = 4)
 
 
 def headline_text(solution: Solution) -> str:
-    """What came out: simulated where a deflection is minimised, else the certified objective."""
+    """Return the result in words, simulated where a deflection is minimised, else as certified."""
     assert solution.objective is not None
     simulation = solution.simulation
     if simulation is None or not simulation.measure:
@@ -68,7 +68,7 @@ def headline_text(solution: Solution) -> str:
 
 
 def difference_text(problem: TrajectoryProblem, solution: Solution) -> str:
-    """Warning where simulated and planned deflection differ; "" where they agree."""
+    """Return a warning where simulated and planned deflection differ, else ""."""
     simulation = solution.simulation
     if simulation is None or not simulation.differs:
         return ""
@@ -78,11 +78,11 @@ def difference_text(problem: TrajectoryProblem, solution: Solution) -> str:
     part = motion.compared
     deviates = "deviates by" if part.name == "dynamic" else f"has a {part.name} deflection of"
     why = (
-        "the motors take the corners of the joints' wind-up more gently than the plan, as sharply "
-        "as limits and mesh let them; a higher limits.jerk or a longer duration brings the two "
-        "together"
+        "the command smooths the kinks of the joints' wind-up law"
+        " more than the plan, as limits and "
+        "mesh require; a higher limits.jerk or a longer duration reduces the difference"
         if problem.plans_links
-        else "the links swing, which the quasi-static plan does not see"
+        else "the quasi-static plan does not include the vibration of the links"
     )
     text = (
         f"The elastic arm {deviates} up to {si(part.simulated.peak, 'm', 3)} in flight where "
@@ -90,17 +90,17 @@ def difference_text(problem: TrajectoryProblem, solution: Solution) -> str:
         f"{'more' if change > 0 else 'less'}): {why}."
     )
     if motion.simulated.settling_time is None and motion.simulated.peak_after is not None:
-        return f"{text} It does not settle within {si(motion.simulated.band, 'm')} in a second."
+        return f"{text} It does not settle to {si(motion.simulated.band, 'm')} within 1 s."
     return text
 
 
 def comparison(problem: TrajectoryProblem, solution: Solution) -> str:
-    """Sentence on the better feasible baseline, and what it was excused from."""
+    """Return sentences on the better feasible baseline and on limits it is exempt from."""
     return f"{_simulated_comparison(problem, solution)}{_exemption_sentence(problem, solution)}"
 
 
 def _exemption_sentence(problem: TrajectoryProblem, solution: Solution) -> str:
-    """What the counted baseline exceeds, and the ratio to one that keeps every limit."""
+    """Return sentences on limits that the counted baseline exceeds, and on one that keeps all."""
     better = _counted_baseline(problem, solution)
     if better is None or better.assessment is None or solution.ratio_to_better_baseline is None:
         return ""
@@ -112,16 +112,16 @@ def _exemption_sentence(problem: TrajectoryProblem, solution: Solution) -> str:
         worst.setdefault(each.limit, each)
     limits = listed(f"{words(v.limit)} ({violation_text(v)})" for v in worst.values())
     motion = _motion_phrase(better.name)
-    text = f" {motion[0].upper()}{motion[1:]} is excused from limits its method cannot take: "
+    text = f" {motion[0].upper()}{motion[1:]} is exempt from limits that its method cannot handle: "
     return f"{text}{limits}.{_strict_comparison(problem, solution)}"
 
 
 def _counted_baseline(problem: TrajectoryProblem, solution: Solution) -> Baseline | None:
-    """The baseline that the comparison is with: the better one as it was simulated, if it was."""
+    """Return the baseline compared with: the better one by simulation, if simulated."""
     simulation = solution.simulation
     if simulation is not None and simulation.ratio_to_better_baseline is not None:
         assert simulation.better_baseline is not None
-        # The slowed quintic is none of the baselines, but keeps every limit.
+        # The slowed quintic is not among the baselines, but keeps every limit.
         return solution.baselines.get(simulation.better_baseline.name, solution.strict_baseline)
     return better_baseline(problem, solution.baselines)
 
@@ -146,7 +146,7 @@ def _strict_comparison(problem: TrajectoryProblem, solution: Solution) -> str:
 
 
 def _simulated_comparison(problem: TrajectoryProblem, solution: Solution) -> str:
-    """Sentence on the better feasible baseline, both simulated where a deflection is minimised."""
+    """Return a sentence on the better feasible baseline, simulated if a deflection is minimised."""
     simulation = solution.simulation
     if simulation is not None and simulation.ratio_to_better_baseline is not None:
         better = simulation.better_baseline
@@ -164,7 +164,7 @@ def _simulated_comparison(problem: TrajectoryProblem, solution: Solution) -> str
 
 
 def _least_vibration_sentence(simulation: Simulation, own: float) -> str:
-    """Sentence on the motion that rings least after arrival, where that is another."""
+    """Return a sentence on a motion with less residual vibration than the optimised one, if any."""
     rings = {
         motion.name: (motion.simulated.peak_after, motion.simulated.duration)
         for motion in simulation.motions
@@ -174,12 +174,13 @@ def _least_vibration_sentence(simulation: Simulation, own: float) -> str:
         return ""
     motion = _motion_phrase(name)
     return (
-        f" {motion[0].upper()}{motion[1:]}, {si(duration, 's')}, rings least: {si(peak, 'm', 3)}."
+        f" {motion[0].upper()}{motion[1:]}, {si(duration, 's')}, has the least residual vibration:"
+        f" {si(peak, 'm', 3)}."
     )
 
 
 def _certified_comparison(problem: TrajectoryProblem, solution: Solution) -> str:
-    """Sentence on the better feasible baseline; says so where there is none."""
+    """Return a sentence on the better feasible baseline by certified objective, or its absence."""
     maximised = is_maximised(problem)
     better = better_baseline(problem, solution.baselines)
     ratio = solution.ratio_to_better_baseline
@@ -204,14 +205,14 @@ def _motion_phrase(name: str) -> str:
 
 
 def amount(ratio: float, name: str = "", maximised: bool = False) -> str:
-    """How an objective compares with a baseline's, as the start of a sentence.
+    """Return the beginning of a sentence that compares an objective with a baseline's.
 
     Parameters
     ----------
     ratio : float
         Below one is better, for maximised objectives too.
     name : str
-        Of the objective.
+        Name of the objective.
     maximised : bool
 
     Returns
@@ -235,7 +236,7 @@ def amount(ratio: float, name: str = "", maximised: bool = False) -> str:
 
 
 def limit_text(violation: Violation) -> str:
-    """Name of a limit with its joint: "velocity, joint 1", "collision, fore and table"."""
+    """Return a limit with its place, such as "velocity, joint 1", "collision, fore and table"."""
     if violation.pair is not None:
         return f"{words(violation.limit)}, {' and '.join(violation.pair)}"
     name = words(violation.limit)
@@ -243,7 +244,7 @@ def limit_text(violation: Violation) -> str:
 
 
 def violation_text(violation: Violation) -> str:
-    """Excess or margin of a limit in words: "exceeded by 0.12 %", "margin 8.5 %", "2 mm deep"."""
+    """Return excess or margin in words: "exceeded by 0.12 %", "margin 8.5 %", "2 mm deep"."""
     if violation.distance is not None:
         return violation.apart()
     if abs(violation.value) < _AT_LIMIT_TOLERANCE:

@@ -1,4 +1,4 @@
-"""stiffness.html of a robot: joint stiffness with and without contacts, and what yields."""
+"""stiffness.html of a robot: joint stiffness over torque, with and without contacts."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class FirstSlip:
     element : str
         "" where none slips.
     torque : float
-        Of the joint at which it slips [N m]; inf where none does.
+        Slip torque at the joint [N m]; inf where none slips.
     largest : float
         Largest torque of the joint [N m].
     """
@@ -55,7 +55,7 @@ class FirstSlip:
 
 @dataclass(frozen=True)
 class LargestLoss:
-    """Where contacts cost most: share of the stiffness of the reducer alone."""
+    """Largest loss of stiffness through contacts, relative to the reducer alone."""
 
     loss: float
     joint: int
@@ -83,8 +83,8 @@ def write_stiffness_report(
     figures = PageFigures("stiffness")
     figures.draw("tangent", tangent_figure(curves, units, low_torque=False), "Tangent stiffness")
     figures.draw("low_torque", tangent_figure(curves, units, low_torque=True), "Near zero torque")
-    figures.draw("loss", loss_figure(curves, units), "Against the reducer alone")
-    figures.draw("shares", shares_figure(robot, units), "What yields")
+    figures.draw("loss", loss_figure(curves, units), "Stiffness lost to contacts")
+    figures.draw("shares", shares_figure(robot, units), "Compliance by element")
     context = {
         "title": f"Joint stiffness of {robot.title or robot.name}",
         "largest": _largest_loss(curves),
@@ -102,7 +102,7 @@ def write_stiffness_report(
 def where_contacts_matter(
     curves: Mapping[int, Sequence[StiffnessCurve]], labels: Sequence[str]
 ) -> str:
-    """Sentences on the torque at which contacts take most of each joint's stiffness."""
+    """Return sentences on the torque at which contacts reduce each joint's stiffness most."""
     groups: dict[str, list[str]] = {}
     for joint, (own, *_) in curves.items():
         at = own.ratio_of_largest_loss
@@ -118,8 +118,9 @@ def where_contacts_matter(
         groups.setdefault(where, []).append(f"{labels[joint - 1]} ({ends})")
     told = "; ".join(f"{where} in {listed(joints)}" for where, joints in groups.items())
     return (
-        f"Contacts take most of the stiffness {told}. In brackets: the share that they take, from "
-        "the least torque shown to the largest."
+        f"Contacts reduce the stiffness most {told}. In brackets: the"
+        " relative loss, from the least "
+        "torque shown to the largest."
     )
 
 
@@ -132,7 +133,7 @@ def _largest_loss(curves: Mapping[int, Sequence[StiffnessCurve]]) -> LargestLoss
 
 
 def _contact_loading(robot: Robot) -> str:
-    """Loading of the rough contacts that the robot file states."""
+    """Return the loading of rough contacts that the robot file states."""
     surfaces = (
         getattr(element, "surface", None)
         for chain in robot.chains
@@ -153,13 +154,13 @@ def _first_slips(robot: Robot) -> list[FirstSlip]:
 
 
 SHARE_RATIOS = (0.001, 0.01, 0.1, 1.0)
-# Ratio of two joints' largest losses from which on both are not legible on one linear axis.
+# Ratio of the joints' largest losses above which the axis is logarithmic.
 _MAX_LINEAR_RATIO = 10.0
 
 
 @dataclass(frozen=True)
 class StiffnessCurve:
-    """Stiffness of one joint over the torque ratio, for one reading of the key flanks.
+    """Stiffness of one joint over the torque ratio, key flanks in series or in parallel.
 
     Parameters
     ----------
@@ -187,21 +188,21 @@ class StiffnessCurve:
 
     @property
     def loss(self) -> np.ndarray:
-        """Share of the reducer's stiffness that the contacts take (K,)."""
+        """Loss of stiffness through contacts, relative to the reducer alone (K,)."""
         return 1.0 - self.relative
 
     @property
     def ratio_of_largest_loss(self) -> float:
-        """Torque ratio at which contacts matter most."""
+        """Torque ratio of the largest relative loss."""
         return float(self.ratio[np.argmax(self.loss)])
 
     def at(self, ratio: float, values: np.ndarray) -> float:
-        """Value of one of the curve's arrays at a torque ratio, interpolated."""
+        """Interpolate one of the curve's arrays at a torque ratio."""
         return float(np.interp(np.log(ratio), np.log(self.ratio), values))
 
 
 def stiffness_curves(rows: Iterable[StiffnessRow]) -> dict[int, list[StiffnessCurve]]:
-    """Curves by joint; the robot's own reading of the flanks first."""
+    """Return the curves by joint, the robot file's arrangement of key flanks first."""
     groups: dict[tuple[int, str], list[StiffnessRow]] = {}
     for row in rows:
         groups.setdefault((row.joint, row.flanks), []).append(row)
@@ -226,14 +227,14 @@ def stiffness_curves(rows: Iterable[StiffnessRow]) -> dict[int, list[StiffnessCu
 def tangent_figure(
     curves: Mapping[int, Sequence[StiffnessCurve]], units: Sequence[JointUnits], low_torque: bool
 ) -> Figure:
-    """Tangent stiffness of every joint: with contacts, and the reducer alone.
+    """Plot the tangent stiffness of every joint, with contacts and of the reducer alone.
 
     Parameters
     ----------
     curves : mapping joint number -> curves
     units : sequence of JointUnits
     low_torque : bool
-        Logarithmic torque axis, which opens the region near zero torque.
+        Logarithmic torque axis, which resolves the range near zero torque.
     """
     with figure_style():
         columns = min(3, len(curves))
@@ -277,10 +278,9 @@ def _draw_tangent_panel(axes: Axes, readings: Sequence[StiffnessCurve], low_torq
 def loss_figure(
     curves: Mapping[int, Sequence[StiffnessCurve]], units: Sequence[JointUnits]
 ) -> Figure:
-    """Share of the reducer's tangent stiffness that contacts take, all joints.
+    """Plot the relative loss of tangent stiffness through contacts, all joints.
 
-    The axis is logarithmic where the joints' shares are so far apart that a linear one would merge
-    the small ones.
+    The axis is logarithmic where the joints' losses differ by more than a decade.
     """
     with figure_style():
         figure = Figure(figsize=(WIDTH, 3.8))
@@ -308,7 +308,7 @@ def loss_figure(
 
 
 def shares_figure(robot: Robot, units: Sequence[JointUnits]) -> Figure:
-    """Share of every kind of element in the tangent compliance, at several torque ratios."""
+    """Plot the share of each kind of element in the tangent compliance at several torque ratios."""
     jointed = [j for j, chain in enumerate(robot.chains) if chain is not None]
     with figure_style():
         figure = Figure(figsize=(WIDTH, 0.9 + max(0.34 * len(jointed), 1.0)))

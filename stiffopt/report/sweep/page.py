@@ -1,4 +1,4 @@
-"""report.html of a sweep: how its cases ended, the answer over what varies, the table."""
+"""report.html of a sweep: status of its cases, objective over varied entries, table."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from stiffopt.sweep.summary import Cell, Front, SweepSummary
 from stiffopt.units import number_and_unit
 
 PAGE_FILE = "report.html"
-# Of the table on the page; table.csv has all.
+# Rows of the table on the page; table.csv has all.
 _MAX_ROWS = 200
 
 
@@ -25,7 +25,7 @@ def write_sweep_report(summary: SweepSummary, folder: Path) -> Path:
     figures = PageFigures("sweep", png=False)
     drawn = axes_figure(summary)
     if drawn is not None:
-        figures.draw("answer", drawn, "The answer over what varies")
+        figures.draw("answer", drawn, "Result over the varied entries")
     front, spreads = summary.front(), summary.spreads()
     if front is not None and len(front.values) > 1:
         figures.draw("front", front_figure(front, summary.units["objective"]), "Trade-off front")
@@ -56,12 +56,12 @@ def _format_cell(cell: Cell, unit: str) -> str:
     return cell if isinstance(cell, str) else si(cell, unit, 5)
 
 
-# What is drawn, by kind of the base files.
+# Quantity that is plotted, by kind of the base file.
 ANSWERS = {"trajectory": "objective", "preload": "objective", "recordings": "residual_after"}
 
 
 def axes_figure(summary: SweepSummary) -> Figure | None:
-    """The answer over each entry in numbers of one unit; None where there is none, or no answer."""
+    """Plot the result over each numeric entry; None without such an entry or result."""
     name = ANSWERS[summary.sweep.kind]
     points = [
         (dict(case.changes), None if is_unusable(found) else found["values"].get(name, {}))
@@ -100,7 +100,7 @@ def axes_figure(summary: SweepSummary) -> Figure | None:
 
 
 def front_figure(front: Front, unit: str) -> Figure:
-    """The trade-off front with its knee."""
+    """Plot the Pareto front with its knee."""
     factor, shown = scale(float(np.abs(front.objectives).max()), unit)
     with figure_style():
         figure = Figure(figsize=(WIDTH, 3.2))
@@ -117,7 +117,7 @@ def front_figure(front: Front, unit: str) -> Figure:
 
 
 def spread_figure(summary: SweepSummary) -> Figure:
-    """Optima of each case from its starts, over the best of them."""
+    """Plot the worst over the best optimum of each case among its starts."""
     spreads = summary.spreads()
     with figure_style():
         figure = Figure(figsize=(WIDTH, 3.0))

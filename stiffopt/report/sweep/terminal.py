@@ -1,4 +1,4 @@
-"""What `stiffopt sweep` shows while it runs and when it is done."""
+"""Terminal output and sentences of `stiffopt sweep`."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ PLAIN_INTERVAL = 5.0
 
 
 class SweepDisplay(StatusLine):
-    """A status line that is called with each event of a sweep; without a terminal now and then."""
+    """A status line that is called with each event of a sweep; rate-limited without a terminal."""
 
     _printed_at = -math.inf
 
     def __call__(self, event: SweepProgress) -> None:
-        """Show how far the sweep is, and the time left."""
+        """Show progress and remaining time."""
         now = self._clock()
         if self.moves or now - self._printed_at >= PLAIN_INTERVAL or event.done == event.total:
             self._printed_at = now
@@ -28,7 +28,7 @@ class SweepDisplay(StatusLine):
 
 
 def progress_line(event: SweepProgress) -> str:
-    """How far a sweep is, in one line.
+    """Return the progress of a sweep in one line.
 
     >>> progress_line(SweepProgress(done=30, total=200, unusable=1, elapsed=60.0, left=340.0))
     '30 of 200 cases (1 without a usable result), 1 min 0 s, about 5 min 40 s left'
@@ -41,13 +41,13 @@ def progress_line(event: SweepProgress) -> str:
 
 
 def print_sweep(summary: SweepSummary, folder: Path) -> None:
-    """How the cases ended, knee and spread, and where the files are."""
+    """Print counts by status, knee, spread of optima and paths of the files."""
     print_lines(
         (
             f"{headline(summary)}.",
             knee_sentence(summary) or None,
             spread_sentence(summary) or None,
-            "Interrupted: the same command goes on from here." if summary.interrupted else None,
+            "Interrupted: the same command resumes the sweep." if summary.interrupted else None,
             f"Table: {folder / TABLE_FILE}",
             f"Report: {folder / 'report.html'}",
         )
@@ -63,13 +63,13 @@ def _format_duration(seconds: float) -> str:
 
 
 def headline(summary: SweepSummary) -> str:
-    """How many cases ended how."""
+    """Return the number of cases by status."""
     counts = [f"{number} {name.replace('_', ' ')}" for name, number in summary.statuses().items()]
     return f"{len(summary.sweep.cases)} cases: {listed(counts)}"
 
 
 def knee_sentence(summary: SweepSummary) -> str:
-    """Where the trade-off front bends; "" without a front."""
+    """Return a sentence on the knee of the Pareto front; "" without a front."""
     front = summary.front()
     if front is None:
         return ""
@@ -81,7 +81,7 @@ def knee_sentence(summary: SweepSummary) -> str:
 
 
 def spread_sentence(summary: SweepSummary) -> str:
-    """How far optima from several starts lie apart; "" where there is one start."""
+    """Return a sentence on the spread of optima over several starts; "" with one start."""
     spreads = list(summary.spreads().values())
     if not spreads:
         return ""
