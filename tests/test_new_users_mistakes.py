@@ -46,8 +46,8 @@ def told(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
         ('"0 deg", "10', '"0 mm", "10', "joint_1: the joint is revolute and needs angle"),
         ('"1 s"', '"1 kg"', "the unit 'kg' is not one of time"),
         ('"1 s"', '"-1 s"', "allowed is a finite number above 0"),
-        ('"0 deg", "10', '"10', "needs 2 values, one per joint (joint_1, joint_2); got 1"),
-        ('"0 deg", "10', '0.0, 0.1, "10', "needs 2 values, one per joint"),
+        ('"0 deg", "10', '"10', "needs 2 values, one a joint (joint_1, joint_2); got 1"),
+        ('"0 deg", "10', '0.0, 0.1, "10', "needs 2 values, one a joint"),
         ('"0 deg", "10', 'nan, "10', "angle must be a finite number"),
     ],
 )

@@ -34,23 +34,25 @@ def out_path(_: object, tokens: Sequence[Token]) -> Path:
     return Path(name)
 
 
-Out = Annotated[
-    Path,
-    Parameter(
-        name=OUT_NAMES, help="Folder for the results; created if missing.", converter=out_path
-    ),
-]
+Out = Annotated[Path, Parameter(name=OUT_NAMES, converter=out_path)]
 
 Changes = Annotated[
     tuple[str, ...],
     Parameter(
         name="--set",
         negative=(),
+        show_default=False,
         help="Override an entry of the file for this run, such as motion.duration='0.5 s'.",
     ),
 ]
 Open = Annotated[
-    bool, Parameter(name="--open", negative=(), help="Open the report in the browser when done.")
+    bool,
+    Parameter(
+        name="--open",
+        negative=(),
+        show_default=False,
+        help="Open the report in the browser when done.",
+    ),
 ]
 
 

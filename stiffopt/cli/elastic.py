@@ -67,7 +67,7 @@ def simulate(
     problem
         Problem file, where the result does not name it or it was moved.
     out
-        Default: the folder of the solve.
+        Folder for the results; default: the folder of the solve.
     band
         Settling band: largest deviation of a settled tool.
     bandwidth
@@ -77,7 +77,7 @@ def simulate(
     delay
         Dead time of the loop.
     damping
-        Damping ratio of all elastic joints, in place of the robot file's.
+        Damping ratio of each elastic joint on its own, in place of the robot file's damping.
     """
     from stiffopt.elastic.arm import rigid_arm
     from stiffopt.elastic.motor import Servo
@@ -196,6 +196,8 @@ def modes(
     ----------
     source
         Robot (shipped name, robot file or URDF), problem file, or folder of a solve.
+    out
+        Folder for the results of a solve's motion; default: the folder of the solve.
     """
     from stiffopt.elastic.arm import questionable_springs
     from stiffopt.elastic.survey import modes_along, modes_at, write_modes_csv

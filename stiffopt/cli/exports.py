@@ -51,7 +51,7 @@ def export(
     effects
         Python file of user-defined effects of a diagnosis.
     out
-        Default: the folder of the result.
+        Folder for the files; default: the folder of the result.
     """
     from stiffopt.export.format import FORMATS
     from stiffopt.export.model_format import MODEL_FORMATS

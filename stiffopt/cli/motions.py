@@ -42,7 +42,7 @@ def solve(
     problem
         Trajectory problem file (TOML).
     out
-        Default: out/NAME of the problem file, with the changes of --set.
+        Folder for the results; default: out/NAME of the problem file, with the changes of --set.
     model
         extended.toml of a diagnosis of this arm: plan with the nominal and the extended model, and
         compare.
@@ -140,7 +140,7 @@ def preload(
     study
         Preload study file (TOML).
     out
-        Default: out/NAME of the study file, with the changes of --set.
+        Folder for the results; default: out/NAME of the study file, with the changes of --set.
     quiet
         No progress display.
     """
@@ -231,7 +231,7 @@ def stiffness(
     robot
         Shipped robot (er3a_c60, er3a_c60_contact, ur10), robot file (TOML) or URDF.
     out
-        Default: out/stiffness_NAME, with the changes of --set.
+        Folder for the results; default: out/stiffness_NAME, with the changes of --set.
     drivetrain
         Robot file (TOML) with the drivetrain of a URDF.
     """

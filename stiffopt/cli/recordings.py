@@ -48,7 +48,8 @@ def diagnose(
     more
         Further sets.
     out
-        Default: out/NAME of the set's folder, with the changes of --set; for several, out/fleet.
+        Folder for the results; default: out/NAME of the set's folder, with the changes of --set;
+        for several sets out/fleet.
     model
         extended.toml of an earlier diagnosis, used in place of the nominal model.
     effects
@@ -213,7 +214,7 @@ def identify_stiffness(
     recordings
         Folder with a static.toml, or that file.
     out
-        Default: out/NAME of the folder, with the changes of --set.
+        Folder for the results; default: out/NAME of the folder, with the changes of --set.
     """
     from stiffopt.identification.stiffness import identify_stiffness as identify
     from stiffopt.identification.store import write_static

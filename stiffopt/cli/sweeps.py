@@ -40,7 +40,7 @@ def sweep(
     file
         Sweep file (TOML).
     out
-        Default: out/NAME of the sweep file.
+        Folder for the results; default: out/NAME of the sweep file.
     workers
         Number of processes; default one per core, 1 solves in the main process.
     scheduler

@@ -14,6 +14,15 @@ from stiffopt.robot.files import load_robot, shipped_robots
 
 CatalogueKind = Literal["reducers", "bolts", "keys", "belts", "surfaces", "robots", "effects"]
 Table = tuple[tuple[str, ...], list[tuple[str, ...]]]
+_FILE_ENTRIES = {
+    "reducers": 'catalogue = "NAME" of an element of type "reducer"',
+    "bolts": 'bolt = { size = "SIZE", grade = "12.9" or "A2-70" } of a flange',
+    "keys": 'width and height of an element of type "key"',
+    "belts": 'profile = "NAME" of an element of type "timing_belt"',
+    "surfaces": 'surface = "NAME" of keys, flanges and pins',
+    "robots": 'robot = "NAME" of problems, studies and recording sets',
+    "effects": "effects that `stiffopt diagnose` can identify",
+}
 
 
 def catalogue_table(kind: CatalogueKind) -> Table:
@@ -132,13 +141,4 @@ _TABLE_BUILDERS: dict[str, Callable[[], Table]] = {
     "surfaces": _surface_table,
     "robots": _robot_table,
     "effects": _effect_table,
-}
-_FILE_ENTRIES = {
-    "reducers": 'catalogue = "NAME" of an element of type "reducer"',
-    "bolts": 'bolt = { size = "SIZE", grade = "12.9" or "A2-70" } of a flange',
-    "keys": 'width and height of an element of type "key"',
-    "belts": 'profile = "NAME" of an element of type "timing_belt"',
-    "surfaces": 'surface = "NAME" of keys, flanges and pins',
-    "robots": 'robot = "NAME" of problems, studies and recording sets',
-    "effects": "effects that `stiffopt diagnose` can identify",
 }

@@ -52,6 +52,10 @@ _KIND_TITLES = {
     "static": "Static deflections (`static.toml`)",
     "extended": "Extended model (`extended.toml`, written by `stiffopt diagnose`)",
 }
+_MAX_PLACES = 12
+# difflib ratio from which another word is suggested: "durration" and "duration" have 0.94,
+# "shaped_deviation" and "head_friction" 0.62.
+_MIN_SPELLING_SIMILARITY = 0.8
 
 
 def file_models() -> dict[str, type[Section]]:
@@ -296,12 +300,6 @@ def _format_examples(field: dict[str, Any]) -> str:
 
 if __name__ == "__main__":
     print(reference_page(), end="")
-
-
-_MAX_PLACES = 12
-# difflib ratio from which another word is suggested: "durration" and "duration" have 0.94,
-# "shaped_deviation" and "head_friction" 0.62.
-_MIN_SPELLING_SIMILARITY = 0.8
 
 
 def explain_key(key: str) -> Iterator[str]:

@@ -45,7 +45,7 @@ def motion(name, flight, after):
          "in flight not comparable with and after arrival 2 times below"),
     ],
 )  # fmt: skip
-def test_how_far_below_or_above_toppra(toppra, own, said):
+def test_compensation_text_compares_with_toppra(toppra, own, said):
     compensation = Compensation(
         motions=(motion("optimised", *own), motion("toppra", *toppra)),
         command=None,

@@ -1,4 +1,4 @@
-"""Pages of diagnoses: what they say agrees with the diagnosis, whatever the verdict."""
+"""Pages of diagnoses with every verdict, compared with the diagnosis."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -65,7 +65,7 @@ def unexplained_in(diagnosis, **changes):
     )
 
 
-def test_page_says_what_was_found(friction, tmp_path):
+def test_page_lists_the_findings(friction, tmp_path):
     text = page_of(friction, tmp_path).text
     (finding,) = friction.findings
     assert "Joint 2: more dry friction than nominal" in text
@@ -80,8 +80,8 @@ def test_page_says_what_was_found(friction, tmp_path):
     assert {path.stem for path in tmp_path.glob("*.png")} == names
 
 
-def test_values_that_read_alike_are_no_changes(friction, monkeypatch):
-    """A value in 10 000 of a mass is what a fit leaves it at."""
+def test_model_changes_that_round_alike_are_omitted(friction, monkeypatch):
+    """A relative change of 1e-4 of a mass is within the tolerance of a fit."""
     changes = [
         ValueChange(1, "a", "mass behind it", 35.8, new, "kg") for new in (35.8004, 35.81, 36.0)
     ]
@@ -92,8 +92,8 @@ def test_values_that_read_alike_are_no_changes(friction, monkeypatch):
     ]
 
 
-def test_named_findings_that_leave_much_say_so(friction, tmp_path, capsys):
-    """As of a torque constant that is off by a factor of two."""
+def test_large_unexplained_residual_is_reported_with_findings(friction, tmp_path, capsys):
+    """Case of a torque constant that is wrong by a factor of two."""
     left = unexplained_in(friction, ratio=42.0, left=0.4).unexplained
     found = replace(friction, unexplained=left)
     text = page_of(found, tmp_path).text
@@ -108,7 +108,7 @@ def test_named_findings_that_leave_much_say_so(friction, tmp_path, capsys):
     assert "which were identified." in " ".join(capsys.readouterr().out.split())
 
 
-def test_page_of_what_the_catalogue_lacks(friction, tmp_path):
+def test_page_of_an_effect_outside_the_catalogue(friction, tmp_path):
     found = replace(unexplained_in(friction), held_out=friction.proofs("test"), faults=())
     text = page_of(found, tmp_path).text
     assert "effect outside the catalogue acts on the torque of joint 2" in text
@@ -117,12 +117,12 @@ def test_page_of_what_the_catalogue_lacks(friction, tmp_path):
     assert (tmp_path / "diagnosis_spectrum.svg").exists()
 
 
-def test_figures_as_png_only_where_asked(friction, tmp_path):
+def test_png_figures_are_written_on_request_only(friction, tmp_path):
     write_diagnosis_report(friction, tmp_path)
     assert {path.suffix for path in tmp_path.iterdir()} == {".html", ".svg"}
 
 
-def test_rows_are_those_of_the_search(friction):
+def test_channel_residuals_are_those_of_the_search(friction):
     for name, number in (("torque_2", 1), ("link_position_1", 2)):
         rows = channel_residuals(friction, name)
         for residual, ratios in ((rows.before, friction.search.before), (rows.after, None)):
@@ -131,7 +131,7 @@ def test_rows_are_those_of_the_search(friction):
             assert found == pytest.approx(expected, rel=1e-9)
 
 
-def test_contribution_is_the_friction_that_was_found(friction):
+def test_finding_contribution_is_the_fitted_friction(friction):
     (finding,) = friction.findings
     rows = channel_residuals(friction, "torque_2")
     added = finding_contribution(friction, finding, rows)
@@ -152,7 +152,7 @@ def test_contribution_is_the_friction_that_was_found(friction):
     ).any()
 
 
-def test_squares_of_a_trace_are_those_of_the_proof(friction):
+def test_trace_squares_equal_those_of_the_proof(friction):
     for proof in friction.held_out:
         for error in proof.channels:
             shown = trace(friction, proof, error.name)
@@ -162,7 +162,7 @@ def test_squares_of_a_trace_are_those_of_the_proof(friction):
                 assert np.sum(left**2) == pytest.approx(getattr(error, name), rel=0.03)
 
 
-def test_worst_windows_are_worst(friction):
+def test_worst_windows_have_the_largest_residuals(friction):
     quiet = replace(
         friction,
         held_out=tuple(replace(p, after=p.before) for p in friction.held_out),
@@ -176,7 +176,7 @@ def test_worst_windows_are_worst(friction):
     assert all(0.0 < w.end - w.begin <= 0.5 + 1e-9 for w in windows)
 
 
-def test_means_by_bins():
+def test_binned_means():
     rng = np.random.default_rng(1)
     x, y = rng.uniform(0, 3, 200), rng.normal(size=200)
     edges = np.array([0.0, 1.0, 1.02, 3.0])
@@ -187,7 +187,7 @@ def test_means_by_bins():
     assert 0.0 < centre[0] < 1.0 < centre[1] < 3.0
 
 
-def test_nothing_missing_in_words(friction, tmp_path):
+def test_page_with_nothing_missing(friction, tmp_path):
     none = replace(friction, verdict="nothing_missing", findings=())
     assert headline(none) == "Nothing is missing within the tolerances"
     assert "No effect of the catalogue is needed" in lead(none)
@@ -198,7 +198,7 @@ def test_nothing_missing_in_words(friction, tmp_path):
     assert "Channel with the largest residual" in page.text
 
 
-def test_what_a_remainder_follows_in_words(friction):
+def test_unexplained_residual_names_its_signals(friction):
     followed = unexplained_in(
         friction, period=None, regressors=("q_1 x sign(qd_2)", "session_time")
     )
@@ -208,7 +208,7 @@ def test_what_a_remainder_follows_in_words(friction):
     assert "no recorded signal" in lead(unexplained_in(friction, period=None, regressors=()))
 
 
-def test_rivals_are_ranked(friction, tmp_path):
+def test_rivals_are_sorted_by_probability(friction, tmp_path):
     (finding,) = friction.findings
     other = replace(finding.located, joint=0)
     shared = replace(finding, probability=0.4, rivals=(Rival(located=other, probability=0.6),))
@@ -218,7 +218,7 @@ def test_rivals_are_ranked(friction, tmp_path):
     assert "probability 40 %, nearest rival Coulomb friction of joint 1" in page.text
 
 
-def test_torques_and_encoders_are_shared_out_each_for_themselves(friction, tmp_path, capsys):
+def test_mismatch_shares_are_per_kind_of_channel(friction, tmp_path, capsys):
     part = next(each.part for each in friction.shares if each.part is not None)
     shares = tuple(
         Share(part=own, measured=measured, share=share)
@@ -244,19 +244,19 @@ def test_torques_and_encoders_are_shared_out_each_for_themselves(friction, tmp_p
     for sentence in (torques, encoders):
         assert sentence in shown
         assert sentence in page
-    # Encoders within twice their noise have no shares: what is told is of the torques then.
+    # Encoders within twice their noise have no shares: the sentence is about torques only.
     (only,) = mismatches(replace(friction, shares=shares[:2]))
     assert only.sentence == torques
 
 
-def test_values_without_a_nominal_one_are_no_surprise(friction):
+def test_headline_of_values_without_nominal_value(friction):
     recordings = friction.recordings
     stated = recordings.stated.model_copy(update={"coulomb": None})
     silent = replace(friction, recordings=recordings.with_nominal(stated, recordings.path))
     assert headline(silent).endswith("without nominal value: dry friction of joint 2")
 
 
-def test_much_left_is_said(friction):
+def test_large_held_out_residual_is_reported(friction):
     assert "largest residual" not in proof_sentence(friction)
     worse = [
         replace(p, channels=tuple(replace(c, after=50.0 * c.before) for c in p.channels))
@@ -275,11 +275,11 @@ def test_much_left_is_said(friction):
         (2.5e-5, float("nan"), "rad/(N m)", "25 µrad/(N m)"),
     ],
 )
-def test_value_and_deviation(value, sd, unit, text):
+def test_pm_formats_value_and_standard_deviation(value, sd, unit, text):
     assert pm(value, sd, unit) == text
 
 
-def test_words_of_channels_units_and_probability():
+def test_formats_of_channels_units_and_probability():
     assert channels_in_words(["torque_3", "link_position_12"]) == (
         "the torque of joint 3 and the link encoder of joint 12"
     )
@@ -289,8 +289,8 @@ def test_words_of_channels_units_and_probability():
     assert format_probability(0.97) == "97 %"
 
 
-def test_torques_that_are_cut_off_are_told_first():
-    """Of 35 % of the samples a friction that hangs on the position was made."""
+def test_saturated_torque_is_reported():
+    """With 35 % saturated samples a position-dependent friction was identified."""
     told = [
         ("run1", _saturated(2, 0.35)),
         ("run2", _saturated(2, 0.40)),

@@ -55,7 +55,7 @@ def test_sliders_move_the_arm(scene):
     assert scene.tool() == pytest.approx(bent, abs=1e-9)
 
 
-def test_the_cell_stands_around_the_arm(tmp_path):
+def test_live_scene_shows_the_cell(tmp_path):
     from stiffopt.report.scene.live import LiveScene
 
     robot = load_robot(write_robot(tmp_path, "planar"))
@@ -107,7 +107,7 @@ OWN = "127.0.0.1:{port}"
     ],
 )
 @pytest.mark.parametrize("upgrade", [False, True])
-def test_pages_of_others_are_refused(scene, headers, status, upgrade):
+def test_foreign_hosts_and_origins_are_refused(scene, headers, status, upgrade):
     port = scene.server.get_port()
     sent = {name: value.format(port=port) for name, value in headers.items()}
     if upgrade:
@@ -125,7 +125,7 @@ def test_pages_of_others_are_refused(scene, headers, status, upgrade):
     connection.close()
 
 
-def test_a_viser_that_cannot_be_guarded_is_not_served():
+def test_unsupported_viser_is_refused():
     from stiffopt.report.scene.live import _guarded_server
 
     with (

@@ -37,6 +37,11 @@ _MIN_DARKEST_RATIO = 10.0
 # Units of the signals that a residual may depend on.
 _SIGNAL_UNITS = {"q": "rad", "qd": "rad/s", "qdd": "rad/s^2", "torque": "N m"}
 _ROLE_TITLES = (("test", "test runs"), ("extrapolate", "extrapolation runs"))
+_WINDOW_LENGTH = 0.5  # of a held-out run, in which the residual is averaged [s]
+# Points of a plotted curve, and missing samples that it bridges.
+_MAX_CURVE_POINTS, _MAX_BRIDGED_SAMPLES = 1400, 10
+# Least residual over noise of a listed window, and number of windows.
+_MIN_LISTED_RATIO, _MAX_WINDOWS = 2.0, 8
 
 
 def residual_figure(diagnosis: Diagnosis) -> Figure:
@@ -163,13 +168,6 @@ def _format_minor_tick(value: float) -> str:
     """Format minor ticks 2 and 5 of a logarithmic axis, others as ""."""
     first = f"{value:.0e}"[0]
     return significant(value, 1) if first in "25" else ""
-
-
-_WINDOW_LENGTH = 0.5
-# Points of a plotted curve, and missing samples that it bridges.
-_MAX_CURVE_POINTS, _MAX_BRIDGED_SAMPLES = 1400, 10
-# Least residual over noise of a listed window, and number of windows.
-_MIN_LISTED_RATIO, _MAX_WINDOWS = 2.0, 8
 
 
 @dataclass(frozen=True, eq=False)

@@ -28,6 +28,8 @@ _LARGE_RESIDUAL_RATIO = 2.0
 
 # Share of a run above which a saturated torque is reported.
 _MIN_SATURATED_SHARE = 0.05
+# Causes of bursts by the signal that they follow.
+_BURST_CAUSES = {"torque": "saturates", "dtorque": "limits the rate of its torque"}
 
 
 def place(diagnosis: Diagnosis, located: LocatedEffect) -> str:
@@ -306,10 +308,6 @@ def worst_ratio(ratios: np.ndarray) -> float:
     """Return the largest residual over noise of any channel; nan without one."""
     known = ratios[np.isfinite(ratios)]
     return float(known.max()) if known.size else math.nan
-
-
-# Causes of bursts by the signal that they follow.
-_BURST_CAUSES = {"torque": "saturates", "dtorque": "limits the rate of its torque"}
 
 
 def channel_words(name: str) -> str:

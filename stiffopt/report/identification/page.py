@@ -26,6 +26,8 @@ _STATUS_WORDS = {
     "not_loaded": "not identifiable",
     "confounded": "not identifiable",
 }
+_NUMBER_COLUMNS = ("stiffness", "standard deviation", "95 % confidence interval", "nominal")
+_DEVIATION_COLUMN = "softer than nominal by (standard deviations)"
 
 
 @dataclass(frozen=True)
@@ -101,10 +103,6 @@ def _outlying_poses(result: StaticStiffness) -> list[OutlyingPose]:
         )
         for pose in result.outliers
     ]
-
-
-_NUMBER_COLUMNS = ("stiffness", "standard deviation", "95 % confidence interval", "nominal")
-_DEVIATION_COLUMN = "softer than nominal by (standard deviations)"
 
 
 def print_static(result: StaticStiffness, folder: Path) -> None:

@@ -57,6 +57,15 @@ if TYPE_CHECKING:
     from stiffopt.preload.study import PreloadStudy
 
 REPORT_FILE = "report.html"
+_CONNECTION_COLUMNS = (
+    "connection",
+    "fasteners",
+    "largest preload",
+    "least preload",
+    "tightening torque",
+    "utilisation",
+    "active limits",
+)
 
 
 def write_preload_report(study: PreloadStudy, directory: str | Path) -> Path:
@@ -141,17 +150,6 @@ def _write_page(study: PreloadStudy, directory: str | Path) -> Path:
     }
     path = Path(directory) / REPORT_FILE
     return write_page("preload/page.html.j2", path, context, figures, filters)
-
-
-_CONNECTION_COLUMNS = (
-    "connection",
-    "fasteners",
-    "largest preload",
-    "least preload",
-    "tightening torque",
-    "utilisation",
-    "active limits",
-)
 
 
 def print_study(study: PreloadStudy, folder: Path) -> None:

@@ -42,6 +42,8 @@ METHOD_WORDS = {
     "angle": "angle of rotation",
     "yield": "yield-controlled",
 }
+# Connections named in one sentence.
+_MAX_NAMED_CONNECTIONS = 3
 
 
 def readable(text: str) -> str:
@@ -303,10 +305,6 @@ def _stiffness_change_sentence(gains: dict[int, float]) -> str:
 def _is_slip_limited(solution: PreloadSolution) -> bool:
     active = {row.kind for row in solution.rows if row.active}
     return "slip safety" in active and not active & {"joint stiffness", "tool deflection"}
-
-
-# Connections named in one sentence.
-_MAX_NAMED_CONNECTIONS = 3
 
 
 def cautions(problem: PreloadProblem, solution: PreloadSolution) -> list[str]:

@@ -25,6 +25,11 @@ if TYPE_CHECKING:
 
 # Triangles of all meshes of an arm together, so that a page stays below 3 MB.
 _MAX_ARM_TRIANGLES = 60000
+# Triangles of one shape, and initial number of grid cells along its longest edge.
+_MAX_TRIANGLES = 6000
+_INITIAL_GRID_CELLS = 1024
+# A wall is shown as a slab of this thickness [m] and half width [reaches of the arm].
+_WALL_THICKNESS, _WALL_HALF_WIDTH_REACHES = 2e-3, 1.2
 
 
 def scene_document(
@@ -139,7 +144,7 @@ def _shape_data(placed: JointShape, triangles: int) -> dict[str, Any]:
         "rotation": _round_nested(placed.rotation),
     }
     if shape.kind == "mesh":
-        return document | compact_mesh(shape, min(triangles, 6000))
+        return document | compact_mesh(shape, min(triangles, _MAX_TRIANGLES))
     return document | {"size": list(shape.size)}
 
 
@@ -147,11 +152,6 @@ def _round_nested(values: np.ndarray, digits: int = 6) -> list[Any]:
     """Return nested lists of rounded values."""
     rounded: list[Any] = np.round(np.asarray(values, dtype=float), digits).tolist()
     return rounded
-
-
-# Triangles of one shape, and initial number of grid cells along its longest edge.
-_MAX_TRIANGLES = 6000
-_INITIAL_GRID_CELLS = 1024
 
 
 def compact_mesh(shape: LinkShape, most: int = _MAX_TRIANGLES) -> dict[str, Any]:
@@ -195,10 +195,6 @@ def compact_mesh(shape: LinkShape, most: int = _MAX_TRIANGLES) -> dict[str, Any]
 
 def _encode_uint16(numbers: np.ndarray) -> str:
     return base64.b64encode(numbers.astype("<u2").tobytes()).decode()
-
-
-# A wall is shown as a slab of this thickness [m] and half width [reaches of the arm].
-_WALL_THICKNESS, _WALL_HALF_WIDTH_REACHES = 2e-3, 1.2
 
 
 def shapes_around(cell: Cell | None, reach: float) -> list[JointShape]:

@@ -29,6 +29,9 @@ if TYPE_CHECKING:
     from stiffopt.robot.stiffness_study import StiffnessRow
 
 PAGE_FILE = "stiffness.html"
+SHARE_RATIOS = (0.001, 0.01, 0.1, 1.0)
+# Ratio of the joints' largest losses above which the axis is logarithmic.
+_MAX_LINEAR_RATIO = 10.0
 
 
 @dataclass(frozen=True)
@@ -151,11 +154,6 @@ def _first_slips(robot: Robot) -> list[FirstSlip]:
             name = min(slip, key=lambda each: slip[each])
             found.append(FirstSlip(number, name, slip[name], float(robot.torque_max[number - 1])))
     return found
-
-
-SHARE_RATIOS = (0.001, 0.01, 0.1, 1.0)
-# Ratio of the joints' largest losses above which the axis is logarithmic.
-_MAX_LINEAR_RATIO = 10.0
 
 
 @dataclass(frozen=True)

@@ -18,6 +18,8 @@ from stiffopt.units import number_and_unit
 PAGE_FILE = "report.html"
 # Rows of the table on the page; table.csv has all.
 _MAX_ROWS = 200
+# Quantity that is plotted, by kind of the base file.
+ANSWERS = {"trajectory": "objective", "preload": "objective", "recordings": "residual_after"}
 
 
 def write_sweep_report(summary: SweepSummary, folder: Path) -> Path:
@@ -54,10 +56,6 @@ def write_sweep_report(summary: SweepSummary, folder: Path) -> Path:
 
 def _format_cell(cell: Cell, unit: str) -> str:
     return cell if isinstance(cell, str) else si(cell, unit, 5)
-
-
-# Quantity that is plotted, by kind of the base file.
-ANSWERS = {"trajectory": "objective", "preload": "objective", "recordings": "residual_after"}
 
 
 def axes_figure(summary: SweepSummary) -> Figure | None:
