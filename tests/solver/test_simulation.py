@@ -70,7 +70,7 @@ def test_a_difference_from_the_plan_is_laid_to_what_the_plan_leaves_out(solved, 
     assert "quasi-static plan does not include" in difference_text(problem, twice)
     said = difference_text(links, twice)
     assert "quasi-static" not in said
-    assert "corners" in said
+    assert "kinks" in said
     assert "limits.jerk" in said
 
 
