@@ -27,7 +27,7 @@ from stiffopt.discovery.diagnosis import Diagnosis, channel_fits
 from stiffopt.discovery.proof.proof import RunProof, nrmse, prove
 from stiffopt.identification.stiffness import identify_stiffness
 from stiffopt.recording.static_set import is_static, load_static_set
-from stiffopt.report.diagnosis.mismatch import carried_over_sentences, rod_sentence
+from stiffopt.report.diagnosis.mismatch import noise_ceiling_sentence, transfer_sentences
 
 HERE = Path(__file__).parent
 RECORDINGS = Path(
@@ -110,8 +110,8 @@ def one(path: Path) -> dict[str, Any]:
         "verdict": diagnosis.verdict,
         "findings": [_finding(diagnosis, k) for k in range(len(diagnosis.findings))],
         "outside": None if diagnosis.unexplained is None else vars(diagnosis.unexplained),
-        "rod": rod_sentence(diagnosis),
-        "carried_over": carried_over_sentences(diagnosis),
+        "rod": noise_ceiling_sentence(diagnosis),
+        "carried_over": transfer_sentences(diagnosis),
         "assumptions": list(diagnosis.assumptions),
         "faults": sum(1 for _ in diagnosis.faults),
         "runs": [

@@ -27,20 +27,20 @@ StudyCallback = Callable[[Progress | SolveProgress], object]
 
 @dataclass(frozen=True)
 class Check:
-    """One value of a problem or study file, solved anew.
+    """Comparison of one solved value of a problem or study file with its expected value.
 
     Parameters
     ----------
     path : Path
     name : str
-        Of the value of a study; "" is the objective of a trajectory problem.
+        Name of a study's value; "" is the objective of a trajectory problem.
     status : SolveStatus
     value, expected : float or None
         In `unit`.
     unit : str
     rtol : float
     source : str
-        Where the expected value comes from.
+        Source of the expected value.
     seconds : float
     message : str
     """
@@ -65,23 +65,23 @@ class Check:
 
     @property
     def passed(self) -> bool:
-        """Whether the result is usable and its value as expected."""
+        """True where the result is usable and its value as expected."""
         deviation = self.deviation
         return self.status.usable and deviation is not None and deviation <= self.rtol
 
     @property
     def interrupted(self) -> bool:
-        """Whether the user stopped it."""
+        """True where the user interrupted the solve."""
         return self.status is SolveStatus.INTERRUPTED
 
 
 def problem_files(path: Path) -> list[Path]:
-    """The trajectory problem and preload study files at a path, in order of name.
+    """Return the trajectory problem and preload study files at a path, sorted by name.
 
     Raises
     ------
     InputFileError
-        There is none.
+        The folder has none.
     """
     if not path.is_dir():
         check_file(path)
@@ -91,14 +91,14 @@ def problem_files(path: Path) -> list[Path]:
         raise InputFileError(
             path,
             "",
-            "the folder holds no trajectory problem and no preload study (*.toml with kind = "
+            "the folder has no trajectory problem and no preload study (*.toml with kind = "
             "'trajectory' or 'preload').",
         )
     return found
 
 
 def check_problem(path: Path, changes: Sequence[str] = ()) -> None:
-    """Read a problem or study file; raise `InputFileError` where it cannot be used."""
+    """Read a problem or study file; raise `InputFileError` where it is invalid."""
     if _is_study(path):
         load_study(path, changes)
     else:
@@ -108,9 +108,9 @@ def check_problem(path: Path, changes: Sequence[str] = ()) -> None:
 def verify(
     path: Path, progress: StudyCallback | None = None, changes: Sequence[str] = ()
 ) -> tuple[Check, ...]:
-    """Solve one problem or study file; a check for each value that it expects.
+    """Solve one problem or study file and return a check for each expected value.
 
-    `changes` of entries are those of `load_problem`.
+    `changes` are overrides of entries as in `load_problem`.
     """
     if _is_study(path):
         return verify_study(path, progress, changes)
@@ -124,7 +124,7 @@ def _is_study(path: Path) -> bool:
 def verify_study(
     path: Path, progress: StudyCallback | None = None, changes: Sequence[str] = ()
 ) -> tuple[Check, ...]:
-    """Run one preload study and compare; a file without expected values never passes."""
+    """Run a preload study and compare its values; a file without expected values never passes."""
     begin = time.perf_counter()
     loaded = load_study(path, changes)
     wants_knee = any(name.startswith("knee_") for name in loaded.expected)
@@ -132,7 +132,7 @@ def verify_study(
         loaded.problem,
         motion=loaded.motion,
         rounds=loaded.rounds,
-        # The front takes longest, and only its knee can be expected.
+        # The front takes longest; only its knee can have an expected value.
         front_points=loaded.front_points if wants_knee else 0,
         progress=progress,
     )
@@ -178,7 +178,7 @@ def verify_study(
 def verify_file(
     path: Path, progress: ProgressCallback | None = None, changes: Sequence[str] = ()
 ) -> Check:
-    """Solve one trajectory problem file and compare; a file without [expected] never passes."""
+    """Solve a trajectory problem and compare its objective; without [expected] it never passes."""
     begin = time.perf_counter()
     loaded = load_problem(path, changes)
     solution = solve(loaded.problem, progress=progress, throw=False)

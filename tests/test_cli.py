@@ -303,7 +303,7 @@ def test_the_short_form_of_out_is_the_long_one(tmp_path, capsys):
     assert (tmp_path / "s" / "stiffness.csv").is_file()
     assert (tmp_path / "first.toml").is_file()
     assert run(["init", "problem", robot, "-o", str(tmp_path / "x.toml"), "--set", "a=1"]) == 2
-    assert "the command that reads it takes --set" in capsys.readouterr().err
+    assert "use --set with the command that reads it" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])

@@ -20,15 +20,15 @@ URDF = str(ROOT / "problems" / "two_link.urdf")
         (["solve", PROBLEM, "--set", "payload=3"], r"payload: needs a section .* keys: mass, com"),
         (["export", PROBLEM, "--to", "csv"], r"two_link\.toml: is a file: give the folder"),
         (["export", "nowhere", "--to", "csv"], r": nowhere/result\.json: there is no folder"),
-        (["export", "here", "--to", "csv", "--set", "a=1"], r"--set 'a=1': a folder of results is"),
-        (["simulate", "here", "--set", "a=1"], "Solve again with --set"),
+        (
+            ["export", "here", "--to", "csv", "--set", "a=1"],
+            r"--set 'a=1': a folder of results has",
+        ),
+        (["simulate", "here", "--set", "a=1"], "Run solve again with --set"),
         (["compare", "here", "here", "--set", "a=1"], "has no entries to change"),
         (["view", "here", "--set", "a=1"], "has no entries to change"),
-        (
-            ["solve", PROBLEM, "quiet"],
-            r"solve: 'quiet' is more than it takes\. Did you mean --quiet\?",
-        ),
-        (["recording", "check", "a", "b"], "check: 'b' is more than it takes"),
+        (["cache", "clear"], r"cache: unexpected argument 'clear'\. Did you mean --clear\?"),
+        (["recording", "check", "a", "b"], "check: unexpected argument 'b'"),
         (["verify", PROBLEM, "--set", "motion.durations=2"], r"motion.durations.*Did you mean"),
     ],
 )
@@ -75,4 +75,4 @@ def test_loads_that_decide_nothing_are_asked_about(tmp_path, capsys):
     assert run(["init", "flange", "--out", str(folder), "--torque", "120 mN*m"]) == 0
     assert run(["preload", str(folder / "flange.toml"), "--out", str(tmp_path / "out")]) == 0
     said = re.sub(r"\s+", " ", capsys.readouterr().out)
-    assert "Are the loads in the unit that was meant?" in said
+    assert "the loads are negligible" in said

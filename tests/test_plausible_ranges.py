@@ -18,8 +18,7 @@ from stiffopt.recording.clock import read_clock
 from stiffopt.recording.readers.csv import read as read_run
 from stiffopt.recording.schema import RecordingsFile
 from stiffopt.recording.signals import Signals
-from stiffopt.report.explain import explained
-from stiffopt.report.file_reference import file_models, file_schema
+from stiffopt.report.file_reference import explain_key, file_models, file_schema
 from stiffopt.robot.elements import BoltsSection
 from stiffopt.robot.files import load_robot
 from stiffopt.robot.own_catalogue import CatalogueFile
@@ -174,7 +173,7 @@ def test_every_slip_is_a_unit_of_its_kind():
 
 
 def test_explain_names_the_range():
-    assert any("[m], plausible 1e-05 to 0.5" in line for line in explained("clamp_length"))
+    assert any("[m], plausible 1e-05 to 0.5" in line for line in explain_key("clamp_length"))
 
 
 ARM = """<robot name="r"><link name="base"/><link name="arm"><inertial><mass value="2"/>

@@ -21,7 +21,7 @@ def answers(place: Path) -> Iterator[Subject]:
     from stiffopt.cli import run
     from stiffopt.discovery.extended.model import load_extended
     from stiffopt.export.motion import read_motion
-    from stiffopt.report.compare import compared
+    from stiffopt.report.compare import compare_results
     from stiffopt.solver.stored_result import read_result
 
     work = place / "answers"
@@ -46,7 +46,7 @@ def answers(place: Path) -> Iterator[Subject]:
     exported = ("export", "solved", "--to", "csv", "--out", "out")
     read = lambda path: read_motion(path.parent, "motor")  # noqa: E731
     yield Subject("result, export", work, result, of_json, read, exported)
-    both = lambda path: compared(path.parent, work / "again")  # noqa: E731
+    both = lambda path: compare_results(path.parent, work / "again")  # noqa: E731
     yield Subject("result, compare", work, result, of_json, both, ("compare", "solved", "again"))
     stored = lambda path: read_result(path.parent)  # noqa: E731
     simulated = ("simulate", "solved", "--out", "out")
@@ -61,7 +61,7 @@ def answers(place: Path) -> Iterator[Subject]:
     toml = mutators.spoiled_toml
     yield Subject("extended, export", work, "found/extended.toml", toml, load_extended, found)
     diagnosis = "found/diagnosis.json"
-    same = lambda path: compared(path.parent, path.parent)  # noqa: E731
+    same = lambda path: compare_results(path.parent, path.parent)  # noqa: E731
     yield Subject(
         "diagnosis, compare", work, diagnosis, of_json, same, ("compare", "found", "found")
     )

@@ -1,7 +1,7 @@
 """The command line: `stiffopt solve`, `preload`, `diagnose`, `recording check` and the others.
 
-Exit codes: 0 done, 1 a verified value is off, 2 wrong input or command line, 3 no usable result,
-130 interrupted. Commands import what they need, so that help and errors come at once.
+Exit codes: 0 success, 1 a verified value deviates, 2 invalid input or command line, 3 no usable
+result, 130 interrupted. Commands import their modules when called, so that help is fast.
 """
 
 from __future__ import annotations
@@ -13,14 +13,13 @@ from collections.abc import Sequence
 from cyclopts import CycloptsError, UnusedCliTokensError
 
 from stiffopt import folders
-
-# In the order in which help lists them; importing registers them.
-from stiffopt.cli import exports, motions, recordings, schemas, starters, sweeps, swings
+from stiffopt.cli import elastic, exports, motions, recordings, schemas, starters, sweeps
 from stiffopt.cli.base import app
 from stiffopt.errors import InputError, NoSolutionFound, shortened
 
 __all__ = [
     "app",
+    "elastic",
     "exports",
     "motions",
     "recordings",
@@ -28,19 +27,18 @@ __all__ = [
     "schemas",
     "starters",
     "sweeps",
-    "swings",
 ]
 
 
 def run(arguments: Sequence[str] | None = None) -> int:
-    """Run a command line; return its exit code. Errors of the user become one message."""
+    """Run a command line and return its exit code; user errors become one message."""
     folders.written.clear()
     warnings.formatwarning = lambda message, *_, **__: f"stiffopt: {message}\n"
     tokens = list(sys.argv[1:] if arguments is None else arguments)
     try:
         code = app(tokens, exit_on_error=False, print_error=False, result_action="return_value")
     except UnusedCliTokensError as error:
-        print(f"stiffopt: {_too_many(error)}", file=sys.stderr)
+        print(f"stiffopt: {_describe_unused_tokens(error)}", file=sys.stderr)
         return 2
     except (InputError, CycloptsError) as error:
         print(f"stiffopt: {error}", file=sys.stderr)
@@ -50,9 +48,9 @@ def run(arguments: Sequence[str] | None = None) -> int:
         return 3
     except KeyboardInterrupt as stop:
         kept = " and ".join(map(str, folders.written))
-        said = f"{kept} was written before." if kept else "nothing was written."
-        said = next((each for each in stop.args if isinstance(each, str)), said)
-        print(f"stiffopt: interrupted; {said}", file=sys.stderr)
+        state = f"{kept} was written before." if kept else "nothing was written."
+        state = next((each for each in stop.args if isinstance(each, str)), state)
+        print(f"stiffopt: interrupted; {state}", file=sys.stderr)
         return 130
     except OSError as error:
         place = f"{error.filename}: " if error.filename else ""
@@ -61,11 +59,12 @@ def run(arguments: Sequence[str] | None = None) -> int:
     return code if isinstance(code, int) else 0
 
 
-def _too_many(error: UnusedCliTokensError) -> str:
-    """Name what was given beyond what a command takes."""
+def _describe_unused_tokens(error: UnusedCliTokensError) -> str:
+    """Return a message on arguments that a command does not accept."""
     command, unused = " ".join(error.command_chain or ()), error.unused_tokens or []
     known = error.app.assemble_argument_collection() if error.app else ()
     options = {name for argument in known for name in argument.names}
     meant = [f" Did you mean --{token}?" for token in unused if f"--{token}" in options]
-    more = f"`stiffopt {command} --help` tells what it takes."
-    return f"{command}: {shortened(' '.join(unused))} is more than it takes.{''.join(meant)} {more}"
+    extra = shortened(" ".join(unused))
+    more = f"See `stiffopt {command} --help`."
+    return f"{command}: unexpected argument {extra}.{''.join(meant)} {more}"

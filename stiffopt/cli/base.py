@@ -1,4 +1,4 @@
-"""The application that commands register with, and what they share."""
+"""The application that commands register with, and their common parameters and helpers."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ app = App(
     name="stiffopt",
     help="Stiff and true trajectories for industrial robot arms.",
     help_on_error=False,
-    # `run` says what an interruption means.
+    # `run` reports interruptions.
     suppress_keyboard_interrupt=False,
 )
 
@@ -27,46 +27,51 @@ OUT_NAMES = ("--out", "-o")
 
 
 def out_path(_: object, tokens: Sequence[Token]) -> Path:
-    """Path of --out; an empty one would be the current folder."""
+    """Convert --out to a path; refuse an empty one, which would be the current folder."""
     name = tokens[0].value
     if not name.strip():
         raise InputError("got no name. Give one, or . for the current folder.")
     return Path(name)
 
 
-Out = Annotated[
-    Path,
-    Parameter(name=OUT_NAMES, help="Folder for the results; made if missing.", converter=out_path),
-]
+Out = Annotated[Path, Parameter(name=OUT_NAMES, converter=out_path)]
 
 Changes = Annotated[
     tuple[str, ...],
     Parameter(
         name="--set",
         negative=(),
-        help="Change an entry of the file for this run, such as motion.duration='0.5 s'.",
+        show_default=False,
+        help="Override an entry of the file for this run, such as motion.duration='0.5 s'.",
     ),
 ]
 Open = Annotated[
-    bool, Parameter(name="--open", negative=(), help="Show the page in the browser when done.")
+    bool,
+    Parameter(
+        name="--open",
+        negative=(),
+        show_default=False,
+        help="Open the report in the browser when done.",
+    ),
 ]
 
 
-# Of the name of a folder.
-_LONGEST = 100
+# Characters of a folder name from --set; longer ones are replaced by a hash.
+_MAX_CHANGES_LENGTH = 100
 
 
 def default_folder(name: str, changes: Sequence[str]) -> Path:
-    """Where results go without --out; those of --set beside those of the file as it is."""
+    """Return the folder for results without --out; --set has its own, beside that of the file."""
     bare = (re.sub(r"[\"']", "", change) for change in changes)
-    said = "".join("-" + re.sub(r"[^\w.=+-]+", "_", each, flags=re.ASCII) for each in bare)
-    if len(said) > _LONGEST:
-        said = f"{said[:_LONGEST]}-{hashlib.sha256(repr(changes).encode()).hexdigest()[:8]}"
-    return Path("out") / f"{name}{said}"
+    suffix = "".join("-" + re.sub(r"[^\w.=+-]+", "_", each, flags=re.ASCII) for each in bare)
+    if len(suffix) > _MAX_CHANGES_LENGTH:
+        digest = hashlib.sha256(repr(changes).encode()).hexdigest()[:8]
+        suffix = f"{suffix[:_MAX_CHANGES_LENGTH]}-{digest}"
+    return Path("out") / f"{name}{suffix}"
 
 
 def show_report(folder: Path, wanted: bool, name: str = "report.html") -> None:
-    """Open a page of a folder in the browser, where it is wanted."""
+    """Open a page of a folder in the browser if requested and present."""
     if wanted and (folder / name).is_file():
         import webbrowser
 
@@ -74,31 +79,29 @@ def show_report(folder: Path, wanted: bool, name: str = "report.html") -> None:
 
 
 def print_json(document: object) -> None:
-    """Print plain data, indented."""
+    """Print plain data as indented JSON."""
     import json
 
     print(json.dumps(document, indent=2, ensure_ascii=False))
 
 
 def number_or_text(argument: str) -> float | str:
-    """Argument as files have it: a bare number is SI, a text carries its unit."""
+    """Convert an argument as in files: a bare number is SI, a text has its unit."""
     try:
         return float(argument)
     except ValueError:
         return argument.strip()
 
 
-# Of commands that take a folder of results or write a first file: understood, and refused with a
-# reason.
+# --set of commands that cannot apply it: accepted by the parser, refused with a reason.
 NoChanges = Annotated[tuple[str, ...], Parameter(name="--set", negative=(), show=False)]
-_RESULTS = (
-    "a folder of results is what was solved, and has no entries to change. Solve, study or"
-    " diagnose again with --set."
+_RESULT_FOLDER_REASON = (
+    "a folder of results has no entries to change. Run solve, preload or diagnose again with --set."
 )
-STARTED = "the file that this writes is yours to edit, and the command that reads it takes --set."
+STARTER_FILE_REASON = "edit the file that is written, or use --set with the command that reads it."
 
 
-def refuse_changes(changes: tuple[str, ...], why: str = _RESULTS) -> None:
-    """Raise `InputError` where entries were to be changed of what has none."""
+def refuse_changes(changes: tuple[str, ...], why: str = _RESULT_FOLDER_REASON) -> None:
+    """Raise `InputError` where --set is given but not supported."""
     if changes:
         raise InputError(f"--set {shortened(changes[0])}: {why}")

@@ -1,4 +1,4 @@
-"""`stiffopt export`: results as files for controllers and other tools."""
+"""`stiffopt export` and `check`: results as files for controllers and other tools."""
 
 from __future__ import annotations
 
@@ -18,7 +18,10 @@ def export(
     result: Path,
     *,
     to: Annotated[
-        str, Parameter(help="Of a solve: ros2, urscript, csv, krl-rsi. Of a diagnosis: urdf, mjcf.")
+        str,
+        Parameter(
+            help="Format: ros2, urscript, csv or krl-rsi of a solve; urdf or mjcf of a diagnosis."
+        ),
     ],
     rate: float | None = None,
     of: Literal["motor", "link"] = "motor",
@@ -28,27 +31,27 @@ def export(
     out: Out | None = None,
     changes: NoChanges = (),
 ) -> int:
-    """Write a solved motion, or a robot with what was found, as others read it.
+    """Export a solved motion to a controller format, or the robot model of a diagnosis.
 
-    A motion is judged again before it leaves: hashes, duration, rows, and its limits at the samples
-    that are written. `stiffopt check FILE` reads such a file back.
+    A motion is verified before export: hashes, duration, samples, and its limits at the samples
+    that are written. `stiffopt check FILE` verifies an exported file.
 
     Parameters
     ----------
     result
-        Folder of a solve whose motion keeps its limits, or of a diagnosis.
+        Folder of a solve whose motion meets its limits, or of a diagnosis.
     rate
-        Samples a second [Hz]; default 500, for krl-rsi 250.
+        Sampling rate [Hz]; default 500, for krl-rsi 250.
     of
-        What the motors are commanded (command.csv where there is one), or what the links shall do.
+        Motion of the motors (command.csv where there is one) or of the links.
     problem
-        Problem file of a solve, where the result does not name it or it has moved.
+        Problem file of a solve, where the result does not name it or it was moved.
     recordings
-        Recording set of a diagnosis: its robot is changed by what was found.
+        Recording set of a diagnosis, whose robot is changed by the findings.
     effects
-        Python file of the effects of a diagnosis that are not of the catalogue.
+        Python file of user-defined effects of a diagnosis.
     out
-        Default: the folder of the result.
+        Folder for the files; default: the folder of the result.
     """
     from stiffopt.export.format import FORMATS
     from stiffopt.export.model_format import MODEL_FORMATS
@@ -60,14 +63,14 @@ def export(
         if recordings is None:
             if (result / RESULT_FILE).exists():
                 raise InputError(
-                    f"--to {to} is of a diagnosis; {result} holds a solve, which goes to"
-                    f" {', '.join(FORMATS)}."
+                    f"--to {to} is a format of a diagnosis; {result} is the folder of a solve, with"
+                    f" the formats {', '.join(FORMATS)}."
                 )
             raise InputError(
-                f"--to {to}: give the recording set of the diagnosis as --recordings, whose robot "
-                "is changed by what was found."
+                f"--to {to}: give the recording set of the diagnosis as --recordings; its robot is "
+                "changed by the findings."
             )
-        texts, maker = _found(result, to, recordings, effects), "diagnose"
+        texts, maker = _extended_robot_files(result, to, recordings, effects), "diagnose"
     elif to in FORMATS:
         texts, maker = FORMATS[to].export(read_motion(result, of, problem), rate), "solve"
     else:
@@ -89,37 +92,38 @@ def check(
     problem: Path | None = None,
     changes: NoChanges = (),
 ) -> int:
-    """Say whether an exported motion is whole, whose it is, and whether it keeps its limits.
+    """Verify an exported motion: integrity, origin and limits.
 
-    The file's header names motion, robot, payload and limits by their hashes. They are held against
-    the result, whose motion is judged and sampled anew; every number of the file must be that of
-    the result.
+    The header of the file has hashes of motion, robot, payload and limits. They are compared with
+    the result, whose motion is certified and sampled again; every number of the file must match.
 
     Parameters
     ----------
     file
-        Of `stiffopt export`: ros2, urscript, csv or krl-rsi.
+        File of `stiffopt export`: ros2, urscript, csv or krl-rsi.
     result
-        Folder of the solve that it is of; default: the folder of the file.
+        Folder of the solve; default: the folder of the file.
     problem
-        Problem file, where the result does not name it or it has moved.
+        Problem file, where the result does not name it or it was moved.
     """
     from stiffopt.export.check import check_file
 
     refuse_changes(changes)
     found = check_file(file, result or file.parent, problem)
-    print(f"{file}: whole and unchanged since `stiffopt export --to {found.format}`.")
+    print(f"{file}: complete and unchanged since `stiffopt export --to {found.format}`.")
     print(
         f"Motion of the {found.which}s of {found.title}, robot {found.robot}"
         f"{'' if found.payload is None else f' with {found.payload:.4g} kg of payload'}, "
         f"{found.duration:.6g} s, {found.samples} samples at {found.rate:g} Hz."
     )
-    print(f"Keeps its limits; the tightest is {found.tightest}.")
+    print(f"All limits are met; the tightest is {found.tightest}.")
     return 0
 
 
-def _found(result: Path, to: str, recordings: Path, effects: Path | None) -> dict[str, str]:
-    """Text of a robot with what a diagnosis found; the changes are printed."""
+def _extended_robot_files(
+    result: Path, to: str, recordings: Path, effects: Path | None
+) -> dict[str, str]:
+    """Return the files of a robot with the findings of a diagnosis; print the changes."""
     from stiffopt.export.model_format import MODEL_FORMATS, notes, read_diagnosed_robot
 
     found = read_diagnosed_robot(result, recordings, effects)

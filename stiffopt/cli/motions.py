@@ -1,4 +1,4 @@
-"""`stiffopt solve`, `preload`, `verify` and `stiffness`: motions, fasteners, joints of a model."""
+"""`stiffopt solve`, `preload`, `verify` and `stiffness`."""
 
 from __future__ import annotations
 
@@ -31,25 +31,25 @@ def solve(
     open_report: Open = False,
     quiet: bool = False,
 ) -> int:
-    """Optimise a trajectory and certify it.
+    """Optimise and certify a trajectory.
 
-    Writes result.json, trajectory.csv, report.html and, of an elastic arm, command.csv: what the
-    motors must do so that the links move as planned. Ctrl-C ends the solve and keeps the best
-    motion so far; pressed before there is one it waits for the first, pressed twice it does not.
+    Writes result.json, trajectory.csv, report.html and, for an elastic arm, command.csv: the motor
+    motion with which the links follow the plan. Ctrl-C ends the solve and keeps the best motion so
+    far; before the first motion it waits for it, pressed twice it stops immediately.
 
     Parameters
     ----------
     problem
-        A trajectory problem file (TOML).
+        Trajectory problem file (TOML).
     out
-        Default: out/NAME of the problem file, with what --set changes.
+        Folder for the results; default: out/NAME of the problem file, with the changes of --set.
     model
-        extended.toml of a diagnosis of this arm: plan without and with what was found, and
+        extended.toml of a diagnosis of this arm: plan with the nominal and the extended model, and
         compare.
     effects
-        Python file of the effects in it that are not of the catalogue.
+        Python file of its user-defined effects.
     guess
-        Folder of an earlier solve of the same arm, whose motion is begun from.
+        Folder of an earlier solve of the same arm, whose motion is the initial guess.
     quiet
         No progress display.
     """
@@ -77,11 +77,11 @@ def solve(
 
             found = read_model(model, effects)
         if guess is not None and found is not None:
-            raise InputError("--guess is of a solve without --model: leave one of them out.")
+            raise InputError("--guess and --model exclude each other. Omit one of them.")
         begin = None if guess is None else read_guess(guess, stated)
         folder = out or default_folder(problem.stem, changes)
         with output_folder(folder, "solve", maybe=(TRAJECTORY_FILE,)) as stage:
-            with _progress(stated, quiet) as progress, _about(problem):
+            with _problem_progress(stated, quiet) as progress, _name_file_in_errors(problem):
                 if found is None:
                     solution = optimise(
                         stated, progress=progress, guess=begin, throw=False, simulate=True
@@ -94,10 +94,10 @@ def solve(
             stopped = solution.status is SolveStatus.INTERRUPTED
             if stopped and not solution.solver.iterations and (folder / RESULT_FILE).exists():
                 raise KeyboardInterrupt(
-                    f"the optimiser had no motion yet, and the earlier answer in {folder} stays."
+                    f"there was no motion yet; the earlier result in {folder} is unchanged."
                 )
             with defer_while_writing():
-                # Figures need a while to load: not before the solve.
+                # matplotlib loads slowly: not before the solve.
                 from stiffopt.report.solve.page import write_solve_report
                 from stiffopt.report.solve.terminal import print_solution
 
@@ -131,35 +131,34 @@ def preload(
     open_report: Open = False,
     quiet: bool = False,
 ) -> int:
-    """Find how tight bolts and pins must be: preloads, tightening torques, what binds.
+    """Optimise the preloads of bolts and pins: preloads, tightening torques, active limits.
 
     Writes study.json, study.csv and report.html with its figures.
 
     Parameters
     ----------
     study
-        A preload study file (TOML).
+        Preload study file (TOML).
     out
-        Default: out/NAME of the study file, with what --set changes.
+        Folder for the results; default: out/NAME of the study file, with the changes of --set.
     quiet
         No progress display.
     """
     from stiffopt.preload.files import load_study
     from stiffopt.preload.store import write_curves, write_study
     from stiffopt.preload.study import preload_study
-    from stiffopt.report.preload.page import write_preload_report
-    from stiffopt.report.preload.terminal import print_study
+    from stiffopt.report.preload.page import print_study, write_preload_report
 
     loaded = load_study(study, changes)
     folder = out or default_folder(study.stem, changes)
     with output_folder(folder, "preload") as stage:
-        with _named_progress(loaded.problem.title, quiet) as display, _about(study):
+        with _progress_display(loaded.problem.title, quiet) as display, _name_file_in_errors(study):
             result = preload_study(
                 loaded.problem,
                 motion=loaded.motion,
                 rounds=loaded.rounds,
                 front_points=loaded.front_points,
-                progress=_study_progress(display),
+                progress=_study_callback(display),
             )
         with defer_while_writing():
             write_preload_report(result, stage)
@@ -172,16 +171,16 @@ def preload(
 
 @app.command
 def verify(problems: Path, *more: Path, changes: Changes = (), quiet: bool = False) -> int:
-    """Solve problem and study files anew and compare with the values they expect.
+    """Solve problem and study files again and compare with their expected values.
 
-    With --set the expected values stay those of the file: to see what a change does to them.
+    With --set the expected values remain those of the file, to see the effect of a change.
 
     Parameters
     ----------
     problems
-        A trajectory problem or preload study file, or a folder of them.
+        Trajectory problem or preload study file, or a folder of them.
     more
-        Further ones.
+        Further files or folders.
     quiet
         No progress display.
     """
@@ -195,14 +194,14 @@ def verify(problems: Path, *more: Path, changes: Changes = (), quiet: bool = Fal
     checks: list[verification.Check] = []
     named = [path for each in (problems, *more) for path in verification.problem_files(each)]
     paths = list(dict.fromkeys(named))
-    # A fault in the last file must not cost the time of the others.
+    # Check all files before the first solve.
     for path in paths:
         verification.check_problem(path, changes)
     for number, path in enumerate(paths, start=1):
         if not quiet:
             print_check_begins(path, number, len(paths))
-        with _named_progress(path.stem, quiet) as display, _about(path):
-            found = verification.verify(path, _study_progress(display), changes)
+        with _progress_display(path.stem, quiet) as display, _name_file_in_errors(path):
+            found = verification.verify(path, _study_callback(display), changes)
         checks += found
         if not quiet:
             print_check_ends(found)
@@ -223,16 +222,18 @@ def stiffness(
     changes: Changes = (),
     open_report: Open = False,
 ) -> int:
-    """Joint stiffness against torque, with and without contacts: stiffness.csv, plots and a page.
+    """Compute joint stiffness over torque, with and without contacts.
+
+    Writes stiffness.csv and stiffness.html with its figures.
 
     Parameters
     ----------
     robot
-        A shipped robot (er3a_c60, er3a_c60_contact, ur10), a robot TOML, or a URDF.
+        Shipped robot (er3a_c60, er3a_c60_contact, ur10), robot file (TOML) or URDF.
     out
-        Default: out/stiffness_NAME, with what --set changes.
+        Folder for the results; default: out/stiffness_NAME, with the changes of --set.
     drivetrain
-        Robot TOML beside a URDF.
+        Robot file (TOML) with the drivetrain of a URDF.
     """
     from stiffopt.report.stiffness.page import write_stiffness_report
     from stiffopt.robot.files import load_robot
@@ -250,8 +251,8 @@ def stiffness(
 
 
 @contextmanager
-def _about(path: Path) -> Iterator[None]:
-    """Add the problem file to what is said about the problem."""
+def _name_file_in_errors(path: Path) -> Iterator[None]:
+    """Add the path of the file to errors of its problem."""
     try:
         yield
     except InputFileError:
@@ -260,19 +261,21 @@ def _about(path: Path) -> Iterator[None]:
         raise InputFileError(path, "", str(error)) from error
 
 
-def _progress(problem: TrajectoryProblem, quiet: bool) -> Display:
+def _problem_progress(problem: TrajectoryProblem, quiet: bool) -> Display:
     first = problem.objectives[0]
-    return _named_progress(problem.title, quiet, first.unit if len(problem.objectives) == 1 else "")
+    return _progress_display(
+        problem.title, quiet, first.unit if len(problem.objectives) == 1 else ""
+    )
 
 
-def _study_progress(display: ProgressDisplay | None) -> StudyProgress | None:
-    """Callback of a preload study; `display` is None where nothing is to be shown."""
+def _study_callback(display: ProgressDisplay | None) -> StudyProgress | None:
+    """Return the callback of a preload study; None without a display."""
     from stiffopt.report.common.progress import StudyProgress
 
     return None if display is None else StudyProgress(display)
 
 
-def _named_progress(title: str, quiet: bool, unit: str = "") -> Display:
+def _progress_display(title: str, quiet: bool, unit: str = "") -> Display:
     from stiffopt.report.common.progress import ProgressDisplay
 
     return nullcontext() if quiet else ProgressDisplay(title, unit)

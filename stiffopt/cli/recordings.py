@@ -1,4 +1,4 @@
-"""`stiffopt diagnose`, `recording check` and `identify-stiffness`: what measurements say."""
+"""`stiffopt diagnose`, `recording check` and `identify-stiffness`: evaluation of measurements."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from stiffopt.errors import InputError, InputFileError
 from stiffopt.folders import output_folder
 from stiffopt.interrupts import defer_while_writing
 
-recording = App(name="recording", help="Look at recordings before they are used.")
+recording = App(name="recording", help="Check recordings before a diagnosis.")
 app.command(recording)
 
 
@@ -34,38 +34,39 @@ def diagnose(
     open_report: Open = False,
     quiet: bool = False,
 ) -> int:
-    """Find what the nominal model of recordings lacks, and prove it on runs never fitted to.
+    """Identify effects that the nominal model lacks, and validate them on held-out runs.
 
     Writes diagnosis.json, extended.toml, report.html and the predictions of test and extrapolation
-    runs. Ctrl-C ends the search and keeps what was found so far. Of several sets, such as a fleet:
-    cases/KEY.json for each as it is done, then a table and report.html, as `stiffopt sweep` does;
-    the same command goes on where a killed or interrupted one stopped.
+    runs. Ctrl-C ends the search and keeps the findings so far. For several sets, such as a fleet:
+    cases/KEY.json for each, then a table and report.html, as `stiffopt sweep`; the same command
+    resumes an interrupted one.
 
     Parameters
     ----------
     recordings
-        A recording set: its folder or its recordings.toml.
+        Recording set: its folder or its recordings.toml.
     more
         Further sets.
     out
-        Default: out/NAME of the folder of the set, with what --set changes; of several, out/fleet.
+        Folder for the results; default: out/NAME of the set's folder, with the changes of --set;
+        for several sets out/fleet.
     model
-        extended.toml of an earlier diagnosis, to start from in place of the nominal model.
+        extended.toml of an earlier diagnosis, used in place of the nominal model.
     effects
         Python file of effects beside those of the catalogue.
     experiment
-        Where two explanations are left, design the motion that would separate them best
+        Where two explanations remain, design the motion that separates them best
         (next_experiment.csv); takes up to 20 s.
     report
         Write report.html and its figures.
     png
-        Write the figures of the report as PNG beside SVG.
+        Write the figures also as PNG.
     despite_doubts
-        Go on where units, signs or orders contradict the recordings; the answer tells the doubts.
+        Continue where units, signs or orders contradict the recordings; the doubts are reported.
     workers
-        Of several sets: processes; default one a core.
+        Processes for several sets; default one per core.
     scheduler
-        Of several sets: address of a Dask scheduler whose workers see the same files.
+        Address of a Dask scheduler for several sets; its workers need access to the same files.
     quiet
         No progress display.
     """
@@ -80,22 +81,24 @@ def diagnose(
         }
         for option, given in of_one.items():
             if given:
-                raise InputError(f"{option} is of one recording set, not of {1 + len(more)}.")
-        from stiffopt.cli.sweeps import employed, swept
+                raise InputError(
+                    f"{option} needs a single recording set; {1 + len(more)} were given."
+                )
+        from stiffopt.cli.sweeps import run_cases, start_workers
         from stiffopt.sweep.cases import fleet_sweep
 
         fleet = fleet_sweep([recordings, *more], changes)
         folder = out or Path("out") / "fleet"
-        pool = employed(workers, scheduler)
-        return swept(fleet, folder, pool, open_report=open_report, quiet=quiet)
+        pool = start_workers(workers, scheduler)
+        return run_cases(fleet, folder, pool, open_report=open_report, quiet=quiet)
     for option, other in (("--workers", workers), ("--scheduler", scheduler)):
         if other is not None:
-            raise InputError(f"{option} is of several recording sets; this is one.")
+            raise InputError(f"{option} needs several recording sets; one was given.")
     from stiffopt.discovery.diagnose import diagnose as find
     from stiffopt.discovery.experiment.design import EXPERIMENT_FILE
     from stiffopt.discovery.store import write_diagnosis
     from stiffopt.recording.recording_set import load_recordings
-    from stiffopt.report.common.status_line import StepDisplay
+    from stiffopt.report.common.terminal import StepDisplay
     from stiffopt.report.diagnosis.terminal import print_diagnosis
 
     loaded = load_recordings(recordings, changes)
@@ -103,7 +106,9 @@ def diagnose(
     chosen = out or default_folder(home.name, changes)
     if home in (chosen.resolve(), *chosen.resolve().parents):
         raise InputFileError(
-            chosen, "", f"lies in the recording set {home}, which is only read. Give another --out."
+            chosen,
+            "",
+            f"lies in the recording set {home}, which is read-only. Give another --out.",
         )
     with output_folder(chosen, "diagnose", maybe=("report.html", EXPERIMENT_FILE)) as stage:
         with nullcontext() if quiet else StepDisplay(loaded.title) as progress:
@@ -134,10 +139,10 @@ def check(
     json: bool = False,
     changes: Changes = (),
 ) -> int:
-    """Say what a recording set holds, what it lacks and what can be identified with it.
+    """Check a recording set: content, missing signals, identifiable effects.
 
-    Ends with 2 where `stiffopt diagnose` (of a static set: `identify-stiffness`) cannot use it, and
-    where units, signs or orders contradict the recordings.
+    The exit code is 2 where `stiffopt diagnose` (of a static set: `identify-stiffness`) cannot use
+    it, and where units, signs or orders contradict the recordings.
 
     Parameters
     ----------
@@ -146,7 +151,7 @@ def check(
     effects
         Python file of effects beside those of the catalogue.
     json
-        Print plain data in place of text.
+        Print JSON instead of text.
     """
     from stiffopt.discovery.catalogue import CATALOGUE
     from stiffopt.discovery.identifiable import effect_checks
@@ -185,7 +190,7 @@ def check(
         )
     else:
         terminal.print_check(report, found)
-        print_lines(f"Look at this: {each}" for each in remarked)
+        print_lines(f"Warning: {each}" for each in remarked)
     if doubted:
         raise DoubtfulRecordings(loaded.path, doubted)
     require_usable(loaded, {run.file for run in report.runs if run.usable})
@@ -200,7 +205,7 @@ def identify_stiffness(
     changes: Changes = (),
     open_report: Open = False,
 ) -> int:
-    """Find the joint stiffness of an arm from deflections measured under known forces.
+    """Identify the joint stiffness of an arm from deflections measured under known forces.
 
     Writes stiffness.json, stiffness.csv, residuals.csv and report.html.
 
@@ -209,13 +214,12 @@ def identify_stiffness(
     recordings
         Folder with a static.toml, or that file.
     out
-        Default: out/NAME of the folder, with what --set changes.
+        Folder for the results; default: out/NAME of the folder, with the changes of --set.
     """
     from stiffopt.identification.result import write_static
     from stiffopt.identification.stiffness import identify_stiffness as identify
     from stiffopt.recording.static_set import load_static_set
-    from stiffopt.report.identification.page import write_static_report
-    from stiffopt.report.identification.terminal import print_static
+    from stiffopt.report.identification.page import print_static, write_static_report
 
     recorded = load_static_set(recordings, changes)
     folder = out or default_folder(recorded.path.resolve().parent.name, changes)

@@ -1,4 +1,4 @@
-"""`stiffopt schema`, `explain`, `catalogue` and `compare`: files, what there is, what differs."""
+"""`stiffopt schema`, `explain`, `catalogue` and `compare`."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ def schema(
         "extended",
     ] = "trajectory",
 ) -> int:
-    """Print the JSON Schema of a file kind, for editors.
+    """Print the JSON Schema of a kind of file, for editors.
 
     Parameters
     ----------
     kind
-        Which file.
+        Kind of file.
     """
     from stiffopt.report.file_reference import file_schema
 
@@ -36,17 +36,17 @@ def schema(
 
 @app.command
 def explain(key: str) -> int:
-    """Say what a key of a file means: its sentence, what may stand there, unit and default.
+    """Explain a key of a file: description, allowed values, unit and default.
 
     Parameters
     ----------
     key
-        Name or place of a key: prepressure, motion.duration, limits.jerk.
+        Name or path of a key, such as prepressure, motion.duration or limits.jerk.
     """
     from stiffopt.report.common.terminal import print_lines
-    from stiffopt.report.explain import explained
+    from stiffopt.report.file_reference import explain_key
 
-    print_lines(explained(key))
+    print_lines(explain_key(key))
     return 0
 
 
@@ -57,25 +57,25 @@ def catalogue(
     *,
     own: Path | None = None,
 ) -> int:
-    """List what the package brings along, with where each number comes from.
+    """List the shipped catalogues with the sources of their numbers.
 
     Parameters
     ----------
     kind
-        Which table; without it, the kinds there are.
+        Catalogue to list; without it, the available catalogues.
     own
-        One's own catalogue file, which is read and shown beside.
+        User catalogue file, whose entries are added.
     """
     from contextlib import nullcontext
 
     from stiffopt.drivetrain.tables import with_own
-    from stiffopt.report.catalogue_tables import catalogue_table, kinds
+    from stiffopt.report.catalogue_tables import catalogue_kinds, catalogue_table
     from stiffopt.report.common.terminal import print_table
     from stiffopt.robot.own_catalogue import read_own_catalogue
 
     with nullcontext() if own is None else with_own(read_own_catalogue(own)):
         if kind is None:
-            print_table(("stiffopt catalogue", "entries", "named in files as"), kinds())
+            print_table(("stiffopt catalogue", "entries", "named in files as"), catalogue_kinds())
         else:
             print_table(*catalogue_table(kind))
     return 0
@@ -83,22 +83,22 @@ def catalogue(
 
 @app.command
 def compare(first: Path, second: Path, *, changes: NoChanges = ()) -> int:
-    """Compare the answers of two result folders: every entry that differs.
+    """Compare two result folders and list every entry that differs.
 
     Parameters
     ----------
     first
-        Folder of a solve, a study or a diagnosis.
+        Folder of a solve, a preload study or a diagnosis.
     second
-        Another of the same kind.
+        Another folder of the same kind.
     """
     from stiffopt.report.common.terminal import print_lines, print_table
-    from stiffopt.report.compare import compared
+    from stiffopt.report.compare import compare_results
 
     refuse_changes(changes)
-    name, rows = compared(first, second)
+    name, rows = compare_results(first, second)
     if rows:
         print_table((name, str(first), str(second), "change"), rows)
     else:
-        print_lines((f"{name}: the two answers are the same.",))
+        print_lines((f"{name}: no differences.",))
     return 0

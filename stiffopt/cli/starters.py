@@ -1,4 +1,4 @@
-"""`stiffopt init`: files to begin with, from a URDF, a recording, or nothing."""
+"""`stiffopt init`: starter files from a URDF or recorded data."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from cyclopts import App, Parameter
 
 from stiffopt.cli.base import (
     OUT_NAMES,
-    STARTED,
+    STARTER_FILE_REASON,
     NoChanges,
     app,
     number_or_text,
@@ -18,14 +18,18 @@ from stiffopt.cli.base import (
 )
 from stiffopt.report.common.terminal import print_lines
 
-init = App(name="init", help="Write files to begin with: robot, problem, recording, flange.")
+init = App(name="init", help="Write starter files: robot, problem, recording set, flange study.")
 app.command(init)
 
 File = Annotated[
     Path | None,
-    Parameter(name=OUT_NAMES, converter=out_path, help="File to write; never over another."),
+    Parameter(
+        name=OUT_NAMES,
+        converter=out_path,
+        help="File to write; an existing file is not overwritten.",
+    ),
 ]
-# Below zero it is refused by what is allowed, not taken for an option.
+# A negative value is refused by its range, not parsed as an option.
 Amount = Annotated[str, Parameter(allow_leading_hyphen=True)]
 
 
@@ -38,27 +42,27 @@ def robot(
     out: File = None,
     changes: NoChanges = (),
 ) -> int:
-    """Write the robot file of a URDF: limits, candidates of reducers, what is estimated marked.
+    """Write a robot file for a URDF: limits and candidate reducers, estimates marked.
 
     Parameters
     ----------
     urdf
-        URDF of the arm; fingers and joints that do not lead to the tip are held.
+        URDF of the arm; joints that do not lead to the tip, such as fingers, are fixed.
     tip
-        Link at the end of the arm; default where fingers branch off.
+        Last link of the arm; default: the link from which fingers branch off.
     catalogue
-        One's own catalogue file, whose reducers are candidates too.
+        User catalogue file, whose reducers are candidates too.
     """
     from stiffopt.starter.robot_file import robot_text
     from stiffopt.starter.writing import write_new
 
-    refuse_changes(changes, STARTED)
+    refuse_changes(changes, STARTER_FILE_REASON)
     path = out or urdf.with_name(f"{urdf.stem}_robot.toml")
     started = robot_text(urdf, path.parent, tip, catalogue=catalogue)
     written = write_new(path, started.text)
     print_lines(
         (
-            f"Wrote {written}. What is marked estimated is yours to correct.",
+            f"Wrote {written}. Correct the values that are marked as estimated.",
             *started.notes,
             f"Next: stiffopt init problem {written}",
         )
@@ -73,13 +77,13 @@ def problem(source: str, *, out: File = None, changes: NoChanges = ()) -> int:
     Parameters
     ----------
     source
-        A shipped robot, a robot TOML or a URDF.
+        Shipped robot, robot file (TOML) or URDF.
     """
     from stiffopt.robot.files import load_robot, shipped_robots
     from stiffopt.starter.problem_file import problem_text
     from stiffopt.starter.writing import write_new
 
-    refuse_changes(changes, STARTED)
+    refuse_changes(changes, STARTER_FILE_REASON)
     arm = load_robot(source)
     file = source if source in shipped_robots() else Path(source)
     path = out or (file.parent if isinstance(file, Path) else Path()) / f"{arm.name}_first.toml"
@@ -105,30 +109,29 @@ def recording(
     tip: str | None = None,
     changes: NoChanges = (),
 ) -> int:
-    """Write a recording set of one's own tables or bags: what it guesses, it says.
+    """Write a recording set for recorded tables or bags; inferred entries are listed.
 
-    Reads CSV of any form, NPZ, Parquet, LeRobot datasets, MCAP and rosbag2.
+    Reads CSV, NPZ, Parquet, LeRobot datasets, MCAP and rosbag2.
 
     Parameters
     ----------
     data
-        Files or folders; the last of several is kept for judging, a single one is cut in two.
+        Files or folders; the last of several is held out for validation, a single one is split.
     urdf
-        Of the arm, as far as it is known, or its robot file; limits and masses that a URDF lacks
-        are guessed.
+        URDF or robot file of the arm; limits and masses that a URDF lacks are estimated.
     rate
-        Rows a second, where no column is a time.
+        Sampling rate [Hz], where the data have no time column.
     tip
-        Link at the end of the recorded arm, where the URDF holds more than that.
+        Last link of the recorded arm, where the URDF has further links.
     """
     from stiffopt.starter.recording_set import start_recording_set
 
-    refuse_changes(changes, STARTED)
+    refuse_changes(changes, STARTER_FILE_REASON)
     folder = out or data[0].with_name(f"{data[0].stem}_set")
     started = start_recording_set(data, urdf, folder, rate, tip)
     print_lines(
         (
-            f"Wrote {started.path}, {started.guess.rate:.4g} Hz. Guessed:",
+            f"Wrote {started.path}, {started.guess.rate:.4g} Hz. Inferred:",
             *(f"  {reason}" for reason in started.guess.reasons),
             *started.notes,
             f"Next: stiffopt recording check {folder}",
@@ -161,30 +164,30 @@ def flange(
     Parameters
     ----------
     torque
-        That the flange has to carry.
+        Torque that the flange transmits.
     size
-        Of the bolts, `stiffopt catalogue bolts`, or one's own.
+        Size of the bolts, see `stiffopt catalogue bolts`, or one of --catalogue.
     grade
-        8.8, 10.9 or 12.9; stainless A2-50 to A4-80.
+        Strength grade: 8.8, 10.9 or 12.9; stainless A2-50 to A4-80.
     count
         Number of bolts.
     circle
-        Diameter of the circle they lie on.
+        Diameter of the bolt circle.
     nut
-        Through-bolts with nuts, in place of tapped holes.
+        Through-bolts with nuts instead of tapped holes.
     axial_force
-        Along the axis of the circle, beside the torque.
+        Force along the axis of the bolt circle.
     shear_force
-        Across the axis.
+        Force across the axis.
     tilting_moment
-        About axes across that of the circle: weight and motion of what is overhung.
+        Moment about axes across that of the bolt circle, as of overhung masses.
     catalogue
-        One's own catalogue file, whose bolts can be named by --size.
+        User catalogue file with bolts for --size.
     """
     from stiffopt.starter.flange_files import write_flange
     from stiffopt.units import to_si
 
-    refuse_changes(changes, STARTED)
+    refuse_changes(changes, STARTER_FILE_REASON)
     files = write_flange(
         out,
         torque=to_si(number_or_text(torque), "torque", "--torque"),

@@ -1,4 +1,4 @@
-"""`stiffopt sweep`: a problem, study or diagnosis for many values of its entries."""
+"""`stiffopt sweep`: parameter studies of a problem, preload study or diagnosis."""
 
 from __future__ import annotations
 
@@ -30,37 +30,37 @@ def sweep(
     open_report: Open = False,
     quiet: bool = False,
 ) -> int:
-    """Solve a file for grids, lists and Latin hypercubes of its entries, and tabulate the answers.
+    """Solve a file for grids, lists and Latin hypercubes of its entries and tabulate the results.
 
-    Writes cases/KEY.json for each case as it is done, then table.csv, table.parquet (with pyarrow),
-    sweep.json and report.html. The same command goes on where a killed or interrupted one stopped.
+    Writes cases/KEY.json for each case, then table.csv, table.parquet (with pyarrow), sweep.json
+    and report.html. The same command resumes an interrupted sweep.
 
     Parameters
     ----------
     file
-        A sweep file (TOML).
+        Sweep file (TOML).
     out
-        Default: out/NAME of the sweep file.
+        Folder for the results; default: out/NAME of the sweep file.
     workers
-        Processes; default one a core, 1 solves in this one.
+        Number of processes; default one per core, 1 solves in the main process.
     scheduler
-        Address of a Dask scheduler, tcp://HOST:PORT, whose workers see the same files.
+        Address of a Dask scheduler, tcp://HOST:PORT; its workers need access to the same files.
     quiet
         No progress display.
     """
     from stiffopt.files import check_file
 
     check_file(file)
-    pool = employed(workers, scheduler)
+    pool = start_workers(workers, scheduler)
     from stiffopt.sweep.cases import load_sweep
 
     loaded = load_sweep(file, changes)
     folder = out or Path("out") / file.stem
-    return swept(loaded, folder, pool, open_report=open_report, quiet=quiet)
+    return run_cases(loaded, folder, pool, open_report=open_report, quiet=quiet)
 
 
-def employed(workers: int | None, scheduler: str | None) -> Workers:
-    """Workers as the command line asks for them, which load while the cases are being read."""
+def start_workers(workers: int | None, scheduler: str | None) -> Workers:
+    """Start the requested workers, which import their modules while the cases are read."""
     from stiffopt.sweep import workers as known
 
     if workers is not None and workers < 1:
@@ -68,14 +68,17 @@ def employed(workers: int | None, scheduler: str | None) -> Workers:
     return known.make_workers(workers, scheduler)
 
 
-def swept(sweep: Sweep, folder: Path, pool: Workers, *, open_report: bool, quiet: bool) -> int:
-    """Solve the cases of a sweep and write what it found; exit code."""
+def run_cases(sweep: Sweep, folder: Path, pool: Workers, *, open_report: bool, quiet: bool) -> int:
+    """Solve the cases of a sweep, write its results and return the exit code."""
     from stiffopt.report.sweep.terminal import SweepDisplay, print_sweep
     from stiffopt.sweep.run import run_sweep
     from stiffopt.sweep.summary import PARQUET_FILE, SweepSummary, write_sweep
 
     with output_folder(folder, "sweep", maybe=(PARQUET_FILE,)) as stage:
-        with nullcontext() if quiet else SweepDisplay(sweep.title) as progress, _loading(pool):
+        with (
+            nullcontext() if quiet else SweepDisplay(sweep.title) as progress,
+            _load_report_meanwhile(pool),
+        ):
             results, interrupted = run_sweep(sweep, folder, pool, progress)
         from stiffopt.report.sweep.page import write_sweep_report
 
@@ -83,7 +86,7 @@ def swept(sweep: Sweep, folder: Path, pool: Workers, *, open_report: bool, quiet
         if set(summary.statuses()) == {"invalid"}:
             first = next(each for each in results if each is not None)
             raise InputError(
-                f"{sweep.path}: none of the cases can be stated. The first: {first['message']}"
+                f"{sweep.path}: all cases are invalid. Message of the first: {first['message']}"
             )
         with defer_while_writing():
             write_sweep(summary, stage)
@@ -94,12 +97,12 @@ def swept(sweep: Sweep, folder: Path, pool: Workers, *, open_report: bool, quiet
 
 
 @contextmanager
-def _loading(pool: Workers) -> Iterator[None]:
-    """Load what the answer is written with while others work, who begin with a single case."""
+def _load_report_meanwhile(pool: Workers) -> Iterator[None]:
+    """Import the modules of the report in a thread while other processes solve."""
     if pool.slots == 1:
         yield
         return
-    loader = threading.Thread(target=_load)
+    loader = threading.Thread(target=_load_report_modules)
     loader.start()
     try:
         yield
@@ -107,10 +110,10 @@ def _loading(pool: Workers) -> Iterator[None]:
         loader.join()
 
 
-def _load() -> None:
+def _load_report_modules() -> None:
     import_module("stiffopt.report.sweep.page")
-    # What fails is told where it is needed.
+    # A failing import is reported where the module is needed.
     with suppress(ImportError):
         import_module("pyarrow.parquet")
-        # Its first array loads pandas, where that is installed.
+        # The first array imports pandas, if installed.
         import_module("pyarrow").array([])

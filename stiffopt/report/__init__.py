@@ -1,7 +1,7 @@
-"""What people look at: pages with figures, and the progress of a solve in the terminal.
+"""Reports as HTML pages with figures, and the output of commands in the terminal.
 
-The only package that knows matplotlib and Jinja. A room a report: `page.html.j2` holds its
-sections, tables and captions, `page.py` the numbers for them, `figures.py` the drawings,
-`terminal.py` what the command prints. How a number is written is decided by the filters of
-`common/text.py`, how a table or figure stands on a page by the macros of `common/macros.html.j2`.
+The only package that imports matplotlib and Jinja. One package per report: `page.html.j2` has its
+sections, tables and captions, `page.py` their numbers, `figures.py` the figures, `terminal.py` the
+output of the command. The filters of `common/text.py` format numbers, the macros of
+`common/macros.html.j2` tables and figures.
 """

@@ -1,4 +1,4 @@
-"""Two result folders side by side: what differs between their answers."""
+"""Comparison of two result folders, entry by entry."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from stiffopt.folders import check_result
 from stiffopt.report.common.text import DASH, si, words
 
 ANSWERS = ("result.json", "diagnosis.json", "study.json", "stiffness.json")
-# Relative difference below which two numbers are the same; times of a solver never are.
-_SAME = 1e-9
-_LEFT_OUT = ("versions", "solver", "inputs_hash", "detection_limits", "faults", "homotopy")
+# Relative difference below which two numbers count as equal.
+_EQUAL_RELATIVE_TOLERANCE = 1e-9
+_IGNORED_ENTRIES = ("versions", "solver", "inputs_hash", "detection_limits", "faults", "homotopy")
 # SI units of entries that have one name in all answers.
-_UNITS = {
+_ENTRY_UNITS = {
     "duration": "s",
     "time": "s",
     "settling_time": "s",
@@ -31,33 +31,36 @@ _UNITS = {
 Row = tuple[str, str, str, str]
 
 
-def compared(first: Path, second: Path) -> tuple[str, list[Row]]:
-    """Name of the answer and a row for each entry that differs.
+def compare_results(first: Path, second: Path) -> tuple[str, list[Row]]:
+    """Return the name of the result file and one row per differing entry.
 
     Raises
     ------
     InputFileError
-        A folder without an answer, or answers of two kinds.
+        A folder has no result file, or the two are of different kinds.
     """
-    names = [_answer(folder) for folder in (first, second)]
+    names = [_find_answer(folder) for folder in (first, second)]
     if names[0] != names[1]:
         raise InputFileError(
             second, "", f"holds {names[1]}, {first} holds {names[0]}. Compare two of one kind."
         )
     documents = [load_json(folder / names[0]) for folder in (first, second)]
-    one, two = (dict(_leaves(document)) for document in documents)
+    one, two = (dict(_flatten_entries(document)) for document in documents)
     units = [_objective_unit(document) for document in documents]
     rows = []
     for key in dict.fromkeys((*one, *two)):
         a, b = one.get(key), two.get(key)
-        if not _equal(a, b):
-            was, now = _text(a, _unit_of(key, units[0])), _text(b, _unit_of(key, units[1]))
-            rows.append((quantity(key), was, now, _change(key, a, b)))
+        if not _is_equal(a, b):
+            was, now = (
+                _format_value(a, _unit_of(key, units[0])),
+                _format_value(b, _unit_of(key, units[1])),
+            )
+            rows.append((quantity(key), was, now, _format_change(key, a, b)))
     return names[0], rows
 
 
 def quantity(key: str) -> str:
-    """Place of an entry in words.
+    """Return the path of an entry in words.
 
     >>> quantity("certificate.violations[2].value"), quantity("baselines.toppra.duration")
     ('certificate, violations 2, value', 'baselines, toppra, duration')
@@ -67,22 +70,22 @@ def quantity(key: str) -> str:
 
 
 def _objective_unit(document: Any) -> str:
-    """Unit of the objective's value in a document; "" where it says none."""
+    """Return the unit of the objective's value, or ""."""
     objective = document.get("objective") if isinstance(document, dict) else None
     return str(objective.get("unit", "")) if isinstance(objective, dict) else ""
 
 
 def _unit_of(key: str, objective: str) -> str:
-    """SI unit of an entry as far as its name tells, `objective` of the objective's values."""
+    """Return the SI unit of an entry by its name; `objective` is that of objective values."""
     place = re.sub(r"\[\d+\]", "", key)
     if place == "objective.value" or re.fullmatch(
         r"(baselines\..+|strict_baseline)\.objective", place
     ):
         return objective
-    return _UNITS.get(place.rpartition(".")[2], "")
+    return _ENTRY_UNITS.get(place.rpartition(".")[2], "")
 
 
-def _answer(folder: Path) -> str:
+def _find_answer(folder: Path) -> str:
     for name in ANSWERS:
         check_result(folder, name)
         if (folder / name).is_file():
@@ -92,25 +95,25 @@ def _answer(folder: Path) -> str:
     )
 
 
-def _leaves(value: Any, place: str = "") -> Iterator[tuple[str, Any]]:
+def _flatten_entries(value: Any, place: str = "") -> Iterator[tuple[str, Any]]:
     if isinstance(value, dict):
         for key, inside in value.items():
-            if key not in _LEFT_OUT:
-                yield from _leaves(inside, f"{place}.{key}".lstrip("."))
+            if key not in _IGNORED_ENTRIES:
+                yield from _flatten_entries(inside, f"{place}.{key}".lstrip("."))
     elif isinstance(value, list):
         for number, inside in enumerate(value, start=1):
-            yield from _leaves(inside, f"{place}[{number}]")
+            yield from _flatten_entries(inside, f"{place}[{number}]")
     else:
         yield place, value
 
 
-def _equal(a: Any, b: Any) -> bool:
+def _is_equal(a: Any, b: Any) -> bool:
     if isinstance(a, float | int) and isinstance(b, float | int):
-        return math.isclose(a, b, rel_tol=_SAME, abs_tol=1e-15)
+        return math.isclose(a, b, rel_tol=_EQUAL_RELATIVE_TOLERANCE, abs_tol=1e-15)
     return bool(a == b)
 
 
-def _text(value: Any, unit: str) -> str:
+def _format_value(value: Any, unit: str) -> str:
     if value is None:
         return DASH
     if isinstance(value, float):
@@ -119,9 +122,9 @@ def _text(value: Any, unit: str) -> str:
     return text if len(text) <= 60 else f"{text[:57]}..."
 
 
-def _change(key: str, a: Any, b: Any) -> str:
+def _format_change(key: str, a: Any, b: Any) -> str:
     if key.rpartition(".")[2] == "joint":
-        # Which one, not how much.
+        # A joint number has no relative change.
         return ""
     numbers = all(isinstance(v, float | int) and not isinstance(v, bool) for v in (a, b))
     return format_increase(b, a, 3) if numbers and a else ""

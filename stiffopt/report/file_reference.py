@@ -1,16 +1,19 @@
-"""Reference of the files: every key with its unit, default and sentence, from the declarations.
+"""Reference of the input files, from their declarations: each key with unit, range and default.
 
-`python -m stiffopt.report.file_reference > .github/files.md` writes the page anew.
+`python -m stiffopt.report.file_reference > .github/files.md` regenerates the page.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
+from difflib import get_close_matches
 from typing import Any
 
 from stiffopt.dimensions import range_text
 from stiffopt.discovery.extended.schema import ExtendedFile
+from stiffopt.errors import InputError
 from stiffopt.preload.schema import PreloadFile
 from stiffopt.problem.schema import problem_file
 from stiffopt.recording.schema import RecordingsFile, StaticFile
@@ -20,10 +23,10 @@ from stiffopt.robot.schema import robot_file_schema
 from stiffopt.sweep.schema import SweepFile
 from stiffopt.validation import Section
 
-# More names of the catalogue than these are not written out.
-_NAMES_SHOWN = 12
+# Catalogue names listed for one key.
+_MAX_NAMES = 12
 
-_INTRODUCTION = """# Files
+_PAGE_HEAD = """# Files
 
 Every key of the files that people write, generated from their declarations; `stiffopt schema KIND`
 gives the same as JSON Schema, for editors. A bare number is SI; where a unit is given, a text with
@@ -32,14 +35,14 @@ another unit of the same kind is converted: `"45 deg"`, `"0.3 mm"`, `"12 kN"`, `
 Unknown keys are errors that name the nearest known one. A bare number whose magnitude lies outside
 the plausible range, which is in SI, is asked about: written with its unit, it is taken as meant."""
 
-_MOTIONS = """## Motions (`trajectory.csv` and `command.csv`, written by `stiffopt solve`)
+_MOTION_SECTION = """## Motions (`trajectory.csv` and `command.csv`, written by `stiffopt solve`)
 
 One row every 2 ms. `command.csv` has the columns t, q, qd, qdd, tau and link. `stiffopt export`
 writes qN, qdN and qddN of the motors, or the same of the links (`--of link`), without torques; the
 header of an exported file says whose they are (`of`) and has the hashes of motion, robot, payload
 and limits."""
 
-_TITLES = {
+_KIND_TITLES = {
     "trajectory": "Trajectory problem",
     "preload": "Preload study",
     "sweep": "Sweep",
@@ -49,10 +52,14 @@ _TITLES = {
     "static": "Static deflections (`static.toml`)",
     "extended": "Extended model (`extended.toml`, written by `stiffopt diagnose`)",
 }
+_MAX_PLACES = 12
+# difflib ratio from which another word is suggested: "durration" and "duration" have 0.94,
+# "shaped_deviation" and "head_friction" 0.62.
+_MIN_SPELLING_SIMILARITY = 0.8
 
 
 def file_models() -> dict[str, type[Section]]:
-    """Schema of each kind of file, as a pydantic model."""
+    """Return the pydantic model of each kind of file."""
     return {
         "trajectory": problem_file(),
         "preload": PreloadFile,
@@ -66,37 +73,37 @@ def file_models() -> dict[str, type[Section]]:
 
 
 def file_schema(kind: str) -> dict[str, Any]:
-    """JSON Schema of a kind of file."""
+    """Return the JSON Schema of a kind of file."""
     return file_models()[kind].model_json_schema(by_alias=True)
 
 
 def reference_page() -> str:
-    """Whole page, in Markdown."""
-    parts = [_INTRODUCTION]
-    for kind, title in _TITLES.items():
+    """Return the reference page as Markdown."""
+    parts = [_PAGE_HEAD]
+    for kind, title in _KIND_TITLES.items():
         parts.append(f"## {title}")
-        parts.extend(_sections(file_schema(kind)))
-    parts += [_MOTIONS, _columns()]
+        parts.extend(_format_sections(file_schema(kind)))
+    parts += [_MOTION_SECTION, _column_table()]
     return "\n\n".join(parts) + "\n"
 
 
-def _columns() -> str:
-    """Return the table of the columns of a motion."""
+def _column_table() -> str:
+    """Return the table of the columns of trajectory.csv."""
     rows = ["| column | unit | |", "|---|---|---|"]
     rows += [f"| `{name}` | {unit} | {text} |" for name, (unit, text) in COLUMNS.items()]
     return "\n".join(rows)
 
 
 def sentence(field: dict[str, Any], definitions: dict[str, Any]) -> str:
-    """What a key is: its own sentence, else that of the section that it holds."""
+    """Return the description of a key, or of the section that it contains."""
     if "description" in field:
         return " ".join(field["description"].split())
     held = [form["$ref"].rpartition("/")[2] for form in forms(field) if "$ref" in form]
-    return _described(definitions[held[0]]) if len(held) == 1 else ""
+    return _section_sentence(definitions[held[0]]) if len(held) == 1 else ""
 
 
 def units(field: dict[str, Any]) -> list[str]:
-    """Units of a key, in brackets behind the first that of a prismatic joint."""
+    """Return the units of a key; that of a prismatic joint follows in brackets."""
     found = [
         f"{form['unit']} ({form['unit_prismatic']})" if "unit_prismatic" in form else form["unit"]
         for form in forms(field)
@@ -106,7 +113,7 @@ def units(field: dict[str, Any]) -> list[str]:
 
 
 def plausible(field: dict[str, Any]) -> str:
-    """Plausible magnitudes in the SI unit, in brackets behind them those of a prismatic joint."""
+    """Return the plausible range [SI]; that of a prismatic joint follows in brackets."""
     ranges = {
         word: [range_text(form[word]) for form in forms(field) if word in form]
         for word in ("plausible", "plausible_prismatic")
@@ -117,7 +124,7 @@ def plausible(field: dict[str, Any]) -> str:
 
 
 def forms(field: dict[str, Any]) -> Iterator[dict[str, Any]]:
-    """A key's schema and all that it may hold."""
+    """Yield the schema of a key and, recursively, those of its alternatives and items."""
     yield field
     for word in ("anyOf", "oneOf", "prefixItems"):
         for form in field.get(word, ()):
@@ -129,7 +136,7 @@ def forms(field: dict[str, Any]) -> Iterator[dict[str, Any]]:
 
 @dataclass(frozen=True)
 class FileKey:
-    """A key of a file: where it stands and what may stand there, as texts."""
+    """A key of a file as text: place, type, unit, plausible range, default and description."""
 
     place: str
     value: str
@@ -140,38 +147,38 @@ class FileKey:
 
 
 def file_keys(kind: str) -> Iterator[FileKey]:
-    """Every key of a kind of file; its place such as "motion.start.rpy"."""
+    """Yield every key of a kind of file; its place reads such as "motion.start.rpy"."""
     schema = file_schema(kind)
     definitions = schema.get("$defs", {})
-    for places, section in _places(schema):
+    for places, section in _section_places(schema):
         inside = [heading.strip("[]") for heading in places] or [""]
-        for cells in _rows(section, definitions):
+        for cells in _key_rows(section, definitions):
             key, *rest = cells
             for place in inside:
                 yield FileKey(f"{place}.{key.strip('`')}".lstrip("."), *rest)
 
 
-def _sections(schema: dict[str, Any]) -> Iterator[str]:
-    """Text and table of the file as a whole and of each of its sections."""
+def _format_sections(schema: dict[str, Any]) -> Iterator[str]:
+    """Yield description and table of the file and of each of its sections."""
     definitions = schema.get("$defs", {})
-    for used, section in _places(schema):
+    for used, section in _section_places(schema):
         if used:
             kind = section["properties"].get("type", {}).get("const")
             tag = f', `type = "{kind}"`' if kind else ""
             yield f"### {', '.join(f'`{place}`' for place in used)}{tag}"
-        yield _described(section)
-        yield _table(section, definitions)
+        yield _section_sentence(section)
+        yield _key_table(section, definitions)
 
 
-def _places(schema: dict[str, Any]) -> Iterator[tuple[list[str], dict[str, Any]]]:
-    """Sections of a file with the headings under which they stand; the file itself has none."""
+def _section_places(schema: dict[str, Any]) -> Iterator[tuple[list[str], dict[str, Any]]]:
+    """Yield the sections of a file with their headings; the file itself has none."""
     definitions = schema.get("$defs", {})
     places: dict[str, list[str]] = {}
     waiting = [(schema, "")]
     while waiting:
         section, place = waiting.pop(0)
         for key, field in section["properties"].items():
-            for name, inside, heading in _references(field, f"{place}.{key}".lstrip(".")):
+            for name, inside, heading in _section_references(field, f"{place}.{key}".lstrip(".")):
                 known = places.setdefault(name, [])
                 if not known:
                     waiting.append((definitions[name], inside))
@@ -182,73 +189,80 @@ def _places(schema: dict[str, Any]) -> Iterator[tuple[list[str], dict[str, Any]]
         yield used, definitions[name]
 
 
-def _references(field: dict[str, Any], place: str) -> Iterator[tuple[str, str, str]]:
-    """Name, place and heading of the sections that a key holds."""
+def _section_references(field: dict[str, Any], place: str) -> Iterator[tuple[str, str, str]]:
+    """Yield name, place and heading of the sections that a key contains."""
     for form in forms(field):
         if "$ref" in form:
-            inside = f"{place}.NAME" if _named(field, form) else place
-            heading = f"[[{inside}]]" if _listed(field, form) else f"[{inside}]"
+            inside = f"{place}.NAME" if _is_in_mapping(field, form) else place
+            heading = f"[[{inside}]]" if _is_in_list(field, form) else f"[{inside}]"
             yield form["$ref"].rpartition("/")[2], inside, heading
 
 
-def _listed(field: dict[str, Any], form: dict[str, Any]) -> bool:
+def _is_in_list(field: dict[str, Any], form: dict[str, Any]) -> bool:
     return any(form in forms(f["items"]) for f in forms(field) if "items" in f)
 
 
-def _named(field: dict[str, Any], form: dict[str, Any]) -> bool:
+def _is_in_mapping(field: dict[str, Any], form: dict[str, Any]) -> bool:
     held = [f["additionalProperties"] for f in forms(field) if "additionalProperties" in f]
     return any(isinstance(inside, dict) and form in forms(inside) for inside in held)
 
 
-def _described(section: dict[str, Any]) -> str:
+def _section_sentence(section: dict[str, Any]) -> str:
     return " ".join(section.get("description", "").split())
 
 
-def _table(section: dict[str, Any], definitions: dict[str, Any]) -> str:
+def _key_table(section: dict[str, Any], definitions: dict[str, Any]) -> str:
     rows = ["| key | value | unit | plausible | default | |", "|---|---|---|---|---|---|"]
-    for cells in _rows(section, definitions):
+    for cells in _key_rows(section, definitions):
         rows.append(f"| {' | '.join(cell.replace('|', '/') for cell in cells)} |")
     return "\n".join(rows)
 
 
-def _rows(section: dict[str, Any], definitions: dict[str, Any]) -> Iterator[tuple[str, ...]]:
-    """Key, value, unit, plausible range, default and sentence of every key of a section."""
+def _key_rows(section: dict[str, Any], definitions: dict[str, Any]) -> Iterator[tuple[str, ...]]:
+    """Yield key, type, unit, plausible range, default and description of a section's keys."""
     required = section.get("required", ())
     for key, field in section["properties"].items():
         if "const" in field and key == "type":
             continue
-        default = "required" if key in required else _default(field)
-        text = sentence(field, definitions) + _names(field)
-        yield f"`{key}`", _value(field), ", ".join(units(field)), plausible(field), default, text
+        default = "required" if key in required else _format_default(field)
+        text = sentence(field, definitions) + _format_examples(field)
+        yield (
+            f"`{key}`",
+            _format_type(field),
+            ", ".join(units(field)),
+            plausible(field),
+            default,
+            text,
+        )
 
 
-def _value(field: dict[str, Any]) -> str:
-    """What may stand there, in words."""
+def _format_type(field: dict[str, Any]) -> str:
+    """Return the type of a key in words."""
     if "const" in field:
         return f"`{field['const']!r}`".replace("'", '"')
     if "enum" in field:
         return " or ".join(f'`"{word}"`' for word in field["enum"])
     if "unit" in field:
-        return f"number{_limits(field)}"
+        return f"number{_format_bounds(field)}"
     if "$ref" in field or "oneOf" in field:
         return "section"
     if "anyOf" in field:
-        forms = [_value(form) for form in field["anyOf"] if form.get("type") != "null"]
+        forms = [_format_type(form) for form in field["anyOf"] if form.get("type") != "null"]
         return " or ".join(dict.fromkeys(forms))
     kind = field.get("type")
     if kind == "array":
         if "prefixItems" in field:
-            entries = list(dict.fromkeys(_value(item) for item in field["prefixItems"]))
+            entries = list(dict.fromkeys(_format_type(item) for item in field["prefixItems"]))
             return f"{len(field['prefixItems'])} entries: {', '.join(entries)}"
-        return f"list: {_value(field.get('items', {}))}"
+        return f"list: {_format_type(field.get('items', {}))}"
     if kind == "object":
-        return f"by name: {_value(field.get('additionalProperties', {}))}"
+        return f"by name: {_format_type(field.get('additionalProperties', {}))}"
     words = {"number": "number", "integer": "whole number", "boolean": "true or false"}
-    return words.get(kind or "", "text") + _limits(field)
+    return words.get(kind or "", "text") + _format_bounds(field)
 
 
-def _limits(field: dict[str, Any]) -> str:
-    """Bounds of a number, of whichever of its forms has them."""
+def _format_bounds(field: dict[str, Any]) -> str:
+    """Return the bounds of a number, from any of its alternatives."""
     texts = {
         "exclusiveMinimum": "above",
         "minimum": "at least",
@@ -264,7 +278,7 @@ def _limits(field: dict[str, Any]) -> str:
     return " " + " and ".join(found) if found else ""
 
 
-def _default(field: dict[str, Any]) -> str:
+def _format_default(field: dict[str, Any]) -> str:
     value = field.get("default")
     if value is None or value in ("", [], {}) or isinstance(value, dict):
         return ""
@@ -273,16 +287,74 @@ def _default(field: dict[str, Any]) -> str:
     if isinstance(value, str):
         return f'"{value}"'
     if isinstance(value, list):
-        return f"[{', '.join(_default({'default': entry}) for entry in value)}]"
+        return f"[{', '.join(_format_default({'default': entry}) for entry in value)}]"
     return f"{value:.6g}"
 
 
-def _names(field: dict[str, Any]) -> str:
-    """Names that the catalogue has for a key."""
+def _format_examples(field: dict[str, Any]) -> str:
+    """Return the catalogue names that a key accepts, shortened."""
     names = [name for form in forms(field) for name in form.get("examples", ())]
-    more = ", ..." if len(names) > _NAMES_SHOWN else ""
-    return f" One of {', '.join(names[:_NAMES_SHOWN])}{more}." if names else ""
+    more = ", ..." if len(names) > _MAX_NAMES else ""
+    return f" One of {', '.join(names[:_MAX_NAMES])}{more}." if names else ""
 
 
 if __name__ == "__main__":
     print(reference_page(), end="")
+
+
+def explain_key(key: str) -> Iterator[str]:
+    """Yield lines on every key of a name or place, such as "prepressure" or "motion.duration".
+
+    Allowed values, such as the name of an objective, are found as well.
+
+    Raises
+    ------
+    InputError
+        No file has such a key or value; the message suggests a similar one.
+    """
+    wanted = key.strip().strip("[]").replace("[[", "").replace("]]", "").replace(" ", "")
+    every = [(kind, each) for kind in file_models() for each in file_keys(kind)]
+    found = [(kind, each) for kind, each in every if _matches_place(each.place, wanted)]
+    if not found:
+        found = [(kind, each) for kind, each in every if wanted in _allowed_words(each)]
+    if not found:
+        names = {each.place.rpartition(".")[2] for _, each in every}
+        names |= {choice for _, each in every for choice in _allowed_words(each)}
+        close = get_close_matches(
+            wanted.rpartition(".")[2], sorted(names), 1, _MIN_SPELLING_SIMILARITY
+        )
+        hint = f" Did you mean {close[0]!r}?" if close else ""
+        raise InputError(f"no file has a key or a value {key!r}.{hint}")
+    told: dict[tuple[str, str, str, str, str], list[str]] = {}
+    for kind, each in found:
+        about = (each.value, each.unit, each.plausible, each.default, each.sentence)
+        told.setdefault(about, []).append(f"{each.place} ({kind})")
+    for number, (about, places) in enumerate(told.items()):
+        if number:
+            yield ""
+        more = f" and {len(places) - _MAX_PLACES} more" if len(places) > _MAX_PLACES else ""
+        yield ", ".join(places[:_MAX_PLACES]) + more
+        yield from _describe_key(*about)
+
+
+def _allowed_words(key: FileKey) -> list[str]:
+    """Return the words that a key accepts as value."""
+    return re.findall(r'"([^"]+)"', key.value)
+
+
+def _matches_place(place: str, wanted: str) -> bool:
+    bare = place.replace(".NAME", "")
+    return bare == wanted or bare.endswith(f".{wanted}") or place.endswith(f".{wanted}")
+
+
+def _describe_key(
+    value: str, unit: str, plausible: str, default: str, sentence: str
+) -> Iterator[str]:
+    if sentence:
+        yield f"  {sentence}"
+    yield (
+        f"  {value.replace('`', '')}"
+        + (f" [{unit}]" if unit else "")
+        + (f", plausible {plausible}" if plausible else "")
+        + ("; required" if default == "required" else f"; default {default}" if default else "")
+    )

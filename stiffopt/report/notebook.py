@@ -8,24 +8,24 @@ from matplotlib.figure import Figure
 
 from stiffopt.discovery.diagnosis import Diagnosis
 from stiffopt.errors import InputError
-from stiffopt.report.common.svg import WIDTH, house_style
-from stiffopt.report.diagnosis.figures import balances_figure
+from stiffopt.report.common.svg import WIDTH, figure_style
+from stiffopt.report.diagnosis.figures import residual_figure
 from stiffopt.result.solution import Solution
 
 
 def figure_of(result: Any) -> Figure:
-    """Joint motion and deflection of a solution; residuals over noise of a diagnosis."""
+    """Plot joint motion and deflection of a solution, or residuals over noise of a diagnosis."""
     if isinstance(result, Diagnosis):
-        return balances_figure(result)
+        return residual_figure(result)
     assert isinstance(result, Solution)
-    return _motion(result)
+    return _motion_figure(result)
 
 
-def _motion(solution: Solution) -> Figure:
+def _motion_figure(solution: Solution) -> Figure:
     motion = solution.assessment
     if motion is None:
         raise InputError("there is no motion to plot: " + solution.message)
-    with house_style():
+    with figure_style():
         figure = Figure(figsize=(WIDTH, 5.6))
         axes = figure.subplots(2, 2, sharex=True).ravel()
         for place, values, name in (

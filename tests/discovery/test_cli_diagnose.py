@@ -85,7 +85,7 @@ def test_wrong_input_is_one_clear_message(tmp_path, capsys, name, command):
 def test_results_are_not_written_into_the_set(tmp_path, capsys):
     source = copied(COULOMB, tmp_path / "set")
     assert run(["diagnose", str(source), "--out", str(source / "out")]) == 2
-    assert "only read" in capsys.readouterr().err
+    assert "read-only" in capsys.readouterr().err
     assert not (source / "out").exists()
 
 

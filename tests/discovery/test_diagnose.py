@@ -50,7 +50,7 @@ def test_a_drive_that_changes_its_torque_too_slowly_shows_in_bursts():
     assert diagnosis.unexplained.channels == ("torque_2",)
     assert diagnosis.unexplained.regressors == ("dtorque_2",)
     assert diagnosis.unexplained.ratio > 1.5
-    assert "too slowly" in unexplained_sentence(diagnosis)
+    assert "limits the rate of its torque" in unexplained_sentence(diagnosis)
 
 
 @pytest.fixture(scope="module")

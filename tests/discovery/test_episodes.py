@@ -165,12 +165,10 @@ def test_only_a_load_until_the_end_stays_in_the_proof(what, remains):
         SimpleNamespace(training=SimpleNamespace(constants=constants), episodes=[found])
     )
     assert line.startswith(
-        "A change that stays, as of a load, is in "
-        if remains
-        else "Something that touches, loads or offsets does not carry over to "
+        "Permanent change, as of a load, in " if remains else "Contact, load or offset in "
     )
-    assert ("part of what judges the model" in line) == remains
-    assert "times the noise with it" in line
+    assert ("included in the validation" in line) == remains
+    assert "times the noise with this interval" in line
 
 
 TOUCHED = short_case(("touched", None, 1.0), seed=71)
@@ -185,8 +183,8 @@ def test_pushes_become_neither_friction_nor_weight(effects):
     assert named == [(name, joint) for name, joint, _ in effects], said(found)
     assert [each.role for each in found.episodes] == ["train", "test"]
     lines = episode_sentences(found)
-    assert lines[0].startswith("Something that touches, loads or offsets was at work in train_")
-    assert lines[1].startswith("Something that touches, loads or offsets does not carry over")
+    assert lines[0].startswith("Contact, load or offset in train_")
+    assert lines[1].startswith("Contact, load or offset in test_")
     assert found.episodes[1].nrmse_with > 2.0 * found.episodes[1].nrmse_without
-    assert f"{found.episodes[1].nrmse_with:.2g} times the noise with it" in lines[1]
+    assert f"{found.episodes[1].nrmse_with:.2g} times the noise with this interval" in lines[1]
     assert found.nrmse("test")[1] < 1.3

@@ -12,7 +12,7 @@ from stiffopt.discovery.diagnose import diagnose
 from stiffopt.discovery.extended.model import load_extended
 from stiffopt.discovery.extended.store import extended_text
 from stiffopt.discovery.soundness import faults, sample_signals
-from stiffopt.report.diagnosis.mismatch import carried_over_sentences
+from stiffopt.report.diagnosis.mismatch import transfer_sentences
 
 DRIFT = short_case(("friction_drift", 1, 1.0), seed=101)
 
@@ -106,7 +106,7 @@ def test_drift_is_found_with_its_spread(tmp_path):
     (kind,) = [each.kind for each in found.not_carried_over]
     assert kind == "friction drift"
     assert drift.rms > 0.5
-    assert "a further run is predicted with the mean" in carried_over_sentences(found)[0]
+    assert "predictions use the mean" in transfer_sentences(found)[0]
     path = tmp_path / "extended.toml"
     path.write_text(extended_text(found), encoding="utf-8")
     (again,) = load_extended(path).extension.effects

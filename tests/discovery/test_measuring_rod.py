@@ -23,7 +23,7 @@ from stiffopt.discovery.settings import MOVING, Settings
 from stiffopt.discovery.training import Training, train
 from stiffopt.recording.recording_set import load_recordings
 from stiffopt.recording.run import RecordedRun
-from stiffopt.report.diagnosis.mismatch import rod_sentence
+from stiffopt.report.diagnosis.mismatch import noise_ceiling_sentence
 
 
 @cache
@@ -163,14 +163,14 @@ def test_what_the_box_does_not_find_is_no_contradiction() -> None:
     left = Unexplained(
         channels=("torque_1",), regressors=("torque_1",), period=None, gain=0.26, ratio=14.0
     )
-    said = rod_sentence(_answer(rod, left))
+    said = noise_ceiling_sentence(_answer(rod, left))
     assert "100 %" not in said
     assert "the load of joint 1 within the training runs does not carry over" in said
     encoders = replace(left, channels=("link_position_1", "torque_1"))
-    said = rod_sentence(_answer(rod, encoders, ("torque", "link_position")))
-    assert said.startswith("Explained of the torques")
-    assert said.endswith("Link encoders were not asked, of which more stays open.")
-    assert "carry over" not in rod_sentence(_answer(replace(rod, explained=0.6)))
+    said = noise_ceiling_sentence(_answer(rod, encoders, ("torque", "link_position")))
+    assert said.startswith("Noise ceiling of the torques")
+    assert said.endswith("Link encoders are not included; more of them is unexplained.")
+    assert "carry over" not in noise_ceiling_sentence(_answer(replace(rod, explained=0.6)))
 
 
 def test_a_channel_without_any_mismatch_has_no_share() -> None:
@@ -183,9 +183,9 @@ def test_a_channel_without_any_mismatch_has_no_share() -> None:
     assert found is not None
     assert set(found.channels) == {"torque_2"}
     assert found.explained == 0.0
-    assert "nothing of what is explainable" in rod_sentence(_answer(found))
+    assert ": 0 % of the explainable" in noise_ceiling_sentence(_answer(found))
 
 
 def test_a_model_that_does_harm_has_explained_nothing() -> None:
     found = MeasuringRod(explained=-0.4, channels={"torque_1": (2.0, 1.0)}, depends=())
-    assert "Explained: nothing of" in rod_sentence(_answer(found))
+    assert "Noise ceiling: 0 % of" in noise_ceiling_sentence(_answer(found))

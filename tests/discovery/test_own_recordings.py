@@ -10,7 +10,7 @@ import stiffopt.discovery.diagnose as diagnosing
 from stiffopt.discovery.diagnose import diagnose
 from stiffopt.discovery.extended.model import load_extended
 from stiffopt.recording.recording_set import load_recordings
-from stiffopt.report.diagnosis.residuals import channel_residuals
+from stiffopt.report.diagnosis.regimes import channel_residuals
 from stiffopt.report.diagnosis.terminal import print_diagnosis
 from stiffopt.report.diagnosis.words import headline, lead
 

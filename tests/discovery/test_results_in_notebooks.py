@@ -14,7 +14,7 @@ from stiffopt.cli import run
 from stiffopt.errors import InputError, InputFileError
 from stiffopt.files import apply_changes
 from stiffopt.problem.files import load_problem
-from stiffopt.report.compare import compared
+from stiffopt.report.compare import compare_results
 from stiffopt.solver.solve import solve
 
 TWO_LINK = ROOT / "problems" / "two_link.toml"
@@ -107,7 +107,7 @@ def test_one_entry_changed_for_a_run_and_the_answers_compared(tmp_path, capsys):
     assert "objective.value" not in said
     assert "-87.5 %" in said
     assert run(["compare", str(one), str(one)]) == 0
-    assert "the two answers are the same" in capsys.readouterr().out
+    assert "no differences" in capsys.readouterr().out
     assert run(["compare", str(one), str(tmp_path)]) == 2
     assert run(["solve", str(TWO_LINK), "--set", "motion.durration=1 s"]) == 2
     assert "Did you mean 'duration'?" in capsys.readouterr().err
@@ -118,7 +118,7 @@ def test_another_joint_is_no_percentage(tmp_path):
         (tmp_path / name).mkdir()
         answer = {"worst": {"joint": joint, "time": time}}
         (tmp_path / name / "result.json").write_text(json.dumps(answer))
-    _, rows = compared(tmp_path / "one", tmp_path / "two")
+    _, rows = compare_results(tmp_path / "one", tmp_path / "two")
     assert rows == [("worst, joint", "6", "4", ""), ("worst, time", "1 s", "1.5 s", "+50 %")]
 
 

@@ -365,7 +365,7 @@ def test_a_gain_of_one_joint_is_told_and_stops_nothing(joint, tmp_path, capsys):
     factors[joint - 1] = pytest.approx(1.0 / gain, rel=1e-2)
     assert json.loads(re.search(r"\[.*?\]", told.line)[0]) == factors
     assert run(["recording", "check", str(folder)]) == 0
-    assert "Look at this: The torque of joint" in capsys.readouterr().out
+    assert "Warning: The torque of joint" in capsys.readouterr().out
 
 
 def test_nothing_is_remarked_of_gains_where_there_are_none(tmp_path):

@@ -12,7 +12,11 @@ from test_sanity_gate import doubted
 from stiffopt.discovery.diagnose import diagnose
 from stiffopt.discovery.sanity.odd_runs import _odd
 from stiffopt.report.diagnosis.terminal import fault_lines
-from stiffopt.report.diagnosis.words import headline, joints_without_torque, unexplained_sentence
+from stiffopt.report.diagnosis.words import (
+    headline,
+    unassessed_joint_sentences,
+    unexplained_sentence,
+)
 
 
 def millimetres(*joints: int):
@@ -105,8 +109,8 @@ def test_a_run_is_not_odd_where_the_model_fails_in_all_runs() -> None:
 def test_a_torque_that_is_never_seen_is_not_called_explained(tmp_path: Path) -> None:
     diagnosis = diagnose(SCARA.write(tmp_path / "set", constant_torque), experiment=False)
     assert diagnosis.verdict == "nothing_missing"
-    (sentence,) = joints_without_torque(diagnosis)
-    assert sentence == "Joint 2 was not judged: its torque can be used in no training run."
+    (sentence,) = unassessed_joint_sentences(diagnosis)
+    assert sentence == "Joint 2 was not assessed: its torque is usable in no training run."
     assert sentence.removesuffix(".") in headline(diagnosis)
     (line,) = fault_lines(diagnosis)
     assert "torque of joint 2 of run_1, run_2, run_3 and run_4 stays at 1.234" in line
@@ -123,4 +127,4 @@ def test_the_run_with_another_payload_is_named(tmp_path: Path) -> None:
     diagnosis = diagnose(SCARA.write(tmp_path / "set", payload=(1, 0.6)), experiment=False)
     assert diagnosis.verdict == "outside_catalogue"
     assert not diagnosis.findings
-    assert "In run_2 the nominal model leaves" in unexplained_sentence(diagnosis)
+    assert "In run_2 the residual of the nominal model" in unexplained_sentence(diagnosis)

@@ -43,14 +43,14 @@ def test_the_command_is_judged_as_the_solve_judged_it(solved, capsys):
         assert len(anew[phase]["draws"]) == 50
     assert set(document["motions"]) == set(inside["motions"])
     told = capsys.readouterr().out
-    assert f"Commanded as {solved / 'out' / 'command.csv'}" in " ".join(told.split())
+    assert f"With the command {solved / 'out' / 'command.csv'}" in " ".join(told.split())
     assert "as chosen by the solve" in " ".join(told.split())
-    assert "best for the worst arm" not in " ".join(told.split())
+    assert "best for the worst case" not in " ".join(told.split())
     page = (solved / "same" / "simulation.html").read_text()
-    assert "Commanded by ../out/command.csv" in page
-    assert "Commanded as ../out/command.csv" in page
+    assert "Feedforward command ../out/command.csv" in page
+    assert "With the command ../out/command.csv" in page
     assert document["motions"]["optimised"]["within_motor_limits"]
-    assert "Diamond: the arm as modelled" in page
+    assert "Diamond: nominal arm" in page
 
 
 @pytest.mark.slow
@@ -85,15 +85,18 @@ def test_what_is_uncertain_can_be_asked_anew(solved):
 @pytest.mark.parametrize(
     ("options", "what"),
     [
-        (["--set", "motion.duration=0.7"], "only [uncertainty] may change, such as"),
+        (["--set", "motion.duration=0.7"], "changes of [uncertainty] only, such as"),
         (["--set", "uncertainty.stiffness=1.2"], "below 1"),
         (["--set", "uncertainty.stiff=0.1"], "stiff"),
         (["--damping", "2"], "damping is a share of the critical one"),
         (
             ["--bandwidth", "20", "--set", "uncertainty.servo_bandwidth=5"],
-            "nothing of servos is uncertain",
+            "without uncertainty of servos",
         ),
-        (["--bandwidth", "20", "--set", "uncertainty = {servo_delay=0.001}"], "Leave one of the"),
+        (
+            ["--bandwidth", "20", "--set", "uncertainty = {servo_delay=0.001}"],
+            "Omit one of the two",
+        ),
     ],
 )
 def test_what_cannot_be_asked_is_refused_in_a_sentence(solved, capsys, options, what):
@@ -147,4 +150,4 @@ def test_a_command_that_was_changed_or_is_missing_is_told(solved, tmp_path, caps
     (out / "manifest.json").unlink()
     (out / "result.json").write_text(json.dumps({**document, "compensation": None}))
     assert run(["simulate", str(out), "--set", "uncertainty.stiffness=0.1"]) == 2
-    assert "uncertainties are of a command" in capsys.readouterr().err
+    assert "uncertainties apply to a command" in capsys.readouterr().err

@@ -235,7 +235,7 @@ def test_csv_has_the_joints_names(folder, tmp_path):
         (["--to", "urscript", "--rate", "300"], "cycle of 2 ms"),
         (["--to", "csv", "--rate", "0"], "above 0"),
         (["--to", "csv", "--rate", "nan"], "above 0"),
-        (["--to", "mjcf"], "holds a solve, which goes to csv, krl-rsi, ros2, urscript."),
+        (["--to", "mjcf"], "with the formats csv, krl-rsi, ros2, urscript."),
         (["--to", "abb"], "Allowed: csv, krl-rsi, mjcf, ros2, urdf, urscript"),
     ],
 )

@@ -155,7 +155,7 @@ def test_an_exported_file_is_checked(folder, to, capsys):
         assert run(given) == 0
         said = capsys.readouterr().out
         assert "Motion of the motors of Pick – and place, robot ur10 with 5 kg of payload" in said
-        assert "Keeps its limits; the tightest is position of joint 6" in said
+        assert "All limits are met; the tightest is position of joint 6" in said
         text = file.read_text(encoding="utf-8")
         entries, body = read_seal(text)
         entries.pop("content")

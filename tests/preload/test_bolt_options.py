@@ -52,7 +52,7 @@ def test_page_names_the_factors_and_no_present_preload(solved):
     assert "present preload" not in page
     assert "8 × M8 A2-70 with nuts" in page
     assert "From the present to the recommended preload" not in page
-    assert "bolts A2-70 seize in threads that run dry" in page
+    assert "bolts A2-70 gall in dry threads" in page
 
 
 def test_nuts_and_stainless_grades_are_chosen_from(tmp_path):

@@ -124,7 +124,9 @@ def test_the_strict_baseline_keeps_every_limit():
 def test_excused_baseline_is_reported(solution_of_two_baselines):
     stated, solution = solution_of_two_baselines
     text = comparison(stated, solution)
-    assert "toppra's motion is excused from limits its method cannot take: jerk" in text.lower()
+    assert (
+        "toppra's motion is exempt from limits that its method cannot handle: jerk" in text.lower()
+    )
     assert "the quintic motion, slowed to" in text
     assert "which keeps every limit" in text
 

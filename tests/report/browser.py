@@ -1,4 +1,4 @@
-"""A real browser without a window, driven by the DevTools protocol over a pair of pipes."""
+"""Headless Chromium, driven by the DevTools protocol over a pair of pipes."""
 
 import base64
 import itertools
@@ -26,7 +26,7 @@ SWITCHES = (
 
 
 class Browser:
-    """One page; `console` holds what it complained of: errors, warnings and exceptions."""
+    """One page; `console` has its errors, warnings and exceptions."""
 
     def __init__(self, profile, switches=SWITCHES):
         down, self._commands = os.pipe()
@@ -74,12 +74,12 @@ class Browser:
         os.write(self._commands, json.dumps(message).encode() + b"\0")
         end = time.monotonic() + timeout
         while True:
-            answer = self._read(end)
+            answer = self._read_message(end)
             if answer.get("id") == number:
                 assert "error" not in answer, answer
                 return answer["result"]
 
-    def _read(self, end):
+    def _read_message(self, end):
         while b"\0" not in self._rest:
             left = end - time.monotonic()
             assert left > 0

@@ -1,4 +1,4 @@
-"""A page as its tests read it: text, tags, tables, and what it asks for from elsewhere."""
+"""Parser of a page for tests: text, tags, tables and external requests."""
 
 import re
 from html.parser import HTMLParser

@@ -1,4 +1,4 @@
-"""Preload studies of the packaged ER3A and what a joint study would add, for pages and figures."""
+"""Preload studies of the packaged ER3A for tests of pages and figures."""
 
 import functools
 from dataclasses import replace

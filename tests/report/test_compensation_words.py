@@ -1,4 +1,4 @@
-"""What a page says of motions whose motors lead: how far below toppra's, or above it."""
+"""Sentences on compensated motions, compared with toppra's motion."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def motion(name, flight, after):
          "in flight not comparable with and after arrival 2 times below"),
     ],
 )  # fmt: skip
-def test_how_far_below_or_above_toppra(toppra, own, said):
+def test_compensation_text_compares_with_toppra(toppra, own, said):
     compensation = Compensation(
         motions=(motion("optimised", *own), motion("toppra", *toppra)),
         command=None,
@@ -54,4 +54,5 @@ def test_how_far_below_or_above_toppra(toppra, own, said):
         refusal="",
     )
     text = compensation_text(compensation)
-    assert f"That is {said} toppra as planned, at worst {said} it, and {said} it" in text
+    assert f"{said} toppra as planned; in the worst case {said} toppra" in text
+    assert f"{said} toppra compensated" in text

@@ -1,4 +1,4 @@
-"""Pages of diagnoses: what they say agrees with the diagnosis, whatever the verdict."""
+"""Pages of diagnoses with every verdict, compared with the diagnosis."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -14,24 +14,24 @@ from stiffopt.discovery.judging.unexplained import Unexplained
 from stiffopt.recording.run import Fault
 from stiffopt.report.common.text import pm, significant
 from stiffopt.report.diagnosis import page
-from stiffopt.report.diagnosis.held_out import trace, worst_windows
+from stiffopt.report.diagnosis.figures import trace, worst_windows
 from stiffopt.report.diagnosis.mismatch import mismatches
 from stiffopt.report.diagnosis.page import write_diagnosis_report
-from stiffopt.report.diagnosis.residuals import (
-    binned,
+from stiffopt.report.diagnosis.regimes import (
+    binned_means,
     channel_residuals,
-    contribution,
-    direction,
+    finding_contribution,
+    motion_direction,
     regimes,
 )
 from stiffopt.report.diagnosis.terminal import print_diagnosis
 from stiffopt.report.diagnosis.words import (
     channels_in_words,
-    clipped_words,
+    format_probability,
     headline,
     lead,
-    percent_sure,
     proof_sentence,
+    saturation_sentences,
 )
 from stiffopt.units import joint_unit
 from tests.discovery.simulated_sets import COULOMB, diagnosed
@@ -65,7 +65,7 @@ def unexplained_in(diagnosis, **changes):
     )
 
 
-def test_page_says_what_was_found(friction, tmp_path):
+def test_page_lists_the_findings(friction, tmp_path):
     text = page_of(friction, tmp_path, png=True).text
     (finding,) = friction.findings
     assert "Joint 2: more dry friction than nominal" in text
@@ -73,56 +73,56 @@ def test_page_says_what_was_found(friction, tmp_path):
     assert f"dFc = {pm(parameter.value, parameter.sd, parameter.unit)}" in text
     for role in ("test", "extrapolate"):
         before, after = (significant(v, 3) for v in friction.nrmse(role))
-        assert f"from {before} to {after} on" in text
+        assert f"from {before} to {after} in" in text
     assert friction.next_experiment in text
     names = {path.stem for path in tmp_path.glob("*.svg")}
     assert {"diagnosis_balances", "diagnosis_regimes_1", "diagnosis_extrapolate"} <= names
     assert {path.stem for path in tmp_path.glob("*.png")} == names
 
 
-def test_values_that_read_alike_are_no_changes(friction, monkeypatch):
-    """A value in 10 000 of a mass is what a fit leaves it at."""
+def test_model_changes_that_round_alike_are_omitted(friction, monkeypatch):
+    """A relative change of 1e-4 of a mass is within the tolerance of a fit."""
     changes = [
         ValueChange(1, "a", "mass behind it", 35.8, new, "kg") for new in (35.8004, 35.81, 36.0)
     ]
     monkeypatch.setattr(page, "value_changes", lambda *_: changes)
-    assert [(old, new) for _, old, new in page._changes(friction)] == [
+    assert [(old, new) for _, old, new in page._model_changes(friction)] == [
         ("35.8", "35.81"),
         ("35.8", "36"),
     ]
 
 
-def test_named_findings_that_leave_much_say_so(friction, tmp_path, capsys):
-    """As of a torque constant that is off by a factor of two."""
+def test_large_unexplained_residual_is_reported_with_findings(friction, tmp_path, capsys):
+    """Case of a torque constant that is wrong by a factor of two."""
     left = unexplained_in(friction, ratio=42.0, left=0.4).unexplained
     found = replace(friction, unexplained=left)
     text = page_of(found, tmp_path).text
-    assert "42 times the noise stays open in the torque of joint 2" in text
-    assert "the most is named, much stays open" in text
+    assert "42 times the noise remains unexplained in the torque of joint 2" in text
+    assert "mostly identified, large unexplained residual" in text
     print_diagnosis(found, tmp_path)
     said = " ".join(capsys.readouterr().out.split())
-    assert "what it is was found" not in said
-    assert "Look first whether unit, torque constant and masses are right" in said
+    assert "which were identified." not in said
+    assert "Check unit, torque constant and masses first" in said
     near = replace(friction, unexplained=replace(left, ratio=3.0))
     print_diagnosis(near, tmp_path)
-    assert "what it is was found" in " ".join(capsys.readouterr().out.split())
+    assert "which were identified." in " ".join(capsys.readouterr().out.split())
 
 
-def test_page_of_what_the_catalogue_lacks(friction, tmp_path):
+def test_page_of_an_effect_outside_the_catalogue(friction, tmp_path):
     found = replace(unexplained_in(friction), held_out=friction.proofs("test"), faults=())
     text = page_of(found, tmp_path).text
-    assert "Something outside the catalogue acts on the torque of joint 2" in text
-    assert "repeats every 0.5 s, whatever the motion" in text
+    assert "effect outside the catalogue acts on the torque of joint 2" in text
+    assert "has a period of 0.5 s" in text
     assert "extrapolation, before" not in text
     assert (tmp_path / "diagnosis_spectrum.svg").exists()
 
 
-def test_figures_as_png_only_where_asked(friction, tmp_path):
+def test_png_figures_are_written_on_request_only(friction, tmp_path):
     write_diagnosis_report(friction, tmp_path)
     assert {path.suffix for path in tmp_path.iterdir()} == {".html", ".svg"}
 
 
-def test_rows_are_those_of_the_search(friction):
+def test_channel_residuals_are_those_of_the_search(friction):
     for name, number in (("torque_2", 1), ("link_position_1", 2)):
         rows = channel_residuals(friction, name)
         for residual, ratios in ((rows.before, friction.search.before), (rows.after, None)):
@@ -131,10 +131,10 @@ def test_rows_are_those_of_the_search(friction):
             assert found == pytest.approx(expected, rel=1e-9)
 
 
-def test_contribution_is_the_friction_that_was_found(friction):
+def test_finding_contribution_is_the_fitted_friction(friction):
     (finding,) = friction.findings
     rows = channel_residuals(friction, "torque_2")
-    added = contribution(friction, finding, rows)
+    added = finding_contribution(friction, finding, rows)
     speed = next(r.values for r in regimes(friction, rows) if r.name == "speed")
 
     def by_hand(run):
@@ -145,12 +145,14 @@ def test_contribution_is_the_friction_that_was_found(friction):
 
     filtered = friction.search.comparison.rows.sample_signal(by_hand)[rows.chosen]
     assert added == pytest.approx(finding.parameters[0].value * filtered, rel=1e-6, abs=1e-9)
-    assert np.array_equal(direction(friction, rows), np.sign(speed))
+    assert np.array_equal(motion_direction(friction, rows), np.sign(speed))
     # Friction of one joint is no business of another's.
-    assert not contribution(friction, finding, channel_residuals(friction, "torque_1")).any()
+    assert not finding_contribution(
+        friction, finding, channel_residuals(friction, "torque_1")
+    ).any()
 
 
-def test_squares_of_a_trace_are_those_of_the_proof(friction):
+def test_trace_squares_equal_those_of_the_proof(friction):
     for proof in friction.held_out:
         for error in proof.channels:
             shown = trace(friction, proof, error.name)
@@ -160,7 +162,7 @@ def test_squares_of_a_trace_are_those_of_the_proof(friction):
                 assert np.sum(left**2) == pytest.approx(getattr(error, name), rel=0.03)
 
 
-def test_worst_windows_are_worst(friction):
+def test_worst_windows_have_the_largest_residuals(friction):
     quiet = replace(
         friction,
         held_out=tuple(replace(p, after=p.before) for p in friction.held_out),
@@ -174,18 +176,18 @@ def test_worst_windows_are_worst(friction):
     assert all(0.0 < w.end - w.begin <= 0.5 + 1e-9 for w in windows)
 
 
-def test_means_by_bins():
+def test_binned_means():
     rng = np.random.default_rng(1)
     x, y = rng.uniform(0, 3, 200), rng.normal(size=200)
     edges = np.array([0.0, 1.0, 1.02, 3.0])
-    centre, mean, sd = binned(x, y, edges, least=10)
+    centre, mean, sd = binned_means(x, y, edges, least=10)
     first, last = y[x < 1.0], y[x >= 1.02]
     assert mean == pytest.approx([first.mean(), last.mean()])
     assert sd == pytest.approx([first.std() / np.sqrt(len(first)), last.std() / len(last) ** 0.5])
     assert 0.0 < centre[0] < 1.0 < centre[1] < 3.0
 
 
-def test_nothing_missing_in_words(friction, tmp_path):
+def test_page_with_nothing_missing(friction, tmp_path):
     none = replace(friction, verdict="nothing_missing", findings=())
     assert headline(none) == "Nothing is missing within the tolerances"
     assert "No effect of the catalogue is needed" in lead(none)
@@ -193,31 +195,30 @@ def test_nothing_missing_in_words(friction, tmp_path):
     assert page.table("channel", "noise")[0][0] == "torque of joint 1"
     limits = page.table("effect", "parameter", "J1", "J2")
     assert len({tuple(row[:2]) for row in limits}) == len(limits)
-    assert "The worst channel" in page.text
+    assert "Channel with the largest residual" in page.text
 
 
-def test_what_a_remainder_follows_in_words(friction):
+def test_unexplained_residual_names_its_signals(friction):
     followed = unexplained_in(
         friction, period=None, regressors=("q_1 x sign(qd_2)", "session_time")
     )
     text = lead(followed)
     assert "the position of joint 1 and the direction of motion" in text
-    assert "the session time, which predicts 40 % of it in stretches of" in text
-    assert "nothing that was recorded" in lead(unexplained_in(friction, period=None, regressors=()))
+    assert "the session time, which predicts 40 % of it" in text
+    assert "no recorded signal" in lead(unexplained_in(friction, period=None, regressors=()))
 
 
-def test_rivals_are_ranked(friction, tmp_path):
+def test_rivals_are_sorted_by_probability(friction, tmp_path):
     (finding,) = friction.findings
     other = replace(finding.located, joint=0)
     shared = replace(finding, probability=0.4, rivals=(Rival(located=other, probability=0.6),))
     page = page_of(replace(friction, findings=(shared,)), tmp_path)
-    rivals = page.table("", "effect", "where", "probability")
+    rivals = page.table("", "effect", "place", "probability")
     assert [row[2:4] for row in rivals] == [["joint 1", "60 %"], ["joint 2", "40 %"]]
-    assert "40 % sure" in page.text
-    assert "Coulomb friction of joint 1" in page.text
+    assert "probability 40 %, nearest rival Coulomb friction of joint 1" in page.text
 
 
-def test_torques_and_encoders_are_shared_out_each_for_themselves(friction, tmp_path, capsys):
+def test_mismatch_shares_are_per_kind_of_channel(friction, tmp_path, capsys):
     part = next(each.part for each in friction.shares if each.part is not None)
     shares = tuple(
         Share(part=own, measured=measured, share=share)
@@ -231,37 +232,37 @@ def test_torques_and_encoders_are_shared_out_each_for_themselves(friction, tmp_p
     mixed = replace(friction, shares=shares)
     torques, encoders = [each.sentence for each in mismatches(mixed)]
     assert torques == (
-        "Of the mismatch of the torques on runs left out: 99 % Coulomb friction (joint 2), "
-        "0.8 % open."
+        "Mismatch of the torques on held-out runs: 99 % Coulomb friction (joint 2), "
+        "0.8 % unexplained."
     )
     assert encoders == (
-        "Of the mismatch of the link encoders on runs left out: 125 % open. There it is made worse:"
-        " Coulomb friction (joint 2) by 25 %."
+        "Mismatch of the link encoders on held-out runs: 125 % unexplained. Increased by Coulomb"
+        " friction (joint 2) (25 %)."
     )
     print_diagnosis(mixed, tmp_path)
     shown, page = " ".join(capsys.readouterr().out.split()), page_of(mixed, tmp_path).text
     for sentence in (torques, encoders):
         assert sentence in shown
         assert sentence in page
-    # Encoders within twice their noise have no shares: what is told is of the torques then.
+    # Encoders within twice their noise have no shares: the sentence is about torques only.
     (only,) = mismatches(replace(friction, shares=shares[:2]))
     assert only.sentence == torques
 
 
-def test_values_without_a_nominal_one_are_no_surprise(friction):
+def test_headline_of_values_without_nominal_value(friction):
     recordings = friction.recordings
     stated = recordings.stated.model_copy(update={"coulomb": None})
     silent = replace(friction, recordings=recordings.with_nominal(stated, recordings.path))
-    assert headline(silent) == "Found what the nominal model does not give: dry friction of joint 2"
+    assert headline(silent).endswith("without nominal value: dry friction of joint 2")
 
 
-def test_much_left_is_said(friction):
-    assert "not all is explained" not in proof_sentence(friction)
+def test_large_held_out_residual_is_reported(friction):
+    assert "largest residual" not in proof_sentence(friction)
     worse = [
         replace(p, channels=tuple(replace(c, after=50.0 * c.before) for c in p.channels))
         for p in friction.held_out
     ]
-    assert "not all is explained" in proof_sentence(replace(friction, held_out=tuple(worse)))
+    assert "largest residual" in proof_sentence(replace(friction, held_out=tuple(worse)))
 
 
 @pytest.mark.parametrize(
@@ -274,29 +275,29 @@ def test_much_left_is_said(friction):
         (2.5e-5, float("nan"), "rad/(N m)", "25 µrad/(N m)"),
     ],
 )
-def test_value_and_deviation(value, sd, unit, text):
+def test_pm_formats_value_and_standard_deviation(value, sd, unit, text):
     assert pm(value, sd, unit) == text
 
 
-def test_words_of_channels_units_and_probability():
+def test_formats_of_channels_units_and_probability():
     assert channels_in_words(["torque_3", "link_position_12"]) == (
         "the torque of joint 3 and the link encoder of joint 12"
     )
     assert joint_unit("N m s/rad", prismatic=True) == "N s/m"
     assert joint_unit("N m s/rad", prismatic=False) == "N m s/rad"
-    assert percent_sure(1.0) == "above 99 %"
-    assert percent_sure(0.97) == "97 %"
+    assert format_probability(1.0) == "above 99 %"
+    assert format_probability(0.97) == "97 %"
 
 
-def test_torques_that_are_cut_off_are_told_first():
-    """Of 35 % of the samples a friction that hangs on the position was made."""
+def test_saturated_torque_is_reported():
+    """With 35 % saturated samples a position-dependent friction was identified."""
     told = [
         ("run1", _saturated(2, 0.35)),
         ("run2", _saturated(2, 0.40)),
         ("run2", _saturated(3, 0.01)),
     ]
-    (line,) = clipped_words(SimpleNamespace(faults=told))
-    assert line.startswith("The torque of joint 2 rests on its largest value in 40 % of run2")
+    (line,) = saturation_sentences(SimpleNamespace(faults=told))
+    assert line.startswith("The torque of joint 2 is saturated in 40 % of run2")
 
 
 def _saturated(joint, share):

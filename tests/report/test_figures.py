@@ -7,7 +7,7 @@ import pytest
 from synthetic_solution import assessment, problem, robot, solution
 
 from stiffopt.report.common.robot import joint_units
-from stiffopt.report.common.svg import line_style, thin, to_png, to_svg
+from stiffopt.report.common.svg import decimate_curve, line_style, to_png, to_svg
 from stiffopt.report.solve.figures import (
     compared_motions,
     deflection_figure,
@@ -16,14 +16,14 @@ from stiffopt.report.solve.figures import (
     torque_figure,
 )
 from stiffopt.report.solve.space_figures import exaggeration, path_figure, windup_figure
-from stiffopt.report.stiffness.figures import (
+from stiffopt.report.stiffness.page import (
     StiffnessCurve,
     loss_figure,
     shares_figure,
     stiffness_curves,
     tangent_figure,
+    where_contacts_matter,
 )
-from stiffopt.report.stiffness.page import where_contacts_matter
 from stiffopt.robot.stiffness_study import StiffnessRow
 
 
@@ -81,7 +81,7 @@ def test_every_figure_is_valid_svg_for_any_number_of_joints(joints):
     assert len(all_ids) == len(set(all_ids))
 
 
-def test_axes_carry_units_of_the_joint_kind():
+def test_axis_units_match_the_joint_type():
     drawn = figures(2)
     for text in ("position [deg or mm]", "velocity [deg/s or mm/s]", "jerk [rad/s³ or m/s³]"):
         assert text in drawn["motion"]
@@ -96,11 +96,11 @@ def test_a_small_deflection_is_in_micrometres():
     assert "deflection [µm]" in to_svg(deflection_figure(motions), "deflection", "")
 
 
-def test_an_infeasible_baseline_is_named_so():
+def test_infeasible_baseline_is_labelled():
     assert "quintic (exceeds limits)" in figures(2)["deflection"]
 
 
-def test_a_rigid_joint_leaves_the_stiffness_figure_whole():
+def test_stiffness_figure_with_a_rigid_joint():
     motion = assessment()
     motion.stiffness[:, 1] = np.inf
     svg = to_svg(stiffness_figure(problem(), motion), "stiffness", "")
@@ -108,16 +108,16 @@ def test_a_rigid_joint_leaves_the_stiffness_figure_whole():
     assert "J2" not in svg
 
 
-def test_the_same_figure_is_the_same_text():
+def test_svg_is_reproducible():
     again = deflection_figure(compared_motions(solution(2)))
     assert to_svg(again, "deflection", "The deflection") == figures(2)["deflection"]
 
 
-def test_thin_keeps_ends_and_peaks():
+def test_decimated_curve_keeps_ends_and_peaks():
     time = np.linspace(0, 1, 20001)
     values = np.sin(3 * time)
     values[7777], values[12345] = 5.0, -5.0
-    t, v = thin(time, values, 400)
+    t, v = decimate_curve(time, values, 400)
     assert len(t) <= 402
     assert v.max() == 5.0
     assert v.min() == -5.0
@@ -139,7 +139,7 @@ def test_line_styles_differ():
     assert len(set(styles)) == 28
 
 
-def test_stiffness_figures_take_rows_and_draw():
+def test_stiffness_figures_are_drawn_from_rows():
     units, curves = joint_units(robot(3)), stiffness_curves(stiffness_rows())
     assert [curve.flanks for curve in curves[1]] == ["parallel", "series"]
     assert curves[2][0].at(0.01, curves[2][0].reducer_only) == pytest.approx(1e4)
@@ -166,7 +166,7 @@ def curve(joint, first, last):
     ]
 
 
-def test_where_contacts_matter_most_follows_from_each_joints_numbers():
+def test_torque_of_largest_contact_loss_per_joint():
     curves = {1: curve(1, 0.0049, 0.0090), 2: curve(2, 0.026, 0.011)}
     assert curves[1][0].ratio_of_largest_loss == 1.0
     assert curves[2][0].ratio_of_largest_loss == 0.001
@@ -179,7 +179,7 @@ def test_where_contacts_matter_most_follows_from_each_joints_numbers():
 
 
 @pytest.mark.parametrize(("second", "scale"), [(0.009, "linear"), (0.5, "log")])
-def test_losses_far_apart_share_no_linear_axis(second, scale):
+def test_loss_axis_is_logarithmic_for_losses_decades_apart(second, scale):
     curves = {1: curve(1, 0.005, 0.009), 2: curve(2, second, second)}
     axes = loss_figure(curves, joint_units(robot(2))).axes[0]
     assert axes.get_yscale() == scale

@@ -1,4 +1,4 @@
-"""Every key of every file says what it is and in which unit, and the page says the same."""
+"""Descriptions and units of every key of every file, and the generated page."""
 
 import pytest
 from small_arms import ROOT
@@ -43,7 +43,7 @@ def keys(kind):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_every_key_has_a_sentence(kind):
+def test_every_key_has_a_description(kind):
     definitions, found = keys(kind)
     silent = [(s, k) for s, k, f in found if k != "type" and not sentence(f, definitions)]
     assert silent == []
@@ -64,7 +64,7 @@ def test_every_number_has_a_unit(kind):
     assert bare == []
 
 
-def test_the_page_is_the_one_that_is_generated():
+def test_file_reference_page_is_current():
     page = (ROOT / ".github" / "files.md").read_text(encoding="utf-8")
     command = "python -m stiffopt.report.file_reference > .github/files.md"
     assert page == reference_page(), f"run: {command}"

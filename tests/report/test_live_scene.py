@@ -63,7 +63,7 @@ def test_sliders_move_the_arm(scene):
     assert scene.tool() == pytest.approx(bent, abs=1e-9)
 
 
-def test_the_cell_stands_around_the_arm(tmp_path):
+def test_live_scene_shows_the_cell(tmp_path):
     from stiffopt.report.scene.live import LiveScene
 
     robot = load_robot(write_robot(tmp_path, "planar"))
@@ -115,7 +115,7 @@ OWN = "127.0.0.1:{port}"
     ],
 )
 @pytest.mark.parametrize("upgrade", [False, True])
-def test_pages_of_others_are_refused(scene, headers, status, upgrade):
+def test_foreign_hosts_and_origins_are_refused(scene, headers, status, upgrade):
     port = scene.server.get_port()
     sent = {name: value.format(port=port) for name, value in headers.items()}
     if upgrade:
@@ -133,8 +133,11 @@ def test_pages_of_others_are_refused(scene, headers, status, upgrade):
     connection.close()
 
 
-def test_a_viser_that_cannot_be_guarded_is_not_served():
+def test_unsupported_viser_is_refused():
     from stiffopt.report.scene.live import _guarded_server
 
-    with pytest.raises(InputError, match="Install another"), _guarded_server(set()):
+    with (
+        pytest.raises(InputError, match="version of viser is not supported"),
+        _guarded_server(set()),
+    ):
         pass  # begins no server of websockets

@@ -1,4 +1,4 @@
-"""What a mismatch is made of, in words, at the edges: next to nothing, and less than nothing."""
+"""Sentences on the composition of a mismatch in limiting cases: zero and negative shares."""
 
 import math
 from types import SimpleNamespace
@@ -9,10 +9,10 @@ import pytest
 from stiffopt.discovery.judging.shares import Part, Share
 from stiffopt.discovery.search.rigid import OF_A_BODY, Counterweight, RigidStage
 from stiffopt.report.diagnosis.mismatch import (
-    _channels,
-    _probabilities,
-    _range,
-    _span,
+    _format_channels,
+    _format_probability_range,
+    _format_range,
+    _format_share_range,
     counterbalance_sentences,
     mismatches,
 )
@@ -21,7 +21,7 @@ OFFSETS = Part(kind="usual")
 
 
 def told(part, left, part_of=OFFSETS, kinds=("torque",), rigid=None, moved=()):
-    """The sentence of one part and of what is open; nominal values moved by name, over one sd."""
+    """Return the sentence of one part and the unexplained share; nominal values moved by name."""
     names, changes = [name for name, _ in moved], np.array([value for _, value in moved])
     diagnosis = SimpleNamespace(
         findings=(None,),
@@ -44,22 +44,22 @@ def told(part, left, part_of=OFFSETS, kinds=("torque",), rigid=None, moved=()):
     ("left", "words"),
     [(-0.003, "0 %"), (0.0, "0 %"), (1e-8, "below 0.1 %"), (0.004, "0.4 %"), (0.2, "20 %")],
 )
-def test_what_is_open_is_never_less_than_nothing(left, words):
-    assert told(0.9, left) == f"Of the mismatch on runs left out: 90 % offsets, {words} open."
+def test_unexplained_share_is_never_negative(left, words):
+    assert told(0.9, left) == f"Mismatch on held-out runs: 90 % offsets, {words} unexplained."
 
 
-def test_a_part_may_do_harm():
-    assert told(-0.2, 1.2).endswith("120 % open. There it is made worse: offsets by 20 %.")
+def test_negative_share_is_reported_as_increase():
+    assert told(-0.2, 1.2).endswith("120 % unexplained. Increased by offsets (20 %).")
 
 
-def test_encoders_within_their_noise_are_not_spoken_of():
+def test_channels_within_noise_have_no_mismatch():
     assert told(0.9, 0.1, kinds=("torque", "link_position")).startswith(
-        "Of the mismatch of the torques on runs left out: "
+        "Mismatch of the torques on held-out runs: "
     )
 
 
 @pytest.mark.parametrize(("width", "freed"), [(OF_A_BODY[1], False), (OF_A_BODY[2], True)])
-def test_bodies_that_are_all_held_are_not_reidentified(width, freed):
+def test_fixed_bodies_are_not_reported_as_reidentified(width, freed):
     rigid = RigidStage(widths=(OF_A_BODY[0], width), gain=20.0, single=None)
     assert ("re-identified" in told(0.9, 0.1, Part(kind="nominal"), rigid=rigid)) == freed
 
@@ -74,17 +74,17 @@ def test_bodies_that_are_all_held_are_not_reidentified(width, freed):
         ((("coulomb 3", 0.7),), 0.1, ""),
     ],
 )
-def test_the_nominal_value_that_moved_most_is_told(moved, share, words):
+def test_largest_moved_nominal_value_is_named(moved, share, words):
     said = told(share, 1.0 - share, Part(kind="nominal"), moved=moved)
-    assert (f"within their tolerances (most of all {words})" in said) == bool(words)
-    assert ("most of all" in said) == bool(words)
+    assert (f"within their tolerances (mainly {words})" in said) == bool(words)
+    assert ("mainly" in said) == bool(words)
 
 
 @pytest.mark.parametrize(
     ("gain", "words"),
-    [(70.0, "likelier a counterbalance"), (0.5, "do not tell"), (-math.inf, "do not tell")],
+    [(70.0, "is more likely"), (0.5, "do not separate"), (-math.inf, "do not separate")],
 )
-def test_a_counterbalance_is_told_beside_the_weight_that_it_is_like(gain, words):
+def test_counterbalance_is_reported_as_alternative_to_weight(gain, words):
     weight = Counterweight(joint=1, nominal=160.0, change=595.0, gain=gain)
     rigid = RigidStage(widths=(OF_A_BODY[2],), gain=20.0, single=None, counterweights=(weight,))
     constants = SimpleNamespace(links=["a", "b"], joints=[SimpleNamespace(prismatic=False)] * 2)
@@ -92,24 +92,24 @@ def test_a_counterbalance_is_told_beside_the_weight_that_it_is_like(gain, words)
         search=SimpleNamespace(rigid=rigid), training=SimpleNamespace(constants=constants)
     )
     (said,) = counterbalance_sentences(diagnosis)
-    assert said.startswith("Counterbalance of joint 2, or the weight of b")
+    assert said.startswith("Counterbalance of joint 2 or weight of b")
     assert words in said
     assert "up to 5800 N m" in said
     short = told(0.9, 0.1, Part(kind="nominal"), rigid=rigid)
     assert ("likely a counterbalance of joint 2" in short) == (gain > 2.0)
 
 
-def test_shares_are_rounded_before_they_are_told():
-    assert _range(-0.001, 0.03) == "0 to 3 %"
-    assert _range(-0.001, 0.001) == "0 %"
-    assert _range(np.float64(0.1), np.float64(0.5)) == "10 to 50 %"
+def test_share_ranges_are_rounded():
+    assert _format_share_range(-0.001, 0.03) == "0 to 3 %"
+    assert _format_share_range(-0.001, 0.001) == "0 %"
+    assert _format_share_range(np.float64(0.1), np.float64(0.5)) == "10 to 50 %"
 
 
-def test_groups_say_from_which_to_which():
-    assert _span([3.2, 15.4], 1) == "3 to 15"
-    assert _span([3.2, 3.3], 1) == "3"
-    assert _span([155.2, 0.123], 2) == "0.12 to 155"
-    assert _channels(["torque_1", "torque_3", "torque_2"]) == "torques of joints 1 to 3"
-    assert _channels(["link_position_2"]) == "link encoder of joint 2"
-    assert _probabilities([0.6, 0.999]) == "60 to above 99 %"
-    assert _probabilities([0.6]) == "60 %"
+def test_consecutive_joints_are_written_as_range():
+    assert _format_range([3.2, 15.4], 1) == "3 to 15"
+    assert _format_range([3.2, 3.3], 1) == "3"
+    assert _format_range([155.2, 0.123], 2) == "0.12 to 155"
+    assert _format_channels(["torque_1", "torque_3", "torque_2"]) == "torques of joints 1 to 3"
+    assert _format_channels(["link_position_2"]) == "link encoder of joint 2"
+    assert _format_probability_range([0.6, 0.999]) == "60 to above 99 %"
+    assert _format_probability_range([0.6]) == "60 %"

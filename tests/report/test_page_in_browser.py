@@ -1,4 +1,4 @@
-"""The page of a solve in a real browser: no complaint, a scene that moves, no page too wide."""
+"""The page of a solve in Chromium: no console errors, moving scene, no overflow."""
 
 import io
 from dataclasses import replace
@@ -13,7 +13,7 @@ from synthetic_solution import solution
 from stiffopt.certificate.assess import assess
 from stiffopt.problem.files import load_problem
 from stiffopt.report.solve.page import write_solve_report
-from stiffopt.report.solve.simulation_page import write_simulation_report
+from stiffopt.report.solve.simulation import write_simulation_report
 from stiffopt.result.solution import Baseline
 from stiffopt.result.trajectory import Trajectory
 from stiffopt.solver.simulation import PlannedMotion, elastic_arm, simulate_motions
@@ -104,7 +104,7 @@ def tool(browser):
 
 
 def slide(browser, role, value):
-    """Move a slider as a hand does, and wait for the picture."""
+    """Move a slider and wait for the picture."""
     browser.value(
         f"(() => {{ const e = document.querySelector('[data-role={role}]'); e.value = {value}; "
         "e.dispatchEvent(new Event('input', {bubbles: true})); "
@@ -115,7 +115,7 @@ def slide(browser, role, value):
 
 @pytest.mark.parametrize("size", SIZES, ids=["desk", "phone"])
 @pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
-def test_the_page_fits_and_nothing_is_complained_of(shown, size, dark):
+def test_page_fits_the_window_without_console_errors(shown, size, dark):
     browser = shown(size=size, dark=dark)
     wide, window = browser.value("[document.documentElement.scrollWidth, window.innerWidth]")
     assert wide <= window == size[0]
@@ -130,7 +130,7 @@ def test_the_page_fits_and_nothing_is_complained_of(shown, size, dark):
     assert browser.console == []
 
 
-def test_every_section_is_in_the_contents(shown):
+def test_contents_list_every_section(shown):
     browser = shown()
     titles, links = browser.value(
         "[[...document.querySelectorAll('h2')].map((h) => `#${h.id} ${h.textContent}`), "
@@ -170,9 +170,9 @@ def test_sliders_move_the_arm_and_the_cursors(shown, page):
     assert browser.console == []
 
 
-def test_a_scene_of_another_size_is_never_shown_empty(shown):
+def test_scene_is_drawn_after_resizing(shown):
     browser = shown("#time=0")
-    # What is shown after a change of size is what its observers leave, so the last one reads.
+    # After resizing, read when the last observer has run.
     drawn = browser.value(
         "new Promise((done) => { const canvas = document.querySelector('#scene canvas'); "
         "const box = canvas.parentElement, small = document.createElement('canvas'); "
@@ -185,7 +185,7 @@ def test_a_scene_of_another_size_is_never_shown_empty(shown):
     assert drawn > 0.05 * 100 * 100
 
 
-def test_the_page_of_a_simulation_shows_the_arm_swinging(browser, page):
+def test_simulation_page_shows_the_vibration(browser, page):
     problem = load_problem(page.parent / "problem.toml").problem
     assessment = swing(problem)
     arm = elastic_arm(problem, assessment.position[0])
@@ -203,7 +203,7 @@ def test_the_page_of_a_simulation_shows_the_arm_swinging(browser, page):
         slide(browser, "time", 500)
         assert np.linalg.norm(tool(browser) - rest) > 0.1
         said = browser.value("document.querySelector('[data-role=deflection]').value")
-        assert said.startswith("swing deflection of the tool")
+        assert said.startswith("vibratory deflection of the tool")
         assert browser.console == []
 
 

@@ -10,8 +10,8 @@ from stiffopt.errors import InputError, InputFileError
 from stiffopt.problem.objective import Objective
 from stiffopt.report.common.citations import cited, references
 from stiffopt.report.common.text import si
-from stiffopt.report.compare import compared
-from stiffopt.report.explain import explained
+from stiffopt.report.compare import compare_results
+from stiffopt.report.file_reference import explain_key
 from stiffopt.report.solve.page import write_solve_report
 from stiffopt.report.solve.wording import amount, comparison, objective_text
 from stiffopt.report.stiffness.page import write_stiffness_report
@@ -33,7 +33,7 @@ def page_of(stated, found, folder):
     return page
 
 
-def test_report_tells_value_gain_limits_and_sources(tmp_path):
+def test_report_has_objective_gain_limits_and_sources(tmp_path):
     page = page_of(problem(), solution(), tmp_path)
     for text in (
         "Peak dynamic tool deflection 0.141 mm",
@@ -138,7 +138,7 @@ def test_weighted_sum_has_its_terms(tmp_path):
         (1.0, "duration", False, "The same as"),
     ],
 )
-def test_amount_reads_well(ratio, name, maximised, text):
+def test_amount_formats_ratios(ratio, name, maximised, text):
     assert amount(ratio, name, maximised) == text
 
 
@@ -160,7 +160,7 @@ def test_stiffness_page_and_its_plots(tmp_path):
     page = Page(path.read_text(encoding="utf-8"))
     assert page.outside == []
     assert page.tags.count("svg") == 4
-    assert "Contacts take up to 55 % of the stiffness" in page.text
+    assert "Contacts reduce the stiffness by up to 55 %" in page.text
     assert "1.50" in page.text  # slip safety 45 N m / 30 N m
     names = {each.name for each in tmp_path.iterdir()}
     kinds = ("tangent", "low_torque", "loss", "shares")
@@ -178,25 +178,25 @@ def test_stiffness_page_and_its_plots(tmp_path):
         (0.0, "m", "0 µm"),
     ],
 )
-def test_no_length_or_time_is_written_smaller_than_it_can_be_read(value, unit, text):
+def test_lengths_and_times_have_a_least_written_value(value, unit, text):
     assert si(value, unit, 3) == text
 
 
-def test_an_integral_over_time_is_no_duration():
+def test_time_integral_is_written_in_seconds():
     value = ObjectiveValue(name="torque_squared", measure="", value=0.0111, unit="s")
     assert objective_text(value).endswith("0.0111 s")
 
 
-def test_explain_finds_values_and_guesses_only_what_is_spelled_nearly_so():
-    assert next(explained("shaped_deviation")) == "minimise.objective (trajectory)"
+def test_explain_finds_values_and_suggests_similar_spelling():
+    assert next(explain_key("shaped_deviation")) == "minimise.objective (trajectory)"
     with pytest.raises(InputError, match="Did you mean 'shaped_deviation'"):
-        next(explained("shaped_deviaton"))
+        next(explain_key("shaped_deviaton"))
     with pytest.raises(InputError) as error:
-        next(explained("damped_position"))
+        next(explain_key("damped_position"))
     assert "Did you mean" not in str(error.value)
 
 
-def test_quantities_that_differ_have_their_unit(tmp_path):
+def test_compared_quantities_have_units(tmp_path):
     for name, value in (("one", 1e-4), ("two", 2e-4)):
         (tmp_path / name).mkdir()
         answer = {
@@ -204,6 +204,6 @@ def test_quantities_that_differ_have_their_unit(tmp_path):
             "baselines": {"toppra": {"objective": 3 * value}},
         }
         (tmp_path / name / "result.json").write_text(json.dumps(answer))
-    _, rows = compared(tmp_path / "one", tmp_path / "two")
+    _, rows = compare_results(tmp_path / "one", tmp_path / "two")
     assert rows[0] == ("objective, value", "0.1 mm", "0.2 mm", "+100 %")
     assert rows[1][:3] == ("baselines, toppra, objective", "0.3 mm", "0.6 mm")

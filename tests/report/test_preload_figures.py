@@ -44,14 +44,14 @@ def test_slip_line_is_where_the_least_preload_just_holds():
     assert view.largest < view.bounds["bolt utilisation"]
 
 
-def test_a_study_that_cannot_be_met_shows_the_conflict():
+def test_infeasible_study_shows_the_conflict():
     _, view = view_of(cannot())
     assert view.least < view.bounds["slip safety"]
     assert view.largest == pytest.approx(view.bounds["bolt utilisation"])
 
 
 @pytest.mark.parametrize("study", [flange, stiff, cannot, several])
-def test_labels_of_limits_do_not_lie_on_each_other(study):
+def test_limit_labels_do_not_overlap(study):
     figure = curves_of(study())
     renderer = FigureCanvasAgg(figure).get_renderer()
     figure.draw(renderer)

@@ -11,17 +11,16 @@ from stiffopt.preload.load_case import LoadCase
 from stiffopt.preload.model import PreloadModel
 from stiffopt.preload.problem import PreloadProblem
 from stiffopt.report.common.text import change, listed
-from stiffopt.report.preload.flange_drawing import flange_drawings
-from stiffopt.report.preload.joint_diagram import joint_diagrams
+from stiffopt.report.preload.bolt_figures import flange_drawings, joint_diagrams
 from stiffopt.report.preload.overview import most_used, utilisation_matrix
 from stiffopt.report.preload.page import write_preload_report
 from stiffopt.report.preload.words import (
+    active_limits_sentence,
     fastener_words,
     prose,
     readable,
     stiffness_sentence,
     weakest_sentence,
-    what_binds,
 )
 
 FIGURES = (
@@ -52,14 +51,14 @@ def flange_page(folder):
     return page_of(flange(), folder)
 
 
-def test_page_of_one_flange_tells_torque_limit_sources_and_estimates(flange_page, folder):
+def test_page_of_one_flange_has_torque_limits_sources_and_estimates(flange_page, folder):
     study, page = flange(), flange_page
     torque = study.solution.tightening["flexspline_flange"]
     for text in (
         "Flange of J2",
         f"Tighten the 9 bolts of the flexspline flange to {torque.nominal:.3g} N m",
-        "It is set by slip safety at peak torque.",
-        "slip, not stiffness, sets the preload",
+        "Active limit: slip safety at peak torque.",
+        "slip, not stiffness, determines the preload",
         "9 × M5 12.9",
         f"{torque.lower:.3g} N m",
         "torque wrench",
@@ -69,7 +68,7 @@ def test_page_of_one_flange_tells_torque_limit_sources_and_estimates(flange_page
         "head pressure *",
         "VDI 2230, M5 12.9",
         "knee",
-        "The weakest spring is the reducer",
+        "Most compliant element: reducer",
         "parallel keys, calculation and design",
         "preferred numbers",
     ):
@@ -80,7 +79,7 @@ def test_page_of_one_flange_tells_torque_limit_sources_and_estimates(flange_page
     assert page.tags.count("svg") == len(FIGURES)
 
 
-def test_sheet_has_every_step_with_its_number(flange_page):
+def test_calculation_sheet_has_every_step_of_vdi_2230(flange_page):
     study = flange()
     cells = flange_page.table("step", "check")
     rows = {r.kind: r for r in study.solution.rows if r.equation and r.element}
@@ -92,11 +91,11 @@ def test_sheet_has_every_step_with_its_number(flange_page):
     assert facts[0] == "1.6"
     assert facts[-1] == "< 0.001 %"
     assert facts[-2] == f"{study.solution.tightening['flexspline_flange'].nominal:.3g} N m"
-    for text in ("Sheet for signature", "worked out by", "break-before: page", "Load of each bolt"):
+    for text in ("sheet for signature", "calculated by", "break-before: page", "Load of each bolt"):
         assert text in flange_page.text
 
 
-def test_joint_diagram_meets_where_bolt_and_plates_are_in_balance():
+def test_joint_diagram_lines_meet_at_the_assembly_preload():
     study = flange()
     model = PreloadModel(study.problem, study.solution.cases)
     (sheet,) = bolt_sheets(model, study.solution.vector)
@@ -126,7 +125,7 @@ def test_flange_drawing_has_the_load_of_every_bolt():
         assert f"{force:.3g}" in [t.replace("−", "-") for t in texts]
 
 
-def test_first_page_shows_the_slip_safety_under_the_whole_load_where_it_is_less(tmp_path):
+def test_header_shows_slip_safety_under_the_whole_load_where_lower(tmp_path):
     wrench = np.zeros((6, 6))
     wrench[1] = 0.0, 0.0, 200.0, 30.0, 20.0, 40.0
     load = LoadCase(name="swing", torque=wrench[:, 5].copy(), wrench=wrench)
@@ -143,11 +142,11 @@ def test_first_page_shows_the_slip_safety_under_the_whole_load_where_it_is_less(
     assert f"least slip safety {whole:.2f}" in " ".join(page_of(study, tmp_path).text.split())
 
 
-def test_page_accounts_for_the_catalogue_search(flange_page):
+def test_catalogue_search_counts_every_combination(flange_page):
     choice = flange().choice
     total = choice.proof.combinations
     assert f"The catalogue has {total} combinations" in flange_page.text
-    assert "no better design is in the catalogue" in flange_page.text
+    assert "the catalogue has no better design" in flange_page.text
     *parts, (_, whole) = flange_page.table("excluded by")
     assert sum(int(count) for _, count in parts) == int(whole) == total
     design = choice.designs["flexspline_flange"]
@@ -155,35 +154,35 @@ def test_page_accounts_for_the_catalogue_search(flange_page):
     assert taken in flange_page.text
 
 
-def test_unfinished_catalogue_search_claims_no_proof(tmp_path):
+def test_unfinished_catalogue_search_claims_no_optimality(tmp_path):
     choice = flange().choice
     proof = replace(choice.proof, unvisited=7)
     page = page_of(replace(flange(), choice=replace(choice, proof=proof)), tmp_path)
-    assert "7 were left open" in page.text
-    assert "no better design is in the catalogue" not in page.text
+    assert "7 were not visited" in page.text
+    assert "the catalogue has no better design" not in page.text
     assert "standard torques cost" not in page.text
 
 
-def test_page_of_a_study_that_cannot_be_met_gives_reasons_and_recommends_nothing(tmp_path):
+def test_page_of_an_infeasible_study_has_reasons_and_no_recommendation(tmp_path):
     study = cannot()
     page = page_of(study, tmp_path)
     for text in (
-        "No preload meets this study",
+        "No preload meets all requirements",
         "slip safety, flexspline flange, overload",
         "bolt utilisation of flexspline flange",
-        "To change: a larger bolt",
-        "Do not tighten to them.",
+        "Remedy: a larger bolt",
+        "Do not use them for tightening.",
         "exceeded",
     ):
         assert text in page.text, text
     for stop in study.solution.stoppers:
         assert f"Required {stop.required:.4g}, best reachable {stop.best:.4g}." in page.text
-    assert "For the workshop" not in page.text
+    assert "Set the wrench" not in page.text
     assert "recommended" not in page.text.replace("all others as recommended", "")
     assert "knee" not in page.text
 
 
-def test_page_of_several_joints_has_a_matrix_and_folds_the_rest(tmp_path):
+def test_page_of_several_joints_has_a_utilisation_matrix(tmp_path):
     study = several()
     page = page_of(study, tmp_path)
     assert f"Tighten {len(study.problem.elements)} connections as listed" in page.text
@@ -202,7 +201,7 @@ def test_page_of_several_joints_has_a_matrix_and_folds_the_rest(tmp_path):
 
 
 @pytest.mark.parametrize("gain", [0.0004, 0.03])
-def test_joint_study_says_what_it_gains(gain, tmp_path):
+def test_joint_optimisation_reports_its_gain(gain, tmp_path):
     page = page_of(with_motion(flange(), gain), tmp_path)
     compared = page.table("", "peak dynamic deflection of the tool")
     assert compared[-1][1] == f"{100 * gain:.2g} %"
@@ -211,8 +210,8 @@ def test_joint_study_says_what_it_gains(gain, tmp_path):
 
 def test_page_without_front_and_choice(tmp_path):
     page = page_of(replace(flange(), front=None, choice=None), tmp_path)
-    assert "Preload against stiffness" not in page.text
-    assert "From the catalogue" not in page.text
+    assert "Pareto front" not in page.text
+    assert "Catalogue design" not in page.text
     assert page.tags.count("svg") == 5
 
 
@@ -226,12 +225,12 @@ def test_page_of_a_joint_study_escapes_titles_and_notes(tmp_path):
     assert "peak dynamic deflection of the tool" in page.text
 
 
-def test_stiffness_sentence_blames_slip_only_where_slip_decides():
+def test_stiffness_sentence_names_slip_only_where_it_is_active():
     study = stiff()
     assert {row.kind for row in study.solution.rows if row.active} == {"joint stiffness"}
     text = stiffness_sentence(study.problem, study.solution)
-    assert "sets the preload" not in text
-    assert "joint stiffness" in what_binds(study.problem, study.solution)
+    assert "determines the preload" not in text
+    assert "joint stiffness" in active_limits_sentence(study.problem, study.solution)
 
 
 def test_stiffness_sentence_gives_the_change_of_the_least_stiffness():
@@ -245,19 +244,19 @@ def test_stiffness_sentence_gives_the_change_of_the_least_stiffness():
     assert "changes by" not in text
 
 
-def test_a_large_gain_is_never_called_slip_alone():
+def test_large_stiffness_gain_is_not_attributed_to_slip():
     study = flange()
     before = study.solution.stiffness / 1.3
     text = stiffness_sentence(study.problem, replace(study.solution, stiffness_before=before))
     assert "+30 %" in text
-    assert "sets the preload" not in text
+    assert "determines the preload" not in text
 
 
-def test_workshop_table_holds_least_and_largest_preload(flange_page):
+def test_tightening_table_has_least_and_largest_preload(flange_page):
     study = flange()
     element = study.problem.elements[0]
     largest = study.solution.preloads[element.key]
-    (row,) = flange_page.table("connection", "fasteners", "tighten to", "not below")
+    (row,) = flange_page.table("connection", "fasteners", "tightening torque", "least torque")
     least = largest / study.problem.tightening.alpha - element.loss
     assert float(row[5].split()[0]) == pytest.approx(largest / 1e3, rel=5e-3)
     assert float(row[6].split()[0]) == pytest.approx(least / 1e3, rel=5e-3)
@@ -270,8 +269,8 @@ def test_requirements_shown_are_the_worst_of_each_owner(flange_page):
     used = [row.utilisation for row in rows]
     assert used == sorted(used, reverse=True)
     cells = flange_page.table("connection", "requirement")
-    assert [row[1].removesuffix("binds") for row in cells[: len(rows)]] == [r.kind for r in rows]
-    (bound,) = (row for row in cells[: len(rows)] if row[1] == "slip safetybinds")
+    assert [row[1].removesuffix("active") for row in cells[: len(rows)]] == [r.kind for r in rows]
+    (bound,) = (row for row in cells[: len(rows)] if row[1] == "slip safetyactive")
     assert bound[4] == "≥ 1.2"
     assert not most_used(cannot().solution.rows)[0].satisfied
 
@@ -282,11 +281,11 @@ def test_loosening_table_counts_each_connection_once(flange_page):
     assert row[-1].endswith("slips")
 
 
-def test_weakest_spring_is_named_with_its_share():
+def test_most_compliant_element_is_named_with_its_share():
     share = {each.element: each for each in flange().sensitivity.shares if each.case == "hold"}
     text = weakest_sentence({2: list(share.values())}, ["flexspline_flange"])
     assert f"{100 * share['flexspline_flange'].share:.2g} %" in text
-    assert text.startswith("The weakest spring is the reducer, with")
+    assert text.startswith("Most compliant element: reducer, ")
 
 
 @pytest.mark.parametrize(
@@ -297,11 +296,11 @@ def test_weakest_spring_is_named_with_its_share():
         ("a smaller require.least_preload, or", "a smaller require.least_preload, or"),
     ],
 )
-def test_keys_are_words_and_file_keys_stay(text, said):
+def test_element_keys_become_words_and_file_keys_stay(text, said):
     assert readable(text) == said
 
 
-def test_small_words():
+def test_word_formats():
     assert prose("rises by 1.1%: flat") == "rises by 1.1 %: flat"
     assert listed(["a", "b", "c"]) == "a, b and c"
     assert listed([]) == ""

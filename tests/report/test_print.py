@@ -1,4 +1,4 @@
-"""The preload report on paper: nothing cut off at the side, no heading alone, flanges whole."""
+"""The printed preload report: no clipped content, no orphaned headings, no split flanges."""
 
 import base64
 import re
@@ -33,7 +33,7 @@ def page(request, printed, tmp_path_factory):
     return printed
 
 
-def test_nothing_is_wider_than_the_paper(page):
+def test_printed_content_fits_the_paper(page):
     assert page.value("document.documentElement.scrollWidth") <= WIDTH
     cut = """[...document.querySelectorAll('main *')].filter(e =>
         e.getBoundingClientRect().right > document.documentElement.clientWidth + 1
@@ -41,7 +41,7 @@ def test_nothing_is_wider_than_the_paper(page):
     assert page.value(cut) == []
 
 
-def test_headings_stay_with_what_they_head(page):
+def test_printed_headings_stay_with_their_content(page):
     alone = """[...document.querySelectorAll('h2, h3')].filter(e =>
         getComputedStyle(e).breakAfter !== 'avoid').map(e => e.textContent)"""
     assert page.value(alone) == []
@@ -50,21 +50,21 @@ def test_headings_stay_with_what_they_head(page):
     assert page.value(torn) == 0
 
 
-def test_a_flange_fits_on_a_page_of_the_sheet(page):
+def test_printed_flange_sheet_fits_one_page(page):
     heights = page.value("[...document.querySelectorAll('.whole')].map(e => e.offsetHeight)")
     assert heights
     assert max(heights) < HEIGHT
     assert page.value("getComputedStyle(document.querySelector('.sheet')).breakBefore") == "page"
 
 
-def test_what_is_folded_on_the_screen_is_on_paper(page):
+def test_folded_sections_are_printed(page):
     hidden = """[...document.querySelectorAll('details table')].filter(e =>
         !e.checkVisibility({contentVisibilityAuto: true}) || !e.offsetHeight).length"""
     assert page.value("document.querySelectorAll('details:not([open]) table').length") > 0
     assert page.value(hidden) == 0
 
 
-def test_it_prints(page):
+def test_page_prints_to_pdf(page):
     printed = page.call("Page.printToPDF", preferCSSPageSize=True)["data"]
     document = base64.b64decode(printed)
     assert document.startswith(b"%PDF")

@@ -30,7 +30,7 @@ def display(terminal, clock=None):
     return ProgressDisplay("cycle [1]", "m", console, **options), stream
 
 
-def test_plain_lines_come_at_most_once_a_second_and_with_every_stage():
+def test_plain_lines_are_limited_to_one_per_second_and_stage():
     ticks = iter([0.0, 0.2, 0.9, 1.1, 1.2])
     progress, stream = display(False, lambda: next(ticks))
     with progress:
@@ -103,7 +103,7 @@ def test_significant_digits():
     assert percent(0.0251) == "2.5 %"
 
 
-def test_many_short_solves_are_counted_and_no_line_is_repeated():
+def test_short_solves_are_summed_without_repeated_lines():
     ticks = itertools.count(0.0, 0.7)
     progress, stream = display(False, lambda: next(ticks))
     with progress:
@@ -118,7 +118,7 @@ def test_many_short_solves_are_counted_and_no_line_is_repeated():
     assert lines[-1].startswith("preloads  iteration 8")
 
 
-def test_many_small_steps_make_few_lines(monkeypatch):
+def test_many_small_steps_print_few_lines(monkeypatch):
     said, now = [], itertools.count(0.0, 1.0)
     monkeypatch.setattr("stiffopt.discovery.search.pace.time.monotonic", lambda: next(now))
     tell = paced(said.append, seconds=5.0)
@@ -127,7 +127,7 @@ def test_many_small_steps_make_few_lines(monkeypatch):
     assert 2 <= len(said) <= 4
 
 
-def test_a_round_says_how_long_it_may_go_on(monkeypatch):
+def test_round_shows_the_remaining_time(monkeypatch):
     clock = iter([100.0, 103.0, 112.0])
     monkeypatch.setattr("time.monotonic", lambda: next(clock))
     pace = Pace(4)

@@ -1,4 +1,4 @@
-"""The scene of a motion: its kinematics are pinocchio's, its shares add up, its meshes fit."""
+"""The scene of a motion: kinematics against pinocchio, sums of shares, meshes."""
 
 import json
 from base64 import b64decode
@@ -11,8 +11,7 @@ from small_arms import SLIDE, SPATIAL, write_problem
 
 from stiffopt.certificate.assess import assess
 from stiffopt.problem.files import load_problem
-from stiffopt.report.scene.document import scene_document, scene_json
-from stiffopt.report.scene.mesh import compact_mesh
+from stiffopt.report.scene.document import compact_mesh, edges_around, scene_document, scene_json
 from stiffopt.report.scene.poses import (
     Poses,
     joint_frames,
@@ -21,7 +20,6 @@ from stiffopt.report.scene.poses import (
     tool_positions,
 )
 from stiffopt.report.scene.still import still_figure
-from stiffopt.report.scene.surroundings import edges_around
 from stiffopt.result.trajectory import Trajectory
 from stiffopt.robot.cell import Box, Cell, MeshObstacle, Plane
 from stiffopt.robot.frames import LinkFrame
@@ -29,7 +27,7 @@ from stiffopt.robot.link_shapes import LinkShape
 
 
 @pytest.mark.parametrize("text", [SPATIAL, SLIDE], ids=["spatial", "slide"])
-def test_frames_and_jacobians_are_those_of_pinocchio(tmp_path, text):
+def test_frames_and_jacobians_match_pinocchio(tmp_path, text):
     arm = load(tmp_path, text)
     q = np.random.default_rng(3).uniform(-1, 1, (5, arm.n))
     rotations, origins = joint_frames(arm.tree, q)
@@ -61,7 +59,7 @@ def moved(tmp_path_factory):
     return problem, assess(problem, motion)
 
 
-def test_bends_make_the_deflection_and_shares_add_up(moved):
+def test_windup_gives_the_deflection_and_shares_add_up(moved):
     problem, motion = moved
     poses = poses_along(problem, motion)
     assert set(poses.bend) == {"dynamic", "static", "process", "total"}
@@ -76,7 +74,7 @@ def test_bends_make_the_deflection_and_shares_add_up(moved):
     assert poses.deflection["dynamic"].max() == largest
 
 
-def test_document_is_plain_data_that_closes_no_script(moved):
+def test_scene_document_is_safe_in_a_script_element(moved):
     problem, motion = moved
     document = scene_document(problem.robot, {"</script><b>": poses_along(problem, motion)}, "x", 5)
     text = scene_json(document)
@@ -87,7 +85,7 @@ def test_document_is_plain_data_that_closes_no_script(moved):
     assert {shape["kind"] for shape in back["shapes"]} == {"capsule"}
 
 
-def test_boxes_of_the_cell_stand_around_the_arm(moved):
+def test_scene_has_the_boxes_of_the_cell(moved):
     problem, motion = moved
     box = Box(name="table", size=(0.2, 0.4, 0.1), position=(0.5, 0.1, -0.2), rpy=(0.0, 0.0, 0.5))
     poses = {"own": poses_along(problem, motion)}
@@ -111,7 +109,7 @@ def test_boxes_of_the_cell_stand_around_the_arm(moved):
     assert scene_document(problem.robot, poses, "", 1.0)["around"] == []
 
 
-def test_a_mesh_of_the_cell_is_shown_and_a_lost_one_is_not(moved, tmp_path):
+def test_missing_cell_mesh_is_omitted(moved, tmp_path):
     problem, motion = moved
     grid_mesh(tmp_path / "table.obj", 4)
     poses = {"own": poses_along(problem, motion)}
@@ -135,7 +133,7 @@ def grid_mesh(path, cells):
     path.write_text("\n".join(lines))
 
 
-def test_fine_meshes_are_made_coarse_and_stay_in_place(tmp_path):
+def test_fine_meshes_are_coarsened_in_place(tmp_path):
     grid_mesh(tmp_path / "wave.obj", 60)
     shape = LinkShape(
         link="a",
@@ -158,7 +156,7 @@ def test_fine_meshes_are_made_coarse_and_stay_in_place(tmp_path):
     assert len(b64decode(whole["triangles"])) == 6 * 7200
 
 
-def test_a_mesh_that_cannot_be_read_leaves_a_capsule(tmp_path):
+def test_unreadable_mesh_is_replaced_by_a_capsule(tmp_path):
     write_stl(tmp_path / "good.stl")
     (tmp_path / "bad.stl").write_text("nothing")
     text = with_shapes("upper", MESH.format(purpose="visual", name="good.stl"))
@@ -171,8 +169,8 @@ def test_a_mesh_that_cannot_be_read_leaves_a_capsule(tmp_path):
 
 
 @pytest.mark.parametrize("centre", [0.0, 0.2])
-def test_a_still_of_an_arm_without_length(tmp_path, centre):
-    """Its joint and its tool lie at one point, perhaps its centre of mass too."""
+def test_still_of_an_arm_without_extent(tmp_path, centre):
+    """Joint and tool coincide, perhaps the centre of mass too."""
     turn = small_arms._turn("swivel", "base", "upper", 0.0, axis="0 0 1")
     text = small_arms.urdf([turn], [("upper", centre, 2.0)])
     arm = load(tmp_path, text.replace('<origin xyz="0.4 0 0"/>', ""))
@@ -182,8 +180,8 @@ def test_a_still_of_an_arm_without_length(tmp_path, centre):
     assert low <= 0.0 <= high
 
 
-def test_a_still_holds_every_path_whole(moved):
-    """Also of a baseline that goes far around, and of a tool that is drawn far off its path."""
+def test_still_contains_every_path(moved):
+    """Also with a long baseline path and a large magnified deflection."""
     problem, motion = moved
     own = poses_along(problem, motion)
     far = Poses(own.time, own.position + np.sin(np.linspace(0, np.pi, len(own.time)))[:, None],

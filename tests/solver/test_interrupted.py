@@ -83,7 +83,7 @@ def test_command_interrupted_early_returns_a_motion(tmp_path, monkeypatch, capsy
         # An earlier result is better than a baseline.
         earlier = {each.name: each.read_bytes() for each in out.iterdir() if each.is_file()}
         assert run(["solve", str(path), "--out", str(out), "--quiet"]) == 130
-        assert "the earlier answer" in capsys.readouterr().err
+        assert "the earlier result" in capsys.readouterr().err
         assert earlier == {each.name: each.read_bytes() for each in out.iterdir() if each.is_file()}
     finally:
         signal.signal(signal.SIGINT, before)

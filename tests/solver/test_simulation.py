@@ -13,7 +13,7 @@ from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
 from stiffopt.elastic.uncertainty import Uncertainty
 from stiffopt.errors import RobotError
 from stiffopt.problem.resolve import resolve
-from stiffopt.report.solve.swing import simulation_notes, simulation_table
+from stiffopt.report.solve.simulation import simulation_notes, simulation_table
 from stiffopt.report.solve.wording import comparison, difference_text, headline_text
 from stiffopt.result.store import result_document
 from stiffopt.solver.simulation import with_simulation
@@ -67,10 +67,10 @@ def test_difference_from_plan_is_attributed_to_omitted_effects(solved, tmp_path)
     motions = (half, *simulation.motions[1:])
     twice = replace(solution, simulation=replace(simulation, motions=motions))
     links = load(tmp_path, minimise='objective = "tool_deviation"')
-    assert "quasi-static plan does not see" in difference_text(problem, twice)
+    assert "quasi-static plan does not include" in difference_text(problem, twice)
     said = difference_text(links, twice)
     assert "quasi-static" not in said
-    assert "corners" in said
+    assert "kinks" in said
     assert "limits.jerk" in said
 
 
@@ -85,7 +85,7 @@ def test_only_the_motion_compared_with_is_said_to_be_excused(solved):
         worst = replace(baseline.assessment.violations[0], value=1.0)
         assessment = replace(baseline.assessment, violations=(worst,))
         beside = solution.baselines | {name: replace(baseline, assessment=assessment)}
-        return "is excused from limits" in comparison(problem, replace(solution, baselines=beside))
+        return "is exempt from limits" in comparison(problem, replace(solution, baselines=beside))
 
     assert excused(counted)
     assert not excused(other)
@@ -102,7 +102,7 @@ def test_result_and_table_hold_every_motion(solved):
         assert set(own) >= {"planned", "in_flight", "after_arrival", "settling_time", "counted"}
     assert document["assumed_damping"] == [1, 2]
     damping, hysteresis = simulation_notes(solution.simulation)[:2]
-    assert "joints 1 and 2 is assumed, 2 % of critical" in damping
+    assert "joints 1 and 2 is assumed: 2 % of critical" in damping
     # Both joints turned by 0.05 mrad, at most: the tool is at most 0.8 m from the shoulder.
     reach = document["typical_hysteresis"]
     assert 5e-5 * 0.4 < reach < 5e-5 * 1.2

@@ -107,7 +107,7 @@ def _sin(angles):
         ("--shear-force", "3 N*m", "--shear-force"),
         ("--size", "M7", "no bolt 'M7'"),
         ("--catalogue", "nowhere.toml", "nowhere.toml: no such file"),
-        ("--set", "size=M3", "--set 'size=M3': the file that this writes is yours to edit"),
+        ("--set", "size=M3", "--set 'size=M3': edit the file that is written"),
     ],
 )
 def test_wrong_loads_of_a_first_flange(option, value, said, tmp_path, capsys):
@@ -215,8 +215,8 @@ def test_warning_beside_an_optimum_states_consequence(tmp_path, capsys):
     capsys.readouterr()
     assert run(["preload", str(out / "flange.toml"), "-o", str(tmp_path / "r"), "--quiet"]) == 0
     said = capsys.readouterr().out
-    warning = "validity of even pressure is at 132 % of its limit in flange. It stops no design"
-    assert f"Warning: {warning}" in said
+    warning = "validity of even pressure is at 132 % of its limit in flange. It does not exclude"
+    assert f"Warning: {warning} the design" in said
     assert "The warning counts: take slip and opening for estimates" in said
     # What is used is a limit that counts.
     assert "132 % of validity" not in said

@@ -56,8 +56,8 @@ def test_other_files_are_refused_as_with_a_single_set(sets, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("arguments", "named"),
     [
-        (["--model", "m.toml"], "--model is of one recording set, not of 2"),
-        (["--no-report"], "--no-report is of one recording set"),
+        (["--model", "m.toml"], "--model needs a single recording set; 2 were given"),
+        (["--no-report"], "--no-report needs a single recording set"),
         (["--workers", "0"], "at least 1"),
     ],
 )
@@ -68,7 +68,7 @@ def test_options_of_a_single_set_are_refused(sets, capsys, arguments, named):
 
 def test_workers_of_one_set_and_repeated_sets_are_refused(sets, capsys):
     assert run(["diagnose", str(sets[0]), "--workers", "2"]) == 2
-    assert "--workers is of several recording sets" in capsys.readouterr().err
+    assert "--workers needs several recording sets" in capsys.readouterr().err
     assert run(["diagnose", str(sets[0]), str(sets[0] / "recordings.toml")]) == 2
     assert "named twice" in capsys.readouterr().err
     problem = ROOT / "problems" / "two_link.toml"

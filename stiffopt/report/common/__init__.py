@@ -1,1 +1,1 @@
-"""What the reports share: page frame, figures as SVG, quantities, citations, progress."""
+"""Parts shared by all reports: page frame, figures as SVG, quantities, citations, progress."""

@@ -1,4 +1,4 @@
-"""The literature that a run rests on, from the package's references.bib."""
+"""Literature cited by a report, from the package's references.bib."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from stiffopt.problem.trajectory import TrajectoryProblem
     from stiffopt.robot.robot import Robot
 
-_TRANSCRIPTIONS = {"radau": "GargEtAl2010"}
-_ENGINE = ("WaechterBiegler2006", "AnderssonEtAl2019", "CarpentierEtAl2019")
+_TRANSCRIPTION_KEYS = {"radau": "GargEtAl2010"}
+_SOLVER_KEYS = ("WaechterBiegler2006", "AnderssonEtAl2019", "CarpentierEtAl2019")
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class Reference:
 
 @functools.cache
 def references() -> dict[str, Reference]:
-    """All entries by key."""
+    """Return all entries by key."""
     text = files("stiffopt").joinpath("references.bib").read_text(encoding="utf-8")
     found = {}
     for match in re.finditer(r"@\w+\{(\w+),(.*?)\n\}", text, flags=re.DOTALL):
@@ -79,8 +79,8 @@ def robot_references(robot: Robot) -> list[Reference]:
 def solve_references(problem: TrajectoryProblem, baselines: Iterable[str]) -> list[Reference]:
     """Collect the sources of a solve: model, transcription, solver, and the baselines shown."""
     keys = [reference.key for reference in robot_references(problem.robot)]
-    keys.append(_TRANSCRIPTIONS.get(problem.method.transcription, "Kelly2017"))
-    keys += _ENGINE
+    keys.append(_TRANSCRIPTION_KEYS.get(problem.method.transcription, "Kelly2017"))
+    keys += _SOLVER_KEYS
     if "toppra" in baselines:
         keys.append("PhamPham2018")
     return cited(keys)
@@ -97,13 +97,13 @@ def preload_references(study: PreloadStudy) -> list[Reference]:
     keys += [reference.key for reference in robot_references(study.problem.robot)]
     if study.front is not None:
         keys.append("Das1999")
-    keys += _ENGINE[:2]
+    keys += _SOLVER_KEYS[:2]
     return cited(keys)
 
 
 def diagnosis_references(effects: Iterable[Effect]) -> list[Reference]:
-    """Collect the sources of a diagnosis: identification, judgement of rivals, effects found."""
-    keys = ["SweversEtAl2007", "KassRaftery1995", _ENGINE[2]]
+    """Collect the sources of a diagnosis: identification, model comparison, effects found."""
+    keys = ["SweversEtAl2007", "KassRaftery1995", _SOLVER_KEYS[2]]
     sources = list(dict.fromkeys(effect.reference for effect in effects if effect.reference))
     known = references()
     # A user's own effect may name its source in words.

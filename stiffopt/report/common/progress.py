@@ -1,6 +1,6 @@
-"""Live progress of a command in the terminal; plain lines where the output is no terminal.
+"""Live progress of a solve in the terminal; plain lines where the output is not a terminal.
 
-Only the last event counts, so that drawing never slows the solver down.
+Only the latest event is drawn, so that drawing never delays the solver.
 """
 
 from __future__ import annotations
@@ -21,8 +21,7 @@ from stiffopt.solver.solve_run import SolveProgress
 
 PLAIN_INTERVAL = 1.0
 DRAWS_PER_SECOND = 8
-# Relative violations below this are not worth a reader's attention.
-NEGLIGIBLE = 1e-6
+NEGLIGIBLE = 1e-6  # relative violation below which "none" is shown
 
 
 class ProgressDisplay(ExitStack):
@@ -31,9 +30,9 @@ class ProgressDisplay(ExitStack):
     Parameters
     ----------
     title : str
-        Of the problem.
+        Title of the problem.
     unit : str
-        SI unit of the objective; shown in a size that reads well (mm, ms, ...).
+        SI unit of the objective; shown with a suitable prefix (mm, ms, ...).
     console : rich.console.Console or None
         None: standard error, so that standard output stays free for results.
     clock : callable
@@ -67,11 +66,11 @@ class ProgressDisplay(ExitStack):
         self._pending = False
 
     def __enter__(self) -> ProgressDisplay:
-        self.callback(lambda: self._print() if self._pending else None)
+        self.callback(lambda: self._print_event() if self._pending else None)
         if self._console.is_terminal:
             self._live = self.enter_context(
                 Live(
-                    get_renderable=self._table,
+                    get_renderable=self._event_table,
                     console=self._console,
                     refresh_per_second=DRAWS_PER_SECOND,
                     transient=True,
@@ -80,7 +79,7 @@ class ProgressDisplay(ExitStack):
         return self
 
     def __call__(self, event: SolveProgress) -> None:
-        """Show the event; a line at most once a second where there is no terminal."""
+        """Show the event; without a terminal print at most one line per second and stage."""
         self._event = event
         self._pending = True
         if self._live is not None:
@@ -88,41 +87,41 @@ class ProgressDisplay(ExitStack):
         now = self._clock()
         if event.stage != self._stage or now - self._printed_at >= PLAIN_INTERVAL:
             self._stage, self._printed_at = event.stage, now
-            self._print()
+            self._print_event()
 
-    def _print(self) -> None:
+    def _print_event(self) -> None:
         assert self._event is not None
         self._pending = False
         line = "  ".join(
-            f"{label} {value}".strip() for label, value in _fields(self._event, self.unit)
+            f"{label} {value}".strip() for label, value in _event_fields(self._event, self.unit)
         )
         self._console.print(Text(line), soft_wrap=True)
 
-    def _table(self) -> Table:
+    def _event_table(self) -> Table:
         table = Table.grid(padding=(0, 2))
         table.add_row(Text(self.title or "solving", style="bold"))
         if self._event is not None:
             grid = Table.grid(padding=(0, 1))
-            for label, value in _fields(self._event, self.unit):
+            for label, value in _event_fields(self._event, self.unit):
                 grid.add_row(Text(label or "", style="dim"), Text(value))
             table.add_row(grid)
         return table
 
 
 class StudyProgress:
-    """Events of a preload study for a display: quiet while it is quick, with the time of it all.
+    """Adapter from the events of a preload study to a display, with totals over its many solves.
 
-    Events of the many short solves have no stage and begin at zero seconds and iterations each, so
-    that those of all are counted; those of motions have both and go through as they are.
+    Each short solve counts time and iterations from zero and has no stage: these events are summed.
+    Events of motions are passed on unchanged.
 
     Parameters
     ----------
     display : callable
         Called with events that have a stage.
     stage : str
-        Of events that have none.
+        Stage shown for events that have none.
     after : float
-        Nothing is shown before [s].
+        Time before which nothing is shown [s].
     clock : callable
         Seconds; replaced in tests.
     """
@@ -145,13 +144,13 @@ class StudyProgress:
             return
         elapsed = self._clock() - self._begin
         self._iterations += event.iteration > 0
-        # What a solve begins with is that of every other: only where it gets to tells anything.
+        # Every solve starts from the same point: only later iterations are informative.
         if elapsed >= self._after and event.iteration > 0:
             values = {**vars(event), "elapsed": elapsed, "iteration": self._iterations}
             self._display(SolveProgress(stage=self._stage, **values))
 
 
-def _fields(event: SolveProgress, unit: str) -> list[tuple[str, str]]:
+def _event_fields(event: SolveProgress, unit: str) -> list[tuple[str, str]]:
     worst = "none"
     if event.violation > NEGLIGIBLE:
         worst = f"{100 * event.violation:.2g} % {event.row}".strip()

@@ -1,4 +1,4 @@
-"""What every report says of a robot: its joints' units, estimated inputs, kinds of elements."""
+"""Properties of a robot used by all reports: units of joints, estimated inputs, element kinds."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ if TYPE_CHECKING:
     from stiffopt.drivetrain.chain import Chain
     from stiffopt.robot.robot import Robot
 
-# Of the kinds of connections, in the order of their names.
-_COLOURS = (GREEN, PURPLE, BLACK, SKY, VERMILLION, BLUE, GREY, ORANGE)
+# Colours of the kinds of connections, in the order of their names.
+_KIND_COLOURS = (GREEN, PURPLE, BLACK, SKY, VERMILLION, BLUE, GREY, ORANGE)
 
 
 @dataclass(frozen=True)
 class JointUnits:
-    """Name of a joint on a page and the units in which its quantities are shown."""
+    """Label of a joint on a page and the units in which its quantities are shown."""
 
     label: str
     prismatic: bool
@@ -53,7 +53,7 @@ class JointUnits:
 
 
 def joint_units(robot: Robot) -> list[JointUnits]:
-    """Labels J1.. and units of a robot's joints."""
+    """Return labels J1.. and units of a robot's joints."""
     return [
         JointUnits(f"J{number}", bool(prismatic))
         for number, prismatic in enumerate(robot.prismatic, start=1)
@@ -61,7 +61,7 @@ def joint_units(robot: Robot) -> list[JointUnits]:
 
 
 def common_unit(units: list[str]) -> str:
-    """One unit for an axis; several where the joints differ."""
+    """Return the unit of an axis; several joined by "or" where the joints differ."""
     return " or ".join(dict.fromkeys(units))
 
 
@@ -82,7 +82,7 @@ def estimated_inputs(robot: Robot, joints: Container[str] | None = None) -> list
     ----------
     robot : Robot
     joints : container of str, optional
-        Names of the joints whose inputs count, with those of no joint; default: all.
+        Names of the joints to include, beside inputs of no joint; default: all.
     """
     keys: dict[tuple[str, str, str], list[str]] = {}
     for each in robot.estimated():
@@ -93,20 +93,20 @@ def estimated_inputs(robot: Robot, joints: Container[str] | None = None) -> list
 
 def element_colour(kind: str) -> str:
     """Colour of a kind of connection, the same in every figure."""
-    return _COLOURS[list(connection_kinds()).index(kind) % len(_COLOURS)]
+    return _KIND_COLOURS[list(connection_kinds()).index(kind) % len(_KIND_COLOURS)]
 
 
 def windup_by_kind(chain: Chain | None, torque: float) -> dict[str, float]:
     """Share of the wind-up at a torque by kind of element, largest first; empty if rigid."""
-    return {} if chain is None else _by_kind(chain, windup_shares(chain, torque))
+    return {} if chain is None else _sum_by_kind(chain, windup_shares(chain, torque))
 
 
 def compliance_by_kind(chain: Chain | None, torque: float) -> dict[str, float]:
     """Share of the tangent compliance at a torque by kind, largest first; empty if rigid."""
-    return {} if chain is None else _by_kind(chain, compliance_shares(chain, torque))
+    return {} if chain is None else _sum_by_kind(chain, compliance_shares(chain, torque))
 
 
-def _by_kind(chain: Chain, shares: Mapping[str, float]) -> dict[str, float]:
+def _sum_by_kind(chain: Chain, shares: Mapping[str, float]) -> dict[str, float]:
     totals: dict[str, float] = {}
     for name, share in shares.items():
         kind = chain.elements[name].kind

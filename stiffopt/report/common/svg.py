@@ -1,8 +1,7 @@
-"""Style of all figures and their way into a page: small SVG with text as text and unique ids."""
+"""Style of all figures and their conversion to compact inline SVG and to PNG."""
 
 from __future__ import annotations
 
-import functools
 import io
 import itertools
 import json
@@ -13,14 +12,9 @@ from typing import Any
 
 import matplotlib as mpl
 import numpy as np
-from matplotlib.artist import Artist
 from matplotlib.axes import Axes
-from matplotlib.axis import Axis, Tick
-from matplotlib.backends.backend_svg import RendererSVG
 from matplotlib.figure import Figure
-from matplotlib.path import Path
-from matplotlib.text import Text
-from matplotlib.transforms import Affine2D, Bbox
+from matplotlib.transforms import Bbox
 
 # Okabe and Ito's colours: told apart by colour-blind readers and, by lightness, in grey print.
 BLUE, VERMILLION, GREEN = "#0072B2", "#D55E00", "#009E73"
@@ -30,14 +24,10 @@ DASHES: tuple[Any, ...] = ("-", (0, (5, 1.5)), (0, (1.5, 1.2)), (0, (6, 1.5, 1.5
 GREY, PALE, INK = "#6b7280", "#d4d8de", "#1f2933"
 FONTS = "'Helvetica Neue', Arial, 'DejaVu Sans', sans-serif"
 POINTS = 600
-# Matplotlib's own names for laying out the ticks of an axis and a text.
-_TICKS, _LAYOUT = "_update_ticks", "_get_layout"
-# Of every figure, in inches: the text column of a page, and what is left free around it.
-WIDTH, _MARGIN = 10.4, 0.06
-# Of an SVG in an inch.
-_DOTS = 72.0
+# Width of every figure (the text column of a page) and margin around its content [inch].
+WIDTH, _MARGIN_INCH = 10.4, 0.06
 
-_STYLE: Any = {
+_FIGURE_STYLE: Any = {
     "svg.fonttype": "none",
     "path.simplify": True,
     "path.simplify_threshold": 0.2,
@@ -45,7 +35,7 @@ _STYLE: Any = {
     "axes.titlesize": 9.5,
     "axes.titleweight": "bold",
     "axes.titlelocation": "left",
-    # Else it is looked for what else is up there.
+    # A fixed place spares matplotlib the search for overlaps.
     "axes.titley": 1.0,
     "axes.labelsize": 9.0,
     "axes.edgecolor": GREY,
@@ -80,25 +70,25 @@ _STYLE: Any = {
 
 
 @contextmanager
-def house_style() -> Iterator[None]:
-    """Context in which figures are made and drawn."""
-    with mpl.rc_context(_STYLE):
+def figure_style() -> Iterator[None]:
+    """Context in which figures are created and drawn."""
+    with mpl.rc_context(_FIGURE_STYLE):
         yield
 
 
 def line_style(index: int) -> dict[str, Any]:
-    """Colour and dash pattern of the curve number `index` (from 0); repeats after 28.
+    """Return colour and dash pattern of curve number `index` (from 0); repeats after 28.
 
-    Neighbours differ in both, so that equal curves stay visible on top of each other.
+    Neighbours differ in both, so that coincident curves both remain visible.
     """
     colour, round_ = index % len(PALETTE), index // len(PALETTE)
     return {"color": PALETTE[colour], "linestyle": DASHES[(colour + round_) % len(DASHES)]}
 
 
-def thin(time: np.ndarray, values: np.ndarray, points: int = POINTS) -> tuple[Any, Any]:
-    """Curve with at most `points` samples that keeps every visible peak.
+def decimate_curve(time: np.ndarray, values: np.ndarray, points: int = POINTS) -> tuple[Any, Any]:
+    """Decimate a curve to at most `points` samples, peaks preserved.
 
-    The curve is cut into pieces and each keeps its lowest and highest sample.
+    Of each piece of the curve the lowest and the highest sample are kept.
 
     Parameters
     ----------
@@ -121,7 +111,7 @@ def thin(time: np.ndarray, values: np.ndarray, points: int = POINTS) -> tuple[An
     return time[chosen], values[chosen]
 
 
-def shade_beyond(axes: Axes, lower: float, upper: float) -> None:
+def shade_limits(axes: Axes, lower: float, upper: float) -> None:
     """Draw bounds as lines with the forbidden side shaded, where they are near the curves.
 
     A bound far outside the curves would flatten them: it is written in the corner instead.
@@ -143,7 +133,7 @@ def shade_beyond(axes: Axes, lower: float, upper: float) -> None:
             notes.append(bound)
     symmetric = lower == -upper
     if notes and not (symmetric and len(notes) == 1):
-        # Room above the curve, so that the text stands free.
+        # Space above the curve for the text.
         shown.append(high + 0.22 * height)
         values = ", ".join(f"{bound:.4g}" for bound in notes)
         text = f"limit ±{upper:.4g}" if symmetric else f"limit {values}"
@@ -161,89 +151,46 @@ def shade_beyond(axes: Axes, lower: float, upper: float) -> None:
 
 
 def to_svg(figure: Figure, name: str, description: str) -> str:
-    """Figure as inline SVG, cut to what it covers.
+    """Return a figure as inline SVG, cut to its content.
 
     Parameters
     ----------
     figure : matplotlib.figure.Figure
     name : str
-        Unique on its page; prefixes the ids, which would else clash between figures.
+        Unique on its page; prefixes the ids, which would otherwise clash between figures.
     description : str
-        What the figure shows, for readers that cannot see it.
+        Text alternative for readers who cannot see the figure.
     """
-    with mpl.rc_context({**_STYLE, "svg.hashsalt": name}):
+    with mpl.rc_context({**_FIGURE_STYLE, "svg.hashsalt": name}):
+        box = _content_box(figure)
         buffer = io.StringIO()
-        drawn = _Measured(figure, buffer)
-        with _ticks_once(figure):
-            figure.draw(drawn)
-        drawn.finalize()
-    box = drawn.extent(figure)
-    text = _compact(_cut(buffer.getvalue(), box, figure), name, description)
+        figure.savefig(buffer, format="svg", bbox_inches=box)
+    text = buffer.getvalue()
+    text = _compact_svg(text[text.index("<svg") :], name, description)
     times = time_axes(figure, box)
     mark = f' data-times="{json.dumps(times, separators=(",", ":"))}"' if times else ""
     return text.replace("<svg", f"<svg{mark}", 1)
 
 
-# Matplotlib does not say its types.
-_Renderer: Any = RendererSVG
+def to_png(figure: Figure) -> bytes:
+    """Return a figure as PNG, 150 dots per inch on white."""
+    with mpl.rc_context(_FIGURE_STYLE):
+        buffer = io.BytesIO()
+        box = _content_box(figure)
+        figure.savefig(buffer, format="png", bbox_inches=box, facecolor="white")
+    return buffer.getvalue()
 
 
-class _Measured(_Renderer):  # type: ignore[misc]
-    """Draws a figure and keeps the places of its texts: what it covers is known then.
-
-    Asked for that beforehand, or for a figure cut to it, matplotlib lays all of it out once more.
-    """
-
-    def __init__(self, figure: Figure, file: io.StringIO) -> None:
-        dots = figure.dpi
-        figure.dpi = _DOTS
-        width, height = figure.get_size_inches()
-        super().__init__(_DOTS * width, _DOTS * height, file, image_dpi=dots)
-        self._texts: list[Bbox] = []
-
-    def _convert_path(self, path: Path, transform: Any = None, *_: Any, **more: Any) -> str:
-        # Matplotlib leaves lines beside the figure out, such as those of a legend below it.
-        return str(super()._convert_path(path, transform, **{**more, "clip": None}))
-
-    def draw_text(self, *given: Any, mtext: Text | None = None, ismath: Any = False) -> None:
-        super().draw_text(*given, ismath=ismath, mtext=mtext)
-        if mtext is not None:
-            self._texts.append(mtext.get_window_extent(self))
-            return
-        # A line of several.
-        _, x, y, line, font, angle, *_ = given
-        width, height, descent = self.get_text_width_height_descent(line, font, False)
-        corners = np.array([[0.0, -descent], [width, height - descent]])
-        turn = Affine2D().rotate_deg(angle).translate(x, self.height - y)
-        self._texts.append(Bbox(corners).transformed(turn))
-
-    def extent(self, figure: Figure) -> Bbox:
-        """Texts, axes and legends, with a margin [inch]."""
-        axes = [each for each in figure.axes if each.get_visible()]
-        legends = [*figure.legends, *(each.get_legend() for each in axes)]
-        boxes = [*self._texts, *(each.bbox for each in axes)]
-        boxes += [each.get_window_extent(self) for each in legends if each is not None]
-        covered = Bbox.union([box for box in boxes if box.width or box.height])
-        return covered.transformed(Affine2D().scale(1.0 / _DOTS)).padded(_MARGIN)
-
-
-def _cut(text: str, box: Bbox, figure: Figure) -> str:
-    """SVG of a whole figure moved and cut to a box [inch]."""
-    width, height = (f"{_DOTS * size:.6g}" for size in (box.width, box.height))
-    left = -_DOTS * box.x0
-    top = _DOTS * (box.y1 - figure.get_figheight())
-    head, rest = text[text.index("<svg") :].split(">", 1)
-    for side, size in (("width", width), ("height", height)):
-        head = re.sub(rf'(?<= {side}=")[^"]*', f"{size}pt", head, count=1)
-    head = re.sub(r'(?<= viewBox=")[^"]*', f"0 0 {width} {height}", head, count=1)
-    body = rest.rstrip().removesuffix("</svg>")
-    return f'{head}>\n<g transform="translate({left:.2f} {top:.2f})">{body}</g>\n</svg>'
+def _content_box(figure: Figure) -> Bbox:
+    """Texts, axes and legends of a figure with a margin [inch]."""
+    box: Bbox = figure.get_tightbbox().padded(_MARGIN_INCH)
+    return box
 
 
 def time_axes(figure: Figure, extent: Bbox) -> list[list[float]]:
-    """Axes over time, for a cursor that moves along them: place in the SVG, first and last time.
+    """Return the axes over time, for the page's time cursor: place in the SVG, first and last time.
 
-    Those whose label begins with "time", and those that share their axis.
+    An axis counts where its label, or that of an axis it is shared with, begins with "time".
 
     Returns
     -------
@@ -265,49 +212,7 @@ def time_axes(figure: Figure, extent: Bbox) -> list[list[float]]:
     return found
 
 
-def to_png(figure: Figure) -> bytes:
-    """Figure as PNG, 150 dots per inch on white."""
-    with mpl.rc_context(_STYLE):
-        buffer = io.BytesIO()
-        with _ticks_once(figure):
-            # `bbox_inches="tight"` draws every figure once more only to know this.
-            box = figure.get_tightbbox().padded(_MARGIN)
-            figure.savefig(buffer, format="png", bbox_inches=box, facecolor="white")
-    return buffer.getvalue()
-
-
-@contextmanager
-def _ticks_once(figure: Figure) -> Iterator[None]:
-    """Context in which the ticks of an axis are laid out once, their labels too.
-
-    Matplotlib does so for each of its labels, spines and lines: half of what a figure costs. Where
-    it moves the axes meanwhile, to make room, ticks follow them.
-    """
-    moves = figure.get_layout_engine() is not None
-    flat = [] if moves else [axes for axes in figure.axes if axes.name != "3d"]
-    changed: list[tuple[Artist, str]] = []
-
-    def once(artist: Artist, method: str) -> None:
-        vars(artist)[method] = functools.cache(getattr(artist, method))
-        changed.append((artist, method))
-
-    def laid_out(axis: Axis) -> list[Tick]:
-        ticks: list[Tick] = getattr(type(axis), _TICKS)(axis)
-        for tick in ticks:
-            once(tick.label1, _LAYOUT)
-        return ticks
-
-    for axis in [axis for axes in flat for axis in (axes.xaxis, axes.yaxis)]:
-        vars(axis)[_TICKS] = functools.partial(laid_out, axis)
-        once(axis, _TICKS)
-    try:
-        yield
-    finally:
-        for artist, method in changed:
-            vars(artist).pop(method, None)
-
-
-def _compact(text: str, name: str, description: str) -> str:
+def _compact_svg(text: str, name: str, description: str) -> str:
     text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
     used = set(re.findall(r'href="#([^"]+)"|url\(#([^)]+)\)', text))
     referenced = {first or second for first, second in used}
@@ -319,11 +224,13 @@ def _compact(text: str, name: str, description: str) -> str:
     text = re.sub(r'href="#([^"]+)"', rf'href="#{name}-\1"', text)
     text = re.sub(r"url\(#([^)]+)\)", rf"url(#{name}-\1)", text)
     text = re.sub(r'font-family: [^;"]+', f"font-family: {FONTS}", text)
-    text = re.sub(r'(?<= d=")[^"]+', lambda match: re.sub(r"-?\d+\.\d{2,}", _short, match[0]), text)
+    text = re.sub(
+        r'(?<= d=")[^"]+', lambda match: re.sub(r"-?\d+\.\d{2,}", _round_number, match[0]), text
+    )
     text = re.sub(r"\n\s*", "\n", text)
     label = description.replace("&", "&amp;").replace("<", "&lt;").replace('"', "&quot;")
     return text.replace("<svg", f'<svg role="img" aria-label="{label}"', 1).strip()
 
 
-def _short(match: re.Match[str]) -> str:
+def _round_number(match: re.Match[str]) -> str:
     return f"{float(match[0]):.2f}".rstrip("0").rstrip(".")

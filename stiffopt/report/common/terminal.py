@@ -1,19 +1,23 @@
-"""What commands print when they are done: sentences, and tables that nothing cuts."""
+"""Terminal output of commands: status line, sentences, and tables without truncated cells."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Sequence
+import time
+from collections.abc import Callable, Collection, Iterable, Sequence
+from contextlib import ExitStack
+from typing import Self
 
 from rich.console import Console
+from rich.status import Status
 from rich.table import Table
 from rich.text import Text
 
-# Of a table in a file or a log, where cells must not be cut.
-_LOG_WIDTH = 160
+# Width of a table in a file or log, where rich would truncate cells at 80 columns.
+_LOG_COLUMNS = 160
 
 
 def print_lines(lines: Iterable[str | Text | None]) -> None:
-    """Print each on a line of its own, as it is; None is left out."""
+    """Print each text on its own line, without markup; None is skipped."""
     console = Console(highlight=False, soft_wrap=True)
     for line in lines:
         if line is not None:
@@ -26,13 +30,68 @@ def print_table(
     title: str | None = None,
     numbers: Collection[str] = (),
 ) -> None:
-    """Print a table; columns of these headings to the right."""
+    """Print a table; the columns named in `numbers` are right-aligned."""
     console = Console(highlight=False)
     if not console.is_terminal:
-        console = Console(highlight=False, width=_LOG_WIDTH)
+        console = Console(highlight=False, width=_LOG_COLUMNS)
     table = Table(title=title)
     for name in head:
         table.add_column(Text(name), justify="right" if name in numbers else "left")
     for row in rows:
         table.add_row(*(Text(cell) for cell in row))
     console.print(table)
+
+
+class StatusLine(ExitStack):
+    """Context manager that shows a line: updated in place on a terminal, else printed each time.
+
+    Parameters
+    ----------
+    title : str
+    console : rich.console.Console or None
+        None: standard error, so that standard output stays free for results.
+    clock : callable
+        Seconds; replaced in tests.
+    """
+
+    def __init__(
+        self,
+        title: str,
+        console: Console | None = None,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        super().__init__()
+        self._title = title
+        self._console = Console(stderr=True) if console is None else console
+        self._clock = clock
+        self._status: Status | None = None
+
+    def __enter__(self) -> Self:
+        if self._console.is_terminal:
+            self._status = self.enter_context(self._console.status(Text(self._title)))
+        return self
+
+    @property
+    def moves(self) -> bool:
+        """True where the line is updated in place."""
+        return self._status is not None
+
+    def show(self, line: str, *, stays: bool = False) -> None:
+        """Show a line; `stays` also prints it permanently on a terminal."""
+        if self._status is not None:
+            self._status.update(Text(f"{self._title}: {line}"))
+        if self._status is None or stays:
+            self._console.print(Text(line), soft_wrap=True)
+
+
+class StepDisplay(StatusLine):
+    """A status line that is called with a sentence at every step."""
+
+    def __enter__(self) -> Self:
+        self._begin = self._clock()
+        return super().__enter__()
+
+    def __call__(self, sentence: str) -> None:
+        """Show a step; findings remain on the screen."""
+        line = f"{self._clock() - self._begin:.1f} s  {sentence}"
+        self.show(line, stays=sentence.startswith("found "))

@@ -1,4 +1,4 @@
-"""Numbers with units and lists as people read them: in sentences, on the terminal, on pages.
+"""Formatting of numbers with units and of lists, for sentences, the terminal and pages.
 
 Values are SI. The functions are also the filters of the templates: `{{ length | si("mm", 3) }}`.
 """
@@ -15,8 +15,8 @@ from stiffopt.errors import format_factor, is_factor
 from stiffopt.units import joint_unit
 
 DASH = "–"
-# Units that are asked for by name, alone or before a slash, in SI.
-_NAMED = {
+# Units requested by name, alone or before a slash, in SI.
+_UNIT_FACTORS = {
     "kN": 1e3,
     "MPa": 1e6,
     "mm": 1e-3,
@@ -25,8 +25,8 @@ _NAMED = {
     "deg": math.pi / 180.0,
     "min": 60.0,
 }
-# SI units that are read in another size: the first row whose least value is reached counts.
-_SCALES: dict[str, tuple[tuple[float, float, str], ...]] = {
+# Prefixes of SI units: the first row whose least magnitude is reached applies.
+_UNIT_SCALES: dict[str, tuple[tuple[float, float, str], ...]] = {
     "m": ((0.5, 1.0, "m"), (5e-5, 1e-3, "mm"), (0.0, 1e-6, "µm")),
     "rad": ((0.5, 1.0, "rad"), (5e-4, 1e-3, "mrad"), (0.0, 1e-6, "µrad")),
     "s": ((0.1, 1.0, "s"), (0.0, 1e-3, "ms")),
@@ -37,29 +37,28 @@ _SCALES: dict[str, tuple[tuple[float, float, str], ...]] = {
     ),
     "m/N": ((0.5, 1.0, "m/N"), (5e-4, 1e-3, "mm/N"), (0.0, 1e-6, "µm/N")),
 }
-# Least number that is written in the smallest unit of a scale: a nanometre, a microsecond.
-_FINEST = 1e-3
-# A relative change below this is none.
-UNCHANGED = 5e-5
+# Least number written in the smallest unit of a scale: a nanometre, a microsecond.
+_MIN_SCALED_VALUE = 1e-3
+UNCHANGED = 5e-5  # relative change that is written as 0 %
 
 
 def scale(largest: float, unit: str) -> tuple[float, str]:
-    """Factor from SI and unit in which a value of this size is read easily.
+    """Return the factor from SI and the unit that suits a value's magnitude.
 
     >>> scale(3e-4, "m"), scale(20.0, "kN"), scale(0.2, "mm/s"), scale(0.2, "N m")
     ((1000.0, 'mm'), (0.001, 'kN'), (1000.0, 'mm/s'), (1.0, 'N m'))
     """
     base = unit.partition("/")[0]
-    if base in _NAMED:
-        return 1.0 / _NAMED[base], unit
-    for least, size, name in _SCALES.get(unit, ()):
+    if base in _UNIT_FACTORS:
+        return 1.0 / _UNIT_FACTORS[base], unit
+    for least, size, name in _UNIT_SCALES.get(unit, ()):
         if abs(largest) >= least:
             return 1.0 / size, name
     return 1.0, unit
 
 
 def si(value: float | None, unit: str, digits: int = 4) -> str:
-    """Value [SI] as text with a unit that suits its size; a dash where there is none.
+    """Format a value [SI] with a unit that suits its magnitude; a dash for None.
 
     >>> si(2.97e-4, "m"), si(9100.0, "N m/rad"), si(7812.0, "kN", 3), si(None, "m")
     ('0.297 mm', '9100 N m/rad', '7.81 kN', '–')
@@ -70,14 +69,14 @@ def si(value: float | None, unit: str, digits: int = 4) -> str:
         return DASH
     factor, name = scale(value, unit)
     size = abs(factor * value)
-    if unit in _SCALES and 0.0 < size < _FINEST:
-        # No smaller unit is left, and no number that an arm could show.
-        return f"below {_FINEST:g} {name}"
+    if unit in _UNIT_SCALES and 0.0 < size < _MIN_SCALED_VALUE:
+        # Smaller than any measurable quantity of an arm.
+        return f"below {_MIN_SCALED_VALUE:g} {name}"
     return f"{significant(factor * value, digits)} {name}".strip()
 
 
 def number(value: float, unit: str, digits: int = 4) -> str:
-    """Value [SI] in a unit that stands elsewhere, such as in the heading of a column.
+    """Format a value [SI] without its unit, which the column heading has.
 
     >>> number(0.0123, "mm")
     '12.3'
@@ -86,7 +85,7 @@ def number(value: float, unit: str, digits: int = 4) -> str:
 
 
 def pm(value: float, sd: float, unit: str) -> str:
-    """Value and standard deviation in one unit, rounded alike.
+    """Format a value with its standard deviation, in one unit and with the same decimals.
 
     >>> pm(6.2134, 0.1312, "N m"), pm(3.2e-4, 2e-6, "rad")
     ('6.21 ± 0.13 N m', '320 ± 2 µrad')
@@ -105,7 +104,7 @@ def pm(value: float, sd: float, unit: str) -> str:
 
 
 def significant(value: float | None, digits: int = 4) -> str:
-    """Give a number its significant digits, no exponent between 1e-4 and 1e7.
+    """Format a number with significant digits; no exponent between 1e-4 and 1e7.
 
     >>> significant(12345.678), significant(0.00123456), significant(0.0)
     ('12350', '0.001235', '0')
@@ -123,7 +122,7 @@ def significant(value: float | None, digits: int = 4) -> str:
 
 
 def decades(value: float | None, digits: int = 3) -> str:
-    """Number such as 2.67e5, where those of one column span decades."""
+    """Format a number such as 2.67e5, for columns that span decades."""
     if value is None:
         return DASH
     mantissa, _, exponent = f"{value:.{digits - 1}e}".partition("e")
@@ -131,17 +130,17 @@ def decades(value: float | None, digits: int = 3) -> str:
 
 
 def whole(number: int) -> str:
-    """Whole number with thin spaces; a power of ten where nobody would count the digits."""
+    """Format an integer with thin spaces; from 1e12 on as a power of ten."""
     return f"{number:,}".replace(",", "\u202f") if number < 10**12 else f"{number:.2e}"
 
 
 def fixed(value: float, places: int) -> str:
-    """Number with this many decimals."""
+    """Format a number with fixed decimals."""
     return f"{value:.{places}f}"
 
 
 def percent(value: float | None, digits: int = 2) -> str:
-    """Relative value as a percentage, from 1000 % on as a factor.
+    """Format a relative value as percentage, from 1000 % on as factor.
 
     >>> percent(0.0012), percent(-0.25), percent(12.0)
     ('0.12 %', '-25 %', '12 times')
@@ -152,7 +151,7 @@ def percent(value: float | None, digits: int = 2) -> str:
 
 
 def change(ratio: float) -> str:
-    """Relative change with its sign; a dash where there is none.
+    """Format a relative change with its sign; a dash where it is not finite.
 
     >>> change(1.0031), change(0.98), change(1.0)
     ('+0.31 %', '−2 %', '0 %')
@@ -168,12 +167,12 @@ def change(ratio: float) -> str:
 
 
 def words(name: str) -> str:
-    """Name of a key as words: "tool_speed" is "tool speed"."""
+    """Return a key as words: "tool_speed" becomes "tool speed"."""
     return name.replace("_", " ")
 
 
 def breakable(text: str) -> Markup:
-    """Text that may be broken behind a dot, such as the place of a key in the head of a column.
+    """Allow line breaks after the dots of a text, such as a key's place in a column heading.
 
     >>> breakable("limits.jerk & more")
     Markup('limits.<wbr>jerk &amp; more')
@@ -192,7 +191,7 @@ def listed(items: Iterable[str]) -> str:
 
 
 def capital(text: str) -> str:
-    """Sentence with a capital letter first; all others stay."""
+    """Capitalise the first letter only."""
     return text[:1].upper() + text[1:]
 
 

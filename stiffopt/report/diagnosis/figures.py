@@ -1,45 +1,63 @@
-"""Figures of a diagnosis over all joints: residual over noise, before and after."""
+"""Figures of a diagnosis: residual over noise of all channels, and held-out runs over time."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap, LogNorm
 from matplotlib.figure import Figure
 
-from stiffopt.report.common.svg import BLUE, GREY, ORANGE, PALE, VERMILLION, WIDTH, house_style
-from stiffopt.report.common.text import significant
+from stiffopt.discovery.settings import MOVING
+from stiffopt.recording.joint_facts import velocities
+from stiffopt.report.common.svg import (
+    BLUE,
+    GREY,
+    INK,
+    ORANGE,
+    PALE,
+    VERMILLION,
+    WIDTH,
+    decimate_curve,
+    figure_style,
+)
+from stiffopt.report.common.text import scale, significant
 from stiffopt.report.diagnosis.words import regressor_words
 from stiffopt.units import joint_unit
 
 if TYPE_CHECKING:
     from stiffopt.discovery.diagnosis import Diagnosis
+    from stiffopt.discovery.proof.proof import ChannelError, RunProof
 
 HEAT = LinearSegmentedColormap.from_list("heat", ["#f5f7f9", "#f7d99a", ORANGE, "#a33b00"])
-# Residual over noise at which the darkest colour is reached at the earliest.
-_DARKEST = 10.0
-# Of signals that a remainder depends on.
-_UNITS = {"q": "rad", "qd": "rad/s", "qdd": "rad/s^2", "torque": "N m"}
-_ROLES = (("test", "test runs"), ("extrapolate", "extrapolation runs"))
+# Least residual over noise of the darkest colour.
+_MIN_DARKEST_RATIO = 10.0
+# Units of the signals that a residual may depend on.
+_SIGNAL_UNITS = {"q": "rad", "qd": "rad/s", "qdd": "rad/s^2", "torque": "N m"}
+_ROLE_TITLES = (("test", "test runs"), ("extrapolate", "extrapolation runs"))
+_WINDOW_LENGTH = 0.5  # of a held-out run, in which the residual is averaged [s]
+# Points of a plotted curve, and missing samples that it bridges.
+_MAX_CURVE_POINTS, _MAX_BRIDGED_SAMPLES = 1400, 10
+# Least residual over noise of a listed window, and number of windows.
+_MIN_LISTED_RATIO, _MAX_WINDOWS = 2.0, 8
 
 
-def balances_figure(diagnosis: Diagnosis) -> Figure:
-    """Residual over noise by joint and balance: nominal, within tolerance, with the findings."""
+def residual_figure(diagnosis: Diagnosis) -> Figure:
+    """Plot residual over noise by joint and channel: nominal, within tolerance, with findings."""
     search, n = diagnosis.search, diagnosis.recordings.n
     stages = [
         ("nominal model", search.before),
-        ("nominal values moved within tolerance", search.calibrated),
+        ("nominal values within tolerance", search.calibrated),
     ]
     if search.selected:
-        words = (
-            "and with what was found" if diagnosis.findings else "and with effects that were tried"
-        )
+        words = "with the findings" if diagnosis.findings else "with rejected candidate effects"
         stages.append((words, search.after))
     every = np.concatenate([s[1] for s in stages])
     known = every[np.isfinite(every)]
-    top = max(_DARKEST, float(known.max()) if known.size else 0.0)
-    with house_style():
+    top = max(_MIN_DARKEST_RATIO, float(known.max()) if known.size else 0.0)
+    with figure_style():
         figure = Figure(figsize=(WIDTH, 1.0 + 0.36 * n))
         grid = figure.subplots(1, len(stages), squeeze=False)[0]
         for axes, (title, ratios) in zip(grid, stages, strict=True):
@@ -67,9 +85,9 @@ def balances_figure(diagnosis: Diagnosis) -> Figure:
 
 
 def held_out_figure(diagnosis: Diagnosis) -> Figure:
-    """Residual over noise of every channel of the held-out runs, before and after."""
-    roles = [(role, words) for role, words in _ROLES if diagnosis.proofs(role)]
-    with house_style():
+    """Plot residual over noise of every channel of the held-out runs, before and after."""
+    roles = [(role, words) for role, words in _ROLE_TITLES if diagnosis.proofs(role)]
+    with figure_style():
         names = list(dict.fromkeys(c.name for p in diagnosis.held_out for c in p.channels))
         names.sort(key=lambda name: (not name.startswith("torque"), int(name.rpartition("_")[2])))
         figure = Figure(figsize=(WIDTH, 1.0 + 0.24 * max(len(names), 3)))
@@ -85,11 +103,11 @@ def held_out_figure(diagnosis: Diagnosis) -> Figure:
             low, high = axes.get_xlim()
             axes.set_xlim(min(low, 0.8), max(high, 4.0))
             axes.xaxis.set_major_formatter(lambda x, _: significant(x, 2))
-            axes.xaxis.set_minor_formatter(lambda x, _: _sparse(x))
+            axes.xaxis.set_minor_formatter(lambda x, _: _format_minor_tick(x))
             axes.set_xlabel("residual over noise (root mean squares)")
             axes.set_title(words)
             axes.grid(visible=False, axis="y")
-        grid[0].set_yticks(range(len(names)), [_short(name) for name in names])
+        grid[0].set_yticks(range(len(names)), [_channel_label(name) for name in names])
         grid[0].set_ylim(len(names) - 0.4, -0.6)
         handles = [
             grid[0].plot([], [], "o", mfc="white", mec=VERMILLION, mew=1.5, ms=6)[0],
@@ -108,11 +126,11 @@ def held_out_figure(diagnosis: Diagnosis) -> Figure:
         return figure
 
 
-def dependence_figure(diagnosis: Diagnosis) -> Figure:
-    """What a black box finds in what is left, along the signals that it goes with most."""
+def noise_ceiling_figure(diagnosis: Diagnosis) -> Figure:
+    """Plot the black-box fit of the remaining residual along its most important signals."""
     assert diagnosis.rod is not None
     depends = diagnosis.rod.depends
-    with house_style():
+    with figure_style():
         figure = Figure(figsize=(WIDTH, 2.4))
         grid = figure.subplots(1, len(depends), squeeze=False, sharey=True)[0]
         for axes, each in zip(grid, depends, strict=True):
@@ -120,16 +138,19 @@ def dependence_figure(diagnosis: Diagnosis) -> Figure:
             slides = diagnosis.training.constants.joints[int(number) - 1].prismatic
             axes.plot(each.at, each.mean, color=BLUE)
             axes.axhline(0.0, color=GREY, linewidth=1.0, zorder=0)
-            unit = joint_unit(_UNITS[kind], slides)
+            unit = joint_unit(_SIGNAL_UNITS[kind], slides)
             axes.set_xlabel(f"{regressor_words(each.signal).removeprefix('the ')} [{unit}]")
         own = int(depends[0].channel.rpartition("_")[2]) - 1
         unit = joint_unit("N m", diagnosis.training.constants.joints[own].prismatic)
-        grid[0].set_ylabel(f"left of torque, joint {own + 1} [{unit}]")
+        grid[0].set_ylabel(f"residual torque, joint {own + 1} [{unit}]")
         return figure
 
 
 def channel_ratio(diagnosis: Diagnosis, role: str, name: str) -> tuple[float, float]:
-    """Residual over noise of a channel over the runs of a role, before and after; maybe nan."""
+    """Return residual over noise of a channel in the runs of a role, before and after.
+
+    Both are nan where no run has samples of the channel.
+    """
     own = [c for p in diagnosis.proofs(role) for c in p.channels if c.name == name]
     count = sum(c.samples for c in own)
     if not count:
@@ -138,12 +159,185 @@ def channel_ratio(diagnosis: Diagnosis, role: str, name: str) -> tuple[float, fl
     return before, float(np.sqrt(sum(c.after / c.noise**2 for c in own) / count))
 
 
-def _short(name: str) -> str:
+def _channel_label(name: str) -> str:
     kind, _, joint = name.rpartition("_")
     return f"J{joint} {'torque' if kind == 'torque' else 'link encoder'}"
 
 
-def _sparse(value: float) -> str:
-    """Labels of a logarithmic axis between its decades: only 2 and 5 of each."""
+def _format_minor_tick(value: float) -> str:
+    """Format minor ticks 2 and 5 of a logarithmic axis, others as ""."""
     first = f"{value:.0e}"[0]
     return significant(value, 1) if first in "25" else ""
+
+
+@dataclass(frozen=True, eq=False)
+class Trace:
+    """One channel of one held-out run.
+
+    Parameters
+    ----------
+    time : array (K,)
+        [s]
+    measured, before, after : array (K,)
+        Torque, or wind-up (motor less link angle) of a link encoder; SI.
+    used : array (K,) of bool
+        Samples that count: torque only while the joint moves.
+    speed : array (K,)
+        Speed of the joint.
+    error : ChannelError
+    unit : str
+    """
+
+    time: np.ndarray
+    measured: np.ndarray
+    before: np.ndarray
+    after: np.ndarray
+    used: np.ndarray
+    speed: np.ndarray
+    error: ChannelError
+    unit: str
+
+
+@dataclass(frozen=True)
+class Window:
+    """Interval of a held-out run with a large residual.
+
+    Parameters
+    ----------
+    run : str
+    error : ChannelError
+    begin, end : float
+        [s]
+    rms : float
+        Root mean square of the residual with the extended model.
+    ratio : float
+        The same over noise.
+    slowest, fastest : float
+        Range of the joint's speed.
+    unit : str
+    """
+
+    run: str
+    error: ChannelError
+    begin: float
+    end: float
+    rms: float
+    ratio: float
+    slowest: float
+    fastest: float
+    unit: str
+
+
+def trace(diagnosis: Diagnosis, proof: RunProof, name: str) -> Trace | None:
+    """Return a channel of a held-out run with its predictions; None where it was not recorded."""
+    error = next((c for c in proof.channels if c.name == name), None)
+    if error is None:
+        return None
+    run, j = proof.run, error.joint
+    places = np.searchsorted(run.stamps, run.time)
+    predictions = [getattr(p, error.kind)[places, j] for p in (proof.before, proof.after)]
+    speed = velocities(run)[:, j]
+    slides = diagnosis.training.constants.joints[j].prismatic
+    if error.kind == "torque":
+        measured, unit = run.torque[:, j], joint_unit("N m", slides)
+        used = np.isfinite(measured) & (np.abs(np.nan_to_num(speed)) >= MOVING)
+    else:
+        assert run.link_position is not None
+        measured, unit = run.position[:, j] - run.link_position[:, j], joint_unit("rad", slides)
+        predictions = [run.position[:, j] - p for p in predictions]
+        used = np.isfinite(measured)
+    return Trace(run.time, measured, predictions[0], predictions[1], used, speed, error, unit)
+
+
+def overlay_figure(shown: Trace) -> Figure:
+    """Plot a measured channel with its predictions, and their residuals with the noise band."""
+    largest = float(np.nanquantile(np.abs(shown.measured), 0.99))
+    rest = float(np.nanquantile(np.abs(shown.measured - shown.before), 0.99))
+    factor, unit = scale(largest, shown.unit)
+    fine, small = scale(rest, shown.unit)
+    count, noise = shown.error.samples, shown.error.noise
+    with figure_style():
+        figure = Figure(figsize=(WIDTH, 4.6))
+        top, below = figure.subplots(2, 1, sharex=True, height_ratios=(1.2, 1.0))
+        _draw_curve(top, shown.time, factor * shown.measured, INK, "measured", 0.9)
+        below.axhspan(-2 * fine * noise, 2 * fine * noise, color=PALE, zorder=0, linewidth=0)
+        for name, colour, squares in (
+            ("before", VERMILLION, shown.error.before),
+            ("after", BLUE, shown.error.after),
+        ):
+            predicted = getattr(shown, name)
+            _draw_curve(top, shown.time, factor * predicted, colour, name, 1.2)
+            rms = fine * np.sqrt(squares / count)
+            left = np.where(shown.used, shown.measured - predicted, np.nan)
+            label = f"{name}, rms {significant(rms, 3)} {small}"
+            _draw_curve(below, shown.time, fine * left, colour, label, 0.9)
+        kind = "torque" if shown.error.kind == "torque" else "wind-up"
+        top.set_ylabel(f"{kind} [{unit}]")
+        below.set_ylabel(f"residual [{small}]")
+        below.set_xlabel("time [s]")
+        for axes, columns in ((top, 3), (below, 2)):
+            low, high = axes.get_ylim()
+            axes.set_ylim(low, high + 0.22 * (high - low))
+            axes.legend(loc="upper right", ncols=columns)
+        below.set_xlim(shown.time[0], shown.time[-1])
+        band = f"band: ±2 standard deviations of the noise, {significant(fine * noise, 2)} {small}"
+        below.text(0.005, 0.97, band, transform=below.transAxes, va="top", size=8, color=INK)
+        figure.subplots_adjust(left=0.065, right=0.99, hspace=0.08)
+        return figure
+
+
+def _draw_curve(
+    axes: Axes, time: np.ndarray, values: np.ndarray, colour: str, label: str, width: float
+) -> None:
+    """Draw a decimated curve, interrupted at gaps longer than a few samples."""
+    known = np.flatnonzero(np.isfinite(values))
+    if not len(known):
+        return
+    x, y = decimate_curve(time[known], values[known], _MAX_CURVE_POINTS)
+    gap = np.flatnonzero(np.diff(known) > _MAX_BRIDGED_SAMPLES)
+    # A nan in the middle of every gap interrupts the line.
+    middle = 0.5 * (time[known[gap]] + time[known[gap + 1]])
+    x, y = np.concatenate([x, middle]), np.concatenate([y, np.full(len(middle), np.nan)])
+    order = np.argsort(x, kind="stable")
+    axes.plot(x[order], y[order], color=colour, linewidth=width, label=label)
+
+
+def worst_windows(diagnosis: Diagnosis) -> list[Window]:
+    """Return half seconds of held-out runs with the largest residual of the extended model."""
+    found = []
+    for proof in diagnosis.held_out:
+        for error in proof.channels:
+            shown = trace(diagnosis, proof, error.name)
+            if shown is not None:
+                found += _run_windows(proof.run.name, shown)
+    found.sort(key=lambda w: -w.ratio)
+    # One per channel and run: its other windows look alike.
+    first = {(w.run, w.error.name): w for w in reversed(found)}
+    return sorted(first.values(), key=lambda w: -w.ratio)[:_MAX_WINDOWS]
+
+
+def _run_windows(run: str, shown: Trace) -> list[Window]:
+    left = shown.measured - shown.after
+    number = np.floor((shown.time - shown.time[0]) / _WINDOW_LENGTH).astype(int)
+    windows = []
+    for k in np.unique(number):
+        own = (number == k) & shown.used
+        if own.sum() < 5:
+            continue
+        rms = float(np.sqrt(np.mean(left[own] ** 2)))
+        if rms > _MIN_LISTED_RATIO * shown.error.noise:
+            begin = float(shown.time[0] + k * _WINDOW_LENGTH)
+            windows.append(
+                Window(
+                    run=run,
+                    error=shown.error,
+                    begin=begin,
+                    end=min(begin + _WINDOW_LENGTH, float(shown.time[-1])),
+                    rms=rms,
+                    ratio=rms / shown.error.noise,
+                    slowest=float(np.nanmin(shown.speed[own])),
+                    fastest=float(np.nanmax(shown.speed[own])),
+                    unit=shown.unit,
+                )
+            )
+    return windows

@@ -1,4 +1,4 @@
-"""What a mismatch is made of, in words: the first thing that an answer says."""
+"""Sentences on the composition of a mismatch, the noise ceiling, contact and held-out runs."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from stiffopt.report.common.text import listed, pm, significant
 from stiffopt.report.diagnosis.overview import moved_values
 from stiffopt.report.diagnosis.words import (
     channel_words,
-    fall,
+    format_probability,
+    is_prismatic,
     joints_in_words,
-    percent_sure,
     place,
-    prismatic,
     regressor_words,
+    residual_reduction,
     unstated_groups,
 )
 from stiffopt.units import joint_unit
@@ -27,25 +27,29 @@ if TYPE_CHECKING:
     from stiffopt.discovery.judging.carried_over import Drift
     from stiffopt.discovery.judging.shares import Share
 
-# Shares below are not told apart from nothing, nor above from all.
-_LEAST, _ALL = 0.005, 0.995
-# Share of nominal values from which it is said which of them moved.
-_TELLING = 0.2
-# Names of nominal values of joints, where they are not those of the files.
-_NOMINAL = {"coulomb": "Coulomb friction", "viscous": "viscous friction", "com": "centre of mass"}
-_SOMETHING = "Something that touches, loads or offsets"
-_MEASURED = {"torque": "the torques", "link_position": "the link encoders"}
+# Shares of the mismatch below and above which they are written as none and as all.
+_MIN_SHARE, _FULL_SHARE = 0.005, 0.995
+# Share of nominal values above which the value that moved most is named.
+_MIN_NOMINAL_SHARE = 0.2
+# Names of nominal values of joints, where they differ from the keys of files.
+_NOMINAL_NAMES = {
+    "coulomb": "Coulomb friction",
+    "viscous": "viscous friction",
+    "com": "centre of mass",
+}
+_CONTACT_PHRASE = "Contact, load or offset"
+_CHANNEL_KINDS = {"torque": "the torques", "link_position": "the link encoders"}
 
 
 @dataclass(frozen=True, kw_only=True)
 class Mismatch:
-    """What one kind of channel's mismatch on runs left out is made of.
+    """Composition of the mismatch of one kind of channel on held-out runs.
 
     Parameters
     ----------
     sentence : str
     pieces : list of NamedShare
-        The largest first and what is open last.
+        Explained parts, the largest first, and the unexplained part last.
     """
 
     sentence: str
@@ -54,15 +58,15 @@ class Mismatch:
 
 @dataclass(frozen=True, kw_only=True)
 class NamedShare:
-    """A piece of the bar.
+    """A part of the mismatch, shown as a piece of the bar.
 
     Parameters
     ----------
     words : str
     share : float
-        Of the mismatch on runs left out.
+        Share of the mismatch on held-out runs.
     open : bool
-        Whether nothing explains it.
+        True for the unexplained part.
     """
 
     words: str
@@ -72,12 +76,12 @@ class NamedShare:
 
 @dataclass(frozen=True, kw_only=True)
 class UnstatedRow:
-    """One kind of value that the nominal model does not give, of all its joints.
+    """Table row of one kind of value without a nominal value, all its joints together.
 
     Parameters
     ----------
     effect, where, values, from_nothing, shows_in, falls, explains, probability : str
-        From the least of the joints to the most.
+        Texts; numbers are ranges over the joints. `from_nothing` is the significance.
     """
 
     effect: str
@@ -91,123 +95,126 @@ class UnstatedRow:
 
 
 def mismatches(diagnosis: Diagnosis) -> list[Mismatch]:
-    """Of torques and link encoders, in words; none without runs left out or findings."""
+    """Return the mismatches of torques and of link encoders; none without findings."""
     if not diagnosis.findings:
         return []
     kinds = list(dict.fromkeys(each.measured for each in diagnosis.shares))
-    # Shares of what is within twice its noise are not asked.
+    # Channels within twice their noise have no shares.
     measured = {channel.kind for proof in diagnosis.held_out for channel in proof.channels}
     found = []
     for kind in kinds:
         pieces = [
             NamedShare(
-                words="open" if each.part is None else _part_words(diagnosis, each),
+                words="unexplained" if each.part is None else _part_phrase(diagnosis, each),
                 share=each.share,
                 open=each.part is None,
             )
             for each in diagnosis.shares
-            if each.measured == kind and (each.part is None or abs(each.share) >= _LEAST)
+            if each.measured == kind and (each.part is None or abs(each.share) >= _MIN_SHARE)
         ]
-        of = f" of {_MEASURED[kind]}" if len(measured) > 1 else ""
-        found.append(Mismatch(sentence=_sentence(of, pieces), pieces=pieces))
+        of = f" of {_CHANNEL_KINDS[kind]}" if len(measured) > 1 else ""
+        found.append(Mismatch(sentence=_share_sentence(of, pieces), pieces=pieces))
     return found
 
 
-def _sentence(of: str, pieces: Sequence[NamedShare]) -> str:
-    # What is open may come out below nothing where less is left than noise; only parts do harm.
+def _share_sentence(of: str, pieces: Sequence[NamedShare]) -> str:
+    # The unexplained share may be negative where less than the noise remains.
     helps = ", ".join(
-        f"{_percent(max(p.share, 0.0))} {p.words}" for p in pieces if p.open or p.share >= 0.0
+        f"{_format_share(max(p.share, 0.0))} {p.words}" for p in pieces if p.open or p.share >= 0.0
     )
     harms = listed(
-        f"{p.words} by {_percent(-p.share)}" for p in pieces if not p.open and p.share < 0.0
+        f"{p.words} ({_format_share(-p.share)})" for p in pieces if not p.open and p.share < 0.0
     )
-    text = f"Of the mismatch{of} on runs left out: {helps or 'nothing is explained'}."
-    return f"{text} There it is made worse: {harms}." if harms else text
+    text = f"Mismatch{of} on held-out runs: {helps or 'not explained'}."
+    return f"{text} Increased by {harms}." if harms else text
 
 
-def _percent(share: float) -> str:
+def _format_share(share: float) -> str:
     size = 100.0 * share
     if 0.0 < size < 0.1:
         return "below 0.1 %"
     return f"{size:.0f} %" if size >= 1.0 or size == 0.0 else f"{size:.1g} %"
 
 
-def rod_sentence(diagnosis: Diagnosis) -> str:
-    """What is explained of what a black box could explain; "" where none was asked.
+def noise_ceiling_sentence(diagnosis: Diagnosis) -> str:
+    """Return a sentence on the explained share of the noise ceiling; "" where it is not known.
 
-    On runs left out, and of torques alone: what is predicted within the training runs, or of link
-    encoders, is no contradiction of it.
+    The noise ceiling is the fit of a black box, of torques on held-out runs. Dependences within
+    the training runs, or of link encoders, do not contradict it.
     """
     rod = diagnosis.rod
     if rod is None:
         return ""
     channels = {c.kind for proof in diagnosis.held_out for c in proof.channels}
     of = " of the torques" if "link_position" in channels else ""
-    box = "a black box that was fitted to what is left in the training runs"
-    if not rod.depends and rod.explained > _ALL:
-        text = f"Explained{of} on runs left out: as much as {box} could; it finds next to nothing"
-        text = f"{text} more there."
+    box = "a black-box fit of the residual that remains in the training runs"
+    if not rod.depends and rod.explained > _FULL_SHARE:
+        text = f"Noise ceiling{of}: reached on held-out runs; {box} explains hardly more there."
     else:
-        share = f"{100 * rod.explained:.0f} %" if rod.explained > 0.0 else "nothing"
-        text = f"Explained{of}: {share} of what is explainable, measured by {box}"
+        share = f"{100 * rod.explained:.0f} %" if rod.explained > 0.0 else "0 %"
+        text = (
+            f"Noise ceiling{of}: {share} of the explainable mismatch is explained, judged by {box}"
+        )
         if rod.depends:
-            what = listed(regressor_words(each.signal) for each in rod.depends)
+            signals = listed(regressor_words(each.signal) for each in rod.depends)
             where = channel_words(rod.depends[0].channel)
-            text = f"{text}; the rest depends on {what} (most in {where})."
+            text = f"{text}; the remainder depends on {signals} (most in {where})."
         else:
-            text = f"{text}; it finds next to nothing more."
-    return f"{text}{_beside_rod(diagnosis)}"
+            text = f"{text}, which explains hardly more."
+    return f"{text}{_noise_ceiling_remark(diagnosis)}"
 
 
-def _beside_rod(diagnosis: Diagnosis) -> str:
-    """How what is outside the catalogue goes with a box that finds nothing more."""
+def _noise_ceiling_remark(diagnosis: Diagnosis) -> str:
+    """Return a remark where a residual outside the catalogue seems to contradict the ceiling."""
     left, rod = diagnosis.unexplained, diagnosis.rod
     if left is None or left.brief or rod is None:
         return ""
     if left.channels[0].startswith("link_position"):
-        return " Link encoders were not asked, of which more stays open."
+        return " Link encoders are not included; more of them is unexplained."
     if rod.depends or not left.regressors or left.gain < SHOWN_SHARE:
         return ""
-    what = listed(regressor_words(each) for each in left.regressors)
+    signals = listed(regressor_words(each) for each in left.regressors)
     return (
-        f" How what is left follows {what} within the training runs does not carry over to runs"
-        " left out."
+        f" The dependence of the residual on {signals} within the training runs does not carry over"
+        " to held-out runs."
     )
 
 
 def counterbalance_sentences(diagnosis: Diagnosis) -> list[str]:
-    """One for every body that was re-identified as a counterbalance pulls."""
+    """Return a sentence on every re-identified body that may be a counterbalance."""
     rigid = diagnosis.search.rigid
     found = []
     for each in () if rigid is None else rigid.counterweights:
         joint, link = each.joint + 1, diagnosis.training.constants.links[each.joint]
         unit = joint_unit("N m", diagnosis.training.constants.joints[each.joint].prismatic)
         is_it = (
-            "it is likelier a counterbalance, which predicts recordings left out better"
+            "the counterbalance is more likely, since it predicts held-out recordings better"
             if each.balanced
-            else "recordings left out do not tell the two apart"
+            else "held-out recordings do not separate the two"
         )
         found.append(
-            f"Counterbalance of joint {joint}, or the weight of {link}: as re-identified, the"
-            f" link's first moment changes by {significant(each.change, 2)} kg m, of"
-            f" {significant(each.nominal, 2)}, as nothing is made; a counterbalance of up to"
-            f" {significant(each.torque, 2)} {unit} pulls alike, and {is_it}. The extended model"
-            f" holds it as mass. Accelerate joint {joint} hard at one place: mass resists, a"
-            " counterbalance does not."
+            f"Counterbalance of joint {joint} or weight of {link}: the"
+            " re-identified first moment of"
+            f" the link changes by {significant(each.change, 2)} kg m, from"
+            f" {significant(each.nominal, 2)} kg m, more than is"
+            " plausible; a counterbalance of up to"
+            f" {significant(each.torque, 2)} {unit} has the same effect, and {is_it}. The extended"
+            f" model includes it as mass. To separate them, accelerate joint {joint} strongly near"
+            " one position: only a mass has inertia."
         )
     return found
 
 
-def carried_over_sentences(diagnosis: Diagnosis) -> list[str]:
-    """One for every value that does not carry over to a held-out run."""
-    found = [_drift_words(diagnosis, each) for each in diagnosis.drift]
+def transfer_sentences(diagnosis: Diagnosis) -> list[str]:
+    """Return a sentence on every value that differs between training and held-out runs."""
+    found = [_drift_sentence(diagnosis, each) for each in diagnosis.drift]
     for each in diagnosis.not_carried_over:
         if each.kind == "friction drift":
             found.append(
-                f"Friction of {each.run} in {channel_words(each.channel)} lies"
-                f" {significant(abs(each.value), 2)} spreads"
+                f"Friction of {each.run} in {channel_words(each.channel)} is"
+                f" {significant(abs(each.value), 2)} standard deviations"
                 f" {'above' if each.value > 0.0 else 'below'} the mean of the training runs"
-                f" ({100 * each.share:.0f} % of what is left there)."
+                f" ({100 * each.share:.0f} % of the residual there)."
             )
             continue
         kind, _, joint = each.channel.rpartition("_")
@@ -215,25 +222,26 @@ def carried_over_sentences(diagnosis: Diagnosis) -> list[str]:
         unit = "rad" if kind == "link_position" else "N m"
         unit = f"{unit} s/rad" if each.kind == "viscous friction" else unit
         value = f"{significant(each.value, 2)} {joint_unit(unit, slides)}"
-        what = "A constant" if each.kind == "constant" else each.kind.capitalize()
+        kind = "A constant" if each.kind == "constant" else each.kind.capitalize()
         found.append(
-            f"{what} does not carry over: {each.run} has {value} more than the training runs in"
-            f" {channel_words(each.channel)} ({100 * each.share:.0f} % of what is left there)."
+            f"{kind} does not carry over: {each.run} has {value} more than the training runs in"
+            f" {channel_words(each.channel)} ({100 * each.share:.0f} % of the residual there)."
         )
     return found
 
 
-def _drift_words(diagnosis: Diagnosis, each: Drift) -> str:
+def _drift_sentence(diagnosis: Diagnosis, each: Drift) -> str:
     slides = diagnosis.training.constants.joints[each.joint].prismatic
     return (
-        f"Friction of joint {each.joint + 1} differs from run to run: a further run is predicted"
-        f" with the mean, give or take {significant(each.rms, 2)} {joint_unit('N m', slides)} (one"
-        " standard deviation between runs)."
+        f"Friction of joint {each.joint + 1} differs from run to run:"
+        " predictions use the mean, with"
+        f" a standard deviation between runs of {significant(each.rms, 2)}"
+        f" {joint_unit('N m', slides)}."
     )
 
 
 def episode_sentences(diagnosis: Diagnosis) -> list[str]:
-    """One for every time in which something was at work."""
+    """Return a sentence on every contact interval."""
     joints = diagnosis.training.constants.joints
     found = []
     for each in diagnosis.episodes:
@@ -242,80 +250,85 @@ def episode_sentences(diagnosis: Diagnosis) -> list[str]:
             for j, size in zip(each.joints, each.sizes, strict=True)
         )
         if each.role == "train":
-            head, tail = f"{_SOMETHING} was at work in", "left out of the fit"
+            head, tail = f"{_CONTACT_PHRASE} in", "excluded from the fit"
         elif each.stays:
-            head, tail = "A change that stays, as of a load, is in", "part of what judges the model"
+            head, tail = "Permanent change, as of a load, in", "included in the validation"
         else:
-            head, tail = f"{_SOMETHING} does not carry over to", "left out of what judges the model"
+            head, tail = f"{_CONTACT_PHRASE} in", "excluded from the validation"
         if each.nrmse_with is not None and each.nrmse_without is not None:
             tail += (
                 f"; residual of {each.run} {significant(each.nrmse_with, 2)} times the noise with"
-                f" it, {significant(each.nrmse_without, 2)} without"
+                f" this interval, {significant(each.nrmse_without, 2)} without"
             )
         found.append(f"{head} {each.run}: {each.begin:.2f} to {each.end:.2f} s, {sizes}; {tail}.")
     return found
 
 
 def unstated_rows(diagnosis: Diagnosis, findings: Sequence[Finding]) -> list[UnstatedRow]:
-    """Values that the nominal model does not give, one row a kind."""
+    """Return values that the nominal model does not state, one row per kind."""
     rows = []
     for own in unstated_groups(findings):
-        slides = prismatic(diagnosis, own[0].located)
+        slides = is_prismatic(diagnosis, own[0].located)
         first = own[0].parameters[0]
         unit = joint_unit(first.unit, slides)
         values = ", ".join(
             f"{f.joint}: {pm(f.parameters[0].value, f.parameters[0].sd, unit)}" for f in own
         )
         shares = [f.variance_explained for f in own]
-        left = [fall(diagnosis, f.channel) for f in own]
+        left = [residual_reduction(diagnosis, f.channel) for f in own]
         rows.append(
             UnstatedRow(
                 effect=own[0].effect.title,
                 where=joints_in_words([f.joint for f in own if f.joint is not None]),
                 values=f"{first.name} of joint {values}",
-                from_nothing=f"{_span([f.significance for f in own], 1)} sd",
-                shows_in=_channels(list(dict.fromkeys(f.channel for f in own))),
-                falls=" → ".join(_span([falls[k] for falls in left], 2) for k in (0, 1)),
-                explains=_range(min(shares), max(shares)),
-                probability=_probabilities([f.probability for f in own]),
+                from_nothing=f"{_format_range([f.significance for f in own], 1)} sd",
+                shows_in=_format_channels(list(dict.fromkeys(f.channel for f in own))),
+                falls=" → ".join(_format_range([falls[k] for falls in left], 2) for k in (0, 1)),
+                explains=_format_share_range(min(shares), max(shares)),
+                probability=_format_probability_range([f.probability for f in own]),
             )
         )
     return rows
 
 
-def _part_words(diagnosis: Diagnosis, share: Share) -> str:
+def _part_phrase(diagnosis: Diagnosis, share: Share) -> str:
     part = share.part
     assert part is not None
     joints = sorted({e.joint + 1 for e in part.effects if e.joint is not None})
     where = f" ({joints_in_words(joints)})" if joints else ""
     if part.kind == "unstated":
         names = dict.fromkeys(e.effect.nominal_words for e in part.effects)
-        return f"{listed(names)} that nobody had given{where}"
+        return f"{listed(names)} without nominal value{where}"
     if part.kind == "usual":
         return f"offsets{where}"
     if part.kind == "nominal":
-        text = _masses(diagnosis, part.effects)
-        return f"{text}{_foremost(diagnosis) if share.share > _TELLING else ''}"
+        text = _nominal_part_phrase(diagnosis, part.effects)
+        return (
+            f"{text}{_largest_moved_value(diagnosis) if share.share > _MIN_NOMINAL_SHARE else ''}"
+        )
     return f"{part.effects[0].effect.title}{where}"
 
 
-def _foremost(diagnosis: Diagnosis) -> str:
-    """The nominal value that moved furthest within its tolerance, where that says something."""
+def _largest_moved_value(diagnosis: Diagnosis) -> str:
+    """Return the nominal value that moved most, where it exceeds its tolerance; else ""."""
     moved = [each for each in moved_values(diagnosis) if abs(each.change) >= each.tolerance]
     if not moved:
         return ""
     first = moved[0]
     kind, *rest = first.name.split()
     joint = next(each for each in rest if each.isdecimal())
-    words = [_NOMINAL.get(kind, kind.replace("_", " ")), *(each for each in rest if each != joint)]
+    words = [
+        _NOMINAL_NAMES.get(kind, kind.replace("_", " ")),
+        *(each for each in rest if each != joint),
+    ]
     where = "behind" if kind in ("mass", "com") else "of"
     size = f"{100.0 * first.change:+.2g} %"
     if first.unit:
         size = f"{significant(first.change, 2)} {first.unit}"
-    return f" (most of all {' '.join(words)} {where} joint {joint}: {size})"
+    return f" (mainly {' '.join(words)} {where} joint {joint}: {size})"
 
 
-def _masses(diagnosis: Diagnosis, effects: Sequence[LocatedEffect]) -> str:
+def _nominal_part_phrase(diagnosis: Diagnosis, effects: Sequence[LocatedEffect]) -> str:
     found = [f"{e.effect.title} ({place(diagnosis, e)})" for e in effects]
     rigid = diagnosis.search.rigid
     if rigid is not None and rigid.freed:
@@ -327,8 +340,8 @@ def _masses(diagnosis: Diagnosis, effects: Sequence[LocatedEffect]) -> str:
     return listed(found)
 
 
-def _channels(names: Sequence[str]) -> str:
-    """Channels of one kind together: "torques of joints 1 to 6"."""
+def _format_channels(names: Sequence[str]) -> str:
+    """Return channels grouped by kind, such as "torques of joints 1 to 6"."""
     kinds: dict[str, list[int]] = {}
     for name in names:
         kind, _, joint = name.rpartition("_")
@@ -340,8 +353,8 @@ def _channels(names: Sequence[str]) -> str:
     )
 
 
-def _span(values: Sequence[float], digits: int) -> str:
-    """The least and the most, one where both read alike; what is large to its whole number."""
+def _format_range(values: Sequence[float], digits: int) -> str:
+    """Format the range of values; one number where both ends read alike, large ones rounded."""
     ends = [
         f"{v:.0f}" if v >= 10.0**digits else significant(v, digits)
         for v in (min(values), max(values))
@@ -349,13 +362,13 @@ def _span(values: Sequence[float], digits: int) -> str:
     return " to ".join(dict.fromkeys(ends))
 
 
-def _probabilities(values: Sequence[float]) -> str:
-    """From the least to the most likely, never certain."""
-    ends = [percent_sure(min(values)), percent_sure(max(values))]
+def _format_probability_range(values: Sequence[float]) -> str:
+    """Format a range of probabilities, never as certainty."""
+    ends = [format_probability(min(values)), format_probability(max(values))]
     return " to ".join(dict.fromkeys(ends)).replace(" % to", " to")
 
 
-def _range(low: float, high: float) -> str:
-    """Shares as percentages, one where both read alike."""
+def _format_share_range(low: float, high: float) -> str:
+    """Format a range of shares in percent; one number where both ends read alike."""
     least, most = round(100 * low), round(100 * high)
     return f"{most} %" if least == most else f"{least} to {most} %"

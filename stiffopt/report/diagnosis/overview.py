@@ -1,4 +1,4 @@
-"""What a page lists of a diagnosis beside its findings: limits, moved values, undetectable effects.
+"""Tables of a diagnosis beside its findings: detection limits, moved values, hidden effects.
 
 All values are SI.
 """
@@ -20,11 +20,11 @@ if TYPE_CHECKING:
     from stiffopt.discovery.identifiable import EffectCheck
     from stiffopt.discovery.judging.detection import DetectionLimit
 
-# Nominal values that are shown at most.
-_MOST_MOVED = 12
-# A parameter counts as shown where its standard deviation fell below this share of the prior's.
-_VISIBLE = 0.3
-_UNITS = ("kg", *("kg m",) * 3, *("kg m^2",) * 6)
+# Nominal values listed.
+_MAX_MOVED_VALUES = 12
+# A parameter is identifiable where its standard deviation is below this share of the prior's.
+_MAX_SD_OVER_PRIOR = 0.3
+_INERTIAL_UNITS = ("kg", *("kg m",) * 3, *("kg m^2",) * 6)
 
 
 @dataclass(frozen=True)
@@ -54,9 +54,9 @@ class MovedBody:
     ----------
     link : str
     shown : tuple of (name, change, sd, unit)
-        Inertial parameters that the runs show; the standard deviation is the linear model's.
+        Identifiable inertial parameters, with standard deviations of the linear model.
     hidden : int
-        Parameters that they do not show, which stay about the nominal ones.
+        Number of parameters that are not identifiable and remain near their nominal values.
     """
 
     link: str
@@ -66,7 +66,7 @@ class MovedBody:
 
 @dataclass(frozen=True)
 class UndetectableEffects:
-    """Effects that cannot be seen on these joints (from 1; none: the robot), and why."""
+    """Effects that are not identifiable at joints (from 1; none: the robot), with reasons."""
 
     joints: tuple[int, ...]
     lacks: tuple[str, ...]
@@ -74,7 +74,7 @@ class UndetectableEffects:
 
 
 def candidates(finding: Finding) -> list[tuple[LocatedEffect, float]]:
-    """A finding and its rivals by probability."""
+    """Return a finding and its rivals, the most probable first."""
     every = [(finding.located, finding.probability)]
     every += [(rival.located, rival.probability) for rival in finding.rivals]
     return sorted(every, key=lambda pair: -pair[1])
@@ -83,7 +83,7 @@ def candidates(finding: Finding) -> list[tuple[LocatedEffect, float]]:
 def limits_by_effect(
     diagnosis: Diagnosis,
 ) -> dict[tuple[str, str], dict[int | None, DetectionLimit]]:
-    """Least value that would have been seen by effect and parameter, then joint (None: robot)."""
+    """Return detection limits by effect and parameter, then joint (None: robot)."""
     found: dict[tuple[str, str], dict[int | None, DetectionLimit]] = {}
     for limit in diagnosis.detection_limits:
         found.setdefault((limit.effect.title, limit.parameter), {})[limit.joint] = limit
@@ -91,32 +91,33 @@ def limits_by_effect(
 
 
 def sharpest_limits(diagnosis: Diagnosis) -> list[str]:
-    """Sentences about the smallest relative changes that would have been seen."""
+    """Return sentences on the smallest detectable relative changes."""
     known = [limit for limit in diagnosis.detection_limits if limit.relative is not None]
     best: dict[str, DetectionLimit] = {}
     for limit in sorted(known, key=lambda each: each.relative or 0.0):
         best.setdefault(limit.effect.nominal_words, limit)
     return [
-        f"A change of {name} above {percent(limit.relative)} on joint {limit.joint} would have "
-        "been seen."
+        f"A change of {name} by more than {percent(limit.relative)}"
+        f" at joint {limit.joint} would have "
+        "been detected."
         for name, limit in best.items()
     ]
 
 
 def moved_values(diagnosis: Diagnosis) -> list[MovedValue]:
-    """Nominal values that were moved most, over their tolerances."""
+    """Return the nominal values that moved most relative to their tolerances."""
     names, sd, _ = diagnosis.search.comparison.nuisance
     moved = diagnosis.search.fit.posterior.mean[: len(names)]
     units = {"com": "m", "encoder_zero": "rad"}
     order = [k for k in np.argsort(-np.abs(moved / sd)) if not names[k].startswith("body ")]
     return [
         MovedValue(names[k], units.get(names[k].split()[0], ""), float(moved[k]), float(sd[k]))
-        for k in order[:_MOST_MOVED]
+        for k in order[:_MAX_MOVED_VALUES]
     ]
 
 
 def moved_bodies(diagnosis: Diagnosis) -> list[MovedBody]:
-    """Links of a re-identified rigid model that moved, in the directions that the runs show."""
+    """Return the links of a re-identified rigid model with their identifiable changes."""
     comparison, posterior = diagnosis.search.comparison, diagnosis.search.fit.posterior
     if comparison.bodies is None:
         return []
@@ -128,9 +129,9 @@ def moved_bodies(diagnosis: Diagnosis) -> list[MovedBody]:
         shown = [
             (name, float(value), float(sd), unit)
             for name, value, sd, wide, unit in zip(
-                INERTIAL_PARAMETER_NAMES, change, spread, prior, _UNITS, strict=True
+                INERTIAL_PARAMETER_NAMES, change, spread, prior, _INERTIAL_UNITS, strict=True
             )
-            if sd < _VISIBLE * wide
+            if sd < _MAX_SD_OVER_PRIOR * wide
         ]
         link = diagnosis.training.constants.links[body]
         if shown:
@@ -139,7 +140,7 @@ def moved_bodies(diagnosis: Diagnosis) -> list[MovedBody]:
 
 
 def undetectable_effects(checks: Sequence[EffectCheck]) -> list[UndetectableEffects]:
-    """Effects that could not be seen, together where joints and reasons are the same."""
+    """Return effects that are not identifiable, grouped by joints and reasons."""
     joints: dict[tuple[str, tuple[str, ...]], tuple[int, ...]] = {}
     for check in checks:
         if not check.possible:

@@ -1,4 +1,4 @@
-"""report.html of a diagnosis: what is missing, where, how sure, and the proof of it."""
+"""report.html of a diagnosis: missing effects with confidence, and their validation."""
 
 from __future__ import annotations
 
@@ -18,18 +18,21 @@ from stiffopt.report.common.citations import diagnosis_references
 from stiffopt.report.common.page import Filters, PageFigures, write_page
 from stiffopt.report.common.text import significant
 from stiffopt.report.diagnosis.figures import (
-    balances_figure,
+    Trace,
     channel_ratio,
-    dependence_figure,
     held_out_figure,
+    noise_ceiling_figure,
+    overlay_figure,
+    residual_figure,
+    trace,
+    worst_windows,
 )
-from stiffopt.report.diagnosis.held_out import Trace, overlay_figure, trace, worst_windows
 from stiffopt.report.diagnosis.mismatch import (
-    carried_over_sentences,
     counterbalance_sentences,
     episode_sentences,
     mismatches,
-    rod_sentence,
+    noise_ceiling_sentence,
+    transfer_sentences,
     unstated_rows,
 )
 from stiffopt.report.diagnosis.overview import (
@@ -41,25 +44,25 @@ from stiffopt.report.diagnosis.overview import (
     undetectable_effects,
 )
 from stiffopt.report.diagnosis.regimes import (
+    channel_residuals,
     map_figure,
     regime_figure,
     regressor_figure,
     spectrum_figure,
 )
-from stiffopt.report.diagnosis.residuals import channel_residuals
 from stiffopt.report.diagnosis.words import (
     channel_words,
     channels_in_words,
-    fall,
+    effect_phrase,
+    format_probability,
     headline,
+    is_prismatic,
     is_unstated,
     lead,
     new_and_unstated,
-    percent_sure,
-    phrase,
     place,
-    prismatic,
     proof_sentence,
+    residual_reduction,
     unexplained_sentence,
     verdict_words,
     worst_channel,
@@ -70,8 +73,8 @@ if TYPE_CHECKING:
     from stiffopt.discovery.diagnosis import Diagnosis, Finding
 
 PAGE_FILE = "report.html"
-# Findings that are shown with figures of their own, from this many samples on.
-_SHOWN, _FEW_SAMPLES = 3, 50
+# Findings with their own figures, and samples of a channel that these need.
+_MAX_SHOWN_FINDINGS, _MIN_FIGURE_SAMPLES = 3, 50
 
 
 def write_diagnosis_report(
@@ -82,7 +85,7 @@ def write_diagnosis_report(
     Parameters
     ----------
     diagnosis : Diagnosis
-        Of any verdict.
+        Diagnosis of any verdict.
     directory : path
     png : bool
         Write the figures as PNG as well.
@@ -94,38 +97,38 @@ def write_diagnosis_report(
     recordings, search = diagnosis.recordings, diagnosis.search
     trained = diagnosis.training.recorded
     new, unstated = new_and_unstated(diagnosis)
-    shown = [*new, *unstated][:_SHOWN]
-    overlays = _overlays(diagnosis)
+    shown = [*new, *unstated][:_MAX_SHOWN_FINDINGS]
+    overlays = _overlay_traces(diagnosis)
     figures = PageFigures("diagnosis", png=png)
-    figures.draw("balances", balances_figure(diagnosis), "Residual over noise of all balances")
+    figures.draw("balances", residual_figure(diagnosis), "Residual over noise of all channels")
     for number, finding in enumerate(shown, start=1):
         _draw_finding(figures, diagnosis, finding, number)
     _draw_unexplained(figures, diagnosis)
     if diagnosis.rod is not None and diagnosis.rod.depends:
-        drawn = dependence_figure(diagnosis)
-        figures.draw("dependence", drawn, "What a black box finds in what is left")
+        drawn = noise_ceiling_figure(diagnosis)
+        figures.draw("dependence", drawn, "Black-box fit of the remaining residual")
     figures.draw("held_out", held_out_figure(diagnosis), "Residual over noise of held-out runs")
     for role, (_, curve) in overlays.items():
         figures.draw(role, overlay_figure(curve), "Measured and predicted, before and after")
     context = {
         "diagnosis": diagnosis,
-        "title": f"{recordings.title}: what the nominal model lacks",
+        "title": f"{recordings.title}: diagnosis of the nominal model",
         "headline": headline(diagnosis),
         "lead": lead(diagnosis),
         "verdict": verdict_words(diagnosis),
         "proof": proof_sentence(diagnosis),
         "unexplained": unexplained_sentence(diagnosis),
         "mismatches": mismatches(diagnosis),
-        "rod": rod_sentence(diagnosis),
+        "rod": noise_ceiling_sentence(diagnosis),
         "counterbalances": counterbalance_sentences(diagnosis),
-        "carried_over": [*episode_sentences(diagnosis), *carried_over_sentences(diagnosis)],
+        "carried_over": [*episode_sentences(diagnosis), *transfer_sentences(diagnosis)],
         "new": new,
         "not_given": unstated_rows(diagnosis, unstated),
         "shown": shown,
-        "changes": _changes(diagnosis),
+        "changes": _model_changes(diagnosis),
         "leading": (new or unstated)[:2],
         "overlays": overlays,
-        "worst": worst_channel(diagnosis, search.after) if _compared(search.after) else None,
+        "worst": worst_channel(diagnosis, search.after) if _has_residuals(search.after) else None,
         "worst_ratio": worst_ratio(search.after),
         "encoders": sum(bool(name) for name in recordings.signals.link_position or ()),
         "channel_ratio": partial(channel_ratio, diagnosis),
@@ -146,20 +149,20 @@ def write_diagnosis_report(
     }
     filters: Filters = {
         "place": partial(place, diagnosis),
-        "fall": partial(fall, diagnosis),
-        "prismatic": partial(prismatic, diagnosis),
-        "phrase": lambda finding: phrase(finding, is_unstated(diagnosis, finding)),
+        "fall": partial(residual_reduction, diagnosis),
+        "prismatic": partial(is_prismatic, diagnosis),
+        "phrase": lambda finding: effect_phrase(finding, is_unstated(diagnosis, finding)),
         "candidates": candidates,
         "channel": channel_words,
         "channels": channels_in_words,
-        "sure": percent_sure,
+        "sure": format_probability,
         "counted": counted,
     }
     path = Path(directory) / PAGE_FILE
     return write_page("diagnosis/page.html.j2", path, context, figures, filters)
 
 
-def _compared(ratios: np.ndarray) -> bool:
+def _has_residuals(ratios: np.ndarray) -> bool:
     return bool(np.isfinite(ratios).any())
 
 
@@ -167,17 +170,17 @@ def _draw_finding(
     figures: PageFigures, diagnosis: Diagnosis, finding: Finding, number: int
 ) -> None:
     rows = channel_residuals(diagnosis, finding.channel)
-    if len(rows.after) >= _FEW_SAMPLES:
+    if len(rows.after) >= _MIN_FIGURE_SAMPLES:
         for name, figure, description in (
             ("regressor", regressor_figure, "Measured against the model of the finding"),
-            ("regimes", regime_figure, "Residual by what the joint was doing"),
+            ("regimes", regime_figure, "Residual over speed, load, position and other signals"),
             ("maps", map_figure, "Mean residual without and with the finding"),
         ):
             figures.draw(f"{name}_{number}", figure(diagnosis, rows, finding), description)
 
 
 def _draw_unexplained(figures: PageFigures, diagnosis: Diagnosis) -> None:
-    """Of what is left, or of a set in which nothing is missing its worst channel."""
+    """Draw the unexplained residual or, where nothing is missing, the worst channel."""
     unexplained, after = diagnosis.unexplained, diagnosis.search.after
     if unexplained is not None:
         rows = channel_residuals(diagnosis, unexplained.channels[0])
@@ -185,14 +188,16 @@ def _draw_unexplained(figures: PageFigures, diagnosis: Diagnosis) -> None:
             time = diagnosis.search.comparison.rows.sample_signal(lambda run: run.time)[rows.chosen]
             spectrum = spectrum_figure(rows, time, unexplained.period)
             figures.draw("spectrum", spectrum, "Share of the residual by frequency")
-        figures.draw("outside", regime_figure(diagnosis, rows, None), "What is left by regime")
-    if diagnosis.verdict == "nothing_missing" and _compared(after):
+        figures.draw(
+            "outside", regime_figure(diagnosis, rows, None), "Unexplained residual by regime"
+        )
+    if diagnosis.verdict == "nothing_missing" and _has_residuals(after):
         rows = channel_residuals(diagnosis, worst_channel(diagnosis, after))
         figures.draw("quiet", regime_figure(diagnosis, rows, None), "The worst channel by regime")
 
 
-def _changes(diagnosis: Diagnosis) -> list[tuple[ValueChange, str, str]]:
-    """Values of the nominal robot that the findings change, and old and new as they are shown."""
+def _model_changes(diagnosis: Diagnosis) -> list[tuple[ValueChange, str, str]]:
+    """Return values of the nominal robot that the findings change, with old and new as text."""
     if not diagnosis.findings:
         return []
     model = extended_model(diagnosis.recordings, diagnosis.training.constants, diagnosis.extension)
@@ -202,8 +207,8 @@ def _changes(diagnosis: Diagnosis) -> list[tuple[ValueChange, str, str]]:
     return [row for row in shown if row[1] != row[2]]
 
 
-def _overlays(diagnosis: Diagnosis) -> dict[str, tuple[str, Trace]]:
-    """By role, the first run that has the channel that the answer is about."""
+def _overlay_traces(diagnosis: Diagnosis) -> dict[str, tuple[str, Trace]]:
+    """Return by role the first run that has the leading channel."""
     new, unstated = new_and_unstated(diagnosis)
     if diagnosis.unexplained is not None and not new:
         name = diagnosis.unexplained.channels[0]

@@ -1,7 +1,9 @@
-"""Figures of one channel: its residual by regime, and against what a finding adds to it."""
+"""Residuals of one channel, and their figures by regime and against a finding's model."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,56 +19,57 @@ from stiffopt.report.common.svg import (
     SKY,
     VERMILLION,
     WIDTH,
-    house_style,
+    figure_style,
 )
 from stiffopt.report.common.text import scale
-from stiffopt.report.diagnosis.residuals import (
-    ChannelResiduals,
-    Regime,
-    binned,
-    contribution,
-    direction,
-    regimes,
-)
+from stiffopt.report.diagnosis.words import channel_number
+from stiffopt.units import joint_unit
 
 if TYPE_CHECKING:
     from stiffopt.discovery.diagnosis import Diagnosis, Finding
 
-_BINS, _CELLS = 28, 14
-# Points of a cloud that a page can carry.
-_POINTS = 1500
-_SIDES = ((1, VERMILLION, "positive direction"), (-1, BLUE, "negative direction"))
+_BIN_COUNT, _CELL_COUNT = 28, 14
+# Points of a scatter plot.
+_MAX_POINTS = 1500
+_DIRECTION_STYLES = ((1, VERMILLION, "positive direction"), (-1, BLUE, "negative direction"))
 
 
 def regime_figure(diagnosis: Diagnosis, rows: ChannelResiduals, finding: Finding | None) -> Figure:
-    """Mean residual over speed, load, position, acceleration, session time and rotor angle.
+    """Plot the mean residual over speed, load, position, acceleration, session time, rotor angle.
 
-    With a finding: the residual that is left with everything else explained, and the finding's
-    model as a line; without one, what is left of the channel.
+    With a finding: residual without this finding but with all others, and the finding's model as a
+    line. Without one: the remaining residual.
     """
-    added = np.zeros(len(rows.after)) if finding is None else contribution(diagnosis, finding, rows)
+    added = (
+        np.zeros(len(rows.after))
+        if finding is None
+        else finding_contribution(diagnosis, finding, rows)
+    )
     residual = rows.after + added
     factor, unit = scale(float(np.quantile(np.abs(residual), 0.95)), rows.unit)
-    sides = direction(diagnosis, rows)
+    sides = motion_direction(diagnosis, rows)
     electrical = finding is not None and "pole_pairs" in finding.effect.needs
     shown = list(regimes(diagnosis, rows, electrical))
     noise = factor * float(np.median(rows.noise))
-    with house_style():
+    with figure_style():
         figure = Figure(figsize=(WIDTH, 5.0))
         grid = figure.subplots(2, 3, sharey=True)
         for axes, regime in zip(grid.flat, shown, strict=True):
             axes.axhspan(-noise, noise, color=PALE, alpha=0.55, zorder=0, linewidth=0)
-            for side, colour, _ in _SIDES:
+            for side, colour, _ in _DIRECTION_STYLES:
                 own = sides == side
                 if own.sum() > 1:
-                    _one_side(
+                    _draw_direction(
                         axes, regime, own, factor * residual, factor * added, rows.run, colour
                     )
             axes.set_xlabel(regime.label)
         for line in grid:
             line[0].set_ylabel(f"mean residual [{unit}]")
-        handles = [grid[0, 0].plot([], [], "o", color=colour, ms=4)[0] for _, colour, _ in _SIDES]
-        labels = [words for _, _, words in _SIDES]
+        handles = [
+            grid[0, 0].plot([], [], "o", color=colour, ms=4)[0]
+            for _, colour, _ in _DIRECTION_STYLES
+        ]
+        labels = [words for _, _, words in _DIRECTION_STYLES]
         if finding is not None:
             handles.append(grid[0, 0].plot([], [], color=GREY, linewidth=1.4)[0])
             labels.append("model of the finding")
@@ -77,7 +80,7 @@ def regime_figure(diagnosis: Diagnosis, rows: ChannelResiduals, finding: Finding
         return figure
 
 
-def _one_side(
+def _draw_direction(
     axes: Axes,
     regime: Regime,
     own: np.ndarray,
@@ -92,32 +95,34 @@ def _one_side(
         if group.sum() < 2:
             continue
         low, high = np.quantile(x[group], (0.002, 0.998))
-        edges = np.linspace(low, high, 6 if regime.apart else _BINS)
-        centre, mean, sd = binned(x[group], residual[own][group], edges)
+        edges = np.linspace(low, high, 6 if regime.apart else _BIN_COUNT)
+        centre, mean, sd = binned_means(x[group], residual[own][group], edges)
         if not len(centre):
             continue
         axes.errorbar(centre, mean, yerr=2.0 * sd, fmt="o", color=colour, ms=3.2, elinewidth=0.9)
         if added.any():
-            centre, model, _ = binned(x[group], added[own][group], edges)
+            centre, model, _ = binned_means(x[group], added[own][group], edges)
             axes.plot(centre, model, color=colour, linewidth=1.4, alpha=0.75)
 
 
 def map_figure(diagnosis: Diagnosis, rows: ChannelResiduals, finding: Finding | None) -> Figure:
-    """Mean residual over noise in the planes of speed with load and position, without and with."""
+    """Plot the mean residual over speed and load, and speed and position, without and with it."""
     by_name = {regime.name: regime for regime in regimes(diagnosis, rows)}
     stages = (
-        [("without it", contribution(diagnosis, finding, rows) + rows.after)] if finding else []
+        [("without it", finding_contribution(diagnosis, finding, rows) + rows.after)]
+        if finding
+        else []
     )
-    stages.append(("with it" if finding else "what is left", rows.after))
+    stages.append(("with it" if finding else "residual", rows.after))
     ratios = [values / rows.noise for _, values in stages]
     panels = [(other, number) for other in ("load", "position") for number in range(len(stages))]
     maps = [
-        _cells(by_name["speed"].values, by_name[other].values, ratios[number])
+        _cell_means(by_name["speed"].values, by_name[other].values, ratios[number])
         for other, number in panels
     ]
     filled = np.concatenate([np.abs(m[2][np.isfinite(m[2])]) for m in maps])
     top = max(2.0, float(np.quantile(filled, 0.98))) if filled.size else 2.0
-    with house_style():
+    with figure_style():
         figure = Figure(figsize=(WIDTH, 2.9))
         grid = figure.subplots(1, len(panels), squeeze=False)[0]
         for axes, (other, number), (x, y, values) in zip(grid, panels, maps, strict=True):
@@ -135,33 +140,33 @@ def map_figure(diagnosis: Diagnosis, rows: ChannelResiduals, finding: Finding | 
         return figure
 
 
-def _cells(
+def _cell_means(
     x: np.ndarray, y: np.ndarray, z: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Edges and means of z over a grid in x and y; nan in cells with too few samples."""
+    """Return edges and means of z over a grid in x and y; nan in cells with too few samples."""
     ends = [np.quantile(v, (0.002, 0.998)) for v in (x, y)]
-    edges = [np.linspace(low, high, _CELLS + 1) for low, high in ends]
+    edges = [np.linspace(low, high, _CELL_COUNT + 1) for low, high in ends]
     if not all(np.all(np.diff(e) > 0.0) for e in edges):
-        edges = [np.linspace(v.min() - 1e-9, v.max() + 1e-9, _CELLS + 1) for v in (x, y)]
+        edges = [np.linspace(v.min() - 1e-9, v.max() + 1e-9, _CELL_COUNT + 1) for v in (x, y)]
     count, total = (np.histogram2d(x, y, bins=edges, weights=weights)[0] for weights in (None, z))
     means = np.where(count >= 4, total / np.maximum(count, 1.0), np.nan)
     return edges[0], edges[1], means
 
 
 def regressor_figure(diagnosis: Diagnosis, rows: ChannelResiduals, finding: Finding) -> Figure:
-    """Residual with everything else explained, against what the finding's model says."""
-    added = contribution(diagnosis, finding, rows)
+    """Plot the residual without a finding, but with all others, against the finding's model."""
+    added = finding_contribution(diagnosis, finding, rows)
     residual = rows.after + added
     factor, unit = scale(float(np.quantile(np.abs(residual), 0.95)), rows.unit)
     x, y = factor * added, factor * residual
-    step = max(1, len(x) // _POINTS)
-    with house_style():
+    step = max(1, len(x) // _MAX_POINTS)
+    with figure_style():
         figure = Figure(figsize=(WIDTH, 3.4))
         left, right = figure.subplots(1, 2, width_ratios=(1.5, 1.0))
         left.plot(x[::step], y[::step], ".", color=SKY, ms=3, alpha=0.5, label="samples, filtered")
         edges = np.unique(np.quantile(x, np.linspace(0.0, 1.0, 25)))
         if len(edges) > 2:
-            centre, mean, sd = binned(x, y, edges)
+            centre, mean, sd = binned_means(x, y, edges)
             left.errorbar(
                 centre,
                 mean,
@@ -174,16 +179,16 @@ def regressor_figure(diagnosis: Diagnosis, rows: ChannelResiduals, finding: Find
             )
         ends = np.array([x.min(), x.max()])
         left.plot(ends, ends, color=VERMILLION, linewidth=1.6, label="model: measured = predicted")
-        left.set_xlabel(f"what the finding adds by its model [{unit}]")
+        left.set_xlabel(f"contribution of the finding by its model [{unit}]")
         left.set_ylabel(f"residual without it [{unit}]")
         left.legend(loc="upper left")
-        _histogram(right, rows, residual)
+        _draw_histogram(right, rows, residual)
         figure.subplots_adjust(left=0.065, right=0.99, wspace=0.2)
         return figure
 
 
-def _histogram(axes: Axes, rows: ChannelResiduals, residual: np.ndarray) -> None:
-    """Distribution of the residual over noise, without and with the finding, beside the normal."""
+def _draw_histogram(axes: Axes, rows: ChannelResiduals, residual: np.ndarray) -> None:
+    """Draw histograms of residual over noise, without and with the finding, and the normal."""
     without, with_it = residual / rows.noise, rows.after / rows.noise
     reach = float(np.clip(np.quantile(np.abs(without), 0.99), 4.0, 40.0))
     bins = np.linspace(-reach, reach, 61).tolist()
@@ -202,7 +207,7 @@ def _histogram(axes: Axes, rows: ChannelResiduals, residual: np.ndarray) -> None
 
 
 def spectrum_figure(rows: ChannelResiduals, time: np.ndarray, period: float) -> Figure:
-    """Wave in time that best fits each run by frequency, as a share of the residual's squares."""
+    """Plot the share of the squared residual that a sinusoid of each frequency explains."""
     runs = [rows.run == r for r in np.unique(rows.run)]
     span = min(float(np.ptp(time[own])) for own in runs)
     frequencies = np.arange(1.5 / span, max(4.0 / period, 20.0 / span), 0.2 / span)
@@ -213,7 +218,7 @@ def spectrum_figure(rows: ChannelResiduals, time: np.ndarray, period: float) -> 
         for i, f in enumerate(frequencies):
             waves = np.column_stack([np.sin(2 * np.pi * f * t), np.cos(2 * np.pi * f * t)])
             share[i] += float((waves.T @ y) @ np.linalg.solve(waves.T @ waves, waves.T @ y))
-    with house_style():
+    with figure_style():
         figure = Figure(figsize=(WIDTH, 2.6))
         axes = figure.subplots()
         axes.plot(frequencies, 100.0 * share / total, color=BLUE)
@@ -223,3 +228,173 @@ def spectrum_figure(rows: ChannelResiduals, time: np.ndarray, period: float) -> 
         axes.set_ylim(0.0)
         figure.subplots_adjust(left=0.065, right=0.99, bottom=0.2)
         return figure
+
+
+@dataclass(frozen=True, eq=False)
+class ChannelResiduals:
+    """Filtered residuals of one channel in the training runs.
+
+    Parameters
+    ----------
+    name : str
+        Name such as "torque_3".
+    joint : int
+        From 0.
+    unit : str
+        Unit of the residuals, SI.
+    before, after : array (m,)
+        Residual of the nominal model, and with findings and calibrated nominal values.
+    noise : array (m,)
+        Standard deviation of each sample.
+    run : array (m,) of int
+        Index of the run.
+    chosen : array (m,) of int
+        Indices of the rows in the search.
+    """
+
+    name: str
+    joint: int
+    unit: str
+    before: np.ndarray
+    after: np.ndarray
+    noise: np.ndarray
+    run: np.ndarray
+    chosen: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Regime:
+    """A signal on which a residual may depend.
+
+    Parameters
+    ----------
+    name, label : str
+        The label has the unit.
+    values : array (m,)
+        In the label's unit.
+    apart : bool
+        True where each run is a separate group of values, not to be connected.
+    """
+
+    name: str
+    label: str
+    values: np.ndarray
+    apart: bool = False
+
+
+def channel_residuals(diagnosis: Diagnosis, name: str) -> ChannelResiduals:
+    """Return the residuals of a channel in its own unit, before and after."""
+    search = diagnosis.search
+    rows, comparison = search.comparison.rows, search.comparison
+    number = channel_number(diagnosis, name)
+    joint = number % diagnosis.recordings.n
+    chosen = np.flatnonzero(rows.channel == number)
+    noises = comparison.noise
+    sd = float((noises.torque if number < rows.n else noises.deflection)[joint])
+    gain = rows.sample_signal(lambda run: np.full(len(run.time), run.low_pass.noise_gain))[chosen]
+    noise = sd * gain
+    slides = diagnosis.training.constants.joints[joint].prismatic
+    return ChannelResiduals(
+        name=name,
+        joint=joint,
+        unit=joint_unit("N m" if number < rows.n else "rad", slides),
+        before=search.target[chosen] * noise,
+        after=search.fit.residual[chosen] * noise,
+        noise=noise,
+        run=rows.sample_signal(lambda run: np.full(len(run.time), run.index))[chosen],
+        chosen=chosen,
+    )
+
+
+def finding_contribution(
+    diagnosis: Diagnosis, finding: Finding, rows: ChannelResiduals
+) -> np.ndarray:
+    """Return the contribution of a finding to a channel (m,), fitted beside all others."""
+    search = diagnosis.search
+    begin = 0
+    for located in search.fit.effects:
+        count = len(located.effect.amplitudes)
+        if located.same_place(finding.located):
+            own = search.fit.amplitudes()[begin : begin + count]
+            columns = search.comparison.effect_columns(located)[rows.chosen]
+            number = search.comparison.rows.channel[rows.chosen]
+            return np.asarray(columns @ own * search.comparison.inflation[number] * rows.noise)
+        begin += count
+    return np.zeros(len(rows.chosen))
+
+
+def regimes(
+    diagnosis: Diagnosis, rows: ChannelResiduals, electrical: bool = False
+) -> Iterator[Regime]:
+    """Yield speed, load, position, acceleration, session time and rotor angle of the joint.
+
+    Parameters
+    ----------
+    diagnosis : Diagnosis
+    rows : ChannelResiduals
+    electrical : bool
+        Use the electrical angle of the motor, where its pole pairs are known.
+    """
+    sampled = diagnosis.search.comparison.rows.sample_signal
+    constants = diagnosis.training.constants.joints[rows.joint]
+    length = joint_unit("rad", constants.prismatic)
+
+    def own(name: str) -> np.ndarray:
+        whole = sampled(lambda run: getattr(run.signals, name)[:, rows.joint])
+        return np.asarray(whole[rows.chosen])
+
+    yield Regime("speed", f"joint speed [{length}/s]", own("motor_velocity"))
+    force = joint_unit("N m", constants.prismatic)
+    yield Regime("load", f"load of the joint, nominal [{force}]", own("spring_torque"))
+    position = own("motor_position")
+    yield Regime("position", f"joint position [{length}]", position)
+    yield Regime("acceleration", f"joint acceleration [{length}/s²]", own("motor_acceleration"))
+    session = sampled(lambda run: run.signals.session_time)[rows.chosen]
+    several = len(set(rows.run.tolist())) > 1
+    yield Regime("session time", "time since switching on [min]", session / 60.0, several)
+    if constants.ratio > 1.0 and not constants.prismatic:
+        turns = constants.ratio * position / (2.0 * np.pi)
+        if electrical and constants.pole_pairs:
+            label = "electrical angle of the motor [turns]"
+            yield Regime("rotor", label, np.mod(turns * constants.pole_pairs, 1.0))
+        else:
+            yield Regime("rotor", "rotor angle [turns]", np.mod(turns, 1.0))
+    else:
+        time = sampled(lambda run: run.time)[rows.chosen]
+        yield Regime("time", "time in the run [s]", time)
+
+
+def motion_direction(diagnosis: Diagnosis, rows: ChannelResiduals) -> np.ndarray:
+    """Return the direction of the joint's motion at every row, -1 or 1."""
+    speed = diagnosis.search.comparison.rows.sample_signal(
+        lambda run: run.signals.motor_velocity[:, rows.joint]
+    )[rows.chosen]
+    return np.where(speed < 0.0, -1, 1)
+
+
+def binned_means(
+    x: np.ndarray, y: np.ndarray, edges: np.ndarray, least: int = 6
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return means of y in bins of x.
+
+    Parameters
+    ----------
+    x, y : array (m,)
+    edges : array (b + 1,)
+    least : int
+        Minimum samples of a bin.
+
+    Returns
+    -------
+    (array, array, array)
+        Mean x, mean y and standard error of the mean of every bin with enough samples.
+    """
+    number = np.digitize(x, edges) - 1
+    found = []
+    for b in range(len(edges) - 1):
+        own = number == b
+        count = int(own.sum())
+        if count >= least:
+            found.append((x[own].mean(), y[own].mean(), y[own].std() / np.sqrt(count)))
+    table = np.array(found).reshape(-1, 3)
+    return table[:, 0], table[:, 1], table[:, 2]

@@ -1,4 +1,4 @@
-"""What `stiffopt diagnose` prints."""
+"""Terminal output of `stiffopt diagnose`."""
 
 from __future__ import annotations
 
@@ -8,22 +8,22 @@ from typing import TYPE_CHECKING
 from stiffopt.report.common.terminal import print_lines, print_table
 from stiffopt.report.common.text import DASH, listed, pm, significant
 from stiffopt.report.diagnosis.mismatch import (
-    carried_over_sentences,
     counterbalance_sentences,
     episode_sentences,
     mismatches,
-    rod_sentence,
+    noise_ceiling_sentence,
+    transfer_sentences,
     unstated_rows,
 )
 from stiffopt.report.diagnosis.words import (
     channels_in_words,
-    clipped_words,
-    joints_without_torque,
+    is_partly_unexplained,
+    is_prismatic,
     new_and_unstated,
     place,
-    prismatic,
-    stays_open,
-    unchanged,
+    saturation_sentences,
+    unassessed_joint_sentences,
+    unchanged_sentence,
     unexplained_sentence,
 )
 from stiffopt.units import joint_unit
@@ -31,36 +31,36 @@ from stiffopt.units import joint_unit
 if TYPE_CHECKING:
     from stiffopt.discovery.diagnosis import Diagnosis, Finding
 
-_VERDICTS = {
-    "named": "Something is missing in the nominal model, and what it is was found.",
+_VERDICT_SENTENCES = {
+    "named": "The nominal model lacks effects, which were identified.",
     "nothing_missing": "Nothing is missing: the nominal model within its tolerances explains the"
     " recordings.",
-    "outside_catalogue": "Something is missing that no entry of the catalogue explains.",
+    "outside_catalogue": "The nominal model lacks an effect that is not in the catalogue.",
 }
 NOT_GIVEN = "no nominal value"
-# Channels that were left out and are told one by one.
-_FAULTS = 5
-_HEAD = ("effect", "where", "parameters", "explains", "probability", "confused with")
+# Excluded channels that are listed individually.
+_MAX_FAULT_LINES = 5
+_FINDING_COLUMNS = ("effect", "where", "parameters", "explains", "probability", "confused with")
 
 
 def print_diagnosis(diagnosis: Diagnosis, folder: Path) -> None:
-    """Verdict, findings with deviations and rivals, fit on held-out runs, where the files are."""
+    """Print verdict, findings, validation on held-out runs, assumptions and paths of the files."""
     label = diagnosis.verdict
-    part = label == "named" and stays_open(diagnosis)
-    print_lines([f"{'named in part' if part else label}: {_verdict(diagnosis)}"])
+    part = label == "named" and is_partly_unexplained(diagnosis)
+    print_lines([f"{'named in part' if part else label}: {_verdict_sentence(diagnosis)}"])
     more = [each.sentence for each in mismatches(diagnosis)]
     more += counterbalance_sentences(diagnosis)
     more += [
-        *joints_without_torque(diagnosis),
-        *clipped_words(diagnosis),
+        *unassessed_joint_sentences(diagnosis),
+        *saturation_sentences(diagnosis),
         *episode_sentences(diagnosis),
-        rod_sentence(diagnosis),
+        noise_ceiling_sentence(diagnosis),
     ]
-    more += carried_over_sentences(diagnosis)
+    more += transfer_sentences(diagnosis)
     print_lines([line for line in more if line])
     new, unstated = new_and_unstated(diagnosis)
     if diagnosis.findings:
-        rows = [_row(diagnosis, finding) for finding in new]
+        rows = [_finding_row(diagnosis, finding) for finding in new]
         rows += [
             (
                 each.effect,
@@ -72,16 +72,16 @@ def print_diagnosis(diagnosis: Diagnosis, folder: Path) -> None:
             )
             for each in unstated_rows(diagnosis, unstated)
         ]
-        print_table(_HEAD, rows)
+        print_table(_FINDING_COLUMNS, rows)
     lines = []
     if diagnosis.unexplained is not None:
         lines.append(f"Outside the catalogue. {unexplained_sentence(diagnosis)}")
     for role, meaning in (("test", "test"), ("extrapolate", "extrapolation")):
         if diagnosis.proofs(role):
             before, after = (significant(v, 3) for v in diagnosis.nrmse(role))
-            lines.append(f"Residual over noise on {meaning} runs: {before} before, {after} after.")
+            lines.append(f"Residual over noise in {meaning} runs: {before} before, {after} after.")
     if diagnosis.next_experiment:
-        lines.append(f"Next: {diagnosis.next_experiment}")
+        lines.append(f"Next experiment: {diagnosis.next_experiment}")
     lines += [f"Assumed: {note}" for note in diagnosis.assumptions]
     lines += fault_lines(diagnosis)
     page = folder / "report.html"
@@ -90,44 +90,43 @@ def print_diagnosis(diagnosis: Diagnosis, folder: Path) -> None:
 
 
 def fault_lines(diagnosis: Diagnosis) -> list[str]:
-    """What is wrong with channels: those that were left out by name, of the others how many."""
+    """Return lines on excluded channels, and the number of further faults."""
     left_out: dict[tuple[str, str], list[str]] = {}
     for run, fault in diagnosis.faults:
         if fault.left_out:
             left_out.setdefault((fault.channel, fault.detail), []).append(run)
     lines = [
         f"Fault of the recordings: {channel} of {listed(runs)} {detail}"
-        for (channel, detail), runs in list(left_out.items())[:_FAULTS]
+        for (channel, detail), runs in list(left_out.items())[:_MAX_FAULT_LINES]
     ]
-    told = sum(map(len, list(left_out.values())[:_FAULTS]))
+    told = sum(map(len, list(left_out.values())[:_MAX_FAULT_LINES]))
     if rest := len(diagnosis.faults) - told:
         faults = "Further faults" if told else "Faults"
         lines.append(f"{faults} of the recordings: {rest}, in diagnosis.json.")
     return lines
 
 
-def _verdict(diagnosis: Diagnosis) -> str:
+def _verdict_sentence(diagnosis: Diagnosis) -> str:
     left = diagnosis.unexplained
-    if left is not None and stays_open(diagnosis):
+    if left is not None and is_partly_unexplained(diagnosis):
         much = (
-            f"{significant(left.ratio, 2)} times the noise stays open in"
+            f"{significant(left.ratio, 2)} times the noise remains unexplained in"
             f" {channels_in_words(left.channels[:1])}"
         )
         if diagnosis.verdict == "outside_catalogue":
             return (
-                f"Something is missing in the nominal model; part of it was found, but {much}, so"
-                " that no finding is more than a start."
+                f"The nominal model lacks effects, which were identified in part, but {much}: all"
+                " findings are tentative."
             )
         return (
-            f"Something is missing in the nominal model; the most of it was found, but {much}:"
-            " findings there may stand for something else. Look first whether unit, torque constant"
-            " and masses are right."
+            f"The nominal model lacks effects, most of which were identified, but {much}: findings"
+            " there may be misattributed. Check unit, torque constant and masses first."
         )
-    return unchanged(diagnosis) or _VERDICTS[diagnosis.verdict]
+    return unchanged_sentence(diagnosis) or _VERDICT_SENTENCES[diagnosis.verdict]
 
 
-def _row(diagnosis: Diagnosis, finding: Finding) -> tuple[str, ...]:
-    slides = prismatic(diagnosis, finding.located)
+def _finding_row(diagnosis: Diagnosis, finding: Finding) -> tuple[str, ...]:
+    slides = is_prismatic(diagnosis, finding.located)
     parameters = (
         f"{p.name} = {pm(p.value, p.sd, joint_unit(p.unit, slides))}" for p in finding.parameters
     )

@@ -1,4 +1,4 @@
-"""Sentences of a diagnosis: what is missing, where, how sure, and the proof in one line."""
+"""Sentences of a diagnosis: missing effects, confidence, unexplained residual, validation."""
 
 from __future__ import annotations
 
@@ -17,21 +17,23 @@ if TYPE_CHECKING:
     from stiffopt.discovery.judging.unexplained import Unexplained
 
 VERDICTS = {
-    "named": "missing effect named",
+    "named": "missing effect identified",
     "nothing_missing": "nothing missing",
     "outside_catalogue": "outside the catalogue",
 }
-# From here on more or fewer decimals say nothing to a reader.
-_SURE = 0.995
-# Residual over noise of held-out runs from which a reader is told that much is left.
-_MUCH_LEFT = 2.0
+# Probability above which "above 99 %" is written.
+_MAX_SHOWN_PROBABILITY = 0.995
+# Residual over noise of held-out runs above which the worst channel is named.
+_LARGE_RESIDUAL_RATIO = 2.0
 
-# Share of a run from which on a torque at its limit is told first.
-_CLIPPED = 0.05
+# Share of a run above which a saturated torque is reported.
+_MIN_SATURATED_SHARE = 0.05
+# Causes of bursts by the signal that they follow.
+_BURST_CAUSES = {"torque": "saturates", "dtorque": "limits the rate of its torque"}
 
 
 def place(diagnosis: Diagnosis, located: LocatedEffect) -> str:
-    """Where an effect is: a joint, a link, the robot; and the run, if it has only one."""
+    """Return the place of an effect: link, joint (with the run of run effects) or robot."""
     if located.link is not None:
         return f"link {diagnosis.training.constants.links[located.link]}"
     if located.joint is None:
@@ -39,34 +41,34 @@ def place(diagnosis: Diagnosis, located: LocatedEffect) -> str:
     return f"joint {located.joint + 1}" + (f", {located.run}" if located.run else "")
 
 
-def prismatic(diagnosis: Diagnosis, located: LocatedEffect) -> bool:
-    """Whether an effect's joint slides."""
+def is_prismatic(diagnosis: Diagnosis, located: LocatedEffect) -> bool:
+    """Return True where an effect's joint is prismatic."""
     joints = diagnosis.training.constants.joints
     return located.joint is not None and joints[located.joint].prismatic
 
 
 def is_unstated(diagnosis: Diagnosis, finding: Finding) -> bool:
-    """Whether a finding stands for a value that the nominal model does not give at all."""
+    """Return True for a finding that supplies a value without nominal value."""
     return finding.effect.nominal in diagnosis.recordings.unstated
 
 
 def new_and_unstated(diagnosis: Diagnosis) -> tuple[list[Finding], list[Finding]]:
-    """Findings that say something new, and values that the nominal model did not give."""
+    """Return new effects, and findings that only supply values without nominal value."""
     unstated = [f for f in diagnosis.findings if is_unstated(diagnosis, f)]
     return [f for f in diagnosis.findings if f not in unstated], unstated
 
 
-def phrase(finding: Finding, unstated: bool = False) -> str:
-    """What is missing, in plain words."""
+def effect_phrase(finding: Finding, unstated: bool = False) -> str:
+    """Return the missing effect in words."""
     if unstated:
         return f"{finding.effect.nominal_words}, for which there is no nominal value"
     return finding.effect.phrase_of(finding.estimated.amplitudes)
 
 
-def unchanged(diagnosis: Diagnosis) -> str:
-    """That nothing has changed since the model that was started from, and what that left open.
+def unchanged_sentence(diagnosis: Diagnosis) -> str:
+    """Return a sentence that nothing changed since the starting model, with its unexplained rest.
 
-    Empty without such a model, and where all that it leaves is to be explained.
+    Empty without a starting model, and where something is missing.
     """
     comparison = diagnosis.search.comparison
     if diagnosis.verdict != "nothing_missing" or not comparison.after_model:
@@ -77,51 +79,54 @@ def unchanged(diagnosis: Diagnosis) -> str:
     if least[worst] <= 1.0:
         return f"{text}."
     where = channels_in_words([worst_channel(diagnosis, least)])
-    return f"{text}; it left {significant(float(least[worst]), 2)} times the noise open in {where}."
+    return (
+        f"{text}; it leaves {significant(float(least[worst]), 2)} times the noise unexplained in"
+        f" {where}."
+    )
 
 
 def headline(diagnosis: Diagnosis) -> str:
-    """What is missing and where, or that nothing is."""
-    if nothing := unchanged(diagnosis):
+    """Return the headline: missing effects with their places, or that nothing is missing."""
+    if nothing := unchanged_sentence(diagnosis):
         return nothing.removesuffix(".")
     if diagnosis.verdict == "nothing_missing":
-        silent = " ".join(joints_without_torque(diagnosis)).removesuffix(".")
+        silent = " ".join(unassessed_joint_sentences(diagnosis)).removesuffix(".")
         return f"Nothing is missing within the tolerances{silent and '. '}{silent}"
     if not diagnosis.findings:
         where = (
             channels_in_words(diagnosis.unexplained.channels[:1]) if diagnosis.unexplained else ""
         )
-        return f"Something outside the catalogue acts on {where}"
+        return f"An effect outside the catalogue acts on {where}"
     new, unstated = new_and_unstated(diagnosis)
     if not new:
-        text = f"Found what the nominal model does not give: {_unstated_words(unstated)}"
-        return text + _open_words(diagnosis)
+        text = f"Identified values without nominal value: {_unstated_phrase(unstated)}"
+        return text + _unexplained_clause(diagnosis)
     by_place: dict[str, list[str]] = {}
     for finding in new:
-        by_place.setdefault(place(diagnosis, finding.located), []).append(phrase(finding))
-    text = "; ".join(f"{where}: {listed(what)}" for where, what in by_place.items())
-    return capital(text) + _open_words(diagnosis)
+        by_place.setdefault(place(diagnosis, finding.located), []).append(effect_phrase(finding))
+    text = "; ".join(f"{where}: {listed(effects)}" for where, effects in by_place.items())
+    return capital(text) + _unexplained_clause(diagnosis)
 
 
-def stays_open(diagnosis: Diagnosis) -> bool:
-    """Whether findings leave so much that they may stand for something else."""
+def is_partly_unexplained(diagnosis: Diagnosis) -> bool:
+    """Return True where findings leave so large a residual that they may be misattributed."""
     left = diagnosis.unexplained
     if not diagnosis.findings or left is None:
         return False
     return diagnosis.verdict == "outside_catalogue" or left.ratio >= OPEN_RATIO
 
 
-def _open_words(diagnosis: Diagnosis) -> str:
-    """That much is open, where findings leave many times the noise."""
+def _unexplained_clause(diagnosis: Diagnosis) -> str:
+    """Return a clause on the unexplained residual where it is large, else ""."""
     left = diagnosis.unexplained
-    if left is None or not stays_open(diagnosis):
+    if left is None or not is_partly_unexplained(diagnosis):
         return ""
     where = channels_in_words(left.channels[:1])
-    return f"; {significant(left.ratio, 2)} times the noise stays open in {where}"
+    return f"; {significant(left.ratio, 2)} times the noise remains unexplained in {where}"
 
 
-def joints_without_torque(diagnosis: Diagnosis) -> list[str]:
-    """Torques that are stated but show in no training run: a sentence for each joint."""
+def unassessed_joint_sentences(diagnosis: Diagnosis) -> list[str]:
+    """Return a sentence for each joint whose stated torque is usable in no training run."""
     training, n = diagnosis.training, diagnosis.training.robot.n
     stated = diagnosis.recordings.signals.torque or ("",) * n
     silent = [
@@ -138,41 +143,46 @@ def joints_without_torque(diagnosis: Diagnosis) -> list[str]:
             (abs(run.signals.motor_velocity[:, j]) >= training.settings.slow).any()
             for run in training.runs
         )
-        why = "its torque can be used in no training run"
+        why = "its torque is usable in no training run"
         if still and not broken.issuperset(run.name for run in training.runs):
             why = "it never moves, or its position does not follow it"
-        found.append(f"Joint {j + 1} was not judged: {why}.")
+        found.append(f"Joint {j + 1} was not assessed: {why}.")
     return found
 
 
-def clipped_words(diagnosis: Diagnosis) -> list[str]:
-    """Torques that rest on their largest value: a sentence for each joint."""
+def saturation_sentences(diagnosis: Diagnosis) -> list[str]:
+    """Return a sentence for each joint whose torque saturates."""
     worst: dict[int, tuple[float, str]] = {}
     for run, fault in diagnosis.faults:
-        if fault.kind == "saturated" and fault.joint is not None and fault.share > _CLIPPED:
+        if (
+            fault.kind == "saturated"
+            and fault.joint is not None
+            and fault.share > _MIN_SATURATED_SHARE
+        ):
             worst[fault.joint] = max(worst.get(fault.joint, (0.0, "")), (fault.share, run))
     return [
-        f"The torque of joint {joint} rests on its largest value in {100.0 * share:.0f} % of {run}:"
-        " what is cut off there is no physics of the joint. Record it below its limit."
+        f"The torque of joint {joint} is saturated in"
+        f" {100.0 * share:.0f} % of {run}, which hides the"
+        " true torque. Record it below its limit."
         for joint, (share, run) in sorted(worst.items())
     ]
 
 
 def verdict_words(diagnosis: Diagnosis) -> str:
-    """The verdict, and beside findings that it is not all."""
+    """Return the verdict in words."""
     if diagnosis.findings and diagnosis.verdict == "outside_catalogue":
-        return "named in part, much stays open"
-    if stays_open(diagnosis):
-        return "the most is named, much stays open"
+        return "identified in part, large unexplained residual"
+    if is_partly_unexplained(diagnosis):
+        return "mostly identified, large unexplained residual"
     return VERDICTS[diagnosis.verdict]
 
 
 def lead(diagnosis: Diagnosis) -> str:
-    """How sure, and what it rests on."""
+    """Return the lead paragraph: confidence of findings, residuals, unexplained part, modes."""
     if diagnosis.verdict == "nothing_missing":
         most = worst_ratio(diagnosis.search.after)
         within = (
-            "" if unchanged(diagnosis) else "With nominal values moved within their tolerances, "
+            "" if unchanged_sentence(diagnosis) else "With nominal values within their tolerances, "
         )
         text = "No effect of the catalogue is needed. " + capital(
             f"{within}the worst channel of the training runs is at {most:.2g} times its noise."
@@ -181,12 +191,12 @@ def lead(diagnosis: Diagnosis) -> str:
         text = unexplained_sentence(diagnosis)
     else:
         new, unstated = new_and_unstated(diagnosis)
-        parts = [how_sure(finding) for finding in new]
-        parts += [fall_sentence(diagnosis, c) for c in dict.fromkeys(f.channel for f in new)]
+        parts = [confidence_sentence(finding) for finding in new]
+        parts += [
+            residual_reduction_sentence(diagnosis, c) for c in dict.fromkeys(f.channel for f in new)
+        ]
         if new and unstated:
-            parts.append(
-                f"Also found, not given by the nominal model: {_unstated_words(unstated)}."
-            )
+            parts.append(f"Also identified, without nominal value: {_unstated_phrase(unstated)}.")
         elif unstated:
             parts.append("Beyond these, no effect of the catalogue is needed.")
         text = " ".join(parts)
@@ -195,123 +205,119 @@ def lead(diagnosis: Diagnosis) -> str:
     return " ".join([text, *(str(mode) for mode in diagnosis.modes if mode.elsewhere)])
 
 
-def how_sure(finding: Finding) -> str:
-    """Probability against rivals and deviations from nothing, in a sentence."""
+def confidence_sentence(finding: Finding) -> str:
+    """Return a sentence on a finding's probability against rivals and its significance."""
     if finding.rivals:
         rival = finding.rivals[0]
         other = rival.located.effect.title
-        sure = f"{percent_sure(finding.probability)} sure; the nearest rival is {other}"
+        sure = f"probability {format_probability(finding.probability)}, nearest rival {other}"
         if rival.located.joint not in (None, finding.located.joint):
             sure += f" of joint {rival.located.joint + 1}"
     elif finding.misfit:
-        sure = f"{percent_sure(finding.probability)} sure; no rival comes near"
+        sure = f"probability {format_probability(finding.probability)}, no comparable rival"
     else:
-        sure = "no rival comes near"
+        sure = "no comparable rival"
     if round(100 * finding.misfit):
-        sure += f" (an unknown cause takes {100 * finding.misfit:.0f} % of the odds)"
+        sure += f" (probability of an unknown cause {100 * finding.misfit:.0f} %)"
     name = capital(finding.effect.title)
-    return f"{name}: {sure}; {finding.significance:.0f} standard deviations from nothing."
+    return f"{name}: {sure}; significance {finding.significance:.0f} standard deviations."
 
 
-def fall_sentence(diagnosis: Diagnosis, channel: str) -> str:
-    """How far the residual of a channel falls in the training runs."""
-    within, after = fall(diagnosis, channel)
+def residual_reduction_sentence(diagnosis: Diagnosis, channel: str) -> str:
+    """Return a sentence on the reduction of a channel's residual in the training runs."""
+    within, after = residual_reduction(diagnosis, channel)
     return (
-        f"{capital(channels_in_words([channel]))} is left at {significant(within, 2)} times its "
-        f"noise by nominal values within tolerance, at {significant(after, 2)} with what was found."
+        f"The residual of {channels_in_words([channel])} is"
+        f" {significant(within, 2)} times its noise "
+        f"with nominal values within tolerance, {significant(after, 2)} times with the findings."
     )
 
 
-def fall(diagnosis: Diagnosis, channel: str) -> tuple[float, float]:
-    """Residual over noise in training: nominal values within tolerance, then with findings."""
+def residual_reduction(diagnosis: Diagnosis, channel: str) -> tuple[float, float]:
+    """Return residual over noise in training: nominal values within tolerance, with findings."""
     number = channel_number(diagnosis, channel)
     return float(diagnosis.search.calibrated[number]), float(diagnosis.search.after[number])
 
 
 def unexplained_sentence(diagnosis: Diagnosis) -> str:
-    """What remains beyond the catalogue, what it follows, and the run that is alone with it."""
+    """Return sentences on the unexplained residual, its dependence, and a single deviating run."""
     unexplained = diagnosis.unexplained
     if unexplained is None:
         return ""
-    text = _followed(unexplained)
+    text = _dependence_sentence(unexplained)
     if unexplained.alone is not None:
         run, ratio = unexplained.alone
         text += (
-            f" In {run} the nominal model leaves {significant(ratio, 2)} times as much there as in"
-            " any other training run: was the load, or the arm, another one?"
+            f" In {run} the residual of the nominal model there is {significant(ratio, 2)} times"
+            " that of any other training run: check whether its payload or arm differs."
         )
     return text
 
 
-def _followed(unexplained: Unexplained) -> str:
+def _dependence_sentence(unexplained: Unexplained) -> str:
     channels = channels_in_words(unexplained.channels)
     if unexplained.brief:
         return (
-            f"In bursts, {channels} leaves {unexplained.ratio:.2g} times the noise:"
-            f" {100 * unexplained.gain:.0f} % of what remains lies where"
+            f"The residual of {channels} is {unexplained.ratio:.2g} times the noise, in bursts:"
+            f" {100 * unexplained.gain:.0f} % of it occurs where"
             f" {regressor_words(unexplained.regressors[0])} is largest, as with a drive that"
-            f" {_DRIVES[unexplained.regressors[0].partition('_')[0]]}."
+            f" {_BURST_CAUSES[unexplained.regressors[0].partition('_')[0]]}."
         )
-    text = f"In {channels} up to {unexplained.ratio:.2g} times the noise remains unexplained"
+    text = f"Up to {unexplained.ratio:.2g} times the noise remains unexplained in {channels}"
     if unexplained.period is not None:
-        text += f"; it repeats every {significant(unexplained.period, 3)} s, whatever the motion"
-        return f"{text}: a wave of that period explains {100 * unexplained.gain:.0f} % of it."
+        text += f"; it has a period of {significant(unexplained.period, 3)} s in any motion"
+        return f"{text}: a sinusoid of that period explains {100 * unexplained.gain:.0f} % of it."
     elif unexplained.regressors:
-        text += f"; it follows {listed(regressor_words(r) for r in unexplained.regressors)}"
+        text += f"; it depends on {listed(regressor_words(r) for r in unexplained.regressors)}"
     else:
-        return f"{text}; it follows nothing that was recorded."
+        return f"{text}; it depends on no recorded signal."
     return (
-        f"{text}, which predicts {100 * unexplained.gain:.0f} % of it in stretches of the training"
-        " runs left out."
+        f"{text}, which predicts {100 * unexplained.gain:.0f} % of it in left-out intervals of the"
+        " training runs."
     )
 
 
 def proof_sentence(diagnosis: Diagnosis) -> str:
-    """Residual over noise on runs that were never fitted to."""
+    """Return the validation sentence: residual over noise in held-out runs, before and after."""
     parts = []
     for role, runs in (("test", "test runs"), ("extrapolate", "extrapolation runs")):
         if diagnosis.proofs(role):
             before, after = diagnosis.nrmse(role)
-            parts.append(f"from {significant(before, 3)} to {significant(after, 3)} on {runs}")
+            parts.append(f"from {significant(before, 3)} to {significant(after, 3)} in {runs}")
     if not parts:
         return ""
-    text = (
-        f"On recordings that no fit has seen, the residual goes {' and '.join(parts)}, in units "
-        "of the sensor noise."
-    )
+    change = " and ".join(parts)
+    text = f"Validation on held-out runs: residual {change}, in units of the sensor noise."
     left = [diagnosis.nrmse(role)[1] for role in ("test", "extrapolate") if diagnosis.proofs(role)]
-    if max(left) > _MUCH_LEFT and diagnosis.findings:
+    if max(left) > _LARGE_RESIDUAL_RATIO and diagnosis.findings:
         worst = worst_channel(diagnosis, diagnosis.search.after)
         text += (
-            f" So not all is explained: most is left in {channels_in_words([worst])}, at "
-            f"{significant(fall(diagnosis, worst)[1], 2)} times its noise in the training runs."
+            f" The largest residual remains in {channels_in_words([worst])}, "
+            f"{significant(residual_reduction(diagnosis, worst)[1], 2)} times its noise in the "
+            "training runs."
         )
     return text
 
 
-def percent_sure(probability: float) -> str:
-    """Probability in percent that never claims certainty."""
-    return "above 99 %" if probability > _SURE else f"{100 * probability:.0f} %"
+def format_probability(probability: float) -> str:
+    """Format a probability in percent, never as certainty."""
+    return "above 99 %" if probability > _MAX_SHOWN_PROBABILITY else f"{100 * probability:.0f} %"
 
 
 def worst_ratio(ratios: np.ndarray) -> float:
-    """Largest residual over noise of any channel; nan without one."""
+    """Return the largest residual over noise of any channel; nan without one."""
     known = ratios[np.isfinite(ratios)]
     return float(known.max()) if known.size else math.nan
 
 
-# What bursts look like, by what they follow.
-_DRIVES = {"torque": "gives no more than a limit", "dtorque": "changes its torque too slowly"}
-
-
 def channel_words(name: str) -> str:
-    """Channel such as "torque_3" in words."""
+    """Return a channel such as "torque_3" in words."""
     kind, _, joint = name.rpartition("_")
     return f"{'torque' if kind == 'torque' else 'link encoder'} of joint {joint}"
 
 
 def channels_in_words(channels: Iterable[str]) -> str:
-    """Channels in a sentence.
+    """Return channels as part of a sentence.
 
     >>> channels_in_words(["torque_3", "link_position_1"])
     'the torque of joint 3 and the link encoder of joint 1'
@@ -320,19 +326,19 @@ def channels_in_words(channels: Iterable[str]) -> str:
 
 
 def channel_number(diagnosis: Diagnosis, name: str) -> int:
-    """Number of a channel among the torques and then the deflections of all joints."""
+    """Return the index of a channel among the torques, then the deflections, of all joints."""
     kind, _, joint = name.rpartition("_")
     return int(joint) - 1 + (0 if kind == "torque" else diagnosis.recordings.n)
 
 
 def worst_channel(diagnosis: Diagnosis, ratios: np.ndarray) -> str:
-    """Name of the channel with the largest residual over noise."""
+    """Return the name of the channel with the largest residual over noise."""
     number, n = int(np.nanargmax(ratios)), diagnosis.recordings.n
     return f"{'torque' if number < n else 'link_position'}_{number % n + 1}"
 
 
 def regressor_words(name: str) -> str:
-    """Name of a signal that a remainder depends on, in words."""
+    """Return the name of a signal on which a residual depends, in words."""
     names = {
         "q": "position of joint",
         "qd": "speed of joint",
@@ -347,14 +353,14 @@ def regressor_words(name: str) -> str:
 
 
 def unstated_groups(unstated: Sequence[Finding]) -> list[list[Finding]]:
-    """Values that the nominal model does not give, of one kind together by joint."""
+    """Return findings that supply missing nominal values, grouped by kind, sorted by joint."""
     groups: dict[str, list[Finding]] = {}
     for finding in unstated:
         groups.setdefault(finding.effect.nominal, []).append(finding)
     return [sorted(own, key=lambda f: f.joint or 0) for own in groups.values()]
 
 
-def _unstated_words(unstated: Sequence[Finding]) -> str:
+def _unstated_phrase(unstated: Sequence[Finding]) -> str:
     return listed(
         f"{own[0].effect.nominal_words} of {joints_in_words([f.joint for f in own if f.joint])}"
         for own in unstated_groups(unstated)
@@ -362,7 +368,7 @@ def _unstated_words(unstated: Sequence[Finding]) -> str:
 
 
 def joints_in_words(numbers: list[int]) -> str:
-    """Joints in a sentence.
+    """Return joints as part of a sentence.
 
     >>> joints_in_words([2]), joints_in_words([1, 2, 3]), joints_in_words([1, 3])
     ('joint 2', 'joints 1 to 3', 'joints 1 and 3')

@@ -14,21 +14,21 @@ from stiffopt.report.common.svg import (
     SKY,
     VERMILLION,
     WIDTH,
-    house_style,
+    figure_style,
 )
 from stiffopt.report.common.text import scale
 
-_MARKS = (
-    ("stiffness", "identified, 95 % interval", "o", BLUE, 6),
-    ("least_squares", "plain least squares", "d", ORANGE, 4),
+_MARKER_STYLES = (
+    ("stiffness", "identified, 95 % confidence interval", "o", BLUE, 6),
+    ("least_squares", "ordinary least squares", "d", ORANGE, 4),
     ("nominal", "nominal", "|", VERMILLION, 14),
 )
 
 
 def stiffness_figure(result: StaticStiffness) -> Figure:
-    """Stiffness of every joint with its interval, beside plain least squares and nominal."""
+    """Plot the stiffness of every joint with its confidence interval, and nominal values."""
     shown = [joint for joint in result.joints if joint.lower is not None]
-    with house_style():
+    with figure_style():
         figure = Figure(figsize=(WIDTH, 0.9 + 0.42 * max(len(result.joints), 2)))
         axes = figure.subplots()
         values = [
@@ -43,7 +43,7 @@ def stiffness_figure(result: StaticStiffness) -> Figure:
             axes.plot([start, end], [row, row], color=BLUE, linewidth=2.2, solid_capstyle="butt")
             if joint.upper is None:
                 axes.plot(high, row, marker=">", color=BLUE, markersize=6, clip_on=False)
-        for name, label, marker, colour, size in _MARKS:
+        for name, label, marker, colour, size in _MARKER_STYLES:
             known = [(getattr(j, name), j.joint) for j in result.joints if getattr(j, name)]
             if known:
                 x, y = zip(*known, strict=True)
@@ -69,12 +69,12 @@ def stiffness_figure(result: StaticStiffness) -> Figure:
 
 
 def prediction_figure(result: StaticStiffness) -> Figure:
-    """Displacement of every pose as measured, against its prediction without that pose."""
+    """Plot measured displacements against leave-one-out predictions, every pose."""
     measured = result.rows.displacement
     factor, unit = scale(float(np.max(np.abs(measured))), "m")
     outlying = np.zeros(len(measured), dtype=bool)
     outlying[[pose - 1 for pose in result.outliers]] = True
-    with house_style():
+    with figure_style():
         figure = Figure(figsize=(WIDTH, 3.5))
         grid = figure.subplots(1, 3)
         for i, (axes, name) in enumerate(zip(grid, "xyz", strict=True)):
@@ -98,12 +98,12 @@ def prediction_figure(result: StaticStiffness) -> Figure:
 
 
 def poses_figure(result: StaticStiffness) -> Figure:
-    """Error of every pose: left out of the fit, and with the nominal stiffness."""
+    """Plot the leave-one-out error of every pose, and that of the nominal stiffness."""
     measured = result.rows.displacement
     error = np.linalg.norm(measured - result.left_out, axis=1)
     factor, unit = scale(float(np.max(error)), "m")
     pose = np.arange(1, len(measured) + 1)
-    with house_style():
+    with figure_style():
         figure = Figure(figsize=(WIDTH, 2.9))
         axes = figure.subplots()
         colours = [VERMILLION if k in result.outliers else BLUE for k in pose.tolist()]
@@ -127,10 +127,10 @@ def poses_figure(result: StaticStiffness) -> Figure:
 
 
 def models_figure(result: StaticStiffness) -> Figure:
-    """Error on the poses fitted to and on poses left out, per model of the wind-up."""
+    """Plot the error on fitted and on left-out poses, per model of the wind-up."""
     models = result.torque_dependence.models
     factor, unit = scale(max(model.left_out for model in models), "m")
-    with house_style():
+    with figure_style():
         figure = Figure(figsize=(WIDTH, 0.8 + 0.36 * len(models)))
         axes = figure.subplots()
         for row, model in enumerate(models):
@@ -146,7 +146,8 @@ def models_figure(result: StaticStiffness) -> Figure:
         axes.set_yticks(range(len(models)), [model.name for model in models])
         axes.set_ylim(len(models) - 0.5, -0.5)
         axes.set_xlabel(
-            f"root mean square error [{unit}]: open on the poses fitted to, full on poses left out"
+            f"root mean square error [{unit}]: open symbols fitted poses,"
+            " full symbols left-out poses"
         )
         axes.grid(visible=False, axis="y")
         figure.subplots_adjust(left=0.2, right=0.98)
@@ -154,9 +155,9 @@ def models_figure(result: StaticStiffness) -> Figure:
 
 
 def secant_figure(result: StaticStiffness) -> Figure:
-    """Secant stiffness of every joint at small, middle and large torque, by the best model."""
+    """Plot the secant stiffness of every joint at small, middle and large torque."""
     secant = result.torque_dependence.secant
-    with house_style():
+    with figure_style():
         figure = Figure(figsize=(WIDTH, 3.0))
         axes = figure.subplots()
         colours = (BLUE, VERMILLION, GREEN, ORANGE, SKY, GREY)
@@ -171,7 +172,7 @@ def secant_figure(result: StaticStiffness) -> Figure:
                 lambda x, _: f"{x:.0e}".replace("e+0", "e").replace("e-0", "e-")
             )
             each.set_minor_formatter("")
-        axes.set_xlabel("torque [N m]: 5, 50 and 95 % of the poses load the joint by no more")
+        axes.set_xlabel("torque [N m], at the 5, 50 and 95 % quantiles of the poses")
         axes.set_ylabel("secant stiffness [N m/rad]")
         axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
         figure.subplots_adjust(left=0.07, right=0.92)

@@ -1,4 +1,4 @@
-"""report.html of a static set: stiffness of the joints, how sure, and torque dependence."""
+"""report.html and terminal output of an identified joint stiffness with confidence intervals."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy as np
 
 from stiffopt.identification.result import JointStiffness, StaticStiffness
 from stiffopt.report.common.page import Filters, PageFigures, write_page
+from stiffopt.report.common.terminal import print_lines, print_table
 from stiffopt.report.common.text import DASH, decades, si
 from stiffopt.report.identification.figures import (
     models_figure,
@@ -25,11 +26,13 @@ _STATUS_WORDS = {
     "not_loaded": "not identifiable",
     "confounded": "not identifiable",
 }
+_NUMBER_COLUMNS = ("stiffness", "standard deviation", "95 % confidence interval", "nominal")
+_DEVIATION_COLUMN = "softer than nominal by (standard deviations)"
 
 
 @dataclass(frozen=True)
 class OutlyingPose:
-    """A pose (from 1) that does not fit the others: lengths [m] and the weight left to it."""
+    """An outlier (pose number from 1): displacement and error [m], weight in the fit."""
 
     number: int
     displacement: float
@@ -44,7 +47,7 @@ def write_static_report(result: StaticStiffness, folder: Path) -> Path:
     figures.draw("prediction", prediction_figure(result), "Displacement measured and predicted")
     figures.draw("poses", poses_figure(result), "Error by pose")
     if result.torque_dependence.models:
-        figures.draw("models", models_figure(result), "Does compliance depend on torque?")
+        figures.draw("models", models_figure(result), "Torque dependence of the compliance")
     if result.torque_dependence.secant:
         figures.draw("secant", secant_figure(result), "Stiffness over torque")
     context = {
@@ -60,30 +63,30 @@ def write_static_report(result: StaticStiffness, folder: Path) -> Path:
 
 
 def headline(result: StaticStiffness) -> str:
-    """How many joints were identified, in words."""
+    """Return the number of identified joints in words."""
     count = sum(joint.status == "identified" for joint in result.joints)
     return f"Stiffness of {count} of {len(result.joints)} joints identified"
 
 
 def error_sentence(result: StaticStiffness) -> str:
-    """Error on poses left out, beside the nominal stiffness where there is one."""
+    """Return the leave-one-out error in words, with that of the nominal stiffness if known."""
     errors = result.errors
     text = (
-        f"Poses left out are predicted to {si(errors.left_out, 'm', 3)} of "
-        f"{si(errors.displacement, 'm', 3)} (rms of one component)"
+        f"Leave-one-out error {si(errors.left_out, 'm', 3)} of a displacement of "
+        f"{si(errors.displacement, 'm', 3)} (rms per component)"
     )
     if errors.nominal is not None:
-        text += f"; with the nominal stiffness to {si(errors.nominal, 'm', 3)}"
+        text += f"; error of the nominal stiffness {si(errors.nominal, 'm', 3)}"
     return f"{text}."
 
 
 def status_words(joint: JointStiffness) -> str:
-    """What could be said of a joint."""
+    """Return the status of a joint in words."""
     return _STATUS_WORDS[joint.status]
 
 
 def interval(lower: float | None, upper: float | None) -> str:
-    """Interval of a stiffness, which may be open above."""
+    """Format a confidence interval, which may be open above."""
     if lower is None:
         return DASH
     return f"above {decades(lower)}" if upper is None else f"{decades(lower)} to {decades(upper)}"
@@ -100,3 +103,35 @@ def _outlying_poses(result: StaticStiffness) -> list[OutlyingPose]:
         )
         for pose in result.outliers
     ]
+
+
+def print_static(result: StaticStiffness, folder: Path) -> None:
+    """Print stiffness of the joints, errors, outliers, torque dependence, path of the report."""
+    print_lines([f"{headline(result)}. {error_sentence(result)}"])
+    rows = [
+        (
+            f"J{joint.joint}",
+            status_words(joint),
+            decades(joint.stiffness),
+            decades(joint.sd, 2),
+            interval(joint.lower, joint.upper),
+            decades(joint.nominal),
+            joint.unit,
+            DASH if joint.z_nominal is None else f"{joint.z_nominal:+.1f}",
+        )
+        for joint in result.joints
+    ]
+    print_table(
+        ("", "", *_NUMBER_COLUMNS, "unit", _DEVIATION_COLUMN),
+        rows,
+        numbers=(*_NUMBER_COLUMNS, _DEVIATION_COLUMN),
+    )
+    outliers = ", ".join(map(str, result.outliers))
+    print_lines(
+        (
+            *(f"J{joint.joint}: {joint.reason}" for joint in result.joints if joint.reason),
+            f"Outliers: poses {outliers}" if outliers else None,
+            f"Torque-dependent stiffness: {result.torque_dependence.sentence}",
+            f"Report: {folder / 'report.html'}",
+        )
+    )

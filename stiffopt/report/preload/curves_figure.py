@@ -1,4 +1,4 @@
-"""Stiffness over the preload that a bolt or pin has, with what bounds it and how it scatters."""
+"""Figure of joint stiffness over the preload of a bolt or pin, with limits and scatter."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from stiffopt.report.common.svg import (
     SKY,
     VERMILLION,
     WIDTH,
-    house_style,
+    figure_style,
 )
 from stiffopt.report.preload.words import present_preload, readable
 
@@ -30,31 +30,31 @@ if TYPE_CHECKING:
     from stiffopt.preload.problem import FreeElement, PreloadProblem
     from stiffopt.preload.solution import PreloadSolution
 
-# Of the width of a panel: lines closer than this share one label.
-_MERGE = 0.055
-_LABEL = 7.0
-# Inches: room above the panels, below them with the legend, and between two rows.
-_TOP, _BOTTOM, _BETWEEN = 0.3, 0.85, 0.5
+# Width of a label line over that of a panel; limits closer than this share one label.
+_LABEL_WIDTH_SHARE = 0.055
+_LABEL_FONT_SIZE = 7.0
+# Margins above the panels, below them with the legend, and between two rows [inch].
+_TOP_INCH, _BOTTOM_INCH, _ROW_GAP_INCH = 0.3, 0.85, 0.5
 
 
 @dataclass(frozen=True)
 class PreloadView:
-    """An element over the preload that it really has, with what tightening may leave of it.
+    """Stiffness over the preload of an element, with the scatter of its design.
 
     Parameters
     ----------
     preload : array (K,)
-        Of one bolt or pin, ascending [N].
+        Preload of one bolt or pin, ascending [N].
     stiffness : array (K,)
-        Of its joint [N m/rad]; 0 where the element slips.
+        Stiffness of its joint [N m/rad]; 0 where the element slips.
     least, largest : float
-        [N]
+        Preloads of the design after scatter and embedding [N].
     present : (float, float) or None
-        Least and largest with the preload that the robot file states [N].
+        Least and largest preload of the present design [N].
     bounds : mapping of limit name to float
-        On the least preload where the limit is one from below, else on the largest [N].
+        Lower limits on the least preload, upper limits on the largest [N].
     binding : frozenset of limit name
-        Limits at which the design lies.
+        Active limits.
     """
 
     preload: np.ndarray
@@ -69,19 +69,19 @@ class PreloadView:
 def preload_view(
     problem: PreloadProblem, solution: PreloadSolution, element: FreeElement, curve: PreloadCurve
 ) -> PreloadView:
-    """View of an element, limits from below as they act on the least preload."""
+    """Return the view of an element, with lower limits converted to the least preload."""
 
     def least(largest: float) -> float:
         return max(float(element.least(largest)), 0.0)
 
-    # Both ends of the scatter are points of one law.
+    # Both ends of the scatter are points of one curve.
     preload = np.concatenate([element.least(curve.preload), curve.preload])
     stiffness = np.concatenate([curve.stiffness, curve.stiffness_high])
     order = np.argsort(preload)
     present = present_preload(element)
     floors = {name: least(curve.limits[name]) for name in FLOORS if name in curve.limits}
     floor = max(floors, key=lambda name: floors[name])
-    # "slip" is where the curve falls to nothing anyway.
+    # At "slip" the curve drops to zero anyway.
     ceilings = {n: f for n, f in curve.limits.items() if n not in (*FLOORS, "slip")}
     active = {
         row.kind
@@ -106,9 +106,9 @@ def curves_figure(
     curves: Sequence[PreloadCurve],
     units: Sequence[JointUnits],
 ) -> Figure:
-    """Joint stiffness over the preload of each element, all other preloads as recommended.
+    """Plot joint stiffness over the preload of each element, other preloads as recommended.
 
-    The load case of the largest torque is drawn in full, others thinly.
+    The load case of the largest torque is drawn with a thick line, others with thin lines.
 
     Parameters
     ----------
@@ -121,8 +121,8 @@ def curves_figure(
     columns = min(2 if count in (2, 4) else 3, count)
     rows = -(-count // columns)
     panel = 1.75 if columns == 3 else 2.3 if columns == 2 else 2.6
-    height = _TOP + rows * panel + (rows - 1) * _BETWEEN + _BOTTOM
-    with house_style():
+    height = _TOP_INCH + rows * panel + (rows - 1) * _ROW_GAP_INCH + _BOTTOM_INCH
+    with figure_style():
         figure = Figure(figsize=(WIDTH, height))
         grid = figure.subplots(rows, columns, squeeze=False).ravel()
         for axes in grid[count:]:
@@ -131,8 +131,10 @@ def curves_figure(
             axes = grid[place]
             own = [curve for curve in curves if curve.key == element.key]
             own.sort(key=lambda curve: -abs(curve.torque))
-            _panel(axes, [preload_view(problem, solution, element, curve) for curve in own])
-            axes.set_title(f"{readable(element.key).capitalize()} [{_unit(units, element)}]")
+            _draw_panel(axes, [preload_view(problem, solution, element, curve) for curve in own])
+            axes.set_title(
+                f"{readable(element.key).capitalize()} [{_stiffness_unit(units, element)}]"
+            )
             if place + columns >= count:
                 axes.set_xlabel("preload of one bolt or pin [kN]")
         drawn = [axes.get_legend_handles_labels() for axes in grid[:count]]
@@ -149,19 +151,19 @@ def curves_figure(
         figure.subplots_adjust(
             left=0.07,
             right=0.995,
-            bottom=_BOTTOM / height,
-            top=1 - _TOP / height,
+            bottom=_BOTTOM_INCH / height,
+            top=1 - _TOP_INCH / height,
             wspace=0.24,
-            hspace=_BETWEEN / panel,
+            hspace=_ROW_GAP_INCH / panel,
         )
         return figure
 
 
-def _unit(units: Sequence[JointUnits], element: FreeElement) -> str:
+def _stiffness_unit(units: Sequence[JointUnits], element: FreeElement) -> str:
     return units[element.joint - 1].stiffness
 
 
-def _panel(axes: Axes, views: Sequence[PreloadView]) -> None:
+def _draw_panel(axes: Axes, views: Sequence[PreloadView]) -> None:
     main = views[0]
     least, largest = main.least / 1e3, main.largest / 1e3
     axes.axvspan(
@@ -188,7 +190,7 @@ def _panel(axes: Axes, views: Sequence[PreloadView]) -> None:
         zorder=4,
     )
     bottom, top = _stiffness_range(main.stiffness, ends)
-    # Room above for the names of limits from below, and at the foot for the present preload.
+    # Space above for labels of lower limits, below for the present preload.
     room = top - bottom
     axes.set_ylim(bottom - 0.2 * room, top + 0.5 * room)
     shown = [main.preload[-1], main.largest, *_nearest_bounds(main.bounds)]
@@ -204,41 +206,41 @@ def _panel(axes: Axes, views: Sequence[PreloadView]) -> None:
             linestyle=(0, (1.5, 1.2)),
             label="present preload, least to largest",
         )
-    # Room for the names of limits from above, each line beside the limit that it names or before.
+    # Space for labels of upper limits beside their lines.
     right = 1.03 * max(shown)
     ceilings = sorted(f for n, f in main.bounds.items() if n not in FLOORS and f <= right)
     for lines, force in enumerate(reversed(ceilings), start=1):
-        right = max(right, force / (1.0 - lines * _MERGE))
+        right = max(right, force / (1.0 - lines * _LABEL_WIDTH_SHARE))
     axes.set_xlim(0.0, 1.001 * right / 1e3)
     drawn = {n: f / 1e3 for n, f in main.bounds.items() if n in FLOORS or f in ceilings}
     _draw_bounds(axes, drawn, main.binding)
-    # Without a common power of ten, which would lie on the title.
+    # No common power of ten, which would overlap the title.
     axes.yaxis.set_major_formatter(lambda value, _: f"{value:.6g}")
     axes.locator_params(axis="x", nbins=7)
     axes.locator_params(axis="y", nbins=5)
 
 
 def _nearest_bounds(bounds: Mapping[str, float]) -> list[float]:
-    """Limit from below and the first one from above, which every panel shows [N]."""
+    """Return the lower limit and the nearest upper one, which every panel shows [N]."""
     floors = [force for name, force in bounds.items() if name in FLOORS]
     ceilings = [force for name, force in bounds.items() if name not in FLOORS]
     return [*floors, *([min(ceilings)] if ceilings else [])]
 
 
 def _stiffness_range(stiffness: np.ndarray, ends: np.ndarray) -> tuple[float, float]:
-    """Range to show: without the collapse at slip, and no change below 1 % enlarged."""
+    """Return the displayed range: without the drop at slip, at least 1 % of the stiffness."""
     top = max(float(stiffness.max()), float(ends.max()))
     if top <= 0.0:  # another connection of the joint slips, whatever this one's preload
         return 0.0, 1.0
     held = stiffness[stiffness > 0.97 * top]
-    # Both ends of the scatter are shown, but for one that slips.
+    # Both ends of the scatter are shown, except one that slips.
     shown = ends[ends > 0.0]
     bottom = min(float(held.min()), float(shown.min())) if held.size and shown.size else 0.0
     return min(bottom, 0.99 * top), top
 
 
 def _draw_bounds(axes: Axes, bounds: Mapping[str, float], binding: Collection[str]) -> None:
-    """Vertical lines at the limits, the forbidden side shaded, names on that side."""
+    """Draw vertical lines at the limits, with the forbidden side shaded and labelled."""
     left, right = axes.get_xlim()
     for name, force in bounds.items():
         if name in FLOORS and force > left:
@@ -254,21 +256,23 @@ def _draw_bounds(axes: Axes, bounds: Mapping[str, float], binding: Collection[st
         style = {"linewidth": 1.8} if name in binding else {"linewidth": 1.0, "dashes": (4, 2)}
         axes.axvline(force, color=colour, zorder=1, **style)
         # A label is as wide as it has lines.
-        line = _MERGE * (right - left)
+        line = _LABEL_WIDTH_SHARE * (right - left)
         near = groups and force - groups[-1][0] < len(groups[-1][1]) * line
         if near and name not in FLOORS and groups[-1][1][0] not in FLOORS:
             groups[-1][1].append(name)
         else:
             groups.append((force, [name]))
     for force, names in groups:
-        _label(axes, force, names, names[0] in FLOORS, any(name in binding for name in names))
+        _draw_label(axes, force, names, names[0] in FLOORS, any(name in binding for name in names))
 
 
-def _label(axes: Axes, force: float, names: Sequence[str], beside_left: bool, binds: bool) -> None:
-    """Names along a line: at the top of limits from below, at the foot of those from above."""
+def _draw_label(
+    axes: Axes, force: float, names: Sequence[str], beside_left: bool, binds: bool
+) -> None:
+    """Label a line: lower limits at the top, upper limits at the bottom."""
     left, right = axes.get_xlim()
     floor = names[0] in FLOORS
-    room = _MERGE * (right - left) * len(names)
+    room = _LABEL_WIDTH_SHARE * (right - left) * len(names)
     if beside_left and force - left < room:
         beside_left = False
     elif not beside_left and right - force < room:
@@ -282,7 +286,7 @@ def _label(axes: Axes, force: float, names: Sequence[str], beside_left: bool, bi
         rotation=90,
         ha="right" if beside_left else "left",
         va="top" if floor else "bottom",
-        fontsize=_LABEL,
+        fontsize=_LABEL_FONT_SIZE,
         fontweight="bold" if binds else "normal",
         linespacing=1.1,
         color=VERMILLION if floor else GREY,

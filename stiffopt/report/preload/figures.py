@@ -1,7 +1,6 @@
 """Figures of a preload study: Pareto front, shares of the wind-up, loosening.
 
-Each function returns a figure in the house style. Preloads in kN, stiffness in N m/rad (prismatic
-joints: N/m), shares in percent.
+Preloads in kN, stiffness in N m/rad (prismatic joints: N/m), shares in percent.
 """
 
 from __future__ import annotations
@@ -15,7 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
 from stiffopt.report.common.robot import JointUnits, element_colour
-from stiffopt.report.common.svg import BLUE, GREEN, ORANGE, VERMILLION, WIDTH, house_style
+from stiffopt.report.common.svg import BLUE, GREEN, ORANGE, VERMILLION, WIDTH, figure_style
 from stiffopt.report.common.text import percent, significant
 from stiffopt.report.preload.words import readable
 
@@ -25,14 +24,14 @@ if TYPE_CHECKING:
 
 
 def front_figure(front: ParetoFront, units: Sequence[JointUnits], joints: Sequence[int]) -> Figure:
-    """Pareto front between total preload and stiffness, its knee marked.
+    """Plot the Pareto front of total preload and stiffness with its knee.
 
     Parameters
     ----------
     front : ParetoFront
     units : sequence of JointUnits
     joints : sequence of int
-        One joint: its stiffness is drawn; several: the least relative stiffness.
+        With one joint its stiffness is plotted, with several the least relative stiffness.
     """
     total = np.array([point.total_preload for point in front.points]) / 1e3
     if len(joints) == 1:
@@ -41,7 +40,7 @@ def front_figure(front: ParetoFront, units: Sequence[JointUnits], joints: Sequen
     else:
         value = 100 * np.array([point.level for point in front.points])
         label = "least relative stiffness of any joint [%]"
-    with house_style():
+    with figure_style():
         figure = Figure(figsize=(WIDTH * 0.62, 3.2))
         axes = figure.subplots()
         axes.plot(total, value, "o-", color=BLUE, markersize=3.5)
@@ -58,15 +57,15 @@ def front_figure(front: ParetoFront, units: Sequence[JointUnits], joints: Sequen
         _level_if_flat(axes)
         axes.set_xlabel("total preload of all bolts and pins [kN]")
         axes.set_ylabel(label)
-        beside = axes.secondary_yaxis("right", functions=_relative(float(value[0])))
+        beside = axes.secondary_yaxis("right", functions=_percent_above(float(value[0])))
         beside.set_ylabel("more than with the least preload [%]")
         beside.spines["right"].set_visible(True)
         figure.subplots_adjust(left=0.12, right=0.9)
         return figure
 
 
-def _relative(first: float) -> tuple[Callable[[Any], Any], Callable[[Any], Any]]:
-    """To per cent above a value, and back."""
+def _percent_above(first: float) -> tuple[Callable[[Any], Any], Callable[[Any], Any]]:
+    """Return conversions of a value to per cent above `first` and back."""
 
     def above(value: Any) -> Any:
         return 100 * (value / first - 1)
@@ -78,7 +77,7 @@ def _relative(first: float) -> tuple[Callable[[Any], Any], Callable[[Any], Any]]
 
 
 def _level_if_flat(axes: Axes) -> None:
-    """Show a front that hardly rises as level, not as magnified rounding."""
+    """Widen the range of a flat front, whose rounding errors would otherwise be magnified."""
     low, high = axes.get_ylim()
     middle = 0.5 * (low + high)
     if high - low < 1e-3 * abs(middle):
@@ -86,20 +85,20 @@ def _level_if_flat(axes: Axes) -> None:
 
 
 def shares_figure(shares: Mapping[int, Sequence[WindupShare]], free: Sequence[str]) -> Figure:
-    """Share of every element in the wind-up of its joint, the weakest spring first.
+    """Plot the share of every element in the wind-up of its joint, the most compliant first.
 
     Parameters
     ----------
     shares : mapping of joint number to shares
-        Of one load case each.
+        Shares in one load case each.
     free : sequence of str
-        Names of the elements that the study tightens; written in bold.
+        Names of the elements with free preload; written in bold.
     """
     columns = min(3, len(shares))
     rows = -(-len(shares) // columns)
     most = max(len(each) for each in shares.values())
-    with house_style():
-        height = 0.5 + rows * _tall(most)
+    with figure_style():
+        height = 0.5 + rows * _bars_height(most)
         figure = Figure(figsize=(WIDTH if columns > 1 else WIDTH * 0.62, height))
         grid = figure.subplots(rows, columns, squeeze=False).ravel()
         for axes in grid[len(shares) :]:
@@ -135,25 +134,25 @@ def shares_figure(shares: Mapping[int, Sequence[WindupShare]], free: Sequence[st
             bottom=0.45 / height,
             top=1 - 0.3 / height,
             wspace=0.62,
-            hspace=0.5 / (_tall(most) - 0.5),
+            hspace=0.5 / (_bars_height(most) - 0.5),
         )
         return figure
 
 
-def _tall(bars: int) -> float:
+def _bars_height(bars: int) -> float:
     return 0.62 + 0.23 * bars
 
 
 def loosening_figure(first_slip: Mapping[str, float], slip: Mapping[str, float]) -> Figure:
-    """How far each connection may loosen before its rim and then all of it slips.
+    """Plot the remaining preload at which the rim of each connection slips, then all of it.
 
     Parameters
     ----------
     first_slip, slip : mapping of element key to float
-        Share of the least preload that is left then.
+        Remaining share of the least preload.
     """
     keys = list(slip)
-    with house_style():
+    with figure_style():
         height = 0.75 + 0.3 * len(keys)
         figure = Figure(figsize=(WIDTH * 0.8, height))
         axes = figure.subplots()
@@ -169,7 +168,7 @@ def loosening_figure(first_slip: Mapping[str, float], slip: Mapping[str, float])
         axes.set_ylim(len(keys) - 0.4, -0.6)
         axes.set_xlim(0.0, 100.0)
         axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g} %"))
-        axes.set_xlabel("preload left, of the least that tightening leaves")
+        axes.set_xlabel("remaining share of the least preload after tightening")
         axes.grid(visible=False, axis="y")
         axes.tick_params(axis="y", length=0)
         figure.legend(loc="lower left", bbox_to_anchor=(0.24, 0.0), ncols=3, borderaxespad=0.0)

@@ -1,4 +1,4 @@
-"""What a page shows of a study's many rows: the worst of each requirement, joint, connection."""
+"""Summaries of a preload study for its page: worst cases by requirement, joint and connection."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ if TYPE_CHECKING:
     from stiffopt.preload.solution import PreloadSolution
 
 Item = TypeVar("Item")
-_KEY = "key pressure"
-# With more rows than this a matrix gives the overview.
-_SHOWN_ROWS = 14
-# A kind of requirement that no connection uses more than this has no column there.
-_SHOWN_USE = 0.2
+_KEY_PRESSURE = "key pressure"
+# Number of rows above which a matrix gives the overview.
+_MAX_LISTED_ROWS = 14
+# Least utilisation in any connection for which a kind of requirement has a column there.
+_MIN_SHOWN_UTILISATION = 0.2
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class UtilisationMatrix:
     ----------
     kinds : tuple of str
     rows : mapping of owner to tuple of UtilisationRow or None
-        One cell a kind.
+        One cell per kind.
     """
 
     kinds: tuple[str, ...]
@@ -50,7 +50,7 @@ class UtilisationMatrix:
 
 @dataclass(frozen=True)
 class LimitSource:
-    """Where the limit of a kind of requirement comes from, and whose it is."""
+    """Source of the limit of a kind of requirement, and the elements it applies to."""
 
     kind: str
     estimated: bool
@@ -67,9 +67,9 @@ class StiffnessChange:
     joint : int
         From 1.
     case : str
-        Softest load case of the design.
+        Load case of least stiffness of the design.
     before, after : float
-        With the present preload and with the design.
+        Stiffness with the present preload and with the design.
     required : float or None
     """
 
@@ -80,10 +80,10 @@ class StiffnessChange:
     required: float | None
 
 
-def _worst(
+def _largest_by_owner(
     items: Iterable[Item], owner: Callable[[Item], Hashable], size: Callable[[Item], float]
 ) -> dict[Hashable, Item]:
-    """Item of the largest size of each owner; the first where several are alike."""
+    """Return the largest item of each owner, the first among equals."""
     worst: dict[Hashable, Item] = {}
     for each in items:
         if owner(each) not in worst or size(each) > size(worst[owner(each)]):
@@ -91,50 +91,54 @@ def _worst(
     return worst
 
 
-def _used(row: UtilisationRow) -> float:
+def _row_utilisation(row: UtilisationRow) -> float:
     return row.utilisation
 
 
-def _by_owner(rows: Iterable[UtilisationRow]) -> list[UtilisationRow]:
-    return list(_worst(rows, lambda row: (row.kind, row.element, row.joint), _used).values())
+def _worst_cases(rows: Iterable[UtilisationRow]) -> list[UtilisationRow]:
+    return list(
+        _largest_by_owner(
+            rows, lambda row: (row.kind, row.element, row.joint), _row_utilisation
+        ).values()
+    )
 
 
 def most_used(rows: Sequence[UtilisationRow]) -> list[UtilisationRow]:
-    """Requirements to look at first, most used first.
+    """Return the requirements with the highest utilisation, in descending order.
 
     The worst load case of each kind and owner; where these are too many, the worst owner of each
-    kind. Warnings stop no design: `cautions` has those that are exceeded.
+    kind. Warnings are not included: `cautions` returns those that are exceeded.
     """
-    shown = _by_owner(row for row in rows if row.binding)
-    if len(shown) > _SHOWN_ROWS:
-        shown = list(_worst(rows, lambda row: row.kind, _used).values())
+    shown = _worst_cases(row for row in rows if row.binding)
+    if len(shown) > _MAX_LISTED_ROWS:
+        shown = list(_largest_by_owner(rows, lambda row: row.kind, _row_utilisation).values())
     return sorted(shown, key=lambda row: -row.utilisation)
 
 
 def utilisation_matrix(rows: Sequence[UtilisationRow]) -> UtilisationMatrix | None:
-    """Overview where there are too many requirements for a list; else None.
+    """Return a matrix of utilisations where there are too many for a list, else None.
 
-    Keys have but one requirement, so the worst of them stands for all.
+    Keys have only one requirement and are represented by the worst of them.
     """
-    worst = _by_owner(rows)
-    if len(worst) <= _SHOWN_ROWS:
+    worst = _worst_cases(rows)
+    if len(worst) <= _MAX_LISTED_ROWS:
         return None
-    # Steps of VDI 2230 that are hardly used anywhere, and warnings, are in the full list.
+    # Steps of VDI 2230 with low utilisation, and warnings, are in the full list only.
     largest = {k: max(r.utilisation for r in worst if r.kind == k) for k in {r.kind for r in worst}}
     worst = [
         row
         for row in worst
-        if row.binding and (not row.equation or largest[row.kind] >= _SHOWN_USE)
+        if row.binding and (not row.equation or largest[row.kind] >= _MIN_SHOWN_UTILISATION)
     ]
     kinds = tuple(dict.fromkeys(row.kind for row in worst))
-    keys = [row for row in worst if row.kind == _KEY]
+    keys = [row for row in worst if row.kind == _KEY_PRESSURE]
     if keys:
-        most = max(keys, key=_used)
-        worst = [row for row in worst if row.kind != _KEY or row is most]
+        most = max(keys, key=_row_utilisation)
+        worst = [row for row in worst if row.kind != _KEY_PRESSURE or row is most]
     cells: dict[str, dict[str, UtilisationRow]] = {}
     for row in worst:
         name = owner_name(row)
-        if row.kind == _KEY and len(keys) > 1:
+        if row.kind == _KEY_PRESSURE and len(keys) > 1:
             name = f"{name}, worst of {len(keys)} keys"
         cells.setdefault(name, {})[row.kind] = row
     rows_of = {name: tuple(own.get(kind) for kind in kinds) for name, own in cells.items()}
@@ -144,7 +148,7 @@ def utilisation_matrix(rows: Sequence[UtilisationRow]) -> UtilisationMatrix | No
 def shown_sheets(
     sheets: Sequence[BoltSheet], solution: PreloadSolution, most: int = 6
 ) -> list[BoltSheet]:
-    """Flanges to draw, in their order: all, or where there are many those whose bolts bear most."""
+    """Return the flanges to draw: all, or the `most` with the highest utilisation of bolts."""
     if len(sheets) <= most:
         return list(sheets)
     steps = [row for row in solution.rows if row.equation and row.binding]
@@ -154,24 +158,24 @@ def shown_sheets(
 
 
 def vdi_steps(rows: Sequence[UtilisationRow]) -> dict[str, list[UtilisationRow]]:
-    """Steps of VDI 2230 by connection, each in its worst load case, in the order of the steps."""
-    steps = _worst(
-        [row for row in rows if row.equation], lambda row: (row.element, row.kind), _used
+    """Return the steps of VDI 2230 by connection, in order, each in its worst load case."""
+    steps = _largest_by_owner(
+        [row for row in rows if row.equation], lambda row: (row.element, row.kind), _row_utilisation
     ).values()
     found: dict[str, list[UtilisationRow]] = {}
-    for row in sorted(steps, key=lambda row: _step(row.equation)):
+    for row in sorted(steps, key=lambda row: _step_order(row.equation)):
         found.setdefault(row.element, []).append(row)
     return found
 
 
-def _step(equation: str) -> tuple[int, str]:
-    """Place of a step: R2/3 before R10/1, what has no number last."""
+def _step_order(equation: str) -> tuple[int, str]:
+    """Return a sort key for steps: R2/3 before R10/1, steps without number last."""
     number = re.match(r"R(\d+)", equation)
     return (int(number[1]) if number else 99, equation)
 
 
 def limit_sources(rows: Sequence[UtilisationRow]) -> list[LimitSource]:
-    """Where every kind of limit comes from, one for each source."""
+    """Return the sources of every kind of limit."""
     owners: dict[tuple[str, bool, str], dict[str, None]] = {}
     for row in rows:
         if row.source:
@@ -181,7 +185,7 @@ def limit_sources(rows: Sequence[UtilisationRow]) -> list[LimitSource]:
 
 
 def stiffness_changes(problem: PreloadProblem, solution: PreloadSolution) -> list[StiffnessChange]:
-    """Stiffness of every joint in its softest load case, with present and recommended preload."""
+    """Return the least stiffness of every joint, with present and with recommended preload."""
     return [
         StiffnessChange(
             joint=joint,
@@ -195,21 +199,21 @@ def stiffness_changes(problem: PreloadProblem, solution: PreloadSolution) -> lis
 
 
 def loosened_connections(result: Loosening) -> dict[str, list[LoosenedConnection]]:
-    """The joint nearest to slip of each connection by fraction of preload left, most first."""
-    worst = _worst(result.rows, lambda r: (r.key, r.fraction), lambda r: -r.slip_safety)
+    """Return the least slip safety of each connection by remaining preload, in descending order."""
+    worst = _largest_by_owner(result.rows, lambda r: (r.key, r.fraction), lambda r: -r.slip_safety)
     fractions = sorted({row.fraction for row in result.rows}, reverse=True)
     return {key: [worst[key, fraction] for fraction in fractions] for key in result.slip_fraction}
 
 
 def preload_worth(result: Sensitivity) -> list[PreloadWorth]:
-    """Of each connection, where one more newton is worth most."""
-    return list(_worst(result.worth, lambda w: w.key, lambda w: w.elasticity).values())
+    """Return for each connection the load case in which preload gains most stiffness."""
+    return list(_largest_by_owner(result.worth, lambda w: w.key, lambda w: w.elasticity).values())
 
 
 def shares_by_joint(
     result: Sensitivity, problem: PreloadProblem, solution: PreloadSolution
 ) -> Mapping[int, list[WindupShare]]:
-    """Wind-up shares of each joint in the load case of its largest torque."""
+    """Return the wind-up shares of each joint in the load case of its largest torque."""
     found = {}
     for joint in problem.joints:
         torques = [abs(float(case.torque[joint - 1])) for case in solution.cases]
@@ -219,7 +223,7 @@ def shares_by_joint(
 
 
 def study_estimates(problem: PreloadProblem) -> list[EstimatedInputs]:
-    """Estimated inputs of the study's joints and of the robot as a whole, keys in words."""
+    """Return estimated inputs of the study's joints and of the whole robot, keys in words."""
     names = {problem.robot.joint_names[joint - 1] for joint in problem.joints}
     return [
         replace(
@@ -233,7 +237,7 @@ def study_estimates(problem: PreloadProblem) -> list[EstimatedInputs]:
 
 
 class EstimateMarks:
-    """Marks numbers of elements that the robot file calls estimated.
+    """Marks of numbers that the robot file declares as estimated.
 
     Parameters
     ----------
@@ -248,6 +252,6 @@ class EstimateMarks:
             own.update(key.strip() for key in each.key.split(","))
 
     def of(self, element: FreeElement, *keys: str) -> str:
-        """Mark, where one of these keys of an element is estimated; else nothing."""
+        """Return the mark where one of these keys of an element is estimated, else ""."""
         own = self._keys.get((self._names[element.joint - 1], element.name), set())
         return MARK if own.intersection(keys) else ""

@@ -1,4 +1,4 @@
-"""report.html of a preload study: what to tighten to, what binds, and what it rests on."""
+"""report.html and terminal output of a preload study: tightening, active limits, assumptions."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from stiffopt.preload.problem import OBJECTIVES
 from stiffopt.report.common.citations import preload_references
 from stiffopt.report.common.page import Filters, PageFigures, write_page
 from stiffopt.report.common.robot import joint_units
-from stiffopt.report.preload.cautions import cautions
+from stiffopt.report.common.terminal import print_lines, print_table
+from stiffopt.report.common.text import DASH, si, significant
+from stiffopt.report.preload.bolt_figures import flange_drawings, joint_diagrams
 from stiffopt.report.preload.curves_figure import curves_figure
 from stiffopt.report.preload.figures import (
     front_figure,
     loosening_figure,
     shares_figure,
 )
-from stiffopt.report.preload.flange_drawing import flange_drawings
-from stiffopt.report.preload.joint_diagram import joint_diagrams
 from stiffopt.report.preload.overview import (
     EstimateMarks,
     limit_sources,
@@ -38,23 +38,34 @@ from stiffopt.report.preload.overview import (
 from stiffopt.report.preload.words import (
     METHOD_WORDS,
     OBJECTIVE_WORDS,
+    active_limits_sentence,
+    active_limits_text,
     amount,
+    cautions,
     fastener_words,
     fasteners,
     headline,
     owner_name,
     prose,
     readable,
-    set_by,
     stiffness_sentence,
     weakest_sentence,
-    what_binds,
 )
 
 if TYPE_CHECKING:
+    from stiffopt.preload.problem import FreeElement
     from stiffopt.preload.study import PreloadStudy
 
 REPORT_FILE = "report.html"
+_CONNECTION_COLUMNS = (
+    "connection",
+    "fasteners",
+    "largest preload",
+    "least preload",
+    "tightening torque",
+    "utilisation",
+    "active limits",
+)
 
 
 def write_preload_report(study: PreloadStudy, directory: str | Path) -> Path:
@@ -63,7 +74,7 @@ def write_preload_report(study: PreloadStudy, directory: str | Path) -> Path:
     Parameters
     ----------
     study : PreloadStudy
-        Of any status; parts that were not run are left out.
+        Study of any status; parts that were not run are omitted.
     directory : path
 
     Returns
@@ -71,10 +82,10 @@ def write_preload_report(study: PreloadStudy, directory: str | Path) -> Path:
     Path
     """
     with with_own(study.problem.robot.own):
-        return _written(study, directory)
+        return _write_page(study, directory)
 
 
-def _written(study: PreloadStudy, directory: str | Path) -> Path:
+def _write_page(study: PreloadStudy, directory: str | Path) -> Path:
     problem, solution = study.problem, study.solution
     units = joint_units(problem.robot)
     shares = shares_by_joint(study.sensitivity, problem, solution)
@@ -96,7 +107,7 @@ def _written(study: PreloadStudy, directory: str | Path) -> Path:
     figures.draw(
         "loosening",
         loosening_figure(loosening.first_slip_fraction, loosening.slip_fraction),
-        "How far each connection may loosen",
+        "Remaining preload at slip",
     )
     context = {
         "study": study,
@@ -106,7 +117,7 @@ def _written(study: PreloadStudy, directory: str | Path) -> Path:
         "unit": OBJECTIVES[problem.objective],
         "title": problem.title or f"Preloads of {problem.robot.title or problem.robot.name}",
         "headline": headline(problem, solution),
-        "lead": what_binds(problem, solution),
+        "lead": active_limits_sentence(problem, solution),
         "gain": stiffness_sentence(problem, solution, study.front),
         "weakest": weakest_sentence(shares, free),
         "mark": EstimateMarks(problem).of,
@@ -135,7 +146,55 @@ def _written(study: PreloadStudy, directory: str | Path) -> Path:
         "fasteners": fasteners,
         "fastener_words": fastener_words,
         "owner": owner_name,
-        "set_by": lambda element: set_by(solution, element.key, element.joint),
+        "set_by": lambda element: active_limits_text(solution, element.key, element.joint),
     }
     path = Path(directory) / REPORT_FILE
     return write_page("preload/page.html.j2", path, context, figures, filters)
+
+
+def print_study(study: PreloadStudy, folder: Path) -> None:
+    """Print tightening, active limits, utilisation, notes and path of the report."""
+    problem, solution = study.problem, study.solution
+    if solution.status.usable:
+        print_lines(
+            (
+                f"{solution.status}: {headline(problem, solution)}.",
+                active_limits_sentence(problem, solution) or None,
+                stiffness_sentence(problem, solution) or None,
+            )
+        )
+        print_table(
+            _CONNECTION_COLUMNS, [_connection_row(study, element) for element in problem.elements]
+        )
+    else:
+        print_lines([f"{solution.status}: {solution.message}"])
+    print_lines(
+        (
+            f"Catalogue: {study.choice.message}" if study.choice is not None else None,
+            study.motion.note if study.motion is not None else None,
+            *(f"Note: {note}" for note in solution.notes),
+            *(f"Warning: {each}" for each in cautions(problem, solution)),
+            f"Report: {folder / 'report.html'}",
+        )
+    )
+
+
+def _connection_row(study: PreloadStudy, element: FreeElement) -> tuple[str, ...]:
+
+    solution, key = study.solution, element.key
+    preload, torque = solution.preloads[key], solution.tightening[key]
+    # Limits that do not depend on the preload, and warnings, are not listed.
+    fixed = {limit.name for limit in element.limits if not limit.depends_on_preload}
+    own = [r for r in solution.rows if r.element == key and r.binding and r.kind not in fixed]
+    used = max(own, key=lambda r: r.utilisation)
+    return (
+        readable(key),
+        fasteners(element),
+        si(preload, "kN"),
+        si(float(element.least(preload)), "kN"),
+        DASH
+        if torque is None
+        else f"{si(torque.nominal, 'N m', 3)} ({significant(torque.lower, 3)} at least)",
+        f"{100 * used.utilisation:.0f} % of {used.kind}",
+        active_limits_text(solution, key, element.joint),
+    )

@@ -1,15 +1,18 @@
-"""Names and sentences of a preload study: what to tighten to, what binds, what stiffness gains."""
+"""Names and sentences of a preload study: tightening, active limits, stiffness, warnings."""
 
 from __future__ import annotations
 
 import itertools
+import math
 import re
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from stiffopt.connection import BoltedFlange, ClampingPins
+from stiffopt.drivetrain import catalogue
+from stiffopt.errors import is_factor
 from stiffopt.report.common.text import UNCHANGED, change, listed, percent, si, words
 
 if TYPE_CHECKING:
@@ -19,16 +22,15 @@ if TYPE_CHECKING:
     from stiffopt.preload.sensitivity import WindupShare
     from stiffopt.preload.solution import PreloadSolution
 
-# Below this share of what holds against slip the loads are nothing, or in another unit.
-_IDLE = 0.05
-# Below this relative change of stiffness the preload is set by something else.
-_SMALL = 0.02
-# Marks an estimated number.
-MARK = " *"
+# Utilisation of slip below which the loads are negligible or in a wrong unit.
+_NEGLIGIBLE_SLIP_UTILISATION = 0.05
+# Relative change of stiffness below which stiffness does not determine the preload.
+_SMALL_STIFFNESS_GAIN = 0.02
+MARK = " *"  # of an estimated number
 OBJECTIVE_WORDS = {
     "total_preload": "least total preload",
     "bolt_utilisation": "least utilisation of bolts and pins",
-    "joint_stiffness": "most joint stiffness",
+    "joint_stiffness": "largest joint stiffness",
     "tool_deflection": "least tool deflection",
 }
 METHOD_WORDS = {
@@ -40,27 +42,29 @@ METHOD_WORDS = {
     "angle": "angle of rotation",
     "yield": "yield-controlled",
 }
+# Connections named in one sentence.
+_MAX_NAMED_CONNECTIONS = 3
 
 
 def readable(text: str) -> str:
-    """Keys of elements in words, also within a sentence; keys of files stay.
+    """Replace keys of elements in a text by words; keys of files stay.
 
     >>> readable("joint_2.flexspline_flange"), readable("4.5 kN in motor_key.")
     ('joint 2 flexspline flange', '4.5 kN in motor key.')
     >>> readable("a smaller require.least_preload")
     'a smaller require.least_preload'
     """
-    return re.sub(r"[A-Za-z][\w.]*\w", _as_words, text)
+    return re.sub(r"[A-Za-z][\w.]*\w", _key_in_words, text)
 
 
-def _as_words(word: re.Match[str]) -> str:
-    """Dots and underscores of a key as spaces, unless it is a key of a study file."""
+def _key_in_words(word: re.Match[str]) -> str:
+    """Replace dots and underscores of a key by spaces, unless it is a key of a study file."""
     key = word[0]
     return key if key.startswith("require.") else words(key.replace(".", " "))
 
 
 def prose(text: str) -> str:
-    """Sentence with keys of elements in words and a space before each per cent.
+    """Replace keys of elements by words and insert a space before each per cent sign.
 
     >>> prose("15% more in joint_2.motor_key")
     '15 % more in joint 2 motor key'
@@ -69,14 +73,14 @@ def prose(text: str) -> str:
 
 
 def owner_name(row: UtilisationRow) -> str:
-    """Element, else joint, else the tool."""
+    """Return the element, joint or tool to which a requirement belongs."""
     if row.element:
         return readable(row.element)
     return f"joint {row.joint}" if row.joint else "tool"
 
 
 def fasteners(element: FreeElement) -> str:
-    """Count, size and grade: "9 × M5 12.9"."""
+    """Return count, size and grade, such as "9 × M5 12.9"."""
     connection = element.stage.element
     if isinstance(connection, BoltedFlange) and connection.bolt is not None:
         bolt = connection.bolt
@@ -87,7 +91,7 @@ def fasteners(element: FreeElement) -> str:
 
 
 def fastener_words(elements: Iterable[FreeElement]) -> str:
-    """Count bolts and pins: "12 bolts", "1 pin", "109 bolts and pins"."""
+    """Return the number of bolts and pins: "12 bolts", "1 pin", "109 bolts and pins"."""
     counts = {"bolt": 0, "pin": 0}
     for element in elements:
         name = "bolt" if element.stage.element.kind == "bolted_flange" else "pin"
@@ -99,7 +103,7 @@ def fastener_words(elements: Iterable[FreeElement]) -> str:
 
 
 def present_preload(element: FreeElement) -> float | None:
-    """Preload that the robot file states for one bolt or pin [N]; None: only one to begin with."""
+    """Return the preload that the robot file states for one bolt or pin [N], None if assumed."""
     if not element.preload_known:
         return None
     preload = element.stage.element.preload
@@ -108,12 +112,12 @@ def present_preload(element: FreeElement) -> float | None:
 
 
 def amount(value: float, unit: str, digits: int = 4) -> str:
-    """Value as text; forces in kN, pressures in MPa."""
+    """Format a value with its unit; forces in kN, pressures in MPa."""
     return si(value, {"N": "kN", "Pa": "MPa"}.get(unit, unit), digits)
 
 
-def set_by(solution: PreloadSolution, key: str, joint: int) -> str:
-    """What an element's preload is set by: its own active limits, else its joint's, else a dash."""
+def active_limits_text(solution: PreloadSolution, key: str, joint: int) -> str:
+    """Return the active limits of an element, else those of its joint, else a dash."""
     own = [row.kind for row in solution.rows if row.active and row.element == key]
     if not own:
         shared = (None, joint)
@@ -122,66 +126,68 @@ def set_by(solution: PreloadSolution, key: str, joint: int) -> str:
 
 
 def headline(problem: PreloadProblem, solution: PreloadSolution) -> str:
-    """What to tighten to, in one line."""
+    """Return the headline: tightening torque or total preload."""
     if not solution.status.usable:
         if solution.stoppers:
-            return "No preload meets this study"
-        return f"No design to use: {words(solution.status)}"
+            return "No preload meets all requirements"
+        return f"No usable design: {words(solution.status)}"
     if len(problem.elements) == 1:
         element = problem.elements[0]
         torque = solution.tightening[element.key]
-        what = f"the {fastener_words([element])} of the {readable(element.key)}"
+        parts = f"the {fastener_words([element])} of the {readable(element.key)}"
         force = f"{si(solution.preloads[element.key], 'kN', 3)}"
         if torque is None:
-            return f"Press {what} with {force} each at most"
-        return f"Tighten {what} to {si(torque.nominal, 'N m', 3)} ({force} each at most)"
+            return f"Preload {parts} with at most {force} each"
+        return f"Tighten {parts} to {si(torque.nominal, 'N m', 3)} (at most {force} each)"
     total = si(solution.total_preload, "kN", 3)
-    return f"Tighten {len(problem.elements)} connections as listed, {total} in all"
+    return f"Tighten {len(problem.elements)} connections as listed, total preload {total}"
 
 
-def what_binds(problem: PreloadProblem, solution: PreloadSolution) -> str:
-    """Sentence on the limits at which the design lies."""
+def active_limits_sentence(problem: PreloadProblem, solution: PreloadSolution) -> str:
+    """Return sentences on the active limits of the design."""
     if not solution.status.usable:
         return ""
-    said = _what_binds(problem, solution)
+    text = _active_limits(problem, solution)
     slip = [row.utilisation for row in solution.rows if row.kind == "slip safety"]
-    if slip and max(slip) < _IDLE:
-        said += (
-            f" Against slip there is {1.0 / max(slip):.3g} times what is required: no load decides"
-            " here. Are the loads in the unit that was meant?"
+    if slip and max(slip) < _NEGLIGIBLE_SLIP_UTILISATION:
+        text += (
+            f" Slip safety is {1.0 / max(slip):.3g} times the required"
+            " one: the loads are negligible."
+            " Check their unit."
             if max(slip) > 0.0
-            else " No load turns a joint."
+            else " No load case has a torque about a joint."
         )
-    return said
+    return text
 
 
-def _what_binds(problem: PreloadProblem, solution: PreloadSolution) -> str:
+def _active_limits(problem: PreloadProblem, solution: PreloadSolution) -> str:
     counts: dict[str, int] = {}
     for element in problem.elements:
-        why = set_by(solution, element.key, element.joint)
+        why = active_limits_text(solution, element.key, element.joint)
         counts[why] = counts.get(why, 0) + 1
     free = counts.pop("–", 0)
     if not counts:
-        return "No limit binds; the objective alone sets the preloads."
+        return "No limit is active; the objective alone determines the preloads."
     if len(problem.elements) == 1:
-        return f"It is set by {next(iter(counts))}{_where(problem, solution)}."
+        return f"Active limit: {next(iter(counts))}{_active_case(problem, solution)}."
     if len(counts) == 1 and not free:
-        return f"All are set by {next(iter(counts))}{_where(problem, solution)}."
+        limit = f"{next(iter(counts))}{_active_case(problem, solution)}"
+        return f"Active limit of all connections: {limit}."
     parts = [f"{why} in {count}" for why, count in sorted(counts.items(), key=lambda e: -e[1])]
-    rest = f"; {free} at no limit" if free else ""
-    return f"They are set by {listed(parts)}{rest}."
+    rest = f"; none in {free}" if free else ""
+    return f"Active limits by number of connections: {listed(parts)}{rest}."
 
 
-def _where(problem: PreloadProblem, solution: PreloadSolution) -> str:
-    """Load case of a single active row, where there is a choice of load cases."""
+def _active_case(problem: PreloadProblem, solution: PreloadSolution) -> str:
+    """Return the load case of a single active limit, if there are several load cases."""
     cases = {row.case for row in solution.rows if row.active and row.case}
     return f" at {cases.pop()}" if len(cases) == 1 and len(solution.cases) > 1 else ""
 
 
 def stiffness_gains(problem: PreloadProblem, solution: PreloadSolution) -> dict[int, float]:
-    """Least stiffness over the load cases, recommended over present preload, by joint.
+    """Return the ratio of least stiffness, recommended over present preload, by joint.
 
-    A joint that slips with the present preload has nan: its stiffness there means nothing.
+    The ratio is nan for a joint that slips with the present preload.
     """
     before, after = solution.stiffness_before.min(axis=1), solution.stiffness.min(axis=1)
     return {
@@ -193,19 +199,19 @@ def stiffness_gains(problem: PreloadProblem, solution: PreloadSolution) -> dict[
 def stiffness_sentence(
     problem: PreloadProblem, solution: PreloadSolution, front: ParetoFront | None = None
 ) -> str:
-    """How stiffness changes from the present to the recommended preload; small is said as small.
+    """Return sentences on the change of stiffness from the present to the recommended preload.
 
     Parameters
     ----------
     problem : PreloadProblem
     solution : PreloadSolution
     front : ParetoFront, optional
-        Tells what more preload would gain.
+        Front from which the gain of more preload is taken.
 
     Returns
     -------
     str
-        Empty where there is no design to use.
+        Empty without a usable design.
     """
     if not solution.status.usable:
         return ""
@@ -217,41 +223,41 @@ def stiffness_sentence(
     if slipping and compared:
         verb = "slips" if len(slipping) == 1 else "slip"
         parts.append(
-            "The present preload is not enough: where tightening scatters to its least, "
+            "The present preload is insufficient: at the lower end of the tightening scatter "
             f"{listed(slipping)} {verb}."
         )
     if known and compared:
-        parts.append(_changes(known))
+        parts.append(_stiffness_change_sentence(known))
     room = front_gain(front)
-    small = [abs(gain - 1.0) < _SMALL for gain in known.values()] if compared else []
+    small = [abs(gain - 1.0) < _SMALL_STIFFNESS_GAIN for gain in known.values()] if compared else []
     if room is not None:
-        small.append(room < _SMALL)
-    if small and all(small) and _slip_decides(solution):
+        small.append(room < _SMALL_STIFFNESS_GAIN)
+    if small and all(small) and _is_slip_limited(solution):
         more = (
             ""
             if room is None
-            else f"All the preload that the limits allow would add {_plus(room)}: "
+            else f"The largest preload within the limits would add {_format_gain(room)}: "
         )
-        parts.append(f"{more}{'slip' if more else 'Slip'}, not stiffness, sets the preload.")
+        parts.append(f"{more}{'slip' if more else 'Slip'}, not stiffness, determines the preload.")
     return " ".join(parts)
 
 
 def front_gain(front: ParetoFront | None) -> float | None:
-    """Relative gain in stiffness from the least to the most preload; None without a front."""
+    """Return the relative gain in stiffness over the front, or None without one."""
     if front is None or not front.points[0].level > 0.0:
         return None
     return front.points[-1].level / front.points[0].level - 1.0
 
 
 def weakest_sentence(shares: Mapping[int, Sequence[WindupShare]], free: Collection[str]) -> str:
-    """Name the weakest spring of the joints, and of the connections that the study tightens.
+    """Return a sentence on the most compliant element, overall and among those with free preload.
 
     Parameters
     ----------
     shares : mapping of joint number to shares
-        Of one load case each.
+        Shares in one load case each.
     free : collection of str
-        Names of the elements that the study tightens.
+        Names of the elements with free preload.
     """
     worst = {joint: max(own, key=lambda each: each.share) for joint, own in shares.items()}
     names = {each.element for each in worst.values()}
@@ -260,26 +266,26 @@ def weakest_sentence(shares: Mapping[int, Sequence[WindupShare]], free: Collecti
         where = "" if len(worst) == 1 else " in every joint"
         low, high = (percent(size) for size in (min(sizes), max(sizes)))
         size = high if low == high else f"{low.removesuffix(' %')} to {high}"
-        text = f"The weakest spring is the {readable(names.pop())}{where}, with {size} of wind-up"
+        text = f"Most compliant element: {readable(names.pop())}{where}, {size} of the wind-up"
     else:
-        each = (f"the {readable(w.element)} in joint {joint}" for joint, w in worst.items())
-        text = f"The weakest spring is {listed(each)}"
+        each = (f"{readable(w.element)} in joint {joint}" for joint, w in worst.items())
+        text = f"Most compliant elements: {listed(each)}"
     own = [each for each in itertools.chain(*shares.values()) if each.element in free]
     if not own or all(each.element in free for each in worst.values()):
         return f"{text}."
     most = max(own, key=lambda each: each.share)
     joint = f" of joint {most.joint}" if len(worst) > 1 else ""
     return (
-        f"{text}; of what this study tightens it is the {readable(most.element)}{joint}, with "
+        f"{text}; among the tightened connections: {readable(most.element)}{joint}, "
         f"{percent(most.share)}."
     )
 
 
-def _plus(gain: float) -> str:
+def _format_gain(gain: float) -> str:
     return "no stiffness" if gain < UNCHANGED else f"{percent(gain)} of stiffness"
 
 
-def _changes(gains: dict[int, float]) -> str:
+def _stiffness_change_sentence(gains: dict[int, float]) -> str:
     if len(gains) == 1:
         joint, gain = next(iter(gains.items()))
         return (
@@ -296,6 +302,55 @@ def _changes(gains: dict[int, float]) -> str:
     return f"From the present to the recommended preload the stiffness changes by {each}."
 
 
-def _slip_decides(solution: PreloadSolution) -> bool:
+def _is_slip_limited(solution: PreloadSolution) -> bool:
     active = {row.kind for row in solution.rows if row.active}
     return "slip safety" in active and not active & {"joint stiffness", "tool deflection"}
+
+
+def cautions(problem: PreloadProblem, solution: PreloadSolution) -> list[str]:
+    """Return a sentence for each kind of warning that a usable design exceeds, the worst first.
+
+    A warning on the friction of stainless bolts is added where there are any.
+    """
+    if not solution.status.usable:
+        return []
+    over: dict[str, list[UtilisationRow]] = {}
+    for row in sorted(solution.rows, key=lambda row: -row.utilisation):
+        if not row.binding and row.utilisation > 1.0:
+            over.setdefault(row.kind, []).append(row)
+    return [*(_warning_sentence(own) for own in over.values()), *_stainless_friction(problem)]
+
+
+def _stainless_friction(problem: PreloadProblem) -> Iterator[str]:
+    """Yield a warning for stainless bolts: unlubricated threads gall, with undefined friction."""
+    grades = {
+        flange.bolt.grade
+        for flange in (element.stage.element for element in problem.elements)
+        if isinstance(flange, BoltedFlange) and flange.bolt is not None
+    }
+    stainless = sorted(grade for grade in grades if not catalogue.bolt_grade(grade).heat_treated)
+    if stainless:
+        friction = problem.tightening.thread_friction
+        yield (
+            f"bolts {listed(stainless)} gall in dry threads: thread_friction = {friction:g} must be"
+            " that of the lubricant in use. State it in [tightening],"
+            " with friction_highest where it"
+            " scatters."
+        )
+
+
+def _warning_sentence(rows: Sequence[UtilisationRow]) -> str:
+    owners = list(dict.fromkeys(owner_name(row) for row in rows))
+    more = len(owners) - _MAX_NAMED_CONNECTIONS
+    where = (
+        listed(owners)
+        if more < 1
+        else f"{', '.join(owners[:_MAX_NAMED_CONNECTIONS])} and {more} more"
+    )
+    worst = rows[0]
+    used = percent(worst.utilisation, 3) if math.isfinite(worst.utilisation) else "any multiple"
+    of = "" if is_factor(worst.utilisation) else " of"
+    return (
+        f"{worst.kind} is at {used}{of} its limit in {where}. It does not exclude the design:"
+        f" {worst.warns}. Remedy: {worst.remedy}."
+    )

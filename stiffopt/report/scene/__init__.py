@@ -1,1 +1,1 @@
-"""A motion of an arm in space: a scene to turn and play in a browser, and a still of it."""
+"""Motion of an arm in space: an interactive 3D scene in the browser, and a still picture."""

@@ -1,28 +1,35 @@
-"""What the browser draws: the arm, its motions and the parts of the deflection, as plain data."""
+"""Content of a 3D scene as plain data: arm, cell, motions and parts of the deflection."""
 
 from __future__ import annotations
 
+import base64
 import json
 from collections.abc import Mapping
 from contextlib import suppress
+from itertools import product
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from stiffopt.errors import InputFileError
 from stiffopt.files import to_json_types
-from stiffopt.report.scene.mesh import compact_mesh
 from stiffopt.report.scene.poses import Poses
-from stiffopt.report.scene.surroundings import shapes_around
 from stiffopt.robot.body_tree import arm_reach, joint_radii, link_capsules
-from stiffopt.robot.link_shapes import JointShape
+from stiffopt.robot.frames import rotation_from_rpy
+from stiffopt.robot.link_shapes import JointShape, Kind, LinkShape, mesh_triangles
 
 if TYPE_CHECKING:
     from stiffopt.robot.cell import Cell
     from stiffopt.robot.robot import Robot
 
-# Of all meshes of an arm together, so that a page stays below 3 MB.
-_TRIANGLES = 60000
+# Triangles of all meshes of an arm together, so that a page stays below 3 MB.
+_MAX_ARM_TRIANGLES = 60000
+# Triangles of one shape, and initial number of grid cells along its longest edge.
+_MAX_TRIANGLES = 6000
+_INITIAL_GRID_CELLS = 1024
+# A wall is shown as a slab of this thickness [m] and half width [reaches of the arm].
+_WALL_THICKNESS, _WALL_HALF_WIDTH_REACHES = 2e-3, 1.2
 
 
 def scene_document(
@@ -32,19 +39,19 @@ def scene_document(
     factor: float,
     cell: Cell | None = None,
 ) -> dict[str, Any]:
-    """Content of a scene.
+    """Return the content of a scene.
 
     Parameters
     ----------
     robot : Robot
     motions : mapping of name to Poses
-        The one that is shown first, then its ghost.
+        The motion that is shown, then the one drawn as its ghost.
     part : str
-        Of the deflection that is shown at first.
+        Part of the deflection that is shown first.
     factor : float
-        By which it is enlarged at first.
+        Initial magnification of the deflection.
     cell : Cell, optional
-        Its boxes and meshes are shown, and what is near of its walls and floor.
+        Cell around the arm: boxes, meshes, and walls and floor near the arm.
     """
     radii = joint_radii(robot.tree, robot.tool)
     first = next(iter(motions.values()))
@@ -55,17 +62,17 @@ def scene_document(
                 "name": body.name,
                 "parent": body.parent,
                 "prismatic": body.prismatic,
-                "axis": _short(body.axis),
-                "rotation": _short(body.rotation),
-                "translation": _short(body.translation),
+                "axis": _round_nested(body.axis),
+                "rotation": _round_nested(body.rotation),
+                "translation": _round_nested(body.translation),
                 "radius": radius,
             }
             for number, (body, radius) in enumerate(zip(robot.tree.bodies, radii, strict=True), 1)
         ],
-        "tool": {"joint": robot.tool.joint, "offset": _short(robot.tool.offset)},
-        "shapes": _shapes(robot),
-        "around": _around(robot, cell),
-        "motions": [_motion(name, poses) for name, poses in motions.items()],
+        "tool": {"joint": robot.tool.joint, "offset": _round_nested(robot.tool.offset)},
+        "shapes": _arm_shapes(robot),
+        "around": _cell_shapes(robot, cell),
+        "motions": [_motion_data(name, poses) for name, poses in motions.items()],
         "parts": list(first.bend),
         "part": part if part in first.bend else next(iter(first.bend), ""),
         "factor": factor,
@@ -73,75 +80,197 @@ def scene_document(
 
 
 def scene_json(document: Mapping[str, Any]) -> str:
-    """Text that may stand inside a script element of a page."""
+    """Return the document as JSON that is safe inside a script element."""
     text = json.dumps(
         to_json_types(document), separators=(",", ":"), ensure_ascii=False, allow_nan=False
     )
     return text.replace("<", "\\u003c")
 
 
-def _motion(name: str, poses: Poses) -> dict[str, Any]:
+def _motion_data(name: str, poses: Poses) -> dict[str, Any]:
     return {
         "name": name,
-        "time": _short(poses.time),
-        "position": _short(poses.position),
-        "bend": {part: _short(values, 9) for part, values in poses.bend.items()},
-        "share": {part: _short(values, 4) for part, values in poses.share.items()},
-        "deflection": {part: _short(values, 9) for part, values in poses.deflection.items()},
+        "time": _round_nested(poses.time),
+        "position": _round_nested(poses.position),
+        "bend": {part: _round_nested(values, 9) for part, values in poses.bend.items()},
+        "share": {part: _round_nested(values, 4) for part, values in poses.share.items()},
+        "deflection": {part: _round_nested(values, 9) for part, values in poses.deflection.items()},
     }
 
 
-def _shapes(robot: Robot) -> list[dict[str, Any]]:
-    """Shapes of the URDF; capsules for moving links that it does not show."""
+def _arm_shapes(robot: Robot) -> list[dict[str, Any]]:
+    """Return the shapes of the URDF, and capsules for links without one."""
     placed = [each for each in robot.joint_shapes("visual") if each.shape.known]
     placed = placed or [each for each in robot.joint_shapes("collision") if each.shape.known]
     meshes = max(sum(each.shape.kind == "mesh" for each in placed), 1)
     shapes: list[dict[str, Any]] = []
     for each in placed:
-        # A mesh that cannot be read leaves a capsule: a picture is no reason to lose a page.
+        # An unreadable mesh is replaced by a capsule: the page must not fail for a picture.
         with suppress(InputFileError):
-            shapes.append(_shape(each, _TRIANGLES // meshes))
+            shapes.append(_shape_data(each, _MAX_ARM_TRIANGLES // meshes))
     shown = {shape["joint"] for shape in shapes}
     for rod in link_capsules(robot.tree, robot.tool):
-        # What carries shapes needs no capsule; the base is shown where the rest is not.
+        # Links with shapes need no capsule; the base has one only where no shapes exist.
         if rod.joint in shown or (rod.joint == 0 and shown):
             continue
         shapes.append(
             {
                 "joint": rod.joint,
                 "kind": "capsule",
-                "begin": _short(rod.begin),
-                "end": _short(rod.end),
+                "begin": _round_nested(rod.begin),
+                "end": _round_nested(rod.end),
                 "radius": rod.radius,
             }
         )
     return shapes
 
 
-def _around(robot: Robot, cell: Cell | None) -> list[dict[str, Any]]:
+def _cell_shapes(robot: Robot, cell: Cell | None) -> list[dict[str, Any]]:
     placed = shapes_around(cell, arm_reach(robot.tree, robot.tool))
     meshes = max(sum(each.shape.kind == "mesh" for each in placed), 1)
     found = []
     for each in placed:
         with suppress(InputFileError):
-            found.append(_shape(each, _TRIANGLES // meshes) | {"name": each.shape.name})
+            found.append(
+                _shape_data(each, _MAX_ARM_TRIANGLES // meshes) | {"name": each.shape.name}
+            )
     return found
 
 
-def _shape(placed: JointShape, triangles: int) -> dict[str, Any]:
+def _shape_data(placed: JointShape, triangles: int) -> dict[str, Any]:
     shape = placed.shape
     document = {
         "joint": placed.joint,
         "kind": shape.kind,
-        "offset": _short(placed.offset),
-        "rotation": _short(placed.rotation),
+        "offset": _round_nested(placed.offset),
+        "rotation": _round_nested(placed.rotation),
     }
     if shape.kind == "mesh":
-        return document | compact_mesh(shape, min(triangles, 6000))
+        return document | compact_mesh(shape, min(triangles, _MAX_TRIANGLES))
     return document | {"size": list(shape.size)}
 
 
-def _short(values: np.ndarray, digits: int = 6) -> list[Any]:
-    """Nested lists, rounded: a page needs no more."""
+def _round_nested(values: np.ndarray, digits: int = 6) -> list[Any]:
+    """Return nested lists of rounded values."""
     rounded: list[Any] = np.round(np.asarray(values, dtype=float), digits).tolist()
     return rounded
+
+
+def compact_mesh(shape: LinkShape, most: int = _MAX_TRIANGLES) -> dict[str, Any]:
+    """Return the mesh of a shape, vertices on a grid, triangles that vanish on it removed.
+
+    Parameters
+    ----------
+    shape : LinkShape
+        A mesh whose file exists.
+    most : int
+        Maximum number of triangles; the grid is coarsened until it holds.
+
+    Returns
+    -------
+    dict
+        `origin` [m] and `step` [m] of the grid; `vertices` and `triangles`, little-endian
+        16-bit numbers in base 64.
+    """
+    vertices, corners = mesh_triangles(shape)
+    low = vertices.min(axis=0)
+    longest = max(float(np.ptp(vertices, axis=0).max()), 1e-9)
+    cells = _INITIAL_GRID_CELLS
+    while True:
+        step = longest / cells
+        cell = np.round((vertices - low) / step).astype(int)
+        unique, number = np.unique(cell, axis=0, return_inverse=True)
+        faces = number.reshape(-1)[corners]
+        a, b, c = faces.T
+        faces = faces[(a != b) & (b != c) & (c != a)]
+        if (len(faces) <= most and len(unique) < 2**16) or cells <= 8:
+            break
+        cells = int(cells / 1.5)
+    used, compact = np.unique(faces, return_inverse=True)
+    return {
+        "origin": low.tolist(),
+        "step": step,
+        "vertices": _encode_uint16(unique[used]),
+        "triangles": _encode_uint16(compact.reshape(-1)),
+    }
+
+
+def _encode_uint16(numbers: np.ndarray) -> str:
+    return base64.b64encode(numbers.astype("<u2").tobytes()).decode()
+
+
+def shapes_around(cell: Cell | None, reach: float) -> list[JointShape]:
+    """Return boxes, meshes, and the near part of walls and floor, in the base frame.
+
+    Parameters
+    ----------
+    cell : Cell or None
+    reach : float
+        Reach of the arm [m], which bounds the part of a wall that is shown.
+    """
+    if cell is None:
+        return []
+    found = [
+        _placed_shape(box.name, "box", box.size, np.array(box.position), rotation_from_rpy(box.rpy))
+        for box in cell.box
+    ]
+    for mesh in cell.mesh:
+        at, turn = np.array(mesh.position), rotation_from_rpy(mesh.rpy)
+        scale = (mesh.scale,) * 3
+        found.append(_placed_shape(mesh.name, "mesh", scale, at, turn, Path(mesh.file)))
+    walls = [(plane.name, np.array(plane.point), np.array(plane.normal)) for plane in cell.plane]
+    if cell.floor is not None:
+        walls.append(("floor", np.array([0.0, 0.0, cell.floor]), np.array([0.0, 0.0, 1.0])))
+    side = 2.0 * _WALL_HALF_WIDTH_REACHES * reach
+    for name, point, normal in walls:
+        out = normal / np.linalg.norm(normal)
+        # Centred at the base and entirely behind the face.
+        middle = out * (out @ point - 0.5 * _WALL_THICKNESS)
+        found.append(
+            _placed_shape(name, "box", (side, side, _WALL_THICKNESS), middle, _frame_along(out))
+        )
+    return found
+
+
+def _placed_shape(
+    name: str,
+    kind: Kind,
+    size: tuple[float, ...],
+    offset: np.ndarray,
+    rotation: np.ndarray,
+    file: Path | None = None,
+) -> JointShape:
+    shape = LinkShape(
+        link=name,
+        purpose="visual",
+        kind=kind,
+        size=tuple(size),
+        offset=offset,
+        rotation=rotation,
+        name=name,
+        file=file,
+    )
+    return JointShape(shape, 0, offset, rotation)
+
+
+def _frame_along(axis: np.ndarray) -> np.ndarray:
+    """Return a rotation (3, 3) whose third column is the unit vector `axis`."""
+    other = np.eye(3)[int(np.argmin(np.abs(axis)))]
+    first = np.cross(other, axis)
+    first = first / np.linalg.norm(first)
+    return np.column_stack([first, np.cross(axis, first), axis])
+
+
+def edges_around(cell: Cell | None) -> np.ndarray:
+    """Return the edges of all boxes (k, 2, 3), base frame [m]."""
+    edges = []
+    for box in () if cell is None else cell.box:
+        turn, half = rotation_from_rpy(box.rpy), 0.5 * np.array(box.size)
+        for axis in range(3):
+            for signs in product((-1.0, 1.0), repeat=2):
+                begin = np.insert(signs, axis, -1.0)
+                end = np.insert(signs, axis, 1.0)
+                edges.append(
+                    [np.array(box.position) + turn @ (half * each) for each in (begin, end)]
+                )
+    return np.array(edges).reshape(-1, 2, 3)

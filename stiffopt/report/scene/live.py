@@ -1,4 +1,4 @@
-"""A solved motion in the browser, live: `stiffopt view`, drawn by viser (extra `view`)."""
+"""Live view of a solved motion in the browser: `stiffopt view`, drawn by viser (extra `view`)."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from stiffopt.errors import InputError, InputFileError
+from stiffopt.report.scene.document import shapes_around
 from stiffopt.report.scene.poses import Poses, joint_frames, tool_positions
-from stiffopt.report.scene.surroundings import shapes_around
 from stiffopt.robot.body_tree import Capsule, arm_reach, link_capsules
 from stiffopt.robot.link_shapes import JointShape, mesh_triangles
 
@@ -22,26 +22,26 @@ if TYPE_CHECKING:
     from stiffopt.robot.cell import Cell
     from stiffopt.robot.robot import Robot
 
-_BENT, _PLANNED, _GHOST = (196, 64, 56), (58, 108, 178), (150, 150, 150)
-_STEP = 1.0 / 30.0
-# Of a slab that stands for a wall, which more must be seen through [m].
-_THIN = 5e-3
+_BENT_COLOUR, _PLANNED_COLOUR, _GHOST_COLOUR = (196, 64, 56), (58, 108, 178), (150, 150, 150)
+_FRAME_TIME = 1.0 / 30.0
+# Boxes thinner than this [m] are walls, drawn more transparent.
+_MAX_WALL_THICKNESS = 5e-3
 
 
 class LiveScene:
-    """A server whose page shows an arm along a motion: sliders of time and enlargement, a ghost.
+    """Server of a page that shows an arm along a motion, with sliders of time and magnification.
 
     Parameters
     ----------
     robot : Robot
     poses : Poses
-        Of the motion, with one part of the deflection or more.
+        Motion with one or more parts of the deflection.
     ghost : Poses or None
-        Of a motion to compare with.
+        Motion to compare with.
     cell : Cell or None
-        What stands around the arm.
+        Cell around the arm.
     host, port : str, int
-        Where the page is served; a port that is taken gives the next one. Requests for another
+        Address of the page; if the port is in use, the next one is taken. Requests for another
         host, or from pages of another origin, are refused with status 403.
 
     Raises
@@ -74,19 +74,21 @@ class LiveScene:
         self.server.scene.set_up_direction("+z")
         self.server.scene.add_grid("/floor", width=4.0, height=4.0, cell_size=0.1)
         self._arms = {
-            "/bent": _Arm(self.server, robot, "/bent", _BENT, None),
-            "/planned": _Arm(self.server, robot, "/planned", _PLANNED, 0.35),
+            "/bent": _ArmFrames(self.server, robot, "/bent", _BENT_COLOUR, None),
+            "/planned": _ArmFrames(self.server, robot, "/planned", _PLANNED_COLOUR, 0.35),
         }
         if ghost is not None:
-            self._arms["/ghost"] = _Arm(self.server, robot, "/ghost", _GHOST, 0.25)
+            self._arms["/ghost"] = _ArmFrames(self.server, robot, "/ghost", _GHOST_COLOUR, 0.25)
         for number, solid in enumerate(shapes_around(cell, arm_reach(robot.tree, robot.tool))):
-            wall = solid.shape.kind == "box" and solid.shape.size[2] < _THIN
-            _add_shape(self.server.scene, f"/cell/{number}", solid, _GHOST, 0.2 if wall else 0.45)
+            wall = solid.shape.kind == "box" and solid.shape.size[2] < _MAX_WALL_THICKNESS
+            _add_shape(
+                self.server.scene, f"/cell/{number}", solid, _GHOST_COLOUR, 0.2 if wall else 0.45
+            )
         path = tool_positions(robot.tree, robot.tool, poses.position)
         self.server.scene.add_line_segments(
             "/path",
             np.stack([path[:-1], path[1:]], axis=1),
-            _PLANNED,
+            _PLANNED_COLOUR,
             thickness=2.0,
             thickness_units="screen",
         )
@@ -101,36 +103,36 @@ class LiveScene:
 
     @property
     def address(self) -> str:
-        """Of the page."""
+        """Address of the page."""
         return f"http://{self.server.get_host()}:{self.server.get_port()}"
 
     def draw(self) -> None:
         """Show the arm at the slider's time."""
         poses, at = self.poses, float(self.time.value)
-        planned = _at(poses.time, poses.position, at)
+        planned = _interpolate_row(poses.time, poses.position, at)
         bend = poses.bend.get(self.part.value)
         bent = planned
         if bend is not None:
-            bent = planned - float(self.factor.value) * _at(poses.time, bend, at)
+            bent = planned - float(self.factor.value) * _interpolate_row(poses.time, bend, at)
         shown = {"/bent": bent, "/planned": planned}
         if self._ghost is not None:
-            shown["/ghost"] = _at(self._ghost.time, self._ghost.position, at)
+            shown["/ghost"] = _interpolate_row(self._ghost.time, self._ghost.position, at)
         with self.server.atomic():
             for name, q in shown.items():
                 self._arms[name].move(q)
 
     def tool(self) -> np.ndarray:
-        """Where the bent arm's tool is shown (3,) [m]."""
+        """Return the displayed position of the bent arm's tool (3,) [m]."""
         return self._arms["/bent"].tool()
 
     def run(self) -> None:
         """Play while the box is ticked, until interrupted."""
         try:
             while True:
-                time.sleep(_STEP)
+                time.sleep(_FRAME_TIME)
                 if self.playing.value:
                     end = float(self.poses.time[-1])
-                    self.time.value = (float(self.time.value) + _STEP) % end
+                    self.time.value = (float(self.time.value) + _FRAME_TIME) % end
         except KeyboardInterrupt:
             pass
         finally:
@@ -143,7 +145,7 @@ class LiveScene:
 
 @contextmanager
 def _guarded_server(hosts: set[str]) -> Iterator[None]:
-    """Have a server that viser begins refuse pages of others, for which it has no option."""
+    """Make the server that viser starts refuse foreign pages; viser has no option for it."""
     from websockets.asyncio import server
 
     plain, guarded = server.serve, False
@@ -165,14 +167,13 @@ def _guarded_server(hosts: set[str]) -> Iterator[None]:
     finally:
         server.serve = plain  # type: ignore[misc]
     if not guarded:
-        raise InputError("this viser begins its server in a way not known here. Install another.")
+        raise InputError("this version of viser is not supported. Install viser 1.0 or later.")
 
 
 def is_own_request(headers: Any, hosts: set[str]) -> bool:
-    """Return whether a request names one of the hosts and comes from its page, or from none.
+    """Return True for a request that names one of the hosts and has its origin, or no origin.
 
-    A name that an attacker's server resolves to this machine is none of the hosts, and a page of
-    another server has another origin.
+    This refuses DNS rebinding (a foreign name resolved to this machine) and pages of other servers.
     """
     named, origins = headers.get_all("Host"), headers.get_all("Origin")
     if len(named) != 1 or re.sub(r":\d+$", "", named[0]).lower() not in hosts:
@@ -180,8 +181,8 @@ def is_own_request(headers: Any, hosts: set[str]) -> bool:
     return all(origin.lower() == f"http://{named[0].lower()}" for origin in origins)
 
 
-class _Arm:
-    """Frames of the joints, with the shapes that hang on them."""
+class _ArmFrames:
+    """Frames of the joints with the shapes attached to them."""
 
     def __init__(
         self,
@@ -203,14 +204,14 @@ class _Arm:
             if _add_shape(server.scene, f"{place}/shape{number}", each, color, opacity):
                 shown.add(each.joint)
         for number, rod in enumerate(link_capsules(robot.tree, robot.tool)):
-            # What carries shapes needs no rod; the base is shown where the rest is not.
+            # Links with shapes need no capsule; the base has one only where no shapes exist.
             if rod.joint in shown or (rod.joint == 0 and shown):
                 continue
             place = f"{name}/J{rod.joint}" if rod.joint else name
-            _add_rod(server.scene, f"{place}/rod{number}", rod, color, opacity)
+            _add_capsule(server.scene, f"{place}/rod{number}", rod, color, opacity)
 
     def move(self, q: np.ndarray) -> None:
-        """Put the joints at positions (n,)."""
+        """Move the joints to positions (n,)."""
         rotations, origins = joint_frames(self._robot.tree, q[None])
         turns = Rotation.from_matrix(rotations[0]).as_quat(scalar_first=True)
         for frame, turn, origin in zip(self._frames, turns, origins[0], strict=True):
@@ -248,7 +249,7 @@ def _add_shape(
     return True
 
 
-def _add_rod(
+def _add_capsule(
     scene: Any,
     name: str,
     rod: Capsule,
@@ -272,7 +273,7 @@ def _add_rod(
         )
 
 
-def _at(times: np.ndarray, values: np.ndarray, t: float) -> np.ndarray:
-    """Row of values (K, n) at a time, held beyond the end."""
+def _interpolate_row(times: np.ndarray, values: np.ndarray, t: float) -> np.ndarray:
+    """Interpolate values (K, n) at a time; constant beyond the ends."""
     columns: Sequence[float] = [np.interp(t, times, column) for column in values.T]
     return np.array(columns)

@@ -1,4 +1,4 @@
-"""Poses of an arm along a motion: where its joints are, how far each is bent, whose share it is."""
+"""Poses of an arm along a motion: joint positions, wind-up, and shares in the deflection."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ class Poses:
     ----------
     time : array (K,) [s]
     position : array (K, n)
-        As planned [rad].
+        Planned joint positions [rad].
     bend : dict of array (K, n)
         Wind-up of each joint [rad] by part of the deflection; the bent arm is at position - bend.
     share : dict of array (K, n)
-        Of each joint in the tool's deflection, by part: its own along the whole, over the whole;
-        the shares of an instant add up to 1.
+        Share of each joint in the tool's deflection by part: projection of its contribution on the
+        whole deflection, over the whole; the shares of an instant add up to 1.
     deflection : dict of array (K,)
-        Of the tool, by part [m].
+        Deflection of the tool by part [m].
     """
 
     time: np.ndarray
@@ -46,10 +46,10 @@ class Poses:
 
 
 def poses_along(problem: TrajectoryProblem, motion: Assessment, frames: int = FRAMES) -> Poses:
-    """Poses at equal steps of time, with the instants of the largest deflections among them.
+    """Return poses at equal time steps and at the instants of the largest deflections.
 
-    Parts of the deflection that are zero all along, or infinite where a connection slips, are left
-    out.
+    Parts of the deflection that are zero throughout, or infinite where a connection slips, are
+    omitted.
     """
     robot = problem.robot
     wanted = np.linspace(0.0, motion.duration, frames)
@@ -65,7 +65,7 @@ def poses_along(problem: TrajectoryProblem, motion: Assessment, frames: int = FR
     total = motion.windup[at]
     static = joint_windup(robot, np.array([bodies.gravity_torque(q) for q in position]))
     link = joint_windup(robot, motion.spring_torque[at] + process) if process.any() else total
-    # Where a connection slips its parts are infinite less infinite, and left out below.
+    # Where a connection slips, differences of infinite wind-ups are nan and omitted below.
     with np.errstate(invalid="ignore"):
         process_bend, dynamic = total - link, link - static
     bends = {"total": total, "static": static, "process": process_bend, "dynamic": dynamic}
@@ -85,14 +85,14 @@ def stored_poses(
     windup: np.ndarray | None = None,
     frames: int = FRAMES,
 ) -> Poses:
-    """Poses of a motion as its table has it, at equal steps of time.
+    """Return poses of a stored motion at equal time steps.
 
     Parameters
     ----------
     robot : Robot
     time : array (K,) [s]
     position, windup : array (K, n)
-        [rad]; without wind-ups no part of a deflection.
+        [rad]; without wind-up there are no parts of the deflection.
     frames : int
     """
     at = np.unique(np.searchsorted(time, np.linspace(0.0, time[-1], frames)))
@@ -114,7 +114,7 @@ def stored_poses(
 
 
 def joint_shares(jacobian: np.ndarray, bend: np.ndarray) -> np.ndarray:
-    """What each joint (K, n) adds along the deflection that all make, over that deflection."""
+    """Return the share of each joint (K, n) in the tool's deflection; the shares add up to 1."""
     each = jacobian * bend[:, None, :]
     whole = each.sum(axis=2)
     square = np.sum(whole**2, axis=1)
@@ -123,7 +123,7 @@ def joint_shares(jacobian: np.ndarray, bend: np.ndarray) -> np.ndarray:
 
 
 def joint_frames(tree: BodyTree, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Frames of the joints at positions q (K, n): rotations (K, n, 3, 3), origins (K, n, 3) [m]."""
+    """Return joint frames at positions q (K, n): rotations (K, n, 3, 3), origins (K, n, 3) [m]."""
     rotations, origins = np.empty((len(q), tree.n, 3, 3)), np.empty((len(q), tree.n, 3))
     for j, body in enumerate(tree.bodies):
         turn, at = np.broadcast_to(np.eye(3), (len(q), 3, 3)), np.zeros((len(q), 3))
@@ -140,14 +140,14 @@ def joint_frames(tree: BodyTree, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]
 
 
 def tool_positions(tree: BodyTree, tool: LinkFrame, q: np.ndarray) -> np.ndarray:
-    """Tool (K, 3) [m] at positions q (K, n)."""
+    """Return the tool position (K, 3) [m] at joint positions q (K, n)."""
     rotations, origins = joint_frames(tree, q)
     carrier = tool.joint - 1
     return np.asarray(origins[:, carrier] + rotations[:, carrier] @ tool.offset)
 
 
 def tool_jacobian(tree: BodyTree, tool: LinkFrame, q: np.ndarray) -> np.ndarray:
-    """Velocity of the tool (K, 3, n) for a unit of each joint's velocity at positions q (K, n)."""
+    """Return the translational Jacobian of the tool (K, 3, n) at joint positions q (K, n)."""
     rotations, origins = joint_frames(tree, q)
     point = origins[:, tool.joint - 1] + rotations[:, tool.joint - 1] @ tool.offset
     columns = np.zeros((len(q), 3, tree.n))

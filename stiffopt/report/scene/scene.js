@@ -1,7 +1,7 @@
-// A motion of an arm: bent, as planned, and the ghost of a baseline; time and enlargement by sliders.
+// Motion of an arm: bent, planned, and the ghost of a baseline; sliders for time and magnification.
 // The address may set the state: report.html#time=0.3&factor=200&part=total&ghost=0.
 "use strict";
-// The plots that it moves a cursor in stand further down.
+// The plots with a time cursor follow below.
 document.addEventListener("DOMContentLoaded", () => {
   const root = document.getElementById("scene");
   const scene = JSON.parse(document.getElementById("scene-document").textContent);
@@ -50,7 +50,7 @@ document.addEventListener("DOMContentLoaded", () => {
     return step === undefined ? Array.from(numbers)
       : Float32Array.from(numbers, (value, k) => origin[k % 3] + step * value);
   }
-  // A rod's geometry lies along y.
+  // The axis of capsule geometry is y.
   function along(mesh, begin, end) {
     const direction = end.clone().sub(begin);
     mesh.position.copy(begin).addScaledVector(direction, 0.5);
@@ -102,7 +102,7 @@ document.addEventListener("DOMContentLoaded", () => {
     show(visible) { this.groups.forEach((group) => { group.visible = visible; }); }
   }
   const solid = (color) => new THREE.MeshLambertMaterial({color, side: THREE.DoubleSide});
-  // Behind the arm itself where they touch it.
+  // Drawn behind the arm where they overlap it.
   const clear = (color, opacity) => new THREE.MeshLambertMaterial({color, opacity, transparent: true,
     depthWrite: false, polygonOffset: true, polygonOffsetFactor: 4, polygonOffsetUnits: 4});
   const plannedMaterial = clear(BLUE, 0.16), ghostMaterial = clear(GREY, 0.16);
@@ -141,7 +141,7 @@ document.addEventListener("DOMContentLoaded", () => {
   try {
     renderer = new THREE.WebGLRenderer({canvas, antialias: true, alpha: true});
   } catch {
-    // Without WebGL the still at the top of the page remains.
+    // Without WebGL only the still picture is shown.
     root.remove();
     return;
   }
@@ -149,11 +149,11 @@ document.addEventListener("DOMContentLoaded", () => {
   const camera = new THREE.PerspectiveCamera(35, 1, 0.01 * extent, 30 * extent);
   camera.up.set(0, 0, 1);
   const controls = new THREE.OrbitControls(camera, canvas);
-  // The wheel scrolls the page until the scene was clicked.
+  // The wheel scrolls the page until the scene is clicked.
   controls.enableZoom = false;
   canvas.addEventListener("pointerdown", () => { controls.enableZoom = true; });
   canvas.addEventListener("pointerleave", () => { controls.enableZoom = false; });
-  // All poses and both paths in view, from the side of the tool.
+  // Fit all poses and both paths, seen from the side of the tool.
   const points = [...plannedPath];
   motion.time.forEach((time, k) => { if (k % 10 === 0) for (const placed of frames(at(motion, motion.position, time))) points.push(new Vector3().setFromMatrixPosition(placed)); });
   points.push(...ghostPath);
@@ -168,7 +168,7 @@ document.addEventListener("DOMContentLoaded", () => {
     renderer.setSize(width, height, false);
     camera.aspect = width / height;
     camera.updateProjectionMatrix();
-    // As near as every point stays in view, with room for the links about it.
+    // As near as possible with every point in view, plus space for the links.
     const tall = Math.tan((camera.fov / 2) * Math.PI / 180), wide = tall * camera.aspect, room = 0.08 * extent;
     const right = camera.up.clone().cross(view).normalize(), above = view.clone().cross(right);
     const distance = points.reduce((far, point) => {
@@ -181,7 +181,7 @@ document.addEventListener("DOMContentLoaded", () => {
     controls.update();
   }
 
-  // Plots with a time axis name it as [left, top, right, bottom, first, last] in their own units.
+  // Time axes of plots: [left, top, right, bottom, first, last] in SVG units.
   const cursors = [];
   const duration = motion.time[motion.time.length - 1];
   document.querySelectorAll("svg[data-times]").forEach((svg) => {
@@ -204,13 +204,13 @@ document.addEventListener("DOMContentLoaded", () => {
     });
   });
 
-  // Enlargement by a slider: nothing at 0, else 1 to 10000 in steps of equal ratio.
+  // Magnification: off at 0, else 1 to 10000 on a logarithmic scale.
   const factorOf = (value) => (value <= 0 ? 0 : 10 ** (4 * (value - 1) / 99));
   const valueOf = (factor) => (factor < 1 ? 0 : 1 + 99 * Math.log10(Math.min(factor, 1e4)) / 4);
   const digits = (value, n) => Number(value.toPrecision(n)).toLocaleString("en", {maximumFractionDigits: 6, useGrouping: false});
   const small = (metres) => (Math.abs(metres) < 1e-4 ? `${digits(1e6 * metres, 3)} µm` : `${digits(1e3 * metres, 3)} mm`);
   const percent = (share) => `${Math.round(100 * share) || 0} %`.replace("-", "−");
-  // Half of the deflection is as red as it gets.
+  // Full red from a share of one half on.
   const heat = (share) => new THREE.Color().lerpColors(
     new THREE.Color(0xf2f4f6), new THREE.Color(VERMILLION), Math.min(Math.max(2 * share, 0), 1));
   const bars = scene.joints.map((joint) => {
@@ -253,7 +253,7 @@ document.addEventListener("DOMContentLoaded", () => {
     role("factor-shown").textContent = factor > 0 ? `× ${digits(factor, 2)}` : "off";
     role("deflection").textContent = part ? `${part} deflection of the tool ${small(size)}` : "";
     for (const move of cursors) move(time);
-    // For tests: where the tool is drawn.
+    // For tests: displayed position of the tool.
     root.dataset.tool = tool.toArray().map((x) => x.toFixed(5)).join(" ");
     renderer.render(world, camera);
   }
@@ -272,14 +272,14 @@ document.addEventListener("DOMContentLoaded", () => {
   if (!scene.parts.length) for (const name of ["factor", "part"]) role(name).closest("label").remove();
   if (ghost) role("ghost-label").querySelector("span").textContent = `ghost: ${baseline.name}`;
   else role("ghost-label").hidden = true;
-  // Where it bends most is what is looked for.
+  // Start at the largest deflection.
   if (scene.part) {
     const sizes = motion.deflection[scene.part];
     role("time").value = 1000 * motion.time[sizes.indexOf(Math.max(...sizes))] / duration;
   }
   root.addEventListener("input", soon);
   controls.addEventListener("change", soon);
-  // At once: a canvas of another size is empty, and would be shown so.
+  // Draw immediately: a resized canvas is empty.
   new ResizeObserver(() => { frame(); draw(); }).observe(canvas.parentElement);
 
   let playing = 0;
@@ -287,7 +287,7 @@ document.addEventListener("DOMContentLoaded", () => {
     playing = playing ? 0 : performance.now();
     role("play").textContent = playing ? "❚❚" : "▶";
     const begin = Number(role("time").value) % 1000;
-    // At least two seconds for a motion, so that it can be seen.
+    // Play a motion in at least two seconds.
     const long = 1000 * Math.max(duration, 2);
     const step = (now) => {
       if (!playing) return;

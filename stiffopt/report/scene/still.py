@@ -1,32 +1,37 @@
-"""A still of the arm for the top of a page: there without WebGL, without scripts and in print."""
+"""Still picture of the arm for a page, needed without WebGL, without scripts and in print."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from importlib import resources
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from markupsafe import Markup
 from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
-from stiffopt.report.common.svg import BLUE, GREY, PALE, VERMILLION, WIDTH, house_style
+from stiffopt.report.common.svg import BLUE, GREY, PALE, VERMILLION, WIDTH, figure_style
 from stiffopt.report.common.text import si
+from stiffopt.report.scene.document import edges_around, scene_document, scene_json
 from stiffopt.report.scene.poses import Poses, joint_frames, tool_positions
-from stiffopt.report.scene.surroundings import edges_around
+from stiffopt.report.solve.space_figures import exaggeration
 from stiffopt.robot.body_tree import BodyTree, joint_radii, link_capsules
 from stiffopt.robot.frames import LinkFrame
 
 if TYPE_CHECKING:
     from stiffopt.robot.cell import Cell
+    from stiffopt.robot.robot import Robot
 
-_HEIGHT = 4.6
-# What is seen at least [m], also of an arm whose joints and tool lie at one point.
-_LEAST_SEEN = 0.1
-# Of the picture over what is drawn: lines have a width.
-_MARGIN = 1.02
-# Looked at from this far above the horizon [rad].
-_ABOVE = 0.4
+_HEIGHT_INCH = 4.6
+# Least extent of the view [m], for an arm whose joints and tool coincide.
+_MIN_VIEW_SIZE = 0.1
+# Picture over content: lines have a width.
+_VIEW_MARGIN = 1.02
+# Elevation of the viewpoint above the horizon [rad].
+_VIEW_ELEVATION = 0.4
 
 
 def still_figure(
@@ -37,46 +42,46 @@ def still_figure(
     factor: float,
     cell: Cell | None = None,
 ) -> Figure:
-    """The arm at the largest deflection, bent and as planned, with start, end and tool paths.
+    """Draw the arm at the largest deflection, bent and planned, with start, end and tool paths.
 
-    It holds no words, so that it can be as small as a screen: `still_caption` has them.
+    The picture has no text, so that it fits small screens; `still_caption` returns the caption.
 
     Parameters
     ----------
     tree : BodyTree
     tool : LinkFrame
     motions : sequence of Poses
-        The one that is drawn as an arm; a second one as a path only.
+        The first is drawn as an arm, others as tool paths.
     part : str
-        Of the deflection; "" where the motion has none.
+        Part of the deflection; "" where the motion has none.
     factor : float
-        By which it is enlarged.
+        Magnification of the deflection.
     cell : Cell, optional
-        Edges of its boxes are drawn.
+        Cell whose box edges are drawn.
     """
     poses, at = motions[0], largest(motions[0], part)
     bent = poses.position - factor * poses.bend[part] if part else poses.position
     share = poses.share[part][at] if part else np.zeros(tree.n)
-    view = _view(tree, tool, poses.position)
+    view = _view_axes(tree, tool, poses.position)
     paths: list[tuple[np.ndarray, str, Any]] = [(poses.position, BLUE, "-")]
     if part:
         paths.append((bent, VERMILLION, "-"))
     paths += [(other.position, GREY, (0, (4, 2))) for other in motions[1:]]
-    with house_style():
-        figure = Figure(figsize=(WIDTH, _HEIGHT))
+    with figure_style():
+        figure = Figure(figsize=(WIDTH, _HEIGHT_INCH))
         axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
         axes.set_axis_off()
         ends = poses.position[[0, -1]]
         flats = [tool_positions(tree, tool, each) @ view.T for each, _, _ in paths]
         seen = np.vstack([flat[:, :2] for flat in flats])
-        scale = _fit(axes, tree, tool, view, np.vstack([ends, bent[at : at + 1]]), seen)
+        scale = _fit_view(axes, tree, tool, view, np.vstack([ends, bent[at : at + 1]]), seen)
         for edge in edges_around(cell):
             axes.plot(*(edge @ view.T)[:, :2].T, color=GREY, linewidth=0.8, zorder=0.5)
         for q in ends:
-            _arm(axes, tree, tool, view, q, scale, PALE, None, 0.55)
+            _draw_arm(axes, tree, tool, view, q, scale, PALE, None, 0.55)
         if part:
-            _arm(axes, tree, tool, view, poses.position[at], scale, BLUE, None, 0.25)
-        _arm(axes, tree, tool, view, bent[at], scale, "#c3c9d1", share, 1.0)
+            _draw_arm(axes, tree, tool, view, poses.position[at], scale, BLUE, None, 0.25)
+        _draw_arm(axes, tree, tool, view, bent[at], scale, "#c3c9d1", share, 1.0)
         for flat, (_, colour, dash) in zip(flats, paths, strict=True):
             axes.plot(*flat[:, :2].T, color=colour, linestyle=dash, zorder=20)
         flat = tool_positions(tree, tool, bent[at : at + 1]) @ view.T
@@ -85,12 +90,12 @@ def still_figure(
 
 
 def largest(poses: Poses, part: str) -> int:
-    """Instant of the largest deflection; the middle where there is none."""
+    """Return the index of the largest deflection, or the middle where there is none."""
     return int(np.argmax(poses.deflection[part])) if part else len(poses.time) // 2
 
 
 def still_caption(motions: Mapping[str, Poses], part: str, factor: float) -> str:
-    """What the still shows, in words."""
+    """Return the caption of the still picture."""
     (_, poses), *others = motions.items()
     at = largest(poses, part)
     dashed = "".join(f"; dashed: {name}" for name, _ in others)
@@ -102,29 +107,29 @@ def still_caption(motions: Mapping[str, Poses], part: str, factor: float) -> str
     )
     size = si(float(poses.deflection[part][at]), "m", 3)
     return (
-        f"The arm at {poses.time[at]:.3f} s, where its {part} deflection is largest, {size}; start "
-        f"and end are pale. Blue: as planned; red: with {part} deflection × {factor:g}{dashed}. "
-        f"A joint is the redder, the more of the deflection it makes: {shares}."
+        f"The arm at {poses.time[at]:.3f} s, where its {part} deflection is largest, {size};"
+        f" start and end are pale. Blue: planned; red: {part} deflection × {factor:g}{dashed}. "
+        f"Joints are coloured by their share of the deflection: {shares}."
     )
 
 
-def _view(tree: BodyTree, tool: LinkFrame, positions: np.ndarray) -> np.ndarray:
-    """Rows: right, up and towards the eye; across the plane in which the arm stretches out."""
+def _view_axes(tree: BodyTree, tool: LinkFrame, positions: np.ndarray) -> np.ndarray:
+    """Return the view's axes as rows (right, up, towards the viewer), oblique to the motion."""
     points = tool_positions(tree, tool, positions)
     forward = points.mean(axis=0) - np.array([0.0, 0.0, 0.0])
     heading = np.arctan2(forward[1], forward[0]) if np.hypot(*forward[:2]) > 1e-6 else 0.0
     turn = heading - 0.35 * np.pi
-    back = np.array([np.cos(turn), np.sin(turn), 0.0]) * np.cos(_ABOVE)
-    back[2] = np.sin(_ABOVE)
+    back = np.array([np.cos(turn), np.sin(turn), 0.0]) * np.cos(_VIEW_ELEVATION)
+    back[2] = np.sin(_VIEW_ELEVATION)
     right = np.cross([0.0, 0.0, 1.0], back)
     right /= np.linalg.norm(right)
     return np.stack([right, np.cross(back, right), back])
 
 
-def _rods(
+def _placed_capsules(
     tree: BodyTree, tool: LinkFrame, q: np.ndarray
 ) -> list[tuple[np.ndarray, np.ndarray, float]]:
-    """Ends and radius of the arm's capsules in the base frame."""
+    """Return ends and radius of the arm's capsules in the base frame."""
     rotations, origins = joint_frames(tree, q[None])
     rods = []
     for rod in link_capsules(tree, tool):
@@ -135,7 +140,7 @@ def _rods(
     return rods
 
 
-def _fit(
+def _fit_view(
     axes: Axes,
     tree: BodyTree,
     tool: LinkFrame,
@@ -143,26 +148,26 @@ def _fit(
     positions: np.ndarray,
     seen: np.ndarray,
 ) -> float:
-    """Limits in which all poses and points (K, 2) have room; return points on paper per metre."""
+    """Set the axes' limits to hold all poses and points (K, 2); return printed points per metre."""
     ends = [
         (view @ point)[:2] + side * radius
         for q in positions
-        for begin, end, radius in _rods(tree, tool, q)
+        for begin, end, radius in _placed_capsules(tree, tool, q)
         for point in (begin, end)
         for side in (-1.6, 1.6)
     ]
     every = np.vstack([*ends, seen])
     low, high = every.min(axis=0), every.max(axis=0)
-    wide, tall = _MARGIN * np.maximum(high - low, _LEAST_SEEN)
-    scale = min(WIDTH / wide, _HEIGHT / tall)
+    wide, tall = _VIEW_MARGIN * np.maximum(high - low, _MIN_VIEW_SIZE)
+    scale = min(WIDTH / wide, _HEIGHT_INCH / tall)
     middle = 0.5 * (low + high)
-    half = 0.5 * np.array([WIDTH, _HEIGHT]) / scale
+    half = 0.5 * np.array([WIDTH, _HEIGHT_INCH]) / scale
     axes.set_xlim(middle[0] - half[0], middle[0] + half[0])
     axes.set_ylim(middle[1] - half[1], middle[1] + half[1])
     return float(72.0 * scale)
 
 
-def _arm(
+def _draw_arm(
     axes: Axes,
     tree: BodyTree,
     tool: LinkFrame,
@@ -173,32 +178,32 @@ def _arm(
     share: np.ndarray | None,
     opacity: float,
 ) -> None:
-    """Capsules as thick lines, what is farther away first; joints by their share."""
+    """Draw capsules as thick lines from back to front, joints coloured by their share."""
     front = 10.0 if share is not None else 1.0
     parts = [
         (0.5 * (begin + end), np.stack([begin, end]), radius, colour)
-        for begin, end, radius in _rods(tree, tool, q)
+        for begin, end, radius in _placed_capsules(tree, tool, q)
     ]
     if share is not None:
         _, origins = joint_frames(tree, q[None])
         for j, radius in enumerate(joint_radii(tree, tool)):
-            # In front of the links that it joins.
+            # Shifted towards the viewer, in front of its links.
             at = origins[0, j] + 1.5 * radius * view[2]
-            parts.append((at, np.stack([at, at]), 0.62 * radius, _heat(float(share[j]))))
+            parts.append((at, np.stack([at, at]), 0.62 * radius, _share_colour(float(share[j]))))
     depth = [float(view[2] @ middle) for middle, *_ in parts]
     for rank, k in enumerate(np.argsort(depth)):
         _, ends, radius, own = parts[k]
         flat = ends @ view.T
         width, order = 2.0 * radius * scale, front + 0.01 * rank
         if share is not None:
-            _rod(axes, flat, GREY, width + 1.4, order, 1.0)
-        _rod(axes, flat, own, width, order + 0.005, opacity)
+            _draw_capsule(axes, flat, GREY, width + 1.4, order, 1.0)
+        _draw_capsule(axes, flat, own, width, order + 0.005, opacity)
 
 
-def _rod(
+def _draw_capsule(
     axes: Axes, flat: np.ndarray, colour: str, width: float, order: float, opacity: float
 ) -> None:
-    """A thick line with round ends, `width` in points on paper."""
+    """Draw a thick line with round ends; `width` in printed points."""
     axes.plot(
         flat[:, 0],
         flat[:, 1],
@@ -207,15 +212,58 @@ def _rod(
         zorder=order,
         alpha=opacity,
         solid_capstyle="round",
-        # A joint is a dot, and a line without length may not be drawn.
+        # A line of zero length may not be drawn: a joint gets a marker.
         marker="o" if np.array_equal(flat[0], flat[1]) else None,
         markersize=width,
         markeredgewidth=0.0,
     )
 
 
-def _heat(share: float) -> str:
-    """Colour of a share, as in the scene: half of the deflection is as red as it gets."""
+def _share_colour(share: float) -> str:
+    """Return the colour of a share as in the scene: full red from one half on."""
     own = min(max(2.0 * share, 0.0), 1.0)
     mixed = (1.0 - own) * np.array(to_rgb("#f2f4f6")) + own * np.array(to_rgb(VERMILLION))
     return "#" + "".join(f"{round(255 * c):02x}" for c in mixed)
+
+
+@dataclass(frozen=True)
+class ArmInSpace:
+    """Still picture with caption, and the texts of the scene, which enter a page unescaped."""
+
+    still: Figure
+    caption: str
+    embedded: dict[str, Markup]
+
+
+def embedded_scene(
+    robot: Robot, motions: Mapping[str, Poses], part: str, cell: Cell | None = None
+) -> ArmInSpace:
+    """Return scene and still of the first motion, its deflection magnified, the second as ghost.
+
+    Parameters
+    ----------
+    robot : Robot
+    motions : mapping of name to Poses
+    part : str
+        Part of the deflection; the first nonzero one where it is zero.
+    cell : Cell, optional
+        Cell around the arm.
+    """
+    first = next(iter(motions.values()))
+    shown = part if part in first.bend else next(iter(first.bend), "")
+    tool = tool_positions(robot.tree, robot.tool, first.position)
+    extent = max(float(np.ptp(tool, axis=0).max()), 1e-3)
+    factor = exaggeration(extent, float(first.deflection[shown].max())) if shown else 1.0
+    still = still_figure(robot.tree, robot.tool, list(motions.values()), shown, factor, cell)
+    here = resources.files("stiffopt.report.scene")
+    texts = {
+        "document": scene_json(scene_document(robot, motions, shown, factor, cell)),
+        "library": here.joinpath("three.min.js").read_text(encoding="utf-8"),
+        "script": here.joinpath("scene.js").read_text(encoding="utf-8"),
+    }
+    # Safe unescaped: scripts of this package, and JSON whose "<" is escaped.
+    return ArmInSpace(
+        still,
+        still_caption(motions, shown, factor),
+        {name: Markup(text) for name, text in texts.items()},
+    )

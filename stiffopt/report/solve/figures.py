@@ -23,10 +23,10 @@ from stiffopt.report.common.svg import (
     GREY,
     VERMILLION,
     WIDTH,
-    house_style,
+    decimate_curve,
+    figure_style,
     line_style,
-    shade_beyond,
-    thin,
+    shade_limits,
 )
 from stiffopt.report.common.text import scale, si, significant
 from stiffopt.result.assessment import Assessment
@@ -53,7 +53,7 @@ _PART_STYLES: dict[str, dict[str, Any]] = {
 
 @dataclass(frozen=True)
 class ComparedMotion:
-    """A motion with the name it bears on the page."""
+    """A motion with its name on the page."""
 
     name: str
     assessment: Assessment
@@ -61,7 +61,7 @@ class ComparedMotion:
 
     @property
     def label(self) -> str:
-        """Name, marked where a limit is exceeded."""
+        """Name, with a remark where a limit is exceeded."""
         return self.name if self.feasible else f"{self.name} (exceeds limits)"
 
     def magnitude(self, part: str) -> np.ndarray:
@@ -69,7 +69,7 @@ class ComparedMotion:
         return np.asarray(np.linalg.norm(self.assessment.deflection[part], axis=1))
 
     def peak(self, part: str) -> float:
-        """Largest magnitude that is finite [m]; where a connection slips, it is not."""
+        """Largest finite magnitude [m]; it is infinite where a connection slips."""
         magnitude = self.magnitude(part)
         return float(np.max(magnitude, where=np.isfinite(magnitude), initial=0.0))
 
@@ -86,7 +86,7 @@ def compared_motions(solution: Solution) -> list[ComparedMotion]:
 
 
 def focus_part(problem: TrajectoryProblem) -> str:
-    """Part of the deflection that the problem is about; dynamic unless another is minimised."""
+    """Return the part of the deflection that the problem minimises, else "dynamic"."""
     for objective in problem.objectives:
         if objective.kind.deflection_part:
             return objective.kind.deflection_part
@@ -94,12 +94,12 @@ def focus_part(problem: TrajectoryProblem) -> str:
 
 
 def motion_style(index: int) -> dict[str, Any]:
-    """Line style of a compared motion: the optimised one is number 0."""
+    """Return the line style of a compared motion; the optimised one has index 0."""
     return dict(_MOTION_STYLES[index % len(_MOTION_STYLES)])
 
 
 def deflection_figure(motions: Sequence[ComparedMotion], part: str = "dynamic") -> Figure:
-    """Deflection of the tool over time: one part of all motions, and all parts of the first.
+    """Plot the tool deflection over time: one part of all motions, and all parts of the first.
 
     Parameters
     ----------
@@ -108,7 +108,7 @@ def deflection_figure(motions: Sequence[ComparedMotion], part: str = "dynamic") 
     part : str
         Key of `Assessment.deflection` that is compared.
     """
-    with house_style():
+    with figure_style():
         figure = Figure(figsize=(WIDTH, 3.7))
         left, right = figure.subplots(1, 2, width_ratios=(3, 2))
         factor, unit = scale(max(m.peak(part) for m in motions), "m")
@@ -147,27 +147,27 @@ def _peak_curve(
         text = f"{label}: peak {significant(values[at], 3)} {unit} at {time[at]:.3f} s"
     else:
         text = f"{label}: slips from {time[at]:.3f} s on"
-    axes.plot(*thin(time, values), label=text, **style)
+    axes.plot(*decimate_curve(time, values), label=text, **style)
     axes.plot(time[at], values[at], "o", color=style["color"], markersize=4.5)
 
 
 def motion_figure(
     problem: TrajectoryProblem, motion: Assessment, other: ComparedMotion | None
 ) -> Figure:
-    """Position, velocity, acceleration and jerk of every joint with the bounds.
+    """Plot position, velocity, acceleration and jerk of every joint with the bounds.
 
     Parameters
     ----------
     problem : TrajectoryProblem
-        Its limits are drawn.
+        Problem whose limits are drawn.
     motion : Assessment
     other : ComparedMotion or None
-        A baseline drawn thinly beside it; its jerk is left out.
+        Baseline drawn with thin lines, without its jerk.
     """
     limits, units = problem.active_limits, joint_units(problem.robot)
     upper = (limits.position_upper, limits.velocity, limits.acceleration, limits.jerk)
     lower = (limits.position_lower, -limits.velocity, -limits.acceleration, -limits.jerk)
-    with house_style():
+    with figure_style():
         count = len(units)
         figure = Figure(figsize=(WIDTH, 0.55 + 1.08 * count))
         grid = figure.subplots(count, 4, sharex=True, squeeze=False)
@@ -177,12 +177,14 @@ def motion_figure(
                 factor = scale(1.0, unit.position)[0] if column < 2 else 1.0
                 if other is not None and quantity != "jerk":
                     theirs = getattr(other.assessment, quantity)[:, j] * factor
-                    curve = thin(other.assessment.time, theirs, _SMALL_POINTS)
+                    curve = decimate_curve(other.assessment.time, theirs, _SMALL_POINTS)
                     axes.plot(*curve, color=VERMILLION, linewidth=0.9, linestyle=(0, (4, 1.5)))
                 values = getattr(motion, quantity)[:, j] * factor
-                axes.plot(*thin(motion.time, values, _SMALL_POINTS), color=BLUE, linewidth=1.5)
+                axes.plot(
+                    *decimate_curve(motion.time, values, _SMALL_POINTS), color=BLUE, linewidth=1.5
+                )
                 _level_if_flat(axes)
-                shade_beyond(axes, lower[column][j] * factor, upper[column][j] * factor)
+                shade_limits(axes, lower[column][j] * factor, upper[column][j] * factor)
                 axes.margins(x=0.0)
                 axes.locator_params(axis="y", nbins=4)
                 if j == count - 1:
@@ -208,7 +210,7 @@ def _motion_titles(units: Sequence[JointUnits]) -> list[str]:
 
 
 def _level_if_flat(axes: Axes) -> None:
-    """Show a joint that stands still as a level line, not as magnified rounding."""
+    """Widen the range of a stationary joint, whose rounding errors would otherwise be magnified."""
     low, high = axes.get_ylim()
     least = 0.02 * max(abs(low), abs(high), 0.05)
     if high - low < least:
@@ -217,23 +219,23 @@ def _level_if_flat(axes: Axes) -> None:
 
 
 def torque_figure(problem: TrajectoryProblem, motion: Assessment) -> Figure:
-    """Drive torque of every joint with its bounds, and the torque in its spring."""
+    """Plot the drive torque of every joint with its bounds, and its spring torque."""
     limit, units = problem.active_limits.torque, joint_units(problem.robot)
     columns = min(3, len(units))
     rows = -(-len(units) // columns)
-    with house_style():
+    with figure_style():
         figure = Figure(figsize=(WIDTH, 0.7 + 1.55 * rows))
         grid = figure.subplots(rows, columns, sharex=True, squeeze=False)
         for j, axes in enumerate(grid.flat):
             if j >= len(units):
                 axes.set_visible(False)
                 continue
-            spring = thin(motion.time, motion.spring_torque[:, j], _SMALL_POINTS)
-            drive = thin(motion.time, motion.torque[:, j], _SMALL_POINTS)
+            spring = decimate_curve(motion.time, motion.spring_torque[:, j], _SMALL_POINTS)
+            drive = decimate_curve(motion.time, motion.torque[:, j], _SMALL_POINTS)
             axes.plot(*spring, color=VERMILLION, linewidth=1.1, linestyle=(0, (5, 1.5)))
             axes.plot(*drive, color=BLUE, linewidth=1.6)
             _level_if_flat(axes)
-            shade_beyond(axes, -limit[j], limit[j])
+            shade_limits(axes, -limit[j], limit[j])
             axes.set_title(f"{units[j].label} [{units[j].torque}]")
             axes.margins(x=0.0)
             axes.locator_params(axis="y", nbins=5)
@@ -245,10 +247,10 @@ def torque_figure(problem: TrajectoryProblem, motion: Assessment) -> Figure:
 
 
 def stiffness_figure(problem: TrajectoryProblem, motion: Assessment) -> Figure:
-    """Tangent stiffness of every joint over time, lowest values marked, floors drawn."""
+    """Plot the tangent stiffness of every joint over time with lowest values and lower limits."""
     units = joint_units(problem.robot)
     floors = problem.active_limits.joint_stiffness
-    with house_style():
+    with figure_style():
         figure = Figure(figsize=(WIDTH, 3.9))
         axes = figure.subplots()
         for j, unit in enumerate(units):
@@ -258,7 +260,7 @@ def stiffness_figure(problem: TrajectoryProblem, motion: Assessment) -> Figure:
             style = line_style(j)
             low = motion.lowest_stiffness[j]
             text = f"{unit.label}: lowest {si(low.value, unit.stiffness)} at {low.time:.3f} s"
-            axes.plot(*thin(motion.time, values), label=text, **style)
+            axes.plot(*decimate_curve(motion.time, values), label=text, **style)
             axes.plot(low.time, low.value, "o", color=style["color"], markersize=5)
             if j + 1 in floors:
                 axes.axhline(floors[j + 1], color=style["color"], linewidth=0.8, linestyle="--")
@@ -276,6 +278,6 @@ def stiffness_figure(problem: TrajectoryProblem, motion: Assessment) -> Figure:
 
 
 def _leading_digit(value: float, _: int) -> str:
-    """Label 1, 2, 3 and 5 of every decade of a logarithmic axis in plain figures."""
+    """Format ticks 1, 2, 3 and 5 of every decade of a logarithmic axis, others as ""."""
     digit = value / 10 ** np.floor(np.log10(value) + 1e-9)
     return f"{value:g}" if round(digit) in (1, 2, 3, 5) else ""

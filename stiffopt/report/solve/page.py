@@ -1,7 +1,8 @@
-"""report.html of a solve: one self-contained page with figures, tables and what they rest on."""
+"""report.html of a solve: a self-contained page with figures, tables and assumptions."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,7 +13,8 @@ from stiffopt.report.common.citations import solve_references
 from stiffopt.report.common.page import Filters, PageFigures, write_page
 from stiffopt.report.common.robot import estimated_inputs, joint_units
 from stiffopt.report.common.text import capital, scale, words
-from stiffopt.report.solve.arm import arm_in_space
+from stiffopt.report.scene.poses import poses_along
+from stiffopt.report.scene.still import ArmInSpace, embedded_scene
 from stiffopt.report.solve.compensation import (
     COMPENSATED,
     compensation_figure,
@@ -28,8 +30,8 @@ from stiffopt.report.solve.figures import (
     stiffness_figure,
     torque_figure,
 )
+from stiffopt.report.solve.simulation import deviation_figure, simulation_notes, simulation_table
 from stiffopt.report.solve.space_figures import path_figure, windup_figure
-from stiffopt.report.solve.swing import simulation_notes, simulation_table, swing_figure
 from stiffopt.report.solve.wording import (
     comparison,
     difference_text,
@@ -59,7 +61,7 @@ def write_solve_report(
     ----------
     problem : TrajectoryProblem
     solution : Solution
-        Of any status; a page is made also where there is no motion.
+        Solution of any status; the page is written also without a motion.
     directory : path
 
     Returns
@@ -76,19 +78,19 @@ def write_solve_report(
         "problem": problem,
         "solution": solution,
         "title": problem.title or f"Motion of {problem.robot.name}",
-        "headline": _headline(solution),
+        "headline": _page_headline(solution),
         "comparison": comparison(problem, solution),
         "read_first": [
             text for text in (difference_text(problem, solution), *solution.notes) if text
         ],
-        "swing": None if solution.simulation is None else simulation_table(solution.simulation),
-        "swing_notes": (
+        "simulated": None if solution.simulation is None else simulation_table(solution.simulation),
+        "simulation_notes": (
             [] if solution.simulation is None else simulation_notes(solution.simulation)
         ),
-        "lead": compensation_section(solution.compensation),
+        "compensation": compensation_section(solution.compensation),
         "better": better_baseline(problem, solution.baselines),
         "absent": "".join(f" No {name} motion: {reason}" for name, reason in absent.items()),
-        "terms": [] if solution.objective is None else _terms(solution.objective.terms),
+        "terms": [] if solution.objective is None else _objective_terms(solution.objective.terms),
         "units": joint_units(problem.robot),
         "tolerance": CERTIFICATE_TOLERANCE,
         "part": part,
@@ -112,25 +114,25 @@ def write_solve_report(
         ),
         "phrase": lambda objective: objective_phrase(objective.name, objective.measure),
     }
-    figures = _figures(problem, solution, part)
+    figures = _draw_figures(problem, solution, part)
     if motions:
         better = better_baseline(problem, solution.baselines)
-        arm = arm_in_space(problem, _shown(motions, better), part)
+        arm = arm_in_space(problem, _shown_motions(motions, better), part)
         figures.draw("arm", arm.still, "The arm with the paths of its tool, planned and deflected")
         context |= {"space": arm.embedded, "still": arm.caption}
     path = Path(directory) / REPORT_FILE
     return write_page("solve/page.html.j2", path, context, figures, filters)
 
 
-def _headline(solution: Solution) -> str:
+def _page_headline(solution: Solution) -> str:
     if solution.objective is None:
         return "No motion found"
     text = headline_text(solution)
     return capital(text if solution.status.usable else f"{words(solution.status)}: {text}")
 
 
-def _terms(terms: dict[str, float]) -> list[tuple[str, str]]:
-    """Phrase and value with its unit of each term of a weighted sum."""
+def _objective_terms(terms: dict[str, float]) -> list[tuple[str, str]]:
+    """Return phrase and formatted value of each term of a weighted sum."""
     split = [(*term.partition(" ")[::2], value) for term, value in terms.items()]
     return [
         (objective_phrase(name, by), objective_amount(name, value, OBJECTIVES[name].unit, 3))
@@ -138,20 +140,20 @@ def _terms(terms: dict[str, float]) -> list[tuple[str, str]]:
     ]
 
 
-def _shown(motions: list[ComparedMotion], better: Baseline | None) -> list[ComparedMotion]:
-    """The motion itself, and the better feasible baseline where there is one."""
+def _shown_motions(motions: list[ComparedMotion], better: Baseline | None) -> list[ComparedMotion]:
+    """Return the motion and, where there is one, the better feasible baseline."""
     return [
         motions[0],
         *(m for m in motions[1:] if better is not None and m.name == better.name),
     ]
 
 
-def _figures(problem: TrajectoryProblem, solution: Solution, part: str) -> PageFigures:
+def _draw_figures(problem: TrajectoryProblem, solution: Solution, part: str) -> PageFigures:
     figures = PageFigures("solve", svg=False, png=False)
     motion, motions = solution.assessment, compared_motions(solution)
     if motion is None:
         return figures
-    shown = _shown(motions, better_baseline(problem, solution.baselines))
+    shown = _shown_motions(motions, better_baseline(problem, solution.baselines))
     other = shown[1] if len(shown) > 1 else None
     for name, figure, description in (
         (
@@ -180,8 +182,8 @@ def _figures(problem: TrajectoryProblem, solution: Solution, part: str) -> PageF
         figures.draw(name, figure, description)
     if solution.simulation is not None:
         figures.draw(
-            "swing",
-            swing_figure(solution.simulation),
+            "simulation",
+            deviation_figure(solution.simulation),
             "Deviation of the tool over time on the elastic arm, in flight and after arrival",
         )
     if solution.compensation is not None:
@@ -191,3 +193,11 @@ def _figures(problem: TrajectoryProblem, solution: Solution, part: str) -> PageF
             COMPENSATED,
         )
     return figures
+
+
+def arm_in_space(
+    problem: TrajectoryProblem, motions: Sequence[ComparedMotion], part: str
+) -> ArmInSpace:
+    """Return scene and still of the first motion, with a ghost of the second."""
+    poses = {motion.label: poses_along(problem, motion.assessment) for motion in motions}
+    return embedded_scene(problem.robot, poses, part, problem.cell)

@@ -1,4 +1,4 @@
-"""Figures of a solve in space: the tool's path, and where the wind-up comes from."""
+"""Figures of a solve in space: path of the tool, and wind-up of the joints by element."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from stiffopt.report.common.robot import common_unit, element_colour, joint_units, windup_by_kind
-from stiffopt.report.common.svg import BLACK, GREY, WIDTH, house_style
+from stiffopt.report.common.svg import BLACK, GREY, WIDTH, figure_style
 from stiffopt.report.common.text import number, si
 from stiffopt.report.solve.figures import ComparedMotion, motion_style
 from stiffopt.result.assessment import Assessment
@@ -20,24 +20,24 @@ if TYPE_CHECKING:
     from stiffopt.problem.trajectory import TrajectoryProblem
 
 _PATH_POINTS = 300
-# Share of the path's extent that the largest deflection takes on paper.
-_VISIBLE = 0.08
+# Share of the path's extent to which the largest deflection is magnified.
+_DEFLECTION_SHARE = 0.08
 # Paths flatter than this are drawn one projection above the other.
-_STACKED_BELOW = 0.45
-# Inches: of the flattest projection, and between two.
-_LEAST_HEIGHT = 1.1
-_GAP = 0.55
+_MAX_STACKED_ASPECT = 0.45
+# Least height of a projection, and gap between two [inch].
+_MIN_HEIGHT_INCH = 1.1
+_PANEL_GAP_INCH = 0.55
 
 
 def path_figure(problem: TrajectoryProblem, motions: Sequence[ComparedMotion], part: str) -> Figure:
-    """Path of the tool in two projections, planned and with the deflection exaggerated.
+    """Plot the tool path in two projections, planned and with magnified deflection.
 
     Parameters
     ----------
     problem : TrajectoryProblem
-        Its via points are marked.
+        Problem whose via points are marked.
     motions : sequence of ComparedMotion
-        All with the same exaggeration.
+        Motions, all with the same magnification.
     part : str
         Part of the deflection that is added to the planned path.
     """
@@ -46,27 +46,27 @@ def path_figure(problem: TrajectoryProblem, motions: Sequence[ComparedMotion], p
     widest, middle, least = (int(axis) for axis in np.argsort(-spans, kind="stable"))
     largest = max(motion.peak(part) for motion in motions)
     factor = exaggeration(max(float(spans.max()), 1e-3), largest)
-    with house_style():
+    with figure_style():
         figure = Figure()
-        stacked = bool(spans[middle] < _STACKED_BELOW * spans[widest])
+        stacked = bool(spans[middle] < _MAX_STACKED_ASPECT * spans[widest])
         rows, columns = (2, 1) if stacked else (1, 2)
         grid = figure.subplots(rows, columns, squeeze=False).ravel()
         for axes, vertical in zip(grid, (middle, least), strict=True):
-            _projection(axes, problem, motions, part, factor, (widest, vertical))
-        _fit(figure, list(grid), stacked)
+            _draw_projection(axes, problem, motions, part, factor, (widest, vertical))
+        _fit_panels(figure, list(grid), stacked)
         handles, labels = grid[0].get_legend_handles_labels()
         below = -0.5 / figure.get_figheight()
         figure.legend(handles, labels, loc="upper left", ncols=2, bbox_to_anchor=(0.06, below))
         return figure
 
 
-def _fit(figure: Figure, grid: list[Axes], stacked: bool) -> None:
-    """Place the axes so that one scale serves all directions and no paper is wasted."""
+def _fit_panels(figure: Figure, grid: list[Axes], stacked: bool) -> None:
+    """Place the axes with one scale for all directions."""
     across = max(float(np.ptp(axes.get_xlim())) for axes in grid)
     width = (0.92 if stacked else 0.43) * WIDTH
     scale = width / across
-    tall = [max(scale * float(np.ptp(axes.get_ylim())), _LEAST_HEIGHT) for axes in grid]
-    total = sum(tall) + _GAP if stacked else max(tall)
+    tall = [max(scale * float(np.ptp(axes.get_ylim())), _MIN_HEIGHT_INCH) for axes in grid]
+    total = sum(tall) + _PANEL_GAP_INCH if stacked else max(tall)
     figure.set_size_inches(WIDTH, total)
     places = [(0.06, 1.0 - tall[0] / total), (0.06, 0.0)]
     if not stacked:
@@ -79,7 +79,7 @@ def _fit(figure: Figure, grid: list[Axes], stacked: bool) -> None:
             limits(middle - 0.5 * extent, middle + 0.5 * extent)
 
 
-def _projection(
+def _draw_projection(
     axes: Axes,
     problem: TrajectoryProblem,
     motions: Sequence[ComparedMotion],
@@ -108,32 +108,31 @@ def _projection(
 
 
 def exaggeration(extent: float, largest: float) -> float:
-    """Round factor (1, 2 or 5 times a power of ten) that makes a deflection visible.
+    """Return a round factor (1, 2 or 5 times a power of ten) that makes a deflection visible.
 
     Parameters
     ----------
     extent : float
-        Of the path [m].
+        Extent of the path [m].
     largest : float
-        Deflection [m].
+        Largest deflection [m].
     """
     if largest <= 0:
         return 1.0
-    wanted = max(_VISIBLE * extent / largest, 1.0)
+    wanted = max(_DEFLECTION_SHARE * extent / largest, 1.0)
     power = 10.0 ** math.floor(math.log10(wanted))
     return power * max(step for step in (1, 2, 5) if step * power <= wanted * (1 + 1e-12))
 
 
 def windup_figure(problem: TrajectoryProblem, motion: Assessment, part: str) -> Figure:
-    """Wind-up of every joint at the instant of the largest deflection, split by element.
+    """Plot the wind-up of every joint at the instant of the largest deflection, split by element.
 
-    The split needs the robot's chains; without them a bar is of one colour. A joint that slips has
-    no bar.
+    Without drivetrain chains there is no split; a joint that slips has no bar.
     """
     magnitude = np.linalg.norm(motion.deflection[part], axis=1)
     at = int(np.argmax(magnitude))
     units = joint_units(problem.robot)
-    with house_style():
+    with figure_style():
         figure = Figure(figsize=(WIDTH, 0.9 + max(0.36 * len(units), 1.4)))
         axes = figure.subplots()
         shown: set[str] = set()

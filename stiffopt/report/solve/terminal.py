@@ -1,4 +1,4 @@
-"""What `stiffopt solve` and `stiffopt verify` print."""
+"""Terminal output of `stiffopt solve`, `simulate` and `verify`."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from stiffopt.report.solve.compensation import (
     compensation_table,
     compensation_text,
 )
-from stiffopt.report.solve.swing import simulation_notes, simulation_table
+from stiffopt.report.solve.simulation import simulation_notes, simulation_table
 from stiffopt.report.solve.wording import comparison, difference_text, headline_text
 from stiffopt.result.status import SolveStatus
 
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 
 def print_solution(problem: TrajectoryProblem, solution: Solution, folder: Path) -> None:
-    """A few lines: what came out, how it compares, what to do next, where the files are."""
+    """Print status, objective, comparison with the baselines, notes and path of the report."""
     lines = [f"{solution.status}: {solution.message}"]
     if solution.objective is not None and solution.status is not SolveStatus.INFEASIBLE:
         lines += [headline_text(solution), comparison(problem, solution)]
@@ -44,46 +44,49 @@ def print_solution(problem: TrajectoryProblem, solution: Solution, folder: Path)
 
 
 def print_simulation(simulation: Simulation) -> None:
-    """A table of the motions as the elastic arm does them, and what it rests on."""
+    """Print the table of simulated motions with its notes."""
     head, rows = simulation_table(simulation)
-    print_table(head, rows, title="on the elastic arm", numbers=head[2:-1])
+    print_table(head, rows, title="Elastic simulation", numbers=head[2:-1])
     print_lines(simulation_notes(simulation))
 
 
 def print_compensation(compensation: Compensation) -> None:
-    """A table of the motions as planned and compensated, and what it rests on."""
+    """Print the table of planned and compensated motions with its notes."""
     head, rows = compensation_table(compensation)
     short = [*head[:-2], head[-1]]
     cells = [[*row[:-2], row[-1]] for row in rows]
-    title = "on uncertain arms, motors that follow the plan and that lead the links"
+    title = "Deviations on uncertain arms, as planned and compensated"
     print_table(short, cells, title=title, numbers=short[2:-1])
     print_lines([compensation_text(compensation), *compensation_notes(compensation)])
 
 
 def print_check_begins(path: Path, number: int, count: int) -> None:
-    """Which file is solved now, on standard error: the table of all comes last."""
-    _console().print(Text(f"{path} ({number} of {count}) ..."), soft_wrap=True)
+    """Print the file that is being solved, on standard error."""
+    _error_console().print(Text(f"{path} ({number} of {count}) ..."), soft_wrap=True)
 
 
 def print_check_ends(checks: Sequence[Check]) -> None:
-    """What became of a file."""
+    """Print the verdict on a solved file, on standard error."""
     for check in checks:
-        found, name = _verdict(check), check.name or "objective"
+        found, name = _check_verdict(check), check.name or "objective"
         took = si(check.seconds, "s", 3)
-        value = f"{_value(check.value, check.unit)}, expected {_value(check.expected, check.unit)}"
-        _console().print(Text(f"  {found}: {name} {value} ({took})"), soft_wrap=True)
+        value, expected = (
+            _format_checked_value(each, check.unit) for each in (check.value, check.expected)
+        )
+        line = f"  {found}: {name} {value}, expected {expected} ({took})"
+        _error_console().print(Text(line), soft_wrap=True)
 
 
-def _console() -> Console:
+def _error_console() -> Console:
     return Console(stderr=True)
 
 
-def _verdict(check: Check) -> str:
+def _check_verdict(check: Check) -> str:
     return "ok" if check.passed else f"OFF ({check.status})"
 
 
 def print_checks(checks: Sequence[Check]) -> None:
-    """A table of expected and found values."""
+    """Print the table of expected and found values."""
     head = (
         "problem",
         "value",
@@ -98,12 +101,12 @@ def print_checks(checks: Sequence[Check]) -> None:
         (
             check.path.stem,
             check.name or "objective",
-            _value(check.expected, check.unit),
-            _value(check.value, check.unit),
+            _format_checked_value(check.expected, check.unit),
+            _format_checked_value(check.value, check.unit),
             "–" if check.deviation is None else f"{check.deviation:.1e}",
             f"{check.rtol:.0e}",
             si(check.seconds, "s", 3),
-            _verdict(check),
+            _check_verdict(check),
         )
         for check in checks
     ]
@@ -111,6 +114,6 @@ def print_checks(checks: Sequence[Check]) -> None:
     print_lines(f"{check.path}: {check.message}" for check in checks if not check.passed)
 
 
-def _value(value: float | None, unit: str) -> str:
-    """SI with the digits that are compared."""
+def _format_checked_value(value: float | None, unit: str) -> str:
+    """Return a value with the six digits that are compared, and its unit."""
     return "–" if value is None else f"{value:.6g} {unit}"

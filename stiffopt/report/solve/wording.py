@@ -1,4 +1,4 @@
-"""Sentences of a report: what was minimised, and how much better it is than the baselines."""
+"""Sentences of a solve's report on objective, elastic simulation and baselines."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ if TYPE_CHECKING:
     from stiffopt.problem.trajectory import TrajectoryProblem
     from stiffopt.result.simulation import Simulation
 
-# Below this ratio a gain reads better as "3.4 times less" than as a percentage.
-_TIMES_BELOW = 0.6
-_EQUAL_WITHIN = 5e-4
-# An excess or margin below this is neither.
-_AT_LIMIT = 1e-5
+# Ratio below which a gain is written as "3.4 times less", above it as a percentage.
+_MAX_FACTOR_RATIO = 0.6
+_EQUAL_RATIO_TOLERANCE = 5e-4
+# Relative excess or margin that is written as "at the limit".
+_AT_LIMIT_TOLERANCE = 1e-5
 
 
 def objective_phrase(name: str, measure: str) -> str:
-    """Name of an objective as people say it.
+    """Return the name of an objective in words.
 
     >>> objective_phrase("dynamic_deflection", "peak"), objective_phrase("duration", "")
     ('peak dynamic tool deflection', 'duration')
@@ -36,13 +36,13 @@ def objective_phrase(name: str, measure: str) -> str:
 
 
 def objective_text(objective: ObjectiveValue) -> str:
-    """Phrase and value: "peak dynamic tool deflection 0.297 mm"."""
+    """Return phrase and value, such as "peak dynamic tool deflection 0.297 mm"."""
     phrase = objective_phrase(objective.name, objective.measure)
     return f"{phrase} {objective_amount(objective.name, objective.value, objective.unit, 3)}"
 
 
 def objective_amount(name: str, value: float | None, unit: str, digits: int = 4) -> str:
-    """Value of an objective with its unit: integrals over time in seconds, never milliseconds.
+    """Format an objective's value with its unit; integrals over time always in seconds.
 
     >>> objective_amount("torque_squared", 0.0111, "s"), objective_amount("duration", 0.0111, "s")
     ('0.0111 s', '11.1 ms')
@@ -54,7 +54,7 @@ def objective_amount(name: str, value: float | None, unit: str, digits: int = 4)
 
 
 def headline_text(solution: Solution) -> str:
-    """What came out: simulated where a deflection is minimised, else the certified objective."""
+    """Return the result in words, simulated where a deflection is minimised, else as certified."""
     assert solution.objective is not None
     simulation = solution.simulation
     if simulation is None or not simulation.measure:
@@ -68,7 +68,7 @@ def headline_text(solution: Solution) -> str:
 
 
 def difference_text(problem: TrajectoryProblem, solution: Solution) -> str:
-    """Warning where simulated and planned deflection differ; "" where they agree."""
+    """Return a warning where simulated and planned deflection differ, else ""."""
     simulation = solution.simulation
     if simulation is None or not simulation.differs:
         return ""
@@ -78,11 +78,11 @@ def difference_text(problem: TrajectoryProblem, solution: Solution) -> str:
     part = motion.compared
     deviates = "deviates by" if part.name == "dynamic" else f"has a {part.name} deflection of"
     why = (
-        "the motors take the corners of the joints' wind-up more gently than the plan, as sharply "
-        "as limits and mesh let them; a higher limits.jerk or a longer duration brings the two "
-        "together"
+        "the command smooths the kinks of the joints' wind-up law"
+        " more than the plan, as limits and "
+        "mesh require; a higher limits.jerk or a longer duration reduces the difference"
         if problem.plans_links
-        else "the links swing, which the quasi-static plan does not see"
+        else "the quasi-static plan does not include the vibration of the links"
     )
     text = (
         f"The elastic arm {deviates} up to {si(part.simulated.peak, 'm', 3)} in flight where "
@@ -90,18 +90,18 @@ def difference_text(problem: TrajectoryProblem, solution: Solution) -> str:
         f"{'more' if change > 0 else 'less'}): {why}."
     )
     if motion.simulated.settling_time is None and motion.simulated.peak_after is not None:
-        return f"{text} It does not settle within {si(motion.simulated.band, 'm')} in a second."
+        return f"{text} It does not settle to {si(motion.simulated.band, 'm')} within 1 s."
     return text
 
 
 def comparison(problem: TrajectoryProblem, solution: Solution) -> str:
-    """Sentence on the better feasible baseline, and what it was excused from."""
-    return f"{_comparison(problem, solution)}{_excused(problem, solution)}"
+    """Return sentences on the better feasible baseline and on limits it is exempt from."""
+    return f"{_simulated_comparison(problem, solution)}{_exemption_sentence(problem, solution)}"
 
 
-def _excused(problem: TrajectoryProblem, solution: Solution) -> str:
-    """What the counted baseline exceeds, and the ratio to one that keeps every limit."""
-    better = _counted(problem, solution)
+def _exemption_sentence(problem: TrajectoryProblem, solution: Solution) -> str:
+    """Return sentences on limits that the counted baseline exceeds, and on one that keeps all."""
+    better = _counted_baseline(problem, solution)
     if better is None or better.assessment is None or solution.ratio_to_better_baseline is None:
         return ""
     exceeded = [v for v in better.assessment.violations if v.value > CERTIFICATE_TOLERANCE]
@@ -111,22 +111,22 @@ def _excused(problem: TrajectoryProblem, solution: Solution) -> str:
     for each in sorted(exceeded, key=lambda v: -v.value):
         worst.setdefault(each.limit, each)
     limits = listed(f"{words(v.limit)} ({violation_text(v)})" for v in worst.values())
-    motion = _motion_of(better.name)
-    text = f" {motion[0].upper()}{motion[1:]} is excused from limits its method cannot take: "
-    return f"{text}{limits}.{_strict(problem, solution)}"
+    motion = _motion_phrase(better.name)
+    text = f" {motion[0].upper()}{motion[1:]} is exempt from limits that its method cannot handle: "
+    return f"{text}{limits}.{_strict_comparison(problem, solution)}"
 
 
-def _counted(problem: TrajectoryProblem, solution: Solution) -> Baseline | None:
-    """The baseline that the comparison is with: the better one as it was simulated, if it was."""
+def _counted_baseline(problem: TrajectoryProblem, solution: Solution) -> Baseline | None:
+    """Return the baseline compared with: the better one by simulation, if simulated."""
     simulation = solution.simulation
     if simulation is not None and simulation.ratio_to_better_baseline is not None:
         assert simulation.better_baseline is not None
-        # The slowed quintic is none of the baselines, but keeps every limit.
+        # The slowed quintic is not among the baselines, but keeps every limit.
         return solution.baselines.get(simulation.better_baseline.name, solution.strict_baseline)
     return better_baseline(problem, solution.baselines)
 
 
-def _strict(problem: TrajectoryProblem, solution: Solution) -> str:
+def _strict_comparison(problem: TrajectoryProblem, solution: Solution) -> str:
     strict, simulation = solution.strict_baseline, solution.simulation
     if strict is None or strict.assessment is None:
         return " No baseline was found that keeps every limit."
@@ -142,11 +142,11 @@ def _strict(problem: TrajectoryProblem, solution: Solution) -> str:
     slowed = "" if name == strict.name else f", slowed to {si(strict.assessment.duration, 's', 3)}"
     term = problem.objectives[0].name if len(problem.objectives) == 1 else ""
     how_much = amount(ratio, term, is_maximised(problem))
-    return f" {how_much} {_motion_of(name)}{slowed}, which keeps every limit{how}."
+    return f" {how_much} {_motion_phrase(name)}{slowed}, which keeps every limit{how}."
 
 
-def _comparison(problem: TrajectoryProblem, solution: Solution) -> str:
-    """Sentence on the better feasible baseline, both simulated where a deflection is minimised."""
+def _simulated_comparison(problem: TrajectoryProblem, solution: Solution) -> str:
+    """Return a sentence on the better feasible baseline, simulated if a deflection is minimised."""
     simulation = solution.simulation
     if simulation is not None and simulation.ratio_to_better_baseline is not None:
         better = simulation.better_baseline
@@ -159,12 +159,12 @@ def _comparison(problem: TrajectoryProblem, solution: Solution) -> str:
         if own is None or other is None:
             return f"{text}."
         text += f"; after arrival {si(own, 'm', 3)} against {si(other, 'm', 3)}."
-        return f"{text}{_calmer(simulation, own)}"
+        return f"{text}{_least_vibration_sentence(simulation, own)}"
     return _certified_comparison(problem, solution)
 
 
-def _calmer(simulation: Simulation, own: float) -> str:
-    """Sentence on the motion that rings least after arrival, where that is another."""
+def _least_vibration_sentence(simulation: Simulation, own: float) -> str:
+    """Return a sentence on a motion with less residual vibration than the optimised one, if any."""
     rings = {
         motion.name: (motion.simulated.peak_after, motion.simulated.duration)
         for motion in simulation.motions
@@ -172,14 +172,15 @@ def _calmer(simulation: Simulation, own: float) -> str:
     name, (peak, duration) = min(rings.items(), key=lambda item: item[1][0] or 0.0)
     if peak is None or peak >= own:
         return ""
-    motion = _motion_of(name)
+    motion = _motion_phrase(name)
     return (
-        f" {motion[0].upper()}{motion[1:]}, {si(duration, 's')}, rings least: {si(peak, 'm', 3)}."
+        f" {motion[0].upper()}{motion[1:]}, {si(duration, 's')}, has the least residual vibration:"
+        f" {si(peak, 'm', 3)}."
     )
 
 
 def _certified_comparison(problem: TrajectoryProblem, solution: Solution) -> str:
-    """Sentence on the better feasible baseline; says so where there is none."""
+    """Return a sentence on the better feasible baseline by certified objective, or its absence."""
     maximised = is_maximised(problem)
     better = better_baseline(problem, solution.baselines)
     ratio = solution.ratio_to_better_baseline
@@ -192,26 +193,26 @@ def _certified_comparison(problem: TrajectoryProblem, solution: Solution) -> str
     if better is None or ratio is None:
         return "No baseline meets all limits, so none is counted."
     other, name = better.assessment, better.name
-    motion = _motion_of(name)
+    motion = _motion_phrase(name)
     if other is not None and abs(other.duration - solution.assessment.duration) < 1e-6:
         motion += " of the same duration"
     term = problem.objectives[0].name if len(problem.objectives) == 1 else ""
     return f"{amount(ratio, term, maximised)} {motion}."
 
 
-def _motion_of(name: str) -> str:
+def _motion_phrase(name: str) -> str:
     return "toppra's motion" if name == "toppra" else f"the {name} motion"
 
 
 def amount(ratio: float, name: str = "", maximised: bool = False) -> str:
-    """How an objective compares with a baseline's, as the start of a sentence.
+    """Return the beginning of a sentence that compares an objective with a baseline's.
 
     Parameters
     ----------
     ratio : float
         Below one is better, for maximised objectives too.
     name : str
-        Of the objective.
+        Name of the objective.
     maximised : bool
 
     Returns
@@ -222,12 +223,12 @@ def amount(ratio: float, name: str = "", maximised: bool = False) -> str:
     ('4 times less than', '10 % less than', '10 % more than', '2 times as much as')
     """
     value = 1.0 / ratio if maximised else ratio
-    if abs(value - 1.0) < _EQUAL_WITHIN:
+    if abs(value - 1.0) < _EQUAL_RATIO_TOLERANCE:
         return "The same as"
     kind = OBJECTIVES.get(name, ObjectiveKind)
-    if kind.compared_as_ratio and value < _TIMES_BELOW:
+    if kind.compared_as_ratio and value < _MAX_FACTOR_RATIO:
         return f"{significant(1.0 / value, 2)} times less than"
-    if kind.compared_as_ratio and value > 1.0 / _TIMES_BELOW:
+    if kind.compared_as_ratio and value > 1.0 / _MAX_FACTOR_RATIO:
         return f"{significant(value, 2)} times as much as"
     less, more = kind.comparatives
     change = 100.0 * abs(value - 1.0)
@@ -235,7 +236,7 @@ def amount(ratio: float, name: str = "", maximised: bool = False) -> str:
 
 
 def limit_text(violation: Violation) -> str:
-    """Name of a limit with its joint: "velocity, joint 1", "collision, fore and table"."""
+    """Return a limit with its place, such as "velocity, joint 1", "collision, fore and table"."""
     if violation.pair is not None:
         return f"{words(violation.limit)}, {' and '.join(violation.pair)}"
     name = words(violation.limit)
@@ -243,10 +244,10 @@ def limit_text(violation: Violation) -> str:
 
 
 def violation_text(violation: Violation) -> str:
-    """Excess or margin of a limit in words: "exceeded by 0.12 %", "margin 8.5 %", "2 mm deep"."""
+    """Return excess or margin in words: "exceeded by 0.12 %", "margin 8.5 %", "2 mm deep"."""
     if violation.distance is not None:
         return violation.describe_distance()
-    if abs(violation.value) < _AT_LIMIT:
+    if abs(violation.value) < _AT_LIMIT_TOLERANCE:
         return "at the limit"
     size = percent(abs(violation.value))
     return f"exceeded by {size}" if violation.value > 0 else f"margin {size}"

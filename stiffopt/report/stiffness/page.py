@@ -1,4 +1,4 @@
-"""stiffness.html of a robot: joint stiffness with and without contacts, and what yields."""
+"""stiffness.html of a robot: joint stiffness over torque, with and without contacts."""
 
 from __future__ import annotations
 
@@ -6,27 +6,32 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from stiffopt.report.common.citations import robot_references
 from stiffopt.report.common.page import PageFigures, write_page
-from stiffopt.report.common.robot import estimated_inputs, joint_units
-from stiffopt.report.common.text import listed, percent
-from stiffopt.report.stiffness.figures import (
-    StiffnessCurve,
-    loss_figure,
-    shares_figure,
-    stiffness_curves,
-    tangent_figure,
+from stiffopt.report.common.robot import (
+    JointUnits,
+    compliance_by_kind,
+    element_colour,
+    estimated_inputs,
+    joint_units,
 )
+from stiffopt.report.common.svg import BLUE, GREY, VERMILLION, WIDTH, figure_style, line_style
+from stiffopt.report.common.text import listed, percent
 
 if TYPE_CHECKING:
     from stiffopt.robot.robot import Robot
     from stiffopt.robot.stiffness_study import StiffnessRow
 
 PAGE_FILE = "stiffness.html"
+SHARE_RATIOS = (0.001, 0.01, 0.1, 1.0)
+# Ratio of the joints' largest losses above which the axis is logarithmic.
+_MAX_LINEAR_RATIO = 10.0
 
 
 @dataclass(frozen=True)
@@ -40,7 +45,7 @@ class FirstSlip:
     element : str
         "" where none slips.
     torque : float
-        Of the joint at which it slips [N m]; inf where none does.
+        Slip torque at the joint [N m]; inf where none slips.
     largest : float
         Largest torque of the joint [N m].
     """
@@ -53,7 +58,7 @@ class FirstSlip:
 
 @dataclass(frozen=True)
 class LargestLoss:
-    """Where contacts cost most: share of the stiffness of the reducer alone."""
+    """Largest loss of stiffness through contacts, relative to the reducer alone."""
 
     loss: float
     joint: int
@@ -81,8 +86,8 @@ def write_stiffness_report(
     figures = PageFigures("stiffness")
     figures.draw("tangent", tangent_figure(curves, units, low_torque=False), "Tangent stiffness")
     figures.draw("low_torque", tangent_figure(curves, units, low_torque=True), "Near zero torque")
-    figures.draw("loss", loss_figure(curves, units), "Against the reducer alone")
-    figures.draw("shares", shares_figure(robot, units), "What yields")
+    figures.draw("loss", loss_figure(curves, units), "Stiffness lost to contacts")
+    figures.draw("shares", shares_figure(robot, units), "Compliance by element")
     context = {
         "title": f"Joint stiffness of {robot.title or robot.name}",
         "largest": _largest_loss(curves),
@@ -90,7 +95,7 @@ def write_stiffness_report(
         "curves": curves,
         "units": units,
         "slip": _first_slips(robot),
-        "loading": _loading(robot),
+        "loading": _contact_loading(robot),
         "estimated": estimated_inputs(robot),
         "references": robot_references(robot),
     }
@@ -100,7 +105,7 @@ def write_stiffness_report(
 def where_contacts_matter(
     curves: Mapping[int, Sequence[StiffnessCurve]], labels: Sequence[str]
 ) -> str:
-    """Sentences on the torque at which contacts take most of each joint's stiffness."""
+    """Return sentences on the torque at which contacts reduce each joint's stiffness most."""
     groups: dict[str, list[str]] = {}
     for joint, (own, *_) in curves.items():
         at = own.ratio_of_largest_loss
@@ -116,8 +121,9 @@ def where_contacts_matter(
         groups.setdefault(where, []).append(f"{labels[joint - 1]} ({ends})")
     told = "; ".join(f"{where} in {listed(joints)}" for where, joints in groups.items())
     return (
-        f"Contacts take most of the stiffness {told}. In brackets: the share that they take, from "
-        "the least torque shown to the largest."
+        f"Contacts reduce the stiffness most {told}. In brackets: the"
+        " relative loss, from the least "
+        "torque shown to the largest."
     )
 
 
@@ -129,8 +135,8 @@ def _largest_loss(curves: Mapping[int, Sequence[StiffnessCurve]]) -> LargestLoss
     return max(every, key=lambda each: (each.loss, -each.joint))
 
 
-def _loading(robot: Robot) -> str:
-    """Loading of the rough contacts that the robot file states."""
+def _contact_loading(robot: Robot) -> str:
+    """Return the loading of rough contacts that the robot file states."""
     surfaces = (
         getattr(element, "surface", None)
         for chain in robot.chains
@@ -148,3 +154,186 @@ def _first_slips(robot: Robot) -> list[FirstSlip]:
             name = min(slip, key=lambda each: slip[each])
             found.append(FirstSlip(number, name, slip[name], float(robot.torque_max[number - 1])))
     return found
+
+
+@dataclass(frozen=True)
+class StiffnessCurve:
+    """Stiffness of one joint over the torque ratio, key flanks in series or in parallel.
+
+    Parameters
+    ----------
+    joint : int
+        From 1.
+    flanks : str
+    ratio : array (K,)
+        Torque over the largest torque.
+    tangent, reducer_only, relative : array (K,)
+        With contacts and without [N m/rad], and their ratio.
+    windup : array (K,) [rad]
+    first, cyclic : array (K,)
+        Tangent stiffness under first loading and under cyclic loading of the contacts [N m/rad].
+    """
+
+    joint: int
+    flanks: str
+    ratio: np.ndarray
+    tangent: np.ndarray
+    reducer_only: np.ndarray
+    relative: np.ndarray
+    windup: np.ndarray
+    first: np.ndarray
+    cyclic: np.ndarray
+
+    @property
+    def loss(self) -> np.ndarray:
+        """Loss of stiffness through contacts, relative to the reducer alone (K,)."""
+        return 1.0 - self.relative
+
+    @property
+    def ratio_of_largest_loss(self) -> float:
+        """Torque ratio of the largest relative loss."""
+        return float(self.ratio[np.argmax(self.loss)])
+
+    def at(self, ratio: float, values: np.ndarray) -> float:
+        """Interpolate one of the curve's arrays at a torque ratio."""
+        return float(np.interp(np.log(ratio), np.log(self.ratio), values))
+
+
+def stiffness_curves(rows: Iterable[StiffnessRow]) -> dict[int, list[StiffnessCurve]]:
+    """Return the curves by joint, the robot file's arrangement of key flanks first."""
+    groups: dict[tuple[int, str], list[StiffnessRow]] = {}
+    for row in rows:
+        groups.setdefault((row.joint, row.flanks), []).append(row)
+    curves: dict[int, list[StiffnessCurve]] = {}
+    for (joint, flanks), own in groups.items():
+        table = sorted(
+            (
+                row.torque_ratio,
+                row.tangent_stiffness,
+                row.reducer_only_tangent_stiffness,
+                row.ratio_to_reducer_only,
+                row.windup,
+                row.first_loading_stiffness,
+                row.cyclic_stiffness,
+            )
+            for row in own
+        )
+        curves.setdefault(joint, []).append(StiffnessCurve(joint, flanks, *np.array(table).T))
+    return curves
+
+
+def tangent_figure(
+    curves: Mapping[int, Sequence[StiffnessCurve]], units: Sequence[JointUnits], low_torque: bool
+) -> Figure:
+    """Plot the tangent stiffness of every joint, with contacts and of the reducer alone.
+
+    Parameters
+    ----------
+    curves : mapping joint number -> curves
+    units : sequence of JointUnits
+    low_torque : bool
+        Logarithmic torque axis, which resolves the range near zero torque.
+    """
+    with figure_style():
+        columns = min(3, len(curves))
+        rows = -(-len(curves) // columns)
+        figure = Figure(figsize=(WIDTH, 0.9 + 2.0 * rows))
+        grid = figure.subplots(rows, columns, squeeze=False).ravel()
+        for axes in grid[len(curves) :]:
+            axes.set_visible(False)
+        for place, (joint, readings) in enumerate(curves.items()):
+            _draw_tangent_panel(grid[place], readings, low_torque)
+            unit = units[joint - 1]
+            grid[place].set_title(f"{unit.label} [{unit.stiffness}]")
+            if place + columns >= len(curves):
+                grid[place].set_xlabel("torque over largest torque")
+        handles, labels = grid[0].get_legend_handles_labels()
+        below = -0.12 / figure.get_figheight()
+        figure.legend(handles, labels, loc="upper left", ncols=3, bbox_to_anchor=(0.05, below))
+        figure.subplots_adjust(left=0.07, right=0.995, wspace=0.24, hspace=0.34)
+        return figure
+
+
+def _draw_tangent_panel(axes: Axes, readings: Sequence[StiffnessCurve], low_torque: bool) -> None:
+    own = readings[0]
+    for other in readings[1:]:
+        label = f"with contacts, flanks in {other.flanks}"
+        axes.plot(other.ratio, other.tangent, color=GREY, linewidth=1.0, label=label)
+    keys = f", flanks in {own.flanks} (this robot)" if own.flanks in ("series", "parallel") else ""
+    dashes = (0, (5, 1.5))
+    axes.plot(
+        own.ratio, own.reducer_only, color=VERMILLION, linestyle=dashes, label="reducer alone"
+    )
+    axes.plot(own.ratio, own.tangent, color=BLUE, linewidth=2.0, label=f"with contacts{keys}")
+    if low_torque:
+        axes.set_xscale("log")
+        axes.xaxis.set_major_formatter("{x:g}")
+    axes.set_ylim(bottom=0.0)
+    axes.margins(x=0.01)
+    axes.locator_params(axis="y", nbins=5)
+
+
+def loss_figure(
+    curves: Mapping[int, Sequence[StiffnessCurve]], units: Sequence[JointUnits]
+) -> Figure:
+    """Plot the relative loss of tangent stiffness through contacts, all joints.
+
+    The axis is logarithmic where the joints' losses differ by more than a decade.
+    """
+    with figure_style():
+        figure = Figure(figsize=(WIDTH, 3.8))
+        axes = figure.subplots()
+        losses = []
+        for joint, readings in curves.items():
+            own = readings[0]
+            losses.append(100.0 * own.loss)
+            style = line_style(joint - 1)
+            axes.plot(own.ratio, losses[-1], label=units[joint - 1].label, **style)
+        axes.set_xscale("log")
+        axes.xaxis.set_major_formatter("{x:g}")
+        highest = [float(np.max(each)) for each in losses]
+        if min(highest) > 0.0 and max(highest) > _MAX_LINEAR_RATIO * min(highest):
+            axes.set_yscale("log")
+            axes.yaxis.set_major_formatter("{x:g}")
+        else:
+            axes.set_ylim(bottom=0.0)
+        axes.set_xlabel("torque over largest torque")
+        axes.set_ylabel("stiffness lost to contacts [%]")
+        axes.margins(x=0.01)
+        axes.legend(loc="best", ncols=2)
+        figure.subplots_adjust(left=0.07, right=0.995)
+        return figure
+
+
+def shares_figure(robot: Robot, units: Sequence[JointUnits]) -> Figure:
+    """Plot the share of each kind of element in the tangent compliance at several torque ratios."""
+    jointed = [j for j, chain in enumerate(robot.chains) if chain is not None]
+    with figure_style():
+        figure = Figure(figsize=(WIDTH, 0.9 + max(0.34 * len(jointed), 1.0)))
+        grid = figure.subplots(1, len(SHARE_RATIOS), sharey=True)
+        named: dict[str, Any] = {}
+        for axes, ratio in zip(grid, SHARE_RATIOS, strict=True):
+            for row, j in enumerate(jointed):
+                left = 0.0
+                torque = ratio * float(robot.torque_max[j])
+                for kind, share in compliance_by_kind(robot.chains[j], torque).items():
+                    colour = element_colour(kind)
+                    bar = axes.barh(row, 100 * share, left=left, height=0.66, color=colour)
+                    named.setdefault(kind.replace("_", " "), bar)
+                    left += 100 * share
+            axes.set_xlim(0.0, 100.0)
+            axes.set_title(f"{100 * ratio:g} % of the largest torque")
+            axes.set_xlabel("compliance [%]")
+            axes.grid(visible=False, axis="y")
+        grid[0].set_yticks(range(len(jointed)), [units[j].label for j in jointed])
+        grid[0].invert_yaxis()
+        below = -0.3 / figure.get_figheight()
+        figure.legend(
+            list(named.values()),
+            list(named),
+            loc="upper left",
+            ncols=8,
+            bbox_to_anchor=(0.03, below),
+        )
+        figure.subplots_adjust(left=0.04, right=0.985, wspace=0.14)
+        return figure

@@ -1,18 +1,25 @@
-"""report.html of a sweep: how its cases ended, the answer over what varies, the table."""
+"""report.html of a sweep: status of its cases, objective over varied entries, table."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
+from matplotlib.figure import Figure
+
 from stiffopt.report.common.page import PageFigures, write_page
-from stiffopt.report.common.text import si, words
-from stiffopt.report.sweep.figures import axes_figure, front_figure, spread_figure
-from stiffopt.report.sweep.sentences import headline, knee_sentence, spread_sentence
-from stiffopt.sweep.summary import Cell, SweepSummary
+from stiffopt.report.common.svg import BLUE, GREY, VERMILLION, WIDTH, figure_style
+from stiffopt.report.common.text import scale, si, words
+from stiffopt.report.sweep.terminal import headline, knee_sentence, spread_sentence
+from stiffopt.sweep.run import is_unusable
+from stiffopt.sweep.summary import Cell, Front, SweepSummary
+from stiffopt.units import number_and_unit
 
 PAGE_FILE = "report.html"
-# Of the table on the page; table.csv has all.
-_ROWS = 200
+# Rows of the table on the page; table.csv has all.
+_MAX_ROWS = 200
+# Quantity that is plotted, by kind of the base file.
+ANSWERS = {"trajectory": "objective", "preload": "objective", "recordings": "residual_after"}
 
 
 def write_sweep_report(summary: SweepSummary, folder: Path) -> Path:
@@ -20,7 +27,7 @@ def write_sweep_report(summary: SweepSummary, folder: Path) -> Path:
     figures = PageFigures("sweep", png=False)
     drawn = axes_figure(summary)
     if drawn is not None:
-        figures.draw("answer", drawn, "The answer over what varies")
+        figures.draw("answer", drawn, "Result over the varied entries")
     front, spreads = summary.front(), summary.spreads()
     if front is not None and len(front.values) > 1:
         figures.draw("front", front_figure(front, summary.units["objective"]), "Trade-off front")
@@ -37,15 +44,92 @@ def write_sweep_report(summary: SweepSummary, folder: Path) -> Path:
         "head": [name if name in summary.sweep.places else words(name) for name in shown],
         "rows": [
             [
-                _text(cell, summary.units.get(name, ""))
+                _format_cell(cell, summary.units.get(name, ""))
                 for name, cell in zip(shown, row, strict=True)
             ]
-            for row in rows[:_ROWS]
+            for row in rows[:_MAX_ROWS]
         ],
-        "more": max(len(rows) - _ROWS, 0),
+        "more": max(len(rows) - _MAX_ROWS, 0),
     }
     return write_page("sweep/page.html.j2", folder / PAGE_FILE, context, figures)
 
 
-def _text(cell: Cell, unit: str) -> str:
+def _format_cell(cell: Cell, unit: str) -> str:
     return cell if isinstance(cell, str) else si(cell, unit, 5)
+
+
+def axes_figure(summary: SweepSummary) -> Figure | None:
+    """Plot the result over each numeric entry; None without such an entry or result."""
+    name = ANSWERS[summary.sweep.kind]
+    points = [
+        (dict(case.changes), None if is_unusable(found) else found["values"].get(name, {}))
+        for case, found in summary.done
+    ]
+    answers = [(own or {}).get("value") for _, own in points]
+    held = np.array([np.nan if each is None else float(each) for each in answers])
+    if not np.isfinite(held).any():
+        return None
+    drawn = {}
+    for place in summary.sweep.places:
+        numbers = [_value_and_unit(changes[place]) for changes, _ in points]
+        units = {unit for _, unit in numbers}
+        if None not in units and len(units) == 1 and len(set(numbers)) > 1:
+            drawn[place] = (np.array([value for value, _ in numbers]), numbers[0][1] or "SI")
+    if not drawn:
+        return None
+    factor, unit = scale(float(np.nanmax(np.abs(held))), summary.units[name])
+    with figure_style():
+        columns = min(3, len(drawn))
+        rows = -(-len(drawn) // columns)
+        figure = Figure(figsize=(WIDTH, 0.9 + 2.4 * rows))
+        grid = figure.subplots(rows, columns, squeeze=False, sharey=True).ravel()
+        lost = ~np.isfinite(held)
+        for axes, (place, (values, kind)) in zip(grid, drawn.items(), strict=False):
+            axes.plot(values, factor * held, "o", color=BLUE, markersize=3.5, alpha=0.7)
+            floor = np.full(lost.sum(), factor * np.nanmin(held))
+            axes.plot(values[lost], floor, "x", color=VERMILLION, markersize=5.0)
+            axes.set_xlabel(f"{place} [{kind}]")
+        for axes in grid[len(drawn) :]:
+            axes.set_visible(False)
+        for axes in grid[::columns]:
+            axes.set_ylabel(f"{words(name)} [{unit}]" if unit else words(name))
+        figure.tight_layout()
+    return figure
+
+
+def front_figure(front: Front, unit: str) -> Figure:
+    """Plot the Pareto front with its knee."""
+    factor, shown = scale(float(np.abs(front.objectives).max()), unit)
+    with figure_style():
+        figure = Figure(figsize=(WIDTH, 3.2))
+        axes = figure.subplots()
+        axes.plot(front.values, factor * front.objectives, "o-", color=BLUE, markersize=4.0)
+        if front.knee is not None:
+            at, value = front.values[front.knee], factor * front.objectives[front.knee]
+            axes.plot([at], [value], "o", color=VERMILLION, markersize=8.0)
+            axes.annotate("knee", (at, value), (6, 6), textcoords="offset points")
+        axes.set_xlabel(f"{front.over} [{front.unit}]" if front.unit else front.over)
+        axes.set_ylabel(f"objective [{shown}]" if shown else "objective")
+        figure.tight_layout()
+    return figure
+
+
+def spread_figure(summary: SweepSummary) -> Figure:
+    """Plot the worst over the best optimum of each case among its starts."""
+    spreads = summary.spreads()
+    with figure_style():
+        figure = Figure(figsize=(WIDTH, 3.0))
+        axes = figure.subplots()
+        ratios = [each.worst / each.best for each in spreads.values() if each.best]
+        axes.bar(np.arange(1, len(ratios) + 1), ratios, color=GREY, width=0.7)
+        axes.axhline(1.0, color=BLUE)
+        axes.set_xlabel("case")
+        axes.set_ylabel("worst over best optimum")
+        figure.tight_layout()
+    return figure
+
+
+def _value_and_unit(value: object) -> tuple[float, str | None]:
+    if isinstance(value, bool) or not isinstance(value, int | float | str):
+        return 0.0, None
+    return number_and_unit(value)

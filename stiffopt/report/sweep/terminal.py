@@ -1,13 +1,12 @@
-"""What `stiffopt sweep` shows while it runs and when it is done."""
+"""Terminal output and sentences of `stiffopt sweep`."""
 
 from __future__ import annotations
 
 import math
 from pathlib import Path
 
-from stiffopt.report.common.status_line import StatusLine
-from stiffopt.report.common.terminal import print_lines
-from stiffopt.report.sweep.sentences import headline, knee_sentence, spread_sentence
+from stiffopt.report.common.terminal import StatusLine, print_lines
+from stiffopt.report.common.text import listed, si
 from stiffopt.sweep.run import SweepProgress
 from stiffopt.sweep.summary import TABLE_FILE, SweepSummary
 
@@ -15,12 +14,12 @@ PLAIN_INTERVAL = 5.0
 
 
 class SweepDisplay(StatusLine):
-    """A status line that is called with each event of a sweep; without a terminal now and then."""
+    """A status line that is called with each event of a sweep; rate-limited without a terminal."""
 
     _printed_at = -math.inf
 
     def __call__(self, event: SweepProgress) -> None:
-        """Show how far the sweep is, and the time left."""
+        """Show progress and remaining time."""
         now = self._clock()
         if self.moves or now - self._printed_at >= PLAIN_INTERVAL or event.done == event.total:
             self._printed_at = now
@@ -28,35 +27,67 @@ class SweepDisplay(StatusLine):
 
 
 def progress_line(event: SweepProgress) -> str:
-    """How far a sweep is, in one line.
+    """Return the progress of a sweep in one line.
 
     >>> progress_line(SweepProgress(done=30, total=200, unusable=1, elapsed=60.0, left=340.0))
     '30 of 200 cases (1 without a usable result), 1 min 0 s, about 5 min 40 s left'
     """
     bad = f" ({event.unusable} without a usable result)" if event.unusable else ""
-    line = f"{event.done} of {event.total} cases{bad}, {_duration(event.elapsed)}"
+    line = f"{event.done} of {event.total} cases{bad}, {_format_duration(event.elapsed)}"
     if event.left is None or event.done == event.total:
         return line
-    return f"{line}, about {_duration(event.left)} left"
+    return f"{line}, about {_format_duration(event.left)} left"
 
 
 def print_sweep(summary: SweepSummary, folder: Path) -> None:
-    """How the cases ended, knee and spread, and where the files are."""
+    """Print counts by status, knee, spread of optima and paths of the files."""
     print_lines(
         (
             f"{headline(summary)}.",
             knee_sentence(summary) or None,
             spread_sentence(summary) or None,
-            "Interrupted: the same command goes on from here." if summary.interrupted else None,
+            "Interrupted: the same command resumes the sweep." if summary.interrupted else None,
             f"Table: {folder / TABLE_FILE}",
             f"Report: {folder / 'report.html'}",
         )
     )
 
 
-def _duration(seconds: float) -> str:
+def _format_duration(seconds: float) -> str:
     minutes, rest = divmod(round(seconds), 60)
     hours, minutes = divmod(minutes, 60)
     if hours:
         return f"{hours} h {minutes} min"
     return f"{minutes} min {rest} s" if minutes else f"{rest} s"
+
+
+def headline(summary: SweepSummary) -> str:
+    """Return the number of cases by status."""
+    counts = [f"{number} {name.replace('_', ' ')}" for name, number in summary.statuses().items()]
+    return f"{len(summary.sweep.cases)} cases: {listed(counts)}"
+
+
+def knee_sentence(summary: SweepSummary) -> str:
+    """Return a sentence on the knee of the Pareto front; "" without a front."""
+    front = summary.front()
+    if front is None:
+        return ""
+    if front.knee is None:
+        return f"Fewer than three cases trade {front.over} for the objective: no knee."
+    value = si(float(front.objectives[front.knee]), summary.units["objective"])
+    at = f"{front.values[front.knee]:.4g} {front.unit}".rstrip()
+    return f"Knee of the front: {front.over} = {at}, objective {value}."
+
+
+def spread_sentence(summary: SweepSummary) -> str:
+    """Return a sentence on the spread of optima over several starts; "" with one start."""
+    spreads = list(summary.spreads().values())
+    if not spreads:
+        return ""
+    furthest = max(spreads, key=lambda each: abs(each.worst - each.best) / (abs(each.best) or 1.0))
+    near = sum(each.near for each in spreads)
+    usable = sum(each.usable for each in spreads)
+    return (
+        f"{near} of {usable} usable starts end within 1 % of the best of their case; the widest "
+        f"spread is {si(furthest.best, furthest.unit)} to {si(furthest.worst, furthest.unit)}."
+    )

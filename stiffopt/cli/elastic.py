@@ -1,4 +1,4 @@
-"""`stiffopt simulate` and `stiffopt modes`: how an arm swings on the springs of its joints."""
+"""`stiffopt simulate`, `view` and `modes`: elastic simulation and elastic modes."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ from stiffopt.cli.base import (
 from stiffopt.errors import InputError, shortened
 from stiffopt.folders import output_folder
 
-# Entries that a simulation may change: no motion depends on them.
-_UNSURE = re.compile(r"\s*uncertainty\b")
-_SOLVED = (
-    "the motion was solved; only [uncertainty] may change, such as uncertainty.stiffness=0.3. Solve"
-    " again with --set"
+# Entries that --set may change in a simulation: no motion depends on them.
+_UNCERTAINTY_ENTRY = re.compile(r"\s*uncertainty\b")
+_SOLVED_MOTION_REASON = (
+    "a solved motion allows changes of [uncertainty] only, such as uncertainty.stiffness=0.3. Run"
+    " solve again with --set."
 )
-_OF_SERVOS = re.compile(r"\bservo_(bandwidth|feed_forward|delay)\b")
+_SERVO_ENTRY = re.compile(r"\bservo_(bandwidth|feed_forward|delay)\b")
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -55,33 +55,33 @@ def simulate(
 ) -> int:
     """Simulate a solved motion and its baselines on the elastic arm.
 
-    Writes simulation.json, simulation.csv (the optimised motion every 0.5 ms) and simulation.html,
-    where the arm can be seen swinging. Where the solve wrote a command.csv, it is judged anew too:
-    on the arm as modelled, at the bounds of what is uncertain, and as drawn from within them; --set
-    changes entries of [uncertainty], such as uncertainty.stiffness=0.3.
+    Writes simulation.json, simulation.csv (the optimised motion every 0.5 ms) and simulation.html
+    with a 3D view of the vibration. A command.csv of the solve is evaluated too: on the nominal
+    arm, at the bounds of the uncertainty and on arms sampled within them; --set changes entries of
+    [uncertainty], such as uncertainty.stiffness=0.3.
 
     Parameters
     ----------
     result
         Folder of a solve.
     problem
-        Problem file, where the result does not name it or it has moved.
+        Problem file, where the result does not name it or it was moved.
     out
-        Default: the folder of the solve.
+        Folder for the results; default: the folder of the solve.
     band
-        Within which the tool counts as settled.
+        Settling band: largest deviation of a settled tool.
     bandwidth
-        Of a position loop in place of motors that follow exactly [Hz].
+        Bandwidth of a position loop [Hz]; default: motors follow exactly.
     feed_forward
-        Share of the command's velocity that the loop is fed forward, 0 to 1.
+        Velocity feedforward of the loop, 0 to 1.
     delay
         Dead time of the loop.
     damping
-        Of all joints that yield, share of critical, in place of what the robot file states.
+        Damping ratio of each elastic joint on its own, in place of the robot file's damping.
     """
     from stiffopt.elastic.arm import rigid_arm
     from stiffopt.elastic.motor import Servo
-    from stiffopt.report.solve.simulation_page import write_simulation_report
+    from stiffopt.report.solve.simulation import write_simulation_report
     from stiffopt.report.solve.terminal import print_compensation, print_simulation
     from stiffopt.result.compensation import COMMAND_FILE
     from stiffopt.result.store import write_simulation
@@ -90,25 +90,27 @@ def simulate(
     from stiffopt.solver.stored_result import read_result
     from stiffopt.units import to_si
 
-    refuse_changes(tuple(each for each in changes if not _UNSURE.match(each)), _SOLVED)
+    refuse_changes(
+        tuple(each for each in changes if not _UNCERTAINTY_ENTRY.match(each)), _SOLVED_MOTION_REASON
+    )
     settled = to_si(number_or_text(band), "length", "--band")
     late = to_si(number_or_text(delay), "time", "--delay")
     if settled <= 0.0:
-        raise InputError(f"band must be above 0, got {band}.")
+        raise InputError(f"--band {band}: must be above 0.")
     if bandwidth is None and (late != 0.0 or feed_forward != 1.0):
-        raise InputError("delay and feed-forward are of a position loop: give its --bandwidth too.")
+        raise InputError("--delay and --feed-forward need a position loop. Give its --bandwidth.")
     for each in changes:
-        if bandwidth is not None and _OF_SERVOS.search(each):
+        if bandwidth is not None and _SERVO_ENTRY.search(each):
             raise InputError(
-                f"--set {shortened(each)}: with --bandwidth every arm has the loop that is given, "
-                "and nothing of servos is uncertain. Leave one of the two out."
+                f"--set {shortened(each)}: with --bandwidth all arms have the given loop, without "
+                "uncertainty of servos. Omit one of the two."
             )
     servo = None if bandwidth is None else Servo(bandwidth, feed_forward, late)
     stored = read_result(result, problem, changes)
     if changes and stored.command is None:
         raise InputError(
-            f"--set {shortened(changes[0])}: uncertainties are of a command, and {result} has no "
-            "command.csv. result.json says why."
+            f"--set {shortened(changes[0])}: uncertainties apply to a command, and {result} has no "
+            "command.csv. See result.json for the reason."
         )
     if not stored.problem.robot.yields:
         raise rigid_arm(stored.problem.robot)
@@ -143,16 +145,16 @@ def simulate(
 def view(
     result: Path, *, problem: Path | None = None, port: int = 8080, changes: NoChanges = ()
 ) -> int:
-    """Show a solved motion live in the browser, until Ctrl-C; needs the extra `view`.
+    """Show a solved motion in the browser until Ctrl-C; needs the extra `view`.
 
     Parameters
     ----------
     result
         Folder of a solve.
     problem
-        Problem file, where the result does not name it or it has moved.
+        Problem file, where the result does not name it or it was moved.
     port
-        Of the page, on this machine alone; a port that is taken gives the next one.
+        Local port of the page; if it is in use, the next one is taken.
     """
     from stiffopt.report.scene.live import LiveScene
     from stiffopt.report.scene.poses import stored_poses
@@ -170,7 +172,7 @@ def view(
         cell=stored.problem.cell,
         port=port,
     )
-    print(f"{scene.address} shows {result}; Ctrl-C ends.", flush=True)
+    print(f"{result} is shown at {scene.address}. Stop with Ctrl-C.", flush=True)
     scene.run()
     return 0
 
@@ -185,26 +187,28 @@ def modes(
     out: Out | None = None,
     changes: Changes = (),
 ) -> int:
-    """Frequencies, damping and shapes of an arm's small swings about poses at rest.
+    """Compute the elastic modes of an arm: frequencies, damping ratios and mode shapes.
 
-    Of a problem file in its start, vias and end; of a robot at --at, else where a first problem of
-    it would start; of the folder of a solve along the motion, which writes modes.csv and modes.svg.
+    Poses: start, vias and end of a problem file; --at of a robot, by default the start of its
+    starter problem; along the motion of a solve, which writes modes.csv and modes.svg.
 
     Parameters
     ----------
     source
-        A robot (shipped name, robot TOML or URDF), a problem file, or the folder of a solve.
+        Robot (shipped name, robot file or URDF), problem file, or folder of a solve.
+    out
+        Folder for the results of a solve's motion; default: the folder of the solve.
     """
     from stiffopt.elastic.arm import questionable_springs
     from stiffopt.elastic.survey import modes_along, modes_at, write_modes_csv
     from stiffopt.report.common.terminal import print_lines
-    from stiffopt.report.solve.modes import print_modes, write_modes_figure
+    from stiffopt.report.solve.simulation import print_modes, write_modes_figure
     from stiffopt.solver.stored_result import read_result
 
     path = Path(source)
     if path.is_dir():
         if at is not None:
-            raise InputError("a folder of a solve has its own poses: leave --at out.")
+            raise InputError("--at: the poses are those of the solve's motion. Omit --at.")
         refuse_changes(changes)
         stored = read_result(path)
         rows = modes_along(stored.problem.robot, stored.optimised.time, stored.optimised.position)
@@ -215,17 +219,17 @@ def modes(
         print_modes([rows[0], rows[len(rows) // 2], rows[-1]])
         print(f"Wrote {folder / 'modes.csv'} and {folder / figure.name}")
         return 0
-    robot, poses = _poses(source, at, changes)
+    robot, poses = _named_poses(source, at, changes)
     print_modes(modes_at(robot, poses))
     if soft := questionable_springs(robot, next(iter(poses.values()))):
         print_lines([soft])
     return 0
 
 
-def _poses(
+def _named_poses(
     source: str, at: str | None, changes: Sequence[str]
 ) -> tuple[Robot, dict[str, np.ndarray]]:
-    """Robot and named joint angles: of a problem file, or of a robot at --at or its first start."""
+    """Return robot and named poses: of a problem file, at --at, or the start of `init problem`."""
     from stiffopt.files import load_toml
     from stiffopt.problem.files import load_problem
     from stiffopt.problem.resolve import resolve
@@ -236,19 +240,18 @@ def _poses(
     if path.suffix == ".toml" and path.is_file() and load_toml(path).get("kind") == "trajectory":
         problem = load_problem(path, changes).problem
         if at is not None:
-            return problem.robot, {at: _pose(at, problem.robot)}
+            return problem.robot, {at: _parse_pose(at, problem.robot)}
         motion = resolve(problem)
         vias = {f"via {k}": angles for k, angles in enumerate(motion.vias, start=1)}
         return problem.robot, {"start": motion.start, **vias, "end": motion.end}
     robot = load_robot(source, changes=changes)
     if at is None:
-        # The pose that `init` lets the robot's first problem start in.
-        return robot, {"start of its first problem": first_motion(robot).start}
-    return robot, {at: _pose(at, robot)}
+        return robot, {"start of its starter problem": first_motion(robot).start}
+    return robot, {at: _parse_pose(at, robot)}
 
 
-def _pose(text: str, robot: Robot) -> np.ndarray:
-    """Joint angles (n,) [rad] of a text such as "0 45deg -0.3", or with commas."""
+def _parse_pose(text: str, robot: Robot) -> np.ndarray:
+    """Parse joint angles (n,) [rad] such as "0 45deg -0.3", separated by blanks or commas."""
     import numpy as np
 
     from stiffopt.problem.limit import Limits
@@ -258,7 +261,7 @@ def _pose(text: str, robot: Robot) -> np.ndarray:
     values = text.split(",") if "," in text else text.split()
     if len(values) != robot.n:
         raise InputError(
-            f"--at needs {robot.n} values, one a joint ({', '.join(robot.joint_names)}); got "
+            f"--at needs {robot.n} values, one per joint ({', '.join(robot.joint_names)}); got "
             f"{len(values)}."
         )
     angles = []

@@ -1,0 +1,243 @@
+"""Elastic simulation: table, figure, notes and page (simulation.html); elastic modes of an arm."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from stiffopt.elastic.survey import PoseModes
+from stiffopt.files import atomic_write
+from stiffopt.report.common.page import PageFigures, write_page
+from stiffopt.report.common.svg import (
+    BLACK,
+    BLUE,
+    GREEN,
+    GREY,
+    VERMILLION,
+    WIDTH,
+    figure_style,
+    line_style,
+    to_svg,
+)
+from stiffopt.report.common.terminal import print_lines, print_table
+from stiffopt.report.common.text import listed, percent, scale, si, significant
+from stiffopt.report.scene.poses import Poses, joint_shares, tool_jacobian
+from stiffopt.report.scene.still import embedded_scene
+from stiffopt.report.solve.compensation import (
+    COMPENSATED,
+    compensation_figure,
+    compensation_section,
+)
+from stiffopt.result.simulation import ElasticMotion, Simulation
+
+if TYPE_CHECKING:
+    from stiffopt.elastic.arm import ElasticArm
+    from stiffopt.problem.trajectory import TrajectoryProblem
+    from stiffopt.result.compensation import Compensation
+    from stiffopt.result.simulation import SimulatedMotion, Simulation
+
+_MOTION_STYLES: tuple[dict[str, Any], ...] = (
+    {"color": BLUE, "linewidth": 2.2},
+    {"color": VERMILLION, "linestyle": (0, (5, 1.5))},
+    {"color": GREEN, "linestyle": (0, (1.5, 1.2))},
+    {"color": BLACK, "linestyle": (0, (1.0, 2.5))},
+)
+PAGE_FILE = "simulation.html"
+_TIME_AFTER_ARRIVAL = 0.4  # shown in the figure and the scene [s]
+_FRAME_COUNT = 241  # of the scene
+_VIBRATION_PART = "vibratory"  # part of the deflection that the scene magnifies
+
+
+def simulation_table(simulation: Simulation) -> tuple[list[str], list[list[str]]]:
+    """Return header and rows as text, the optimised motion first."""
+    band = si(simulation.optimised.simulated.band, "m")
+    head = [
+        *("motion", "duration", "planned peak", "simulated peak"),
+        *("simulated rms", "peak after arrival", "rms after arrival"),
+        *(f"within {band} after", "verdict"),
+    ]
+    return head, [_motion_row(motion) for motion in simulation.motions]
+
+
+def _motion_row(motion: ElasticMotion) -> list[str]:
+    found = motion.simulated
+    settled = "–"
+    if found.settling_time is not None:
+        settled = si(found.settling_time, "s", 3)
+    elif found.peak_after is not None:
+        settled = "not in 1 s"
+    after = [
+        "–" if size is None else si(size, "m", 3) for size in (found.peak_after, found.rms_after)
+    ]
+    return [
+        motion.name,
+        si(found.duration, "s"),
+        si(motion.planned.peak, "m", 3),
+        si(found.peak, "m", 3),
+        si(found.rms, "m", 3),
+        *after,
+        settled,
+        "counted" if motion.counted else "not counted",
+    ]
+
+
+def simulation_notes(simulation: Simulation) -> list[str]:
+    """Return notes on damping, slip and hysteresis; those of all motions appear once."""
+    notes = assumed_damping_note(simulation.assumed_damping) + _hysteresis_note(simulation)
+    told = [motion.simulated.notes for motion in simulation.motions]
+    shared = [note for note in told[0] if all(note in each for each in told)] if told else []
+    notes += shared
+    for motion in simulation.motions:
+        notes += [f"{motion.name}: {n}" for n in motion.simulated.notes if n not in shared]
+    return notes
+
+
+def assumed_damping_note(joints: Sequence[int]) -> list[str]:
+    """Return a sentence on the joints (from 1) whose damping is assumed, if any."""
+    if not joints:
+        return []
+    named = f"joint{'s' if len(joints) > 1 else ''} {listed(str(j) for j in joints)}"
+    return [
+        f"The damping of {named} is assumed: 2 % of critical for each"
+        " joint on its own, so that the "
+        "damping ratios of modes differ; state damping in the robot file where it was measured."
+    ]
+
+
+def _hysteresis_note(simulation: Simulation) -> list[str]:
+    """Return a note on the effect of hysteresis of typical size, where none is stated."""
+    reach, peak = simulation.typical_hysteresis, simulation.optimised.simulated.peak
+    if reach is None or peak <= 0.0:
+        return []
+    return [
+        "No joint states its hysteresis: loops of 0.05 mrad half"
+        " width in all joints, as measured on "
+        f"reducers, could hold the tool {si(reach, 'm', 2)} from its static equilibrium, "
+        f"{100.0 * reach / peak:.0f} % of the optimised peak; state hysteresis in the robot file "
+        "where it was measured."
+    ]
+
+
+def deviation_figure(simulation: Simulation) -> Figure:
+    """Plot the magnitude of the tool's deviation over time, all motions."""
+    with figure_style():
+        figure = Figure(figsize=(WIDTH, 3.7))
+        axes = figure.subplots()
+        largest = max(motion.simulated.peak for motion in simulation.motions)
+        factor, unit = scale(largest, "m")
+        for motion, style in zip(simulation.motions, _MOTION_STYLES, strict=False):
+            found = motion.simulated
+            shown = found.time <= found.duration + _TIME_AFTER_ARRIVAL
+            values = factor * found.distance[shown]
+            axes.plot(found.time[shown], values, label=motion.name, **style)
+            at = int(np.searchsorted(found.time, found.duration))
+            axes.plot(found.duration, factor * found.distance[at], "o", color=style["color"])
+        axes.axhline(factor * simulation.optimised.simulated.band, color=GREY, linewidth=0.8)
+        axes.set_xlabel("time [s]")
+        axes.set_ylabel(f"deviation of the tool [{unit}]")
+        axes.set_ylim(bottom=0.0)
+        axes.margins(x=0.01)
+        axes.legend(loc="upper right")
+        figure.subplots_adjust(left=0.06, right=0.995)
+        return figure
+
+
+def print_modes(rows: Sequence[PoseModes]) -> None:
+    """Print a table of modes per pose, lowest first, and the note on assumed damping."""
+    head = ("mode", "frequency", "damping", "shape")
+    for row in rows:
+        cells = [
+            (
+                str(k),
+                f"{significant(mode.frequency, 4)} Hz",
+                percent(mode.damping, 2),
+                mode.describe(),
+            )
+            for k, mode in enumerate(row.modes, start=1)
+        ]
+        print_table(head, cells, title=row.name, numbers=head[:3])
+    print_lines(assumed_damping_note(rows[0].assumed_damping))
+
+
+def write_modes_figure(rows: Sequence[PoseModes], path: Path) -> Path:
+    """Write the frequencies over a motion as SVG; return the path."""
+    with figure_style():
+        figure = Figure(figsize=(WIDTH, 3.7))
+        axes = figure.subplots()
+        times = [row.time for row in rows]
+        for k in range(len(rows[0].modes)):
+            frequencies = [row.modes[k].frequency for row in rows]
+            axes.plot(times, frequencies, label=f"mode {k + 1}", **line_style(k))
+        axes.set_yscale("log")
+        axes.set_xlabel("time [s]")
+        axes.set_ylabel("frequency [Hz]")
+        axes.margins(x=0.01)
+        axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
+        svg = to_svg(figure, "modes", "Natural frequencies of the elastic modes along the motion")
+    atomic_write(path, svg)
+    return path
+
+
+def write_simulation_report(
+    problem: TrajectoryProblem,
+    arm: ElasticArm,
+    simulation: Simulation,
+    directory: str | Path,
+    compensation: Compensation | None = None,
+) -> Path:
+    """Write simulation.html and its figures; return its path.
+
+    Parameters
+    ----------
+    problem : TrajectoryProblem
+    arm : ElasticArm
+        The simulated arm.
+    simulation : Simulation
+    directory : path
+    compensation : Compensation, optional
+        Deviations of the written command on uncertain arms.
+    """
+    own = simulation.optimised.simulated
+    shown = [motion for motion in simulation.motions if motion.name != "optimised"][:1]
+    motions = {"optimised": elastic_poses(arm, own)}
+    motions |= {each.name: elastic_poses(arm, each.simulated) for each in shown}
+    figures = PageFigures("simulation", png=False)
+    figures.draw("deviation", deviation_figure(simulation), "Deviation of the tool over time")
+    if compensation is not None:
+        drawn = compensation_figure(compensation)
+        figures.draw("compensation", drawn, COMPENSATED)
+    scene = embedded_scene(problem.robot, motions, _VIBRATION_PART, problem.cell)
+    figures.draw("arm", scene.still, "The arm with the paths of its tool")
+    after = "" if own.peak_after is None else f", {si(own.peak_after, 'm', 3)} after arrival"
+    context = {
+        "title": f"{problem.title or problem.robot.name}: elastic simulation",
+        "headline": f"Peak vibration of the tool {si(own.peak, 'm', 3)} in flight{after}",
+        "simulated": simulation_table(simulation),
+        "notes": simulation_notes(simulation),
+        "compensation": compensation_section(compensation),
+        "space": scene.embedded,
+        "still": scene.caption,
+    }
+    path = Path(directory) / PAGE_FILE
+    return write_page("solve/simulation.html.j2", path, context, figures)
+
+
+def elastic_poses(arm: ElasticArm, motion: SimulatedMotion, frames: int = _FRAME_COUNT) -> Poses:
+    """Return static equilibria at the simulated motor positions, with the links' vibration."""
+    end = min(float(motion.time[-1]), motion.duration + _TIME_AFTER_ARRIVAL)
+    at = np.unique(np.searchsorted(motion.time, np.linspace(0.0, end, frames)))
+    at = np.unique([*at[at < len(motion.time)], int(np.argmax(motion.distance))])
+    hanging = arm.hanging((motion.position + motion.windup)[at])
+    bend = hanging - motion.position[at]
+    jacobian = tool_jacobian(arm.robot.tree, arm.robot.tool, hanging)
+    return Poses(
+        time=motion.time[at],
+        position=hanging,
+        bend={_VIBRATION_PART: bend},
+        share={_VIBRATION_PART: joint_shares(jacobian, bend)},
+        deflection={_VIBRATION_PART: motion.distance[at]},
+    )
