@@ -12,14 +12,14 @@ from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.effect import Effect
 from stiffopt.discovery.experiment.design import ExperimentPlan
 from stiffopt.discovery.extended.schema import LeftOpenSection
-from stiffopt.discovery.judging.black_box import MeasuringRod
-from stiffopt.discovery.judging.carried_over import Drift, NotCarriedOver
-from stiffopt.discovery.judging.detection import DetectionLimit
+from stiffopt.discovery.judging.detection_limits import DetectionLimit
 from stiffopt.discovery.judging.episodes import Episode
+from stiffopt.discovery.judging.explained_shares import MismatchShare
 from stiffopt.discovery.judging.modes import ModeShift
-from stiffopt.discovery.judging.shares import Share
+from stiffopt.discovery.judging.noise_ceiling import NoiseCeiling
+from stiffopt.discovery.judging.run_deviations import Drift, NotCarriedOver
 from stiffopt.discovery.judging.unexplained import Unexplained
-from stiffopt.discovery.proof.proof import RunProof, nrmse
+from stiffopt.discovery.prediction import RunProof, nrmse
 from stiffopt.discovery.sanity.doubt import Doubt
 from stiffopt.discovery.search.rivals import Selected
 from stiffopt.discovery.search.search import SearchResult
@@ -217,8 +217,8 @@ class Diagnosis(Shown):
     training: Training
     search: SearchResult
     held_out: tuple[RunProof, ...]
-    shares: tuple[Share, ...]
-    rod: MeasuringRod | None
+    shares: tuple[MismatchShare, ...]
+    rod: NoiseCeiling | None
     not_carried_over: tuple[NotCarriedOver, ...]
     catalogue: tuple[Effect, ...]
     detection_limits: tuple[DetectionLimit, ...]
@@ -273,10 +273,10 @@ class Diagnosis(Shown):
     @property
     def channels(self) -> tuple[ChannelFit, ...]:
         """Residuals by channel over all held-out runs."""
-        return channel_fits(self.held_out, [j.prismatic for j in self.training.constants.joints])
+        return fit_by_channel(self.held_out, [j.prismatic for j in self.training.constants.joints])
 
 
-def channel_fits(proofs: tuple[RunProof, ...], prismatic: list[bool]) -> tuple[ChannelFit, ...]:
+def fit_by_channel(proofs: tuple[RunProof, ...], prismatic: list[bool]) -> tuple[ChannelFit, ...]:
     """Root mean squares by channel over runs."""
     found = []
     for kind, units in (("torque", ("N m", "N")), ("link_position", ("rad", "m"))):
@@ -297,7 +297,7 @@ def channel_fits(proofs: tuple[RunProof, ...], prismatic: list[bool]) -> tuple[C
     return tuple(found)
 
 
-def rivals_of(selected: Selected, known: float = 1.0) -> tuple[Rival, ...]:
+def build_rivals(selected: Selected, known: float = 1.0) -> tuple[Rival, ...]:
     """Rivals of a selected effect, where known causes have this probability together."""
     return tuple(
         Rival(located=located, probability=known * share) for located, share in selected.rivals

@@ -3,20 +3,30 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from stiffopt.discovery.catalogue import CATALOGUE
-from stiffopt.discovery.effect import Effect, Need
-from stiffopt.discovery.soundness import probed
+from stiffopt.discovery.comparison.extension import Extension
+from stiffopt.discovery.comparison.located_effect import LocatedEffect
+from stiffopt.discovery.comparison.signals import JointConstants
+from stiffopt.discovery.effect import Amplitude, Effect, Need
+from stiffopt.discovery.user_effects import sample_term
 from stiffopt.recording.facts import JointFacts
 from stiffopt.recording.recording_set import RecordingSet
 
 # Without these there is nothing more to ask.
-_BASIC: tuple[Need, ...] = ("torque", "link", "sensor", "windup", "moves", "gear_ratio")
-LACKS: dict[Need, str] = {
+_PREREQUISITE_NEEDS: tuple[Need, ...] = (
+    "torque",
+    "link",
+    "sensor",
+    "windup",
+    "moves",
+    "gear_ratio",
+)
+MISSING_DATA: dict[Need, str] = {
     "torque": "its torque is not recorded",
     "link": "it has no link encoder",
     "sensor": "neither its torque nor its link angle is recorded",
@@ -70,11 +80,11 @@ class EffectCheck:
         }
 
 
-def needs(effect: Effect) -> tuple[Need, ...]:
+def required_signals(effect: Effect) -> tuple[Need, ...]:
     """What an effect needs of recordings; by the channels that its term acts on if it says none."""
     if effect.needs:
         return effect.needs
-    term = probed(effect)
+    term = sample_term(effect)
     acts_on_torque = any(
         np.any(part) for part in (term.drive_torque, term.link_torque, term.previous_torque)
     )
@@ -117,18 +127,127 @@ def effect_checks(
 
     def check(effect: Effect, wanted: Iterable[Need], joint: int | None) -> EffectCheck:
         missing = [need for need in wanted if not met(need, joint)]
-        if missing and missing[0] in _BASIC:
+        if missing and missing[0] in _PREREQUISITE_NEEDS:
             missing = missing[:1]
         return EffectCheck(
             effect=effect,
             joint=None if joint is None else joint + 1,
-            lacks=tuple(LACKS[need] for need in missing),
+            lacks=tuple(MISSING_DATA[need] for need in missing),
         )
 
-    wanted = [(effect, needs(effect)) for effect in effects]
+    wanted = [(effect, required_signals(effect)) for effect in effects]
     robot = [pair for pair in wanted if pair[0].scope == "robot"]
     joints = [pair for pair in wanted if pair[0].scope != "robot"]
     return (
         *(check(*pair, j) for j in range(recordings.n) for pair in joints),
         *(check(*pair, None) for pair in robot),
     )
+
+
+def restrict_to_identifiable(
+    catalogue: Sequence[Effect], checks: Sequence[EffectCheck]
+) -> tuple[Effect, ...]:
+    """The catalogue, each entry only where the recordings can tell it.
+
+    What `recording check` says cannot be told of a joint is never claimed there.
+
+    Parameters
+    ----------
+    catalogue : sequence of Effect
+    checks : sequence of EffectCheck
+        Of every entry at every joint.
+    """
+    told: dict[str, set[int | None]] = {}
+    for check in checks:
+        joints = told.setdefault(check.effect.name, set())
+        if check.possible:
+            joints.add(check.joint)
+    return tuple(_restrict_joints(entry, told.get(entry.name, set())) for entry in catalogue)
+
+
+def _restrict_joints(entry: Effect, joints: set[int | None]) -> Effect:
+    own = entry.applies
+
+    def applies(constants: Any) -> bool:
+        if own is not None and not own(constants):
+            return False
+        # Of a link or the robot one joint that shows it is enough.
+        joint = getattr(constants, "joint", None)
+        return bool(joints) if joint is None else joint in joints
+
+    return replace(entry, applies=applies)
+
+
+def locate_unstated(
+    catalogue: Sequence[Effect],
+    recordings: RecordingSet,
+    joints: Sequence[JointConstants],
+    usual: bool,
+) -> tuple[LocatedEffect, ...]:
+    """Effects that stand for values the set does not give.
+
+    They are tried together before anything else; what the recordings do not bear out is dropped.
+    """
+    return tuple(
+        LocatedEffect(effect=_remove_upper_bounds(effect), joint=j)
+        for effect in catalogue
+        if _replaces_unstated(effect, recordings) or (usual and effect.usual)
+        for j, constants in enumerate(joints)
+        if effect.applies is None or effect.applies(constants)
+    )
+
+
+def select_unseen(
+    effects: Sequence[LocatedEffect], unseen: np.ndarray, model: Extension
+) -> tuple[LocatedEffect, ...]:
+    """Those of channels that an extended model has seen nothing of, and says nothing of.
+
+    Parameters
+    ----------
+    effects : sequence of LocatedEffect
+    unseen : array (2 n,) of bool
+        Torques, then link positions.
+    model : Extension
+    """
+    torque, link = np.split(unseen, 2)
+    known = [each.located for each in model.effects]
+    return tuple(
+        located
+        for located in effects
+        if (link if "link" in required_signals(located.effect) else torque)[located.joint]
+        and not any(located.same_place(other) for other in known)
+    )
+
+
+def remove_bounds(catalogue: Sequence[Effect], recordings: RecordingSet) -> tuple[Effect, ...]:
+    """The catalogue, where what the nominal model does not state may be of any size."""
+    return tuple(
+        _remove_upper_bounds(each) if _replaces_unstated(each, recordings) else each
+        for each in catalogue
+    )
+
+
+def widen_for_changes(catalogue: Sequence[Effect]) -> tuple[Effect, ...]:
+    """The catalogue as a change since an extended model was made may be: by far larger at times.
+
+    Tools are exchanged and bodies rebuilt; what nobody has weighed yet is off by less.
+    """
+
+    def wider(each: Amplitude) -> Amplitude:
+        own, times = each.scale, each.changed
+        scale = (lambda constants: times * own(constants)) if callable(own) else times * own
+        return replace(each, scale=scale)
+
+    return tuple(
+        replace(entry, amplitudes=tuple(map(wider, entry.amplitudes))) for entry in catalogue
+    )
+
+
+def _replaces_unstated(effect: Effect, recordings: RecordingSet) -> bool:
+    return effect.nominal in recordings.unstated
+
+
+def _remove_upper_bounds(entry: Effect) -> Effect:
+    """The effect without the upper bounds that compare it with a nominal value."""
+    amplitudes = tuple(replace(a, upper=float("inf")) for a in entry.amplitudes)
+    return replace(entry, amplitudes=amplitudes)

@@ -11,15 +11,15 @@ from stiffopt.recording.nominal import Tolerance
 # Speed within which dry friction has no definite value, and the smooth sign's own [rad/s].
 SIGN_SPEED = 0.01
 # Slower than this a joint counts as standing, and its torque as undetermined [rad/s].
-MOVING = 3.0 * SIGN_SPEED
+MIN_MOVING_SPEED = 3.0 * SIGN_SPEED
 
 # Of a fit's filter, where recordings do not choose [Hz].
-CUTOFF = 12.0
+FIT_CUTOFF = 12.0
 # Of the motion that predictions follow [Hz]: wider, since what is predicted is not filtered.
-PREDICTED_CUTOFF = 20.0
+PREDICTION_CUTOFF = 20.0
 
 # Of nominal values whose tolerance nobody states.
-WIDE = Tolerance(
+DEFAULT_TOLERANCE = Tolerance(
     mass=0.05,
     rotor_inertia=0.2,
     coulomb=0.3,
@@ -31,7 +31,7 @@ WIDE = Tolerance(
     encoder_zero=2e-3,
 )
 # Of those of an extended model that was fitted to recordings of the same robot.
-NARROW = Tolerance(
+EXTENDED_MODEL_TOLERANCE = Tolerance(
     mass=0.01,
     rotor_inertia=0.05,
     coulomb=0.1,
@@ -44,7 +44,7 @@ NARROW = Tolerance(
 )
 # Of those whose own misfit is known and counts as noise: what has changed is an effect, however
 # little, and no value that is moved without being said.
-FIXED = Tolerance(
+ZERO_TOLERANCE = Tolerance(
     mass=0.0,
     rotor_inertia=0.0,
     coulomb=0.0,
@@ -83,19 +83,19 @@ class Settings:
 
     cutoff: float | None = None
     predict: tuple[float, ...] | None = None
-    slow: float = MOVING
-    tolerance: Tolerance = field(default_factory=lambda: WIDE)
-    after_model: Tolerance = field(default_factory=lambda: NARROW)
+    slow: float = MIN_MOVING_SPEED
+    tolerance: Tolerance = field(default_factory=lambda: DEFAULT_TOLERANCE)
+    after_model: Tolerance = field(default_factory=lambda: EXTENDED_MODEL_TOLERANCE)
     box: float = 4.0
     effects: int | None = None
 
     @property
     def fit_band(self) -> float:
         """Cutoff of a fit [Hz]."""
-        return CUTOFF if self.cutoff is None else self.cutoff
+        return FIT_CUTOFF if self.cutoff is None else self.cutoff
 
 
-def filled(own: np.ndarray | None, default: np.ndarray) -> np.ndarray:
+def fill_missing(own: np.ndarray | None, default: np.ndarray) -> np.ndarray:
     """Values of the set, the default where it states none (n,)."""
     if own is None:
         return default

@@ -16,20 +16,20 @@ NAMED_DEVIATIONS = 5.0
 NAMED_SHARE = 0.02
 # Less is enough where nominal values would have to leave their tolerances to stand in for it: where
 # the log prior that they regain is this share of the evidence.
-RELIEF_SHARE = 0.5
+PRIOR_RELIEF_SHARE = 0.5
 
 # ---- When the rigid model is re-identified [0036]
 
 # One change of masses stands for all where it gains this share of what all free parameters gain
 # in recordings left out.
-SPARSE_SHARE = 0.9
+SINGLE_CHANGE_SHARE = 0.9
 
 # ---- How many effects [0036]
 
 # Named at most beside what the set does not give; and where nobody vouches for the nominal masses,
 # so that anything may be missing, at most and tried together before all is weighed again.
-MOST_EFFECTS = 3
-MOST_EFFECTS_FREE, AT_ONCE = 12, 3
+MAX_EFFECTS = 3
+MAX_EFFECTS_FREE, MAX_EFFECTS_PER_ROUND = 12, 3
 
 # ---- When it is confirmed [0019]
 
@@ -41,54 +41,54 @@ STRICT_DEVIATIONS = 2.5
 DETERMINED_DEVIATIONS = 2.0
 # Or, where a few seconds hold all there is: most of a channel's residual taken away, and most of
 # the evidence kept in runs left out.
-BORNE_OUT_SHARE = 0.5
+LOCAL_EVIDENCE_SHARE = 0.5
 
 # ---- When it may be nothing, all that is known of its deviation counted [0053]
 
 # Deviations from nothing that a finding has at least; and a value that every joint has and the
 # nominal model does not give.
-NOTHING_DEVIATIONS, UNSTATED_DEVIATIONS = 2.0, 1.0
+FINDING_DEVIATIONS, UNSTATED_DEVIATIONS = 2.0, 1.0
 # Share of its channel that it takes away in recordings left out: less is told as 0 %.
-NOTHING_SHARE = 0.005
+FINDING_SHARE = 0.005
 
 # ---- When recordings left out bear it out [0036, 0045]
 
 # Share of its channel's squares that a finding takes away in recordings left out, and share of them
 # in which it helps.
-LEFT_OUT_SHARE, LEFT_OUT_FOLDS = 0.01, 0.6
+MIN_HELD_OUT_SHARE, MIN_HELPED_FOLDS = 0.01, 0.6
 # The share where an extended model was started from: what that model left open varies from one part
 # of its own recordings to another by nearly as much, and is no change. From the second on it need
 # not help in most parts, but in more than one: a stop is reached seldom.
-CHANGE_SHARE, CHANGE_SEEN_SELDOM = 0.15, 0.5
+MIN_CHANGE_SHARE, RARE_CHANGE_SHARE = 0.15, 0.5
 # Candidates for a change whose shapes are fitted, and those that are tried where the best fails.
-CHANGES_REFINED, CHANGES_TRIED = 12, 4
+MAX_REFINED_CHANGES, MAX_TRIED_CHANGES = 12, 4
 # Those are alike that have this share of the evidence of the likeliest.
-CHANGES_ALIKE = 0.5
+EQUIVALENT_EVIDENCE_SHARE = 0.5
 # One change stands for several where it also leaves at most so many times as much in every channel.
-SPARSE_LEFT = 1.5
+MAX_SINGLE_CHANGE_RATIO = 1.5
 
 # A finding that adds more than this to its channel, over what the nominal model leaves there (root
 # mean squares), only balances another.
-BALANCING_RATIO = 1.5
+MAX_CANCELLATION_RATIO = 1.5
 
 # ---- What is a rival [0020]
 
 # Log evidences are too sure where formulas differ from nature: a difference counts over this share
 # of the winner's own, which is held between 1 and the second.
-TEMPERED_SHARE, TEMPERED_MOST = 0.01, 30.0
+TEMPERING_SHARE, MAX_TEMPERING = 0.01, 30.0
 # Log odds within which another explanation is a rival: 20 to one.
 RIVAL_LOG_ODDS = 3.0
 # Log prior odds for every parameter that the data determine: of two that fit alike the plainer.
 PARAMETER_LOG_PRICE = 1.0
 # Parameters that a change since an extended model was made counts as at most.
-ONE_THING = 3.0
+MAX_CHANGE_PARAMETERS = 3.0
 # A difference counts there over so many times the evidence that what the model left open gives to
 # the formula that it favours most.
-SUSPECT_WIDTH = 2.0
+SUSPECT_EVIDENCE_UNITS = 2.0
 # How far from the centre of a body a mass that is added to it typically is [m].
-NEAR_CENTRE = 0.1
+ADDED_MASS_OFFSET = 0.1
 # How often a likelier explanation takes the place of what was found before both are dropped.
-EXCHANGES = 3
+MAX_EXCHANGES = 3
 
 # ---- What a misfit takes from the odds [0036]
 
@@ -99,15 +99,15 @@ MISFIT_RATIO, MISFIT_ODDS = 2.0, 0.5
 UNREPEATED_ODDS = 0.5
 
 # Residual over noise of a fit with swinging links from which one in balance is tried as well [0037]
-SWING_MISFIT = 1.5
+MAX_VIBRATION_MISFIT = 1.5
 
 # How often a search is made anew without times in which something touched the arm: what it had
 # explained away may show another.
-TOUCHED_ROUNDS = 2
+MAX_CONTACT_ROUNDS = 2
 
 # A fit is taken about itself until links move by less than this, rms over noise, or amplitudes by
 # less than so many of their standard deviations, so many times at most [0037]
-SETTLED, SETTLED_DEVIATIONS, SETTLING_ROUNDS = 0.02, 0.1, 4
+LINEARISATION_TOLERANCE, LINEARISATION_DEVIATIONS, MAX_LINEARISATIONS = 0.02, 0.1, 4
 
 # ---- When something is outside the catalogue [0023]
 

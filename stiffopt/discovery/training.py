@@ -17,10 +17,10 @@ from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.comparison.nuisance import merged
 from stiffopt.discovery.comparison.prepare import PreparedRun, prepare
 from stiffopt.discovery.comparison.signals import RobotConstants
-from stiffopt.discovery.extended.left_open import assumed, least_factors, with_bands
+from stiffopt.discovery.extended.left_open import adopt_bands, describe_assumptions, noise_factors
 from stiffopt.discovery.extended.model import ExtendedModel, check_extended
-from stiffopt.discovery.settings import FIXED, PREDICTED_CUTOFF, Settings
-from stiffopt.discovery.thresholds import MOST_EFFECTS, MOST_EFFECTS_FREE
+from stiffopt.discovery.settings import PREDICTION_CUTOFF, ZERO_TOLERANCE, Settings
+from stiffopt.discovery.thresholds import MAX_EFFECTS, MAX_EFFECTS_FREE
 from stiffopt.errors import InputFileError
 from stiffopt.recording.assumptions import NO_RATIO
 from stiffopt.recording.nominal import Tolerance
@@ -31,11 +31,11 @@ from stiffopt.units import joint_unit
 Say = Callable[[str], object]
 
 # Wind-up of a joint beyond which it is no drivetrain's, [rad] or [m].
-_SOFTEST = 1.0
+_MAX_WINDUP = 1.0
 # No spring of a joint takes longer to follow its torque [s].
-_CREEPS = 10.0
+_MAX_RELAXATION_TIME = 10.0
 # Least noise of a torque over its largest value: 24 bits tell no less.
-_QUIETEST = 2.0**-24
+_MIN_RELATIVE_NOISE = 2.0**-24
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -106,7 +106,7 @@ class Training:
         )
 
 
-def training_runs(recordings: RecordingSet, say: Say = lambda _: None) -> list[RecordedRun]:
+def open_training_runs(recordings: RecordingSet, say: Say = lambda _: None) -> list[RecordedRun]:
     """Open the training runs, and no other run."""
     opened = []
     for entry in recordings.with_role("train"):
@@ -115,7 +115,7 @@ def training_runs(recordings: RecordingSet, say: Say = lambda _: None) -> list[R
     return opened
 
 
-def train(
+def prepare_training(
     recordings: RecordingSet,
     settings: Settings,
     model: ExtendedModel | None = None,
@@ -141,18 +141,18 @@ def train(
     """
     robot = RobotModel(recordings)
     left_open = None if model is None else model.left_open
-    asked, settings = settings, with_bands(settings, left_open)
+    asked, settings = settings, adopt_bands(settings, left_open)
     opened: list[RecordedRun] = []
     prepared: list[PreparedRun] = []
     notes: list[str] = []
-    for run in training_runs(recordings, say) if runs is None else runs:
+    for run in open_training_runs(recordings, say) if runs is None else runs:
         if not run.usable:
-            notes.append(_unusable(run))
+            notes.append(_describe_unusable(run))
             continue
         probe = prepare(robot, run, len(opened), None, settings, swinging=swinging)
         _check_nominal(robot, run, probe)
         if not (probe.torque_used.any() or probe.deflection_used.any()):
-            notes.append(_nothing_to_fit(run, probe))
+            notes.append(_describe_unfittable(run, probe))
             continue
         prepared.append(probe)
         opened.append(run)
@@ -164,7 +164,7 @@ def train(
         )
     if settings.cutoff is None and not robot.swings:
         say("choose how fast a motion to follow")
-        settings, note = _with_bands(robot, opened, settings)
+        settings, note = _choose_bands(robot, opened, settings)
         notes.append(note)
         # A long run is not held twice.
         prepared.clear()
@@ -185,7 +185,7 @@ def train(
     noise = known_noise(recordings.noise, ready)
     _check_noise(recordings, noise, ready)
     # Where the model is vouched for, all that it leaves is to be explained.
-    least = least_factors(left_open, noise.channels) if free else None
+    least = noise_factors(left_open, noise.channels) if free else None
     if len(ready) < FEW_RUNS:
         notes.append(
             f"With {len(ready)} training run{'s' * (len(ready) > 1)}, candidates are"
@@ -194,10 +194,12 @@ def train(
     # A model that was fitted to this robot is nearer to it than one that nobody has compared.
     if model is not None:
         ratio = [NO_RATIO] if model.nominal.gear_ratio is None else []
-        known = assumed(left_open, least, noise.channels, asked, stated, recordings.prismatic)
+        known = describe_assumptions(
+            left_open, least, noise.channels, asked, stated, recordings.prismatic
+        )
         notes = [*ratio, *known, *notes]
     default = settings.tolerance if model is None else settings.after_model
-    tolerance = merged(stated, default if least is None else FIXED)
+    tolerance = merged(stated, default if least is None else ZERO_TOLERANCE)
     if free and stated.encoder_zero is None:
         # Encoders' offsets are fitted and said, not hidden by a tolerance.
         tolerance = replace(tolerance, encoder_zero=0.0)
@@ -212,7 +214,7 @@ def train(
         free_bodies=free,
         reidentified=free and model is None,
         box=settings.box,
-        most=_most(settings.effects, free),
+        most=_max_effects(settings.effects, free),
         settings=settings,
         assumptions=(*recordings.assumptions, *noise.assumptions(), *notes),
         least=least,
@@ -224,17 +226,17 @@ def train(
     return replace(training, runs=begun(training.comparison()))
 
 
-def _most(stated: int | None, free: bool) -> int:
+def _max_effects(stated: int | None, free: bool) -> int:
     if stated is not None:
         return stated
-    return MOST_EFFECTS_FREE if free else MOST_EFFECTS
+    return MAX_EFFECTS_FREE if free else MAX_EFFECTS
 
 
-def _with_bands(
+def _choose_bands(
     robot: RobotModel, runs: Sequence[RecordedRun], settings: Settings
 ) -> tuple[Settings, str]:
     bands = choose_bands(
-        robot, runs, slow=settings.slow, fit=settings.fit_band, predict=PREDICTED_CUTOFF
+        robot, runs, slow=settings.slow, fit=settings.fit_band, predict=PREDICTION_CUTOFF
     )
     each = ", ".join(f"{j}: {band:g}" for j, band in enumerate(bands.predict, start=1))
     note = (
@@ -257,14 +259,14 @@ def _check_nominal(robot: RobotModel, run: RecordedRun, ready: PreparedRun) -> N
     _check_damping(robot, ready)
     widest = np.abs(signals.windup).max(axis=0)
     joint = int(widest.argmax())
-    if widest[joint] > _SOFTEST:
+    if widest[joint] > _MAX_WINDUP:
         name = recordings.joints[joint]
         raise InputFileError(
             recordings.path,
             "nominal",
             f"the drivetrain of {name!r} winds up by {widest[joint]:.3g} rad along {run.file}, "
-            f"and no joint does so by more than {_SOFTEST:g}. Check its stiffness, and masses and "
-            "times.",
+            f"the largest allowed is {_MAX_WINDUP:g}. Check its stiffness, the masses and "
+            "the times.",
         )
 
 
@@ -293,14 +295,15 @@ def _check_creep(robot: RobotModel) -> None:
     recordings = robot.recordings
     slope = robot.compliance(np.zeros((1, robot.n)))[0]
     for j, joint in enumerate(robot.constants.joints):
-        if joint.joint_damping * slope[j] > _CREEPS:
+        if joint.joint_damping * slope[j] > _MAX_RELAXATION_TIME:
             unit = joint_unit("N m s/rad", bool(recordings.prismatic[j]))
             raise InputFileError(
                 recordings.path,
                 "nominal.joint_damping",
-                f"{joint.joint_damping:g} {unit} at {recordings.joints[j]!r} lets its spring follow"
-                f" a torque within {joint.joint_damping * slope[j]:.3g} s; allowed are {_CREEPS:g}"
-                " s. Give the damping of the spring, 1 to 5 % of the critical one.",
+                f"{joint.joint_damping:g} {unit} at {recordings.joints[j]!r} gives its spring a"
+                f" relaxation time of {joint.joint_damping * slope[j]:.3g} s; allowed are at most"
+                f" {_MAX_RELAXATION_TIME:g} s. Give the damping of the spring, 1 to 5 % of the"
+                " critical one.",
             )
 
 
@@ -308,7 +311,7 @@ def _check_noise(recordings: RecordingSet, noise: KnownNoise, runs: Sequence[Pre
     """Raise `InputFileError` where the stated noise of a torque is none of any sensor."""
     largest = _largest_torques(runs)
     for j, stated in enumerate(noise.torque_stated):
-        if stated and noise.channels.torque[j] < _QUIETEST * largest[j]:
+        if stated and noise.channels.torque[j] < _MIN_RELATIVE_NOISE * largest[j]:
             raise InputFileError(
                 recordings.path,
                 "noise.torque",
@@ -318,7 +321,7 @@ def _check_noise(recordings: RecordingSet, noise: KnownNoise, runs: Sequence[Pre
             )
 
 
-def _unusable(run: RecordedRun) -> str:
+def _describe_unusable(run: RecordedRun) -> str:
     why = "; ".join(
         f"joint {fault.joint} {fault.detail.removesuffix('.').removesuffix('. Left out')}"
         for fault in run.faults
@@ -329,7 +332,7 @@ def _unusable(run: RecordedRun) -> str:
     )
 
 
-def _nothing_to_fit(run: RecordedRun, ready: PreparedRun) -> str:
+def _describe_unfittable(run: RecordedRun, ready: PreparedRun) -> str:
     """Why no sample of a run can be fitted."""
     lost = 2.0 * ready.low_pass.settling * run.step
     if run.duration <= 2.0 * lost:

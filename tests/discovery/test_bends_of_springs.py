@@ -13,7 +13,7 @@ from stiffopt.discovery.comparison.extension import EstimatedEffect, Extension
 from stiffopt.discovery.comparison.extension_change import softer_by
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.settings import Settings
-from stiffopt.discovery.training import train
+from stiffopt.discovery.training import prepare_training
 from stiffopt.recording.recording_set import load_recordings
 
 
@@ -33,7 +33,7 @@ def test_to_and_fro_by_less_than_is_let_be_is_a_motion(tmp_path):
         payload=5.891215516401546,
     )
     case = simulated(spec)
-    training = train(load_recordings(write_case(case, tmp_path / "set")), Settings())
+    training = prepare_training(load_recordings(write_case(case, tmp_path / "set")), Settings())
     (run,) = training.runs
     assert run.swing is not None
     true = case.trace.link[0, :: spec.substeps][: len(run.time)]
@@ -45,7 +45,7 @@ def test_to_and_fro_by_less_than_is_let_be_is_a_motion(tmp_path):
 def creeping(tmp_path_factory):
     """A run with nothing missing, its robot and a belt as soft as the joint that creeps."""
     case = simulated(replace(COULOMB, effects=()))
-    training = train(
+    training = prepare_training(
         load_recordings(write_case(case, tmp_path_factory.mktemp("creep"))), Settings()
     )
     run = training.runs[0]

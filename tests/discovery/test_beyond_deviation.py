@@ -13,12 +13,12 @@ from shipped_set import SHIPPED
 
 from stiffopt.discovery.catalogue import effect
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
-from stiffopt.discovery.judging.beyond_deviation import Found, beyond_deviation
-from stiffopt.discovery.search import left_out
+from stiffopt.discovery.judging.added_uncertainty import Found, drop_insignificant
+from stiffopt.discovery.search import cross_validation
 from stiffopt.discovery.search.rivals import Selected
-from stiffopt.discovery.search.uncertainty import estimate
+from stiffopt.discovery.search.uncertainty import estimate_parameters
 from stiffopt.discovery.settings import Settings
-from stiffopt.discovery.training import train
+from stiffopt.discovery.training import prepare_training
 from stiffopt.recording.recording_set import load_recordings
 
 
@@ -35,18 +35,18 @@ def test_a_deviation_as_large_as_its_value_takes_it(
     every_joint_has_it: bool, doubt: float, stays: bool
 ) -> None:
     """Whatever makes it so large: half the band, other runs, what a model left open."""
-    comparison = train(load_recordings(SHIPPED), Settings()).comparison()
+    comparison = prepare_training(load_recordings(SHIPPED), Settings()).comparison()
     friction = effect("coulomb")
     if not every_joint_has_it:
         friction = replace(friction, nominal="")
     there = Selected(LocatedEffect(effect=friction, joint=1), 1.0, 1.0, 1.0, (), 1)
 
     def estimated(found: Sequence[Selected]) -> Found:
-        known = estimate(comparison, [s.located for s in found])
+        known = estimate_parameters(comparison, [s.located for s in found])
         values = known.values[len(known.nuisance) :]
         return tuple(found), known.doubted(doubt * values)
 
-    kept, known = beyond_deviation([there], estimated)
+    kept, known = drop_insignificant([there], estimated)
     assert kept == ((there,) if stays else ())
     assert [e.located for e in known.effects] == [s.located for s in kept]
 
@@ -56,14 +56,14 @@ def test_a_deviation_as_large_as_its_value_takes_it(
 )
 def test_what_explains_nothing_is_none(nominal: str, share: float, stays: int) -> None:
     """However sure its value is."""
-    comparison = train(load_recordings(SHIPPED), Settings()).comparison()
+    comparison = prepare_training(load_recordings(SHIPPED), Settings()).comparison()
     friction = replace(effect("coulomb"), nominal=nominal)
     there = Selected(LocatedEffect(effect=friction, joint=1), 1.0, 1.0, 1.0, (), 1)
 
     def estimated(found: Sequence[Selected]) -> Found:
-        return tuple(found), estimate(comparison, [s.located for s in found])
+        return tuple(found), estimate_parameters(comparison, [s.located for s in found])
 
-    kept, _ = beyond_deviation([there], estimated, lambda found: [share] * len(found))
+    kept, _ = drop_insignificant([there], estimated, lambda found: [share] * len(found))
     assert len(kept) == stays
 
 
@@ -73,11 +73,13 @@ def test_a_place_that_is_passed_once_is_no_finding(monkeypatch: pytest.MonkeyPat
     parts = np.repeat(np.arange(6), 50)
     once = np.where(parts == 3, 1.0, 0.001)
     twice = np.where((parts == 3) | (parts == 5), 1.0, 0.001)
-    monkeypatch.setattr(left_out, "_folds", lambda *_: parts)
+    monkeypatch.setattr(cross_validation, "_number_folds", lambda *_: parts)
     for column, met in ((once, False), (twice, True)):
         comparison: Any = SimpleNamespace(effect_columns=lambda _, c=column: c[:, None])
-        assert left_out._met_again(comparison, [place]) == ([place] if met else [])
+        assert cross_validation._drop_single_fold_shapes(comparison, [place]) == (
+            [place] if met else []
+        )
     # What has no shape was not fitted to that moment.
     plain = LocatedEffect(effect=effect("torque_offset"), joint=0)
     comparison = SimpleNamespace(effect_columns=lambda _: once[:, None])
-    assert left_out._met_again(comparison, [plain]) == [plain]
+    assert cross_validation._drop_single_fold_shapes(comparison, [plain]) == [plain]

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from stiffopt.discovery.search.uncertainty import Estimate, deviations, odds_of_nothing
+from stiffopt.discovery.search.uncertainty import Estimate, null_probability, p_value_deviations
 
 RUNS, STRETCHES = 8, 40
 
@@ -38,7 +38,7 @@ def test_nothing_is_rarely_unlikely(amplitudes):
     for _ in range(400):
         mean, between = _of_mean(rng.normal(size=(RUNS, amplitudes)))
         estimate = _estimate(mean, 1e-6 * np.eye(amplitudes), between)
-        chances.append(estimate.chance_of_nothing(0))
+        chances.append(estimate.p_value(0))
     # The smaller of two tests: at most twice as often as each.
     assert np.mean(np.array(chances) < 0.05) < 0.1
     assert np.mean(np.array(chances) < 0.005) < 0.02
@@ -49,20 +49,20 @@ def test_what_every_run_repeats_is_sure(amplitudes):
     rng = np.random.default_rng(0)
     mean, between = _of_mean(5.0 + 0.5 * rng.normal(size=(RUNS, amplitudes)))
     estimate = _estimate(mean, 1e-6 * np.eye(amplitudes), between)
-    assert estimate.chance_of_nothing(0) < 1e-4
+    assert estimate.p_value(0) < 1e-4
 
 
 def test_the_wider_spread_counts():
     sure, unsure = 1e-6 * np.eye(2), np.eye(2)
     values = np.array([1.0, 0.5])
-    assert _estimate(values, sure, unsure).chance_of_nothing(0) > 0.3
-    assert _estimate(values, unsure, sure).chance_of_nothing(0) > 0.3
+    assert _estimate(values, sure, unsure).p_value(0) > 0.3
+    assert _estimate(values, unsure, sure).p_value(0) > 0.3
 
 
 def test_a_chance_of_one_is_no_deviation():
     """And is printed so, without a sign."""
-    assert f"{deviations(1.0):.0f}" == "0"
-    assert deviations(0.0455) == pytest.approx(2.0, abs=1e-3)
+    assert f"{p_value_deviations(1.0):.0f}" == "0"
+    assert p_value_deviations(0.0455) == pytest.approx(2.0, abs=1e-3)
 
 
 def test_shapes_are_held():
@@ -74,7 +74,7 @@ def test_shapes_are_held():
         covariance=1e-6 * np.eye(2),
         shape_sizes=((1.0,),),
     )
-    assert estimate.chance_of_nothing(0) < 1e-4
+    assert estimate.p_value(0) < 1e-4
 
 
 def test_odds_are_those_of_sellke_and_others():
@@ -86,11 +86,11 @@ def test_odds_are_those_of_sellke_and_others():
         (0.01, 0.111),
         (0.001, 0.0184),
     ):
-        assert odds_of_nothing(chance) == pytest.approx(error, abs=2e-3)
-    assert odds_of_nothing(0.0) == 0.0
-    assert odds_of_nothing(1.0) == 0.5
+        assert null_probability(chance) == pytest.approx(error, abs=2e-3)
+    assert null_probability(0.0) == 0.0
+    assert null_probability(1.0) == 0.5
 
 
 def test_deviations_of_a_chance():
-    assert deviations(0.05) == pytest.approx(1.96, abs=1e-3)
-    assert deviations(0.0) == np.inf
+    assert p_value_deviations(0.05) == pytest.approx(1.96, abs=1e-3)
+    assert p_value_deviations(0.0) == np.inf

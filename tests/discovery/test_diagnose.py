@@ -9,7 +9,7 @@ from simulated_sets import COULOMB, diagnosed, said
 from test_answer_store import conforms
 
 from stiffopt.discovery.diagnose import diagnose
-from stiffopt.discovery.store import answer
+from stiffopt.discovery.store import answer_document
 from stiffopt.recording.recording_set import RecordingSet, load_recordings
 from stiffopt.report.diagnosis.words import unexplained_sentence
 
@@ -24,7 +24,7 @@ def test_a_nominal_model_within_its_tolerances_lacks_nothing():
     diagnosis = diagnosed(NOTHING)
     assert diagnosis.verdict == "nothing_missing", said(diagnosis)
     assert diagnosis.findings == ()
-    document = answer(diagnosis)
+    document = answer_document(diagnosis)
     conforms(document)
     assert document["outside"] is None
     # What would have been seen: friction of every joint, in numbers below its nominal value.
@@ -36,7 +36,7 @@ def test_a_nominal_model_within_its_tolerances_lacks_nothing():
 def test_what_no_entry_explains_is_said_to_be_outside():
     diagnosis = diagnosed(OUTSIDE)
     assert diagnosis.verdict == "outside_catalogue", said(diagnosis)
-    document = answer(diagnosis)
+    document = answer_document(diagnosis)
     conforms(document)
     assert "torque_1" in document["outside"]["channels"]
     assert document["outside"]["regressors"]

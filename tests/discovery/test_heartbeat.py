@@ -6,12 +6,12 @@ import time
 
 import pytest
 
-from stiffopt.discovery.heartbeat import never_quiet
+from stiffopt.discovery.progress import repeat_progress
 
 
 def test_a_long_step_says_so_again() -> None:
     said: list[str] = []
-    with never_quiet(said.append, quiet=0.05) as say:
+    with repeat_progress(said.append, quiet=0.05) as say:
         time.sleep(0.2)  # nothing was said yet
         assert said == []
         say("fit all")
@@ -26,7 +26,7 @@ def test_a_long_step_says_so_again() -> None:
 
 def test_short_steps_say_nothing_twice() -> None:
     said: list[str] = []
-    with never_quiet(said.append, quiet=5.0) as say:
+    with repeat_progress(said.append, quiet=5.0) as say:
         say("first")
         say("second")
     assert said == ["first", "second"]
@@ -39,14 +39,14 @@ def test_a_display_that_fails_ends_nothing() -> None:
         if "still" in sentence:
             raise KeyboardInterrupt
 
-    with never_quiet(fail, quiet=0.05) as say:
+    with repeat_progress(fail, quiet=0.05) as say:
         say("fit all")
         time.sleep(0.3)
 
-    with pytest.raises(KeyboardInterrupt), never_quiet(fail, quiet=5.0) as say:
+    with pytest.raises(KeyboardInterrupt), repeat_progress(fail, quiet=5.0) as say:
         say("still")
 
 
 def test_nobody_listens() -> None:
-    with never_quiet(None) as say:
+    with repeat_progress(None) as say:
         say("first")

@@ -16,8 +16,8 @@ from stiffopt.cli import run
 from stiffopt.discovery.catalogue import effect
 from stiffopt.discovery.comparison.extension import EstimatedEffect
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
-from stiffopt.discovery.soundness import sample_signals
 from stiffopt.discovery.training import _check_damping
+from stiffopt.discovery.user_effects import sample_signals
 from stiffopt.errors import InputFileError
 from stiffopt.robot.files import load_robot
 

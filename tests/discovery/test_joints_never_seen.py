@@ -9,9 +9,9 @@ from stiffopt.discovery.catalogue import effect
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.diagnose import diagnose
 from stiffopt.discovery.extended.model import load_extended
-from stiffopt.discovery.search.left_out import borne_out
+from stiffopt.discovery.search.cross_validation import select_predictive
 from stiffopt.discovery.settings import Settings
-from stiffopt.discovery.training import train
+from stiffopt.discovery.training import prepare_training
 from stiffopt.recording.recording_set import load_recordings
 
 RECORDINGS = """schema = 1
@@ -100,8 +100,8 @@ def test_what_a_joint_shows_that_moves_in_one_run_is_borne_out(tmp_path, after_m
     if after_model:
         model = load_extended(folder / "extended.toml")
         recordings = model.applied_to(recordings)
-    comparison = train(recordings, Settings(cutoff=12.0), model).comparison()
+    comparison = prepare_training(recordings, Settings(cutoff=12.0), model).comparison()
     there = LocatedEffect(effect=effect(cause), joint=1)
     load = LocatedEffect(effect=effect("load_friction"), joint=1, shapes=(0.02,))
     comparison = comparison.about(comparison.fit([there]))
-    assert borne_out(comparison, [load, there]) == [there]
+    assert select_predictive(comparison, [load, there]) == [there]

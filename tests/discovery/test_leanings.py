@@ -11,10 +11,10 @@ from shipped_set import SHIPPED
 from stiffopt.discovery.catalogue import effect
 from stiffopt.discovery.comparison.extension import EstimatedEffect, Extension
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
-from stiffopt.discovery.judging.left_open import doubted_by_left_open, open_section
-from stiffopt.discovery.search.uncertainty import estimate
+from stiffopt.discovery.judging.left_open import add_left_open_deviation, build_left_open
+from stiffopt.discovery.search.uncertainty import estimate_parameters
 from stiffopt.discovery.settings import Settings
-from stiffopt.discovery.training import Training, train
+from stiffopt.discovery.training import Training, prepare_training
 from stiffopt.recording.recording_set import load_recordings
 
 COULOMB = effect("coulomb")
@@ -23,14 +23,14 @@ THERE = LocatedEffect(effect=COULOMB, joint=1)
 
 @pytest.fixture(scope="module")
 def training() -> Training:
-    found = train(load_recordings(SHIPPED), Settings(), swinging=False)
+    found = prepare_training(load_recordings(SHIPPED), Settings(), swinging=False)
     return replace(found, free_bodies=True)
 
 
 def _leaning(training: Training, known: float) -> float:
     """Of dry friction of the second joint, where a model has so much of it already."""
     model = Extension(effects=(EstimatedEffect(located=THERE, amplitudes=(known,)),))
-    return open_section(training, model, (COULOMB,)).leanings.get(THERE.label, (0.0,))[0]
+    return build_left_open(training, model, (COULOMB,)).leanings.get(THERE.label, (0.0,))[0]
 
 
 def test_too_little_and_too_much_are_known_by_their_size(training: Training) -> None:
@@ -43,12 +43,12 @@ def test_too_little_and_too_much_are_known_by_their_size(training: Training) -> 
 
 def test_it_counts_as_one_deviation_more(training: Training) -> None:
     comparison = training.comparison()
-    found = estimate(comparison.about(comparison.fit([THERE])), [THERE])
+    found = estimate_parameters(comparison.about(comparison.fit([THERE])), [THERE])
     (value, sd) = found.parameters(0, comparison.constants.joints[1])["dFc"]
-    doubted = doubted_by_left_open(replace(training, leanings={THERE.label: (-0.3,)}), found)
+    doubted = add_left_open_deviation(replace(training, leanings={THERE.label: (-0.3,)}), found)
     (same, wider) = doubted.parameters(0, comparison.constants.joints[1])["dFc"]
     assert same == value
     assert wider == pytest.approx(np.hypot(sd, 0.3))
-    assert doubted_by_left_open(training, found).parameters(0, comparison.constants.joints[1]) == {
-        "dFc": (value, sd)
-    }
+    assert add_left_open_deviation(training, found).parameters(
+        0, comparison.constants.joints[1]
+    ) == {"dFc": (value, sd)}

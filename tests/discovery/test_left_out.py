@@ -11,24 +11,28 @@ from shipped_set import SHIPPED
 
 from stiffopt.discovery.catalogue import CATALOGUE, effect
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
-from stiffopt.discovery.judging.all_samples import _Rows, _stepped, from_all_samples
+from stiffopt.discovery.judging.friction_refit import _apply_steps, _MovingSamples, refit_friction
 from stiffopt.discovery.search import uncertainty
-from stiffopt.discovery.search.exchange import restored
-from stiffopt.discovery.search.left_out import _excess, borne_out, repeated, without_balancing
-from stiffopt.discovery.search.rivals import Selected
-from stiffopt.discovery.search.uncertainty import estimate
+from stiffopt.discovery.search.cross_validation import (
+    _excess_share,
+    drop_cancelling,
+    repeats_in_halves,
+    select_predictive,
+)
+from stiffopt.discovery.search.rivals import Selected, restore_unstated
+from stiffopt.discovery.search.uncertainty import estimate_parameters
 from stiffopt.discovery.settings import Settings
-from stiffopt.discovery.thresholds import LEFT_OUT_SHARE
-from stiffopt.discovery.training import train
+from stiffopt.discovery.thresholds import MIN_HELD_OUT_SHARE
+from stiffopt.discovery.training import prepare_training
 from stiffopt.recording.recording_set import load_recordings
 
 
 def test_what_is_there_stays_and_what_is_not_goes() -> None:
     """More dry friction in joint 2 is in every run, load friction of joint 1 in none."""
-    comparison = train(load_recordings(SHIPPED), Settings()).comparison()
+    comparison = prepare_training(load_recordings(SHIPPED), Settings()).comparison()
     there = LocatedEffect(effect=effect("coulomb"), joint=1)
     load = LocatedEffect(effect=effect("load_friction"), joint=0, shapes=(0.02,))
-    assert borne_out(comparison, [load, there]) == [there]
+    assert select_predictive(comparison, [load, there]) == [there]
 
 
 @pytest.mark.parametrize(
@@ -43,10 +47,10 @@ def test_what_is_there_stays_and_what_is_not_goes() -> None:
 def test_a_finding_helps_in_most_parts(falls: list[float], borne: bool) -> None:
     """By the squares that it takes away in parts that no fit saw."""
     without = np.full((3, 1), 100.0)
-    excess = _excess(without - np.array(falls)[:, None], without)
+    excess = _excess_share(without - np.array(falls)[:, None], without)
     assert (excess >= 0.0) == borne
     if borne:
-        assert excess == pytest.approx(0.03 - LEFT_OUT_SHARE)
+        assert excess == pytest.approx(0.03 - MIN_HELD_OUT_SHARE)
 
 
 @pytest.mark.parametrize("changed", [False, True])
@@ -54,7 +58,7 @@ def test_what_acts_nowhere_is_not_borne_out(changed: bool) -> None:
     """Columns that are zero everywhere act in no part, however the squares fall."""
     acted = np.zeros(3, dtype=bool)
     without = np.full((3, 1), 100.0)
-    assert _excess(0.9 * without, without, acted=acted, changed=changed) == -1.0
+    assert _excess_share(0.9 * without, without, acted=acted, changed=changed) == -1.0
 
 
 @pytest.mark.parametrize(
@@ -68,7 +72,7 @@ def test_what_acts_nowhere_is_not_borne_out(changed: bool) -> None:
 )
 def test_a_change_stands_out_of_what_a_model_left_open(falls: list[float], change: bool) -> None:
     without = np.full((6, 1), 100.0)
-    excess = _excess(without - np.array(falls)[:, None], without, changed=True)
+    excess = _excess_share(without - np.array(falls)[:, None], without, changed=True)
     assert (excess >= 0.0) == change
 
 
@@ -101,7 +105,7 @@ def test_a_claim_is_repeated_where_both_halves_say_it(
         fit=lambda _: SimpleNamespace(posterior=SimpleNamespace(mean=np.array([amplitude]))),
     )
     located = LocatedEffect(effect=effect("coulomb"), joint=0)
-    assert repeated(comparison, [located]) == (again,)
+    assert repeats_in_halves(comparison, [located]) == (again,)
 
 
 def test_two_that_only_balance_each_other_are_none() -> None:
@@ -120,26 +124,26 @@ def test_two_that_only_balance_each_other_are_none() -> None:
             )
         ),
     )
-    kept = [e.effect.name for e in without_balancing(comparison, found)]
+    kept = [e.effect.name for e in drop_cancelling(comparison, found)]
     assert "viscous" in kept
     assert len(kept) == 2  # alone, the other adds no more than there is
 
 
 def test_what_every_joint_has_comes_back() -> None:
     """Dry friction that was lost on the way is found again where it is, and only there."""
-    comparison = train(load_recordings(SHIPPED), Settings()).comparison()
+    comparison = prepare_training(load_recordings(SHIPPED), Settings()).comparison()
     lost = [LocatedEffect(effect=effect("coulomb"), joint=j) for j in range(2)]
-    _, ranked = restored(comparison, comparison, [], lost, CATALOGUE, lambda _: None)
+    _, ranked = restore_unstated(comparison, comparison, [], lost, CATALOGUE, lambda _: None)
     assert [r.selected.located for r in ranked] == lost[1:]
 
 
 def test_friction_is_taken_from_all_moving_samples() -> None:
     """A level that is off comes back to what the runs bear out, and is no surer for it."""
-    training = train(load_recordings(SHIPPED), Settings())
+    training = prepare_training(load_recordings(SHIPPED), Settings())
     constants = training.constants
     there = LocatedEffect(effect=effect("coulomb"), joint=1)
     comparison = training.comparison()
-    first = estimate(comparison, [there])
+    first = estimate_parameters(comparison, [there])
     size = there.sizes(constants)[0]
     off = first.moved(np.array([0.5]))
     assert off.effects[0].amplitudes[0] == pytest.approx(
@@ -147,8 +151,8 @@ def test_friction_is_taken_from_all_moving_samples() -> None:
     )
     # Its words follow the sign of the amplitude.
     assert "more dry friction" in there.effect.phrase_of(off.effects[0].amplitudes)
-    rows = _Rows(training, training.settings, (), off, ["coulomb"])
-    again = _stepped(training, off, rows, ["coulomb"])
+    rows = _MovingSamples(training, training.settings, (), off, ["coulomb"])
+    again = _apply_steps(training, off, rows, ["coulomb"])
     value, sd = again.parameters(0, there.constants(constants))["dFc"]
     known, exact = first.parameters(0, there.constants(constants))["dFc"]
     assert value == pytest.approx(known, rel=0.05)
@@ -157,28 +161,28 @@ def test_friction_is_taken_from_all_moving_samples() -> None:
 
 def test_friction_that_all_moving_samples_contradict_goes() -> None:
     """What is there stays as it was estimated; of a joint that has none nothing is claimed."""
-    training = train(load_recordings(SHIPPED), Settings())
+    training = prepare_training(load_recordings(SHIPPED), Settings())
     comparison = training.comparison()
     places = [LocatedEffect(effect=effect("coulomb"), joint=j) for j in (0, 1)]
-    wrong = estimate(comparison, places).moved(np.array([1.0, 0.0]))
-    rows = _Rows(training, training.settings, (), wrong, ["coulomb"])
+    wrong = estimate_parameters(comparison, places).moved(np.array([1.0, 0.0]))
+    rows = _MovingSamples(training, training.settings, (), wrong, ["coulomb"])
     helps = [rows.helps(found, ["coulomb"], training) for found in wrong.effects]
     assert helps == [False, True]
     there = Selected(places[1], 1.0, 1.0, 1.0, (), 1)
-    kept, parameters = from_all_samples(training, training.settings, (), comparison, [there])
+    kept, parameters = refit_friction(training, training.settings, (), comparison, [there])
     assert kept == (there,)
-    known = estimate(comparison, places[1:]).effects
+    known = estimate_parameters(comparison, places[1:]).effects
     assert parameters.effects[0].amplitudes == known[0].amplitudes
 
 
 def test_an_offset_of_a_link_encoder_is_joints_without_torque_by_torques() -> None:
     """It changes none of them, and goes by nothing that they say."""
-    training = train(load_recordings(SHIPPED), Settings())
+    training = prepare_training(load_recordings(SHIPPED), Settings())
     comparison = training.comparison()
     offset = LocatedEffect(effect=effect("encoder_offset"), joint=0)
     there = LocatedEffect(effect=effect("coulomb"), joint=1)
     found = [Selected(each, 1.0, 1.0, 1.0, (), 1) for each in (offset, there)]
-    kept, _ = from_all_samples(training, training.settings, (), comparison, found)
+    kept, _ = refit_friction(training, training.settings, (), comparison, found)
     assert [each.located for each in kept] == [offset, there]
 
 
@@ -189,7 +193,7 @@ def test_what_is_sure_together_may_be_nothing_apart(monkeypatch: pytest.MonkeyPa
     first = draw.normal(size=count)
     alike = np.column_stack([first, first + 0.1 * draw.normal(size=count)])
     target = 0.5 * first + draw.normal(size=count)
-    monkeypatch.setattr(uncertainty, "stretches", lambda _: np.arange(count) // 40)
+    monkeypatch.setattr(uncertainty, "number_stretches", lambda _: np.arange(count) // 40)
 
     def sure(columns: np.ndarray) -> tuple[float, float]:
         gram = columns.T @ columns + np.eye(columns.shape[1])
@@ -201,7 +205,7 @@ def test_what_is_sure_together_may_be_nothing_apart(monkeypatch: pytest.MonkeyPa
             fit=lambda _: SimpleNamespace(amplitudes=lambda: amplitudes),
         )
         located = LocatedEffect(effect=effect("gravity_spring"), joint=0)
-        together, single = uncertainty.significance(comparison, [located])
+        together, single = uncertainty.jackknife_significance(comparison, [located])
         return float(together[0]), float(single[0])
 
     alone, both = sure(alike[:, :1]), sure(alike)

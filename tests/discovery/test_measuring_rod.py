@@ -13,14 +13,12 @@ import pytest
 from shipped_set import LACKS, SHIPPED
 
 from stiffopt.discovery.comparison.extension import Extension
-from stiffopt.discovery.judging.black_box import BlackBox, MeasuringRod
-from stiffopt.discovery.judging.carried_over import Drift, NotCarriedOver, not_carried_over
-from stiffopt.discovery.judging.random_features import smooth_function
+from stiffopt.discovery.judging.noise_ceiling import BlackBox, NoiseCeiling, fit_smooth_function
+from stiffopt.discovery.judging.run_deviations import Drift, NotCarriedOver, find_run_deviations
 from stiffopt.discovery.judging.unexplained import Unexplained
-from stiffopt.discovery.proof.predict import Predictor
-from stiffopt.discovery.proof.proof import RunProof, prove
-from stiffopt.discovery.settings import MOVING, Settings
-from stiffopt.discovery.training import Training, train
+from stiffopt.discovery.prediction import Predictor, RunProof, compare_predictions
+from stiffopt.discovery.settings import MIN_MOVING_SPEED, Settings
+from stiffopt.discovery.training import Training, prepare_training
 from stiffopt.recording.recording_set import load_recordings
 from stiffopt.recording.run import RecordedRun
 from stiffopt.report.diagnosis.mismatch import rod_sentence
@@ -28,7 +26,7 @@ from stiffopt.report.diagnosis.mismatch import rod_sentence
 
 @cache
 def _training() -> Training:
-    return train(load_recordings(SHIPPED), Settings())
+    return prepare_training(load_recordings(SHIPPED), Settings())
 
 
 def _left_out() -> RecordedRun:
@@ -36,7 +34,7 @@ def _left_out() -> RecordedRun:
     return recordings.open(recordings.with_role("test")[0])
 
 
-def _rod(found: Extension) -> MeasuringRod:
+def _rod(found: Extension) -> NoiseCeiling:
     training = _training()
     box = BlackBox(training, training.settings, (found,))
     predictor = Predictor(training.robot, _left_out(), training.constants, training.settings)
@@ -51,12 +49,12 @@ def test_a_smooth_function_is_found_in_stretches_left_out() -> None:
     draw = np.random.default_rng(3)
     signals, stretch = draw.normal(size=(600, 3)), np.arange(600) // 100
     values = np.sin(2.0 * signals[:, 1])
-    found = smooth_function(signals, values + 0.1 * draw.normal(size=600), stretch)
+    found = fit_smooth_function(signals, values + 0.1 * draw.normal(size=600), stretch)
     assert found is not None
     assert found.taken > 0.7
     fresh = draw.normal(size=(200, 3))
     assert np.std(found(fresh) - np.sin(2.0 * fresh[:, 1])) < 0.4
-    nothing = smooth_function(signals, draw.normal(size=600), stretch)
+    nothing = fit_smooth_function(signals, draw.normal(size=600), stretch)
     assert nothing is None or nothing.taken < 0.05
 
 
@@ -88,15 +86,15 @@ def test_a_value_that_one_run_has_of_its_own_is_said(kind: str, value: float) ->
     torque = run.torque.copy()
     torque[:, 0] += value * shape
     proofs = [_proof(training, predictor, each) for each in (run, replace(run, torque=torque))]
-    assert not not_carried_over(proofs[:1], [speed])
-    (said,) = not_carried_over(proofs[1:], [speed])
+    assert not find_run_deviations(proofs[:1], [speed])
+    (said,) = find_run_deviations(proofs[1:], [speed])
     assert (said.channel, said.kind) == ("torque_1", kind)
     assert said.value == pytest.approx(value, rel=0.2)
     few = torque.copy()
-    few[np.flatnonzero(np.abs(speed[:, 0]) > MOVING)[10:], 0] = np.nan
+    few[np.flatnonzero(np.abs(speed[:, 0]) > MIN_MOVING_SPEED)[10:], 0] = np.nan
     proof = _proof(training, predictor, replace(run, torque=few))
     assert "torque_1" in [channel.name for channel in proof.channels]
-    assert not not_carried_over([proof], [speed])
+    assert not find_run_deviations([proof], [speed])
 
 
 ALONG = {"constant": np.ones_like, "dry friction": np.sign, "viscous friction": lambda v: v}
@@ -142,16 +140,16 @@ def _shifted(
     torque = run.torque.copy()
     torque[:, 0] = np.where(kept(speed[:, 0]), torque[:, 0] + shift(speed[:, 0]), np.nan)
     proof = _proof(training, predictor, replace(run, torque=torque))
-    return not_carried_over([proof], [speed], [drift])
+    return find_run_deviations([proof], [speed], [drift])
 
 
 def _proof(training: Training, predictor: Predictor, run: RecordedRun) -> RunProof:
     before, after = predictor.predict(), predictor.predict(LACKS)
-    return prove(run, predictor.velocity, before, after, training.noise)
+    return compare_predictions(run, predictor.velocity, before, after, training.noise)
 
 
 def _answer(
-    rod: MeasuringRod | None, left: Unexplained | None = None, kinds: Sequence[str] = ("torque",)
+    rod: NoiseCeiling | None, left: Unexplained | None = None, kinds: Sequence[str] = ("torque",)
 ) -> Any:
     channels = [SimpleNamespace(kind=kind) for kind in kinds]
     return SimpleNamespace(rod=rod, unexplained=left, held_out=[SimpleNamespace(channels=channels)])
@@ -159,7 +157,7 @@ def _answer(
 
 def test_what_the_box_does_not_find_is_no_contradiction() -> None:
     """All that is explainable, beside something that follows the load within the training runs."""
-    rod = MeasuringRod(explained=1.0, channels={"torque_1": (2.0, 2.0)}, depends=())
+    rod = NoiseCeiling(explained=1.0, channels={"torque_1": (2.0, 2.0)}, depends=())
     left = Unexplained(
         channels=("torque_1",), regressors=("torque_1",), period=None, gain=0.26, ratio=14.0
     )
@@ -187,5 +185,5 @@ def test_a_channel_without_any_mismatch_has_no_share() -> None:
 
 
 def test_a_model_that_does_harm_has_explained_nothing() -> None:
-    found = MeasuringRod(explained=-0.4, channels={"torque_1": (2.0, 1.0)}, depends=())
+    found = NoiseCeiling(explained=-0.4, channels={"torque_1": (2.0, 1.0)}, depends=())
     assert "Explained: nothing of" in rod_sentence(_answer(found))

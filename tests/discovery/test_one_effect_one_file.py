@@ -14,7 +14,7 @@ from small_arms import ROOT
 from stiffopt.cli import run
 from stiffopt.discovery.catalogue import CATALOGUE
 from stiffopt.discovery.extended.model import load_extended
-from stiffopt.discovery.extended.planner_model import planner_model
+from stiffopt.discovery.extended.planning import planner_model
 from stiffopt.discovery.user_effects import load_effects
 from stiffopt.errors import InputFileError
 from stiffopt.recording.recording_set import load_recordings

@@ -8,11 +8,11 @@ from shipped_set import SHIPPED
 
 from stiffopt.discovery.catalogue import effect
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
-from stiffopt.discovery.judging import other_band
-from stiffopt.discovery.judging.other_band import beyond_chance, doubted_by_band
-from stiffopt.discovery.search.uncertainty import estimate
+from stiffopt.discovery.judging import added_uncertainty
+from stiffopt.discovery.judging.added_uncertainty import add_band_deviation, excess_difference
+from stiffopt.discovery.search.uncertainty import estimate_parameters
 from stiffopt.discovery.settings import Settings
-from stiffopt.discovery.training import train
+from stiffopt.discovery.training import prepare_training
 from stiffopt.recording.recording_set import load_recordings
 
 
@@ -23,7 +23,7 @@ def test_means_of_all_and_of_half_differ_by_chance(wrong: float, least: float, m
     samples = draw.normal(size=(4000, 40))
     samples[:, :20] += wrong
     away = samples[:, :20].mean(axis=1) - samples.mean(axis=1)
-    found = beyond_chance(away, np.full(4000, 1 / 20), np.full(4000, 1 / 40))
+    found = excess_difference(away, np.full(4000, 1 / 20), np.full(4000, 1 / 40))
     assert least < np.sum(found**2) / np.sum(away**2) < most
 
 
@@ -32,19 +32,19 @@ def test_a_law_that_holds_is_hardly_doubted(
     after_model: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Dry friction is the same in every band; chance counts where a model was started from."""
-    training = train(load_recordings(SHIPPED), Settings())
+    training = prepare_training(load_recordings(SHIPPED), Settings())
     comparison = training.comparison()
     comparison.after_model = after_model
     asked: list[np.ndarray] = []
 
     def seen(away: np.ndarray, less: np.ndarray, more: np.ndarray) -> np.ndarray:
         asked.append(away)
-        return beyond_chance(away, less, more)
+        return excess_difference(away, less, more)
 
-    monkeypatch.setattr(other_band, "beyond_chance", seen)
+    monkeypatch.setattr(added_uncertainty, "excess_difference", seen)
     there = LocatedEffect(effect=effect("coulomb"), joint=1)
-    known = estimate(comparison, [there])
-    doubted = doubted_by_band(training, comparison, known)
+    known = estimate_parameters(comparison, [there])
+    doubted = add_band_deviation(training, comparison, known)
     constants = there.constants(training.constants)
     before, after = (each.parameters(0, constants)["dFc"] for each in (known, doubted))
     assert after[0] == before[0]

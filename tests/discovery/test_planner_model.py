@@ -17,9 +17,8 @@ from stiffopt.discovery.catalogue import CATALOGUE
 from stiffopt.discovery.catalogue.robot_change import ADDED
 from stiffopt.discovery.comparison.extension import EstimatedEffect, Extension
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
-from stiffopt.discovery.extended.made_for import made_for
-from stiffopt.discovery.extended.model import ExtendedModel, load_extended
-from stiffopt.discovery.extended.planner_model import joint_constants, planner_model
+from stiffopt.discovery.extended.model import ExtendedModel, load_extended, robot_signature
+from stiffopt.discovery.extended.planning import joint_constants, planner_model
 from stiffopt.elastic.uncertainty import Uncertainty, of_deviations
 from stiffopt.errors import InputFileError
 from stiffopt.exact.chain import exact_windup, windup_shares
@@ -241,10 +240,10 @@ def test_the_model_of_another_robot_is_refused_and_says_whose_it_is(arm: Robot, 
         InputFileError, match=r"this model is of j1, .*er3a_c60_contact has joint_1"
     ):
         planner_model(arm, other)
-    stated = replace(other, joints=arm.joint_names, robot=made_for(ur10, range(6)))
+    stated = replace(other, joints=arm.joint_names, robot=robot_signature(ur10, range(6)))
     with pytest.raises(InputFileError, match=r"made for the robot ur10 .*not for er3a_c60_contact"):
         planner_model(arm, stated)
-    own = replace(other, robot=made_for(arm.with_payload(1.0), range(6)))
+    own = replace(other, robot=robot_signature(arm.with_payload(1.0), range(6)))
     assert planner_model(arm, own).robot.n == 6
 
 

@@ -10,9 +10,8 @@ import pytest
 from stiffopt.discovery.catalogue import effect
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.comparison.signals import JointConstants, RobotConstants
-from stiffopt.discovery.identifiable import EffectCheck
-from stiffopt.discovery.judging.unexplained import _period
-from stiffopt.discovery.search.identifiable_effects import identifiable_effects
+from stiffopt.discovery.identifiable import EffectCheck, restrict_to_identifiable
+from stiffopt.discovery.judging.unexplained import _find_period
 
 JOINT = JointConstants(
     joint=1,
@@ -72,7 +71,7 @@ def test_an_effect_is_sought_only_where_it_can_be_told() -> None:
         EffectCheck(effect=entry, joint=1, lacks=("it does not move",)),
         EffectCheck(effect=entry, joint=2, lacks=()),
     ]
-    (told,) = identifiable_effects([entry], checks)
+    (told,) = restrict_to_identifiable([entry], checks)
     assert told.applies is not None
     assert [told.applies(joint) for joint in ROBOT.joints] == [False, True]
 
@@ -81,4 +80,4 @@ def test_a_block_too_short_for_any_period_has_none() -> None:
     """Three rows a block resolve no wave; that is an answer, not an error."""
     block = np.repeat([0, 1], 3)
     time = np.array([0.0, 0.1, 0.2, 1.0, 1.1, 1.2])
-    assert _period(np.ones(6), block, time) is None
+    assert _find_period(np.ones(6), block, time) is None

@@ -13,9 +13,9 @@ from stiffopt.discovery.comparison.bodies import body_units
 from stiffopt.discovery.comparison.comparison import Comparison
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.comparison.prepare import PreparedRun
-from stiffopt.discovery.search.rigid import OF_A_BODY, WIDTHS, rigid_stage
+from stiffopt.discovery.search.rigid_model import BODY_WIDTHS, PRIOR_WIDTHS, reidentify_rigid_model
 from stiffopt.discovery.settings import Settings
-from stiffopt.discovery.training import Training, train
+from stiffopt.discovery.training import Training, prepare_training
 from stiffopt.recording.recording_set import load_recordings
 
 THERE = LocatedEffect(effect=effect("coulomb"), joint=1)
@@ -23,7 +23,7 @@ THERE = LocatedEffect(effect=effect("coulomb"), joint=1)
 
 @pytest.fixture(scope="module")
 def training() -> Training:
-    return train(load_recordings(SHIPPED), Settings(), swinging=False)
+    return prepare_training(load_recordings(SHIPPED), Settings(), swinging=False)
 
 
 def _balanced(training: Training) -> Comparison:
@@ -43,23 +43,23 @@ def _balanced(training: Training) -> Comparison:
 def test_a_body_that_must_go_far_takes_no_other_along(training: Training) -> None:
     """The link that the cylinder holds takes its torque up; the other stays where it is known."""
     comparison = _balanced(training)
-    stage = rigid_stage(comparison, [THERE], ())
+    stage = reidentify_rigid_model(comparison, [THERE], ())
     assert stage.single is None
-    assert stage.widths[0] in WIDTHS[-2:]
-    assert stage.widths[1] in OF_A_BODY[:2]
+    assert stage.widths[0] in PRIOR_WIDTHS[-2:]
+    assert stage.widths[1] in BODY_WIDTHS[:2]
     free = stage.bodies(comparison)
     assert free is not None
-    together = WIDTHS[-1] / np.array(stage.widths)[:, None] * free
+    together = PRIOR_WIDTHS[-1] / np.array(stage.widths)[:, None] * free
     assert _moved(comparison, free) < 0.2 * _moved(comparison, together)
 
 
 def test_a_body_as_nothing_is_made_is_told_beside_a_counterbalance(training: Training) -> None:
     """The law of a lever predicts parts left out better than any mass; nothing has moved else."""
     balancer = (effect("gravity_spring"),)
-    (found,) = rigid_stage(_balanced(training), [THERE], balancer).counterweights
+    (found,) = reidentify_rigid_model(_balanced(training), [THERE], balancer).counterweights
     assert (found.joint, found.balanced) == (0, True)
     assert found.change > found.nominal
-    nothing = rigid_stage(training.comparison(), [THERE], balancer)
+    nothing = reidentify_rigid_model(training.comparison(), [THERE], balancer)
     assert nothing.counterweights == ()
 
 

@@ -24,9 +24,9 @@ from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.diagnose import diagnose
 from stiffopt.discovery.sanity.doubt import Doubt, DoubtfulRecordings
 from stiffopt.discovery.sanity.gate import SanityGate
-from stiffopt.discovery.sanity.joint_gains import _CommonFit, joint_gains
-from stiffopt.discovery.sanity.samples import sampled
-from stiffopt.discovery.training import training_runs
+from stiffopt.discovery.sanity.interpretations import sample_runs
+from stiffopt.discovery.sanity.joint_gains import _CommonFit, find_joint_gains
+from stiffopt.discovery.training import open_training_runs
 from stiffopt.recording.recording_set import load_recordings
 from stiffopt.recording.set_points import is_set_point
 
@@ -57,7 +57,7 @@ def rewritten(folder: Path, old: str, new: str) -> None:
 
 def doubted(folder: Path) -> tuple[Doubt, ...]:
     recordings = load_recordings(folder)
-    return SanityGate(recordings, training_runs(recordings)).doubts
+    return SanityGate(recordings, open_training_runs(recordings)).doubts
 
 
 def times(names: str, factor: float) -> Callable[[Columns], None]:
@@ -317,7 +317,7 @@ def test_torques_of_currents_of_a_joint_without_weight_are_no_kilonewtons(tmp_pa
     search = Explanations.__new__(Explanations)
     search.balance = Balance()
     gains, left = np.array([1e-3, 1.0 / 13.9, 1e-3]), np.array([0.02, 0.01, 0.02])
-    search._like_the_others(gains, left, None, np.zeros((4, 3)))
+    search._adopt_common_gain(gains, left, None, np.zeros((4, 3)))
     np.testing.assert_allclose(gains, [1.0 / 13.9, 1.0 / 13.9, 1e-3])
 
 
@@ -355,7 +355,7 @@ def without_friction(folder: Path) -> Path:
 def test_a_gain_of_one_joint_is_told_and_stops_nothing(joint, tmp_path, capsys):
     folder = without_friction(changed_copy(SHIPPED, tmp_path / "set", times(f"tau{joint}", 1.25)))
     recordings = load_recordings(folder)
-    runs = training_runs(recordings)
+    runs = open_training_runs(recordings)
     assert SanityGate(recordings, runs).doubts == ()
     (told,) = SanityGate(recordings, runs).remarks
     assert (told.kind, told.joints) == ("torque gain", (joint,))
@@ -371,7 +371,7 @@ def test_a_gain_of_one_joint_is_told_and_stops_nothing(joint, tmp_path, capsys):
 def test_nothing_is_remarked_of_gains_where_there_are_none(tmp_path):
     for folder in (SHIPPED, without_friction(shutil.copytree(SHIPPED, tmp_path / "set"))):
         recordings = load_recordings(folder)
-        assert SanityGate(recordings, training_runs(recordings)).remarks == ()
+        assert SanityGate(recordings, open_training_runs(recordings)).remarks == ()
 
 
 @pytest.mark.slow
@@ -379,7 +379,7 @@ def test_nothing_is_remarked_of_gains_where_there_are_none(tmp_path):
 def test_nothing_is_remarked_of_public_sets_and_open_cases():
     for folder in (*sorted(OPEN_CASES.iterdir())[:6], PUBLISHED / "unisa_ur10"):
         recordings = load_recordings(folder)
-        assert SanityGate(recordings, training_runs(recordings)).remarks == (), folder.name
+        assert SanityGate(recordings, open_training_runs(recordings)).remarks == (), folder.name
 
 
 def other_arm(columns: Columns) -> None:
@@ -436,7 +436,7 @@ def test_one_fast_run_with_what_shows_there_alone_stops_nothing(tmp_path, monkey
     np.savez(folder / "extrap_1.npz", **columns)
     assert doubted(folder) == ()
     recordings = load_recordings(folder)
-    told = SanityGate(recordings, training_runs(recordings)).remarks[0]
+    told = SanityGate(recordings, open_training_runs(recordings)).remarks[0]
     assert (told.kind, told.joints) == ("another arm", (2,))
     assert "extrap_1 moves faster or further than the other runs" in told.evidence
 
@@ -463,15 +463,15 @@ def test_a_reference_in_a_name_is_remarked_and_stops_nothing(tmp_path):
     rewritten(folder, 'position = ["q1", "q2"]', 'position = ["encoder_ref_1", "encoder_ref_2"]')
     assert doubted(folder) == ()
     recordings = load_recordings(folder)
-    (told,) = SanityGate(recordings, training_runs(recordings)).remarks
+    (told,) = SanityGate(recordings, open_training_runs(recordings)).remarks
     assert told.kind == "set points"
     assert "encoder_ref_1, encoder_ref_2" in told.evidence
 
 
 def test_instants_without_a_motion_tell_no_gain():
     recordings = load_recordings(SHIPPED)
-    robot, samples = RobotModel(recordings), sampled(training_runs(recordings))
-    plain = joint_gains(robot, samples)
+    robot, samples = RobotModel(recordings), sample_runs(open_training_runs(recordings))
+    plain = find_joint_gains(robot, samples)
     holed = samples.acceleration.copy()
     holed[5] = np.nan
     velocity = samples.velocity.copy()
@@ -479,7 +479,7 @@ def test_instants_without_a_motion_tell_no_gain():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         fit = _CommonFit(robot, replace(samples, acceleration=holed, velocity=velocity))
-        found = joint_gains(robot, replace(samples, acceleration=holed, velocity=velocity))
+        found = find_joint_gains(robot, replace(samples, acceleration=holed, velocity=velocity))
     assert fit.used == [0, 1]
     assert all(np.isfinite(gram).all() for gram in fit.grams.values())
     assert [each.joint for each in found] == [each.joint for each in plain]

@@ -10,16 +10,16 @@ from shipped_set import SHIPPED
 from stiffopt.discovery.catalogue import effect
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.search.candidates import Candidate, Scorer
-from stiffopt.discovery.search.joint_fit import fitted_jointly
+from stiffopt.discovery.search.joint_fit import fit_jointly
 from stiffopt.discovery.settings import Settings
-from stiffopt.discovery.training import train
+from stiffopt.discovery.training import prepare_training
 from stiffopt.recording.recording_set import load_recordings
 
 
 def test_an_effect_that_cannot_be_as_it_is_shaped_is_shaped_anew(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    comparison = train(load_recordings(SHIPPED), Settings()).comparison()
+    comparison = prepare_training(load_recordings(SHIPPED), Settings()).comparison()
     friction = effect("position_friction")
     impossible = LocatedEffect(effect=friction, joint=1, shapes=(0.111, 0.222))
     plain = Scorer.score
@@ -28,7 +28,7 @@ def test_an_effect_that_cannot_be_as_it_is_shaped_is_shaped_anew(
         return None if located.shapes == impossible.shapes else plain(scorer, located, price)
 
     monkeypatch.setattr(Scorer, "score", score)
-    _, (found,) = fitted_jointly(comparison, [impossible])
+    _, (found,) = fit_jointly(comparison, [impossible])
     assert found.same_place(impossible)
     assert found.shapes != impossible.shapes
     own = Scorer(comparison).score(found)

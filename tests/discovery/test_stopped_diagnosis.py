@@ -14,12 +14,12 @@ from simulated_sets import COULOMB
 from small_arms import SWIVEL
 
 import stiffopt.discovery.diagnose as diagnosing
-import stiffopt.discovery.searched as searches
+import stiffopt.discovery.search_training as searches
 from stiffopt.cli import run
 from stiffopt.discovery import conclusions
 from stiffopt.discovery.judging import held_out
 from stiffopt.discovery.judging.episodes import Episode
-from stiffopt.discovery.search import exchange
+from stiffopt.discovery.search import rivals
 from stiffopt.discovery.search import search as searching
 
 
@@ -69,8 +69,12 @@ def unvouched(folder):
 @pytest.mark.parametrize(
     ("stage", "told", "left_out"),
     [
-        ("open_section", "what is left open", "what is left open was not asked for suspects"),
-        ("doubted_by_band", "ask half the band for the parameters", "of what half the band says"),
+        ("build_left_open", "what is left open", "what is left open was not asked for suspects"),
+        (
+            "add_band_deviation",
+            "ask half the band for the parameters",
+            "of what half the band says",
+        ),
     ],
 )
 def test_in_the_last_stages_the_findings_stay(tmp_path, monkeypatch, stage, told, left_out):
@@ -88,12 +92,12 @@ def test_in_the_last_stages_the_findings_stay(tmp_path, monkeypatch, stage, told
 @pytest.mark.parametrize(
     ("module", "stage", "left_out"),
     [
-        (searching, "rigid_stage", "more may be missing than that"),
-        (searching, "standing", "was not weighed against what could stand in its place"),
-        (exchange, "ranked_among_rivals", "was not weighed against"),
+        (searching, "reidentify_rigid_model", "more may be missing than that"),
+        (searching, "select_supported", "was not weighed against what could stand in its place"),
+        (rivals, "rank_rivals", "was not weighed against"),
         (diagnosing, "assess_findings", "when the search was over"),
-        (diagnosing, "from_all_samples", "without samples near standstill"),
-        (conclusions, "shares_left_out", "when the search was over"),
+        (diagnosing, "refit_friction", "without samples near standstill"),
+        (conclusions, "held_out_shares", "when the search was over"),
         (diagnosing, "detection_limits", "what would have been seen of other effects"),
     ],
 )
@@ -104,7 +108,7 @@ def test_anywhere_behind_a_first_fit_the_findings_stay(
     found = diagnosing.diagnose(unvouched(tmp_path), experiment=False)
     assert found.stopped
     assert any(left_out in each for each in found.assumptions)
-    in_search = module in (searching, exchange)
+    in_search = module in (searching, rivals)
     if not in_search:
         assert not any("more may be missing" in each for each in found.assumptions)
     by_name = {finding.effect.name: finding for finding in found.findings}
@@ -116,17 +120,17 @@ def test_anywhere_behind_a_first_fit_the_findings_stay(
 
 def test_a_second_search_that_is_stopped_leaves_the_first_answer(tmp_path, monkeypatch):
     """Without what touched the arm all is sought anew: what a stop leaves of that is no answer."""
-    plain, answers = searches._searched, []
+    plain, answers = searches._search_once, []
 
     def searched(*arguments, **named):
         answers.append(plain(*arguments, **named))
         return answers[-1]
 
     touch = Episode(run="a", role="train", begin=3.0, end=3.5, joints=(1,), sizes=(1.0,))
-    monkeypatch.setattr(searches, "_touched", lambda result: (touch,))
-    monkeypatch.setattr(searches, "_searched", searched)
+    monkeypatch.setattr(searches, "_find_contacts", lambda result: (touch,))
+    monkeypatch.setattr(searches, "_search_once", searched)
     # Behind the first effects, each time.
-    interrupted(monkeypatch, searching, "rigid_stage", 2)
+    interrupted(monkeypatch, searching, "reidentify_rigid_model", 2)
     found = diagnosing.diagnose(unvouched(tmp_path), experiment=False)
     first, second = answers
     assert second.stopped
@@ -143,10 +147,10 @@ def test_wherever_ctrl_c_comes_a_run_was_opened_as_a_whole(monkeypatch):
     """At every line of the loop over runs left out."""
     names = ("a.npz", "b.npz")
     stands_for = SimpleNamespace
-    for name in ("held_out_track", "without", "thinned", "_predicted_swinging"):
+    for name in ("held_out_track", "mask_episodes", "thinned", "_choose_vibrating_links"):
         monkeypatch.setattr(held_out, name, lambda *_: stands_for(usable=True))
-    monkeypatch.setattr(held_out, "episodes_in", lambda *_: ())
-    monkeypatch.setattr(held_out, "prove", lambda *_: stands_for())
+    monkeypatch.setattr(held_out, "find_episodes", lambda *_: ())
+    monkeypatch.setattr(held_out, "compare_predictions", lambda *_: stands_for())
     monkeypatch.setattr(
         held_out,
         "Predictor",
@@ -158,10 +162,10 @@ def test_wherever_ctrl_c_comes_a_run_was_opened_as_a_whole(monkeypatch):
     training = stands_for(robot=None, constants=None, noise=stands_for(channels=None))
     stopped = 0
     for line in range(200):
-        opened = held_out.HeldOut(training, None, (), None, ())
+        opened = held_out.HeldOutRuns(training, None, (), None, ())
         opened.shares = stands_for(add=lambda *_: None)
         try:
-            with interrupted_at(line, held_out.HeldOut.predict_all):
+            with interrupted_at(line, held_out.HeldOutRuns.predict_all):
                 opened.predict_all(recordings, lambda _: None)
         except KeyboardInterrupt:
             stopped += 1
@@ -198,8 +202,8 @@ def interrupted_at(line, function):
     ("module", "stage"),
     [
         (diagnosing, "mode_shifts"),
-        (diagnosing, "not_carried_over"),
-        (diagnosing, "next_experiment"),
+        (diagnosing, "find_run_deviations"),
+        (diagnosing, "describe_next_experiment"),
         (held_out.BlackBox, "found"),
     ],
 )
@@ -227,7 +231,7 @@ def test_what_can_be_left_out_is_once_the_user_has_stopped(tmp_path, monkeypatch
         pytest.fail("takes long, and can be left out")
 
     monkeypatch.setattr(diagnosing, "assess_findings", interrupted)
-    for name in ("from_all_samples", "doubted_by_band", "detection_limits", "plan_experiment"):
+    for name in ("refit_friction", "add_band_deviation", "detection_limits", "plan_experiment"):
         monkeypatch.setattr(diagnosing, name, unasked)
     monkeypatch.setattr(held_out, "BlackBox", unasked)
     found = diagnosing.diagnose(unvouched(tmp_path), progress=said.append)
@@ -261,7 +265,7 @@ def test_ctrl_c_in_the_black_box_leaves_the_proof(tmp_path, monkeypatch):
 @pytest.mark.parametrize("later", [{"stopped": True}, {"hurried": True}])
 def test_a_search_that_was_stopped_is_told_where_another_answer_is_better(monkeypatch, later):
     """Where links swing otherwise than the model's: three searches, of which one is the answer."""
-    plain, answers = searches._searched, []
+    plain, answers = searches._search_once, []
 
     def searched(*arguments, **named):
         if not answers:
@@ -271,8 +275,8 @@ def test_a_search_that_was_stopped_is_told_where_another_answer_is_better(monkey
         answers.append(worse)
         return worse
 
-    monkeypatch.setattr(searches, "_searched", searched)
-    monkeypatch.setattr(searches, "SWING_MISFIT", 0.0)
+    monkeypatch.setattr(searches, "_search_once", searched)
+    monkeypatch.setattr(searches, "MAX_VIBRATION_MISFIT", 0.0)
     monkeypatch.setattr(diagnosing, "leading_pair", lambda selected: selected)
     monkeypatch.setattr(diagnosing, "plan_experiment", lambda *_, **__: pytest.fail("takes long"))
     found = diagnosing.diagnose(written(COULOMB))
@@ -286,7 +290,7 @@ def test_a_search_that_was_stopped_is_told_where_another_answer_is_better(monkey
 @pytest.mark.slow
 def test_nobody_looked_for_bursts(monkeypatch):
     """Where nothing is missing the last look is the one that is stopped."""
-    interrupted(monkeypatch, diagnosing, "bursts", 1)
+    interrupted(monkeypatch, diagnosing, "find_bursts", 1)
     found = diagnosing.diagnose(written(replace(COULOMB, effects=())), experiment=False)
     assert found.stopped
     assert not found.findings

@@ -48,7 +48,7 @@ def test_laws_that_fit_alike_are_told(
     comparison: Any = SimpleNamespace(after_model=False, most_suspected=0.0, constants=None)
     monkeypatch.setattr(rivals.LocatedEffect, "constants", lambda self, constants: None)
     located = every[0].located
-    ranked = rivals.ranked_among_rivals(comparison, [located], located, ())
+    ranked = rivals.rank_rivals(comparison, [located], located, ())
     assert ranked is not None
     assert ranked.likeliest is located
     assert [other.effect.name for other, _ in ranked.selected.rivals] == told

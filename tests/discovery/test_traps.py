@@ -19,7 +19,7 @@ from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.comparison.prepare import prepare
 from stiffopt.discovery.diagnosis import Diagnosis
 from stiffopt.discovery.settings import Settings
-from stiffopt.discovery.training import train
+from stiffopt.discovery.training import prepare_training
 from stiffopt.recording.recording_set import load_recordings
 
 pytestmark = pytest.mark.slow
@@ -107,7 +107,7 @@ def test_payload_is_not_called_friction() -> None:
 def test_no_term_sees_the_measured_torque(tmp_path: Path) -> None:
     recordings = load_recordings(write_case(simulated(small(seed=101)), tmp_path / "set"))
     settings = Settings()
-    training = train(recordings, settings)
+    training = prepare_training(recordings, settings)
     robot, constants = RobotModel(recordings), training.constants
     for run in training.recorded[:1]:
         shuffled = np.random.default_rng(0).permutation(run.torque, axis=0)

@@ -8,10 +8,10 @@ from benchmarks.simulator import CaseSpec, write_case
 from stiffopt.discovery.comparison.followed import followed_to, mean_sign
 from stiffopt.discovery.comparison.prepare import smoothly
 from stiffopt.discovery.comparison.signals import smooth_sign
-from stiffopt.discovery.judging.bursts import bursts
+from stiffopt.discovery.judging.bursts import find_bursts
 from stiffopt.discovery.settings import SIGN_SPEED, Settings
 from stiffopt.discovery.thresholds import BURST_RATIO
-from stiffopt.discovery.training import train
+from stiffopt.discovery.training import prepare_training
 from stiffopt.recording.recording_set import load_recordings
 
 # A SCARA as its nominal model says, whose last joint is 20 times its noise in dry friction.
@@ -36,7 +36,9 @@ RATES = (250.0, 1000.0)
 
 def trained(folder, *effects, rate=250.0):
     spec = CaseSpec(effects=effects, **{**SCARA, "rate": rate, "substeps": int(2000.0 / rate)})
-    return train(load_recordings(write_case(simulated(spec), folder / "set")), Settings())
+    return prepare_training(
+        load_recordings(write_case(simulated(spec), folder / "set")), Settings()
+    )
 
 
 @pytest.fixture(scope="module", params=RATES)
@@ -45,12 +47,12 @@ def as_modelled(request, tmp_path_factory):
 
 
 def test_friction_that_turns_is_no_burst(as_modelled):
-    assert bursts(as_modelled, ()) is None
+    assert find_bursts(as_modelled, ()) is None
 
 
 @pytest.mark.parametrize("rate", RATES)
 def test_a_drive_that_is_too_slow_bursts_where_its_friction_turns(tmp_path, rate):
-    found = bursts(trained(tmp_path, ("slew_limit", 4, 0.3), rate=rate), ())
+    found = find_bursts(trained(tmp_path, ("slew_limit", 4, 0.3), rate=rate), ())
     assert found is not None
     assert found.channels == ("torque_4",)
     assert found.regressors == ("dtorque_4",)

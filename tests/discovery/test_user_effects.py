@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from stiffopt.discovery.effect import Term
-from stiffopt.discovery.identifiable import needs
-from stiffopt.discovery.soundness import sample_signals
-from stiffopt.discovery.user_effects import load_effects
+from stiffopt.discovery.identifiable import required_signals
+from stiffopt.discovery.user_effects import load_effects, sample_signals
 from stiffopt.errors import InputFileError
 
 HEAD = """
@@ -57,9 +56,9 @@ def written(tmp_path, text):
 def test_what_an_effect_leaves_unsaid_follows_from_its_name_and_term(tmp_path):
     drag, wind = load_effects(written(tmp_path, GOOD))
     assert (drag.title, drag.phrase_of([1.0])) == ("seal drag", "seal drag")
-    assert needs(drag) == needs(wind) == ("torque", "moves")
+    assert required_signals(drag) == required_signals(wind) == ("torque", "moves")
     late = replace(drag, scope="run", term=lambda signals, a, v: Term(deflection=a[0] + v[0]))
-    assert needs(late) == ("link", "moves", "runs")
+    assert required_signals(late) == ("link", "moves", "runs")
 
 
 def test_needs_that_nothing_can_meet_are_refused(tmp_path):
@@ -97,7 +96,7 @@ def test_what_a_file_imports_is_not_taken_for_its_own(tmp_path):
         (GOOD.replace("np.tanh(w", "np.log(w"), "not finite"),
         (GOOD.replace("starts=(0.05, 0.2)", "starts=(0.05, 2.0)"), "all between 0.01 and 1"),
         (GOOD.replace("starts=(0.05, 0.2)", "starts=tuple(0.02 + 0.01 * i for i in range(31))"),
-         "31 combinations; at most 30"),
+         "31 combinations of initial values; at most 30"),
         (GOOD.replace("scale=2.0", "scale=0.0"), "must be above zero"),
         (GOOD.replace("lower=-10.0", "lower=10.0"), "lower bound above"),
         (GOOD.replace("np.tanh(w", "float(w"), "its term fails with TypeError"),

@@ -10,9 +10,14 @@ from stiffopt.discovery.comparison.extension import EstimatedEffect, Extension
 from stiffopt.discovery.comparison.filtering import ZeroPhaseFilter
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.comparison.rows import ChannelNoise
-from stiffopt.discovery.extended.left_open import at_rate, least_factors, left_open, with_bands
+from stiffopt.discovery.extended.left_open import (
+    adopt_bands,
+    left_open_section,
+    noise_factors,
+    rescale_to_rate,
+)
 from stiffopt.discovery.extended.schema import EffectSection, LeftOpenSection
-from stiffopt.discovery.search.identifiable_effects import of_changes
+from stiffopt.discovery.identifiable import widen_for_changes
 from stiffopt.discovery.settings import Settings
 from stiffopt.errors import InputFileError
 from stiffopt.validation import validate
@@ -23,7 +28,7 @@ CHOSEN = Settings(cutoff=8.0, predict=(6.0, 20.0))
 
 def section() -> LeftOpenSection:
     ratio = np.array([5.0, 0.5, np.nan, 3.0])
-    return left_open(
+    return left_open_section(
         ratio, NOISE, CHOSEN, {"stribeck of joint 1": 0.01}, {"coulomb of joint 2": (-0.3,)}
     )
 
@@ -31,30 +36,30 @@ def section() -> LeftOpenSection:
 def test_what_is_left_comes_back_as_factors_of_at_least_one():
     np.testing.assert_allclose(section().torque, [0.5, 0.1])
     np.testing.assert_allclose(section().link_position, [0.0, 3e-5])
-    np.testing.assert_allclose(least_factors(section(), NOISE), [5.0, 1.0, np.nan, 3.0])
-    assert least_factors(None, NOISE) is None
+    np.testing.assert_allclose(noise_factors(section(), NOISE), [5.0, 1.0, np.nan, 3.0])
+    assert noise_factors(None, NOISE) is None
 
 
 def test_what_is_left_in_the_band_is_noise_of_more_at_a_faster_clock():
     own = section()
     # A file that tells no clock is of the one that it is compared at.
-    known = at_rate(own, 100.0)
+    known = rescale_to_rate(own, 100.0)
     assert known.torque == own.torque
-    faster = at_rate(known, 900.0)
+    faster = rescale_to_rate(known, 900.0)
     np.testing.assert_allclose(faster.torque, np.multiply(3.0, own.torque))
     np.testing.assert_allclose(faster.link_position, np.multiply(3.0, own.link_position))
-    np.testing.assert_allclose(at_rate(faster, 100.0).torque, own.torque)
+    np.testing.assert_allclose(rescale_to_rate(faster, 100.0).torque, own.torque)
     # As large in the band: the filter leaves the root of cutoff over clock of white noise.
     gains = [ZeroPhaseFilter(rate, 8.0).noise_gain for rate in (100.0, 900.0)]
     np.testing.assert_allclose(gains[0] * own.torque[0], gains[1] * faster.torque[0], rtol=0.01)
 
 
 def test_bands_of_the_model_are_taken_unless_others_are_asked_for():
-    assert with_bands(Settings(), section()) == CHOSEN
-    assert with_bands(Settings(cutoff=5.0), section()).cutoff == 5.0
+    assert adopt_bands(Settings(), section()) == CHOSEN
+    assert adopt_bands(Settings(cutoff=5.0), section()).cutoff == 5.0
     # Where links swing no bands are chosen, and none are taken over.
     unchosen = section().model_copy(update={"predict": None})
-    assert with_bands(Settings(), unchosen) == Settings()
+    assert adopt_bands(Settings(), unchosen) == Settings()
 
 
 def test_the_section_is_read_as_it_is_written():
@@ -97,7 +102,7 @@ def test_bodies_change_by_more_than_what_nobody_has_weighed_is_off(name):
         masses = np.array([10.0, 5.0])
 
     (usual,) = [each for each in CATALOGUE if each.name == name]
-    (wide,) = of_changes([usual])
+    (wide,) = widen_for_changes([usual])
     times = [
         new.size(Arm()) / old.size(Arm())
         for old, new in zip(usual.amplitudes, wide.amplitudes, strict=True)
@@ -113,6 +118,6 @@ def test_what_a_drive_reads_wrongly_since_is_more_than_it_is_off_as_it_was_built
         torque_rated = 17.8
 
     (usual,) = [each for each in CATALOGUE if each.name == name]
-    (wide,) = of_changes([usual])
+    (wide,) = widen_for_changes([usual])
     most = [each.upper * each.size(Joint()) for each in wide.amplitudes]
     assert all(0.5 * Joint.torque_rated < each < 1.5 * Joint.torque_rated for each in most)

@@ -10,7 +10,7 @@ from own_machines import GANTRY, SCARA, Log
 from test_sanity_gate import doubted
 
 from stiffopt.discovery.diagnose import diagnose
-from stiffopt.discovery.sanity.odd_runs import _odd
+from stiffopt.discovery.sanity.gate import _is_odd
 from stiffopt.report.diagnosis.terminal import fault_lines
 from stiffopt.report.diagnosis.words import headline, joints_without_torque, unexplained_sentence
 
@@ -98,8 +98,8 @@ def test_a_gap_is_no_other_arm(change, tmp_path: Path) -> None:
 
 def test_a_run_is_not_odd_where_the_model_fails_in_all_runs() -> None:
     far = np.array([2400.0])
-    assert _odd(far, np.array([0.01])).all()
-    assert not _odd(far, np.array([200.0])).any()
+    assert _is_odd(far, np.array([0.01])).all()
+    assert not _is_odd(far, np.array([200.0])).any()
 
 
 def test_a_torque_that_is_never_seen_is_not_called_explained(tmp_path: Path) -> None:

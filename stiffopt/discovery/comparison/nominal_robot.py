@@ -14,7 +14,7 @@ from stiffopt.discovery.comparison.signals import (
     RobotSignals,
     smooth_sign,
 )
-from stiffopt.discovery.settings import filled
+from stiffopt.discovery.settings import fill_missing
 from stiffopt.recording.recording_set import RecordingSet
 from stiffopt.recording.run import RecordedRun
 from stiffopt.robot import native_bodies
@@ -60,9 +60,9 @@ class RobotModel:
         nominal, connections = self.recordings.nominal, self.recordings.nominal.connections
         torque_max = self.arm.torque_max[self.order]
         torque_max = np.where((torque_max > 0.0) & np.isfinite(torque_max), torque_max, np.nan)
-        rated = filled(nominal.torque_rated, torque_max / 3.0)
-        ratio = filled(nominal.gear_ratio, np.ones(self.n))
-        damping = filled(nominal.joint_damping, np.zeros(self.n))
+        rated = fill_missing(nominal.torque_rated, torque_max / 3.0)
+        ratio = fill_missing(nominal.gear_ratio, np.ones(self.n))
+        damping = fill_missing(nominal.joint_damping, np.zeros(self.n))
         joints = tuple(
             JointConstants(
                 joint=j + 1,

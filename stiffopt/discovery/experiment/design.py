@@ -10,11 +10,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
-from stiffopt.discovery.experiment.collocation import improved
+from stiffopt.discovery.experiment.collocation import improve_motion
 from stiffopt.discovery.experiment.motion import (
-    USED,
+    LIMIT_USE,
     MotionLimits,
-    limits_of,
+    motion_limits,
     prepared_motion,
     random_motion,
     repeated_motion,
@@ -29,14 +29,14 @@ from stiffopt.result.trajectory import Trajectory
 Say = Callable[[str], object]
 
 EXPERIMENT_FILE = "next_experiment.csv"
-_LONGEST = 10.0  # [s], of a designed motion
-_RATE = 100.0  # [Hz], of the exported motion
-_MOTIONS = 24
+_MAX_DURATION = 10.0  # [s], of a designed motion
+_EXPORT_RATE = 100.0  # [Hz], of the exported motion
+_RANDOM_MOTIONS = 24
 # Of separation, below which collocation is not repeated.
-_GAIN = 0.02
+_MIN_RELATIVE_GAIN = 0.02
 # Least separation that is worth a recording [sigma].
-_TELLING = 1.0
-_SEED = 1
+_MIN_SEPARATION = 1.0
+_RANDOM_SEED = 1
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -81,7 +81,9 @@ class ExperimentPlan:
 
     def csv(self) -> str:
         """Columns t, q1.., qd1.., SI, 100 a second."""
-        times = np.append(np.arange(0.0, self.motion.duration, 1.0 / _RATE), self.motion.duration)
+        times = np.append(
+            np.arange(0.0, self.motion.duration, 1.0 / _EXPORT_RATE), self.motion.duration
+        )
         n = len(self.joints)
         names = ["t", *(f"q{j + 1}" for j in range(n)), *(f"qd{j + 1}" for j in range(n))]
         table = np.column_stack([times, self.motion(times), self.motion(times, 1)])
@@ -141,9 +143,9 @@ def plan_experiment(
     say(f"design the motion that separates {first.label} from {second.label}")
     others = tuple(e for e in result.effects if e.key not in (first.key, second.key))
     separation = Separation(result.comparison, first, second, others)
-    limits = limits_of(training)
+    limits = motion_limits(training)
     durations = [float(run.time[-1] - run.time[0]) for run in training.runs]
-    duration = min(_LONGEST, float(np.median(durations)))
+    duration = min(_MAX_DURATION, float(np.median(durations)))
     step = float(np.median([run.signals.dt for run in training.runs]))
     known = [
         (separation.of(run) * float(np.sqrt(duration / own)), run.name)
@@ -163,8 +165,10 @@ def plan_experiment(
         passed, worked = time.perf_counter() - began, time.process_time() - begin
         return own * max(1.0, passed / max(worked, 1e-3))
 
-    best, value = _searched(training, limits, duration, rated, lambda: left() > 0.6 * seconds)
-    method = f"best of {_MOTIONS} Fourier motions"
+    best, value = _search_random_motions(
+        training, limits, duration, rated, lambda: left() > 0.6 * seconds
+    )
+    method = f"best of {_RANDOM_MOTIONS} Fourier motions"
     # A recorded motion may be the better one to start from.
     best_run = next(run for run in training.runs if run.name == name)
     starts = [repeated_motion(best_run, duration), *([] if best is None else [best])]
@@ -174,25 +178,25 @@ def plan_experiment(
         motion, worth = start, 0.0
         while left() > 1.0:
             share = 0.5 if k + 1 < len(starts) else 0.8
-            better = improved(
+            better = improve_motion(
                 separation,
                 prepared_motion(training, training.constants, motion, settings),
                 motion,
                 limits,
                 seconds=on_the_clock(share * left()),
             )
-            if better is None or limits.excess(training.robot, better) > 1.0 / USED:
+            if better is None or limits.excess(training.robot, better) > 1.0 / LIMIT_USE:
                 break
             reached = rated(better)
             if reached > value:
                 best, value, method = better, reached, "by direct collocation"
-            if reached <= worth * (1.0 + _GAIN):
+            if reached <= worth * (1.0 + _MIN_RELATIVE_GAIN):
                 break
             motion, worth = better, reached
     if best is None:
         return None
     # Less than one standard deviation tells nothing apart, however little other runs tell.
-    if value <= reference or value < _TELLING:
+    if value <= reference or value < _MIN_SEPARATION:
         return None
     return ExperimentPlan(
         joints=training.robot.recordings.joints,
@@ -206,7 +210,7 @@ def plan_experiment(
     )
 
 
-def _searched(
+def _search_random_motions(
     training: Training,
     limits: MotionLimits,
     duration: float,
@@ -214,9 +218,9 @@ def _searched(
     more: Callable[[], bool],
 ) -> tuple[Trajectory | None, float]:
     """The best of some motions of the family."""
-    random = np.random.default_rng(_SEED)
+    random = np.random.default_rng(_RANDOM_SEED)
     best, value = None, 0.0
-    for _ in range(_MOTIONS):
+    for _ in range(_RANDOM_MOTIONS):
         motion = random_motion(limits, training.robot, duration, random)
         if motion is not None:
             reached = rated(motion)

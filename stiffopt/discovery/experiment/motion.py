@@ -15,15 +15,15 @@ from stiffopt.recording.run import RecordedRun
 from stiffopt.result.trajectory import Trajectory
 
 # Of the limits that a design uses, so that it keeps them between its nodes and on the real arm.
-USED = 0.95
+LIMIT_USE = 0.95
 # How far beyond the angles met a joint may go, as a share of that range.
-_BEYOND = 0.25
-_HARMONICS = 4
-_KNOT = 0.1  # [s]
+_RANGE_EXTENSION = 0.25
+_HARMONIC_COUNT = 4
+_KNOT_SPACING = 0.1  # [s]
 # Share of the duration in which a motion starts from rest, and comes to it.
-_RAMP = 0.12
-_SHRINK = 0.8
-_SAMPLE = 0.01  # [s]
+_RAMP_SHARE = 0.12
+_SHRINK_FACTOR = 0.8
+_SAMPLE_TIME = 0.01  # [s]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -46,7 +46,7 @@ class MotionLimits:
 
     def excess(self, robot: RobotModel, motion: Trajectory) -> float:
         """Largest use of a limit along a motion, over the limit; 1 is just kept."""
-        times = motion.sample(_SAMPLE)
+        times = motion.sample(_SAMPLE_TIME)
         q, v, a = (motion(times, order) for order in range(3))
         middle, half = 0.5 * (self.lower + self.upper), 0.5 * (self.upper - self.lower)
         torque = robot.rotor_inertia * a + robot.spring_torque(q, v, a) + robot.friction(v)
@@ -59,16 +59,16 @@ class MotionLimits:
         return float(max(u.max() for u in used))
 
 
-def limits_of(training: Training) -> MotionLimits:
+def motion_limits(training: Training) -> MotionLimits:
     """Limits of the arm; where it states none, what the training runs went to."""
     robot, constants = training.robot, training.constants
     arm, order = robot.arm, robot.order
     met = np.array([j.stroke for j in constants.joints])
-    wider = _BEYOND * (met[:, 1] - met[:, 0]) + 0.05
+    wider = _RANGE_EXTENSION * (met[:, 1] - met[:, 0]) + 0.05
     # Farther than recordings went nobody knows what stands in the way.
     lower = np.maximum(arm.position_lower[order], met[:, 0] - wider)
     upper = np.minimum(arm.position_upper[order], met[:, 1] + wider)
-    middle, half = 0.5 * (lower + upper), 0.5 * USED * (upper - lower)
+    middle, half = 0.5 * (lower + upper), 0.5 * LIMIT_USE * (upper - lower)
     own = arm.velocity_max[order]
     fastest = np.array([j.fastest for j in constants.joints])
     velocity = np.where((own > 0.0) & np.isfinite(own), own, fastest)
@@ -78,9 +78,9 @@ def limits_of(training: Training) -> MotionLimits:
     return MotionLimits(
         lower=middle - half,
         upper=middle + half,
-        velocity=USED * velocity,
-        acceleration=USED * np.maximum(hardest, 1e-3),
-        torque=USED * np.array([j.torque_max for j in constants.joints]),
+        velocity=LIMIT_USE * velocity,
+        acceleration=LIMIT_USE * np.maximum(hardest, 1e-3),
+        torque=LIMIT_USE * np.array([j.torque_max for j in constants.joints]),
     )
 
 
@@ -97,14 +97,14 @@ def random_motion(
     from scipy.interpolate import CubicSpline
 
     n = robot.n
-    knots = np.linspace(0.0, duration, int(np.ceil(duration / _KNOT)) + 1)
+    knots = np.linspace(0.0, duration, int(np.ceil(duration / _KNOT_SPACING)) + 1)
     # From once in the whole motion up to often: what separates may be slow or fast.
     slowest = np.exp(random.uniform(np.log(1.0 / duration), np.log(0.6), size=n))
-    order = np.arange(1, _HARMONICS + 1)
-    weights = random.normal(size=(n, _HARMONICS, 2)) / order[:, None]
+    order = np.arange(1, _HARMONIC_COUNT + 1)
+    weights = random.normal(size=(n, _HARMONIC_COUNT, 2)) / order[:, None]
     phase = 2.0 * np.pi * slowest[:, None, None] * order[:, None] * knots
     wave = (weights[..., :1] * np.sin(phase) + weights[..., 1:] * np.cos(phase)).sum(axis=1).T
-    ramp = np.clip(np.minimum(knots, duration - knots) / (_RAMP * duration), 0.0, 1.0)
+    ramp = np.clip(np.minimum(knots, duration - knots) / (_RAMP_SHARE * duration), 0.0, 1.0)
     wave *= (ramp**3 * (10.0 - 15.0 * ramp + 6.0 * ramp**2))[:, None]
     wave /= np.maximum(np.abs(wave).max(axis=0), 1e-9)
     half = 0.5 * (limits.upper - limits.lower)
@@ -112,7 +112,7 @@ def random_motion(
     room = half - size
     centre = 0.5 * (limits.lower + limits.upper) + room * random.uniform(-0.9, 0.9, size=n)
     spline = CubicSpline(knots, wave, bc_type="clamped")
-    fine = np.arange(0.0, duration, _SAMPLE)
+    fine = np.arange(0.0, duration, _SAMPLE_TIME)
     size = np.minimum(size, 0.99 * limits.velocity / np.abs(spline(fine, 1)).max(axis=0))
     size = np.minimum(size, 0.99 * limits.acceleration / np.abs(spline(knots, 2)).max(axis=0))
     for _ in range(12):
@@ -121,7 +121,7 @@ def random_motion(
         )
         if limits.excess(robot, motion) <= 1.0:
             return motion
-        size = _SHRINK * size
+        size = _SHRINK_FACTOR * size
     return None
 
 
@@ -130,7 +130,7 @@ def repeated_motion(run: PreparedRun, duration: float) -> Trajectory:
     from scipy.interpolate import CubicSpline
 
     signals = run.signals
-    knots = np.linspace(0.0, duration, int(np.ceil(duration / _KNOT)) + 1)
+    knots = np.linspace(0.0, duration, int(np.ceil(duration / _KNOT_SPACING)) + 1)
     places = np.clip(np.rint(knots / signals.dt).astype(int), 0, len(run.time) - 1)
     spline = CubicSpline(knots, signals.motor_position[places], bc_type="clamped")
     return Trajectory.piecewise_linear_acceleration(
@@ -142,7 +142,7 @@ def prepared_motion(
     training: Training, constants: RobotConstants, motion: Trajectory, settings: Settings
 ) -> PreparedRun:
     """A motion as a run of which every channel of the training runs would be recorded."""
-    times = np.arange(0.0, motion.duration, _SAMPLE)
+    times = np.arange(0.0, motion.duration, _SAMPLE_TIME)
     position = motion(times)
     like = training.recorded[0]
     has_torque = np.any([np.isfinite(r.torque).any(axis=0) for r in training.recorded], axis=0)

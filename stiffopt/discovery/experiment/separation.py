@@ -74,17 +74,17 @@ class Separation:
         step : float, optional
             Of the samples that would be recorded [s]; default: those of the run.
         """
-        here = self._along(run, step)
-        parts = [self._columns(here, each) for each in (self.first, self.second)]
+        here = self._compare_along(run, step)
+        parts = [self._parameter_columns(here, each) for each in (self.first, self.second)]
         means = [each.fit.posterior.mean for each in (self.first, self.second)]
         difference = parts[0] @ means[0] - parts[1] @ means[1]
         left = [
-            _not_absorbed(difference, columns, each.fit.posterior.covariance)
+            _unabsorbed_square(difference, columns, each.fit.posterior.covariance)
             for columns, each in zip(parts, (self.first, self.second), strict=True)
         ]
         return float(np.sqrt(max(min(left), 0.0)))
 
-    def _along(self, run: PreparedRun, step: float | None) -> Comparison:
+    def _compare_along(self, run: PreparedRun, step: float | None) -> Comparison:
         base = self.comparison
         # More samples of the same motion: the noise that passes the filter falls.
         finer = 1.0 if step is None else float(np.sqrt(step / run.signals.dt))
@@ -98,7 +98,7 @@ class Separation:
             inflation=base.inflation,
         )
 
-    def _columns(self, here: Comparison, each: _Explanation) -> np.ndarray:
+    def _parameter_columns(self, here: Comparison, each: _Explanation) -> np.ndarray:
         names, _, matrix = here.nuisance
         own = dict(zip(names, matrix.T, strict=True))
         nothing = np.zeros(here.rows.size)
@@ -108,7 +108,7 @@ class Separation:
         return np.column_stack([*nuisance, *effects])
 
 
-def _not_absorbed(difference: np.ndarray, columns: np.ndarray, spread: np.ndarray) -> float:
+def _unabsorbed_square(difference: np.ndarray, columns: np.ndarray, spread: np.ndarray) -> float:
     """Chi-square of a difference that parameters with this covariance cannot follow."""
     root = np.linalg.cholesky(spread + 1e-14 * np.diag(np.diag(spread)))
     reach = columns @ root

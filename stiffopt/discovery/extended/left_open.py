@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from stiffopt.recording.nominal import Tolerance
 
 
-def left_open(
+def left_open_section(
     ratio: np.ndarray,
     noise: ChannelNoise,
     settings: Settings,
@@ -65,7 +65,7 @@ def left_open(
     )
 
 
-def at_rate(section: LeftOpenSection, rate: float) -> LeftOpenSection:
+def rescale_to_rate(section: LeftOpenSection, rate: float) -> LeftOpenSection:
     """The section as noise of samples at another clock [Hz].
 
     What is left within a band is as large however often it is sampled: of white noise it would be
@@ -80,7 +80,7 @@ def at_rate(section: LeftOpenSection, rate: float) -> LeftOpenSection:
     return section.model_copy(update=changed)
 
 
-def least_factors(section: LeftOpenSection | None, noise: ChannelNoise) -> np.ndarray | None:
+def noise_factors(section: LeftOpenSection | None, noise: ChannelNoise) -> np.ndarray | None:
     """Factors (2 n,) on the noise of every channel that make it what a model left open.
 
     nan where the model's own recordings show nothing of a channel, as of a joint that stood still.
@@ -92,14 +92,14 @@ def least_factors(section: LeftOpenSection | None, noise: ChannelNoise) -> np.nd
     return np.where(left > 0.0, np.maximum(1.0, np.nan_to_num(left / known)), np.nan)
 
 
-def with_bands(settings: Settings, section: LeftOpenSection | None) -> Settings:
+def adopt_bands(settings: Settings, section: LeftOpenSection | None) -> Settings:
     """Settings with the bands of a model, where they state none and the model chose some."""
     if section is None or section.predict is None or settings.cutoff is not None:
         return settings
     return replace(settings, cutoff=section.cutoff, predict=section.predict)
 
 
-def assumed(
+def describe_assumptions(
     section: LeftOpenSection | None,
     least: np.ndarray | None,
     noise: ChannelNoise,
@@ -138,7 +138,7 @@ def assumed(
             )
             if each:
                 found.append(f"What the model left open of {name} counts as noise (joint {each}).")
-    taken = with_bands(asked, section)
+    taken = adopt_bands(asked, section)
     if taken is not asked and taken.predict is not None:
         each = ", ".join(f"{j}: {band:g}" for j, band in enumerate(taken.predict, start=1))
         found.append(

@@ -1,43 +1,4 @@
-"""extended.toml: the nominal model of a recording set with what a diagnosis found.
-
-.. code-block:: toml
-
-    schema = 1
-    kind = "extended"
-    name = "cell_3"                  # of the recording set
-    joints = ["joint1", "joint2"]
-    links = ["link1", "link2"]       # behind each joint
-
-    [nominal]                        # as in recordings.toml, unchanged
-
-    [scales]                         # what the terms of effects are measured against, a number
-    torque_rated = [67.0, 40.0]      # a joint: torques [N m] and the fastest speed met [rad/s]
-    torque_max = [201.0, 120.0]
-    fastest = [1.9, 2.4]
-
-    [calibration]                    # nominal values moved within their tolerances: relative, or
-    "coulomb 2" = 0.012              # [m] for "com", [rad] for "encoder_zero"
-
-    [left_open]                      # of its own recordings: counts as noise where it is started
-    cutoff = 12.0                    # from; bands [Hz]
-    predict = [20.0, 20.0]
-    torque = [0.31, 0.12]            # one standard deviation, as unfiltered noise [N m], [rad]
-    link_position = [0.0, 0.0]
-
-    [[effect]]
-    name = "coulomb"                 # of the catalogue or of a user's file
-    joint = 2                        # from 1; left out where it is the whole robot
-    link = "link3"                   # of inertial_error
-    run = "train_2"                  # of encoder_zero_change
-    [effect.term]                    # amplitudes and shapes that the term is evaluated with
-    dFc = 1.31
-    [effect.parameters]              # what the catalogue reports of them; must agree with them
-    dFc = { value = 1.31, sd = 0.04, unit = "N m" }
-
-Numbers are SI at the output side. `stiffopt diagnose --model extended.toml` starts from this model
-in place of the nominal one. A planner finds friction, stiffness, payload and preload in the
-parameters, by the names of the catalogue.
-"""
+"""Which robot an extended model was made for, by numbers that a name cannot pretend."""
 
 from __future__ import annotations
 
@@ -56,7 +17,6 @@ from stiffopt.discovery.comparison.extension import EstimatedEffect, Extension
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.comparison.signals import RobotConstants
 from stiffopt.discovery.effect import Effect
-from stiffopt.discovery.extended.made_for import require_same_robot
 from stiffopt.discovery.extended.schema import (
     EffectSection,
     ExtendedFile,
@@ -69,9 +29,92 @@ from stiffopt.files import read_document
 from stiffopt.recording.nominal_files import as_chains, check_nominal
 from stiffopt.recording.recording_set import RecordingSet
 from stiffopt.recording.schema import NominalSection
+from stiffopt.robot.robot import Robot
+
+# Lengths of the same arm agree within this [m], and masses within this share: descriptions of one
+# arm differ by rounding and by what is counted to which link.
+_LENGTH_TOLERANCE, _MASS_TOLERANCE = 5e-3, 0.3
+
+
+def robot_signature(robot: Robot, order: Sequence[int] | np.ndarray) -> MadeForSection:
+    """Name, lengths and masses of a robot's joints in this order (indices from 0)."""
+    bodies = [robot.tree.bodies[int(j)] for j in order]
+    return MadeForSection(
+        name=robot.name,
+        lengths=tuple(float(np.linalg.norm(body.translation)) for body in bodies),
+        masses=tuple(float(body.mass) for body in bodies),
+    )
+
+
+def require_same_robot(
+    section: MadeForSection | None,
+    source: str,
+    joints: Sequence[str],
+    robot: Robot,
+    place: Sequence[int] | np.ndarray,
+) -> None:
+    """Raise `InputFileError` where an extended model is of another robot.
+
+    Parameters
+    ----------
+    section : MadeForSection or None
+        None in files that do not say; their joints must then be the robot's by name.
+    source : str
+        Of the file, for messages.
+    joints : sequence of str
+        Of the model.
+    robot : Robot
+    place : sequence of int
+        Index of each joint of the model among those of the robot.
+    """
+    same_names = set(joints) <= set(robot.joint_names)
+    if section is None:
+        if not same_names:
+            raise InputFileError(
+                source,
+                "joints",
+                f"this model is of {', '.join(joints)}, the robot {robot.name} has"
+                f" {', '.join(robot.joint_names)}. Give the model of the same robot.",
+            )
+        return
+    if len(joints) < robot.n:
+        # Joints that were held belong to other bodies here: only the names can be compared.
+        return
+    own = robot_signature(robot, place)
+    wrong = _describe_difference(section, own)
+    if wrong:
+        raise InputFileError(
+            source,
+            "robot",
+            f"this model was made for the robot {section.name} ({', '.join(joints)}), not for"
+            f" {robot.name}: {wrong}. Diagnose recordings of {robot.name}, or solve with the robot"
+            " of the model.",
+        )
+
+
+def _describe_difference(stated: MadeForSection, own: MadeForSection) -> str:
+    if len(stated.lengths) != len(own.lengths) or len(stated.masses) != len(own.masses):
+        return f"it has {len(own.masses)} joints, the model {len(stated.masses)}"
+    # The first length is where the base stands, the last mass has the payload in it.
+    for j in range(1, len(own.lengths)):
+        if abs(stated.lengths[j] - own.lengths[j]) > _LENGTH_TOLERANCE:
+            return (
+                f"joint {j + 1} lies {own.lengths[j]:.4g} m from the joint before, in the model"
+                f" {stated.lengths[j]:.4g} m"
+            )
+    for j in range(len(own.masses) - 1):
+        if abs(stated.masses[j] - own.masses[j]) > _MASS_TOLERANCE * max(
+            stated.masses[j], own.masses[j]
+        ):
+            return (
+                f"the body behind joint {j + 1} has {own.masses[j]:.4g} kg, in the model"
+                f" {stated.masses[j]:.4g} kg"
+            )
+    return ""
+
 
 # Relative difference up to which reported values agree with the terms they come from.
-_AGREE = 1e-6
+_PARAMETER_TOLERANCE = 1e-6
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -170,12 +213,12 @@ def load_extended(path: str | os.PathLike[str], effects: Sequence[Effect] = ()) 
     n = len(document.joints)
     check_nominal(document.nominal, document.joints, Path(path))
     scales = {
-        name: _per_joint(values, n, path, f"scales.{name}")
+        name: _check_length(values, n, path, f"scales.{name}")
         for name, values in document.scales.model_dump().items()
     }
     known = {entry.name: entry for entry in (*CATALOGUE, *effects)}
     read = [
-        _effect(section, known, document, path, f"effect[{number}]")
+        _read_effect(section, known, document, path, f"effect[{number}]")
         for number, section in enumerate(document.effect, start=1)
     ]
     return ExtendedModel(
@@ -195,7 +238,7 @@ def load_extended(path: str | os.PathLike[str], effects: Sequence[Effect] = ()) 
             {name: entry.sd for name, entry in section.parameters.items() if entry.sd is not None}
             for section in document.effect
         ),
-        left_open=_left_open(document.left_open, n, path),
+        left_open=_check_left_open(document.left_open, n, path),
     )
 
 
@@ -214,7 +257,7 @@ def check_extended(model: ExtendedModel, constants: RobotConstants) -> None:
                     f"effect[{number}].parameters.{name}",
                     f"{located.effect.name} has no such parameter. {nearest(name, own)}",
                 )
-            if not np.isclose(value, own[name], rtol=_AGREE, atol=0.0):
+            if not np.isclose(value, own[name], rtol=_PARAMETER_TOLERANCE, atol=0.0):
                 raise InputFileError(
                     model.source,
                     f"effect[{number}].parameters.{name}",
@@ -223,21 +266,23 @@ def check_extended(model: ExtendedModel, constants: RobotConstants) -> None:
                 )
 
 
-def _per_joint(values: Sequence[float], n: int, path: object, where: str) -> tuple[float, ...]:
+def _check_length(values: Sequence[float], n: int, path: object, where: str) -> tuple[float, ...]:
     if len(values) != n:
         raise InputFileError(path, where, f"needs one number a joint ({n}), got {len(values)}.")
     return tuple(values)
 
 
-def _left_open(section: LeftOpenSection | None, n: int, path: object) -> LeftOpenSection | None:
+def _check_left_open(
+    section: LeftOpenSection | None, n: int, path: object
+) -> LeftOpenSection | None:
     for name in ("predict", "torque", "link_position"):
         values = None if section is None else getattr(section, name)
         if values is not None:
-            _per_joint(values, n, path, f"left_open.{name}")
+            _check_length(values, n, path, f"left_open.{name}")
     return section
 
 
-def _effect(
+def _read_effect(
     section: EffectSection,
     known: dict[str, Effect],
     document: ExtendedFile,
@@ -252,7 +297,7 @@ def _effect(
             f"no effect {section.name!r}. {nearest(section.name, known)} An effect of your own"
             " needs its file beside.",
         )
-    place = _place(section, effect, document, path, where)
+    place = _read_place(section, effect, document, path, where)
     if effect.of_runs is not None:
         # Runs of another set that have the same names are others.
         runs = [name.removeprefix(OF_RUN) for name in section.term if name.startswith(OF_RUN)]
@@ -279,7 +324,7 @@ def _effect(
     )
 
 
-def _place(
+def _read_place(
     section: EffectSection, effect: Effect, document: ExtendedFile, path: object, where: str
 ) -> dict[str, Any]:
     needed = {"joint": ("joint",), "robot": (), "link": ("link",), "run": ("joint", "run")}

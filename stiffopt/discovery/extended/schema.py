@@ -18,8 +18,8 @@ from stiffopt.recording.schema import (
 from stiffopt.validation import Section
 
 # Far above the bands that motions of arms have, and amplitudes over their scales.
-_BAND = Bounds(above=0.0, most=1e4)
-_STEP = Bounds(least=-1e6, most=1e6)
+_BAND_BOUNDS = Bounds(above=0.0, most=1e4)
+_STEP_BOUNDS = Bounds(least=-1e6, most=1e6)
 
 
 class ParameterSection(Section):
@@ -40,7 +40,7 @@ class EffectSection(Section):
     probability: Annotated[Ratio | None, Doc("Of the effect against its rivals.")] = None
     step: Annotated[
         Ratio,
-        _STEP,
+        _STEP_BOUNDS,
         Doc("Of the first amplitude, from what the fit found to what all moving samples say."),
     ] = 0.0
     term: Annotated[
@@ -80,9 +80,9 @@ class MadeForSection(Section):
 class LeftOpenSection(Section):
     """What the model leaves of the recordings that it was fitted to."""
 
-    cutoff: Annotated[Frequency, _BAND, Doc("Of the filter that it was fitted through.")]
+    cutoff: Annotated[Frequency, _BAND_BOUNDS, Doc("Of the filter that it was fitted through.")]
     predict: Annotated[
-        tuple[Annotated[Frequency, _BAND], ...] | None,
+        tuple[Annotated[Frequency, _BAND_BOUNDS], ...] | None,
         Doc("Of the motion that the torque of each joint is predicted from."),
     ] = None
     torque: Annotated[

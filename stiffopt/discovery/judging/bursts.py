@@ -27,15 +27,15 @@ from stiffopt.recording.channel import MAD
 from stiffopt.recording.run import RecordedRun
 
 # Share of the samples that bursts are sought in.
-_SHARE = 0.1
+_BURST_SAMPLE_SHARE = 0.1
 # Share of bursts that link encoders show as well, from which on no drive made them.
-_SWUNG = 0.5
+_MAX_LINK_SHARE = 0.5
 # Residual over its usual size beyond which a sample counts less, and rounds of weighing.
-_FAR, _WEIGHINGS = 3.0, 4
+_OUTLIER_RATIO, _REWEIGHTING_STEPS = 3.0, 4
 
 
 @dataclass(frozen=True)
-class _Channel:
+class _JointChannel:
     """Samples of one joint in motion: residual over noise, and what bursts may follow.
 
     `swung` is the residual that the link's own encoder lets expect, over the same noise.
@@ -56,7 +56,7 @@ class _Channel:
         return float(np.sqrt(np.mean(self.residual**2))) / max(self.usual, 1e-12)
 
 
-def bursts(training: Training, extensions: Sequence[Extension]) -> Unexplained | None:
+def find_bursts(training: Training, extensions: Sequence[Extension]) -> Unexplained | None:
     """Joint whose torque has bursts that the model does not predict.
 
     Parameters
@@ -71,7 +71,7 @@ def bursts(training: Training, extensions: Sequence[Extension]) -> Unexplained |
         None without bursts, and where the links' swing cannot be predicted. `ratio` is that of the
         samples with bursts, `gain` the share of all that remains that lies in them.
     """
-    parts: list[list[_Channel]] = [[] for _ in range(training.robot.n)]
+    parts: list[list[_JointChannel]] = [[] for _ in range(training.robot.n)]
     noise = training.noise.channels.torque
     if training.least is not None:
         # What the model that is started from left of its own recordings is nothing new.
@@ -83,25 +83,27 @@ def bursts(training: Training, extensions: Sequence[Extension]) -> Unexplained |
         drive = predicted.signals.drive_torque
         kept_noise = noise * run.followed.noise_gain
         left = (run.followed(whole(run.torque)) - drive) / kept_noise
-        swung = _swung(predicted) / kept_noise
+        swung = _link_residual_torque(predicted) / kept_noise
         rate = derivative(drive, run.signals.dt)
-        used = run.moving & _known(recorded, run)
-        left -= _begun_with(run, left, used, kept_noise)
+        used = run.moving & _usable_samples(recorded, run)
+        left -= _fit_initial_vibration(run, left, used, kept_noise)
         for j, own in enumerate(parts):
             kept = used[:, j]
             followed = {
                 f"torque_{j + 1}": np.abs(drive[kept, j]),
                 f"dtorque_{j + 1}": np.abs(rate[kept, j]),
             }
-            own.append(_Channel(left[kept, j], swung[kept, j], followed))
-    channels = [_joined(own) for own in parts]
+            own.append(_JointChannel(left[kept, j], swung[kept, j], followed))
+    channels = [_concatenate_channels(own) for own in parts]
     ratios = [c.bursting if c.residual.size else 0.0 for c in channels]
     worst = int(np.argmax(ratios))
     if ratios[worst] < BURSTING_RATIO:
         return None
-    held = {name: _held(channels[worst], size) for name, size in channels[worst].followed.items()}
+    held = {
+        name: _burst_share(channels[worst], size) for name, size in channels[worst].followed.items()
+    }
     name = max(held, key=lambda each: held[each][0])
-    if held[name][1] < BURST_RATIO or _of_links(channels[worst], name) > _SWUNG:
+    if held[name][1] < BURST_RATIO or _link_share(channels[worst], name) > _MAX_LINK_SHARE:
         return None
     return Unexplained(
         channels=(f"torque_{worst + 1}",),
@@ -113,7 +115,7 @@ def bursts(training: Training, extensions: Sequence[Extension]) -> Unexplained |
     )
 
 
-def _known(recorded: RecordedRun, run: PreparedRun) -> np.ndarray:
+def _usable_samples(recorded: RecordedRun, run: PreparedRun) -> np.ndarray:
     """Samples (K, n) that were read, away from gaps and ends, which the filter makes up in part."""
     reach, count = run.followed.settling, len(run.time)
     inside = np.zeros(count, dtype=bool)
@@ -122,7 +124,7 @@ def _known(recorded: RecordedRun, run: PreparedRun) -> np.ndarray:
     return np.asarray(inside[:, None] & np.isfinite(run.torque))
 
 
-def _swung(predicted: PreparedRun) -> np.ndarray:
+def _link_residual_torque(predicted: PreparedRun) -> np.ndarray:
     """Torque of the springs (K, n) by which links are elsewhere than predicted [N m].
 
     Zero where no encoder tells where they are.
@@ -133,15 +135,15 @@ def _swung(predicted: PreparedRun) -> np.ndarray:
     return np.asarray(np.nan_to_num(predicted.swing.stiffness * apart))
 
 
-def _of_links(channel: _Channel, name: str) -> float:
+def _link_share(channel: _JointChannel, name: str) -> float:
     """Share of the square of bursts that links which swing otherwise account for."""
-    there = _largest(channel.followed[name])
+    there = _select_largest(channel.followed[name])
     left = channel.residual[there]
     # The noise of both sensors is independent: of a drive's bursts the product is none.
     return float(left @ channel.swung[there] / max(left @ left, 1e-12))
 
 
-def _begun_with(
+def _fit_initial_vibration(
     run: PreparedRun, left: np.ndarray, used: np.ndarray, noise: np.ndarray
 ) -> np.ndarray:
     """Part of a residual (K, n) over noise (n,) that the swing may be which the run begins with."""
@@ -153,32 +155,32 @@ def _begun_with(
     columns, target = np.stack([each[used] for each in swings], axis=1), left[used]
     # Reversals and bursts lie far off and are no part of it.
     weight = np.ones(target.size)
-    for _ in range(_WEIGHINGS):
+    for _ in range(_REWEIGHTING_STEPS):
         sizes = np.linalg.lstsq(weight[:, None] * columns, weight * target)[0]
         off = np.abs(target - columns @ sizes)
-        far = _FAR * MAD * max(float(np.median(off)), 1e-12)
+        far = _OUTLIER_RATIO * MAD * max(float(np.median(off)), 1e-12)
         weight = np.minimum(1.0, far / np.maximum(off, far))
     return np.tensordot(sizes, np.stack(swings), axes=1)
 
 
-def _joined(parts: Sequence[_Channel]) -> _Channel:
+def _concatenate_channels(parts: Sequence[_JointChannel]) -> _JointChannel:
     names = parts[0].followed
-    return _Channel(
+    return _JointChannel(
         np.concatenate([p.residual for p in parts]),
         np.concatenate([p.swung for p in parts]),
         {name: np.concatenate([p.followed[name] for p in parts]) for name in names},
     )
 
 
-def _held(channel: _Channel, size: np.ndarray) -> tuple[float, float]:
+def _burst_share(channel: _JointChannel, size: np.ndarray) -> tuple[float, float]:
     """Share of the excess that lies in the largest of some sizes, and the residual there."""
     square = channel.residual**2
     usual = channel.usual**2
-    there = _largest(size)
+    there = _select_largest(size)
     share = float(np.sum(square[there] - usual)) / max(float(np.sum(square - usual)), 1e-12)
     return float(np.clip(share, 0.0, 1.0)), float(np.sqrt(np.mean(square[there])))
 
 
-def _largest(size: np.ndarray) -> np.ndarray:
+def _select_largest(size: np.ndarray) -> np.ndarray:
     """Samples that bursts are sought in."""
-    return np.asarray(size >= np.quantile(size, 1.0 - _SHARE))
+    return np.asarray(size >= np.quantile(size, 1.0 - _BURST_SAMPLE_SHARE))

@@ -19,29 +19,28 @@ from stiffopt.discovery.comparison.comparison import Comparison, Fit
 from stiffopt.discovery.comparison.prepare import PreparedRun
 from stiffopt.discovery.comparison.rows import ChannelNoise
 from stiffopt.discovery.comparison.signals import RobotConstants, RobotSignals
-from stiffopt.discovery.proof.predict import Prediction, Predictor
-from stiffopt.discovery.proof.proof import used_samples
+from stiffopt.discovery.prediction import Prediction, Predictor, used_samples
 from stiffopt.recording.channel import MAD
 from stiffopt.recording.run import RecordedRun
 
 # Rms over what is usual in a channel from which something happens there, and down to which it goes
 # on; of a moment so long [s].
-_STRONG, _FADED, _MOMENT = 5.0, 2.0, 0.3
+_ONSET_RATIO, _DECAY_RATIO, _RMS_WINDOW = 5.0, 2.0, 0.3
 # Shorter ones are bursts [s]; and a channel is understood where the rest of it is left at most so
 # many times as large as is usual there.
-_SHORTEST, _UNDERSTOOD = 0.25, 2.0
+_MIN_DURATION, _MAX_BACKGROUND_RATIO = 0.25, 2.0
 # Longest share of a run, and of all runs, in which an accident happens.
-_OF_RUN, _OF_RUNS = 0.3, 0.5
+_MAX_RUN_SHARE, _MAX_AFFECTED_RUNS = 0.3, 0.5
 # What is left out on either side [s]: filters reach over the ends.
-_MARGIN = 0.25
+_EXCLUSION_MARGIN = 0.25
 # How near a state is that counts as the same, over the ranges met; the share of an episode that
 # must have been met without it, the neighbours asked, and the share that they may explain.
-_NEAR, _MET, _NEIGHBOURS, _KNOWN = 0.25, 0.5, 5, 0.3
+_STATE_DISTANCE, _MIN_REVISITED_SHARE, _NEIGHBOUR_COUNT, _MIN_REPEATED_SHARE = 0.25, 0.5, 5, 0.3
 # A hand is slow: functions a second that follow it, and the least share that they explain. Against
 # the motion they explain less than this of what they leave along it.
-_FUNCTIONS, _SLOW, _DRAGS = 4.0, 0.5, 0.8
+_FUNCTIONS_PER_SECOND, _MIN_SLOW_SHARE, _MIN_DRAG_RATIO = 4.0, 0.5, 0.8
 # Samples a second that are looked at, at most.
-_RATE = 100.0
+_MAX_TRACK_RATE = 100.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,11 +75,11 @@ class Episode:
 
     def holds(self, time: np.ndarray) -> np.ndarray:
         """Which times of its run are left out (K,)."""
-        return (time > self.begin - _MARGIN) & (time < self.end + _MARGIN)
+        return (time > self.begin - _EXCLUSION_MARGIN) & (time < self.end + _EXCLUSION_MARGIN)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Track:
+class ResidualTrack:
     """What is left of one run.
 
     Parameters
@@ -116,7 +115,7 @@ class Track:
         """Rms about every moment over what is usual (K, 2 n); 0 where nothing is judged."""
         known = np.isfinite(self.left)
         square = np.where(known, self.left / self.usual, 0.0) ** 2
-        half = 0.5 * _MOMENT
+        half = 0.5 * _RMS_WINDOW
         first = np.searchsorted(self.time, self.time - half)
         last = np.searchsorted(self.time, self.time + half, "right")
         sums = [np.vstack([np.zeros(v.shape[1]), np.cumsum(v, axis=0)]) for v in (square, known)]
@@ -125,7 +124,7 @@ class Track:
         return np.asarray(np.sqrt(total / np.maximum(count, 3)))
 
 
-def training_tracks(comparison: Comparison, fit: Fit) -> list[Track]:
+def training_tracks(comparison: Comparison, fit: Fit) -> list[ResidualTrack]:
     """What a fit leaves of the training runs."""
     rows, n = comparison.rows, comparison.robot.n
 
@@ -142,14 +141,16 @@ def training_tracks(comparison: Comparison, fit: Fit) -> list[Track]:
         left[places[own] // run.low_pass.step, rows.channel[own]] = fit.residual[own]
         gain = run.low_pass.noise_gain
         tracks.append(
-            _track(run.name, run.role, run.time[grid], left, rows.noise, gain, run.signals, grid)
+            _build_track(
+                run.name, run.role, run.time[grid], left, rows.noise, gain, run.signals, grid
+            )
         )
     return tracks
 
 
 def held_out_track(
     run: RecordedRun, predictor: Predictor, after: Prediction, noise: ChannelNoise
-) -> Track:
+) -> ResidualTrack:
     """What predictions leave of a run."""
     places = np.searchsorted(run.stamps, run.time)
     columns = []
@@ -160,15 +161,15 @@ def held_out_track(
             measured = getattr(run, kind)[used, joint]
             own[used] = (measured - getattr(after, kind)[places[used], joint]) / scale[joint]
         columns.append(own)
-    every = max(1, round(1.0 / (_RATE * run.step)))
+    every = max(1, round(1.0 / (_MAX_TRACK_RATE * run.step)))
     time = run.time[::every]
     signals = predictor.nominal.signals
     nearest = np.clip(np.searchsorted(signals.time, time), 0, len(signals.time) - 1)
     left = np.column_stack(columns)[::every]
-    return _track(run.name, run.role, time, left, noise, 1.0, signals, nearest)
+    return _build_track(run.name, run.role, time, left, noise, 1.0, signals, nearest)
 
 
-def _track(
+def _build_track(
     run: str,
     role: str,
     time: np.ndarray,
@@ -177,7 +178,7 @@ def _track(
     gain: float,
     signals: RobotSignals,
     places: np.ndarray,
-) -> Track:
+) -> ResidualTrack:
     constants: RobotConstants = signals.constants
     joints = constants.joints
     stroke = np.array([j.stroke for j in joints])
@@ -189,7 +190,7 @@ def _track(
         2.0 * np.array([max(j.largest_torque, 1e-9) for j in joints]),
     )
     softness = np.array([float(j.compliance(0.0)) if j.elastic else np.inf for j in joints])
-    return Track(
+    return ResidualTrack(
         run=run,
         role=role,
         time=time,
@@ -200,7 +201,9 @@ def _track(
     )
 
 
-def episodes_in(tracks: Sequence[Track], others: Sequence[Track] = ()) -> tuple[Episode, ...]:
+def find_episodes(
+    tracks: Sequence[ResidualTrack], others: Sequence[ResidualTrack] = ()
+) -> tuple[Episode, ...]:
     """Times in which something touched the arm, in some runs.
 
     Parameters
@@ -218,25 +221,25 @@ def episodes_in(tracks: Sequence[Track], others: Sequence[Track] = ()) -> tuple[
     quiet = np.zeros(tracks[0].left.shape[1], dtype=bool)
     while True:
         found = [
-            _stretches(track, np.where(quiet, 0.0, strength))
+            _find_stretches(track, np.where(quiet, 0.0, strength))
             for track, strength in zip(tracks, strengths, strict=True)
         ]
-        if not any(found) or _too_often(tracks, found):
+        if not any(found) or _is_too_frequent(tracks, found):
             return ()
-        known = _Known(tracks, found, others)
+        known = _UndisturbedStates(tracks, found, others)
         wrong = quiet | ~known.understood
         for track, strength, stretches in zip(tracks, strengths, found, strict=True):
             for stretch in stretches:
-                strong = np.flatnonzero(~quiet & _strong(track, strength, stretch))
+                strong = np.flatnonzero(~quiet & _strong_channels(track, strength, stretch))
                 alone = len(strong) == 1
                 for channel in strong:
-                    if not _is_touch(track, stretch, int(channel), known, alone=alone):
+                    if not _is_contact(track, stretch, int(channel), known, alone=alone):
                         wrong[channel] = True
         if np.array_equal(wrong, quiet):
             break
         quiet = wrong
     return tuple(
-        _episode(track, np.where(quiet, 0.0, strength), stretch)
+        _build_episode(track, np.where(quiet, 0.0, strength), stretch)
         for track, strength, stretches in zip(tracks, strengths, found, strict=True)
         for stretch in stretches
     )
@@ -245,48 +248,51 @@ def episodes_in(tracks: Sequence[Track], others: Sequence[Track] = ()) -> tuple[
 Stretch = tuple[float, float]
 
 
-def _inside(track: Track, stretch: Stretch) -> np.ndarray:
+def _select_times(track: ResidualTrack, stretch: Stretch) -> np.ndarray:
     return (track.time >= stretch[0]) & (track.time <= stretch[1])
 
 
-def _strong(track: Track, strength: np.ndarray, stretch: Stretch) -> np.ndarray:
-    return np.asarray(strength[_inside(track, stretch)].max(axis=0) > _STRONG)
+def _strong_channels(track: ResidualTrack, strength: np.ndarray, stretch: Stretch) -> np.ndarray:
+    return np.asarray(strength[_select_times(track, stretch)].max(axis=0) > _ONSET_RATIO)
 
 
-def _stretches(track: Track, strength: np.ndarray) -> list[Stretch]:
+def _find_stretches(track: ResidualTrack, strength: np.ndarray) -> list[Stretch]:
     """Stretches that go on about something strong in any channel, joined where they are near."""
     going = np.zeros(len(track.time) + 2, dtype=bool)
     for channel in strength.T:
-        on = np.concatenate([[False], channel > _FADED, [False]])
+        on = np.concatenate([[False], channel > _DECAY_RATIO, [False]])
         edges = np.flatnonzero(np.diff(on.astype(int)))
         for first, last in zip(edges[::2], edges[1::2], strict=True):
-            if channel[first:last].max() > _STRONG:
+            if channel[first:last].max() > _ONSET_RATIO:
                 going[first + 1 : last + 1] = True
     edges = np.flatnonzero(np.diff(going.astype(int)))
     found: list[Stretch] = []
     for first, last in zip(edges[::2], edges[1::2], strict=True):
         begin, end = float(track.time[first]), float(track.time[last - 1])
-        if found and begin - found[-1][1] < _MOMENT:
+        if found and begin - found[-1][1] < _RMS_WINDOW:
             begin = found.pop()[0]
         found.append((begin, end))
     return found
 
 
-def _too_often(tracks: Sequence[Track], found: Sequence[list[Stretch]]) -> bool:
+def _is_too_frequent(tracks: Sequence[ResidualTrack], found: Sequence[list[Stretch]]) -> bool:
     """Whether it happens in so many runs, or for so long, that it is no accident."""
-    if sum(map(bool, found)) > max(1.0, _OF_RUNS * len(tracks)):
+    if sum(map(bool, found)) > max(1.0, _MAX_AFFECTED_RUNS * len(tracks)):
         return True
     return any(
-        sum(end - begin for begin, end in own) > _OF_RUN * float(np.ptp(track.time))
+        sum(end - begin for begin, end in own) > _MAX_RUN_SHARE * float(np.ptp(track.time))
         for track, own in zip(tracks, found, strict=True)
     )
 
 
-class _Known:
+class _UndisturbedStates:
     """What is left in states that were met apart from all stretches."""
 
     def __init__(
-        self, tracks: Sequence[Track], found: Sequence[list[Stretch]], others: Sequence[Track]
+        self,
+        tracks: Sequence[ResidualTrack],
+        found: Sequence[list[Stretch]],
+        others: Sequence[ResidualTrack],
     ) -> None:
         self._parts = [(track, np.ones(len(track.time), dtype=bool)) for track in others]
         for track, stretches in zip(tracks, found, strict=True):
@@ -304,9 +310,9 @@ class _Known:
             left = track.left[apart] / track.usual
             square = square + np.nansum(left**2, axis=0)
             count = count + np.isfinite(left).sum(axis=0)
-        return np.asarray(square <= _UNDERSTOOD**2 * np.maximum(count, 1))
+        return np.asarray(square <= _MAX_BACKGROUND_RATIO**2 * np.maximum(count, 1))
 
-    def explains(self, track: Track, inside: np.ndarray, channel: int) -> bool:
+    def explains(self, track: ResidualTrack, inside: np.ndarray, channel: int) -> bool:
         """Whether nothing is known of what is left in those states, or the same happens there."""
         joint = channel % track.velocity.shape[1]
         states, values = [], []
@@ -315,31 +321,33 @@ class _Known:
             states.append(other.state[used, joint])
             values.append(other.left[used, channel] / other.usual[channel])
         place, value = np.concatenate(states), np.concatenate(values)
-        if len(place) < _NEIGHBOURS:
+        if len(place) < _NEIGHBOUR_COUNT:
             return True
         here = track.state[inside, joint]
-        away, which = cKDTree(place).query(here, k=_NEIGHBOURS)
+        away, which = cKDTree(place).query(here, k=_NEIGHBOUR_COUNT)
         # Where no other part has gone, however near it came, a stop may stand.
         within = (here[:, 0] >= place[:, 0].min()) & (here[:, 0] <= place[:, 0].max())
-        if np.mean((away[:, 0] < _NEAR) & within) < _MET:
+        if np.mean((away[:, 0] < _STATE_DISTANCE) & within) < _MIN_REVISITED_SHARE:
             return True
         own = track.left[inside, channel] / track.usual[channel]
         beside = own - value[which].mean(axis=1)
-        return float(beside @ beside) < (1.0 - _KNOWN) * float(own @ own)
+        return float(beside @ beside) < (1.0 - _MIN_REPEATED_SHARE) * float(own @ own)
 
 
-def _is_touch(track: Track, stretch: Stretch, channel: int, known: _Known, *, alone: bool) -> bool:
+def _is_contact(
+    track: ResidualTrack, stretch: Stretch, channel: int, known: _UndisturbedStates, *, alone: bool
+) -> bool:
     """Whether a stretch is slow, not against the motion, and not of the state.
 
     A brake acts on the torque of one joint alone; there, in an arm of several, what does not turn
     round with the motion must be seen to do so.
     """
-    if stretch[1] - stretch[0] < _SHORTEST + _MOMENT:
+    if stretch[1] - stretch[0] < _MIN_DURATION + _RMS_WINDOW:
         return False
-    inside = _inside(track, stretch) & np.isfinite(track.left[:, channel])
+    inside = _select_times(track, stretch) & np.isfinite(track.left[:, channel])
     left, time = track.left[inside, channel], track.time[inside]
     n = track.velocity.shape[1]
-    count = int(np.clip(_FUNCTIONS * (stretch[1] - stretch[0]), 2, len(left) // 3))
+    count = int(np.clip(_FUNCTIONS_PER_SECOND * (stretch[1] - stretch[0]), 2, len(left) // 3))
     phase = (time - stretch[0]) / max(stretch[1] - stretch[0], 1e-9)
     slow = np.cos(np.pi * np.outer(phase, np.arange(count + 1)))
 
@@ -347,20 +355,20 @@ def _is_touch(track: Track, stretch: Stretch, channel: int, known: _Known, *, al
         return float(np.sum((left - columns @ np.linalg.lstsq(columns, left)[0]) ** 2))
 
     along = remaining(slow)
-    if along > (1.0 - _SLOW) * float(left @ left):
+    if along > (1.0 - _MIN_SLOW_SHARE) * float(left @ left):
         return False
     if channel < n and alone:
         side = np.sign(track.velocity[inside, channel])
         turns = bool(np.any(side != side[0]))
-        if remaining(slow * side[:, None]) < _DRAGS * along or (n > 1 and not turns):
+        if remaining(slow * side[:, None]) < _MIN_DRAG_RATIO * along or (n > 1 and not turns):
             return False
     return not known.explains(track, inside, channel)
 
 
-def _episode(track: Track, strength: np.ndarray, stretch: Stretch) -> Episode:
-    inside = _inside(track, stretch)
+def _build_episode(track: ResidualTrack, strength: np.ndarray, stretch: Stretch) -> Episode:
+    inside = _select_times(track, stretch)
     n = track.velocity.shape[1]
-    strong = _strong(track, strength, stretch)
+    strong = _strong_channels(track, strength, stretch)
     left = np.abs(np.nan_to_num(track.left[inside]))
     time = track.time[inside]
     # A moment is as strong about its ends as half of it within.
@@ -377,7 +385,7 @@ def _episode(track: Track, strength: np.ndarray, stretch: Stretch) -> Episode:
     )
 
 
-def without(run: RecordedRun, episodes: Sequence[Episode]) -> RecordedRun:
+def mask_episodes(run: RecordedRun, episodes: Sequence[Episode]) -> RecordedRun:
     """The run, whose sensors say nothing while something touches the arm."""
     out = np.zeros(len(run.time), dtype=bool)
     for each in episodes:

@@ -8,18 +8,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stiffopt.discovery.comparison.extension import Extension
-from stiffopt.discovery.judging.black_box import BlackBox, MeasuringRod
+from stiffopt.discovery.comparison.nominal_robot import RobotModel
+from stiffopt.discovery.comparison.prepare import PreparedRun
 from stiffopt.discovery.judging.episodes import (
     Episode,
-    Track,
-    episodes_in,
+    ResidualTrack,
+    find_episodes,
     held_out_track,
-    without,
+    mask_episodes,
 )
-from stiffopt.discovery.judging.shares import Part, Shares
-from stiffopt.discovery.judging.staying import stays
-from stiffopt.discovery.proof.predict import Predictor
-from stiffopt.discovery.proof.proof import RunProof, nrmse, prove
+from stiffopt.discovery.judging.explained_shares import ExtensionPart, MismatchShares
+from stiffopt.discovery.judging.noise_ceiling import BlackBox, NoiseCeiling
+from stiffopt.discovery.prediction import Predictor, RunProof, compare_predictions, nrmse
 from stiffopt.discovery.settings import Settings
 from stiffopt.discovery.training import Training
 from stiffopt.recording.recording_set import RecordingSet
@@ -29,7 +29,7 @@ Say = Callable[[str], object]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class _Opened:
+class _PredictedRun:
     """All that is known of one run, taken in at once."""
 
     file: str
@@ -38,7 +38,7 @@ class _Opened:
     episodes: tuple[Episode, ...]
 
 
-class HeldOut:
+class HeldOutRuns:
     """What runs left out say of an extended model; as far as they were opened.
 
     Parameters
@@ -74,17 +74,17 @@ class HeldOut:
         settings: Settings,
         start: tuple[Extension, ...],
         found: Extension,
-        parts: Sequence[Part],
+        parts: Sequence[ExtensionPart],
         every: int = 1,
-        known: Sequence[Track] = (),
+        known: Sequence[ResidualTrack] = (),
     ) -> None:
         self._training, self._settings = training, settings
         self._start, self._found, self._every = start, found, every
         self._box: BlackBox | None = None
         self._known = tuple(known)
         self._files: list[str] = []
-        self._opened: list[_Opened] = []
-        self.shares = Shares(parts)
+        self._opened: list[_PredictedRun] = []
+        self.shares = MismatchShares(parts)
         self.unusable: list[str] = []
 
     @property
@@ -109,11 +109,11 @@ class HeldOut:
         return [file for file in self._files if file not in done]
 
     @property
-    def measurable(self) -> bool:
+    def needs_noise_ceiling(self) -> bool:
         """Whether a black box is asked what could be explained: where anything may be missing."""
         return self._training.free_bodies and not self._training.robot.swings
 
-    def fit_rod(self, say: Say) -> None:
+    def fit_noise_ceiling(self, say: Say) -> None:
         """Fit that black box to the training runs."""
         say("fit a black box to what is left, as a measuring rod")
         extensions = (*self._start, self._found)
@@ -131,7 +131,7 @@ class HeldOut:
         self._files = [entry.file for entry in entries]
         if hurried:
             say("stopped: runs left out are predicted still; Ctrl-C again leaves that out")
-        swinging = _predicted_swinging(training, settings, extensions)
+        swinging = _choose_vibrating_links(training, settings, extensions)
         for entry in entries:
             say(f"predict {entry.file}")
             run = thinned(recordings.open(entry), self._every)
@@ -143,26 +143,30 @@ class HeldOut:
             )
             before, after = predictor.predict_each([self._start, extensions])
             track = held_out_track(run, predictor, after, training.noise.channels)
-            touched = episodes_in([track], self._known)
-            proof = prove(run, predictor.velocity, before, after, training.noise)
+            touched = find_episodes([track], self._known)
+            proof = compare_predictions(run, predictor.velocity, before, after, training.noise)
             if touched:
-                touched = stays(touched, track, training.robot, predictor.nominal)
+                touched = mark_lasting_loads(touched, track, training.robot, predictor.nominal)
                 whole = proof.nrmse_after
                 # What a hand did tells nothing of the model; a load that stays does.
-                apart = without(run, touched)
-                less = prove(apart, predictor.velocity, before, after, training.noise).nrmse_after
-                predictor.run = run = without(run, [e for e in touched if not e.stays])
-                proof = prove(run, predictor.velocity, before, after, training.noise)
+                apart = mask_episodes(run, touched)
+                less = compare_predictions(
+                    apart, predictor.velocity, before, after, training.noise
+                ).nrmse_after
+                predictor.run = run = mask_episodes(run, [e for e in touched if not e.stays])
+                proof = compare_predictions(run, predictor.velocity, before, after, training.noise)
                 touched = tuple(replace(e, nrmse_with=whole, nrmse_without=less) for e in touched)
             self._opened.append(
-                _Opened(file=entry.file, proof=proof, velocity=predictor.velocity, episodes=touched)
+                _PredictedRun(
+                    file=entry.file, proof=proof, velocity=predictor.velocity, episodes=touched
+                )
             )
             say(f"share out what changes in {entry.file}")
             self.shares.add(predictor, self._start, self._found, proof)
             if self._box is not None:
                 self._box.add(predictor, before, after)
 
-    def cut_short(self) -> str:
+    def describe_interruption(self) -> str:
         """What an interruption left without a prediction."""
         if not self.left:
             return "Stopped by the user: the last held-out run was not shared out."
@@ -171,18 +175,18 @@ class HeldOut:
             f" {', '.join(self.left)}."
         )
 
-    def not_predictable(self) -> list[str]:
+    def describe_unusable(self) -> list[str]:
         """A sentence about runs that could not be predicted, if there are any."""
         if not self.unusable:
             return []
         return [f"Not predicted, since a joint has no position: {', '.join(self.unusable)}."]
 
-    def rod(self) -> MeasuringRod | None:
+    def rod(self) -> NoiseCeiling | None:
         """What is explained of what can be; None where nobody asked a box."""
         return None if self._box is None else self._box.found()
 
 
-def _predicted_swinging(
+def _choose_vibrating_links(
     training: Training, settings: Settings, extensions: tuple[Extension, ...]
 ) -> bool:
     """Whether links swing in predictions: as the training runs are predicted better.
@@ -207,6 +211,77 @@ def _predicted_swinging(
                 swinging=swinging,
             )
             after = predictor.predict(*extensions)
-            proofs.append(prove(run, predictor.velocity, after, after, training.noise))
+            proofs.append(
+                compare_predictions(run, predictor.velocity, after, after, training.noise)
+            )
         left[swinging] = nrmse(proofs, "after")
     return left[True] <= left[False]
+
+
+# How near the end of a run counts as it [s], and the shortest that is a change [s].
+_RUN_END_MARGIN, _MIN_LOAD_DURATION = 0.5, 0.8
+# Share of what is left in torques that a load at the last body explains, and how much less it must
+# leave than constants.
+_MIN_LOAD_SHARE, _MAX_OFFSET_RATIO = 0.7, 0.5
+# Mass and its first moments, of the inertial parameters of a body.
+_LOAD_PARAMETERS = 4
+
+
+def mark_lasting_loads(
+    episodes: Sequence[Episode], track: ResidualTrack, robot: RobotModel, prepared: PreparedRun
+) -> tuple[Episode, ...]:
+    """The episodes of a run, those told that last until its end as a load does.
+
+    Parameters
+    ----------
+    episodes : sequence of Episode
+    track : Track
+        What is left of the run.
+    robot : RobotModel
+    prepared : PreparedRun
+        Its motion.
+    """
+    return tuple(
+        replace(each, stays=True) if _is_load(each, track, robot, prepared) else each
+        for each in episodes
+    )
+
+
+def _is_load(
+    episode: Episode, track: ResidualTrack, robot: RobotModel, prepared: PreparedRun
+) -> bool:
+    if (
+        track.time[-1] - episode.end > _RUN_END_MARGIN
+        or episode.end - episode.begin < _MIN_LOAD_DURATION
+    ):
+        return False
+    time = track.time[(track.time >= episode.begin) & (track.time <= episode.end)]
+    # A tenth of a second tells the motion that a load follows.
+    time = time[:: max(1, len(time) // 200)]
+    rows = np.searchsorted(track.time, time)
+    places = np.clip(np.searchsorted(prepared.time, time), 0, len(prepared.time) - 1)
+    signals = prepared.signals
+    load = robot.body_torques(
+        int(np.argmax(robot.order)),
+        signals.motor_position[places],
+        signals.motor_velocity[places],
+        signals.motor_acceleration[places],
+    )[:, :, :_LOAD_PARAMETERS]
+    left = track.left[rows, : robot.n]
+    known = np.isfinite(left)
+    if known.sum() < 10 * _LOAD_PARAMETERS:
+        return False
+    # Both in N m, so that a joint with little noise does not decide alone.
+    torque = (left * track.unit[: robot.n])[known]
+    offsets = np.broadcast_to(np.eye(robot.n), (len(rows), robot.n, robot.n))[known]
+    share = [
+        _residual_squares(torque, columns) / float(torque @ torque)
+        for columns in (load[known], offsets)
+    ]
+    return share[0] < 1.0 - _MIN_LOAD_SHARE and share[0] < _MAX_OFFSET_RATIO * share[1]
+
+
+def _residual_squares(values: np.ndarray, columns: np.ndarray) -> float:
+    """Squares that a combination of columns leaves."""
+    rest = values - columns @ np.linalg.lstsq(columns, values)[0]
+    return float(rest @ rest)

@@ -11,20 +11,20 @@ from stiffopt.discovery.comparison.evidence import Added
 from stiffopt.discovery.comparison.extension import Extension
 from stiffopt.discovery.comparison.located_effect import places
 from stiffopt.discovery.effect import Effect
-from stiffopt.discovery.extended.left_open import left_open
+from stiffopt.discovery.extended.left_open import left_open_section
 from stiffopt.discovery.extended.schema import LeftOpenSection
+from stiffopt.discovery.identifiable import widen_for_changes
 from stiffopt.discovery.search.candidates import Scorer, scan
-from stiffopt.discovery.search.identifiable_effects import of_changes
 from stiffopt.discovery.search.uncertainty import Estimate
-from stiffopt.discovery.settings import FIXED
+from stiffopt.discovery.settings import ZERO_TOLERANCE
 from stiffopt.discovery.training import Training
 from stiffopt.recording.thinning import sampling_rate
 
 # Shapes of the likeliest suspects are fitted; log evidence below which nothing is suspected.
-_REFINED, _LEAST = 12, 2.0
+_MAX_REFINED_SUSPECTS, _MIN_SUSPECT_EVIDENCE = 12, 2.0
 
 
-def open_section(
+def build_left_open(
     training: Training,
     whole: Extension,
     catalogue: Sequence[Effect],
@@ -42,24 +42,24 @@ def open_section(
     before : LeftOpenSection, optional
         Of the model that was started from.
     """
-    own = replace(training, start=whole.fitted, tolerance=FIXED, suspects={}).comparison()
+    own = replace(training, start=whole.fitted, tolerance=ZERO_TOLERANCE, suspects={}).comparison()
     ratio = own.inflation * own.channel_ratio(own.target)
     suspects: dict[str, float] = {}
     leanings: dict[str, tuple[float, ...]] = {}
     if training.free_bodies and catalogue:
         own = own.moved(Extension(), np.nan_to_num(np.fmax(1.0, ratio), nan=1.0))
-        scorer, changes = Scorer(own), of_changes(catalogue)
+        scorer, changes = Scorer(own), widen_for_changes(catalogue)
         suspects = {
             candidate.located.label: candidate.evidence / own.rows.size
-            for candidate in scan(scorer, changes, refined=_REFINED)
-            if candidate.evidence > _LEAST and not candidate.located.by_run
+            for candidate in scan(scorer, changes, refined=_MAX_REFINED_SUSPECTS)
+            if candidate.evidence > _MIN_SUSPECT_EVIDENCE and not candidate.located.by_run
         }
-        leanings = _leanings(scorer, changes)
+        leanings = _fit_leanings(scorer, changes)
     noise, rate = training.noise.channels, sampling_rate(training.recorded)
-    return left_open(ratio, noise, training.settings, suspects, leanings, before, rate)
+    return left_open_section(ratio, noise, training.settings, suspects, leanings, before, rate)
 
 
-def doubted_by_left_open(training: Training, parameters: Estimate) -> Estimate:
+def add_left_open_deviation(training: Training, parameters: Estimate) -> Estimate:
     """The estimate, where what the model left of its own recordings counts as a deviation more.
 
     An inertia that the model lacks, or has too much of, is found beside a change of it, in whatever
@@ -72,7 +72,7 @@ def doubted_by_left_open(training: Training, parameters: Estimate) -> Estimate:
     return parameters.doubted(np.concatenate(away)) if away else parameters
 
 
-def _leanings(scorer: Scorer, catalogue: Sequence[Effect]) -> dict[str, tuple[float, ...]]:
+def _fit_leanings(scorer: Scorer, catalogue: Sequence[Effect]) -> dict[str, tuple[float, ...]]:
     """Amplitudes that every effect alone would take, bounds or not, where they stand out at all.
 
     With the shapes of those that a search starts from that suit best.

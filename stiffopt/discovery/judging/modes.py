@@ -11,13 +11,13 @@ from stiffopt.discovery.comparison.comparison import Comparison, Fit
 from stiffopt.discovery.comparison.prepare import PreparedRun
 
 # Postures that modes are judged in, evenly over every training run.
-_POSTURES = 6
+_POSTURES_PER_RUN = 6
 # Standard deviations, and share, by which a mode lies elsewhere than the nominal model has it.
-_DEVIATIONS, _LEAST = 4.0, 0.02
+_MIN_SHIFT_DEVIATIONS, _MIN_SHIFT_SHARE = 4.0, 0.02
 # Share of a frequency within which a period in time is that of a mode, beside its uncertainty.
-_NEAR = 0.05
+_PERIOD_TOLERANCE = 0.05
 # Modes above this, over the cutoff of a fit, are not seen by it.
-_SEEN = 1.25
+_MAX_CUTOFF_RATIO = 1.25
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,7 +41,7 @@ class ModeShift:
     def elsewhere(self) -> bool:
         """Whether it surely lies elsewhere than the nominal model has it."""
         away = abs(self.found - self.nominal)
-        return away > max(_DEVIATIONS * self.sd, _LEAST * self.nominal)
+        return away > max(_MIN_SHIFT_DEVIATIONS * self.sd, _MIN_SHIFT_SHARE * self.nominal)
 
     def __str__(self) -> str:
         return (
@@ -75,7 +75,7 @@ def mode_shifts(comparison: Comparison, fit: Fit) -> tuple[ModeShift, ...]:
     frequencies, shapes = run.swing.modes(middle)
     found = []
     for frequency, was, shape in zip(frequencies, before, shapes.T, strict=True):
-        if frequency > _SEEN * run.low_pass.cutoff:
+        if frequency > _MAX_CUTOFF_RATIO * run.low_pass.cutoff:
             break
         energy = run.swing.stiffness[middle] * shape**2
         share = energy / energy.sum()
@@ -85,24 +85,24 @@ def mode_shifts(comparison: Comparison, fit: Fit) -> tuple[ModeShift, ...]:
     return tuple(found)
 
 
-def is_mode(comparison: Comparison, fit: Fit, period: float) -> bool:
+def matches_mode(comparison: Comparison, fit: Fit, period: float) -> bool:
     """Whether a period [s] is that of a mode, nominal or found, in some posture of the runs."""
     widest = max((m.sd / m.found for m in mode_shifts(comparison, fit)), default=0.0)
-    near = _NEAR + _DEVIATIONS * widest
+    near = _PERIOD_TOLERANCE + _MIN_SHIFT_DEVIATIONS * widest
     return any(
         (1.0 - near) * low <= 1.0 / period <= (1.0 + near) * high
         for runs in (comparison.nominal_runs, comparison.runs)
-        for low, high in _ranges(runs)
+        for low, high in _frequency_ranges(runs)
     )
 
 
-def _ranges(runs: tuple[PreparedRun, ...]) -> Iterator[tuple[float, float]]:
+def _frequency_ranges(runs: tuple[PreparedRun, ...]) -> Iterator[tuple[float, float]]:
     """Lowest and highest frequency of every mode over the postures of the runs [Hz]."""
     found = [
         run.swing.modes(int(k))[0]
         for run in runs
         if run.swing is not None
-        for k in np.linspace(0, len(run.time) - 1, _POSTURES)
+        for k in np.linspace(0, len(run.time) - 1, _POSTURES_PER_RUN)
     ]
     if not found:  # links in balance have no modes
         return

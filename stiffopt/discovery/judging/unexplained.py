@@ -10,7 +10,7 @@ from scipy.interpolate import BSpline
 
 from stiffopt.discovery.comparison.channel_noise import above_cutoff
 from stiffopt.discovery.comparison.comparison import Comparison
-from stiffopt.discovery.judging.modes import is_mode
+from stiffopt.discovery.judging.modes import matches_mode
 from stiffopt.discovery.search.rivals import Selected
 from stiffopt.discovery.search.search import SearchResult
 from stiffopt.discovery.thresholds import (
@@ -25,12 +25,12 @@ from stiffopt.discovery.thresholds import (
 
 # Of the flexible functions that a remainder may follow: knots, how many signals, the share of the
 # residual that one more must take away, and the ridge.
-_KNOTS = 8
-_MOST = 3
-_LEAST_GAIN = 0.03
-_RIDGE = 1.0
+_KNOT_COUNT = 8
+_MAX_REGRESSORS = 3
+_MIN_RELATIVE_GAIN = 0.03
+_RIDGE_WEIGHT = 1.0
 # How many times as much as any other a run must leave to be named for it.
-_ALONE = 5.0
+_DOMINANT_RUN_RATIO = 5.0
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,9 @@ def assess_findings(result: SearchResult) -> tuple[tuple[Selected, ...], Unexpla
     beyond = after / least
     remaining = [c for c in np.argsort(-beyond) if beyond[c] > UNEXPLAINED_RATIO]
     if not remaining:
-        return result.selected, None if result.selected else _faint(result, after, beyond)
+        return result.selected, None if result.selected else _find_faint_remainder(
+            result, after, beyond
+        )
     excess = np.maximum(before**2 - least**2, 1e-9)
     share = 1.0 - (after**2 - least**2) / excess
     poor = {int(c) for c in remaining if share[c] < EXPLAINED_SHARE}
@@ -101,35 +103,37 @@ def assess_findings(result: SearchResult) -> tuple[tuple[Selected, ...], Unexpla
     if not poor and kept and after[remaining].max() < PASSED_OVER_RATIO:
         # What formulas that differ from nature leave behind, small against what they explain.
         return kept, None
-    found = _describe(result, [int(c) for c in remaining])
-    if _swing(result, found):
+    found = _describe_remainder(result, [int(c) for c in remaining])
+    if _is_elastic_mode(result, found):
         return kept, None
-    small = found.ratio < REMAINDER_RATIO * _noisier(result)
+    small = found.ratio < REMAINDER_RATIO * _noise_excess(result)
     if not kept and small and found.gain < REMAINDER_SHARE:
         # Neither large nor depending on anything: noise that is larger than stated.
         return result.selected, None
     return kept, found
 
 
-def _faint(result: SearchResult, after: np.ndarray, beyond: np.ndarray) -> Unexplained | None:
+def _find_faint_remainder(
+    result: SearchResult, after: np.ndarray, beyond: np.ndarray
+) -> Unexplained | None:
     """A remainder near the noise, where runs left out bear out what it depends on."""
     best, most = None, FAINT_SHARE
     # Little more than a model left open far from the noise is as little a riddle.
     near = (beyond > FAINT_RATIO) & (after <= UNEXPLAINED_RATIO)
-    for channel in [int(c) for c in np.argsort(-after)[:_MOST] if near[c]]:
-        found = _describe(result, [channel])
+    for channel in [int(c) for c in np.argsort(-after)[:_MAX_REGRESSORS] if near[c]]:
+        found = _describe_remainder(result, [channel])
         taken = found.gain * (1.0 - 1.0 / found.ratio**2)
-        if taken > most and not _swing(result, found):
+        if taken > most and not _is_elastic_mode(result, found):
             best, most = found, taken
     return best
 
 
-def _swing(result: SearchResult, found: Unexplained) -> bool:
+def _is_elastic_mode(result: SearchResult, found: Unexplained) -> bool:
     """Whether a remainder is the swing of the arm itself: its period is that of a mode."""
-    return found.period is not None and is_mode(result.comparison, result.fit, found.period)
+    return found.period is not None and matches_mode(result.comparison, result.fit, found.period)
 
 
-def _noisier(result: SearchResult) -> float:
+def _noise_excess(result: SearchResult) -> float:
     """Noise of the worst channel above the filter's cutoff, over what is stated; 1 at least."""
     comparison = result.comparison
     worst = int(np.nanargmax(result.after))
@@ -144,7 +148,7 @@ def channel_name(channel: int, joints: int) -> str:
     return f"{kind}_{channel % joints + 1}"
 
 
-def _in_one_run(comparison: Comparison, rows: np.ndarray) -> tuple[str, float] | None:
+def _find_dominant_run(comparison: Comparison, rows: np.ndarray) -> tuple[str, float] | None:
     """The run in which the nominal model leaves far more of these rows than in all others."""
     number = comparison.rows.sampled(lambda run: np.full(len(run.time), float(run.index)))[rows]
     left = {
@@ -156,19 +160,19 @@ def _in_one_run(comparison: Comparison, rows: np.ndarray) -> tuple[str, float] |
         return None
     most, next_most = sorted(left, key=lambda name: -left[name])[:2]
     ratio = left[most] / max(left[next_most], 1e-12)
-    return (most, ratio) if ratio > _ALONE else None
+    return (most, ratio) if ratio > _DOMINANT_RUN_RATIO else None
 
 
-def _describe(result: SearchResult, channels: Sequence[int]) -> Unexplained:
+def _describe_remainder(result: SearchResult, channels: Sequence[int]) -> Unexplained:
     comparison = result.comparison
     rows = comparison.rows
     worst = channels[0]
     own = np.flatnonzero(rows.channel == worst)
     residual, block = result.fit.residual[own], rows.block[own]
     time = rows.sampled(lambda run: run.time)[own]
-    period = _period(residual, block, time)
-    bases = dict(_bases(comparison, own, worst % comparison.robot.n))
-    chosen, fitted = _forward(residual, block, bases)
+    period = _find_period(residual, block, time)
+    bases = dict(_spline_bases(comparison, own, worst % comparison.robot.n))
+    chosen, fitted = _select_regressors(residual, block, bases)
     excess = max(float(np.sum(residual**2)) - len(residual), 1e-9)
     gain = float((np.sum(residual**2) - np.sum((residual - fitted) ** 2)) / excess)
     if period is not None and period[1] > gain:
@@ -179,12 +183,14 @@ def _describe(result: SearchResult, channels: Sequence[int]) -> Unexplained:
         period=None if period is None or chosen != ("time",) else period[0],
         gain=float(np.clip(gain, 0.0, 1.0)),
         ratio=float(result.after[worst]),
-        alone=_in_one_run(comparison, own),
+        alone=_find_dominant_run(comparison, own),
         left=float(result.after[worst] / result.before[worst]),
     )
 
 
-def _bases(comparison: Comparison, own: np.ndarray, joint: int) -> Iterator[tuple[str, np.ndarray]]:
+def _spline_bases(
+    comparison: Comparison, own: np.ndarray, joint: int
+) -> Iterator[tuple[str, np.ndarray]]:
     """Spline bases of what a remainder may depend on, (m, k) each."""
     rows = comparison.rows
     n = comparison.robot.n
@@ -194,7 +200,7 @@ def _bases(comparison: Comparison, own: np.ndarray, joint: int) -> Iterator[tupl
 
     velocity = samples("motor_velocity")
     side = np.sign(velocity[:, joint])
-    yield "session_time", _spline(samples("session_time"))
+    yield "session_time", _spline_basis(samples("session_time"))
     for name, label in (
         ("motor_position", "q"),
         ("motor_velocity", "qd"),
@@ -203,14 +209,14 @@ def _bases(comparison: Comparison, own: np.ndarray, joint: int) -> Iterator[tupl
     ):
         values = samples(name)
         for j in range(n):
-            basis = _spline(values[:, j])
+            basis = _spline_basis(values[:, j])
             yield f"{label}_{j + 1}", basis
             yield f"{label}_{j + 1} x sign(qd_{joint + 1})", basis * side[:, None]
 
 
-def _spline(values: np.ndarray) -> np.ndarray:
+def _spline_basis(values: np.ndarray) -> np.ndarray:
     """Cubic B-splines over the range of the values, knots at their quantiles."""
-    inner = np.unique(np.quantile(values, np.linspace(0.0, 1.0, _KNOTS - 2)))
+    inner = np.unique(np.quantile(values, np.linspace(0.0, 1.0, _KNOT_COUNT - 2)))
     if len(inner) < 2 or not inner[-1] > inner[0]:
         return np.ones((len(values), 1))
     knots = np.concatenate([[inner[0]] * 3, inner, [inner[-1]] * 3])
@@ -218,33 +224,33 @@ def _spline(values: np.ndarray) -> np.ndarray:
     return np.asarray(BSpline.design_matrix(inside, knots, 3).toarray())
 
 
-def _forward(
+def _select_regressors(
     residual: np.ndarray, block: np.ndarray, bases: dict[str, np.ndarray]
 ) -> tuple[tuple[str, ...], np.ndarray]:
     """Regressors that predict blocks left out, and those predictions."""
     chosen: list[str] = []
     prediction = np.zeros_like(residual)
     left = float(np.sum(residual**2))
-    while len(chosen) < _MOST:
+    while len(chosen) < _MAX_REGRESSORS:
         tries = {}
         for name in bases:
             if name in chosen:
                 continue
             columns = np.hstack([bases[c] for c in (*chosen, name)])
-            tries[name] = _left_out(columns, residual, block)
+            tries[name] = _predict_blocks(columns, residual, block)
         best = min(tries, key=lambda name: float(np.sum((residual - tries[name]) ** 2)))
         now = float(np.sum((residual - tries[best]) ** 2))
-        if now > (1.0 - _LEAST_GAIN) * left:
+        if now > (1.0 - _MIN_RELATIVE_GAIN) * left:
             break
         chosen.append(best)
         prediction, left = tries[best], now
     return tuple(chosen), prediction
 
 
-def _left_out(columns: np.ndarray, target: np.ndarray, block: np.ndarray) -> np.ndarray:
+def _predict_blocks(columns: np.ndarray, target: np.ndarray, block: np.ndarray) -> np.ndarray:
     """Prediction of every block from a ridge fit to the others."""
     out = np.zeros_like(target)
-    ridge = _RIDGE * np.eye(columns.shape[1])
+    ridge = _RIDGE_WEIGHT * np.eye(columns.shape[1])
     gram, moment = columns.T @ columns, columns.T @ target
     for b in np.unique(block):
         own = block == b
@@ -254,7 +260,7 @@ def _left_out(columns: np.ndarray, target: np.ndarray, block: np.ndarray) -> np.
     return out
 
 
-def _period(
+def _find_period(
     residual: np.ndarray, block: np.ndarray, time: np.ndarray
 ) -> tuple[float, float] | None:
     """Period in time that all blocks share, and the share of the excess that it explains.

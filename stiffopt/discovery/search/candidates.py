@@ -14,14 +14,14 @@ from stiffopt.discovery.comparison.comparison import Comparison
 from stiffopt.discovery.comparison.evidence import Added, AddedSums, Beside, posterior
 from stiffopt.discovery.comparison.located_effect import LocatedEffect, places
 from stiffopt.discovery.effect import Effect
-from stiffopt.discovery.search.pace import Pace
+from stiffopt.discovery.progress import RoundProgress
 from stiffopt.discovery.thresholds import NAMED_DEVIATIONS, NAMED_EVIDENCE
 
 # Share of its work on one channel from which an effect acts on another: less is the swing of links
 # that others set going.
-_ACTED_ON = 0.05
+_MIN_WORK_SHARE = 0.05
 # Steps of the search that refines shapes.
-_REFINEMENTS = 40
+_MAX_REFINEMENT_STEPS = 40
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,15 +61,15 @@ class Candidate:
     @property
     def explained(self) -> float:
         """Share of the squared residual that it takes away in the channel that it changes most."""
-        return self._change[1]
+        return self._channel_change[1]
 
     @property
     def channel(self) -> int:
         """The channel that it changes most."""
-        return self._change[0]
+        return self._channel_change[0]
 
     @cached_property
-    def _change(self) -> tuple[int, float]:
+    def _channel_change(self) -> tuple[int, float]:
         return self.change()
 
 
@@ -91,17 +91,17 @@ class Scorer:
         self._prior = np.concatenate([sd, np.ones(amplitudes)])
         self.start = posterior(self._sums.own, self._prior, cross_validate=False)
         self._beside = Beside(self._sums.own, self._prior)
-        self._freed: dict[tuple[object, ...], Scorer] = {}
-        self._freer: dict[tuple[object, ...], float] = {}
+        self._general_scorers: dict[tuple[object, ...], Scorer] = {}
+        self._known_evidence: dict[tuple[object, ...], float] = {}
 
     @cached_property
-    def _columns(self) -> np.ndarray:
+    def _base_columns(self) -> np.ndarray:
         parts = (self.comparison.effect_columns(e) for e in self.base)
         return np.column_stack([self.comparison.nuisance[2], *parts])
 
     @cached_property
-    def _residual(self) -> np.ndarray:
-        return np.asarray(self.comparison.target - self._columns @ self.start.mean)
+    def _base_residual(self) -> np.ndarray:
+        return np.asarray(self.comparison.target - self._base_columns @ self.start.mean)
 
     @cached_property
     def by_block(self) -> np.ndarray:
@@ -123,8 +123,12 @@ class Scorer:
         size = np.diag(sums.total[1])
         if not np.isfinite(size).all() or not np.any(size > 1e-12):
             return None
-        found, kept = self._bounded(located, sums)
-        if found is None or not _itself(located, found, kept) or not self._stands_out(located):
+        found, kept = self._fit_within_bounds(located, sums)
+        if (
+            found is None
+            or not _has_own_amplitude(located, found, kept)
+            or not self._beats_general_forms(located)
+        ):
             return None
         mean = np.zeros(len(size))
         covariance = np.zeros((len(size),) * 2)
@@ -139,8 +143,8 @@ class Scorer:
             - price
             - self.comparison.suspected(located),
             deviations=math.sqrt(max(float(found.mean @ found.precision @ found.mean), 0.0)),
-            gained=lambda: self._gained(sums, kept),
-            change=lambda: self._changed(located, found.base(), mean),
+            gained=lambda: self._predictive_gain(sums, kept),
+            change=lambda: self._most_changed_channel(located, found.base(), mean),
         )
 
     def unbounded(self, located: LocatedEffect) -> Added | None:
@@ -159,13 +163,15 @@ class Scorer:
         seen = float(np.sum(inner) - np.sum(cross * (self.start.covariance @ cross)))
         return 1.0 / float(np.sqrt(seen)) if seen > 0.0 else None
 
-    def nuisance_beside(self, located: LocatedEffect) -> np.ndarray:
+    def nuisance_with(self, located: LocatedEffect) -> np.ndarray:
         """Nominal values as they are fitted beside an effect."""
         _, sd, _ = self.comparison.nuisance
-        found, _ = self._bounded(located, self._sums.beside(located))
+        found, _ = self._fit_within_bounds(located, self._sums.beside(located))
         return (self.start.mean if found is None else found.base())[: len(sd)]
 
-    def _bounded(self, located: LocatedEffect, sums: AddedSums) -> tuple[Added | None, np.ndarray]:
+    def _fit_within_bounds(
+        self, located: LocatedEffect, sums: AddedSums
+    ) -> tuple[Added | None, np.ndarray]:
         """Posterior with amplitudes outside their bounds left out one after another."""
         bounds = located.bounds(self.comparison.constants)
         kept = np.arange(len(bounds))
@@ -181,15 +187,15 @@ class Scorer:
             kept = np.delete(kept, worst)
         return None, kept
 
-    def _stands_out(self, located: LocatedEffect) -> bool:
+    def _beats_general_forms(self, located: LocatedEffect) -> bool:
         """Whether it is still seen beside all that could stand in for it, and likelier there."""
         free, freer = located.effect.beside, located.effect.likelier_than
         if free is None:
             return True
         law = replace(located, effect=free, shapes=())
-        if law.key not in self._freed:
-            self._freed[law.key] = Scorer(self.comparison, (*self.base, law))
-        scorer = self._freed[law.key]
+        if law.key not in self._general_scorers:
+            self._general_scorers[law.key] = Scorer(self.comparison, (*self.base, law))
+        scorer = self._general_scorers[law.key]
         alone = replace(located.effect, beside=None, likelier_than=None)
         found = scorer.score(replace(located, effect=alone))
         if found is None or found.evidence < NAMED_EVIDENCE:
@@ -201,15 +207,15 @@ class Scorer:
 
     def evidence_of(self, located: LocatedEffect) -> float:
         """Evidence of what is only compared with, worked out once; -inf where it is nothing."""
-        if located.key not in self._freer:
+        if located.key not in self._known_evidence:
             found = self.score(located)
-            self._freer[located.key] = -math.inf if found is None else found.evidence
-        return self._freer[located.key]
+            self._known_evidence[located.key] = -math.inf if found is None else found.evidence
+        return self._known_evidence[located.key]
 
-    def _gained(self, sums: AddedSums, kept: np.ndarray) -> float:
+    def _predictive_gain(self, sums: AddedSums, kept: np.ndarray) -> float:
         return self._beside.log_predictive(sums, kept) - float(np.sum(self.by_block))
 
-    def _changed(
+    def _most_changed_channel(
         self, located: LocatedEffect, base_mean: np.ndarray, mean: np.ndarray
     ) -> tuple[int, float]:
         """Channel of those acted on whose squares fall most, and the share that falls.
@@ -217,14 +223,14 @@ class Scorer:
         Other channels fall as well, where nominal values no longer stand in for the effect.
         """
         added = self.comparison.effect_columns(located)
-        residual = self.comparison.target - self._columns @ base_mean - added @ mean
+        residual = self.comparison.target - self._base_columns @ base_mean - added @ mean
         acted_on = np.sum(added**2, axis=1)
         rows = self.comparison.rows
         size = 2 * self.comparison.robot.n
-        before = np.bincount(rows.channel, self._residual**2, minlength=size)
+        before = np.bincount(rows.channel, self._base_residual**2, minlength=size)
         after = np.bincount(rows.channel, residual**2, minlength=size)
         acted = np.bincount(rows.channel, acted_on, minlength=size)
-        own = acted > _ACTED_ON * acted.max()
+        own = acted > _MIN_WORK_SHARE * acted.max()
         fall = np.where(own, before - after, -np.inf)
         channel = int(np.argmax(fall))
         return channel, float(fall[channel] / before[channel]) if before[channel] > 0.0 else 0.0
@@ -260,7 +266,7 @@ class Scorer:
             start / scale,
             method="Nelder-Mead",
             options={
-                "maxfev": _REFINEMENTS * len(shapes),
+                "maxfev": _MAX_REFINEMENT_STEPS * len(shapes),
                 "initial_simplex": np.array(simplex),
                 "xatol": 1e-3,
                 "fatol": 1e-2,
@@ -269,7 +275,7 @@ class Scorer:
         return best
 
 
-def _itself(located: LocatedEffect, found: Added, kept: np.ndarray) -> bool:
+def _has_own_amplitude(located: LocatedEffect, found: Added, kept: np.ndarray) -> bool:
     """Whether it shows what it alone has: without that it is another effect with more freedom."""
     if not located.effect.has_own:
         return True
@@ -305,7 +311,7 @@ def scan(
     runs = [run.name for run in scorer.comparison.runs]
     best: list[tuple[Candidate, float]] = []
     place = "" if about is None else f" in place of {about.label}"
-    pace = Pace(len(catalogue))
+    pace = RoundProgress(len(catalogue))
     for number, effect in enumerate(catalogue):
         tell(f"try {effect.name}{place} ({pace.words(number)})")
         by_place: dict[tuple[int | None, int | None, str | None], list[LocatedEffect]] = {}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import softmax
@@ -12,24 +12,33 @@ from stiffopt.discovery.comparison.comparison import Comparison
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.comparison.signals import RobotConstants
 from stiffopt.discovery.effect import Effect
+from stiffopt.discovery.progress import RoundProgress
 from stiffopt.discovery.search.candidates import Candidate, Scorer, scan
-from stiffopt.discovery.search.uncertainty import significance
+from stiffopt.discovery.search.cross_validation import select_predictive
+from stiffopt.discovery.search.joint_fit import (
+    confirm_effects,
+    fit_jointly,
+    passes_thresholds,
+    prune_effects,
+)
+from stiffopt.discovery.search.uncertainty import jackknife_significance
 from stiffopt.discovery.thresholds import (
-    CHANGES_ALIKE,
+    ADDED_MASS_OFFSET,
     DETERMINED_DEVIATIONS,
+    EQUIVALENT_EVIDENCE_SHARE,
+    MAX_CHANGE_PARAMETERS,
+    MAX_EXCHANGES,
+    MAX_TEMPERING,
     NAMED_EVIDENCE,
-    NEAR_CENTRE,
-    ONE_THING,
     PARAMETER_LOG_PRICE,
     RIVAL_LOG_ODDS,
-    SUSPECT_WIDTH,
-    TEMPERED_MOST,
-    TEMPERED_SHARE,
+    SUSPECT_EVIDENCE_UNITS,
+    TEMPERING_SHARE,
 )
 
 # Of an effect's own evidence, what a rival has whose shapes are fitted: those that a search starts
 # from leave no three quarters of it to be found.
-_WORTH = 0.25
+_MIN_REFINED_SHARE = 0.25
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,21 +68,21 @@ class Selected:
 
 
 @dataclass(frozen=True, eq=False)
-class Ranked:
+class RankedEffect:
     """A found effect among its rivals, and the likeliest of them all."""
 
     selected: Selected
     likeliest: LocatedEffect
 
 
-def ranked_among_rivals(
+def rank_rivals(
     comparison: Comparison,
     effects: Sequence[LocatedEffect],
     located: LocatedEffect,
     catalogue: Sequence[Effect],
     *,
     tell: Callable[[str], object] = lambda _: None,
-) -> Ranked | None:
+) -> RankedEffect | None:
     """Weigh a found effect against everything that could stand in its place.
 
     None where it has come to nothing, or to what cannot be, beside the others.
@@ -83,21 +92,23 @@ def ranked_among_rivals(
     own = scorer.score(located)
     if own is None:
         return None
-    worth = _WORTH * own.evidence
+    worth = _MIN_REFINED_SHARE * own.evidence
     every = scan(scorer, catalogue, worth=worth, about=located, tell=tell)
     found = [
-        c for c in every if not c.located.same_place(located) and _agreed(comparison, others, c)
+        c
+        for c in every
+        if not c.located.same_place(located) and _agrees_across_stretches(comparison, others, c)
     ]
     if comparison.after_model:
         # Evidence is counted in large units there, in which what explains nothing is ahead by its
         # prior alone.
-        found = [c for c in found if c.evidence >= CHANGES_ALIKE * own.evidence]
-    width = float(np.clip(TEMPERED_SHARE * own.evidence, 1.0, TEMPERED_MOST))
+        found = [c for c in found if c.evidence >= EQUIVALENT_EVIDENCE_SHARE * own.evidence]
+    width = float(np.clip(TEMPERING_SHARE * own.evidence, 1.0, MAX_TEMPERING))
     # What a model left open gives to some formula by chance is a unit that evidence counts in.
-    width = max(width, SUSPECT_WIDTH * comparison.most_suspected)
+    width = max(width, SUSPECT_EVIDENCE_UNITS * comparison.most_suspected)
     constants = comparison.constants
     priors = [_log_prior(c, constants, comparison.after_model) for c in (own, *found)]
-    ahead = [_ahead(c, own) / width for c in found]
+    ahead = [_evidence_lead(c, own) / width for c in found]
     odds = [a + prior - priors[0] for a, prior in zip(ahead, priors[1:], strict=True)]
     near = sorted(zip(odds, ahead, found, strict=True), key=lambda each: -each[0])[:3]
     # What fits alike is not told apart, however much plainer one of the two is.
@@ -105,10 +116,10 @@ def ranked_among_rivals(
     itself, *theirs = map(float, softmax([0.0, *(o for o, _, _ in near)]))
     rivals = tuple((c.located, p) for (_, _, c), p in zip(near, theirs, strict=True))
     selected = Selected(located, own.evidence, own.deviations, itself, rivals, own.channel)
-    return Ranked(selected, near[0][2].located if near and near[0][0] > 0.0 else located)
+    return RankedEffect(selected, near[0][2].located if near and near[0][0] > 0.0 else located)
 
 
-def _ahead(candidate: Candidate, own: Candidate) -> float:
+def _evidence_lead(candidate: Candidate, own: Candidate) -> float:
     """Log evidence of a candidate over that of another; of twins the log likelihood.
 
     An amplitude's prior costs evidence, a shape that does as much costs none: a counterbalance,
@@ -119,18 +130,20 @@ def _ahead(candidate: Candidate, own: Candidate) -> float:
     return candidate.evidence - own.evidence
 
 
-def _agreed(comparison: Comparison, others: Sequence[LocatedEffect], candidate: Candidate) -> bool:
+def _agrees_across_stretches(
+    comparison: Comparison, others: Sequence[LocatedEffect], candidate: Candidate
+) -> bool:
     """Whether stretches of the recordings agree on what only this effect has.
 
     An effect with more freedom than others is likelier than they are wherever a model is wrong.
     """
     if not candidate.located.effect.has_own or candidate.evidence < NAMED_EVIDENCE:
         return True
-    _, single = significance(comparison, [*others, candidate.located])
+    _, single = jackknife_significance(comparison, [*others, candidate.located])
     return bool(single[-1] >= DETERMINED_DEVIATIONS)
 
 
-def not_weighed(
+def select_unranked(
     comparison: Comparison, effects: Sequence[LocatedEffect], located: LocatedEffect
 ) -> Selected | None:
     """A found effect that there was no time to weigh: as likely as all that may be in its place."""
@@ -149,12 +162,12 @@ def _log_prior(candidate: Candidate, constants: RobotConstants, changed: bool) -
     located = candidate.located
     size = len(located.effect.shapes) + float(np.sum(1.0 - np.diag(candidate.covariance)))
     if changed:
-        size = min(size, ONE_THING) + _misplaced(candidate, constants)
+        size = min(size, MAX_CHANGE_PARAMETERS) + _misplacement_penalty(candidate, constants)
     usual = located.effect.log_prior
     return (usual(located.constants(constants)) if usual else 0.0) - PARAMETER_LOG_PRICE * size
 
 
-def _misplaced(candidate: Candidate, constants: RobotConstants) -> float:
+def _misplacement_penalty(candidate: Candidate, constants: RobotConstants) -> float:
     """How unlikely it is that a body has changed by a mass so far from its centre; 0 of others.
 
     Masses on neighbouring links can hardly be told apart; most sit on the body that they are near.
@@ -169,5 +182,140 @@ def _misplaced(candidate: Candidate, constants: RobotConstants) -> float:
     sd = float(np.sqrt(candidate.covariance[0, 0]))
     known = max(1.0 - sd / abs(float(candidate.amplitudes[0])), 0.0)
     away = np.array(moment) / mass - constants.centres[body]
-    unlikely = 0.5 * float(away @ away) / NEAR_CENTRE**2
-    return known * min(unlikely, ONE_THING)
+    unlikely = 0.5 * float(away @ away) / ADDED_MASS_OFFSET**2
+    return known * min(unlikely, MAX_CHANGE_PARAMETERS)
+
+
+def exchange_rivals(
+    comparison: Comparison,
+    current: Comparison,
+    effects: list[LocatedEffect],
+    catalogue: Sequence[Effect],
+    tell: Callable[[str], object],
+    before: Sequence[RankedEffect] = (),
+) -> tuple[Comparison, list[RankedEffect]]:
+    """Effects among their rivals, each in the place of the likeliest."""
+    ranked = _rank_effects(current, effects, catalogue, tell, before)
+    for _ in range(MAX_EXCHANGES):
+        likelier = _drop_duplicates([r.likeliest for r in ranked])
+        if likelier == effects:
+            break
+        current, effects = fit_jointly(comparison, likelier)
+        ranked = _rank_effects(current, effects, catalogue, tell, ranked)
+    else:
+        # Explanations that go on taking each other's place explain nothing.
+        kept = [r.selected.located for r in ranked if r.likeliest is r.selected.located]
+        if len(kept) < len(effects):
+            current, effects = fit_jointly(comparison, kept)
+            ranked = _rank_effects(current, effects, catalogue, tell)
+    if len(ranked) < len(effects):
+        current, effects = fit_jointly(comparison, [r.selected.located for r in ranked])
+        ranked = _rank_effects(current, effects, catalogue, tell, ranked)
+    return current, ranked
+
+
+def _rank_effects(
+    comparison: Comparison,
+    effects: list[LocatedEffect],
+    catalogue: Sequence[Effect],
+    say: Callable[[str], object],
+    before: Sequence[RankedEffect] = (),
+) -> list[RankedEffect]:
+    """Effects among their rivals, without those that have come to nothing beside the others.
+
+    What was weighed before stays where nothing near it has changed.
+    """
+    known = {r.selected.located.key[:-1]: r for r in before}
+    places = {e.key[:-1] for e in effects}
+    changed = [e for e in effects if e.key[:-1] not in known]
+    changed += [r.selected.located for key, r in known.items() if key not in places]
+    found = []
+    pace = RoundProgress(len(effects))
+    for number, located in enumerate(effects):
+        old = known.get(located.key[:-1])
+        if old is not None and not any(located.near(other) for other in changed):
+            stays = old.likeliest.same_place(located)
+            found.append(
+                RankedEffect(
+                    replace(old.selected, located=located), located if stays else old.likeliest
+                )
+            )
+            continue
+        what = f"weigh {located.label} against what could stand in its place"
+        say(f"{what} ({pace.words(number)})")
+        new = rank_rivals(comparison, effects, located, catalogue, tell=say)
+        if new is not None:
+            found.append(new)
+    return found
+
+
+def restore_lost(
+    comparison: Comparison,
+    current: Comparison,
+    effects: list[LocatedEffect],
+    lost: list[LocatedEffect],
+) -> tuple[Comparison, list[LocatedEffect]]:
+    """Effects with those of the lost that are borne out one by one, the likeliest first.
+
+    Of two that stand in for each other neither is missed, until the other has gone.
+    """
+    waiting = list(lost)
+    while waiting:
+        scorer = Scorer(current, effects)
+        scored = [(c, e) for e in waiting if (c := scorer.score(e)) is not None]
+        passing = [(c, e) for c, e in scored if passes_thresholds(c, scorer)]
+        if not passing:
+            break
+        best = max(passing, key=lambda pair: pair[0].evidence)[1]
+        waiting = [e for _, e in passing if e is not best]
+        wider, tried = fit_jointly(comparison, [*effects, best])
+        judged = select_predictive(wider, confirm_effects(wider, tried, strict=True))
+        if any(best.same_place(other) for other in judged):
+            current, effects = wider, tried
+    return current, effects
+
+
+def restore_unstated(
+    comparison: Comparison,
+    current: Comparison,
+    ranked: list[RankedEffect],
+    lost: list[LocatedEffect],
+    catalogue: Sequence[Effect],
+    tell: Callable[[str], object],
+) -> tuple[Comparison, list[RankedEffect]]:
+    """Effects with what every joint has, where what stood in its place has gone meanwhile.
+
+    What comes to nothing beside it stood in its place still.
+    """
+    effects = [r.selected.located for r in ranked]
+    while lost:
+        wider, found = fit_jointly(comparison, [*effects, *lost])
+        found = select_predictive(wider, prune_effects(wider, found))
+        found = confirm_effects(wider, found, strict=True)
+        kept = [e for e in lost if any(e.same_place(other) for other in found)]
+        if len(kept) == len(lost):
+            scorer = Scorer(wider, found)
+            for each in effects:
+                if not any(each.same_place(other) for other in found):
+                    beside = scorer.score(each)
+                    if beside is not None and beside.evidence > NAMED_EVIDENCE:
+                        found.append(each)
+            wider, found = fit_jointly(comparison, found)
+            weighed = _rank_effects(wider, found, catalogue, tell, ranked)
+            unlikely = [
+                r.selected.located for r in weighed if r.likeliest is not r.selected.located
+            ]
+            kept = [e for e in lost if not any(e.same_place(other) for other in unlikely)]
+            if len(kept) == len(lost):
+                return wider, weighed
+        lost = kept
+    return current, ranked
+
+
+def _drop_duplicates(effects: Sequence[LocatedEffect]) -> list[LocatedEffect]:
+    """Each place once: one effect may be likelier than several that stood in for it."""
+    kept: list[LocatedEffect] = []
+    for located in effects:
+        if not any(located.same_place(other) for other in kept):
+            kept.append(located)
+    return kept

@@ -11,26 +11,32 @@ from stiffopt.discovery.comparison.comparison import Comparison, Fit
 from stiffopt.discovery.comparison.extension import Extension
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.effect import Effect
+from stiffopt.discovery.progress import throttle_progress
 from stiffopt.discovery.search.candidates import Candidate, Scorer, scan
-from stiffopt.discovery.search.changes import changes
-from stiffopt.discovery.search.exchange import added_again, exchanged, restored
 from stiffopt.discovery.search.joint_fit import (
-    STOPPED,
-    fitted_jointly,
-    passes,
-    pruned,
-    standing,
+    STOPPED_MESSAGE,
+    fit_jointly,
+    passes_thresholds,
+    prune_effects,
+    select_supported,
 )
-from stiffopt.discovery.search.pace import paced
-from stiffopt.discovery.search.rigid import RigidStage, rigid_stage
-from stiffopt.discovery.search.rivals import Ranked, Selected, not_weighed
+from stiffopt.discovery.search.model_changes import find_changes
+from stiffopt.discovery.search.rigid_model import RigidStage, reidentify_rigid_model
+from stiffopt.discovery.search.rivals import (
+    RankedEffect,
+    Selected,
+    exchange_rivals,
+    restore_lost,
+    restore_unstated,
+    select_unranked,
+)
 from stiffopt.discovery.thresholds import (
-    AT_ONCE,
-    EXCHANGES,
+    LINEARISATION_DEVIATIONS,
+    LINEARISATION_TOLERANCE,
+    MAX_EFFECTS_PER_ROUND,
+    MAX_EXCHANGES,
+    MAX_LINEARISATIONS,
     NAMED_EVIDENCE,
-    SETTLED,
-    SETTLED_DEVIATIONS,
-    SETTLING_ROUNDS,
 )
 from stiffopt.interrupts import finished
 
@@ -114,19 +120,19 @@ def search(
     target = comparison.target * comparison.inflation[comparison.rows.channel]
     before = comparison.channel_ratio(target)
     calibrated = comparison.channel_ratio(comparison.fit().residual)
-    so_far = _SoFar(comparison, comparison)
+    so_far = _SearchState(comparison, comparison)
     try:
-        _search(so_far, catalogue, start, most, strict, reidentify, about, say)
+        _run_stages(so_far, catalogue, start, most, strict, reidentify, about, say)
     except KeyboardInterrupt:
         if not so_far.effects:  # there is nothing to tell
             raise
-        say(STOPPED)
+        say(STOPPED_MESSAGE)
         so_far.stopped = True
 
     def answer() -> tuple[tuple[Selected, ...], bool, Comparison, Fit]:
         selected, weighed = so_far.selected()
         located = tuple(each.located for each in selected)
-        return selected, weighed, *_relinearised(so_far.start, so_far.current, located)
+        return selected, weighed, *_relinearise(so_far.start, so_far.current, located)
 
     (selected, weighed, current, fit), hurried = finished(answer)
     return SearchResult(
@@ -145,7 +151,7 @@ def search(
 
 
 @dataclass(eq=False)
-class _SoFar:
+class _SearchState:
     """How far a search has come: what Ctrl-C leaves.
 
     Parameters
@@ -162,7 +168,7 @@ class _SoFar:
     start: Comparison
     current: Comparison
     effects: list[LocatedEffect] = field(default_factory=list)
-    ranked: list[Ranked] = field(default_factory=list)
+    ranked: list[RankedEffect] = field(default_factory=list)
     rigid: RigidStage | None = None
     stopped: bool = False
 
@@ -170,7 +176,7 @@ class _SoFar:
         """Go on from effects that are fitted jointly."""
         self.current, self.effects = found
 
-    def weighed(self, found: tuple[Comparison, list[Ranked]]) -> None:
+    def weighed(self, found: tuple[Comparison, list[RankedEffect]]) -> None:
         """Go on from effects that are weighed among their rivals."""
         self.current, self.ranked = found
         self.effects = [each.selected.located for each in self.ranked]
@@ -182,14 +188,14 @@ class _SoFar:
         for located in self.effects:
             own = known.get(located.key)
             if own is None:
-                own, weighed = not_weighed(self.current, self.effects, located), False
+                own, weighed = select_unranked(self.current, self.effects, located), False
             if own is not None:
                 found.append(own)
         return tuple(sorted(found, key=lambda each: -each.loss)), weighed
 
 
-def _search(
-    so_far: _SoFar,
+def _run_stages(
+    so_far: _SearchState,
     catalogue: Sequence[Effect],
     start: Sequence[LocatedEffect],
     most: int,
@@ -199,22 +205,22 @@ def _search(
     say: Callable[[str], object],
 ) -> None:
     """All that `search` does, one step after another."""
-    tell = paced(say)
-    so_far.fitted(_not_stated(so_far.start, list(start), say))
+    tell = throttle_progress(say)
+    so_far.fitted(_fit_unstated(so_far.start, list(start), say))
     if reidentify:
         say("re-identify the rigid model")
-        so_far.rigid = rigid_stage(so_far.current, so_far.effects, catalogue, tell)
+        so_far.rigid = reidentify_rigid_model(so_far.current, so_far.effects, catalogue, tell)
         so_far.start = so_far.start.with_bodies(so_far.rigid.bodies(so_far.start))
         # All of it again: what a wrong mass had hidden is seen now.
         single = () if so_far.rigid.single is None else (so_far.rigid.single.located,)
-        so_far.fitted(_not_stated(so_far.start, [*start, *single], say))
+        so_far.fitted(_fit_unstated(so_far.start, [*start, *single], say))
     if about is not None:
         # Slopes about the nominal motion lead away from it.
         so_far.start = so_far.start.moved(about)
-        current, tried = fitted_jointly(so_far.start, [each.located for each in about.effects])
-        so_far.fitted((current, pruned(current, tried)))
+        current, tried = fit_jointly(so_far.start, [each.located for each in about.effects])
+        so_far.fitted((current, prune_effects(current, tried)))
     if so_far.current.after_model:
-        so_far.stopped = changes(
+        so_far.stopped = find_changes(
             so_far.start,
             so_far.current,
             so_far.effects,
@@ -225,60 +231,64 @@ def _search(
             keep=so_far.fitted,
         )
     else:
-        _forward(so_far, catalogue, most, AT_ONCE if strict else 1, say, tell)
+        _add_forward(so_far, catalogue, most, MAX_EFFECTS_PER_ROUND if strict else 1, say, tell)
     if so_far.effects:
         say(f"confirm what was found ({len(so_far.effects)}) on stretches left out")
-    sure = standing(so_far.current, so_far.effects, strict=strict)
+    sure = select_supported(so_far.current, so_far.effects, strict=strict)
     if len(sure) < len(so_far.effects):
         lost = [e for e in so_far.effects if e not in sure]
-        so_far.fitted(fitted_jointly(so_far.start, sure))
+        so_far.fitted(fit_jointly(so_far.start, sure))
         if strict:
-            so_far.fitted(added_again(so_far.start, so_far.current, so_far.effects, lost))
-    so_far.weighed(exchanged(so_far.start, so_far.current, so_far.effects, catalogue, tell))
-    for _ in range(EXCHANGES):
+            so_far.fitted(restore_lost(so_far.start, so_far.current, so_far.effects, lost))
+    so_far.weighed(exchange_rivals(so_far.start, so_far.current, so_far.effects, catalogue, tell))
+    for _ in range(MAX_EXCHANGES):
         effects = so_far.effects
-        kept = standing(so_far.current, effects, strict=strict)
+        kept = select_supported(so_far.current, effects, strict=strict)
         if len(kept) == len(effects):
             break
-        so_far.fitted(fitted_jointly(so_far.start, kept))
+        so_far.fitted(fit_jointly(so_far.start, kept))
         so_far.weighed(
-            exchanged(so_far.start, so_far.current, so_far.effects, catalogue, tell, so_far.ranked)
+            exchange_rivals(
+                so_far.start, so_far.current, so_far.effects, catalogue, tell, so_far.ranked
+            )
         )
     if strict:
         lost = [e for e in start if not any(e.same_place(other) for other in so_far.effects)]
-        so_far.weighed(restored(so_far.start, so_far.current, so_far.ranked, lost, catalogue, tell))
+        so_far.weighed(
+            restore_unstated(so_far.start, so_far.current, so_far.ranked, lost, catalogue, tell)
+        )
 
 
-def _relinearised(
+def _relinearise(
     start: Comparison, current: Comparison, effects: Sequence[LocatedEffect]
 ) -> tuple[Comparison, Fit]:
     """Fit taken about itself until it stays: slopes about another motion bias what is found."""
     fit = current.fit(effects)
-    for _ in range(SETTLING_ROUNDS if effects else 0):
-        again = start.about(fit, SETTLED)
+    for _ in range(MAX_LINEARISATIONS if effects else 0):
+        again = start.about(fit, LINEARISATION_TOLERANCE)
         if again.columns is current.columns:
             break
         before, fit, current = fit, again.fit(effects), again
         moved = (fit.amplitudes() - before.amplitudes()) ** 2
         own = np.diag(fit.posterior.covariance)[fit.nuisance :]
-        if np.all(moved < SETTLED_DEVIATIONS**2 * own):
+        if np.all(moved < LINEARISATION_DEVIATIONS**2 * own):
             break
     return current, fit
 
 
-def _not_stated(
+def _fit_unstated(
     comparison: Comparison, start: list[LocatedEffect], say: Callable[[str], object]
 ) -> tuple[Comparison, list[LocatedEffect]]:
     """Fit what the nominal model does not state, without what the recordings do not bear out."""
     if not start:
         return comparison.about(comparison.fit(boxed=False)), []
     say(f"fit what the nominal model does not state ({len(start)} values)")
-    current, effects = fitted_jointly(comparison, start)
-    return fitted_jointly(comparison, pruned(current, effects))
+    current, effects = fit_jointly(comparison, start)
+    return fit_jointly(comparison, prune_effects(current, effects))
 
 
-def _forward(
-    so_far: _SoFar,
+def _add_forward(
+    so_far: _SearchState,
     catalogue: Sequence[Effect],
     most: int,
     together: int,
@@ -292,30 +302,32 @@ def _forward(
         scorer = Scorer(so_far.current, effects)
         room = min(together, most - len(effects))
         try:
-            best = _best(scan(scorer, catalogue, tell=tell), scorer, room)
+            best = _select_best(scan(scorer, catalogue, tell=tell), scorer, room)
             if not best:
                 break
             for each in best:
                 say(f"found {each.located.label} (log evidence {each.evidence:.0f})")
-            wider, tried = fitted_jointly(so_far.start, [*effects, *(e.located for e in best)])
-            so_far.fitted((wider, pruned(wider, tried)))
+            wider, tried = fit_jointly(so_far.start, [*effects, *(e.located for e in best)])
+            so_far.fitted((wider, prune_effects(wider, tried)))
         except KeyboardInterrupt:
             if not effects:  # there is nothing to tell
                 raise
-            say(STOPPED)
+            say(STOPPED_MESSAGE)
             so_far.stopped = True
             break
         if best[0].located.label not in [e.label for e in so_far.effects]:
             break
-    so_far.fitted(fitted_jointly(so_far.start, so_far.effects))
+    so_far.fitted(fit_jointly(so_far.start, so_far.effects))
 
 
-def _best(candidates: Sequence[Candidate], scorer: Scorer, most: int) -> list[Candidate]:
+def _select_best(candidates: Sequence[Candidate], scorer: Scorer, most: int) -> list[Candidate]:
     """The best that pass, at most one for every channel: others may have the same cause."""
     found: list[Candidate] = []
     for candidate in candidates:
         if len(found) == most or candidate.evidence < NAMED_EVIDENCE:
             break
-        if candidate.channel not in [c.channel for c in found] and passes(candidate, scorer):
+        if candidate.channel not in [c.channel for c in found] and passes_thresholds(
+            candidate, scorer
+        ):
             found.append(candidate)
     return found

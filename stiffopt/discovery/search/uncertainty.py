@@ -21,13 +21,13 @@ if TYPE_CHECKING:
 
 # Length of the stretches that a jackknife leaves out [s]: longer than anything in a residual
 # remembers.
-BLOCK_SECONDS = 2.0
+STRETCH_DURATION = 2.0
 # Relative step of numerical slopes.
-_STEP = 1e-4
+_DIFFERENCE_STEP = 1e-4
 # Prior of a shape over its own size: wide, so that only the data count.
 _SHAPE_PRIOR = 10.0
 # Stretches below which a jackknife says nothing.
-_FEWEST = 5
+_MIN_STRETCHES = 5
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -73,7 +73,7 @@ class Estimate:
         """
         found = self.effects[index]
         effect = found.located.effect
-        rows, steps = self._places(index)
+        rows, steps = self._parameter_rows(index)
         inputs = np.array([*found.amplitudes, *found.located.shapes])
         count = len(found.amplitudes)
 
@@ -84,13 +84,17 @@ class Estimate:
         names = list(effect.parameters(found.amplitudes, found.located.shapes, constants))
         slopes = np.column_stack(
             [
-                (report(inputs + _STEP * step) - report(inputs - _STEP * step)) / (2.0 * _STEP)
+                (
+                    report(inputs + _DIFFERENCE_STEP * step)
+                    - report(inputs - _DIFFERENCE_STEP * step)
+                )
+                / (2.0 * _DIFFERENCE_STEP)
                 for step in np.diag(steps)
             ]
         )
         variances = [
             np.einsum("ij,jk,ik->i", slopes, matrix[np.ix_(rows, rows)], slopes)
-            for matrix in (self.covariance, self.spread, self._between(index))
+            for matrix in (self.covariance, self.spread, self._between_runs(index))
         ]
         variance = np.max(variances, axis=0)
         if effect.drawn is not None:
@@ -101,7 +105,7 @@ class Estimate:
             name: (float(v), float(s)) for name, v, s in zip(names, report(inputs), sd, strict=True)
         }
 
-    def chance_of_nothing(self, index: int) -> float:
+    def p_value(self, index: int) -> float:
         """How likely nothing gives amplitudes of one effect as large as found, shapes held.
 
         The largest of the linear model's (chi-square) and the jackknives', each the smaller of
@@ -109,36 +113,42 @@ class Estimate:
         their number; with shapes held and free. Without the effect shapes are nothing: an
         amplitude that is known only together with them can be far from nothing all the same.
         """
-        rows, _ = self._places(index)
+        rows, _ = self._parameter_rows(index)
         k = len(self.sizes[index])
         values = self.values[rows[:k]]
-        linear = _held(self.covariance[np.ix_(rows, rows)], k)
-        chances = [float(special.chdtrc(k, _from_nothing(values, linear)[0] ** 2))]
-        for spread, parts in zip((self.spread, self._between(index)), self.parts, strict=True):
+        linear = _conditional_covariance(self.covariance[np.ix_(rows, rows)], k)
+        chances = [float(special.chdtrc(k, _deviations_from_zero(values, linear)[0] ** 2))]
+        for spread, parts in zip((self.spread, self._between_runs(index)), self.parts, strict=True):
             if np.array_equal(spread, self.covariance):  # too few parts
                 continue
             own = spread[np.ix_(rows, rows)]
             # Each shape that is held costs one part.
-            ways = [(own[:k, :k], parts), (_held(own, k), parts - (len(rows) - k))]
-            chances.append(min(_chance(values, *way) for way in ways if way[1] > 1))
+            ways = [
+                (own[:k, :k], parts),
+                (_conditional_covariance(own, k), parts - (len(rows) - k)),
+            ]
+            chances.append(min(_jackknife_p_value(values, *way) for way in ways if way[1] > 1))
         return max(chances)
 
-    def from_nothing(self, index: int) -> float:
+    def min_deviations(self, index: int) -> float:
         """Least deviations of one effect from nothing, of its amplitudes together or the best.
 
         By the linear model and the jackknives, shapes free or held: whichever stands out more.
         """
-        rows, _ = self._places(index)
+        rows, _ = self._parameter_rows(index)
         k = len(self.sizes[index])
         values = self.values[rows[:k]]
         least = math.inf
-        for matrix in (self.covariance, self.spread, self._between(index)):
+        for matrix in (self.covariance, self.spread, self._between_runs(index)):
             own = matrix[np.ix_(rows, rows)]
-            ways = [_from_nothing(values, each) for each in (own[:k, :k], _held(own, k))]
+            ways = [
+                _deviations_from_zero(values, each)
+                for each in (own[:k, :k], _conditional_covariance(own, k))
+            ]
             least = min(least, max(max(t / math.sqrt(k), single) for t, single in ways))
         return least
 
-    def _between(self, index: int) -> np.ndarray:
+    def _between_runs(self, index: int) -> np.ndarray:
         """Covariance by leaving out whole runs; what is of each run cannot be asked so."""
         by_run = self.effects[index].located.by_run
         return self.covariance if by_run else self.between
@@ -191,7 +201,7 @@ class Estimate:
         """The estimate where each effect's amplitudes are off by one factor (e,), in deviations."""
         more = np.zeros_like(self.covariance)
         for index, scale in enumerate(scales):
-            rows, _ = self._places(index)
+            rows, _ = self._parameter_rows(index)
             own = rows[: len(self.sizes[index])]
             more[np.ix_(own, own)] = scale**2 * np.outer(self.values[own], self.values[own])
         return replace(
@@ -201,7 +211,7 @@ class Estimate:
             between=self.between + more,
         )
 
-    def _places(self, index: int) -> tuple[np.ndarray, np.ndarray]:
+    def _parameter_rows(self, index: int) -> tuple[np.ndarray, np.ndarray]:
         """Where the amplitudes and shapes of an effect stand, and the units they have there."""
         lengths = [len(s) for s in self.sizes]
         first = len(self.nuisance) + sum(lengths[:index])
@@ -212,7 +222,7 @@ class Estimate:
         return rows, np.concatenate([self.sizes[index], self.shape_sizes[index]])
 
 
-def estimate(comparison: Comparison, effects: Sequence[LocatedEffect]) -> Estimate:
+def estimate_parameters(comparison: Comparison, effects: Sequence[LocatedEffect]) -> Estimate:
     """Fit nominal values and effects together, and say how sure each is.
 
     Parameters
@@ -241,11 +251,13 @@ def estimate(comparison: Comparison, effects: Sequence[LocatedEffect]) -> Estima
     matrix = np.column_stack([nuisance, *columns, *slopes])
     prior = np.concatenate([prior_sd, np.ones(len(scaled)), np.full(len(slopes), _SHAPE_PRIOR)])
     del columns, slopes
-    blocks = stretches(comparison)
-    covariance, spread = _jackknife(comparison, matrix, prior, blocks)
+    blocks = number_stretches(comparison)
+    covariance, spread = _jackknife_covariance(comparison, matrix, prior, blocks)
     between = covariance
     if comparison.whole_runs:
-        _, between = _jackknife(comparison, matrix, prior, comparison.rows.block, FEW_RUNS)
+        _, between = _jackknife_covariance(
+            comparison, matrix, prior, comparison.rows.block, FEW_RUNS
+        )
     return Estimate(
         nuisance=tuple(names),
         values=fit.posterior.mean,
@@ -259,16 +271,16 @@ def estimate(comparison: Comparison, effects: Sequence[LocatedEffect]) -> Estima
     )
 
 
-def _held(covariance: np.ndarray, k: int) -> np.ndarray:
+def _conditional_covariance(covariance: np.ndarray, k: int) -> np.ndarray:
     """Covariance of the first k values where the others are held."""
     across = covariance[:k, k:]
     return np.asarray(covariance[:k, :k] - across @ np.linalg.pinv(covariance[k:, k:]) @ across.T)
 
 
-def _chance(values: np.ndarray, covariance: np.ndarray, parts: int) -> float:
+def _jackknife_p_value(values: np.ndarray, covariance: np.ndarray, parts: int) -> float:
     """How likely nothing gives values (k,) with a covariance that so many parts told."""
     k = len(values)
-    together, single = _from_nothing(values, covariance)
+    together, single = _deviations_from_zero(values, covariance)
     chance = min(1.0, 2.0 * k * float(special.stdtr(parts - 1, -single)))
     if parts > k:
         ratio = together**2 * (parts - k) / (k * (parts - 1))
@@ -276,7 +288,7 @@ def _chance(values: np.ndarray, covariance: np.ndarray, parts: int) -> float:
     return chance
 
 
-def odds_of_nothing(chance: float) -> float:
+def null_probability(chance: float) -> float:
     """Least probability of nothing that a chance leaves, at even odds before: 0 to .5.
 
     Sellke, Bayarri & Berger (2001): no likelihood is more than 1/(-e p ln p) times that of nothing.
@@ -287,12 +299,12 @@ def odds_of_nothing(chance: float) -> float:
     return float(bound / (1.0 + bound))
 
 
-def deviations(chance: float) -> float:
+def p_value_deviations(chance: float) -> float:
     """Standard deviations from nothing that a chance, of both sides, stands for."""
     return abs(float(special.ndtri(0.5 * chance)))
 
 
-def significance(
+def jackknife_significance(
     comparison: Comparison, effects: Sequence[LocatedEffect]
 ) -> tuple[np.ndarray, np.ndarray]:
     """Jackknife deviations from nothing of every effect.
@@ -320,21 +332,21 @@ def significance(
                 slopes.append(_shape_slope(comparison, located, values, i, step))
     prior = np.concatenate([prior_sd, np.ones(len(amplitudes)), np.full(len(slopes), _SHAPE_PRIOR)])
     matrix = np.column_stack([nuisance, *columns, *slopes])
-    _, spread = _jackknife(comparison, matrix, prior, stretches(comparison))
+    _, spread = _jackknife_covariance(comparison, matrix, prior, number_stretches(comparison))
     together, single, begin = [], [], 0
     for located, own in zip(effects, columns, strict=True):
         values = amplitudes[begin : begin + own.shape[1]]
         rows = slice(len(prior_sd) + begin, len(prior_sd) + begin + own.shape[1])
         begin += own.shape[1]
-        together.append(_from_nothing(values, spread[rows, rows])[0])
+        together.append(_deviations_from_zero(values, spread[rows, rows])[0])
         telling = located.effect.telling if located.effect.has_own else list(range(len(values)))
         single.append(
-            _from_nothing(values[telling], spread[rows, rows][np.ix_(telling, telling)])[1]
+            _deviations_from_zero(values[telling], spread[rows, rows][np.ix_(telling, telling)])[1]
         )
     return np.array(together), np.array(single)
 
 
-def _from_nothing(values: np.ndarray, covariance: np.ndarray) -> tuple[float, float]:
+def _deviations_from_zero(values: np.ndarray, covariance: np.ndarray) -> tuple[float, float]:
     """Deviations from nothing of values (k,) together, and of the one that stands out most."""
     square = float(values @ np.linalg.lstsq(covariance, values)[0])
     sd = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
@@ -351,8 +363,8 @@ def _shape_slope(
     """Slope of an effect's sum of columns along one shape over its size."""
     shape = located.effect.shapes[i]
     now = located.shapes[i]
-    low = max(now - _STEP * size, shape.lower)
-    high = min(now + _STEP * size, shape.upper)
+    low = max(now - _DIFFERENCE_STEP * size, shape.lower)
+    high = min(now + _DIFFERENCE_STEP * size, shape.upper)
     ends = []
     for value in (low, high):
         moved = (*located.shapes[:i], value, *located.shapes[i + 1 :])
@@ -360,12 +372,12 @@ def _shape_slope(
     return np.asarray((ends[1] - ends[0]) * size / (high - low))
 
 
-def _jackknife(
+def _jackknife_covariance(
     comparison: Comparison,
     matrix: np.ndarray,
     prior: np.ndarray,
     block: np.ndarray,
-    fewest: int = _FEWEST,
+    fewest: int = _MIN_STRETCHES,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Covariance by the linear model, and by leaving blocks of rows out one after another."""
     units = np.outer(prior, prior)
@@ -387,18 +399,18 @@ def _jackknife(
     return covariance, (len(grams) - 1) / len(grams) * away.T @ away * units
 
 
-def stretches(comparison: Comparison) -> np.ndarray:
+def number_stretches(comparison: Comparison) -> np.ndarray:
     """Number of the stretch of about `BLOCK_SECONDS` that every row (m,) is of."""
-    counts = [max(1, round(_span(run) / BLOCK_SECONDS)) for run in comparison.runs]
+    counts = [max(1, round(_run_duration(run) / STRETCH_DURATION)) for run in comparison.runs]
     first = np.concatenate([[0], np.cumsum(counts)])
 
     def number(run: PreparedRun) -> np.ndarray:
         k = comparison.runs.index(run)
-        place = (run.time - run.time[0]) / _span(run) * counts[k]
+        place = (run.time - run.time[0]) / _run_duration(run) * counts[k]
         return np.asarray(first[k] + np.minimum(place.astype(int), counts[k] - 1))
 
     return np.unique(comparison.rows.sampled(number), return_inverse=True)[1]
 
 
-def _span(run: PreparedRun) -> float:
+def _run_duration(run: PreparedRun) -> float:
     return float(run.time[-1] - run.time[0])

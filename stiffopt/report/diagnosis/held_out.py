@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from stiffopt.discovery.settings import MOVING
+from stiffopt.discovery.settings import MIN_MOVING_SPEED
 from stiffopt.recording.facts import velocities
 from stiffopt.report.common.svg import BLUE, INK, PALE, VERMILLION, WIDTH, house_style, thin
 from stiffopt.report.common.text import scale, significant
@@ -17,7 +17,7 @@ from stiffopt.units import joint_unit
 
 if TYPE_CHECKING:
     from stiffopt.discovery.diagnosis import Diagnosis
-    from stiffopt.discovery.proof.proof import ChannelError, RunProof
+    from stiffopt.discovery.prediction import ChannelError, RunProof
 
 _WINDOW = 0.5
 # Points of a curve, and missing samples over which it is drawn all the same.
@@ -96,7 +96,7 @@ def trace(diagnosis: Diagnosis, proof: RunProof, name: str) -> Trace | None:
     slides = diagnosis.training.constants.joints[j].prismatic
     if error.kind == "torque":
         measured, unit = run.torque[:, j], joint_unit("N m", slides)
-        used = np.isfinite(measured) & (np.abs(np.nan_to_num(speed)) >= MOVING)
+        used = np.isfinite(measured) & (np.abs(np.nan_to_num(speed)) >= MIN_MOVING_SPEED)
     else:
         assert run.link_position is not None
         measured, unit = run.position[:, j] - run.link_position[:, j], joint_unit("rad", slides)

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from stiffopt.discovery.judging.black_box import SHOWN_SHARE
+from stiffopt.discovery.judging.noise_ceiling import SHOWN_SHARE
 from stiffopt.report.common.text import listed, pm, significant
 from stiffopt.report.diagnosis.overview import moved_values
 from stiffopt.report.diagnosis.words import (
@@ -24,8 +24,8 @@ from stiffopt.units import joint_unit
 if TYPE_CHECKING:
     from stiffopt.discovery.comparison.located_effect import LocatedEffect
     from stiffopt.discovery.diagnosis import Diagnosis, Finding
-    from stiffopt.discovery.judging.carried_over import Drift
-    from stiffopt.discovery.judging.shares import Share
+    from stiffopt.discovery.judging.explained_shares import MismatchShare
+    from stiffopt.discovery.judging.run_deviations import Drift
 
 # Shares below are not told apart from nothing, nor above from all.
 _LEAST, _ALL = 0.005, 0.995
@@ -83,7 +83,7 @@ class UnstatedRow:
     effect: str
     where: str
     values: str
-    from_nothing: str
+    min_deviations: str
     shows_in: str
     falls: str
     explains: str
@@ -273,7 +273,7 @@ def unstated_rows(diagnosis: Diagnosis, findings: Sequence[Finding]) -> list[Uns
                 effect=own[0].effect.title,
                 where=joints_in_words([f.joint for f in own if f.joint is not None]),
                 values=f"{first.name} of joint {values}",
-                from_nothing=f"{_span([f.significance for f in own], 1)} sd",
+                min_deviations=f"{_span([f.significance for f in own], 1)} sd",
                 shows_in=_channels(list(dict.fromkeys(f.channel for f in own))),
                 falls=" → ".join(_span([falls[k] for falls in left], 2) for k in (0, 1)),
                 explains=_range(min(shares), max(shares)),
@@ -283,7 +283,7 @@ def unstated_rows(diagnosis: Diagnosis, findings: Sequence[Finding]) -> list[Uns
     return rows
 
 
-def _part_words(diagnosis: Diagnosis, share: Share) -> str:
+def _part_words(diagnosis: Diagnosis, share: MismatchShare) -> str:
     part = share.part
     assert part is not None
     joints = sorted({e.joint + 1 for e in part.effects if e.joint is not None})

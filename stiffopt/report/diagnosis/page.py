@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from stiffopt.discovery.extended.changes import ValueChange, extended_model, value_changes
-from stiffopt.discovery.extended.planner_model import planner_model
+from stiffopt.discovery.extended.planning import planner_model
+from stiffopt.discovery.extended.value_changes import ValueChange, extended_model, value_changes
 from stiffopt.discovery.identifiable import effect_checks
 from stiffopt.recording.check import missing_signals
 from stiffopt.recording.facts import joint_facts

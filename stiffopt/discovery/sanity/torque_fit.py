@@ -10,25 +10,25 @@ from scipy.optimize import lsq_linear, minimize_scalar
 
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.comparison.signals import smooth_sign
-from stiffopt.discovery.settings import MOVING
+from stiffopt.discovery.settings import MIN_MOVING_SPEED
 
 # A stated friction or rotor inertia may be wrong by this much of itself, down and up: far more
 # than drives and cold grease make of it, far less than a unit does.
-_LESS, _MORE = 0.8, 10.0
+_MAX_RELATIVE_DECREASE, _MAX_RELATIVE_INCREASE = 0.8, 10.0
 # Load-dependent friction, share of the load.
-_LOAD_FRICTION = 0.4
+_MAX_LOAD_FRICTION = 0.4
 # A drive's constant offset, share of the largest nominal torque.
-_OFFSET = 0.5
+_MAX_OFFSET_SHARE = 0.5
 # Mass at the end of the arm that its model may lack or have in excess, share of the arm's; and how
 # far it may reach out [m].
-_PAYLOAD, _LEVER = 1.0, 0.5
+_MAX_PAYLOAD_SHARE, _MAX_PAYLOAD_LEVER = 1.0, 0.5
 # Weight that a spring may carry, over the largest there is.
-_BALANCED = 0.9
+_MAX_SPRING_SHARE = 0.9
 # Fewer moving instants, or less travel, decide nothing.
-_FEWEST = 60
+_MIN_MOVING_INSTANTS = 60
 # Gains that are tried, either sign, and how finely.
-_SAME = 0.02
-_GAINS = np.logspace(-4.5, 4.5, 61)
+_EQUIVALENT_SHARE = 0.02
+_GAIN_GRID = np.logspace(-4.5, 4.5, 61)
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +62,7 @@ class Additions:
     upper: np.ndarray
 
 
-class Balance:
+class TorqueFit:
     """What a robot like the nominal one leaves of measured torques.
 
     Parameters
@@ -87,7 +87,7 @@ class Balance:
         extra : Additions, optional
             What may be added besides, such as springs and payloads.
         """
-        reduced = self._reduced(motion, torque, joint, extra)
+        reduced = self._reduce_table(motion, torque, joint, extra)
         return float("nan") if reduced is None else reduced.share(1.0)
 
     def gain(
@@ -97,31 +97,35 @@ class Balance:
 
         A usual factor is preferred where it fits nearly as well.
         """
-        reduced = self._reduced(motion, torque, joint, None)
+        reduced = self._reduce_table(motion, torque, joint, None)
         if reduced is None:
             return float("nan"), float("nan")
-        every = [*-_GAINS[::-1], *_GAINS]
+        every = [*-_GAIN_GRID[::-1], *_GAIN_GRID]
         shares = [reduced.share(g) for g in every]
         best = int(np.argmin(shares))
         sign, log = np.sign(every[best]), np.log(abs(every[best]))
-        step = float(np.log(_GAINS[1] / _GAINS[0]))
+        step = float(np.log(_GAIN_GRID[1] / _GAIN_GRID[0]))
         found = minimize_scalar(
             lambda x: reduced.share(sign * np.exp(x)),
             bounds=(log - step, log + step),
             method="bounded",
             options={"xatol": 1e-3},
         )
-        good = {g: share for g in usual if (share := reduced.share(g)) < 1.5 * found.fun + _SAME}
+        good = {
+            g: share
+            for g in usual
+            if (share := reduced.share(g)) < 1.5 * found.fun + _EQUIVALENT_SHARE
+        }
         if good:
             return min(good.items(), key=lambda one: one[1])
         return float(sign * np.exp(found.x)), float(found.fun)
 
-    def _reduced(
+    def _reduce_table(
         self, motion: Motion, torque: np.ndarray, joint: int, extra: Additions | None
-    ) -> _Reduced | None:
+    ) -> _ReducedTable | None:
         speed = motion.velocity[:, joint]
-        rows = (np.abs(speed) >= MOVING) & np.isfinite(torque)
-        if rows.sum() < _FEWEST or np.ptp(torque[rows]) == 0.0:
+        rows = (np.abs(speed) >= MIN_MOVING_SPEED) & np.isfinite(torque)
+        if rows.sum() < _MIN_MOVING_INSTANTS or np.ptp(torque[rows]) == 0.0:
             return None
         robot, spring = self.robot, motion.spring[:, joint]
         direction = smooth_sign(speed)
@@ -132,13 +136,13 @@ class Balance:
             (robot.rotor_inertia[joint], acceleration),
         )
         nominal = spring + sum(value * column for value, column in stated)
-        offset = _OFFSET * float(np.abs(nominal[rows]).max())
+        offset = _MAX_OFFSET_SHARE * float(np.abs(nominal[rows]).max())
         columns = [np.ones_like(speed), np.abs(spring) * direction]
-        lower, upper = [-offset, 0.0], [offset, _LOAD_FRICTION]
+        lower, upper = [-offset, 0.0], [offset, _MAX_LOAD_FRICTION]
         for value, column in stated:
             columns.append(column)
-            lower.append(-_LESS * value)
-            upper.append(_MORE * value if value > 0.0 else np.inf)
+            lower.append(-_MAX_RELATIVE_DECREASE * value)
+            upper.append(_MAX_RELATIVE_INCREASE * value if value > 0.0 else np.inf)
         if extra is not None:
             columns += list(extra.columns.T)
             lower += list(extra.lower)
@@ -146,11 +150,11 @@ class Balance:
         table = np.column_stack([torque, nominal, *columns])[rows]
         variance = float(np.sum((table[:, 0] - table[:, 0].mean()) ** 2))
         triangle = np.asarray(np.linalg.qr(table, mode="r"))
-        return _Reduced(triangle, np.array(lower), np.array(upper), variance)
+        return _ReducedTable(triangle, np.array(lower), np.array(upper), variance)
 
 
 @dataclass(frozen=True, eq=False)
-class _Reduced:
+class _ReducedTable:
     """A table (torque, nominal, columns) by its triangle, which has the same squares."""
 
     triangle: np.ndarray
@@ -172,18 +176,18 @@ class _Reduced:
         return float(2.0 * found.cost * gain**2 / self.variance)
 
 
-def may_have(robot: RobotModel, motion: Motion, joint: int) -> Additions:
+def allowed_additions(robot: RobotModel, motion: Motion, joint: int) -> Additions:
     """What a robot may have besides: a spring at the joint, another payload."""
     angle, at = motion.position[:, joint], motion.position
     last = int(np.argmax(robot.order))
     payload = robot.body_torques(last, at, motion.velocity, motion.acceleration)[:, joint]
     masses = robot.constants.masses
-    mass = _PAYLOAD * float(masses.sum())
+    mass = _MAX_PAYLOAD_SHARE * float(masses.sum())
     weight = robot.gravity_torque(at, robot.recordings.gravity)[:, joint]
-    spring = _BALANCED * max(float(np.abs(weight).max()), 1e-9)
-    moment = mass * _LEVER
+    spring = _MAX_SPRING_SHARE * max(float(np.abs(weight).max()), 1e-9)
+    moment = mass * _MAX_PAYLOAD_LEVER
     stretch = spring / max(float(np.abs(angle).max()), 1e-9)
-    inertia = moment * _LEVER
+    inertia = moment * _MAX_PAYLOAD_LEVER
     body_lower = [-float(masses[last]), *[-moment] * 3, *[-inertia] * 6]
     return Additions(
         columns=np.column_stack([angle, np.sin(angle), np.cos(angle), payload]),

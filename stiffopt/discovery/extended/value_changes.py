@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from stiffopt.discovery.comparison.signals import RobotConstants
-from stiffopt.discovery.extended.made_for import made_for
-from stiffopt.discovery.extended.model import ExtendedModel
+from stiffopt.discovery.extended.model import ExtendedModel, robot_signature
 from stiffopt.robot.robot import Robot
 from stiffopt.units import joint_unit
 
@@ -18,13 +17,13 @@ if TYPE_CHECKING:
     from stiffopt.recording.recording_set import RecordingSet
 
 # Values of a joint: attribute of the robot, words, unit.
-_OF_JOINTS = (
+_JOINT_VALUES = (
     ("coulomb", "Coulomb friction", "N m"),
     ("viscous", "viscous friction", "N m s/rad"),
     ("rotor_inertia", "rotor inertia", "kg m^2"),
 )
 # Relative difference below which a value is the same.
-_SAME = 1e-6
+_EQUALITY_TOLERANCE = 1e-6
 
 
 @dataclass(frozen=True)
@@ -65,7 +64,7 @@ def value_changes(nominal: Robot, found: Robot) -> list[ValueChange]:
         slides = bool(nominal.prismatic[j])
         pairs = [
             (words, getattr(nominal, key)[j], getattr(found, key)[j], joint_unit(unit, slides))
-            for key, words, unit in _OF_JOINTS
+            for key, words, unit in _JOINT_VALUES
         ]
         bodies = nominal.tree.bodies[j], found.tree.bodies[j]
         pairs.append(("mass behind it", bodies[0].mass, bodies[1].mass, "kg"))
@@ -84,7 +83,7 @@ def value_changes(nominal: Robot, found: Robot) -> list[ValueChange]:
         changes += [
             ValueChange(j + 1, name, words, float(old), float(new), unit)
             for words, old, new, unit in pairs
-            if abs(new - old) > _SAME * max(abs(old), abs(new))
+            if abs(new - old) > _EQUALITY_TOLERANCE * max(abs(old), abs(new))
         ]
     return changes
 
@@ -98,7 +97,7 @@ def extended_model(
         source=str(recordings.path),
         name=recordings.name,
         joints=recordings.joints,
-        robot=made_for(recordings.robot, recordings.order),
+        robot=robot_signature(recordings.robot, recordings.order),
         nominal=recordings.stated,
         chains=tuple(joint.chain for joint in joints),
         scales={

@@ -9,25 +9,25 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from stiffopt.discovery.sanity.doubt import Doubt
-from stiffopt.discovery.sanity.explanations import Explanation, Explanations
-from stiffopt.discovery.sanity.lines import (
+from stiffopt.discovery.sanity.doubt import (
+    Doubt,
     column_line,
-    joints_in_words,
-    listed_numbers,
+    format_joints,
+    format_numbers,
+    format_shares,
     scale_line,
-    share_words,
 )
-from stiffopt.discovery.sanity.orders import DEGREE, MILLIMETRE
+from stiffopt.discovery.sanity.explanations import Explanation, Explanations
+from stiffopt.discovery.sanity.interpretations import DEGREE, MILLIMETRE
 from stiffopt.recording.recording_set import RecordingSet
 
 # Within which a factor counts as that of a unit, a sign or a gear.
-_LIKE = 0.2
+_FACTOR_TOLERANCE = 0.2
 # Ratios of the gears of arms.
-_GEARS = (20.0, 400.0)
+_GEAR_RATIO_RANGE = (20.0, 400.0)
 
 
-def explained(
+def describe_explanation(
     recordings: RecordingSet, search: Explanations, explanation: Explanation
 ) -> Iterator[Doubt]:
     """Doubts that say an explanation: gravity, a delay, or units, orders, signs and gains.
@@ -39,19 +39,19 @@ def explained(
         What the file's own reading leaves.
     explanation : Explanation
     """
-    shares = share_words(search.strict, explanation.left, explanation.joints)
+    shares = format_shares(search.strict, explanation.left, explanation.joints)
     joints = tuple(j + 1 for j in explanation.joints)
     if explanation.gravity is not None:
         direction = 9.81 * explanation.gravity
-        stated = listed_numbers(recordings.gravity)
-        fit = f"the torques fit gravity along {listed_numbers(direction)}"
+        stated = format_numbers(recordings.gravity)
+        fit = f"the torques fit gravity along {format_numbers(direction)}"
         if not direction.any():
             fit = "the torques hold no weight, as of a controller that adds it behind them"
         yield Doubt(
             kind="gravity",
             joints=joints,
             evidence=f"Gravity is stated as {stated} m/s^2, but {fit}: {shares}.",
-            line=f"gravity = {listed_numbers(direction)}",
+            line=f"gravity = {format_numbers(direction)}",
         )
     elif explanation.delay is not None:
         later = "later" if explanation.delay > 0.0 else "earlier"
@@ -63,14 +63,14 @@ def explained(
             line=f"torque_delay = {explanation.delay:.3f} in [signals]",
         )
     else:
-        yield from _of_reading(recordings, explanation, shares)
+        yield from _doubt_reading(recordings, explanation, shares)
         if explanation.gains is not None:
-            yield from _of_gains(recordings, explanation, search.strict)
+            yield from _doubt_gains(recordings, explanation, search.strict)
 
 
-def in_rad(recordings: RecordingSet, search: Explanations, found: Explanation) -> Doubt:
+def doubt_degrees(recordings: RecordingSet, search: Explanations, found: Explanation) -> Doubt:
     """Joints that are stated in degrees and move in rad."""
-    which = joints_in_words(found.joints)
+    which = format_joints(found.joints)
     most = np.degrees(np.ptp(search.samples.position[:, list(found.joints)], axis=0).max())
     each = ", ".join(f"{100.0 * found.left[j]:.2g} % at joint {j + 1}" for j in found.joints)
     line = scale_line(recordings, "position", np.array(found.reading.position_scale))
@@ -85,7 +85,9 @@ def in_rad(recordings: RecordingSet, search: Explanations, found: Explanation) -
     )
 
 
-def _of_reading(recordings: RecordingSet, explanation: Explanation, shares: str) -> Iterator[Doubt]:
+def _doubt_reading(
+    recordings: RecordingSet, explanation: Explanation, shares: str
+) -> Iterator[Doubt]:
     """Degrees, swapped columns and turned signs of a reading."""
     reading, n = explanation.reading, recordings.n
     scale = np.array(reading.position_scale)
@@ -104,7 +106,7 @@ def _of_reading(recordings: RecordingSet, explanation: Explanation, shares: str)
         if not alike.size:
             continue
         every = alike.size == n
-        which = "all joints" if every else joints_in_words(alike)
+        which = "all joints" if every else format_joints(alike)
         yield Doubt(
             kind="position unit",
             joints=tuple(int(j) + 1 for j in alike),
@@ -125,7 +127,7 @@ def _of_reading(recordings: RecordingSet, explanation: Explanation, shares: str)
         yield Doubt(
             kind="joint order" if both else f"{kind} order",
             joints=tuple(j + 1 for j in swapped[kind]),
-            evidence=f"The {what} of {joints_in_words(swapped[kind])} look exchanged: {shares}.",
+            evidence=f"The {what} of {format_joints(swapped[kind])} look exchanged: {shares}.",
             line=f"{lines} in [signals]",
         )
     torque_turned = np.flatnonzero(np.array(reading.torque_scale) < 0.0)
@@ -140,7 +142,7 @@ def _of_reading(recordings: RecordingSet, explanation: Explanation, shares: str)
         yield Doubt(
             kind="position sign",
             joints=tuple(int(j) + 1 for j in turned),
-            evidence=f"{what} of {joints_in_words(turned)} {look} turned round, as about an axis of"
+            evidence=f"{what} of {format_joints(turned)} {look} turned round, as about an axis of"
             f" the other direction: {shares}.",
             line=lines,
         )
@@ -149,13 +151,12 @@ def _of_reading(recordings: RecordingSet, explanation: Explanation, shares: str)
         yield Doubt(
             kind="torque sign",
             joints=tuple(int(j) + 1 for j in torque_turned),
-            evidence=f"The torque of {joints_in_words(torque_turned)} has the other sign:"
-            f" {shares}.",
+            evidence=f"The torque of {format_joints(torque_turned)} has the other sign: {shares}.",
             line=scale_line(recordings, "torque", np.array(reading.torque_scale)),
         )
 
 
-def _of_gains(
+def _doubt_gains(
     recordings: RecordingSet, explanation: Explanation, before: np.ndarray
 ) -> Iterator[Doubt]:
     """Torques off by a factor, joint by joint; one line mends them all."""
@@ -166,10 +167,10 @@ def _of_gains(
     line = scale_line(recordings, "torque", factors)
     for j in np.flatnonzero(gains != 1.0):
         slides = bool(recordings.prismatic[j])
-        kind, words = _gain_in_words(
+        kind, words = _describe_gain(
             float(gains[j]), None if ratio is None else float(ratio[j]), "N" if slides else "N m"
         )
-        shares = share_words(before, explanation.left, [int(j)])
+        shares = format_shares(before, explanation.left, [int(j)])
         yield Doubt(
             kind=kind,
             joints=(int(j) + 1,),
@@ -178,19 +179,19 @@ def _of_gains(
         )
 
 
-def _gain_in_words(gain: float, ratio: float | None, newton: str) -> tuple[str, str]:
+def _describe_gain(gain: float, ratio: float | None, newton: str) -> tuple[str, str]:
     size = abs(gain)
     turned = ", and has the other sign" if gain < 0.0 else ""
-    if abs(size - 1.0) < _LIKE and gain < 0.0:
+    if abs(size - 1.0) < _FACTOR_TOLERANCE and gain < 0.0:
         return "torque sign", "has the other sign"
     for factor, prefix in ((1e3, "m"), (1e-3, "k")):
-        if abs(size / factor - 1.0) < _LIKE:
+        if abs(size / factor - 1.0) < _FACTOR_TOLERANCE:
             return "torque unit", f"looks like {prefix}{newton}{turned}"
-    if ratio is not None and abs(ratio) > 2.0 and abs(size * abs(ratio) - 1.0) < _LIKE:
+    if ratio is not None and abs(ratio) > 2.0 and abs(size * abs(ratio) - 1.0) < _FACTOR_TOLERANCE:
         return "torque unit", f"looks like that of the motor, before the gear of {ratio:g}{turned}"
     if size < 1.0:
         geared = ""
-        if ratio is None and _GEARS[0] < 1.0 / size < _GEARS[1]:
+        if ratio is None and _GEAR_RATIO_RANGE[0] < 1.0 / size < _GEAR_RATIO_RANGE[1]:
             geared = f", or the motor's own torque before a gear of {1.0 / size:.3g}"
         current = f"looks like current, about {1.0 / size:.3g} {newton}/A{geared}{turned}"
         return "torque unit", f"{current}, if the robot's file is not of a larger arm"

@@ -1,22 +1,110 @@
-"""Other readings of the same files: swapped joints and columns, turned signs, units."""
+"""Some hundred instants of the training runs: motion and torques, filtered alike."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Any
 
 import numpy as np
 
+from stiffopt.discovery.comparison.filtering import ZeroPhaseFilter, derivative
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
-from stiffopt.discovery.sanity.balance import Motion
-from stiffopt.discovery.sanity.samples import Samples
+from stiffopt.discovery.comparison.prepare import near_gaps, uniform, whole
+from stiffopt.discovery.sanity.torque_fit import Motion
+from stiffopt.recording.run import RecordedRun
+
+# Instants of all runs together: enough for a dozen columns, few enough to try many descriptions.
+_MAX_INSTANTS = 900
+# Units and orders show in slow motion, where neither noise nor what swings matters [Hz].
+_FILTER_CUTOFF = 8.0
+
+
+@dataclass(frozen=True, eq=False)
+class TorqueSeries:
+    """Torques of one run on its own clock, to be read earlier or later.
+
+    Parameters
+    ----------
+    time : array (K,) [s]
+    torque : array (K, n)
+        Filtered [N m]; nan where a joint has none.
+    at : array (m,)
+        The instants of the run [s].
+    """
+
+    time: np.ndarray
+    torque: np.ndarray
+    at: np.ndarray
+
+    def shifted(self, delay: float) -> np.ndarray:
+        """Torques (m, n) that were recorded `delay` after the instants."""
+        when = self.at + delay
+        return np.column_stack([np.interp(when, self.time, column) for column in self.torque.T])
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """Instants of the runs.
+
+    Parameters
+    ----------
+    position, velocity, acceleration, torque : array (m, n)
+        As recorded, in the order of the set; torque is nan where a joint has none.
+    series : tuple of TorqueSeries
+        One a run.
+    """
+
+    position: np.ndarray
+    velocity: np.ndarray
+    acceleration: np.ndarray
+    torque: np.ndarray
+    series: tuple[TorqueSeries, ...]
+
+    def delayed_torque(self, delay: float) -> np.ndarray:
+        """Torques (m, n) recorded `delay` [s] after the motion."""
+        return np.vstack([each.shifted(delay) for each in self.series])
+
+
+def sample_runs(runs: Sequence[RecordedRun]) -> Samples | None:
+    """Instants of the usable runs, None where they are too short."""
+    usable = [run for run in runs if run.usable]
+    every = max(1, _MAX_INSTANTS // max(1, len(usable)))
+    motions, series = [], []
+    for run in usable:
+        time, position, _, torque = uniform(run)
+        dt = float(time[1] - time[0])
+        low_pass = ZeroPhaseFilter(1.0 / dt, min(_FILTER_CUTOFF, 0.2 / dt))
+        inside = np.arange(low_pass.settling, len(time) - low_pass.settling)
+        bridged = near_gaps(_complete_stamps(run), run.step, time, low_pass.settling)
+        inside = inside[~bridged[inside]]
+        if len(inside) < 20:
+            continue
+        places = inside[np.linspace(0, len(inside) - 1, min(every, len(inside))).astype(int)]
+        q = low_pass.motion(whole(position))
+        v = derivative(q, dt)
+        motions.append(np.stack([q, v, derivative(v, dt)])[:, places])
+        smooth = low_pass(whole(torque))
+        series.append(TorqueSeries(time, smooth, time[places]))
+    if not motions:
+        return None
+    q, v, a = np.concatenate(motions, axis=1)
+    measured = np.vstack([each.shifted(0.0) for each in series])
+    return Samples(q, v, a, measured, tuple(series))
+
+
+def _complete_stamps(run: RecordedRun) -> np.ndarray:
+    """Times at which no channel lacks a number that it has at others."""
+    channels = np.hstack([run.position, run.torque])
+    known = np.isfinite(channels)
+    return np.asarray(run.time[(known | ~known.any(axis=0)).all(axis=1)])
+
 
 # Units that positions of turning and of sliding joints may be in, in SI.
 DEGREE, MILLIMETRE = np.pi / 180.0, 1e-3
 # Of clocks in ms, us and ns, and of stamps counted with another rate.
-_CLOCKS = (1e-3, 1e-6, 1e-9, 0.01, 0.1, 10.0, 100.0, 1e3)
+_CLOCK_FACTORS = (1e-3, 1e-6, 1e-9, 0.01, 0.1, 10.0, 100.0, 1e3)
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,12 +165,12 @@ class Reading:
                 yield other
         for part in parts:
             for one, two in combinations(range(n), 2):
-                yield self._swapped(part, one, two)
+                yield self._swap_joints(part, one, two)
             for joint in range(n):
-                yield self._turned(part, joint)
+                yield self._turn_sign(part, joint)
         if self.time_scale == 1.0:
-            for factor in _CLOCKS:
-                yield self._stepped(time_scale=factor)
+            for factor in _CLOCK_FACTORS:
+                yield self._take_step(time_scale=factor)
 
     def in_other_units(self, prismatic: np.ndarray, which: np.ndarray) -> Reading:
         """Positions of these joints (n,) in degrees or mm, unless they are by now."""
@@ -90,12 +178,12 @@ class Reading:
             s * (MILLIMETRE if slides else DEGREE) if chosen and abs(s) == 1.0 else s
             for s, slides, chosen in zip(self.position_scale, prismatic, which, strict=True)
         )
-        return self if scale == self.position_scale else self._stepped(position_scale=scale)
+        return self if scale == self.position_scale else self._take_step(position_scale=scale)
 
-    def _stepped(self, **changes: Any) -> Reading:
+    def _take_step(self, **changes: Any) -> Reading:
         return replace(self, steps=self.steps + 1, **changes)
 
-    def _swapped(self, part: str, one: int, two: int) -> Reading:
+    def _swap_joints(self, part: str, one: int, two: int) -> Reading:
         changes: dict[str, Any] = {}
         for kind in ("position", "torque"):
             if part in (kind, "both"):
@@ -103,18 +191,18 @@ class Reading:
                     values = list(getattr(self, field))
                     values[one], values[two] = values[two], values[one]
                     changes[field] = tuple(values)
-        return self._stepped(**changes)
+        return self._take_step(**changes)
 
-    def _turned(self, part: str, joint: int) -> Reading:
+    def _turn_sign(self, part: str, joint: int) -> Reading:
         changes: dict[str, Any] = {}
         for kind in ("position", "torque"):
             if part in (kind, "both"):
                 field = f"{kind}_scale"
-                changes[field] = _times(getattr(self, field), joint, -1.0)
-        return self._stepped(**changes)
+                changes[field] = _scale_joint(getattr(self, field), joint, -1.0)
+        return self._take_step(**changes)
 
 
-def _times(scale: tuple[float, ...], joint: int, factor: float) -> tuple[float, ...]:
+def _scale_joint(scale: tuple[float, ...], joint: int, factor: float) -> tuple[float, ...]:
     return tuple(s * factor if k == joint else s for k, s in enumerate(scale))
 
 

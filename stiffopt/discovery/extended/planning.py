@@ -6,24 +6,33 @@ with (ripple, offsets, delays) is named.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from stiffopt.certificate.assess import assess
+from stiffopt.certificate.objective_value import objective_value
+from stiffopt.certificate.violations import CERTIFIED
 from stiffopt.discovery.comparison.bodies import names_of_body
 from stiffopt.discovery.comparison.extension import EstimatedEffect
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.comparison.signals import JointConstants
-from stiffopt.discovery.extended.made_for import require_same_robot
-from stiffopt.discovery.extended.model import ExtendedModel
+from stiffopt.discovery.extended.model import ExtendedModel, load_extended, require_same_robot
+from stiffopt.discovery.user_effects import load_effects
 from stiffopt.drivetrain.chain import Chain
-from stiffopt.errors import InputFileError
+from stiffopt.elastic.uncertainty import of_deviations
+from stiffopt.errors import InputFileError, more
+from stiffopt.problem.trajectory import TrajectoryProblem
+from stiffopt.result.assessment import Assessment
+from stiffopt.result.solution import Solution
 from stiffopt.robot.robot import Robot
+from stiffopt.solver.solve import solve
 
 # Nominal values of the robot that a calibration states relative to themselves.
-_RELATIVE = ("coulomb", "viscous", "rotor_inertia")
+_SCALED_VALUES = ("coulomb", "viscous", "rotor_inertia")
 # Parameters of effects that multiply a joint's stiffness.
 _STIFFNESS_FACTORS = ("factor", "k1_factor")
 
@@ -79,7 +88,7 @@ def planner_model(robot: Robot, model: ExtendedModel) -> PlannerModel:
     inertia scale them, re-identified bodies are changed by as much. Calibrated masses, centres and
     stiffnesses that lie within the tolerances of the nominal model are not carried over.
     """
-    planner = _Planner(robot, model)
+    planner = _RobotUpdate(robot, model)
     planner.calibrate()
     for estimated in model.extension.effects:
         planner.add(estimated)
@@ -92,20 +101,20 @@ def planner_model(robot: Robot, model: ExtendedModel) -> PlannerModel:
     )
 
 
-class _Planner:
+class _RobotUpdate:
     """The robot while findings are put into it."""
 
     def __init__(self, robot: Robot, model: ExtendedModel) -> None:
         self.robot, self.model = robot, model
         self.own_chains = robot.chains
-        self.place = _places(robot, model)
+        self.place = _match_joints(robot, model)
         require_same_robot(model.robot, model.source, model.joints, robot, self.place)
         self.changes: list[str] = []
         self.left_out: list[str] = []
 
     def calibrate(self) -> None:
         """Scale what was calibrated and is a value of the robot."""
-        for name in _RELATIVE:
+        for name in _SCALED_VALUES:
             values = np.array(getattr(self.robot, name), dtype=float)
             moved = False
             for j, place in enumerate(self.place):
@@ -115,9 +124,9 @@ class _Planner:
             if moved:
                 changed: dict[str, Any] = {name: values}
                 self.robot = replace(self.robot, **changed)
-        self._bodies()
+        self._update_bodies()
 
-    def _bodies(self) -> None:
+    def _update_bodies(self) -> None:
         """Change the bodies that were re-identified."""
         calibration = self.model.extension.calibration
         moved = []
@@ -154,7 +163,7 @@ class _Planner:
     def stiffness_deviation(self) -> np.ndarray:
         """Relative standard deviations (n,) of the joints whose stiffness was found."""
         found = np.full(self.robot.n, np.nan)
-        for located, values, deviations in self._stated():
+        for located, values, deviations in self._stated_findings():
             if located.effect.family != "elastic" or located.joint is None:
                 continue
             shares = [
@@ -170,12 +179,14 @@ class _Planner:
     def payload_deviation(self) -> float:
         """Standard deviation of a payload that was found over the payload that planning varies."""
         carried = 0.0 if self.robot.payload is None else float(self.robot.payload[0])
-        for located, _, deviations in self._stated():
+        for located, _, deviations in self._stated_findings():
             if located.effect.name == "payload" and "dm" in deviations and carried > 0.0:
                 return float(deviations["dm"] / carried)
         return float("nan")
 
-    def _stated(self) -> Iterator[tuple[LocatedEffect, Mapping[str, float], Mapping[str, float]]]:
+    def _stated_findings(
+        self,
+    ) -> Iterator[tuple[LocatedEffect, Mapping[str, float], Mapping[str, float]]]:
         """Findings with their parameters and standard deviations."""
         stated = zip(
             self.model.extension.effects, self.model.parameters, self.model.deviations, strict=False
@@ -184,7 +195,7 @@ class _Planner:
             yield estimated.located, values, deviations
 
 
-def _places(robot: Robot, model: ExtendedModel) -> tuple[int, ...]:
+def _match_joints(robot: Robot, model: ExtendedModel) -> tuple[int, ...]:
     """Index of every joint of the model among those of the robot: by name, else in order."""
     names: Sequence[str] = robot.joint_names
     if set(model.joints) <= set(names):
@@ -228,3 +239,125 @@ def joint_constants(model: ExtendedModel, joint: int, own: Chain | None) -> Join
         pole_pairs=nominal.pole_pairs,
         fastest=model.scales["fastest"][joint],
     )
+
+
+Progress = Callable[[Any], object]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ClosedLoop:
+    """Both motions and what the arm would do on either.
+
+    Parameters
+    ----------
+    problem : TrajectoryProblem
+        With the extended robot.
+    planner : PlannerModel
+    nominal : Solution
+        Planned with the nominal robot.
+    carried_over : Assessment or None
+        The nominal motion on the extended robot.
+    solution : Solution
+        Planned with the extended robot; its notes tell the change.
+    """
+
+    problem: TrajectoryProblem
+    planner: PlannerModel
+    nominal: Solution
+    carried_over: Assessment | None
+    solution: Solution
+
+
+def read_model(model: Path, effects: Path | None = None) -> ExtendedModel:
+    """Extended model of a diagnosis, with the effects of a user's own file."""
+    return load_extended(model, () if effects is None else load_effects(effects))
+
+
+def solve_extended(
+    problem: TrajectoryProblem, model: ExtendedModel, *, progress: Progress | None = None
+) -> ClosedLoop:
+    """Solve a problem with the nominal robot, then with the extended one.
+
+    Parameters
+    ----------
+    problem : TrajectoryProblem
+        With the nominal robot.
+    model : ExtendedModel
+    progress : callable, optional
+        Called with a `SolveProgress` in every iteration of both solves.
+
+    Raises
+    ------
+    ProblemError
+        The problem cannot be met by the nominal or by the extended robot.
+    InputFileError
+        The model is of another robot.
+    """
+    planner = planner_model(problem.robot, model)
+    unsure = of_deviations(
+        problem.uncertainty, planner.stiffness_deviation, planner.payload_deviation
+    )
+    changed = replace(problem, robot=planner.robot, uncertainty=unsure)
+    nominal = solve(problem, progress=progress, throw=False)
+    carried = None
+    if nominal.trajectory is not None:
+        carried = assess(changed, nominal.trajectory)
+    solution = solve(changed, progress=progress, throw=False)
+    loop = ClosedLoop(
+        problem=changed,
+        planner=planner,
+        nominal=nominal,
+        carried_over=carried,
+        solution=solution,
+    )
+    notes = (*solution.notes, *_describe_changes(planner, model), *_compare_motions(loop))
+    return replace(loop, solution=replace(solution, notes=notes))
+
+
+def _describe_changes(planner: PlannerModel, model: ExtendedModel) -> tuple[str, ...]:
+    notes = [f"Planned with {model.source}. {text}" for text in planner.changes]
+    if not planner.changes:
+        notes.append(f"{model.source} holds nothing that a planner computes with.")
+    if planner.left_out:
+        notes.append(f"Left out, since a planner does not know it: {', '.join(planner.left_out)}.")
+    return tuple(notes)
+
+
+def _compare_motions(loop: ClosedLoop) -> tuple[str, ...]:
+    """The motion planned without what was found against the one planned with it."""
+    old, new, carried = loop.nominal.assessment, loop.solution.assessment, loop.carried_over
+    if old is None or carried is None:
+        return ("There is no motion of the nominal robot to compare with.",)
+    notes = []
+    if new is not None:
+        for part in ("dynamic", "total"):
+            promised, true, best = (
+                each.deflection_summary()[part].peak for each in (old, carried, new)
+            )
+            notes.append(
+                f"Peak {part} deflection of the motion planned without it:"
+                f" {1e3 * promised:.4g} mm by the nominal model, {1e3 * true:.4g} mm by the"
+                f" extended one; of the motion planned with it: {1e3 * best:.4g} mm"
+                f"{_format_change(best, true)}."
+            )
+        notes.append(_compare_objectives(loop, carried))
+    worst = carried.worst_violation
+    if worst.value > CERTIFIED:
+        notes.append(f"The motion planned without it would exceed {worst.describe()}.")
+    return tuple(note for note in notes if note)
+
+
+def _compare_objectives(loop: ClosedLoop, carried: Assessment) -> str:
+    own = loop.solution.objective
+    if own is None:
+        return ""
+    before = objective_value(loop.problem, carried)
+    return (
+        f"Objective of the motion planned without it, by the extended model: {before.value:.4g}"
+        f" {before.unit}; planned with it: {own.value:.4g} {own.unit}"
+        f"{_format_change(own.value, before.value)}."
+    )
+
+
+def _format_change(after: float, before: float) -> str:
+    return f" ({more(after, before, 2)})" if before > 0.0 else ""

@@ -68,11 +68,11 @@ def detection_limits(
     found = []
     for effect in catalogue:
         if len(effect.amplitudes) == 1 and effect.amplitudes[0] is not WEIGHT:
-            found += list(_of_effect(scorer, effect, seen))
+            found += list(_effect_limits(scorer, effect, seen))
     return tuple(found)
 
 
-def _of_effect(
+def _effect_limits(
     scorer: Scorer, effect: Effect, seen: Sequence[LocatedEffect]
 ) -> Iterator[DetectionLimit]:
     constants = scorer.comparison.constants

@@ -16,15 +16,15 @@ import numpy as np
 
 from stiffopt.discovery.comparison.extension import Extension
 from stiffopt.discovery.comparison.signals import RobotConstants, smooth_sign
-from stiffopt.discovery.proof.proof import RunProof, used_samples
-from stiffopt.discovery.settings import MOVING
+from stiffopt.discovery.prediction import RunProof, used_samples
+from stiffopt.discovery.settings import MIN_MOVING_SPEED
 
 # Share of what is left that one value explains, and how far above the noise what is left must be.
-_SHARE, _ABOVE = 0.5, 2.0
+_MIN_EXPLAINED_SHARE, _MIN_NOISE_RATIO = 0.5, 2.0
 # Parts of a run in each of which it must help, and samples below which nothing is said.
-_PARTS, _FEWEST = 4, 40
+_RUN_PARTS, _MIN_SAMPLES = 4, 40
 # Share of a shape that a drift's own must hold to stand for it: a run tells them hardly apart.
-_ALIKE = 0.9
+_COLLINEAR_SHARE = 0.9
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,7 +74,7 @@ class Drift:
         return np.asarray(self.dry * smooth_sign(speed) + self.viscous * speed)
 
 
-def drifts(
+def find_friction_drift(
     found: Extension, constants: RobotConstants, velocities: Sequence[np.ndarray]
 ) -> tuple[Drift, ...]:
     """Friction that was found to differ from run to run; of a joint's several the latest.
@@ -104,7 +104,7 @@ def drifts(
     return tuple(every.values())
 
 
-def not_carried_over(
+def find_run_deviations(
     proofs: Sequence[RunProof], velocities: Sequence[np.ndarray], drift: Sequence[Drift] = ()
 ) -> tuple[NotCarriedOver, ...]:
     """Single values that explain the most of what is left in a run.
@@ -127,10 +127,13 @@ def not_carried_over(
             if used is None or name not in noise:
                 continue
             left = getattr(run, kind)[used, joint] - getattr(proof.after, kind)[places[used], joint]
-            if len(left) < _FEWEST or np.sqrt(np.mean(left**2)) < _ABOVE * noise[name]:
+            if (
+                len(left) < _MIN_SAMPLES
+                or np.sqrt(np.mean(left**2)) < _MIN_NOISE_RATIO * noise[name]
+            ):
                 continue
             own = of_joint.get(joint) if kind == "torque" else None
-            best = _best(left, velocity[used, joint], kind == "torque", own)
+            best = _best_single_value(left, velocity[used, joint], kind == "torque", own)
             if best is not None:
                 share, value, what = best
                 found.append(
@@ -139,30 +142,32 @@ def not_carried_over(
     return tuple(found)
 
 
-def _best(
+def _best_single_value(
     left: np.ndarray, speed: np.ndarray, torque: bool, drift: Drift | None
 ) -> tuple[float, float, str] | None:
     """Share, value and kind of what takes away most, if it does so all along the run."""
     shapes = {"constant": np.ones_like(left)}
-    if torque and speed.min() < -MOVING and speed.max() > MOVING:
+    if torque and speed.min() < -MIN_MOVING_SPEED and speed.max() > MIN_MOVING_SPEED:
         friction = {"dry friction": smooth_sign(speed), "viscous friction": speed}
         known = np.zeros_like(left) if drift is None else drift.torque(speed)
         if known.any():
             # Known to differ, it is no news that it does; another friction or a constant is.
-            friction = {k: v for k, v in friction.items() if _held(v, known) < _ALIKE}
+            friction = {
+                k: v for k, v in friction.items() if _shared_squares(v, known) < _COLLINEAR_SHARE
+            }
             friction["friction drift"] = known
         shapes |= friction
     found = []
-    part = np.arange(len(left)) * _PARTS // len(left)
+    part = np.arange(len(left)) * _RUN_PARTS // len(left)
     for kind, shape in shapes.items():
         value = float(shape @ left / (shape @ shape))
         fall = left**2 - (left - value * shape) ** 2
         share = float(fall.sum() / (left @ left))
-        if share >= _SHARE and np.bincount(part, fall).min() > 0.0:
+        if share >= _MIN_EXPLAINED_SHARE and np.bincount(part, fall).min() > 0.0:
             found.append((share, value, kind))
     return max(found, default=None)
 
 
-def _held(shape: np.ndarray, known: np.ndarray) -> float:
+def _shared_squares(shape: np.ndarray, known: np.ndarray) -> float:
     """Share of a shape's squares that a known one explains."""
     return float((shape @ known) ** 2 / ((shape @ shape) * (known @ known)))

@@ -17,23 +17,23 @@ from stiffopt.discovery.comparison.comparison import Comparison
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.comparison.prepare import PreparedRun
 from stiffopt.discovery.thresholds import (
-    BALANCING_RATIO,
-    CHANGE_SEEN_SELDOM,
-    CHANGE_SHARE,
-    LEFT_OUT_FOLDS,
-    LEFT_OUT_SHARE,
+    MAX_CANCELLATION_RATIO,
+    MIN_CHANGE_SHARE,
+    MIN_HELD_OUT_SHARE,
+    MIN_HELPED_FOLDS,
+    RARE_CHANGE_SHARE,
 )
 
 # Parts of all runs that are left out one after another where runs are few; and of each run where
 # an effect acts in fewer parts than the second.
-_PARTS, _FEWEST = 6, 3
+_FOLDS_OF_FEW_RUNS, _MIN_ACTIVE_FOLDS = 6, 3
 # Share of the largest change of a fold, or of an effect's squares in the other half, from which a
 # fold or half has a say.
-_ACTED = 0.05
+_MIN_ACTIVE_SHARE = 0.05
 
 
 @dataclass(frozen=True, eq=False)
-class _Sums:
+class _FoldSums:
     """Sums of squares of every fold and channel: gram (f, c, p, p), moment, square."""
 
     gram: np.ndarray
@@ -55,7 +55,9 @@ class _Sums:
         return out
 
 
-def borne_out(comparison: Comparison, effects: Sequence[LocatedEffect]) -> list[LocatedEffect]:
+def select_predictive(
+    comparison: Comparison, effects: Sequence[LocatedEffect]
+) -> list[LocatedEffect]:
     """Effects without which recordings left out are predicted worse.
 
     Parameters
@@ -73,22 +75,22 @@ def borne_out(comparison: Comparison, effects: Sequence[LocatedEffect]) -> list[
     and stays. Where an extended model was started from, what changed must stand out of what that
     model left open.
     """
-    effects = _met_again(comparison, without_balancing(comparison, effects))
+    effects = _drop_single_fold_shapes(comparison, drop_cancelling(comparison, effects))
     if not effects:
         return []
-    columns, prior, owner = _columns(comparison, effects)
+    columns, prior, owner = _stack_columns(comparison, effects)
     judged = [k for k, e in enumerate(effects) if e.run is None]
-    new = {k: _never_seen(comparison, columns[:, owner == k]) for k in judged}
-    ways = [_Left(comparison, columns, prior, fine=False)]
+    new = {k: _is_unseen(comparison, columns[:, owner == k]) for k in judged}
+    ways = [_Folds(comparison, columns, prior, fine=False)]
     chosen = dict.fromkeys(judged, ways[0])
     seldom = [
         k
         for k in judged
-        if effects[k].by_run or ways[0].acted(columns[:, owner == k]).sum() < _FEWEST
+        if effects[k].by_run or ways[0].acted(columns[:, owner == k]).sum() < _MIN_ACTIVE_FOLDS
     ]
     if seldom:
         # As where joints move one a run: nothing but the run itself could say anything of it.
-        finer = _Left(comparison, columns, prior, fine=True)
+        finer = _Folds(comparison, columns, prior, fine=True)
         chosen |= dict.fromkeys(seldom, finer)
         ways.append(finer)
     kept = set(range(len(effects)))
@@ -96,7 +98,7 @@ def borne_out(comparison: Comparison, effects: Sequence[LocatedEffect]) -> list[
         inside = np.isin(owner, [-1, *kept])
         errors = {id(way): way.sums.errors(np.flatnonzero(inside)) for way in ways}
         excess = {
-            k: _excess(
+            k: _excess_share(
                 errors[id(chosen[k])],
                 chosen[k].sums.errors(np.flatnonzero(inside & (owner != k))),
                 acted=chosen[k].acted(columns[:, owner == k]),
@@ -112,29 +114,31 @@ def borne_out(comparison: Comparison, effects: Sequence[LocatedEffect]) -> list[
         kept.remove(poorest)
 
 
-def _met_again(comparison: Comparison, effects: Sequence[LocatedEffect]) -> list[LocatedEffect]:
+def _drop_single_fold_shapes(
+    comparison: Comparison, effects: Sequence[LocatedEffect]
+) -> list[LocatedEffect]:
     """Effects without those whose shapes were fitted to one part of one run, and asked nowhere.
 
     Each fold's fit has the shape as all recordings have it: of a place that the arm passes once it
     would say that it is found again.
     """
-    fold = _folds(comparison, _PARTS)
+    fold = _number_folds(comparison, _FOLDS_OF_FEW_RUNS)
     return [
         e
         for e in effects
         if not e.effect.shapes
         or e.run is not None
-        or _acted(fold, comparison.effect_columns(e)).sum() > 1
+        or _active_folds(fold, comparison.effect_columns(e)).sum() > 1
     ]
 
 
-def _never_seen(comparison: Comparison, columns: np.ndarray) -> bool:
+def _is_unseen(comparison: Comparison, columns: np.ndarray) -> bool:
     """Whether an effect acts most where the model that was started from has seen nothing."""
     square = np.bincount(comparison.rows.channel, np.sum(columns**2, axis=1))
     return bool(comparison.unseen[int(np.argmax(square))])
 
 
-def without_balancing(
+def drop_cancelling(
     comparison: Comparison, effects: Sequence[LocatedEffect]
 ) -> list[LocatedEffect]:
     """Effects without those that add far more to a channel than there is to explain in it.
@@ -144,15 +148,15 @@ def without_balancing(
     """
     kept = list(effects)
     while kept:
-        ratio = _balancing(comparison, kept)
+        ratio = _cancellation_ratios(comparison, kept)
         worst = int(np.argmax(ratio))
-        if ratio[worst] <= BALANCING_RATIO:
+        if ratio[worst] <= MAX_CANCELLATION_RATIO:
             break
         kept.pop(worst)
     return kept
 
 
-def _balancing(comparison: Comparison, effects: Sequence[LocatedEffect]) -> np.ndarray:
+def _cancellation_ratios(comparison: Comparison, effects: Sequence[LocatedEffect]) -> np.ndarray:
     """What each effect adds to its channel, over what the nominal model leaves there (e,)."""
     amplitudes, channel = comparison.fit(effects).amplitudes(), comparison.rows.channel
     left = np.bincount(channel, comparison.target**2)
@@ -167,15 +171,15 @@ def _balancing(comparison: Comparison, effects: Sequence[LocatedEffect]) -> np.n
     return np.array(found)
 
 
-def shares_left_out(comparison: Comparison, effects: Sequence[LocatedEffect]) -> tuple[float, ...]:
+def held_out_shares(comparison: Comparison, effects: Sequence[LocatedEffect]) -> tuple[float, ...]:
     """Share of its best channel's squares that each effect takes away where no fit looked.
 
     Against a fit without it, in which all others may stand in for it: 0 to 1, one an effect.
     """
     if not effects:
         return ()
-    columns, prior, owner = _columns(comparison, effects)
-    sums = _sums(comparison, columns, prior, _folds(comparison))
+    columns, prior, owner = _stack_columns(comparison, effects)
+    sums = _sums(comparison, columns, prior, _number_folds(comparison))
     errors = sums.errors(np.arange(len(owner)))
     shares = []
     for k in range(len(effects)):
@@ -186,7 +190,7 @@ def shares_left_out(comparison: Comparison, effects: Sequence[LocatedEffect]) ->
     return tuple(shares)
 
 
-def repeated(comparison: Comparison, effects: Sequence[LocatedEffect]) -> tuple[bool, ...]:
+def repeats_in_halves(comparison: Comparison, effects: Sequence[LocatedEffect]) -> tuple[bool, ...]:
     """Whether what each half of the recordings says of each effect helps in the other.
 
     Halves are every other run, of a single run its begin and end; all else stays as all of it
@@ -195,7 +199,7 @@ def repeated(comparison: Comparison, effects: Sequence[LocatedEffect]) -> tuple[
     """
     if not effects:
         return ()
-    half = _halves(comparison)
+    half = _number_halves(comparison)
     fit = comparison.fit(effects)
     _, sd, nuisance = comparison.nuisance
     parts = [comparison.effect_columns(e) for e in effects]
@@ -205,21 +209,21 @@ def repeated(comparison: Comparison, effects: Sequence[LocatedEffect]) -> tuple[
         own = left + part @ fit.posterior.mean[begin : begin + part.shape[1]]
         begin += part.shape[1]
         acted = [float(np.sum(part[half == h] ** 2)) for h in (0, 1)]
-        if located.by_run or min(acted) <= _ACTED * max(acted):
+        if located.by_run or min(acted) <= _MIN_ACTIVE_SHARE * max(acted):
             found.append(True)
             continue
-        found.append(min(_fall(part, own, half == h) for h in (0, 1)) > 0.0)
+        found.append(min(_squares_removed(part, own, half == h) for h in (0, 1)) > 0.0)
     return tuple(found)
 
 
-def _fall(part: np.ndarray, left: np.ndarray, used: np.ndarray) -> float:
+def _squares_removed(part: np.ndarray, left: np.ndarray, used: np.ndarray) -> float:
     """By how much squares of all other rows fall with what used ones say of some columns."""
     fitted, other = part[used], part[~used]
     values = np.linalg.solve(fitted.T @ fitted + np.eye(part.shape[1]), fitted.T @ left[used])
     return float(np.sum(left[~used] ** 2) - np.sum((left[~used] - other @ values) ** 2))
 
 
-def _columns(
+def _stack_columns(
     comparison: Comparison, effects: Sequence[LocatedEffect]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """All columns, their priors, and of every column the effect it belongs to; -1: nominal."""
@@ -230,7 +234,7 @@ def _columns(
     return np.column_stack([nuisance, *parts]), prior, owner
 
 
-class LeftOut:
+class CrossValidation:
     """What fits of nominal values and effects leave of parts that they did not look at.
 
     Parameters
@@ -241,8 +245,8 @@ class LeftOut:
     """
 
     def __init__(self, comparison: Comparison, effects: Sequence[LocatedEffect]) -> None:
-        columns, prior, _ = _columns(comparison, effects)
-        self._sums = _sums(comparison, columns, prior, _folds(comparison))
+        columns, prior, _ = _stack_columns(comparison, effects)
+        self._sums = _sums(comparison, columns, prior, _number_folds(comparison))
 
     def squares(self, first: np.ndarray) -> float:
         """Sum of squares over noise, with other deviations of the first nominal values (k,)."""
@@ -251,27 +255,29 @@ class LeftOut:
         return float(sums.errors(np.arange(len(prior))).sum())
 
 
-class _Left:
+class _Folds:
     """Sums of columns by what is left out: runs or parts of them."""
 
     def __init__(
         self, comparison: Comparison, columns: np.ndarray, prior: np.ndarray, *, fine: bool
     ) -> None:
-        self._fold = _folds(comparison, _PARTS if fine else parts_a_run(len(comparison.runs)))
+        self._fold = _number_folds(
+            comparison, _FOLDS_OF_FEW_RUNS if fine else folds_per_run(len(comparison.runs))
+        )
         self.sums = _sums(comparison, columns, prior, self._fold)
 
     def acted(self, part: np.ndarray) -> np.ndarray:
         """See `_acted`."""
-        return _acted(self._fold, part)
+        return _active_folds(self._fold, part)
 
 
-def _acted(fold: np.ndarray, part: np.ndarray) -> np.ndarray:
+def _active_folds(fold: np.ndarray, part: np.ndarray) -> np.ndarray:
     """Folds (f,) in which an effect has more than a little of its squares (m, k) of one."""
     square = np.bincount(fold, np.sum(part**2, axis=1))
-    return np.asarray(square > _ACTED * square.max())
+    return np.asarray(square > _MIN_ACTIVE_SHARE * square.max())
 
 
-def _excess(
+def _excess_share(
     errors: np.ndarray,
     without: np.ndarray,
     *,
@@ -299,18 +305,18 @@ def _excess(
             return -1.0
     if changed:
         # Where it hardly acts, as a stop that is seldom reached, it can help nothing.
-        by_fold = by_fold[np.abs(by_fold) > _ACTED * np.abs(by_fold).max()]
+        by_fold = by_fold[np.abs(by_fold) > _MIN_ACTIVE_SHARE * np.abs(by_fold).max()]
         if np.sum(by_fold > 0.0) < 2:
             return -1.0
-    few = np.mean(by_fold > 0.0) < LEFT_OUT_FOLDS and not (changed and share > CHANGE_SEEN_SELDOM)
+    few = np.mean(by_fold > 0.0) < MIN_HELPED_FOLDS and not (changed and share > RARE_CHANGE_SHARE)
     if few or total <= float(by_fold.max()):
         return -1.0
-    return share - (CHANGE_SHARE if changed else LEFT_OUT_SHARE)
+    return share - (MIN_CHANGE_SHARE if changed else MIN_HELD_OUT_SHARE)
 
 
 def _sums(
     comparison: Comparison, columns: np.ndarray, prior: np.ndarray, fold: np.ndarray
-) -> _Sums:
+) -> _FoldSums:
     channel = comparison.rows.channel
     count, p = int(fold.max()) + 1, columns.shape[1]
     channels = comparison.rows.channels
@@ -321,18 +327,18 @@ def _sums(
             own = (fold == f) & (channel == number)
             part, left = columns[own], comparison.target[own]
             gram[f, c], moment[f, c], square[f, c] = part.T @ part, part.T @ left, left @ left
-    return _Sums(gram, moment, square, prior)
+    return _FoldSums(gram, moment, square, prior)
 
 
-def parts_a_run(runs: int) -> int:
+def folds_per_run(runs: int) -> int:
     """Parts that each of so many runs is cut into, to leave them out one after another."""
-    return 1 if runs >= 2 * FEW_RUNS else -(-_PARTS // runs)
+    return 1 if runs >= 2 * FEW_RUNS else -(-_FOLDS_OF_FEW_RUNS // runs)
 
 
-def _folds(comparison: Comparison, parts: int | None = None) -> np.ndarray:
+def _number_folds(comparison: Comparison, parts: int | None = None) -> np.ndarray:
     """Number of the fold of every row (m,): its run, or one of some parts of each run in time."""
     runs = comparison.runs
-    cut = parts_a_run(len(runs)) if parts is None else parts
+    cut = folds_per_run(len(runs)) if parts is None else parts
 
     def number(run: PreparedRun) -> np.ndarray:
         share = (run.time - run.time[0]) / float(run.time[-1] - run.time[0])
@@ -341,7 +347,7 @@ def _folds(comparison: Comparison, parts: int | None = None) -> np.ndarray:
     return np.unique(comparison.rows.sampled(number), return_inverse=True)[1]
 
 
-def _halves(comparison: Comparison) -> np.ndarray:
+def _number_halves(comparison: Comparison) -> np.ndarray:
     """Which half every row (m,) is of: of every other run, or the begin or end of a single one."""
     runs = comparison.runs
 

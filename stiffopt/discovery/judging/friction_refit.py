@@ -16,19 +16,18 @@ import numpy as np
 
 from stiffopt.discovery.comparison.comparison import Comparison
 from stiffopt.discovery.comparison.extension import EstimatedEffect, Extension
-from stiffopt.discovery.proof.predict import Predictor
-from stiffopt.discovery.proof.proof import used_samples
-from stiffopt.discovery.search.left_out import parts_a_run
+from stiffopt.discovery.prediction import Predictor, used_samples
+from stiffopt.discovery.search.cross_validation import folds_per_run
 from stiffopt.discovery.search.rivals import Selected
-from stiffopt.discovery.search.uncertainty import Estimate, estimate
+from stiffopt.discovery.search.uncertainty import Estimate, estimate_parameters
 from stiffopt.discovery.settings import Settings
 from stiffopt.discovery.training import Training
 
 # Of a joint's squares in stretches left out, what it must gain.
-_LEAST = 0.05
+_MIN_GAIN_SHARE = 0.05
 
 
-def from_all_samples(
+def refit_friction(
     training: Training,
     settings: Settings,
     start: Sequence[Extension],
@@ -49,44 +48,44 @@ def from_all_samples(
     """
     while True:
         located = tuple(s.located for s in selected)
-        parameters = estimate(comparison, located)
-        names = _names(parameters)
+        parameters = estimate_parameters(comparison, located)
+        names = _refittable_names(parameters)
         if not names:
             return tuple(selected), parameters
-        rows = _Rows(training, settings, start, parameters, names)
+        rows = _MovingSamples(training, settings, start, parameters, names)
         kept = [
             each
             for each, found in zip(selected, parameters.effects, strict=True)
-            if not _plain(found) or rows.helps(found, names, training)
+            if not _is_refittable(found) or rows.helps(found, names, training)
         ]
         if len(kept) == len(selected):
-            return tuple(selected), _stepped(training, parameters, rows, names)
+            return tuple(selected), _apply_steps(training, parameters, rows, names)
         selected = kept
 
 
-def _names(parameters: Estimate) -> list[str]:
+def _refittable_names(parameters: Estimate) -> list[str]:
     """Names of the effects that may be taken anew."""
-    return sorted({e.located.effect.name for e in parameters.effects if _plain(e)})
+    return sorted({e.located.effect.name for e in parameters.effects if _is_refittable(e)})
 
 
-def _stepped(
-    training: Training, parameters: Estimate, rows: _Rows, names: Sequence[str]
+def _apply_steps(
+    training: Training, parameters: Estimate, rows: _MovingSamples, names: Sequence[str]
 ) -> Estimate:
     """The estimate with friction and offsets of joints taken from all moving samples."""
     effects = parameters.effects
-    plain = [k for k, each in enumerate(effects) if _plain(each)]
+    plain = [k for k, each in enumerate(effects) if _is_refittable(each)]
     steps = np.zeros(len(effects))
     for joint in {effects[k].located.joint for k in plain}:
         own = [k for k in plain if effects[k].located.joint == joint]
         assert joint is not None
         columns = [names.index(effects[k].located.effect.name) for k in own]
         found = rows.step(joint, columns)
-        if found is not None and _possible(parameters, own, found, training):
+        if found is not None and _is_within_bounds(parameters, own, found, training):
             steps[own] = found
     return parameters.moved(steps)
 
 
-def _plain(each: EstimatedEffect) -> bool:
+def _is_refittable(each: EstimatedEffect) -> bool:
     """Whether it acts on the drive of its joint alone, in proportion to one amplitude."""
     effect = each.located.effect
     # An offset of a link encoder changes no torque, which could not bear it out.
@@ -95,7 +94,7 @@ def _plain(each: EstimatedEffect) -> bool:
     return (usual or friction) and len(each.amplitudes) == 1 and each.located.joint is not None
 
 
-def _possible(
+def _is_within_bounds(
     parameters: Estimate, own: Sequence[int], steps: np.ndarray, training: Training
 ) -> bool:
     """Whether all stay within their bounds."""
@@ -109,7 +108,7 @@ def _possible(
     return True
 
 
-class _Rows:
+class _MovingSamples:
     """What the training runs leave, and what a unit step of each kind of value adds there."""
 
     def __init__(
@@ -121,13 +120,13 @@ class _Rows:
         names: Sequence[str],
     ) -> None:
         found = Extension(calibration=parameters.calibration(), effects=parameters.effects)
-        parts = parts_a_run(len(training.recorded))
+        parts = folds_per_run(len(training.recorded))
         rows: list[list[tuple[np.ndarray, np.ndarray, np.ndarray]]] = [
             [] for _ in range(training.robot.n)
         ]
         for number, run in enumerate(training.recorded):
             predictor = Predictor(training.robot, run, training.constants, settings)
-            each = [found, *(_raised(found, name, training) for name in names)]
+            each = [found, *(_increase_amplitudes(found, name, training) for name in names)]
             places = np.searchsorted(run.stamps, run.time)
             predicted = predictor.predict_each([(*start, extension) for extension in each])
             now, *raised = (prediction.torque[places] for prediction in predicted)
@@ -169,12 +168,12 @@ class _Rows:
             part = matrix[own]
             steps = np.linalg.lstsq(gram - part.T @ part, moment - part.T @ left[own])[0]
             without += float(np.sum((left[own] - part @ steps) ** 2))
-        if without > (1.0 - _LEAST) * float(left @ left):
+        if without > (1.0 - _MIN_GAIN_SHARE) * float(left @ left):
             return None
         return np.asarray(np.linalg.lstsq(gram, moment)[0])
 
 
-def _raised(found: Extension, name: str, training: Training) -> Extension:
+def _increase_amplitudes(found: Extension, name: str, training: Training) -> Extension:
     """The extension with every effect of a name larger by its size."""
     effects = []
     for each in found.effects:

@@ -10,20 +10,25 @@ from stiffopt.discovery.comparison.comparison import Comparison
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.effect import Effect
 from stiffopt.discovery.search.candidates import Candidate, Scorer, scan
-from stiffopt.discovery.search.joint_fit import STOPPED, confirmed, fitted_jointly, passes
-from stiffopt.discovery.search.left_out import borne_out
+from stiffopt.discovery.search.cross_validation import select_predictive
+from stiffopt.discovery.search.joint_fit import (
+    STOPPED_MESSAGE,
+    confirm_effects,
+    fit_jointly,
+    passes_thresholds,
+)
 from stiffopt.discovery.thresholds import (
-    CHANGES_ALIKE,
-    CHANGES_REFINED,
-    CHANGES_TRIED,
-    SPARSE_LEFT,
-    SPARSE_SHARE,
+    EQUIVALENT_EVIDENCE_SHARE,
+    MAX_REFINED_CHANGES,
+    MAX_SINGLE_CHANGE_RATIO,
+    MAX_TRIED_CHANGES,
+    SINGLE_CHANGE_SHARE,
 )
 
 Found = tuple[Comparison, list[LocatedEffect]]
 
 
-def changes(
+def find_changes(
     comparison: Comparison,
     current: Comparison,
     start: Sequence[LocatedEffect],
@@ -60,29 +65,35 @@ def changes(
     try:
         while len(effects) < most:
             scorer = Scorer(current, effects)
-            found = scan(scorer, catalogue, refined=CHANGES_REFINED, tell=tell)
+            found = scan(scorer, catalogue, refined=MAX_REFINED_CHANGES, tell=tell)
             first = first or found
-            ways = _ways(comparison, effects, [c for c in found if passes(c, scorer)])
-            better = [w for w in ways if _left(w[0]) < _left(current)]
+            ways = _extend_by_candidates(
+                comparison, effects, [c for c in found if passes_thresholds(c, scorer)]
+            )
+            better = [
+                w
+                for w in ways
+                if _negative_log_likelihood(w[0]) < _negative_log_likelihood(current)
+            ]
             if not better:
                 break
-            current, effects, best = min(better, key=lambda way: _left(way[0]))
+            current, effects, best = min(better, key=lambda way: _negative_log_likelihood(way[0]))
             keep((current, effects))
             say(f"found {best.located.label} (log evidence {best.evidence:.0f})")
         if len(effects) > len(start) + 1:
-            single = _single_change(comparison, nothing, current, start, effects, first)
+            single = _find_single_change(comparison, nothing, current, start, effects, first)
             if single is not None:
                 say(f"one change does nearly as well: {single[1][-1].label}")
                 keep(single)
     except KeyboardInterrupt:
         if not effects:
             raise
-        say(STOPPED)
+        say(STOPPED_MESSAGE)
         return True
     return False
 
 
-def _ways(
+def _extend_by_candidates(
     comparison: Comparison, effects: list[LocatedEffect], passing: Sequence[Candidate]
 ) -> Iterator[tuple[Comparison, list[LocatedEffect], Candidate]]:
     """Ways to go on, each with one of the likeliest candidates; what it makes needless goes.
@@ -90,33 +101,33 @@ def _ways(
     Beside a noise that holds the change itself, evidence of all that takes most of it is alike: of
     those the one is right that leaves least once it is fitted.
     """
-    likeliest = sorted(passing, key=lambda c: -c.evidence)[:CHANGES_TRIED]
-    alike = CHANGES_ALIKE * max((c.evidence for c in likeliest), default=0.0)
+    likeliest = sorted(passing, key=lambda c: -c.evidence)[:MAX_TRIED_CHANGES]
+    alike = EQUIVALENT_EVIDENCE_SHARE * max((c.evidence for c in likeliest), default=0.0)
     one = False
     for candidate in likeliest:
         if one and candidate.evidence < alike:
             break
         new = candidate.located
-        wider, tried = fitted_jointly(comparison, [*effects, new])
-        kept = _borne_out(wider, tried)
+        wider, tried = fit_jointly(comparison, [*effects, new])
+        kept = _select_certain(wider, tried)
         if not any(new.same_place(other) for other in kept):
             continue
         if len(kept) < len(tried):
-            wider, kept = fitted_jointly(comparison, kept)
-            if len(_borne_out(wider, kept)) < len(kept):
+            wider, kept = fit_jointly(comparison, kept)
+            if len(_select_certain(wider, kept)) < len(kept):
                 continue
         one = True
         yield wider, kept, candidate
 
 
-def _left(comparison: Comparison) -> float:
+def _negative_log_likelihood(comparison: Comparison) -> float:
     """Negative log likelihood at the noise that is left, but for a constant."""
     rows = comparison.rows
     used = rows.counts > 0
     return float(rows.counts[used] @ np.log(comparison.inflation[used]))
 
 
-def _single_change(
+def _find_single_change(
     comparison: Comparison,
     nothing: Comparison,
     current: Comparison,
@@ -131,22 +142,22 @@ def _single_change(
     """
     alone, all_ = Scorer(nothing, start), Scorer(nothing, effects)
     gained = float(np.sum(all_.by_block) - np.sum(alone.by_block))
-    best = max(first[:CHANGES_REFINED], key=lambda c: c.gain)
-    if best.gain <= SPARSE_SHARE * gained or not passes(best, alone):
+    best = max(first[:MAX_REFINED_CHANGES], key=lambda c: c.gain)
+    if best.gain <= SINGLE_CHANGE_SHARE * gained or not passes_thresholds(best, alone):
         return None
-    only, single = fitted_jointly(comparison, [*start, best.located])
-    if np.any(only.inflation > SPARSE_LEFT * current.inflation):
+    only, single = fit_jointly(comparison, [*start, best.located])
+    if np.any(only.inflation > MAX_SINGLE_CHANGE_RATIO * current.inflation):
         return None
-    return (only, single) if len(_borne_out(only, single)) == len(single) else None
+    return (only, single) if len(_select_certain(only, single)) == len(single) else None
 
 
-def _borne_out(comparison: Comparison, effects: list[LocatedEffect]) -> list[LocatedEffect]:
+def _select_certain(comparison: Comparison, effects: list[LocatedEffect]) -> list[LocatedEffect]:
     """Those that are certain, within their bounds, and help in recordings left out."""
-    kept = borne_out(comparison, confirmed(comparison, effects, strict=True))
-    return [e for e in kept if _within_bounds(comparison, kept, e)]
+    kept = select_predictive(comparison, confirm_effects(comparison, effects, strict=True))
+    return [e for e in kept if _is_within_bounds(comparison, kept, e)]
 
 
-def _within_bounds(
+def _is_within_bounds(
     comparison: Comparison, effects: Sequence[LocatedEffect], located: LocatedEffect
 ) -> bool:
     others = [e for e in effects if e is not located]

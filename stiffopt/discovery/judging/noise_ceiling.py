@@ -1,8 +1,7 @@
-"""A black box as a measuring rod: what a function of the motion could still explain.
+"""Smooth functions of a few dozen signals, fitted as a Gaussian process would, in plain NumPy.
 
-It names nothing and no finding rests on it. Of every torque it learns what the extended model
-leaves in the training runs, as a smooth function of postures, speeds, accelerations and loads, and
-predicts the same in runs left out: what it takes away there, physics could as well.
+Random Fourier features (Rahimi, Recht 2007): cosines with random frequencies, whose ridge fit is
+that of a process with a Gaussian kernel; lengths and ridge by stretches left out.
 """
 
 from __future__ import annotations
@@ -13,22 +12,109 @@ from dataclasses import dataclass
 import numpy as np
 
 from stiffopt.discovery.comparison.extension import Extension
-from stiffopt.discovery.judging.random_features import SmoothFunction, smooth_function
-from stiffopt.discovery.proof.predict import Prediction, Predictor
-from stiffopt.discovery.proof.proof import used_samples
-from stiffopt.discovery.search.pace import Pace, paced
+from stiffopt.discovery.prediction import Prediction, Predictor, used_samples
+from stiffopt.discovery.progress import RoundProgress, throttle_progress
 from stiffopt.discovery.settings import SIGN_SPEED, Settings
 from stiffopt.discovery.training import Training
 
+# Cosines, and lengths of the kernel over the spread of the signals that are tried, with ridges.
+FEATURE_COUNT = 200
+_KERNEL_LENGTHS = (0.5, 1.0, 2.0, 4.0)
+_RIDGE_FACTORS = (1e-3, 1e-2, 1e-1, 1.0)
+_FEATURE_SEED = 7
+
+
+@dataclass(frozen=True, eq=False)
+class SmoothFunction:
+    """A function of signals.
+
+    Parameters
+    ----------
+    middle, spread : array (s,)
+        Of the signals.
+    waves : array (s, f)
+    phases, weights : array (f,)
+    limit : float
+        Largest value that was seen; it never says more.
+    taken : float
+        Share of the squares that it takes away in stretches left out.
+    """
+
+    middle: np.ndarray
+    spread: np.ndarray
+    waves: np.ndarray
+    phases: np.ndarray
+    weights: np.ndarray
+    limit: float
+    taken: float
+
+    def __call__(self, signals: np.ndarray) -> np.ndarray:
+        """Values (m,) at signals (m, s)."""
+        scaled = (signals - self.middle) / self.spread
+        values = np.cos(scaled @ self.waves + self.phases) @ self.weights
+        return np.asarray(np.clip(values, -self.limit, self.limit))
+
+
+def fit_smooth_function(
+    signals: np.ndarray, values: np.ndarray, stretch: np.ndarray
+) -> SmoothFunction | None:
+    """The function that predicts stretches left out best; None where none does.
+
+    Parameters
+    ----------
+    signals : array (m, s)
+    values : array (m,)
+    stretch : array (m,) of int
+        That each sample is of.
+    """
+    middle, spread = signals.mean(axis=0), signals.std(axis=0)
+    spread = np.where(spread > 1e-12, spread, 1.0)
+    scaled = (signals - middle) / spread / np.sqrt(signals.shape[1])
+    draw = np.random.default_rng(_FEATURE_SEED)
+    directions = draw.standard_normal((signals.shape[1], FEATURE_COUNT))
+    phases = draw.uniform(0.0, 2.0 * np.pi, FEATURE_COUNT)
+    parts = [stretch == k for k in np.unique(stretch)]
+    whole = float(values @ values)
+    best: tuple[float, float, float] | None = None
+    for length in _KERNEL_LENGTHS:
+        columns = np.cos(scaled @ (directions / length) + phases)
+        grams = [columns[p].T @ columns[p] for p in parts]
+        moments = [columns[p].T @ values[p] for p in parts]
+        gram, moment = sum(grams), sum(moments)
+        for ridge in _RIDGE_FACTORS:
+            load = ridge * len(values) * np.eye(FEATURE_COUNT) / FEATURE_COUNT
+            left = 0.0
+            for own, inner, goal in zip(parts, grams, moments, strict=True):
+                weights = np.linalg.solve(gram - inner + load, moment - goal)
+                left += float(np.sum((values[own] - columns[own] @ weights) ** 2))
+            if best is None or left < best[0]:
+                best = left, length, ridge
+    if best is None or best[0] >= whole:
+        return None
+    left, length, ridge = best
+    waves = directions / length
+    columns = np.cos(scaled @ waves + phases)
+    load = ridge * len(values) * np.eye(FEATURE_COUNT) / FEATURE_COUNT
+    return SmoothFunction(
+        middle=middle,
+        spread=spread,
+        waves=waves / np.sqrt(signals.shape[1]),
+        phases=phases,
+        weights=np.linalg.solve(columns.T @ columns + load, columns.T @ values),
+        limit=float(np.abs(values).max()),
+        taken=1.0 - left / whole,
+    )
+
+
 # Samples of all runs that a box is fitted to, and stretches of a run that it is chosen by.
-_SAMPLES, _STRETCHES = 2000, 6
+_MAX_FIT_SAMPLES, _STRETCHES_PER_RUN = 2000, 6
 # Share of a channel's squares in runs left out from which the box shows something.
 SHOWN_SHARE = 0.1
 # Points of a curve of what the box depends on, samples that each is averaged over, and signals
 # that are named at most, each with this share of the strongest one's.
-_POINTS, _AVERAGED, _NAMED, _NAMED_SHARE = 25, 200, 2, 0.5
+_CURVE_POINTS, _CURVE_SAMPLES, _MAX_NAMED_SIGNALS, _MIN_NAMED_SHARE = 25, 200, 2, 0.5
 # Quantiles of a signal that a curve goes between.
-_RANGE = (0.02, 0.98)
+_CURVE_QUANTILES = (0.02, 0.98)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -51,7 +137,7 @@ class Dependence:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class MeasuringRod:
+class NoiseCeiling:
     """What is explained of what can be, on runs left out.
 
     Parameters
@@ -91,17 +177,19 @@ class BlackBox:
         say: Callable[[str], object] = lambda _: None,
     ) -> None:
         n = training.robot.n
-        samples = _Samples(n)
-        tell = paced(say)
+        samples = _ResidualSamples(n)
+        tell = throttle_progress(say)
         for number, run in enumerate(training.recorded):
             tell(f"see what is left of {run.file}")
             predictor = Predictor(training.robot, run, training.constants, settings)
             share = (run.time - run.time[0]) / float(run.time[-1] - run.time[0])
-            stretch = np.minimum((share * _STRETCHES).astype(int), _STRETCHES - 1)
-            samples.add(predictor, predictor.predict(*extensions), number * _STRETCHES + stretch)
-        self._signals = [samples.signals(j) for j in range(n)]
+            stretch = np.minimum((share * _STRETCHES_PER_RUN).astype(int), _STRETCHES_PER_RUN - 1)
+            samples.add(
+                predictor, predictor.predict(*extensions), number * _STRETCHES_PER_RUN + stretch
+            )
+        self._motion_signals = [samples.signals(j) for j in range(n)]
         self._boxes: list[SmoothFunction | None] = []
-        pace = Pace(n)
+        pace = RoundProgress(n)
         for j in range(n):
             tell(f"fit a black box to what is left of the torque of joint {pace.words(j)}")
             self._boxes.append(samples.fitted(j))
@@ -110,7 +198,7 @@ class BlackBox:
     def add(self, predictor: Predictor, before: Prediction, after: Prediction) -> None:
         """Take in a run left out."""
         run = predictor.run
-        signals = _signals(predictor)
+        signals = _motion_signals(predictor)
         places = np.searchsorted(run.stamps, run.time)
         for kind, joint, used in used_samples(run, predictor.velocity):
             if kind != "torque" or used is None:
@@ -118,11 +206,11 @@ class BlackBox:
             measured = run.torque[used, joint]
             left = measured - after.torque[places[used], joint]
             box = self._boxes[joint]
-            beside = left if box is None else left - box(_columns(signals[used]))
+            beside = left if box is None else left - box(_input_columns(signals[used]))
             first = measured - before.torque[places[used], joint]
             self._squares[joint] += (first @ first, left @ left, beside @ beside, len(left))
 
-    def found(self) -> MeasuringRod | None:
+    def found(self) -> NoiseCeiling | None:
         """What runs left out say; None without any."""
         squares = self._squares
         # A channel without a finite or any mismatch has no share that could be told.
@@ -141,8 +229,8 @@ class BlackBox:
         best = int(np.argmax(gain))
         depends: tuple[Dependence, ...] = ()
         if gain[best] > SHOWN_SHARE:
-            depends = self._dependences(int(seen[best]))
-        return MeasuringRod(
+            depends = self._find_dependences(int(seen[best]))
+        return NoiseCeiling(
             explained=float(explained / possible) if possible > 0.0 else 0.0,
             channels={
                 f"torque_{j + 1}": (float(np.sqrt(a / c)), float(np.sqrt(b / c)))
@@ -151,27 +239,31 @@ class BlackBox:
             depends=depends,
         )
 
-    def _dependences(self, joint: int) -> tuple[Dependence, ...]:
+    def _find_dependences(self, joint: int) -> tuple[Dependence, ...]:
         """Mean of a box along each signal, all others as they were met."""
-        box, signals = self._boxes[joint], self._signals[joint]
+        box, signals = self._boxes[joint], self._motion_signals[joint]
         assert box is not None
-        chosen = np.unique(np.linspace(0, len(signals) - 1, _AVERAGED).astype(int))
+        chosen = np.unique(np.linspace(0, len(signals) - 1, _CURVE_SAMPLES).astype(int))
         n = len(self._boxes)
         found = []
         for column in range(signals.shape[1]):
-            low, high = np.quantile(signals[:, column], _RANGE)
-            at = np.linspace(low, high, _POINTS)
-            moved = np.repeat(signals[chosen][None], _POINTS, axis=0)
+            low, high = np.quantile(signals[:, column], _CURVE_QUANTILES)
+            at = np.linspace(low, high, _CURVE_POINTS)
+            moved = np.repeat(signals[chosen][None], _CURVE_POINTS, axis=0)
             moved[:, :, column] = at[:, None]
-            mean = box(_columns(moved.reshape(-1, moved.shape[2]))).reshape(_POINTS, -1).mean(1)
-            name = f"{_SIGNALS[column // n][0]}_{column % n + 1}"
+            mean = (
+                box(_input_columns(moved.reshape(-1, moved.shape[2])))
+                .reshape(_CURVE_POINTS, -1)
+                .mean(1)
+            )
+            name = f"{_MOTION_SIGNALS[column // n][0]}_{column % n + 1}"
             found.append(Dependence(channel=f"torque_{joint + 1}", signal=name, at=at, mean=mean))
         found.sort(key=lambda each: -float(each.mean.std()))
-        least = _NAMED_SHARE * float(found[0].mean.std())
-        return tuple(each for each in found[:_NAMED] if each.mean.std() >= least)
+        least = _MIN_NAMED_SHARE * float(found[0].mean.std())
+        return tuple(each for each in found[:_MAX_NAMED_SIGNALS] if each.mean.std() >= least)
 
 
-class _Samples:
+class _ResidualSamples:
     """What the model leaves in the training runs, thinned."""
 
     def __init__(self, n: int) -> None:
@@ -182,7 +274,7 @@ class _Samples:
 
     def add(self, predictor: Predictor, after: Prediction, stretch: np.ndarray) -> None:
         run = predictor.run
-        signals = _signals(predictor)
+        signals = _motion_signals(predictor)
         places = np.searchsorted(run.stamps, run.time)
         for kind, joint, used in used_samples(run, predictor.velocity):
             if kind == "torque" and used is not None:
@@ -192,7 +284,7 @@ class _Samples:
 
     def signals(self, joint: int) -> np.ndarray:
         """Signals (m, s) of the samples of a joint."""
-        kept, begin, found = self._kept(joint), 0, [np.zeros((0, 1))]
+        kept, begin, found = self._sample_indices(joint), 0, [np.zeros((0, 1))]
         for signals, own, _, _ in self._parts[joint]:
             here = kept[(kept >= begin) & (kept < begin + len(own))] - begin
             found.append(signals[own[here]])
@@ -203,20 +295,20 @@ class _Samples:
         """The box of a joint; None where it predicts nothing."""
         if not self._parts[joint]:
             return None
-        kept = self._kept(joint)
+        kept = self._sample_indices(joint)
         left = np.concatenate([part[2] for part in self._parts[joint]])[kept]
         stretch = np.concatenate([part[3] for part in self._parts[joint]])[kept]
         if len(np.unique(stretch)) < 2:
             return None
-        return smooth_function(_columns(self.signals(joint)), left, stretch)
+        return fit_smooth_function(_input_columns(self.signals(joint)), left, stretch)
 
-    def _kept(self, joint: int) -> np.ndarray:
+    def _sample_indices(self, joint: int) -> np.ndarray:
         count = sum(len(own) for _, own, _, _ in self._parts[joint])
-        return np.unique(np.linspace(0, count - 1, _SAMPLES).astype(int))
+        return np.unique(np.linspace(0, count - 1, _MAX_FIT_SAMPLES).astype(int))
 
 
 # Signals of every joint: their names, and where a prepared run has them.
-_SIGNALS = (
+_MOTION_SIGNALS = (
     ("q", "motor_position"),
     ("qd", "motor_velocity"),
     ("qdd", "motor_acceleration"),
@@ -224,19 +316,19 @@ _SIGNALS = (
 )
 
 
-def _signals(predictor: Predictor) -> np.ndarray:
+def _motion_signals(predictor: Predictor) -> np.ndarray:
     """Signals of all joints at the samples of a run (K, 4 n), kind after kind."""
     nominal, time = predictor.nominal, predictor.run.time
     return np.column_stack(
         [
             np.interp(time, nominal.time, column)
-            for _, name in _SIGNALS
+            for _, name in _MOTION_SIGNALS
             for column in getattr(nominal.signals, name).T
         ]
     )
 
 
-def _columns(signals: np.ndarray) -> np.ndarray:
+def _input_columns(signals: np.ndarray) -> np.ndarray:
     """What a box sees of signals (m, 4 n): angles as directions, speeds with their sides."""
-    q, qd, qdd, torque = np.split(signals, len(_SIGNALS), axis=1)
+    q, qd, qdd, torque = np.split(signals, len(_MOTION_SIGNALS), axis=1)
     return np.hstack([np.sin(q), np.cos(q), qd, np.tanh(qd / SIGN_SPEED), qdd, torque])

@@ -20,20 +20,20 @@ from stiffopt.discovery.comparison.comparison import Comparison
 from stiffopt.discovery.comparison.located_effect import LocatedEffect, places
 from stiffopt.discovery.effect import Effect
 from stiffopt.discovery.search.candidates import Candidate, Scorer
-from stiffopt.discovery.search.left_out import LeftOut
-from stiffopt.discovery.thresholds import NAMED_EVIDENCE, NEAR_CENTRE, SPARSE_SHARE
+from stiffopt.discovery.search.cross_validation import CrossValidation
+from stiffopt.discovery.thresholds import ADDED_MASS_OFFSET, NAMED_EVIDENCE, SINGLE_CHANGE_SHARE
 
 # Standard deviations of inertial parameters that are tried, over their typical sizes.
-WIDTHS = (0.02, 0.06, 0.2, 0.6)
+PRIOR_WIDTHS = (0.02, 0.06, 0.2, 0.6)
 # Of each body by itself: the first two hold it where the nominal model has it.
-OF_A_BODY = (0.002, 0.006, *WIDTHS)
-_HELD = 2
+BODY_WIDTHS = (0.002, 0.006, *PRIOR_WIDTHS)
+_HELD_WIDTHS = 2
 # Fits to the noise that the one before left, until it is that of all channels together.
-_ROUNDS = 3
+_NOISE_ROUNDS = 3
 # Passes over all bodies, and squares over noise in recordings left out that another width gains.
-_PASSES, _LEAST = 5, 2.0
+_MAX_PASSES, _MIN_SQUARES_GAIN = 5, 2.0
 # What bodies are weighed by [m/s^2].
-_GRAVITY = 9.81
+_STANDARD_GRAVITY = 9.81
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,12 +59,12 @@ class Counterweight:
     @property
     def balanced(self) -> bool:
         """Whether recordings left out say that it is a counterbalance."""
-        return self.gain > _LEAST
+        return self.gain > _MIN_SQUARES_GAIN
 
     @property
     def torque(self) -> float:
         """The most that it pulls with [N m]."""
-        return _GRAVITY * self.change
+        return _STANDARD_GRAVITY * self.change
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -91,14 +91,14 @@ class RigidStage:
     @property
     def freed(self) -> bool:
         """Whether any body was let go from where the nominal model has it."""
-        return any(width > OF_A_BODY[_HELD - 1] for width in self.widths)
+        return any(width > BODY_WIDTHS[_HELD_WIDTHS - 1] for width in self.widths)
 
     def bodies(self, comparison: Comparison) -> np.ndarray | None:
         """Standard deviations of all inertial parameters (n, 10); None where they stay."""
-        return _deviations(comparison, self.widths) if self.widths else None
+        return _parameter_deviations(comparison, self.widths) if self.widths else None
 
 
-def rigid_stage(
+def reidentify_rigid_model(
     comparison: Comparison,
     effects: Sequence[LocatedEffect],
     catalogue: Sequence[Effect],
@@ -117,26 +117,26 @@ def rigid_stage(
         Called with a sentence at every step.
     """
     nominal, found = Scorer(comparison, effects), tuple(effects)
-    gain = _gain_of_free(comparison, found, nominal.by_block, tell)
-    single = _best_single(nominal, catalogue, tell)
-    if single is not None and single.gain > max(SPARSE_SHARE * gain, NAMED_EVIDENCE):
+    gain = _gain_of_free_bodies(comparison, found, nominal.by_block, tell)
+    single = _best_single_change(nominal, catalogue, tell)
+    if single is not None and single.gain > max(SINGLE_CHANGE_SHARE * gain, NAMED_EVIDENCE):
         found = (*found, single.located)
-        gain = _gain_of_free(comparison, found, Scorer(comparison, found).by_block, tell)
+        gain = _gain_of_free_bodies(comparison, found, Scorer(comparison, found).by_block, tell)
     else:
         single = None
     if gain < NAMED_EVIDENCE:
         return RigidStage(widths=(), gain=0.0, single=single)
-    widths, free, least = _widths(comparison, found, tell)
+    widths, free, least = _choose_widths(comparison, found, tell)
     tell("re-identify the rigid model: counterbalances in place of bodies")
     return RigidStage(
         widths=widths,
         gain=gain,
         single=single,
-        counterweights=_counterweights(free, found, widths, least, catalogue),
+        counterweights=_find_counterweights(free, found, widths, least, catalogue),
     )
 
 
-def _gain_of_free(
+def _gain_of_free_bodies(
     comparison: Comparison,
     effects: Sequence[LocatedEffect],
     without: np.ndarray,
@@ -144,9 +144,11 @@ def _gain_of_free(
 ) -> float:
     """What one width for all gains: the narrowest within a standard error of the best."""
     rows = []
-    for k, width in enumerate(WIDTHS, start=1):
-        tell(f"re-identify the rigid model ({k} of {len(WIDTHS)} widths)")
-        freed = comparison.with_bodies(_deviations(comparison, (width,) * comparison.robot.n))
+    for k, width in enumerate(PRIOR_WIDTHS, start=1):
+        tell(f"re-identify the rigid model ({k} of {len(PRIOR_WIDTHS)} widths)")
+        freed = comparison.with_bodies(
+            _parameter_deviations(comparison, (width,) * comparison.robot.n)
+        )
         rows.append(Scorer(freed, effects).by_block - without)
     gains = np.array(rows)
     best = int(np.argmax(gains.sum(axis=1)))
@@ -156,7 +158,7 @@ def _gain_of_free(
     return float(gains[chosen].sum())
 
 
-def _widths(
+def _choose_widths(
     comparison: Comparison, effects: Sequence[LocatedEffect], tell: Callable[[str], object]
 ) -> tuple[tuple[float, ...], Comparison, float]:
     """Widths of every body by which recordings left out are predicted best.
@@ -175,26 +177,26 @@ def _widths(
         That these widths leave over it.
     """
     n = comparison.robot.n
-    free = comparison.with_bodies(_deviations(comparison, (WIDTHS[-1],) * n))
-    for _ in range(_ROUNDS):
+    free = comparison.with_bodies(_parameter_deviations(comparison, (PRIOR_WIDTHS[-1],) * n))
+    for _ in range(_NOISE_ROUNDS):
         free = free.about(free.fit(effects))
-    left_out = LeftOut(free, effects)
-    widths = [OF_A_BODY[0]] * n
-    least = left_out.squares(_deviations(comparison, widths).ravel())
-    for number in range(1, _PASSES + 1):
+    left_out = CrossValidation(free, effects)
+    widths = [BODY_WIDTHS[0]] * n
+    least = left_out.squares(_parameter_deviations(comparison, widths).ravel())
+    for number in range(1, _MAX_PASSES + 1):
         before = least
-        for body, width in product(range(n), OF_A_BODY):
+        for body, width in product(range(n), BODY_WIDTHS):
             tell(f"re-identify the rigid model (body {body + 1} of {n}, pass {number})")
             tried = [*widths[:body], width, *widths[body + 1 :]]
-            found = left_out.squares(_deviations(comparison, tried).ravel())
-            if found < least - _LEAST:
+            found = left_out.squares(_parameter_deviations(comparison, tried).ravel())
+            if found < least - _MIN_SQUARES_GAIN:
                 widths, least = tried, found
         if least == before:
             break
     return tuple(widths), free, least
 
 
-def _counterweights(
+def _find_counterweights(
     free: Comparison,
     effects: Sequence[LocatedEffect],
     widths: tuple[float, ...],
@@ -205,16 +207,20 @@ def _counterweights(
 
     By what a description is off, no centre of mass goes to the other side of its joint.
     """
-    own = free.with_bodies(_deviations(free, widths))
+    own = free.with_bodies(_parameter_deviations(free, widths))
     moved = own.fit(effects).posterior.mean[: A_BODY * free.robot.n].reshape(-1, A_BODY)
     bodies = nominal_bodies(free.robot)
     nominal = np.linalg.norm(bodies[:, 1:4], axis=1)
     change = np.linalg.norm(moved[:, 1:4], axis=1)
     found = []
-    for body in np.flatnonzero(change > np.maximum(nominal, NEAR_CENTRE * bodies[:, 0])).tolist():
-        held = _deviations(free, (*widths[:body], OF_A_BODY[0], *widths[body + 1 :])).ravel()
+    for body in np.flatnonzero(
+        change > np.maximum(nominal, ADDED_MASS_OFFSET * bodies[:, 0])
+    ).tolist():
+        held = _parameter_deviations(
+            free, (*widths[:body], BODY_WIDTHS[0], *widths[body + 1 :])
+        ).ravel()
         instead = [
-            LeftOut(free, [*effects, located]).squares(held)
+            CrossValidation(free, [*effects, located]).squares(held)
             for entry in catalogue
             if entry.twin
             for located in places(entry, free.constants, ())
@@ -223,17 +229,17 @@ def _counterweights(
         gain = squares - min(instead, default=math.inf)
         size, by = float(nominal[body]), float(change[body])
         # Where the body predicts better it is a body (the upper arm of the UR10e, by 374).
-        if gain > -_LEAST:
+        if gain > -_MIN_SQUARES_GAIN:
             found.append(Counterweight(joint=body, nominal=size, change=by, gain=gain))
     return tuple(found)
 
 
-def _deviations(comparison: Comparison, widths: Sequence[float]) -> np.ndarray:
+def _parameter_deviations(comparison: Comparison, widths: Sequence[float]) -> np.ndarray:
     """Standard deviations (n, 10) of all inertial parameters."""
     return np.asarray(np.array(widths)[:, None] * body_units(comparison.robot))
 
 
-def _best_single(
+def _best_single_change(
     scorer: Scorer, catalogue: Sequence[Effect], tell: Callable[[str], object]
 ) -> Candidate | None:
     found = []
