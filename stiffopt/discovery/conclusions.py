@@ -1,4 +1,4 @@
-"""What a diagnosis concludes: findings with their odds, the verdict, and what to record next."""
+"""Conclusions of a diagnosis: findings with probabilities, the verdict, the next recording."""
 
 from __future__ import annotations
 
@@ -40,18 +40,18 @@ def build_findings(
     training: Training,
     after: np.ndarray,
 ) -> tuple[Finding, ...]:
-    """Findings with their odds, each beside the others.
+    """Return the findings with probabilities and parameters.
 
     Parameters
     ----------
     comparison : Comparison
-        With the noise that the effects leave.
+        With the noise estimated beside the effects.
     kept : sequence of Selected
     parameters : Estimate
-        Of the same effects.
+        Joint estimate of the same effects.
     training : Training
     after : array (2 n,)
-        Residual over noise in every channel, with the effects.
+        Normalised residual of every channel, with the effects.
     """
     constants, n = training.constants, training.robot.n
     shares = variance_explained(
@@ -93,7 +93,7 @@ def build_findings(
 
 
 def decide_verdict(findings: tuple[Finding, ...], unexplained: Unexplained | None) -> Verdict:
-    """What is said of findings and of what none explains."""
+    """Return the verdict on the findings and on the residual that they leave."""
     if findings and (
         unexplained is None or unexplained.ratio < OPEN_RATIO or unexplained.left < OPEN_SHARE
     ):
@@ -108,9 +108,9 @@ def describe_next_experiment(
     shares: tuple[MismatchShare, ...],
     unstated: Sequence[str],
 ) -> str:
-    """What is open where that is the most, else what separates the first finding that has rivals.
+    """Describe the next recording: for the open residual where it dominates, else against rivals.
 
-    Of a value that the nominal model does not give nobody doubts that it is there.
+    Values that the nominal model does not state come last: they exist without doubt.
     """
     if unexplained is not None and shares and not unexplained.brief:
         kind, _, _ = unexplained.channels[0].rpartition("_")
@@ -129,7 +129,7 @@ def describe_next_experiment(
     return (doubted or findings)[0].located.effect.separate if findings else ""
 
 
-# By what a remainder follows, how to repeat a motion so that its cause shows.
+# How to repeat a motion so that the cause of a residual shows, by the signal that it depends on.
 _REPEAT_INSTRUCTIONS = {
     "session_time": "cold and after half an hour of work",
     "time": "once more without a change, to see what repeats",
@@ -141,7 +141,7 @@ _REPEAT_INSTRUCTIONS = {
 
 
 def describe_next_recording(unexplained: Unexplained) -> str:
-    """The motion that would show most of what nothing explains yet.
+    """Describe the recording that would show most about the unexplained residual.
 
     Parameters
     ----------
@@ -156,8 +156,8 @@ def describe_next_recording(unexplained: Unexplained) -> str:
         if how and not (signal == "q" and of == joint):
             repeats.append(how.format(of))
     text = (
-        f"Most of what is open is in the {words} of joint {joint}: move that joint alone through"
-        " its stroke, slowly and both ways, the others at rest"
+        f"Most of the unexplained residual is in the {words} of joint {joint}: move that joint"
+        " alone through its stroke, slowly and in both directions, the others at rest"
     )
     if repeats:
         text += f"; then {', '.join(dict.fromkeys(repeats))}"

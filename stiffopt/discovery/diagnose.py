@@ -1,4 +1,4 @@
-"""From recordings to an answer: search on training runs, then proof on runs never fitted to."""
+"""Diagnose a recording set: search on training runs, then predict held-out runs."""
 
 from __future__ import annotations
 
@@ -72,24 +72,24 @@ def diagnose(
     experiment: bool = True,
     despite_doubts: bool = False,
 ) -> Diagnosis:
-    """Find what the nominal model of a recording set lacks, and prove it on held-out runs.
+    """Find effects that a recording set's nominal model lacks; prove them on held-out runs.
 
     Parameters
     ----------
     recordings : RecordingSet or path
-        Of its folder or its recordings.toml.
+        The set, its folder or its recordings.toml.
     effects : sequence of Effect, or path
-        Beside those of the catalogue: from Python, or a file of them.
+        Additional to the catalogue: from Python, or a file of them.
     settings : Settings, optional
     progress : callable, optional
-        Called with a sentence at every step, and every few seconds of a longer one, from a thread
-        beside.
+        Called with a sentence at every step, and every few seconds of a longer one, from another
+        thread.
     model : ExtendedModel or path, optional
-        extended.toml of an earlier diagnosis, in place of the nominal model.
+        extended.toml of an earlier diagnosis, to start from in place of the nominal model.
     experiment : bool
-        Design the motion that would separate the leading explanations best; some seconds.
+        Design the motion that separates the leading explanations best; takes some seconds.
     despite_doubts : bool
-        Go on where the recordings contradict their own description; the doubts are kept.
+        Continue where the recordings contradict their description; the doubts are reported.
 
     Returns
     -------
@@ -100,11 +100,11 @@ def diagnose(
     InputFileError
         A set or run that cannot be used, no training run or no test run.
     DoubtfulRecordings
-        Recordings that contradict their own description: units, signs, orders, gravity.
+        The recordings contradict their description: units, signs, column order, gravity.
 
     Notes
     -----
-    Only training runs are open until the findings are fixed. Nothing is written.
+    Only training runs are read until the findings are fixed. No file is written.
     """
     if not isinstance(recordings, RecordingSet):
         recordings = load_recordings(recordings)
@@ -131,7 +131,7 @@ def _run_diagnosis(
     experiment: bool,
     despite_doubts: bool,
 ) -> Diagnosis:
-    """See `diagnose`."""
+    """Run the stages of `diagnose`."""
     base = load_extended(model, extra) if isinstance(model, str | os.PathLike) else model
     if base is not None:
         recordings = base.applied_to(recordings)
@@ -203,7 +203,7 @@ def _run_diagnosis(
             NO_EXPERIMENT,
             lambda: plan_experiment(training, result, settings, pair, say=say),
         )
-    # The findings are fixed: from here on other runs may be opened, and change nothing above.
+    # The findings are fixed: held-out runs are read only from here on.
     tracks = finish_step(stopped, lambda: training_tracks(result.comparison, result.fit))
     parts = split_extension(found, recordings.unstated)
     opened = HeldOutRuns(training, settings, start, found, parts, every, tracks)
@@ -227,7 +227,7 @@ def _run_diagnosis(
             search=result,
             held_out=proofs,
             shares=taken,
-            rod=opened.rod(),
+            noise_ceiling=opened.noise_ceiling(),
             not_carried_over=find_run_deviations(proofs, opened.velocities, drift),
             drift=drift,
             episodes=(*touched, *opened.episodes),
@@ -242,7 +242,7 @@ def _run_diagnosis(
                 *stopped,
                 *opened.describe_unusable(),
                 *_describe_ignored_doubts(doubted),
-                *(f"to be looked at: {each}" for each in remarked),
+                *(f"to be checked: {each}" for each in remarked),
                 *thin,
                 *training.assumptions,
             ),
@@ -252,12 +252,12 @@ def _run_diagnosis(
             stopped=bool(stopped),
         )
 
-    # All is known by now: Ctrl-C comes too late to leave anything out.
+    # Ctrl-C has no effect any more: all results exist.
     return finished(concluded)[0]
 
 
 def _rescale_left_open(base: ExtendedModel | None, rate: float) -> ExtendedModel | None:
-    """The model with what it left open as samples at a clock [Hz] show it."""
+    """Rescale the residual that a model left open to the sampling rate [Hz]."""
     if base is None or base.left_open is None:
         return base
     return replace(base, left_open=rescale_to_rate(base.left_open, rate))
@@ -272,7 +272,7 @@ def _estimate_parameters(
     stopped: list[str],
     say: Say,
 ) -> tuple[tuple[Selected, ...], Estimate]:
-    """Findings and their parameters, as far as the user waits for them."""
+    """Estimate parameters; drop insignificant findings. Ctrl-C leaves out refinements."""
     comparison = result.comparison
     comparison.columns.release()
 
@@ -284,11 +284,11 @@ def _estimate_parameters(
         return drop_insignificant(selected, fitted)
 
     def sampled(found: Sequence[Selected]) -> tuple[tuple[Selected, ...], Estimate]:
-        say("take friction from all moving samples where that predicts better")
+        say("refit friction to all moving samples where that predicts better")
         return refit_friction(training, settings, start, comparison, found)
 
     def asked(estimated: Estimate) -> Estimate:
-        say("ask half the band for the parameters")
+        say("fit the parameters again in half the band")
         return add_band_deviation(training, comparison, estimated)
 
     def doubted(found: Sequence[Selected]) -> tuple[tuple[Selected, ...], Estimate]:
@@ -302,7 +302,7 @@ def _estimate_parameters(
         located, channels = zip(*((s.located, s.channel) for s in found), strict=True)
         return variance_explained(comparison, located, channels)
 
-    # A change since a model was made is judged by what that left open, not by the noise.
+    # Changes since an extended model are judged against its open residual, not the noise.
     asked_for = None if comparison.after_model else explained
     return drop_insignificant(selected, doubted, asked_for)
 
@@ -310,7 +310,7 @@ def _estimate_parameters(
 def _predict_held_out(
     opened: HeldOutRuns, recordings: RecordingSet, stopped: list[str], say: Say
 ) -> None:
-    """Predict runs left out, as far as the user waits for them."""
+    """Predict the held-out runs; Ctrl-C ends it."""
     if opened.needs_noise_ceiling:
         skip_if_stopped(stopped, NO_NOISE_CEILING, lambda: opened.fit_noise_ceiling(say))
     try:
@@ -327,11 +327,11 @@ def _assess_left_open(
     stopped: list[str],
     say: Say,
 ) -> LeftOpenSection:
-    """What is left open; without suspects, which take long, where the user is in a hurry."""
+    """Describe the open residual; without suspects, which take long, after Ctrl-C."""
     before = None if base is None else base.left_open
 
     def suspected() -> LeftOpenSection:
-        say("what is left open")
+        say("search the open residual for suspects")
         return build_left_open(training, whole, asked, before)
 
     found = None
@@ -353,31 +353,28 @@ def _load_user_effects(effects: Sequence[Effect] | str | os.PathLike[str]) -> tu
 Answer = TypeVar("Answer")
 
 _SEARCH_STOPPED = (
-    "Stopped by the user: what was found until then is told, and more may be missing than that."
+    "Stopped by the user: only findings up to then are reported; more effects may be missing."
 )
 _EXTRAS_SKIPPED = (
-    "Stopped by the user when the search was over: the findings are all there, and what takes"
-    " longer beside them was left out."
+    "Stopped by the user after the search: the findings are complete, longer calculations after"
+    " it were left out."
 )
 _RIVALS_NOT_RANKED = (
-    "Stopped by the user: what stands at a half was not weighed against what could stand in its"
-    " place."
+    "Stopped by the user: findings with probability 0.5 were not compared with their rivals."
 )
 FRICTION_NOT_REFITTED = (
     "Stopped by the user: friction is that of the fit, without samples near standstill."
 )
-NO_LIMITS = "Stopped by the user: what would have been seen of other effects was not calculated."
-NO_BURSTS = "Stopped by the user: nobody looked for bursts above the filter's band."
-BAND_NOT_VARIED = (
-    "Stopped by the user: standard deviations count nothing of what half the band says."
-)
+NO_LIMITS = "Stopped by the user: detection limits were not calculated."
+NO_BURSTS = "Stopped by the user: torque bursts above the filter's band were not searched for."
+BAND_NOT_VARIED = "Stopped by the user: standard deviations do not include a fit in half the band."
 NO_EXPERIMENT = "Stopped by the user: no experiment was designed."
-NO_NOISE_CEILING = "Stopped by the user: no black box was fitted to measure by."
-NO_SUSPECTS = "Stopped by the user: what is left open was not asked for suspects."
+NO_NOISE_CEILING = "Stopped by the user: no noise ceiling was fitted."
+NO_SUSPECTS = "Stopped by the user: the open residual was not searched for suspects."
 
 
 def describe_stop(result: SearchResult) -> list[str]:
-    """What is said of a search that Ctrl-C ended, or that it came behind."""
+    """List the sentences about Ctrl-C during or after a search."""
     stopped = [_SEARCH_STOPPED] if result.stopped else []
     if not result.weighed:
         stopped.append(_RIVALS_NOT_RANKED)
@@ -385,7 +382,7 @@ def describe_stop(result: SearchResult) -> list[str]:
 
 
 def finish_step(stopped: list[str], step: Callable[[], Answer]) -> Answer:
-    """What a short step behind the search answers: Ctrl-C ends what comes later."""
+    """Return the result of a short step, in spite of Ctrl-C, which skips later steps."""
     answer, hurried = finished(step)
     if hurried and not stopped:
         stopped.append(_EXTRAS_SKIPPED)

@@ -1,4 +1,4 @@
-"""Which effects a recording set can show, and what it lacks for the others."""
+"""Effects that a recording set can identify, and the data missing for the others."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from stiffopt.discovery.user_effects import sample_term
 from stiffopt.recording.facts import JointFacts
 from stiffopt.recording.recording_set import RecordingSet
 
-# Without these there is nothing more to ask.
+# Where one of these is missing, further missing data are not listed.
 _PREREQUISITE_NEEDS: tuple[Need, ...] = (
     "torque",
     "link",
@@ -30,7 +30,7 @@ MISSING_DATA: dict[Need, str] = {
     "torque": "its torque is not recorded",
     "link": "it has no link encoder",
     "sensor": "neither its torque nor its link angle is recorded",
-    "windup": "it has no link encoder, and not every joint has a spring and damping to swing on",
+    "windup": "it has no link encoder, and not every joint has stiffness and damping",
     "moves": "it does not move",
     "reverses": "it moves in one direction only",
     "slow": "it never moves slowly (0.005 to 0.1 rad/s)",
@@ -50,7 +50,7 @@ MISSING_DATA: dict[Need, str] = {
 
 @dataclass(frozen=True, kw_only=True)
 class EffectCheck:
-    """Whether an effect could be found with a set.
+    """Result of the check if recordings can identify an effect.
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ class EffectCheck:
     joint : int or None
         From 1; None for an effect of the whole robot.
     lacks : tuple of str
-        Why not, a clause each; empty if it can be found.
+        Missing data, a clause each; empty if the effect is identifiable.
     """
 
     effect: Effect
@@ -67,7 +67,7 @@ class EffectCheck:
 
     @property
     def possible(self) -> bool:
-        """Whether nothing is lacking."""
+        """True if no data are missing."""
         return not self.lacks
 
     def as_dict(self) -> dict[str, Any]:
@@ -81,7 +81,7 @@ class EffectCheck:
 
 
 def required_signals(effect: Effect) -> tuple[Need, ...]:
-    """What an effect needs of recordings; by the channels that its term acts on if it says none."""
+    """Return the data that an effect needs: as declared, else by the channels that it acts on."""
     if effect.needs:
         return effect.needs
     term = sample_term(effect)
@@ -98,7 +98,7 @@ def effect_checks(
     training_runs: int,
     effects: Sequence[Effect] = CATALOGUE,
 ) -> tuple[EffectCheck, ...]:
-    """Every effect of every joint, then those of the whole robot.
+    """Check every effect at every joint, then those of the whole robot.
 
     Parameters
     ----------
@@ -147,15 +147,15 @@ def effect_checks(
 def restrict_to_identifiable(
     catalogue: Sequence[Effect], checks: Sequence[EffectCheck]
 ) -> tuple[Effect, ...]:
-    """The catalogue, each entry only where the recordings can tell it.
+    """Return the catalogue with every effect restricted to joints where it is identifiable.
 
-    What `recording check` says cannot be told of a joint is never claimed there.
+    An effect that `recording check` calls not identifiable at a joint is never found there.
 
     Parameters
     ----------
     catalogue : sequence of Effect
     checks : sequence of EffectCheck
-        Of every entry at every joint.
+        Of every effect at every joint.
     """
     told: dict[str, set[int | None]] = {}
     for check in checks:
@@ -171,7 +171,7 @@ def _restrict_joints(entry: Effect, joints: set[int | None]) -> Effect:
     def applies(constants: Any) -> bool:
         if own is not None and not own(constants):
             return False
-        # Of a link or the robot one joint that shows it is enough.
+        # For effects of a link or the robot one joint is enough.
         joint = getattr(constants, "joint", None)
         return bool(joints) if joint is None else joint in joints
 
@@ -184,9 +184,9 @@ def locate_unstated(
     joints: Sequence[JointConstants],
     usual: bool,
 ) -> tuple[LocatedEffect, ...]:
-    """Effects that stand for values the set does not give.
+    """Return the effects at joints that replace nominal values which the set does not state.
 
-    They are tried together before anything else; what the recordings do not bear out is dropped.
+    They are fitted together before any other effect; unsupported ones are dropped.
     """
     return tuple(
         LocatedEffect(effect=_remove_upper_bounds(effect), joint=j)
@@ -200,13 +200,13 @@ def locate_unstated(
 def select_unseen(
     effects: Sequence[LocatedEffect], unseen: np.ndarray, model: Extension
 ) -> tuple[LocatedEffect, ...]:
-    """Those of channels that an extended model has seen nothing of, and says nothing of.
+    """Return the effects in channels that an extended model has no recordings and effects of.
 
     Parameters
     ----------
     effects : sequence of LocatedEffect
     unseen : array (2 n,) of bool
-        Torques, then link positions.
+        Channels without recordings: torques, then link positions.
     model : Extension
     """
     torque, link = np.split(unseen, 2)
@@ -220,7 +220,7 @@ def select_unseen(
 
 
 def remove_bounds(catalogue: Sequence[Effect], recordings: RecordingSet) -> tuple[Effect, ...]:
-    """The catalogue, where what the nominal model does not state may be of any size."""
+    """Return the catalogue without upper bounds on values that the nominal model does not state."""
     return tuple(
         _remove_upper_bounds(each) if _replaces_unstated(each, recordings) else each
         for each in catalogue
@@ -228,9 +228,9 @@ def remove_bounds(catalogue: Sequence[Effect], recordings: RecordingSet) -> tupl
 
 
 def widen_for_changes(catalogue: Sequence[Effect]) -> tuple[Effect, ...]:
-    """The catalogue as a change since an extended model was made may be: by far larger at times.
+    """Return the catalogue with the wider amplitudes of changes since an extended model.
 
-    Tools are exchanged and bodies rebuilt; what nobody has weighed yet is off by less.
+    Tools are exchanged and bodies rebuilt, which exceeds errors of a nominal model.
     """
 
     def wider(each: Amplitude) -> Amplitude:
@@ -248,6 +248,6 @@ def _replaces_unstated(effect: Effect, recordings: RecordingSet) -> bool:
 
 
 def _remove_upper_bounds(entry: Effect) -> Effect:
-    """The effect without the upper bounds that compare it with a nominal value."""
+    """Remove upper bounds, which are relative to a nominal value."""
     amplitudes = tuple(replace(a, upper=float("inf")) for a in entry.amplitudes)
     return replace(entry, amplitudes=amplitudes)

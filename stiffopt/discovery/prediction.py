@@ -1,4 +1,4 @@
-"""Channels of a run predicted on its own time stamps, from its motion alone."""
+"""Predict channels of a run from its motion, and compare held-out runs with predictions."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Prediction:
     stamps : array (R,)
         Every time stamp of the run [s].
     torque, link_position : array (R, n)
-        [N m], [rad]; finite everywhere.
+        [N m], [rad]; always finite.
     """
 
     stamps: np.ndarray
@@ -46,14 +46,14 @@ class Predictor:
         Of the training runs.
     settings : Settings
     prepared : PreparedRun, optional
-        The run as it was prepared for a fit; where links swing, predictions are of the same motion.
+        The run as prepared for a fit; with elastic joints, predictions use the same motion.
     swinging : bool
         See `prepare`.
 
     Attributes
     ----------
     nominal : PreparedRun
-        The run as the nominal model has it.
+        The run with signals of the nominal model.
     """
 
     def __init__(
@@ -69,7 +69,7 @@ class Predictor:
         self.robot, self.run = robot, run
         self._constants, self._swinging = constants, swinging
         self._position = _interpolate_columns(run.time, run.position, run.stamps)
-        # Joints whose torque follows another band than the rest.
+        # Joints by their band, where that differs from the usual one.
         self._others: dict[float, list[int]] = {}
         self._settings = settings
         if prepared is not None and prepared.swing is not None:
@@ -85,7 +85,7 @@ class Predictor:
         }
 
     def _prepare_band(self, cutoff: float) -> PreparedRun:
-        """The run in another band; what is predicted must not be seen."""
+        """Prepare the run in another band, without the channels to be predicted."""
         run = self.run
         blind = replace(run, torque=np.full_like(run.torque, np.nan), link_position=None)
         settings = replace(self._settings, cutoff=cutoff)
@@ -93,7 +93,7 @@ class Predictor:
 
     @property
     def velocity(self) -> np.ndarray:
-        """Joint speeds as recorded, from the positions where none is (K, n) [rad/s]."""
+        """Joint velocities (K, n), recorded or else derived from positions [rad/s]."""
         derived = _interpolate_columns(
             self.nominal.time, self.nominal.signals.motor_velocity, self.run.time
         )
@@ -102,13 +102,13 @@ class Predictor:
         return np.where(np.isfinite(self.run.velocity), self.run.velocity, derived)
 
     def predict(self, *extensions: Extension) -> Prediction:
-        """Prediction of the nominal model with extensions, each on top of those before it."""
+        """Predict with the nominal model and extensions, each added to those before."""
         return next(self.predict_each([extensions]))
 
     def predict_each(self, several: Sequence[Sequence[Extension]]) -> Iterator[Prediction]:
-        """As `predict` of each, one after another: other bands are prepared once for all.
+        """Yield predictions of several models; further bands are prepared once for all.
 
-        One of them at a time, since a long run has no room for more.
+        One at a time, since predictions of a long run need much memory.
         """
         stamps = self.run.stamps
         channels = [self._predict_channels(extensions) for extensions in several]
@@ -124,7 +124,7 @@ class Predictor:
             )
 
     def _predict_channels(self, extensions: Sequence[Extension]) -> tuple[np.ndarray, np.ndarray]:
-        """Drive torque and motor minus link angle (K, n) in the usual band."""
+        """Return drive torque and motor minus link angle (K, n) in the usual band."""
         prepared = extended(self.nominal, self.robot, *extensions)
         return prepared.signals.drive_torque.copy(), prepared.signals.windup + prepared.beside
 
@@ -135,7 +135,7 @@ class Predictor:
         drives: Sequence[np.ndarray],
         several: Sequence[Sequence[Extension]],
     ) -> None:
-        """Put the torques of joints that follow another band in their place."""
+        """Replace torques of joints with another band."""
         other = self._prepare_band(band)
         for drive, extensions in zip(drives, several, strict=True):
             along = extended(other, self.robot, *extensions).signals.drive_torque
@@ -143,7 +143,7 @@ class Predictor:
 
 
 def _interpolate_columns(time: np.ndarray, values: np.ndarray, stamps: np.ndarray) -> np.ndarray:
-    """Columns (K, n) at other times (R, n); what is missing is bridged."""
+    """Interpolate columns (K, n) to other times (R, n), across missing samples."""
     columns = []
     for column in values.T:
         known = np.isfinite(column)
@@ -200,17 +200,17 @@ class RunProof:
 
     @property
     def nrmse_before(self) -> float:
-        """Root mean square of residual over noise, all channels together."""
+        """Normalised residual of the starting model, all channels together."""
         return nrmse([self], "before")
 
     @property
     def nrmse_after(self) -> float:
-        """As before, of the extended model."""
+        """Normalised residual of the extended model, all channels together."""
         return nrmse([self], "after")
 
 
 def nrmse(proofs: list[RunProof] | tuple[RunProof, ...], when: str) -> float:
-    """Root mean square of residual over noise, all channels of all runs; nan without samples.
+    """Return the normalised residual, all channels of all runs; nan without samples.
 
     Parameters
     ----------
@@ -239,10 +239,10 @@ def compare_predictions(
 
     Notes
     -----
-    Samples count as they were measured: torque where the joint is faster than 0.03 rad/s, the
-    link position everywhere. Channels that the run lacks are left out.
+    Unfiltered samples are compared: torque where the joint is faster than 0.03 rad/s, the link
+    position everywhere. Missing channels are skipped.
     """
-    # Stamps that were kept, among all.
+    # Indices of the used samples among all stamps.
     places = np.searchsorted(run.stamps, run.time)
     scales = {"torque": noise.channels.torque, "link_position": noise.channels.deflection}
     channels = []
@@ -267,7 +267,7 @@ def compare_predictions(
 def used_samples(
     run: RecordedRun, velocity: np.ndarray
 ) -> Iterator[tuple[str, int, np.ndarray | None]]:
-    """Samples (K,) of bool that count of every channel: torques, then link positions.
+    """Yield kind, joint and mask (K,) of the samples to compare: torques, then link positions.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""A line every few seconds, whatever a step takes: what goes on still, and for how long."""
+"""Progress lines: repeated in long steps, limited in number, with the time that remains."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-# Silence after which a step says again that it goes on [s].
+# Silence after which the last progress line is repeated [s].
 _MAX_SILENCE = 4.0
 
 
@@ -15,14 +15,14 @@ _MAX_SILENCE = 4.0
 def repeat_progress(
     say: Callable[[str], object] | None, quiet: float = _MAX_SILENCE
 ) -> Iterator[Callable[[str], object]]:
-    """Pass sentences on, and the last one again with its time where none has come for a while.
+    """Pass sentences on; repeat the last one with its elapsed time after a silence.
 
     Parameters
     ----------
     say : callable or None
-        Called with a sentence, from a thread beside where it is said again.
+        Called with a sentence; repeated ones come from another thread.
     quiet : float
-        [s]
+        Silence before a repetition [s].
     """
     if say is None:
         yield lambda _: None
@@ -46,8 +46,8 @@ def repeat_progress(
                     continue
                 spoken = now
                 try:
-                    say(f"still at it, {now - begin:.0f} s after: {last}")
-                except (Exception, KeyboardInterrupt):  # what displays it is done for
+                    say(f"running for {now - begin:.0f} s: {last}")
+                except (Exception, KeyboardInterrupt):  # the display has been closed
                     return
 
     beside = threading.Thread(target=go_on, daemon=True)
@@ -62,7 +62,7 @@ def repeat_progress(
 def throttle_progress(
     say: Callable[[str], object], seconds: float = 4.0
 ) -> Callable[[str], object]:
-    """Pass on a sentence when the last one is some seconds old: many small steps, few lines."""
+    """Return a function that passes on a sentence if the last one is some seconds old."""
     last = time.monotonic()
 
     def tell(sentence: str) -> None:
@@ -75,24 +75,24 @@ def throttle_progress(
 
 
 class RoundProgress:
-    """How far a round is, by the time that its steps have taken.
+    """Estimate the remaining time of a round from the time of its finished steps.
 
     Parameters
     ----------
     steps : int
-        Of the round.
+        Number of steps of the round.
     """
 
     def __init__(self, steps: int) -> None:
         self._steps, self._begin = steps, time.monotonic()
 
     def words(self, done: int) -> str:
-        """Such as "4 of 12, about 20 s of this round left".
+        """Return text such as "4 of 12, about 20 s of this round left".
 
         Parameters
         ----------
         done : int
-            Steps that are behind.
+            Number of finished steps.
         """
         step = f"{done + 1} of {self._steps}"
         if not done:

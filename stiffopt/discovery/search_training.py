@@ -1,4 +1,4 @@
-"""Searches of the training runs: links in balance where these swing otherwise, hands left out."""
+"""Search the training runs for effects: quasi-static retry, exclusion of contact intervals."""
 
 from __future__ import annotations
 
@@ -42,31 +42,31 @@ def search_training_runs(
     base: ExtendedModel | None,
     say: Say,
 ) -> tuple[Training, SearchResult, tuple[Episode, ...]]:
-    """What was found in training runs.
+    """Search the training runs for missing effects.
 
     Parameters
     ----------
     recordings : RecordingSet
     training : Training
     asked : sequence of Effect
-        What the recordings can tell of the catalogue.
+        Effects that the recordings can identify.
     settings : Settings
-        As they were before the training runs chose bands.
+        Before bands were chosen by the training runs.
     base : ExtendedModel or None
-        That is started from.
+        Model that the diagnosis starts from.
     say : callable
         Called with a sentence at every step.
 
     Returns
     -------
     training : Training
-        That the answer is about.
+        Training runs that the result refers to.
     result : SearchResult
     touched : tuple of Episode
-        Times in the runs that are left out of it.
+        Contact intervals excluded from it.
     """
     comparison = training.comparison()
-    # What shows beside the nominal model already is no part of the first search.
+    # Contacts that show already beside the nominal model are excluded from the first search.
     touched = find_episodes(training_tracks(comparison, comparison.fit()))
     if touched:
         say(_describe_exclusion(touched))
@@ -89,14 +89,14 @@ def _retry_quasi_static(
     say: Say,
     result: SearchResult,
 ) -> tuple[Training, SearchResult]:
-    """The answer, or a better one where links swing otherwise than the model's by far.
+    """Search quasi-statically where the predicted vibration is far off; return the better result.
 
-    Slopes about the nominal swing do not reach a mode that lies far off; a comparison of slow
-    motion, links in balance, does, and what it finds is a motion to go on from.
+    The linearisation about the nominal vibration does not reach a distant mode. A quasi-static
+    comparison does; its findings give the motion to linearise about next.
     """
     if _rms_residual(result) <= MAX_VIBRATION_MISFIT:
         return training, result
-    say("the swing of the links is not that of the model: compare them in balance")
+    say("the vibration differs from the model's: compare without vibration")
     answers = [(training, result)]
     try:
         balanced = prepare_training(
@@ -105,13 +105,13 @@ def _retry_quasi_static(
         still = _search_once(recordings, balanced, asked, base, say)
         answers.append((balanced, still))
         if still.effects and not (still.stopped or still.hurried):
-            say("let the links swing with what was found in balance")
+            say("search with vibration from the findings without it")
             about = still.comparison.found(still.fit)
             answers.append((training, _search_once(recordings, training, asked, base, say, about)))
         stopped = any(found.stopped for _, found in answers)
     except KeyboardInterrupt:
         stopped = True
-    # Whichever is the best: what was stopped might have been better.
+    # A stopped search competes as well: it may be the best.
     own, best = min(answers, key=lambda answer: _rms_residual(answer[1]))
     hurried = any(found.hurried for _, found in answers)
     return own, replace(best, stopped=stopped, hurried=hurried)
@@ -126,7 +126,7 @@ def _exclude_contacts(
     say: Say,
     result: SearchResult,
 ) -> tuple[Training, SearchResult, tuple[Episode, ...]]:
-    """The answer without times in which something touched the arm, and these times."""
+    """Search again without contact intervals; return the result and these intervals."""
     found: tuple[Episode, ...] = ()
     for _ in range(MAX_CONTACT_ROUNDS):
         if result.stopped or result.hurried:
@@ -144,7 +144,7 @@ def _exclude_contacts(
         except KeyboardInterrupt:
             stopped = True
         if stopped:
-            # The answer before is whole, that of a search that was stopped is not.
+            # The earlier result is complete, that of the stopped search is not.
             result = replace(result, stopped=True)
             break
         training, result, found = apart, again, (*found, *new)
@@ -159,7 +159,7 @@ def _prepare_without(
     say: Say,
     episodes: Sequence[Episode],
 ) -> Training:
-    """The training runs prepared anew without some times, which say nothing of bands and noise."""
+    """Prepare the training runs without contact intervals, which distort bands and noise."""
     runs = [mask_episodes(run, episodes) for run in training.recorded]
     swinging = training.runs[0].swing is not None
     return prepare_training(recordings, settings, base, say, runs, swinging=swinging)
@@ -171,7 +171,7 @@ def _find_contacts(result: SearchResult) -> tuple[Episode, ...]:
 
 def _describe_exclusion(episodes: Sequence[Episode]) -> str:
     runs = ", ".join(dict.fromkeys(each.run for each in episodes))
-    return f"leave out times in which something touched the arm ({runs})"
+    return f"exclude contact intervals ({runs})"
 
 
 def _search_once(
@@ -183,13 +183,13 @@ def _search_once(
     about: Extension | None = None,
     comparison: Comparison | None = None,
 ) -> SearchResult:
-    """What was found in training runs, from another answer on where one is given."""
+    """Search once; from the extension `about` on where one is given."""
     comparison = comparison or training.comparison()
     unstated = locate_unstated(
         asked, recordings, training.constants.joints, usual=training.free_bodies
     )
     if base is not None:
-        # What the model has seen it was asked for when it was made.
+        # Values in channels known to the model were fitted when it was made.
         unstated = select_unseen(unstated, comparison.unseen, base.extension)
     return search(
         comparison,
@@ -204,6 +204,6 @@ def _search_once(
 
 
 def _rms_residual(result: SearchResult) -> float:
-    """What is left over the noise, rms over the channels."""
+    """Return the normalised residual, root mean square over the channels."""
     used = result.after[np.isfinite(result.after)]
     return float(np.sqrt(np.mean(used**2)))

@@ -1,4 +1,4 @@
-"""What a diagnosis leaves behind: diagnosis.json, extended.toml, predictions of held-out runs."""
+"""Files of a diagnosis: diagnosis.json, extended.toml, predictions of held-out runs."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ MODEL_FILE = "extended.toml"
 def write_diagnosis(diagnosis: Diagnosis, directory: str | Path) -> Path:
     """Write diagnosis.json, extended.toml and the predictions; return the path of the first.
 
-    Every file is written whole or not at all, diagnosis.json last: where it is, all others are.
+    Every file is written whole or not at all, diagnosis.json last: if it exists, all others do.
     """
     folder = Path(directory)
     signals = diagnosis.recordings.signals
@@ -42,7 +42,7 @@ def write_diagnosis(diagnosis: Diagnosis, directory: str | Path) -> Path:
         files[EXPERIMENT_FILE] = diagnosis.experiment.csv()
     text = json.dumps(answer_document(diagnosis), indent=1, ensure_ascii=False, allow_nan=False)
     files[ANSWER_FILE] = text + "\n"
-    # An earlier answer must not stand beside files that are not its own.
+    # An earlier result must not remain beside files of another diagnosis.
     for name in (ANSWER_FILE, EXPERIMENT_FILE):
         (folder / name).unlink(missing_ok=True)
     for name, content in files.items():
@@ -51,7 +51,7 @@ def write_diagnosis(diagnosis: Diagnosis, directory: str | Path) -> Path:
 
 
 def answer_document(diagnosis: Diagnosis) -> dict[str, Any]:
-    """Content of diagnosis.json: plain numbers, strings, lists and dicts."""
+    """Return the content of diagnosis.json: numbers, strings, lists and dicts."""
     constants = diagnosis.training.constants
     document = {
         "schema": SCHEMA_VERSION,
@@ -150,7 +150,7 @@ def _fit_entry(diagnosis: Diagnosis, role: str) -> dict[str, float] | None:
 
 
 def _share_entry(share: MismatchShare) -> dict[str, Any]:
-    """What a part of the answer takes away on runs left out; "open" is what none does."""
+    """Return the entry of a part of the mismatch; "open" is the unexplained one."""
     part = share.part
     return {
         "part": "open" if part is None else part.kind,
@@ -164,7 +164,7 @@ def _share_entry(share: MismatchShare) -> dict[str, Any]:
 
 
 def _rigid_entry(diagnosis: Diagnosis) -> dict[str, Any] | None:
-    """What the re-identified rigid model needed; None where tolerances of masses are stated."""
+    """Return the entry of the re-identified rigid model; None if mass tolerances are stated."""
     rigid = diagnosis.search.rigid
     if rigid is None:
         return None
@@ -187,8 +187,8 @@ def _rigid_entry(diagnosis: Diagnosis) -> dict[str, Any] | None:
 
 
 def _noise_ceiling_entry(diagnosis: Diagnosis) -> dict[str, Any] | None:
-    """What is explained of what can be, and what the rest goes with."""
-    rod = diagnosis.rod
+    """Return the entry of the noise ceiling and of the signals that the residual depends on."""
+    rod = diagnosis.noise_ceiling
     if rod is None:
         return None
     return {
@@ -220,7 +220,7 @@ def _unexplained_entry(unexplained: Unexplained) -> dict[str, Any]:
 
 
 def _prediction_archive(prediction: Prediction, signals: Signals) -> bytes:
-    """An .npz of the predicted channels with the stamps, named and measured as the set's own."""
+    """Return an .npz archive of predictions, with names and units of the set."""
     columns: dict[str, np.ndarray] = {}
     for kind, values in (
         ("torque", prediction.torque),

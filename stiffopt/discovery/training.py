@@ -1,4 +1,4 @@
-"""The training runs of a set, prepared: all that a search may see."""
+"""Prepare the training runs of a set: the only data that a search uses."""
 
 from __future__ import annotations
 
@@ -30,49 +30,49 @@ from stiffopt.units import joint_unit
 
 Say = Callable[[str], object]
 
-# Wind-up of a joint beyond which it is no drivetrain's, [rad] or [m].
+# Largest wind-up of a drivetrain, [rad] or [m]; more is a wrong stiffness, mass or time.
 _MAX_WINDUP = 1.0
-# No spring of a joint takes longer to follow its torque [s].
+# Longest relaxation time of a joint's spring and damper [s].
 _MAX_RELAXATION_TIME = 10.0
-# Least noise of a torque over its largest value: 24 bits tell no less.
+# Least noise of a torque over its largest value: the resolution of 24 bits.
 _MIN_RELATIVE_NOISE = 2.0**-24
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Training:
-    """Prepared training runs with what they are judged by.
+    """Prepared training runs with noise, tolerances and settings.
 
     Parameters
     ----------
     robot : RobotModel
     runs : tuple of PreparedRun
-        With the nominal model.
+        With signals of the nominal model.
     start : Extension
-        Of the model that the diagnosis started from, as its fit found it.
+        Extension of the model that the diagnosis started from, as fitted.
     recorded : tuple of RecordedRun
-        The same runs as they were read.
+        The same runs as read.
     constants : RobotConstants
-        With the ranges that the runs meet.
+        With the ranges of the runs.
     noise : KnownNoise
     tolerance : Tolerance
     box : float
-        Standard deviations that nominal values stay within.
+        Bound on nominal values in standard deviations.
     free_bodies : bool
-        Whether nobody vouches for the nominal masses.
+        True if no tolerance of nominal masses is stated: inertial parameters are free.
     reidentified : bool
-        Whether they are all fitted anew, then: unless an extended model is started from, against
-        which differences are sought.
+        True if all inertial parameters are then re-identified: unless starting from an extended
+        model.
     most : int
-        Effects that are named at most beside what the set does not give.
+        Maximum number of findings, values that the set does not state apart.
     settings : Settings
-        With the bands that were chosen.
+        With the chosen bands.
     assumptions : tuple of str
     least : array (2 n,), optional
-        Factors on the noise that make it what the model that is started from left open.
+        Factors that raise the noise to the open residual of the starting model.
     suspects : mapping of str to float
-        What that hints at by itself, with log evidence for a row.
+        Effects that the open residual suggests, with log evidence per row.
     leanings : mapping of str to tuple of float
-        Amplitudes that effects alone would take of it.
+        Amplitudes that single effects would have in the open residual.
     """
 
     robot: RobotModel
@@ -93,7 +93,7 @@ class Training:
     leanings: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
 
     def comparison(self) -> Comparison:
-        """The comparison that a search starts from."""
+        """Return the comparison that a search starts from."""
         return Comparison(
             self.robot,
             self.runs,
@@ -131,11 +131,11 @@ def prepare_training(
     recordings : RecordingSet
     settings : Settings
     model : ExtendedModel, optional
-        To start from in place of the nominal model.
+        Starting model in place of the nominal one.
     say : callable
         Called with a sentence at every step.
     runs : sequence of RecordedRun, optional
-        The training runs where they are open already.
+        The training runs, if already read.
     swinging : bool
         See `prepare`.
     """
@@ -166,7 +166,7 @@ def prepare_training(
         say("choose how fast a motion to follow")
         settings, note = _choose_bands(robot, opened, settings)
         notes.append(note)
-        # A long run is not held twice.
+        # Release memory before the runs are prepared again.
         prepared.clear()
         del probe
         prepared = [
@@ -175,7 +175,7 @@ def prepare_training(
         ]
     stated = recordings.tolerance
     free = stated.mass is None and stated.com is None
-    # Where the model is vouched for, the torque may be what a drive was asked for in vain.
+    # With stated tolerances a measured torque may be a saturated command, no range.
     measured = _largest_torques(prepared) if free else None
     ranged = robot.ranged([run.signals for run in prepared], measured)
     if model is not None:
@@ -184,14 +184,14 @@ def prepare_training(
     ready = [replace(run, signals=replace(run.signals, constants=ranged)) for run in prepared]
     noise = known_noise(recordings.noise, ready)
     _check_noise(recordings, noise, ready)
-    # Where the model is vouched for, all that it leaves is to be explained.
+    # With stated tolerances the whole residual is to be explained, none is noise.
     least = noise_factors(left_open, noise.channels) if free else None
     if len(ready) < FEW_RUNS:
         notes.append(
             f"With {len(ready)} training run{'s' * (len(ready) > 1)}, candidates are"
             " cross-validated over stretches of runs instead of whole runs."
         )
-    # A model that was fitted to this robot is nearer to it than one that nobody has compared.
+
     if model is not None:
         ratio = [NO_RATIO] if model.nominal.gear_ratio is None else []
         known = describe_assumptions(
@@ -201,7 +201,7 @@ def prepare_training(
     default = settings.tolerance if model is None else settings.after_model
     tolerance = merged(stated, default if least is None else ZERO_TOLERANCE)
     if free and stated.encoder_zero is None:
-        # Encoders' offsets are fitted and said, not hidden by a tolerance.
+        # Encoder offsets are reported as findings, not hidden by a tolerance.
         tolerance = replace(tolerance, encoder_zero=0.0)
     training = Training(
         robot=robot,
@@ -241,13 +241,13 @@ def _choose_bands(
     each = ", ".join(f"{j}: {band:g}" for j, band in enumerate(bands.predict, start=1))
     note = (
         f"Fits follow the recordings up to {bands.fit:g} Hz, predicted torques up to"
-        f" (joint {each}) Hz: as stretches of the training runs left out bear it out best."
+        f" (joint {each}) Hz: chosen by cross-validation over stretches of the training runs."
     )
     return replace(settings, cutoff=bands.fit, predict=bands.predict), note
 
 
 def _check_nominal(robot: RobotModel, run: RecordedRun, ready: PreparedRun) -> None:
-    """Raise `InputFileError` where the nominal model says nothing of a run that can be compared."""
+    """Raise `InputFileError` if the nominal model gives no usable torque or wind-up of a run."""
     recordings, signals = robot.recordings, ready.signals
     if not np.isfinite(signals.drive_torque).all():
         raise InputFileError(
@@ -271,7 +271,7 @@ def _check_nominal(robot: RobotModel, run: RecordedRun, ready: PreparedRun) -> N
 
 
 def _check_damping(robot: RobotModel, probe: PreparedRun) -> None:
-    """Raise `InputFileError` where a joint would creep back instead of swinging."""
+    """Raise `InputFileError` for a damping above the critical one."""
     recordings, swing = robot.recordings, probe.swing
     if swing is None:
         if robot.swings:
@@ -285,13 +285,13 @@ def _check_damping(robot: RobotModel, probe: PreparedRun) -> None:
             recordings.path,
             "nominal.joint_damping",
             f"{swing.damping[j]:g} {unit} at {recordings.joints[j]!r} is above the critical "
-            f"{critical[j]:.3g} of the joint swinging alone. Joints have 1 to 5 % of that; give "
+            f"{critical[j]:.3g} of the joint alone. Joints have 1 to 5 % of that; give "
             "the damping of the spring, not the friction of the drive.",
         )
 
 
 def _check_creep(robot: RobotModel) -> None:
-    """Raise `InputFileError` where a spring would not have followed its torque within a run."""
+    """Raise `InputFileError` for a relaxation time longer than any run."""
     recordings = robot.recordings
     slope = robot.compliance(np.zeros((1, robot.n)))[0]
     for j, joint in enumerate(robot.constants.joints):
@@ -308,7 +308,7 @@ def _check_creep(robot: RobotModel) -> None:
 
 
 def _check_noise(recordings: RecordingSet, noise: KnownNoise, runs: Sequence[PreparedRun]) -> None:
-    """Raise `InputFileError` where the stated noise of a torque is none of any sensor."""
+    """Raise `InputFileError` if the stated noise of a torque is below any sensor's."""
     largest = _largest_torques(runs)
     for j, stated in enumerate(noise.torque_stated):
         if stated and noise.channels.torque[j] < _MIN_RELATIVE_NOISE * largest[j]:
@@ -316,8 +316,8 @@ def _check_noise(recordings: RecordingSet, noise: KnownNoise, runs: Sequence[Pre
                 recordings.path,
                 "noise.torque",
                 f"{noise.channels.torque[j]:g} N m at {recordings.joints[j]!r}, whose torque goes "
-                f"to {largest[j]:.3g}: no sensor is so quiet. State one standard deviation, or "
-                "leave it out.",
+                f"to {largest[j]:.3g}: below the resolution of any sensor. State one standard "
+                "deviation, or leave it out.",
             )
 
 
@@ -333,18 +333,18 @@ def _describe_unusable(run: RecordedRun) -> str:
 
 
 def _describe_unfittable(run: RecordedRun, ready: PreparedRun) -> str:
-    """Why no sample of a run can be fitted."""
+    """Return the reason that no sample of a run can be fitted."""
     lost = 2.0 * ready.low_pass.settling * run.step
     if run.duration <= 2.0 * lost:
         return (
-            f"{run.file} is left out: it lasts {run.duration:.3g} s, of which the filter takes "
-            f"{lost:.3g} s. Record some seconds or more."
+            f"{run.file} is left out: it lasts {run.duration:.3g} s, of which the filter needs "
+            f"{lost:.3g} s. Record some seconds more."
         )
     return f"{run.file} is left out: no joint of it moves with a torque that can be used."
 
 
 def _largest_torques(runs: Sequence[PreparedRun]) -> np.ndarray:
-    """Largest filtered torque measured of every joint (n,); 0 where none is [N m]."""
+    """Return the largest filtered measured torque of every joint (n,); 0 without any [N m]."""
     largest = np.zeros(runs[0].torque.shape[1])
     for run in runs:
         for j, used in enumerate(run.torque_used.T):

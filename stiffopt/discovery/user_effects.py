@@ -1,4 +1,4 @@
-"""Effects from a user's own Python file, beside those of the catalogue."""
+"""Load effects of a user's Python file, and validate effects on signals of a sample arm."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ from stiffopt.symbolic import Quantity, is_symbolic
 
 _FILE_HINT = (
     "A file of effects holds `stiffopt.discovery.effect.Effect` objects at module level, or"
-    " functions without arguments that say `-> Effect`."
+    " functions without arguments that are annotated `-> Effect`."
 )
 
 
 def load_effects(path: str | Path) -> tuple[Effect, ...]:
-    """Effects that a Python file defines, each checked as those of the catalogue are.
+    """Load the effects that a Python file defines, validated like those of the catalogue.
 
     Parameters
     ----------
@@ -51,12 +51,12 @@ def load_effects(path: str | Path) -> tuple[Effect, ...]:
     Raises
     ------
     InputFileError
-        The file cannot be run, defines no effect, takes a name twice or one of the catalogue, or
-        an effect is not sound: not linear in its amplitudes, not fit for symbols, out of bounds.
+        The file cannot be run, defines no effect, uses a name twice or one of the catalogue, or
+        an effect is invalid: not linear in its amplitudes, no symbolic form, out of bounds.
 
     Notes
     -----
-    A term takes (signals, amplitudes, shapes) and returns a `Term`; write it with NumPy's
+    A term maps (signals, amplitudes, shapes) to a `Term`; write it with NumPy's
     functions and arithmetic, so that it takes CasADi symbols as well as arrays of samples.
     """
     path = Path(path)
@@ -86,7 +86,7 @@ def _execute_file(path: Path) -> ModuleType:
     if spec is None:
         raise InputFileError(path, "", "this is no Python file.")
     module = importlib.util.module_from_spec(spec)
-    # Dataclasses of the file look their module up while it runs.
+    # Dataclasses look up their module while the file runs.
     sys.modules[name] = module
     try:
         loader.exec_module(module)
@@ -102,7 +102,7 @@ def _execute_file(path: Path) -> ModuleType:
 
 
 def _error_line(error: Exception, path: Path) -> str:
-    """Last line of the file that an error passed, "" where it passed none."""
+    """Return the last line of the file in an error's traceback, or ""."""
     trace, line = error.__traceback__, ""
     while trace is not None:
         if trace.tb_frame.f_code.co_filename == str(path):
@@ -124,7 +124,7 @@ def _collect_effects(module: ModuleType, path: Path) -> Iterator[tuple[str, Effe
 
 
 def _effects_of_name(module: ModuleType, path: Path, name: str, value: Any) -> Sequence[Effect]:
-    """Effects that one module-level name stands for."""
+    """Return the effects that one module-level name holds or returns."""
     if isinstance(value, Effect):
         return [value]
     if isinstance(value, list | tuple) and any(isinstance(v, Effect) for v in value):
@@ -136,7 +136,7 @@ def _effects_of_name(module: ModuleType, path: Path, name: str, value: Any) -> S
         return []
     if signature.parameters:
         raise InputFileError(
-            path, name, f"a function that says `-> Effect` takes no arguments. {_FILE_HINT}"
+            path, name, f"a function annotated `-> Effect` takes no arguments. {_FILE_HINT}"
         )
     try:
         made = value()
@@ -158,7 +158,7 @@ def _require_sound(path: Path, where: str, effect: Effect) -> None:
 
 TERM_PARTS = ("drive_torque", "link_torque", "deflection", "reading", "previous_torque")
 SCOPES = get_args(Scope)
-# A scan of a catalogue tries every combination of starts at every place.
+# A scan of the catalogue tries every combination of initial shapes at every place.
 MAX_SHAPE_STARTS = 30
 _SAMPLE_JOINTS = 6
 _RELATIVE_TOLERANCE = 1e-9
@@ -166,7 +166,7 @@ _RELATIVE_TOLERANCE = 1e-9
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SampleArm:
-    """Signals of an arm as they are given, see `ArmSignals`."""
+    """Fixed signals of a sample arm, see `ArmSignals`."""
 
     tool_position: Quantity
     tool_velocity: Quantity
@@ -175,27 +175,27 @@ class SampleArm:
     tilt: Quantity
 
     def until(self, count: int) -> SampleArm:
-        """The first samples."""
+        """Return the first samples."""
         return SampleArm(**{name: value[:count] for name, value in vars(self).items()})
 
     def thinned(self, every: int) -> SampleArm:
-        """Every so many samples."""
+        """Return every n-th sample."""
         return SampleArm(**{name: value[::every] for name, value in vars(self).items()})
 
     def with_bodies(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> SampleArm:
-        """The same: its bodies are made up for any motion."""
+        """Return itself: the body regressor is the same for any motion."""
         return self
 
 
 def sample_signals(count: int = 60, dt: float = 0.01) -> RobotSignals:
-    """Signals of a made-up arm in motion: smooth, with reversals, loads on both sides.
+    """Return signals of a sample arm: smooth, with reversals and loads of both signs.
 
     Parameters
     ----------
     count : int
-        Samples.
+        Number of samples.
     dt : float
-        [s]
+        Time step [s].
     """
     time = dt * np.arange(count)
     wave = np.arange(1, _SAMPLE_JOINTS + 1) * 0.7 + 2.0
@@ -245,7 +245,7 @@ def sample_signals(count: int = 60, dt: float = 0.01) -> RobotSignals:
 def sample_constants(
     position: np.ndarray, velocity: np.ndarray, torque: np.ndarray
 ) -> RobotConstants:
-    """Constants of the made-up arm, with the ranges of a motion (K, n)."""
+    """Return constants of the sample arm, with the ranges of a motion (K, n)."""
     joints = tuple(
         JointConstants(
             joint=j + 1,
@@ -274,26 +274,26 @@ def sample_constants(
 
 
 def sample_signals_of(effect: Effect, robot: RobotSignals) -> JointSignals | RobotSignals:
-    """What a term of that scope sees; of joints the fifth, which has joints on either side."""
+    """Return the signals for an effect's scope; of joints the fifth, which has two neighbours."""
     return robot if effect.scope in ("robot", "link") else robot.of_joint(4)
 
 
 def sample_term(effect: Effect) -> Term:
-    """Term of an effect of its typical size on the made-up arm."""
+    """Return the term of an effect of typical size on the sample arm."""
     signals = sample_signals_of(effect, sample_signals())
     sizes = [a.size(signals.constants) for a in effect.amplitudes]
     return effect.term(signals, sizes, _initial_shapes(effect, signals))
 
 
 def find_faults(effect: Effect) -> Iterator[str]:
-    """What is wrong with an effect, each in a sentence; nothing where it is sound."""
+    """Yield the faults of an effect, a sentence each; none for a valid one."""
     signals = sample_signals_of(effect, sample_signals())
     yield from _find_parameter_faults(effect, signals.constants)
     try:
         with np.errstate(all="ignore"):
             found = list(_find_term_faults(effect, signals))
     except Exception as error:
-        # Whatever a user's formula raises, the reason goes back to its author.
+        # A user's formula may raise anything; its author needs the reason.
         found = [f"its term fails with {type(error).__name__}: {error}."]
     yield from found
 
@@ -354,7 +354,7 @@ def _find_term_faults(effect: Effect, signals: JointSignals | RobotSignals) -> I
         other = stack_term(effect.term(signals, list(second), shapes))
         both = stack_term(effect.term(signals, list(first + second), shapes))
         if np.abs(both - own - other).max() > _RELATIVE_TOLERANCE * (reach + np.abs(other).max()):
-            yield "its term is not linear in its amplitudes; make what enters otherwise a shape."
+            yield "its term is not linear in its amplitudes; make nonlinear parameters shapes."
             return
         apart = np.abs(evaluate_symbolically(effect, signals, list(first), shapes) - own).max()
         if apart > _RELATIVE_TOLERANCE * reach:
@@ -367,7 +367,7 @@ def _initial_shapes(effect: Effect, signals: JointSignals | RobotSignals) -> lis
 
 
 def stack_term(term: Term) -> np.ndarray:
-    """All that a term adds to, one after another, with the constant zeros left out."""
+    """Return all parts of a term in one array, without constant zeros."""
     values = [np.asarray(getattr(term, part), dtype=float).ravel(order="F") for part in TERM_PARTS]
     return np.concatenate([v for v in values if v.size > 1] or [np.zeros(1)])
 
@@ -378,7 +378,7 @@ def evaluate_symbolically(
     amplitudes: Sequence[float],
     shapes: Sequence[float],
 ) -> np.ndarray:
-    """As `stacked`, evaluated from the term's expression in symbols of its parameters."""
+    """Evaluate `stack_term` from the term's symbolic expression."""
     symbols = ca.MX.sym("p", len(amplitudes) + len(shapes))
     given = [symbols[i] for i in range(symbols.shape[0])]
     term = effect.term(signals, given[: len(amplitudes)], given[len(amplitudes) :])

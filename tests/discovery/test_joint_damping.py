@@ -43,7 +43,7 @@ def test_swings_that_die_away_faster_are_damping_of_that_joint(monkeypatch):
     truth = (MORE - 1.0) * ROBOTS["big6"].joint_damping[1]
     assert abs(added.value - truth) < max(3.0 * added.sd, 0.05 * truth)
     assert found.nrmse("test")[1] < 1.1
-    assert not any(mode.elsewhere for mode in found.modes)
+    assert not any(mode.is_shifted for mode in found.modes)
 
 
 def test_a_robot_takes_the_damping_that_was_found():

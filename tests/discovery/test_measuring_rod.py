@@ -152,7 +152,9 @@ def _answer(
     rod: NoiseCeiling | None, left: Unexplained | None = None, kinds: Sequence[str] = ("torque",)
 ) -> Any:
     channels = [SimpleNamespace(kind=kind) for kind in kinds]
-    return SimpleNamespace(rod=rod, unexplained=left, held_out=[SimpleNamespace(channels=channels)])
+    return SimpleNamespace(
+        noise_ceiling=rod, unexplained=left, held_out=[SimpleNamespace(channels=channels)]
+    )
 
 
 def test_what_the_box_does_not_find_is_no_contradiction() -> None:

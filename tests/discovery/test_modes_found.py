@@ -19,7 +19,7 @@ def test_a_mode_in_the_band_is_explained_and_not_found():
     assert found.verdict == "nothing_missing"
     assert found.nrmse("test")[1] < 1.15
     assert found.modes
-    assert not any(mode.elsewhere for mode in found.modes)
+    assert not any(mode.is_shifted for mode in found.modes)
     comparison, fit = found.search.comparison, found.search.fit
     assert matches_mode(comparison, fit, 1.0 / found.modes[0].found)
     assert not matches_mode(comparison, fit, 1.0)

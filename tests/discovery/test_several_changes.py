@@ -123,7 +123,7 @@ def test_what_explains_nothing_is_no_rival_however_much_a_model_left_open(traini
 def test_what_a_further_change_makes_needless_goes(after_model, monkeypatch):
     """Friction at one place stood for dry friction everywhere, until that is found."""
     place = LocatedEffect(effect=effect("position_friction"), joint=0, shapes=(0.0, 1.0))
-    start, _ = changing.fitted_jointly(after_model, [place])
+    start, _ = changing.fit_jointly(after_model, [place])
     kept = []
     changing.find_changes(
         after_model, start, [place], CAUSES, 3, lambda _: None, lambda _: None, keep=kept.append
@@ -169,7 +169,7 @@ def test_ctrl_c_at_the_first_change_claims_nothing(after_model, monkeypatch):
 
 def test_ctrl_c_in_the_last_fit_of_a_search_keeps_all_of_it(training, monkeypatch):
     """Where nothing was known before, so that nothing but these findings is there to tell."""
-    plain, calls = searching.fitted_jointly, []
+    plain, calls = searching.fit_jointly, []
 
     def interrupted(comparison, effects):
         calls.append(len(effects))
@@ -185,7 +185,7 @@ def test_ctrl_c_in_the_last_fit_of_a_search_keeps_all_of_it(training, monkeypatc
 
 
 def test_a_second_ctrl_c_in_a_search_for_changes_keeps_the_first(after_model, monkeypatch):
-    plain, told = changing.borne_out, []
+    plain, told = changing.select_predictive, []
 
     def interrupted(comparison, effects):
         if len(effects) == 2:
@@ -204,7 +204,7 @@ def test_a_second_ctrl_c_in_a_search_for_changes_keeps_the_first(after_model, mo
 
 
 def test_ctrl_c_behind_a_search_is_told_as_that(after_model, monkeypatch):
-    plain, calls = searching._relinearise, []
+    plain, calls = searching._relinearise_fit, []
 
     def interrupted(*arguments):
         calls.append(arguments)
@@ -212,7 +212,7 @@ def test_ctrl_c_behind_a_search_is_told_as_that(after_model, monkeypatch):
             raise KeyboardInterrupt
         return plain(*arguments)
 
-    monkeypatch.setattr(searching, "_relinearise", interrupted)
+    monkeypatch.setattr(searching, "_relinearise_fit", interrupted)
     result, names = found(after_model)
     assert result.hurried
     assert not result.stopped

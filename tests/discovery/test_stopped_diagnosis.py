@@ -213,7 +213,7 @@ def test_behind_the_last_prediction_nothing_is_lost_any_more(tmp_path, monkeypat
     assert not found.stopped
     assert {"coulomb", "viscous"} <= {finding.effect.name for finding in found.findings}
     assert [proof.run.name for proof in found.held_out] == ["c"]
-    assert found.rod is not None
+    assert found.noise_ceiling is not None
 
 
 def test_what_can_be_left_out_is_once_the_user_has_stopped(tmp_path, monkeypatch):
@@ -258,7 +258,7 @@ def test_ctrl_c_in_the_black_box_leaves_the_proof(tmp_path, monkeypatch):
     found = diagnosing.diagnose(unvouched(tmp_path), experiment=False)
     assert "no black box was fitted" in found.assumptions[0]
     assert [proof.run.name for proof in found.held_out] == ["c"]
-    assert found.rod is None
+    assert found.noise_ceiling is None
 
 
 @pytest.mark.slow

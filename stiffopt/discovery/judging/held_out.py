@@ -181,7 +181,7 @@ class HeldOutRuns:
             return []
         return [f"Not predicted, since a joint has no position: {', '.join(self.unusable)}."]
 
-    def rod(self) -> NoiseCeiling | None:
+    def noise_ceiling(self) -> NoiseCeiling | None:
         """What is explained of what can be; None where nobody asked a box."""
         return None if self._box is None else self._box.found()
 

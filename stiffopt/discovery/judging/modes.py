@@ -38,7 +38,7 @@ class ModeShift:
     sd: float
 
     @property
-    def elsewhere(self) -> bool:
+    def is_shifted(self) -> bool:
         """Whether it surely lies elsewhere than the nominal model has it."""
         away = abs(self.found - self.nominal)
         return away > max(_MIN_SHIFT_DEVIATIONS * self.sd, _MIN_SHIFT_SHARE * self.nominal)

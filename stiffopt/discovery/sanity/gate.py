@@ -110,7 +110,9 @@ class SanityGate:
     @cached_property
     def _extended_range_runs(self) -> list[OddRun]:
         """Odd runs that the robot may explain: a stop, an inertia that others do not ask."""
-        return [each for each in self._odd_runs if each.elsewhere and each.search.best() is None]
+        return [
+            each for each in self._odd_runs if each.outside_range and each.search.best() is None
+        ]
 
 
 def _doubt_masses(recordings: RecordingSet) -> Doubt:
@@ -266,7 +268,7 @@ class OddRun:
     joints : tuple of int
     left, others : array (n,)
         In this run, and the most in any other.
-    elsewhere : bool
+    outside_range : bool
         Whether it fits where the others were as well, or was hardly there: it moves faster or
         further than these, where a robot may lack what only shows there.
     """
@@ -276,7 +278,7 @@ class OddRun:
     joints: tuple[int, ...]
     left: np.ndarray
     others: np.ndarray
-    elsewhere: bool
+    outside_range: bool
 
 
 def find_odd_runs(together: Explanations, runs: Sequence[RecordedRun]) -> list[OddRun]:
@@ -303,11 +305,11 @@ def find_odd_runs(together: Explanations, runs: Sequence[RecordedRun]) -> list[O
             joints = tuple(int(j) for j in np.flatnonzero(odd))
             beside = [other.samples for _, other in searches if other is not search]
             there = _select_shared_range(search.samples, beside)
-            elsewhere = (
+            outside_range = (
                 there is None
                 or not _is_odd(Explanations(together.robot, there).strict, others).any()
             )
-            found.append(OddRun(run, search, joints, shares[k], others, elsewhere))
+            found.append(OddRun(run, search, joints, shares[k], others, outside_range))
     return found
 
 

@@ -1,4 +1,4 @@
-"""Score every effect at every place beside what is already found."""
+"""Score every effect at every place beside those already found."""
 
 from __future__ import annotations
 
@@ -17,32 +17,31 @@ from stiffopt.discovery.effect import Effect
 from stiffopt.discovery.progress import RoundProgress
 from stiffopt.discovery.thresholds import NAMED_DEVIATIONS, NAMED_EVIDENCE
 
-# Share of its work on one channel from which an effect acts on another: less is the swing of links
-# that others set going.
+# An effect acts on a channel if its squares there are this share of those in its main channel; less
+# is vibration excited through other links.
 _MIN_WORK_SHARE = 0.05
-# Steps of the search that refines shapes.
+# Nelder-Mead evaluations per shape.
 _MAX_REFINEMENT_STEPS = 40
 
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """An effect at a place, scored beside what is already found.
+    """An effect at a place, scored beside those already found.
 
     Parameters
     ----------
     located : LocatedEffect
     amplitudes : array (k,)
-        Over their sizes.
+        In units of their typical sizes.
     covariance : array (k, k)
     evidence : float
-        Log evidence over that without it, less the price of the shapes tried.
+        Log evidence gained by it, less the price of the shapes tried.
     deviations : float
-        Square root of the amplitudes' chi-square: how many standard deviations from nothing.
+        Square root of the amplitudes' chi-square: standard deviations from zero.
     gained : callable
-        -> log predictive density of blocks left out, over that without it.
+        -> gain of the log predictive density of blocks left out.
     change : callable
-        -> the channel that it changes most, and the share of the squared residual that it takes
-        away there.
+        -> the channel that it changes most, and the share of the squared residual removed there.
     """
 
     located: LocatedEffect
@@ -55,17 +54,17 @@ class Candidate:
 
     @cached_property
     def gain(self) -> float:
-        """Log predictive density of blocks left out, over that without it."""
+        """Gain of the log predictive density of blocks left out."""
         return self.gained()
 
     @property
     def explained(self) -> float:
-        """Share of the squared residual that it takes away in the channel that it changes most."""
+        """Share of the squared residual removed in the channel that it changes most."""
         return self._channel_change[1]
 
     @property
     def channel(self) -> int:
-        """The channel that it changes most."""
+        """Channel that it changes most."""
         return self._channel_change[0]
 
     @cached_property
@@ -74,13 +73,13 @@ class Candidate:
 
 
 class Scorer:
-    """Candidates beside a base model.
+    """Scores of candidates beside a base model.
 
     Parameters
     ----------
     comparison : Comparison
     base : sequence of LocatedEffect
-        Already found.
+        Effects already found.
     """
 
     def __init__(self, comparison: Comparison, base: Sequence[LocatedEffect] = ()) -> None:
@@ -105,11 +104,11 @@ class Scorer:
 
     @cached_property
     def by_block(self) -> np.ndarray:
-        """Log density (b,) of every block given the other blocks."""
+        """Log predictive density (b,) of every block given the other blocks."""
         return posterior(self._sums.own, self._prior).by_block
 
     def score(self, located: LocatedEffect, price: float = 0.0) -> Candidate | None:
-        """Judge one candidate; None where it changes nothing or leaves its bounds.
+        """Score one candidate; None if it changes nothing or leaves its bounds.
 
         Parameters
         ----------
@@ -148,7 +147,7 @@ class Scorer:
         )
 
     def unbounded(self, located: LocatedEffect) -> Added | None:
-        """Posterior of amplitudes over their sizes, whatever they may be; None if unseen."""
+        """Return the posterior of amplitudes without bounds; None if they change nothing."""
         sums = self._sums.beside(located)
         _, inner, _ = sums.total
         if not np.isfinite(inner).all() or not np.any(np.diag(inner) > 1e-12):
@@ -156,7 +155,7 @@ class Scorer:
         return self._beside.added(sums, np.arange(len(inner)))
 
     def deviation(self, located: LocatedEffect) -> float | None:
-        """Standard deviation of a single amplitude over its size; None if unseen."""
+        """Return the standard deviation of a single amplitude over its size; None if unseen."""
         cross, inner, _ = self._sums.beside(located).total
         if not np.isfinite(inner).all() or not np.any(inner):
             return None
@@ -164,7 +163,7 @@ class Scorer:
         return 1.0 / float(np.sqrt(seen)) if seen > 0.0 else None
 
     def nuisance_with(self, located: LocatedEffect) -> np.ndarray:
-        """Nominal values as they are fitted beside an effect."""
+        """Return the nominal values fitted beside an effect."""
         _, sd, _ = self.comparison.nuisance
         found, _ = self._fit_within_bounds(located, self._sums.beside(located))
         return (self.start.mean if found is None else found.base())[: len(sd)]
@@ -172,7 +171,7 @@ class Scorer:
     def _fit_within_bounds(
         self, located: LocatedEffect, sums: AddedSums
     ) -> tuple[Added | None, np.ndarray]:
-        """Posterior with amplitudes outside their bounds left out one after another."""
+        """Fit amplitudes; remove those outside their bounds one after another."""
         bounds = located.bounds(self.comparison.constants)
         kept = np.arange(len(bounds))
         while kept.size:
@@ -188,7 +187,7 @@ class Scorer:
         return None, kept
 
     def _beats_general_forms(self, located: LocatedEffect) -> bool:
-        """Whether it is still seen beside all that could stand in for it, and likelier there."""
+        """True if it is significant beside a more general form, and likelier than that form."""
         free, freer = located.effect.beside, located.effect.likelier_than
         if free is None:
             return True
@@ -206,7 +205,7 @@ class Scorer:
         return ahead >= NAMED_EVIDENCE
 
     def evidence_of(self, located: LocatedEffect) -> float:
-        """Evidence of what is only compared with, worked out once; -inf where it is nothing."""
+        """Return the cached evidence of an effect to compare with; -inf if it has none."""
         if located.key not in self._known_evidence:
             found = self.score(located)
             self._known_evidence[located.key] = -math.inf if found is None else found.evidence
@@ -218,9 +217,9 @@ class Scorer:
     def _most_changed_channel(
         self, located: LocatedEffect, base_mean: np.ndarray, mean: np.ndarray
     ) -> tuple[int, float]:
-        """Channel of those acted on whose squares fall most, and the share that falls.
+        """Return the channel whose squares it reduces most, and the share that is removed.
 
-        Other channels fall as well, where nominal values no longer stand in for the effect.
+        Only channels that it acts on count: others improve indirectly, through nominal values.
         """
         added = self.comparison.effect_columns(located)
         residual = self.comparison.target - self._base_columns @ base_mean - added @ mean
@@ -236,7 +235,7 @@ class Scorer:
         return channel, float(fall[channel] / before[channel]) if before[channel] > 0.0 else 0.0
 
     def refine(self, candidate: Candidate, price: float = 0.0) -> Candidate:
-        """Fit the shapes of a candidate, from where it stands and within their bounds."""
+        """Fit the shapes of a candidate within their bounds, from their current values."""
         shapes = candidate.located.effect.shapes
         if not shapes:
             return candidate
@@ -276,7 +275,10 @@ class Scorer:
 
 
 def _has_own_amplitude(located: LocatedEffect, found: Added, kept: np.ndarray) -> bool:
-    """Whether it shows what it alone has: without that it is another effect with more freedom."""
+    """True if an amplitude that only this effect has is significant.
+
+    Without one the candidate is a simpler effect with more freedom.
+    """
     if not located.effect.has_own:
         return True
     sure = np.abs(found.mean) > NAMED_DEVIATIONS * np.sqrt(np.diag(found.covariance))
@@ -292,18 +294,18 @@ def scan(
     about: LocatedEffect | None = None,
     tell: Callable[[str], object] = lambda _: None,
 ) -> list[Candidate]:
-    """Judge the whole catalogue; the best first, each place once.
+    """Score the whole catalogue; the best first, each place once.
 
     Parameters
     ----------
     scorer : Scorer
     catalogue : sequence of Effect
     refined : int
-        How many of the best have their shapes fitted.
+        Number of the best candidates whose shapes are fitted.
     worth : float
-        Log evidence below which a candidate's shapes stay as they were tried.
+        Log evidence below which shapes are not fitted.
     about : LocatedEffect, optional
-        Only what could stand in its place is tried.
+        Only possible rivals of this effect are tried.
     tell : callable
         Called with a sentence before every effect.
     """

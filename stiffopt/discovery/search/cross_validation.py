@@ -1,8 +1,8 @@
-"""Findings that recordings left out bear out: each refitted without, where the fit did not look.
+"""Cross-validation of findings: refits without each, judged in recordings left out.
 
-A search looks at all training runs, and where a nominal model lacks many things at once some
-formula gains a little anywhere. What is claimed of such a model must help where it was not fitted:
-in whole runs where there are several, else in stretches.
+A search uses all training runs, and where a nominal model lacks many effects, some formula gains a
+little everywhere. Findings must therefore improve recordings that they were not fitted to: whole
+runs where there are several, else stretches.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ from stiffopt.discovery.thresholds import (
     RARE_CHANGE_SHARE,
 )
 
-# Parts of all runs that are left out one after another where runs are few; and of each run where
-# an effect acts in fewer parts than the second.
+# Number of folds, over all runs, where runs are few; runs are cut as well if an effect acts in
+# fewer folds than the second value.
 _FOLDS_OF_FEW_RUNS, _MIN_ACTIVE_FOLDS = 6, 3
-# Share of the largest change of a fold, or of an effect's squares in the other half, from which a
-# fold or half has a say.
+# A fold, or half of the recordings, counts if an effect's squares there are this share of the
+# largest.
 _MIN_ACTIVE_SHARE = 0.05
 
 
@@ -42,7 +42,7 @@ class _FoldSums:
     prior: np.ndarray
 
     def errors(self, kept: np.ndarray) -> np.ndarray:
-        """Squares left in every fold and channel (f, c) by a fit of some columns to the others."""
+        """Return squared errors (f, c) of folds and channels by fits of some columns without them."""
         prior = self.prior[kept]
         whole = self.gram.sum(axis=(0, 1))[np.ix_(kept, kept)] + np.diag(prior**-2.0)
         goal = self.moment.sum(axis=(0, 1))[kept]
@@ -58,22 +58,21 @@ class _FoldSums:
 def select_predictive(
     comparison: Comparison, effects: Sequence[LocatedEffect]
 ) -> list[LocatedEffect]:
-    """Effects without which recordings left out are predicted worse.
+    """Select effects without which recordings left out are predicted worse.
 
     Parameters
     ----------
     comparison : Comparison
-        With the noise that the effects leave.
+        With the noise estimated beside the effects.
     effects : sequence of LocatedEffect
-        Their shapes stay as found.
+        With shapes as found, which are not refitted.
 
     Notes
     -----
-    Those that only balance others go first, and those whose shapes one moment alone has given; then
-    the one that helps least is taken away and all
-    others are judged anew, each by a fit without it. An effect of one run cannot be seen in others
-    and stays. Where an extended model was started from, what changed must stand out of what that
-    model left open.
+    Effects that cancel others are removed first, then those whose shapes come from one fold only;
+    then repeatedly the least helpful one, each judged by a fit without it. Effects of one run
+    cannot be cross-validated and stay. With an extended model changes must exceed its open
+    residual.
     """
     effects = _drop_single_fold_shapes(comparison, drop_cancelling(comparison, effects))
     if not effects:
@@ -89,7 +88,7 @@ def select_predictive(
         if effects[k].by_run or ways[0].acted(columns[:, owner == k]).sum() < _MIN_ACTIVE_FOLDS
     ]
     if seldom:
-        # As where joints move one a run: nothing but the run itself could say anything of it.
+        # If each joint moves in a run of its own, only parts of that run can be left out.
         finer = _Folds(comparison, columns, prior, fine=True)
         chosen |= dict.fromkeys(seldom, finer)
         ways.append(finer)
@@ -117,10 +116,10 @@ def select_predictive(
 def _drop_single_fold_shapes(
     comparison: Comparison, effects: Sequence[LocatedEffect]
 ) -> list[LocatedEffect]:
-    """Effects without those whose shapes were fitted to one part of one run, and asked nowhere.
+    """Remove effects with shapes that act in one fold only.
 
-    Each fold's fit has the shape as all recordings have it: of a place that the arm passes once it
-    would say that it is found again.
+    Shapes come from all recordings and are not refitted per fold: those of a single event would
+    seem to be reproduced.
     """
     fold = _number_folds(comparison, _FOLDS_OF_FEW_RUNS)
     return [
@@ -133,7 +132,7 @@ def _drop_single_fold_shapes(
 
 
 def _is_unseen(comparison: Comparison, columns: np.ndarray) -> bool:
-    """Whether an effect acts most where the model that was started from has seen nothing."""
+    """True if an effect acts most in a channel that the extended model has no recordings of."""
     square = np.bincount(comparison.rows.channel, np.sum(columns**2, axis=1))
     return bool(comparison.unseen[int(np.argmax(square))])
 
@@ -141,10 +140,10 @@ def _is_unseen(comparison: Comparison, columns: np.ndarray) -> bool:
 def drop_cancelling(
     comparison: Comparison, effects: Sequence[LocatedEffect]
 ) -> list[LocatedEffect]:
-    """Effects without those that add far more to a channel than there is to explain in it.
+    """Remove effects whose contribution far exceeds the residual of their channel.
 
-    Two formulas that are nearly alike along the training runs fit best as a difference of large
-    values, which means nothing and goes anywhere on another motion.
+    Two nearly collinear formulas fit best as a difference of large values, which has no meaning
+    and extrapolates badly.
     """
     kept = list(effects)
     while kept:
@@ -157,7 +156,7 @@ def drop_cancelling(
 
 
 def _cancellation_ratios(comparison: Comparison, effects: Sequence[LocatedEffect]) -> np.ndarray:
-    """What each effect adds to its channel, over what the nominal model leaves there (e,)."""
+    """Return the contribution (e,) of each effect to its channel over the nominal residual."""
     amplitudes, channel = comparison.fit(effects).amplitudes(), comparison.rows.channel
     left = np.bincount(channel, comparison.target**2)
     found, begin = [], 0
@@ -172,14 +171,14 @@ def _cancellation_ratios(comparison: Comparison, effects: Sequence[LocatedEffect
 
 
 def held_out_shares(comparison: Comparison, effects: Sequence[LocatedEffect]) -> tuple[float, ...]:
-    """Share of its best channel's squares that each effect takes away where no fit looked.
+    """Return the share of its best channel's squares that each effect removes in folds left out.
 
-    Against a fit without it, in which all others may stand in for it: 0 to 1, one an effect.
+    Against a refit without it, 0 to 1, one per effect.
     """
     if not effects:
         return ()
     columns, prior, owner = _stack_columns(comparison, effects)
-    sums = _sums(comparison, columns, prior, _number_folds(comparison))
+    sums = _sum_folds(comparison, columns, prior, _number_folds(comparison))
     errors = sums.errors(np.arange(len(owner)))
     shares = []
     for k in range(len(effects)):
@@ -191,11 +190,10 @@ def held_out_shares(comparison: Comparison, effects: Sequence[LocatedEffect]) ->
 
 
 def repeats_in_halves(comparison: Comparison, effects: Sequence[LocatedEffect]) -> tuple[bool, ...]:
-    """Whether what each half of the recordings says of each effect helps in the other.
+    """Return for each effect if its fit to each half of the recordings helps in the other half.
 
-    Halves are every other run, of a single run its begin and end; all else stays as all of it
-    says, since half of a motion determines less. An effect of one run, or that hardly acts in one
-    half, as where joints move one after another, is not asked for.
+    Halves are alternating runs, or the two halves of a single run; all other values stay as fitted
+    to all data. Effects of one run, or that hardly act in one half, are exempt (True).
     """
     if not effects:
         return ()
@@ -217,7 +215,7 @@ def repeats_in_halves(comparison: Comparison, effects: Sequence[LocatedEffect]) 
 
 
 def _squares_removed(part: np.ndarray, left: np.ndarray, used: np.ndarray) -> float:
-    """By how much squares of all other rows fall with what used ones say of some columns."""
+    """Return the decrease of squares of the other rows by columns fitted to the used ones."""
     fitted, other = part[used], part[~used]
     values = np.linalg.solve(fitted.T @ fitted + np.eye(part.shape[1]), fitted.T @ left[used])
     return float(np.sum(left[~used] ** 2) - np.sum((left[~used] - other @ values) ** 2))
@@ -226,7 +224,7 @@ def _squares_removed(part: np.ndarray, left: np.ndarray, used: np.ndarray) -> fl
 def _stack_columns(
     comparison: Comparison, effects: Sequence[LocatedEffect]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """All columns, their priors, and of every column the effect it belongs to; -1: nominal."""
+    """Return all columns, their priors, and the index of each column's effect (-1: nominal)."""
     _, sd, nuisance = comparison.nuisance
     parts = [comparison.effect_columns(e) for e in effects]
     owner = np.repeat(np.arange(-1, len(effects)), [len(sd), *(part.shape[1] for part in parts)])
@@ -235,28 +233,28 @@ def _stack_columns(
 
 
 class CrossValidation:
-    """What fits of nominal values and effects leave of parts that they did not look at.
+    """Cross-validated squares of nominal values and effects.
 
     Parameters
     ----------
     comparison : Comparison
-        With the noise by which it is judged.
+        With the noise that squares are divided by.
     effects : sequence of LocatedEffect
     """
 
     def __init__(self, comparison: Comparison, effects: Sequence[LocatedEffect]) -> None:
         columns, prior, _ = _stack_columns(comparison, effects)
-        self._sums = _sums(comparison, columns, prior, _number_folds(comparison))
+        self._sums = _sum_folds(comparison, columns, prior, _number_folds(comparison))
 
     def squares(self, first: np.ndarray) -> float:
-        """Sum of squares over noise, with other deviations of the first nominal values (k,)."""
+        """Return the sum of squares over noise, with other priors of the first columns (k,)."""
         prior = np.concatenate([first, self._sums.prior[len(first) :]])
         sums = replace(self._sums, prior=prior)
         return float(sums.errors(np.arange(len(prior))).sum())
 
 
 class _Folds:
-    """Sums of columns by what is left out: runs or parts of them."""
+    """Sums of columns by folds: runs or parts of them."""
 
     def __init__(
         self, comparison: Comparison, columns: np.ndarray, prior: np.ndarray, *, fine: bool
@@ -264,15 +262,15 @@ class _Folds:
         self._fold = _number_folds(
             comparison, _FOLDS_OF_FEW_RUNS if fine else folds_per_run(len(comparison.runs))
         )
-        self.sums = _sums(comparison, columns, prior, self._fold)
+        self.sums = _sum_folds(comparison, columns, prior, self._fold)
 
     def acted(self, part: np.ndarray) -> np.ndarray:
-        """See `_acted`."""
+        """See `_active_folds`."""
         return _active_folds(self._fold, part)
 
 
 def _active_folds(fold: np.ndarray, part: np.ndarray) -> np.ndarray:
-    """Folds (f,) in which an effect has more than a little of its squares (m, k) of one."""
+    """Return a mask (f,) of the folds in which an effect with columns (m, k) acts."""
     square = np.bincount(fold, np.sum(part**2, axis=1))
     return np.asarray(square > _MIN_ACTIVE_SHARE * square.max())
 
@@ -285,10 +283,10 @@ def _excess_share(
     plain: bool = False,
     changed: bool = False,
 ) -> float:
-    """Share of the squares of its best channel that an effect takes away, over what it should.
+    """Return the share of its best channel's squares that an effect removes, less the required one.
 
-    -1 where it helps in few folds of those in which it acts, or in one alone. What is plain, as
-    friction that every joint has, is to help on the whole.
+    -1 if it helps in too few of the folds in which it acts, or in one only. A `plain` effect, such
+    as friction, which every joint has, only needs to help on the whole.
     """
     falls = without - errors
     by_fold = falls.sum(axis=1)
@@ -304,7 +302,7 @@ def _excess_share(
         if not by_fold.size:
             return -1.0
     if changed:
-        # Where it hardly acts, as a stop that is seldom reached, it can help nothing.
+        # Folds where it hardly acts, such as a stop that is seldom reached, do not count.
         by_fold = by_fold[np.abs(by_fold) > _MIN_ACTIVE_SHARE * np.abs(by_fold).max()]
         if np.sum(by_fold > 0.0) < 2:
             return -1.0
@@ -314,7 +312,7 @@ def _excess_share(
     return share - (MIN_CHANGE_SHARE if changed else MIN_HELD_OUT_SHARE)
 
 
-def _sums(
+def _sum_folds(
     comparison: Comparison, columns: np.ndarray, prior: np.ndarray, fold: np.ndarray
 ) -> _FoldSums:
     channel = comparison.rows.channel
@@ -331,12 +329,12 @@ def _sums(
 
 
 def folds_per_run(runs: int) -> int:
-    """Parts that each of so many runs is cut into, to leave them out one after another."""
+    """Return the number of folds that each run is cut into."""
     return 1 if runs >= 2 * FEW_RUNS else -(-_FOLDS_OF_FEW_RUNS // runs)
 
 
 def _number_folds(comparison: Comparison, parts: int | None = None) -> np.ndarray:
-    """Number of the fold of every row (m,): its run, or one of some parts of each run in time."""
+    """Return the fold number of every row (m,): runs, or parts of runs in time."""
     runs = comparison.runs
     cut = folds_per_run(len(runs)) if parts is None else parts
 
@@ -348,7 +346,7 @@ def _number_folds(comparison: Comparison, parts: int | None = None) -> np.ndarra
 
 
 def _number_halves(comparison: Comparison) -> np.ndarray:
-    """Which half every row (m,) is of: of every other run, or the begin or end of a single one."""
+    """Return the half (0, 1) of every row (m,): alternating runs, or halves of a single run."""
     runs = comparison.runs
 
     def number(run: PreparedRun) -> np.ndarray:

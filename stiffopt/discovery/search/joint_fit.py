@@ -1,4 +1,4 @@
-"""Effects fitted together, and which of them a search may keep."""
+"""Fit effects together, and select those that a search keeps."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from stiffopt.discovery.thresholds import (
     STRICT_DEVIATIONS,
 )
 
-STOPPED_MESSAGE = "stopped: what was found so far is weighed"
+STOPPED_MESSAGE = "stopped: the findings up to now are assessed"
 
 
 def passes_thresholds(candidate: Candidate, scorer: Scorer) -> bool:
-    """Whether a candidate is worth a try: sure, and seen in what is left or in nominal values."""
+    """True if a candidate is significant and improves the residual or nominal values enough."""
     if candidate.evidence < NAMED_EVIDENCE or candidate.deviations < NAMED_DEVIATIONS:
         return False
     if candidate.explained >= NAMED_SHARE and candidate.gain > 0.0:
@@ -34,7 +34,7 @@ def passes_thresholds(candidate: Candidate, scorer: Scorer) -> bool:
 
 
 def _prior_relief(candidate: Candidate, scorer: Scorer) -> float:
-    """Log prior that the nominal values regain when they need not stand in for the effect."""
+    """Return the log prior that the nominal values regain beside the effect."""
     _, sd, _ = scorer.comparison.nuisance
     count = len(sd)
     without = scorer.start.mean[:count] / sd
@@ -45,7 +45,7 @@ def _prior_relief(candidate: Candidate, scorer: Scorer) -> float:
 def fit_jointly(
     start: Comparison, effects: list[LocatedEffect]
 ) -> tuple[Comparison, list[LocatedEffect]]:
-    """Fit all effects together: their shapes in turn, then the noise that is left."""
+    """Fit all effects together: their shapes in turn, then the noise."""
     current = start.about(start.fit(effects))
     refined = list(effects)
     for i, located in enumerate(effects):
@@ -59,10 +59,9 @@ def fit_jointly(
 
 
 def _best_initial_shapes(scorer: Scorer, located: LocatedEffect) -> Candidate | None:
-    """The best of the shapes that an effect starts from at its place; None where none can be.
+    """Return the best initial shapes of an effect at its place; None if none is possible.
 
-    Shapes that were fitted beside another effect may ask for amplitudes that cannot be once that
-    one has gone.
+    Shapes fitted beside another effect may need impossible amplitudes after its removal.
     """
     comparison = scorer.comparison
     runs = [run.name for run in comparison.runs]
@@ -75,7 +74,7 @@ def _best_initial_shapes(scorer: Scorer, located: LocatedEffect) -> Candidate | 
 
 
 def prune_effects(comparison: Comparison, effects: list[LocatedEffect]) -> list[LocatedEffect]:
-    """Effects without which something is lost, given all others."""
+    """Remove effects without which the evidence hardly falls, the least first."""
     kept = [
         e
         for e in effects
@@ -93,12 +92,12 @@ def prune_effects(comparison: Comparison, effects: list[LocatedEffect]) -> list[
 def confirm_effects(
     comparison: Comparison, effects: list[LocatedEffect], *, strict: bool
 ) -> list[LocatedEffect]:
-    """Effects that no few seconds of the recordings are alone responsible for.
+    """Select effects that do not rest on a few seconds of the recordings alone.
 
-    Where a few seconds hold all there is, as of a drive at its limit, those count that take away
-    most of a channel's residual, in recordings left out of the fit too. Where the model is wrong in
-    many ways (`strict`), each of which does that somewhere, they need deviations as well, and an
-    amplitude that is known by itself, save for what every joint has.
+    Effects that act for a few seconds only, such as a drive at its limit, count if they remove most
+    of a channel's residual, in recordings left out as well. Without stated tolerances (`strict`)
+    they need significance as well, and one amplitude that is significant alone; values that every
+    joint has are exempt.
     """
     kept = list(effects)
     while kept:
@@ -122,11 +121,10 @@ def confirm_effects(
 def select_supported(
     comparison: Comparison, effects: list[LocatedEffect], *, strict: bool
 ) -> list[LocatedEffect]:
-    """Effects that are confirmed and that recordings left out bear out.
+    """Select effects that are confirmed and that recordings left out support.
 
-    Where somebody vouches for the nominal model less is asked: to take away something there at all,
-    or that nominal values would have to leave their tolerances to stand in for it, since what is
-    left of recordings does not tell the two apart.
+    With stated tolerances it is enough to remove some residual there, or that nominal values would
+    otherwise leave their tolerances, since the residual cannot tell the two apart.
     """
     sure = confirm_effects(comparison, effects, strict=strict)
     if strict:
@@ -144,7 +142,7 @@ def select_supported(
 def _is_supported_by_nominal(
     comparison: Comparison, effects: list[LocatedEffect], located: LocatedEffect
 ) -> bool:
-    """Whether most of the evidence for an effect is that nominal values stay where they belong."""
+    """True if most evidence for an effect is that nominal values stay within tolerance."""
     scorer = Scorer(comparison, [e for e in effects if e is not located])
     own = scorer.score(located)
     return own is not None and _prior_relief(own, scorer) > PRIOR_RELIEF_SHARE * own.evidence

@@ -1,4 +1,4 @@
-"""What has changed since an extended model was made: one thing after another, each borne out."""
+"""Find changes since an extended model was made, one after another, each cross-validated."""
 
 from __future__ import annotations
 
@@ -39,25 +39,25 @@ def find_changes(
     *,
     keep: Callable[[Found], object],
 ) -> bool:
-    """Tell what has changed, and return whether Ctrl-C ended the search for it.
+    """Find changes since an extended model; return True if Ctrl-C ended the search.
 
-    Where one change predicts recordings left out nearly as well as several, it is that one.
+    A single change is preferred where it predicts recordings left out nearly as well as several.
 
     Parameters
     ----------
     comparison : Comparison
-        With an extended model.
+        With the extended model.
     current : Comparison
-        About what is given.
+        Linearised about `start`.
     start : sequence of LocatedEffect
-        Given: what the model says nothing of.
+        Effects in channels that the model has no recordings of.
     catalogue : sequence of Effect
     most : int
-        Changes at most.
+        Maximum number of changes.
     say, tell : callable
-        Called with a sentence at every finding, before every try.
+        Called with a sentence at every finding, and before every candidate.
     keep : callable
-        Called with what was found so far, and the comparison about it, whenever that changes.
+        Called with comparison and effects whenever they change.
     """
     effects = list(start)
     first: list[Candidate] = []
@@ -96,10 +96,10 @@ def find_changes(
 def _extend_by_candidates(
     comparison: Comparison, effects: list[LocatedEffect], passing: Sequence[Candidate]
 ) -> Iterator[tuple[Comparison, list[LocatedEffect], Candidate]]:
-    """Ways to go on, each with one of the likeliest candidates; what it makes needless goes.
+    """Yield joint fits with one of the likeliest candidates each, without superseded effects.
 
-    Beside a noise that holds the change itself, evidence of all that takes most of it is alike: of
-    those the one is right that leaves least once it is fitted.
+    The noise contains the change itself, so that the evidence of all good candidates is similar:
+    the smallest residual after the fit decides.
     """
     likeliest = sorted(passing, key=lambda c: -c.evidence)[:MAX_TRIED_CHANGES]
     alike = EQUIVALENT_EVIDENCE_SHARE * max((c.evidence for c in likeliest), default=0.0)
@@ -121,7 +121,7 @@ def _extend_by_candidates(
 
 
 def _negative_log_likelihood(comparison: Comparison) -> float:
-    """Negative log likelihood at the noise that is left, but for a constant."""
+    """Return the negative log likelihood at the estimated noise, up to a constant."""
     rows = comparison.rows
     used = rows.counts > 0
     return float(rows.counts[used] @ np.log(comparison.inflation[used]))
@@ -135,10 +135,10 @@ def _find_single_change(
     effects: list[LocatedEffect],
     first: Sequence[Candidate],
 ) -> Found | None:
-    """The one change that does nearly as well as several, beside what is given, or None.
+    """Return a single change that does nearly as well as several, or None.
 
-    Gains are over the noise that no change leaves, beside which a smaller change is nothing: what
-    is left once it is fitted decides.
+    Gains are relative to the noise without any change, which hides smaller ones: the residual
+    after the fit must be similar as well.
     """
     alone, all_ = Scorer(nothing, start), Scorer(nothing, effects)
     gained = float(np.sum(all_.by_block) - np.sum(alone.by_block))
@@ -152,7 +152,7 @@ def _find_single_change(
 
 
 def _select_certain(comparison: Comparison, effects: list[LocatedEffect]) -> list[LocatedEffect]:
-    """Those that are certain, within their bounds, and help in recordings left out."""
+    """Select effects that are significant, within bounds, and help in recordings left out."""
     kept = select_predictive(comparison, confirm_effects(comparison, effects, strict=True))
     return [e for e in kept if _is_within_bounds(comparison, kept, e)]
 

@@ -1,9 +1,9 @@
-"""The rigid model re-identified, where nobody vouches for the nominal masses.
+"""Re-identify the rigid model if no tolerance of nominal masses is stated.
 
-A robot description's masses and centres are off on nearly every arm. Where a set states no
-tolerance of them, all inertial parameters are fitted together with what the set does not give, as
-one stage before any effect is sought. One body moved, one payload or a tilted base is preferred to
-a little of everything where it explains as much in recordings left out.
+Masses and centres of robot descriptions are wrong for nearly every arm. Without stated tolerances,
+all inertial parameters are fitted with the values that the set does not state, before any effect is
+searched. A single change (one body, a payload, a tilted base) is preferred if it explains as much
+in recordings left out.
 """
 
 from __future__ import annotations
@@ -23,32 +23,32 @@ from stiffopt.discovery.search.candidates import Candidate, Scorer
 from stiffopt.discovery.search.cross_validation import CrossValidation
 from stiffopt.discovery.thresholds import ADDED_MASS_OFFSET, NAMED_EVIDENCE, SINGLE_CHANGE_SHARE
 
-# Standard deviations of inertial parameters that are tried, over their typical sizes.
+# Prior standard deviations of inertial parameters that are tried, over their typical sizes.
 PRIOR_WIDTHS = (0.02, 0.06, 0.2, 0.6)
-# Of each body by itself: the first two hold it where the nominal model has it.
+# The same for a single body: the first two hold it at the nominal model.
 BODY_WIDTHS = (0.002, 0.006, *PRIOR_WIDTHS)
 _HELD_WIDTHS = 2
-# Fits to the noise that the one before left, until it is that of all channels together.
+# Fits with re-estimated noise until it converges.
 _NOISE_ROUNDS = 3
-# Passes over all bodies, and squares over noise in recordings left out that another width gains.
+# Passes over all bodies, and least gain of squares over noise in recordings left out.
 _MAX_PASSES, _MIN_SQUARES_GAIN = 5, 2.0
-# What bodies are weighed by [m/s^2].
+# Standard gravity [m/s^2].
 _STANDARD_GRAVITY = 9.81
 
 
 @dataclass(frozen=True, kw_only=True)
 class Counterweight:
-    """A body that was re-identified as nothing that is made: as a counterbalance would pull.
+    """A body with re-identified parameters of a counterbalance, impossible for a real body.
 
     Parameters
     ----------
     joint : int
-        That carries it (from 0).
+        Joint that carries it (from 0).
     nominal, change : float
-        First moment of the body about its joint, and of what it gained [kg m].
+        First moment of the body about its joint, and its change [kg m].
     gain : float
-        Squares over noise that a counterbalance in its place takes away in recordings left out;
-        below zero where it adds to them.
+        Decrease of squares over noise in recordings left out by a counterbalance in its place;
+        negative for an increase.
     """
 
     joint: int
@@ -58,28 +58,28 @@ class Counterweight:
 
     @property
     def balanced(self) -> bool:
-        """Whether recordings left out say that it is a counterbalance."""
+        """True if recordings left out prefer a counterbalance."""
         return self.gain > _MIN_SQUARES_GAIN
 
     @property
     def torque(self) -> float:
-        """The most that it pulls with [N m]."""
+        """Largest torque [N m]."""
         return _STANDARD_GRAVITY * self.change
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RigidStage:
-    """What the rigid model needs.
+    """Result of the re-identification of the rigid model.
 
     Parameters
     ----------
     widths : tuple of float
-        Standard deviation of each body's inertial parameters over their typical sizes; none where
-        nominal values within usual tolerances do.
+        Prior standard deviation of each body's inertial parameters over their typical sizes; empty
+        if nominal values within usual tolerances suffice.
     gain : float
-        Log predictive density of stretches left out that free bodies gain.
+        Gain of log predictive density in stretches left out by free bodies.
     single : Candidate or None
-        One change that explains as much.
+        Single change that explains as much.
     counterweights : tuple of Counterweight
     """
 
@@ -90,11 +90,11 @@ class RigidStage:
 
     @property
     def freed(self) -> bool:
-        """Whether any body was let go from where the nominal model has it."""
+        """True if any body is not held at the nominal model."""
         return any(width > BODY_WIDTHS[_HELD_WIDTHS - 1] for width in self.widths)
 
     def bodies(self, comparison: Comparison) -> np.ndarray | None:
-        """Standard deviations of all inertial parameters (n, 10); None where they stay."""
+        """Return prior standard deviations of all inertial parameters (n, 10); None if held."""
         return _parameter_deviations(comparison, self.widths) if self.widths else None
 
 
@@ -104,14 +104,14 @@ def reidentify_rigid_model(
     catalogue: Sequence[Effect],
     tell: Callable[[str], object] = lambda _: None,
 ) -> RigidStage:
-    """Choose between nominal bodies, one change and all parameters, by recordings left out.
+    """Choose between nominal bodies, a single change and all parameters by cross-validation.
 
     Parameters
     ----------
     comparison : Comparison
         With nominal bodies.
     effects : sequence of LocatedEffect
-        What is found already.
+        Effects already found.
     catalogue : sequence of Effect
     tell : callable
         Called with a sentence at every step.
@@ -142,7 +142,7 @@ def _gain_of_free_bodies(
     without: np.ndarray,
     tell: Callable[[str], object],
 ) -> float:
-    """What one width for all gains: the narrowest within a standard error of the best."""
+    """Return the gain of one width for all bodies: the narrowest within one standard error."""
     rows = []
     for k, width in enumerate(PRIOR_WIDTHS, start=1):
         tell(f"re-identify the rigid model ({k} of {len(PRIOR_WIDTHS)} widths)")
@@ -161,20 +161,19 @@ def _gain_of_free_bodies(
 def _choose_widths(
     comparison: Comparison, effects: Sequence[LocatedEffect], tell: Callable[[str], object]
 ) -> tuple[tuple[float, ...], Comparison, float]:
-    """Widths of every body by which recordings left out are predicted best.
+    """Choose the width of every body by cross-validation.
 
-    One body that must go far, as what carries a counterbalance that nobody told of, would let all
-    others go where it gains a little along the training motion, and they are wrong on any other.
-    What is left of parts left out is judged, over the noise that free bodies leave, not its
-    density: that forgives where a fit knew nothing, and predictions do not.
+    With one common width, a single body far off, such as one with an unknown counterbalance, would
+    free all others to overfit the training motion. Squares over the noise beside free bodies are
+    compared, not predictive densities, which tolerate errors where a fit is uncertain.
 
     Returns
     -------
     widths : tuple of float
     free : Comparison
-        With the noise that free bodies leave.
+        With the noise estimated beside free bodies.
     squares : float
-        That these widths leave over it.
+        Squares over this noise with these widths.
     """
     n = comparison.robot.n
     free = comparison.with_bodies(_parameter_deviations(comparison, (PRIOR_WIDTHS[-1],) * n))
@@ -203,9 +202,9 @@ def _find_counterweights(
     squares: float,
     catalogue: Sequence[Effect],
 ) -> tuple[Counterweight, ...]:
-    """Bodies whose first moment changes by more than all that it was.
+    """Find bodies whose first moment changes by more than its nominal value.
 
-    By what a description is off, no centre of mass goes to the other side of its joint.
+    Errors of a description do not move a centre of mass to the other side of its joint.
     """
     own = free.with_bodies(_parameter_deviations(free, widths))
     moved = own.fit(effects).posterior.mean[: A_BODY * free.robot.n].reshape(-1, A_BODY)
@@ -228,14 +227,14 @@ def _find_counterweights(
         ]
         gain = squares - min(instead, default=math.inf)
         size, by = float(nominal[body]), float(change[body])
-        # Where the body predicts better it is a body (the upper arm of the UR10e, by 374).
+        # If the body predicts better, it is a body (the upper arm of the UR10e, by 374).
         if gain > -_MIN_SQUARES_GAIN:
             found.append(Counterweight(joint=body, nominal=size, change=by, gain=gain))
     return tuple(found)
 
 
 def _parameter_deviations(comparison: Comparison, widths: Sequence[float]) -> np.ndarray:
-    """Standard deviations (n, 10) of all inertial parameters."""
+    """Return prior standard deviations (n, 10) of all inertial parameters."""
     return np.asarray(np.array(widths)[:, None] * body_units(comparison.robot))
 
 

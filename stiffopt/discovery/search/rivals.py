@@ -1,4 +1,4 @@
-"""What else could stand in the place of a found effect, and how likely each is."""
+"""Rank found effects among their rivals, and exchange them for likelier ones."""
 
 from __future__ import annotations
 
@@ -36,27 +36,27 @@ from stiffopt.discovery.thresholds import (
     TEMPERING_SHARE,
 )
 
-# Of an effect's own evidence, what a rival has whose shapes are fitted: those that a search starts
-# from leave no three quarters of it to be found.
+# Least evidence, over the effect's own, of a rival whose shapes are fitted: fitting gains less than
+# the other three quarters.
 _MIN_REFINED_SHARE = 0.25
 
 
 @dataclass(frozen=True, eq=False)
 class Selected:
-    """An effect that was found, with its rivals.
+    """A found effect with its rivals.
 
     Parameters
     ----------
     located : LocatedEffect
     loss : float
-        Log evidence that is lost without it.
+        Log evidence lost without it.
     deviations : float
     probability : float
         Against its rivals.
     rivals : tuple of (LocatedEffect, float)
-        What the data cannot tell apart from it, with probabilities.
+        Effects that the data do not tell apart from it, with probabilities.
     channel : int
-        The channel that it changes most.
+        Channel that it changes most.
     """
 
     located: LocatedEffect
@@ -69,7 +69,7 @@ class Selected:
 
 @dataclass(frozen=True, eq=False)
 class RankedEffect:
-    """A found effect among its rivals, and the likeliest of them all."""
+    """A found effect ranked among its rivals, and the likeliest of all."""
 
     selected: Selected
     likeliest: LocatedEffect
@@ -83,9 +83,9 @@ def rank_rivals(
     *,
     tell: Callable[[str], object] = lambda _: None,
 ) -> RankedEffect | None:
-    """Weigh a found effect against everything that could stand in its place.
+    """Rank a found effect among all possible rivals.
 
-    None where it has come to nothing, or to what cannot be, beside the others.
+    None if it has become insignificant or left its bounds beside the other effects.
     """
     others = [e for e in effects if e is not located]
     scorer = Scorer(comparison, others)
@@ -100,18 +100,17 @@ def rank_rivals(
         if not c.located.same_place(located) and _agrees_across_stretches(comparison, others, c)
     ]
     if comparison.after_model:
-        # Evidence is counted in large units there, in which what explains nothing is ahead by its
-        # prior alone.
+        # Tempered evidence is flat there: a rival without any evidence could win by its prior.
         found = [c for c in found if c.evidence >= EQUIVALENT_EVIDENCE_SHARE * own.evidence]
     width = float(np.clip(TEMPERING_SHARE * own.evidence, 1.0, MAX_TEMPERING))
-    # What a model left open gives to some formula by chance is a unit that evidence counts in.
+    # Evidence that the open residual of the model gives by chance is the unit of differences.
     width = max(width, SUSPECT_EVIDENCE_UNITS * comparison.most_suspected)
     constants = comparison.constants
     priors = [_log_prior(c, constants, comparison.after_model) for c in (own, *found)]
     ahead = [_evidence_lead(c, own) / width for c in found]
     odds = [a + prior - priors[0] for a, prior in zip(ahead, priors[1:], strict=True)]
     near = sorted(zip(odds, ahead, found, strict=True), key=lambda each: -each[0])[:3]
-    # What fits alike is not told apart, however much plainer one of the two is.
+    # Equal fits are not told apart, even if one of the two is simpler.
     near = [each for each in near if max(each[:2]) > -RIVAL_LOG_ODDS]
     itself, *theirs = map(float, softmax([0.0, *(o for o, _, _ in near)]))
     rivals = tuple((c.located, p) for (_, _, c), p in zip(near, theirs, strict=True))
@@ -120,10 +119,10 @@ def rank_rivals(
 
 
 def _evidence_lead(candidate: Candidate, own: Candidate) -> float:
-    """Log evidence of a candidate over that of another; of twins the log likelihood.
+    """Return the log evidence of a candidate less that of another; of twins the log likelihood.
 
-    An amplitude's prior costs evidence, a shape that does as much costs none: a counterbalance,
-    three amplitudes and a shape, had 6 to 13 less than a cable, two and one, whose fit was worse.
+    The prior of an amplitude costs evidence, a shape costs none: a counterbalance, three amplitudes
+    and a shape, had 6 to 13 less than a worse fitting cable with two and one.
     """
     if candidate.located.effect.is_twin(own.located.effect):
         return 0.5 * (candidate.deviations**2 - own.deviations**2)
@@ -133,9 +132,9 @@ def _evidence_lead(candidate: Candidate, own: Candidate) -> float:
 def _agrees_across_stretches(
     comparison: Comparison, others: Sequence[LocatedEffect], candidate: Candidate
 ) -> bool:
-    """Whether stretches of the recordings agree on what only this effect has.
+    """True if stretches of the recordings agree on the amplitudes that only this effect has.
 
-    An effect with more freedom than others is likelier than they are wherever a model is wrong.
+    Wherever a model is wrong, effects with more freedom gain evidence without being present.
     """
     if not candidate.located.effect.has_own or candidate.evidence < NAMED_EVIDENCE:
         return True
@@ -146,7 +145,7 @@ def _agrees_across_stretches(
 def select_unranked(
     comparison: Comparison, effects: Sequence[LocatedEffect], located: LocatedEffect
 ) -> Selected | None:
-    """A found effect that there was no time to weigh: as likely as all that may be in its place."""
+    """Return a found effect not ranked for lack of time, with probability 0.5."""
     own = Scorer(comparison, [e for e in effects if e is not located]).score(located)
     if own is None:
         return None
@@ -154,10 +153,10 @@ def select_unranked(
 
 
 def _log_prior(candidate: Candidate, constants: RobotConstants, changed: bool) -> float:
-    """Log prior odds: plainer effects, and those usual at their joint, are likelier.
+    """Return log prior odds: simpler effects, and those usual at their joint, are likelier.
 
-    An amplitude counts as far as the data determine it. Where something has changed, a body is one
-    thing, however many of its ten parameters show.
+    An amplitude counts as far as the data determine it. The count of a changed body is limited,
+    since its ten parameters change together.
     """
     located = candidate.located
     size = len(located.effect.shapes) + float(np.sum(1.0 - np.diag(candidate.covariance)))
@@ -168,9 +167,9 @@ def _log_prior(candidate: Candidate, constants: RobotConstants, changed: bool) -
 
 
 def _misplacement_penalty(candidate: Candidate, constants: RobotConstants) -> float:
-    """How unlikely it is that a body has changed by a mass so far from its centre; 0 of others.
+    """Return the log price of a mass added far from the centre of its body; 0 of other effects.
 
-    Masses on neighbouring links can hardly be told apart; most sit on the body that they are near.
+    Masses on neighbouring links are nearly confounded; an added mass is usually close to its body.
     """
     located = candidate.located
     if located.effect.family != "inertial" or located.joint is not None:
@@ -194,7 +193,7 @@ def exchange_rivals(
     tell: Callable[[str], object],
     before: Sequence[RankedEffect] = (),
 ) -> tuple[Comparison, list[RankedEffect]]:
-    """Effects among their rivals, each in the place of the likeliest."""
+    """Replace effects by their likeliest rivals until nothing changes; return them ranked."""
     ranked = _rank_effects(current, effects, catalogue, tell, before)
     for _ in range(MAX_EXCHANGES):
         likelier = _drop_duplicates([r.likeliest for r in ranked])
@@ -203,7 +202,7 @@ def exchange_rivals(
         current, effects = fit_jointly(comparison, likelier)
         ranked = _rank_effects(current, effects, catalogue, tell, ranked)
     else:
-        # Explanations that go on taking each other's place explain nothing.
+        # Effects that replace each other in turns are dropped.
         kept = [r.selected.located for r in ranked if r.likeliest is r.selected.located]
         if len(kept) < len(effects):
             current, effects = fit_jointly(comparison, kept)
@@ -221,9 +220,9 @@ def _rank_effects(
     say: Callable[[str], object],
     before: Sequence[RankedEffect] = (),
 ) -> list[RankedEffect]:
-    """Effects among their rivals, without those that have come to nothing beside the others.
+    """Rank effects among their rivals, without those that have become insignificant.
 
-    What was weighed before stays where nothing near it has changed.
+    An earlier ranking is reused if no possible rival has changed.
     """
     known = {r.selected.located.key[:-1]: r for r in before}
     places = {e.key[:-1] for e in effects}
@@ -241,8 +240,7 @@ def _rank_effects(
                 )
             )
             continue
-        what = f"weigh {located.label} against what could stand in its place"
-        say(f"{what} ({pace.words(number)})")
+        say(f"compare {located.label} with its rivals ({pace.words(number)})")
         new = rank_rivals(comparison, effects, located, catalogue, tell=say)
         if new is not None:
             found.append(new)
@@ -255,9 +253,9 @@ def restore_lost(
     effects: list[LocatedEffect],
     lost: list[LocatedEffect],
 ) -> tuple[Comparison, list[LocatedEffect]]:
-    """Effects with those of the lost that are borne out one by one, the likeliest first.
+    """Add lost effects back that are supported one by one, the likeliest first.
 
-    Of two that stand in for each other neither is missed, until the other has gone.
+    Neither of two collinear effects is missed before the other has been removed.
     """
     waiting = list(lost)
     while waiting:
@@ -283,9 +281,9 @@ def restore_unstated(
     catalogue: Sequence[Effect],
     tell: Callable[[str], object],
 ) -> tuple[Comparison, list[RankedEffect]]:
-    """Effects with what every joint has, where what stood in its place has gone meanwhile.
+    """Add unstated values of every joint back if their substitutes have been removed meanwhile.
 
-    What comes to nothing beside it stood in its place still.
+    Effects that become insignificant beside them were substitutes as well.
     """
     effects = [r.selected.located for r in ranked]
     while lost:
@@ -313,7 +311,7 @@ def restore_unstated(
 
 
 def _drop_duplicates(effects: Sequence[LocatedEffect]) -> list[LocatedEffect]:
-    """Each place once: one effect may be likelier than several that stood in for it."""
+    """Keep each place once: one effect may be the likeliest rival of several."""
     kept: list[LocatedEffect] = []
     for located in effects:
         if not any(located.same_place(other) for other in kept):

@@ -1,4 +1,4 @@
-"""Find the effects that are missing: forward, backward, and what they are confused with."""
+"""Find missing effects: forward selection, pruning, confirmation, and comparison with rivals."""
 
 from __future__ import annotations
 
@@ -43,28 +43,28 @@ from stiffopt.interrupts import finished
 
 @dataclass(frozen=True, eq=False)
 class SearchResult:
-    """End of a search.
+    """Result of a search.
 
     Parameters
     ----------
     selected : tuple of Selected
-        By falling loss.
+        In decreasing order of loss.
     comparison : Comparison
-        About the effects found, with the noise that they leave.
+        Linearised about the effects found, with the noise estimated beside them.
     fit : Fit
     rigid : RigidStage or None
-        What the rigid model needed; None where its tolerances are stated.
+        Re-identified rigid model; None if its tolerances are stated.
     before, calibrated, after : array (2 n,)
-        Residual over noise in every channel: of the nominal model, with nominal values moved
+        Normalised residual of every channel: of the nominal model, with nominal values fitted
         within tolerance, and with the effects.
     target : array (m,)
-        What the nominal model leaves, over the stated noise: the rows of `before`.
+        Residual of the nominal model over the stated noise: the rows of `before`.
     stopped : bool
-        By Ctrl-C, before everything was searched for.
+        By Ctrl-C, before the search was complete.
     weighed : bool
-        Whether everything was weighed against what could stand in its place.
+        True if all findings were compared with their rivals.
     hurried : bool
-        Whether Ctrl-C came when the search was over.
+        True if Ctrl-C came after the search.
     """
 
     selected: tuple[Selected, ...]
@@ -81,7 +81,7 @@ class SearchResult:
 
     @property
     def effects(self) -> tuple[LocatedEffect, ...]:
-        """The effects found."""
+        """Effects found."""
         return tuple(s.located for s in self.selected)
 
 
@@ -96,23 +96,23 @@ def search(
     about: Extension | None = None,
     report: Callable[[str], object] | None = None,
 ) -> SearchResult:
-    """Name what is missing.
+    """Search the catalogue for missing effects.
 
     Parameters
     ----------
     comparison : Comparison
-        With the nominal model.
+        With the nominal or an extended model.
     catalogue : sequence of Effect
     start : sequence of LocatedEffect
-        Tried together before anything else: what the nominal model does not state.
+        Values that the nominal model does not state: fitted together before any other effect.
     most : int
-        Effects at most beside those.
+        Maximum number of effects beside those.
     strict : bool
-        Whether nobody vouches for the nominal model: only what recordings left out bear out stays.
+        Without stated tolerances: only effects that recordings left out support are kept.
     reidentify : bool
-        Whether the rigid model is re-identified first.
+        Re-identify the rigid model first.
     about : Extension, optional
-        Found otherwise: links move with it at first, and its effects are judged before others.
+        Extension found by another comparison, to linearise about; its effects are tried first.
     report : callable, optional
         Called with a sentence at every step.
     """
@@ -124,7 +124,7 @@ def search(
     try:
         _run_stages(so_far, catalogue, start, most, strict, reidentify, about, say)
     except KeyboardInterrupt:
-        if not so_far.effects:  # there is nothing to tell
+        if not so_far.effects:  # there is no result
             raise
         say(STOPPED_MESSAGE)
         so_far.stopped = True
@@ -132,7 +132,7 @@ def search(
     def answer() -> tuple[tuple[Selected, ...], bool, Comparison, Fit]:
         selected, weighed = so_far.selected()
         located = tuple(each.located for each in selected)
-        return selected, weighed, *_relinearise(so_far.start, so_far.current, located)
+        return selected, weighed, *_relinearise_fit(so_far.start, so_far.current, located)
 
     (selected, weighed, current, fit), hurried = finished(answer)
     return SearchResult(
@@ -152,15 +152,15 @@ def search(
 
 @dataclass(eq=False)
 class _SearchState:
-    """How far a search has come: what Ctrl-C leaves.
+    """State of a search, from which Ctrl-C makes a result.
 
     Parameters
     ----------
     start, current : Comparison
-        That fits begin from, and about what was found.
+        Comparison that fits start from, and the one linearised about the effects.
     effects : list of LocatedEffect
     ranked : list of Ranked
-        Those that were weighed last.
+        Effects ranked last.
     rigid : RigidStage or None
     stopped : bool
     """
@@ -173,16 +173,16 @@ class _SearchState:
     stopped: bool = False
 
     def fitted(self, found: tuple[Comparison, list[LocatedEffect]]) -> None:
-        """Go on from effects that are fitted jointly."""
+        """Set jointly fitted effects."""
         self.current, self.effects = found
 
     def weighed(self, found: tuple[Comparison, list[RankedEffect]]) -> None:
-        """Go on from effects that are weighed among their rivals."""
+        """Set effects that are ranked among their rivals."""
         self.current, self.ranked = found
         self.effects = [each.selected.located for each in self.ranked]
 
     def selected(self) -> tuple[tuple[Selected, ...], bool]:
-        """Effects by falling loss, and whether all of them are weighed among their rivals."""
+        """Return effects in decreasing order of loss, and True if all of them are ranked."""
         known = {each.selected.located.key: each.selected for each in self.ranked}
         found, weighed = [], True
         for located in self.effects:
@@ -204,18 +204,18 @@ def _run_stages(
     about: Extension | None,
     say: Callable[[str], object],
 ) -> None:
-    """All that `search` does, one step after another."""
+    """Run the stages of `search`."""
     tell = throttle_progress(say)
     so_far.fitted(_fit_unstated(so_far.start, list(start), say))
     if reidentify:
         say("re-identify the rigid model")
         so_far.rigid = reidentify_rigid_model(so_far.current, so_far.effects, catalogue, tell)
         so_far.start = so_far.start.with_bodies(so_far.rigid.bodies(so_far.start))
-        # All of it again: what a wrong mass had hidden is seen now.
+        # Fit again: wrong masses may have hidden unstated values.
         single = () if so_far.rigid.single is None else (so_far.rigid.single.located,)
         so_far.fitted(_fit_unstated(so_far.start, [*start, *single], say))
     if about is not None:
-        # Slopes about the nominal motion lead away from it.
+        # A linearisation about the nominal motion would lead away from it.
         so_far.start = so_far.start.moved(about)
         current, tried = fit_jointly(so_far.start, [each.located for each in about.effects])
         so_far.fitted((current, prune_effects(current, tried)))
@@ -233,7 +233,7 @@ def _run_stages(
     else:
         _add_forward(so_far, catalogue, most, MAX_EFFECTS_PER_ROUND if strict else 1, say, tell)
     if so_far.effects:
-        say(f"confirm what was found ({len(so_far.effects)}) on stretches left out")
+        say(f"confirm {len(so_far.effects)} findings on stretches left out")
     sure = select_supported(so_far.current, so_far.effects, strict=strict)
     if len(sure) < len(so_far.effects):
         lost = [e for e in so_far.effects if e not in sure]
@@ -259,10 +259,10 @@ def _run_stages(
         )
 
 
-def _relinearise(
+def _relinearise_fit(
     start: Comparison, current: Comparison, effects: Sequence[LocatedEffect]
 ) -> tuple[Comparison, Fit]:
-    """Fit taken about itself until it stays: slopes about another motion bias what is found."""
+    """Repeat fit and linearisation until convergence: other linearisation points bias the fit."""
     fit = current.fit(effects)
     for _ in range(MAX_LINEARISATIONS if effects else 0):
         again = start.about(fit, LINEARISATION_TOLERANCE)
@@ -279,10 +279,10 @@ def _relinearise(
 def _fit_unstated(
     comparison: Comparison, start: list[LocatedEffect], say: Callable[[str], object]
 ) -> tuple[Comparison, list[LocatedEffect]]:
-    """Fit what the nominal model does not state, without what the recordings do not bear out."""
+    """Fit values that the nominal model does not state; drop unsupported ones."""
     if not start:
         return comparison.about(comparison.fit(boxed=False)), []
-    say(f"fit what the nominal model does not state ({len(start)} values)")
+    say(f"fit {len(start)} values that the nominal model does not state")
     current, effects = fit_jointly(comparison, start)
     return fit_jointly(comparison, prune_effects(current, effects))
 
@@ -295,7 +295,7 @@ def _add_forward(
     say: Callable[[str], object],
     tell: Callable[[str], object],
 ) -> None:
-    """Add the best of the catalogue, some at once, until nothing more passes, or Ctrl-C."""
+    """Add the best candidates, several per round, until none passes or Ctrl-C."""
     most += len(so_far.effects)
     while len(so_far.effects) < most:
         effects = so_far.effects
@@ -310,7 +310,7 @@ def _add_forward(
             wider, tried = fit_jointly(so_far.start, [*effects, *(e.located for e in best)])
             so_far.fitted((wider, prune_effects(wider, tried)))
         except KeyboardInterrupt:
-            if not effects:  # there is nothing to tell
+            if not effects:  # there is no result
                 raise
             say(STOPPED_MESSAGE)
             so_far.stopped = True
@@ -321,7 +321,7 @@ def _add_forward(
 
 
 def _select_best(candidates: Sequence[Candidate], scorer: Scorer, most: int) -> list[Candidate]:
-    """The best that pass, at most one for every channel: others may have the same cause."""
+    """Return the best passing candidates, one per channel: others may have the same cause."""
     found: list[Candidate] = []
     for candidate in candidates:
         if len(found) == most or candidate.evidence < NAMED_EVIDENCE:

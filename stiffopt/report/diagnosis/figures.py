@@ -110,8 +110,8 @@ def held_out_figure(diagnosis: Diagnosis) -> Figure:
 
 def dependence_figure(diagnosis: Diagnosis) -> Figure:
     """What a black box finds in what is left, along the signals that it goes with most."""
-    assert diagnosis.rod is not None
-    depends = diagnosis.rod.depends
+    assert diagnosis.noise_ceiling is not None
+    depends = diagnosis.noise_ceiling.depends
     with house_style():
         figure = Figure(figsize=(WIDTH, 2.4))
         grid = figure.subplots(1, len(depends), squeeze=False, sharey=True)[0]

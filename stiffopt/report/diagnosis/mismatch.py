@@ -138,7 +138,7 @@ def rod_sentence(diagnosis: Diagnosis) -> str:
     On runs left out, and of torques alone: what is predicted within the training runs, or of link
     encoders, is no contradiction of it.
     """
-    rod = diagnosis.rod
+    rod = diagnosis.noise_ceiling
     if rod is None:
         return ""
     channels = {c.kind for proof in diagnosis.held_out for c in proof.channels}
@@ -161,7 +161,7 @@ def rod_sentence(diagnosis: Diagnosis) -> str:
 
 def _beside_rod(diagnosis: Diagnosis) -> str:
     """How what is outside the catalogue goes with a box that finds nothing more."""
-    left, rod = diagnosis.unexplained, diagnosis.rod
+    left, rod = diagnosis.unexplained, diagnosis.noise_ceiling
     if left is None or left.brief or rod is None:
         return ""
     if left.channels[0].startswith("link_position"):

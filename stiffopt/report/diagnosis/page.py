@@ -101,7 +101,7 @@ def write_diagnosis_report(
     for number, finding in enumerate(shown, start=1):
         _draw_finding(figures, diagnosis, finding, number)
     _draw_unexplained(figures, diagnosis)
-    if diagnosis.rod is not None and diagnosis.rod.depends:
+    if diagnosis.noise_ceiling is not None and diagnosis.noise_ceiling.depends:
         drawn = dependence_figure(diagnosis)
         figures.draw("dependence", drawn, "What a black box finds in what is left")
     figures.draw("held_out", held_out_figure(diagnosis), "Residual over noise of held-out runs")
