@@ -132,7 +132,7 @@ def describe_next_experiment(
 # How to repeat a motion so that the cause of a residual shows, by the signal that it depends on.
 _REPEAT_INSTRUCTIONS = {
     "session_time": "cold and after half an hour of work",
-    "time": "once more without a change, to see what repeats",
+    "time": "once more without a change, to see if it repeats",
     "q": "with joint {} in three other places",
     "qd": "at three speeds up to the fastest",
     "qdd": "once in short, hard accelerations and once in long, soft ones",

@@ -389,12 +389,12 @@ def finish_step(stopped: list[str], step: Callable[[], Answer]) -> Answer:
     return answer
 
 
-def skip_if_stopped(stopped: list[str], what: str, step: Callable[[], Answer]) -> Answer | None:
-    """What a step answers that can be left out: Ctrl-C does, in it or before, and `what` tells."""
+def skip_if_stopped(stopped: list[str], note: str, step: Callable[[], Answer]) -> Answer | None:
+    """Return the result of an optional step; after Ctrl-C skip it and add the note."""
     if not stopped:
         try:
             return step()
         except KeyboardInterrupt:
             pass
-    stopped.append(what)
+    stopped.append(note)
     return None

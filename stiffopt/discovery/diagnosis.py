@@ -124,7 +124,7 @@ class Finding:
 
     @property
     def joint(self) -> int | None:
-        """From 1; None for effects of the whole robot or of a link."""
+        """Joint from 1; None for effects of the whole robot or of a link."""
         return None if self.located.joint is None else self.located.joint + 1
 
 

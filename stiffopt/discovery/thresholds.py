@@ -53,7 +53,7 @@ FINDING_SHARE = 0.005
 
 # ---- Support by recordings left out [0036, 0045]
 
-# Least share of a channel's squares that a finding removes there, and of the folds that it improves.
+# Least share of a channel's squares that a finding removes there, and of folds that it improves.
 MIN_HELD_OUT_SHARE, MIN_HELPED_FOLDS = 0.01, 0.6
 # Least share where the diagnosis starts from an extended model, whose open residual varies between
 # parts of its own recordings by nearly as much. From the second share on two improved folds are

@@ -1,4 +1,4 @@
-"""A motion that separates two explanations, improved by direct collocation within the limits."""
+"""Improve a motion that separates two explanations by direct collocation within limits."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from stiffopt.transcription import (
 
 _INTERVALS_PER_SECOND = 6.0
 _MAX_ITERATIONS = 60
-# Share of a term's size by which its formula of the instant may differ from the term along a run.
+# Relative error of the instantaneous formula of a term against the term along a run.
 _FORMULA_TOLERANCE = 1e-2
 _MAX_VIOLATION = 1e-3  # worst row of a design that is used, over its limit
 
@@ -40,24 +40,25 @@ def improve_motion(
     *,
     seconds: float,
 ) -> Trajectory | None:
-    """Move a motion towards more separation; None where that cannot be done.
+    """Improve the separation of a motion; None if that is impossible.
 
     Parameters
     ----------
     separation : Separation
     run : PreparedRun
-        Of the motion.
+        The motion, prepared.
     motion : Trajectory
-        To start from.
+        Initial guess.
     limits : MotionLimits
     seconds : float
-        That the solver may take.
+        Time limit of the solver.
 
     Notes
     -----
-    The rival and the friction, stiffness, gain and encoder zeros of the joints concerned follow the
-    first explanation on the motion so far as well as the training runs let them; the squared
-    remainder over noise, integrated over the motion, is then maximised with these values held.
+    The rival and the friction, stiffness, gain and encoder zeros of the joints concerned are fitted
+    to the first explanation on the initial motion, with the posterior of the training runs as
+    prior. The squared difference over noise, integrated over the motion, is maximised with these
+    held.
     """
     model = _DifferenceFormula(separation, run)
     if not model.holds(run):
@@ -80,7 +81,7 @@ def improve_motion(
 
 
 class _DifferenceFormula:
-    """Difference of two explanations as a formula of q, v, a."""
+    """Difference of two explanations as a formula of q, v and a."""
 
     def __init__(self, separation: Separation, run: PreparedRun) -> None:
         comparison = separation.comparison
@@ -110,7 +111,7 @@ class _DifferenceFormula:
             self._fit_rival(separation, run)
 
     def holds(self, run: PreparedRun) -> bool:
-        """Whether both terms along the run are what their formulas of the instant say."""
+        """True if both terms along the run equal their instantaneous formulas."""
         if not self.usable:
             return False
         for located in self.effects:
@@ -131,7 +132,7 @@ class _DifferenceFormula:
         return True
 
     def _fit_rival(self, separation: Separation, run: PreparedRun) -> None:
-        """Hold what the rival can follow the first with where it does so best, and no further."""
+        """Fit the rival and nuisance values to the first explanation along the run."""
         first, second = separation.first, separation.second
         names, columns = self._free_columns(first.names)
         index = {name: i for i, name in enumerate(first.names)}
@@ -147,7 +148,7 @@ class _DifferenceFormula:
         )
         begin += sum(float(x) * c for x, c in zip(shift, columns, strict=True))
         values = np.stack([self._evaluate_along(c, run).ravel() for c in (begin, *columns)], axis=1)
-        # As many rows as would be recorded: noise is of one recorded sample.
+        # Scale to the number of recorded rows: the noise is that of one recorded sample.
         values *= np.sqrt(run.signals.dt / separation.comparison.runs[0].signals.dt)
         kept = [*places, *range(count, count + own)]
         spread = second.fit.posterior.covariance[np.ix_(kept, kept)]
@@ -156,7 +157,7 @@ class _DifferenceFormula:
         self.difference = begin - sum(float(t) * c for t, c in zip(theta, columns, strict=True))
 
     def _free_columns(self, names: list[str]) -> tuple[list[str], list[Quantity]]:
-        """Nominal values of the joints concerned that are formulas of the instant."""
+        """Return the nominal values of the joints concerned that have instantaneous formulas."""
         n, zero = self.robot.n, ca.SX.zeros(self.robot.n)
         found: dict[str, Quantity] = {}
         for j in self.joints:
@@ -196,7 +197,7 @@ class _DifferenceFormula:
             spring_torque=self.spring[j],
             windup=constants.windup(self.spring[j]),
             drive_torque=self.drive[j],
-            # Of the third order in time: terms that need it are noticed by `holds`.
+            # A third derivative: `holds` rejects terms that need it.
             drive_torque_rate=0.0 * self.q[j],
             previous_position=self.q[j - 1] if j else 0.0 * self.q[j],
             previous_velocity=self.v[j - 1] if j else 0.0 * self.q[j],
@@ -238,7 +239,7 @@ def _counterbalance_torque(balance: Any, angle: Quantity) -> Quantity:
 
 
 def _two_sided_rows(name: str, labels: list[str], most: np.ndarray, unit: str) -> Rows:
-    """Rows of a limit either way that also hold between the nodes."""
+    """Return rows of a two-sided limit that also holds between the nodes."""
     return Rows.make(name, labels, -most, most, most, unit, midpoints=True)
 
 

@@ -1,4 +1,4 @@
-"""Motions that an arm may make in an experiment: limits, and a family to search in."""
+"""Motions of an experiment: limits, random Fourier series, recorded motions."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from stiffopt.discovery.training import Training
 from stiffopt.recording.run import RecordedRun
 from stiffopt.result.trajectory import Trajectory
 
-# Of the limits that a design uses, so that it keeps them between its nodes and on the real arm.
+# Used share of the limits, so that they hold between nodes and on the real arm.
 LIMIT_USE = 0.95
-# How far beyond the angles met a joint may go, as a share of that range.
+# Extension of the recorded stroke of a joint, as share of it.
 _RANGE_EXTENSION = 0.25
 _HARMONIC_COUNT = 4
 _KNOT_SPACING = 0.1  # [s]
-# Share of the duration in which a motion starts from rest, and comes to it.
+# Share of the duration for acceleration from rest, and for stopping.
 _RAMP_SHARE = 0.12
 _SHRINK_FACTOR = 0.8
 _SAMPLE_TIME = 0.01  # [s]
@@ -28,7 +28,7 @@ _SAMPLE_TIME = 0.01  # [s]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MotionLimits:
-    """What a designed motion keeps to, (n,) each.
+    """Limits of a designed motion, (n,) each.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ class MotionLimits:
     torque: np.ndarray
 
     def excess(self, robot: RobotModel, motion: Trajectory) -> float:
-        """Largest use of a limit along a motion, over the limit; 1 is just kept."""
+        """Return the largest value over its limit along a motion; 1 is the limit."""
         times = motion.sample(_SAMPLE_TIME)
         q, v, a = (motion(times, order) for order in range(3))
         middle, half = 0.5 * (self.lower + self.upper), 0.5 * (self.upper - self.lower)
@@ -60,19 +60,19 @@ class MotionLimits:
 
 
 def motion_limits(training: Training) -> MotionLimits:
-    """Limits of the arm; where it states none, what the training runs went to."""
+    """Return limits of the arm; where it states none, the extremes of the training runs."""
     robot, constants = training.robot, training.constants
     arm, order = robot.arm, robot.order
     met = np.array([j.stroke for j in constants.joints])
     wider = _RANGE_EXTENSION * (met[:, 1] - met[:, 0]) + 0.05
-    # Farther than recordings went nobody knows what stands in the way.
+    # Obstacles beyond the recorded strokes are unknown.
     lower = np.maximum(arm.position_lower[order], met[:, 0] - wider)
     upper = np.minimum(arm.position_upper[order], met[:, 1] + wider)
     middle, half = 0.5 * (lower + upper), 0.5 * LIMIT_USE * (upper - lower)
     own = arm.velocity_max[order]
     fastest = np.array([j.fastest for j in constants.joints])
     velocity = np.where((own > 0.0) & np.isfinite(own), own, fastest)
-    # What drives are asked for: a kick where friction turns is none of it.
+    # Filtered: jumps at friction reversals are no demand on the drives.
     asked = [run.low_pass(run.signals.motor_acceleration) for run in training.runs]
     hardest = np.max([np.abs(each).max(axis=0) for each in asked], axis=0)
     return MotionLimits(
@@ -87,18 +87,18 @@ def motion_limits(training: Training) -> MotionLimits:
 def random_motion(
     limits: MotionLimits, robot: RobotModel, duration: float, random: np.random.Generator
 ) -> Trajectory | None:
-    """A Fourier series in every joint, from rest to rest, shrunk until it keeps the limits.
+    """Return a random Fourier series in every joint, from rest to rest, scaled to the limits.
 
     Returns
     -------
     Trajectory or None
-        None where even a small motion about the drawn pose does not keep them.
+        None if even a small motion about the drawn pose exceeds them.
     """
     from scipy.interpolate import CubicSpline
 
     n = robot.n
     knots = np.linspace(0.0, duration, int(np.ceil(duration / _KNOT_SPACING)) + 1)
-    # From once in the whole motion up to often: what separates may be slow or fast.
+    # From once in the whole motion to often: separation may need slow or fast motion.
     slowest = np.exp(random.uniform(np.log(1.0 / duration), np.log(0.6), size=n))
     order = np.arange(1, _HARMONIC_COUNT + 1)
     weights = random.normal(size=(n, _HARMONIC_COUNT, 2)) / order[:, None]
@@ -126,7 +126,7 @@ def random_motion(
 
 
 def repeated_motion(run: PreparedRun, duration: float) -> Trajectory:
-    """The begin of a recorded motion, as smooth as a designed one, from rest."""
+    """Return the beginning of a recorded motion, smoothed and from rest."""
     from scipy.interpolate import CubicSpline
 
     signals = run.signals
@@ -141,7 +141,7 @@ def repeated_motion(run: PreparedRun, duration: float) -> Trajectory:
 def prepared_motion(
     training: Training, constants: RobotConstants, motion: Trajectory, settings: Settings
 ) -> PreparedRun:
-    """A motion as a run of which every channel of the training runs would be recorded."""
+    """Prepare a motion as a run with all channels of the training runs."""
     times = np.arange(0.0, motion.duration, _SAMPLE_TIME)
     position = motion(times)
     like = training.recorded[0]

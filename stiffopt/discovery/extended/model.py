@@ -1,4 +1,43 @@
-"""Which robot an extended model was made for, by numbers that a name cannot pretend."""
+"""Read extended.toml: the nominal model of a recording set with the findings of a diagnosis.
+
+.. code-block:: toml
+
+    schema = 1
+    kind = "extended"
+    name = "cell_3"                  # of the recording set
+    joints = ["joint1", "joint2"]
+    links = ["link1", "link2"]       # behind each joint
+
+    [nominal]                        # as in recordings.toml, unchanged
+
+    [scales]                         # scales of the terms of effects, a number a joint:
+    torque_rated = [67.0, 40.0]      # torques [N m] and the fastest recorded velocity [rad/s]
+    torque_max = [201.0, 120.0]
+    fastest = [1.9, 2.4]
+
+    [calibration]                    # nominal values fitted within their tolerances: relative, or
+    "coulomb 2" = 0.012              # [m] for "com", [rad] for "encoder_zero"
+
+    [left_open]                      # residual in its own recordings: counts as noise of a further
+    cutoff = 12.0                    # diagnosis; bands [Hz]
+    predict = [20.0, 20.0]
+    torque = [0.31, 0.12]            # one standard deviation, as unfiltered noise [N m], [rad]
+    link_position = [0.0, 0.0]
+
+    [[effect]]
+    name = "coulomb"                 # of the catalogue or of a user's file
+    joint = 2                        # from 1; left out for the whole robot
+    link = "link3"                   # of inertial_error
+    run = "train_2"                  # of encoder_zero_change
+    [effect.term]                    # amplitudes and shapes that the term is evaluated with
+    dFc = 1.31
+    [effect.parameters]              # reported values; must agree with the term
+    dFc = { value = 1.31, sd = 0.04, unit = "N m" }
+
+Numbers are SI at the output side. `stiffopt diagnose --model extended.toml` starts from this model
+in place of the nominal one. A planner finds friction, stiffness, payload and preload in the
+parameters, by the names of the catalogue.
+"""
 
 from __future__ import annotations
 
@@ -31,13 +70,13 @@ from stiffopt.recording.recording_set import RecordingSet
 from stiffopt.recording.schema import NominalSection
 from stiffopt.robot.robot import Robot
 
-# Lengths of the same arm agree within this [m], and masses within this share: descriptions of one
-# arm differ by rounding and by what is counted to which link.
+# Tolerances of lengths [m] and masses (relative) of the same arm: descriptions differ by rounding
+# and by the assignment of parts to links.
 _LENGTH_TOLERANCE, _MASS_TOLERANCE = 5e-3, 0.3
 
 
 def robot_signature(robot: Robot, order: Sequence[int] | np.ndarray) -> MadeForSection:
-    """Name, lengths and masses of a robot's joints in this order (indices from 0)."""
+    """Return name, lengths and masses of a robot's joints in this order (indices from 0)."""
     bodies = [robot.tree.bodies[int(j)] for j in order]
     return MadeForSection(
         name=robot.name,
@@ -53,16 +92,16 @@ def require_same_robot(
     robot: Robot,
     place: Sequence[int] | np.ndarray,
 ) -> None:
-    """Raise `InputFileError` where an extended model is of another robot.
+    """Raise `InputFileError` if an extended model is of another robot.
 
     Parameters
     ----------
     section : MadeForSection or None
-        None in files that do not say; their joints must then be the robot's by name.
+        None if the file has none; joints are then compared by name.
     source : str
-        Of the file, for messages.
+        Path of the file, for messages.
     joints : sequence of str
-        Of the model.
+        Joints of the model.
     robot : Robot
     place : sequence of int
         Index of each joint of the model among those of the robot.
@@ -78,7 +117,7 @@ def require_same_robot(
             )
         return
     if len(joints) < robot.n:
-        # Joints that were held belong to other bodies here: only the names can be compared.
+        # Fixed joints merge bodies: only the names can be compared.
         return
     own = robot_signature(robot, place)
     wrong = _describe_difference(section, own)
@@ -95,7 +134,7 @@ def require_same_robot(
 def _describe_difference(stated: MadeForSection, own: MadeForSection) -> str:
     if len(stated.lengths) != len(own.lengths) or len(stated.masses) != len(own.masses):
         return f"it has {len(own.masses)} joints, the model {len(stated.masses)}"
-    # The first length is where the base stands, the last mass has the payload in it.
+    # The first length depends on the base, the last mass includes the payload.
     for j in range(1, len(own.lengths)):
         if abs(stated.lengths[j] - own.lengths[j]) > _LENGTH_TOLERANCE:
             return (
@@ -113,36 +152,36 @@ def _describe_difference(stated: MadeForSection, own: MadeForSection) -> str:
     return ""
 
 
-# Relative difference up to which reported values agree with the terms they come from.
+# Relative tolerance of reported values against their terms.
 _PARAMETER_TOLERANCE = 1e-6
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ExtendedModel:
-    """A nominal model with what was found.
+    """A nominal model with findings.
 
     Parameters
     ----------
     source : str
-        Of the file, for messages.
+        Path of the file, for messages.
     name : str
-        Of the recording set that it comes from.
+        Name of the recording set.
     joints : tuple of str (n,)
     robot : MadeForSection or None
-        That it was made for; None where the file does not say.
+        Robot that it was made for; None if not stated.
     nominal : NominalSection
-        What it states of the nominal robot.
+        Stated values of the nominal robot.
     chains : tuple of Chain or None (n,), or None
-        Nominal drivetrains; None where it states none, those of the robot then.
+        Nominal drivetrains; None for those of the robot.
     scales : dict of str to tuple of float (n,)
         torque_rated, torque_max [N m], fastest [rad/s].
     extension : Extension
     parameters : tuple of dict of str to float
-        Reported values of every effect of the extension that the file states.
+        Reported values of every effect.
     deviations : tuple of dict of str to float
-        Their standard deviations, where the file states them.
+        Their standard deviations, if stated.
     left_open : LeftOpenSection or None
-        What it leaves of its own recordings; None where the file does not say.
+        Residual in its own recordings; None if not stated.
     """
 
     source: str
@@ -158,12 +197,12 @@ class ExtendedModel:
     left_open: LeftOpenSection | None = None
 
     def applied_to(self, recordings: RecordingSet) -> RecordingSet:
-        """The set with this model's nominal values.
+        """Return the set with this model's nominal values.
 
         Raises
         ------
         InputFileError
-            The joints are others.
+            The joints differ.
         """
         if recordings.joints != self.joints:
             raise InputFileError(
@@ -176,13 +215,13 @@ class ExtendedModel:
         nominal = self.nominal
         waves = any(e.located.effect.name == ROTOR_RIPPLE.name for e in self.extension.effects)
         if nominal.pole_pairs is None and not waves:
-            # Nothing was found with them, so that those that the set gives contradict nothing;
-            # waves that stand in for the ripple of poles would be found a second time.
+            # Pole pairs of the set are compatible unless the model contains rotor ripple, which
+            # would be found a second time as ripple of the poles.
             nominal = nominal.model_copy(update={"pole_pairs": recordings.stated.pole_pairs})
         return recordings.with_nominal(nominal, self.source)
 
     def scaled(self, constants: RobotConstants) -> RobotConstants:
-        """Constants with the scales that the effects were fitted with."""
+        """Return constants with the scales that the effects were fitted with."""
         joints = tuple(
             replace(
                 own,
@@ -202,12 +241,12 @@ def load_extended(path: str | os.PathLike[str], effects: Sequence[Effect] = ()) 
     ----------
     path : path
     effects : sequence of Effect
-        Of a user's own file, beside those of the catalogue.
+        Additional to the catalogue.
 
     Raises
     ------
     InputFileError
-        What is wrong, where, and what is allowed.
+        The file is invalid.
     """
     document = read_document(path, ExtendedFile, "extended")
     n = len(document.joints)
@@ -243,7 +282,7 @@ def load_extended(path: str | os.PathLike[str], effects: Sequence[Effect] = ()) 
 
 
 def check_extended(model: ExtendedModel, constants: RobotConstants) -> None:
-    """Raise `InputFileError` where reported values disagree with the terms they belong to."""
+    """Raise `InputFileError` if reported values disagree with their terms."""
     pairs = zip(model.extension.effects, model.parameters, strict=True)
     for number, (estimated, stated) in enumerate(pairs, start=1):
         located = estimated.located
@@ -261,8 +300,8 @@ def check_extended(model: ExtendedModel, constants: RobotConstants) -> None:
                 raise InputFileError(
                     model.source,
                     f"effect[{number}].parameters.{name}",
-                    f"is {value:g}, but effect.term makes it {own[name]:g}. Change effect.term,"
-                    " which is what is computed with, and leave the parameter out.",
+                    f"is {value:g}, but effect.term gives {own[name]:g}. Change effect.term, which"
+                    " calculations use, and leave the parameter out.",
                 )
 
 
@@ -294,12 +333,12 @@ def _read_effect(
         raise InputFileError(
             path,
             f"{where}.name",
-            f"no effect {section.name!r}. {nearest(section.name, known)} An effect of your own"
-            " needs its file beside.",
+            f"no effect {section.name!r}. {nearest(section.name, known)} A user's own effect"
+            " needs its Python file.",
         )
     place = _read_place(section, effect, document, path, where)
     if effect.of_runs is not None:
-        # Runs of another set that have the same names are others.
+        # Runs of the same name in another set are different runs.
         runs = [name.removeprefix(OF_RUN) for name in section.term if name.startswith(OF_RUN)]
         effect = effect.of_runs(tuple(runs), seen=False)
     names = [a.name for a in effect.amplitudes] + [s.name for s in effect.shapes]

@@ -1,7 +1,7 @@
-"""A planner's robot with what was found in recordings of it.
+"""Plan motions with the findings of a diagnosis: an extended robot, compared with the nominal one.
 
-Every effect says how it changes a robot (`Effect.change_robot`); what a planner does not compute
-with (ripple, offsets, delays) is named.
+Every effect defines its change of a robot (`Effect.change_robot`); effects without influence on
+planning (ripple, offsets, delays) are listed.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from stiffopt.result.solution import Solution
 from stiffopt.robot.robot import Robot
 from stiffopt.solver.solve import solve
 
-# Nominal values of the robot that a calibration states relative to themselves.
+# Values with relative calibrations.
 _SCALED_VALUES = ("coulomb", "viscous", "rotor_inertia")
 # Parameters of effects that multiply a joint's stiffness.
 _STIFFNESS_FACTORS = ("factor", "k1_factor")
@@ -39,21 +39,20 @@ _STIFFNESS_FACTORS = ("factor", "k1_factor")
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PlannerModel:
-    """A robot with an extended model in it.
+    """A robot with the findings of an extended model.
 
     Parameters
     ----------
     robot : Robot
     changes : tuple of str
-        What was changed, a sentence each.
+        Changes, a sentence each.
     left_out : tuple of str
-        What was found and a planner does not know, with the place.
+        Findings without influence on planning, with their place.
     stiffness_deviation : array (n,)
-        Relative standard deviation of each joint's stiffness; NaN where the model states none.
+        Relative standard deviation of each joint's stiffness; NaN if not stated.
     payload_deviation : float
-        Standard deviation of the mass that was found as payload, relative to the payload of the
-        robot, which is what varies in planning (found masses are of the last link); NaN where the
-        model states none, or the robot carries none.
+        Standard deviation of the identified payload over the payload of the robot; NaN if not
+        stated or without payload.
     """
 
     robot: Robot
@@ -64,14 +63,14 @@ class PlannerModel:
 
 
 def planner_model(robot: Robot, model: ExtendedModel) -> PlannerModel:
-    """Put what was found into the robot of a planner.
+    """Return a robot with the findings of an extended model.
 
     Parameters
     ----------
     robot : Robot
         With its payload.
     model : ExtendedModel
-        Of recordings of the same arm.
+        From recordings of the same arm.
 
     Returns
     -------
@@ -84,9 +83,9 @@ def planner_model(robot: Robot, model: ExtendedModel) -> PlannerModel:
 
     Notes
     -----
-    Values of a finding are added to the robot's own; calibrated values of friction and rotor
-    inertia scale them, re-identified bodies are changed by as much. Calibrated masses, centres and
-    stiffnesses that lie within the tolerances of the nominal model are not carried over.
+    Values of findings are added to the robot's; calibrations of friction and rotor inertia scale
+    them, and changes of re-identified bodies are added. Calibrations of masses, centres and
+    stiffness within the tolerances of the nominal model are ignored.
     """
     planner = _RobotUpdate(robot, model)
     planner.calibrate()
@@ -102,7 +101,7 @@ def planner_model(robot: Robot, model: ExtendedModel) -> PlannerModel:
 
 
 class _RobotUpdate:
-    """The robot while findings are put into it."""
+    """Robot to which findings are added one after another."""
 
     def __init__(self, robot: Robot, model: ExtendedModel) -> None:
         self.robot, self.model = robot, model
@@ -113,7 +112,7 @@ class _RobotUpdate:
         self.left_out: list[str] = []
 
     def calibrate(self) -> None:
-        """Scale what was calibrated and is a value of the robot."""
+        """Scale calibrated values of the robot."""
         for name in _SCALED_VALUES:
             values = np.array(getattr(self.robot, name), dtype=float)
             moved = False
@@ -127,7 +126,7 @@ class _RobotUpdate:
         self._update_bodies()
 
     def _update_bodies(self) -> None:
-        """Change the bodies that were re-identified."""
+        """Change re-identified bodies."""
         calibration = self.model.extension.calibration
         moved = []
         for j, place in enumerate(self.place):
@@ -144,7 +143,7 @@ class _RobotUpdate:
             self.changes.append(f"Rigid model re-identified, mass of link {', '.join(moved)}.")
 
     def add(self, estimated: EstimatedEffect) -> None:
-        """Put one finding into the robot, or name it among those left out."""
+        """Add one finding to the robot, or to the list of those left out."""
         located = estimated.located
         own = next((j for j in (located.joint, located.link) if j is not None), len(self.place) - 1)
         change = located.effect.change_robot
@@ -161,7 +160,7 @@ class _RobotUpdate:
             self.changes.append(changed.sentence)
 
     def stiffness_deviation(self) -> np.ndarray:
-        """Relative standard deviations (n,) of the joints whose stiffness was found."""
+        """Return relative standard deviations (n,) of identified stiffness, else NaN."""
         found = np.full(self.robot.n, np.nan)
         for located, values, deviations in self._stated_findings():
             if located.effect.family != "elastic" or located.joint is None:
@@ -177,7 +176,7 @@ class _RobotUpdate:
         return found
 
     def payload_deviation(self) -> float:
-        """Standard deviation of a payload that was found over the payload that planning varies."""
+        """Return the standard deviation of an identified payload over the robot's payload."""
         carried = 0.0 if self.robot.payload is None else float(self.robot.payload[0])
         for located, _, deviations in self._stated_findings():
             if located.effect.name == "payload" and "dm" in deviations and carried > 0.0:
@@ -187,7 +186,7 @@ class _RobotUpdate:
     def _stated_findings(
         self,
     ) -> Iterator[tuple[LocatedEffect, Mapping[str, float], Mapping[str, float]]]:
-        """Findings with their parameters and standard deviations."""
+        """Yield findings with their parameters and standard deviations."""
         stated = zip(
             self.model.extension.effects, self.model.parameters, self.model.deviations, strict=False
         )
@@ -196,7 +195,7 @@ class _RobotUpdate:
 
 
 def _match_joints(robot: Robot, model: ExtendedModel) -> tuple[int, ...]:
-    """Index of every joint of the model among those of the robot: by name, else in order."""
+    """Return the robot's index of every joint of the model: by name, else in order."""
     names: Sequence[str] = robot.joint_names
     if set(model.joints) <= set(names):
         return tuple(names.index(name) for name in model.joints)
@@ -211,7 +210,7 @@ def _match_joints(robot: Robot, model: ExtendedModel) -> tuple[int, ...]:
 
 
 def joint_constants(model: ExtendedModel, joint: int, own: Chain | None) -> JointConstants:
-    """Constants of a joint that the terms of an extended model were fitted with.
+    """Return the constants of a joint that the terms of an extended model were fitted with.
 
     Parameters
     ----------
@@ -219,7 +218,7 @@ def joint_constants(model: ExtendedModel, joint: int, own: Chain | None) -> Join
     joint : int
         From 0.
     own : Chain or None
-        Drivetrain of the robot's own file, which counted where the model states none.
+        Drivetrain of the robot's file, used if the model states none.
     """
     nominal = model.nominal
 
@@ -246,19 +245,19 @@ Progress = Callable[[Any], object]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ClosedLoop:
-    """Both motions and what the arm would do on either.
+    """Motions planned with the nominal and the extended robot, and their assessment.
 
     Parameters
     ----------
     problem : TrajectoryProblem
-        With the extended robot.
+        Problem with the extended robot.
     planner : PlannerModel
     nominal : Solution
         Planned with the nominal robot.
     carried_over : Assessment or None
         The nominal motion on the extended robot.
     solution : Solution
-        Planned with the extended robot; its notes tell the change.
+        Planned with the extended robot; its notes describe the change.
     """
 
     problem: TrajectoryProblem
@@ -269,7 +268,7 @@ class ClosedLoop:
 
 
 def read_model(model: Path, effects: Path | None = None) -> ExtendedModel:
-    """Extended model of a diagnosis, with the effects of a user's own file."""
+    """Read an extended model, with the effects of a user's Python file."""
     return load_extended(model, () if effects is None else load_effects(effects))
 
 
@@ -281,7 +280,7 @@ def solve_extended(
     Parameters
     ----------
     problem : TrajectoryProblem
-        With the nominal robot.
+        Problem with the nominal robot.
     model : ExtendedModel
     progress : callable, optional
         Called with a `SolveProgress` in every iteration of both solves.
@@ -289,7 +288,7 @@ def solve_extended(
     Raises
     ------
     ProblemError
-        The problem cannot be met by the nominal or by the extended robot.
+        The problem is infeasible for the nominal or the extended robot.
     InputFileError
         The model is of another robot.
     """
@@ -317,14 +316,14 @@ def solve_extended(
 def _describe_changes(planner: PlannerModel, model: ExtendedModel) -> tuple[str, ...]:
     notes = [f"Planned with {model.source}. {text}" for text in planner.changes]
     if not planner.changes:
-        notes.append(f"{model.source} holds nothing that a planner computes with.")
+        notes.append(f"{model.source} contains no finding that influences planning.")
     if planner.left_out:
-        notes.append(f"Left out, since a planner does not know it: {', '.join(planner.left_out)}.")
+        notes.append(f"Left out, without influence on planning: {', '.join(planner.left_out)}.")
     return tuple(notes)
 
 
 def _compare_motions(loop: ClosedLoop) -> tuple[str, ...]:
-    """The motion planned without what was found against the one planned with it."""
+    """Compare the motions planned with the nominal and the extended robot."""
     old, new, carried = loop.nominal.assessment, loop.solution.assessment, loop.carried_over
     if old is None or carried is None:
         return ("There is no motion of the nominal robot to compare with.",)
@@ -335,15 +334,15 @@ def _compare_motions(loop: ClosedLoop) -> tuple[str, ...]:
                 each.deflection_summary()[part].peak for each in (old, carried, new)
             )
             notes.append(
-                f"Peak {part} deflection of the motion planned without it:"
+                f"Peak {part} deflection of the motion planned with the nominal robot:"
                 f" {1e3 * promised:.4g} mm by the nominal model, {1e3 * true:.4g} mm by the"
-                f" extended one; of the motion planned with it: {1e3 * best:.4g} mm"
-                f"{_format_change(best, true)}."
+                f" extended one; of the motion planned with the extended robot:"
+                f" {1e3 * best:.4g} mm{_format_change(best, true)}."
             )
         notes.append(_compare_objectives(loop, carried))
     worst = carried.worst_violation
     if worst.value > CERTIFIED:
-        notes.append(f"The motion planned without it would exceed {worst.describe()}.")
+        notes.append(f"The motion planned with the nominal robot exceeds {worst.describe()}.")
     return tuple(note for note in notes if note)
 
 
@@ -353,9 +352,9 @@ def _compare_objectives(loop: ClosedLoop, carried: Assessment) -> str:
         return ""
     before = objective_value(loop.problem, carried)
     return (
-        f"Objective of the motion planned without it, by the extended model: {before.value:.4g}"
-        f" {before.unit}; planned with it: {own.value:.4g} {own.unit}"
-        f"{_format_change(own.value, before.value)}."
+        f"Objective of the motion planned with the nominal robot, by the extended model:"
+        f" {before.value:.4g} {before.unit}; planned with the extended robot: {own.value:.4g}"
+        f" {own.unit}{_format_change(own.value, before.value)}."
     )
 
 

@@ -1,4 +1,4 @@
-"""Text of extended.toml, the format of `stiffopt.discovery.extended.model`."""
+"""Write extended.toml, the format of `stiffopt.discovery.extended.model`."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 def extended_text(diagnosis: Diagnosis) -> str:
-    """Content of extended.toml."""
+    """Return the content of extended.toml."""
     recordings, constants = diagnosis.recordings, diagnosis.training.constants
     joints = constants.joints
     spread = {
@@ -60,7 +60,7 @@ def extended_text(diagnosis: Diagnosis) -> str:
 
 
 def nominal_tables(stated: NominalSection) -> Iterable[str]:
-    """Tables of what a set states of the nominal robot, as the set itself has them."""
+    """Yield the TOML tables of the stated nominal robot, as in recordings.toml."""
     entries = stated.model_dump(exclude_none=True)
     reducer, balances = entries.pop("reducer", None), entries.pop("counterbalance")
     yield _format_table("nominal", entries)

@@ -1,4 +1,4 @@
-"""What was found as values of a robot: old and new, for a table and for the files of others."""
+"""Findings as values of a robot, old and new, for tables and exported files."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ _JOINT_VALUES = (
     ("viscous", "viscous friction", "N m s/rad"),
     ("rotor_inertia", "rotor inertia", "kg m^2"),
 )
-# Relative difference below which a value is the same.
+# Relative difference below which values are equal.
 _EQUALITY_TOLERANCE = 1e-6
 
 
 @dataclass(frozen=True)
 class ValueChange:
-    """One value of the nominal robot and what it should be.
+    """A value of the nominal robot and its corrected value.
 
     Parameters
     ----------
@@ -51,13 +51,12 @@ class ValueChange:
 
 
 def value_changes(nominal: Robot, found: Robot) -> list[ValueChange]:
-    """Values in which two robots of the same joints differ, joint by joint.
+    """Return the values in which two robots with the same joints differ, joint by joint.
 
     Parameters
     ----------
     nominal, found : Robot
-        Before and after; frictions and rotor inertias at the joint's output, bodies with all that
-        is fixed to them.
+        Friction and rotor inertia at the joint's output; bodies include all that is fixed to them.
     """
     changes = []
     for j, name in enumerate(nominal.joint_names):
@@ -91,7 +90,7 @@ def value_changes(nominal: Robot, found: Robot) -> list[ValueChange]:
 def extended_model(
     recordings: RecordingSet, constants: RobotConstants, extension: Extension
 ) -> ExtendedModel:
-    """The extended model of a diagnosis, as its extended.toml says it."""
+    """Return the extended model of a diagnosis, as in its extended.toml."""
     joints = constants.joints
     return ExtendedModel(
         source=str(recordings.path),
@@ -105,13 +104,13 @@ def extended_model(
             for name in ("torque_rated", "torque_max", "fastest")
         },
         extension=extension,
-        # Terms are made from what was fitted; reported values are for readers of the file.
+        # Terms use fitted amplitudes; reported values are for readers of the file.
         parameters=({},) * len(extension.effects),
     )
 
 
 def torque_gains(model: ExtendedModel) -> np.ndarray:
-    """Torque that a joint gives for one that its drive reports (n,): below 1, it reports more."""
+    """Return the ratio of a joint's torque to that reported by its drive (n,)."""
     gains = np.ones(len(model.joints))
     for estimated in model.extension.effects:
         located = estimated.located

@@ -1,9 +1,8 @@
-"""Findings whose own deviations say that they may be nothing: no findings.
+"""Uncertainty beyond the likelihood: torque scale, other filter band; insignificant findings.
 
-Likelihood has found them, and what is not quite right with the law is known only once values are
-asked in other ways: from stretches and runs left out, from half the band, from what a model left of
-its own recordings. Where these leave a value within its own uncertainty, nobody can use it, and a
-data sheet or one more recording refutes it.
+Errors of a law show only when values are estimated in several ways: from stretches and runs left
+out, from half the band, beside the open residual of a model. Findings that are within this
+uncertainty of zero are dropped.
 """
 
 from __future__ import annotations
@@ -32,27 +31,26 @@ def drop_insignificant(
     estimated: Callable[[Sequence[Selected]], Found],
     explained: Callable[[Sequence[Selected]], Sequence[float]] | None = None,
 ) -> Found:
-    """What was found and how sure it is, without what may be nothing: one after another.
+    """Estimate findings, and drop insignificant ones one after another.
 
     Parameters
     ----------
     selected : sequence of Selected
     estimated : callable
-        -> those of some findings that are borne out, and all that is known of their values.
+        -> supported findings among the given ones, and their estimate.
     explained : callable, optional
-        -> share of its channel that each takes away in recordings left out; what takes nothing
-        that can be told explains nothing.
+        -> share of its channel that each removes in recordings left out.
 
     Notes
     -----
-    What every joint has and the nominal model does not give needs no more than to be larger than
-    its deviation: nobody doubts that it is there.
+    Values that every joint has and the nominal model does not state need only exceed one standard
+    deviation: they exist without doubt.
     """
     while True:
         kept, parameters = estimated(selected)
         excess = [_excess_deviations(each, parameters, k) for k, each in enumerate(kept)]
         if explained is not None and kept and min(excess) >= 0.0:
-            # Of what every joint has nobody doubts that it is there.
+            # Values that every joint has are exempt.
             excess = [
                 0.0 if each.located.effect.nominal else share - FINDING_SHARE
                 for each, share in zip(kept, explained(kept), strict=True)
@@ -64,55 +62,56 @@ def drop_insignificant(
 
 
 def _excess_deviations(selected: Selected, parameters: Estimate, index: int) -> float:
-    """Deviations from nothing beyond those that a finding has to have."""
+    """Return the significance of a finding less the required one [sigma]."""
     asked = UNSTATED_DEVIATIONS if selected.located.effect.nominal else FINDING_DEVIATIONS
     return parameters.min_deviations(index) - asked
 
 
 def add_scale_deviation(parameters: Estimate, selected: Sequence[Selected]) -> Estimate:
-    """The estimate, where what the fit leaves open of a joint's scale counts as a deviation more.
+    """Add the uncertainty of torque constants to the amplitudes.
 
     Parameters
     ----------
     parameters : Estimate
     selected : sequence of Selected
-        The same effects; the scale is that of the channel that each changes most.
+        The same effects; the torque constant is that of the channel that each changes most.
 
     Notes
     -----
-    All amplitudes of an effect share one scale, so that their ratios are as sure as before.
+    Recorded torques are currents times torque constants with tolerances. All amplitudes of an
+    effect share one scale, so that the uncertainty of their ratios does not change.
     """
     known = np.sqrt(np.diag(parameters.covariance))
     scales = []
     for each in selected:
         name = f"torque_constant {each.channel + 1}"
-        # Channels behind the last joint are angles.
+        # Channels above the number of joints are angles.
         there = name in parameters.nuisance
         scales.append(float(known[parameters.nuisance.index(name)]) if there else 0.0)
     return parameters.scaled(scales)
 
 
-# Of the cutoff.
+# Factor on the cutoff.
 _CUTOFF_FACTOR = 0.5
-# Share of its prior variance from which an amplitude is not seen, so that all it can be is likely;
-# without bounds, over its typical size.
+# Posterior over prior variance from which an amplitude is undetermined, so that its whole range is
+# likely; and the largest range over its typical size.
 _UNDETERMINED_SHARE, _MAX_AMPLITUDE_RANGE = 0.5, 100.0
 
 
 def add_band_deviation(
     training: Training, comparison: Comparison, parameters: Estimate
 ) -> Estimate:
-    """The estimate, where what half the band says otherwise counts as one standard deviation.
+    """Add the difference to a fit in half the band as one standard deviation.
 
-    Where an extended model was started from, less what it may say otherwise by chance: of two
-    estimates of which one has all that the other has, the difference varies as their variances
-    differ (Hausman 1978). Elsewhere everything may be missing, and variances are too small.
+    A correct law gives the same values in every band; the difference shows errors of the law. With
+    an extended model it is reduced by the difference expected by chance, whose variance is the
+    difference of the variances (Hausman 1978). Otherwise variances are too small for that.
 
     Parameters
     ----------
     training : Training
     comparison : Comparison
-        With the noise that the effects leave.
+        With the noise estimated beside the effects.
     parameters : Estimate
     """
     if not parameters.effects:
@@ -142,17 +141,17 @@ def add_band_deviation(
 
 
 def excess_difference(away: np.ndarray, less: np.ndarray, more: np.ndarray) -> np.ndarray:
-    """How far two estimates differ beyond what chance explains (k,), with their variances.
+    """Return the difference of two estimates beyond chance (k,).
 
     Parameters
     ----------
     away : array (k,)
     less, more : array (k,)
-        Variances of the one that knows less, and of the one that knows all that it knows.
+        Variances of the estimate from fewer data, and of that from all data.
     """
     return np.asarray(np.sqrt(np.maximum(away**2 - np.maximum(less - more, 0.0), 0.0)))
 
 
 def _larger_variances(estimated: Estimate) -> np.ndarray:
-    """Of all values, by noise or by stretches of the recordings, whichever is larger."""
+    """Return the larger variances of the linear model and the jackknife."""
     return np.asarray(np.maximum(np.diag(estimated.covariance), np.diag(estimated.spread)))

@@ -1,12 +1,10 @@
-"""What is left of torques above the filter's band: bursts that no slow law explains.
+"""Torque bursts above the filter's band, such as of a saturating amplifier.
 
-A fit follows recordings up to its filter's cutoff. An amplifier that cannot follow, or that gives
-less than it is asked for, leaves the slow motion alone and shows for milliseconds. Where the links'
-swing is predicted, so is the torque up to the cutoff of the motion that is followed, but for short
-errors at reversals and what the links swing already when a run begins. Readings pass that filter as
-the motion has: beyond it a torque is that of accelerations which nobody knows. Links that swing
-otherwise than predicted show in their encoders as much as in the torque; a drive shows in the
-torque alone.
+A fit uses recordings up to its filter's cutoff. A drive that saturates for milliseconds does not
+show there. With elastic joints the torque is predicted up to the cutoff of the measured motion,
+except for short errors at reversals and the vibration in which a run begins. Torques are filtered
+like the motion, since accelerations above the cutoff are unknown. Mispredicted vibration shows in
+link encoders as well; a drive shows in the torque only.
 """
 
 from __future__ import annotations
@@ -26,19 +24,19 @@ from stiffopt.discovery.training import Training
 from stiffopt.recording.channel import MAD
 from stiffopt.recording.run import RecordedRun
 
-# Share of the samples that bursts are sought in.
+# Share of the samples, the largest of a signal, that may hold bursts.
 _BURST_SAMPLE_SHARE = 0.1
-# Share of bursts that link encoders show as well, from which on no drive made them.
+# Share of bursts that link encoders show as well, above which they are vibration.
 _MAX_LINK_SHARE = 0.5
-# Residual over its usual size beyond which a sample counts less, and rounds of weighing.
+# Residual over its usual size from which a sample is down-weighted, and reweighting steps.
 _OUTLIER_RATIO, _REWEIGHTING_STEPS = 3.0, 4
 
 
 @dataclass(frozen=True)
 class _JointChannel:
-    """Samples of one joint in motion: residual over noise, and what bursts may follow.
+    """Samples of one joint in motion: residual over noise, and signals that bursts may depend on.
 
-    `swung` is the residual that the link's own encoder lets expect, over the same noise.
+    `swung` is the residual expected from the link encoder, over the same noise.
     """
 
     residual: np.ndarray
@@ -47,34 +45,34 @@ class _JointChannel:
 
     @property
     def usual(self) -> float:
-        """Standard deviation, whatever bursts there are."""
+        """Robust standard deviation, insensitive to bursts."""
         return MAD * float(np.median(np.abs(self.residual)))
 
     @property
     def bursting(self) -> float:
-        """Root mean square over the usual size."""
+        """Root mean square over the robust standard deviation."""
         return float(np.sqrt(np.mean(self.residual**2))) / max(self.usual, 1e-12)
 
 
 def find_bursts(training: Training, extensions: Sequence[Extension]) -> Unexplained | None:
-    """Joint whose torque has bursts that the model does not predict.
+    """Find the joint with the strongest torque bursts that the model does not predict.
 
     Parameters
     ----------
     training : Training
     extensions : sequence of Extension
-        What the nominal model is extended with.
+        Extensions of the nominal model.
 
     Returns
     -------
     Unexplained or None
-        None without bursts, and where the links' swing cannot be predicted. `ratio` is that of the
-        samples with bursts, `gain` the share of all that remains that lies in them.
+        None without bursts, and without elastic joints. `ratio` is the normalised residual of the
+        samples with bursts, `gain` their share of the residual's excess.
     """
     parts: list[list[_JointChannel]] = [[] for _ in range(training.robot.n)]
     noise = training.noise.channels.torque
     if training.least is not None:
-        # What the model that is started from left of its own recordings is nothing new.
+        # The open residual of the starting model counts as noise.
         noise = noise * np.nan_to_num(training.least[: training.robot.n], nan=1.0)
     for recorded, run in zip(training.recorded, training.runs, strict=True):
         if run.swing is None:
@@ -116,7 +114,7 @@ def find_bursts(training: Training, extensions: Sequence[Extension]) -> Unexplai
 
 
 def _usable_samples(recorded: RecordedRun, run: PreparedRun) -> np.ndarray:
-    """Samples (K, n) that were read, away from gaps and ends, which the filter makes up in part."""
+    """Return a mask (K, n) of recorded samples outside the filter's length from gaps and ends."""
     reach, count = run.followed.settling, len(run.time)
     inside = np.zeros(count, dtype=bool)
     inside[reach : max(count - reach, 0)] = True
@@ -125,10 +123,7 @@ def _usable_samples(recorded: RecordedRun, run: PreparedRun) -> np.ndarray:
 
 
 def _link_residual_torque(predicted: PreparedRun) -> np.ndarray:
-    """Torque of the springs (K, n) by which links are elsewhere than predicted [N m].
-
-    Zero where no encoder tells where they are.
-    """
+    """Return the spring torque (K, n) of the deflection residual [N m]; 0 without link encoder."""
     assert predicted.swing is not None
     measured = predicted.followed(whole(predicted.deflection))
     apart = measured - predicted.signals.windup - predicted.beside
@@ -136,24 +131,24 @@ def _link_residual_torque(predicted: PreparedRun) -> np.ndarray:
 
 
 def _link_share(channel: _JointChannel, name: str) -> float:
-    """Share of the square of bursts that links which swing otherwise account for."""
+    """Return the share of the bursts' square that the deflection residual explains."""
     there = _select_largest(channel.followed[name])
     left = channel.residual[there]
-    # The noise of both sensors is independent: of a drive's bursts the product is none.
+    # The noise of both sensors is independent: bursts of a drive are not correlated.
     return float(left @ channel.swung[there] / max(left @ left, 1e-12))
 
 
 def _fit_initial_vibration(
     run: PreparedRun, left: np.ndarray, used: np.ndarray, noise: np.ndarray
 ) -> np.ndarray:
-    """Part of a residual (K, n) over noise (n,) that the swing may be which the run begins with."""
+    """Fit the initial vibration of a run to a residual (K, n) over noise (n,)."""
     assert run.swing is not None
     torque, _ = run.swing.left_alone(run.starts(run.followed.cutoff))
     swings = [each / noise for each in np.moveaxis(torque, 2, 0)]
     if not swings or not used.any():
         return np.zeros_like(left)
     columns, target = np.stack([each[used] for each in swings], axis=1), left[used]
-    # Reversals and bursts lie far off and are no part of it.
+    # Robust fit: reversals and bursts are outliers.
     weight = np.ones(target.size)
     for _ in range(_REWEIGHTING_STEPS):
         sizes = np.linalg.lstsq(weight[:, None] * columns, weight * target)[0]
@@ -173,7 +168,7 @@ def _concatenate_channels(parts: Sequence[_JointChannel]) -> _JointChannel:
 
 
 def _burst_share(channel: _JointChannel, size: np.ndarray) -> tuple[float, float]:
-    """Share of the excess that lies in the largest of some sizes, and the residual there."""
+    """Return the share of the excess at the largest samples of a signal, and the residual there."""
     square = channel.residual**2
     usual = channel.usual**2
     there = _select_largest(size)
@@ -182,5 +177,5 @@ def _burst_share(channel: _JointChannel, size: np.ndarray) -> tuple[float, float
 
 
 def _select_largest(size: np.ndarray) -> np.ndarray:
-    """Samples that bursts are sought in."""
+    """Return a mask of the samples that may hold bursts."""
     return np.asarray(size >= np.quantile(size, 1.0 - _BURST_SAMPLE_SHARE))

@@ -1,4 +1,4 @@
-"""How large an effect would have had to be to be seen in these recordings."""
+"""Detection limits: least sizes of effects that the recordings would have shown."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from stiffopt.discovery.thresholds import NAMED_DEVIATIONS, NAMED_EVIDENCE
 
 @dataclass(frozen=True)
 class DetectionLimit:
-    """Least value of a parameter that would have been named.
+    """Least value of a parameter that would have been found.
 
     Parameters
     ----------
@@ -26,7 +26,7 @@ class DetectionLimit:
     parameter, unit : str
     value : float
     relative : float or None
-        Over the nominal value that it changes, where there is one.
+        Value over the nominal value that it changes, if there is one.
     """
 
     effect: Effect
@@ -49,21 +49,20 @@ class DetectionLimit:
 def detection_limits(
     scorer: Scorer, catalogue: Sequence[Effect], seen: Sequence[LocatedEffect] = ()
 ) -> tuple[DetectionLimit, ...]:
-    """Limits of every effect with a single amplitude, at every place.
+    """Return the limits of every effect with a single amplitude, at every place.
 
     Parameters
     ----------
     scorer : Scorer
-        Beside what was found.
+        Beside the findings.
     catalogue : sequence of Effect
     seen : sequence of LocatedEffect
-        What the search found, withdrawn findings included: of what was seen there no limit is
-        given.
+        Effects found by the search, including dropped findings, which get no limit.
 
     Notes
     -----
-    An effect of amplitude a gathers the log evidence a^2/(2 sd^2) less what its prior and its
-    shapes cost; sd is its standard deviation with the nominal values profiled out.
+    The log evidence of an effect of amplitude a is a^2/(2 sd^2) less the price of its prior and
+    shapes; sd is its standard deviation with nominal values profiled out.
     """
     found = []
     for effect in catalogue:

@@ -1,9 +1,8 @@
-"""What the mismatch is made of: how much each part of the answer takes away on runs left out.
+"""Shares of the mismatch that each part of the extension explains in recordings left out.
 
-The mismatch is the squares over the sensors' noise that the nominal model leaves above it, torques
-and link encoders each for themselves: an encoder's noise is so small that its offset would hide all
-else. Parts are taken in the order of what they take away beside those before them, so that shares
-add up to one with what stays open.
+The mismatch is the excess of squares over the sensors' noise beside the nominal model, separately
+for torques and link encoders, since the small noise of an encoder would dominate. Parts are ordered
+by their decrease beside the parts before them, so that all shares and the open one add up to one.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.prediction import Predictor, RunProof, used_samples
 from stiffopt.discovery.search.uncertainty import number_stretches
 
-# Mean square above the noise, over its variance, of a residual of twice the noise.
+# Excess over the noise variance of a residual of twice the noise.
 _MIN_EXCESS_RATIO = 3.0
 
 Kind = Literal["unstated", "nominal", "usual", "finding"]
@@ -34,9 +33,9 @@ class ExtensionPart:
     Parameters
     ----------
     kind : str
-        "unstated": values that the nominal model does not give; "nominal": those that it gives,
-        moved within tolerance or re-identified, with what was found of masses; "usual": offsets,
-        which every robot has; "finding".
+        "unstated": values that the nominal model does not state; "nominal": stated values fitted
+        within tolerance or re-identified, with findings of masses; "usual": offsets, which every
+        robot has; "finding".
     effects : tuple of LocatedEffect
     """
 
@@ -44,7 +43,7 @@ class ExtensionPart:
     effects: tuple[LocatedEffect, ...] = ()
 
     def left_out_of(self, extension: Extension) -> Extension:
-        """The extension without this part."""
+        """Return the extension without this part."""
         if self.kind == "nominal":
             extension = replace(extension, calibration={})
         keys = {located.key for located in self.effects}
@@ -56,17 +55,17 @@ class ExtensionPart:
 
 @dataclass(frozen=True, kw_only=True)
 class MismatchShare:
-    """How much of the mismatch a part takes away.
+    """Share of the mismatch that a part explains.
 
     Parameters
     ----------
     part : Part or None
-        None for what stays open.
+        None for the open share.
     measured : str
         "torque" or "link_position".
     share : float
-        Of the squares above noise that the nominal model leaves there on runs left out; below zero
-        where it does harm.
+        Of the excess squares beside the nominal model in held-out runs; negative if it increases
+        them.
     """
 
     part: ExtensionPart | None
@@ -75,13 +74,13 @@ class MismatchShare:
 
 
 def split_extension(extension: Extension, unstated: Sequence[str]) -> tuple[ExtensionPart, ...]:
-    """Parts of an answer: findings of one effect together, what nobody had given by its kind.
+    """Split an extension: findings by effect, unstated values by family.
 
     Parameters
     ----------
     extension : Extension
     unstated : sequence of str
-        Nominal values that the set does not give.
+        Nominal values that the set does not state.
     """
     by_name: dict[tuple[Kind, str], list[LocatedEffect]] = {}
     if any(extension.calibration.values()):
@@ -100,7 +99,7 @@ def split_extension(extension: Extension, unstated: Sequence[str]) -> tuple[Exte
 
 
 class MismatchShares:
-    """Sums over held-out runs that shares are made of.
+    """Sums over held-out runs from which shares are calculated.
 
     Parameters
     ----------
@@ -109,8 +108,8 @@ class MismatchShares:
 
     def __init__(self, parts: Sequence[ExtensionPart]) -> None:
         self._parts = tuple(parts)
-        # By what is measured: products of what stays open and of what each part takes away, over
-        # the noise's variance, and the number of samples.
+        # By kind of channel: products of the open residual and the contribution of each part, over
+        # the noise variance, and the number of samples.
         self._sums: dict[str, tuple[np.ndarray, int]] = {}
 
     def add(
@@ -120,7 +119,7 @@ class MismatchShares:
         found: Extension,
         proof: RunProof,
     ) -> None:
-        """Take in a run that is predicted with everything, and without each part."""
+        """Add a run, predicted with the whole extension and without each part."""
         each = [(*start, part.left_out_of(found)) for part in self._parts]
         without = list(predictor.predict_each(each))
         run = predictor.run
@@ -137,13 +136,13 @@ class MismatchShares:
             columns = np.column_stack([left, *added]) / channel.noise
             gram, samples = sums.get(kind, (none, 0))
             sums[kind] = gram + columns.T @ columns, samples + channel.samples
-        # The whole run or, where an interruption comes before, none of it.
+        # Assigned last: after Ctrl-C a run is added as a whole or not at all.
         self._sums = sums
 
     def found(self) -> tuple[MismatchShare, ...]:
-        """Shares by what is measured, in the order of what they take away, then what is open.
+        """Return shares by kind of channel in decreasing order, the open share last.
 
-        Of what the nominal model leaves within twice its noise only if that is the largest.
+        Kinds with a nominal residual below twice the noise only if no other is above.
         """
         above = {kind: float(gram.sum()) - n for kind, (gram, n) in self._sums.items()}
         clear = [kind for kind, (_, n) in self._sums.items() if above[kind] > _MIN_EXCESS_RATIO * n]
@@ -155,7 +154,7 @@ class MismatchShares:
         gram, samples = self._sums[measured]
 
         def open_with(out: set[int]) -> float:
-            """Share of the mismatch that is open with all parts but these."""
+            """Return the open share of the mismatch with all parts but these."""
             kept = [0, *(k + 1 for k in sorted(out))]
             return (float(gram[np.ix_(kept, kept)].sum()) - samples) / mismatch
 
@@ -172,31 +171,29 @@ class MismatchShares:
 def variance_explained(
     comparison: Comparison, effects: tuple[LocatedEffect, ...], channels: tuple[int, ...]
 ) -> tuple[float, ...]:
-    """Share of the squared residual above noise that each effect takes away.
+    """Return the share of the excess squared residual that each effect removes in blocks left out.
 
     Parameters
     ----------
     comparison : Comparison
     effects : tuple of LocatedEffect
     channels : tuple of int
-        The channel that is looked at for each effect.
+        Channel of each effect.
 
     Returns
     -------
     tuple of float
-        0 to 1, one an effect.
+        0 to 1, one per effect.
 
     Notes
     -----
-    Every block (a training run; a stretch where runs are few, and for what is of each run) is
-    predicted with nominal values and
-    amplitudes fitted to the other blocks, once with all of it and once without what the effect in
-    question adds. Nominal values stay as fitted beside the effect: fitted without it, they leave
-    their tolerances to stand in for it. Above noise: less what the rows' stated noise alone would
-    leave.
+    Every block (a training run; a stretch where runs are few, and for effects of each run) is
+    predicted with nominal values and amplitudes fitted to the other blocks, with and without the
+    contribution of the effect. Nominal values stay as fitted beside the effect; without it they
+    would leave their tolerances to compensate. The excess is over the stated noise.
     """
     runs = comparison.rows.block if comparison.blocks > 1 else number_stretches(comparison)
-    # One run cannot be predicted from others where there is none, nor what is of one run alone.
+    # Stretches for a single run, and for effects of single runs.
     by_run = [each.by_run for each in effects]
     ways = [_predict_blocks(comparison, effects, runs)]
     if any(by_run):
@@ -216,7 +213,7 @@ def variance_explained(
 def _predict_blocks(
     comparison: Comparison, effects: tuple[LocatedEffect, ...], block: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Residual (m,) of blocks that the fit did not see, and what each effect adds to them (e, m).
+    """Return the cross-validated residual (m,) and the contribution of each effect (e, m).
 
     Both over the stated noise.
     """

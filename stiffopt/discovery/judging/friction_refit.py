@@ -1,10 +1,9 @@
-"""Friction as all samples of the training runs bear it out, those about reversals too.
+"""Refit of friction to all moving samples of the training runs, including reversals.
 
-A fit leaves out what lies within its filter's reach of a standstill, where friction has no definite
-value. Predictions are made there as well, and where a law is not quite right the level that fits
-the one is not the best for the other. Dry and viscous friction and offsets of a joint are therefore
-taken anew from all moving samples, unfiltered, where stretches left out are predicted better so;
-the step counts as uncertainty.
+A fit excludes samples within its filter's length of a stationary joint, where dry friction is
+undetermined. Predictions include them, and with an inexact law the best level differs. Dry and
+viscous friction and offsets of a joint are therefore refitted to all moving samples, unfiltered, if
+that improves cross-validation; the step counts as uncertainty.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ from stiffopt.discovery.search.uncertainty import Estimate, estimate_parameters
 from stiffopt.discovery.settings import Settings
 from stiffopt.discovery.training import Training
 
-# Of a joint's squares in stretches left out, what it must gain.
+# Least relative decrease of a joint's squares in stretches left out.
 _MIN_GAIN_SHARE = 0.05
 
 
@@ -34,16 +33,16 @@ def refit_friction(
     comparison: Comparison,
     selected: Sequence[Selected],
 ) -> tuple[tuple[Selected, ...], Estimate]:
-    """What was found, with friction from all moving samples; without what they do not bear out.
+    """Refit friction of findings to all moving samples, and drop findings that these contradict.
 
     Parameters
     ----------
     training : Training
     settings : Settings
     start : sequence of Extension
-        Of the model that the diagnosis started from.
+        Extension of the starting model.
     comparison : Comparison
-        With the noise that the effects leave.
+        With the noise estimated beside the effects.
     selected : sequence of Selected
     """
     while True:
@@ -64,14 +63,14 @@ def refit_friction(
 
 
 def _refittable_names(parameters: Estimate) -> list[str]:
-    """Names of the effects that may be taken anew."""
+    """Return the names of the effects that may be refitted."""
     return sorted({e.located.effect.name for e in parameters.effects if _is_refittable(e)})
 
 
 def _apply_steps(
     training: Training, parameters: Estimate, rows: _MovingSamples, names: Sequence[str]
 ) -> Estimate:
-    """The estimate with friction and offsets of joints taken from all moving samples."""
+    """Return the estimate with friction and offsets refitted to all moving samples."""
     effects = parameters.effects
     plain = [k for k, each in enumerate(effects) if _is_refittable(each)]
     steps = np.zeros(len(effects))
@@ -86,9 +85,9 @@ def _apply_steps(
 
 
 def _is_refittable(each: EstimatedEffect) -> bool:
-    """Whether it acts on the drive of its joint alone, in proportion to one amplitude."""
+    """True for friction or an offset of one joint with a single amplitude."""
     effect = each.located.effect
-    # An offset of a link encoder changes no torque, which could not bear it out.
+    # An offset of a link encoder changes no torque.
     usual = effect.usual and "torque" in effect.needs
     friction = bool(effect.nominal) and effect.family == "friction"
     return (usual or friction) and len(each.amplitudes) == 1 and each.located.joint is not None
@@ -97,7 +96,7 @@ def _is_refittable(each: EstimatedEffect) -> bool:
 def _is_within_bounds(
     parameters: Estimate, own: Sequence[int], steps: np.ndarray, training: Training
 ) -> bool:
-    """Whether all stay within their bounds."""
+    """True if all values stay within their bounds."""
     for k, step in zip(own, steps, strict=True):
         located = parameters.effects[k].located
         size = located.sizes(training.constants)[0]
@@ -109,7 +108,7 @@ def _is_within_bounds(
 
 
 class _MovingSamples:
-    """What the training runs leave, and what a unit step of each kind of value adds there."""
+    """Torque residuals of moving samples, and their change by a unit step of each value."""
 
     def __init__(
         self,
@@ -142,7 +141,7 @@ class _MovingSamples:
         self._rows = rows
 
     def helps(self, found: EstimatedEffect, names: Sequence[str], training: Training) -> bool:
-        """Whether all moving samples are predicted better with it than without."""
+        """True if it improves the prediction of all moving samples."""
         located = found.located
         assert located.joint is not None
         column = names.index(located.effect.name)
@@ -155,7 +154,7 @@ class _MovingSamples:
         return without > now
 
     def step(self, joint: int, columns: Sequence[int]) -> np.ndarray | None:
-        """Best steps of a joint's values over their sizes; None where they gain too little."""
+        """Return the best steps of a joint's values over their sizes; None without enough gain."""
         if not self._rows[joint]:
             return None
         matrix = np.vstack([part[0] for part in self._rows[joint]])[:, columns]
@@ -174,7 +173,7 @@ class _MovingSamples:
 
 
 def _increase_amplitudes(found: Extension, name: str, training: Training) -> Extension:
-    """The extension with every effect of a name larger by its size."""
+    """Return the extension with every effect of a name increased by its size."""
     effects = []
     for each in found.effects:
         if each.located.effect.name == name:

@@ -1,4 +1,4 @@
-"""Runs left out, opened once the findings are fixed: predicted, shared out, measured by a box."""
+"""Prediction of held-out runs once the findings are fixed: proof, explained shares, contacts."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ Say = Callable[[str], object]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _PredictedRun:
-    """All that is known of one run, taken in at once."""
+    """Results of one run, added together."""
 
     file: str
     proof: RunProof
@@ -39,33 +39,33 @@ class _PredictedRun:
 
 
 class HeldOutRuns:
-    """What runs left out say of an extended model; as far as they were opened.
+    """Proof of an extended model on held-out runs, as far as these were read.
 
     Parameters
     ----------
     training : Training
     settings : Settings
     start : tuple of Extension
-        Of the model that the diagnosis started from.
+        Extension of the starting model.
     found : Extension
     parts : sequence of Part
-        Of what was found, to be shared out.
+        Parts of the findings whose explained shares are calculated.
     every : int
-        Samples that means are taken over, as of the training runs.
+        Number of averaged samples, as of the training runs.
     known : sequence of Track
-        What is left of the training runs.
+        Residual tracks of the training runs.
 
     Attributes
     ----------
     proofs : list of RunProof
-        Without the episodes.
+        Without the contact intervals.
     episodes : list of Episode
-        In which something touched the arm.
+        Contact intervals.
     velocities : list of array (K, n)
         Of the joints in these runs.
     shares : Shares
     left, unusable : list of str
-        Files of runs that were not predicted: not opened yet, and without a joint's position.
+        Files of runs that were not predicted: not yet read, and without a joint's position.
     """
 
     def __init__(
@@ -89,48 +89,47 @@ class HeldOutRuns:
 
     @property
     def proofs(self) -> list[RunProof]:
-        """One for every run."""
+        """Proofs, one per run."""
         return [each.proof for each in self._opened]
 
     @property
     def velocities(self) -> list[np.ndarray]:
-        """One for every run."""
+        """Joint velocities, one array per run."""
         return [each.velocity for each in self._opened]
 
     @property
     def episodes(self) -> list[Episode]:
-        """Of all runs."""
+        """Contact intervals of all runs."""
         return [episode for each in self._opened for episode in each.episodes]
 
     @property
     def left(self) -> list[str]:
-        """Files that were not opened yet."""
+        """Files that were not yet read."""
         done = {*(each.file for each in self._opened), *self.unusable}
         return [file for file in self._files if file not in done]
 
     @property
     def needs_noise_ceiling(self) -> bool:
-        """Whether a black box is asked what could be explained: where anything may be missing."""
+        """True if a noise ceiling is fitted: without stated tolerances and elastic joints."""
         return self._training.free_bodies and not self._training.robot.swings
 
     def fit_noise_ceiling(self, say: Say) -> None:
-        """Fit that black box to the training runs."""
-        say("fit a black box to what is left, as a measuring rod")
+        """Fit the black box of the noise ceiling to the training runs."""
+        say("fit the noise ceiling to the residual")
         extensions = (*self._start, self._found)
         self._box = BlackBox(self._training, self._settings, extensions, say)
 
     def predict_all(self, recordings: RecordingSet, say: Say, *, hurried: bool = False) -> None:
-        """Open one run after another; what an interruption leaves is whole.
+        """Read and predict one run after another; results stay consistent after Ctrl-C.
 
-        Where the user is in a hurry it is said that Ctrl-C leaves out this too: it is short beside
-        a search, and without it nothing is proved.
+        After an earlier Ctrl-C this step is still done, as the proof: it is short beside a search.
         """
         training, settings = self._training, self._settings
         extensions = (*self._start, self._found)
         entries = recordings.with_role("test", "extrapolate")
         self._files = [entry.file for entry in entries]
         if hurried:
-            say("stopped: runs left out are predicted still; Ctrl-C again leaves that out")
+            say("stopped: held-out runs are still predicted; Ctrl-C again skips that")
         swinging = _choose_vibrating_links(training, settings, extensions)
         for entry in entries:
             say(f"predict {entry.file}")
@@ -148,7 +147,7 @@ class HeldOutRuns:
             if touched:
                 touched = mark_lasting_loads(touched, track, training.robot, predictor.nominal)
                 whole = proof.nrmse_after
-                # What a hand did tells nothing of the model; a load that stays does.
+                # Passing contacts are excluded from the proof; a lasting load is not.
                 apart = mask_episodes(run, touched)
                 less = compare_predictions(
                     apart, predictor.velocity, before, after, training.noise
@@ -161,37 +160,37 @@ class HeldOutRuns:
                     file=entry.file, proof=proof, velocity=predictor.velocity, episodes=touched
                 )
             )
-            say(f"share out what changes in {entry.file}")
+            say(f"calculate explained shares of {entry.file}")
             self.shares.add(predictor, self._start, self._found, proof)
             if self._box is not None:
                 self._box.add(predictor, before, after)
 
     def describe_interruption(self) -> str:
-        """What an interruption left without a prediction."""
+        """Return a sentence about runs without prediction after Ctrl-C."""
         if not self.left:
-            return "Stopped by the user: the last held-out run was not shared out."
+            return "Stopped by the user: explained shares lack the last held-out run."
         return (
             "Stopped by the user: not all held-out runs were predicted; without a prediction:"
             f" {', '.join(self.left)}."
         )
 
     def describe_unusable(self) -> list[str]:
-        """A sentence about runs that could not be predicted, if there are any."""
+        """Return a sentence about runs that cannot be predicted, if any."""
         if not self.unusable:
             return []
         return [f"Not predicted, since a joint has no position: {', '.join(self.unusable)}."]
 
     def noise_ceiling(self) -> NoiseCeiling | None:
-        """What is explained of what can be; None where nobody asked a box."""
+        """Return the noise ceiling; None if none was fitted."""
         return None if self._box is None else self._box.found()
 
 
 def _choose_vibrating_links(
     training: Training, settings: Settings, extensions: tuple[Extension, ...]
 ) -> bool:
-    """Whether links swing in predictions: as the training runs are predicted better.
+    """Choose predictions with or without vibration by the better prediction of training runs.
 
-    Where nothing was found they do: nominal values alone move no joint beyond its law.
+    Without findings the choice of the fit is kept.
     """
     if not training.robot.swings:
         return False
@@ -201,7 +200,7 @@ def _choose_vibrating_links(
     for swinging in (True, False):
         proofs = []
         for run, prepared in zip(training.recorded, training.runs, strict=True):
-            # Where links swing it is the motion that was fitted.
+            # With vibration the motion is that of the fit.
             predictor = Predictor(
                 training.robot,
                 run,
@@ -218,28 +217,28 @@ def _choose_vibrating_links(
     return left[True] <= left[False]
 
 
-# How near the end of a run counts as it [s], and the shortest that is a change [s].
+# Tolerance of the end of a run [s], and least duration of a load change [s].
 _RUN_END_MARGIN, _MIN_LOAD_DURATION = 0.5, 0.8
-# Share of what is left in torques that a load at the last body explains, and how much less it must
-# leave than constants.
+# Least share of the torque residual that a load at the last body explains, and largest ratio of its
+# squares to those beside constant offsets.
 _MIN_LOAD_SHARE, _MAX_OFFSET_RATIO = 0.7, 0.5
-# Mass and its first moments, of the inertial parameters of a body.
+# Mass and first moments among the inertial parameters of a body.
 _LOAD_PARAMETERS = 4
 
 
 def mark_lasting_loads(
     episodes: Sequence[Episode], track: ResidualTrack, robot: RobotModel, prepared: PreparedRun
 ) -> tuple[Episode, ...]:
-    """The episodes of a run, those told that last until its end as a load does.
+    """Mark the contact intervals that last until the end of a run and act like a load.
 
     Parameters
     ----------
     episodes : sequence of Episode
     track : Track
-        What is left of the run.
+        Residuals of the run.
     robot : RobotModel
     prepared : PreparedRun
-        Its motion.
+        The run with its motion.
     """
     return tuple(
         replace(each, stays=True) if _is_load(each, track, robot, prepared) else each
@@ -256,7 +255,7 @@ def _is_load(
     ):
         return False
     time = track.time[(track.time >= episode.begin) & (track.time <= episode.end)]
-    # A tenth of a second tells the motion that a load follows.
+    # About 200 samples resolve the motion of a load.
     time = time[:: max(1, len(time) // 200)]
     rows = np.searchsorted(track.time, time)
     places = np.clip(np.searchsorted(prepared.time, time), 0, len(prepared.time) - 1)
@@ -271,7 +270,7 @@ def _is_load(
     known = np.isfinite(left)
     if known.sum() < 10 * _LOAD_PARAMETERS:
         return False
-    # Both in N m, so that a joint with little noise does not decide alone.
+    # In N m, so that a joint with little noise does not dominate.
     torque = (left * track.unit[: robot.n])[known]
     offsets = np.broadcast_to(np.eye(robot.n), (len(rows), robot.n, robot.n))[known]
     share = [
@@ -282,6 +281,6 @@ def _is_load(
 
 
 def _residual_squares(values: np.ndarray, columns: np.ndarray) -> float:
-    """Squares that a combination of columns leaves."""
+    """Return the squared residual of a least-squares fit of columns."""
     rest = values - columns @ np.linalg.lstsq(columns, values)[0]
     return float(rest @ rest)

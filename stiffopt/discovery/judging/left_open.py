@@ -1,4 +1,4 @@
-"""What a diagnosis leaves open, for a further one that starts from its model."""
+"""Open residual of a diagnosis, for a further one that starts from its extended model."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from stiffopt.discovery.settings import ZERO_TOLERANCE
 from stiffopt.discovery.training import Training
 from stiffopt.recording.thinning import sampling_rate
 
-# Shapes of the likeliest suspects are fitted; log evidence below which nothing is suspected.
+# Number of suspects whose shapes are fitted, and least log evidence of a suspect.
 _MAX_REFINED_SUSPECTS, _MIN_SUSPECT_EVIDENCE = 12, 2.0
 
 
@@ -30,17 +30,17 @@ def build_left_open(
     catalogue: Sequence[Effect],
     before: LeftOpenSection | None = None,
 ) -> LeftOpenSection:
-    """Section of extended.toml about what is left of the training runs.
+    """Return the section of extended.toml about the residual of the training runs.
 
     Parameters
     ----------
     training : Training
     whole : Extension
-        All that the extended model has.
+        The whole extension of the model.
     catalogue : sequence of Effect
-        That is asked for; without any, nothing is suspected.
+        Possible suspects; empty to skip their search.
     before : LeftOpenSection, optional
-        Of the model that was started from.
+        Section of the starting model.
     """
     own = replace(training, start=whole.fitted, tolerance=ZERO_TOLERANCE, suspects={}).comparison()
     ratio = own.inflation * own.channel_ratio(own.target)
@@ -60,10 +60,10 @@ def build_left_open(
 
 
 def add_left_open_deviation(training: Training, parameters: Estimate) -> Estimate:
-    """The estimate, where what the model left of its own recordings counts as a deviation more.
+    """Add amplitudes that the open residual of the model suggests as one standard deviation.
 
-    An inertia that the model lacks, or has too much of, is found beside a change of it, in whatever
-    recordings: that noise of the same size would hardly look like it is no comfort.
+    An error of the model, such as of an inertia, recurs in all recordings and adds to a change of
+    the same value; it does not average out like noise.
     """
     away = []
     for each, size in zip(parameters.effects, parameters.sizes, strict=True):
@@ -73,9 +73,9 @@ def add_left_open_deviation(training: Training, parameters: Estimate) -> Estimat
 
 
 def _fit_leanings(scorer: Scorer, catalogue: Sequence[Effect]) -> dict[str, tuple[float, ...]]:
-    """Amplitudes that every effect alone would take, bounds or not, where they stand out at all.
+    """Fit the amplitudes of every single effect without bounds; return those above one sigma.
 
-    With the shapes of those that a search starts from that suit best.
+    With the best of the initial shapes.
     """
     best: dict[str, Added] = {}
     sizes: dict[str, np.ndarray] = {}

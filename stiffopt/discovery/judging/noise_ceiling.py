@@ -1,7 +1,9 @@
-"""Smooth functions of a few dozen signals, fitted as a Gaussian process would, in plain NumPy.
+"""Noise ceiling: best fit attainable by a free smooth function of the same signals.
 
-Random Fourier features (Rahimi, Recht 2007): cosines with random frequencies, whose ridge fit is
-that of a process with a Gaussian kernel; lengths and ridge by stretches left out.
+A black box learns the residual of the extended model in the training runs as a smooth function of
+positions, velocities, accelerations and loads, and predicts it in held-out runs: physics could
+explain at least as much. No finding rests on it. The function uses random Fourier features (Rahimi,
+Recht 2007), whose ridge fit approximates a Gaussian process; length and ridge by cross-validation.
 """
 
 from __future__ import annotations
@@ -17,7 +19,7 @@ from stiffopt.discovery.progress import RoundProgress, throttle_progress
 from stiffopt.discovery.settings import SIGN_SPEED, Settings
 from stiffopt.discovery.training import Training
 
-# Cosines, and lengths of the kernel over the spread of the signals that are tried, with ridges.
+# Number of cosines; kernel lengths over the spread of the signals, and ridges, that are tried.
 FEATURE_COUNT = 200
 _KERNEL_LENGTHS = (0.5, 1.0, 2.0, 4.0)
 _RIDGE_FACTORS = (1e-3, 1e-2, 1e-1, 1.0)
@@ -26,18 +28,18 @@ _FEATURE_SEED = 7
 
 @dataclass(frozen=True, eq=False)
 class SmoothFunction:
-    """A function of signals.
+    """A smooth function of signals.
 
     Parameters
     ----------
     middle, spread : array (s,)
-        Of the signals.
+        Mean and standard deviation of the signals.
     waves : array (s, f)
     phases, weights : array (f,)
     limit : float
-        Largest value that was seen; it never says more.
+        Largest training value, which clips the result.
     taken : float
-        Share of the squares that it takes away in stretches left out.
+        Share of the squares that it removes in stretches left out.
     """
 
     middle: np.ndarray
@@ -49,7 +51,7 @@ class SmoothFunction:
     taken: float
 
     def __call__(self, signals: np.ndarray) -> np.ndarray:
-        """Values (m,) at signals (m, s)."""
+        """Return values (m,) at signals (m, s)."""
         scaled = (signals - self.middle) / self.spread
         values = np.cos(scaled @ self.waves + self.phases) @ self.weights
         return np.asarray(np.clip(values, -self.limit, self.limit))
@@ -58,14 +60,14 @@ class SmoothFunction:
 def fit_smooth_function(
     signals: np.ndarray, values: np.ndarray, stretch: np.ndarray
 ) -> SmoothFunction | None:
-    """The function that predicts stretches left out best; None where none does.
+    """Fit the function that predicts stretches left out best; None if none predicts anything.
 
     Parameters
     ----------
     signals : array (m, s)
     values : array (m,)
     stretch : array (m,) of int
-        That each sample is of.
+        Number of the stretch of each sample.
     """
     middle, spread = signals.mean(axis=0), signals.std(axis=0)
     spread = np.where(spread > 1e-12, spread, 1.0)
@@ -106,20 +108,20 @@ def fit_smooth_function(
     )
 
 
-# Samples of all runs that a box is fitted to, and stretches of a run that it is chosen by.
+# Samples of all runs that a black box is fitted to, and stretches per run for cross-validation.
 _MAX_FIT_SAMPLES, _STRETCHES_PER_RUN = 2000, 6
-# Share of a channel's squares in runs left out from which the box shows something.
+# Least share of a channel's squares in held-out runs that a useful black box removes.
 SHOWN_SHARE = 0.1
-# Points of a curve of what the box depends on, samples that each is averaged over, and signals
-# that are named at most, each with this share of the strongest one's.
+# Points of a dependence curve, samples that each is averaged over, maximum number of named signals,
+# and their least effect over the strongest one's.
 _CURVE_POINTS, _CURVE_SAMPLES, _MAX_NAMED_SIGNALS, _MIN_NAMED_SHARE = 25, 200, 2, 0.5
-# Quantiles of a signal that a curve goes between.
+# Quantiles of a signal that limit a curve.
 _CURVE_QUANTILES = (0.02, 0.98)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Dependence:
-    """How a remainder goes with one signal, others as they were met.
+    """Mean dependence of a residual on one signal.
 
     Parameters
     ----------
@@ -127,7 +129,7 @@ class Dependence:
     signal : str
         Such as "q_1".
     at, mean : array (k,)
-        Of the signal [SI], and of the remainder [N m].
+        Values of the signal [SI], and mean residual [N m].
     """
 
     channel: str
@@ -138,17 +140,17 @@ class Dependence:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class NoiseCeiling:
-    """What is explained of what can be, on runs left out.
+    """Explained share of the best attainable fit on held-out runs.
 
     Parameters
     ----------
     explained : float
-        Share, mean over the torques.
+        Explained over attainable share, mean over the torques.
     channels : dict of str to (float, float)
-        Root mean square that the extended model leaves of each torque, and the box beside it.
+        Root mean square residual of each torque with the extended model, and with the black box.
     depends : tuple of Dependence
-        Of the torque that the box makes the most of, the strongest signal first; none where it
-        makes nothing of any.
+        Of the torque that the black box improves most, the strongest signal first; empty if it
+        improves none.
     """
 
     explained: float
@@ -157,14 +159,14 @@ class NoiseCeiling:
 
 
 class BlackBox:
-    """Boxes of all torques, fitted to training runs.
+    """Black boxes of all torques, fitted to training runs.
 
     Parameters
     ----------
     training : Training
     settings : Settings
     extensions : sequence of Extension
-        Of the extended model.
+        Extensions of the extended model.
     say : callable
         Called with a sentence every few seconds.
     """
@@ -180,7 +182,7 @@ class BlackBox:
         samples = _ResidualSamples(n)
         tell = throttle_progress(say)
         for number, run in enumerate(training.recorded):
-            tell(f"see what is left of {run.file}")
+            tell(f"calculate the residual of {run.file}")
             predictor = Predictor(training.robot, run, training.constants, settings)
             share = (run.time - run.time[0]) / float(run.time[-1] - run.time[0])
             stretch = np.minimum((share * _STRETCHES_PER_RUN).astype(int), _STRETCHES_PER_RUN - 1)
@@ -191,12 +193,12 @@ class BlackBox:
         self._boxes: list[SmoothFunction | None] = []
         pace = RoundProgress(n)
         for j in range(n):
-            tell(f"fit a black box to what is left of the torque of joint {pace.words(j)}")
+            tell(f"fit the noise ceiling of the torque of joint {pace.words(j)}")
             self._boxes.append(samples.fitted(j))
         self._squares = np.zeros((n, 4))
 
     def add(self, predictor: Predictor, before: Prediction, after: Prediction) -> None:
-        """Take in a run left out."""
+        """Add a held-out run."""
         run = predictor.run
         signals = _motion_signals(predictor)
         places = np.searchsorted(run.stamps, run.time)
@@ -211,9 +213,9 @@ class BlackBox:
             self._squares[joint] += (first @ first, left @ left, beside @ beside, len(left))
 
     def found(self) -> NoiseCeiling | None:
-        """What runs left out say; None without any."""
+        """Return the noise ceiling over the held-out runs; None without any."""
         squares = self._squares
-        # A channel without a finite or any mismatch has no share that could be told.
+        # Shares need a finite mismatch above zero.
         seen = np.flatnonzero(
             (squares[:, 3] > 0)
             & np.isfinite(squares).all(axis=1)
@@ -222,7 +224,7 @@ class BlackBox:
         if not seen.size:
             return None
         before, after, box, count = squares[seen].T
-        # Where the box knows less than the model, the model is what can be explained.
+        # If the black box is worse than the model, the model is the best attainable fit.
         possible = 1.0 - np.mean(np.minimum(after, box) / before)
         explained = 1.0 - np.mean(after / before)
         gain = 1.0 - box / after
@@ -240,7 +242,7 @@ class BlackBox:
         )
 
     def _find_dependences(self, joint: int) -> tuple[Dependence, ...]:
-        """Mean of a box along each signal, all others as they were met."""
+        """Average a black box along each signal, with all others at recorded values."""
         box, signals = self._boxes[joint], self._motion_signals[joint]
         assert box is not None
         chosen = np.unique(np.linspace(0, len(signals) - 1, _CURVE_SAMPLES).astype(int))
@@ -264,10 +266,10 @@ class BlackBox:
 
 
 class _ResidualSamples:
-    """What the model leaves in the training runs, thinned."""
+    """Residuals of the training runs, subsampled."""
 
     def __init__(self, n: int) -> None:
-        # Signals of whole runs are those of all joints: samples are taken of them once they count.
+        # Signals of a run are shared by all joints: they are subsampled only on use.
         self._parts: list[list[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]] = [
             [] for _ in range(n)
         ]
@@ -283,7 +285,7 @@ class _ResidualSamples:
                 self._parts[joint].append((signals, own, left, stretch[used]))
 
     def signals(self, joint: int) -> np.ndarray:
-        """Signals (m, s) of the samples of a joint."""
+        """Return signals (m, s) at the samples of a joint."""
         kept, begin, found = self._sample_indices(joint), 0, [np.zeros((0, 1))]
         for signals, own, _, _ in self._parts[joint]:
             here = kept[(kept >= begin) & (kept < begin + len(own))] - begin
@@ -292,7 +294,7 @@ class _ResidualSamples:
         return np.vstack(found[1:] or found)
 
     def fitted(self, joint: int) -> SmoothFunction | None:
-        """The box of a joint; None where it predicts nothing."""
+        """Return the black box of a joint; None if it predicts nothing."""
         if not self._parts[joint]:
             return None
         kept = self._sample_indices(joint)
@@ -307,7 +309,7 @@ class _ResidualSamples:
         return np.unique(np.linspace(0, count - 1, _MAX_FIT_SAMPLES).astype(int))
 
 
-# Signals of every joint: their names, and where a prepared run has them.
+# Signals of every joint: names, and attributes of prepared signals.
 _MOTION_SIGNALS = (
     ("q", "motor_position"),
     ("qd", "motor_velocity"),
@@ -317,7 +319,7 @@ _MOTION_SIGNALS = (
 
 
 def _motion_signals(predictor: Predictor) -> np.ndarray:
-    """Signals of all joints at the samples of a run (K, 4 n), kind after kind."""
+    """Return signals of all joints at the samples of a run (K, 4 n), by kind."""
     nominal, time = predictor.nominal, predictor.run.time
     return np.column_stack(
         [
@@ -329,6 +331,6 @@ def _motion_signals(predictor: Predictor) -> np.ndarray:
 
 
 def _input_columns(signals: np.ndarray) -> np.ndarray:
-    """What a box sees of signals (m, 4 n): angles as directions, speeds with their sides."""
+    """Return inputs of a black box from signals (m, 4 n): sines, cosines, smooth signs."""
     q, qd, qdd, torque = np.split(signals, len(_MOTION_SIGNALS), axis=1)
     return np.hstack([np.sin(q), np.cos(q), qd, np.tanh(qd / SIGN_SPEED), qdd, torque])

@@ -1,10 +1,9 @@
-"""What held in the training runs and does not carry over to a run left out.
+"""Deviations of held-out runs from the training runs that a single value explains.
 
-A joint that is colder on another day, an encoder that was referenced anew, a current sensor that
-drifted: the run is then predicted badly for a reason that no model of the robot can know. Where one
-value of a channel explains the most of what is left in a run, that is said, with the value. Nothing
-is corrected by it: the run stays left out. Where friction was found to differ from run to run, a
-further run differs as well: how far from the mean is said in spreads.
+A colder joint, a newly referenced encoder or a drifted current sensor spoils the prediction of a
+run for reasons that no robot model contains. If one value explains most of the residual of a
+channel in a run, it is reported; predictions are not corrected. If friction was found to differ
+from run to run, the deviation is reported in standard deviations.
 """
 
 from __future__ import annotations
@@ -19,28 +18,28 @@ from stiffopt.discovery.comparison.signals import RobotConstants, smooth_sign
 from stiffopt.discovery.prediction import RunProof, used_samples
 from stiffopt.discovery.settings import MIN_MOVING_SPEED
 
-# Share of what is left that one value explains, and how far above the noise what is left must be.
+# Least share of the residual that one value explains, and least residual over noise.
 _MIN_EXPLAINED_SHARE, _MIN_NOISE_RATIO = 0.5, 2.0
-# Parts of a run in each of which it must help, and samples below which nothing is said.
+# Parts of a run that must all improve, and least number of samples.
 _RUN_PARTS, _MIN_SAMPLES = 4, 40
-# Share of a shape that a drift's own must hold to stand for it: a run tells them hardly apart.
+# Squared correlation from which a shape is collinear with that of a known drift.
 _COLLINEAR_SHARE = 0.9
 
 
 @dataclass(frozen=True, kw_only=True)
 class NotCarriedOver:
-    """A value that a run has and the training runs have not.
+    """A value that differs between a run and the training runs.
 
     Parameters
     ----------
     run, channel : str
     kind : str
-        "constant", "dry friction", "viscous friction", or "friction drift" where friction was found
-        to differ from run to run.
+        "constant", "dry friction", "viscous friction", or "friction drift" if friction was found to
+        differ from run to run.
     value : float
-        More than in training [SI]; of a drift in its spreads.
+        Difference to training [SI]; of a drift in its standard deviations.
     share : float
-        Of the squares that are left in the channel.
+        Explained share of the squared residual of the channel.
     """
 
     run: str
@@ -52,7 +51,7 @@ class NotCarriedOver:
 
 @dataclass(frozen=True, kw_only=True)
 class Drift:
-    """By how much the friction of a joint differs from run to run, one standard deviation.
+    """Standard deviation of a joint's friction between runs.
 
     Parameters
     ----------
@@ -61,7 +60,7 @@ class Drift:
     dry, viscous : float
         [N m], [N m s/rad]
     rms : float
-        Of its torque over the held-out runs: what their predictions are off by [N m].
+        Root mean square error of predictions over the held-out runs from it [N m].
     """
 
     joint: int
@@ -70,19 +69,19 @@ class Drift:
     rms: float = 0.0
 
     def torque(self, speed: np.ndarray) -> np.ndarray:
-        """Torque of one spread [N m]."""
+        """Return the torque of one standard deviation [N m]."""
         return np.asarray(self.dry * smooth_sign(speed) + self.viscous * speed)
 
 
 def find_friction_drift(
     found: Extension, constants: RobotConstants, velocities: Sequence[np.ndarray]
 ) -> tuple[Drift, ...]:
-    """Friction that was found to differ from run to run; of a joint's several the latest.
+    """Return friction that differs from run to run; the latest finding per joint.
 
     Parameters
     ----------
     found : Extension
-        With that of the model that was started from.
+        Including the extension of the starting model.
     constants : RobotConstants
     velocities : sequence of array (K, n)
         Of the joints in held-out runs [rad/s].
@@ -107,7 +106,7 @@ def find_friction_drift(
 def find_run_deviations(
     proofs: Sequence[RunProof], velocities: Sequence[np.ndarray], drift: Sequence[Drift] = ()
 ) -> tuple[NotCarriedOver, ...]:
-    """Single values that explain the most of what is left in a run.
+    """Find single values that explain most of the residual of a channel in a run.
 
     Parameters
     ----------
@@ -135,9 +134,9 @@ def find_run_deviations(
             own = of_joint.get(joint) if kind == "torque" else None
             best = _best_single_value(left, velocity[used, joint], kind == "torque", own)
             if best is not None:
-                share, value, what = best
+                share, value, cause = best
                 found.append(
-                    NotCarriedOver(run=run.name, channel=name, kind=what, value=value, share=share)
+                    NotCarriedOver(run=run.name, channel=name, kind=cause, value=value, share=share)
                 )
     return tuple(found)
 
@@ -145,13 +144,13 @@ def find_run_deviations(
 def _best_single_value(
     left: np.ndarray, speed: np.ndarray, torque: bool, drift: Drift | None
 ) -> tuple[float, float, str] | None:
-    """Share, value and kind of what takes away most, if it does so all along the run."""
+    """Return share, value and kind of the best single value that improves all parts of the run."""
     shapes = {"constant": np.ones_like(left)}
     if torque and speed.min() < -MIN_MOVING_SPEED and speed.max() > MIN_MOVING_SPEED:
         friction = {"dry friction": smooth_sign(speed), "viscous friction": speed}
         known = np.zeros_like(left) if drift is None else drift.torque(speed)
         if known.any():
-            # Known to differ, it is no news that it does; another friction or a constant is.
+            # Known drift is no deviation; another friction or a constant is.
             friction = {
                 k: v for k, v in friction.items() if _shared_squares(v, known) < _COLLINEAR_SHARE
             }
@@ -169,5 +168,5 @@ def _best_single_value(
 
 
 def _shared_squares(shape: np.ndarray, known: np.ndarray) -> float:
-    """Share of a shape's squares that a known one explains."""
+    """Return the squared correlation of two shapes."""
     return float((shape @ known) ** 2 / ((shape @ shape) * (known @ known)))

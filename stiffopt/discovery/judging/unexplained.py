@@ -1,4 +1,4 @@
-"""Something is missing that no entry of the catalogue explains: where, and what it depends on."""
+"""Residual that no effect of the catalogue explains: channels, and signals that it depends on."""
 
 from __future__ import annotations
 
@@ -23,40 +23,39 @@ from stiffopt.discovery.thresholds import (
     UNEXPLAINED_RATIO,
 )
 
-# Of the flexible functions that a remainder may follow: knots, how many signals, the share of the
-# residual that one more must take away, and the ridge.
+# Spline regression of a residual: knots, maximum number of signals, least relative decrease by one
+# more, and ridge.
 _KNOT_COUNT = 8
 _MAX_REGRESSORS = 3
 _MIN_RELATIVE_GAIN = 0.03
 _RIDGE_WEIGHT = 1.0
-# How many times as much as any other a run must leave to be named for it.
+# Least ratio of the residual of the dominant run to that of any other.
 _DOMINANT_RUN_RATIO = 5.0
 
 
 @dataclass(frozen=True)
 class Unexplained:
-    """What remains beyond the catalogue.
+    """Residual beyond the catalogue.
 
     Parameters
     ----------
     channels : tuple of str
         "torque_3", "link_position_3"; the worst first.
     regressors : tuple of str
-        What the remainder of the worst channel depends on: "q_5", "sign(qd_3)", "time".
+        Signals that the residual of the worst channel depends on: "q_5", "sign(qd_3)", "time".
     period : float or None
-        Of a remainder that repeats in time, whatever the motion [s].
+        Of a residual that is periodic in time, independent of the motion [s].
     gain : float
-        Share of the remainder's excess that a flexible model of these explains in blocks that it
-        was not fitted to.
+        Share of the residual's excess that a spline model of these explains in blocks left out.
     ratio : float
-        Residual over noise in the worst channel.
+        Normalised residual of the worst channel.
     left : float
-        Root mean square in that channel over what the nominal model leaves.
+        Root mean square in that channel over that of the nominal model.
     brief : bool
-        In bursts, faster than a fit's filter: `ratio` is that where they lie, `gain` their share.
+        True for bursts above the filter's band: `ratio` is that of the bursts, `gain` their share.
     alone : tuple of (str, float) or None
-        The training run that holds nearly all of what the nominal model leaves in the worst
-        channel, and how many times as much as any other.
+        Training run with nearly all of the nominal residual in the worst channel, and the ratio to
+        any other run.
     """
 
     channels: tuple[str, ...]
@@ -70,7 +69,7 @@ class Unexplained:
 
 
 def assess_findings(result: SearchResult) -> tuple[tuple[Selected, ...], Unexplained | None]:
-    """Findings that explain what they are about, and what is outside the catalogue.
+    """Select findings that explain their channels, and describe the unexplained residual.
 
     Parameters
     ----------
@@ -80,11 +79,11 @@ def assess_findings(result: SearchResult) -> tuple[tuple[Selected, ...], Unexpla
     -------
     findings : tuple of Selected
     unexplained : Unexplained or None
-        None where nothing significant remains.
+        None without a significant residual.
     """
     after = np.nan_to_num(result.after, nan=0.0)
     before = np.nan_to_num(result.calibrated, nan=0.0)
-    # What an extended model that was started from had left of its own recordings is no new riddle.
+    # The open residual of a starting model counts as noise.
     least = result.comparison.least
     beyond = after / least
     remaining = [c for c in np.argsort(-beyond) if beyond[c] > UNEXPLAINED_RATIO]
@@ -96,19 +95,19 @@ def assess_findings(result: SearchResult) -> tuple[tuple[Selected, ...], Unexpla
     share = 1.0 - (after**2 - least**2) / excess
     poor = {int(c) for c in remaining if share[c] < EXPLAINED_SHARE}
     unstated = result.comparison.robot.recordings.unstated
-    # A value that the nominal model does not give at all is there, however much else is missing.
+    # Unstated values exist in any case, even beside a large residual.
     kept = tuple(
         s for s in result.selected if s.channel not in poor or s.located.effect.nominal in unstated
     )
     if not poor and kept and after[remaining].max() < PASSED_OVER_RATIO:
-        # What formulas that differ from nature leave behind, small against what they explain.
+        # Error of inexact formulas, small against the part that they explain.
         return kept, None
     found = _describe_remainder(result, [int(c) for c in remaining])
     if _is_elastic_mode(result, found):
         return kept, None
     small = found.ratio < REMAINDER_RATIO * _noise_excess(result)
     if not kept and small and found.gain < REMAINDER_SHARE:
-        # Neither large nor depending on anything: noise that is larger than stated.
+        # Neither large nor predictable: the noise exceeds the stated one.
         return result.selected, None
     return kept, found
 
@@ -116,9 +115,9 @@ def assess_findings(result: SearchResult) -> tuple[tuple[Selected, ...], Unexpla
 def _find_faint_remainder(
     result: SearchResult, after: np.ndarray, beyond: np.ndarray
 ) -> Unexplained | None:
-    """A remainder near the noise, where runs left out bear out what it depends on."""
+    """Find a residual near the noise whose dependence on signals is cross-validated."""
     best, most = None, FAINT_SHARE
-    # Little more than a model left open far from the noise is as little a riddle.
+    # Only near the sensor noise; slightly more than a large open residual is not significant.
     near = (beyond > FAINT_RATIO) & (after <= UNEXPLAINED_RATIO)
     for channel in [int(c) for c in np.argsort(-after)[:_MAX_REGRESSORS] if near[c]]:
         found = _describe_remainder(result, [channel])
@@ -129,12 +128,12 @@ def _find_faint_remainder(
 
 
 def _is_elastic_mode(result: SearchResult, found: Unexplained) -> bool:
-    """Whether a remainder is the swing of the arm itself: its period is that of a mode."""
+    """True if the period of a residual is that of an elastic mode."""
     return found.period is not None and matches_mode(result.comparison, result.fit, found.period)
 
 
 def _noise_excess(result: SearchResult) -> float:
-    """Noise of the worst channel above the filter's cutoff, over what is stated; 1 at least."""
+    """Return the noise of the worst channel above the cutoff over the stated noise; at least 1."""
     comparison = result.comparison
     worst = int(np.nanargmax(result.after))
     stated = np.concatenate([comparison.noise.torque, comparison.noise.deflection])
@@ -143,13 +142,13 @@ def _noise_excess(result: SearchResult) -> float:
 
 
 def channel_name(channel: int, joints: int) -> str:
-    """Name of a channel in answers."""
+    """Return the name of a channel, such as "torque_3"."""
     kind = "torque" if channel < joints else "link_position"
     return f"{kind}_{channel % joints + 1}"
 
 
 def _find_dominant_run(comparison: Comparison, rows: np.ndarray) -> tuple[str, float] | None:
-    """The run in which the nominal model leaves far more of these rows than in all others."""
+    """Return the run with by far the largest nominal residual in these rows, and the ratio."""
     number = comparison.rows.sampled(lambda run: np.full(len(run.time), float(run.index)))[rows]
     left = {
         run.name: float(np.sqrt(np.mean(comparison.target[rows][number == run.index] ** 2)))
@@ -191,7 +190,7 @@ def _describe_remainder(result: SearchResult, channels: Sequence[int]) -> Unexpl
 def _spline_bases(
     comparison: Comparison, own: np.ndarray, joint: int
 ) -> Iterator[tuple[str, np.ndarray]]:
-    """Spline bases of what a remainder may depend on, (m, k) each."""
+    """Yield spline bases (m, k) of the signals that a residual may depend on."""
     rows = comparison.rows
     n = comparison.robot.n
 
@@ -215,7 +214,7 @@ def _spline_bases(
 
 
 def _spline_basis(values: np.ndarray) -> np.ndarray:
-    """Cubic B-splines over the range of the values, knots at their quantiles."""
+    """Return cubic B-splines over the range of values, with knots at quantiles."""
     inner = np.unique(np.quantile(values, np.linspace(0.0, 1.0, _KNOT_COUNT - 2)))
     if len(inner) < 2 or not inner[-1] > inner[0]:
         return np.ones((len(values), 1))
@@ -227,7 +226,7 @@ def _spline_basis(values: np.ndarray) -> np.ndarray:
 def _select_regressors(
     residual: np.ndarray, block: np.ndarray, bases: dict[str, np.ndarray]
 ) -> tuple[tuple[str, ...], np.ndarray]:
-    """Regressors that predict blocks left out, and those predictions."""
+    """Select signals that predict blocks left out; return them and the prediction."""
     chosen: list[str] = []
     prediction = np.zeros_like(residual)
     left = float(np.sum(residual**2))
@@ -248,7 +247,7 @@ def _select_regressors(
 
 
 def _predict_blocks(columns: np.ndarray, target: np.ndarray, block: np.ndarray) -> np.ndarray:
-    """Prediction of every block from a ridge fit to the others."""
+    """Predict every block by a ridge fit to the others."""
     out = np.zeros_like(target)
     ridge = _RIDGE_WEIGHT * np.eye(columns.shape[1])
     gram, moment = columns.T @ columns, columns.T @ target
@@ -263,9 +262,9 @@ def _predict_blocks(columns: np.ndarray, target: np.ndarray, block: np.ndarray) 
 def _find_period(
     residual: np.ndarray, block: np.ndarray, time: np.ndarray
 ) -> tuple[float, float] | None:
-    """Period in time that all blocks share, and the share of the excess that it explains.
+    """Return the common period of all blocks and the share of the excess that it explains.
 
-    Phases are free from block to block: what comes from outside knows no run's begin.
+    The phase is free in each block, since external causes are not synchronous with runs.
     """
     span = min(float(np.ptp(time[block == b])) for b in np.unique(block))
     step = float(np.median(np.diff(np.unique(time))))
@@ -273,19 +272,20 @@ def _find_period(
         return None
     frequencies = np.arange(2.0 / span, 0.35 / step, 0.2 / span)
     if not frequencies.size:
-        return None  # blocks too short for two periods of anything that the rows resolve
+        return None  # blocks are shorter than two resolvable periods
     power = np.zeros(len(frequencies))
     for b in np.unique(block):
         own = block == b
         y, t = residual[own], time[own]
         for i, f in enumerate(frequencies):
             wave = np.column_stack([np.sin(2 * np.pi * f * t), np.cos(2 * np.pi * f * t)])
-            # Few samples of a block may all lie on the nodes of a wave.
+            # A block with few samples can make the normal equations singular.
             power[i] += float((wave.T @ y) @ np.linalg.lstsq(wave.T @ wave, wave.T @ y)[0])
     best = int(np.argmax(power))
     excess = float(np.sum(residual**2)) - len(residual)
     blocks = len(np.unique(block))
-    # Chance alone gives each block about ln(frequencies) at its own best place, shared far less.
+    # By chance the best frequency of one block has a power of about ln(frequencies), a common one
+    # far less.
     if power[best] < 12.0 * blocks + 4.0 * np.log(len(frequencies)) or excess <= 0.0:
         return None
     return 1.0 / float(frequencies[best]), float(min(power[best] / excess, 1.0))

@@ -1,6 +1,6 @@
-"""Other readings of the same files that explain their torques better, as doubts in words.
+"""Doubts from descriptions of the files that explain their torques better, as text.
 
-Each says which joints, by how much better, and the line of recordings.toml that would mend it.
+Each states the joints, the improvement, and the corrected line of recordings.toml.
 """
 
 from __future__ import annotations
@@ -21,22 +21,22 @@ from stiffopt.discovery.sanity.explanations import Explanation, Explanations
 from stiffopt.discovery.sanity.interpretations import DEGREE, MILLIMETRE
 from stiffopt.recording.recording_set import RecordingSet
 
-# Within which a factor counts as that of a unit, a sign or a gear.
+# Relative tolerance of a factor of a unit, a sign or a gear.
 _FACTOR_TOLERANCE = 0.2
-# Ratios of the gears of arms.
+# Range of gear ratios of arms.
 _GEAR_RATIO_RANGE = (20.0, 400.0)
 
 
 def describe_explanation(
     recordings: RecordingSet, search: Explanations, explanation: Explanation
 ) -> Iterator[Doubt]:
-    """Doubts that say an explanation: gravity, a delay, or units, orders, signs and gains.
+    """Yield the doubts of an explanation: gravity, delay, or units, orders, signs and gains.
 
     Parameters
     ----------
     recordings : RecordingSet
     search : Explanations
-        What the file's own reading leaves.
+        With residual shares of the stated reading.
     explanation : Explanation
     """
     shares = format_shares(search.strict, explanation.left, explanation.joints)
@@ -46,7 +46,7 @@ def describe_explanation(
         stated = format_numbers(recordings.gravity)
         fit = f"the torques fit gravity along {format_numbers(direction)}"
         if not direction.any():
-            fit = "the torques hold no weight, as of a controller that adds it behind them"
+            fit = "the torques contain no weight, as if a controller added it later"
         yield Doubt(
             kind="gravity",
             joints=joints,
@@ -69,7 +69,7 @@ def describe_explanation(
 
 
 def doubt_degrees(recordings: RecordingSet, search: Explanations, found: Explanation) -> Doubt:
-    """Joints that are stated in degrees and move in rad."""
+    """Doubt positions stated in degrees that are rad."""
     which = format_joints(found.joints)
     most = np.degrees(np.ptp(search.samples.position[:, list(found.joints)], axis=0).max())
     each = ", ".join(f"{100.0 * found.left[j]:.2g} % at joint {j + 1}" for j in found.joints)
@@ -78,9 +78,9 @@ def doubt_degrees(recordings: RecordingSet, search: Explanations, found: Explana
     return Doubt(
         kind="position unit",
         joints=tuple(j + 1 for j in found.joints),
-        evidence=f"The positions of {which} look like rad, not degrees: as degrees they move by"
-        f" {most:.2g} deg at most, as rad the nominal model leaves of the torque's variance"
-        f" {each}.",
+        evidence=f"The positions of {which} look like rad, not degrees: in degrees they move by"
+        f" {most:.2g} deg at most; in rad the residual of the nominal model is {each} of the"
+        " torque's variance.",
         line=line + also,
     )
 
@@ -88,7 +88,7 @@ def doubt_degrees(recordings: RecordingSet, search: Explanations, found: Explana
 def _doubt_reading(
     recordings: RecordingSet, explanation: Explanation, shares: str
 ) -> Iterator[Doubt]:
-    """Degrees, swapped columns and turned signs of a reading."""
+    """Yield doubts about units, swapped columns and signs of a reading."""
     reading, n = explanation.reading, recordings.n
     scale = np.array(reading.position_scale)
     units = {"degrees": ("deg", DEGREE), "mm": ("mm", MILLIMETRE)}
@@ -122,19 +122,19 @@ def _doubt_reading(
         if not swapped[kind] or (both and kind == "torque"):
             continue
         kinds = ("position", "torque") if both else (kind,)
-        what = "positions and torques" if both else f"{kind} columns"
+        noun = "positions and torques" if both else f"{kind} columns"
         lines = " and ".join(column_line(recordings, each, order) for each in kinds)
         yield Doubt(
             kind="joint order" if both else f"{kind} order",
             joints=tuple(j + 1 for j in swapped[kind]),
-            evidence=f"The {what} of {format_joints(swapped[kind])} look exchanged: {shares}.",
+            evidence=f"The {noun} of {format_joints(swapped[kind])} look exchanged: {shares}.",
             line=f"{lines} in [signals]",
         )
     torque_turned = np.flatnonzero(np.array(reading.torque_scale) < 0.0)
     if turned.size:
         with_torque = set(turned) == set(torque_turned)
         one = turned.size == 1
-        what = "Position and torque" if with_torque else f"The position{'' if one else 's'}"
+        noun = "Position and torque" if with_torque else f"The position{'' if one else 's'}"
         look = "look" if with_torque or not one else "looks"
         lines = scale_line(recordings, "position", np.sign(scale))
         if with_torque:
@@ -142,8 +142,8 @@ def _doubt_reading(
         yield Doubt(
             kind="position sign",
             joints=tuple(int(j) + 1 for j in turned),
-            evidence=f"{what} of {format_joints(turned)} {look} turned round, as about an axis of"
-            f" the other direction: {shares}.",
+            evidence=f"{noun} of {format_joints(turned)} {look} reversed, as about an axis of"
+            f" the opposite direction: {shares}.",
             line=lines,
         )
         torque_turned = np.array([] if with_torque else torque_turned, dtype=int)
@@ -159,7 +159,7 @@ def _doubt_reading(
 def _doubt_gains(
     recordings: RecordingSet, explanation: Explanation, before: np.ndarray
 ) -> Iterator[Doubt]:
-    """Torques off by a factor, joint by joint; one line mends them all."""
+    """Yield doubts about torque gains, one per joint; one line corrects all."""
     gains = explanation.gains
     assert gains is not None
     ratio = recordings.nominal.gear_ratio
@@ -195,4 +195,4 @@ def _describe_gain(gain: float, ratio: float | None, newton: str) -> tuple[str, 
             geared = f", or the motor's own torque before a gear of {1.0 / size:.3g}"
         current = f"looks like current, about {1.0 / size:.3g} {newton}/A{geared}{turned}"
         return "torque unit", f"{current}, if the robot's file is not of a larger arm"
-    return "torque gain", f"is {gain:.3g} times what the model expects{turned}"
+    return "torque gain", f"is {gain:.3g} times the model's torque{turned}"

@@ -1,4 +1,4 @@
-"""Descriptions of the files that explain the torques where the file's own does not."""
+"""Search for descriptions of the files that explain the torques better than the stated one."""
 
 from __future__ import annotations
 
@@ -12,50 +12,52 @@ from stiffopt.discovery.sanity.interpretations import DEGREE, Motions, Reading, 
 from stiffopt.discovery.sanity.torque_fit import Additions, Motion, TorqueFit, allowed_additions
 from stiffopt.discovery.settings import MIN_MOVING_SPEED
 
-# Share of a torque's variance up to which another description explains it.
+# Largest residual share with which a description explains a torque.
 MAX_EXPLAINED_SHARE = 0.15
-# The file's own fails from the first share on, where the other leaves less by the second factor.
+# The stated description fails from the first residual share on, if another one is smaller by the
+# second factor.
 _FAILURE_LEVELS = ((0.3, 4.0), (0.04, 6.0))
-# Or, of two joints or more at once, without anything that a robot may have besides.
+# The same for two joints or more together, without additions to the nominal model: residual share,
+# factor, largest residual share of the other description.
 _SEVERAL_JOINTS_LEVEL = (0.15, 8.0, 0.06)
-# A joint must not be the worse for it: added share, and factor.
+# Allowed worsening of other joints: added share, and factor.
 _WORSENING_TOLERANCE = (0.1, 1.3)
 _MIN_FAILURE_SHARE = min(share for share, _ in _FAILURE_LEVELS)
-# Gains up to which drives and their constants differ from data sheets.
+# Range of gains by which torque constants differ from data sheets.
 _USUAL_GAIN_RANGE = (0.5, 2.0)
 _SHARE_FLOOR = 0.02
 _MAX_STEPS = 3
-# What one more step of a reading must gain, of the sum of logarithms over joints; and what a step
-# costs where different explanations are weighed.
+# Least gain of a further step of a reading, as sum of log ratios over joints; and the price of a
+# step when explanations are compared.
 _MIN_STEP_GAIN, _STEP_PRICE = 0.7, 0.5
-# Share of a joint's range beyond its limits from which a reading is doubted for that.
+# Excess of a joint's range beyond its limits, as share, from which a reading is penalised.
 _LIMIT_MARGIN_SHARE = 0.05
-# Sizes of gains that are units or signs.
+# Magnitudes of gains that come from units or signs.
 _UNIT_GAINS = (1.0, 1e3, 1e-3)
-# Delays that are tried [s]; shorter ones than the second are an effect of the catalogue.
+# Delays that are tried [s]; those below the second value are an effect of the catalogue.
 _DELAY_GRID = np.concatenate([-np.geomspace(2.0, 0.01, 40), np.geomspace(0.01, 2.0, 40)])
 _MIN_DELAY = 0.06
 
 
 @dataclass(frozen=True, eq=False)
 class Explanation:
-    """Another description and the shares of the torques that it leaves.
+    """Another description of the files with its residual shares.
 
     Parameters
     ----------
     left : array (n,)
-        nan where undecidable.
+        Residual shares; nan if the motion cannot decide.
     joints : tuple of int
-        That it explains, from 0.
+        Joints that it explains, from 0.
     score : float
-        Sum of the logarithms of how much less it leaves.
+        Sum of the log ratios of residual shares.
     reading : Reading
     gains : array (n,) or None
         Recorded over true torque.
     gravity : array (3,) or None
-        Direction, of unit length, in the base; 0 where the torques hold no weight.
+        Unit vector in the base frame; 0 if the torques contain no weight.
     delay : float or None
-        Of the torque [s].
+        Delay of the torque [s].
     """
 
     left: np.ndarray
@@ -68,13 +70,13 @@ class Explanation:
 
     @property
     def price(self) -> float:
-        """What it must gain: steps of the reading, and factors that any number may be."""
+        """Price of its complexity: steps of the reading, and free gains."""
         free = self.gains is not None and not np.isin(np.abs(self.gains), _UNIT_GAINS).all()
         return _STEP_PRICE * (self.reading.steps + 2 * free)
 
 
 class Explanations:
-    """Search among other descriptions of the same files.
+    """Search for other descriptions of the same files.
 
     Parameters
     ----------
@@ -92,14 +94,14 @@ class Explanations:
 
     @cached_property
     def strict(self) -> np.ndarray:
-        """Shares (n,) that the file's own reading leaves."""
+        """Residual shares (n,) of the stated description."""
         return self._residual_shares(self.motion, self.samples.torque)
 
     @cached_property
     def left(self) -> np.ndarray:
-        """The same where each joint may have a spring, and the arm another payload, besides.
+        """Residual shares (n,) with a possible spring at each joint and another payload.
 
-        Not beside currents: such things can make torques of them.
+        Not for currents, which such additions could turn into torques.
         """
         strict = self.strict
         if self.robot.recordings.signals.currents:
@@ -111,7 +113,7 @@ class Explanations:
         ])  # fmt: skip
 
     def best(self) -> Explanation | None:
-        """The description that explains most of what the file's own does not, if one does."""
+        """Return the description that explains most beyond the stated one, or None."""
         if not (self.strict > _MIN_FAILURE_SHARE).any():
             return None
         found = [
@@ -128,7 +130,7 @@ class Explanations:
         )
 
     def _limit_penalty(self, reading: Reading) -> float:
-        """Price of a reading by which joints were where the robot's limits do not let them."""
+        """Return the price of a reading with positions beyond the robot's limits."""
         recordings = self.robot.recordings
         arm, order = recordings.robot, recordings.order
         lower, upper = arm.position_lower[order], arm.position_upper[order]
@@ -139,10 +141,9 @@ class Explanations:
         return 2.0 * _STEP_PRICE if out.any() else 0.0
 
     def stationary_in_degrees(self) -> Explanation | None:
-        """Joints that hardly move as the degrees that they are stated in, but well as radians.
+        """Return joints that hardly move in the stated degrees, but do in radians.
 
-        Nothing can be told of their torques as described; as of a motion in rad they are those of
-        the nominal model.
+        Read in degrees their torques decide nothing; read in rad they fit the nominal model.
         """
         joints = np.array(self.own.in_degrees) & np.isnan(self.strict)
         while joints.any():
@@ -166,7 +167,7 @@ class Explanations:
     # ---- kinds of explanations
 
     def _explain_by_gains(self, reading: Reading) -> Explanation | None:
-        """Each joint's torque off by a factor, where that is far from 1."""
+        """Explain by a gain far from 1 of each joint's torque."""
         motion = self.motions.of(reading)
         torque = reading.torque(self.samples.torque)
         before = self._residual_shares(motion, torque) if reading.steps else self.left
@@ -189,7 +190,7 @@ class Explanations:
     def _adopt_common_gain(
         self, gains: np.ndarray, left: np.ndarray, motion: Motion, torque: np.ndarray
     ) -> None:
-        """Where a unit fits a joint that bears no weight, so may any factor: take another joint's.
+        """Prefer the gain of another joint for joints without weight, which fit any gain.
 
         Changes `gains` and `left` (n,) in place.
         """
@@ -201,7 +202,7 @@ class Explanations:
                 gains[j], left[j] = gain, share
 
     def _explain_by_readings(self) -> list[Explanation]:
-        """Other columns, signs and units, step by step; beside each its gains."""
+        """Explain by other columns, signs and units, step by step."""
         found, reading, left = [], self.own, self.strict
         for _ in range(_MAX_STEPS):
             tried = [
@@ -215,7 +216,7 @@ class Explanations:
             ]
             if not tried:
                 break
-            # Of those that are as good the first, which says the least.
+            # Of equal ones the first, which changes least.
             other, after = max(
                 tried,
                 key=lambda one: round(
@@ -223,7 +224,7 @@ class Explanations:
                 ),
             )
             if reading is self.own:
-                # Degrees and amperes at once: neither explains anything alone.
+                # Degrees and amperes together: neither explains anything alone.
                 all_joints = np.ones(self.n, dtype=bool)
                 found.append(
                     self._explain_by_gains(
@@ -237,7 +238,7 @@ class Explanations:
         return [e for e in found if e is not None]
 
     def _explain_by_gravity(self) -> Explanation | None:
-        """Gravity along another direction of the base."""
+        """Explain by gravity along another direction of the base."""
         robot, motion = self.robot, self.motion
         stated = np.asarray(robot.recordings.gravity, dtype=float)
         pulls = np.stack(
@@ -254,20 +255,20 @@ class Explanations:
             return None
         spring = moving + pulls @ (9.81 * direction)
         left = self._residual_shares(replace(motion, spring=spring), self.samples.torque)
-        # A spring at one joint may look like it there, but not at all joints that carry weight.
+        # A spring at one joint may look similar, but not at all joints that carry weight.
         if not np.all((left <= self.left + 0.05) | np.isnan(left)):
             return None
         return self._accept_explanation(left, self.own, gravity=direction, against=self.strict)
 
     def _explain_without_weight(self, moving: np.ndarray) -> Explanation | None:
-        """No weight in the torques at all, as where a controller adds it behind them."""
+        """Explain by torques without weight, if a controller adds gravity compensation later."""
         left = self._residual_shares(replace(self.motion, spring=moving), self.samples.torque)
         if not np.all((left <= self.left + 0.05) | np.isnan(left)):
             return None
         return self._accept_explanation(left, self.own, gravity=np.zeros(3), against=self.strict)
 
     def _fit_gravity_direction(self, moving: np.ndarray, pulls: np.ndarray) -> np.ndarray | None:
-        """Unit vector of the gravity that fits the torques best; the axis where it is near one."""
+        """Return the unit vector of gravity that fits the torques best, rounded to a near axis."""
         gram, moment = np.zeros((3, 3)), np.zeros(3)
         velocity, torque = self.motion.velocity, self.samples.torque
         for j in range(self.n):
@@ -284,7 +285,7 @@ class Explanations:
             weight = 1.0 / max(float(np.var(torque[known, j])), 1e-12)
             gram += weight * rest[:, :3].T @ rest[:, :3]
             moment += weight * rest[:, :3].T @ rest[:, 3]
-        # Gravity along parallel axes shows in no torque.
+        # Gravity parallel to all axes is not identifiable.
         found = np.linalg.pinv(gram, rcond=1e-4, hermitian=True) @ moment
         size = float(np.linalg.norm(found))
         if not 7.0 < size < 13.0:
@@ -296,7 +297,7 @@ class Explanations:
         return np.asarray(found)
 
     def _explain_by_delay(self) -> Explanation | None:
-        """All torques recorded later or earlier than the motion."""
+        """Explain by a delay of all torques against the motion."""
         best: tuple[float, np.ndarray] | None = None
         for delay in _DELAY_GRID:
             left = self._residual_shares(self.motion, self.samples.delayed_torque(float(delay)))
@@ -306,7 +307,7 @@ class Explanations:
             return None
         return self._accept_explanation(best[1], self.own, delay=best[0])
 
-    # ---- how much they explain
+    # ---- residual shares
 
     def _residual_shares(self, motion: Motion, torque: np.ndarray) -> np.ndarray:
         return np.array([self.balance.left(motion, torque[:, j], j) for j in range(self.n)])
@@ -315,9 +316,9 @@ class Explanations:
         return allowed_additions(self.robot, self.motion, joint)
 
     def _fails_where_it_moves(self, reading: Reading, left: np.ndarray) -> np.ndarray:
-        """Joints (n,) whose own reading fails where another one says that they move.
+        """Return joints (n,) with a failing stated reading at instants moving in the other one.
 
-        A joint that hardly moves by the other reading shows little that it would have to explain.
+        A joint that hardly moves in the other reading has little to explain.
         """
         moves = np.abs(self.motions.of(reading).velocity) >= MIN_MOVING_SPEED
         torque = np.where(moves, self.samples.torque, np.nan)
@@ -338,7 +339,7 @@ class Explanations:
         delay: float | None = None,
         against: np.ndarray | None = None,
     ) -> Explanation | None:
-        """The explanation, if it explains what nothing else does and worsens no joint."""
+        """Return the explanation if it explains a failing joint and worsens none, else None."""
         before = self.left if against is None else against
         with np.errstate(invalid="ignore"):
             mended = np.array([_is_explained(b, a) for b, a in zip(before, left, strict=True)])
@@ -364,6 +365,6 @@ class Explanations:
 
 
 def _is_explained(before: float, after: float) -> bool:
-    """Whether one share of the variance explains what another leaves."""
+    """True if the residual share `after` explains a failing `before`."""
     fails = any(before > share and after * factor < before for share, factor in _FAILURE_LEVELS)
     return fails and after < MAX_EXPLAINED_SHARE

@@ -1,4 +1,4 @@
-"""The sanity gate: what is doubted of recordings before anything is diagnosed from them."""
+"""Plausibility check of recordings before a diagnosis: contradictions to their description."""
 
 from __future__ import annotations
 
@@ -24,25 +24,25 @@ from stiffopt.recording.recording_set import RecordingSet
 from stiffopt.recording.run import RecordedRun
 from stiffopt.recording.set_points import is_set_point, may_be_set_point
 
-# Share of a torque's variance that is open where single runs are looked at, and how many.
+# Residual share of a torque from which single runs are checked, and how many.
 _MIN_OPEN_SHARE, _MAX_SINGLE_RUNS = 0.04, 12
 
 
 class SanityGate:
-    """What is doubted of a set by some of its runs, and what is remarked beside.
+    """Doubts and remarks about a recording set, from its training runs.
 
     Parameters
     ----------
     recordings : RecordingSet
     runs : sequence of RecordedRun
-        Training runs: no other run is looked at before findings are fixed.
+        Training runs: no other run is read before the findings are fixed.
 
     Notes
     -----
-    The nominal model, wrong as it may be, tells a unit or an order: other readings of the same
-    files (degrees, swapped joints and columns, turned signs, any gain, another gravity, a delay)
-    are doubted for only where they explain the torques many times better than the file's own
-    reading with any friction, rotor inertia, spring and payload that a robot may have besides.
+    Even an inaccurate nominal model identifies a unit or a column order. Another reading of the
+    files (degrees, swapped joints and columns, signs, any gain, another gravity, a delay) raises a
+    doubt only if it explains the torques many times better than the stated one with any possible
+    friction, rotor inertia, spring and payload.
     """
 
     def __init__(self, recordings: RecordingSet, runs: Sequence[RecordedRun]) -> None:
@@ -50,7 +50,7 @@ class SanityGate:
 
     @cached_property
     def doubts(self) -> tuple[Doubt, ...]:
-        """What stops a diagnosis; nothing where the set can be what it says."""
+        """Doubts that stop a diagnosis; empty for plausible recordings."""
         recordings, runs = self._recordings, self._runs
         if not any(body.mass > 0.0 for body in recordings.robot.tree.bodies):
             return (_doubt_masses(recordings),)
@@ -77,10 +77,9 @@ class SanityGate:
 
     @property
     def remarks(self) -> tuple[Doubt, ...]:
-        """What stops nothing and yet is to be looked at; read where nothing is doubted.
+        """Remarks that do not stop a diagnosis, if there are no doubts.
 
-        A drive's constant may be off by that much, which is an effect of the catalogue; and so may
-        be the description.
+        For example a gain that may be an effect of the catalogue or a wrong description.
         """
         told = tuple(_doubt_references(self._recordings))
         if self._explanation_search is None or self._recordings.signals.currents:
@@ -109,61 +108,60 @@ class SanityGate:
 
     @cached_property
     def _extended_range_runs(self) -> list[OddRun]:
-        """Odd runs that the robot may explain: a stop, an inertia that others do not ask."""
+        """Odd runs outside the range of the others: a stop or inertia may show only there."""
         return [
             each for each in self._odd_runs if each.outside_range and each.search.best() is None
         ]
 
 
 def _doubt_masses(recordings: RecordingSet) -> Doubt:
-    """Weight and inertia would be what the model lacks, and nothing else could be told."""
+    """Doubt a robot without masses: weight and inertia would hide all other effects."""
     return Doubt(
         kind="masses",
         joints=(),
-        evidence="No link of the robot has a mass: its URDF gives no <inertial>. Give them there,"
-        " if only roughly: all else is judged beside the weight.",
+        evidence="No link of the robot has a mass: its URDF has no <inertial>. Add masses, if only"
+        " rough ones: all other effects are judged beside the weight.",
         line="",
     )
 
 
 def _doubt_currents(recordings: RecordingSet) -> Iterator[Doubt]:
-    """Torques that nobody has made of currents yet."""
+    """Doubt torques that are still currents."""
     if recordings.signals.currents:
         yield Doubt(
             kind="torque unit",
             joints=(),
             evidence="The torques are stated as currents in A. Give N m per A at each joint (the"
-            " motor's torque constant times the gear ratio) as torque in [signals.scale]; what the"
-            " weight of the nominal model suggests, if anything, is told here as well.",
+            " motor's torque constant times the gear ratio) as torque in [signals.scale]; an"
+            " estimate from the weight of the nominal model, if possible, is listed as well.",
             line="",
         )
 
 
 def _doubt_set_points(recordings: RecordingSet) -> Iterator[Doubt]:
-    """Positions that the arm was told to take."""
+    """Doubt positions that are set points by their names."""
     told = [name for name in recordings.signals.position if name and is_set_point(name)]
     if told:
         yield Doubt(
             kind="set points",
             joints=(),
             evidence=f"The positions are set points by their names ({', '.join(told[:3])}"
-            f"{', ...' if len(told) > 3 else ''}): what the arm was told to do is not what it did,"
-            " and its controller's errors would be taken for physics. Record measured positions.",
+            f"{', ...' if len(told) > 3 else ''}): they differ from the motion by the controller's"
+            " errors, which would be taken for physics. Record measured positions.",
             line="position = [...] in [signals] with the columns that were measured",
         )
 
 
 def _doubt_references(recordings: RecordingSet) -> Iterator[Doubt]:
-    """Positions whose names may be those of set points."""
+    """Remark positions whose names may be those of set points."""
     names = [name for name in recordings.signals.position if name]
     told = [name for name in names if may_be_set_point(name) and not is_set_point(name)]
     if told:
         yield Doubt(
             kind="set points",
             joints=(),
-            evidence=f"The positions speak of a reference ({', '.join(told[:3])}"
-            f"{', ...' if len(told) > 3 else ''}): are they measured, and not what the arm was told"
-            " to do?",
+            evidence=f"The names of the positions mention a reference ({', '.join(told[:3])}"
+            f"{', ...' if len(told) > 3 else ''}): are they measured, or set points?",
             line="",
         )
 
@@ -175,10 +173,10 @@ def _doubt_joint_gain(recordings: RecordingSet, found: JointGain) -> Doubt:
     return Doubt(
         kind="torque gain",
         joints=(j,),
-        evidence=f"The torque of joint {j} fits {found.gain:.3g} times what the model expects: of"
-        f" its variance {100.0 * found.after:.2g} % then stays in place of"
-        f" {100.0 * found.before:.2g} %, whatever masses and friction all joints are given. Is its"
-        " torque constant, gear ratio or column that of another joint? A diagnosis may call it"
+        evidence=f"The torque of joint {j} fits {found.gain:.3g} times the model's torque: its"
+        f" residual is then {100.0 * found.after:.2g} % of the variance in place of"
+        f" {100.0 * found.before:.2g} %, for any masses and friction of all joints. Is its"
+        " torque constant, gear ratio or column that of another joint? A diagnosis may find it as"
         " torque_gain.",
         line=scale_line(recordings, "torque", factors),
     )
@@ -189,15 +187,15 @@ def _doubt_extended_range(odd: OddRun) -> Doubt:
     return Doubt(
         kind="another arm",
         joints=tuple(j + 1 for j in odd.joints),
-        evidence=f"{odd.run.name} moves faster or further than the other runs and does not fit them"
-        f" there, in the torque of {which}. If that is the same arm with the same load, the model"
-        " lacks something that shows there alone.",
+        evidence=f"{odd.run.name} moves faster or further than the other runs and does not fit the"
+        f" model there, in the torque of {which}. If it is the same arm with the same load, the"
+        " model lacks an effect that shows only there.",
         line="",
     )
 
 
 def _doubt_odd_runs(recordings: RecordingSet, odd: Sequence[OddRun]) -> Iterator[Doubt]:
-    """Another reading of a run where one explains it; else the run is of something else."""
+    """Doubt odd runs: another reading if one explains the run, else another arm or load."""
     for each in odd:
         explanation = each.search.best()
         if explanation is not None:
@@ -211,10 +209,10 @@ def _doubt_odd_runs(recordings: RecordingSet, odd: Sequence[OddRun]) -> Iterator
         yield Doubt(
             kind="another arm",
             joints=tuple(j + 1 for j in each.joints),
-            evidence=f"{each.run.name} does not fit the other runs, as of another arm, or of this"
-            f" one with a load or a contact: of the torque's variance the nominal model leaves"
-            f" {shares}, with friction of its own. Take its [[runs]] section out, or give that load"
-            " a set of its own.",
+            evidence=f"{each.run.name} does not fit the other runs: it may be of another arm, or of"
+            f" this one with a load or a contact. The residual of the nominal model, with separate"
+            f" friction, is {shares} of the torque's variance. Remove its [[runs]] section, or make"
+            " a separate set for that load.",
             line="",
         )
 
@@ -229,7 +227,7 @@ def _doubt_one_run(
 def _doubt_single_runs(
     recordings: RecordingSet, runs: Sequence[RecordedRun], together: Explanations
 ) -> Iterator[Doubt]:
-    """What single runs contradict, where the others are as the file says."""
+    """Doubt single runs that contradict the description, if the others fit it."""
     with np.errstate(invalid="ignore"):
         fails = together.strict > _MIN_OPEN_SHARE
     if not fails.any():
@@ -245,20 +243,20 @@ def _doubt_single_runs(
         yield from _doubt_one_run(recordings, run.name, search, explanation)
 
 
-# The nominal model leaves at least this share of a torque's variance in an odd run, and so many
-# times more than in any other run; shares below the last are as good as nothing.
+# Least residual share of a torque in an odd run, and least ratio to that in any other run, whose
+# residual share is raised to the last value.
 _MIN_ODD_SHARE, _MIN_ODD_RATIO, _OTHERS_FLOOR = 0.05, 8.0, 0.005
-# Where it leaves more of others too, they are no measure: what is wrong is wrong in all runs.
+# Largest residual share of other runs to compare with: beyond it the model is wrong in all runs.
 _MAX_OTHERS_SHARE = 0.3
 # Runs that are compared.
 _MAX_COMPARED_RUNS = 60
-# Of the ranges that others moved in, what is near them still; fewer instants decide nothing.
+# Margin of the range of the other runs, as share; and least instants within it.
 _RANGE_MARGIN, _MIN_SHARED_INSTANTS = 0.05, 30
 
 
 @dataclass(frozen=True, eq=False)
 class OddRun:
-    """A run, the joints (from 0) that tell it, and the shares that it and the others leave.
+    """A run that does not fit the others, with residual shares.
 
     Parameters
     ----------
@@ -267,10 +265,10 @@ class OddRun:
         Of this run alone.
     joints : tuple of int
     left, others : array (n,)
-        In this run, and the most in any other.
+        Residual shares in this run, and the largest in any other.
     outside_range : bool
-        Whether it fits where the others were as well, or was hardly there: it moves faster or
-        further than these, where a robot may lack what only shows there.
+        True if it fits within the range of the others, or was hardly there: an effect may show
+        only at its larger speeds or strokes.
     """
 
     run: RecordedRun
@@ -282,10 +280,10 @@ class OddRun:
 
 
 def find_odd_runs(together: Explanations, runs: Sequence[RecordedRun]) -> list[OddRun]:
-    """Runs in which the nominal model fails where it holds in all the others.
+    """Find runs in which the nominal model fails while it holds in all others.
 
-    Each run is given friction of its own, so that a cold arm is no other one. Of two runs the one
-    that the nominal model fits is believed.
+    Each run has separate friction, so that a cold arm is not odd. Of two runs the one that fits the
+    nominal model is trusted.
     """
     searches: list[tuple[RecordedRun, Explanations]] = []
     for run in runs[:_MAX_COMPARED_RUNS]:
@@ -322,7 +320,7 @@ def _is_odd(shares: np.ndarray, others: np.ndarray) -> np.ndarray:
 
 
 def _select_shared_range(samples: Samples, others: Sequence[Samples]) -> Samples | None:
-    """Instants at which all joints are where others were, no faster; None of too few."""
+    """Select instants within the range of positions and speeds of other runs; None if too few."""
     inside = np.ones(len(samples.position), dtype=bool)
     for name in ("position", "velocity", "acceleration"):
         beside = np.vstack([getattr(each, name) for each in others])

@@ -1,4 +1,4 @@
-"""Some hundred instants of the training runs: motion and torques, filtered alike."""
+"""Interpretations of the same files, by units, signs and column order, at sampled instants."""
 
 from __future__ import annotations
 
@@ -15,23 +15,23 @@ from stiffopt.discovery.comparison.prepare import near_gaps, uniform, whole
 from stiffopt.discovery.sanity.torque_fit import Motion
 from stiffopt.recording.run import RecordedRun
 
-# Instants of all runs together: enough for a dozen columns, few enough to try many descriptions.
+# Instants of all runs together: enough for a dozen columns, few enough to try many readings.
 _MAX_INSTANTS = 900
-# Units and orders show in slow motion, where neither noise nor what swings matters [Hz].
+# Filter cutoff [Hz]: units and orders show in slow motion, without noise and vibration.
 _FILTER_CUTOFF = 8.0
 
 
 @dataclass(frozen=True, eq=False)
 class TorqueSeries:
-    """Torques of one run on its own clock, to be read earlier or later.
+    """Torques of one run with their times, to be read with a delay.
 
     Parameters
     ----------
     time : array (K,) [s]
     torque : array (K, n)
-        Filtered [N m]; nan where a joint has none.
+        Filtered [N m]; nan if a joint has none.
     at : array (m,)
-        The instants of the run [s].
+        Sampled instants of the run [s].
     """
 
     time: np.ndarray
@@ -39,21 +39,21 @@ class TorqueSeries:
     at: np.ndarray
 
     def shifted(self, delay: float) -> np.ndarray:
-        """Torques (m, n) that were recorded `delay` after the instants."""
+        """Return torques (m, n) recorded `delay` [s] after the instants."""
         when = self.at + delay
         return np.column_stack([np.interp(when, self.time, column) for column in self.torque.T])
 
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """Instants of the runs.
+    """Motion and torques at sampled instants of the runs, filtered alike.
 
     Parameters
     ----------
     position, velocity, acceleration, torque : array (m, n)
-        As recorded, in the order of the set; torque is nan where a joint has none.
+        As recorded, in the order of the set; torque is nan if a joint has none.
     series : tuple of TorqueSeries
-        One a run.
+        One per run.
     """
 
     position: np.ndarray
@@ -63,12 +63,12 @@ class Samples:
     series: tuple[TorqueSeries, ...]
 
     def delayed_torque(self, delay: float) -> np.ndarray:
-        """Torques (m, n) recorded `delay` [s] after the motion."""
+        """Return torques (m, n) recorded `delay` [s] after the motion."""
         return np.vstack([each.shifted(delay) for each in self.series])
 
 
 def sample_runs(runs: Sequence[RecordedRun]) -> Samples | None:
-    """Instants of the usable runs, None where they are too short."""
+    """Sample instants of the usable runs; None if they are too short."""
     usable = [run for run in runs if run.usable]
     every = max(1, _MAX_INSTANTS // max(1, len(usable)))
     motions, series = [], []
@@ -95,33 +95,33 @@ def sample_runs(runs: Sequence[RecordedRun]) -> Samples | None:
 
 
 def _complete_stamps(run: RecordedRun) -> np.ndarray:
-    """Times at which no channel lacks a number that it has at others."""
+    """Return the times at which every recorded channel has a finite value."""
     channels = np.hstack([run.position, run.torque])
     known = np.isfinite(channels)
     return np.asarray(run.time[(known | ~known.any(axis=0)).all(axis=1)])
 
 
-# Units that positions of turning and of sliding joints may be in, in SI.
+# Possible units of positions of revolute and prismatic joints, in SI.
 DEGREE, MILLIMETRE = np.pi / 180.0, 1e-3
-# Of clocks in ms, us and ns, and of stamps counted with another rate.
+# Clocks in ms, us and ns, and stamps counted at another rate.
 _CLOCK_FACTORS = (1e-3, 1e-6, 1e-9, 0.01, 0.1, 10.0, 100.0, 1e3)
 
 
 @dataclass(frozen=True, eq=False)
 class Reading:
-    """Which column a joint takes, and what its values are multiplied with.
+    """Assignment of columns to joints, with scale factors.
 
     Parameters
     ----------
     position_from, torque_from : tuple of int (n,)
-        Number (from 0) of the joint whose columns each joint takes.
+        Number (from 0) of the joint whose columns each joint uses.
     position_scale, torque_scale : tuple of float (n,)
     time_scale : float
-        What the time is multiplied with.
+        Factor of the time.
     steps : int
-        In how many steps it differs from the file's own reading.
+        Number of steps from the stated reading.
     in_degrees : tuple of bool (n,)
-        Joints whose positions the file says to be in degrees.
+        Joints with positions stated in degrees.
     """
 
     position_from: tuple[int, ...]
@@ -134,14 +134,14 @@ class Reading:
 
     @staticmethod
     def as_described(n: int, position_scale: np.ndarray | None = None) -> Reading:
-        """The file's own reading, whose positions have been multiplied with a scale (n,)."""
+        """Return the stated reading; positions have been multiplied by a scale (n,)."""
         order, ones = tuple(range(n)), (1.0,) * n
         stated = np.ones(n) if position_scale is None else np.abs(position_scale)
         degrees = tuple(bool(is_) for is_ in np.isclose(stated, DEGREE))
         return Reading(order, order, ones, ones, in_degrees=degrees)
 
     def motion(self, samples: Samples) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Position, velocity and acceleration (m, n) of the joints in this reading."""
+        """Return position, velocity and acceleration (m, n) of the joints in this reading."""
         take, scale = list(self.position_from), np.array(self.position_scale)
         position, velocity, acceleration = (
             values[:, take] * scale / self.time_scale**order
@@ -152,12 +152,12 @@ class Reading:
         return position, velocity, acceleration
 
     def torque(self, measured: np.ndarray) -> np.ndarray:
-        """Torques (m, n) of the joints in this reading."""
+        """Return torques (m, n) of the joints in this reading."""
         scaled: np.ndarray = measured[:, list(self.torque_from)] * np.array(self.torque_scale)
         return scaled
 
     def neighbours(self, prismatic: np.ndarray) -> Iterator[Reading]:
-        """Readings one step further: units, two joints swapped, a sign turned, a clock."""
+        """Yield readings one step further: units, two joints swapped, a sign, a clock."""
         n, parts = len(self.position_from), ("position", "torque", "both")
         for which in (*np.eye(n, dtype=bool), ~prismatic, prismatic, np.ones(n, dtype=bool)):
             other = self.in_other_units(prismatic, which)
@@ -173,7 +173,7 @@ class Reading:
                 yield self._take_step(time_scale=factor)
 
     def in_other_units(self, prismatic: np.ndarray, which: np.ndarray) -> Reading:
-        """Positions of these joints (n,) in degrees or mm, unless they are by now."""
+        """Return the reading with these joints (n,) in degrees or mm, unless already so."""
         scale = tuple(
             s * (MILLIMETRE if slides else DEGREE) if chosen and abs(s) == 1.0 else s
             for s, slides, chosen in zip(self.position_scale, prismatic, which, strict=True)
@@ -207,14 +207,14 @@ def _scale_joint(scale: tuple[float, ...], joint: int, factor: float) -> tuple[f
 
 
 class Motions:
-    """Motions of readings by the nominal model, each computed once."""
+    """Cache of the motions of readings with nominal torques."""
 
     def __init__(self, robot: RobotModel, samples: Samples) -> None:
         self._robot, self._samples = robot, samples
         self._kept: dict[tuple[object, ...], Motion] = {}
 
     def of(self, reading: Reading) -> Motion:
-        """Motion of a reading; torques do not matter to it."""
+        """Return the motion of a reading, independent of its torque columns."""
         key = (reading.position_from, reading.position_scale, reading.time_scale)
         if key not in self._kept:
             self._kept[key] = Motion.of(self._robot, *reading.motion(self._samples))

@@ -1,8 +1,8 @@
-"""Torques of one joint that are off by a factor, told beside everything that masses can do.
+"""Gain errors of one joint's torque, estimated beside free inertial parameters.
 
-A joint's torque grows with the masses that it carries as it grows with its gain. But the joints
-before and behind it carry the same masses: all joints are fitted at once, with inertial parameters
-that they share and friction of each.
+A joint's torque scales with the masses that it carries as with its gain. But neighbouring joints
+carry the same masses: all joints are fitted together, with shared inertial parameters and friction
+of each.
 """
 
 from __future__ import annotations
@@ -18,29 +18,29 @@ from stiffopt.discovery.comparison.signals import smooth_sign
 from stiffopt.discovery.sanity.interpretations import Samples
 from stiffopt.discovery.settings import MIN_MOVING_SPEED
 
-# How far masses may be off, as a share, and over which lever [m].
+# Relative deviation of masses, and deviation of their centres [m].
 _MASS_DEVIATION, _CENTRE_DEVIATION = 0.3, 0.2
-# Where the set states by how much: so many times that, and this at least.
+# Multiple of a stated tolerance of masses, and its least value.
 _STATED_TOLERANCE_FACTOR, _MIN_MASS_DEVIATION = 10.0, 0.02
-# Load-dependent friction, share of the load; a drive's offset, share of its largest torque.
+# Load-dependent friction over the load; offset over the largest torque.
 _LOAD_FRICTION_SHARE, _OFFSET_SHARE = 0.3, 0.3
-# Share of a torque's variance that stays where everything is right.
+# Residual share of a correct model.
 _RESIDUAL_FLOOR = 2e-3
-# Fewer moving instants decide nothing.
+# Fewer moving instants give no result.
 _MIN_MOVING_INSTANTS = 60
-# Gains that are tried, and from which on one is told: less is within what drives are off by.
+# Range of gains; smaller ones are within usual errors of drives.
 _MAX_GAIN, _MIN_GAIN = 2.0, 1.21
-# What a gain must take off the misfit, in shares of variance, and by which factor off the joint's
-# own, which must be small with it.
+# Least decrease of the misfit, in shares of variance; least ratio of the joint's residual shares;
+# and its largest residual share with the gain.
 _MIN_MISFIT_DECREASE, _MIN_SHARE_RATIO, _MAX_RESIDUAL_SHARE = 2.4e-3, 1.5, 0.02
-# Of the torque's variance that must be of bodies: what is friction alone tells no gain.
+# Least share of a torque's variance from bodies: friction alone identifies no gain.
 _MIN_BODY_SHARE = 0.1
 _OWN_COLUMNS = 11
 
 
 @dataclass(frozen=True)
 class JointGain:
-    """A joint (from 0), recorded over true torque, and the shares that stay without and with it."""
+    """A joint (from 0), its recorded over true torque, and residual shares without and with it."""
 
     joint: int
     gain: float
@@ -49,7 +49,7 @@ class JointGain:
 
 
 def find_joint_gains(robot: RobotModel, samples: Samples) -> list[JointGain]:
-    """Joints whose torque alone is off by a factor of 1.2 to 2.
+    """Find a joint whose torque has a gain error of 1.2 to 2.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ def find_joint_gains(robot: RobotModel, samples: Samples) -> list[JointGain]:
     Returns
     -------
     list of JointGain
-        Empty where masses, payload and friction can explain as much, or the motion cannot tell.
+        Empty if masses, payload and friction explain as much, or the motion cannot decide.
     """
     fit = _CommonFit(robot, samples)
     if len(fit.used) < 2:
@@ -85,7 +85,7 @@ def find_joint_gains(robot: RobotModel, samples: Samples) -> list[JointGain]:
         )
         if told and misfit - float(best.fun) > _MIN_MISFIT_DECREASE:
             found.append(JointGain(j, gain, float(plain[j]), float(left[j])))
-    # A joint beside the one that is off gains a little by leaning the other way.
+    # Neighbours of the joint with the error gain a little in the other direction.
     found.sort(key=lambda each: each.after - each.before)
     return found[:1]
 
@@ -93,7 +93,7 @@ def find_joint_gains(robot: RobotModel, samples: Samples) -> list[JointGain]:
 def _coupling_columns(
     velocity: np.ndarray, acceleration: np.ndarray, joint: int
 ) -> Iterator[np.ndarray]:
-    """Friction and inertia that a neighbour brings by its gears, as in wrists; 1 at most."""
+    """Yield friction and inertia coupled from a neighbour by gears, as in wrists; at most 1."""
     if not 0 <= joint < velocity.shape[1]:
         yield from np.zeros((3, len(velocity)))
         return
@@ -144,7 +144,7 @@ class _CommonFit:
         self.used = list(self.grams)
 
     def solved(self, gain: float, joint: int) -> tuple[np.ndarray, float]:
-        """Shares (n,) that stay and the misfit with its priors, one joint's gain given."""
+        """Return residual shares (n,) and the misfit including priors, for one joint's gain."""
         size = self.shared + _OWN_COLUMNS * self.n
         matrix, right = _RESIDUAL_FLOOR * np.eye(size), np.zeros(size)
         for j, gram in self.grams.items():

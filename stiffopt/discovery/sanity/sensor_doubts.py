@@ -1,4 +1,4 @@
-"""Positions that lie beyond the limits of the robot's own file."""
+"""Doubts about sensors: positions beyond limits, contradicting velocities and link angles."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from stiffopt.discovery.sanity.interpretations import DEGREE, MILLIMETRE
 from stiffopt.recording.recording_set import RecordingSet
 from stiffopt.recording.run import RecordedRun
 
-# How far beyond its limits a joint may read: share of its range, and [rad] or [m].
+# Margin of position limits: share of the range, and [rad] or [m].
 _LIMIT_MARGINS = (0.05, 0.02)
 
 
 def doubt_position_limits(recordings: RecordingSet, runs: Sequence[RecordedRun]) -> Iterator[Doubt]:
-    """Doubts of joints that read beyond their limits: a unit where that explains all of them.
+    """Yield doubts about positions beyond limits: a unit if that explains all of them.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ def doubt_position_limits(recordings: RecordingSet, runs: Sequence[RecordedRun])
         joints=tuple(int(j) + 1 for j in np.flatnonzero(out)),
         evidence="Positions lie beyond the limits of the robot's own file: "
         + _describe_reach(recordings, reach, lower, upper, out)
-        + " Check their zero, sign and unit, or mend the limits there.",
+        + " Check their zero, sign and unit, or correct the limits.",
         line="",
     )
 
@@ -76,12 +76,12 @@ def _describe_reach(
     return "; ".join(parts) + "."
 
 
-# Within which a factor counts as that of a sign or a unit.
+# Relative tolerances of a factor of a sign and of a unit.
 _SIGN_TOLERANCE, _UNIT_TOLERANCE = 0.2, 0.1
 
 
 def doubt_second_sensors(recordings: RecordingSet, runs: Sequence[RecordedRun]) -> Iterator[Doubt]:
-    """Doubts of velocities and link angles, one a signal."""
+    """Yield doubts about velocities and link angles that contradict positions, one per signal."""
     seen: dict[str, dict[int, tuple[str, float | None]]] = {}
     where: dict[str, list[str]] = {}
     for run in runs:
@@ -97,10 +97,10 @@ def doubt_second_sensors(recordings: RecordingSet, runs: Sequence[RecordedRun]) 
         noun = "velocity" if signal == "velocity" else "link position"
         each = "; ".join(f"that of joint {joint} {detail}" for joint, (detail, _) in joints.items())
         ratios = {joint: ratio for joint, (_, ratio) in joints.items()}
-        evidence = f"The {noun} is not that of the position: {each}."
+        evidence = f"The {noun} contradicts the position: {each}."
         line = _ratio_line(recordings, signal, ratios)
         if not line and signal == "velocity" and (factor := _common_factor(recordings, ratios)):
-            evidence += " All joints alike, as where time or sample rate are not as stated."
+            evidence += " All joints agree: time or sampling rate may be wrong."
             line = f"time = {1.0 / factor:.3g} in [signals.scale]"
         yield Doubt(
             kind=noun,
@@ -111,7 +111,7 @@ def doubt_second_sensors(recordings: RecordingSet, runs: Sequence[RecordedRun]) 
 
 
 def _ratio_line(recordings: RecordingSet, signal: str, ratios: Mapping[int, float | None]) -> str:
-    """Line that mends all joints of a signal by one cause, "" where there is none."""
+    """Return a line that corrects all joints of a signal by one cause, or ""."""
     known = np.array([np.nan if ratio is None else ratio for ratio in ratios.values()])
     slides = recordings.prismatic[np.array(list(ratios)) - 1]
     for unit, size, own in (("deg", DEGREE, ~slides), ("mm", MILLIMETRE, slides)):
@@ -130,7 +130,7 @@ def _ratio_line(recordings: RecordingSet, signal: str, ratios: Mapping[int, floa
 
 
 def _common_factor(recordings: RecordingSet, ratios: Mapping[int, float | None]) -> float | None:
-    """By how much the velocities of all joints are too large alike; None where they are not."""
+    """Return the common factor of the velocities of all joints; None without one."""
     known = np.array([np.nan if ratio is None else ratio for ratio in ratios.values()])
     usual = float(np.median(known))
     alike = len(known) == recordings.n > 1 and bool(

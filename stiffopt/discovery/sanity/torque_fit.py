@@ -1,4 +1,4 @@
-"""Share of a measured torque that a nominal torque leaves, with what a robot may have besides."""
+"""Fit of measured torques by the nominal model with bounded additions: residual shares, gains."""
 
 from __future__ import annotations
 
@@ -12,34 +12,34 @@ from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.comparison.signals import smooth_sign
 from stiffopt.discovery.settings import MIN_MOVING_SPEED
 
-# A stated friction or rotor inertia may be wrong by this much of itself, down and up: far more
-# than drives and cold grease make of it, far less than a unit does.
+# Relative error of a stated friction or rotor inertia, down and up: far above the effect of cold
+# grease, far below that of a wrong unit.
 _MAX_RELATIVE_DECREASE, _MAX_RELATIVE_INCREASE = 0.8, 10.0
-# Load-dependent friction, share of the load.
+# Largest load-dependent friction over the load.
 _MAX_LOAD_FRICTION = 0.4
-# A drive's constant offset, share of the largest nominal torque.
+# Largest torque offset over the largest nominal torque.
 _MAX_OFFSET_SHARE = 0.5
-# Mass at the end of the arm that its model may lack or have in excess, share of the arm's; and how
-# far it may reach out [m].
+# Largest error of the payload over the arm's mass, and its largest lever [m].
 _MAX_PAYLOAD_SHARE, _MAX_PAYLOAD_LEVER = 1.0, 0.5
-# Weight that a spring may carry, over the largest there is.
+# Largest torque of a counterbalance over the largest gravity torque.
 _MAX_SPRING_SHARE = 0.9
-# Fewer moving instants, or less travel, decide nothing.
+# Fewer moving instants give no result.
 _MIN_MOVING_INSTANTS = 60
-# Gains that are tried, either sign, and how finely.
+# A usual gain is preferred if its residual share is at most this above 1.5 times the best; and the
+# gains that are tried, with either sign.
 _EQUIVALENT_SHARE = 0.02
 _GAIN_GRID = np.logspace(-4.5, 4.5, 61)
 
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """A motion and what the nominal model says of it, as some description of the files has it.
+    """A motion, in some interpretation of the files, with its nominal torques.
 
     Parameters
     ----------
     position, velocity, acceleration : array (m, n)
     spring : array (m, n)
-        Nominal torque of the bodies and balances [N m].
+        Nominal torque of bodies and counterbalances [N m].
     """
 
     position: np.ndarray
@@ -49,13 +49,13 @@ class Motion:
 
     @staticmethod
     def of(robot: RobotModel, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> Motion:
-        """A motion by the nominal model."""
+        """Return a motion with torques of the nominal model."""
         return Motion(q, v, a, robot.spring_torque(q, v, a))
 
 
 @dataclass(frozen=True, eq=False)
 class Additions:
-    """Columns (m, k) that a nominal torque may be given, and how much of each, from and to (k,)."""
+    """Columns (m, k) that may be added to a nominal torque, with bounds (k,) of their factors."""
 
     columns: np.ndarray
     lower: np.ndarray
@@ -63,7 +63,7 @@ class Additions:
 
 
 class TorqueFit:
-    """What a robot like the nominal one leaves of measured torques.
+    """Fit of measured torques by the nominal model with bounded friction, inertia and offset.
 
     Parameters
     ----------
@@ -76,7 +76,7 @@ class TorqueFit:
     def left(
         self, motion: Motion, torque: np.ndarray, joint: int, extra: Additions | None = None
     ) -> float:
-        """Share of a torque's variance (m,) that stays, 0 to far above 1; nan where undecidable.
+        """Return the residual share of a torque's variance; nan if the motion cannot decide.
 
         Parameters
         ----------
@@ -85,7 +85,7 @@ class TorqueFit:
             Measured [N m].
         joint : int
         extra : Additions, optional
-            What may be added besides, such as springs and payloads.
+            Further columns, such as springs and payloads.
         """
         reduced = self._reduce_table(motion, torque, joint, extra)
         return float("nan") if reduced is None else reduced.share(1.0)
@@ -93,9 +93,9 @@ class TorqueFit:
     def gain(
         self, motion: Motion, torque: np.ndarray, joint: int, usual: Sequence[float]
     ) -> tuple[float, float]:
-        """Factor of either sign by which a torque fits best, and the share that then stays.
+        """Return the gain, of either sign, that fits a torque best, and its residual share.
 
-        A usual factor is preferred where it fits nearly as well.
+        A usual gain is preferred if it fits nearly as well.
         """
         reduced = self._reduce_table(motion, torque, joint, None)
         if reduced is None:
@@ -155,7 +155,7 @@ class TorqueFit:
 
 @dataclass(frozen=True, eq=False)
 class _ReducedTable:
-    """A table (torque, nominal, columns) by its triangle, which has the same squares."""
+    """QR factor R of a table (torque, nominal, columns), which has the same normal equations."""
 
     triangle: np.ndarray
     lower: np.ndarray
@@ -163,21 +163,21 @@ class _ReducedTable:
     variance: float
 
     def share(self, gain: float) -> float:
-        """Share of the variance that gain times (nominal and columns within bounds) leaves."""
+        """Return the residual share with gain times (nominal plus columns within bounds)."""
         target = self.triangle[:, 0] / gain - self.triangle[:, 1]
         matrix = self.triangle[:, 2:]
         size = np.linalg.norm(matrix, axis=0)
         kept = size > 0.0
         matrix, size = matrix[:, kept] / size[kept], size[kept]
         lower, upper = self.lower[kept] * size, self.upper[kept] * size
-        # Bounds that touch leave a column nothing to do.
+        # lsq_linear needs a strict interior: columns with equal bounds are dropped.
         free = upper > lower
         found = lsq_linear(matrix[:, free], target, (lower[free], upper[free]), method="bvls")
         return float(2.0 * found.cost * gain**2 / self.variance)
 
 
 def allowed_additions(robot: RobotModel, motion: Motion, joint: int) -> Additions:
-    """What a robot may have besides: a spring at the joint, another payload."""
+    """Return a spring at the joint and another payload as possible additions."""
     angle, at = motion.position[:, joint], motion.position
     last = int(np.argmax(robot.order))
     payload = robot.body_torques(last, at, motion.velocity, motion.acceleration)[:, joint]

@@ -42,7 +42,7 @@ class _FoldSums:
     prior: np.ndarray
 
     def errors(self, kept: np.ndarray) -> np.ndarray:
-        """Return squared errors (f, c) of folds and channels by fits of some columns without them."""
+        """Return squared errors (f, c) of each fold and channel by a fit to the other folds."""
         prior = self.prior[kept]
         whole = self.gram.sum(axis=(0, 1))[np.ix_(kept, kept)] + np.diag(prior**-2.0)
         goal = self.moment.sum(axis=(0, 1))[kept]
