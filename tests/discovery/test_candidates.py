@@ -20,7 +20,7 @@ def training(tmp_path_factory):
     return prepare_training(load_recordings(path), Settings())
 
 
-def test_an_effect_of_a_joint_is_about_a_channel_of_its_joint(training):
+def test_channel_of_a_joint_effect_is_of_its_joint(training):
     # Nominal values of other joints that no longer stand in for it are none of its doing.
     comparison, n = training.comparison(), training.robot.n
     scorer = Scorer(comparison)
@@ -36,7 +36,7 @@ def test_an_effect_of_a_joint_is_about_a_channel_of_its_joint(training):
     assert tried > 20
 
 
-def test_friction_has_bounds_only_beside_a_nominal_value(training, tmp_path):
+def test_friction_is_bounded_only_with_nominal_value(training, tmp_path):
     recordings = load_recordings(write_case(simulated(COULOMB), tmp_path / "set"))
     stated = recordings.stated.model_copy(update={"coulomb": None})
     silent = recordings.with_nominal(stated, recordings.path)

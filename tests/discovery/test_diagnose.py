@@ -20,7 +20,7 @@ OUTSIDE = replace(COULOMB, effects=(("pulsing_load", 1, 2.0),))
 SLOW_DRIVE = replace(COULOMB, effects=(("slew_limit", 2, 1.5),))
 
 
-def test_a_nominal_model_within_its_tolerances_lacks_nothing():
+def test_nominal_model_within_tolerance_has_no_findings():
     diagnosis = diagnosed(NOTHING)
     assert diagnosis.verdict == "nothing_missing", said(diagnosis)
     assert diagnosis.findings == ()
@@ -33,7 +33,7 @@ def test_a_nominal_model_within_its_tolerances_lacks_nothing():
         assert 0.0 < limits["coulomb", joint] < nominal
 
 
-def test_what_no_entry_explains_is_said_to_be_outside():
+def test_unexplained_residual_is_outside_catalogue():
     diagnosis = diagnosed(OUTSIDE)
     assert diagnosis.verdict == "outside_catalogue", said(diagnosis)
     document = answer_document(diagnosis)
@@ -43,7 +43,7 @@ def test_what_no_entry_explains_is_said_to_be_outside():
     assert document["outside"]["gain_heldout"] > 0.0
 
 
-def test_a_drive_that_changes_its_torque_too_slowly_shows_in_bursts():
+def test_torque_rate_limit_shows_as_bursts():
     diagnosis = diagnosed(SLOW_DRIVE)
     assert diagnosis.verdict == "outside_catalogue", said(diagnosis)
     assert diagnosis.unexplained.brief
@@ -90,7 +90,7 @@ class TestRunWasOpened(Exception):
     __test__ = False
 
 
-def test_held_out_runs_are_opened_when_the_findings_are_fixed(monkeypatch):
+def test_held_out_runs_are_read_after_findings_are_fixed(monkeypatch):
     recordings = load_recordings(answered(COULOMB).source)
     told, opened = [], []
     plain = RecordingSet.open

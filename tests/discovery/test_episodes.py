@@ -53,7 +53,7 @@ def bump(one, begin, end, size=40.0):
     return size * np.where(inside, np.sin(np.pi * (one.time - begin) / (end - begin)), 0.0)
 
 
-def test_a_push_is_found_with_its_run_times_joints_and_size():
+def test_push_is_found_with_run_times_joints_and_size():
     every = runs()
     every[1] = added(every[1], bump(every[1], 3.0, 4.0))
     (found,) = find_episodes(every)
@@ -64,18 +64,18 @@ def test_a_push_is_found_with_its_run_times_joints_and_size():
     assert not np.any(np.abs(every[1].left[~found.holds(every[1].time)]) > 5.0)
 
 
-def test_noise_alone_tells_of_nothing():
+def test_noise_alone_has_no_contact():
     assert find_episodes(runs()) == ()
 
 
-def test_what_acts_against_the_motion_is_no_touch():
+def test_drag_against_motion_is_no_contact():
     every = runs()
     brake = np.sign(every[1].velocity[:, 0]) * np.abs(bump(every[1], 2.0, 5.0))
     every[1] = added(every[1], brake, channels=(0,))
     assert find_episodes(every) == ()
 
 
-def test_what_happens_whenever_a_state_comes_by_is_no_touch():
+def test_residual_recurring_with_state_is_no_contact():
     every = [
         added(one, np.where(one.state[:, 0, 0] > 0.45, 30.0, 0.0), channels=(0, 2))
         for one in runs()
@@ -83,7 +83,7 @@ def test_what_happens_whenever_a_state_comes_by_is_no_touch():
     assert find_episodes(every) == ()
 
 
-def test_what_happens_where_no_other_part_has_gone_is_no_touch():
+def test_residual_in_unvisited_states_is_no_contact():
     """A stop near the end of a stroke that one run alone reaches."""
     every = runs()
     one = every[1]
@@ -96,18 +96,18 @@ def test_what_happens_where_no_other_part_has_gone_is_no_touch():
     assert find_episodes([every[0], replace(pushed, state=state), *every[2:]]) == ()
 
 
-def test_what_happens_in_most_runs_is_no_accident():
+def test_residual_in_most_runs_is_no_contact():
     every = [added(one, bump(one, 2.0 + k, 3.0 + k)) for k, one in enumerate(runs())]
     assert find_episodes(every) == ()
 
 
-def test_a_burst_is_no_touch():
+def test_burst_is_no_contact():
     every = runs()
     every[0] = added(every[0], bump(every[0], 5.0, 5.1, 200.0))
     assert find_episodes(every) == ()
 
 
-def test_a_run_left_out_is_asked_beside_the_training_runs():
+def test_held_out_run_is_compared_with_training_runs():
     test = track("test_1", 9, "test")
     (found,) = find_episodes([added(test, bump(test, 6.0, 6.8))], runs())
     assert (found.run, found.role) == ("test_1", "test")
@@ -152,7 +152,7 @@ def opened(what):
 @pytest.mark.parametrize(
     ("what", "remains"), [("load", True), ("offset", False), ("offset for a while", False)]
 )
-def test_only_a_load_until_the_end_stays_in_the_proof(what, remains):
+def test_only_lasting_load_stays_in_proof(what, remains):
     held = opened(what)
     (found,), (proof,) = held.episodes, held.proofs
     assert found.stays == remains
@@ -178,7 +178,7 @@ TOUCHED = short_case(("touched", None, 1.0), seed=71)
 
 @pytest.mark.slow
 @pytest.mark.parametrize("effects", [(), (("coulomb", 1, 1.0),)])
-def test_pushes_become_neither_friction_nor_weight(effects):
+def test_pushes_are_not_found_as_friction_or_weight(effects):
     spec = replace(TOUCHED, effects=(*TOUCHED.effects, *effects))
     found = diagnosed(spec)
     named = [(f.effect.name, f.joint) for f in found.findings]

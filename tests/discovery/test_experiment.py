@@ -86,7 +86,7 @@ def test_same_explanation_has_no_separation() -> None:
     assert separation.of(own.training.runs[0]) == pytest.approx(0.0, abs=1e-6)
 
 
-def test_separation_is_what_a_refit_of_the_rival_leaves() -> None:
+def test_separation_is_residual_of_rival_refit() -> None:
     """Brute force: least squares with the posterior as pseudo-measurements of the parameters."""
     own = found()
     run = own.training.runs[0]
@@ -108,7 +108,7 @@ def test_separation_is_what_a_refit_of_the_rival_leaves() -> None:
     assert Separation(base, COULOMB, STRIBECK).of(run) == pytest.approx(expected, rel=1e-4)
 
 
-def test_separation_does_not_hang_on_the_clock_of_the_design() -> None:
+def test_separation_is_independent_of_design_sampling() -> None:
     """One motion sampled at 100 Hz, and told to be recorded at 200 Hz, counts as 200 Hz."""
     own = found()
     limits = motion_limits(own.training)
@@ -148,7 +148,7 @@ def test_designed_motion_beats_the_training_runs_within_the_limits() -> None:
     assert np.all(np.abs(torque) <= [j.torque_max for j in constants.joints])
 
 
-def test_collocation_gains_over_the_motion_that_it_starts_from() -> None:
+def test_collocation_improves_initial_motion() -> None:
     own = found()
     separation = Separation(own.comparison, COULOMB, STRIBECK)
     limits = motion_limits(own.training)
@@ -171,7 +171,7 @@ def improved_from(separation: Separation, start: Trajectory) -> Trajectory:
     return motion
 
 
-def test_terms_with_a_memory_are_left_to_the_search() -> None:
+def test_collocation_rejects_terms_with_memory() -> None:
     own = found()
     creep = effect("belt_creep", shapes=(0.3,))
     separation = Separation(own.comparison, effect("stiffness_linear"), creep)
@@ -183,7 +183,7 @@ def test_terms_with_a_memory_are_left_to_the_search() -> None:
     assert improve_motion(separation, run, motion, motion_limits(own.training), seconds=5.0) is None
 
 
-def test_sentence_and_file_say_what_to_do() -> None:
+def test_experiment_sentence_and_file() -> None:
     designed = plan()
     text = designed.sentence
     assert text.startswith("Record next_experiment.csv (5.0 s)")

@@ -14,7 +14,7 @@ HEALTHY = CaseSpec(
 
 
 @pytest.mark.slow
-def test_a_mode_in_the_band_is_explained_and_not_found():
+def test_known_mode_in_band_is_no_finding():
     found = diagnosed(HEALTHY)
     assert found.verdict == "nothing_missing"
     assert found.nrmse("test")[1] < 1.15

@@ -17,7 +17,7 @@ LOADED = CaseSpec(
 
 
 @pytest.mark.slow
-def test_a_soft_joint_is_named_with_its_stiffness_and_its_mode():
+def test_soft_joint_is_found_with_stiffness_and_mode():
     found = diagnosed(SOFT)
     assert [f.located.label for f in found.findings] == ["stiffness_linear of joint 2"], said(found)
     factor = found.findings[0].parameters[0]
@@ -34,7 +34,7 @@ def test_a_soft_joint_is_named_with_its_stiffness_and_its_mode():
 
 
 @pytest.mark.slow
-def test_a_payload_moves_the_modes_and_is_named():
+def test_payload_shifts_modes_and_is_found():
     found = diagnosed(LOADED)
     assert [f.effect.name for f in found.findings] == ["payload"], said(found)
     assert found.nrmse("test")[1] < 1.1

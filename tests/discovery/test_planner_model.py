@@ -105,7 +105,7 @@ def test_calibrated_values_scale_the_robots_own(arm: Robot, model: ExtendedModel
     assert changed.robot.model.inertias[2].mass == arm.model.inertias[2].mass
 
 
-def test_payload_is_the_body_that_was_found(arm: Robot, model: ExtendedModel) -> None:
+def test_payload_equals_found_body(arm: Robot, model: ExtendedModel) -> None:
     # A point mass in the frame of the last joint.
     mass, centre = 0.8, np.array([0.02, -0.01, 0.05])
     point = pin.Inertia(mass, centre, np.zeros((3, 3))).toDynamicParameters()
@@ -178,7 +178,7 @@ def test_softer_joint_winds_up_by_the_factor(arm: Robot, model: ExtendedModel) -
     assert changed.chains[1] is arm.chains[1]
 
 
-def test_preload_found_is_the_preload_lost(arm: Robot, model: ExtendedModel) -> None:
+def test_found_preload_loss_reduces_preload(arm: Robot, model: ExtendedModel) -> None:
     """A wind-up made by loosening a flange leads back to that preload."""
     chain = arm.chains[2]
     assert chain is not None
@@ -203,9 +203,7 @@ def test_preload_found_is_the_preload_lost(arm: Robot, model: ExtendedModel) -> 
     assert "80 %" in changed.changes[0]
 
 
-def test_more_than_a_loose_flange_explains_goes_into_a_spring(
-    arm: Robot, model: ExtendedModel
-) -> None:
+def test_excess_compliance_becomes_spring(arm: Robot, model: ExtendedModel) -> None:
     changed = planner_model(arm, found(model, "preload_loss", (3.0,), (0.05, 0.5), joint=2))
     before, after = arm.chains[2], changed.robot.chains[2]
     assert before is not None
@@ -231,7 +229,7 @@ def test_settled_belt_is_a_spring_in_series(arm: Robot, model: ExtendedModel) ->
     )
 
 
-def test_the_model_of_another_robot_is_refused_and_says_whose_it_is(arm: Robot, tmp_path) -> None:
+def test_model_of_another_robot_is_refused(arm: Robot, tmp_path) -> None:
     """A UR10's and an ER3A's joints are as many."""
     ur10 = load_robot("ur10")
     names = tuple(f"j{k}" for k in range(1, 7))
@@ -247,7 +245,7 @@ def test_the_model_of_another_robot_is_refused_and_says_whose_it_is(arm: Robot, 
     assert planner_model(arm, own).robot.n == 6
 
 
-def test_masses_that_stay_are_not_told_as_a_change(arm: Robot, model: ExtendedModel) -> None:
+def test_unchanged_masses_are_not_listed(arm: Robot, model: ExtendedModel) -> None:
     moved = found(model, "inertial_error", (0.0, 0.01, 0.0, 0.0, *[0.0] * 6), link=4)
     (sentence,) = planner_model(arm, moved).changes
     assert "kg as before, centre from (0, 1, 0) to (18, 1, 0) mm" in sentence
@@ -257,7 +255,7 @@ def test_masses_that_stay_are_not_told_as_a_change(arm: Robot, model: ExtendedMo
     assert float(after) - float(before) == pytest.approx(0.5, abs=1e-3)
 
 
-def test_what_no_planner_knows_is_named(arm: Robot, model: ExtendedModel) -> None:
+def test_effects_without_influence_are_listed(arm: Robot, model: ExtendedModel) -> None:
     changed = planner_model(arm, found(model, "torque_offset", (0.5,), joint=1))
     assert changed.left_out == ("torque_offset of joint 2",)
     assert changed.changes == ()
@@ -294,7 +292,7 @@ def test_solve_with_a_model_shows_the_change(
     assert best == pytest.approx(1e3 * own, rel=1e-3)
 
 
-def test_re_identified_bodies_are_those_that_are_planned_with(arm: Robot, tmp_path: Path) -> None:
+def test_planning_uses_re_identified_bodies(arm: Robot, tmp_path: Path) -> None:
     """Half a kilogram more in link 2, a centimetre further out: weight as the regressor has it."""
     model = extended(tmp_path, arm.joint_names, arm.torque_max)
     body = arm.tree.bodies[1]

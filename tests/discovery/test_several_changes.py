@@ -70,7 +70,7 @@ def test_a_small_change_beside_a_large_one_stays(after_model):
     np.testing.assert_allclose(values, [COULOMB, VISCOUS], rtol=0.03)
 
 
-def test_one_change_stands_for_several_that_leave_as_much(after_model):
+def test_single_change_replaces_several(after_model):
     coulomb, viscous, offset = (LocatedEffect(effect=each, joint=0) for each in CAUSES)
     first = scan(Scorer(after_model), CAUSES)
     more = after_model.about(after_model.fit([coulomb, offset]))
@@ -82,7 +82,7 @@ def test_one_change_stands_for_several_that_leave_as_much(after_model):
     assert _find_single_change(after_model, after_model, both, [], two, first) is None
 
 
-def test_of_changes_that_are_alike_the_one_that_leaves_least_is_taken(after_model, monkeypatch):
+def test_equivalent_changes_are_chosen_by_residual(after_model, monkeypatch):
     """Over a noise that holds the change itself, what takes most of it has as much evidence."""
     plain = changing.scan
 
@@ -102,7 +102,7 @@ def test_of_changes_that_are_alike_the_one_that_leaves_least_is_taken(after_mode
     assert told == ["found coulomb of joint 1 (log evidence 101)"]
 
 
-def test_what_explains_nothing_is_no_rival_however_much_a_model_left_open(training):
+def test_effect_without_evidence_is_no_rival(training):
     """Evidence counts in units of what the model left open; a prior alone is no explanation."""
     favoured = replace(
         training,
@@ -120,7 +120,7 @@ def test_what_explains_nothing_is_no_rival_however_much_a_model_left_open(traini
     assert ranked.selected.rivals == ()
 
 
-def test_what_a_further_change_makes_needless_goes(after_model, monkeypatch):
+def test_superseded_change_is_dropped(after_model, monkeypatch):
     """Friction at one place stood for dry friction everywhere, until that is found."""
     place = LocatedEffect(effect=effect("position_friction"), joint=0, shapes=(0.0, 1.0))
     start, _ = changing.fit_jointly(after_model, [place])
@@ -158,7 +158,7 @@ def test_ctrl_c_at_the_second_finding_keeps_the_first(
     assert names == ["coulomb"]
 
 
-def test_ctrl_c_at_the_first_change_claims_nothing(after_model, monkeypatch):
+def test_ctrl_c_at_the_first_change_has_no_finding(after_model, monkeypatch):
     def interrupted(*_):
         raise KeyboardInterrupt
 
@@ -167,7 +167,7 @@ def test_ctrl_c_at_the_first_change_claims_nothing(after_model, monkeypatch):
         found(after_model)
 
 
-def test_ctrl_c_in_the_last_fit_of_a_search_keeps_all_of_it(training, monkeypatch):
+def test_ctrl_c_in_the_last_fit_keeps_findings(training, monkeypatch):
     """Where nothing was known before, so that nothing but these findings is there to tell."""
     plain, calls = searching.fit_jointly, []
 
@@ -203,7 +203,7 @@ def test_a_second_ctrl_c_in_a_search_for_changes_keeps_the_first(after_model, mo
     assert [each.effect.name for each in result.effects] == ["coulomb"]
 
 
-def test_ctrl_c_behind_a_search_is_told_as_that(after_model, monkeypatch):
+def test_ctrl_c_after_a_search_is_reported(after_model, monkeypatch):
     plain, calls = searching._relinearise_fit, []
 
     def interrupted(*arguments):

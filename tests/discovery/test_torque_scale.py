@@ -18,7 +18,7 @@ from stiffopt.recording.recording_set import load_recordings
 
 
 @pytest.mark.parametrize("channel", ["torque", "link_position"])
-def test_what_is_open_of_the_scale_counts_in_what_is_read_on_it(channel: str) -> None:
+def test_torque_constant_uncertainty_adds_to_amplitudes(channel: str) -> None:
     training = prepare_training(load_recordings(SHIPPED), Settings())
     joint, joints = 1, training.robot.n
     number = joint if channel == "torque" else joints + joint

@@ -12,7 +12,9 @@ pytestmark = pytest.mark.slow
     ("robot", "effect", "joint", "severity"),
     [("planar2", "transmission_error", 2, 2.0), ("small3", "wrist_coupling", 2, 1.0)],
 )
-def test_it_is_named_and_placed(robot: str, effect: str, joint: int, severity: float) -> None:
+def test_effect_is_found_without_link_encoders(
+    robot: str, effect: str, joint: int, severity: float
+) -> None:
     spec = short_case((effect, joint, severity), seed=26, robot=robot, link_encoders=False)
     diagnosis = diagnosed(spec)
     named = [(found.effect.name, found.joint) for found in diagnosis.findings]

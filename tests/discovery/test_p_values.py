@@ -32,7 +32,7 @@ def _of_mean(samples):
 
 
 @pytest.mark.parametrize("amplitudes", [1, 3, 6, 10])
-def test_nothing_is_rarely_unlikely(amplitudes):
+def test_p_value_without_effect_is_rarely_small(amplitudes):
     rng = np.random.default_rng(amplitudes)
     chances = []
     for _ in range(400):
@@ -45,27 +45,27 @@ def test_nothing_is_rarely_unlikely(amplitudes):
 
 
 @pytest.mark.parametrize("amplitudes", [1, 6])
-def test_what_every_run_repeats_is_sure(amplitudes):
+def test_p_value_of_repeated_effect_is_small(amplitudes):
     rng = np.random.default_rng(0)
     mean, between = _of_mean(5.0 + 0.5 * rng.normal(size=(RUNS, amplitudes)))
     estimate = _estimate(mean, 1e-6 * np.eye(amplitudes), between)
     assert estimate.p_value(0) < 1e-4
 
 
-def test_the_wider_spread_counts():
+def test_p_value_uses_larger_covariance():
     sure, unsure = 1e-6 * np.eye(2), np.eye(2)
     values = np.array([1.0, 0.5])
     assert _estimate(values, sure, unsure).p_value(0) > 0.3
     assert _estimate(values, unsure, sure).p_value(0) > 0.3
 
 
-def test_a_chance_of_one_is_no_deviation():
+def test_p_value_of_one_is_zero_sigma():
     """And is printed so, without a sign."""
     assert f"{p_value_deviations(1.0):.0f}" == "0"
     assert p_value_deviations(0.0455) == pytest.approx(2.0, abs=1e-3)
 
 
-def test_shapes_are_held():
+def test_p_value_holds_shapes():
     """An amplitude and a shape that only their product determines."""
     along, across = np.array([1.0, -1.0]), np.array([1.0, 1.0])
     spread = np.outer(along, along) + 1e-4 * np.outer(across, across)
@@ -77,7 +77,7 @@ def test_shapes_are_held():
     assert estimate.p_value(0) < 1e-4
 
 
-def test_odds_are_those_of_sellke_and_others():
+def test_null_probability_is_sellke_bound():
     # Table 1 of Sellke, Bayarri & Berger (2001), which rounds twice.
     for chance, error in (
         (0.2, 0.465),
@@ -91,6 +91,6 @@ def test_odds_are_those_of_sellke_and_others():
     assert null_probability(1.0) == 0.5
 
 
-def test_deviations_of_a_chance():
+def test_sigma_of_p_value():
     assert p_value_deviations(0.05) == pytest.approx(1.96, abs=1e-3)
     assert p_value_deviations(0.0) == np.inf

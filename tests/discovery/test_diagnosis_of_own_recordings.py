@@ -39,7 +39,7 @@ def again(folder):
     return diagnose(folder, model=folder / "extended.toml", experiment=False)
 
 
-def test_what_the_model_left_open_is_nothing_new(again, tmp_path, capsys):
+def test_open_residual_of_model_is_no_finding(again, tmp_path, capsys):
     assert again.search.after[0] > 5.0
     assert again.verdict == "nothing_missing"
     print_diagnosis(again, tmp_path)
@@ -50,14 +50,14 @@ def test_what_the_model_left_open_is_nothing_new(again, tmp_path, capsys):
     assert "tolerances" not in lead(again)
 
 
-def test_a_stronger_rest_than_the_model_left_is_told(folder):
+def test_residual_above_open_residual_is_reported(folder):
     little = load_extended(folder / "extended.toml")
     section = little.left_open.model_copy(update={"torque": (0.3,)})
     found = diagnose(folder, model=replace(little, left_open=section), experiment=False)
     assert found.verdict != "nothing_missing"
 
 
-def test_little_more_than_the_model_left_is_nothing_new(folder):
+def test_residual_slightly_above_open_residual_is_ignored(folder):
     """Between the ratios from which a remainder is faint and large."""
     model = load_extended(folder / "extended.toml")
     section = model.left_open.model_copy(update={"torque": (OPEN / 1.15,)})
@@ -65,7 +65,7 @@ def test_little_more_than_the_model_left_is_nothing_new(folder):
     assert found.verdict == "nothing_missing"
 
 
-def test_what_is_assumed_is_what_holds(again):
+def test_assumptions_match_noise_and_bands(again):
     said = "\n".join(again.assumptions)
     assert "wide defaults" not in said
     assert not any(each.startswith("nominal.coulomb") for each in again.assumptions)
@@ -75,14 +75,14 @@ def test_what_is_assumed_is_what_holds(again):
     assert "nominal.gear_ratio is not given" in said
 
 
-def test_residuals_before_are_over_the_stated_noise(again):
+def test_initial_residuals_use_stated_noise(again):
     rows = channel_residuals(again, "torque_1")
     ratio = np.sqrt(np.mean((rows.before / rows.noise) ** 2))
     assert ratio == pytest.approx(again.search.before[0])
 
 
 @pytest.mark.parametrize(("more", "taken"), [("", True), (RIPPLE, False)])
-def test_pole_pairs_are_taken_over_unless_waves_stand_in_for_them(folder, tmp_path, more, taken):
+def test_pole_pairs_are_adopted_without_rotor_ripple(folder, tmp_path, more, taken):
     """The set gives them, its model does not."""
     recordings = load_recordings(folder, ["nominal.pole_pairs=4", "nominal.gear_ratio=[100]"])
     path = tmp_path / "extended.toml"
@@ -92,9 +92,7 @@ def test_pole_pairs_are_taken_over_unless_waves_stand_in_for_them(folder, tmp_pa
 
 
 @pytest.mark.parametrize("stated", ["", "\nnoise.torque = [0.1]"])
-def test_what_is_left_open_is_that_of_samples_however_many_are_taken_together(
-    tmp_path, monkeypatch, stated
-):
+def test_open_residual_is_independent_of_decimation(tmp_path, monkeypatch, stated):
     """A long set is compared by means of a few samples, a further one may be too short for that."""
     source = with_waves(tmp_path, step=0.002)
     text = (source / "recordings.toml").read_text().replace('"swivel"\n', f'"swivel"{stated}\n', 1)

@@ -32,7 +32,7 @@ def with_payload(mass):
     return Extension(effects=(EstimatedEffect(located=located, amplitudes=amplitudes),))
 
 
-def test_what_swings_is_not_taken_about_them(columns):
+def test_vibration_is_not_linearised_about_indefinite_masses(columns):
     possible = columns.about(with_payload(1.0))
     assert possible is not columns
     assert possible.unknown.shape[1] > 0
@@ -42,7 +42,7 @@ def test_what_swings_is_not_taken_about_them(columns):
 
 
 @pytest.mark.filterwarnings("ignore:.*encountered in:RuntimeWarning")
-def test_no_run_begins_in_a_swing_of_them(columns):
+def test_initial_vibration_excludes_indefinite_masses(columns):
     own = (columns.robot, columns.nominal_runs, columns.noise, columns.tolerance, columns.start)
     run = Columns(*own, with_payload(-5.0)).runs[0]
     frequencies, _ = run.swing.response.modes(0)
@@ -52,7 +52,7 @@ def test_no_run_begins_in_a_swing_of_them(columns):
     assert torque.shape[2] == deflection.shape[2] == 0
 
 
-def test_masses_that_cannot_be_are_seen_wherever_they_are(columns):
+def test_indefinite_masses_are_detected_at_every_link(columns):
     swing = columns.nominal_runs[0].swing
     assert swing.possible
     mobility = swing.response.mobility.copy()

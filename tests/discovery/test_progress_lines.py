@@ -9,7 +9,7 @@ import pytest
 from stiffopt.discovery.progress import repeat_progress
 
 
-def test_a_long_step_says_so_again() -> None:
+def test_long_step_repeats_line() -> None:
     said: list[str] = []
     with repeat_progress(said.append, quiet=0.05) as say:
         time.sleep(0.2)  # nothing was said yet
@@ -24,7 +24,7 @@ def test_a_long_step_says_so_again() -> None:
     assert len(said) == after
 
 
-def test_short_steps_say_nothing_twice() -> None:
+def test_short_steps_do_not_repeat() -> None:
     said: list[str] = []
     with repeat_progress(said.append, quiet=5.0) as say:
         say("first")
@@ -32,7 +32,7 @@ def test_short_steps_say_nothing_twice() -> None:
     assert said == ["first", "second"]
 
 
-def test_a_display_that_fails_ends_nothing() -> None:
+def test_failing_display_is_ignored() -> None:
     """Ctrl-C and errors of a display are for the step that speaks, not for the thread beside."""
 
     def fail(sentence: str) -> None:
@@ -47,6 +47,6 @@ def test_a_display_that_fails_ends_nothing() -> None:
         say("still")
 
 
-def test_nobody_listens() -> None:
+def test_progress_without_callback() -> None:
     with repeat_progress(None) as say:
         say("first")

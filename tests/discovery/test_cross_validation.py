@@ -27,7 +27,7 @@ from stiffopt.discovery.training import prepare_training
 from stiffopt.recording.recording_set import load_recordings
 
 
-def test_what_is_there_stays_and_what_is_not_goes() -> None:
+def test_present_effect_is_kept_and_absent_dropped() -> None:
     """More dry friction in joint 2 is in every run, load friction of joint 1 in none."""
     comparison = prepare_training(load_recordings(SHIPPED), Settings()).comparison()
     there = LocatedEffect(effect=effect("coulomb"), joint=1)
@@ -44,7 +44,7 @@ def test_what_is_there_stays_and_what_is_not_goes() -> None:
         ([0.2, 0.2, 0.2], False),  # next to nothing
     ],
 )
-def test_a_finding_helps_in_most_parts(falls: list[float], borne: bool) -> None:
+def test_finding_must_help_in_most_folds(falls: list[float], borne: bool) -> None:
     """By the squares that it takes away in parts that no fit saw."""
     without = np.full((3, 1), 100.0)
     excess = _excess_share(without - np.array(falls)[:, None], without)
@@ -54,7 +54,7 @@ def test_a_finding_helps_in_most_parts(falls: list[float], borne: bool) -> None:
 
 
 @pytest.mark.parametrize("changed", [False, True])
-def test_what_acts_nowhere_is_not_borne_out(changed: bool) -> None:
+def test_effect_without_action_is_dropped(changed: bool) -> None:
     """Columns that are zero everywhere act in no part, however the squares fall."""
     acted = np.zeros(3, dtype=bool)
     without = np.full((3, 1), 100.0)
@@ -70,7 +70,7 @@ def test_what_acts_nowhere_is_not_borne_out(changed: bool) -> None:
         ([99.0, 0.1, 0.1, 0.1, -0.1, 0.1], False),  # one part alone
     ],
 )
-def test_a_change_stands_out_of_what_a_model_left_open(falls: list[float], change: bool) -> None:
+def test_change_must_exceed_open_residual(falls: list[float], change: bool) -> None:
     without = np.full((6, 1), 100.0)
     excess = _excess_share(without - np.array(falls)[:, None], without, changed=True)
     assert (excess >= 0.0) == change
@@ -87,9 +87,7 @@ def test_a_change_stands_out_of_what_a_model_left_open(falls: list[float], chang
         (0.1, -1.0, True),
     ],
 )
-def test_a_claim_is_repeated_where_both_halves_say_it(
-    moved: float, second: float, again: bool
-) -> None:
+def test_effect_repeats_if_both_halves_agree(moved: float, second: float, again: bool) -> None:
     """Torque of a joint that goes to and fro, more, as much or less in the second half."""
     time = np.linspace(0.0, 1.0, 400, endpoint=False)
     side = np.sign(np.sin(40.0 * time)) * np.where(time < 0.5, 1.0, moved)
@@ -108,7 +106,7 @@ def test_a_claim_is_repeated_where_both_halves_say_it(
     assert repeats_in_halves(comparison, [located]) == (again,)
 
 
-def test_two_that_only_balance_each_other_are_none() -> None:
+def test_cancelling_effects_are_dropped() -> None:
     """Nine times as much as there is to explain, less nearly as much again: neither is there."""
     time = np.linspace(0.0, 1.0, 200)
     shapes = {"viscous": time, "coulomb": 1.0 + 0.0 * time, "torque_offset": 1.0 + 0.01 * time}
@@ -129,7 +127,7 @@ def test_two_that_only_balance_each_other_are_none() -> None:
     assert len(kept) == 2  # alone, the other adds no more than there is
 
 
-def test_what_every_joint_has_comes_back() -> None:
+def test_unstated_friction_is_restored() -> None:
     """Dry friction that was lost on the way is found again where it is, and only there."""
     comparison = prepare_training(load_recordings(SHIPPED), Settings()).comparison()
     lost = [LocatedEffect(effect=effect("coulomb"), joint=j) for j in range(2)]
@@ -137,7 +135,7 @@ def test_what_every_joint_has_comes_back() -> None:
     assert [r.selected.located for r in ranked] == lost[1:]
 
 
-def test_friction_is_taken_from_all_moving_samples() -> None:
+def test_friction_is_refitted_to_moving_samples() -> None:
     """A level that is off comes back to what the runs bear out, and is no surer for it."""
     training = prepare_training(load_recordings(SHIPPED), Settings())
     constants = training.constants
@@ -159,7 +157,7 @@ def test_friction_is_taken_from_all_moving_samples() -> None:
     assert sd > 0.4 * size > exact
 
 
-def test_friction_that_all_moving_samples_contradict_goes() -> None:
+def test_friction_contradicted_by_moving_samples_is_dropped() -> None:
     """What is there stays as it was estimated; of a joint that has none nothing is claimed."""
     training = prepare_training(load_recordings(SHIPPED), Settings())
     comparison = training.comparison()
@@ -175,7 +173,7 @@ def test_friction_that_all_moving_samples_contradict_goes() -> None:
     assert parameters.effects[0].amplitudes == known[0].amplitudes
 
 
-def test_an_offset_of_a_link_encoder_is_joints_without_torque_by_torques() -> None:
+def test_link_encoder_offset_is_not_refitted() -> None:
     """It changes none of them, and goes by nothing that they say."""
     training = prepare_training(load_recordings(SHIPPED), Settings())
     comparison = training.comparison()
@@ -186,7 +184,7 @@ def test_an_offset_of_a_link_encoder_is_joints_without_torque_by_torques() -> No
     assert [each.located for each in kept] == [offset, there]
 
 
-def test_what_is_sure_together_may_be_nothing_apart(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_collinear_amplitudes_are_insignificant_apart(monkeypatch: pytest.MonkeyPatch) -> None:
     """Two columns that are nearly alike share what one of them alone would be sure of."""
     draw = np.random.default_rng(1)
     count = 800

@@ -69,7 +69,11 @@ def unvouched(folder):
 @pytest.mark.parametrize(
     ("stage", "told", "left_out"),
     [
-        ("build_left_open", "what is left open", "what is left open was not asked for suspects"),
+        (
+            "build_left_open",
+            "search the open residual for suspects",
+            "was not searched for suspects",
+        ),
         (
             "add_band_deviation",
             "ask half the band for the parameters",
@@ -77,7 +81,7 @@ def unvouched(folder):
         ),
     ],
 )
-def test_in_the_last_stages_the_findings_stay(tmp_path, monkeypatch, stage, told, left_out):
+def test_ctrl_c_in_last_stages_keeps_findings(tmp_path, monkeypatch, stage, told, left_out):
     source, said = unvouched(tmp_path), []
     interrupted(monkeypatch, diagnosing, stage, 1)
     found = diagnosing.diagnose(source, experiment=False, progress=said.append)
@@ -92,25 +96,23 @@ def test_in_the_last_stages_the_findings_stay(tmp_path, monkeypatch, stage, told
 @pytest.mark.parametrize(
     ("module", "stage", "left_out"),
     [
-        (searching, "reidentify_rigid_model", "more may be missing than that"),
-        (searching, "select_supported", "was not weighed against what could stand in its place"),
-        (rivals, "rank_rivals", "was not weighed against"),
-        (diagnosing, "assess_findings", "when the search was over"),
+        (searching, "reidentify_rigid_model", "more effects may be missing"),
+        (searching, "select_supported", "not compared with their rivals"),
+        (rivals, "rank_rivals", "not compared with their rivals"),
+        (diagnosing, "assess_findings", "after the search"),
         (diagnosing, "refit_friction", "without samples near standstill"),
-        (conclusions, "held_out_shares", "when the search was over"),
-        (diagnosing, "detection_limits", "what would have been seen of other effects"),
+        (conclusions, "held_out_shares", "after the search"),
+        (diagnosing, "detection_limits", "detection limits"),
     ],
 )
-def test_anywhere_behind_a_first_fit_the_findings_stay(
-    tmp_path, monkeypatch, module, stage, left_out
-):
+def test_ctrl_c_after_first_fit_keeps_findings(tmp_path, monkeypatch, module, stage, left_out):
     interrupted(monkeypatch, module, stage, 1)
     found = diagnosing.diagnose(unvouched(tmp_path), experiment=False)
     assert found.stopped
     assert any(left_out in each for each in found.assumptions)
     in_search = module in (searching, rivals)
     if not in_search:
-        assert not any("more may be missing" in each for each in found.assumptions)
+        assert not any("more effects may be missing" in each for each in found.assumptions)
     by_name = {finding.effect.name: finding for finding in found.findings}
     assert {"coulomb", "viscous"} <= set(by_name)
     if in_search:
@@ -118,7 +120,7 @@ def test_anywhere_behind_a_first_fit_the_findings_stay(
     assert by_name["coulomb"].parameters[0].value == pytest.approx(5.0, abs=0.5)
 
 
-def test_a_second_search_that_is_stopped_leaves_the_first_answer(tmp_path, monkeypatch):
+def test_ctrl_c_in_second_search_keeps_first_result(tmp_path, monkeypatch):
     """Without what touched the arm all is sought anew: what a stop leaves of that is no answer."""
     plain, answers = searches._search_once, []
 
@@ -143,7 +145,7 @@ def test_a_second_search_that_is_stopped_leaves_the_first_answer(tmp_path, monke
     assert not found.episodes
 
 
-def test_wherever_ctrl_c_comes_a_run_was_opened_as_a_whole(monkeypatch):
+def test_ctrl_c_keeps_predicted_runs_consistent(monkeypatch):
     """At every line of the loop over runs left out."""
     names = ("a.npz", "b.npz")
     stands_for = SimpleNamespace
@@ -207,7 +209,7 @@ def interrupted_at(line, function):
         (held_out.BlackBox, "found"),
     ],
 )
-def test_behind_the_last_prediction_nothing_is_lost_any_more(tmp_path, monkeypatch, module, stage):
+def test_ctrl_c_after_last_prediction_keeps_all(tmp_path, monkeypatch, module, stage):
     interrupted(monkeypatch, module, stage, 1)
     found = diagnosing.diagnose(unvouched(tmp_path), experiment=False)
     assert not found.stopped
@@ -216,7 +218,7 @@ def test_behind_the_last_prediction_nothing_is_lost_any_more(tmp_path, monkeypat
     assert found.noise_ceiling is not None
 
 
-def test_what_can_be_left_out_is_once_the_user_has_stopped(tmp_path, monkeypatch):
+def test_ctrl_c_skips_optional_steps(tmp_path, monkeypatch):
     """What proves the findings is not, and another Ctrl-C throws none of them away."""
     plain, calls, said = diagnosing.assess_findings, [], []
 
@@ -239,31 +241,31 @@ def test_what_can_be_left_out_is_once_the_user_has_stopped(tmp_path, monkeypatch
     assert len(calls) == 2
     assert {"coulomb", "viscous"} <= {finding.effect.name for finding in found.findings}
     assert [proof.run.name for proof in found.held_out] == ["c"]
-    assert any("Ctrl-C again leaves that out" in line for line in said)
+    assert any("Ctrl-C again skips that" in line for line in said)
     told = " ".join(found.assumptions)
     for left_out in (
-        "when the search was over",
+        "after the search",
         "without samples near standstill",
-        "what half the band says",
-        "would have been seen of other effects",
-        "no black box",
-        "not asked for suspects",
+        "in half the band",
+        "detection limits",
+        "no noise ceiling",
+        "not searched for suspects",
     ):
         assert left_out in told
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
-def test_ctrl_c_in_the_black_box_leaves_the_proof(tmp_path, monkeypatch):
+def test_ctrl_c_in_noise_ceiling_keeps_proof(tmp_path, monkeypatch):
     interrupted(monkeypatch, held_out, "BlackBox", 1)
     found = diagnosing.diagnose(unvouched(tmp_path), experiment=False)
-    assert "no black box was fitted" in found.assumptions[0]
+    assert "no noise ceiling was fitted" in found.assumptions[0]
     assert [proof.run.name for proof in found.held_out] == ["c"]
     assert found.noise_ceiling is None
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("later", [{"stopped": True}, {"hurried": True}])
-def test_a_search_that_was_stopped_is_told_where_another_answer_is_better(monkeypatch, later):
+def test_stopped_search_is_reported_beside_better_result(monkeypatch, later):
     """Where links swing otherwise than the model's: three searches, of which one is the answer."""
     plain, answers = searches._search_once, []
 
@@ -283,12 +285,14 @@ def test_a_search_that_was_stopped_is_told_where_another_answer_is_better(monkey
     assert len(answers) == 2
     assert found.stopped
     assert found.search.after is answers[0].after
-    assert any("more may be missing" in each for each in found.assumptions) == ("stopped" in later)
+    assert any("more effects may be missing" in each for each in found.assumptions) == (
+        "stopped" in later
+    )
     assert "Stopped by the user: no experiment was designed." in found.assumptions
 
 
 @pytest.mark.slow
-def test_nobody_looked_for_bursts(monkeypatch):
+def test_ctrl_c_in_burst_search_is_reported(monkeypatch):
     """Where nothing is missing the last look is the one that is stopped."""
     interrupted(monkeypatch, diagnosing, "find_bursts", 1)
     found = diagnosing.diagnose(written(replace(COULOMB, effects=())), experiment=False)
@@ -298,7 +302,7 @@ def test_nobody_looked_for_bursts(monkeypatch):
 
 
 @pytest.mark.slow
-def test_at_every_line_of_progress(tmp_path):
+def test_ctrl_c_at_every_progress_line(tmp_path):
     """From the first fit on, wherever Ctrl-C comes."""
     source, every = unvouched(tmp_path), []
     diagnosing.diagnose(source, experiment=False, progress=every.append)
@@ -318,17 +322,17 @@ def test_at_every_line_of_progress(tmp_path):
 
 
 @pytest.mark.slow
-def test_in_the_search_after_a_finding(tmp_path, monkeypatch, capsys):
+def test_ctrl_c_after_a_finding_keeps_it(tmp_path, monkeypatch, capsys):
     interrupted(monkeypatch, searching, "scan", 2)
     code, document = answered(tmp_path)
     assert code == 130
     assert document["stopped"]
-    assert document["assumptions"][0].startswith("Stopped by the user: what was found until then")
+    assert document["assumptions"][0].startswith("Stopped by the user: only findings")
     assert [finding["effect"] for finding in document["findings"]] == ["coulomb"]
     assert "Assumed: Stopped by the user" in capsys.readouterr().out
 
 
-def test_before_any_finding_nothing_is_claimed(tmp_path, monkeypatch, capsys):
+def test_ctrl_c_before_any_finding_has_no_result(tmp_path, monkeypatch, capsys):
     interrupted(monkeypatch, searching, "scan", 1)
     assert answered(tmp_path) == (130, None)
     assert "interrupted; nothing was written" in capsys.readouterr().err
@@ -336,7 +340,7 @@ def test_before_any_finding_nothing_is_claimed(tmp_path, monkeypatch, capsys):
 
 
 @pytest.mark.slow
-def test_while_held_out_runs_are_predicted(tmp_path, monkeypatch):
+def test_ctrl_c_during_prediction(tmp_path, monkeypatch):
     interrupted(monkeypatch, held_out, "Predictor", 1)
     code, document = answered(tmp_path)
     assert code == 130

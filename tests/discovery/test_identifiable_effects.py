@@ -33,7 +33,7 @@ ROBOT = RobotConstants(
 
 
 @pytest.mark.parametrize(("share", "possible"), [(0.3, False), (0.45, False), (0.5, True)])
-def test_a_drive_gives_no_more_than_its_limit(share: float, possible: bool) -> None:
+def test_saturation_respects_torque_limit(share: float, possible: bool) -> None:
     """Of 60 N m measured and 120 N m at most, a limit below half was passed and is none."""
     limit = LocatedEffect(effect=effect("saturation"), joint=0, shapes=(share,))
     assert limit.possible(ROBOT) == possible
@@ -42,7 +42,7 @@ def test_a_drive_gives_no_more_than_its_limit(share: float, possible: bool) -> N
 @pytest.mark.parametrize(
     ("place", "width", "possible"), [(0.5, 0.3, True), (4.0, 0.3, False), (0.0, 1.5, False)]
 )
-def test_a_tight_place_is_a_place_of_the_stroke(place: float, width: float, possible: bool) -> None:
+def test_position_friction_lies_within_stroke(place: float, width: float, possible: bool) -> None:
     """Of a stroke of 2 rad: one beyond it is never met, one as wide is Coulomb friction."""
     joint = replace(JOINT, stroke=(-1.0, 1.0))
     bump = LocatedEffect(effect=effect("position_friction"), joint=0, shapes=(place, width))
@@ -52,19 +52,19 @@ def test_a_tight_place_is_a_place_of_the_stroke(place: float, width: float, poss
 @pytest.mark.parametrize(
     ("name", "least"), [("coulomb", -4.0), ("viscous", 0.0), ("rotor_inertia", 0.0)]
 )
-def test_nothing_falls_below_none(name: str, least: float) -> None:
+def test_friction_loss_is_at_most_nominal(name: str, least: float) -> None:
     """A change takes away at most what the nominal model has; of nothing it takes nothing."""
     located = LocatedEffect(effect=effect(name), joint=0)
     assert located.bounds(ROBOT)[0, 0] * located.sizes(ROBOT)[0] == pytest.approx(least)
 
 
-def test_no_torque_is_recorded_before_it_is_given() -> None:
+def test_torque_delay_is_not_negative() -> None:
     """A delay has one sign."""
     delay = LocatedEffect(effect=effect("time_delay"))
     assert delay.bounds(ROBOT)[0, 0] == 0.0
 
 
-def test_an_effect_is_sought_only_where_it_can_be_told() -> None:
+def test_effect_is_searched_only_where_identifiable() -> None:
     """What `recording check` says cannot be told of a joint is not tried there."""
     entry = effect("coulomb")
     checks = [
@@ -76,7 +76,7 @@ def test_an_effect_is_sought_only_where_it_can_be_told() -> None:
     assert [told.applies(joint) for joint in ROBOT.joints] == [False, True]
 
 
-def test_a_block_too_short_for_any_period_has_none() -> None:
+def test_short_block_has_no_period() -> None:
     """Three rows a block resolve no wave; that is an answer, not an error."""
     block = np.repeat([0, 1], 3)
     time = np.array([0.0, 0.1, 0.2, 1.0, 1.1, 1.2])

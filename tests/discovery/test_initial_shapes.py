@@ -16,7 +16,7 @@ from stiffopt.discovery.training import prepare_training
 from stiffopt.recording.recording_set import load_recordings
 
 
-def test_an_effect_that_cannot_be_as_it_is_shaped_is_shaped_anew(
+def test_impossible_shapes_are_fitted_from_initial_ones(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     comparison = prepare_training(load_recordings(SHIPPED), Settings()).comparison()

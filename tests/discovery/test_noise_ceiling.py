@@ -44,7 +44,7 @@ def _rod(found: Extension) -> NoiseCeiling:
     return rod
 
 
-def test_a_smooth_function_is_found_in_stretches_left_out() -> None:
+def test_smooth_function_predicts_stretches_left_out() -> None:
     """A sine of one of three signals is; noise of none is not."""
     draw = np.random.default_rng(3)
     signals, stretch = draw.normal(size=(600, 3)), np.arange(600) // 100
@@ -58,7 +58,7 @@ def test_a_smooth_function_is_found_in_stretches_left_out() -> None:
     assert nothing is None or nothing.taken < 0.05
 
 
-def test_the_rod_is_longer_than_what_lacks_and_tells_what_it_goes_with() -> None:
+def test_noise_ceiling_exceeds_missing_effect_and_names_signal() -> None:
     """Without the missing friction much is left, and it goes with the speed of joint 2."""
     lacking, whole = _rod(Extension()), _rod(LACKS)
     assert lacking.explained < 0.1
@@ -73,7 +73,7 @@ def test_the_rod_is_longer_than_what_lacks_and_tells_what_it_goes_with() -> None
 @pytest.mark.parametrize(
     ("kind", "value"), [("constant", 2.0), ("dry friction", 1.5), ("viscous friction", 3.0)]
 )
-def test_a_value_that_one_run_has_of_its_own_is_said(kind: str, value: float) -> None:
+def test_offset_of_one_run_is_reported(kind: str, value: float) -> None:
     """And of a run that has none nothing is said."""
     training, run = _training(), _left_out()
     predictor = Predictor(training.robot, run, training.constants, training.settings)
@@ -111,7 +111,9 @@ ALONG = {"constant": np.ones_like, "dry friction": np.sign, "viscous friction": 
         ("dry friction", "dry friction", (0.0, 0.0)),
     ],
 )
-def test_drift_stands_for_what_it_is_of(shift: str, kind: str, drift: tuple[float, float]) -> None:
+def test_known_friction_drift_replaces_collinear_friction(
+    shift: str, kind: str, drift: tuple[float, float]
+) -> None:
     """A shift of another kind is told as what it is, and without a spread there is no drift."""
     known = Drift(joint=0, dry=drift[0], viscous=drift[1])
     found = _shifted(lambda speed: 2.0 * ALONG[shift](speed), known)
@@ -121,7 +123,7 @@ def test_drift_stands_for_what_it_is_of(shift: str, kind: str, drift: tuple[floa
     assert said.value == pytest.approx(2.0 / spread, rel=0.2)
 
 
-def test_friction_is_told_in_both_directions_alone() -> None:
+def test_friction_deviation_needs_both_directions() -> None:
     """In one direction a drift is no other than an offset."""
     known = Drift(joint=0, dry=0.5, viscous=0.0)
     (said,) = _shifted(np.ones_like, known, lambda speed: speed > 0.0)
@@ -157,7 +159,7 @@ def _answer(
     )
 
 
-def test_what_the_box_does_not_find_is_no_contradiction() -> None:
+def test_residual_unknown_to_black_box_is_reported_consistently() -> None:
     """All that is explainable, beside something that follows the load within the training runs."""
     rod = NoiseCeiling(explained=1.0, channels={"torque_1": (2.0, 2.0)}, depends=())
     left = Unexplained(
@@ -173,7 +175,7 @@ def test_what_the_box_does_not_find_is_no_contradiction() -> None:
     assert "carry over" not in rod_sentence(_answer(replace(rod, explained=0.6)))
 
 
-def test_a_channel_without_any_mismatch_has_no_share() -> None:
+def test_channel_without_mismatch_has_no_share() -> None:
     box = object.__new__(BlackBox)
     box._boxes = [None, None]
     box._squares = np.array([[0.0, 0.0, 0.0, 50.0], [4.0, np.nan, 1.0, 50.0]])
@@ -186,6 +188,6 @@ def test_a_channel_without_any_mismatch_has_no_share() -> None:
     assert "nothing of what is explainable" in rod_sentence(_answer(found))
 
 
-def test_a_model_that_does_harm_has_explained_nothing() -> None:
+def test_harmful_model_explains_nothing() -> None:
     found = NoiseCeiling(explained=-0.4, channels={"torque_1": (2.0, 1.0)}, depends=())
     assert "Explained: nothing of" in rod_sentence(_answer(found))

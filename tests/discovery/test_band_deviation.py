@@ -17,7 +17,7 @@ from stiffopt.recording.recording_set import load_recordings
 
 
 @pytest.mark.parametrize(("wrong", "least", "most"), [(0.0, 0.4, 0.55), (1.0, 0.9, 1.0)])
-def test_means_of_all_and_of_half_differ_by_chance(wrong: float, least: float, most: float) -> None:
+def test_difference_of_nested_means_is_chance(wrong: float, least: float, most: float) -> None:
     """The same law in both: of their difference half is taken for chance; another one: little."""
     draw = np.random.default_rng(3)
     samples = draw.normal(size=(4000, 40))
@@ -28,7 +28,7 @@ def test_means_of_all_and_of_half_differ_by_chance(wrong: float, least: float, m
 
 
 @pytest.mark.parametrize("after_model", [False, True])
-def test_a_law_that_holds_is_hardly_doubted(
+def test_correct_law_has_small_band_deviation(
     after_model: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Dry friction is the same in every band; chance counts where a model was started from."""

@@ -31,7 +31,7 @@ from stiffopt.recording.recording_set import load_recordings
         (True, 1.5, False),  # less than its deviation
     ],
 )
-def test_a_deviation_as_large_as_its_value_takes_it(
+def test_finding_within_its_deviation_is_dropped(
     every_joint_has_it: bool, doubt: float, stays: bool
 ) -> None:
     """Whatever makes it so large: half the band, other runs, what a model left open."""
@@ -54,7 +54,7 @@ def test_a_deviation_as_large_as_its_value_takes_it(
 @pytest.mark.parametrize(
     ("nominal", "share", "stays"), [("", 0.0, 0), ("", 0.1, 1), ("coulomb", 0.0, 1)]
 )
-def test_what_explains_nothing_is_none(nominal: str, share: float, stays: int) -> None:
+def test_finding_without_explained_share_is_dropped(nominal: str, share: float, stays: int) -> None:
     """However sure its value is."""
     comparison = prepare_training(load_recordings(SHIPPED), Settings()).comparison()
     friction = replace(effect("coulomb"), nominal=nominal)
@@ -67,7 +67,7 @@ def test_what_explains_nothing_is_none(nominal: str, share: float, stays: int) -
     assert len(kept) == stays
 
 
-def test_a_place_that_is_passed_once_is_no_finding(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_position_effect_passed_once_is_dropped(monkeypatch: pytest.MonkeyPatch) -> None:
     """Its shapes were fitted to that moment, and no other part could contradict them."""
     place = LocatedEffect(effect=effect("position_friction"), joint=0, shapes=(0.5, 0.1))
     parts = np.repeat(np.arange(6), 50)

@@ -33,14 +33,14 @@ def section() -> LeftOpenSection:
     )
 
 
-def test_what_is_left_comes_back_as_factors_of_at_least_one():
+def test_noise_factors_are_at_least_one():
     np.testing.assert_allclose(section().torque, [0.5, 0.1])
     np.testing.assert_allclose(section().link_position, [0.0, 3e-5])
     np.testing.assert_allclose(noise_factors(section(), NOISE), [5.0, 1.0, np.nan, 3.0])
     assert noise_factors(None, NOISE) is None
 
 
-def test_what_is_left_in_the_band_is_noise_of_more_at_a_faster_clock():
+def test_open_residual_is_larger_noise_at_higher_rate():
     own = section()
     # A file that tells no clock is of the one that it is compared at.
     known = rescale_to_rate(own, 100.0)
@@ -54,7 +54,7 @@ def test_what_is_left_in_the_band_is_noise_of_more_at_a_faster_clock():
     np.testing.assert_allclose(gains[0] * own.torque[0], gains[1] * faster.torque[0], rtol=0.01)
 
 
-def test_bands_of_the_model_are_taken_unless_others_are_asked_for():
+def test_bands_of_model_are_adopted_unless_stated():
     assert adopt_bands(Settings(), section()) == CHOSEN
     assert adopt_bands(Settings(cutoff=5.0), section()).cutoff == 5.0
     # Where links swing no bands are chosen, and none are taken over.
@@ -62,7 +62,7 @@ def test_bands_of_the_model_are_taken_unless_others_are_asked_for():
     assert adopt_bands(Settings(), unchosen) == Settings()
 
 
-def test_the_section_is_read_as_it_is_written():
+def test_left_open_section_round_trip():
     again = validate(LeftOpenSection, section().model_dump(exclude_none=True), Path("x"))
     assert again == section()
 
@@ -76,7 +76,7 @@ def test_the_section_is_read_as_it_is_written():
         (EffectSection, {"step": -1e300}),
     ],
 )
-def test_bands_and_steps_that_cannot_be_are_refused(kind, entry):
+def test_invalid_bands_and_steps_are_refused(kind, entry):
     sound = {
         LeftOpenSection: section().model_dump(exclude_none=True),
         EffectSection: {"name": "coulomb", "joint": 1, "step": -2.5, "term": {"dFc": 0.1}},
@@ -86,7 +86,7 @@ def test_bands_and_steps_that_cannot_be_are_refused(kind, entry):
         validate(kind, sound | entry, Path("x"))
 
 
-def test_a_step_to_all_moving_samples_is_taken_back_for_the_fit():
+def test_refit_step_is_removed_for_the_fit():
     effect = next(each for each in CATALOGUE if each.name == "coulomb")
     found = EstimatedEffect(
         located=LocatedEffect(effect=effect, joint=0), amplitudes=(13.0,), step=-2.5
@@ -97,7 +97,7 @@ def test_a_step_to_all_moving_samples_is_taken_back_for_the_fit():
 
 
 @pytest.mark.parametrize("name", ["payload", "inertial_error"])
-def test_bodies_change_by_more_than_what_nobody_has_weighed_is_off(name):
+def test_changes_of_bodies_have_wider_amplitudes(name):
     class Arm:
         masses = np.array([10.0, 5.0])
 
@@ -111,7 +111,7 @@ def test_bodies_change_by_more_than_what_nobody_has_weighed_is_off(name):
 
 
 @pytest.mark.parametrize("name", ["torque_offset", "torque_ripple", "rotor_ripple"])
-def test_what_a_drive_reads_wrongly_since_is_more_than_it_is_off_as_it_was_built(name):
+def test_changes_of_torque_gain_have_wider_amplitudes(name):
     """Eight times what a model left of a UR10's joint 4 is 23 % of what that is rated for."""
 
     class Joint:

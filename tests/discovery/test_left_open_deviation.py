@@ -33,7 +33,7 @@ def _leaning(training: Training, known: float) -> float:
     return build_left_open(training, model, (COULOMB,)).leanings.get(THERE.label, (0.0,))[0]
 
 
-def test_too_little_and_too_much_are_known_by_their_size(training: Training) -> None:
+def test_leanings_of_either_sign_have_their_size(training: Training) -> None:
     """Beyond the bounds of what could be found, too: no friction drives a joint."""
     lacking = _leaning(training, 0.0)
     assert lacking > 0.3
@@ -41,7 +41,7 @@ def test_too_little_and_too_much_are_known_by_their_size(training: Training) -> 
     assert abs(_leaning(training, lacking)) < 0.02 * lacking
 
 
-def test_it_counts_as_one_deviation_more(training: Training) -> None:
+def test_leaning_adds_one_deviation(training: Training) -> None:
     comparison = training.comparison()
     found = estimate_parameters(comparison.about(comparison.fit([THERE])), [THERE])
     (value, sd) = found.parameters(0, comparison.constants.joints[1])["dFc"]

@@ -57,7 +57,7 @@ def unknown_torque(logs: list[Log]) -> None:
 
 
 @pytest.mark.parametrize("machine", [SCARA, GANTRY], ids=lambda machine: machine.name)
-def test_sound_logs_are_not_doubted(machine, tmp_path: Path) -> None:
+def test_valid_recordings_are_not_doubted(machine, tmp_path: Path) -> None:
     assert doubted(machine.write(tmp_path / "set")) == ()
 
 
@@ -65,14 +65,14 @@ def test_sound_logs_are_not_doubted(machine, tmp_path: Path) -> None:
     ("joints", "line"),
     [((0, 1, 2), 'position = "mm"'), ((2,), "position = [1.0, 1.0, 0.001]")],
 )
-def test_slides_in_millimetres_are_named(joints, line, tmp_path: Path) -> None:
+def test_prismatic_joint_in_millimetres_is_doubted(joints, line, tmp_path: Path) -> None:
     first = doubted(GANTRY.write(tmp_path / "set", millimetres(*joints)))[0]
     assert (first.kind, first.joints) == ("position unit", tuple(j + 1 for j in joints))
     assert "look like mm" in first.evidence
     assert first.line.startswith(line)
 
 
-def test_exchanged_axes_of_a_gantry_are_no_current(tmp_path: Path) -> None:
+def test_exchanged_gantry_axes_are_no_currents(tmp_path: Path) -> None:
     assert doubted(GANTRY.write(tmp_path / "set", exchanged))[0].kind == "joint order"
 
 
@@ -83,7 +83,7 @@ def test_exchanged_axes_of_a_gantry_are_no_current(tmp_path: Path) -> None:
         ((1,), "", "Of run_2 alone, not of all runs: The velocity is not"),
     ],
 )
-def test_a_clock_of_another_rate_is_named(runs, line, words, tmp_path: Path) -> None:
+def test_wrong_clock_is_doubted(runs, line, words, tmp_path: Path) -> None:
     found = doubted(SCARA.write(tmp_path / "set", slower_clock(*runs)))
     (velocity,) = (each for each in found if each.kind == "velocity")
     assert velocity.evidence.startswith(words)
@@ -92,7 +92,7 @@ def test_a_clock_of_another_rate_is_named(runs, line, words, tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize("change", [with_a_gap, unknown_torque])
-def test_a_gap_is_no_other_arm(change, tmp_path: Path) -> None:
+def test_gap_is_no_odd_run(change, tmp_path: Path) -> None:
     assert doubted(SCARA.write(tmp_path / "set", change)) == ()
 
 
@@ -102,7 +102,7 @@ def test_a_run_is_not_odd_where_the_model_fails_in_all_runs() -> None:
     assert not _is_odd(far, np.array([200.0])).any()
 
 
-def test_a_torque_that_is_never_seen_is_not_called_explained(tmp_path: Path) -> None:
+def test_missing_torque_is_not_explained(tmp_path: Path) -> None:
     diagnosis = diagnose(SCARA.write(tmp_path / "set", constant_torque), experiment=False)
     assert diagnosis.verdict == "nothing_missing"
     (sentence,) = joints_without_torque(diagnosis)
@@ -119,7 +119,7 @@ def test_a_run_without_a_position_is_left_out_by_name_and_reason(tmp_path: Path)
     assert any("position of joint 2 of run_2" in line for line in fault_lines(diagnosis))
 
 
-def test_the_run_with_another_payload_is_named(tmp_path: Path) -> None:
+def test_run_with_another_payload_is_doubted(tmp_path: Path) -> None:
     diagnosis = diagnose(SCARA.write(tmp_path / "set", payload=(1, 0.6)), experiment=False)
     assert diagnosis.verdict == "outside_catalogue"
     assert not diagnosis.findings

@@ -38,7 +38,7 @@ def candidate(name: str, evidence: float) -> Candidate:
         (FOUND | {"k1_softening": 219.0}, ["preload_loss"]),
     ],
 )
-def test_laws_that_fit_alike_are_told(
+def test_collinear_laws_are_listed(
     evidence: dict[str, float], told: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     every = [candidate(*pair) for pair in evidence.items()]

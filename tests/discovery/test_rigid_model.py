@@ -40,7 +40,7 @@ def _balanced(training: Training) -> Comparison:
     return replace(training, runs=tuple(map(held, training.runs))).comparison()
 
 
-def test_a_body_that_must_go_far_takes_no_other_along(training: Training) -> None:
+def test_one_wrong_body_does_not_free_others(training: Training) -> None:
     """The link that the cylinder holds takes its torque up; the other stays where it is known."""
     comparison = _balanced(training)
     stage = reidentify_rigid_model(comparison, [THERE], ())
@@ -53,7 +53,7 @@ def test_a_body_that_must_go_far_takes_no_other_along(training: Training) -> Non
     assert _moved(comparison, free) < 0.2 * _moved(comparison, together)
 
 
-def test_a_body_as_nothing_is_made_is_told_beside_a_counterbalance(training: Training) -> None:
+def test_unphysical_body_is_compared_with_counterbalance(training: Training) -> None:
     """The law of a lever predicts parts left out better than any mass; nothing has moved else."""
     balancer = (effect("gravity_spring"),)
     (found,) = reidentify_rigid_model(_balanced(training), [THERE], balancer).counterweights

@@ -61,19 +61,19 @@ def columns_changed(
 
 
 @pytest.mark.parametrize(("robot", "seed"), [("planar2", 101), ("planar2", 102), ("small3", 103)])
-def test_robot_within_its_tolerances_lacks_nothing(robot: str, seed: int) -> None:
+def test_robot_within_tolerance_has_no_findings(robot: str, seed: int) -> None:
     diagnosis = diagnosed(small(seed=seed, robot=robot))
     assert diagnosis.verdict == "nothing_missing", said(diagnosis)
 
 
 @pytest.mark.parametrize("stated", [0.5, 2.0])
-def test_noise_stated_wrongly_by_a_factor_of_two_is_no_physics(stated: float) -> None:
+def test_wrong_noise_has_no_findings(stated: float) -> None:
     diagnosis = diagnosed(small(seed=101, stated_noise=stated))
     assert diagnosis.verdict == "nothing_missing", said(diagnosis)
 
 
 @pytest.mark.parametrize("stated", [0.5, 2.0])
-def test_effect_is_named_also_with_noise_stated_wrongly(stated: float) -> None:
+def test_effect_is_found_with_wrong_noise(stated: float) -> None:
     diagnosis = diagnosed(small(("load_friction", 1, 1.0), seed=104, stated_noise=stated))
     assert [f.located.label for f in diagnosis.findings] == ["load_friction of joint 1"]
 
@@ -82,20 +82,20 @@ def test_effect_is_named_also_with_noise_stated_wrongly(stated: float) -> None:
 
 
 @pytest.mark.parametrize("severity", [1.0, 4.0])
-def test_late_link_encoders_are_not_called_compliance(severity: float) -> None:
+def test_link_encoder_delay_is_not_compliance(severity: float) -> None:
     diagnosis = diagnosed(small(("encoder_skew", None, severity), seed=105))
     assert "elastic" not in families(diagnosis), said(diagnosis)
 
 
 @pytest.mark.parametrize("link", [1, 2])
-def test_wrong_inertia_is_not_called_friction(link: int) -> None:
+def test_wrong_inertia_is_not_friction(link: int) -> None:
     diagnosis = diagnosed(small(("inertial_error", link, 2.0), seed=106, robot="small3"))
     # The first link turns about an upright axis: of its errors next to nothing shows.
     assert diagnosis.findings or link == 1
     assert "friction" not in families(diagnosis), said(diagnosis)
 
 
-def test_payload_is_not_called_friction() -> None:
+def test_payload_is_not_friction() -> None:
     diagnosis = diagnosed(small(("payload", None, 2.0), seed=107, robot="small3"))
     assert diagnosis.findings
     assert "friction" not in families(diagnosis), said(diagnosis)
@@ -104,7 +104,7 @@ def test_payload_is_not_called_friction() -> None:
 # ---- fits that are no proof
 
 
-def test_no_term_sees_the_measured_torque(tmp_path: Path) -> None:
+def test_terms_do_not_use_measured_torque(tmp_path: Path) -> None:
     recordings = load_recordings(write_case(simulated(small(seed=101)), tmp_path / "set"))
     settings = Settings()
     training = prepare_training(recordings, settings)
@@ -139,7 +139,7 @@ def test_noise_of_the_torque_sensor_does_not_explain_itself() -> None:
     assert diagnosis.findings == (), said(diagnosis)
 
 
-def test_friction_of_one_run_alone_is_not_claimed_of_all() -> None:
+def test_friction_of_one_run_is_not_found_in_all() -> None:
     """Stribeck friction that one training run shows would worsen every other run."""
 
     def once(run: str, columns: dict[str, np.ndarray]) -> None:
@@ -156,7 +156,7 @@ def test_friction_of_one_run_alone_is_not_claimed_of_all() -> None:
 
 
 @pytest.mark.parametrize("column", ["ql2", "tau2"])
-def test_zeros_in_an_unused_channel_are_called_nothing(column: str) -> None:
+def test_zeros_in_unused_channel_have_no_findings(column: str) -> None:
     def empty(run: str, columns: dict[str, np.ndarray]) -> None:
         columns[column] = np.zeros_like(columns[column])
 
@@ -192,7 +192,7 @@ def backwards(folder: Path) -> None:
 
 
 @pytest.mark.parametrize(("effect", "joint"), [("load_friction", 1), ("stiffness_linear", 2)])
-def test_joints_in_another_order_get_the_same_answers(effect: str, joint: int) -> None:
+def test_joint_order_does_not_change_result(effect: str, joint: int) -> None:
     spec = small((effect, joint, 1.0), seed=104)
     straight = diagnosed(spec)
     turned = diagnosis_of(simulated(spec), backwards)

@@ -68,7 +68,7 @@ def recorded(folder, runs, extra="", offset=0.0):
     return folder
 
 
-def test_friction_of_a_joint_that_the_model_never_saw_is_found(tmp_path):
+def test_friction_of_joint_unseen_by_model_is_found(tmp_path):
     runs = [("train", (1.0, 1.3)), ("train", (1.4, 1.1)), ("test", (1.2, 1.2))]
     folder = recorded(tmp_path, runs)
     (folder / "extended.toml").write_text(MODEL)
@@ -80,7 +80,7 @@ def test_friction_of_a_joint_that_the_model_never_saw_is_found(tmp_path):
     assert found.left_open.torque[1] > 0.0  # seen now
 
 
-def test_what_an_earlier_model_left_open_stays_where_its_joint_stands(tmp_path):
+def test_open_residual_of_stationary_joint_is_kept(tmp_path):
     """Of the elbow, which these runs do not move, the next model knows what this one does."""
     folder = recorded(tmp_path, [("train", (1.0, 0.0)), ("test", (1.2, 0.0))])
     (folder / "extended.toml").write_text(MODEL.replace("[0.1, 0.0]", "[0.1, 0.3]"))
@@ -90,7 +90,7 @@ def test_what_an_earlier_model_left_open_stays_where_its_joint_stands(tmp_path):
 
 
 @pytest.mark.parametrize(("after_model", "cause"), [(True, "coulomb"), (False, "torque_offset")])
-def test_what_a_joint_shows_that_moves_in_one_run_is_borne_out(tmp_path, after_model, cause):
+def test_effect_of_joint_moving_in_one_run_is_supported(tmp_path, after_model, cause):
     """Whole runs left out say nothing of it: in the others the joint stands."""
     runs = [("train", (1.0, 0.0))] * 5 + [("train", (0.0, 1.3)), ("test", (1.2, 1.2))]
     stated = "nominal = { coulomb = [3.0, 2.5], viscous = [1.0, 0.8] }\n"
