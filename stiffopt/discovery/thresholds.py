@@ -17,6 +17,10 @@ NAMED_SHARE = 0.02
 # prior that they regain is this share of the evidence.
 PRIOR_RELIEF_SHARE = 0.5
 
+# An effect acts in a channel or part of the recordings if its squares there are this share of the
+# largest ones.
+MIN_ACTIVE_SHARE = 0.05
+
 # ---- Re-identification of the rigid model [0036]
 
 # A single change of masses replaces all free parameters if it gains this share of their log

@@ -79,8 +79,8 @@ def test_exchanged_gantry_axes_are_no_currents(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("runs", "line", "words"),
     [
-        ((0, 1, 2, 3), "time = 0.5 in [signals.scale]", "The velocity is not"),
-        ((1,), "", "Of run_2 alone, not of all runs: The velocity is not"),
+        ((0, 1, 2, 3), "time = 0.5 in [signals.scale]", "The velocity contradicts"),
+        ((1,), "", "Only in run_2, not in all runs: The velocity contradicts"),
     ],
 )
 def test_wrong_clock_is_doubted(runs, line, words, tmp_path: Path) -> None:
@@ -88,7 +88,7 @@ def test_wrong_clock_is_doubted(runs, line, words, tmp_path: Path) -> None:
     (velocity,) = (each for each in found if each.kind == "velocity")
     assert velocity.evidence.startswith(words)
     assert velocity.line == line
-    assert "time or sample rate" in velocity.evidence
+    assert "time or sampling rate" in velocity.evidence
 
 
 @pytest.mark.parametrize("change", [with_a_gap, unknown_torque])

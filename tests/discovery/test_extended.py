@@ -53,7 +53,7 @@ def test_model_contains_finding_with_deviation():
     [
         ('name = "coulomb"', 'name = "coulom"', r"effect\[1\].name: no effect 'coulom'.*coulomb"),
         ("joint = 2", "joint = 5", r"effect\[1\].joint: is 5, there are 2"),
-        ("dFc = { value = ", "dFc = { value = 9", "but effect.term makes it"),
+        ("dFc = { value = ", "dFc = { value = 9", "but effect.term gives"),
         ("[effect.term]\ndFc", "[effect.term]\ndF", "coulomb needs exactly dFc"),
         ('"joint1", "joint2"', '"joint2", "joint1"', "this model is of joint2, joint1"),
         ('kind = "extended"', 'kind = "robot"', "robot"),

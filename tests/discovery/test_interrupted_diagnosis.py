@@ -76,8 +76,8 @@ def unvouched(folder):
         ),
         (
             "add_band_deviation",
-            "ask half the band for the parameters",
-            "of what half the band says",
+            "fit the parameters again in half the band",
+            "in half the band",
         ),
     ],
 )

@@ -30,7 +30,7 @@ def test_soft_joint_is_found_with_stiffness_and_mode():
     moved = [mode for mode in found.modes if mode.is_shifted]
     assert moved
     assert moved[0].found < moved[0].nominal
-    assert f"The mode of joint {moved[0].joint} lies at {moved[0].found:.1f} Hz, the" in lead(found)
+    assert f"The mode of joint {moved[0].joint} has {moved[0].found:.1f} Hz, in the" in lead(found)
 
 
 @pytest.mark.slow

@@ -51,11 +51,11 @@ def test_smooth_function_predicts_stretches_left_out() -> None:
     values = np.sin(2.0 * signals[:, 1])
     found = fit_smooth_function(signals, values + 0.1 * draw.normal(size=600), stretch)
     assert found is not None
-    assert found.taken > 0.7
+    assert found.held_out_share > 0.7
     fresh = draw.normal(size=(200, 3))
     assert np.std(found(fresh) - np.sin(2.0 * fresh[:, 1])) < 0.4
     nothing = fit_smooth_function(signals, draw.normal(size=600), stretch)
-    assert nothing is None or nothing.taken < 0.05
+    assert nothing is None or nothing.held_out_share < 0.05
 
 
 def test_noise_ceiling_exceeds_missing_effect_and_names_signal() -> None:

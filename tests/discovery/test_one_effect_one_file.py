@@ -93,7 +93,7 @@ def test_diagnosis_report_file_and_planner_know_it(wavy: tuple[Path, Path]) -> N
     assert "Notes of the workshop, 2026" in page
     text = (answer.out / "extended.toml").read_text(encoding="utf-8")
     assert 'name = "rail_wave"' in text
-    with pytest.raises(InputFileError, match="An effect of your own needs its file"):
+    with pytest.raises(InputFileError, match="A user's own effect needs its Python file"):
         load_extended(answer.out / "extended.toml")
     robot = load_recordings(source).robot
     model = load_extended(answer.out / "extended.toml", load_effects(effects))

@@ -194,7 +194,7 @@ def test_a_second_ctrl_c_in_a_search_for_changes_keeps_the_first(after_model, mo
 
     def tell(line):
         told.append(line)
-        if told.count(changing.STOPPED) == 1 and line == changing.STOPPED:
+        if told.count(changing.STOPPED_MESSAGE) == 1 and line == changing.STOPPED_MESSAGE:
             raise KeyboardInterrupt
 
     monkeypatch.setattr(changing, "select_predictive", interrupted)

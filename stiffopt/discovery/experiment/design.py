@@ -36,7 +36,6 @@ _RANDOM_MOTIONS = 24
 _MIN_RELATIVE_GAIN = 0.02
 # Least separation that is worth a recording [sigma].
 _MIN_SEPARATION = 1.0
-_RANDOM_SEED = 1
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -217,7 +216,7 @@ def _search_random_motions(
     more: Callable[[], bool],
 ) -> tuple[Trajectory | None, float]:
     """Return the best of some random motions with its separation."""
-    random = np.random.default_rng(_RANDOM_SEED)
+    random = np.random.default_rng(1)
     best, value = None, 0.0
     for _ in range(_RANDOM_MOTIONS):
         motion = random_motion(limits, training.robot, duration, random)

@@ -152,8 +152,8 @@ def _describe_difference(stated: MadeForSection, own: MadeForSection) -> str:
     return ""
 
 
-# Relative tolerance of reported values against their terms.
-_PARAMETER_TOLERANCE = 1e-6
+# Relative tolerance of equal values.
+VALUE_TOLERANCE = 1e-6
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -296,7 +296,7 @@ def check_extended(model: ExtendedModel, constants: RobotConstants) -> None:
                     f"effect[{number}].parameters.{name}",
                     f"{located.effect.name} has no such parameter. {nearest(name, own)}",
                 )
-            if not np.isclose(value, own[name], rtol=_PARAMETER_TOLERANCE, atol=0.0):
+            if not np.isclose(value, own[name], rtol=VALUE_TOLERANCE, atol=0.0):
                 raise InputFileError(
                     model.source,
                     f"effect[{number}].parameters.{name}",

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from stiffopt.discovery.comparison.signals import RobotConstants
-from stiffopt.discovery.extended.model import ExtendedModel, robot_signature
+from stiffopt.discovery.extended.model import VALUE_TOLERANCE, ExtendedModel, robot_signature
 from stiffopt.robot.robot import Robot
 from stiffopt.units import joint_unit
 
@@ -22,8 +22,6 @@ _JOINT_VALUES = (
     ("viscous", "viscous friction", "N m s/rad"),
     ("rotor_inertia", "rotor inertia", "kg m^2"),
 )
-# Relative difference below which values are equal.
-_EQUALITY_TOLERANCE = 1e-6
 
 
 @dataclass(frozen=True)
@@ -82,7 +80,7 @@ def value_changes(nominal: Robot, found: Robot) -> list[ValueChange]:
         changes += [
             ValueChange(j + 1, name, words, float(old), float(new), unit)
             for words, old, new, unit in pairs
-            if abs(new - old) > _EQUALITY_TOLERANCE * max(abs(old), abs(new))
+            if abs(new - old) > VALUE_TOLERANCE * max(abs(old), abs(new))
         ]
     return changes
 

@@ -23,7 +23,6 @@ from stiffopt.discovery.training import Training
 FEATURE_COUNT = 200
 _KERNEL_LENGTHS = (0.5, 1.0, 2.0, 4.0)
 _RIDGE_FACTORS = (1e-3, 1e-2, 1e-1, 1.0)
-_FEATURE_SEED = 7
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +37,7 @@ class SmoothFunction:
     phases, weights : array (f,)
     limit : float
         Largest training value, which clips the result.
-    taken : float
+    held_out_share : float
         Share of the squares that it removes in stretches left out.
     """
 
@@ -48,7 +47,7 @@ class SmoothFunction:
     phases: np.ndarray
     weights: np.ndarray
     limit: float
-    taken: float
+    held_out_share: float
 
     def __call__(self, signals: np.ndarray) -> np.ndarray:
         """Return values (m,) at signals (m, s)."""
@@ -72,7 +71,7 @@ def fit_smooth_function(
     middle, spread = signals.mean(axis=0), signals.std(axis=0)
     spread = np.where(spread > 1e-12, spread, 1.0)
     scaled = (signals - middle) / spread / np.sqrt(signals.shape[1])
-    draw = np.random.default_rng(_FEATURE_SEED)
+    draw = np.random.default_rng(7)
     directions = draw.standard_normal((signals.shape[1], FEATURE_COUNT))
     phases = draw.uniform(0.0, 2.0 * np.pi, FEATURE_COUNT)
     parts = [stretch == k for k in np.unique(stretch)]
@@ -104,7 +103,7 @@ def fit_smooth_function(
         phases=phases,
         weights=np.linalg.solve(columns.T @ columns + load, columns.T @ values),
         limit=float(np.abs(values).max()),
-        taken=1.0 - left / whole,
+        held_out_share=1.0 - left / whole,
     )
 
 

@@ -24,11 +24,10 @@ from stiffopt.discovery.thresholds import (
 )
 
 # Spline regression of a residual: knots, maximum number of signals, least relative decrease by one
-# more, and ridge.
+# more.
 _KNOT_COUNT = 8
 _MAX_REGRESSORS = 3
 _MIN_RELATIVE_GAIN = 0.03
-_RIDGE_WEIGHT = 1.0
 # Least ratio of the residual of the dominant run to that of any other.
 _DOMINANT_RUN_RATIO = 5.0
 
@@ -249,7 +248,7 @@ def _select_regressors(
 def _predict_blocks(columns: np.ndarray, target: np.ndarray, block: np.ndarray) -> np.ndarray:
     """Predict every block by a ridge fit to the others."""
     out = np.zeros_like(target)
-    ridge = _RIDGE_WEIGHT * np.eye(columns.shape[1])
+    ridge = np.eye(columns.shape[1])
     gram, moment = columns.T @ columns, columns.T @ target
     for b in np.unique(block):
         own = block == b

@@ -19,10 +19,9 @@ from stiffopt.discovery.sanity.doubt import (
 )
 from stiffopt.discovery.sanity.explanations import Explanation, Explanations
 from stiffopt.discovery.sanity.interpretations import DEGREE, MILLIMETRE
+from stiffopt.discovery.sanity.sensor_doubts import FACTOR_TOLERANCE
 from stiffopt.recording.recording_set import RecordingSet
 
-# Relative tolerance of a factor of a unit, a sign or a gear.
-_FACTOR_TOLERANCE = 0.2
 # Range of gear ratios of arms.
 _GEAR_RATIO_RANGE = (20.0, 400.0)
 
@@ -182,12 +181,12 @@ def _doubt_gains(
 def _describe_gain(gain: float, ratio: float | None, newton: str) -> tuple[str, str]:
     size = abs(gain)
     turned = ", and has the other sign" if gain < 0.0 else ""
-    if abs(size - 1.0) < _FACTOR_TOLERANCE and gain < 0.0:
+    if abs(size - 1.0) < FACTOR_TOLERANCE and gain < 0.0:
         return "torque sign", "has the other sign"
     for factor, prefix in ((1e3, "m"), (1e-3, "k")):
-        if abs(size / factor - 1.0) < _FACTOR_TOLERANCE:
+        if abs(size / factor - 1.0) < FACTOR_TOLERANCE:
             return "torque unit", f"looks like {prefix}{newton}{turned}"
-    if ratio is not None and abs(ratio) > 2.0 and abs(size * abs(ratio) - 1.0) < _FACTOR_TOLERANCE:
+    if ratio is not None and abs(ratio) > 2.0 and abs(size * abs(ratio) - 1.0) < FACTOR_TOLERANCE:
         return "torque unit", f"looks like that of the motor, before the gear of {ratio:g}{turned}"
     if size < 1.0:
         geared = ""

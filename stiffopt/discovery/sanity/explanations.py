@@ -9,6 +9,7 @@ import numpy as np
 
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.sanity.interpretations import DEGREE, Motions, Reading, Samples
+from stiffopt.discovery.sanity.sensor_doubts import LIMIT_MARGIN_SHARE
 from stiffopt.discovery.sanity.torque_fit import Additions, Motion, TorqueFit, allowed_additions
 from stiffopt.discovery.settings import MIN_MOVING_SPEED
 
@@ -30,8 +31,6 @@ _MAX_STEPS = 3
 # Least gain of a further step of a reading, as sum of log ratios over joints; and the price of a
 # step when explanations are compared.
 _MIN_STEP_GAIN, _STEP_PRICE = 0.7, 0.5
-# Excess of a joint's range beyond its limits, as share, from which a reading is penalised.
-_LIMIT_MARGIN_SHARE = 0.05
 # Magnitudes of gains that come from units or signs.
 _UNIT_GAINS = (1.0, 1e3, 1e-3)
 # Delays that are tried [s]; those below the second value are an effect of the catalogue.
@@ -135,7 +134,7 @@ class Explanations:
         arm, order = recordings.robot, recordings.order
         lower, upper = arm.position_lower[order], arm.position_upper[order]
         position = self.motions.of(reading).position
-        margin = _LIMIT_MARGIN_SHARE * (upper - lower)
+        margin = LIMIT_MARGIN_SHARE * (upper - lower)
         with np.errstate(invalid="ignore"):
             out = (position < lower - margin) | (position > upper + margin)
         return 2.0 * _STEP_PRICE if out.any() else 0.0

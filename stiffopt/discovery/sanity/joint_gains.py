@@ -16,6 +16,7 @@ from scipy.optimize import minimize_scalar
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.comparison.signals import smooth_sign
 from stiffopt.discovery.sanity.interpretations import Samples
+from stiffopt.discovery.sanity.torque_fit import MIN_MOVING_INSTANTS
 from stiffopt.discovery.settings import MIN_MOVING_SPEED
 
 # Relative deviation of masses, and deviation of their centres [m].
@@ -26,8 +27,6 @@ _STATED_TOLERANCE_FACTOR, _MIN_MASS_DEVIATION = 10.0, 0.02
 _LOAD_FRICTION_SHARE, _OFFSET_SHARE = 0.3, 0.3
 # Residual share of a correct model.
 _RESIDUAL_FLOOR = 2e-3
-# Fewer moving instants give no result.
-_MIN_MOVING_INSTANTS = 60
 # Range of gains; smaller ones are within usual errors of drives.
 _MAX_GAIN, _MIN_GAIN = 2.0, 1.21
 # Least decrease of the misfit, in shares of variance; least ratio of the joint's residual shares;
@@ -126,7 +125,7 @@ class _CommonFit:
         for j in range(robot.n):
             torque, speed = samples.torque[known, j], v[:, j]
             rows = (np.abs(speed) >= MIN_MOVING_SPEED) & np.isfinite(torque)
-            if rows.sum() < _MIN_MOVING_INSTANTS or np.ptp(torque[rows]) == 0.0:
+            if rows.sum() < MIN_MOVING_INSTANTS or np.ptp(torque[rows]) == 0.0:
                 continue
             direction, most = smooth_sign(speed), float(np.abs(torque[rows]).max())
             own = [

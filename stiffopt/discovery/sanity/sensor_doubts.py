@@ -11,8 +11,10 @@ from stiffopt.discovery.sanity.interpretations import DEGREE, MILLIMETRE
 from stiffopt.recording.recording_set import RecordingSet
 from stiffopt.recording.run import RecordedRun
 
-# Margin of position limits: share of the range, and [rad] or [m].
-_LIMIT_MARGINS = (0.05, 0.02)
+# Margin of position limits: share of the range, and at least [rad] or [m].
+LIMIT_MARGIN_SHARE, _MIN_LIMIT_MARGIN = 0.05, 0.02
+# Relative tolerances of a factor of a sign or a gear, and of a unit.
+FACTOR_TOLERANCE, _UNIT_TOLERANCE = 0.2, 0.1
 
 
 def doubt_position_limits(recordings: RecordingSet, runs: Sequence[RecordedRun]) -> Iterator[Doubt]:
@@ -32,7 +34,7 @@ def doubt_position_limits(recordings: RecordingSet, runs: Sequence[RecordedRun])
         low = np.where(known, run.position, np.inf).min(axis=0)
         high = np.where(known, run.position, -np.inf).max(axis=0)
         reach[0], reach[1] = np.fmin(reach[0], low), np.fmax(reach[1], high)
-    margin = np.maximum(_LIMIT_MARGINS[0] * span, _LIMIT_MARGINS[1])
+    margin = np.maximum(LIMIT_MARGIN_SHARE * span, _MIN_LIMIT_MARGIN)
     with np.errstate(invalid="ignore"):
         out = np.isfinite(span) & ((reach[0] < lower - margin) | (reach[1] > upper + margin))
     if not out.any():
@@ -74,10 +76,6 @@ def _describe_reach(
         for j in np.flatnonzero(out)
     ]
     return "; ".join(parts) + "."
-
-
-# Relative tolerances of a factor of a sign and of a unit.
-_SIGN_TOLERANCE, _UNIT_TOLERANCE = 0.2, 0.1
 
 
 def doubt_second_sensors(recordings: RecordingSet, runs: Sequence[RecordedRun]) -> Iterator[Doubt]:
@@ -122,7 +120,7 @@ def _ratio_line(recordings: RecordingSet, signal: str, ratios: Mapping[int, floa
             return scale_line(recordings, signal, np.ones(recordings.n), unit_of)
         if np.all(np.abs(known / size - 1.0) < _UNIT_TOLERANCE):
             return f'position = "{unit}" in [signals.scale]'
-    if np.all(np.abs(known + 1.0) < _SIGN_TOLERANCE):
+    if np.all(np.abs(known + 1.0) < FACTOR_TOLERANCE):
         signs = np.ones(recordings.n)
         signs[np.array(list(ratios)) - 1] = -1.0
         return scale_line(recordings, signal, signs)

@@ -19,12 +19,12 @@ _MAX_RELATIVE_DECREASE, _MAX_RELATIVE_INCREASE = 0.8, 10.0
 _MAX_LOAD_FRICTION = 0.4
 # Largest torque offset over the largest nominal torque.
 _MAX_OFFSET_SHARE = 0.5
-# Largest error of the payload over the arm's mass, and its largest lever [m].
-_MAX_PAYLOAD_SHARE, _MAX_PAYLOAD_LEVER = 1.0, 0.5
+# Largest lever of a payload [m], whose mass may be that of the arm.
+_MAX_PAYLOAD_LEVER = 0.5
 # Largest torque of a counterbalance over the largest gravity torque.
 _MAX_SPRING_SHARE = 0.9
 # Fewer moving instants give no result.
-_MIN_MOVING_INSTANTS = 60
+MIN_MOVING_INSTANTS = 60
 # A usual gain is preferred if its residual share is at most this above 1.5 times the best; and the
 # gains that are tried, with either sign.
 _EQUIVALENT_SHARE = 0.02
@@ -125,7 +125,7 @@ class TorqueFit:
     ) -> _ReducedTable | None:
         speed = motion.velocity[:, joint]
         rows = (np.abs(speed) >= MIN_MOVING_SPEED) & np.isfinite(torque)
-        if rows.sum() < _MIN_MOVING_INSTANTS or np.ptp(torque[rows]) == 0.0:
+        if rows.sum() < MIN_MOVING_INSTANTS or np.ptp(torque[rows]) == 0.0:
             return None
         robot, spring = self.robot, motion.spring[:, joint]
         direction = smooth_sign(speed)
@@ -182,7 +182,7 @@ def allowed_additions(robot: RobotModel, motion: Motion, joint: int) -> Addition
     last = int(np.argmax(robot.order))
     payload = robot.body_torques(last, at, motion.velocity, motion.acceleration)[:, joint]
     masses = robot.constants.masses
-    mass = _MAX_PAYLOAD_SHARE * float(masses.sum())
+    mass = float(masses.sum())
     weight = robot.gravity_torque(at, robot.recordings.gravity)[:, joint]
     spring = _MAX_SPRING_SHARE * max(float(np.abs(weight).max()), 1e-9)
     moment = mass * _MAX_PAYLOAD_LEVER

@@ -15,11 +15,8 @@ from stiffopt.discovery.comparison.evidence import Added, AddedSums, Beside, pos
 from stiffopt.discovery.comparison.located_effect import LocatedEffect, places
 from stiffopt.discovery.effect import Effect
 from stiffopt.discovery.progress import RoundProgress
-from stiffopt.discovery.thresholds import NAMED_DEVIATIONS, NAMED_EVIDENCE
+from stiffopt.discovery.thresholds import MIN_ACTIVE_SHARE, NAMED_DEVIATIONS, NAMED_EVIDENCE
 
-# An effect acts on a channel if its squares there are this share of those in its main channel; less
-# is vibration excited through other links.
-_MIN_WORK_SHARE = 0.05
 # Nelder-Mead evaluations per shape.
 _MAX_REFINEMENT_STEPS = 40
 
@@ -229,7 +226,8 @@ class Scorer:
         before = np.bincount(rows.channel, self._base_residual**2, minlength=size)
         after = np.bincount(rows.channel, residual**2, minlength=size)
         acted = np.bincount(rows.channel, acted_on, minlength=size)
-        own = acted > _MIN_WORK_SHARE * acted.max()
+        # Less is vibration excited through other links.
+        own = acted > MIN_ACTIVE_SHARE * acted.max()
         fall = np.where(own, before - after, -np.inf)
         channel = int(np.argmax(fall))
         return channel, float(fall[channel] / before[channel]) if before[channel] > 0.0 else 0.0

@@ -18,6 +18,7 @@ from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.comparison.prepare import PreparedRun
 from stiffopt.discovery.thresholds import (
     MAX_CANCELLATION_RATIO,
+    MIN_ACTIVE_SHARE,
     MIN_CHANGE_SHARE,
     MIN_HELD_OUT_SHARE,
     MIN_HELPED_FOLDS,
@@ -27,9 +28,6 @@ from stiffopt.discovery.thresholds import (
 # Number of folds, over all runs, where runs are few; runs are cut as well if an effect acts in
 # fewer folds than the second value.
 _FOLDS_OF_FEW_RUNS, _MIN_ACTIVE_FOLDS = 6, 3
-# A fold, or half of the recordings, counts if an effect's squares there are this share of the
-# largest.
-_MIN_ACTIVE_SHARE = 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -207,7 +205,7 @@ def repeats_in_halves(comparison: Comparison, effects: Sequence[LocatedEffect]) 
         own = left + part @ fit.posterior.mean[begin : begin + part.shape[1]]
         begin += part.shape[1]
         acted = [float(np.sum(part[half == h] ** 2)) for h in (0, 1)]
-        if located.by_run or min(acted) <= _MIN_ACTIVE_SHARE * max(acted):
+        if located.by_run or min(acted) <= MIN_ACTIVE_SHARE * max(acted):
             found.append(True)
             continue
         found.append(min(_squares_removed(part, own, half == h) for h in (0, 1)) > 0.0)
@@ -272,7 +270,7 @@ class _Folds:
 def _active_folds(fold: np.ndarray, part: np.ndarray) -> np.ndarray:
     """Return a mask (f,) of the folds in which an effect with columns (m, k) acts."""
     square = np.bincount(fold, np.sum(part**2, axis=1))
-    return np.asarray(square > _MIN_ACTIVE_SHARE * square.max())
+    return np.asarray(square > MIN_ACTIVE_SHARE * square.max())
 
 
 def _excess_share(
@@ -303,7 +301,7 @@ def _excess_share(
             return -1.0
     if changed:
         # Folds where it hardly acts, such as a stop that is seldom reached, do not count.
-        by_fold = by_fold[np.abs(by_fold) > _MIN_ACTIVE_SHARE * np.abs(by_fold).max()]
+        by_fold = by_fold[np.abs(by_fold) > MIN_ACTIVE_SHARE * np.abs(by_fold).max()]
         if np.sum(by_fold > 0.0) < 2:
             return -1.0
     few = np.mean(by_fold > 0.0) < MIN_HELPED_FOLDS and not (changed and share > RARE_CHANGE_SHARE)

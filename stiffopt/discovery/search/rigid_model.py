@@ -27,13 +27,10 @@ from stiffopt.discovery.thresholds import ADDED_MASS_OFFSET, NAMED_EVIDENCE, SIN
 PRIOR_WIDTHS = (0.02, 0.06, 0.2, 0.6)
 # The same for a single body: the first two hold it at the nominal model.
 BODY_WIDTHS = (0.002, 0.006, *PRIOR_WIDTHS)
-_HELD_WIDTHS = 2
 # Fits with re-estimated noise until it converges.
 _NOISE_ROUNDS = 3
 # Passes over all bodies, and least gain of squares over noise in recordings left out.
 _MAX_PASSES, _MIN_SQUARES_GAIN = 5, 2.0
-# Standard gravity [m/s^2].
-_STANDARD_GRAVITY = 9.81
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,7 +61,7 @@ class Counterweight:
     @property
     def torque(self) -> float:
         """Largest torque [N m]."""
-        return _STANDARD_GRAVITY * self.change
+        return 9.81 * self.change
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -91,7 +88,7 @@ class RigidStage:
     @property
     def freed(self) -> bool:
         """True if any body is not held at the nominal model."""
-        return any(width > BODY_WIDTHS[_HELD_WIDTHS - 1] for width in self.widths)
+        return any(width > BODY_WIDTHS[1] for width in self.widths)
 
     def bodies(self, comparison: Comparison) -> np.ndarray | None:
         """Return prior standard deviations of all inertial parameters (n, 10); None if held."""
