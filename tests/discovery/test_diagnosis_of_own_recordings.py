@@ -70,7 +70,7 @@ def test_assumptions_match_noise_and_bands(again):
     assert "wide defaults" not in said
     assert not any(each.startswith("nominal.coulomb") for each in again.assumptions)
     assert "values of the model are fixed: mass, com" in said
-    assert f"What the model left open of torques counts as noise (joint 1: {OPEN} N m)." in said
+    assert f"The model's open residual of torques counts as noise (joint 1: {OPEN} N m)." in said
     assert "up to 12 Hz, predicted torques up to (joint 1: 20) Hz: bands of the model." in said
     assert "nominal.gear_ratio is not given" in said
 

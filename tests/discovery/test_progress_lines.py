@@ -17,7 +17,8 @@ def test_long_step_repeats_line() -> None:
         say("fit all")
         time.sleep(0.4)
     assert said[0] == "fit all"
-    assert said[1].startswith("running for") and said[1].endswith("s: fit all")
+    assert said[1].startswith("running for")
+    assert said[1].endswith("s: fit all")
     assert len(said) >= 3
     after = len(said)
     time.sleep(0.2)
