@@ -310,12 +310,12 @@ def test_torques_of_currents_of_a_joint_without_weight_are_no_kilonewtons(tmp_pa
     """An upright axis bears no weight: whatever factor, friction and inertia make up for it."""
     from stiffopt.discovery.sanity.explanations import Explanations
 
-    class Balance:
+    class Fit:
         def gain(self, motion, torque, joint, usual):
             return (usual[0], 0.01) if joint == 0 else (1e-3, 0.9)
 
     search = Explanations.__new__(Explanations)
-    search.balance = Balance()
+    search.torque_fit = Fit()
     gains, left = np.array([1e-3, 1.0 / 13.9, 1e-3]), np.array([0.02, 0.01, 0.02])
     search._adopt_common_gain(gains, left, None, np.zeros((4, 3)))
     np.testing.assert_allclose(gains, [1.0 / 13.9, 1.0 / 13.9, 1e-3])

@@ -85,7 +85,7 @@ class Explanations:
 
     def __init__(self, robot: RobotModel, samples: Samples) -> None:
         self.robot, self.samples, self.n = robot, samples, robot.n
-        self.balance = TorqueFit(robot)
+        self.torque_fit = TorqueFit(robot)
         self.motions = Motions(robot, samples)
         scale = robot.recordings.signals.scale_of("position", self.n)
         self.own = Reading.as_described(self.n, scale)
@@ -102,14 +102,13 @@ class Explanations:
 
         Not for currents, which such additions could turn into torques.
         """
-        strict = self.strict
+        shares = self.strict.copy()
         if self.robot.recordings.signals.currents:
-            return strict
-        return np.array([
-            self.balance.left(self.motion, self.samples.torque[:, j], j, self._allowed_additions(j))
-            if strict[j] > _MIN_FAILURE_SHARE else strict[j]
-            for j in range(self.n)
-        ])  # fmt: skip
+            return shares
+        for j in np.flatnonzero(shares > _MIN_FAILURE_SHARE).tolist():
+            torque, additions = self.samples.torque[:, j], self._allowed_additions(j)
+            shares[j] = self.torque_fit.residual_share(self.motion, torque, j, additions)
+        return shares
 
     def best(self) -> Explanation | None:
         """Return the description that explains most beyond the stated one, or None."""
@@ -176,7 +175,7 @@ class Explanations:
             if not before[j] > _MIN_FAILURE_SHARE:
                 continue
             usual = (-1.0, 1e3, 1e-3, -1e3, -1e-3, 1.0 / ratio[j], -1.0 / ratio[j])
-            gain, share = self.balance.gain(motion, torque[:, j], j, usual)
+            gain, share = self.torque_fit.gain(motion, torque[:, j], j, usual)
             if not _USUAL_GAIN_RANGE[0] < gain < _USUAL_GAIN_RANGE[1] and _is_explained(
                 before[j], share
             ):
@@ -196,7 +195,7 @@ class Explanations:
         units = np.isclose(np.abs(np.log10(np.abs(gains))), 3.0)
         told = [float(gain) for gain in gains[~units] if gain != 1.0]
         for j in np.flatnonzero(units) if told else ():
-            gain, share = self.balance.gain(motion, torque[:, j], int(j), tuple(told))
+            gain, share = self.torque_fit.gain(motion, torque[:, j], int(j), tuple(told))
             if gain in told and share < MAX_EXPLAINED_SHARE:
                 gains[j], left[j] = gain, share
 
@@ -309,7 +308,9 @@ class Explanations:
     # ---- residual shares
 
     def _residual_shares(self, motion: Motion, torque: np.ndarray) -> np.ndarray:
-        return np.array([self.balance.left(motion, torque[:, j], j) for j in range(self.n)])
+        return np.array(
+            [self.torque_fit.residual_share(motion, torque[:, j], j) for j in range(self.n)]
+        )
 
     def _allowed_additions(self, joint: int) -> Additions:
         return allowed_additions(self.robot, self.motion, joint)
@@ -321,7 +322,9 @@ class Explanations:
         """
         moves = np.abs(self.motions.of(reading).velocity) >= MIN_MOVING_SPEED
         torque = np.where(moves, self.samples.torque, np.nan)
-        there = [self.balance.left(self.motion, torque[:, j], j) for j in range(self.n)]
+        there = [
+            self.torque_fit.residual_share(self.motion, torque[:, j], j) for j in range(self.n)
+        ]
         return np.array([_is_explained(b, a) for b, a in zip(there, left, strict=True)])
 
     def _log_improvement(self, before: np.ndarray, after: np.ndarray) -> float:

@@ -73,7 +73,7 @@ class TorqueFit:
     def __init__(self, robot: RobotModel) -> None:
         self.robot = robot
 
-    def left(
+    def residual_share(
         self, motion: Motion, torque: np.ndarray, joint: int, extra: Additions | None = None
     ) -> float:
         """Return the residual share of a torque's variance; nan if the motion cannot decide.
