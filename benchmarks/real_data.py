@@ -23,8 +23,8 @@ from typing import Any
 from real_peers import friction_lines, gaussian_process, motions
 
 from stiffopt.discovery.diagnose import diagnose
-from stiffopt.discovery.diagnosis import Diagnosis, channel_fits
-from stiffopt.discovery.proof.proof import RunProof, nrmse, prove
+from stiffopt.discovery.diagnosis import Diagnosis, fit_by_channel
+from stiffopt.discovery.prediction import RunProof, compare_predictions, nrmse
 from stiffopt.identification.stiffness import identify_stiffness
 from stiffopt.recording.static_set import is_static, load_static_set
 from stiffopt.report.diagnosis.mismatch import noise_ceiling_sentence, transfer_sentences
@@ -103,7 +103,7 @@ def one(path: Path) -> dict[str, Any]:
     proofs: dict[str, list[RunProof]] = {"nominal": held_out, "extended": held_out}
     for name, predictions in peers.items():
         proofs[name] = [
-            prove(each.run, each.velocity, proof.before, prediction, noise)
+            compare_predictions(each.run, each.velocity, proof.before, prediction, noise)
             for each, proof, prediction in zip(test, held_out, predictions, strict=True)
         ]
     return {
@@ -140,7 +140,7 @@ def _torque_only(proofs: list[RunProof]) -> list[RunProof]:
 
 def _channels(diagnosis: Diagnosis, proofs: dict[str, list[RunProof]]) -> list[list[Any]]:
     prismatic = [joint.prismatic for joint in diagnosis.training.constants.joints]
-    fits = {m: channel_fits(tuple(proofs[m]), prismatic) for m in MODELS}
+    fits = {m: fit_by_channel(tuple(proofs[m]), prismatic) for m in MODELS}
     rows: list[list[Any]] = []
     for k, fit in enumerate(fits["nominal"]):
         rms = [getattr(fits[m][k], f"rms_{_when(m)}") for m in MODELS]

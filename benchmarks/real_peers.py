@@ -13,7 +13,7 @@ from itertools import product
 import numpy as np
 
 from stiffopt.discovery.diagnosis import Diagnosis
-from stiffopt.discovery.proof.predict import Prediction, Predictor
+from stiffopt.discovery.prediction import Prediction, Predictor
 from stiffopt.discovery.settings import SIGN_SPEED
 from stiffopt.recording.run import RecordedRun
 

@@ -26,7 +26,7 @@ USED = {"phys_hang_hang_3d49f7", "trap_rate_20Hz_all"}
 def loaded():
     """What commands import, once for all children."""
     import stiffopt.discovery.diagnose
-    import stiffopt.discovery.extended.planner_solve
+    import stiffopt.discovery.extended.planning
     import stiffopt.preload.study
     import stiffopt.recording.readers.mcap
     import stiffopt.recording.readers.parquet

@@ -70,7 +70,7 @@ def without_abstention(_: str) -> Iterator[None]:
             diagnose, "assess_findings", lambda result: (result.selected, None)
         )
         stack.enter_context(keep)
-        stack.enter_context(mock.patch.object(diagnose, "bursts", return_value=None))
+        stack.enter_context(mock.patch.object(diagnose, "find_bursts", return_value=None))
         yield
 
 

@@ -27,9 +27,8 @@ from benchmarks.identification_peers.page import page, section
 from benchmarks.identification_peers.samples import predictions, write
 from benchmarks.real_peers import Motion, friction_lines, gaussian_process, motions
 from stiffopt.discovery.diagnose import diagnose
-from stiffopt.discovery.diagnosis import Diagnosis, channel_fits
-from stiffopt.discovery.proof.predict import Prediction
-from stiffopt.discovery.proof.proof import RunProof, prove, used_samples
+from stiffopt.discovery.diagnosis import Diagnosis, fit_by_channel
+from stiffopt.discovery.prediction import Prediction, RunProof, compare_predictions, used_samples
 from stiffopt.errors import StiffoptError
 
 HERE = Path(__file__).parent
@@ -121,7 +120,7 @@ def _judged(
 ) -> list[float | None]:
     noise = diagnosis.training.noise
     proofs = [
-        prove(each.run, each.velocity, each.nominal, prediction, noise)
+        compare_predictions(each.run, each.velocity, each.nominal, prediction, noise)
         for each, prediction in zip(test, predicted, strict=True)
     ]
     return _rms(diagnosis, proofs, "after")
@@ -132,7 +131,7 @@ def _rms(diagnosis: Diagnosis, proofs: list[RunProof], when: str) -> list[float 
     joints = diagnosis.training.constants.joints
     fits = {
         fit.channel: float(getattr(fit, f"rms_{when}"))
-        for fit in channel_fits(tuple(proofs), [joint.prismatic for joint in joints])
+        for fit in fit_by_channel(tuple(proofs), [joint.prismatic for joint in joints])
     }
     return [fits.get(f"torque_{j + 1}") for j in range(len(joints))]
 

@@ -10,7 +10,7 @@ import numpy as np
 from benchmarks.real_peers import Motion
 from stiffopt.discovery.comparison.prepared_run import prepare_run
 from stiffopt.discovery.diagnosis import Diagnosis
-from stiffopt.discovery.proof.predict import Prediction
+from stiffopt.discovery.prediction import Prediction
 from stiffopt.recording.run import RecordedRun
 
 

@@ -196,11 +196,11 @@ def _shorter(plan: Plan, s: PublicSet, target: Path) -> None:
 def _doubted(case: Path) -> bool:
     """Whether the tool stops before any diagnosis: the files cannot be what they say."""
     from stiffopt.discovery.sanity.gate import SanityGate
-    from stiffopt.discovery.training import training_runs
+    from stiffopt.discovery.training import open_training_runs
     from stiffopt.recording.recording_set import load_recordings
 
     recordings = load_recordings(case)
-    return bool(SanityGate(recordings, training_runs(recordings)).doubts)
+    return bool(SanityGate(recordings, open_training_runs(recordings)).doubts)
 
 
 def _say(text: str) -> None:

@@ -73,7 +73,7 @@ def solve(
         stated = loaded.problem
         found = None
         if model is not None:
-            from stiffopt.discovery.extended.planner_solve import read_model, solve_extended
+            from stiffopt.discovery.extended.planning import read_model, solve_extended
 
             found = read_model(model, effects)
         if guess is not None and found is not None:

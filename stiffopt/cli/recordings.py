@@ -157,7 +157,7 @@ def check(
     from stiffopt.discovery.identifiable import effect_checks
     from stiffopt.discovery.sanity.doubt import DoubtfulRecordings
     from stiffopt.discovery.sanity.gate import SanityGate
-    from stiffopt.discovery.training import training_runs
+    from stiffopt.discovery.training import open_training_runs
     from stiffopt.discovery.user_effects import load_effects
     from stiffopt.recording.check import check_recordings
     from stiffopt.recording.recording_set import load_recordings, require_usable
@@ -176,7 +176,7 @@ def check(
     report = check_recordings(loaded)
     every = (*CATALOGUE, *(load_effects(effects) if effects else ()))
     found = effect_checks(loaded, report.facts, report.training_runs, every)
-    gate = SanityGate(loaded, training_runs(loaded))
+    gate = SanityGate(loaded, open_training_runs(loaded))
     doubted = gate.doubts
     remarked = () if doubted else gate.remarks
     if json:

@@ -1,1 +1,1 @@
-"""Where simulation and recordings differ, what physics was left out, and what it adds."""
+"""Diagnosis of recordings: physics that the nominal model lacks, its parameters and its proof."""

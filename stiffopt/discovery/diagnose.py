@@ -1,4 +1,4 @@
-"""From recordings to an answer: search on training runs, then proof on runs never fitted to."""
+"""Diagnose a recording set: search on training runs, then predict held-out runs."""
 
 from __future__ import annotations
 
@@ -6,65 +6,55 @@ import os
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
 from stiffopt.discovery.catalogue import CATALOGUE, effects_of_runs
 from stiffopt.discovery.comparison.located_effect import Extension
-from stiffopt.discovery.conclusions import findings_of, next_experiment, verdict_of
+from stiffopt.discovery.conclusions import build_findings, decide_verdict, describe_next_experiment
 from stiffopt.discovery.diagnosis import (
     Diagnosis,
 )
 from stiffopt.discovery.effect import Effect
 from stiffopt.discovery.experiment.design import leading_pair, plan_experiment
-from stiffopt.discovery.extended.left_open import at_rate
+from stiffopt.discovery.extended.left_open import rescale_to_rate
 from stiffopt.discovery.extended.model import ExtendedModel, load_extended
 from stiffopt.discovery.extended.schema import LeftOpenSection
-from stiffopt.discovery.heartbeat import never_quiet
-from stiffopt.discovery.identifiable import effect_checks
-from stiffopt.discovery.judging.all_samples import from_all_samples
-from stiffopt.discovery.judging.beyond_deviation import beyond_deviation
-from stiffopt.discovery.judging.bursts import bursts
-from stiffopt.discovery.judging.carried_over import drifts, not_carried_over
-from stiffopt.discovery.judging.detection import DetectionLimit, detection_limits
+from stiffopt.discovery.identifiable import (
+    effect_checks,
+    restrict_to_identifiable,
+)
+from stiffopt.discovery.judging.added_uncertainty import (
+    add_band_deviation,
+    add_scale_deviation,
+    drop_insignificant,
+)
+from stiffopt.discovery.judging.bursts import find_bursts
+from stiffopt.discovery.judging.detection_limits import DetectionLimit, detection_limits
 from stiffopt.discovery.judging.episodes import (
     training_tracks,
 )
-from stiffopt.discovery.judging.held_out import HeldOut
-from stiffopt.discovery.judging.left_open import doubted_by_left_open, open_section
+from stiffopt.discovery.judging.explained_shares import split_extension, variance_explained
+from stiffopt.discovery.judging.friction_refit import refit_friction
+from stiffopt.discovery.judging.held_out import HeldOutRuns
+from stiffopt.discovery.judging.left_open import add_left_open_deviation, build_left_open
 from stiffopt.discovery.judging.modes import mode_shifts
-from stiffopt.discovery.judging.other_band import doubted_by_band
-from stiffopt.discovery.judging.shares import parts_of
-from stiffopt.discovery.judging.torque_scale import doubted_by_scale
+from stiffopt.discovery.judging.run_deviations import find_friction_drift, find_run_deviations
 from stiffopt.discovery.judging.unexplained import Unexplained, assess_findings
-from stiffopt.discovery.judging.variance_explained import variance_explained
+from stiffopt.discovery.progress import repeat_progress
 from stiffopt.discovery.sanity.doubt import Doubt, DoubtfulRecordings
 from stiffopt.discovery.sanity.gate import SanityGate
 from stiffopt.discovery.search.candidates import Scorer
-from stiffopt.discovery.search.identifiable_effects import (
-    identifiable_effects,
-)
 from stiffopt.discovery.search.rivals import Selected
 from stiffopt.discovery.search.search import SearchResult
 from stiffopt.discovery.search.uncertainty import (
     Estimate,
-    estimate,
+    estimate_parameters,
 )
-from stiffopt.discovery.searched import answered
+from stiffopt.discovery.search_training import search_training_runs
 from stiffopt.discovery.settings import Settings
-from stiffopt.discovery.stopping import (
-    FITTED,
-    NO_BURSTS,
-    NO_EXPERIMENT,
-    NO_LIMITS,
-    NO_ROD,
-    NO_SUSPECTS,
-    ONE_BAND,
-    even_if_stopped,
-    stopped_in,
-    unless_stopped,
-)
-from stiffopt.discovery.training import Training, train, training_runs
+from stiffopt.discovery.training import Training, open_training_runs, prepare_training
 from stiffopt.discovery.user_effects import load_effects
 from stiffopt.errors import InputFileError
 from stiffopt.interrupts import complete_step
@@ -91,24 +81,24 @@ def diagnose(
     experiment: bool = True,
     despite_doubts: bool = False,
 ) -> Diagnosis:
-    """Find what the nominal model of a recording set lacks, and prove it on held-out runs.
+    """Find effects that a recording set's nominal model lacks; prove them on held-out runs.
 
     Parameters
     ----------
     recordings : RecordingSet or path
-        Of its folder or its recordings.toml.
+        The set, its folder or its recordings.toml.
     effects : sequence of Effect, or path
-        Beside those of the catalogue: from Python, or a file of them.
+        Additional to the catalogue: from Python, or a file of them.
     settings : Settings, optional
     progress : callable, optional
-        Called with a sentence at every step, and every few seconds of a longer one, from a thread
-        beside.
+        Called with a sentence at every step, and every few seconds of a longer one, from another
+        thread.
     model : ExtendedModel or path, optional
-        extended.toml of an earlier diagnosis, in place of the nominal model.
+        extended.toml of an earlier diagnosis, to start from in place of the nominal model.
     experiment : bool
-        Design the motion that would separate the leading explanations best; some seconds.
+        Design the motion that separates the leading explanations best; takes some seconds.
     despite_doubts : bool
-        Go on where the recordings contradict their own description; the doubts are kept.
+        Continue where the recordings contradict their description; the doubts are reported.
 
     Returns
     -------
@@ -119,20 +109,20 @@ def diagnose(
     InputFileError
         A set or run that cannot be used, no training run or no test run.
     DoubtfulRecordings
-        Recordings that contradict their own description: units, signs, orders, gravity.
+        The recordings contradict their description: units, signs, column order, gravity.
 
     Notes
     -----
-    Only training runs are open until the findings are fixed. Nothing is written.
+    Only training runs are read until the findings are fixed. No file is written.
     """
     if not isinstance(recordings, RecordingSet):
         recordings = load_recordings(recordings)
     require_test_runs(recordings)
-    with never_quiet(progress) as say:
+    with repeat_progress(progress) as say:
         try:
-            return _diagnosed(
+            return _run_diagnosis(
                 recordings,
-                _given(effects),
+                _load_user_effects(effects),
                 settings or Settings(),
                 say,
                 model,
@@ -146,7 +136,7 @@ def diagnose(
             ) from error  # fmt: skip
 
 
-def _diagnosed(
+def _run_diagnosis(
     recordings: RecordingSet,
     extra: tuple[Effect, ...],
     settings: Settings,
@@ -156,16 +146,16 @@ def _diagnosed(
     experiment: bool,
     despite_doubts: bool,
 ) -> Diagnosis:
-    """See `diagnose`."""
+    """Run the stages of `diagnose`."""
     base = load_extended(model, extra) if isinstance(model, str | os.PathLike) else model
     if base is not None:
         recordings = base.applied_to(recordings)
-    runs = training_runs(recordings, say)
+    runs = open_training_runs(recordings, say)
     catalogue = effects_of_runs((*CATALOGUE, *extra), [run.name for run in runs])
     every = decimation_factor(runs)
     thin = () if every == 1 else (describe_decimation(runs, every),)
     clock = sampling_rate(runs)
-    base = _at_rate(_at_rate(base, clock), clock / every)
+    base = _rescale_left_open(_rescale_left_open(base, clock), clock / every)
     recordings, runs = decimate_noise(recordings, every), [decimate_run(run, every) for run in runs]
     say("check units, signs and orders")
     gate = SanityGate(recordings, runs)
@@ -173,33 +163,37 @@ def _diagnosed(
     if doubted and not despite_doubts:
         raise DoubtfulRecordings(recordings.path, doubted)
     remarked = () if doubted or base is not None else gate.remarks
-    training = train(recordings, settings, base, say, runs)
+    training = prepare_training(recordings, settings, base, say, runs)
     facts = joint_facts(recordings, training.recorded)
     checks = effect_checks(recordings, facts, len(training.recorded), catalogue)
-    asked = identifiable_effects(catalogue, checks)
+    asked = restrict_to_identifiable(catalogue, checks)
     sought = asked
     if training.least is None:
         sought = tuple(each for each in asked if not each.only_changed)
     say("compare with the nominal model" if base is None else f"compare with {base.source}")
-    training, result, touched = answered(recordings, training, sought, settings, base, say)
+    training, result, touched = search_training_runs(
+        recordings, training, sought, settings, base, say
+    )
     settings = training.settings
-    stopped = stopped_in(result)
+    stopped = describe_stop(result)
 
     def assessed() -> tuple[tuple[Selected, ...], Unexplained | None]:
         say("estimate parameters")
         return assess_findings(result)
 
-    selected, unexplained = even_if_stopped(stopped, assessed)
+    selected, unexplained = finish_step(stopped, assessed)
     start = () if base is None else (base.extension,)
-    selected, parameters = _parameters(training, settings, start, result, selected, stopped, say)
-    parameters = doubted_by_scale(parameters, selected)
+    selected, parameters = _estimate_parameters(
+        training, settings, start, result, selected, stopped, say
+    )
+    parameters = add_scale_deviation(parameters, selected)
     located = tuple(s.located for s in selected)
-    findings = even_if_stopped(
+    findings = finish_step(
         stopped,
-        lambda: findings_of(result.comparison, selected, parameters, training, result.after),
+        lambda: build_findings(result.comparison, selected, parameters, training, result.after),
     )
     limits: tuple[DetectionLimit, ...] = (
-        unless_stopped(
+        skip_if_stopped(
             stopped,
             NO_LIMITS,
             lambda: detection_limits(Scorer(result.comparison, located), sought, result.effects),
@@ -211,59 +205,59 @@ def _diagnosed(
 
         def burst() -> Unexplained | None:
             say("look for bursts above the filter's band")
-            return bursts(training, (*start, found))
+            return find_bursts(training, (*start, found))
 
-        unexplained = unless_stopped(stopped, NO_BURSTS, burst)
+        unexplained = skip_if_stopped(stopped, NO_BURSTS, burst)
     new = [s for s in selected if s.located.effect.nominal not in recordings.unstated]
     pair = leading_pair(new or selected) if experiment else None
     whole = found if base is None else base.extension.plus(found)
     plan = None
     if pair is not None:
-        plan = unless_stopped(
+        plan = skip_if_stopped(
             stopped,
             NO_EXPERIMENT,
             lambda: plan_experiment(training, result, settings, pair, say=say),
         )
-    # The findings are fixed: from here on other runs may be opened, and change nothing above.
-    tracks = even_if_stopped(stopped, lambda: training_tracks(result.comparison, result.fit))
-    parts = parts_of(found, recordings.unstated)
-    opened = HeldOut(training, settings, start, found, parts, every, tracks)
-    _predicted(opened, recordings, stopped, say)
-    left_open = _left_open(training, whole, asked, base, stopped, say)
+    # The findings are fixed: held-out runs are read only from here on.
+    tracks = finish_step(stopped, lambda: training_tracks(result.comparison, result.fit))
+    parts = split_extension(found, recordings.unstated)
+    opened = HeldOutRuns(training, settings, start, found, parts, every, tracks)
+    _predict_held_out(opened, recordings, stopped, say)
+    left_open = _assess_left_open(training, whole, asked, base, stopped, say)
 
     def concluded() -> Diagnosis:
         proofs, taken = tuple(opened.proofs), opened.shares.found()
-        drift = drifts(whole, training.constants, opened.velocities)
+        drift = find_friction_drift(whole, training.constants, opened.velocities)
         unusable = [run for run in runs if not run.usable]
         seen = (*training.recorded, *unusable, *(proof.run for proof in proofs))
         return Diagnosis(
             recordings=recordings,
             settings=settings,
             model=None if base is None else base.source,
-            verdict=verdict_of(findings, unexplained),
+            verdict=decide_verdict(findings, unexplained),
             findings=findings,
             extension=whole,
-            left_open=at_rate(left_open, clock),
+            left_open=rescale_to_rate(left_open, clock),
             training=training,
             search=result,
             held_out=proofs,
             shares=taken,
-            rod=opened.rod(),
-            not_carried_over=not_carried_over(proofs, opened.velocities, drift),
+            noise_ceiling=opened.noise_ceiling(),
+            not_carried_over=find_run_deviations(proofs, opened.velocities, drift),
             drift=drift,
             episodes=(*touched, *opened.episodes),
             modes=mode_shifts(result.comparison, result.fit),
             catalogue=catalogue,
             detection_limits=limits,
             unexplained=unexplained,
-            next_experiment=next_experiment(
+            next_experiment=describe_next_experiment(
                 findings, plan, unexplained, taken, recordings.unstated
             ),
             assumptions=(
                 *stopped,
-                *opened.not_predictable(),
-                *_despite(doubted),
-                *(f"to be looked at: {each}" for each in remarked),
+                *opened.describe_unusable(),
+                *_describe_ignored_doubts(doubted),
+                *(f"to be checked: {each}" for each in remarked),
                 *thin,
                 *training.assumptions,
             ),
@@ -273,18 +267,18 @@ def _diagnosed(
             stopped=bool(stopped),
         )
 
-    # All is known by now: Ctrl-C comes too late to leave anything out.
+    # Ctrl-C has no effect any more: all results exist.
     return complete_step(concluded)[0]
 
 
-def _at_rate(base: ExtendedModel | None, rate: float) -> ExtendedModel | None:
-    """The model with what it left open as samples at a clock [Hz] show it."""
+def _rescale_left_open(base: ExtendedModel | None, rate: float) -> ExtendedModel | None:
+    """Rescale the residual that a model left open to the sampling rate [Hz]."""
     if base is None or base.left_open is None:
         return base
-    return replace(base, left_open=at_rate(base.left_open, rate))
+    return replace(base, left_open=rescale_to_rate(base.left_open, rate))
 
 
-def _parameters(
+def _estimate_parameters(
     training: Training,
     settings: Settings,
     start: tuple[Extension, ...],
@@ -293,50 +287,54 @@ def _parameters(
     stopped: list[str],
     say: Say,
 ) -> tuple[tuple[Selected, ...], Estimate]:
-    """Findings and their parameters, as far as the user waits for them."""
+    """Estimate parameters; drop insignificant findings. Ctrl-C leaves out refinements."""
     comparison = result.comparison
     comparison.columns.release_memory()
 
     def fitted(found: Sequence[Selected]) -> tuple[tuple[Selected, ...], Estimate]:
         located = tuple(s.located for s in found)
-        return tuple(found), even_if_stopped(stopped, lambda: estimate(comparison, located))
+        return tuple(found), finish_step(stopped, lambda: estimate_parameters(comparison, located))
 
     if not training.free_bodies or training.robot.vibrates:
-        return beyond_deviation(selected, fitted)
+        return drop_insignificant(selected, fitted)
 
     def sampled(found: Sequence[Selected]) -> tuple[tuple[Selected, ...], Estimate]:
-        say("take friction from all moving samples where that predicts better")
-        return from_all_samples(training, settings, start, comparison, found)
+        say("refit friction to all moving samples where that predicts better")
+        return refit_friction(training, settings, start, comparison, found)
 
     def asked(estimated: Estimate) -> Estimate:
-        say("ask half the band for the parameters")
-        return doubted_by_band(training, comparison, estimated)
+        say("fit the parameters again in half the band")
+        return add_band_deviation(training, comparison, estimated)
 
     def doubted(found: Sequence[Selected]) -> tuple[tuple[Selected, ...], Estimate]:
-        kept, first = unless_stopped(stopped, FITTED, lambda: sampled(found)) or fitted(found)
-        estimated = unless_stopped(stopped, ONE_BAND, lambda: asked(first)) or first
-        return kept, doubted_by_left_open(training, estimated)
+        kept, first = skip_if_stopped(
+            stopped, FRICTION_NOT_REFITTED, lambda: sampled(found)
+        ) or fitted(found)
+        estimated = skip_if_stopped(stopped, BAND_NOT_VARIED, lambda: asked(first)) or first
+        return kept, add_left_open_deviation(training, estimated)
 
     def explained(found: Sequence[Selected]) -> Sequence[float]:
         located, channels = zip(*((s.located, s.channel) for s in found), strict=True)
         return variance_explained(comparison, located, channels)
 
-    # A change since a model was made is judged by what that left open, not by the noise.
+    # Changes since an extended model are judged against its open residual, not the noise.
     asked_for = None if comparison.after_model else explained
-    return beyond_deviation(selected, doubted, asked_for)
+    return drop_insignificant(selected, doubted, asked_for)
 
 
-def _predicted(opened: HeldOut, recordings: RecordingSet, stopped: list[str], say: Say) -> None:
-    """Predict runs left out, as far as the user waits for them."""
-    if opened.measurable:
-        unless_stopped(stopped, NO_ROD, lambda: opened.fit_rod(say))
+def _predict_held_out(
+    opened: HeldOutRuns, recordings: RecordingSet, stopped: list[str], say: Say
+) -> None:
+    """Predict the held-out runs; Ctrl-C ends it."""
+    if opened.needs_noise_ceiling:
+        skip_if_stopped(stopped, NO_NOISE_CEILING, lambda: opened.fit_noise_ceiling(say))
     try:
         opened.predict_all(recordings, say, hurried=bool(stopped))
     except KeyboardInterrupt:
-        stopped.append(opened.cut_short())
+        stopped.append(opened.describe_interruption())
 
 
-def _left_open(
+def _assess_left_open(
     training: Training,
     whole: Extension,
     asked: Sequence[Effect],
@@ -344,24 +342,74 @@ def _left_open(
     stopped: list[str],
     say: Say,
 ) -> LeftOpenSection:
-    """What is left open; without suspects, which take long, where the user is in a hurry."""
+    """Describe the open residual; without suspects, which take long, after Ctrl-C."""
     before = None if base is None else base.left_open
 
     def suspected() -> LeftOpenSection:
-        say("what is left open")
-        return open_section(training, whole, asked, before)
+        say("search the open residual for suspects")
+        return build_left_open(training, whole, asked, before)
 
     found = None
     if training.free_bodies:
-        found = unless_stopped(stopped, NO_SUSPECTS, suspected)
-    return found or even_if_stopped(stopped, lambda: open_section(training, whole, (), before))
+        found = skip_if_stopped(stopped, NO_SUSPECTS, suspected)
+    return found or finish_step(stopped, lambda: build_left_open(training, whole, (), before))
 
 
-def _despite(doubted: Sequence[Doubt]) -> list[str]:
+def _describe_ignored_doubts(doubted: Sequence[Doubt]) -> list[str]:
     return [f"Diagnosed despite a doubt: {doubt.evidence}" for doubt in doubted]
 
 
-def _given(effects: Sequence[Effect] | str | os.PathLike[str]) -> tuple[Effect, ...]:
+def _load_user_effects(effects: Sequence[Effect] | str | os.PathLike[str]) -> tuple[Effect, ...]:
     if isinstance(effects, str | os.PathLike):
         return load_effects(Path(effects))
     return tuple(effects)
+
+
+Answer = TypeVar("Answer")
+
+_SEARCH_STOPPED = (
+    "Stopped by the user: only findings up to then are reported; more effects may be missing."
+)
+_EXTRAS_SKIPPED = (
+    "Stopped by the user after the search: the findings are complete, longer calculations after"
+    " it were left out."
+)
+_RIVALS_NOT_RANKED = (
+    "Stopped by the user: findings with probability 0.5 were not compared with their rivals."
+)
+FRICTION_NOT_REFITTED = (
+    "Stopped by the user: friction is that of the fit, without samples near standstill."
+)
+NO_LIMITS = "Stopped by the user: detection limits were not calculated."
+NO_BURSTS = "Stopped by the user: torque bursts above the filter's band were not searched for."
+BAND_NOT_VARIED = "Stopped by the user: standard deviations do not include a fit in half the band."
+NO_EXPERIMENT = "Stopped by the user: no experiment was designed."
+NO_NOISE_CEILING = "Stopped by the user: no noise ceiling was fitted."
+NO_SUSPECTS = "Stopped by the user: the open residual was not searched for suspects."
+
+
+def describe_stop(result: SearchResult) -> list[str]:
+    """List the sentences about Ctrl-C during or after a search."""
+    stopped = [_SEARCH_STOPPED] if result.stopped else []
+    if not result.weighed:
+        stopped.append(_RIVALS_NOT_RANKED)
+    return stopped or ([_EXTRAS_SKIPPED] if result.hurried else [])
+
+
+def finish_step(stopped: list[str], step: Callable[[], Answer]) -> Answer:
+    """Return the result of a short step, in spite of Ctrl-C, which skips later steps."""
+    answer, hurried = complete_step(step)
+    if hurried and not stopped:
+        stopped.append(_EXTRAS_SKIPPED)
+    return answer
+
+
+def skip_if_stopped(stopped: list[str], note: str, step: Callable[[], Answer]) -> Answer | None:
+    """Return the result of an optional step; after Ctrl-C skip it and add the note."""
+    if not stopped:
+        try:
+            return step()
+        except KeyboardInterrupt:
+            pass
+    stopped.append(note)
+    return None

@@ -1,4 +1,4 @@
-"""What a diagnosis says: findings, verdict, proof on held-out runs."""
+"""Result of a diagnosis: findings, verdict, proof on held-out runs."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from stiffopt.discovery.comparison.located_effect import EstimatedEffect, Extens
 from stiffopt.discovery.effect import Effect
 from stiffopt.discovery.experiment.design import ExperimentPlan
 from stiffopt.discovery.extended.schema import LeftOpenSection
-from stiffopt.discovery.judging.black_box import MeasuringRod
-from stiffopt.discovery.judging.carried_over import Drift, NotCarriedOver
-from stiffopt.discovery.judging.detection import DetectionLimit
+from stiffopt.discovery.judging.detection_limits import DetectionLimit
 from stiffopt.discovery.judging.episodes import Episode
+from stiffopt.discovery.judging.explained_shares import MismatchShare
 from stiffopt.discovery.judging.modes import ModeShift
-from stiffopt.discovery.judging.shares import Share
+from stiffopt.discovery.judging.noise_ceiling import NoiseCeiling
+from stiffopt.discovery.judging.run_deviations import Drift, NotCarriedOver
 from stiffopt.discovery.judging.unexplained import Unexplained
-from stiffopt.discovery.proof.proof import RunProof, nrmse
+from stiffopt.discovery.prediction import RunProof, nrmse
 from stiffopt.discovery.sanity.doubt import Doubt
 from stiffopt.discovery.search.rivals import Selected
 from stiffopt.discovery.search.search import SearchResult
@@ -51,7 +51,7 @@ class Parameter:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Rival:
-    """What the data cannot tell apart from a finding.
+    """An effect that the data do not tell apart from a finding.
 
     Parameters
     ----------
@@ -74,24 +74,24 @@ class Finding:
     link : str or None
         Name of the link, of effects of a link.
     probability : float
-        Against its rivals, and against what the misfit stands for.
+        Against its rivals and an unknown cause (`misfit`).
     misfit : float
-        Probability that goes to an unknown cause: its channel is left above twice the noise, one
-        half of the recordings does not bear it out for the other, or its spread from part to part
-        of the recordings does not exclude nothing.
+        Probability of an unknown cause: its channel stays above twice the noise, the finding of
+        one half of the recordings does not help in the other, or its scatter over parts of the
+        recordings does not exclude zero.
     rivals : tuple of Rival
     parameters : tuple of Parameter
     where : str
-        How and where it shows.
+        How and where the effect shows.
     channel : str
-        That it changes most, such as "torque_3".
+        Channel that it changes most, such as "torque_3".
     variance_explained : float
-        Share, 0 to 1, of that channel's squared residual above noise that it takes away in training
+        Share, 0 to 1, of that channel's squared residual above noise that it removes in training
         runs (or stretches) left out of the fit.
     log_evidence : float
-        That is lost without it.
+        Log evidence lost without it.
     significance : float
-        Standard deviations from nothing.
+        Standard deviations from zero.
     """
 
     estimated: EstimatedEffect
@@ -123,7 +123,7 @@ class Finding:
 
     @property
     def joint(self) -> int | None:
-        """From 1; None for effects of the whole robot or of a link."""
+        """Joint from 1; None for effects of the whole robot or of a link."""
         return None if self.located.joint is None else self.located.joint + 1
 
 
@@ -149,23 +149,23 @@ class ChannelFit:
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Diagnosis(DisplayedResult):
-    """What the nominal model of a recording set lacks, and the proof of it.
+    """Result of a diagnosis: effects that the nominal model lacks, and their proof.
 
     Parameters
     ----------
     recordings : RecordingSet
     settings : Settings
     model : str or None
-        Path of the extended model that the diagnosis started from.
+        Path of the extended model that it started from.
     verdict : str
-        "named", "nothing_missing" or "outside_catalogue": the last also where findings leave many
-        times the noise.
+        "named", "nothing_missing" or "outside_catalogue"; the last also where the residual beside
+        the findings is many times the noise.
     findings : tuple of Finding
-        The strongest first; fixed before any test run was opened.
+        The strongest first; fixed before any held-out run was read.
     extension : Extension
-        All that the extended model has beyond the nominal one.
+        Difference of the extended from the nominal model.
     left_open : LeftOpenSection
-        What it leaves of the training runs.
+        Residual of the training runs beside it.
     training : Training
         Prepared training runs, noise, tolerances, constants.
     search : SearchResult
@@ -174,20 +174,20 @@ class Diagnosis(DisplayedResult):
     held_out : tuple of RunProof
         Test and extrapolation runs with their predictions before and after.
     shares : tuple of Share
-        What the mismatch of torques, then that of link encoders is made of on held-out runs: the
-        largest first, what is open last.
-    rod : MeasuringRod or None
-        What is explained of what a black box could explain, where nobody vouches for the model.
+        Parts of the mismatch of torques, then of link encoders on held-out runs: the largest
+        first, the open residual last.
+    noise_ceiling : NoiseCeiling or None
+        Explained share of the best attainable fit; only where no tolerance of masses is stated.
     not_carried_over : tuple of NotCarriedOver
-        Single values that held-out runs have and training runs have not.
+        Single values, such as an offset, that differ between a held-out and the training runs.
     catalogue : tuple of Effect
-        What was tried: the catalogue, and effects of the user's.
+        Effects that were tried: the catalogue's and the user's.
     detection_limits : tuple of DetectionLimit
-        What would have been seen.
+        Least sizes of other effects that the recordings would have shown.
     unexplained : Unexplained or None
-        What remains that no entry of the catalogue explains.
+        Residual that no effect of the catalogue explains.
     next_experiment : str
-        The motion that would separate the leading explanations best.
+        Description of the next recording.
     assumptions : tuple of str
     faults : tuple of (str, Fault)
         Run and fault, of all runs.
@@ -195,15 +195,15 @@ class Diagnosis(DisplayedResult):
         The designed motion of `next_experiment`; None where there are no two explanations to
         separate, or no motion separates them better than the training runs.
     doubts : tuple of Doubt
-        What the recordings contradict of their own description; diagnosed all the same.
+        Contradictions of the recordings to their description, ignored on request.
     drift : tuple of Drift
-        Friction that differs from run to run: what predictions of single runs may be off by.
+        Friction that differs from run to run, and the error of predictions from it.
     episodes : tuple of Episode
-        Times in which something touched the arm; no part of the fit, and of no proof.
+        Contact intervals, excluded from fit and proof.
     stopped : bool
-        By Ctrl-C; the first assumptions tell what was not done.
+        By Ctrl-C; the first assumptions say which steps were skipped.
     modes : tuple of ModeShift
-        Modes of the arm within the band of the fit, lowest first; none where links do not swing.
+        Elastic modes within the band of the fit, lowest first; none without elastic joints.
     """
 
     recordings: RecordingSet
@@ -216,8 +216,8 @@ class Diagnosis(DisplayedResult):
     training: Training
     search: SearchResult
     held_out: tuple[RunProof, ...]
-    shares: tuple[Share, ...]
-    rod: MeasuringRod | None
+    shares: tuple[MismatchShare, ...]
+    noise_ceiling: NoiseCeiling | None
     not_carried_over: tuple[NotCarriedOver, ...]
     catalogue: tuple[Effect, ...]
     detection_limits: tuple[DetectionLimit, ...]
@@ -233,7 +233,7 @@ class Diagnosis(DisplayedResult):
     drift: tuple[Drift, ...] = ()
 
     def facts(self) -> dict[str, str]:
-        """Verdict, findings and residuals in a few words."""
+        """Return verdict, findings and normalised residuals as short text."""
         found: dict[str, str] = {"verdict": self.verdict}
         for number, finding in enumerate(self.findings, start=1):
             place = finding.link or (f"joint {finding.joint}" if finding.joint else "robot")
@@ -245,7 +245,7 @@ class Diagnosis(DisplayedResult):
         return found
 
     def table(self) -> dict[str, list[object]]:
-        """One row a parameter of a finding."""
+        """Return a table with one row for each parameter of a finding."""
         rows = [(f, p) for f in self.findings for p in f.parameters]
         return {
             "effect": [f.effect.name for f, _ in rows],
@@ -261,22 +261,22 @@ class Diagnosis(DisplayedResult):
         }
 
     def proofs(self, role: str) -> tuple[RunProof, ...]:
-        """Held-out runs of one role, "test" or "extrapolate"."""
+        """Return the held-out runs of one role, "test" or "extrapolate"."""
         return tuple(proof for proof in self.held_out if proof.run.role == role)
 
     def nrmse(self, role: str) -> tuple[float, float]:
-        """Residual over noise before and after, all channels of all runs of a role; maybe nan."""
+        """Return the normalised residual of a role before and after; nan without samples."""
         proofs = self.proofs(role)
         return nrmse(proofs, "before"), nrmse(proofs, "after")
 
     @property
     def channels(self) -> tuple[ChannelFit, ...]:
         """Residuals by channel over all held-out runs."""
-        return channel_fits(self.held_out, [j.prismatic for j in self.training.constants.joints])
+        return fit_by_channel(self.held_out, [j.prismatic for j in self.training.constants.joints])
 
 
-def channel_fits(proofs: tuple[RunProof, ...], prismatic: list[bool]) -> tuple[ChannelFit, ...]:
-    """Root mean squares by channel over runs."""
+def fit_by_channel(proofs: tuple[RunProof, ...], prismatic: list[bool]) -> tuple[ChannelFit, ...]:
+    """Return root mean square residuals by channel over all runs."""
     found = []
     for kind, units in (("torque", ("N m", "N")), ("link_position", ("rad", "m"))):
         for joint, slides in enumerate(prismatic):
@@ -296,8 +296,8 @@ def channel_fits(proofs: tuple[RunProof, ...], prismatic: list[bool]) -> tuple[C
     return tuple(found)
 
 
-def rivals_of(selected: Selected, known: float = 1.0) -> tuple[Rival, ...]:
-    """Rivals of a selected effect, where known causes have this probability together."""
+def build_rivals(selected: Selected, known: float = 1.0) -> tuple[Rival, ...]:
+    """Return the rivals of an effect; all known causes together have probability `known`."""
     return tuple(
         Rival(located=located, probability=known * share) for located, share in selected.rivals
     )

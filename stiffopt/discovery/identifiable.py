@@ -1,26 +1,35 @@
-"""Which effects a recording set can show, and what it lacks for the others."""
+"""Effects that a recording set can identify, and the data missing for the others."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from stiffopt.discovery.catalogue import CATALOGUE
-from stiffopt.discovery.effect import Effect, Need
-from stiffopt.discovery.soundness import probed
+from stiffopt.discovery.comparison.located_effect import Extension, LocatedEffect
+from stiffopt.discovery.effect import Amplitude, Effect, Need
+from stiffopt.discovery.signals import JointConstants
+from stiffopt.discovery.user_effects import sample_term
 from stiffopt.recording.joint_facts import JointFacts
 from stiffopt.recording.recording_set import RecordingSet
 
-# Without these there is nothing more to ask.
-_BASIC: tuple[Need, ...] = ("torque", "link", "sensor", "windup", "moves", "gear_ratio")
-LACKS: dict[Need, str] = {
+# Where one of these is missing, further missing data are not listed.
+_PREREQUISITE_NEEDS: tuple[Need, ...] = (
+    "torque",
+    "link",
+    "sensor",
+    "windup",
+    "moves",
+    "gear_ratio",
+)
+MISSING_DATA: dict[Need, str] = {
     "torque": "its torque is not recorded",
     "link": "it has no link encoder",
     "sensor": "neither its torque nor its link angle is recorded",
-    "windup": "it has no link encoder, and not every joint has a spring and damping to swing on",
+    "windup": "it has no link encoder, and not every joint has stiffness and damping",
     "moves": "it does not move",
     "reverses": "it moves in one direction only",
     "slow": "it never moves slowly (0.005 to 0.1 rad/s)",
@@ -40,7 +49,7 @@ LACKS: dict[Need, str] = {
 
 @dataclass(frozen=True, kw_only=True)
 class EffectCheck:
-    """Whether an effect could be found with a set.
+    """Result of the check if recordings can identify an effect.
 
     Parameters
     ----------
@@ -48,7 +57,7 @@ class EffectCheck:
     joint : int or None
         From 1; None for an effect of the whole robot.
     lacks : tuple of str
-        Why not, a clause each; empty if it can be found.
+        Missing data, a clause each; empty if the effect is identifiable.
     """
 
     effect: Effect
@@ -57,7 +66,7 @@ class EffectCheck:
 
     @property
     def possible(self) -> bool:
-        """Whether nothing is lacking."""
+        """True if no data are missing."""
         return not self.lacks
 
     def as_dict(self) -> dict[str, Any]:
@@ -70,11 +79,11 @@ class EffectCheck:
         }
 
 
-def needs(effect: Effect) -> tuple[Need, ...]:
-    """What an effect needs of recordings; by the channels that its term acts on if it says none."""
+def required_signals(effect: Effect) -> tuple[Need, ...]:
+    """Return the data that an effect needs: as declared, else by the channels that it acts on."""
     if effect.needs:
         return effect.needs
-    term = probed(effect)
+    term = sample_term(effect)
     acts_on_torque = any(
         np.any(part) for part in (term.drive_torque, term.link_torque, term.previous_torque)
     )
@@ -88,7 +97,7 @@ def effect_checks(
     training_runs: int,
     effects: Sequence[Effect] = CATALOGUE,
 ) -> tuple[EffectCheck, ...]:
-    """Every effect of every joint, then those of the whole robot.
+    """Check every effect at every joint, then those of the whole robot.
 
     Parameters
     ----------
@@ -117,18 +126,127 @@ def effect_checks(
 
     def check(effect: Effect, wanted: Iterable[Need], joint: int | None) -> EffectCheck:
         missing = [need for need in wanted if not met(need, joint)]
-        if missing and missing[0] in _BASIC:
+        if missing and missing[0] in _PREREQUISITE_NEEDS:
             missing = missing[:1]
         return EffectCheck(
             effect=effect,
             joint=None if joint is None else joint + 1,
-            lacks=tuple(LACKS[need] for need in missing),
+            lacks=tuple(MISSING_DATA[need] for need in missing),
         )
 
-    wanted = [(effect, needs(effect)) for effect in effects]
+    wanted = [(effect, required_signals(effect)) for effect in effects]
     robot = [pair for pair in wanted if pair[0].scope == "robot"]
     joints = [pair for pair in wanted if pair[0].scope != "robot"]
     return (
         *(check(*pair, j) for j in range(recordings.n) for pair in joints),
         *(check(*pair, None) for pair in robot),
     )
+
+
+def restrict_to_identifiable(
+    catalogue: Sequence[Effect], checks: Sequence[EffectCheck]
+) -> tuple[Effect, ...]:
+    """Return the catalogue with every effect restricted to joints where it is identifiable.
+
+    An effect that `recording check` calls not identifiable at a joint is never found there.
+
+    Parameters
+    ----------
+    catalogue : sequence of Effect
+    checks : sequence of EffectCheck
+        Of every effect at every joint.
+    """
+    told: dict[str, set[int | None]] = {}
+    for check in checks:
+        joints = told.setdefault(check.effect.name, set())
+        if check.possible:
+            joints.add(check.joint)
+    return tuple(_restrict_joints(entry, told.get(entry.name, set())) for entry in catalogue)
+
+
+def _restrict_joints(entry: Effect, joints: set[int | None]) -> Effect:
+    own = entry.applies
+
+    def applies(constants: Any) -> bool:
+        if own is not None and not own(constants):
+            return False
+        # For effects of a link or the robot one joint is enough.
+        joint = getattr(constants, "joint", None)
+        return bool(joints) if joint is None else joint in joints
+
+    return replace(entry, applies=applies)
+
+
+def locate_unstated(
+    catalogue: Sequence[Effect],
+    recordings: RecordingSet,
+    joints: Sequence[JointConstants],
+    usual: bool,
+) -> tuple[LocatedEffect, ...]:
+    """Return the effects at joints that replace nominal values which the set does not state.
+
+    They are fitted together before any other effect; unsupported ones are dropped.
+    """
+    return tuple(
+        LocatedEffect(effect=_remove_upper_bounds(effect), joint=j)
+        for effect in catalogue
+        if _replaces_unstated(effect, recordings) or (usual and effect.usual)
+        for j, constants in enumerate(joints)
+        if effect.applies is None or effect.applies(constants)
+    )
+
+
+def select_unseen(
+    effects: Sequence[LocatedEffect], unseen: np.ndarray, model: Extension
+) -> tuple[LocatedEffect, ...]:
+    """Return the effects in channels that an extended model has no recordings and effects of.
+
+    Parameters
+    ----------
+    effects : sequence of LocatedEffect
+    unseen : array (2 n,) of bool
+        Channels without recordings: torques, then link positions.
+    model : Extension
+    """
+    torque, link = np.split(unseen, 2)
+    known = [each.located for each in model.effects]
+    return tuple(
+        located
+        for located in effects
+        if (link if "link" in required_signals(located.effect) else torque)[located.joint]
+        and not any(located.same_place(other) for other in known)
+    )
+
+
+def remove_bounds(catalogue: Sequence[Effect], recordings: RecordingSet) -> tuple[Effect, ...]:
+    """Return the catalogue without upper bounds on values that the nominal model does not state."""
+    return tuple(
+        _remove_upper_bounds(each) if _replaces_unstated(each, recordings) else each
+        for each in catalogue
+    )
+
+
+def widen_for_changes(catalogue: Sequence[Effect]) -> tuple[Effect, ...]:
+    """Return the catalogue with the wider amplitudes of changes since an extended model.
+
+    Tools are exchanged and bodies rebuilt, which exceeds errors of a nominal model.
+    """
+
+    def wider(each: Amplitude) -> Amplitude:
+        own, times = each.scale, each.changed
+        scale = (lambda constants: times * own(constants)) if callable(own) else times * own
+        return replace(each, scale=scale)
+
+    return tuple(
+        replace(entry, amplitudes=tuple(map(wider, entry.amplitudes))) for entry in catalogue
+    )
+
+
+def _replaces_unstated(effect: Effect, recordings: RecordingSet) -> bool:
+    return effect.nominal in recordings.unstated
+
+
+def _remove_upper_bounds(entry: Effect) -> Effect:
+    """Remove upper bounds, which are relative to a nominal value."""
+    amplitudes = tuple(replace(a, upper=float("inf")) for a in entry.amplitudes)
+    return replace(entry, amplitudes=amplitudes)

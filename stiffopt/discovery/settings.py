@@ -1,4 +1,4 @@
-"""Settings of a diagnosis; they have defaults, which the report states."""
+"""Settings of a diagnosis with their defaults."""
 
 from __future__ import annotations
 
@@ -8,18 +8,18 @@ import numpy as np
 
 from stiffopt.recording.nominal import Tolerance
 
-# Speed within which dry friction has no definite value, and the smooth sign's own [rad/s].
+# Smoothing width of the sign of the velocity in dry friction [rad/s].
 SIGN_SPEED = 0.01
-# Slower than this a joint counts as standing, and its torque as undetermined [rad/s].
-MOVING = 3.0 * SIGN_SPEED
+# A slower joint counts as stationary, its dry friction as undetermined [rad/s].
+MIN_MOVING_SPEED = 3.0 * SIGN_SPEED
 
-# Of a fit's filter, where recordings do not choose [Hz].
-CUTOFF = 12.0
-# Of the motion that predictions follow [Hz]: wider, since what is predicted is not filtered.
-PREDICTED_CUTOFF = 20.0
+# Cutoff of the filter of a fit where recordings do not choose it [Hz].
+FIT_CUTOFF = 12.0
+# Cutoff of the motion that predictions use [Hz]: wider, since predictions are not filtered.
+PREDICTION_CUTOFF = 20.0
 
-# Of nominal values whose tolerance nobody states.
-WIDE = Tolerance(
+# Tolerances of nominal values where the set states none.
+DEFAULT_TOLERANCE = Tolerance(
     mass=0.05,
     rotor_inertia=0.2,
     coulomb=0.3,
@@ -30,8 +30,8 @@ WIDE = Tolerance(
     com=5e-3,
     encoder_zero=2e-3,
 )
-# Of those of an extended model that was fitted to recordings of the same robot.
-NARROW = Tolerance(
+# Tolerances of an extended model that was fitted to recordings of the same robot.
+EXTENDED_MODEL_TOLERANCE = Tolerance(
     mass=0.01,
     rotor_inertia=0.05,
     coulomb=0.1,
@@ -42,9 +42,9 @@ NARROW = Tolerance(
     com=1e-3,
     encoder_zero=2e-4,
 )
-# Of those whose own misfit is known and counts as noise: what has changed is an effect, however
-# little, and no value that is moved without being said.
-FIXED = Tolerance(
+# No tolerance where the model's own residual is known and counts as noise: any change of a value
+# is then an effect to report, not a nuisance.
+ZERO_TOLERANCE = Tolerance(
     mass=0.0,
     rotor_inertia=0.0,
     coulomb=0.0,
@@ -59,44 +59,45 @@ FIXED = Tolerance(
 
 @dataclass(frozen=True, kw_only=True)
 class Settings:
-    """How recordings are compared with the nominal model.
+    """Settings of the comparison of recordings with the nominal model.
 
     Parameters
     ----------
     cutoff : float, optional
-        Of the zero-phase filter of a fit [Hz]; lowered for slowly sampled recordings. Default: as
-        the training runs bear it out, 12 Hz where links swing on known springs.
+        Cutoff of the zero-phase filter of a fit [Hz]; lowered for slowly sampled recordings.
+        Default: chosen by cross-validation of the training runs; 12 Hz with elastic joints.
     predict : tuple of float, optional
-        Of the motion that the torque of each joint is predicted from [Hz]. Default: likewise.
+        Cutoff of the motion that the torque of each joint is predicted from [Hz]. Default:
+        likewise.
     slow : float
-        A joint slower than this counts as standing [rad/s]; its friction has no definite value.
+        A joint slower than this counts as stationary [rad/s]; its friction is undetermined.
     tolerance : Tolerance
-        Stands in where the set states none: wide, since unknown.
+        Used where the set states none.
     after_model : Tolerance
-        Likewise, where an extended model of the robot is started from.
+        Likewise, where the diagnosis starts from an extended model.
     box : float
-        Nominal values stay within so many standard deviations.
+        Bound on nominal values in standard deviations.
     effects : int, optional
-        Most effects that are named beside values that the nominal model does not give. Default: 3,
-        12 where nobody vouches for its masses.
+        Maximum number of findings, values that the nominal model does not state apart. Default: 3;
+        12 without stated tolerances of masses.
     """
 
     cutoff: float | None = None
     predict: tuple[float, ...] | None = None
-    slow: float = MOVING
-    tolerance: Tolerance = field(default_factory=lambda: WIDE)
-    after_model: Tolerance = field(default_factory=lambda: NARROW)
+    slow: float = MIN_MOVING_SPEED
+    tolerance: Tolerance = field(default_factory=lambda: DEFAULT_TOLERANCE)
+    after_model: Tolerance = field(default_factory=lambda: EXTENDED_MODEL_TOLERANCE)
     box: float = 4.0
     effects: int | None = None
 
     @property
     def fit_band(self) -> float:
         """Cutoff of a fit [Hz]."""
-        return CUTOFF if self.cutoff is None else self.cutoff
+        return FIT_CUTOFF if self.cutoff is None else self.cutoff
 
 
-def filled(own: np.ndarray | None, default: np.ndarray) -> np.ndarray:
-    """Values of the set, the default where it states none (n,)."""
+def fill_missing(own: np.ndarray | None, default: np.ndarray) -> np.ndarray:
+    """Return the stated values (n,), the default where none is stated."""
     if own is None:
         return default
     return np.where(np.isfinite(own), own, default)

@@ -1,4 +1,4 @@
-"""What a diagnosis leaves behind: diagnosis.json, extended.toml, predictions of held-out runs."""
+"""Files of a diagnosis: diagnosis.json, extended.toml, predictions of held-out runs."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.diagnosis import Diagnosis, Finding, Rival
 from stiffopt.discovery.experiment.design import EXPERIMENT_FILE
 from stiffopt.discovery.extended.store import extended_text
-from stiffopt.discovery.judging.shares import Share
+from stiffopt.discovery.judging.explained_shares import MismatchShare
 from stiffopt.discovery.judging.unexplained import Unexplained
-from stiffopt.discovery.proof.predict import Prediction
+from stiffopt.discovery.prediction import Prediction
 from stiffopt.discovery.signals import RobotConstants
 from stiffopt.files import atomic_write, to_json_types
 from stiffopt.recording.signals import Signals
 
-SCHEMA = 1
+SCHEMA_VERSION = 1
 ANSWER_FILE = "diagnosis.json"
 MODEL_FILE = "extended.toml"
 
@@ -29,20 +29,20 @@ MODEL_FILE = "extended.toml"
 def write_diagnosis(diagnosis: Diagnosis, directory: str | Path) -> Path:
     """Write diagnosis.json, extended.toml and the predictions; return the path of the first.
 
-    Every file is written whole or not at all, diagnosis.json last: where it is, all others are.
+    Every file is written whole or not at all, diagnosis.json last: if it exists, all others do.
     """
     folder = Path(directory)
     signals = diagnosis.recordings.signals
     files: dict[str, str | bytes] = {}
     for proof in diagnosis.held_out:
         for when, prediction in (("before", proof.before), ("after", proof.after)):
-            files[f"pred_{when}_{proof.run.name}.npz"] = _arrays(prediction, signals)
+            files[f"pred_{when}_{proof.run.name}.npz"] = _prediction_archive(prediction, signals)
     files[MODEL_FILE] = extended_text(diagnosis)
     if diagnosis.experiment is not None:
         files[EXPERIMENT_FILE] = diagnosis.experiment.csv()
-    text = json.dumps(answer(diagnosis), indent=1, ensure_ascii=False, allow_nan=False)
+    text = json.dumps(answer_document(diagnosis), indent=1, ensure_ascii=False, allow_nan=False)
     files[ANSWER_FILE] = text + "\n"
-    # An earlier answer must not stand beside files that are not its own.
+    # An earlier result must not remain beside files of another diagnosis.
     for name in (ANSWER_FILE, EXPERIMENT_FILE):
         (folder / name).unlink(missing_ok=True)
     for name, content in files.items():
@@ -50,20 +50,20 @@ def write_diagnosis(diagnosis: Diagnosis, directory: str | Path) -> Path:
     return folder / ANSWER_FILE
 
 
-def answer(diagnosis: Diagnosis) -> dict[str, Any]:
-    """Content of diagnosis.json: plain numbers, strings, lists and dicts."""
+def answer_document(diagnosis: Diagnosis) -> dict[str, Any]:
+    """Return the content of diagnosis.json: numbers, strings, lists and dicts."""
     constants = diagnosis.training.constants
     document = {
-        "schema": SCHEMA,
+        "schema": SCHEMA_VERSION,
         "verdict": diagnosis.verdict,
-        "findings": [_finding(f, constants) for f in diagnosis.findings],
+        "findings": [_finding_entry(f, constants) for f in diagnosis.findings],
         "fit": {
             "channels": [vars(channel) for channel in diagnosis.channels],
-            **{role: _fit(diagnosis, role) for role in ("test", "extrapolate")},
+            **{role: _fit_entry(diagnosis, role) for role in ("test", "extrapolate")},
         },
-        "mismatch": [_share(each) for each in diagnosis.shares],
-        "rigid_model": _rigid(diagnosis),
-        "black_box": _rod(diagnosis),
+        "mismatch": [_share_entry(each) for each in diagnosis.shares],
+        "rigid_model": _rigid_entry(diagnosis),
+        "black_box": _noise_ceiling_entry(diagnosis),
         "not_carried_over": [vars(each) for each in diagnosis.not_carried_over],
         "drift": [vars(each) | {"joint": each.joint + 1} for each in diagnosis.drift],
         "episodes": [vars(each) for each in diagnosis.episodes],
@@ -78,7 +78,9 @@ def answer(diagnosis: Diagnosis) -> dict[str, Any]:
             for limit in diagnosis.detection_limits
         ],
         "modes": [vars(mode) for mode in diagnosis.modes],
-        "outside": None if diagnosis.unexplained is None else _unexplained(diagnosis.unexplained),
+        "outside": None
+        if diagnosis.unexplained is None
+        else _unexplained_entry(diagnosis.unexplained),
         "next_experiment": diagnosis.next_experiment,
         "stopped": diagnosis.stopped,
         "assumptions": list(diagnosis.assumptions),
@@ -108,7 +110,7 @@ def answer(diagnosis: Diagnosis) -> dict[str, Any]:
     return found
 
 
-def _finding(finding: Finding, constants: RobotConstants) -> dict[str, Any]:
+def _finding_entry(finding: Finding, constants: RobotConstants) -> dict[str, Any]:
     return {
         "effect": finding.effect.name,
         "joint": finding.joint,
@@ -125,11 +127,11 @@ def _finding(finding: Finding, constants: RobotConstants) -> dict[str, Any]:
         "channel": finding.channel,
         "log_evidence": finding.log_evidence,
         "significance": finding.significance,
-        "confused_with": [_rival(rival, constants) for rival in finding.rivals],
+        "confused_with": [_rival_entry(rival, constants) for rival in finding.rivals],
     }
 
 
-def _rival(rival: Rival, constants: RobotConstants) -> dict[str, Any]:
+def _rival_entry(rival: Rival, constants: RobotConstants) -> dict[str, Any]:
     located: LocatedEffect = rival.located
     return {
         "effect": located.effect.name,
@@ -140,15 +142,15 @@ def _rival(rival: Rival, constants: RobotConstants) -> dict[str, Any]:
     }
 
 
-def _fit(diagnosis: Diagnosis, role: str) -> dict[str, float] | None:
+def _fit_entry(diagnosis: Diagnosis, role: str) -> dict[str, float] | None:
     if not diagnosis.proofs(role):
         return None
     before, after = diagnosis.nrmse(role)
     return {"nrmse_before": before, "nrmse_after": after}
 
 
-def _share(share: Share) -> dict[str, Any]:
-    """What a part of the answer takes away on runs left out; "open" is what none does."""
+def _share_entry(share: MismatchShare) -> dict[str, Any]:
+    """Return the entry of a part of the mismatch; "open" is the unexplained one."""
     part = share.part
     return {
         "part": "open" if part is None else part.kind,
@@ -161,8 +163,8 @@ def _share(share: Share) -> dict[str, Any]:
     }
 
 
-def _rigid(diagnosis: Diagnosis) -> dict[str, Any] | None:
-    """What the re-identified rigid model needed; None where tolerances of masses are stated."""
+def _rigid_entry(diagnosis: Diagnosis) -> dict[str, Any] | None:
+    """Return the entry of the re-identified rigid model; None if mass tolerances are stated."""
     rigid = diagnosis.search.rigid
     if rigid is None:
         return None
@@ -184,9 +186,9 @@ def _rigid(diagnosis: Diagnosis) -> dict[str, Any] | None:
     }
 
 
-def _rod(diagnosis: Diagnosis) -> dict[str, Any] | None:
-    """What is explained of what can be, and what the rest goes with."""
-    rod = diagnosis.rod
+def _noise_ceiling_entry(diagnosis: Diagnosis) -> dict[str, Any] | None:
+    """Return the entry of the noise ceiling and of the signals that the residual depends on."""
+    rod = diagnosis.noise_ceiling
     if rod is None:
         return None
     return {
@@ -202,7 +204,7 @@ def _rod(diagnosis: Diagnosis) -> dict[str, Any] | None:
     }
 
 
-def _unexplained(unexplained: Unexplained) -> dict[str, Any]:
+def _unexplained_entry(unexplained: Unexplained) -> dict[str, Any]:
     return {
         "channels": list(unexplained.channels),
         "regressors": list(unexplained.regressors),
@@ -217,8 +219,8 @@ def _unexplained(unexplained: Unexplained) -> dict[str, Any]:
     }
 
 
-def _arrays(prediction: Prediction, signals: Signals) -> bytes:
-    """An .npz of the predicted channels with the stamps, named and measured as the set's own."""
+def _prediction_archive(prediction: Prediction, signals: Signals) -> bytes:
+    """Return an .npz archive of predictions, with names and units of the set."""
     columns: dict[str, np.ndarray] = {}
     for kind, values in (
         ("torque", prediction.torque),

@@ -1,4 +1,4 @@
-"""The training runs of a set, prepared: all that a search may see."""
+"""Prepare the training runs of a set: the only data that a search uses."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from stiffopt.discovery.comparison.located_effect import Extension
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.comparison.nuisance import merge_tolerances
 from stiffopt.discovery.comparison.prepared_run import PreparedRun, prepare_run
-from stiffopt.discovery.extended.left_open import assumed, least_factors, with_bands
+from stiffopt.discovery.extended.left_open import adopt_bands, describe_assumptions, noise_factors
 from stiffopt.discovery.extended.model import ExtendedModel, check_extended
-from stiffopt.discovery.settings import FIXED, PREDICTED_CUTOFF, Settings
+from stiffopt.discovery.settings import PREDICTION_CUTOFF, ZERO_TOLERANCE, Settings
 from stiffopt.discovery.signals import RobotConstants
-from stiffopt.discovery.thresholds import MOST_EFFECTS, MOST_EFFECTS_FREE
+from stiffopt.discovery.thresholds import MAX_EFFECTS, MAX_EFFECTS_FREE
 from stiffopt.errors import InputFileError
 from stiffopt.recording.nominal import Tolerance
 from stiffopt.recording.nominal_files import NO_RATIO
@@ -31,49 +31,49 @@ from stiffopt.units import joint_unit
 
 Say = Callable[[str], object]
 
-# Wind-up of a joint beyond which it is no drivetrain's, [rad] or [m].
-_SOFTEST = 1.0
-# No spring of a joint takes longer to follow its torque [s].
-_CREEPS = 10.0
-# Least noise of a torque over its largest value: 24 bits tell no less.
-_QUIETEST = 2.0**-24
+# Largest wind-up of a drivetrain, [rad] or [m]; more is a wrong stiffness, mass or time.
+_MAX_WINDUP = 1.0
+# Longest relaxation time of a joint's spring and damper [s].
+_MAX_RELAXATION_TIME = 10.0
+# Least noise of a torque over its largest value: the resolution of 24 bits.
+_MIN_RELATIVE_NOISE = 2.0**-24
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Training:
-    """Prepared training runs with what they are judged by.
+    """Prepared training runs with noise, tolerances and settings.
 
     Parameters
     ----------
     robot : RobotModel
     runs : tuple of PreparedRun
-        With the nominal model.
+        With signals of the nominal model.
     start : Extension
-        Of the model that the diagnosis started from, as its fit found it.
+        Extension of the model that the diagnosis started from, as fitted.
     recorded : tuple of RecordedRun
-        The same runs as they were read.
+        The same runs as read.
     constants : RobotConstants
-        With the ranges that the runs meet.
+        With the ranges of the runs.
     noise : KnownNoise
     tolerance : Tolerance
     box : float
-        Standard deviations that nominal values stay within.
+        Bound on nominal values in standard deviations.
     free_bodies : bool
-        Whether nobody vouches for the nominal masses.
+        True if no tolerance of nominal masses is stated: inertial parameters are free.
     reidentified : bool
-        Whether they are all fitted anew, then: unless an extended model is started from, against
-        which differences are sought.
+        True if all inertial parameters are then re-identified: unless starting from an extended
+        model.
     most : int
-        Effects that are named at most beside what the set does not give.
+        Maximum number of findings, values that the set does not state apart.
     settings : Settings
-        With the bands that were chosen.
+        With the chosen bands.
     assumptions : tuple of str
     least : array (2 n,), optional
-        Factors on the noise that make it what the model that is started from left open.
+        Factors that raise the noise to the open residual of the starting model.
     suspects : mapping of str to float
-        What that hints at by itself, with log evidence for a row.
+        Effects that the open residual suggests, with log evidence per row.
     leanings : mapping of str to tuple of float
-        Amplitudes that effects alone would take of it.
+        Amplitudes that single effects would have in the open residual.
     """
 
     robot: RobotModel
@@ -94,7 +94,7 @@ class Training:
     leanings: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
 
     def comparison(self) -> Comparison:
-        """The comparison that a search starts from."""
+        """Return the comparison that a search starts from."""
         return Comparison(
             self.robot,
             self.runs,
@@ -107,7 +107,7 @@ class Training:
         )
 
 
-def training_runs(recordings: RecordingSet, say: Say = lambda _: None) -> list[RecordedRun]:
+def open_training_runs(recordings: RecordingSet, say: Say = lambda _: None) -> list[RecordedRun]:
     """Open the training runs, and no other run."""
     opened = []
     for entry in recordings.with_role("train"):
@@ -116,7 +116,7 @@ def training_runs(recordings: RecordingSet, say: Say = lambda _: None) -> list[R
     return opened
 
 
-def train(
+def prepare_training(
     recordings: RecordingSet,
     settings: Settings,
     model: ExtendedModel | None = None,
@@ -132,28 +132,28 @@ def train(
     recordings : RecordingSet
     settings : Settings
     model : ExtendedModel, optional
-        To start from in place of the nominal model.
+        Starting model in place of the nominal one.
     say : callable
         Called with a sentence at every step.
     runs : sequence of RecordedRun, optional
-        The training runs where they are open already.
+        The training runs, if already read.
     vibrating : bool
         See `prepare`.
     """
     robot = RobotModel(recordings)
     left_open = None if model is None else model.left_open
-    asked, settings = settings, with_bands(settings, left_open)
+    asked, settings = settings, adopt_bands(settings, left_open)
     opened: list[RecordedRun] = []
     prepared: list[PreparedRun] = []
     notes: list[str] = []
-    for run in training_runs(recordings, say) if runs is None else runs:
+    for run in open_training_runs(recordings, say) if runs is None else runs:
         if not run.usable:
-            notes.append(_unusable(run))
+            notes.append(_describe_unusable(run))
             continue
         probe = prepare_run(robot, run, len(opened), None, settings, vibrating=vibrating)
         _check_nominal(robot, run, probe)
         if not (probe.torque_used.any() or probe.deflection_used.any()):
-            notes.append(_nothing_to_fit(run, probe))
+            notes.append(_describe_unfittable(run, probe))
             continue
         prepared.append(probe)
         opened.append(run)
@@ -165,9 +165,9 @@ def train(
         )
     if settings.cutoff is None and not robot.vibrates:
         say("choose how fast a motion to follow")
-        settings, note = _with_bands(robot, opened, settings)
+        settings, note = _choose_bands(robot, opened, settings)
         notes.append(note)
-        # A long run is not held twice.
+        # Release memory before the runs are prepared again.
         prepared.clear()
         del probe
         prepared = [
@@ -176,7 +176,7 @@ def train(
         ]
     stated = recordings.tolerance
     free = stated.mass is None and stated.com is None
-    # Where the model is vouched for, the torque may be what a drive was asked for in vain.
+    # With stated tolerances a measured torque may be a saturated command, no range.
     measured = _largest_torques(prepared) if free else None
     ranged = robot.constants_over([run.signals for run in prepared], measured)
     if model is not None:
@@ -185,22 +185,24 @@ def train(
     ready = [replace(run, signals=replace(run.signals, constants=ranged)) for run in prepared]
     noise = known_noise(recordings.noise, ready)
     _check_noise(recordings, noise, ready)
-    # Where the model is vouched for, all that it leaves is to be explained.
-    least = least_factors(left_open, noise.channels) if free else None
+    # With stated tolerances the whole residual is to be explained, none is noise.
+    least = noise_factors(left_open, noise.channels) if free else None
     if len(ready) < MIN_RUNS_AS_BLOCKS:
         notes.append(
             f"With {len(ready)} training run{'s' * (len(ready) > 1)}, candidates are"
             " cross-validated over stretches of runs instead of whole runs."
         )
-    # A model that was fitted to this robot is nearer to it than one that nobody has compared.
+
     if model is not None:
         ratio = [NO_RATIO] if model.nominal.gear_ratio is None else []
-        known = assumed(left_open, least, noise.channels, asked, stated, recordings.prismatic)
+        known = describe_assumptions(
+            left_open, least, noise.channels, asked, stated, recordings.prismatic
+        )
         notes = [*ratio, *known, *notes]
     default = settings.tolerance if model is None else settings.after_model
-    tolerance = merge_tolerances(stated, default if least is None else FIXED)
+    tolerance = merge_tolerances(stated, default if least is None else ZERO_TOLERANCE)
     if free and stated.encoder_zero is None:
-        # Encoders' offsets are fitted and said, not hidden by a tolerance.
+        # Encoder offsets are reported as findings, not hidden by a tolerance.
         tolerance = replace(tolerance, encoder_zero=0.0)
     training = Training(
         robot=robot,
@@ -213,7 +215,7 @@ def train(
         free_bodies=free,
         reidentified=free and model is None,
         box=settings.box,
-        most=_most(settings.effects, free),
+        most=_max_effects(settings.effects, free),
         settings=settings,
         assumptions=(*recordings.assumptions, *noise.assumptions(), *notes),
         least=least,
@@ -225,28 +227,28 @@ def train(
     return replace(training, runs=estimate_initial_states(training.comparison()))
 
 
-def _most(stated: int | None, free: bool) -> int:
+def _max_effects(stated: int | None, free: bool) -> int:
     if stated is not None:
         return stated
-    return MOST_EFFECTS_FREE if free else MOST_EFFECTS
+    return MAX_EFFECTS_FREE if free else MAX_EFFECTS
 
 
-def _with_bands(
+def _choose_bands(
     robot: RobotModel, runs: Sequence[RecordedRun], settings: Settings
 ) -> tuple[Settings, str]:
     bands = choose_bands(
-        robot, runs, slow=settings.slow, fit=settings.fit_band, predict=PREDICTED_CUTOFF
+        robot, runs, slow=settings.slow, fit=settings.fit_band, predict=PREDICTION_CUTOFF
     )
     each = ", ".join(f"{j}: {band:g}" for j, band in enumerate(bands.predict, start=1))
     note = (
         f"Fits follow the recordings up to {bands.fit:g} Hz, predicted torques up to"
-        f" (joint {each}) Hz: as stretches of the training runs left out bear it out best."
+        f" (joint {each}) Hz: chosen by cross-validation over stretches of the training runs."
     )
     return replace(settings, cutoff=bands.fit, predict=bands.predict), note
 
 
 def _check_nominal(robot: RobotModel, run: RecordedRun, ready: PreparedRun) -> None:
-    """Raise `InputFileError` where the nominal model says nothing of a run that can be compared."""
+    """Raise `InputFileError` if the nominal model gives no usable torque or wind-up of a run."""
     recordings, signals = robot.recordings, ready.signals
     if not np.isfinite(signals.drive_torque).all():
         raise InputFileError(
@@ -258,68 +260,69 @@ def _check_nominal(robot: RobotModel, run: RecordedRun, ready: PreparedRun) -> N
     _check_damping(robot, ready)
     widest = np.abs(signals.windup).max(axis=0)
     joint = int(widest.argmax())
-    if widest[joint] > _SOFTEST:
+    if widest[joint] > _MAX_WINDUP:
         name = recordings.joints[joint]
         raise InputFileError(
             recordings.path,
             "nominal",
             f"the drivetrain of {name!r} winds up by {widest[joint]:.3g} rad along {run.file}, "
-            f"and no joint does so by more than {_SOFTEST:g}. Check its stiffness, and masses and "
-            "times.",
+            f"the largest allowed is {_MAX_WINDUP:g}. Check its stiffness, the masses and "
+            "the times.",
         )
 
 
 def _check_damping(robot: RobotModel, probe: PreparedRun) -> None:
-    """Raise `InputFileError` where a joint would creep back instead of vibrating."""
-    recordings, swing = robot.recordings, probe.vibration
-    if swing is None:
+    """Raise `InputFileError` for a damping above the critical one."""
+    recordings, vibration = robot.recordings, probe.vibration
+    if vibration is None:
         if robot.vibrates:
             _check_creep(robot)
         return
-    inertia = np.diagonal(swing.bodies[2], axis1=1, axis2=2)
-    critical = 2.0 * np.sqrt(np.max(swing.stiffness * inertia, axis=0))
-    for j in np.flatnonzero(swing.damping > critical):
+    inertia = np.diagonal(vibration.bodies[2], axis1=1, axis2=2)
+    critical = 2.0 * np.sqrt(np.max(vibration.stiffness * inertia, axis=0))
+    for j in np.flatnonzero(vibration.damping > critical):
         unit = joint_unit("N m s/rad", bool(recordings.prismatic[j]))
         raise InputFileError(
             recordings.path,
             "nominal.joint_damping",
-            f"{swing.damping[j]:g} {unit} at {recordings.joints[j]!r} is above the critical "
-            f"{critical[j]:.3g} of the joint vibrating alone. Joints have 1 to 5 % of that; give "
+            f"{vibration.damping[j]:g} {unit} at {recordings.joints[j]!r} is above the critical "
+            f"{critical[j]:.3g} of the joint alone. Joints have 1 to 5 % of that; give "
             "the damping of the spring, not the friction of the drive.",
         )
 
 
 def _check_creep(robot: RobotModel) -> None:
-    """Raise `InputFileError` where a spring would not have followed its torque within a run."""
+    """Raise `InputFileError` for a relaxation time longer than any run."""
     recordings = robot.recordings
     slope = robot.compliance(np.zeros((1, robot.n)))[0]
     for j, joint in enumerate(robot.constants.joints):
-        if joint.joint_damping * slope[j] > _CREEPS:
+        if joint.joint_damping * slope[j] > _MAX_RELAXATION_TIME:
             unit = joint_unit("N m s/rad", bool(recordings.prismatic[j]))
             raise InputFileError(
                 recordings.path,
                 "nominal.joint_damping",
-                f"{joint.joint_damping:g} {unit} at {recordings.joints[j]!r} lets its spring follow"
-                f" a torque within {joint.joint_damping * slope[j]:.3g} s; allowed are {_CREEPS:g}"
-                " s. Give the damping of the spring, 1 to 5 % of the critical one.",
+                f"{joint.joint_damping:g} {unit} at {recordings.joints[j]!r} gives its spring a"
+                f" relaxation time of {joint.joint_damping * slope[j]:.3g} s; allowed are at most"
+                f" {_MAX_RELAXATION_TIME:g} s. Give the damping of the spring, 1 to 5 % of the"
+                " critical one.",
             )
 
 
 def _check_noise(recordings: RecordingSet, noise: KnownNoise, runs: Sequence[PreparedRun]) -> None:
-    """Raise `InputFileError` where the stated noise of a torque is none of any sensor."""
+    """Raise `InputFileError` if the stated noise of a torque is below any sensor's."""
     largest = _largest_torques(runs)
     for j, stated in enumerate(noise.torque_stated):
-        if stated and noise.channels.torque[j] < _QUIETEST * largest[j]:
+        if stated and noise.channels.torque[j] < _MIN_RELATIVE_NOISE * largest[j]:
             raise InputFileError(
                 recordings.path,
                 "noise.torque",
                 f"{noise.channels.torque[j]:g} N m at {recordings.joints[j]!r}, whose torque goes "
-                f"to {largest[j]:.3g}: no sensor is so quiet. State one standard deviation, or "
-                "leave it out.",
+                f"to {largest[j]:.3g}: below the resolution of any sensor. State one standard "
+                "deviation, or leave it out.",
             )
 
 
-def _unusable(run: RecordedRun) -> str:
+def _describe_unusable(run: RecordedRun) -> str:
     why = "; ".join(
         f"joint {fault.joint} {fault.detail.removesuffix('.').removesuffix('. Left out')}"
         for fault in run.faults
@@ -330,19 +333,19 @@ def _unusable(run: RecordedRun) -> str:
     )
 
 
-def _nothing_to_fit(run: RecordedRun, ready: PreparedRun) -> str:
-    """Why no sample of a run can be fitted."""
+def _describe_unfittable(run: RecordedRun, ready: PreparedRun) -> str:
+    """Return the reason that no sample of a run can be fitted."""
     lost = 2.0 * ready.low_pass.settling * run.step
     if run.duration <= 2.0 * lost:
         return (
-            f"{run.file} is left out: it lasts {run.duration:.3g} s, of which the filter takes "
-            f"{lost:.3g} s. Record some seconds or more."
+            f"{run.file} is left out: it lasts {run.duration:.3g} s, of which the filter needs "
+            f"{lost:.3g} s. Record some seconds more."
         )
     return f"{run.file} is left out: no joint of it moves with a torque that can be used."
 
 
 def _largest_torques(runs: Sequence[PreparedRun]) -> np.ndarray:
-    """Largest filtered torque measured of every joint (n,); 0 where none is [N m]."""
+    """Return the largest filtered measured torque of every joint (n,); 0 without any [N m]."""
     largest = np.zeros(runs[0].torque.shape[1])
     for run in runs:
         for j, used in enumerate(run.torque_used.T):

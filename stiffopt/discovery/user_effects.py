@@ -1,4 +1,4 @@
-"""Effects from a user's own Python file, beside those of the catalogue."""
+"""Load effects of a user's Python file, and validate effects on signals of a sample arm."""
 
 from __future__ import annotations
 
@@ -7,23 +7,36 @@ import importlib.util
 import inspect
 import sys
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, get_args
+
+import casadi as ca
+import numpy as np
 
 from stiffopt.discovery.catalogue import CATALOGUE
-from stiffopt.discovery.effect import Effect
-from stiffopt.discovery.soundness import faults
+from stiffopt.discovery.effect import Effect, Need, Scope, Term
+from stiffopt.discovery.signals import (
+    JointConstants,
+    JointSignals,
+    RobotConstants,
+    RobotSignals,
+    smooth_sign,
+)
 from stiffopt.errors import InputFileError
+from stiffopt.recording.nominal_files import build_joint_chain
+from stiffopt.symbolic import Quantity, is_symbolic
 
-_HOW = (
+_FILE_HINT = (
     "A file of effects holds `stiffopt.discovery.effect.Effect` objects at module level, or"
-    " functions without arguments that say `-> Effect`."
+    " functions without arguments that are annotated `-> Effect`."
 )
 
 
 def load_effects(path: str | Path) -> tuple[Effect, ...]:
-    """Effects that a Python file defines, each checked as those of the catalogue are.
+    """Load the effects that a Python file defines, validated like those of the catalogue.
 
     Parameters
     ----------
@@ -38,19 +51,19 @@ def load_effects(path: str | Path) -> tuple[Effect, ...]:
     Raises
     ------
     InputFileError
-        The file cannot be run, defines no effect, takes a name twice or one of the catalogue, or
-        an effect is not sound: not linear in its amplitudes, not fit for symbols, out of bounds.
+        The file cannot be run, defines no effect, uses a name twice or one of the catalogue, or
+        an effect is invalid: not linear in its amplitudes, no symbolic form, out of bounds.
 
     Notes
     -----
-    A term takes (signals, amplitudes, shapes) and returns a `Term`; write it with NumPy's
+    A term maps (signals, amplitudes, shapes) to a `Term`; write it with NumPy's
     functions and arithmetic, so that it takes CasADi symbols as well as arrays of samples.
     """
     path = Path(path)
-    module = _run(path)
-    found = list(_effects(module, path))
+    module = _execute_file(path)
+    found = list(_collect_effects(module, path))
     if not found:
-        raise InputFileError(path, "", f"no effect is defined here. {_HOW}")
+        raise InputFileError(path, "", f"no effect is defined here. {_FILE_HINT}")
     taken = {entry.name: "the catalogue" for entry in CATALOGUE}
     for where, effect in found:
         if effect.name in taken:
@@ -64,7 +77,7 @@ def load_effects(path: str | Path) -> tuple[Effect, ...]:
     return tuple(effect for _, effect in found)
 
 
-def _run(path: Path) -> ModuleType:
+def _execute_file(path: Path) -> ModuleType:
     if not path.is_file():
         raise InputFileError(path, "", "no such file; give the path of a Python file of effects.")
     name = f"stiffopt_user_effects_{path.stem}"
@@ -73,21 +86,23 @@ def _run(path: Path) -> ModuleType:
     if spec is None:
         raise InputFileError(path, "", "this is no Python file.")
     module = importlib.util.module_from_spec(spec)
-    # Dataclasses of the file look their module up while it runs.
+    # Dataclasses look up their module while the file runs.
     sys.modules[name] = module
     try:
         loader.exec_module(module)
     except Exception as error:
         raise InputFileError(
-            path, _line(error, path), f"the file cannot be run: {type(error).__name__}: {error}"
+            path,
+            _error_line(error, path),
+            f"the file cannot be run: {type(error).__name__}: {error}",
         ) from error
     finally:
         sys.modules.pop(name, None)
     return module
 
 
-def _line(error: Exception, path: Path) -> str:
-    """Last line of the file that an error passed, "" where it passed none."""
+def _error_line(error: Exception, path: Path) -> str:
+    """Return the last line of the file in an error's traceback, or ""."""
     trace, line = error.__traceback__, ""
     while trace is not None:
         if trace.tb_frame.f_code.co_filename == str(path):
@@ -96,20 +111,20 @@ def _line(error: Exception, path: Path) -> str:
     return line
 
 
-def _effects(module: ModuleType, path: Path) -> Iterator[tuple[str, Effect]]:
+def _collect_effects(module: ModuleType, path: Path) -> Iterator[tuple[str, Effect]]:
     seen: list[Effect] = []
     for name, value in vars(module).items():
         if name.startswith("_"):
             continue
-        for effect in _given(module, path, name, value):
+        for effect in _effects_of_name(module, path, name, value):
             if any(effect is other for other in seen) or any(effect is e for e in CATALOGUE):
                 continue
             seen.append(effect)
             yield name, effect
 
 
-def _given(module: ModuleType, path: Path, name: str, value: Any) -> Sequence[Effect]:
-    """Effects that one module-level name stands for."""
+def _effects_of_name(module: ModuleType, path: Path, name: str, value: Any) -> Sequence[Effect]:
+    """Return the effects that one module-level name holds or returns."""
     if isinstance(value, Effect):
         return [value]
     if isinstance(value, list | tuple) and any(isinstance(v, Effect) for v in value):
@@ -121,7 +136,7 @@ def _given(module: ModuleType, path: Path, name: str, value: Any) -> Sequence[Ef
         return []
     if signature.parameters:
         raise InputFileError(
-            path, name, f"a function that says `-> Effect` takes no arguments. {_HOW}"
+            path, name, f"a function annotated `-> Effect` takes no arguments. {_FILE_HINT}"
         )
     try:
         made = value()
@@ -130,10 +145,243 @@ def _given(module: ModuleType, path: Path, name: str, value: Any) -> Sequence[Ef
             path, name, f"the function fails with {type(error).__name__}: {error}"
         ) from error
     if not isinstance(made, Effect):
-        raise InputFileError(path, name, f"it returns a {type(made).__name__}, no Effect. {_HOW}")
+        raise InputFileError(
+            path, name, f"it returns a {type(made).__name__}, no Effect. {_FILE_HINT}"
+        )
     return [made]
 
 
 def _require_sound(path: Path, where: str, effect: Effect) -> None:
-    for fault in faults(effect):
+    for fault in find_faults(effect):
         raise InputFileError(path, where, f"effect {effect.name!r} cannot be used: {fault}")
+
+
+TERM_PARTS = ("drive_torque", "link_torque", "deflection", "reading", "previous_torque")
+SCOPES = get_args(Scope)
+# A scan of the catalogue tries every combination of initial shapes at every place.
+MAX_SHAPE_STARTS = 30
+_SAMPLE_JOINTS = 6
+_RELATIVE_TOLERANCE = 1e-9
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SampleArm:
+    """Fixed signals of a sample arm, see `ArmSignals`."""
+
+    tool_position: Quantity
+    tool_velocity: Quantity
+    tool_jacobian: Quantity
+    body_regressor: Quantity
+    tilt: Quantity
+
+    def head(self, count: int) -> SampleArm:
+        """Return the first samples."""
+        return SampleArm(**{name: value[:count] for name, value in vars(self).items()})
+
+    def decimate(self, every: int) -> SampleArm:
+        """Return every n-th sample."""
+        return SampleArm(**{name: value[::every] for name, value in vars(self).items()})
+
+    def with_bodies(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> SampleArm:
+        """Return itself: the body regressor is the same for any motion."""
+        return self
+
+
+def sample_signals(count: int = 60, dt: float = 0.01) -> RobotSignals:
+    """Return signals of a sample arm: smooth, with reversals and loads of both signs.
+
+    Parameters
+    ----------
+    count : int
+        Number of samples.
+    dt : float
+        Time step [s].
+    """
+    time = dt * np.arange(count)
+    wave = np.arange(1, _SAMPLE_JOINTS + 1) * 0.7 + 2.0
+    phase = 0.4 * np.arange(_SAMPLE_JOINTS)
+    angle = np.outer(time, wave) + phase
+    position = 0.6 * np.sin(angle)
+    velocity = 0.6 * wave * np.cos(angle)
+    acceleration = -0.6 * wave**2 * np.sin(angle)
+    torque = 30.0 * np.cos(0.8 * angle + 1.0)
+    constants = sample_constants(position, velocity, torque)
+    windup = np.column_stack([c.windup(torque[:, j]) for j, c in enumerate(constants.joints)])
+    motor_velocity = velocity + np.gradient(windup, dt, axis=0)
+    friction = 4.0 * np.tanh(velocity / 0.01) + 3.0 * velocity
+    lever = np.sin(np.arange(3 * _SAMPLE_JOINTS).reshape(3, _SAMPLE_JOINTS) + angle[:, None, :])
+    body = np.cos(np.arange(10 * _SAMPLE_JOINTS) + angle[:, :, None])
+    tool = np.column_stack([0.4 * np.cos(time), 0.4 * np.sin(time), 0.5 + 0.3 * np.cos(8 * time)])
+    return RobotSignals(
+        time=time,
+        dt=dt,
+        session_time=time + 60.0,
+        temperature_rise=np.tile(8.0 + time[:, None], (1, _SAMPLE_JOINTS)),
+        motor_position=position + windup,
+        motor_velocity=motor_velocity,
+        motor_acceleration=acceleration,
+        motor_direction=smooth_sign(motor_velocity),
+        link_position=position,
+        link_velocity=velocity,
+        link_acceleration=acceleration,
+        transmitted_torque=torque,
+        spring_torque=torque,
+        windup=windup,
+        drive_torque=torque + friction,
+        drive_torque_rate=np.gradient(torque + friction, dt, axis=0),
+        arm=SampleArm(
+            tool_position=tool,
+            tool_velocity=np.gradient(tool, dt, axis=0),
+            tool_jacobian=lever,
+            body_regressor=body,
+            tilt=20.0 * np.stack([np.sin(angle), np.cos(angle)], axis=2),
+        ),
+        last_link=_SAMPLE_JOINTS - 1,
+        link=2,
+        constants=constants,
+    )
+
+
+def sample_constants(
+    position: np.ndarray, velocity: np.ndarray, torque: np.ndarray
+) -> RobotConstants:
+    """Return constants of the sample arm, with the ranges of a motion (K, n)."""
+    joints = tuple(
+        JointConstants(
+            joint=j + 1,
+            ratio=101.0,
+            coulomb=4.0,
+            viscous=3.0,
+            torque_rated=40.0,
+            torque_max=120.0,
+            rotor_inertia=0.36,
+            joint_damping=60.0,
+            chain=build_joint_chain((1.6e4, 2.5e4, 2.9e4, 7.0, 25.0), 6.5e4, 120.0),
+            pole_pairs=4.0,
+            stroke=(float(position[:, j].min()), float(position[:, j].max())),
+            fastest=float(np.abs(velocity[:, j]).max()),
+            largest_torque=float(np.abs(torque[:, j]).max()),
+        )
+        for j in range(position.shape[1])
+    )
+    return RobotConstants(
+        joints=joints,
+        links=tuple(f"link_{j + 1}" for j in range(len(joints))),
+        masses=np.full(len(joints), 4.0),
+        centres=np.full((len(joints), 3), 0.05),
+        tool_range=np.array([[-0.4, -0.4, 0.2], [0.4, 0.4, 0.8]]),
+    )
+
+
+def sample_signals_of(effect: Effect, robot: RobotSignals) -> JointSignals | RobotSignals:
+    """Return the signals for an effect's scope; of joints the fifth, which has two neighbours."""
+    return robot if effect.scope in ("robot", "link") else robot.of_joint(4)
+
+
+def sample_term(effect: Effect) -> Term:
+    """Return the term of an effect of typical size on the sample arm."""
+    signals = sample_signals_of(effect, sample_signals())
+    sizes = [a.size(signals.constants) for a in effect.amplitudes]
+    return effect.term(signals, sizes, _initial_shapes(effect, signals))
+
+
+def find_faults(effect: Effect) -> Iterator[str]:
+    """Yield the faults of an effect, a sentence each; none for a valid one."""
+    signals = sample_signals_of(effect, sample_signals())
+    yield from _find_parameter_faults(effect, signals.constants)
+    try:
+        with np.errstate(all="ignore"):
+            found = list(_find_term_faults(effect, signals))
+    except Exception as error:
+        # A user's formula may raise anything; its author needs the reason.
+        found = [f"its term fails with {type(error).__name__}: {error}."]
+    yield from found
+
+
+def _find_parameter_faults(
+    effect: Effect, constants: JointConstants | RobotConstants
+) -> Iterator[str]:
+    if effect.scope not in SCOPES:
+        yield f"scope {effect.scope!r} is none of {', '.join(SCOPES)}."
+    unknown = [need for need in effect.needs if need not in get_args(Need)]
+    if unknown:
+        yield f"it needs {unknown[0]!r}; known are {', '.join(get_args(Need))}."
+    if not effect.amplitudes:
+        yield "it has no amplitude; at least one number must scale its term."
+    names = [a.name for a in effect.amplitudes] + [s.name for s in effect.shapes]
+    if len(set(names)) != len(names):
+        yield f"two of its parameters share a name: {', '.join(names)}."
+    for amplitude in effect.amplitudes:
+        size = amplitude.size(constants)
+        if not (np.isfinite(size) and size > 0.0):
+            yield f"amplitude {amplitude.name!r} has the scale {size}; it must be above zero."
+        if not amplitude.lower < amplitude.upper:
+            yield f"amplitude {amplitude.name!r} has its lower bound above its upper one."
+    combinations = 1
+    for shape in effect.shapes:
+        starts = shape.start_values(constants)
+        combinations *= len(starts)
+        if not starts or not all(shape.lower <= v <= shape.upper for v in starts):
+            yield (
+                f"shape {shape.name!r} starts at {starts}; it needs at least one start, all"
+                f" between {shape.lower:g} and {shape.upper:g}."
+            )
+    if combinations > MAX_SHAPE_STARTS:
+        yield (
+            f"its shapes have {combinations} combinations of initial values; at most"
+            f" {MAX_SHAPE_STARTS} are tried."
+        )
+
+
+def _find_term_faults(effect: Effect, signals: JointSignals | RobotSignals) -> Iterator[str]:
+    sizes = np.array([a.size(signals.constants) for a in effect.amplitudes])
+    first, second = 0.7 * sizes, -1.3 * sizes * np.cos(np.arange(len(sizes)))
+    if (
+        effect.term(signals, list(0.0 * sizes), _initial_shapes(effect, signals)).__class__
+        is not Term
+    ):
+        yield "its term returns no Term."
+        return
+    for shapes in product(*(s.grid(signals.constants) for s in effect.shapes)):
+        own = stack_term(effect.term(signals, list(first), shapes))
+        if not np.isfinite(own).all():
+            yield f"its term is not finite at the shapes {shapes}."
+            return
+        reach = np.abs(own).max() + 1e-300
+        if np.abs(stack_term(effect.term(signals, list(0.0 * sizes), shapes))).max() > 0.0:
+            yield "its term does not vanish with its amplitudes."
+            return
+        other = stack_term(effect.term(signals, list(second), shapes))
+        both = stack_term(effect.term(signals, list(first + second), shapes))
+        if np.abs(both - own - other).max() > _RELATIVE_TOLERANCE * (reach + np.abs(other).max()):
+            yield "its term is not linear in its amplitudes; make nonlinear parameters shapes."
+            return
+        apart = np.abs(evaluate_symbolically(effect, signals, list(first), shapes) - own).max()
+        if apart > _RELATIVE_TOLERANCE * reach:
+            yield f"symbols and numbers differ by {apart:g} in its term."
+            return
+
+
+def _initial_shapes(effect: Effect, signals: JointSignals | RobotSignals) -> list[float]:
+    return [s.grid(signals.constants)[0] for s in effect.shapes]
+
+
+def stack_term(term: Term) -> np.ndarray:
+    """Return all parts of a term in one array, without constant zeros."""
+    values = [np.asarray(getattr(term, part), dtype=float).ravel(order="F") for part in TERM_PARTS]
+    return np.concatenate([v for v in values if v.size > 1] or [np.zeros(1)])
+
+
+def evaluate_symbolically(
+    effect: Effect,
+    signals: JointSignals | RobotSignals,
+    amplitudes: Sequence[float],
+    shapes: Sequence[float],
+) -> np.ndarray:
+    """Evaluate `stack_term` from the term's symbolic expression."""
+    symbols = ca.MX.sym("p", len(amplitudes) + len(shapes))
+    given = [symbols[i] for i in range(symbols.shape[0])]
+    term = effect.term(signals, given[: len(amplitudes)], given[len(amplitudes) :])
+    expressions = [ca.vec(v) for part in TERM_PARTS if is_symbolic(v := getattr(term, part))]
+    function = ca.Function("term", [symbols], [ca.densify(ca.vertcat(*expressions))])
+    return np.asarray(function([*amplitudes, *shapes])).ravel()

@@ -8,9 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from stiffopt.discovery.extended.changes import ValueChange, torque_gains, value_changes
-from stiffopt.discovery.extended.planner_model import planner_model
-from stiffopt.discovery.extended.planner_solve import read_model
+from stiffopt.discovery.extended.planning import planner_model, read_model
+from stiffopt.discovery.extended.value_changes import ValueChange, torque_gains, value_changes
 from stiffopt.discovery.store import MODEL_FILE
 from stiffopt.errors import InputFileError
 from stiffopt.folders import check_result

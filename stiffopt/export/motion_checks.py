@@ -16,8 +16,7 @@ from scipy.interpolate import CubicSpline
 
 from stiffopt.certificate.assess import assess, drive_violations
 from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
-from stiffopt.discovery.extended.planner_model import planner_model
-from stiffopt.discovery.extended.planner_solve import extended_problem, read_model
+from stiffopt.discovery.extended.planning import extended_problem, planner_model, read_model
 from stiffopt.errors import InputError, InputFileError
 from stiffopt.files import read_table
 from stiffopt.problem.files import load_problem

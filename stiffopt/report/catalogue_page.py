@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 from stiffopt.discovery.catalogue import CATALOGUE, confused_with
 from stiffopt.discovery.effect import Effect, Need
-from stiffopt.discovery.identifiable import needs
+from stiffopt.discovery.identifiable import required_signals
 
 _PAGE_HEAD = """# Catalogue of effects
 
@@ -60,7 +60,7 @@ def _effect_cells(effect: Effect, effects: Sequence[Effect]) -> tuple[str, ...]:
         effect.scope,
         f"`{effect.equation}`",
         effect.signature,
-        ", ".join(_NEED_PHRASES[need] for need in needs(effect)),
+        ", ".join(_NEED_PHRASES[need] for need in required_signals(effect)),
         ", ".join(f"`{name}`" for name in confused_with(effect, effects)),
         "yes" if effect.change_robot else "",
         effect.reference,

@@ -192,7 +192,7 @@ def _solve_study(case: Case, _: bytes | None) -> _CaseEnd:
 
 def _diagnose_recordings(case: Case, _: bytes | None) -> _CaseEnd:
     from stiffopt.discovery.diagnose import diagnose
-    from stiffopt.discovery.store import answer
+    from stiffopt.discovery.store import answer_document
     from stiffopt.recording.recording_set import load_recordings
 
     found = diagnose(load_recordings(case.base, case.settings), experiment=False)
@@ -207,7 +207,7 @@ def _diagnose_recordings(case: Case, _: bytes | None) -> _CaseEnd:
         before, after = found.nrmse("test")
         values |= {"residual_before": (before, ""), "residual_after": (after, "")}
     text = "; ".join(found.assumptions)
-    return CaseResult(str(found.verdict), text, values, answer(found)), None
+    return CaseResult(str(found.verdict), text, values, answer_document(found)), None
 
 
 _CASE_SOLVERS: dict[str, Callable[[Case, bytes | None], _CaseEnd]] = {

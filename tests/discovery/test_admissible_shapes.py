@@ -9,9 +9,8 @@ import pytest
 
 from stiffopt.discovery.catalogue import effect
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
-from stiffopt.discovery.identifiable import EffectCheck
-from stiffopt.discovery.judging.unexplained import _period
-from stiffopt.discovery.search.identifiable_effects import identifiable_effects
+from stiffopt.discovery.identifiable import EffectCheck, restrict_to_identifiable
+from stiffopt.discovery.judging.unexplained import _find_period
 from stiffopt.discovery.signals import JointConstants, RobotConstants
 
 JOINT = JointConstants(
@@ -74,7 +73,7 @@ def test_effect_is_sought_only_where_identifiable() -> None:
         EffectCheck(effect=entry, joint=1, lacks=("it does not move",)),
         EffectCheck(effect=entry, joint=2, lacks=()),
     ]
-    (told,) = identifiable_effects([entry], checks)
+    (told,) = restrict_to_identifiable([entry], checks)
     assert told.applies is not None
     assert [told.applies(joint) for joint in ROBOT.joints] == [False, True]
 
@@ -83,4 +82,4 @@ def test_short_block_has_no_period() -> None:
     """Three rows a block resolve no wave; that is an answer, not an error."""
     block = np.repeat([0, 1], 3)
     time = np.array([0.0, 0.1, 0.2, 1.0, 1.1, 1.2])
-    assert _period(np.ones(6), block, time) is None
+    assert _find_period(np.ones(6), block, time) is None

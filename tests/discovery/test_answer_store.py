@@ -97,7 +97,7 @@ def conforms(document):
     assert all(isinstance(sentence, str) for sentence in document["assumptions"])
 
 
-def test_the_answer_has_every_key_of_the_format():
+def test_diagnosis_json_has_every_key_of_the_format():
     document = answered(COULOMB).document
     assert answered(COULOMB).code == 0
     conforms(document)
@@ -109,7 +109,7 @@ def test_the_answer_has_every_key_of_the_format():
     assert document["detection_limits"]
 
 
-def test_predictions_of_held_out_runs_alone_on_their_own_stamps():
+def test_predictions_only_of_held_out_runs_at_their_stamps():
     found = answered(COULOMB)
     description = tomllib.loads((found.source / "recordings.toml").read_text())
     names = [*description["signals"]["torque"], *description["signals"]["link_position"]]
@@ -129,7 +129,7 @@ def test_predictions_of_held_out_runs_alone_on_their_own_stamps():
 
 @pytest.mark.parametrize("role", ["test", "extrapolate"])
 @pytest.mark.parametrize("when", ["before", "after"])
-def test_residuals_are_those_of_the_predictions(role, when):
+def test_residuals_match_predictions(role, when):
     found = answered(COULOMB)
     description = tomllib.loads((found.source / "recordings.toml").read_text())
     signals, noise = description["signals"], description["noise"]
@@ -152,7 +152,7 @@ def test_residuals_are_those_of_the_predictions(role, when):
     assert found.document["fit"][role][f"nrmse_{when}"] == pytest.approx(expected, rel=1e-9)
 
 
-def test_noise_is_the_stated_one():
+def test_noise_equals_stated_noise():
     found = answered(COULOMB)
     noise = tomllib.loads((found.source / "recordings.toml").read_text())["noise"]
     told = {c["channel"]: c["noise"] for c in found.document["fit"]["channels"]}
@@ -161,7 +161,7 @@ def test_noise_is_the_stated_one():
         assert told[f"link_position_{j}"] == pytest.approx(noise["link_position"], rel=0.05)
 
 
-def test_the_fit_improves_on_runs_that_were_not_fitted_to():
+def test_residual_of_held_out_runs_decreases():
     fit = answered(COULOMB).document["fit"]
     for role in ("test", "extrapolate"):
         assert fit[role]["nrmse_after"] < 0.7 * fit[role]["nrmse_before"]
@@ -169,7 +169,7 @@ def test_the_fit_improves_on_runs_that_were_not_fitted_to():
     assert torque["rms_after"] < 0.5 * torque["rms_before"]
 
 
-def test_the_set_holds_what_it_held():
+def test_recording_set_is_not_changed():
     found = answered(COULOMB)
     description = tomllib.loads((found.source / "recordings.toml").read_text())
     runs = {entry["file"] for entry in description["runs"]}

@@ -13,7 +13,7 @@ from stiffopt.discovery.comparison.extended_run import linearise_run
 from stiffopt.discovery.comparison.extension_change import spring_laws
 from stiffopt.discovery.comparison.located_effect import EstimatedEffect, Extension, LocatedEffect
 from stiffopt.discovery.settings import Settings
-from stiffopt.discovery.training import train
+from stiffopt.discovery.training import prepare_training
 
 
 @pytest.fixture(scope="module")
@@ -24,7 +24,7 @@ def played(tmp_path_factory):
     (line,) = case.truth["effects"]
     located = LocatedEffect(effect=BACKLASH, joint=1, shapes=(1e-4,))
     play = EstimatedEffect(located=located, amplitudes=(float(line["params"]["width"]),))
-    return case, train(load_recordings(path), Settings()), Extension(effects=(play,))
+    return case, prepare_training(load_recordings(path), Settings()), Extension(effects=(play,))
 
 
 def law_of(played):

@@ -7,20 +7,20 @@ from simulated_sets import COULOMB, simulated
 from benchmarks.simulator import write_case
 from stiffopt.discovery.catalogue import CATALOGUE
 from stiffopt.discovery.comparison.located_effect import effect_places
+from stiffopt.discovery.identifiable import remove_bounds
 from stiffopt.discovery.search.candidates import Scorer
-from stiffopt.discovery.search.identifiable_effects import without_bounds
 from stiffopt.discovery.settings import Settings
-from stiffopt.discovery.training import train
+from stiffopt.discovery.training import prepare_training
 from stiffopt.recording.recording_set import load_recordings
 
 
 @pytest.fixture(scope="module")
 def training(tmp_path_factory):
     path = write_case(simulated(COULOMB), tmp_path_factory.mktemp("candidates") / "set")
-    return train(load_recordings(path), Settings())
+    return prepare_training(load_recordings(path), Settings())
 
 
-def test_an_effect_of_a_joint_is_about_a_channel_of_its_joint(training):
+def test_channel_of_a_joint_effect_is_of_its_joint(training):
     # Nominal values of other joints that no longer stand in for it are none of its doing.
     comparison, n = training.comparison(), training.robot.n
     scorer = Scorer(comparison)
@@ -38,11 +38,11 @@ def test_an_effect_of_a_joint_is_about_a_channel_of_its_joint(training):
     assert tried > 20
 
 
-def test_friction_has_bounds_only_beside_a_nominal_value(training, tmp_path):
+def test_friction_is_bounded_only_with_nominal_value(training, tmp_path):
     recordings = load_recordings(write_case(simulated(COULOMB), tmp_path / "set"))
     stated = recordings.stated.model_copy(update={"coulomb": None})
     silent = recordings.with_nominal(stated, recordings.path)
     for given, bounded in ((recordings, True), (silent, False)):
-        catalogue = {effect.name: effect for effect in without_bounds(CATALOGUE, given)}
+        catalogue = {effect.name: effect for effect in remove_bounds(CATALOGUE, given)}
         assert np.isfinite(catalogue["coulomb"].amplitudes[0].upper) == bounded
         assert np.isfinite(catalogue["viscous"].amplitudes[0].upper)

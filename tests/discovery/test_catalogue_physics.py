@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from stiffopt.discovery.catalogue import effect
-from stiffopt.discovery.soundness import sample_signals
+from stiffopt.discovery.user_effects import sample_signals
 
 ROBOT = sample_signals()
 

@@ -63,7 +63,7 @@ WRONG = {
 
 @pytest.mark.parametrize("command", ["diagnose", "check"])
 @pytest.mark.parametrize("name", WRONG)
-def test_wrong_input_is_one_clear_message(tmp_path, capsys, name, command):
+def test_invalid_input_gives_one_message(tmp_path, capsys, name, command):
     change, words = WRONG[name]
     source = copied(COULOMB, tmp_path / "set")
     change(source)
@@ -89,7 +89,7 @@ def test_results_are_not_written_into_the_set(tmp_path, capsys):
     assert not (source / "out").exists()
 
 
-def test_interrupted_while_it_writes(tmp_path, monkeypatch, capsys):
+def test_interrupt_while_writing_leaves_whole_files(tmp_path, monkeypatch, capsys):
     """Half of the files are there when the interruption comes; earlier results stay whole."""
     import stiffopt.discovery.diagnose
     from stiffopt.discovery import store as answer_store
@@ -120,7 +120,7 @@ def test_interrupted_while_it_writes(tmp_path, monkeypatch, capsys):
 
 
 @pytest.mark.slow
-def test_ctrl_c_ends_with_130_and_leaves_nothing(tmp_path):
+def test_ctrl_c_exits_130_without_files(tmp_path):
     out = tmp_path / "out"
     process = subprocess.Popen(
         [sys.executable, "-m", "stiffopt", "diagnose", str(written(COULOMB)), "--out", str(out)],
@@ -145,7 +145,7 @@ def test_ctrl_c_ends_with_130_and_leaves_nothing(tmp_path):
     assert not out.exists()
 
 
-def test_check_says_what_there_is_and_what_it_allows(capsys):
+def test_check_lists_channels_and_identifiable_effects(capsys):
     source = written(COULOMB)
     before = contents(source)
     assert run(["recording", "check", str(source)]) == 0
@@ -162,7 +162,7 @@ def test_check_says_what_there_is_and_what_it_allows(capsys):
     assert contents(source) == before
 
 
-def test_check_names_faults_and_what_is_missing(tmp_path, capsys):
+def test_check_lists_faults_and_missing_data(tmp_path, capsys):
     source = copied(COULOMB, tmp_path / "set")
     columns = columns_of(source / "train_2.npz")
     columns["tau1"][:] = 3.0
@@ -177,7 +177,7 @@ def test_check_names_faults_and_what_is_missing(tmp_path, capsys):
     assert "no joint" in ripple
 
 
-def test_check_of_a_set_whose_test_runs_are_all_broken(tmp_path, capsys):
+def test_check_without_usable_test_run(tmp_path, capsys):
     source = copied(COULOMB, tmp_path / "set")
     file = next(source.glob("test_*.npz"))
     columns = columns_of(file)

@@ -9,7 +9,7 @@ from simulated_sets import COULOMB, diagnosed, said
 from test_answer_store import conforms
 
 from stiffopt.discovery.diagnose import diagnose
-from stiffopt.discovery.store import answer
+from stiffopt.discovery.store import answer_document
 from stiffopt.recording.recording_set import RecordingSet, load_recordings
 from stiffopt.report.diagnosis.words import unexplained_sentence
 
@@ -20,11 +20,11 @@ OUTSIDE = replace(COULOMB, effects=(("pulsing_load", 1, 2.0),))
 SLOW_DRIVE = replace(COULOMB, effects=(("slew_limit", 2, 1.5),))
 
 
-def test_a_nominal_model_within_its_tolerances_lacks_nothing():
+def test_nominal_model_within_tolerance_has_no_findings():
     diagnosis = diagnosed(NOTHING)
     assert diagnosis.verdict == "nothing_missing", said(diagnosis)
     assert diagnosis.findings == ()
-    document = answer(diagnosis)
+    document = answer_document(diagnosis)
     conforms(document)
     assert document["outside"] is None
     # What would have been seen: friction of every joint, in numbers below its nominal value.
@@ -33,17 +33,17 @@ def test_a_nominal_model_within_its_tolerances_lacks_nothing():
         assert 0.0 < limits["coulomb", joint] < nominal
 
 
-def test_what_no_entry_explains_is_said_to_be_outside():
+def test_unexplained_residual_is_outside_catalogue():
     diagnosis = diagnosed(OUTSIDE)
     assert diagnosis.verdict == "outside_catalogue", said(diagnosis)
-    document = answer(diagnosis)
+    document = answer_document(diagnosis)
     conforms(document)
     assert "torque_1" in document["outside"]["channels"]
     assert document["outside"]["regressors"]
     assert document["outside"]["gain_heldout"] > 0.0
 
 
-def test_a_drive_that_changes_its_torque_too_slowly_shows_in_bursts():
+def test_torque_rate_limit_shows_as_bursts():
     diagnosis = diagnosed(SLOW_DRIVE)
     assert diagnosis.verdict == "outside_catalogue", said(diagnosis)
     assert diagnosis.unexplained.brief
@@ -90,7 +90,7 @@ class TestRunWasOpened(Exception):
     __test__ = False
 
 
-def test_held_out_runs_are_opened_when_the_findings_are_fixed(monkeypatch):
+def test_held_out_runs_are_read_after_findings_are_fixed(monkeypatch):
     recordings = load_recordings(answered(COULOMB).source)
     told, opened = [], []
     plain = RecordingSet.open

@@ -14,13 +14,13 @@ from hypothesis import strategies as st
 from stiffopt.discovery.catalogue import CATALOGUE, confused_with, effect
 from stiffopt.discovery.catalogue.common import WEIGHT
 from stiffopt.discovery.signals import JointConstants
-from stiffopt.discovery.soundness import (
-    PARTS,
-    faults,
+from stiffopt.discovery.user_effects import (
+    TERM_PARTS,
+    evaluate_symbolically,
+    find_faults,
     sample_signals,
-    signals_for,
-    stacked,
-    symbolic_values,
+    sample_signals_of,
+    stack_term,
 )
 from stiffopt.errors import InputError
 from stiffopt.report.common.citations import references
@@ -96,7 +96,7 @@ def test_catalogue_names_units_and_parameters_match_reference():
     assert [e.name for e in CATALOGUE if REPORTED.get(e.name) is None] == []
     assert len(CATALOGUE) == len(REPORTED) == 36
     for entry in CATALOGUE:
-        signals = signals_for(entry, ROBOT)
+        signals = sample_signals_of(entry, ROBOT)
         values = entry.parameters(
             list(sizes(entry, signals)), first_shapes(entry, signals), signals.constants
         )
@@ -106,12 +106,12 @@ def test_catalogue_names_units_and_parameters_match_reference():
 
 @pytest.mark.parametrize("entry", BY_NAME)
 def test_effect_passes_soundness_checks(entry):
-    assert list(faults(entry)) == []
+    assert list(find_faults(entry)) == []
 
 
 @pytest.mark.parametrize("entry", BY_NAME)
 def test_effect_has_signature_and_bounds(entry):
-    signals = signals_for(entry, ROBOT)
+    signals = sample_signals_of(entry, ROBOT)
     assert len(entry.signature) > 30
     assert len(entry.separate) > 30
     assert entry.equation
@@ -154,14 +154,14 @@ def test_effect_units_are_known():
 )
 def test_terms_are_linear_in_amplitudes(index, factors, others, share):
     entry = CATALOGUE[index]
-    signals = signals_for(entry, ROBOT)
+    signals = sample_signals_of(entry, ROBOT)
     size = sizes(entry, signals)
     shapes = first_shapes(entry, signals)
     a, b = (size * np.array(x[: len(size)]) for x in (factors, others))
 
     def value(amplitudes):
         # Constant zeros drop out of `stacked`; the longest reply is the whole one.
-        return stacked(entry.term(signals, list(amplitudes), shapes))
+        return stack_term(entry.term(signals, list(amplitudes), shapes))
 
     whole = value(a + share * b)
     parts = value(a) + share * value(b)
@@ -172,13 +172,13 @@ def test_terms_are_linear_in_amplitudes(index, factors, others, share):
 @pytest.mark.parametrize("entry", OF_JOINTS)
 def test_terms_with_symbols_match_arrays(entry):
     short = sample_signals(count=20)
-    signals = signals_for(entry, short)
+    signals = sample_signals_of(entry, short)
     symbolic, symbols, numbers = symbols_of(signals)
     amplitudes, shapes = list(sizes(entry, signals)), first_shapes(entry, signals)
     term = entry.term(symbolic, amplitudes, shapes)
-    expressions = [getattr(term, p) for p in PARTS if isinstance(getattr(term, p), ca.SX)]
+    expressions = [getattr(term, p) for p in TERM_PARTS if isinstance(getattr(term, p), ca.SX)]
     function = ca.Function("term", [symbols], [ca.densify(ca.vertcat(*expressions))])
-    expected = stacked(entry.term(signals, amplitudes, shapes))
+    expected = stack_term(entry.term(signals, amplitudes, shapes))
     np.testing.assert_allclose(
         np.asarray(function(numbers)).ravel(), expected, atol=1e-12 * np.abs(expected).max()
     )
@@ -212,16 +212,16 @@ def test_robot_terms_accept_symbols_of_one_sample():
 
 @pytest.mark.parametrize("entry", [e for e in BY_NAME if e.values[0].shapes])
 def test_shape_derivatives_match_differences(entry):
-    signals = signals_for(entry, ROBOT)
+    signals = sample_signals_of(entry, ROBOT)
     amplitudes = list(sizes(entry, signals))
     for shapes in list(product(*(s.grid(signals.constants) for s in entry.shapes)))[::3]:
         symbols = ca.MX.sym("p", len(shapes))
         term = entry.term(signals, amplitudes, [symbols[i] for i in range(len(shapes))])
-        values = [ca.vec(v) for p in PARTS if isinstance(v := getattr(term, p), ca.MX)]
+        values = [ca.vec(v) for p in TERM_PARTS if isinstance(v := getattr(term, p), ca.MX)]
         jacobian = np.asarray(
             ca.Function("J", [symbols], [ca.jacobian(ca.vertcat(*values), symbols)])(list(shapes))
         )
-        fixed = [p for p in PARTS if isinstance(getattr(term, p), ca.MX)]
+        fixed = [p for p in TERM_PARTS if isinstance(getattr(term, p), ca.MX)]
         for i, shape in enumerate(shapes):
             # A place at zero is moved by a part of what the signals span.
             step = 1e-6 * (abs(shape) or 1.0)
@@ -322,7 +322,7 @@ def test_recurrence_terms_with_symbols_match_arrays():
         entry, signals = effect(name), ROBOT.of_joint(4)
         amplitudes, shapes = list(sizes(entry, signals)), first_shapes(entry, signals)
         np.testing.assert_allclose(
-            symbolic_values(entry, signals, amplitudes, shapes),
-            stacked(entry.term(signals, amplitudes, shapes)),
+            evaluate_symbolically(entry, signals, amplitudes, shapes),
+            stack_term(entry.term(signals, amplitudes, shapes)),
             rtol=1e-12,
         )

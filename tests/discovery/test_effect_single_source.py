@@ -14,7 +14,7 @@ from small_arms import ROOT
 from stiffopt.cli import run
 from stiffopt.discovery.catalogue import CATALOGUE
 from stiffopt.discovery.extended.model import load_extended
-from stiffopt.discovery.extended.planner_model import planner_model
+from stiffopt.discovery.extended.planning import planner_model
 from stiffopt.discovery.user_effects import load_effects
 from stiffopt.errors import InputFileError
 from stiffopt.recording.recording_set import load_recordings
@@ -93,7 +93,7 @@ def test_diagnosis_report_and_planner_include_new_effect(wavy: tuple[Path, Path]
     assert "Notes of the workshop, 2026" in page
     text = (answer.out / "extended.toml").read_text(encoding="utf-8")
     assert 'name = "rail_wave"' in text
-    with pytest.raises(InputFileError, match="An effect of your own needs its file"):
+    with pytest.raises(InputFileError, match="A user's own effect needs its Python file"):
         load_extended(answer.out / "extended.toml")
     robot = load_recordings(source).robot
     model = load_extended(answer.out / "extended.toml", load_effects(effects))

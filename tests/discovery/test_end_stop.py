@@ -6,7 +6,7 @@ from swivel_sets import recorded, swivel_model
 
 from stiffopt.discovery.catalogue import effect
 from stiffopt.discovery.diagnose import diagnose
-from stiffopt.discovery.soundness import sample_signals
+from stiffopt.discovery.user_effects import sample_signals
 
 STIFFNESS, PLACE = 40.0, 0.6
 

@@ -9,11 +9,11 @@ import pytest
 from shipped_set import LACKS, SHIPPED
 from simulated_sets import diagnosed, said, short_case
 
-from stiffopt.discovery.judging.episodes import Track, episodes_in, training_tracks
-from stiffopt.discovery.judging.held_out import HeldOut
-from stiffopt.discovery.proof.predict import Predictor
+from stiffopt.discovery.judging.episodes import ResidualTrack, find_episodes, training_tracks
+from stiffopt.discovery.judging.held_out import HeldOutRuns
+from stiffopt.discovery.prediction import Predictor
 from stiffopt.discovery.settings import Settings
-from stiffopt.discovery.training import train
+from stiffopt.discovery.training import prepare_training
 from stiffopt.recording.recording_set import load_recordings
 from stiffopt.report.diagnosis.mismatch import episode_sentences
 
@@ -26,7 +26,7 @@ def track(run="train_1", seed=0, role="train"):
     time = np.arange(round(RATE * SECONDS)) / RATE
     phase = np.outer(time, [2.0, 2.9]) + rng.uniform(0.0, 6.0, 2)
     speed = np.cos(phase)
-    return Track(
+    return ResidualTrack(
         run=run,
         role=role,
         time=time,
@@ -53,10 +53,10 @@ def bump(one, begin, end, size=40.0):
     return size * np.where(inside, np.sin(np.pi * (one.time - begin) / (end - begin)), 0.0)
 
 
-def test_a_push_is_found_with_its_run_times_joints_and_size():
+def test_push_is_found_with_run_times_joints_and_size():
     every = runs()
     every[1] = added(every[1], bump(every[1], 3.0, 4.0))
-    (found,) = episodes_in(every)
+    (found,) = find_episodes(every)
     assert (found.run, found.joints) == ("train_2", (1, 2))
     assert found.begin == pytest.approx(3.0, abs=0.15)
     assert found.end == pytest.approx(4.0, abs=0.15)
@@ -64,26 +64,26 @@ def test_a_push_is_found_with_its_run_times_joints_and_size():
     assert not np.any(np.abs(every[1].left[~found.holds(every[1].time)]) > 5.0)
 
 
-def test_noise_alone_tells_of_nothing():
-    assert episodes_in(runs()) == ()
+def test_noise_alone_has_no_contact():
+    assert find_episodes(runs()) == ()
 
 
-def test_what_acts_against_the_motion_is_no_touch():
+def test_drag_against_motion_is_no_contact():
     every = runs()
     brake = np.sign(every[1].velocity[:, 0]) * np.abs(bump(every[1], 2.0, 5.0))
     every[1] = added(every[1], brake, channels=(0,))
-    assert episodes_in(every) == ()
+    assert find_episodes(every) == ()
 
 
-def test_what_happens_whenever_a_state_comes_by_is_no_touch():
+def test_residual_recurring_with_state_is_no_contact():
     every = [
         added(one, np.where(one.state[:, 0, 0] > 0.45, 30.0, 0.0), channels=(0, 2))
         for one in runs()
     ]
-    assert episodes_in(every) == ()
+    assert find_episodes(every) == ()
 
 
-def test_what_happens_where_no_other_part_has_gone_is_no_touch():
+def test_residual_in_unvisited_states_is_no_contact():
     """A stop near the end of a stroke that one run alone reaches."""
     every = runs()
     one = every[1]
@@ -92,33 +92,33 @@ def test_what_happens_where_no_other_part_has_gone_is_no_touch():
     state[:, 0, 0] += bump(one, crest - 0.5, crest + 0.5, 0.2)
     pushed = added(one, bump(one, crest - 0.5, crest + 0.5), channels=(0,))
     # Where other parts have gone, the same is one.
-    assert episodes_in([every[0], pushed, *every[2:]])
-    assert episodes_in([every[0], replace(pushed, state=state), *every[2:]]) == ()
+    assert find_episodes([every[0], pushed, *every[2:]])
+    assert find_episodes([every[0], replace(pushed, state=state), *every[2:]]) == ()
 
 
-def test_what_happens_in_most_runs_is_no_accident():
+def test_residual_in_most_runs_is_no_contact():
     every = [added(one, bump(one, 2.0 + k, 3.0 + k)) for k, one in enumerate(runs())]
-    assert episodes_in(every) == ()
+    assert find_episodes(every) == ()
 
 
-def test_a_burst_is_no_touch():
+def test_burst_is_no_contact():
     every = runs()
     every[0] = added(every[0], bump(every[0], 5.0, 5.1, 200.0))
-    assert episodes_in(every) == ()
+    assert find_episodes(every) == ()
 
 
-def test_a_run_left_out_is_asked_beside_the_training_runs():
+def test_held_out_run_is_compared_with_training_runs():
     test = track("test_1", 9, "test")
-    (found,) = episodes_in([added(test, bump(test, 6.0, 6.8))], runs())
+    (found,) = find_episodes([added(test, bump(test, 6.0, 6.8))], runs())
     assert (found.run, found.role) == ("test_1", "test")
-    assert episodes_in([test], runs()) == ()
+    assert find_episodes([test], runs()) == ()
 
 
 @cache
 def opened(what):
     """Episodes and proof of the shipped test run, in which something begins at 0.75 of it."""
     recordings = load_recordings(SHIPPED)
-    training = train(recordings, Settings())
+    training = prepare_training(recordings, Settings())
     comparison = training.comparison()
     fit = comparison.fit([each.located for each in LACKS.effects])
     run = recordings.open(recordings.with_role("test")[0])
@@ -142,7 +142,7 @@ def opened(what):
         with_role=lambda *_: [SimpleNamespace(file=run.file)],
         open=lambda _: replace(run, torque=run.torque + more),
     )
-    held = HeldOut(
+    held = HeldOutRuns(
         training, training.settings, (), LACKS, (), known=training_tracks(comparison, fit)
     )
     held.predict_all(own, lambda _: None)
@@ -152,7 +152,7 @@ def opened(what):
 @pytest.mark.parametrize(
     ("what", "remains"), [("load", True), ("offset", False), ("offset for a while", False)]
 )
-def test_only_a_load_until_the_end_stays_in_the_proof(what, remains):
+def test_only_lasting_load_stays_in_proof(what, remains):
     held = opened(what)
     (found,), (proof,) = held.episodes, held.proofs
     assert found.stays == remains
@@ -176,7 +176,7 @@ TOUCHED = short_case(("touched", None, 1.0), seed=71)
 
 @pytest.mark.slow
 @pytest.mark.parametrize("effects", [(), (("coulomb", 1, 1.0),)])
-def test_pushes_become_neither_friction_nor_weight(effects):
+def test_pushes_are_not_found_as_friction_or_weight(effects):
     spec = replace(TOUCHED, effects=(*TOUCHED.effects, *effects))
     found = diagnosed(spec)
     named = [(f.effect.name, f.joint) for f in found.findings]

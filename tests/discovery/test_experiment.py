@@ -14,14 +14,14 @@ from benchmarks.simulator import CaseSpec, simulate, write_case
 from stiffopt.discovery.catalogue import CATALOGUE
 from stiffopt.discovery.comparison.comparison import Comparison
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
-from stiffopt.discovery.experiment.collocation import improved
+from stiffopt.discovery.experiment.collocation import improve_motion
 from stiffopt.discovery.experiment.design import ExperimentPlan, leading_pair, plan_experiment
-from stiffopt.discovery.experiment.motion import limits_of, prepared_motion, random_motion
+from stiffopt.discovery.experiment.motion import motion_limits, prepared_motion, random_motion
 from stiffopt.discovery.experiment.separation import Separation
 from stiffopt.discovery.search.rivals import Selected
 from stiffopt.discovery.search.search import SearchResult
 from stiffopt.discovery.settings import Settings
-from stiffopt.discovery.training import Training, train
+from stiffopt.discovery.training import Training, prepare_training
 from stiffopt.recording.recording_set import load_recordings
 from stiffopt.result.trajectory import Trajectory
 
@@ -63,7 +63,7 @@ def found() -> Found:
     )
     with tempfile.TemporaryDirectory(prefix="stiffopt-") as folder:
         recordings = load_recordings(write_case(simulate(spec), Path(folder) / "set"))
-        training = train(recordings, SETTINGS)
+        training = prepare_training(recordings, SETTINGS)
     comparison = training.comparison()
     ratio = comparison.channel_ratio(comparison.target)
     result = SearchResult(
@@ -86,7 +86,7 @@ def test_same_explanation_has_no_separation() -> None:
     assert separation.of(own.training.runs[0]) == pytest.approx(0.0, abs=1e-6)
 
 
-def test_separation_is_what_a_refit_of_the_rival_leaves() -> None:
+def test_separation_is_residual_of_rival_refit() -> None:
     """Brute force: least squares with the posterior as pseudo-measurements of the parameters."""
     own = found()
     run = own.training.runs[0]
@@ -108,10 +108,10 @@ def test_separation_is_what_a_refit_of_the_rival_leaves() -> None:
     assert Separation(base, COULOMB, STRIBECK).of(run) == pytest.approx(expected, rel=1e-4)
 
 
-def test_separation_does_not_hang_on_the_clock_of_the_design() -> None:
+def test_separation_is_independent_of_design_sampling() -> None:
     """One motion sampled at 100 Hz, and told to be recorded at 200 Hz, counts as 200 Hz."""
     own = found()
-    limits = limits_of(own.training)
+    limits = motion_limits(own.training)
     motion = random_motion(limits, own.training.robot, 5.0, np.random.default_rng(2))
     assert motion is not None
     run = prepared_motion(own.training, own.training.constants, motion, SETTINGS)
@@ -123,7 +123,7 @@ def test_separation_does_not_hang_on_the_clock_of_the_design() -> None:
 
 def test_random_motions_keep_the_limits_and_start_at_rest() -> None:
     own = found()
-    limits, random = limits_of(own.training), np.random.default_rng(5)
+    limits, random = motion_limits(own.training), np.random.default_rng(5)
     for _ in range(5):
         motion = random_motion(limits, own.training.robot, 4.0, random)
         assert motion is not None
@@ -148,10 +148,10 @@ def test_designed_motion_beats_the_training_runs_within_the_limits() -> None:
     assert np.all(np.abs(torque) <= [j.torque_max for j in constants.joints])
 
 
-def test_collocation_gains_over_the_motion_that_it_starts_from() -> None:
+def test_collocation_improves_initial_motion() -> None:
     own = found()
     separation = Separation(own.comparison, COULOMB, STRIBECK)
-    limits = limits_of(own.training)
+    limits = motion_limits(own.training)
     start = random_motion(limits, own.training.robot, 4.0, np.random.default_rng(1))
     assert start is not None
     values = []
@@ -164,26 +164,26 @@ def test_collocation_gains_over_the_motion_that_it_starts_from() -> None:
 def improved_from(separation: Separation, start: Trajectory) -> Trajectory:
     own = found()
     run = prepared_motion(own.training, own.training.constants, start, SETTINGS)
-    limits = limits_of(own.training)
-    motion = improved(separation, run, start, limits, seconds=20.0)
+    limits = motion_limits(own.training)
+    motion = improve_motion(separation, run, start, limits, seconds=20.0)
     assert motion is not None
     assert limits.excess(own.training.robot, motion) <= 1.0 / 0.95
     return motion
 
 
-def test_terms_with_a_memory_are_left_to_the_search() -> None:
+def test_collocation_rejects_terms_with_memory() -> None:
     own = found()
     creep = effect("belt_creep", shapes=(0.3,))
     separation = Separation(own.comparison, effect("stiffness_linear"), creep)
     motion = random_motion(
-        limits_of(own.training), own.training.robot, 4.0, np.random.default_rng(1)
+        motion_limits(own.training), own.training.robot, 4.0, np.random.default_rng(1)
     )
     assert motion is not None
     run = prepared_motion(own.training, own.training.constants, motion, SETTINGS)
-    assert improved(separation, run, motion, limits_of(own.training), seconds=5.0) is None
+    assert improve_motion(separation, run, motion, motion_limits(own.training), seconds=5.0) is None
 
 
-def test_sentence_and_file_say_what_to_do() -> None:
+def test_experiment_sentence_and_file() -> None:
     designed = plan()
     text = designed.sentence
     assert text.startswith("Record next_experiment.csv (5.0 s)")

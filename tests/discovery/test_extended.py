@@ -18,14 +18,14 @@ def again():
     )
 
 
-def test_what_was_found_is_not_found_again(again):
+def test_finding_in_model_is_not_found_again(again):
     assert again.code == 0
     named = [(f["effect"], f["joint"]) for f in again.document["findings"]]
     assert named == []
     assert again.document["verdict"] == "nothing_missing"
 
 
-def test_a_second_diagnosis_begins_where_the_first_ended(again):
+def test_second_diagnosis_starts_from_first(again):
     first, second = answered(COULOMB), again
     for role in ("test", "extrapolate"):
         before = second.document["fit"][role]["nrmse_before"]
@@ -37,7 +37,7 @@ def test_a_second_diagnosis_begins_where_the_first_ended(again):
                 np.testing.assert_allclose(values, ended[column], rtol=1e-6, atol=1e-9)
 
 
-def test_the_model_holds_the_finding_with_its_deviation():
+def test_model_contains_finding_with_deviation():
     model = load_extended(answered(COULOMB).out / "extended.toml")
     found = answered(COULOMB).document["findings"][0]["parameters"]["dFc"]
     (effect,) = model.extension.effects
@@ -53,13 +53,13 @@ def test_the_model_holds_the_finding_with_its_deviation():
     [
         ('name = "coulomb"', 'name = "coulom"', r"effect\[1\].name: no effect 'coulom'.*coulomb"),
         ("joint = 2", "joint = 5", r"effect\[1\].joint: is 5, there are 2"),
-        ("dFc = { value = ", "dFc = { value = 9", "but effect.term makes it"),
+        ("dFc = { value = ", "dFc = { value = 9", "but effect.term gives"),
         ("[effect.term]\ndFc", "[effect.term]\ndF", "coulomb needs exactly dFc"),
         ('"joint1", "joint2"', '"joint2", "joint1"', "this model is of joint2, joint1"),
         ('kind = "extended"', 'kind = "robot"', "robot"),
     ],
 )
-def test_models_that_cannot_be_used_are_explained(tmp_path, capsys, before, after, message):
+def test_invalid_model_raises_error(tmp_path, capsys, before, after, message):
     import re
 
     text = (answered(COULOMB).out / "extended.toml").read_text()
@@ -74,7 +74,7 @@ def test_models_that_cannot_be_used_are_explained(tmp_path, capsys, before, afte
     assert not result.out.exists()
 
 
-def test_a_shape_that_older_files_lack_has_its_usual_value(tmp_path):
+def test_missing_shape_has_usual_value(tmp_path):
     text = (answered(COULOMB).out / "extended.toml").read_text()
     file = tmp_path / "extended.toml"
     file.write_text(

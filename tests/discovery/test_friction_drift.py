@@ -11,7 +11,7 @@ from stiffopt.discovery.catalogue.friction_drift import FRICTION_DRIFT, friction
 from stiffopt.discovery.diagnose import diagnose
 from stiffopt.discovery.extended.model import load_extended
 from stiffopt.discovery.extended.store import extended_text
-from stiffopt.discovery.soundness import faults, sample_signals
+from stiffopt.discovery.user_effects import find_faults, sample_signals
 from stiffopt.report.diagnosis.mismatch import transfer_sentences
 
 DRIFT = short_case(("friction_drift", 1, 1.0), seed=101)
@@ -60,7 +60,7 @@ def test_drift_reports_spread_of_amplitudes():
     assert values["dFv_spread"] == 0.0
     few = entry.drawn([0.2, 0.0, -0.2], [0.0], constants)
     assert few["dFc_spread"] == pytest.approx(0.1 * constants.coulomb)
-    assert list(faults(FRICTION_DRIFT)) == []
+    assert list(find_faults(FRICTION_DRIFT)) == []
 
 
 @pytest.mark.slow

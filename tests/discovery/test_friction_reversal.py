@@ -7,11 +7,11 @@ from simulated_sets import simulated
 from benchmarks.simulator import CaseSpec, write_case
 from stiffopt.discovery.comparison.filtering import interpolate_motion
 from stiffopt.discovery.comparison.prepared_run import motor_cutoff
-from stiffopt.discovery.judging.bursts import bursts
+from stiffopt.discovery.judging.bursts import find_bursts
 from stiffopt.discovery.settings import SIGN_SPEED, Settings
 from stiffopt.discovery.signals import mean_sign, smooth_sign
 from stiffopt.discovery.thresholds import BURST_RATIO
-from stiffopt.discovery.training import train
+from stiffopt.discovery.training import prepare_training
 from stiffopt.recording.recording_set import load_recordings
 
 # A SCARA as its nominal model says, whose last joint is 20 times its noise in dry friction.
@@ -36,7 +36,9 @@ RATES = (250.0, 1000.0)
 
 def trained(folder, *effects, rate=250.0):
     spec = CaseSpec(effects=effects, **{**SCARA, "rate": rate, "substeps": int(2000.0 / rate)})
-    return train(load_recordings(write_case(simulated(spec), folder / "set")), Settings())
+    return prepare_training(
+        load_recordings(write_case(simulated(spec), folder / "set")), Settings()
+    )
 
 
 @pytest.fixture(scope="module", params=RATES)
@@ -45,12 +47,12 @@ def as_modelled(request, tmp_path_factory):
 
 
 def test_bursts_exclude_friction_reversal(as_modelled):
-    assert bursts(as_modelled, ()) is None
+    assert find_bursts(as_modelled, ()) is None
 
 
 @pytest.mark.parametrize("rate", RATES)
 def test_bursts_include_slow_drive_at_friction_reversal(tmp_path, rate):
-    found = bursts(trained(tmp_path, ("slew_limit", 4, 0.3), rate=rate), ())
+    found = find_bursts(trained(tmp_path, ("slew_limit", 4, 0.3), rate=rate), ())
     assert found is not None
     assert found.channels == ("torque_4",)
     assert found.regressors == ("dtorque_4",)

@@ -8,10 +8,10 @@ from simulated_sets import COULOMB, simulated
 
 from benchmarks.simulator import write_case
 from stiffopt.discovery.comparison.initial_states import estimate_initial_states, with_initial_state
-from stiffopt.discovery.judging.bursts import bursts
+from stiffopt.discovery.judging.bursts import find_bursts
 from stiffopt.discovery.settings import Settings
 from stiffopt.discovery.thresholds import BURST_RATIO
-from stiffopt.discovery.training import train
+from stiffopt.discovery.training import prepare_training
 from stiffopt.recording.recording_set import load_recordings
 
 pytestmark = pytest.mark.slow
@@ -33,7 +33,7 @@ def begun_moving(tmp_path_factory):
         late = columns["t"] >= BEGIN
         cut = {name: columns[name][late] for name in columns.files}
     np.savez(file, **cut)
-    return train(load_recordings(folder), Settings())
+    return prepare_training(load_recordings(folder), Settings())
 
 
 def vibrating(training, begin, *, links=False):
@@ -56,33 +56,35 @@ def vibrating(training, begin, *, links=False):
 
 
 def test_bursts_exclude_initial_vibration(begun_moving):
-    assert bursts(vibrating(begun_moving, BEGIN), ()) is None
+    assert find_bursts(vibrating(begun_moving, BEGIN), ()) is None
 
 
 def test_bursts_include_vibration_without_cause(begun_moving):
-    found = bursts(vibrating(begun_moving, LATER), ())
+    found = find_bursts(vibrating(begun_moving, LATER), ())
     assert found is not None
     assert found.channels[0] in ("torque_1", "torque_2")
 
 
 def test_bursts_exclude_measured_link_vibration(begun_moving):
     """Their encoders show what the torque shows: the arm swings otherwise than modelled."""
-    assert bursts(vibrating(begun_moving, LATER, links=True), ()) is None
+    assert find_bursts(vibrating(begun_moving, LATER, links=True), ()) is None
 
 
 def test_bursts_of_the_starting_model_are_not_reported(begun_moving):
     shaken = vibrating(begun_moving, LATER)
-    ratio = bursts(shaken, ()).ratio
+    ratio = find_bursts(shaken, ()).ratio
     least = np.full(4, 0.5 * ratio / BURST_RATIO)
-    assert bursts(replace(shaken, least=least), ()).ratio == pytest.approx(2.0 * BURST_RATIO)
-    assert bursts(replace(shaken, least=4.0 * least), ()) is None
+    assert find_bursts(replace(shaken, least=least), ()).ratio == pytest.approx(2.0 * BURST_RATIO)
+    assert find_bursts(replace(shaken, least=4.0 * least), ()) is None
 
 
 @pytest.fixture(scope="module")
 def heavy(tmp_path_factory):
     """Training of an arm whose lowest mode lies within a fit's band."""
     case = simulated(replace(COULOMB, effects=(), payload=4.0))
-    return train(load_recordings(write_case(case, tmp_path_factory.mktemp("heavy"))), Settings())
+    return prepare_training(
+        load_recordings(write_case(case, tmp_path_factory.mktemp("heavy"))), Settings()
+    )
 
 
 def shown(training, run):

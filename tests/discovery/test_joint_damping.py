@@ -15,8 +15,8 @@ from benchmarks.simulator import integrator as simulator
 from stiffopt.cli import run
 from stiffopt.discovery.catalogue import effect
 from stiffopt.discovery.comparison.located_effect import EstimatedEffect, LocatedEffect
-from stiffopt.discovery.soundness import sample_signals
 from stiffopt.discovery.training import _check_damping
+from stiffopt.discovery.user_effects import sample_signals
 from stiffopt.errors import InputFileError
 from stiffopt.robot.files import load_robot
 
@@ -42,7 +42,7 @@ def test_joint_damping_is_found_with_its_size(monkeypatch):
     truth = (MORE - 1.0) * ROBOTS["big6"].joint_damping[1]
     assert abs(added.value - truth) < max(3.0 * added.sd, 0.05 * truth)
     assert found.nrmse("test")[1] < 1.1
-    assert not any(mode.elsewhere for mode in found.modes)
+    assert not any(mode.is_shifted for mode in found.modes)
 
 
 def test_change_robot_sets_estimated_damping():

@@ -15,7 +15,7 @@ from stiffopt.discovery.comparison.extension_change import added_inertia
 from stiffopt.discovery.comparison.located_effect import EstimatedEffect, Extension, LocatedEffect
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.comparison.prepared_run import prepare_run
-from stiffopt.discovery.proof.predict import Predictor
+from stiffopt.discovery.prediction import Predictor
 from stiffopt.discovery.settings import Settings
 from stiffopt.recording.recording_set import load_recordings
 

@@ -17,7 +17,7 @@ LOADED = CaseSpec(
 
 
 @pytest.mark.slow
-def test_a_soft_joint_is_named_with_its_stiffness_and_its_mode():
+def test_soft_joint_is_found_with_stiffness_and_mode():
     found = diagnosed(SOFT)
     assert [f.located.label for f in found.findings] == ["stiffness_linear of joint 2"], said(found)
     factor = found.findings[0].parameters[0]
@@ -27,18 +27,18 @@ def test_a_soft_joint_is_named_with_its_stiffness_and_its_mode():
     assert abs(factor.value - stiffness) < 2.0 * factor.sd
     assert factor.sd < 0.02 * stiffness
     assert found.nrmse("test")[1] < 1.1
-    moved = [mode for mode in found.modes if mode.elsewhere]
+    moved = [mode for mode in found.modes if mode.is_shifted]
     assert moved
     assert moved[0].found < moved[0].nominal
-    assert f"The mode of joint {moved[0].joint} lies at {moved[0].found:.1f} Hz, the" in lead(found)
+    assert f"The mode of joint {moved[0].joint} has {moved[0].found:.1f} Hz, in the" in lead(found)
 
 
 @pytest.mark.slow
-def test_a_payload_moves_the_modes_and_is_named():
+def test_payload_shifts_modes_and_is_found():
     found = diagnosed(LOADED)
     assert [f.effect.name for f in found.findings] == ["payload"], said(found)
     assert found.nrmse("test")[1] < 1.1
-    moved = [mode for mode in found.modes if mode.elsewhere]
+    moved = [mode for mode in found.modes if mode.is_shifted]
     assert moved
     assert all(mode.found < mode.nominal for mode in moved)
     assert str(moved[0]) in lead(found)

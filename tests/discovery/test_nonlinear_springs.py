@@ -12,7 +12,7 @@ from stiffopt.discovery.comparison import extended_run
 from stiffopt.discovery.comparison.extension_change import relative_compliance
 from stiffopt.discovery.comparison.located_effect import EstimatedEffect, Extension, LocatedEffect
 from stiffopt.discovery.settings import Settings
-from stiffopt.discovery.training import train
+from stiffopt.discovery.training import prepare_training
 from stiffopt.recording.recording_set import load_recordings
 
 
@@ -32,7 +32,7 @@ def test_simulate_links_accepts_oscillation_below_tolerance(tmp_path):
         payload=5.891215516401546,
     )
     case = simulated(spec)
-    training = train(load_recordings(write_case(case, tmp_path / "set")), Settings())
+    training = prepare_training(load_recordings(write_case(case, tmp_path / "set")), Settings())
     (run,) = training.runs
     assert run.vibration is not None
     true = case.trace.link[0, :: spec.substeps][: len(run.time)]
@@ -44,7 +44,7 @@ def test_simulate_links_accepts_oscillation_below_tolerance(tmp_path):
 def creeping(tmp_path_factory):
     """A run with nothing missing, its robot and a belt as soft as the joint that creeps."""
     case = simulated(replace(COULOMB, effects=()))
-    training = train(
+    training = prepare_training(
         load_recordings(write_case(case, tmp_path_factory.mktemp("creep"))), Settings()
     )
     run = training.runs[0]

@@ -12,7 +12,7 @@ from stiffopt.discovery.catalogue import CATALOGUE
 from stiffopt.discovery.comparison.design_matrix import DesignMatrix
 from stiffopt.discovery.comparison.located_effect import EstimatedEffect, Extension, LocatedEffect
 from stiffopt.discovery.settings import Settings
-from stiffopt.discovery.training import train
+from stiffopt.discovery.training import prepare_training
 from stiffopt.recording.recording_set import load_recordings
 
 
@@ -21,7 +21,7 @@ def columns(tmp_path_factory):
     """Of a short run whose links swing."""
     small = replace(COULOMB, effects=(), train=1, extrapolate=0, seconds=2.0)
     folder = write_case(simulated(small), tmp_path_factory.mktemp("vibrating") / "set")
-    return train(load_recordings(folder), Settings()).comparison().columns
+    return prepare_training(load_recordings(folder), Settings()).comparison().columns
 
 
 def with_payload(mass):

@@ -16,9 +16,8 @@ from stiffopt.cli import run as command
 from stiffopt.discovery.catalogue import CATALOGUE
 from stiffopt.discovery.catalogue.robot_change import ADDED_SPRING_NAME
 from stiffopt.discovery.comparison.located_effect import EstimatedEffect, Extension, LocatedEffect
-from stiffopt.discovery.extended.made_for import made_for
-from stiffopt.discovery.extended.model import ExtendedModel, load_extended
-from stiffopt.discovery.extended.planner_model import joint_constants, planner_model
+from stiffopt.discovery.extended.model import ExtendedModel, load_extended, robot_signature
+from stiffopt.discovery.extended.planning import joint_constants, planner_model
 from stiffopt.elastic.uncertainty import Uncertainty, of_deviations
 from stiffopt.errors import InputFileError
 from stiffopt.exact.chain import exact_windup, windup_shares
@@ -105,7 +104,7 @@ def test_calibrated_values_scale_the_robots_own(arm: Robot, model: ExtendedModel
     assert changed.robot.model.inertias[2].mass == arm.model.inertias[2].mass
 
 
-def test_payload_is_the_body_that_was_found(arm: Robot, model: ExtendedModel) -> None:
+def test_payload_equals_found_body(arm: Robot, model: ExtendedModel) -> None:
     # A point mass in the frame of the last joint.
     mass, centre = 0.8, np.array([0.02, -0.01, 0.05])
     point = pin.Inertia(mass, centre, np.zeros((3, 3))).toDynamicParameters()
@@ -178,7 +177,7 @@ def test_softer_joint_winds_up_by_the_factor(arm: Robot, model: ExtendedModel) -
     assert changed.chains[1] is arm.chains[1]
 
 
-def test_preload_found_is_the_preload_lost(arm: Robot, model: ExtendedModel) -> None:
+def test_found_preload_loss_reduces_preload(arm: Robot, model: ExtendedModel) -> None:
     """A wind-up made by loosening a flange leads back to that preload."""
     chain = arm.chains[2]
     assert chain is not None
@@ -203,9 +202,7 @@ def test_preload_found_is_the_preload_lost(arm: Robot, model: ExtendedModel) -> 
     assert "80 %" in changed.changes[0]
 
 
-def test_more_than_a_loose_flange_explains_goes_into_a_spring(
-    arm: Robot, model: ExtendedModel
-) -> None:
+def test_excess_compliance_becomes_spring(arm: Robot, model: ExtendedModel) -> None:
     changed = planner_model(arm, found(model, "preload_loss", (3.0,), (0.05, 0.5), joint=2))
     before, after = arm.chains[2], changed.robot.chains[2]
     assert before is not None
@@ -231,7 +228,7 @@ def test_settled_belt_is_a_spring_in_series(arm: Robot, model: ExtendedModel) ->
     )
 
 
-def test_the_model_of_another_robot_is_refused_and_says_whose_it_is(arm: Robot, tmp_path) -> None:
+def test_model_of_another_robot_is_refused(arm: Robot, tmp_path) -> None:
     """A UR10's and an ER3A's joints are as many."""
     ur10 = load_robot("ur10")
     names = tuple(f"j{k}" for k in range(1, 7))
@@ -240,14 +237,14 @@ def test_the_model_of_another_robot_is_refused_and_says_whose_it_is(arm: Robot, 
         InputFileError, match=r"this model is of j1, .*er3a_c60_contact has joint_1"
     ):
         planner_model(arm, other)
-    stated = replace(other, joints=arm.joint_names, robot=made_for(ur10, range(6)))
+    stated = replace(other, joints=arm.joint_names, robot=robot_signature(ur10, range(6)))
     with pytest.raises(InputFileError, match=r"made for the robot ur10 .*not for er3a_c60_contact"):
         planner_model(arm, stated)
-    own = replace(other, robot=made_for(arm.with_payload(1.0), range(6)))
+    own = replace(other, robot=robot_signature(arm.with_payload(1.0), range(6)))
     assert planner_model(arm, own).robot.n == 6
 
 
-def test_masses_that_stay_are_not_told_as_a_change(arm: Robot, model: ExtendedModel) -> None:
+def test_unchanged_masses_are_not_listed(arm: Robot, model: ExtendedModel) -> None:
     moved = found(model, "inertial_error", (0.0, 0.01, 0.0, 0.0, *[0.0] * 6), link=4)
     (sentence,) = planner_model(arm, moved).changes
     assert "kg as before, centre from (0, 1, 0) to (18, 1, 0) mm" in sentence
@@ -257,7 +254,7 @@ def test_masses_that_stay_are_not_told_as_a_change(arm: Robot, model: ExtendedMo
     assert float(after) - float(before) == pytest.approx(0.5, abs=1e-3)
 
 
-def test_what_no_planner_knows_is_named(arm: Robot, model: ExtendedModel) -> None:
+def test_effects_without_influence_are_listed(arm: Robot, model: ExtendedModel) -> None:
     changed = planner_model(arm, found(model, "torque_offset", (0.5,), joint=1))
     assert changed.left_out == ("torque_offset of joint 2",)
     assert changed.changes == ()
@@ -294,7 +291,7 @@ def test_solve_with_a_model_shows_the_change(
     assert best == pytest.approx(1e3 * own, rel=1e-3)
 
 
-def test_re_identified_bodies_are_those_that_are_planned_with(arm: Robot, tmp_path: Path) -> None:
+def test_planning_uses_re_identified_bodies(arm: Robot, tmp_path: Path) -> None:
     """Half a kilogram more in link 2, a centimetre further out: weight as the regressor has it."""
     model = extended(tmp_path, arm.joint_names, arm.torque_max)
     body = arm.tree.bodies[1]

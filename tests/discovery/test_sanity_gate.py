@@ -24,9 +24,9 @@ from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.diagnose import diagnose
 from stiffopt.discovery.sanity.doubt import Doubt, DoubtfulRecordings
 from stiffopt.discovery.sanity.gate import SanityGate
-from stiffopt.discovery.sanity.joint_gains import _CommonFit, joint_gains
-from stiffopt.discovery.sanity.samples import sampled
-from stiffopt.discovery.training import training_runs
+from stiffopt.discovery.sanity.interpretations import sample_runs
+from stiffopt.discovery.sanity.joint_gains import _CommonFit, find_joint_gains
+from stiffopt.discovery.training import open_training_runs
 from stiffopt.recording.recording_set import load_recordings
 from stiffopt.recording.signals import is_set_point
 
@@ -57,7 +57,7 @@ def rewritten(folder: Path, old: str, new: str) -> None:
 
 def doubted(folder: Path) -> tuple[Doubt, ...]:
     recordings = load_recordings(folder)
-    return SanityGate(recordings, training_runs(recordings)).doubts
+    return SanityGate(recordings, open_training_runs(recordings)).doubts
 
 
 def times(names: str, factor: float) -> Callable[[Columns], None]:
@@ -126,7 +126,7 @@ CASES = {
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_it_is_stopped_and_its_own_line_mends_it(case: str, tmp_path: Path) -> None:
+def test_contradiction_stops_and_line_corrects_it(case: str, tmp_path: Path) -> None:
     change, (kind, joints), mended = CASES[case]
     folder = changed_copy(SHIPPED, tmp_path / "set", change)
     found = doubted(folder)
@@ -189,7 +189,7 @@ def test_positions_beyond_the_limits(tmp_path: Path) -> None:
     assert "its limits are 0.3 to" in found.evidence
 
 
-def test_nothing_is_written_and_nothing_is_named(tmp_path: Path, capsys) -> None:
+def test_doubtful_recordings_give_no_result(tmp_path: Path, capsys) -> None:
     folder = changed_copy(SHIPPED, tmp_path / "set", times(ANGLES, DEGREES))
     assert run(["diagnose", str(folder), "--out", str(tmp_path / "out"), "--quiet"]) == 2
     assert not (tmp_path / "out").exists()
@@ -201,7 +201,7 @@ def test_nothing_is_written_and_nothing_is_named(tmp_path: Path, capsys) -> None
     assert "look like degrees" in capsys.readouterr().err
 
 
-def test_who_insists_gets_an_answer_that_tells_the_doubt(tmp_path: Path) -> None:
+def test_despite_doubts_reports_doubt(tmp_path: Path) -> None:
     folder = changed_copy(SHIPPED, tmp_path / "set", times("tau2", -1.0))
     with pytest.raises(DoubtfulRecordings, match="has the other sign"):
         diagnose(folder)
@@ -228,7 +228,7 @@ def test_the_shipped_set_passes() -> None:
         ("coulomb", 1, 4.0),
     ],
 )
-def test_effects_of_the_catalogue_are_no_doubts(effect, tmp_path: Path) -> None:
+def test_catalogue_effects_raise_no_doubt(effect, tmp_path: Path) -> None:
     spec = CaseSpec(effects=(effect,), seed=8, train=2, test=1, extrapolate=0, seconds=3.0,
                     rate=250.0, substeps=8)  # fmt: skip
     folder = write_case(simulated(spec), tmp_path / "set")
@@ -237,7 +237,7 @@ def test_effects_of_the_catalogue_are_no_doubts(effect, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.skipif(not PUBLISHED.is_dir(), reason="the recordings lie beside the package")
-def test_recordings_of_others_pass() -> None:
+def test_public_recordings_pass() -> None:
     folders = [*PUBLISHED.iterdir(), *(OPEN_CASES.iterdir() if OPEN_CASES.is_dir() else ())]
     stopped = {
         folder.name: [str(doubt) for doubt in found]
@@ -265,18 +265,18 @@ def test_a_real_arm_with_six_joints(change, kind: str, tmp_path: Path) -> None:
     assert doubted(folder)[0].kind == kind
 
 
-def test_a_robot_without_masses_is_told(tmp_path):
+def test_robot_without_masses_is_doubted(tmp_path):
     folder = changed_copy(SHIPPED, tmp_path / "set", lambda columns: None)
     urdf = folder / "robot.urdf"
     urdf.write_text(re.sub(r"<inertial>.*?</inertial>", "", urdf.read_text(), flags=re.DOTALL))
     [doubt] = doubted(folder)
     assert doubt.kind == "masses"
-    assert "gives no <inertial>" in str(doubt)
+    assert "has no <inertial>" in str(doubt)
 
 
 @pytest.mark.slow
 @pytest.mark.skipif(not (PUBLISHED / "tx40_first").exists(), reason="no public recordings here")
-def test_a_torque_that_ripples_is_no_position_in_degrees(tmp_path):
+def test_torque_ripple_is_no_doubt_about_degrees(tmp_path):
     """Degrees would let the joint stand still nearly all along: little is left to explain then."""
     source = PublicSet(PUBLISHED / "tx40_first")
     ripple = next(kind for kind in KINDS if kind.name == "ripple")
@@ -295,7 +295,7 @@ def test_one_joint_in_rad_where_all_are_stated_in_degrees(tmp_path):
     assert found[0].line.startswith("position = [0.0174533, 1.0] in [signals.scale]")
 
 
-def test_a_sign_that_is_turned_in_one_run_alone(tmp_path):
+def test_sign_reversed_in_one_run(tmp_path):
     shutil.copytree(SHIPPED, folder := tmp_path / "set")
     with np.load(folder / "train_2.npz") as stored:
         columns = dict(stored)
@@ -303,25 +303,25 @@ def test_a_sign_that_is_turned_in_one_run_alone(tmp_path):
     np.savez_compressed(folder / "train_2.npz", **columns)
     (doubt,) = doubted(folder)
     assert (doubt.kind, doubt.joints, doubt.line) == ("torque sign", (2,), "")
-    assert doubt.evidence.startswith("Of train_2 alone")
+    assert doubt.evidence.startswith("Only in train_2")
 
 
 def test_torques_of_currents_of_a_joint_without_weight_are_no_kilonewtons(tmp_path):
     """An upright axis bears no weight: whatever factor, friction and inertia make up for it."""
     from stiffopt.discovery.sanity.explanations import Explanations
 
-    class Balance:
+    class Fit:
         def gain(self, motion, torque, joint, usual):
             return (usual[0], 0.01) if joint == 0 else (1e-3, 0.9)
 
     search = Explanations.__new__(Explanations)
-    search.balance = Balance()
+    search.torque_fit = Fit()
     gains, left = np.array([1e-3, 1.0 / 13.9, 1e-3]), np.array([0.02, 0.01, 0.02])
-    search._like_the_others(gains, left, None, np.zeros((4, 3)))
+    search._adopt_common_gain(gains, left, None, np.zeros((4, 3)))
     np.testing.assert_allclose(gains, [1.0 / 13.9, 1.0 / 13.9, 1e-3])
 
 
-def test_torques_without_weight_are_told(tmp_path):
+def test_torques_without_weight_are_doubted(tmp_path):
     """As of a controller that adds the weight behind what it records."""
     recordings = load_recordings(SHIPPED)
     from stiffopt.discovery.comparison.nominal_robot import RobotModel
@@ -352,10 +352,10 @@ def without_friction(folder: Path) -> Path:
 
 
 @pytest.mark.parametrize("joint", [1, 2])
-def test_a_gain_of_one_joint_is_told_and_stops_nothing(joint, tmp_path, capsys):
+def test_gain_of_one_joint_is_remarked(joint, tmp_path, capsys):
     folder = without_friction(changed_copy(SHIPPED, tmp_path / "set", times(f"tau{joint}", 1.25)))
     recordings = load_recordings(folder)
-    runs = training_runs(recordings)
+    runs = open_training_runs(recordings)
     assert SanityGate(recordings, runs).doubts == ()
     (told,) = SanityGate(recordings, runs).remarks
     assert (told.kind, told.joints) == ("torque gain", (joint,))
@@ -368,18 +368,18 @@ def test_a_gain_of_one_joint_is_told_and_stops_nothing(joint, tmp_path, capsys):
     assert "Warning: The torque of joint" in capsys.readouterr().out
 
 
-def test_nothing_is_remarked_of_gains_where_there_are_none(tmp_path):
+def test_correct_gains_are_not_remarked(tmp_path):
     for folder in (SHIPPED, without_friction(shutil.copytree(SHIPPED, tmp_path / "set"))):
         recordings = load_recordings(folder)
-        assert SanityGate(recordings, training_runs(recordings)).remarks == ()
+        assert SanityGate(recordings, open_training_runs(recordings)).remarks == ()
 
 
 @pytest.mark.slow
 @pytest.mark.skipif(not OPEN_CASES.is_dir(), reason="open cases are not here")
-def test_nothing_is_remarked_of_public_sets_and_open_cases():
+def test_public_sets_have_no_remarks():
     for folder in (*sorted(OPEN_CASES.iterdir())[:6], PUBLISHED / "unisa_ur10"):
         recordings = load_recordings(folder)
-        assert SanityGate(recordings, training_runs(recordings)).remarks == (), folder.name
+        assert SanityGate(recordings, open_training_runs(recordings)).remarks == (), folder.name
 
 
 def other_arm(columns: Columns) -> None:
@@ -388,7 +388,7 @@ def other_arm(columns: Columns) -> None:
     columns["tau2"] = 0.6 * columns["tau2"]
 
 
-def test_a_run_of_another_arm_is_named(tmp_path, capsys):
+def test_run_of_another_arm_is_doubted(tmp_path, capsys):
     folder = tmp_path / "set"
     shutil.copytree(SHIPPED, folder)
     with np.load(folder / "train_2.npz") as stored:
@@ -398,11 +398,9 @@ def test_a_run_of_another_arm_is_named(tmp_path, capsys):
     (told,) = doubted(folder)
     assert told.kind == "another arm"
     assert told.evidence.startswith("train_2 does not fit")
-    assert re.search(
-        r"leaves [\d.]+ % at joint 2 \(at most 0\.\d+ % in the others\)", told.evidence
-    )
+    assert re.search(r"is [\d.]+ % at joint 2 \(at most 0\.\d+ % in the others\)", told.evidence)
     assert run(["diagnose", str(folder), "--out", str(tmp_path / "out"), "--quiet"]) == 2
-    assert "[[runs]] section" in capsys.readouterr().err
+    assert "Remove its [[runs]] section" in capsys.readouterr().err
     # Without it there is nothing to say.
     text = (folder / "recordings.toml").read_text()
     sections = text.split("[[runs]]")
@@ -422,7 +420,7 @@ def slow(steps, step, speed, reach, width, rng):
 one_joint = motion._one_joint
 
 
-def test_one_fast_run_with_what_shows_there_alone_stops_nothing(tmp_path, monkeypatch):
+def test_fast_run_with_extra_effect_is_remarked(tmp_path, monkeypatch):
     """A stop that no slow run reaches: the run is of the same arm."""
     monkeypatch.setattr(motion, "_one_joint", slow)
     spec = CaseSpec(seed=1, train=3, test=1, extrapolate=1, seconds=5.0, rate=250.0, substeps=8)
@@ -436,12 +434,12 @@ def test_one_fast_run_with_what_shows_there_alone_stops_nothing(tmp_path, monkey
     np.savez(folder / "extrap_1.npz", **columns)
     assert doubted(folder) == ()
     recordings = load_recordings(folder)
-    told = SanityGate(recordings, training_runs(recordings)).remarks[0]
+    told = SanityGate(recordings, open_training_runs(recordings)).remarks[0]
     assert (told.kind, told.joints) == ("another arm", (2,))
     assert "extrap_1 moves faster" in told.evidence
 
 
-def test_set_points_are_no_motion(tmp_path, capsys):
+def test_set_points_are_doubted(tmp_path, capsys):
     def renamed(columns: Columns) -> None:
         for joint in (1, 2):
             columns[f"q_cmd_{joint}"] = columns.pop(f"q{joint}")
@@ -454,7 +452,7 @@ def test_set_points_are_no_motion(tmp_path, capsys):
     assert told.line.startswith("position = ")
 
 
-def test_a_reference_in_a_name_is_remarked_and_stops_nothing(tmp_path):
+def test_reference_in_name_is_remarked(tmp_path):
     def renamed(columns: Columns) -> None:
         for joint in (1, 2):
             columns[f"encoder_ref_{joint}"] = columns.pop(f"q{joint}")
@@ -463,15 +461,15 @@ def test_a_reference_in_a_name_is_remarked_and_stops_nothing(tmp_path):
     rewritten(folder, 'position = ["q1", "q2"]', 'position = ["encoder_ref_1", "encoder_ref_2"]')
     assert doubted(folder) == ()
     recordings = load_recordings(folder)
-    (told,) = SanityGate(recordings, training_runs(recordings)).remarks
+    (told,) = SanityGate(recordings, open_training_runs(recordings)).remarks
     assert told.kind == "set points"
     assert "encoder_ref_1, encoder_ref_2" in told.evidence
 
 
-def test_instants_without_a_motion_tell_no_gain():
+def test_stationary_instants_give_no_gain():
     recordings = load_recordings(SHIPPED)
-    robot, samples = RobotModel(recordings), sampled(training_runs(recordings))
-    plain = joint_gains(robot, samples)
+    robot, samples = RobotModel(recordings), sample_runs(open_training_runs(recordings))
+    plain = find_joint_gains(robot, samples)
     holed = samples.acceleration.copy()
     holed[5] = np.nan
     velocity = samples.velocity.copy()
@@ -479,7 +477,7 @@ def test_instants_without_a_motion_tell_no_gain():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         fit = _CommonFit(robot, replace(samples, acceleration=holed, velocity=velocity))
-        found = joint_gains(robot, replace(samples, acceleration=holed, velocity=velocity))
+        found = find_joint_gains(robot, replace(samples, acceleration=holed, velocity=velocity))
     assert fit.used == [0, 1]
     assert all(np.isfinite(gram).all() for gram in fit.grams.values())
     assert [each.joint for each in found] == [each.joint for each in plain]

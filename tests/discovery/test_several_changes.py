@@ -8,14 +8,14 @@ from small_arms import SWIVEL
 
 from stiffopt.discovery.catalogue import effect
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
-from stiffopt.discovery.search import changes as changing
+from stiffopt.discovery.search import model_changes as changing
 from stiffopt.discovery.search import search as searching
 from stiffopt.discovery.search.candidates import Scorer, scan
-from stiffopt.discovery.search.changes import _single_change
-from stiffopt.discovery.search.rivals import ranked_among_rivals
+from stiffopt.discovery.search.model_changes import _find_single_change
+from stiffopt.discovery.search.rivals import rank_rivals
 from stiffopt.discovery.search.search import search
-from stiffopt.discovery.settings import FIXED, Settings
-from stiffopt.discovery.training import train
+from stiffopt.discovery.settings import ZERO_TOLERANCE, Settings
+from stiffopt.discovery.training import prepare_training
 from stiffopt.recording.recording_set import load_recordings
 
 SET = """schema = 1
@@ -46,13 +46,13 @@ def training(tmp_path_factory):
         role = "test" if name == "c" else "train"
         text += f'[[runs]]\nfile = "{name}.npz"\nrole = "{role}"\n'
     (folder / "recordings.toml").write_text(text)
-    return train(load_recordings(folder), Settings(cutoff=12.0))
+    return prepare_training(load_recordings(folder), Settings(cutoff=12.0))
 
 
 @pytest.fixture(scope="module")
 def after_model(training):
     """Comparison with a model that left nothing of its own recordings."""
-    return replace(training, least=np.ones(2), tolerance=FIXED).comparison()
+    return replace(training, least=np.ones(2), tolerance=ZERO_TOLERANCE).comparison()
 
 
 def found(comparison, strict=True):
@@ -70,19 +70,19 @@ def test_a_small_change_beside_a_large_one_stays(after_model):
     np.testing.assert_allclose(values, [COULOMB, VISCOUS], rtol=0.03)
 
 
-def test_one_change_stands_for_several_that_leave_as_much(after_model):
+def test_single_change_replaces_several(after_model):
     coulomb, viscous, offset = (LocatedEffect(effect=each, joint=0) for each in CAUSES)
     first = scan(Scorer(after_model), CAUSES)
     more = after_model.linearised_at(after_model.fit([coulomb, offset]))
-    single = _single_change(after_model, after_model, more, [], [coulomb, offset], first)
+    single = _find_single_change(after_model, after_model, more, [], [coulomb, offset], first)
     assert single is not None
     assert single[1] == [coulomb]
     both = after_model.linearised_at(after_model.fit([coulomb, viscous]))
     two = [coulomb, viscous]
-    assert _single_change(after_model, after_model, both, [], two, first) is None
+    assert _find_single_change(after_model, after_model, both, [], two, first) is None
 
 
-def test_of_changes_that_are_alike_the_one_that_leaves_least_is_taken(after_model, monkeypatch):
+def test_equivalent_changes_are_chosen_by_residual(after_model, monkeypatch):
     """Over a noise that holds the change itself, what takes most of it has as much evidence."""
     plain = changing.scan
 
@@ -95,34 +95,37 @@ def test_of_changes_that_are_alike_the_one_that_leaves_least_is_taken(after_mode
     monkeypatch.setattr(changing, "scan", scanned)
     about = after_model.linearised_at(after_model.fit())
     told, kept = [], []
-    changing.changes(
+    changing.find_changes(
         after_model, about, [], CAUSES[:2], 1, told.append, lambda _: None, keep=kept.append
     )
     assert [e.effect.name for e in kept[-1][1]] == ["coulomb"]
     assert told == ["found coulomb of joint 1 (log evidence 101)"]
 
 
-def test_what_explains_nothing_is_no_rival_however_much_a_model_left_open(training):
+def test_effect_without_evidence_is_no_rival(training):
     """Evidence counts in units of what the model left open; a prior alone is no explanation."""
     favoured = replace(
-        training, least=np.ones(2), tolerance=FIXED, suspects={"saturation of joint 1": 1e3}
+        training,
+        least=np.ones(2),
+        tolerance=ZERO_TOLERANCE,
+        suspects={"saturation of joint 1": 1e3},
     ).comparison()
     friction = effect("asym_friction")
     catalogue = (friction, *CAUSES)
     two = [LocatedEffect(effect=each, joint=0) for each in CAUSES[:2]]
     current = favoured.linearised_at(favoured.fit(two))
     assert current.max_inherited_evidence > 1e5
-    ranked = ranked_among_rivals(current, two, two[0], catalogue)
+    ranked = rank_rivals(current, two, two[0], catalogue)
     assert ranked.likeliest is two[0]
     assert ranked.selected.rivals == ()
 
 
-def test_what_a_further_change_makes_needless_goes(after_model, monkeypatch):
+def test_superseded_change_is_dropped(after_model, monkeypatch):
     """Friction at one place stood for dry friction everywhere, until that is found."""
     place = LocatedEffect(effect=effect("position_friction"), joint=0, shapes=(0.0, 1.0))
-    start, _ = changing.fitted_jointly(after_model, [place])
+    start, _ = changing.fit_jointly(after_model, [place])
     kept = []
-    changing.changes(
+    changing.find_changes(
         after_model, start, [place], CAUSES, 3, lambda _: None, lambda _: None, keep=kept.append
     )
     assert sorted(e.effect.name for e in kept[-1][1]) == ["coulomb", "viscous"]
@@ -131,16 +134,16 @@ def test_what_a_further_change_makes_needless_goes(after_model, monkeypatch):
 @pytest.mark.parametrize(
     ("module", "stage", "with_model"),
     [
-        (changing, "fitted_jointly", True),
-        (changing, "borne_out", True),
-        (searching, "fitted_jointly", False),
+        (changing, "fit_jointly", True),
+        (changing, "select_predictive", True),
+        (searching, "fit_jointly", False),
     ],
 )
 def test_ctrl_c_at_the_second_finding_keeps_the_first(
     training, monkeypatch, module, stage, with_model
 ):
     least = np.ones(2) if with_model else None
-    comparison = replace(training, least=least, tolerance=FIXED).comparison()
+    comparison = replace(training, least=least, tolerance=ZERO_TOLERANCE).comparison()
     plain, calls = getattr(module, stage), []
 
     def interrupted(comparison, effects):
@@ -155,18 +158,18 @@ def test_ctrl_c_at_the_second_finding_keeps_the_first(
     assert names == ["coulomb"]
 
 
-def test_ctrl_c_at_the_first_change_claims_nothing(after_model, monkeypatch):
+def test_ctrl_c_at_the_first_change_has_no_finding(after_model, monkeypatch):
     def interrupted(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(changing, "borne_out", interrupted)
+    monkeypatch.setattr(changing, "select_predictive", interrupted)
     with pytest.raises(KeyboardInterrupt):
         found(after_model)
 
 
-def test_ctrl_c_in_the_last_fit_of_a_search_keeps_all_of_it(training, monkeypatch):
+def test_ctrl_c_in_the_last_fit_keeps_findings(training, monkeypatch):
     """Where nothing was known before, so that nothing but these findings is there to tell."""
-    plain, calls = searching.fitted_jointly, []
+    plain, calls = searching.fit_jointly, []
 
     def interrupted(comparison, effects):
         calls.append(len(effects))
@@ -174,15 +177,15 @@ def test_ctrl_c_in_the_last_fit_of_a_search_keeps_all_of_it(training, monkeypatc
             raise KeyboardInterrupt
         return plain(comparison, effects)
 
-    monkeypatch.setattr(searching, "fitted_jointly", interrupted)
-    result, names = found(replace(training, tolerance=FIXED).comparison(), strict=False)
+    monkeypatch.setattr(searching, "fit_jointly", interrupted)
+    result, names = found(replace(training, tolerance=ZERO_TOLERANCE).comparison(), strict=False)
     assert calls == [1, 2, 2]
     assert result.stopped
     assert names == ["coulomb", "viscous"]
 
 
 def test_a_second_ctrl_c_in_a_search_for_changes_keeps_the_first(after_model, monkeypatch):
-    plain, told = changing.borne_out, []
+    plain, told = changing.select_predictive, []
 
     def interrupted(comparison, effects):
         if len(effects) == 2:
@@ -191,17 +194,17 @@ def test_a_second_ctrl_c_in_a_search_for_changes_keeps_the_first(after_model, mo
 
     def tell(line):
         told.append(line)
-        if told.count(changing.STOPPED) == 1 and line == changing.STOPPED:
+        if told.count(changing.STOPPED_MESSAGE) == 1 and line == changing.STOPPED_MESSAGE:
             raise KeyboardInterrupt
 
-    monkeypatch.setattr(changing, "borne_out", interrupted)
+    monkeypatch.setattr(changing, "select_predictive", interrupted)
     result = search(after_model, CAUSES, most=3, strict=True, report=tell)
     assert result.stopped
     assert [each.effect.name for each in result.effects] == ["coulomb"]
 
 
-def test_ctrl_c_behind_a_search_is_told_as_that(after_model, monkeypatch):
-    plain, calls = searching._relinearised, []
+def test_ctrl_c_after_a_search_is_reported(after_model, monkeypatch):
+    plain, calls = searching._relinearise_fit, []
 
     def interrupted(*arguments):
         calls.append(arguments)
@@ -209,7 +212,7 @@ def test_ctrl_c_behind_a_search_is_told_as_that(after_model, monkeypatch):
             raise KeyboardInterrupt
         return plain(*arguments)
 
-    monkeypatch.setattr(searching, "_relinearised", interrupted)
+    monkeypatch.setattr(searching, "_relinearise_fit", interrupted)
     result, names = found(after_model)
     assert result.hurried
     assert not result.stopped

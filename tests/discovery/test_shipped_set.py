@@ -13,14 +13,14 @@ from stiffopt.cli import run
 ADDED = 0.6237
 
 
-def test_it_is_small_and_says_that_it_is_simulated():
+def test_shipped_set_is_small_and_labelled_simulated():
     assert sum(path.stat().st_size for path in SHIPPED.iterdir()) < 300_000
     assert (
         (SHIPPED / "recordings.toml").read_text().startswith("# Simulated, no robot was measured")
     )
 
 
-def test_it_can_be_used(capsys):
+def test_shipped_set_is_usable(capsys):
     assert run(["recording", "check", str(SHIPPED)]) == 0
     assert "2 joints, 4 runs" in capsys.readouterr().out
 
@@ -57,7 +57,7 @@ def test_the_friction_is_found(without_report):
     assert test["nrmse_after"] < 0.5 * test["nrmse_before"]
 
 
-def test_the_mismatch_is_shared_out_as_the_residual_falls(without_report):
+def test_shares_match_decrease_of_residual(without_report):
     document = json.loads((without_report / "diagnosis.json").read_text())
     # The link encoders are within their noise: of what there is next to nothing shared out.
     assert {each["measured"] for each in document["mismatch"]} == {"torque"}
@@ -75,7 +75,7 @@ def _torque_squares(document, when):
     return sum((each[f"rms_{when}"] / each["noise"]) ** 2 - 1.0 for each in torques)
 
 
-def test_with_what_was_found_nothing_is_missing(without_report, tmp_path):
+def test_extended_model_has_no_further_findings(without_report, tmp_path):
     model, out = without_report / "extended.toml", tmp_path / "again"
     arguments = ["diagnose", str(SHIPPED), "--model", str(model), "--out", str(out)]
     assert run([*arguments, "--no-report", "--quiet"]) == 0

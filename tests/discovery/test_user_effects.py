@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from stiffopt.discovery.effect import Term
-from stiffopt.discovery.identifiable import needs
-from stiffopt.discovery.soundness import sample_signals
-from stiffopt.discovery.user_effects import load_effects
+from stiffopt.discovery.identifiable import required_signals
+from stiffopt.discovery.user_effects import load_effects, sample_signals
 from stiffopt.errors import InputFileError
 
 HEAD = """
@@ -54,15 +53,15 @@ def written(tmp_path, text):
     return path
 
 
-def test_what_an_effect_leaves_unsaid_follows_from_its_name_and_term(tmp_path):
+def test_effect_defaults_follow_from_name_and_term(tmp_path):
     drag, wind = load_effects(written(tmp_path, GOOD))
     assert (drag.title, drag.phrase_of([1.0])) == ("seal drag", "seal drag")
-    assert needs(drag) == needs(wind) == ("torque", "moves")
+    assert required_signals(drag) == required_signals(wind) == ("torque", "moves")
     late = replace(drag, scope="run", term=lambda signals, a, v: Term(deflection=a[0] + v[0]))
-    assert needs(late) == ("link", "moves", "runs")
+    assert required_signals(late) == ("link", "moves", "runs")
 
 
-def test_needs_that_nothing_can_meet_are_refused(tmp_path):
+def test_unknown_needs_are_refused(tmp_path):
     text = GOOD.replace('scope="joint"', 'scope="joint", needs=("torqe",)')
     with pytest.raises(InputFileError, match=r"seal_drag.*needs 'torqe'; known are torque, link"):
         load_effects(written(tmp_path, text))
@@ -76,7 +75,7 @@ def test_functions_and_objects_become_effects(tmp_path):
     np.testing.assert_allclose(value, 2.0 * np.tanh(signals.motor_velocity / 0.2))
 
 
-def test_what_a_file_imports_is_not_taken_for_its_own(tmp_path):
+def test_imported_effects_are_ignored(tmp_path):
     text = GOOD + "\nfrom stiffopt.discovery.catalogue.friction import COULOMB\nALL = [WIND]\n"
     assert [e.name for e in load_effects(written(tmp_path, text))] == ["seal_drag", "wind"]
 
@@ -97,7 +96,7 @@ def test_what_a_file_imports_is_not_taken_for_its_own(tmp_path):
         (GOOD.replace("np.tanh(w", "np.log(w"), "not finite"),
         (GOOD.replace("starts=(0.05, 0.2)", "starts=(0.05, 2.0)"), "all between 0.01 and 1"),
         (GOOD.replace("starts=(0.05, 0.2)", "starts=tuple(0.02 + 0.01 * i for i in range(31))"),
-         "31 combinations; at most 30"),
+         "31 combinations of initial values; at most 30"),
         (GOOD.replace("scale=2.0", "scale=0.0"), "must be above zero"),
         (GOOD.replace("lower=-10.0", "lower=10.0"), "lower bound above"),
         (GOOD.replace("np.tanh(w", "float(w"), "its term fails with TypeError"),
@@ -106,7 +105,7 @@ def test_what_a_file_imports_is_not_taken_for_its_own(tmp_path):
         (GOOD.replace('name="v0"', 'name="D"'), "share a name"),
     ],
 )  # fmt: skip
-def test_a_file_that_cannot_be_used_says_why(tmp_path, text, message):
+def test_invalid_file_gives_reason(tmp_path, text, message):
     with pytest.raises(InputFileError, match=message):
         load_effects(written(tmp_path, text))
 

@@ -10,7 +10,7 @@ import pytest
 from diagnosed_two_link import TWO_LINK, diagnosed
 
 from stiffopt.cli import run
-from stiffopt.discovery.extended.changes import value_changes
+from stiffopt.discovery.extended.value_changes import value_changes
 from stiffopt.export.model_format import MODEL_FORMATS, DiagnosedRobot, read_diagnosed_robot
 from stiffopt.robot.files import load_robot
 

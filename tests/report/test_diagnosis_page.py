@@ -8,8 +8,8 @@ import pytest
 from page_reader import Page
 
 from stiffopt.discovery.diagnosis import Rival
-from stiffopt.discovery.extended.changes import ValueChange
-from stiffopt.discovery.judging.shares import Share
+from stiffopt.discovery.extended.value_changes import ValueChange
+from stiffopt.discovery.judging.explained_shares import MismatchShare
 from stiffopt.discovery.judging.unexplained import Unexplained
 from stiffopt.recording.run import Fault
 from stiffopt.report.common.text import pm, significant
@@ -221,7 +221,7 @@ def test_rivals_are_sorted_by_probability(friction, tmp_path):
 def test_mismatch_shares_are_per_kind_of_channel(friction, tmp_path, capsys):
     part = next(each.part for each in friction.shares if each.part is not None)
     shares = tuple(
-        Share(part=own, measured=measured, share=share)
+        MismatchShare(part=own, measured=measured, share=share)
         for measured, own, share in (
             ("torque", part, 0.992),
             ("torque", None, 0.008),

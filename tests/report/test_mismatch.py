@@ -6,8 +6,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from stiffopt.discovery.judging.shares import Part, Share
-from stiffopt.discovery.search.rigid import OF_A_BODY, Counterweight, RigidStage
+from stiffopt.discovery.judging.explained_shares import ExtensionPart, MismatchShare
+from stiffopt.discovery.search.rigid_model import BODY_WIDTHS, Counterweight, RigidStage
 from stiffopt.report.diagnosis.mismatch import (
     _format_channels,
     _format_probability_range,
@@ -17,7 +17,7 @@ from stiffopt.report.diagnosis.mismatch import (
     mismatches,
 )
 
-OFFSETS = Part(kind="usual")
+OFFSETS = ExtensionPart(kind="usual")
 
 
 def told(part, left, part_of=OFFSETS, kinds=("torque",), rigid=None, moved=()):
@@ -26,8 +26,8 @@ def told(part, left, part_of=OFFSETS, kinds=("torque",), rigid=None, moved=()):
     diagnosis = SimpleNamespace(
         findings=(None,),
         shares=[
-            Share(part=part_of, measured="torque", share=part),
-            Share(part=None, measured="torque", share=left),
+            MismatchShare(part=part_of, measured="torque", share=part),
+            MismatchShare(part=None, measured="torque", share=left),
         ],
         held_out=[SimpleNamespace(channels=[SimpleNamespace(kind=kind) for kind in kinds])],
         search=SimpleNamespace(
@@ -58,10 +58,10 @@ def test_channels_within_noise_have_no_mismatch():
     )
 
 
-@pytest.mark.parametrize(("width", "freed"), [(OF_A_BODY[1], False), (OF_A_BODY[2], True)])
+@pytest.mark.parametrize(("width", "freed"), [(BODY_WIDTHS[1], False), (BODY_WIDTHS[2], True)])
 def test_fixed_bodies_are_not_reported_as_reidentified(width, freed):
-    rigid = RigidStage(widths=(OF_A_BODY[0], width), gain=20.0, single=None)
-    assert ("re-identified" in told(0.9, 0.1, Part(kind="nominal"), rigid=rigid)) == freed
+    rigid = RigidStage(widths=(BODY_WIDTHS[0], width), gain=20.0, single=None)
+    assert ("re-identified" in told(0.9, 0.1, ExtensionPart(kind="nominal"), rigid=rigid)) == freed
 
 
 @pytest.mark.parametrize(
@@ -75,7 +75,7 @@ def test_fixed_bodies_are_not_reported_as_reidentified(width, freed):
     ],
 )
 def test_largest_moved_nominal_value_is_named(moved, share, words):
-    said = told(share, 1.0 - share, Part(kind="nominal"), moved=moved)
+    said = told(share, 1.0 - share, ExtensionPart(kind="nominal"), moved=moved)
     assert (f"within their tolerances (mainly {words})" in said) == bool(words)
     assert ("mainly" in said) == bool(words)
 
@@ -86,7 +86,7 @@ def test_largest_moved_nominal_value_is_named(moved, share, words):
 )
 def test_counterbalance_is_reported_as_alternative_to_weight(gain, words):
     weight = Counterweight(joint=1, nominal=160.0, change=595.0, gain=gain)
-    rigid = RigidStage(widths=(OF_A_BODY[2],), gain=20.0, single=None, counterweights=(weight,))
+    rigid = RigidStage(widths=(BODY_WIDTHS[2],), gain=20.0, single=None, counterweights=(weight,))
     constants = SimpleNamespace(links=["a", "b"], joints=[SimpleNamespace(prismatic=False)] * 2)
     diagnosis = SimpleNamespace(
         search=SimpleNamespace(rigid=rigid), training=SimpleNamespace(constants=constants)
@@ -95,7 +95,7 @@ def test_counterbalance_is_reported_as_alternative_to_weight(gain, words):
     assert said.startswith("Counterbalance of joint 2 or weight of b")
     assert words in said
     assert "up to 5800 N m" in said
-    short = told(0.9, 0.1, Part(kind="nominal"), rigid=rigid)
+    short = told(0.9, 0.1, ExtensionPart(kind="nominal"), rigid=rigid)
     assert ("likely a counterbalance of joint 2" in short) == (gain > 2.0)
 
 

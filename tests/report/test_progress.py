@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import pytest
 from rich.console import Console
 
-from stiffopt.discovery.search.pace import Pace, paced
+from stiffopt.discovery.progress import RoundProgress, throttle_progress
 from stiffopt.report.common.progress import ProgressDisplay, StudyProgress
 from stiffopt.report.common.text import percent, si, significant
 from stiffopt.solver.monitor import Progress
@@ -120,8 +120,8 @@ def test_short_solves_are_summed_without_repeated_lines():
 
 def test_many_small_steps_print_few_lines(monkeypatch):
     said, now = [], itertools.count(0.0, 1.0)
-    monkeypatch.setattr("stiffopt.discovery.search.pace.time.monotonic", lambda: next(now))
-    tell = paced(said.append, seconds=5.0)
+    monkeypatch.setattr("stiffopt.discovery.progress.time.monotonic", lambda: next(now))
+    tell = throttle_progress(said.append, seconds=5.0)
     for number in range(20):
         tell(str(number))
     assert 2 <= len(said) <= 4
@@ -130,7 +130,7 @@ def test_many_small_steps_print_few_lines(monkeypatch):
 def test_round_shows_the_remaining_time(monkeypatch):
     clock = iter([100.0, 103.0, 112.0])
     monkeypatch.setattr("time.monotonic", lambda: next(clock))
-    pace = Pace(4)
+    pace = RoundProgress(4)
     assert pace.words(0) == "1 of 4"
     assert pace.words(1) == "2 of 4, about 9 s of this round left"
     assert pace.words(3) == "4 of 4, about 4 s of this round left"

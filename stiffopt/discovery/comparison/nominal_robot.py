@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from stiffopt.discovery.settings import filled
+from stiffopt.discovery.settings import fill_missing
 from stiffopt.discovery.signals import (
     PARAMETERS_PER_BODY,
     JointConstants,
@@ -61,9 +61,9 @@ class RobotModel:
         nominal, connections = self.recordings.nominal, self.recordings.nominal.connections
         torque_max = self.arm.torque_max[self.order]
         torque_max = np.where((torque_max > 0.0) & np.isfinite(torque_max), torque_max, np.nan)
-        rated = filled(nominal.torque_rated, torque_max / 3.0)
-        ratio = filled(nominal.gear_ratio, np.ones(self.n))
-        damping = filled(nominal.joint_damping, np.zeros(self.n))
+        rated = fill_missing(nominal.torque_rated, torque_max / 3.0)
+        ratio = fill_missing(nominal.gear_ratio, np.ones(self.n))
+        damping = fill_missing(nominal.joint_damping, np.zeros(self.n))
         joints = tuple(
             JointConstants(
                 joint=j + 1,

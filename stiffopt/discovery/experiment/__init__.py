@@ -1,1 +1,1 @@
-"""The next motion: the one that separates the two leading explanations best."""
+"""Design of the next experiment: the motion that separates the two leading explanations best."""

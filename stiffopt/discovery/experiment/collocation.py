@@ -1,4 +1,4 @@
-"""A motion that separates two explanations, improved by direct collocation within the limits."""
+"""Improve a motion that separates two explanations by direct collocation within limits."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ from stiffopt.transcription import (
     uniform_mesh,
 )
 
-_INTERVALS_A_SECOND = 6.0
-_ITERATIONS = 60
-# Share of a term's size by which its formula of the instant may differ from the term along a run.
-_INSTANT = 1e-2
-_KEPT = 1e-3  # worst row of a design that is used, over its limit
+_INTERVALS_PER_SECOND = 6.0
+_MAX_ITERATIONS = 60
+# Relative error of the instantaneous formula of a term against the term along a run.
+_FORMULA_TOLERANCE = 1e-2
+_MAX_VIOLATION = 1e-3  # worst row of a design that is used, over its limit
 
 
-def improved(
+def improve_motion(
     separation: Separation,
     run: PreparedRun,
     motion: Trajectory,
@@ -40,32 +40,33 @@ def improved(
     *,
     seconds: float,
 ) -> Trajectory | None:
-    """Move a motion towards more separation; None where that cannot be done.
+    """Improve the separation of a motion; None if that is impossible.
 
     Parameters
     ----------
     separation : Separation
     run : PreparedRun
-        Of the motion.
+        The motion, prepared.
     motion : Trajectory
-        To start from.
+        Initial guess.
     limits : MotionLimits
     seconds : float
-        That the solver may take.
+        Time limit of the solver.
 
     Notes
     -----
-    The rival and the friction, stiffness, gain and encoder zeros of the joints concerned follow the
-    first explanation on the motion so far as well as the training runs let them; the squared
-    remainder over noise, integrated over the motion, is then maximised with these values held.
+    The rival and the friction, stiffness, gain and encoder zeros of the joints concerned are fitted
+    to the first explanation on the initial motion, with the posterior of the training runs as
+    prior. The squared difference over noise, integrated over the motion, is maximised with these
+    held.
     """
-    model = _Instant(separation, run)
+    model = _DifferenceFormula(separation, run)
     if not model.holds(run):
         return None
-    ocp = _problem(model, motion, limits)
-    intervals = max(12, int(motion.duration * _INTERVALS_A_SECOND))
+    ocp = _build_problem(model, motion, limits)
+    intervals = max(12, int(motion.duration * _INTERVALS_PER_SECOND))
     made = transcribe(ocp, "piecewise_linear", uniform_mesh(intervals))
-    options = IpoptOptions(tol=1e-4, max_iterations=_ITERATIONS, max_seconds=seconds)
+    options = IpoptOptions(tol=1e-4, max_iterations=_MAX_ITERATIONS, max_seconds=seconds)
     solver = IpoptSolver(made.nlp, options)
     whole = motion.duration
     guess = Guess(
@@ -74,13 +75,13 @@ def improved(
         duration=whole,
     )
     raw = solver.solve(made.pack(guess), np.zeros(0))
-    if raw.violation > _KEPT:
+    if raw.violation > _MAX_VIOLATION:
         return None
     return Trajectory.from_acceleration(*made.acceleration_polynomials(raw.x))
 
 
-class _Instant:
-    """Difference of two explanations as a formula of q, v, a."""
+class _DifferenceFormula:
+    """Difference of two explanations as a formula of q, v and a."""
 
     def __init__(self, separation: Separation, run: PreparedRun) -> None:
         comparison = separation.comparison
@@ -89,11 +90,11 @@ class _Instant:
         n = self.robot.n
         self.effects = (separation.first.effects[0], separation.second.effects[0])
         self.q, self.v, self.a = (ca.SX.sym(name, n) for name in "qva")
-        self.spring = newton_euler(self.robot.arm.tree, *self._in_model())[
+        self.spring = newton_euler(self.robot.arm.tree, *self._model_coordinates())[
             self.robot.order.tolist()
         ]
         for balance in self.robot.recordings.nominal.counterbalance:
-            self.spring[balance.joint] -= _balance(balance, self.q[balance.joint])
+            self.spring[balance.joint] -= _counterbalance_torque(balance, self.q[balance.joint])
         inertia, coulomb, viscous = (
             ca.DM(x) for x in (self.robot.rotor_inertia, self.robot.coulomb, self.robot.viscous)
         )
@@ -107,42 +108,47 @@ class _Instant:
         self.usable = all(e.joint is not None for e in self.effects)
         self.difference: Quantity = None
         if self.usable:
-            self._fit(separation, run)
+            self._fit_rival(separation, run)
 
     def holds(self, run: PreparedRun) -> bool:
-        """Whether both terms along the run are what their formulas of the instant say."""
+        """True if both terms along the run equal their instantaneous formulas."""
         if not self.usable:
             return False
         for located in self.effects:
             for unit, size in zip(
                 np.eye(len(located.effect.amplitudes)), located.sizes(self.constants), strict=True
             ):
-                torque, deflection = self._channels(located, unit * size)
+                torque, deflection = self._effect_channels(located, unit * size)
                 own = located.contribution(run, unit * size).channels(run, self.robot)
                 for formula, term in zip((torque, deflection), own, strict=True):
-                    along = self._along(formula, run)
+                    along = self._evaluate_along(formula, run)
                     pointwise = np.zeros_like(along) if term is None else term
                     scale = float(np.sqrt(np.mean(pointwise**2)))
-                    if float(np.sqrt(np.mean((along - pointwise) ** 2))) > _INSTANT * scale + 1e-12:
+                    if (
+                        float(np.sqrt(np.mean((along - pointwise) ** 2)))
+                        > _FORMULA_TOLERANCE * scale + 1e-12
+                    ):
                         return False
         return True
 
-    def _fit(self, separation: Separation, run: PreparedRun) -> None:
-        """Hold what the rival can follow the first with where it does so best, and no further."""
+    def _fit_rival(self, separation: Separation, run: PreparedRun) -> None:
+        """Fit the rival and nuisance values to the first explanation along the run."""
         first, second = separation.first, separation.second
-        names, columns = self._free(first.names)
+        names, columns = self._free_columns(first.names)
         index = {name: i for i, name in enumerate(first.names)}
         places = [index[name] for name in names]
         rival = self.effects[1]
         count, own = len(first.names), len(rival.effect.amplitudes)
         for unit, size in zip(np.eye(own), rival.sizes(self.constants), strict=True):
-            columns.append(self._weighted(self._channels(rival, unit * size)))
+            columns.append(self._weight_channels(self._effect_channels(rival, unit * size)))
         moved = first.fit.posterior.mean[places] - second.fit.posterior.mean[places]
         shift = np.concatenate([moved, -second.fit.posterior.mean[count : count + own]])
-        begin = self._weighted(self._channels(self.effects[0], separation.amplitudes[0]))
+        begin = self._weight_channels(
+            self._effect_channels(self.effects[0], separation.amplitudes[0])
+        )
         begin += sum(float(x) * c for x, c in zip(shift, columns, strict=True))
-        values = np.stack([self._along(c, run).ravel() for c in (begin, *columns)], axis=1)
-        # As many rows as would be recorded: noise is of one recorded sample.
+        values = np.stack([self._evaluate_along(c, run).ravel() for c in (begin, *columns)], axis=1)
+        # Scale to the number of recorded rows: the noise is that of one recorded sample.
         values *= np.sqrt(run.signals.dt / separation.comparison.runs[0].signals.dt)
         kept = [*places, *range(count, count + own)]
         spread = second.fit.posterior.covariance[np.ix_(kept, kept)]
@@ -150,8 +156,8 @@ class _Instant:
         theta = np.linalg.solve(inner, values[:, 1:].T @ values[:, 0])
         self.difference = begin - sum(float(t) * c for t, c in zip(theta, columns, strict=True))
 
-    def _free(self, names: list[str]) -> tuple[list[str], list[Quantity]]:
-        """Nominal values of the joints concerned that are formulas of the instant."""
+    def _free_columns(self, names: list[str]) -> tuple[list[str], list[Quantity]]:
+        """Return the nominal values of the joints concerned that have instantaneous formulas."""
         n, zero = self.robot.n, ca.SX.zeros(self.robot.n)
         found: dict[str, Quantity] = {}
         for j in self.joints:
@@ -165,11 +171,11 @@ class _Instant:
                 ("stiffness", (zero, unit * self.constants.joints[j].windup(self.spring[j]))),
                 ("encoder_zero", (zero, unit)),
             ):
-                found[f"{name} {j + 1}"] = self._weighted(channels)
+                found[f"{name} {j + 1}"] = self._weight_channels(channels)
         kept = [name for name in found if name in names]
         return kept, [found[name] for name in kept]
 
-    def _channels(
+    def _effect_channels(
         self, located: LocatedEffect, amplitudes: np.ndarray
     ) -> tuple[Quantity, Quantity]:
         n, j = self.robot.n, located.joint
@@ -191,7 +197,7 @@ class _Instant:
             spring_torque=self.spring[j],
             windup=constants.windup(self.spring[j]),
             drive_torque=self.drive[j],
-            # Of the third order in time: terms that need it are noticed by `holds`.
+            # A third derivative: `holds` rejects terms that need it.
             drive_torque_rate=0.0 * self.q[j],
             previous_position=self.q[j - 1] if j else 0.0 * self.q[j],
             previous_velocity=self.v[j - 1] if j else 0.0 * self.q[j],
@@ -207,16 +213,16 @@ class _Instant:
         deflection[j] = term.deflection + term.reading + slope * term.link_torque
         return torque, deflection
 
-    def _weighted(self, channels: tuple[Quantity, Quantity]) -> Quantity:
+    def _weight_channels(self, channels: tuple[Quantity, Quantity]) -> Quantity:
         return ca.vertcat(*channels) * ca.DM(self.weight)
 
-    def _along(self, formula: Quantity, run: PreparedRun) -> np.ndarray:
+    def _evaluate_along(self, formula: Quantity, run: PreparedRun) -> np.ndarray:
         s = run.signals
         function = ca.Function("along", [self.q, self.v, self.a], [ca.densify(formula)])
         points = (s.motor_position.T, s.motor_velocity.T, s.motor_acceleration.T)
         return np.asarray(array_of(function.map(len(run.time))(*points)).T)
 
-    def _in_model(self) -> tuple[Any, Any, Any]:
+    def _model_coordinates(self) -> tuple[Any, Any, Any]:
         full = []
         for own in (self.q, self.v, self.a):
             values = ca.SX.zeros(self.robot.n)
@@ -225,19 +231,21 @@ class _Instant:
         return full[0], full[1], full[2]
 
 
-def _balance(balance: Any, angle: Quantity) -> Quantity:
+def _counterbalance_torque(balance: Any, angle: Quantity) -> Quantity:
     if balance.angle is None:
         return balance.at(angle)
     table = ca.interpolant("balance", "linear", [list(balance.angle)], list(balance.torque))
     return table(angle)
 
 
-def _between(name: str, labels: list[str], most: np.ndarray, unit: str) -> Rows:
-    """Rows of a limit either way that also hold between the nodes."""
+def _two_sided_rows(name: str, labels: list[str], most: np.ndarray, unit: str) -> Rows:
+    """Return rows of a two-sided limit that also holds between the nodes."""
     return Rows.make(name, labels, -most, most, most, unit, midpoints=True)
 
 
-def _problem(model: _Instant, motion: Trajectory, limits: MotionLimits) -> OptimalControlProblem:
+def _build_problem(
+    model: _DifferenceFormula, motion: Trajectory, limits: MotionLimits
+) -> OptimalControlProblem:
     n = model.robot.n
     x, u = ca.vertcat(model.q, model.v), model.a
     z, p = ca.SX.sym("z", 0), ca.SX.sym("p", 0)
@@ -262,8 +270,8 @@ def _problem(model: _Instant, motion: Trajectory, limits: MotionLimits) -> Optim
         objective=ca.Function("objective", [total, length, z, first, last, p], [-total]),
         duration=(motion.duration, motion.duration),
         path_rows=(
-            _between("torque", names, limits.torque, "N m"),
-            _between("velocity", names, limits.velocity, "rad/s"),
+            _two_sided_rows("torque", names, limits.torque, "N m"),
+            _two_sided_rows("velocity", names, limits.velocity, "rad/s"),
         ),
         state_lower=lower,
         state_upper=upper,

@@ -1,4 +1,4 @@
-"""The next experiment: a motion on which the two leading explanations differ most."""
+"""Design the next experiment: a motion on which the two leading explanations differ most."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
-from stiffopt.discovery.experiment.collocation import improved
+from stiffopt.discovery.experiment.collocation import improve_motion
 from stiffopt.discovery.experiment.motion import (
-    USED,
+    LIMIT_USE,
     MotionLimits,
-    limits_of,
+    motion_limits,
     prepared_motion,
     random_motion,
     repeated_motion,
@@ -29,19 +29,18 @@ from stiffopt.result.trajectory import Trajectory
 Say = Callable[[str], object]
 
 EXPERIMENT_FILE = "next_experiment.csv"
-_LONGEST = 10.0  # [s], of a designed motion
-_RATE = 100.0  # [Hz], of the exported motion
-_MOTIONS = 24
-# Of separation, below which collocation is not repeated.
-_GAIN = 0.02
+_MAX_DURATION = 10.0  # [s], of a designed motion
+_EXPORT_RATE = 100.0  # [Hz], of the exported motion
+_RANDOM_MOTIONS = 24
+# Relative gain of separation below which collocation is not repeated.
+_MIN_RELATIVE_GAIN = 0.02
 # Least separation that is worth a recording [sigma].
-_TELLING = 1.0
-_SEED = 1
+_MIN_SEPARATION = 1.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ExperimentPlan:
-    """A motion that tells two explanations apart.
+    """A motion that separates two explanations.
 
     Parameters
     ----------
@@ -53,7 +52,7 @@ class ExperimentPlan:
     separation : float
         Predicted on the motion [sigma].
     reference : float
-        On the training run that separates them best, as long as the motion [sigma].
+        On the training run that separates them best, scaled to the motion's duration [sigma].
     reference_run : str
     method : str
         How the motion was found.
@@ -70,18 +69,20 @@ class ExperimentPlan:
 
     @property
     def sentence(self) -> str:
-        """What to do and what it promises."""
+        """Instruction with the predicted separation."""
         return (
             f"Record {EXPERIMENT_FILE} ({self.motion.duration:.1f} s): it is predicted to separate"
             f" {self.first.label} from {self.second.label} by {self.separation:.1f} sigma, where"
             f" another run like {self.reference_run} would by {self.reference:.1f}. It keeps the"
-            " arm's limits, but nobody has checked it for collisions."
+            " arm's limits, but is not checked for collisions."
             f" ({self.method}) {self.first.effect.separate}"
         )
 
     def csv(self) -> str:
-        """Columns t, q1.., qd1.., SI, 100 a second."""
-        times = np.append(np.arange(0.0, self.motion.duration, 1.0 / _RATE), self.motion.duration)
+        """Return columns t, q1.., qd1.. in SI at 100 Hz."""
+        times = np.append(
+            np.arange(0.0, self.motion.duration, 1.0 / _EXPORT_RATE), self.motion.duration
+        )
         n = len(self.joints)
         names = ["t", *(f"q{j + 1}" for j in range(n)), *(f"qd{j + 1}" for j in range(n))]
         table = np.column_stack([times, self.motion(times), self.motion(times, 1)])
@@ -91,10 +92,10 @@ class ExperimentPlan:
 
 
 def leading_pair(selected: Sequence[Selected]) -> tuple[LocatedEffect, LocatedEffect] | None:
-    """The strongest finding that has rivals, and the strongest of them; None without rivals."""
+    """Return the strongest finding with rivals, and its strongest rival; None without rivals."""
     for each in selected:
         for rival, _ in each.rivals:
-            # What is of one run only cannot be met in another.
+            # An effect of one run cannot be reproduced in another.
             if not (each.located.is_run_specific or rival.is_run_specific):
                 return each.located, rival
     return None
@@ -120,30 +121,29 @@ def plan_experiment(
     pair : (LocatedEffect, LocatedEffect)
         The explanations, such as a finding and its strongest rival.
     seconds : float
-        Of processor time that the design may take, so that it is the same beside other work.
+        Processor time of the design, so that the result does not depend on other load.
     say : callable
         Called with a sentence at every step.
 
     Returns
     -------
     ExperimentPlan or None
-        None where no motion beats the training runs, or none tells the two apart.
+        None if no motion beats the training runs, or none separates the two.
 
     Notes
     -----
-    A search over Fourier series within the limits, rated by `Separation` with everything that a
-    refit could absorb; its best motion, and the best recorded one, are improved by collocation
-    where both effects are formulas of the instant (no memory). Whatever is better by the full
-    criterion is kept.
+    Random Fourier series within the limits are rated by `Separation`, which includes all values
+    that a refit could change. The best one and the best recorded motion are improved by collocation
+    if both effects are instantaneous formulas (no memory). The best by the full criterion is kept.
     """
     begin, began = time.process_time(), time.perf_counter()
     first, second = pair
     say(f"design the motion that separates {first.label} from {second.label}")
     others = tuple(e for e in result.effects if e.key not in (first.key, second.key))
     separation = Separation(result.comparison, first, second, others)
-    limits = limits_of(training)
+    limits = motion_limits(training)
     durations = [float(run.time[-1] - run.time[0]) for run in training.runs]
-    duration = min(_LONGEST, float(np.median(durations)))
+    duration = min(_MAX_DURATION, float(np.median(durations)))
     step = float(np.median([run.signals.dt for run in training.runs]))
     known = [
         (separation.of(run) * float(np.sqrt(duration / own)), run.name)
@@ -159,13 +159,15 @@ def plan_experiment(
         return seconds - (time.process_time() - begin)
 
     def on_the_clock(own: float) -> float:
-        """Seconds of the clock in which this process gets so many of its own."""
+        """Convert processor time to elapsed time at the present load."""
         passed, worked = time.perf_counter() - began, time.process_time() - begin
         return own * max(1.0, passed / max(worked, 1e-3))
 
-    best, value = _searched(training, limits, duration, rated, lambda: left() > 0.6 * seconds)
-    method = f"best of {_MOTIONS} Fourier motions"
-    # A recorded motion may be the better one to start from.
+    best, value = _search_random_motions(
+        training, limits, duration, rated, lambda: left() > 0.6 * seconds
+    )
+    method = f"best of {_RANDOM_MOTIONS} Fourier motions"
+    # A recorded motion may be the better initial guess.
     best_run = next(run for run in training.runs if run.name == name)
     starts = [repeated_motion(best_run, duration), *([] if best is None else [best])]
     if value > reference:
@@ -174,25 +176,25 @@ def plan_experiment(
         motion, worth = start, 0.0
         while left() > 1.0:
             share = 0.5 if k + 1 < len(starts) else 0.8
-            better = improved(
+            better = improve_motion(
                 separation,
                 prepared_motion(training, training.constants, motion, settings),
                 motion,
                 limits,
                 seconds=on_the_clock(share * left()),
             )
-            if better is None or limits.excess(training.robot, better) > 1.0 / USED:
+            if better is None or limits.excess(training.robot, better) > 1.0 / LIMIT_USE:
                 break
             reached = rated(better)
             if reached > value:
                 best, value, method = better, reached, "by direct collocation"
-            if reached <= worth * (1.0 + _GAIN):
+            if reached <= worth * (1.0 + _MIN_RELATIVE_GAIN):
                 break
             motion, worth = better, reached
     if best is None:
         return None
-    # Less than one standard deviation tells nothing apart, however little other runs tell.
-    if value <= reference or value < _TELLING:
+    # Less than one standard deviation separates nothing, even if training runs do less.
+    if value <= reference or value < _MIN_SEPARATION:
         return None
     return ExperimentPlan(
         joints=training.robot.recordings.joints,
@@ -206,17 +208,17 @@ def plan_experiment(
     )
 
 
-def _searched(
+def _search_random_motions(
     training: Training,
     limits: MotionLimits,
     duration: float,
     rated: Callable[[Trajectory], float],
     more: Callable[[], bool],
 ) -> tuple[Trajectory | None, float]:
-    """The best of some motions of the family."""
-    random = np.random.default_rng(_SEED)
+    """Return the best of some random motions with its separation."""
+    random = np.random.default_rng(1)
     best, value = None, 0.0
-    for _ in range(_MOTIONS):
+    for _ in range(_RANDOM_MOTIONS):
         motion = random_motion(limits, training.robot, duration, random)
         if motion is not None:
             reached = rated(motion)

@@ -1,4 +1,4 @@
-"""Motions that an arm may make in an experiment: limits, and a family to search in."""
+"""Motions of an experiment: limits, random Fourier series, recorded motions."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ from stiffopt.discovery.training import Training
 from stiffopt.recording.run import RecordedRun
 from stiffopt.result.trajectory import Trajectory
 
-# Of the limits that a design uses, so that it keeps them between its nodes and on the real arm.
-USED = 0.95
-# How far beyond the angles met a joint may go, as a share of that range.
-_BEYOND = 0.25
-_HARMONICS = 4
-_KNOT = 0.1  # [s]
-# Share of the duration in which a motion starts from rest, and comes to it.
-_RAMP = 0.12
-_SHRINK = 0.8
-_SAMPLE = 0.01  # [s]
+# Used share of the limits, so that they hold between nodes and on the real arm.
+LIMIT_USE = 0.95
+# Extension of the recorded stroke of a joint, as share of it.
+_RANGE_EXTENSION = 0.25
+_HARMONIC_COUNT = 4
+_KNOT_SPACING = 0.1  # [s]
+# Share of the duration for acceleration from rest, and for stopping.
+_RAMP_SHARE = 0.12
+_SHRINK_FACTOR = 0.8
+_SAMPLE_TIME = 0.01  # [s]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MotionLimits:
-    """What a designed motion keeps to, (n,) each.
+    """Limits of a designed motion, (n,) each.
 
     Parameters
     ----------
@@ -45,8 +45,8 @@ class MotionLimits:
     torque: np.ndarray
 
     def excess(self, robot: RobotModel, motion: Trajectory) -> float:
-        """Largest use of a limit along a motion, over the limit; 1 is just kept."""
-        times = motion.sample(_SAMPLE)
+        """Return the largest value over its limit along a motion; 1 is the limit."""
+        times = motion.sample(_SAMPLE_TIME)
         q, v, a = (motion(times, order) for order in range(3))
         middle, half = 0.5 * (self.lower + self.upper), 0.5 * (self.upper - self.lower)
         torque = robot.rotor_inertia * a + robot.spring_torque(q, v, a) + robot.friction(v)
@@ -59,52 +59,52 @@ class MotionLimits:
         return float(max(u.max() for u in used))
 
 
-def limits_of(training: Training) -> MotionLimits:
-    """Limits of the arm; where it states none, what the training runs went to."""
+def motion_limits(training: Training) -> MotionLimits:
+    """Return limits of the arm; where it states none, the extremes of the training runs."""
     robot, constants = training.robot, training.constants
     arm, order = robot.arm, robot.order
     met = np.array([j.stroke for j in constants.joints])
-    wider = _BEYOND * (met[:, 1] - met[:, 0]) + 0.05
-    # Farther than recordings went nobody knows what stands in the way.
+    wider = _RANGE_EXTENSION * (met[:, 1] - met[:, 0]) + 0.05
+    # Obstacles beyond the recorded strokes are unknown.
     lower = np.maximum(arm.position_lower[order], met[:, 0] - wider)
     upper = np.minimum(arm.position_upper[order], met[:, 1] + wider)
-    middle, half = 0.5 * (lower + upper), 0.5 * USED * (upper - lower)
+    middle, half = 0.5 * (lower + upper), 0.5 * LIMIT_USE * (upper - lower)
     own = arm.velocity_max[order]
     fastest = np.array([j.fastest for j in constants.joints])
     velocity = np.where((own > 0.0) & np.isfinite(own), own, fastest)
-    # What drives are asked for: a kick where friction turns is none of it.
+    # Filtered: jumps at friction reversals are no demand on the drives.
     asked = [run.low_pass(run.signals.motor_acceleration) for run in training.runs]
     hardest = np.max([np.abs(each).max(axis=0) for each in asked], axis=0)
     return MotionLimits(
         lower=middle - half,
         upper=middle + half,
-        velocity=USED * velocity,
-        acceleration=USED * np.maximum(hardest, 1e-3),
-        torque=USED * np.array([j.torque_max for j in constants.joints]),
+        velocity=LIMIT_USE * velocity,
+        acceleration=LIMIT_USE * np.maximum(hardest, 1e-3),
+        torque=LIMIT_USE * np.array([j.torque_max for j in constants.joints]),
     )
 
 
 def random_motion(
     limits: MotionLimits, robot: RobotModel, duration: float, random: np.random.Generator
 ) -> Trajectory | None:
-    """A Fourier series in every joint, from rest to rest, shrunk until it keeps the limits.
+    """Return a random Fourier series in every joint, from rest to rest, scaled to the limits.
 
     Returns
     -------
     Trajectory or None
-        None where even a small motion about the drawn pose does not keep them.
+        None if even a small motion about the drawn pose exceeds them.
     """
     from scipy.interpolate import CubicSpline
 
     n = robot.n
-    knots = np.linspace(0.0, duration, int(np.ceil(duration / _KNOT)) + 1)
-    # From once in the whole motion up to often: what separates may be slow or fast.
+    knots = np.linspace(0.0, duration, int(np.ceil(duration / _KNOT_SPACING)) + 1)
+    # From once in the whole motion to often: separation may need slow or fast motion.
     slowest = np.exp(random.uniform(np.log(1.0 / duration), np.log(0.6), size=n))
-    order = np.arange(1, _HARMONICS + 1)
-    weights = random.normal(size=(n, _HARMONICS, 2)) / order[:, None]
+    order = np.arange(1, _HARMONIC_COUNT + 1)
+    weights = random.normal(size=(n, _HARMONIC_COUNT, 2)) / order[:, None]
     phase = 2.0 * np.pi * slowest[:, None, None] * order[:, None] * knots
     wave = (weights[..., :1] * np.sin(phase) + weights[..., 1:] * np.cos(phase)).sum(axis=1).T
-    ramp = np.clip(np.minimum(knots, duration - knots) / (_RAMP * duration), 0.0, 1.0)
+    ramp = np.clip(np.minimum(knots, duration - knots) / (_RAMP_SHARE * duration), 0.0, 1.0)
     wave *= (ramp**3 * (10.0 - 15.0 * ramp + 6.0 * ramp**2))[:, None]
     wave /= np.maximum(np.abs(wave).max(axis=0), 1e-9)
     half = 0.5 * (limits.upper - limits.lower)
@@ -112,7 +112,7 @@ def random_motion(
     room = half - size
     centre = 0.5 * (limits.lower + limits.upper) + room * random.uniform(-0.9, 0.9, size=n)
     spline = CubicSpline(knots, wave, bc_type="clamped")
-    fine = np.arange(0.0, duration, _SAMPLE)
+    fine = np.arange(0.0, duration, _SAMPLE_TIME)
     size = np.minimum(size, 0.99 * limits.velocity / np.abs(spline(fine, 1)).max(axis=0))
     size = np.minimum(size, 0.99 * limits.acceleration / np.abs(spline(knots, 2)).max(axis=0))
     for _ in range(12):
@@ -121,16 +121,16 @@ def random_motion(
         )
         if limits.excess(robot, motion) <= 1.0:
             return motion
-        size = _SHRINK * size
+        size = _SHRINK_FACTOR * size
     return None
 
 
 def repeated_motion(run: PreparedRun, duration: float) -> Trajectory:
-    """The begin of a recorded motion, as smooth as a designed one, from rest."""
+    """Return the beginning of a recorded motion, smoothed and from rest."""
     from scipy.interpolate import CubicSpline
 
     signals = run.signals
-    knots = np.linspace(0.0, duration, int(np.ceil(duration / _KNOT)) + 1)
+    knots = np.linspace(0.0, duration, int(np.ceil(duration / _KNOT_SPACING)) + 1)
     places = np.clip(np.rint(knots / signals.dt).astype(int), 0, len(run.time) - 1)
     spline = CubicSpline(knots, signals.motor_position[places], bc_type="clamped")
     return Trajectory.piecewise_linear_acceleration(
@@ -141,8 +141,8 @@ def repeated_motion(run: PreparedRun, duration: float) -> Trajectory:
 def prepared_motion(
     training: Training, constants: RobotConstants, motion: Trajectory, settings: Settings
 ) -> PreparedRun:
-    """A motion as a run of which every channel of the training runs would be recorded."""
-    times = np.arange(0.0, motion.duration, _SAMPLE)
+    """Prepare a motion as a run with all channels of the training runs."""
+    times = np.arange(0.0, motion.duration, _SAMPLE_TIME)
     position = motion(times)
     like = training.recorded[0]
     has_torque = np.any([np.isfinite(r.torque).any(axis=0) for r in training.recorded], axis=0)

@@ -1,4 +1,4 @@
-"""How far apart two explanations would be on a motion: what neither could absorb, in sigma."""
+"""Predicted separation of two explanations on a motion [sigma]: the part no refit absorbs."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from stiffopt.discovery.comparison.prepared_run import PreparedRun
 
 @dataclass(frozen=True, eq=False)
 class _Explanation:
-    """One explanation of the training runs, as it was fitted to them."""
+    """One explanation, fitted to the training runs."""
 
     names: list[str]
     effects: tuple[LocatedEffect, ...]
@@ -31,14 +31,14 @@ class Separation:
         Of the training runs.
     first, second : LocatedEffect
     others : sequence of LocatedEffect
-        That both explanations have beside.
+        Effects common to both explanations.
 
     Notes
     -----
-    Both predict the channels of a motion with the values that fit the training runs. The second
-    may then move its amplitudes, and all nominal values theirs, as far as the training runs leave
-    them open (the posterior of its fit); what is left is the separation, and the lesser of both
-    ways round counts. This is the criterion of Box and Hill (1967) for a linear Gaussian model.
+    Both predict the channels of a motion with values fitted to the training runs. Amplitudes of one
+    and nominal values are then refitted to the prediction of the other, with the posterior of the
+    training runs as prior; the remaining difference is the separation, the lesser of both
+    directions. This is the criterion of Box and Hill (1967) for a linear Gaussian model.
     """
 
     def __init__(
@@ -57,7 +57,7 @@ class Separation:
 
     @property
     def amplitudes(self) -> tuple[np.ndarray, np.ndarray]:
-        """Fitted amplitudes of the two effects, in their own units."""
+        """Fitted amplitudes of the two effects, in their units."""
         constants = self.comparison.constants
         out = []
         for each in (self.first, self.second):
@@ -66,27 +66,27 @@ class Separation:
         return out[0], out[1]
 
     def of(self, run: PreparedRun, *, step: float | None = None) -> float:
-        """Separation on a motion [sigma].
+        """Return the separation on a motion [sigma].
 
         Parameters
         ----------
         run : PreparedRun
         step : float, optional
-            Of the samples that would be recorded [s]; default: those of the run.
+            Sampling time of the recording [s]; default: that of the run.
         """
-        here = self._along(run, step)
-        parts = [self._columns(here, each) for each in (self.first, self.second)]
+        here = self._compare_along(run, step)
+        parts = [self._parameter_columns(here, each) for each in (self.first, self.second)]
         means = [each.fit.posterior.mean for each in (self.first, self.second)]
         difference = parts[0] @ means[0] - parts[1] @ means[1]
         left = [
-            _not_absorbed(difference, columns, each.fit.posterior.covariance)
+            _unabsorbed_square(difference, columns, each.fit.posterior.covariance)
             for columns, each in zip(parts, (self.first, self.second), strict=True)
         ]
         return float(np.sqrt(max(min(left), 0.0)))
 
-    def _along(self, run: PreparedRun, step: float | None) -> Comparison:
+    def _compare_along(self, run: PreparedRun, step: float | None) -> Comparison:
         base = self.comparison
-        # More samples of the same motion: the noise that passes the filter falls.
+        # More samples of the same motion lower the noise that passes the filter.
         finer = 1.0 if step is None else float(np.sqrt(step / run.signals.dt))
         noise = ChannelNoise(base.noise.torque * finer, base.noise.deflection * finer)
         signals = replace(run.signals, constants=base.constants)
@@ -98,18 +98,18 @@ class Separation:
             inflation=base.inflation,
         )
 
-    def _columns(self, here: Comparison, each: _Explanation) -> np.ndarray:
+    def _parameter_columns(self, here: Comparison, each: _Explanation) -> np.ndarray:
         names, _, matrix = here.nuisance
         own = dict(zip(names, matrix.T, strict=True))
         nothing = np.zeros(here.rows.size)
-        # A joint that stands shows nothing of its friction.
+        # A stationary joint has no column of friction.
         nuisance = [own.get(name, nothing) for name in each.names]
         effects = [here.effect_columns(located) for located in each.effects]
         return np.column_stack([*nuisance, *effects])
 
 
-def _not_absorbed(difference: np.ndarray, columns: np.ndarray, spread: np.ndarray) -> float:
-    """Chi-square of a difference that parameters with this covariance cannot follow."""
+def _unabsorbed_square(difference: np.ndarray, columns: np.ndarray, spread: np.ndarray) -> float:
+    """Return the chi-square of a difference after a refit with this prior covariance."""
     root = np.linalg.cholesky(spread + 1e-14 * np.diag(np.diag(spread)))
     reach = columns @ root
     inner = np.eye(len(spread)) + reach.T @ reach

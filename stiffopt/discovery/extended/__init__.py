@@ -1,1 +1,1 @@
-"""The nominal model with what was found: as a file, and as a robot to plan with."""
+"""Extended model, the nominal model with findings: its file, and a robot to plan with."""

@@ -1,8 +1,7 @@
-"""What an extended model leaves of the recordings that it was made from, and how fast it follows.
+"""Open residual of an extended model in its own recordings, with the bands of the fit.
 
-No model of a real robot is whole. A diagnosis that starts from an extended model looks for what has
-changed since, and what the model left of its own recordings is no change: it counts as noise, seen
-through the same bands.
+A diagnosis that starts from an extended model searches for changes since. The residual of the model
+in its own recordings is no change: it counts as noise, in the same bands.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ if TYPE_CHECKING:
     from stiffopt.recording.nominal import Tolerance
 
 
-def left_open(
+def left_open_section(
     ratio: np.ndarray,
     noise: ChannelNoise,
     settings: Settings,
@@ -32,23 +31,23 @@ def left_open(
     before: LeftOpenSection | None = None,
     rate: float | None = None,
 ) -> LeftOpenSection:
-    """Section of extended.toml.
+    """Return the section `left_open` of extended.toml.
 
     Parameters
     ----------
     ratio : array (2 n,)
-        What is left in every channel over its noise; nan without rows.
+        Normalised residual of every channel; nan without rows.
     noise : ChannelNoise
     settings : Settings
-        With the bands that were chosen.
+        With the chosen bands.
     suspects : mapping of str to float
-        What is left hints at, with log evidence for a row.
+        Effects that the residual suggests, with log evidence per row.
     leanings : mapping of str to tuple of float
-        Amplitudes that effects alone would take of it.
+        Amplitudes that single effects would have in it.
     before : LeftOpenSection, optional
-        Of the model that was started from: what these recordings do not show stays as it was.
+        Section of the starting model, kept for channels without recordings.
     rate : float, optional
-        Clock of these recordings [Hz].
+        Sampling rate of these recordings [Hz].
     """
     spread = np.nan_to_num(ratio) * np.nan_to_num([*noise.torque, *noise.deflection])
     if before is not None:
@@ -65,11 +64,11 @@ def left_open(
     )
 
 
-def at_rate(section: LeftOpenSection, rate: float) -> LeftOpenSection:
-    """The section as noise of samples at another clock [Hz].
+def rescale_to_rate(section: LeftOpenSection, rate: float) -> LeftOpenSection:
+    """Return the section with noise of single samples at another sampling rate [Hz].
 
-    What is left within a band is as large however often it is sampled: of white noise it would be
-    the less, the faster samples come. Of a file that tells no clock it is taken to be the same.
+    The residual lies within a band, so that its size does not depend on the rate, while white noise
+    within a band falls with it. Without a stated rate the same one is assumed.
     """
     factor = 1.0 if section.sampling_rate is None else (rate / section.sampling_rate) ** 0.5
     changed = {
@@ -80,10 +79,10 @@ def at_rate(section: LeftOpenSection, rate: float) -> LeftOpenSection:
     return section.model_copy(update=changed)
 
 
-def least_factors(section: LeftOpenSection | None, noise: ChannelNoise) -> np.ndarray | None:
-    """Factors (2 n,) on the noise of every channel that make it what a model left open.
+def noise_factors(section: LeftOpenSection | None, noise: ChannelNoise) -> np.ndarray | None:
+    """Return factors (2 n,) that raise the noise of every channel to the open residual of a model.
 
-    nan where the model's own recordings show nothing of a channel, as of a joint that stood still.
+    nan for channels that the model's own recordings lack, as of a stationary joint.
     """
     if section is None:
         return None
@@ -92,14 +91,14 @@ def least_factors(section: LeftOpenSection | None, noise: ChannelNoise) -> np.nd
     return np.where(left > 0.0, np.maximum(1.0, np.nan_to_num(left / known)), np.nan)
 
 
-def with_bands(settings: Settings, section: LeftOpenSection | None) -> Settings:
-    """Settings with the bands of a model, where they state none and the model chose some."""
+def adopt_bands(settings: Settings, section: LeftOpenSection | None) -> Settings:
+    """Return settings with the bands of a model, if they state none themselves."""
     if section is None or section.predict is None or settings.cutoff is not None:
         return settings
     return replace(settings, cutoff=section.cutoff, predict=section.predict)
 
 
-def assumed(
+def describe_assumptions(
     section: LeftOpenSection | None,
     least: np.ndarray | None,
     noise: ChannelNoise,
@@ -107,25 +106,25 @@ def assumed(
     tolerance: Tolerance,
     prismatic: np.ndarray,
 ) -> list[str]:
-    """Sentences on what holds where a diagnosis starts from an extended model.
+    """Return sentences about the assumptions of a diagnosis from an extended model.
 
     Parameters
     ----------
     section : LeftOpenSection or None
-        Of the model.
+        Section of the model.
     least : array (2 n,) or None
-        Factors that the noise is raised by; None where it is not.
+        Factors on the noise; None if it is not raised.
     noise : ChannelNoise
     asked : Settings
-        Before the model's bands were taken over.
+        Settings before the model's bands were adopted.
     tolerance : Tolerance
-        That the set states.
+        Tolerances that the set states.
     prismatic : array (n,) of bool
     """
     found = []
     if silent := ", ".join(missing_tolerances(tolerance)):
-        kept = "nominal values stay as the model has them"
-        near = "narrow defaults about the values of the model hold"
+        kept = "values of the model are fixed"
+        near = "narrow defaults about values of the model are used"
         found.append(f"Tolerances not given, {near if least is None else kept}: {silent}.")
     if least is not None:
         raised = np.where(least > 1.0, least * [*noise.torque, *noise.deflection], np.nan)
@@ -137,8 +136,8 @@ def assumed(
                 for j in np.flatnonzero(np.isfinite(values))
             )
             if each:
-                found.append(f"What the model left open of {name} counts as noise (joint {each}).")
-    taken = with_bands(asked, section)
+                found.append(f"The model's open residual of {name} counts as noise (joint {each}).")
+    taken = adopt_bands(asked, section)
     if taken is not asked and taken.predict is not None:
         each = ", ".join(f"{j}: {band:g}" for j, band in enumerate(taken.predict, start=1))
         found.append(

@@ -1,4 +1,4 @@
-"""extended.toml: the nominal model of a recording set with what a diagnosis found.
+"""Read extended.toml: the nominal model of a recording set with the findings of a diagnosis.
 
 .. code-block:: toml
 
@@ -10,28 +10,28 @@
 
     [nominal]                        # as in recordings.toml, unchanged
 
-    [scales]                         # what the terms of effects are measured against, a number
-    torque_rated = [67.0, 40.0]      # a joint: torques [N m] and the fastest speed met [rad/s]
+    [scales]                         # scales of the terms of effects, a number a joint:
+    torque_rated = [67.0, 40.0]      # torques [N m] and the fastest recorded velocity [rad/s]
     torque_max = [201.0, 120.0]
     fastest = [1.9, 2.4]
 
-    [calibration]                    # nominal values moved within their tolerances: relative, or
+    [calibration]                    # nominal values fitted within their tolerances: relative, or
     "coulomb 2" = 0.012              # [m] for "com", [rad] for "encoder_zero"
 
-    [left_open]                      # of its own recordings: counts as noise where it is started
-    cutoff = 12.0                    # from; bands [Hz]
+    [left_open]                      # residual in its own recordings: counts as noise of a further
+    cutoff = 12.0                    # diagnosis; bands [Hz]
     predict = [20.0, 20.0]
     torque = [0.31, 0.12]            # one standard deviation, as unfiltered noise [N m], [rad]
     link_position = [0.0, 0.0]
 
     [[effect]]
     name = "coulomb"                 # of the catalogue or of a user's file
-    joint = 2                        # from 1; left out where it is the whole robot
+    joint = 2                        # from 1; left out for the whole robot
     link = "link3"                   # of inertial_error
     run = "train_2"                  # of encoder_zero_change
     [effect.term]                    # amplitudes and shapes that the term is evaluated with
     dFc = 1.31
-    [effect.parameters]              # what the catalogue reports of them; must agree with them
+    [effect.parameters]              # reported values; must agree with the term
     dFc = { value = 1.31, sd = 0.04, unit = "N m" }
 
 Numbers are SI at the output side. `stiffopt diagnose --model extended.toml` starts from this model
@@ -54,7 +54,6 @@ from stiffopt.discovery.catalogue.friction_drift import RUN_PREFIX
 from stiffopt.discovery.catalogue.periodic import ROTOR_RIPPLE
 from stiffopt.discovery.comparison.located_effect import EstimatedEffect, Extension, LocatedEffect
 from stiffopt.discovery.effect import Effect
-from stiffopt.discovery.extended.made_for import require_same_robot
 from stiffopt.discovery.extended.schema import (
     EffectSection,
     ExtendedFile,
@@ -69,37 +68,120 @@ from stiffopt.folders import check_result
 from stiffopt.recording.nominal_files import build_chains, check_nominal
 from stiffopt.recording.recording_set import RecordingSet
 from stiffopt.recording.schema import NominalSection
+from stiffopt.robot.robot import Robot
 
-# Relative difference up to which reported values agree with the terms they come from.
-_AGREE = 1e-6
+# Tolerances of lengths [m] and masses (relative) of the same arm: descriptions differ by rounding
+# and by the assignment of parts to links.
+_LENGTH_TOLERANCE, _MASS_TOLERANCE = 5e-3, 0.3
+
+
+def robot_signature(robot: Robot, order: Sequence[int] | np.ndarray) -> MadeForSection:
+    """Return name, lengths and masses of a robot's joints in this order (indices from 0)."""
+    bodies = [robot.tree.bodies[int(j)] for j in order]
+    return MadeForSection(
+        name=robot.name,
+        lengths=tuple(float(np.linalg.norm(body.translation)) for body in bodies),
+        masses=tuple(float(body.mass) for body in bodies),
+    )
+
+
+def require_same_robot(
+    section: MadeForSection | None,
+    source: str,
+    joints: Sequence[str],
+    robot: Robot,
+    place: Sequence[int] | np.ndarray,
+) -> None:
+    """Raise `InputFileError` if an extended model is of another robot.
+
+    Parameters
+    ----------
+    section : MadeForSection or None
+        None if the file has none; joints are then compared by name.
+    source : str
+        Path of the file, for messages.
+    joints : sequence of str
+        Joints of the model.
+    robot : Robot
+    place : sequence of int
+        Index of each joint of the model among those of the robot.
+    """
+    same_names = set(joints) <= set(robot.joint_names)
+    if section is None:
+        if not same_names:
+            raise InputFileError(
+                source,
+                "joints",
+                f"this model is of {', '.join(joints)}, the robot {robot.name} has"
+                f" {', '.join(robot.joint_names)}. Give the model of the same robot.",
+            )
+        return
+    if len(joints) < robot.n:
+        # Fixed joints merge bodies: only the names can be compared.
+        return
+    own = robot_signature(robot, place)
+    wrong = _describe_difference(section, own)
+    if wrong:
+        raise InputFileError(
+            source,
+            "robot",
+            f"this model was made for the robot {section.name} ({', '.join(joints)}), not for"
+            f" {robot.name}: {wrong}. Diagnose recordings of {robot.name}, or solve with the robot"
+            " of the model.",
+        )
+
+
+def _describe_difference(stated: MadeForSection, own: MadeForSection) -> str:
+    if len(stated.lengths) != len(own.lengths) or len(stated.masses) != len(own.masses):
+        return f"it has {len(own.masses)} joints, the model {len(stated.masses)}"
+    # The first length depends on the base, the last mass includes the payload.
+    for j in range(1, len(own.lengths)):
+        if abs(stated.lengths[j] - own.lengths[j]) > _LENGTH_TOLERANCE:
+            return (
+                f"joint {j + 1} lies {own.lengths[j]:.4g} m from the joint before, in the model"
+                f" {stated.lengths[j]:.4g} m"
+            )
+    for j in range(len(own.masses) - 1):
+        if abs(stated.masses[j] - own.masses[j]) > _MASS_TOLERANCE * max(
+            stated.masses[j], own.masses[j]
+        ):
+            return (
+                f"the body behind joint {j + 1} has {own.masses[j]:.4g} kg, in the model"
+                f" {stated.masses[j]:.4g} kg"
+            )
+    return ""
+
+
+# Relative tolerance of equal values.
+VALUE_TOLERANCE = 1e-6
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ExtendedModel:
-    """A nominal model with what was found.
+    """A nominal model with findings.
 
     Parameters
     ----------
     source : str
-        Of the file, for messages.
+        Path of the file, for messages.
     name : str
-        Of the recording set that it comes from.
+        Name of the recording set.
     joints : tuple of str (n,)
     robot : MadeForSection or None
-        That it was made for; None where the file does not say.
+        Robot that it was made for; None if not stated.
     nominal : NominalSection
-        What it states of the nominal robot.
+        Stated values of the nominal robot.
     chains : tuple of Chain or None (n,), or None
-        Nominal drivetrains; None where it states none, those of the robot then.
+        Nominal drivetrains; None for those of the robot.
     scales : dict of str to tuple of float (n,)
         torque_rated, torque_max [N m], fastest [rad/s].
     extension : Extension
     parameters : tuple of dict of str to float
-        Reported values of every effect of the extension that the file states.
+        Reported values of every effect.
     deviations : tuple of dict of str to float
-        Their standard deviations, where the file states them.
+        Their standard deviations, if stated.
     left_open : LeftOpenSection or None
-        What it leaves of its own recordings; None where the file does not say.
+        Residual in its own recordings; None if not stated.
     """
 
     source: str
@@ -115,12 +197,12 @@ class ExtendedModel:
     left_open: LeftOpenSection | None = None
 
     def applied_to(self, recordings: RecordingSet) -> RecordingSet:
-        """The set with this model's nominal values.
+        """Return the set with this model's nominal values.
 
         Raises
         ------
         InputFileError
-            The joints are others.
+            The joints differ.
         """
         if recordings.joints != self.joints:
             raise InputFileError(
@@ -133,13 +215,13 @@ class ExtendedModel:
         nominal = self.nominal
         waves = any(e.located.effect.name == ROTOR_RIPPLE.name for e in self.extension.effects)
         if nominal.pole_pairs is None and not waves:
-            # Nothing was found with them, so that those that the set gives contradict nothing;
-            # waves that stand in for the ripple of poles would be found a second time.
+            # Pole pairs of the set are compatible unless the model contains rotor ripple, which
+            # would be found a second time as ripple of the poles.
             nominal = nominal.model_copy(update={"pole_pairs": recordings.stated.pole_pairs})
         return recordings.with_nominal(nominal, self.source)
 
     def scaled(self, constants: RobotConstants) -> RobotConstants:
-        """Constants with the scales that the effects were fitted with."""
+        """Return constants with the scales that the effects were fitted with."""
         joints = tuple(
             replace(
                 own,
@@ -159,24 +241,24 @@ def load_extended(path: str | os.PathLike[str], effects: Sequence[Effect] = ()) 
     ----------
     path : path
     effects : sequence of Effect
-        Of a user's own file, beside those of the catalogue.
+        Additional to the catalogue.
 
     Raises
     ------
     InputFileError
-        What is wrong, where, and what is allowed.
+        The file is invalid.
     """
     check_result(Path(path).parent, Path(path).name, edited=True)
     document = read_document(path, ExtendedFile, "extended")
     n = len(document.joints)
     check_nominal(document.nominal, document.joints, Path(path))
     scales = {
-        name: _per_joint(values, n, path, f"scales.{name}")
+        name: _check_length(values, n, path, f"scales.{name}")
         for name, values in document.scales.model_dump().items()
     }
     known = {entry.name: entry for entry in (*CATALOGUE, *effects)}
     read = [
-        _effect(section, known, document, path, f"effect[{number}]")
+        _read_effect(section, known, document, path, f"effect[{number}]")
         for number, section in enumerate(document.effect, start=1)
     ]
     return ExtendedModel(
@@ -196,12 +278,12 @@ def load_extended(path: str | os.PathLike[str], effects: Sequence[Effect] = ()) 
             {name: entry.sd for name, entry in section.parameters.items() if entry.sd is not None}
             for section in document.effect
         ),
-        left_open=_left_open(document.left_open, n, path),
+        left_open=_check_left_open(document.left_open, n, path),
     )
 
 
 def check_extended(model: ExtendedModel, constants: RobotConstants) -> None:
-    """Raise `InputFileError` where reported values disagree with the terms they belong to."""
+    """Raise `InputFileError` if reported values disagree with their terms."""
     pairs = zip(model.extension.effects, model.parameters, strict=True)
     for number, (estimated, stated) in enumerate(pairs, start=1):
         located = estimated.located
@@ -215,30 +297,32 @@ def check_extended(model: ExtendedModel, constants: RobotConstants) -> None:
                     f"effect[{number}].parameters.{name}",
                     f"{located.effect.name} has no such parameter. {nearest(name, own)}",
                 )
-            if not np.isclose(value, own[name], rtol=_AGREE, atol=0.0):
+            if not np.isclose(value, own[name], rtol=VALUE_TOLERANCE, atol=0.0):
                 raise InputFileError(
                     model.source,
                     f"effect[{number}].parameters.{name}",
-                    f"is {value:g}, but effect.term makes it {own[name]:g}. Change effect.term,"
-                    " which is what is computed with, and leave the parameter out.",
+                    f"is {value:g}, but effect.term gives {own[name]:g}. Change effect.term, which"
+                    " calculations use, and leave the parameter out.",
                 )
 
 
-def _per_joint(values: Sequence[float], n: int, path: object, where: str) -> tuple[float, ...]:
+def _check_length(values: Sequence[float], n: int, path: object, where: str) -> tuple[float, ...]:
     if len(values) != n:
         raise InputFileError(path, where, f"needs one number a joint ({n}), got {len(values)}.")
     return tuple(values)
 
 
-def _left_open(section: LeftOpenSection | None, n: int, path: object) -> LeftOpenSection | None:
+def _check_left_open(
+    section: LeftOpenSection | None, n: int, path: object
+) -> LeftOpenSection | None:
     for name in ("predict", "torque", "link_position"):
         values = None if section is None else getattr(section, name)
         if values is not None:
-            _per_joint(values, n, path, f"left_open.{name}")
+            _check_length(values, n, path, f"left_open.{name}")
     return section
 
 
-def _effect(
+def _read_effect(
     section: EffectSection,
     known: dict[str, Effect],
     document: ExtendedFile,
@@ -250,12 +334,12 @@ def _effect(
         raise InputFileError(
             path,
             f"{where}.name",
-            f"no effect {section.name!r}. {nearest(section.name, known)} An effect of your own"
-            " needs its file beside.",
+            f"no effect {section.name!r}. {nearest(section.name, known)} A user's own effect"
+            " needs its Python file.",
         )
-    place = _place(section, effect, document, path, where)
+    place = _read_place(section, effect, document, path, where)
     if effect.of_runs is not None:
-        # Runs of another set that have the same names are others.
+        # Runs of the same name in another set are different runs.
         runs = [
             name.removeprefix(RUN_PREFIX) for name in section.term if name.startswith(RUN_PREFIX)
         ]
@@ -282,7 +366,7 @@ def _effect(
     )
 
 
-def _place(
+def _read_place(
     section: EffectSection, effect: Effect, document: ExtendedFile, path: object, where: str
 ) -> dict[str, Any]:
     needed = {"joint": ("joint",), "robot": (), "link": ("link",), "run": ("joint", "run")}

@@ -17,9 +17,9 @@ from stiffopt.recording.schema import (
 )
 from stiffopt.validation import Section
 
-# Far above the bands that motions of arms have, and amplitudes over their scales.
-_BAND = Bounds(above=0.0, most=1e4)
-_STEP = Bounds(least=-1e6, most=1e6)
+# Far above the bands of arm motions [Hz], and above amplitudes over their scales.
+_BAND_BOUNDS = Bounds(above=0.0, most=1e4)
+_STEP_BOUNDS = Bounds(least=-1e6, most=1e6)
 
 
 class ParameterSection(Section):
@@ -33,27 +33,27 @@ class ParameterSection(Section):
 class EffectSection(Section):
     """An effect at a place."""
 
-    name: Annotated[str, Doc("Effect of the catalogue, or of one's own file.")]
+    name: Annotated[str, Doc("Effect of the catalogue, or of a user's Python file.")]
     joint: Annotated[int | None, Doc("Joint, numbered from 1.")] = None
     link: Annotated[str | None, Doc("Link of the URDF.")] = None
     run: Annotated[str | None, Doc("Run that it belongs to.")] = None
-    probability: Annotated[Ratio | None, Doc("Of the effect against its rivals.")] = None
+    probability: Annotated[Ratio | None, Doc("Probability against its rivals.")] = None
     step: Annotated[
         Ratio,
-        _STEP,
-        Doc("Of the first amplitude, from what the fit found to what all moving samples say."),
+        _STEP_BOUNDS,
+        Doc("Step of the first amplitude from the fit to the refit on all moving samples."),
     ] = 0.0
     term: Annotated[
         dict[str, Ratio],
-        Doc("Amplitudes and shapes of the effect's terms, over the scales; read by `solve`."),
+        Doc("Amplitudes and shapes of the effect's term, over the scales; read by `solve`."),
     ]
     parameters: Annotated[
-        dict[str, ParameterSection], Doc("Parameters of the effect, for people.")
+        dict[str, ParameterSection], Doc("Reported parameters of the effect, for information.")
     ] = Field(default_factory=dict)
 
 
 class ScalesSection(Section):
-    """What the terms of effects are measured against, one number a joint."""
+    """Scales of the terms of effects, one number a joint."""
 
     torque_rated: Annotated[tuple[Annotated[JointTorque, POSITIVE], ...], Doc("Rated torques.")]
     torque_max: Annotated[tuple[Annotated[JointTorque, POSITIVE], ...], Doc("Largest torques.")]
@@ -69,25 +69,25 @@ class MadeForSection(Section):
     name: Annotated[str, Doc("Name of the robot.")]
     lengths: Annotated[
         tuple[Annotated[float, Unit("length", bare=True)], ...],
-        Doc("From each joint to the next."),
+        Doc("Distance from each joint to the next."),
     ]
     masses: Annotated[
         tuple[Annotated[float, Unit("mass", bare=True)], ...],
-        Doc("Of the bodies behind the joints, the last with its payload."),
+        Doc("Masses of the bodies behind the joints, the last with its payload."),
     ]
 
 
 class LeftOpenSection(Section):
-    """What the model leaves of the recordings that it was fitted to."""
+    """Residual of the model in its own recordings."""
 
-    cutoff: Annotated[Frequency, _BAND, Doc("Of the filter that it was fitted through.")]
+    cutoff: Annotated[Frequency, _BAND_BOUNDS, Doc("Cutoff of the filter of the fit.")]
     predict: Annotated[
-        tuple[Annotated[Frequency, _BAND], ...] | None,
-        Doc("Of the motion that the torque of each joint is predicted from."),
+        tuple[Annotated[Frequency, _BAND_BOUNDS], ...] | None,
+        Doc("Cutoff of the motion that the torque of each joint is predicted from."),
     ] = None
     torque: Annotated[
         tuple[Annotated[JointTorque, NOT_NEGATIVE], ...],
-        Doc("One standard deviation of each torque, as unfiltered noise; 0 where none is."),
+        Doc("Standard deviation of each torque, as unfiltered noise; 0 without recordings."),
     ]
     link_position: Annotated[
         tuple[Annotated[JointPosition, NOT_NEGATIVE], ...],
@@ -95,28 +95,28 @@ class LeftOpenSection(Section):
     ]
     suspects: Annotated[
         dict[str, Ratio],
-        Doc("Effects that what is left hints at, with log evidence for a row of the fit."),
+        Doc("Effects that the residual suggests, with log evidence per row of the fit."),
     ] = Field(default_factory=dict)
     sampling_rate: Annotated[
         Frequency | None,
         Bounds(above=0.0),
         Doc(
-            "Clock that `torque` and `link_position` are noise of single samples at: what is left"
-            " lies within the band, and is noise of more where samples come faster. Default: that"
-            " of the recordings it is compared with."
+            "Sampling rate at which `torque` and `link_position` are noise of single samples: the"
+            " residual lies within the band, and is larger noise at a higher rate. Default: that"
+            " of the recordings to compare with."
         ),
     ] = None
     leanings: Annotated[
         dict[str, tuple[Ratio, ...]],
         Doc(
-            "Amplitudes that effects alone would take of what is left, in their own units: so far"
-            " off what is found of a change may be."
+            "Amplitudes that single effects would have in the residual, in their units: possible"
+            " errors of changes found later."
         ),
     ] = Field(default_factory=dict)
 
 
 class ExtendedFile(Section):
-    """The nominal model with what a diagnosis found."""
+    """Nominal model with the findings of a diagnosis."""
 
     schema_: Annotated[int, Doc("Version of the format: 1.")] = Field(alias="schema")
     kind: Annotated[str, Doc('Kind of file: "extended".')]
@@ -133,4 +133,4 @@ class ExtendedFile(Section):
         Doc("Nominal values as estimated within their tolerances, over their tolerances."),
     ] = Field(default_factory=dict)
     left_open: LeftOpenSection | None = None
-    effect: Annotated[tuple[EffectSection, ...], Doc("Effects that were found.")] = ()
+    effect: Annotated[tuple[EffectSection, ...], Doc("Findings.")] = ()

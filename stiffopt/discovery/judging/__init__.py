@@ -1,1 +1,1 @@
-"""What was found, assessed: how much it explains, what remains, what would have been seen."""
+"""Assessment of findings: explained shares, unexplained residual, detection limits."""

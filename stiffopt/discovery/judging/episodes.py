@@ -1,10 +1,9 @@
-"""Episodes in which something touches, loads or offsets the arm: found, told, and left out.
+"""Contact intervals, in which something touches, loads or offsets the arm: found and excluded.
 
-What the robot lacks acts whenever its state comes by again. A hand acts at a time: in one run, for
-a moment, in states that leave nothing when they come by without it. Such a stretch is neither
-friction nor weight; a fit that has to explain it makes both of it. It is sought in what is left
-beside findings, and left out of all that is judged. A brake that drags acts against the motion
-whichever way that goes; that is no touch, and stays with what is open.
+Missing physics acts whenever its state recurs. A contact acts at one time: in one run, for a while,
+in states without residual at other times. A fit would explain it by friction and weight. It is
+searched in the residual beside findings and excluded from fit and proof. A dragging brake acts
+against the motion in either direction; it is no contact and stays in the open residual.
 """
 
 from __future__ import annotations
@@ -18,50 +17,50 @@ from scipy.spatial import cKDTree
 from stiffopt.discovery.comparison.channel_rows import ChannelNoise
 from stiffopt.discovery.comparison.comparison import Comparison, Fit
 from stiffopt.discovery.comparison.prepared_run import PreparedRun
-from stiffopt.discovery.proof.predict import Prediction, Predictor
-from stiffopt.discovery.proof.proof import used_samples
+from stiffopt.discovery.prediction import Prediction, Predictor, used_samples
 from stiffopt.discovery.signals import RobotConstants, RobotSignals
 from stiffopt.recording.channel import DEVIATION_PER_MAD
 from stiffopt.recording.run import RecordedRun
 
-# Rms over what is usual in a channel from which something happens there, and down to which it goes
-# on; of a moment so long [s].
-_STRONG, _FADED, _MOMENT = 5.0, 2.0, 0.3
-# Shorter ones are bursts [s]; and a channel is understood where the rest of it is left at most so
-# many times as large as is usual there.
-_SHORTEST, _UNDERSTOOD = 0.25, 2.0
-# Longest share of a run, and of all runs, in which an accident happens.
-_OF_RUN, _OF_RUNS = 0.3, 0.5
-# What is left out on either side [s]: filters reach over the ends.
-_MARGIN = 0.25
-# How near a state is that counts as the same, over the ranges met; the share of an episode that
-# must have been met without it, the neighbours asked, and the share that they may explain.
-_NEAR, _MET, _NEIGHBOURS, _KNOWN = 0.25, 0.5, 5, 0.3
-# A hand is slow: functions a second that follow it, and the least share that they explain. Against
-# the motion they explain less than this of what they leave along it.
-_FUNCTIONS, _SLOW, _DRAGS = 4.0, 0.5, 0.8
-# Samples a second that are looked at, at most.
-_RATE = 100.0
+# Root mean square over the usual size of a channel that starts an interval, and that ends it; and
+# length of its window [s].
+_ONSET_RATIO, _DECAY_RATIO, _RMS_WINDOW = 5.0, 2.0, 0.3
+# Shorter intervals are bursts [s]; largest root mean square of a channel outside of intervals, over
+# its usual size, up to which contacts are distinguished.
+_MIN_DURATION, _MAX_BACKGROUND_RATIO = 0.25, 2.0
+# Largest share of a run, and of all runs, with contacts.
+_MAX_RUN_SHARE, _MAX_AFFECTED_RUNS = 0.3, 0.5
+# Excluded margin on either side [s], for the length of the filters.
+_EXCLUSION_MARGIN = 0.25
+# Distance of equal states, over the recorded ranges; least share of an interval with such states
+# outside of it; number of neighbours; least share of its residual that these must not explain.
+_STATE_DISTANCE, _MIN_REVISITED_SHARE, _NEIGHBOUR_COUNT, _MIN_REPEATED_SHARE = 0.25, 0.5, 5, 0.3
+# Contacts are slow: cosines per second that follow them, and the least share that these explain.
+# With the sign of the velocity they leave at least this ratio of the residual without it.
+_FUNCTIONS_PER_SECOND, _MIN_SLOW_SHARE, _MIN_DRAG_RATIO = 4.0, 0.5, 0.8
+# Largest sampling rate of a residual track [Hz].
+_MAX_TRACK_RATE = 100.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class Episode:
-    """A time in which something touched, loaded or offset the arm.
+    """A contact interval.
 
     Parameters
     ----------
     run, role : str
     begin, end : float
-        Time of the run [s].
+        Times of the run [s].
     joints : tuple of int
-        Whose torque it changed, from 1.
+        Joints with changed torques, from 1.
     sizes : tuple of float
-        Largest torque of it at each of them [N m], or force [N].
+        Largest torque [N m] or force [N] at each of them.
     stays : bool
-        Whether it lasts until the end of a held-out run and depends on the position as a load does;
-        it is not left out then.
+        True if it lasts until the end of a held-out run and depends on the position like a load;
+        then it is not excluded.
     nrmse_with, nrmse_without : float or None
-        Residual over noise of that run as a whole, and without all its episodes; None in training.
+        Normalised residual of the held-out run with and without all its intervals; None in
+        training.
     """
 
     run: str
@@ -75,13 +74,13 @@ class Episode:
     nrmse_without: float | None = None
 
     def holds(self, time: np.ndarray) -> np.ndarray:
-        """Which times of its run are left out (K,)."""
-        return (time > self.begin - _MARGIN) & (time < self.end + _MARGIN)
+        """Return a mask (K,) of the excluded times of its run."""
+        return (time > self.begin - _EXCLUSION_MARGIN) & (time < self.end + _EXCLUSION_MARGIN)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Track:
-    """What is left of one run.
+class ResidualTrack:
+    """Residuals and states along one run.
 
     Parameters
     ----------
@@ -89,13 +88,13 @@ class Track:
     time : array (K,)
         [s]
     left : array (K, 2 n)
-        Of torques, then of motor less link angles, over the noise; nan where nothing is judged.
+        Residuals of torques, then of motor less link angles, over the noise; nan if not compared.
     unit : array (2 n,)
-        Torque at the link that one of these stands for [N m].
+        Torque at the link per unit of these [N m].
     velocity : array (K, n)
         [rad/s]
     state : array (K, n, 3)
-        Angle, speed and load of each joint over the ranges met.
+        Angle, velocity and load of each joint over the recorded ranges.
     """
 
     run: str
@@ -108,27 +107,27 @@ class Track:
 
     @property
     def usual(self) -> np.ndarray:
-        """Size of what is left in each channel, whatever happens for a while (2 n,)."""
+        """Robust size of the residual of each channel (2 n,)."""
         sizes = [np.abs(c[np.isfinite(c)]) for c in self.left.T]
         return np.array(
             [max(1.0, DEVIATION_PER_MAD * np.median(s)) if s.size else 1.0 for s in sizes]
         )
 
     def strength(self) -> np.ndarray:
-        """Rms about every moment over what is usual (K, 2 n); 0 where nothing is judged."""
+        """Return the windowed root mean square over the usual size (K, 2 n); 0 if not compared."""
         known = np.isfinite(self.left)
         square = np.where(known, self.left / self.usual, 0.0) ** 2
-        half = 0.5 * _MOMENT
+        half = 0.5 * _RMS_WINDOW
         first = np.searchsorted(self.time, self.time - half)
         last = np.searchsorted(self.time, self.time + half, "right")
         sums = [np.vstack([np.zeros(v.shape[1]), np.cumsum(v, axis=0)]) for v in (square, known)]
         total, count = (s[last] - s[first] for s in sums)
-        # A sample or two are an outlier.
+        # One or two samples are an outlier.
         return np.asarray(np.sqrt(total / np.maximum(count, 3)))
 
 
-def training_tracks(comparison: Comparison, fit: Fit) -> list[Track]:
-    """What a fit leaves of the training runs."""
+def training_tracks(comparison: Comparison, fit: Fit) -> list[ResidualTrack]:
+    """Return the residual tracks of a fit to the training runs."""
     rows, n = comparison.rows, comparison.robot.n
 
     def place(run: PreparedRun) -> np.ndarray:
@@ -144,15 +143,17 @@ def training_tracks(comparison: Comparison, fit: Fit) -> list[Track]:
         left[places[own] // run.low_pass.step, rows.channel[own]] = fit.residual[own]
         gain = run.low_pass.noise_gain
         tracks.append(
-            _track(run.name, run.role, run.time[grid], left, rows.noise, gain, run.signals, grid)
+            _build_track(
+                run.name, run.role, run.time[grid], left, rows.noise, gain, run.signals, grid
+            )
         )
     return tracks
 
 
 def held_out_track(
     run: RecordedRun, predictor: Predictor, after: Prediction, noise: ChannelNoise
-) -> Track:
-    """What predictions leave of a run."""
+) -> ResidualTrack:
+    """Return the residual track of a predicted run."""
     places = np.searchsorted(run.stamps, run.time)
     columns = []
     for kind, joint, used in used_samples(run, predictor.velocity):
@@ -162,15 +163,15 @@ def held_out_track(
             measured = getattr(run, kind)[used, joint]
             own[used] = (measured - getattr(after, kind)[places[used], joint]) / scale[joint]
         columns.append(own)
-    every = max(1, round(1.0 / (_RATE * run.step)))
+    every = max(1, round(1.0 / (_MAX_TRACK_RATE * run.step)))
     time = run.time[::every]
     signals = predictor.nominal.signals
     nearest = np.clip(np.searchsorted(signals.time, time), 0, len(signals.time) - 1)
     left = np.column_stack(columns)[::every]
-    return _track(run.name, run.role, time, left, noise, 1.0, signals, nearest)
+    return _build_track(run.name, run.role, time, left, noise, 1.0, signals, nearest)
 
 
-def _track(
+def _build_track(
     run: str,
     role: str,
     time: np.ndarray,
@@ -179,7 +180,7 @@ def _track(
     gain: float,
     signals: RobotSignals,
     places: np.ndarray,
-) -> Track:
+) -> ResidualTrack:
     constants: RobotConstants = signals.constants
     joints = constants.joints
     stroke = np.array([j.stroke for j in joints])
@@ -191,7 +192,7 @@ def _track(
         2.0 * np.array([max(j.largest_torque, 1e-9) for j in joints]),
     )
     softness = np.array([float(j.compliance(0.0)) if j.elastic else np.inf for j in joints])
-    return Track(
+    return ResidualTrack(
         run=run,
         role=role,
         time=time,
@@ -202,43 +203,45 @@ def _track(
     )
 
 
-def episodes_in(tracks: Sequence[Track], others: Sequence[Track] = ()) -> tuple[Episode, ...]:
-    """Times in which something touched the arm, in some runs.
+def find_episodes(
+    tracks: Sequence[ResidualTrack], others: Sequence[ResidualTrack] = ()
+) -> tuple[Episode, ...]:
+    """Find contact intervals in runs.
 
     Parameters
     ----------
     tracks : sequence of Track
-        Of the runs that are asked about.
+        Runs to search in.
     others : sequence of Track
-        Of runs whose states are known to leave nothing.
+        Further runs without contacts, whose states count as undisturbed.
 
     Notes
     -----
-    A channel in which anything strong happens that is no touch tells of none: it is not understood.
+    A channel with any strong residual that is no contact is not used.
     """
     strengths = [track.strength() for track in tracks]
     quiet = np.zeros(tracks[0].left.shape[1], dtype=bool)
     while True:
         found = [
-            _stretches(track, np.where(quiet, 0.0, strength))
+            _find_stretches(track, np.where(quiet, 0.0, strength))
             for track, strength in zip(tracks, strengths, strict=True)
         ]
-        if not any(found) or _too_often(tracks, found):
+        if not any(found) or _is_too_frequent(tracks, found):
             return ()
-        known = _Known(tracks, found, others)
+        known = _UndisturbedStates(tracks, found, others)
         wrong = quiet | ~known.understood
         for track, strength, stretches in zip(tracks, strengths, found, strict=True):
             for stretch in stretches:
-                strong = np.flatnonzero(~quiet & _strong(track, strength, stretch))
+                strong = np.flatnonzero(~quiet & _strong_channels(track, strength, stretch))
                 alone = len(strong) == 1
                 for channel in strong:
-                    if not _is_touch(track, stretch, int(channel), known, alone=alone):
+                    if not _is_contact(track, stretch, int(channel), known, alone=alone):
                         wrong[channel] = True
         if np.array_equal(wrong, quiet):
             break
         quiet = wrong
     return tuple(
-        _episode(track, np.where(quiet, 0.0, strength), stretch)
+        _build_episode(track, np.where(quiet, 0.0, strength), stretch)
         for track, strength, stretches in zip(tracks, strengths, found, strict=True)
         for stretch in stretches
     )
@@ -247,69 +250,72 @@ def episodes_in(tracks: Sequence[Track], others: Sequence[Track] = ()) -> tuple[
 Stretch = tuple[float, float]
 
 
-def _inside(track: Track, stretch: Stretch) -> np.ndarray:
+def _select_times(track: ResidualTrack, stretch: Stretch) -> np.ndarray:
     return (track.time >= stretch[0]) & (track.time <= stretch[1])
 
 
-def _strong(track: Track, strength: np.ndarray, stretch: Stretch) -> np.ndarray:
-    return np.asarray(strength[_inside(track, stretch)].max(axis=0) > _STRONG)
+def _strong_channels(track: ResidualTrack, strength: np.ndarray, stretch: Stretch) -> np.ndarray:
+    return np.asarray(strength[_select_times(track, stretch)].max(axis=0) > _ONSET_RATIO)
 
 
-def _stretches(track: Track, strength: np.ndarray) -> list[Stretch]:
-    """Stretches that go on about something strong in any channel, joined where they are near."""
+def _find_stretches(track: ResidualTrack, strength: np.ndarray) -> list[Stretch]:
+    """Return stretches of strong residual in any channel, joined if close."""
     going = np.zeros(len(track.time) + 2, dtype=bool)
     for channel in strength.T:
-        on = np.concatenate([[False], channel > _FADED, [False]])
+        on = np.concatenate([[False], channel > _DECAY_RATIO, [False]])
         edges = np.flatnonzero(np.diff(on.astype(int)))
         for first, last in zip(edges[::2], edges[1::2], strict=True):
-            if channel[first:last].max() > _STRONG:
+            if channel[first:last].max() > _ONSET_RATIO:
                 going[first + 1 : last + 1] = True
     edges = np.flatnonzero(np.diff(going.astype(int)))
     found: list[Stretch] = []
     for first, last in zip(edges[::2], edges[1::2], strict=True):
         begin, end = float(track.time[first]), float(track.time[last - 1])
-        if found and begin - found[-1][1] < _MOMENT:
+        if found and begin - found[-1][1] < _RMS_WINDOW:
             begin = found.pop()[0]
         found.append((begin, end))
     return found
 
 
-def _too_often(tracks: Sequence[Track], found: Sequence[list[Stretch]]) -> bool:
-    """Whether it happens in so many runs, or for so long, that it is no accident."""
-    if sum(map(bool, found)) > max(1.0, _OF_RUNS * len(tracks)):
+def _is_too_frequent(tracks: Sequence[ResidualTrack], found: Sequence[list[Stretch]]) -> bool:
+    """True if stretches are too many or too long for contacts."""
+    if sum(map(bool, found)) > max(1.0, _MAX_AFFECTED_RUNS * len(tracks)):
         return True
     return any(
-        sum(end - begin for begin, end in own) > _OF_RUN * float(np.ptp(track.time))
+        sum(end - begin for begin, end in own) > _MAX_RUN_SHARE * float(np.ptp(track.time))
         for track, own in zip(tracks, found, strict=True)
     )
 
 
-class _Known:
-    """What is left in states that were met apart from all stretches."""
+class _UndisturbedStates:
+    """Residuals by state outside of all stretches."""
 
     def __init__(
-        self, tracks: Sequence[Track], found: Sequence[list[Stretch]], others: Sequence[Track]
+        self,
+        tracks: Sequence[ResidualTrack],
+        found: Sequence[list[Stretch]],
+        others: Sequence[ResidualTrack],
     ) -> None:
         self._parts = [(track, np.ones(len(track.time), dtype=bool)) for track in others]
         for track, stretches in zip(tracks, found, strict=True):
             apart = np.ones(len(track.time), dtype=bool)
             for begin, end in stretches:
-                # What comes just before and after says nothing of another visit.
+                # Samples just before and after are no independent recurrence of the state.
                 apart &= (track.time < begin - 1.0) | (track.time > end + 1.0)
             self._parts.append((track, apart))
 
     @property
     def understood(self) -> np.ndarray:
-        """Channels in which little is left apart from the stretches (2 n,)."""
+        """Mask of the channels with small residuals outside of the stretches (2 n,)."""
         square, count = 0.0, 0.0
         for track, apart in self._parts:
             left = track.left[apart] / track.usual
             square = square + np.nansum(left**2, axis=0)
             count = count + np.isfinite(left).sum(axis=0)
-        return np.asarray(square <= _UNDERSTOOD**2 * np.maximum(count, 1))
+        return np.asarray(square <= _MAX_BACKGROUND_RATIO**2 * np.maximum(count, 1))
 
-    def explains(self, track: Track, inside: np.ndarray, channel: int) -> bool:
-        """Whether nothing is known of what is left in those states, or the same happens there."""
+    def explains(self, track: ResidualTrack, inside: np.ndarray, channel: int) -> bool:
+        """True if residuals in the same states are unknown or similar."""
         joint = channel % track.velocity.shape[1]
         states, values = [], []
         for other, apart in self._parts:
@@ -317,31 +323,33 @@ class _Known:
             states.append(other.state[used, joint])
             values.append(other.left[used, channel] / other.usual[channel])
         place, value = np.concatenate(states), np.concatenate(values)
-        if len(place) < _NEIGHBOURS:
+        if len(place) < _NEIGHBOUR_COUNT:
             return True
         here = track.state[inside, joint]
-        away, which = cKDTree(place).query(here, k=_NEIGHBOURS)
-        # Where no other part has gone, however near it came, a stop may stand.
+        away, which = cKDTree(place).query(here, k=_NEIGHBOUR_COUNT)
+        # Beyond the positions of all other parts there may be a stop.
         within = (here[:, 0] >= place[:, 0].min()) & (here[:, 0] <= place[:, 0].max())
-        if np.mean((away[:, 0] < _NEAR) & within) < _MET:
+        if np.mean((away[:, 0] < _STATE_DISTANCE) & within) < _MIN_REVISITED_SHARE:
             return True
         own = track.left[inside, channel] / track.usual[channel]
         beside = own - value[which].mean(axis=1)
-        return float(beside @ beside) < (1.0 - _KNOWN) * float(own @ own)
+        return float(beside @ beside) < (1.0 - _MIN_REPEATED_SHARE) * float(own @ own)
 
 
-def _is_touch(track: Track, stretch: Stretch, channel: int, known: _Known, *, alone: bool) -> bool:
-    """Whether a stretch is slow, not against the motion, and not of the state.
+def _is_contact(
+    track: ResidualTrack, stretch: Stretch, channel: int, known: _UndisturbedStates, *, alone: bool
+) -> bool:
+    """True if a stretch is slow, not against the motion, and not explained by the state.
 
-    A brake acts on the torque of one joint alone; there, in an arm of several, what does not turn
-    round with the motion must be seen to do so.
+    A brake acts on the torque of one joint only; there, in an arm of several joints, the motion
+    must reverse to exclude one.
     """
-    if stretch[1] - stretch[0] < _SHORTEST + _MOMENT:
+    if stretch[1] - stretch[0] < _MIN_DURATION + _RMS_WINDOW:
         return False
-    inside = _inside(track, stretch) & np.isfinite(track.left[:, channel])
+    inside = _select_times(track, stretch) & np.isfinite(track.left[:, channel])
     left, time = track.left[inside, channel], track.time[inside]
     n = track.velocity.shape[1]
-    count = int(np.clip(_FUNCTIONS * (stretch[1] - stretch[0]), 2, len(left) // 3))
+    count = int(np.clip(_FUNCTIONS_PER_SECOND * (stretch[1] - stretch[0]), 2, len(left) // 3))
     phase = (time - stretch[0]) / max(stretch[1] - stretch[0], 1e-9)
     slow = np.cos(np.pi * np.outer(phase, np.arange(count + 1)))
 
@@ -349,23 +357,23 @@ def _is_touch(track: Track, stretch: Stretch, channel: int, known: _Known, *, al
         return float(np.sum((left - columns @ np.linalg.lstsq(columns, left)[0]) ** 2))
 
     along = remaining(slow)
-    if along > (1.0 - _SLOW) * float(left @ left):
+    if along > (1.0 - _MIN_SLOW_SHARE) * float(left @ left):
         return False
     if channel < n and alone:
         side = np.sign(track.velocity[inside, channel])
         turns = bool(np.any(side != side[0]))
-        if remaining(slow * side[:, None]) < _DRAGS * along or (n > 1 and not turns):
+        if remaining(slow * side[:, None]) < _MIN_DRAG_RATIO * along or (n > 1 and not turns):
             return False
     return not known.explains(track, inside, channel)
 
 
-def _episode(track: Track, strength: np.ndarray, stretch: Stretch) -> Episode:
-    inside = _inside(track, stretch)
+def _build_episode(track: ResidualTrack, strength: np.ndarray, stretch: Stretch) -> Episode:
+    inside = _select_times(track, stretch)
     n = track.velocity.shape[1]
-    strong = _strong(track, strength, stretch)
+    strong = _strong_channels(track, strength, stretch)
     left = np.abs(np.nan_to_num(track.left[inside]))
     time = track.time[inside]
-    # A moment is as strong about its ends as half of it within.
+    # The window extends the stretch by about half its length at both ends.
     above = time[np.any((left > 3.0 * track.usual)[:, strong], axis=1)]
     sizes = left.max(axis=0) * track.unit
     joints = [j for j in range(n) if strong[j] or strong[n + j]]
@@ -379,8 +387,8 @@ def _episode(track: Track, strength: np.ndarray, stretch: Stretch) -> Episode:
     )
 
 
-def without(run: RecordedRun, episodes: Sequence[Episode]) -> RecordedRun:
-    """The run, whose sensors say nothing while something touches the arm."""
+def mask_episodes(run: RecordedRun, episodes: Sequence[Episode]) -> RecordedRun:
+    """Return the run with torques and link positions masked during contact intervals."""
     out = np.zeros(len(run.time), dtype=bool)
     for each in episodes:
         if each.run == run.name:

@@ -1,4 +1,4 @@
-"""Runs left out, opened once the findings are fixed: predicted, shared out, measured by a box."""
+"""Prediction of held-out runs once the findings are fixed: proof, explained shares, contacts."""
 
 from __future__ import annotations
 
@@ -8,18 +8,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stiffopt.discovery.comparison.located_effect import Extension
-from stiffopt.discovery.judging.black_box import BlackBox, MeasuringRod
+from stiffopt.discovery.comparison.nominal_robot import RobotModel
+from stiffopt.discovery.comparison.prepared_run import PreparedRun
 from stiffopt.discovery.judging.episodes import (
     Episode,
-    Track,
-    episodes_in,
+    ResidualTrack,
+    find_episodes,
     held_out_track,
-    without,
+    mask_episodes,
 )
-from stiffopt.discovery.judging.shares import Part, Shares
-from stiffopt.discovery.judging.staying import stays
-from stiffopt.discovery.proof.predict import Predictor
-from stiffopt.discovery.proof.proof import RunProof, nrmse, prove
+from stiffopt.discovery.judging.explained_shares import ExtensionPart, MismatchShares
+from stiffopt.discovery.judging.noise_ceiling import BlackBox, NoiseCeiling
+from stiffopt.discovery.prediction import Predictor, RunProof, compare_predictions, nrmse
 from stiffopt.discovery.settings import Settings
 from stiffopt.discovery.training import Training
 from stiffopt.recording.decimation import decimate_run
@@ -29,8 +29,8 @@ Say = Callable[[str], object]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class _Opened:
-    """All that is known of one run, taken in at once."""
+class _PredictedRun:
+    """Results of one run, added together."""
 
     file: str
     proof: RunProof
@@ -38,34 +38,34 @@ class _Opened:
     episodes: tuple[Episode, ...]
 
 
-class HeldOut:
-    """What runs left out say of an extended model; as far as they were opened.
+class HeldOutRuns:
+    """Proof of an extended model on held-out runs, as far as these were read.
 
     Parameters
     ----------
     training : Training
     settings : Settings
     start : tuple of Extension
-        Of the model that the diagnosis started from.
+        Extension of the starting model.
     found : Extension
     parts : sequence of Part
-        Of what was found, to be shared out.
+        Parts of the findings whose explained shares are calculated.
     every : int
-        Samples that means are taken over, as of the training runs.
+        Number of averaged samples, as of the training runs.
     known : sequence of Track
-        What is left of the training runs.
+        Residual tracks of the training runs.
 
     Attributes
     ----------
     proofs : list of RunProof
-        Without the episodes.
+        Without the contact intervals.
     episodes : list of Episode
-        In which something touched the arm.
+        Contact intervals.
     velocities : list of array (K, n)
         Of the joints in these runs.
     shares : Shares
     left, unusable : list of str
-        Files of runs that were not predicted: not opened yet, and without a joint's position.
+        Files of runs that were not predicted: not yet read, and without a joint's position.
     """
 
     def __init__(
@@ -74,64 +74,63 @@ class HeldOut:
         settings: Settings,
         start: tuple[Extension, ...],
         found: Extension,
-        parts: Sequence[Part],
+        parts: Sequence[ExtensionPart],
         every: int = 1,
-        known: Sequence[Track] = (),
+        known: Sequence[ResidualTrack] = (),
     ) -> None:
         self._training, self._settings = training, settings
         self._start, self._found, self._every = start, found, every
         self._box: BlackBox | None = None
         self._known = tuple(known)
         self._files: list[str] = []
-        self._opened: list[_Opened] = []
-        self.shares = Shares(parts)
+        self._opened: list[_PredictedRun] = []
+        self.shares = MismatchShares(parts)
         self.unusable: list[str] = []
 
     @property
     def proofs(self) -> list[RunProof]:
-        """One for every run."""
+        """Proofs, one per run."""
         return [each.proof for each in self._opened]
 
     @property
     def velocities(self) -> list[np.ndarray]:
-        """One for every run."""
+        """Joint velocities, one array per run."""
         return [each.velocity for each in self._opened]
 
     @property
     def episodes(self) -> list[Episode]:
-        """Of all runs."""
+        """Contact intervals of all runs."""
         return [episode for each in self._opened for episode in each.episodes]
 
     @property
     def left(self) -> list[str]:
-        """Files that were not opened yet."""
+        """Files that were not yet read."""
         done = {*(each.file for each in self._opened), *self.unusable}
         return [file for file in self._files if file not in done]
 
     @property
-    def measurable(self) -> bool:
-        """Whether a black box is asked what could be explained: where anything may be missing."""
+    def needs_noise_ceiling(self) -> bool:
+        """True if a noise ceiling is fitted: without stated tolerances and elastic joints."""
         return self._training.free_bodies and not self._training.robot.vibrates
 
-    def fit_rod(self, say: Say) -> None:
-        """Fit that black box to the training runs."""
-        say("fit a black box to what is left, as a measuring rod")
+    def fit_noise_ceiling(self, say: Say) -> None:
+        """Fit the black box of the noise ceiling to the training runs."""
+        say("fit the noise ceiling to the residual")
         extensions = (*self._start, self._found)
         self._box = BlackBox(self._training, self._settings, extensions, say)
 
     def predict_all(self, recordings: RecordingSet, say: Say, *, hurried: bool = False) -> None:
-        """Open one run after another; what an interruption leaves is whole.
+        """Read and predict one run after another; results stay consistent after Ctrl-C.
 
-        Where the user is in a hurry it is said that Ctrl-C leaves out this too: it is short beside
-        a search, and without it nothing is proved.
+        After an earlier Ctrl-C this step is still done, as the proof: it is short beside a search.
         """
         training, settings = self._training, self._settings
         extensions = (*self._start, self._found)
         entries = recordings.with_role("test", "extrapolate")
         self._files = [entry.file for entry in entries]
         if hurried:
-            say("stopped: runs left out are predicted still; Ctrl-C again leaves that out")
-        vibrating = _predicted_swinging(training, settings, extensions)
+            say("stopped: held-out runs are still predicted; Ctrl-C again skips that")
+        vibrating = _choose_vibrating_links(training, settings, extensions)
         for entry in entries:
             say(f"predict {entry.file}")
             run = decimate_run(recordings.open(entry), self._every)
@@ -143,51 +142,55 @@ class HeldOut:
             )
             before, after = predictor.predict_each([self._start, extensions])
             track = held_out_track(run, predictor, after, training.noise.channels)
-            touched = episodes_in([track], self._known)
-            proof = prove(run, predictor.velocity, before, after, training.noise)
+            touched = find_episodes([track], self._known)
+            proof = compare_predictions(run, predictor.velocity, before, after, training.noise)
             if touched:
-                touched = stays(touched, track, training.robot, predictor.nominal)
+                touched = mark_lasting_loads(touched, track, training.robot, predictor.nominal)
                 whole = proof.nrmse_after
-                # What a hand did tells nothing of the model; a load that stays does.
-                apart = without(run, touched)
-                less = prove(apart, predictor.velocity, before, after, training.noise).nrmse_after
-                predictor.run = run = without(run, [e for e in touched if not e.stays])
-                proof = prove(run, predictor.velocity, before, after, training.noise)
+                # Passing contacts are excluded from the proof; a lasting load is not.
+                apart = mask_episodes(run, touched)
+                less = compare_predictions(
+                    apart, predictor.velocity, before, after, training.noise
+                ).nrmse_after
+                predictor.run = run = mask_episodes(run, [e for e in touched if not e.stays])
+                proof = compare_predictions(run, predictor.velocity, before, after, training.noise)
                 touched = tuple(replace(e, nrmse_with=whole, nrmse_without=less) for e in touched)
             self._opened.append(
-                _Opened(file=entry.file, proof=proof, velocity=predictor.velocity, episodes=touched)
+                _PredictedRun(
+                    file=entry.file, proof=proof, velocity=predictor.velocity, episodes=touched
+                )
             )
-            say(f"share out what changes in {entry.file}")
+            say(f"calculate explained shares of {entry.file}")
             self.shares.add(predictor, self._start, self._found, proof)
             if self._box is not None:
                 self._box.add(predictor, before, after)
 
-    def cut_short(self) -> str:
-        """What an interruption left without a prediction."""
+    def describe_interruption(self) -> str:
+        """Return a sentence about runs without prediction after Ctrl-C."""
         if not self.left:
-            return "Stopped by the user: the last held-out run was not shared out."
+            return "Stopped by the user: explained shares lack the last held-out run."
         return (
             "Stopped by the user: not all held-out runs were predicted; without a prediction:"
             f" {', '.join(self.left)}."
         )
 
-    def not_predictable(self) -> list[str]:
-        """A sentence about runs that could not be predicted, if there are any."""
+    def describe_unusable(self) -> list[str]:
+        """Return a sentence about runs that cannot be predicted, if any."""
         if not self.unusable:
             return []
         return [f"Not predicted, since a joint has no position: {', '.join(self.unusable)}."]
 
-    def rod(self) -> MeasuringRod | None:
-        """What is explained of what can be; None where nobody asked a box."""
+    def noise_ceiling(self) -> NoiseCeiling | None:
+        """Return the noise ceiling; None if none was fitted."""
         return None if self._box is None else self._box.found()
 
 
-def _predicted_swinging(
+def _choose_vibrating_links(
     training: Training, settings: Settings, extensions: tuple[Extension, ...]
 ) -> bool:
-    """Whether links swing in predictions: as the training runs are predicted better.
+    """Choose predictions with or without vibration by the better prediction of training runs.
 
-    Where nothing was found they do: nominal values alone move no joint beyond its law.
+    Without findings the choice of the fit is kept.
     """
     if not training.robot.vibrates:
         return False
@@ -197,7 +200,7 @@ def _predicted_swinging(
     for vibrating in (True, False):
         proofs = []
         for run, prepared in zip(training.recorded, training.runs, strict=True):
-            # Where links swing it is the motion that was fitted.
+            # With vibration the motion is that of the fit.
             predictor = Predictor(
                 training.robot,
                 run,
@@ -207,6 +210,77 @@ def _predicted_swinging(
                 vibrating=vibrating,
             )
             after = predictor.predict(*extensions)
-            proofs.append(prove(run, predictor.velocity, after, after, training.noise))
+            proofs.append(
+                compare_predictions(run, predictor.velocity, after, after, training.noise)
+            )
         left[vibrating] = nrmse(proofs, "after")
     return left[True] <= left[False]
+
+
+# Tolerance of the end of a run [s], and least duration of a load change [s].
+_RUN_END_MARGIN, _MIN_LOAD_DURATION = 0.5, 0.8
+# Least share of the torque residual that a load at the last body explains, and largest ratio of its
+# squares to those beside constant offsets.
+_MIN_LOAD_SHARE, _MAX_OFFSET_RATIO = 0.7, 0.5
+# Mass and first moments among the inertial parameters of a body.
+_LOAD_PARAMETERS = 4
+
+
+def mark_lasting_loads(
+    episodes: Sequence[Episode], track: ResidualTrack, robot: RobotModel, prepared: PreparedRun
+) -> tuple[Episode, ...]:
+    """Mark the contact intervals that last until the end of a run and act like a load.
+
+    Parameters
+    ----------
+    episodes : sequence of Episode
+    track : Track
+        Residuals of the run.
+    robot : RobotModel
+    prepared : PreparedRun
+        The run with its motion.
+    """
+    return tuple(
+        replace(each, stays=True) if _is_load(each, track, robot, prepared) else each
+        for each in episodes
+    )
+
+
+def _is_load(
+    episode: Episode, track: ResidualTrack, robot: RobotModel, prepared: PreparedRun
+) -> bool:
+    if (
+        track.time[-1] - episode.end > _RUN_END_MARGIN
+        or episode.end - episode.begin < _MIN_LOAD_DURATION
+    ):
+        return False
+    time = track.time[(track.time >= episode.begin) & (track.time <= episode.end)]
+    # About 200 samples resolve the motion of a load.
+    time = time[:: max(1, len(time) // 200)]
+    rows = np.searchsorted(track.time, time)
+    places = np.clip(np.searchsorted(prepared.time, time), 0, len(prepared.time) - 1)
+    signals = prepared.signals
+    load = robot.body_torques(
+        int(np.argmax(robot.order)),
+        signals.motor_position[places],
+        signals.motor_velocity[places],
+        signals.motor_acceleration[places],
+    )[:, :, :_LOAD_PARAMETERS]
+    left = track.left[rows, : robot.n]
+    known = np.isfinite(left)
+    if known.sum() < 10 * _LOAD_PARAMETERS:
+        return False
+    # In N m, so that a joint with little noise does not dominate.
+    torque = (left * track.unit[: robot.n])[known]
+    offsets = np.broadcast_to(np.eye(robot.n), (len(rows), robot.n, robot.n))[known]
+    share = [
+        _residual_squares(torque, columns) / float(torque @ torque)
+        for columns in (load[known], offsets)
+    ]
+    return share[0] < 1.0 - _MIN_LOAD_SHARE and share[0] < _MAX_OFFSET_RATIO * share[1]
+
+
+def _residual_squares(values: np.ndarray, columns: np.ndarray) -> float:
+    """Return the squared residual of a least-squares fit of columns."""
+    rest = values - columns @ np.linalg.lstsq(columns, values)[0]
+    return float(rest @ rest)

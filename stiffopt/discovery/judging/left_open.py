@@ -1,4 +1,4 @@
-"""What a diagnosis leaves open, for a further one that starts from its model."""
+"""Open residual of a diagnosis, for a further one that starts from its extended model."""
 
 from __future__ import annotations
 
@@ -10,59 +10,59 @@ import numpy as np
 from stiffopt.discovery.comparison.evidence import AddedPosterior
 from stiffopt.discovery.comparison.located_effect import Extension, effect_places
 from stiffopt.discovery.effect import Effect
-from stiffopt.discovery.extended.left_open import left_open
+from stiffopt.discovery.extended.left_open import left_open_section
 from stiffopt.discovery.extended.schema import LeftOpenSection
+from stiffopt.discovery.identifiable import widen_for_changes
 from stiffopt.discovery.search.candidates import Scorer, scan
-from stiffopt.discovery.search.identifiable_effects import of_changes
 from stiffopt.discovery.search.uncertainty import Estimate
-from stiffopt.discovery.settings import FIXED
+from stiffopt.discovery.settings import ZERO_TOLERANCE
 from stiffopt.discovery.training import Training
 from stiffopt.recording.decimation import sampling_rate
 
-# Shapes of the likeliest suspects are fitted; log evidence below which nothing is suspected.
-_REFINED, _LEAST = 12, 2.0
+# Number of suspects whose shapes are fitted, and least log evidence of a suspect.
+_MAX_REFINED_SUSPECTS, _MIN_SUSPECT_EVIDENCE = 12, 2.0
 
 
-def open_section(
+def build_left_open(
     training: Training,
     whole: Extension,
     catalogue: Sequence[Effect],
     before: LeftOpenSection | None = None,
 ) -> LeftOpenSection:
-    """Section of extended.toml about what is left of the training runs.
+    """Return the section of extended.toml about the residual of the training runs.
 
     Parameters
     ----------
     training : Training
     whole : Extension
-        All that the extended model has.
+        The whole extension of the model.
     catalogue : sequence of Effect
-        That is asked for; without any, nothing is suspected.
+        Possible suspects; empty to skip their search.
     before : LeftOpenSection, optional
-        Of the model that was started from.
+        Section of the starting model.
     """
-    own = replace(training, start=whole.fitted, tolerance=FIXED, suspects={}).comparison()
+    own = replace(training, start=whole.fitted, tolerance=ZERO_TOLERANCE, suspects={}).comparison()
     ratio = own.inflation * own.channel_ratio(own.target)
     suspects: dict[str, float] = {}
     leanings: dict[str, tuple[float, ...]] = {}
     if training.free_bodies and catalogue:
         own = own.with_extension(Extension(), np.nan_to_num(np.fmax(1.0, ratio), nan=1.0))
-        scorer, changes = Scorer(own), of_changes(catalogue)
+        scorer, changes = Scorer(own), widen_for_changes(catalogue)
         suspects = {
             candidate.located.label: candidate.evidence / own.rows.size
-            for candidate in scan(scorer, changes, refined=_REFINED)
-            if candidate.evidence > _LEAST and not candidate.located.is_run_specific
+            for candidate in scan(scorer, changes, refined=_MAX_REFINED_SUSPECTS)
+            if candidate.evidence > _MIN_SUSPECT_EVIDENCE and not candidate.located.is_run_specific
         }
-        leanings = _leanings(scorer, changes)
+        leanings = _fit_leanings(scorer, changes)
     noise, rate = training.noise.channels, sampling_rate(training.recorded)
-    return left_open(ratio, noise, training.settings, suspects, leanings, before, rate)
+    return left_open_section(ratio, noise, training.settings, suspects, leanings, before, rate)
 
 
-def doubted_by_left_open(training: Training, parameters: Estimate) -> Estimate:
-    """The estimate, where what the model left of its own recordings counts as a deviation more.
+def add_left_open_deviation(training: Training, parameters: Estimate) -> Estimate:
+    """Add amplitudes that the open residual of the model suggests as one standard deviation.
 
-    An inertia that the model lacks, or has too much of, is found beside a change of it, in whatever
-    recordings: that noise of the same size would hardly look like it is no comfort.
+    An error of the model, such as of an inertia, recurs in all recordings and adds to a change of
+    the same value; it does not average out like noise.
     """
     away = []
     for each, size in zip(parameters.effects, parameters.sizes, strict=True):
@@ -71,10 +71,10 @@ def doubted_by_left_open(training: Training, parameters: Estimate) -> Estimate:
     return parameters.doubted(np.concatenate(away)) if away else parameters
 
 
-def _leanings(scorer: Scorer, catalogue: Sequence[Effect]) -> dict[str, tuple[float, ...]]:
-    """Amplitudes that every effect alone would take, bounds or not, where they stand out at all.
+def _fit_leanings(scorer: Scorer, catalogue: Sequence[Effect]) -> dict[str, tuple[float, ...]]:
+    """Fit the amplitudes of every single effect without bounds; return those above one sigma.
 
-    With the shapes of those that a search starts from that suit best.
+    With the best of the initial shapes.
     """
     best: dict[str, AddedPosterior] = {}
     sizes: dict[str, np.ndarray] = {}

@@ -1,4 +1,4 @@
-"""Modes of the arm: where the nominal model has them, and where the recordings put them."""
+"""Elastic modes of the arm: nominal and identified frequencies."""
 
 from __future__ import annotations
 
@@ -10,26 +10,26 @@ import numpy as np
 from stiffopt.discovery.comparison.comparison import Comparison, Fit
 from stiffopt.discovery.comparison.prepared_run import PreparedRun
 
-# Postures that modes are judged in, evenly over every training run.
-_POSTURES = 6
-# Standard deviations, and share, by which a mode lies elsewhere than the nominal model has it.
-_DEVIATIONS, _LEAST = 4.0, 0.02
-# Share of a frequency within which a period in time is that of a mode, beside its uncertainty.
-_NEAR = 0.05
-# Modes above this, over the cutoff of a fit, are not seen by it.
-_SEEN = 1.25
+# Postures per training run that modes are calculated in.
+_POSTURES_PER_RUN = 6
+# Least difference of a shifted mode to the nominal one: standard deviations, and share.
+_MIN_SHIFT_DEVIATIONS, _MIN_SHIFT_SHARE = 4.0, 0.02
+# Relative tolerance when a period is compared with modes, beside their uncertainty.
+_PERIOD_TOLERANCE = 0.05
+# Modes above this ratio to the cutoff of a fit are not identified.
+_MAX_CUTOFF_RATIO = 1.25
 
 
 @dataclass(frozen=True, kw_only=True)
 class ModeShift:
-    """A mode of the arm in the middle of the first training run.
+    """An elastic mode at the middle of the first training run.
 
     Parameters
     ----------
     joint : int
-        From 1: the one whose spring takes most of its energy.
+        From 1: the joint whose spring has most of its energy.
     nominal, found, sd : float
-        By the nominal model, by the recordings, and its standard deviation [Hz].
+        Nominal and identified frequency, and its standard deviation [Hz].
     """
 
     joint: int
@@ -38,31 +38,31 @@ class ModeShift:
     sd: float
 
     @property
-    def elsewhere(self) -> bool:
-        """Whether it surely lies elsewhere than the nominal model has it."""
+    def is_shifted(self) -> bool:
+        """True if it differs significantly from the nominal frequency."""
         away = abs(self.found - self.nominal)
-        return away > max(_DEVIATIONS * self.sd, _LEAST * self.nominal)
+        return away > max(_MIN_SHIFT_DEVIATIONS * self.sd, _MIN_SHIFT_SHARE * self.nominal)
 
     def __str__(self) -> str:
         return (
-            f"The mode of joint {self.joint} lies at {self.found:.1f} Hz, the model has"
+            f"The mode of joint {self.joint} has {self.found:.1f} Hz, in the model"
             f" {self.nominal:.1f} Hz."
         )
 
 
 def mode_shifts(comparison: Comparison, fit: Fit) -> tuple[ModeShift, ...]:
-    """Modes that a fit sees, lowest first; none where links do not swing.
+    """Return the modes within the band of a fit, lowest first; none without elastic joints.
 
     Parameters
     ----------
     comparison : Comparison
-        About what was found.
+        Linearised about the findings.
     fit : Fit
 
     Notes
     -----
-    A standard deviation is that of the springs by the fit: half their relative one, each by its
-    share in the energy of the mode.
+    The relative standard deviation is half that of the springs, weighted by their shares in the
+    energy of the mode.
     """
     run, nominal = comparison.runs[0], comparison.nominal_runs[0]
     if run.vibration is None or nominal.vibration is None:
@@ -75,7 +75,7 @@ def mode_shifts(comparison: Comparison, fit: Fit) -> tuple[ModeShift, ...]:
     frequencies, shapes = run.vibration.modes(middle)
     found = []
     for frequency, was, shape in zip(frequencies, before, shapes.T, strict=True):
-        if frequency > _SEEN * run.low_pass.cutoff:
+        if frequency > _MAX_CUTOFF_RATIO * run.low_pass.cutoff:
             break
         energy = run.vibration.stiffness[middle] * shape**2
         share = energy / energy.sum()
@@ -85,26 +85,26 @@ def mode_shifts(comparison: Comparison, fit: Fit) -> tuple[ModeShift, ...]:
     return tuple(found)
 
 
-def is_mode(comparison: Comparison, fit: Fit, period: float) -> bool:
-    """Whether a period [s] is that of a mode, nominal or found, in some posture of the runs."""
+def matches_mode(comparison: Comparison, fit: Fit, period: float) -> bool:
+    """True if a period [s] matches a nominal or identified mode in some posture of the runs."""
     widest = max((m.sd / m.found for m in mode_shifts(comparison, fit)), default=0.0)
-    near = _NEAR + _DEVIATIONS * widest
+    near = _PERIOD_TOLERANCE + _MIN_SHIFT_DEVIATIONS * widest
     return any(
         (1.0 - near) * low <= 1.0 / period <= (1.0 + near) * high
         for runs in (comparison.nominal_runs, comparison.runs)
-        for low, high in _ranges(runs)
+        for low, high in _frequency_ranges(runs)
     )
 
 
-def _ranges(runs: tuple[PreparedRun, ...]) -> Iterator[tuple[float, float]]:
-    """Lowest and highest frequency of every mode over the postures of the runs [Hz]."""
+def _frequency_ranges(runs: tuple[PreparedRun, ...]) -> Iterator[tuple[float, float]]:
+    """Yield lowest and highest frequency of every mode over the postures of the runs [Hz]."""
     found = [
         run.vibration.modes(int(k))[0]
         for run in runs
         if run.vibration is not None
-        for k in np.linspace(0, len(run.time) - 1, _POSTURES)
+        for k in np.linspace(0, len(run.time) - 1, _POSTURES_PER_RUN)
     ]
-    if not found:  # links in balance have no modes
+    if not found:  # quasi-static runs have no modes
         return
     for own in np.array(found).reshape(len(found), -1).T:
         yield float(own.min()), float(own.max())

@@ -1,4 +1,4 @@
-"""Something is missing that no entry of the catalogue explains: where, and what it depends on."""
+"""Residual that no effect of the catalogue explains: channels, and signals that it depends on."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from scipy.interpolate import BSpline
 
 from stiffopt.discovery.comparison.channel_rows import noise_above_cutoff
 from stiffopt.discovery.comparison.comparison import Comparison
-from stiffopt.discovery.judging.modes import is_mode
+from stiffopt.discovery.judging.modes import matches_mode
 from stiffopt.discovery.search.rivals import Selected
 from stiffopt.discovery.search.search import SearchResult
 from stiffopt.discovery.thresholds import (
@@ -23,40 +23,38 @@ from stiffopt.discovery.thresholds import (
     UNEXPLAINED_RATIO,
 )
 
-# Of the flexible functions that a remainder may follow: knots, how many signals, the share of the
-# residual that one more must take away, and the ridge.
-_KNOTS = 8
-_MOST = 3
-_LEAST_GAIN = 0.03
-_RIDGE = 1.0
-# How many times as much as any other a run must leave to be named for it.
-_ALONE = 5.0
+# Spline regression of a residual: knots, maximum number of signals, least relative decrease by one
+# more.
+_KNOT_COUNT = 8
+_MAX_REGRESSORS = 3
+_MIN_RELATIVE_GAIN = 0.03
+# Least ratio of the residual of the dominant run to that of any other.
+_DOMINANT_RUN_RATIO = 5.0
 
 
 @dataclass(frozen=True)
 class Unexplained:
-    """What remains beyond the catalogue.
+    """Residual beyond the catalogue.
 
     Parameters
     ----------
     channels : tuple of str
         "torque_3", "link_position_3"; the worst first.
     regressors : tuple of str
-        What the remainder of the worst channel depends on: "q_5", "sign(qd_3)", "time".
+        Signals that the residual of the worst channel depends on: "q_5", "sign(qd_3)", "time".
     period : float or None
-        Of a remainder that repeats in time, whatever the motion [s].
+        Of a residual that is periodic in time, independent of the motion [s].
     gain : float
-        Share of the remainder's excess that a flexible model of these explains in blocks that it
-        was not fitted to.
+        Share of the residual's excess that a spline model of these explains in blocks left out.
     ratio : float
-        Residual over noise in the worst channel.
+        Normalised residual of the worst channel.
     left : float
-        Root mean square in that channel over what the nominal model leaves.
+        Root mean square in that channel over that of the nominal model.
     brief : bool
-        In bursts, faster than a fit's filter: `ratio` is that where they lie, `gain` their share.
+        True for bursts above the filter's band: `ratio` is that of the bursts, `gain` their share.
     alone : tuple of (str, float) or None
-        The training run that holds nearly all of what the nominal model leaves in the worst
-        channel, and how many times as much as any other.
+        Training run with nearly all of the nominal residual in the worst channel, and the ratio to
+        any other run.
     """
 
     channels: tuple[str, ...]
@@ -70,7 +68,7 @@ class Unexplained:
 
 
 def assess_findings(result: SearchResult) -> tuple[tuple[Selected, ...], Unexplained | None]:
-    """Findings that explain what they are about, and what is outside the catalogue.
+    """Select findings that explain their channels, and describe the unexplained residual.
 
     Parameters
     ----------
@@ -80,57 +78,61 @@ def assess_findings(result: SearchResult) -> tuple[tuple[Selected, ...], Unexpla
     -------
     findings : tuple of Selected
     unexplained : Unexplained or None
-        None where nothing significant remains.
+        None without a significant residual.
     """
     after = np.nan_to_num(result.after, nan=0.0)
     before = np.nan_to_num(result.calibrated, nan=0.0)
-    # What an extended model that was started from had left of its own recordings is no new riddle.
+    # The open residual of a starting model counts as noise.
     least = result.comparison.least
     beyond = after / least
     remaining = [c for c in np.argsort(-beyond) if beyond[c] > UNEXPLAINED_RATIO]
     if not remaining:
-        return result.selected, None if result.selected else _faint(result, after, beyond)
+        return result.selected, None if result.selected else _find_faint_remainder(
+            result, after, beyond
+        )
     excess = np.maximum(before**2 - least**2, 1e-9)
     share = 1.0 - (after**2 - least**2) / excess
     poor = {int(c) for c in remaining if share[c] < EXPLAINED_SHARE}
     unstated = result.comparison.robot.recordings.unstated
-    # A value that the nominal model does not give at all is there, however much else is missing.
+    # Unstated values exist in any case, even beside a large residual.
     kept = tuple(
         s for s in result.selected if s.channel not in poor or s.located.effect.nominal in unstated
     )
     if not poor and kept and after[remaining].max() < PASSED_OVER_RATIO:
-        # What formulas that differ from nature leave behind, small against what they explain.
+        # Error of inexact formulas, small against the part that they explain.
         return kept, None
-    found = _describe(result, [int(c) for c in remaining])
-    if _swing(result, found):
+    found = _describe_remainder(result, [int(c) for c in remaining])
+    if _is_elastic_mode(result, found):
         return kept, None
-    small = found.ratio < REMAINDER_RATIO * _noisier(result)
+    small = found.ratio < REMAINDER_RATIO * _noise_excess(result)
     if not kept and small and found.gain < REMAINDER_SHARE:
-        # Neither large nor depending on anything: noise that is larger than stated.
+        # Neither large nor predictable: the noise exceeds the stated one.
         return result.selected, None
     return kept, found
 
 
-def _faint(result: SearchResult, after: np.ndarray, beyond: np.ndarray) -> Unexplained | None:
-    """A remainder near the noise, where runs left out bear out what it depends on."""
+def _find_faint_remainder(
+    result: SearchResult, after: np.ndarray, beyond: np.ndarray
+) -> Unexplained | None:
+    """Find a residual near the noise whose dependence on signals is cross-validated."""
     best, most = None, FAINT_SHARE
-    # Little more than a model left open far from the noise is as little a riddle.
+    # Only near the sensor noise; slightly more than a large open residual is not significant.
     near = (beyond > FAINT_RATIO) & (after <= UNEXPLAINED_RATIO)
-    for channel in [int(c) for c in np.argsort(-after)[:_MOST] if near[c]]:
-        found = _describe(result, [channel])
+    for channel in [int(c) for c in np.argsort(-after)[:_MAX_REGRESSORS] if near[c]]:
+        found = _describe_remainder(result, [channel])
         taken = found.gain * (1.0 - 1.0 / found.ratio**2)
-        if taken > most and not _swing(result, found):
+        if taken > most and not _is_elastic_mode(result, found):
             best, most = found, taken
     return best
 
 
-def _swing(result: SearchResult, found: Unexplained) -> bool:
-    """Whether a remainder is the swing of the arm itself: its period is that of a mode."""
-    return found.period is not None and is_mode(result.comparison, result.fit, found.period)
+def _is_elastic_mode(result: SearchResult, found: Unexplained) -> bool:
+    """True if the period of a residual is that of an elastic mode."""
+    return found.period is not None and matches_mode(result.comparison, result.fit, found.period)
 
 
-def _noisier(result: SearchResult) -> float:
-    """Noise of the worst channel above the filter's cutoff, over what is stated; 1 at least."""
+def _noise_excess(result: SearchResult) -> float:
+    """Return the noise of the worst channel above the cutoff over the stated noise; at least 1."""
     comparison = result.comparison
     worst = int(np.nanargmax(result.after))
     stated = np.concatenate([comparison.noise.torque, comparison.noise.deflection])
@@ -139,13 +141,13 @@ def _noisier(result: SearchResult) -> float:
 
 
 def channel_name(channel: int, joints: int) -> str:
-    """Name of a channel in answers."""
+    """Return the name of a channel, such as "torque_3"."""
     kind = "torque" if channel < joints else "link_position"
     return f"{kind}_{channel % joints + 1}"
 
 
-def _in_one_run(comparison: Comparison, rows: np.ndarray) -> tuple[str, float] | None:
-    """The run in which the nominal model leaves far more of these rows than in all others."""
+def _find_dominant_run(comparison: Comparison, rows: np.ndarray) -> tuple[str, float] | None:
+    """Return the run with by far the largest nominal residual in these rows, and the ratio."""
     number = comparison.rows.sample_signal(lambda run: np.full(len(run.time), float(run.index)))[
         rows
     ]
@@ -158,19 +160,19 @@ def _in_one_run(comparison: Comparison, rows: np.ndarray) -> tuple[str, float] |
         return None
     most, next_most = sorted(left, key=lambda name: -left[name])[:2]
     ratio = left[most] / max(left[next_most], 1e-12)
-    return (most, ratio) if ratio > _ALONE else None
+    return (most, ratio) if ratio > _DOMINANT_RUN_RATIO else None
 
 
-def _describe(result: SearchResult, channels: Sequence[int]) -> Unexplained:
+def _describe_remainder(result: SearchResult, channels: Sequence[int]) -> Unexplained:
     comparison = result.comparison
     rows = comparison.rows
     worst = channels[0]
     own = np.flatnonzero(rows.channel == worst)
     residual, block = result.fit.residual[own], rows.block[own]
     time = rows.sample_signal(lambda run: run.time)[own]
-    period = _period(residual, block, time)
-    bases = dict(_bases(comparison, own, worst % comparison.robot.n))
-    chosen, fitted = _forward(residual, block, bases)
+    period = _find_period(residual, block, time)
+    bases = dict(_spline_bases(comparison, own, worst % comparison.robot.n))
+    chosen, fitted = _select_regressors(residual, block, bases)
     excess = max(float(np.sum(residual**2)) - len(residual), 1e-9)
     gain = float((np.sum(residual**2) - np.sum((residual - fitted) ** 2)) / excess)
     if period is not None and period[1] > gain:
@@ -181,13 +183,15 @@ def _describe(result: SearchResult, channels: Sequence[int]) -> Unexplained:
         period=None if period is None or chosen != ("time",) else period[0],
         gain=float(np.clip(gain, 0.0, 1.0)),
         ratio=float(result.after[worst]),
-        alone=_in_one_run(comparison, own),
+        alone=_find_dominant_run(comparison, own),
         left=float(result.after[worst] / result.before[worst]),
     )
 
 
-def _bases(comparison: Comparison, own: np.ndarray, joint: int) -> Iterator[tuple[str, np.ndarray]]:
-    """Spline bases of what a remainder may depend on, (m, k) each."""
+def _spline_bases(
+    comparison: Comparison, own: np.ndarray, joint: int
+) -> Iterator[tuple[str, np.ndarray]]:
+    """Yield spline bases (m, k) of the signals that a residual may depend on."""
     rows = comparison.rows
     n = comparison.robot.n
 
@@ -196,7 +200,7 @@ def _bases(comparison: Comparison, own: np.ndarray, joint: int) -> Iterator[tupl
 
     velocity = samples("motor_velocity")
     side = np.sign(velocity[:, joint])
-    yield "session_time", _spline(samples("session_time"))
+    yield "session_time", _spline_basis(samples("session_time"))
     for name, label in (
         ("motor_position", "q"),
         ("motor_velocity", "qd"),
@@ -205,14 +209,14 @@ def _bases(comparison: Comparison, own: np.ndarray, joint: int) -> Iterator[tupl
     ):
         values = samples(name)
         for j in range(n):
-            basis = _spline(values[:, j])
+            basis = _spline_basis(values[:, j])
             yield f"{label}_{j + 1}", basis
             yield f"{label}_{j + 1} x sign(qd_{joint + 1})", basis * side[:, None]
 
 
-def _spline(values: np.ndarray) -> np.ndarray:
-    """Cubic B-splines over the range of the values, knots at their quantiles."""
-    inner = np.unique(np.quantile(values, np.linspace(0.0, 1.0, _KNOTS - 2)))
+def _spline_basis(values: np.ndarray) -> np.ndarray:
+    """Return cubic B-splines over the range of values, with knots at quantiles."""
+    inner = np.unique(np.quantile(values, np.linspace(0.0, 1.0, _KNOT_COUNT - 2)))
     if len(inner) < 2 or not inner[-1] > inner[0]:
         return np.ones((len(values), 1))
     knots = np.concatenate([[inner[0]] * 3, inner, [inner[-1]] * 3])
@@ -220,33 +224,33 @@ def _spline(values: np.ndarray) -> np.ndarray:
     return np.asarray(BSpline.design_matrix(inside, knots, 3).toarray())
 
 
-def _forward(
+def _select_regressors(
     residual: np.ndarray, block: np.ndarray, bases: dict[str, np.ndarray]
 ) -> tuple[tuple[str, ...], np.ndarray]:
-    """Regressors that predict blocks left out, and those predictions."""
+    """Select signals that predict blocks left out; return them and the prediction."""
     chosen: list[str] = []
     prediction = np.zeros_like(residual)
     left = float(np.sum(residual**2))
-    while len(chosen) < _MOST:
+    while len(chosen) < _MAX_REGRESSORS:
         tries = {}
         for name in bases:
             if name in chosen:
                 continue
             columns = np.hstack([bases[c] for c in (*chosen, name)])
-            tries[name] = _left_out(columns, residual, block)
+            tries[name] = _predict_blocks(columns, residual, block)
         best = min(tries, key=lambda name: float(np.sum((residual - tries[name]) ** 2)))
         now = float(np.sum((residual - tries[best]) ** 2))
-        if now > (1.0 - _LEAST_GAIN) * left:
+        if now > (1.0 - _MIN_RELATIVE_GAIN) * left:
             break
         chosen.append(best)
         prediction, left = tries[best], now
     return tuple(chosen), prediction
 
 
-def _left_out(columns: np.ndarray, target: np.ndarray, block: np.ndarray) -> np.ndarray:
-    """Prediction of every block from a ridge fit to the others."""
+def _predict_blocks(columns: np.ndarray, target: np.ndarray, block: np.ndarray) -> np.ndarray:
+    """Predict every block by a ridge fit to the others."""
     out = np.zeros_like(target)
-    ridge = _RIDGE * np.eye(columns.shape[1])
+    ridge = np.eye(columns.shape[1])
     gram, moment = columns.T @ columns, columns.T @ target
     for b in np.unique(block):
         own = block == b
@@ -256,12 +260,12 @@ def _left_out(columns: np.ndarray, target: np.ndarray, block: np.ndarray) -> np.
     return out
 
 
-def _period(
+def _find_period(
     residual: np.ndarray, block: np.ndarray, time: np.ndarray
 ) -> tuple[float, float] | None:
-    """Period in time that all blocks share, and the share of the excess that it explains.
+    """Return the common period of all blocks and the share of the excess that it explains.
 
-    Phases are free from block to block: what comes from outside knows no run's begin.
+    The phase is free in each block, since external causes are not synchronous with runs.
     """
     span = min(float(np.ptp(time[block == b])) for b in np.unique(block))
     step = float(np.median(np.diff(np.unique(time))))
@@ -269,19 +273,20 @@ def _period(
         return None
     frequencies = np.arange(2.0 / span, 0.35 / step, 0.2 / span)
     if not frequencies.size:
-        return None  # blocks too short for two periods of anything that the rows resolve
+        return None  # blocks are shorter than two resolvable periods
     power = np.zeros(len(frequencies))
     for b in np.unique(block):
         own = block == b
         y, t = residual[own], time[own]
         for i, f in enumerate(frequencies):
             wave = np.column_stack([np.sin(2 * np.pi * f * t), np.cos(2 * np.pi * f * t)])
-            # Few samples of a block may all lie on the nodes of a wave.
+            # A block with few samples can make the normal equations singular.
             power[i] += float((wave.T @ y) @ np.linalg.lstsq(wave.T @ wave, wave.T @ y)[0])
     best = int(np.argmax(power))
     excess = float(np.sum(residual**2)) - len(residual)
     blocks = len(np.unique(block))
-    # Chance alone gives each block about ln(frequencies) at its own best place, shared far less.
+    # By chance the best frequency of one block has a power of about ln(frequencies), a common one
+    # far less.
     if power[best] < 12.0 * blocks + 4.0 * np.log(len(frequencies)) or excess <= 0.0:
         return None
     return 1.0 / float(frequencies[best]), float(min(power[best] / excess, 1.0))

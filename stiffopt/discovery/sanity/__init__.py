@@ -1,1 +1,1 @@
-"""Whether recordings can be what recordings.toml says: units, signs, order, delay, gravity."""
+"""Plausibility of recordings against recordings.toml: units, signs, order, delay, gravity."""

@@ -1,29 +1,32 @@
-"""What is doubted of a recording set, with the evidence and the line to change."""
+"""Doubts about a recording set, with the evidence and the line of recordings.toml to change."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from stiffopt.errors import InputFileError
+import numpy as np
+
+from stiffopt.errors import InputFileError, format_factor
+from stiffopt.recording.recording_set import RecordingSet
 
 
 @dataclass(frozen=True, kw_only=True)
 class Doubt:
-    """A description of the files that the files themselves contradict.
+    """A contradiction between recordings and their description.
 
     Parameters
     ----------
     kind : str
         "position unit", "torque gain", "joint order", "gravity", ...
     joints : tuple of int
-        From 1; empty where it is about the set as a whole.
+        From 1; empty for the set as a whole.
     evidence : str
-        What shows it, in a sentence.
+        The evidence, in a sentence.
     line : str
-        Of recordings.toml, as it would have to be; "" where no line mends it.
+        Corrected line of recordings.toml; "" if no line corrects it.
     """
 
     kind: str
@@ -36,12 +39,12 @@ class Doubt:
         return f"{self.evidence}{ending}"
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain data for JSON."""
+        """Return plain data for JSON."""
         return asdict(self)
 
 
 class DoubtfulRecordings(InputFileError):
-    """Recordings that cannot be what their description says; nothing is diagnosed from them.
+    """Recordings that contradict their description and are not diagnosed.
 
     Parameters
     ----------
@@ -53,7 +56,7 @@ class DoubtfulRecordings(InputFileError):
     def __init__(self, path: Path, doubts: Sequence[Doubt]) -> None:
         self.doubts = tuple(doubts)
         lines = [doubt.line for doubt in doubts]
-        # One line may mend several doubts: it stands beside the last of them.
+        # A line that corrects several doubts is written with the last of them.
         reasons = "".join(
             f"\n  {doubt if doubt.line not in lines[k + 1 :] else doubt.evidence}"
             for k, doubt in enumerate(doubts)
@@ -61,7 +64,68 @@ class DoubtfulRecordings(InputFileError):
         super().__init__(
             path,
             "",
-            "no diagnosis is made of recordings that do not fit their description. Nothing was"
-            f" changed in them; check this first:{reasons}\nIf all is as the file says, diagnose"
+            "the recordings contradict their description and were not diagnosed. No file was"
+            f" changed; check this first:{reasons}\nIf the description is right, diagnose"
             " with --despite-doubts.",
         )
+
+
+# Signals in units of the position, with the suffix of their unit.
+_UNITS_OVER_POSITION = {"velocity": "/s", "link_position": ""}
+
+
+def scale_line(recordings: RecordingSet, signal: str, factors: np.ndarray, unit: str = "") -> str:
+    """Return an entry of [signals.scale]: a unit for all joints, or a corrected factor each."""
+    if unit:
+        text = f'{signal} = "{unit}"'
+        if signal == "position":
+            others = [k for k in _UNITS_OVER_POSITION if getattr(recordings.signals, k) is not None]
+            text += "".join(
+                f' (and {k} = "{unit}{_UNITS_OVER_POSITION[k]}" if it is too)' for k in others
+            )
+        return f"{text} in [signals.scale]"
+    stated = recordings.signals.scale_of(signal, recordings.n)
+    return f"{signal} = {format_numbers(stated * factors)} in [signals.scale]"
+
+
+def column_line(recordings: RecordingSet, signal: str, order: Sequence[int]) -> str:
+    """Return an entry of [signals] with its columns in another order."""
+    names = getattr(recordings.signals, signal)
+    return f"{signal} = [" + ", ".join(f'"{names[k]}"' for k in order) + "]"
+
+
+def format_numbers(values: Iterable[float]) -> str:
+    """Format numbers as a TOML array: [1.0, -1.0]."""
+    return "[" + ", ".join(repr(float(f"{value:.6g}") + 0.0) for value in values) + "]"
+
+
+def format_joints(joints: Iterable[int]) -> str:
+    """Format joints (from 0) as text: "joints 2 and 3"."""
+    names = [str(int(j) + 1) for j in joints]
+    if len(names) == 1:
+        return f"joint {names[0]}"
+    return f"joints {', '.join(names[:-1])} and {names[-1]}"
+
+
+def limit_to_runs(names: Sequence[str], evidence: str) -> str:
+    """Limit evidence to some runs, since the others fit the description."""
+    them, those = ("it", "that file") if len(names) == 1 else ("them", "those files")
+    return (
+        f"Only in {' and '.join(names)}, not in all runs: {evidence} Correct {those} or leave"
+        f" {them} out: lines of recordings.toml hold for every run."
+    )
+
+
+def format_shares(before: np.ndarray, after: np.ndarray, joints: Sequence[int]) -> str:
+    """Format the residual shares of each joint's torque before and after a correction."""
+    parts = [
+        f"{_format_share(after[j])} in place of {_format_share(before[j])} at joint {j + 1}"
+        for j in joints
+    ]
+    return f"the residual of the nominal model is then {', '.join(parts)} of the torque's variance"
+
+
+def _format_share(value: float) -> str:
+    if value >= 2.0:
+        return f"{format_factor(value) if value >= 10.0 else f'{value:.2g} times'} all"
+    return f"{100.0 * value:.0f} %" if value >= 0.1 else f"{100.0 * value:.2g} %"

@@ -1,1 +1,1 @@
-"""The effects that are missing: candidates, their evidence, the best of them together."""
+"""Search for missing effects: candidates, their evidence, joint fits and rivals."""

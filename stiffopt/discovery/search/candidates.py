@@ -1,4 +1,4 @@
-"""Score every effect at every place beside what is already found."""
+"""Score every effect at every place beside those already found."""
 
 from __future__ import annotations
 
@@ -19,35 +19,31 @@ from stiffopt.discovery.comparison.evidence import (
 )
 from stiffopt.discovery.comparison.located_effect import LocatedEffect, effect_places
 from stiffopt.discovery.effect import Effect
-from stiffopt.discovery.search.pace import Pace
-from stiffopt.discovery.thresholds import NAMED_DEVIATIONS, NAMED_EVIDENCE
+from stiffopt.discovery.progress import RoundProgress
+from stiffopt.discovery.thresholds import MIN_ACTIVE_SHARE, NAMED_DEVIATIONS, NAMED_EVIDENCE
 
-# Share of its work on one channel from which an effect acts on another: less is the swing of links
-# that others set going.
-_ACTED_ON = 0.05
-# Steps of the search that refines shapes.
-_REFINEMENTS = 40
+# Nelder-Mead evaluations per shape.
+_MAX_REFINEMENT_STEPS = 40
 
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """An effect at a place, scored beside what is already found.
+    """An effect at a place, scored beside those already found.
 
     Parameters
     ----------
     located : LocatedEffect
     amplitudes : array (k,)
-        Over their sizes.
+        In units of their typical sizes.
     covariance : array (k, k)
     evidence : float
-        Log evidence over that without it, less the price of the shapes tried.
+        Log evidence gained by it, less the price of the shapes tried.
     deviations : float
-        Square root of the amplitudes' chi-square: how many standard deviations from nothing.
+        Square root of the amplitudes' chi-square: standard deviations from zero.
     gained : callable
-        -> log predictive density of blocks left out, over that without it.
+        -> gain of the log predictive density of blocks left out.
     change : callable
-        -> the channel that it changes most, and the share of the squared residual that it takes
-        away there.
+        -> the channel that it changes most, and the share of the squared residual removed there.
     """
 
     located: LocatedEffect
@@ -60,32 +56,32 @@ class Candidate:
 
     @cached_property
     def gain(self) -> float:
-        """Log predictive density of blocks left out, over that without it."""
+        """Gain of the log predictive density of blocks left out."""
         return self.gained()
 
     @property
     def explained(self) -> float:
-        """Share of the squared residual that it takes away in the channel that it changes most."""
-        return self._change[1]
+        """Share of the squared residual removed in the channel that it changes most."""
+        return self._channel_change[1]
 
     @property
     def channel(self) -> int:
-        """The channel that it changes most."""
-        return self._change[0]
+        """Channel that it changes most."""
+        return self._channel_change[0]
 
     @cached_property
-    def _change(self) -> tuple[int, float]:
+    def _channel_change(self) -> tuple[int, float]:
         return self.change()
 
 
 class Scorer:
-    """Candidates beside a base model.
+    """Scores of candidates beside a base model.
 
     Parameters
     ----------
     comparison : Comparison
     base : sequence of LocatedEffect
-        Already found.
+        Effects already found.
     """
 
     def __init__(self, comparison: Comparison, base: Sequence[LocatedEffect] = ()) -> None:
@@ -96,25 +92,25 @@ class Scorer:
         self._prior = np.concatenate([sd, np.ones(amplitudes)])
         self.start = posterior(self._sums.own, self._prior, cross_validate=False)
         self._beside = AddedColumnsPosterior(self._sums.own, self._prior)
-        self._freed: dict[tuple[object, ...], Scorer] = {}
-        self._freer: dict[tuple[object, ...], float] = {}
+        self._general_scorers: dict[tuple[object, ...], Scorer] = {}
+        self._known_evidence: dict[tuple[object, ...], float] = {}
 
     @cached_property
-    def _columns(self) -> np.ndarray:
+    def _base_columns(self) -> np.ndarray:
         parts = (self.comparison.effect_columns(e) for e in self.base)
         return np.column_stack([self.comparison.nuisance[2], *parts])
 
     @cached_property
-    def _residual(self) -> np.ndarray:
-        return np.asarray(self.comparison.target - self._columns @ self.start.mean)
+    def _base_residual(self) -> np.ndarray:
+        return np.asarray(self.comparison.target - self._base_columns @ self.start.mean)
 
     @cached_property
     def by_block(self) -> np.ndarray:
-        """Log density (b,) of every block given the other blocks."""
+        """Log predictive density (b,) of every block given the other blocks."""
         return posterior(self._sums.own, self._prior).by_block
 
     def score(self, located: LocatedEffect, price: float = 0.0) -> Candidate | None:
-        """Judge one candidate; None where it changes nothing or leaves its bounds.
+        """Score one candidate; None if it changes nothing or leaves its bounds.
 
         Parameters
         ----------
@@ -128,8 +124,12 @@ class Scorer:
         size = np.diag(sums.total[1])
         if not np.isfinite(size).all() or not np.any(size > 1e-12):
             return None
-        found, kept = self._bounded(located, sums)
-        if found is None or not _itself(located, found, kept) or not self._stands_out(located):
+        found, kept = self._fit_within_bounds(located, sums)
+        if (
+            found is None
+            or not _has_own_amplitude(located, found, kept)
+            or not self._beats_general_forms(located)
+        ):
             return None
         mean = np.zeros(len(size))
         covariance = np.zeros((len(size),) * 2)
@@ -144,12 +144,12 @@ class Scorer:
             - price
             - self.comparison.inherited_evidence(located),
             deviations=math.sqrt(max(float(found.mean @ found.precision @ found.mean), 0.0)),
-            gained=lambda: self._gained(sums, kept),
-            change=lambda: self._changed(located, found.base(), mean),
+            gained=lambda: self._predictive_gain(sums, kept),
+            change=lambda: self._most_changed_channel(located, found.base(), mean),
         )
 
     def unbounded(self, located: LocatedEffect) -> AddedPosterior | None:
-        """Posterior of amplitudes over their sizes, whatever they may be; None if unseen."""
+        """Return the posterior of amplitudes without bounds; None if they change nothing."""
         sums = self._sums.added_sums(located)
         _, inner, _ = sums.total
         if not np.isfinite(inner).all() or not np.any(np.diag(inner) > 1e-12):
@@ -157,23 +157,23 @@ class Scorer:
         return self._beside.added(sums, np.arange(len(inner)))
 
     def deviation(self, located: LocatedEffect) -> float | None:
-        """Standard deviation of a single amplitude over its size; None if unseen."""
+        """Return the standard deviation of a single amplitude over its size; None if unseen."""
         cross, inner, _ = self._sums.added_sums(located).total
         if not np.isfinite(inner).all() or not np.any(inner):
             return None
         seen = float(np.sum(inner) - np.sum(cross * (self.start.covariance @ cross)))
         return 1.0 / float(np.sqrt(seen)) if seen > 0.0 else None
 
-    def nuisance_beside(self, located: LocatedEffect) -> np.ndarray:
-        """Nominal values as they are fitted beside an effect."""
+    def nuisance_with(self, located: LocatedEffect) -> np.ndarray:
+        """Return the nominal values fitted beside an effect."""
         _, sd, _ = self.comparison.nuisance
-        found, _ = self._bounded(located, self._sums.added_sums(located))
+        found, _ = self._fit_within_bounds(located, self._sums.added_sums(located))
         return (self.start.mean if found is None else found.base())[: len(sd)]
 
-    def _bounded(
+    def _fit_within_bounds(
         self, located: LocatedEffect, sums: AddedSums
     ) -> tuple[AddedPosterior | None, np.ndarray]:
-        """Posterior with amplitudes outside their bounds left out one after another."""
+        """Fit amplitudes; remove those outside their bounds one after another."""
         bounds = located.bounds(self.comparison.constants)
         kept = np.arange(len(bounds))
         while kept.size:
@@ -188,15 +188,15 @@ class Scorer:
             kept = np.delete(kept, worst)
         return None, kept
 
-    def _stands_out(self, located: LocatedEffect) -> bool:
-        """Whether it is still seen beside all that could stand in for it, and likelier there."""
+    def _beats_general_forms(self, located: LocatedEffect) -> bool:
+        """True if it is significant beside a more general form, and likelier than that form."""
         free, freer = located.effect.beside, located.effect.likelier_than
         if free is None:
             return True
         law = replace(located, effect=free, shapes=())
-        if law.key not in self._freed:
-            self._freed[law.key] = Scorer(self.comparison, (*self.base, law))
-        scorer = self._freed[law.key]
+        if law.key not in self._general_scorers:
+            self._general_scorers[law.key] = Scorer(self.comparison, (*self.base, law))
+        scorer = self._general_scorers[law.key]
         alone = replace(located.effect, beside=None, likelier_than=None)
         found = scorer.score(replace(located, effect=alone))
         if found is None or found.evidence < NAMED_EVIDENCE:
@@ -207,37 +207,38 @@ class Scorer:
         return ahead >= NAMED_EVIDENCE
 
     def evidence_of(self, located: LocatedEffect) -> float:
-        """Evidence of what is only compared with, worked out once; -inf where it is nothing."""
-        if located.key not in self._freer:
+        """Return the cached evidence of an effect to compare with; -inf if it has none."""
+        if located.key not in self._known_evidence:
             found = self.score(located)
-            self._freer[located.key] = -math.inf if found is None else found.evidence
-        return self._freer[located.key]
+            self._known_evidence[located.key] = -math.inf if found is None else found.evidence
+        return self._known_evidence[located.key]
 
-    def _gained(self, sums: AddedSums, kept: np.ndarray) -> float:
+    def _predictive_gain(self, sums: AddedSums, kept: np.ndarray) -> float:
         return self._beside.log_predictive(sums, kept) - float(np.sum(self.by_block))
 
-    def _changed(
+    def _most_changed_channel(
         self, located: LocatedEffect, base_mean: np.ndarray, mean: np.ndarray
     ) -> tuple[int, float]:
-        """Channel of those acted on whose squares fall most, and the share that falls.
+        """Return the channel whose squares it reduces most, and the share that is removed.
 
-        Other channels fall as well, where nominal values no longer stand in for the effect.
+        Only channels that it acts on count: others improve indirectly, through nominal values.
         """
         added = self.comparison.effect_columns(located)
-        residual = self.comparison.target - self._columns @ base_mean - added @ mean
+        residual = self.comparison.target - self._base_columns @ base_mean - added @ mean
         acted_on = np.sum(added**2, axis=1)
         rows = self.comparison.rows
         size = 2 * self.comparison.robot.n
-        before = np.bincount(rows.channel, self._residual**2, minlength=size)
+        before = np.bincount(rows.channel, self._base_residual**2, minlength=size)
         after = np.bincount(rows.channel, residual**2, minlength=size)
         acted = np.bincount(rows.channel, acted_on, minlength=size)
-        own = acted > _ACTED_ON * acted.max()
+        # Less is vibration excited through other links.
+        own = acted > MIN_ACTIVE_SHARE * acted.max()
         fall = np.where(own, before - after, -np.inf)
         channel = int(np.argmax(fall))
         return channel, float(fall[channel] / before[channel]) if before[channel] > 0.0 else 0.0
 
     def refine(self, candidate: Candidate, price: float = 0.0) -> Candidate:
-        """Fit the shapes of a candidate, from where it stands and within their bounds."""
+        """Fit the shapes of a candidate within their bounds, from their current values."""
         shapes = candidate.located.effect.shapes
         if not shapes:
             return candidate
@@ -267,7 +268,7 @@ class Scorer:
             start / scale,
             method="Nelder-Mead",
             options={
-                "maxfev": _REFINEMENTS * len(shapes),
+                "maxfev": _MAX_REFINEMENT_STEPS * len(shapes),
                 "initial_simplex": np.array(simplex),
                 "xatol": 1e-3,
                 "fatol": 1e-2,
@@ -276,8 +277,11 @@ class Scorer:
         return best
 
 
-def _itself(located: LocatedEffect, found: AddedPosterior, kept: np.ndarray) -> bool:
-    """Whether it shows what it alone has: without that it is another effect with more freedom."""
+def _has_own_amplitude(located: LocatedEffect, found: AddedPosterior, kept: np.ndarray) -> bool:
+    """True if an amplitude that only this effect has is significant.
+
+    Without one the candidate is a simpler effect with more freedom.
+    """
     if not located.effect.has_distinctive:
         return True
     sure = np.abs(found.mean) > NAMED_DEVIATIONS * np.sqrt(np.diag(found.covariance))
@@ -293,18 +297,18 @@ def scan(
     about: LocatedEffect | None = None,
     tell: Callable[[str], object] = lambda _: None,
 ) -> list[Candidate]:
-    """Judge the whole catalogue; the best first, each place once.
+    """Score the whole catalogue; the best first, each place once.
 
     Parameters
     ----------
     scorer : Scorer
     catalogue : sequence of Effect
     refined : int
-        How many of the best have their shapes fitted.
+        Number of the best candidates whose shapes are fitted.
     worth : float
-        Log evidence below which a candidate's shapes stay as they were tried.
+        Log evidence below which shapes are not fitted.
     about : LocatedEffect, optional
-        Only what could stand in its place is tried.
+        Only possible rivals of this effect are tried.
     tell : callable
         Called with a sentence before every effect.
     """
@@ -312,7 +316,7 @@ def scan(
     runs = [run.name for run in scorer.comparison.runs]
     best: list[tuple[Candidate, float]] = []
     place = "" if about is None else f" in place of {about.label}"
-    pace = Pace(len(catalogue))
+    pace = RoundProgress(len(catalogue))
     for number, effect in enumerate(catalogue):
         tell(f"try {effect.name}{place} ({pace.words(number)})")
         by_place: dict[tuple[int | None, int | None, str | None], list[LocatedEffect]] = {}

@@ -1,4 +1,4 @@
-"""Effects fitted together, and which of them a search may keep."""
+"""Fit effects together, and select those that a search keeps."""
 
 from __future__ import annotations
 
@@ -7,62 +7,61 @@ import numpy as np
 from stiffopt.discovery.comparison.comparison import Comparison
 from stiffopt.discovery.comparison.located_effect import LocatedEffect, effect_places
 from stiffopt.discovery.search.candidates import Candidate, Scorer
-from stiffopt.discovery.search.left_out import borne_out, shares_left_out
-from stiffopt.discovery.search.uncertainty import significance
+from stiffopt.discovery.search.cross_validation import held_out_shares, select_predictive
+from stiffopt.discovery.search.uncertainty import jackknife_significance
 from stiffopt.discovery.thresholds import (
-    BORNE_OUT_SHARE,
     CONFIRMED_DEVIATIONS,
     DETERMINED_DEVIATIONS,
-    LEFT_OUT_SHARE,
+    LOCAL_EVIDENCE_SHARE,
+    MIN_HELD_OUT_SHARE,
     NAMED_DEVIATIONS,
     NAMED_EVIDENCE,
     NAMED_SHARE,
-    RELIEF_SHARE,
+    PRIOR_RELIEF_SHARE,
     STRICT_DEVIATIONS,
 )
 
-STOPPED = "stopped: what was found so far is weighed"
+STOPPED_MESSAGE = "stopped: the findings up to now are assessed"
 
 
-def passes(candidate: Candidate, scorer: Scorer) -> bool:
-    """Whether a candidate is worth a try: sure, and seen in what is left or in nominal values."""
+def passes_thresholds(candidate: Candidate, scorer: Scorer) -> bool:
+    """True if a candidate is significant and improves the residual or nominal values enough."""
     if candidate.evidence < NAMED_EVIDENCE or candidate.deviations < NAMED_DEVIATIONS:
         return False
     if candidate.explained >= NAMED_SHARE and candidate.gain > 0.0:
         return True
-    return _relief(candidate, scorer) > RELIEF_SHARE * candidate.evidence
+    return _prior_relief(candidate, scorer) > PRIOR_RELIEF_SHARE * candidate.evidence
 
 
-def _relief(candidate: Candidate, scorer: Scorer) -> float:
-    """Log prior that the nominal values regain when they need not stand in for the effect."""
+def _prior_relief(candidate: Candidate, scorer: Scorer) -> float:
+    """Return the log prior that the nominal values regain beside the effect."""
     _, sd, _ = scorer.comparison.nuisance
     count = len(sd)
     without = scorer.start.mean[:count] / sd
-    within = scorer.nuisance_beside(candidate.located) / sd
+    within = scorer.nuisance_with(candidate.located) / sd
     return 0.5 * float(without @ without - within @ within)
 
 
-def fitted_jointly(
+def fit_jointly(
     start: Comparison, effects: list[LocatedEffect]
 ) -> tuple[Comparison, list[LocatedEffect]]:
-    """Fit all effects together: their shapes in turn, then the noise that is left."""
+    """Fit all effects together: their shapes in turn, then the noise."""
     current = start.linearised_at(start.fit(effects))
     refined = list(effects)
     for i, located in enumerate(effects):
         if located.effect.shapes:
             others = [e for k, e in enumerate(refined) if k != i]
             scorer = Scorer(current, others)
-            scored = scorer.score(refined[i]) or _from_starts(scorer, refined[i])
+            scored = scorer.score(refined[i]) or _best_initial_shapes(scorer, refined[i])
             if scored is not None:
                 refined[i] = scorer.refine(scored).located
     return start.linearised_at(current.fit(refined)), refined
 
 
-def _from_starts(scorer: Scorer, located: LocatedEffect) -> Candidate | None:
-    """The best of the shapes that an effect starts from at its place; None where none can be.
+def _best_initial_shapes(scorer: Scorer, located: LocatedEffect) -> Candidate | None:
+    """Return the best initial shapes of an effect at its place; None if none is possible.
 
-    Shapes that were fitted beside another effect may ask for amplitudes that cannot be once that
-    one has gone.
+    Shapes fitted beside another effect may need impossible amplitudes after its removal.
     """
     comparison = scorer.comparison
     runs = [run.name for run in comparison.runs]
@@ -74,8 +73,8 @@ def _from_starts(scorer: Scorer, located: LocatedEffect) -> Candidate | None:
     return max(found, key=lambda each: each.evidence, default=None)
 
 
-def pruned(comparison: Comparison, effects: list[LocatedEffect]) -> list[LocatedEffect]:
-    """Effects without which something is lost, given all others."""
+def prune_effects(comparison: Comparison, effects: list[LocatedEffect]) -> list[LocatedEffect]:
+    """Remove effects without which the evidence hardly falls, the least first."""
     kept = [
         e
         for e in effects
@@ -90,19 +89,19 @@ def pruned(comparison: Comparison, effects: list[LocatedEffect]) -> list[Located
     return kept
 
 
-def confirmed(
+def confirm_effects(
     comparison: Comparison, effects: list[LocatedEffect], *, strict: bool
 ) -> list[LocatedEffect]:
-    """Effects that no few seconds of the recordings are alone responsible for.
+    """Select effects that do not rest on a few seconds of the recordings alone.
 
-    Where a few seconds hold all there is, as of a drive at its limit, those count that take away
-    most of a channel's residual, in recordings left out of the fit too. Where the model is wrong in
-    many ways (`strict`), each of which does that somewhere, they need deviations as well, and an
-    amplitude that is known by itself, save for what every joint has.
+    Effects that act for a few seconds only, such as a drive at its limit, count if they remove most
+    of a channel's residual, in recordings left out as well. Without stated tolerances (`strict`)
+    they need significance as well, and one amplitude that is significant alone; values that every
+    joint has are exempt.
     """
     kept = list(effects)
     while kept:
-        sure, single = significance(comparison, kept)
+        sure, single = jackknife_significance(comparison, kept)
         weak = [int(i) for i in np.argsort(sure) if sure[i] < CONFIRMED_DEVIATIONS]
         doubted = [
             int(i)
@@ -111,7 +110,7 @@ def confirmed(
             and not kept[i].effect.nominal
             and (sure[i] < STRICT_DEVIATIONS or single[i] < DETERMINED_DEVIATIONS)
         ]
-        unproved = (i for i in weak if not _alone_borne_out(comparison, kept, i))
+        unproved = (i for i in weak if not _is_locally_supported(comparison, kept, i))
         lost = doubted[0] if doubted else next(unproved, None)
         if lost is None:
             break
@@ -119,38 +118,39 @@ def confirmed(
     return kept
 
 
-def standing(
+def select_supported(
     comparison: Comparison, effects: list[LocatedEffect], *, strict: bool
 ) -> list[LocatedEffect]:
-    """Effects that are confirmed and that recordings left out bear out.
+    """Select effects that are confirmed and that recordings left out support.
 
-    Where somebody vouches for the nominal model less is asked: to take away something there at all,
-    or that nominal values would have to leave their tolerances to stand in for it, since what is
-    left of recordings does not tell the two apart.
+    With stated tolerances it is enough to remove some residual there, or that nominal values would
+    otherwise leave their tolerances, since the residual cannot tell the two apart.
     """
-    sure = confirmed(comparison, effects, strict=strict)
+    sure = confirm_effects(comparison, effects, strict=strict)
     if strict:
-        return borne_out(comparison, sure)
-    shares = shares_left_out(comparison, sure)
+        return select_predictive(comparison, sure)
+    shares = held_out_shares(comparison, sure)
     return [
         e
         for e, share in zip(sure, shares, strict=True)
-        if e.run is not None or share >= LEFT_OUT_SHARE or _vouched_for(comparison, sure, e)
+        if e.run is not None
+        or share >= MIN_HELD_OUT_SHARE
+        or _is_supported_by_nominal(comparison, sure, e)
     ]
 
 
-def _vouched_for(
+def _is_supported_by_nominal(
     comparison: Comparison, effects: list[LocatedEffect], located: LocatedEffect
 ) -> bool:
-    """Whether most of the evidence for an effect is that nominal values stay where they belong."""
+    """True if most evidence for an effect is that nominal values stay within tolerance."""
     scorer = Scorer(comparison, [e for e in effects if e is not located])
     own = scorer.score(located)
-    return own is not None and _relief(own, scorer) > RELIEF_SHARE * own.evidence
+    return own is not None and _prior_relief(own, scorer) > PRIOR_RELIEF_SHARE * own.evidence
 
 
-def _alone_borne_out(comparison: Comparison, effects: list[LocatedEffect], index: int) -> bool:
+def _is_locally_supported(comparison: Comparison, effects: list[LocatedEffect], index: int) -> bool:
     others = [e for k, e in enumerate(effects) if k != index]
     own = Scorer(comparison, others).score(effects[index])
-    if own is None or own.explained <= BORNE_OUT_SHARE:
+    if own is None or own.explained <= LOCAL_EVIDENCE_SHARE:
         return False
-    return own.gain > BORNE_OUT_SHARE * own.evidence
+    return own.gain > LOCAL_EVIDENCE_SHARE * own.evidence

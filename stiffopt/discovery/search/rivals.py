@@ -1,9 +1,9 @@
-"""What else could stand in the place of a found effect, and how likely each is."""
+"""Rank found effects among their rivals, and exchange them for likelier ones."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import softmax
@@ -11,43 +11,52 @@ from scipy.special import softmax
 from stiffopt.discovery.comparison.comparison import Comparison
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.effect import Effect
+from stiffopt.discovery.progress import RoundProgress
 from stiffopt.discovery.search.candidates import Candidate, Scorer, scan
-from stiffopt.discovery.search.uncertainty import significance
+from stiffopt.discovery.search.cross_validation import select_predictive
+from stiffopt.discovery.search.joint_fit import (
+    confirm_effects,
+    fit_jointly,
+    passes_thresholds,
+    prune_effects,
+)
+from stiffopt.discovery.search.uncertainty import jackknife_significance
 from stiffopt.discovery.signals import RobotConstants
 from stiffopt.discovery.thresholds import (
-    CHANGES_ALIKE,
+    ADDED_MASS_OFFSET,
     DETERMINED_DEVIATIONS,
+    EQUIVALENT_EVIDENCE_SHARE,
+    MAX_CHANGE_PARAMETERS,
+    MAX_EXCHANGES,
+    MAX_TEMPERING,
     NAMED_EVIDENCE,
-    NEAR_CENTRE,
-    ONE_THING,
     PARAMETER_LOG_PRICE,
     RIVAL_LOG_ODDS,
-    SUSPECT_WIDTH,
-    TEMPERED_MOST,
-    TEMPERED_SHARE,
+    SUSPECT_EVIDENCE_UNITS,
+    TEMPERING_SHARE,
 )
 
-# Of an effect's own evidence, what a rival has whose shapes are fitted: those that a search starts
-# from leave no three quarters of it to be found.
-_WORTH = 0.25
+# Least evidence, over the effect's own, of a rival whose shapes are fitted: fitting gains less than
+# the other three quarters.
+_MIN_REFINED_SHARE = 0.25
 
 
 @dataclass(frozen=True, eq=False)
 class Selected:
-    """An effect that was found, with its rivals.
+    """A found effect with its rivals.
 
     Parameters
     ----------
     located : LocatedEffect
     loss : float
-        Log evidence that is lost without it.
+        Log evidence lost without it.
     deviations : float
     probability : float
         Against its rivals.
     rivals : tuple of (LocatedEffect, float)
-        What the data cannot tell apart from it, with probabilities.
+        Effects that the data do not tell apart from it, with probabilities.
     channel : int
-        The channel that it changes most.
+        Channel that it changes most.
     """
 
     located: LocatedEffect
@@ -59,81 +68,84 @@ class Selected:
 
 
 @dataclass(frozen=True, eq=False)
-class Ranked:
-    """A found effect among its rivals, and the likeliest of them all."""
+class RankedEffect:
+    """A found effect ranked among its rivals, and the likeliest of all."""
 
     selected: Selected
     likeliest: LocatedEffect
 
 
-def ranked_among_rivals(
+def rank_rivals(
     comparison: Comparison,
     effects: Sequence[LocatedEffect],
     located: LocatedEffect,
     catalogue: Sequence[Effect],
     *,
     tell: Callable[[str], object] = lambda _: None,
-) -> Ranked | None:
-    """Weigh a found effect against everything that could stand in its place.
+) -> RankedEffect | None:
+    """Rank a found effect among all possible rivals.
 
-    None where it has come to nothing, or to what cannot be, beside the others.
+    None if it has become insignificant or left its bounds beside the other effects.
     """
     others = [e for e in effects if e is not located]
     scorer = Scorer(comparison, others)
     own = scorer.score(located)
     if own is None:
         return None
-    worth = _WORTH * own.evidence
+    worth = _MIN_REFINED_SHARE * own.evidence
     every = scan(scorer, catalogue, worth=worth, about=located, tell=tell)
     found = [
-        c for c in every if not c.located.same_place(located) and _agreed(comparison, others, c)
+        c
+        for c in every
+        if not c.located.same_place(located) and _agrees_across_stretches(comparison, others, c)
     ]
     if comparison.after_model:
-        # Evidence is counted in large units there, in which what explains nothing is ahead by its
-        # prior alone.
-        found = [c for c in found if c.evidence >= CHANGES_ALIKE * own.evidence]
-    width = float(np.clip(TEMPERED_SHARE * own.evidence, 1.0, TEMPERED_MOST))
-    # What a model left open gives to some formula by chance is a unit that evidence counts in.
-    width = max(width, SUSPECT_WIDTH * comparison.max_inherited_evidence)
+        # Tempered evidence is flat there: a rival without any evidence could win by its prior.
+        found = [c for c in found if c.evidence >= EQUIVALENT_EVIDENCE_SHARE * own.evidence]
+    width = float(np.clip(TEMPERING_SHARE * own.evidence, 1.0, MAX_TEMPERING))
+    # Evidence that the open residual of the model gives by chance is the unit of differences.
+    width = max(width, SUSPECT_EVIDENCE_UNITS * comparison.max_inherited_evidence)
     constants = comparison.constants
     priors = [_log_prior(c, constants, comparison.after_model) for c in (own, *found)]
-    ahead = [_ahead(c, own) / width for c in found]
+    ahead = [_evidence_lead(c, own) / width for c in found]
     odds = [a + prior - priors[0] for a, prior in zip(ahead, priors[1:], strict=True)]
     near = sorted(zip(odds, ahead, found, strict=True), key=lambda each: -each[0])[:3]
-    # What fits alike is not told apart, however much plainer one of the two is.
+    # Equal fits are not told apart, even if one of the two is simpler.
     near = [each for each in near if max(each[:2]) > -RIVAL_LOG_ODDS]
     itself, *theirs = map(float, softmax([0.0, *(o for o, _, _ in near)]))
     rivals = tuple((c.located, p) for (_, _, c), p in zip(near, theirs, strict=True))
     selected = Selected(located, own.evidence, own.deviations, itself, rivals, own.channel)
-    return Ranked(selected, near[0][2].located if near and near[0][0] > 0.0 else located)
+    return RankedEffect(selected, near[0][2].located if near and near[0][0] > 0.0 else located)
 
 
-def _ahead(candidate: Candidate, own: Candidate) -> float:
-    """Log evidence of a candidate over that of another; of twins the log likelihood.
+def _evidence_lead(candidate: Candidate, own: Candidate) -> float:
+    """Return the log evidence of a candidate less that of another; of twins the log likelihood.
 
-    An amplitude's prior costs evidence, a shape that does as much costs none: a counterbalance,
-    three amplitudes and a shape, had 6 to 13 less than a cable, two and one, whose fit was worse.
+    The prior of an amplitude costs evidence, a shape costs none: a counterbalance, three amplitudes
+    and a shape, had 6 to 13 less than a worse fitting cable with two and one.
     """
     if candidate.located.effect.is_twin(own.located.effect):
         return 0.5 * (candidate.deviations**2 - own.deviations**2)
     return candidate.evidence - own.evidence
 
 
-def _agreed(comparison: Comparison, others: Sequence[LocatedEffect], candidate: Candidate) -> bool:
-    """Whether stretches of the recordings agree on what only this effect has.
+def _agrees_across_stretches(
+    comparison: Comparison, others: Sequence[LocatedEffect], candidate: Candidate
+) -> bool:
+    """True if stretches of the recordings agree on the amplitudes that only this effect has.
 
-    An effect with more freedom than others is likelier than they are wherever a model is wrong.
+    Wherever a model is wrong, effects with more freedom gain evidence without being present.
     """
     if not candidate.located.effect.has_distinctive or candidate.evidence < NAMED_EVIDENCE:
         return True
-    _, single = significance(comparison, [*others, candidate.located])
+    _, single = jackknife_significance(comparison, [*others, candidate.located])
     return bool(single[-1] >= DETERMINED_DEVIATIONS)
 
 
-def not_weighed(
+def select_unranked(
     comparison: Comparison, effects: Sequence[LocatedEffect], located: LocatedEffect
 ) -> Selected | None:
-    """A found effect that there was no time to weigh: as likely as all that may be in its place."""
+    """Return a found effect not ranked for lack of time, with probability 0.5."""
     own = Scorer(comparison, [e for e in effects if e is not located]).score(located)
     if own is None:
         return None
@@ -141,23 +153,23 @@ def not_weighed(
 
 
 def _log_prior(candidate: Candidate, constants: RobotConstants, changed: bool) -> float:
-    """Log prior odds: plainer effects, and those usual at their joint, are likelier.
+    """Return log prior odds: simpler effects, and those usual at their joint, are likelier.
 
-    An amplitude counts as far as the data determine it. Where something has changed, a body is one
-    thing, however many of its ten parameters show.
+    An amplitude counts as far as the data determine it. The count of a changed body is limited,
+    since its ten parameters change together.
     """
     located = candidate.located
     size = len(located.effect.shapes) + float(np.sum(1.0 - np.diag(candidate.covariance)))
     if changed:
-        size = min(size, ONE_THING) + _misplaced(candidate, constants)
+        size = min(size, MAX_CHANGE_PARAMETERS) + _misplacement_penalty(candidate, constants)
     usual = located.effect.log_prior
     return (usual(located.constants(constants)) if usual else 0.0) - PARAMETER_LOG_PRICE * size
 
 
-def _misplaced(candidate: Candidate, constants: RobotConstants) -> float:
-    """How unlikely it is that a body has changed by a mass so far from its centre; 0 of others.
+def _misplacement_penalty(candidate: Candidate, constants: RobotConstants) -> float:
+    """Return the log price of a mass added far from the centre of its body; 0 of other effects.
 
-    Masses on neighbouring links can hardly be told apart; most sit on the body that they are near.
+    Masses on neighbouring links are nearly confounded; an added mass is usually close to its body.
     """
     located = candidate.located
     if located.effect.family != "inertial" or located.joint is not None:
@@ -169,5 +181,139 @@ def _misplaced(candidate: Candidate, constants: RobotConstants) -> float:
     sd = float(np.sqrt(candidate.covariance[0, 0]))
     known = max(1.0 - sd / abs(float(candidate.amplitudes[0])), 0.0)
     away = np.array(moment) / mass - constants.centres[body]
-    unlikely = 0.5 * float(away @ away) / NEAR_CENTRE**2
-    return known * min(unlikely, ONE_THING)
+    unlikely = 0.5 * float(away @ away) / ADDED_MASS_OFFSET**2
+    return known * min(unlikely, MAX_CHANGE_PARAMETERS)
+
+
+def exchange_rivals(
+    comparison: Comparison,
+    current: Comparison,
+    effects: list[LocatedEffect],
+    catalogue: Sequence[Effect],
+    tell: Callable[[str], object],
+    before: Sequence[RankedEffect] = (),
+) -> tuple[Comparison, list[RankedEffect]]:
+    """Replace effects by their likeliest rivals until nothing changes; return them ranked."""
+    ranked = _rank_effects(current, effects, catalogue, tell, before)
+    for _ in range(MAX_EXCHANGES):
+        likelier = _drop_duplicates([r.likeliest for r in ranked])
+        if likelier == effects:
+            break
+        current, effects = fit_jointly(comparison, likelier)
+        ranked = _rank_effects(current, effects, catalogue, tell, ranked)
+    else:
+        # Effects that replace each other in turns are dropped.
+        kept = [r.selected.located for r in ranked if r.likeliest is r.selected.located]
+        if len(kept) < len(effects):
+            current, effects = fit_jointly(comparison, kept)
+            ranked = _rank_effects(current, effects, catalogue, tell)
+    if len(ranked) < len(effects):
+        current, effects = fit_jointly(comparison, [r.selected.located for r in ranked])
+        ranked = _rank_effects(current, effects, catalogue, tell, ranked)
+    return current, ranked
+
+
+def _rank_effects(
+    comparison: Comparison,
+    effects: list[LocatedEffect],
+    catalogue: Sequence[Effect],
+    say: Callable[[str], object],
+    before: Sequence[RankedEffect] = (),
+) -> list[RankedEffect]:
+    """Rank effects among their rivals, without those that have become insignificant.
+
+    An earlier ranking is reused if no possible rival has changed.
+    """
+    known = {r.selected.located.key[:-1]: r for r in before}
+    places = {e.key[:-1] for e in effects}
+    changed = [e for e in effects if e.key[:-1] not in known]
+    changed += [r.selected.located for key, r in known.items() if key not in places]
+    found = []
+    pace = RoundProgress(len(effects))
+    for number, located in enumerate(effects):
+        old = known.get(located.key[:-1])
+        if old is not None and not any(located.is_adjacent(other) for other in changed):
+            stays = old.likeliest.same_place(located)
+            found.append(
+                RankedEffect(
+                    replace(old.selected, located=located), located if stays else old.likeliest
+                )
+            )
+            continue
+        say(f"compare {located.label} with its rivals ({pace.words(number)})")
+        new = rank_rivals(comparison, effects, located, catalogue, tell=say)
+        if new is not None:
+            found.append(new)
+    return found
+
+
+def restore_lost(
+    comparison: Comparison,
+    current: Comparison,
+    effects: list[LocatedEffect],
+    lost: list[LocatedEffect],
+) -> tuple[Comparison, list[LocatedEffect]]:
+    """Add lost effects back that are supported one by one, the likeliest first.
+
+    Neither of two collinear effects is missed before the other has been removed.
+    """
+    waiting = list(lost)
+    while waiting:
+        scorer = Scorer(current, effects)
+        scored = [(c, e) for e in waiting if (c := scorer.score(e)) is not None]
+        passing = [(c, e) for c, e in scored if passes_thresholds(c, scorer)]
+        if not passing:
+            break
+        best = max(passing, key=lambda pair: pair[0].evidence)[1]
+        waiting = [e for _, e in passing if e is not best]
+        wider, tried = fit_jointly(comparison, [*effects, best])
+        judged = select_predictive(wider, confirm_effects(wider, tried, strict=True))
+        if any(best.same_place(other) for other in judged):
+            current, effects = wider, tried
+    return current, effects
+
+
+def restore_unstated(
+    comparison: Comparison,
+    current: Comparison,
+    ranked: list[RankedEffect],
+    lost: list[LocatedEffect],
+    catalogue: Sequence[Effect],
+    tell: Callable[[str], object],
+) -> tuple[Comparison, list[RankedEffect]]:
+    """Add unstated values of every joint back if their substitutes have been removed meanwhile.
+
+    Effects that become insignificant beside them were substitutes as well.
+    """
+    effects = [r.selected.located for r in ranked]
+    while lost:
+        wider, found = fit_jointly(comparison, [*effects, *lost])
+        found = select_predictive(wider, prune_effects(wider, found))
+        found = confirm_effects(wider, found, strict=True)
+        kept = [e for e in lost if any(e.same_place(other) for other in found)]
+        if len(kept) == len(lost):
+            scorer = Scorer(wider, found)
+            for each in effects:
+                if not any(each.same_place(other) for other in found):
+                    beside = scorer.score(each)
+                    if beside is not None and beside.evidence > NAMED_EVIDENCE:
+                        found.append(each)
+            wider, found = fit_jointly(comparison, found)
+            weighed = _rank_effects(wider, found, catalogue, tell, ranked)
+            unlikely = [
+                r.selected.located for r in weighed if r.likeliest is not r.selected.located
+            ]
+            kept = [e for e in lost if not any(e.same_place(other) for other in unlikely)]
+            if len(kept) == len(lost):
+                return wider, weighed
+        lost = kept
+    return current, ranked
+
+
+def _drop_duplicates(effects: Sequence[LocatedEffect]) -> list[LocatedEffect]:
+    """Keep each place once: one effect may be the likeliest rival of several."""
+    kept: list[LocatedEffect] = []
+    for located in effects:
+        if not any(located.same_place(other) for other in kept):
+            kept.append(located)
+    return kept

@@ -1,4 +1,4 @@
-"""How sure the parameters of what was found are: all of them fitted together, shapes included."""
+"""Uncertainty of findings: joint posterior of nominal values, amplitudes and shapes, jackknives."""
 
 from __future__ import annotations
 
@@ -22,20 +22,20 @@ from stiffopt.discovery.comparison.prepared_run import PreparedRun
 if TYPE_CHECKING:
     from stiffopt.discovery.effect import Constants
 
-# Length of the stretches that a jackknife leaves out [s]: longer than anything in a residual
-# remembers.
-BLOCK_SECONDS = 2.0
-# Relative step of numerical slopes.
-_STEP = 1e-4
-# Prior of a shape over its own size: wide, so that only the data count.
+# Length of the stretches that a jackknife leaves out [s]: longer than the correlation time of
+# residuals.
+STRETCH_DURATION = 2.0
+# Relative step of numerical derivatives.
+_DIFFERENCE_STEP = 1e-4
+# Prior standard deviation of a shape over its size: wide, so that only the data count.
 _SHAPE_PRIOR = 10.0
-# Stretches below which a jackknife says nothing.
-_FEWEST = 5
+# Fewer stretches give no jackknife estimate.
+_MIN_STRETCHES = 5
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Estimate:
-    """Posterior of nominal values and effects together.
+    """Joint posterior of nominal values and effects.
 
     Parameters
     ----------
@@ -45,12 +45,12 @@ class Estimate:
         Nominal values, then amplitudes over their sizes.
     effects : tuple of EstimatedEffect
     covariance : array (r, r)
-        Of nominal values, amplitudes over sizes, then shapes over theirs; by the linear model.
+        Nominal values, amplitudes over sizes, shapes over sizes; by the linear model.
     spread, between : array (r, r)
-        The same by a jackknife over stretches of the runs, and over whole runs where there are
-        three or more: what differs from run to run no stretch of one shows.
+        The same by a jackknife over stretches, and over whole runs where there are three or more:
+        only those show differences between runs.
     parts : tuple of int
-        Stretches and runs that were left out, one after another.
+        Number of stretches and of runs.
     """
 
     nuisance: tuple[str, ...]
@@ -64,19 +64,18 @@ class Estimate:
     parts: tuple[int, int]
 
     def calibration(self) -> dict[str, float]:
-        """Change of the nominal values by name."""
+        """Return the changes of the nominal values by name."""
         values = self.values[: len(self.nuisance)]
         return {name: float(v) for name, v in zip(self.nuisance, values, strict=True)}
 
     def parameters(self, index: int, constants: Constants) -> dict[str, tuple[float, float]]:
-        """Reported values of one effect with their standard deviations.
+        """Return reported values of one effect with standard deviations.
 
-        The largest of the estimates of the covariance counts, carried over by the slopes of the
-        reported values.
+        The largest of the covariance estimates counts, propagated linearly to the reported values.
         """
         found = self.effects[index]
         effect = found.located.effect
-        rows, steps = self._places(index)
+        rows, steps = self._parameter_rows(index)
         inputs = np.array([*found.amplitudes, *found.located.shapes])
         count = len(found.amplitudes)
 
@@ -87,13 +86,17 @@ class Estimate:
         names = list(effect.parameters(found.amplitudes, found.located.shapes, constants))
         slopes = np.column_stack(
             [
-                (report(inputs + _STEP * step) - report(inputs - _STEP * step)) / (2.0 * _STEP)
+                (
+                    report(inputs + _DIFFERENCE_STEP * step)
+                    - report(inputs - _DIFFERENCE_STEP * step)
+                )
+                / (2.0 * _DIFFERENCE_STEP)
                 for step in np.diag(steps)
             ]
         )
         variances = [
             np.einsum("ij,jk,ik->i", slopes, matrix[np.ix_(rows, rows)], slopes)
-            for matrix in (self.covariance, self.spread, self._between(index))
+            for matrix in (self.covariance, self.spread, self._between_runs(index))
         ]
         variance = np.max(variances, axis=0)
         if effect.drawn is not None:
@@ -104,52 +107,59 @@ class Estimate:
             name: (float(v), float(s)) for name, v, s in zip(names, report(inputs), sd, strict=True)
         }
 
-    def chance_of_nothing(self, index: int) -> float:
-        """How likely nothing gives amplitudes of one effect as large as found, shapes held.
+    def p_value(self, index: int) -> float:
+        """Return the p-value of one effect: probability of amplitudes as large without it.
 
         The largest of the linear model's (chi-square) and the jackknives', each the smaller of
-        Hotelling's test and of Student's for the amplitude that stands out most, corrected for
-        their number; with shapes held and free. Without the effect shapes are nothing: an
-        amplitude that is known only together with them can be far from nothing all the same.
+        Hotelling's test and Student's for the most significant amplitude, Bonferroni corrected;
+        with shapes held and free. Shapes have no meaning without the effect: an amplitude that is
+        uncertain only together with them may still be significant.
         """
-        rows, _ = self._places(index)
+        rows, _ = self._parameter_rows(index)
         k = len(self.sizes[index])
         values = self.values[rows[:k]]
-        linear = _held(self.covariance[np.ix_(rows, rows)], k)
-        chances = [float(special.chdtrc(k, _from_nothing(values, linear)[0] ** 2))]
-        for spread, parts in zip((self.spread, self._between(index)), self.parts, strict=True):
+        linear = _conditional_covariance(self.covariance[np.ix_(rows, rows)], k)
+        chances = [float(special.chdtrc(k, _deviations_from_zero(values, linear)[0] ** 2))]
+        for spread, parts in zip((self.spread, self._between_runs(index)), self.parts, strict=True):
             if np.array_equal(spread, self.covariance):  # too few parts
                 continue
             own = spread[np.ix_(rows, rows)]
             # Each shape that is held costs one part.
-            ways = [(own[:k, :k], parts), (_held(own, k), parts - (len(rows) - k))]
-            chances.append(min(_chance(values, *way) for way in ways if way[1] > 1))
+            ways = [
+                (own[:k, :k], parts),
+                (_conditional_covariance(own, k), parts - (len(rows) - k)),
+            ]
+            chances.append(min(_jackknife_p_value(values, *way) for way in ways if way[1] > 1))
         return max(chances)
 
-    def from_nothing(self, index: int) -> float:
-        """Least deviations of one effect from nothing, of its amplitudes together or the best.
+    def min_deviations(self, index: int) -> float:
+        """Return the least significance of one effect over all covariance estimates [sigma].
 
-        By the linear model and the jackknives, shapes free or held: whichever stands out more.
+        For each estimate the largest of all amplitudes together or the best one, shapes free or
+        held.
         """
-        rows, _ = self._places(index)
+        rows, _ = self._parameter_rows(index)
         k = len(self.sizes[index])
         values = self.values[rows[:k]]
         least = math.inf
-        for matrix in (self.covariance, self.spread, self._between(index)):
+        for matrix in (self.covariance, self.spread, self._between_runs(index)):
             own = matrix[np.ix_(rows, rows)]
-            ways = [_from_nothing(values, each) for each in (own[:k, :k], _held(own, k))]
+            ways = [
+                _deviations_from_zero(values, each)
+                for each in (own[:k, :k], _conditional_covariance(own, k))
+            ]
             least = min(least, max(max(t / math.sqrt(k), single) for t, single in ways))
         return least
 
-    def _between(self, index: int) -> np.ndarray:
-        """Covariance by leaving out whole runs; what is of each run cannot be asked so."""
+    def _between_runs(self, index: int) -> np.ndarray:
+        """Return the covariance over whole runs; that of the model for effects of single runs."""
         by_run = self.effects[index].located.is_run_specific
         return self.covariance if by_run else self.between
 
     def moved(self, steps: np.ndarray) -> Estimate:
-        """The estimate with first amplitudes moved by steps (e,) over their sizes.
+        """Return the estimate with first amplitudes moved by steps (e,) over their sizes.
 
-        Every step counts as one standard deviation more: two ways to count disagree by it.
+        Each step adds one standard deviation, since two estimates differ by it.
         """
         if not steps.any():
             return self
@@ -175,10 +185,7 @@ class Estimate:
         )
 
     def doubted(self, away: np.ndarray) -> Estimate:
-        """The estimate where another fit finds amplitudes that are so far away, over their sizes.
-
-        Each counts as one standard deviation more.
-        """
+        """Add differences to another fit's amplitudes (k,), over their sizes, as deviations."""
         change = np.zeros(len(self.covariance))
         first = len(self.nuisance)
         change[first : first + len(away)] = away
@@ -191,10 +198,10 @@ class Estimate:
         )
 
     def scaled(self, scales: Sequence[float]) -> Estimate:
-        """The estimate where each effect's amplitudes are off by one factor (e,), in deviations."""
+        """Add a common relative standard deviation (e,) of each effect's amplitudes."""
         more = np.zeros_like(self.covariance)
         for index, scale in enumerate(scales):
-            rows, _ = self._places(index)
+            rows, _ = self._parameter_rows(index)
             own = rows[: len(self.sizes[index])]
             more[np.ix_(own, own)] = scale**2 * np.outer(self.values[own], self.values[own])
         return replace(
@@ -204,8 +211,8 @@ class Estimate:
             between=self.between + more,
         )
 
-    def _places(self, index: int) -> tuple[np.ndarray, np.ndarray]:
-        """Where the amplitudes and shapes of an effect stand, and the units they have there."""
+    def _parameter_rows(self, index: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return rows of an effect's amplitudes and shapes, and the sizes that they are over."""
         lengths = [len(s) for s in self.sizes]
         first = len(self.nuisance) + sum(lengths[:index])
         own = np.arange(first, first + lengths[index])
@@ -215,19 +222,19 @@ class Estimate:
         return rows, np.concatenate([self.sizes[index], self.shape_sizes[index]])
 
 
-def estimate(comparison: Comparison, effects: Sequence[LocatedEffect]) -> Estimate:
-    """Fit nominal values and effects together, and say how sure each is.
+def estimate_parameters(comparison: Comparison, effects: Sequence[LocatedEffect]) -> Estimate:
+    """Fit nominal values and effects together and estimate their covariance.
 
     Parameters
     ----------
     comparison : Comparison
-        With the noise that the effects leave.
+        With the noise estimated beside the effects.
     effects : sequence of LocatedEffect
-        With their shapes as found.
+        With fitted shapes.
 
     Notes
     -----
-    Shapes enter through the numerical slopes of their columns at what was found.
+    Shapes are linearised numerically about their fitted values.
     """
     fit = comparison.fit(effects)
     names, prior_sd, nuisance = comparison.nuisance
@@ -244,11 +251,11 @@ def estimate(comparison: Comparison, effects: Sequence[LocatedEffect]) -> Estima
     matrix = np.column_stack([nuisance, *columns, *slopes])
     prior = np.concatenate([prior_sd, np.ones(len(scaled)), np.full(len(slopes), _SHAPE_PRIOR)])
     del columns, slopes
-    blocks = stretches(comparison)
-    covariance, spread = _jackknife(comparison, matrix, prior, blocks)
+    blocks = number_stretches(comparison)
+    covariance, spread = _jackknife_covariance(comparison, matrix, prior, blocks)
     between = covariance
     if comparison.blocks_are_runs:
-        _, between = _jackknife(
+        _, between = _jackknife_covariance(
             comparison, matrix, prior, comparison.rows.block, MIN_RUNS_AS_BLOCKS
         )
     return Estimate(
@@ -264,16 +271,16 @@ def estimate(comparison: Comparison, effects: Sequence[LocatedEffect]) -> Estima
     )
 
 
-def _held(covariance: np.ndarray, k: int) -> np.ndarray:
-    """Covariance of the first k values where the others are held."""
+def _conditional_covariance(covariance: np.ndarray, k: int) -> np.ndarray:
+    """Return the covariance of the first k values with the others held."""
     across = covariance[:k, k:]
     return np.asarray(covariance[:k, :k] - across @ np.linalg.pinv(covariance[k:, k:]) @ across.T)
 
 
-def _chance(values: np.ndarray, covariance: np.ndarray, parts: int) -> float:
-    """How likely nothing gives values (k,) with a covariance that so many parts told."""
+def _jackknife_p_value(values: np.ndarray, covariance: np.ndarray, parts: int) -> float:
+    """Return the p-value of values (k,) with a covariance estimated from so many parts."""
     k = len(values)
-    together, single = _from_nothing(values, covariance)
+    together, single = _deviations_from_zero(values, covariance)
     chance = min(1.0, 2.0 * k * float(special.stdtr(parts - 1, -single)))
     if parts > k:
         ratio = together**2 * (parts - k) / (k * (parts - 1))
@@ -281,10 +288,10 @@ def _chance(values: np.ndarray, covariance: np.ndarray, parts: int) -> float:
     return chance
 
 
-def odds_of_nothing(chance: float) -> float:
-    """Least probability of nothing that a chance leaves, at even odds before: 0 to .5.
+def null_probability(chance: float) -> float:
+    """Return the least posterior probability of the null hypothesis at even prior odds: 0 to .5.
 
-    Sellke, Bayarri & Berger (2001): no likelihood is more than 1/(-e p ln p) times that of nothing.
+    Sellke, Bayarri & Berger (2001): no likelihood ratio to the null exceeds 1/(-e p ln p).
     """
     if chance >= 1.0 / math.e:
         return 0.5
@@ -292,25 +299,24 @@ def odds_of_nothing(chance: float) -> float:
     return float(bound / (1.0 + bound))
 
 
-def deviations(chance: float) -> float:
-    """Standard deviations from nothing that a chance, of both sides, stands for."""
+def p_value_deviations(chance: float) -> float:
+    """Return the number of standard deviations of a two-sided p-value."""
     return abs(float(special.ndtri(0.5 * chance)))
 
 
-def significance(
+def jackknife_significance(
     comparison: Comparison, effects: Sequence[LocatedEffect]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Jackknife deviations from nothing of every effect.
+    """Return the jackknife significance of every effect [sigma].
 
-    Shapes are held, save of effects that have amplitudes of their own: those are told from others
-    by them, whatever the shapes.
+    Shapes are held, except of effects with amplitudes that no other effect has.
 
     Returns
     -------
     together, single : array (e,)
-        Of its amplitudes together, and of the one that is known best by itself (of those that it
-        alone has, where it has such). Amplitudes that are alike along the recordings can be sure
-        together and nothing apart: what such an effect would add on another motion is not known.
+        Of all amplitudes together, and of the best single one (among those that no other effect
+        has, if any). Collinear amplitudes can be significant together and not apart: such an effect
+        cannot be extrapolated to other motions.
     """
     fit = comparison.fit(effects)
     _, prior_sd, nuisance = comparison.nuisance
@@ -325,26 +331,26 @@ def significance(
                 slopes.append(_shape_slope(comparison, located, values, i, step))
     prior = np.concatenate([prior_sd, np.ones(len(amplitudes)), np.full(len(slopes), _SHAPE_PRIOR)])
     matrix = np.column_stack([nuisance, *columns, *slopes])
-    _, spread = _jackknife(comparison, matrix, prior, stretches(comparison))
+    _, spread = _jackknife_covariance(comparison, matrix, prior, number_stretches(comparison))
     together, single, begin = [], [], 0
     for located, own in zip(effects, columns, strict=True):
         values = amplitudes[begin : begin + own.shape[1]]
         rows = slice(len(prior_sd) + begin, len(prior_sd) + begin + own.shape[1])
         begin += own.shape[1]
-        together.append(_from_nothing(values, spread[rows, rows])[0])
+        together.append(_deviations_from_zero(values, spread[rows, rows])[0])
         telling = (
             located.effect.distinctive_amplitudes
             if located.effect.has_distinctive
             else list(range(len(values)))
         )
         single.append(
-            _from_nothing(values[telling], spread[rows, rows][np.ix_(telling, telling)])[1]
+            _deviations_from_zero(values[telling], spread[rows, rows][np.ix_(telling, telling)])[1]
         )
     return np.array(together), np.array(single)
 
 
-def _from_nothing(values: np.ndarray, covariance: np.ndarray) -> tuple[float, float]:
-    """Deviations from nothing of values (k,) together, and of the one that stands out most."""
+def _deviations_from_zero(values: np.ndarray, covariance: np.ndarray) -> tuple[float, float]:
+    """Return the significance of values (k,) together, and of the most significant one [sigma]."""
     square = float(values @ np.linalg.lstsq(covariance, values)[0])
     sd = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
     return math.sqrt(max(square, 0.0)), float(np.max(np.abs(values) / sd))
@@ -357,11 +363,11 @@ def _shape_sizes(located: LocatedEffect) -> np.ndarray:
 def _shape_slope(
     comparison: Comparison, located: LocatedEffect, amplitudes: np.ndarray, i: int, size: float
 ) -> np.ndarray:
-    """Slope of an effect's sum of columns along one shape over its size."""
+    """Return the derivative of an effect's contribution by one shape over its size."""
     shape = located.effect.shapes[i]
     now = located.shapes[i]
-    low = max(now - _STEP * size, shape.lower)
-    high = min(now + _STEP * size, shape.upper)
+    low = max(now - _DIFFERENCE_STEP * size, shape.lower)
+    high = min(now + _DIFFERENCE_STEP * size, shape.upper)
     ends = []
     for value in (low, high):
         moved = (*located.shapes[:i], value, *located.shapes[i + 1 :])
@@ -369,19 +375,19 @@ def _shape_slope(
     return np.asarray((ends[1] - ends[0]) * size / (high - low))
 
 
-def _jackknife(
+def _jackknife_covariance(
     comparison: Comparison,
     matrix: np.ndarray,
     prior: np.ndarray,
     block: np.ndarray,
-    fewest: int = _FEWEST,
+    fewest: int = _MIN_STRETCHES,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Covariance by the linear model, and by leaving blocks of rows out one after another."""
+    """Return the covariances by the linear model and by a jackknife over blocks of rows."""
     units = np.outer(prior, prior)
     grams = np.empty((int(block.max()) + 1, *units.shape))
     moments = np.empty(grams.shape[:2])
     for b in range(len(grams)):
-        # One part at a time: of a long run the columns are large, and no copy of them is made.
+        # One block at a time: the columns of a long run are too large to copy.
         part = matrix[block == b]
         grams[b] = units * (part.T @ part)
         moments[b] = prior * (part.T @ comparison.target[block == b])
@@ -396,18 +402,18 @@ def _jackknife(
     return covariance, (len(grams) - 1) / len(grams) * away.T @ away * units
 
 
-def stretches(comparison: Comparison) -> np.ndarray:
-    """Number of the stretch of about `BLOCK_SECONDS` that every row (m,) is of."""
-    counts = [max(1, round(_span(run) / BLOCK_SECONDS)) for run in comparison.runs]
+def number_stretches(comparison: Comparison) -> np.ndarray:
+    """Return the number of the stretch that every row (m,) belongs to."""
+    counts = [max(1, round(_run_duration(run) / STRETCH_DURATION)) for run in comparison.runs]
     first = np.concatenate([[0], np.cumsum(counts)])
 
     def number(run: PreparedRun) -> np.ndarray:
         k = comparison.runs.index(run)
-        place = (run.time - run.time[0]) / _span(run) * counts[k]
+        place = (run.time - run.time[0]) / _run_duration(run) * counts[k]
         return np.asarray(first[k] + np.minimum(place.astype(int), counts[k] - 1))
 
     return np.unique(comparison.rows.sample_signal(number), return_inverse=True)[1]
 
 
-def _span(run: PreparedRun) -> float:
+def _run_duration(run: PreparedRun) -> float:
     return float(run.time[-1] - run.time[0])

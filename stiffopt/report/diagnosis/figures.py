@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap, LogNorm
 from matplotlib.figure import Figure
 
-from stiffopt.discovery.settings import MOVING
+from stiffopt.discovery.settings import MIN_MOVING_SPEED
 from stiffopt.recording.joint_facts import velocities
 from stiffopt.report.common.svg import (
     BLUE,
@@ -29,7 +29,7 @@ from stiffopt.units import joint_unit
 
 if TYPE_CHECKING:
     from stiffopt.discovery.diagnosis import Diagnosis
-    from stiffopt.discovery.proof.proof import ChannelError, RunProof
+    from stiffopt.discovery.prediction import ChannelError, RunProof
 
 HEAT = LinearSegmentedColormap.from_list("heat", ["#f5f7f9", "#f7d99a", ORANGE, "#a33b00"])
 # Least residual over noise of the darkest colour.
@@ -128,8 +128,8 @@ def held_out_figure(diagnosis: Diagnosis) -> Figure:
 
 def noise_ceiling_figure(diagnosis: Diagnosis) -> Figure:
     """Plot the black-box fit of the remaining residual along its most important signals."""
-    assert diagnosis.rod is not None
-    depends = diagnosis.rod.depends
+    assert diagnosis.noise_ceiling is not None
+    depends = diagnosis.noise_ceiling.depends
     with figure_style():
         figure = Figure(figsize=(WIDTH, 2.4))
         grid = figure.subplots(1, len(depends), squeeze=False, sharey=True)[0]
@@ -240,7 +240,7 @@ def trace(diagnosis: Diagnosis, proof: RunProof, name: str) -> Trace | None:
     slides = diagnosis.training.constants.joints[j].prismatic
     if error.kind == "torque":
         measured, unit = run.torque[:, j], joint_unit("N m", slides)
-        used = np.isfinite(measured) & (np.abs(np.nan_to_num(speed)) >= MOVING)
+        used = np.isfinite(measured) & (np.abs(np.nan_to_num(speed)) >= MIN_MOVING_SPEED)
     else:
         assert run.link_position is not None
         measured, unit = run.position[:, j] - run.link_position[:, j], joint_unit("rad", slides)

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from stiffopt.discovery.judging.black_box import SHOWN_SHARE
+from stiffopt.discovery.judging.noise_ceiling import SHOWN_SHARE
 from stiffopt.report.common.text import listed, pm, significant
 from stiffopt.report.diagnosis.overview import moved_values
 from stiffopt.report.diagnosis.words import (
@@ -24,8 +24,8 @@ from stiffopt.units import joint_unit
 if TYPE_CHECKING:
     from stiffopt.discovery.comparison.located_effect import LocatedEffect
     from stiffopt.discovery.diagnosis import Diagnosis, Finding
-    from stiffopt.discovery.judging.carried_over import Drift
-    from stiffopt.discovery.judging.shares import Share
+    from stiffopt.discovery.judging.explained_shares import MismatchShare
+    from stiffopt.discovery.judging.run_deviations import Drift
 
 # Shares of the mismatch below and above which they are written as none and as all.
 _MIN_SHARE, _FULL_SHARE = 0.005, 0.995
@@ -87,7 +87,7 @@ class UnstatedRow:
     effect: str
     where: str
     values: str
-    from_nothing: str
+    min_deviations: str
     shows_in: str
     falls: str
     explains: str
@@ -142,7 +142,7 @@ def noise_ceiling_sentence(diagnosis: Diagnosis) -> str:
     The noise ceiling is the fit of a black box, of torques on held-out runs. Dependences within
     the training runs, or of link encoders, do not contradict it.
     """
-    rod = diagnosis.rod
+    rod = diagnosis.noise_ceiling
     if rod is None:
         return ""
     channels = {c.kind for proof in diagnosis.held_out for c in proof.channels}
@@ -166,7 +166,7 @@ def noise_ceiling_sentence(diagnosis: Diagnosis) -> str:
 
 def _noise_ceiling_remark(diagnosis: Diagnosis) -> str:
     """Return a remark where a residual outside the catalogue seems to contradict the ceiling."""
-    left, rod = diagnosis.unexplained, diagnosis.rod
+    left, rod = diagnosis.unexplained, diagnosis.noise_ceiling
     if left is None or left.brief or rod is None:
         return ""
     if left.channels[0].startswith("link_position"):
@@ -281,7 +281,7 @@ def unstated_rows(diagnosis: Diagnosis, findings: Sequence[Finding]) -> list[Uns
                 effect=own[0].effect.title,
                 where=joints_in_words([f.joint for f in own if f.joint is not None]),
                 values=f"{first.name} of joint {values}",
-                from_nothing=f"{_format_range([f.significance for f in own], 1)} sd",
+                min_deviations=f"{_format_range([f.significance for f in own], 1)} sd",
                 shows_in=_format_channels(list(dict.fromkeys(f.channel for f in own))),
                 falls=" → ".join(_format_range([falls[k] for falls in left], 2) for k in (0, 1)),
                 explains=_format_share_range(min(shares), max(shares)),
@@ -291,7 +291,7 @@ def unstated_rows(diagnosis: Diagnosis, findings: Sequence[Finding]) -> list[Uns
     return rows
 
 
-def _part_phrase(diagnosis: Diagnosis, share: Share) -> str:
+def _part_phrase(diagnosis: Diagnosis, share: MismatchShare) -> str:
     part = share.part
     assert part is not None
     joints = sorted({e.joint + 1 for e in part.effects if e.joint is not None})

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from stiffopt.discovery.comparison.located_effect import LocatedEffect
     from stiffopt.discovery.diagnosis import Diagnosis, Finding
     from stiffopt.discovery.identifiable import EffectCheck
-    from stiffopt.discovery.judging.detection import DetectionLimit
+    from stiffopt.discovery.judging.detection_limits import DetectionLimit
 
 # Nominal values listed.
 _MAX_MOVED_VALUES = 12

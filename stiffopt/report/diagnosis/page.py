@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from stiffopt.discovery.extended.changes import ValueChange, extended_model, value_changes
-from stiffopt.discovery.extended.planner_model import planner_model
+from stiffopt.discovery.extended.planning import planner_model
+from stiffopt.discovery.extended.value_changes import ValueChange, extended_model, value_changes
 from stiffopt.discovery.identifiable import effect_checks
 from stiffopt.recording.check import missing_signals
 from stiffopt.recording.joint_facts import joint_facts
@@ -104,7 +104,7 @@ def write_diagnosis_report(
     for number, finding in enumerate(shown, start=1):
         _draw_finding(figures, diagnosis, finding, number)
     _draw_unexplained(figures, diagnosis)
-    if diagnosis.rod is not None and diagnosis.rod.depends:
+    if diagnosis.noise_ceiling is not None and diagnosis.noise_ceiling.depends:
         drawn = noise_ceiling_figure(diagnosis)
         figures.draw("dependence", drawn, "Black-box fit of the remaining residual")
     figures.draw("held_out", held_out_figure(diagnosis), "Residual over noise of held-out runs")

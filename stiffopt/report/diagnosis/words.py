@@ -202,7 +202,7 @@ def lead(diagnosis: Diagnosis) -> str:
         text = " ".join(parts)
         if diagnosis.unexplained is not None:
             text += f" {unexplained_sentence(diagnosis)}"
-    return " ".join([text, *(str(mode) for mode in diagnosis.modes if mode.elsewhere)])
+    return " ".join([text, *(str(mode) for mode in diagnosis.modes if mode.is_shifted)])
 
 
 def confidence_sentence(finding: Finding) -> str:

@@ -1,0 +1,242 @@
+"""Shares of the mismatch that each part of the extension explains in recordings left out.
+
+The mismatch is the excess of squares over the sensors' noise beside the nominal model, separately
+for torques and link encoders, since the small noise of an encoder would dominate. Parts are ordered
+by their decrease beside the parts before them, so that all shares and the open one add up to one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from stiffopt.discovery.comparison.comparison import Comparison
+from stiffopt.discovery.comparison.evidence import BlockSums, Sums, posterior
+from stiffopt.discovery.comparison.located_effect import Extension, LocatedEffect
+from stiffopt.discovery.prediction import Predictor, RunProof, used_samples
+from stiffopt.discovery.search.uncertainty import number_stretches
+
+# Excess over the noise variance of a residual of twice the noise.
+_MIN_EXCESS_RATIO = 3.0
+
+Kind = Literal["unstated", "nominal", "usual", "finding"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExtensionPart:
+    """Part of an extension.
+
+    Parameters
+    ----------
+    kind : str
+        "unstated": values that the nominal model does not state; "nominal": stated values fitted
+        within tolerance or re-identified, with findings of masses; "usual": offsets, which every
+        robot has; "finding".
+    effects : tuple of LocatedEffect
+    """
+
+    kind: Kind
+    effects: tuple[LocatedEffect, ...] = ()
+
+    def left_out_of(self, extension: Extension) -> Extension:
+        """Return the extension without this part."""
+        if self.kind == "nominal":
+            extension = replace(extension, calibration={})
+        keys = {located.key for located in self.effects}
+        return replace(
+            extension,
+            effects=tuple(e for e in extension.effects if e.located.key not in keys),
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class MismatchShare:
+    """Share of the mismatch that a part explains.
+
+    Parameters
+    ----------
+    part : Part or None
+        None for the open share.
+    measured : str
+        "torque" or "link_position".
+    share : float
+        Of the excess squares beside the nominal model in held-out runs; negative if it increases
+        them.
+    """
+
+    part: ExtensionPart | None
+    measured: str
+    share: float
+
+
+def split_extension(extension: Extension, unstated: Sequence[str]) -> tuple[ExtensionPart, ...]:
+    """Split an extension: findings by effect, unstated values by family.
+
+    Parameters
+    ----------
+    extension : Extension
+    unstated : sequence of str
+        Nominal values that the set does not state.
+    """
+    by_name: dict[tuple[Kind, str], list[LocatedEffect]] = {}
+    if any(extension.calibration.values()):
+        by_name["nominal", ""] = []
+    for each in extension.effects:
+        effect = each.located.effect
+        key: tuple[Kind, str] = ("finding", effect.name)
+        if effect.nominal in unstated:
+            key = ("unstated", effect.family)
+        elif effect.usual:
+            key = ("usual", effect.family)
+        elif each.located.joint is None and effect.family == "inertial":
+            key = ("nominal", "")
+        by_name.setdefault(key, []).append(each.located)
+    return tuple(ExtensionPart(kind=kind, effects=tuple(own)) for (kind, _), own in by_name.items())
+
+
+class MismatchShares:
+    """Sums over held-out runs from which shares are calculated.
+
+    Parameters
+    ----------
+    parts : sequence of Part
+    """
+
+    def __init__(self, parts: Sequence[ExtensionPart]) -> None:
+        self._parts = tuple(parts)
+        # By kind of channel: products of the open residual and the contribution of each part, over
+        # the noise variance, and the number of samples.
+        self._sums: dict[str, tuple[np.ndarray, int]] = {}
+
+    def add(
+        self,
+        predictor: Predictor,
+        start: tuple[Extension, ...],
+        found: Extension,
+        proof: RunProof,
+    ) -> None:
+        """Add a run, predicted with the whole extension and without each part."""
+        each = [(*start, part.left_out_of(found)) for part in self._parts]
+        without = list(predictor.predict_each(each))
+        run = predictor.run
+        judged = {(each.kind, each.joint): each for each in proof.channels}
+        sums, none = dict(self._sums), np.zeros((len(self._parts) + 1, len(self._parts) + 1))
+        for kind, joint, used in used_samples(run, predictor.velocity):
+            if used is None or (kind, joint) not in judged:
+                continue
+            channel = judged[kind, joint]
+            places = np.searchsorted(run.stamps, run.time)[used]
+            own = getattr(proof.after, kind)[places, joint]
+            left = getattr(run, kind)[used, joint] - own
+            added = [own - getattr(each, kind)[places, joint] for each in without]
+            columns = np.column_stack([left, *added]) / channel.noise
+            gram, samples = sums.get(kind, (none, 0))
+            sums[kind] = gram + columns.T @ columns, samples + channel.samples
+        # Assigned last: after Ctrl-C a run is added as a whole or not at all.
+        self._sums = sums
+
+    def found(self) -> tuple[MismatchShare, ...]:
+        """Return shares by kind of channel in decreasing order, the open share last.
+
+        Kinds with a nominal residual below twice the noise only if no other is above.
+        """
+        above = {kind: float(gram.sum()) - n for kind, (gram, n) in self._sums.items()}
+        clear = [kind for kind, (_, n) in self._sums.items() if above[kind] > _MIN_EXCESS_RATIO * n]
+        largest = max(above, key=above.__getitem__, default=None)
+        chosen = clear or [kind for kind in above if kind == largest and above[kind] > 0.0]
+        return tuple(share for kind in chosen for share in self._order_shares(kind, above[kind]))
+
+    def _order_shares(self, measured: str, mismatch: float) -> Iterator[MismatchShare]:
+        gram, samples = self._sums[measured]
+
+        def open_with(out: set[int]) -> float:
+            """Return the open share of the mismatch with all parts but these."""
+            kept = [0, *(k + 1 for k in sorted(out))]
+            return (float(gram[np.ix_(kept, kept)].sum()) - samples) / mismatch
+
+        out, now = set(range(len(self._parts))), 1.0
+        while out:
+            left = {k: open_with(out - {k}) for k in out}
+            best = min(left, key=left.__getitem__)
+            yield MismatchShare(part=self._parts[best], measured=measured, share=now - left[best])
+            out.remove(best)
+            now = left[best]
+        yield MismatchShare(part=None, measured=measured, share=now)
+
+
+def variance_explained(
+    comparison: Comparison, effects: tuple[LocatedEffect, ...], channels: tuple[int, ...]
+) -> tuple[float, ...]:
+    """Return the share of the excess squared residual that each effect removes in blocks left out.
+
+    Parameters
+    ----------
+    comparison : Comparison
+    effects : tuple of LocatedEffect
+    channels : tuple of int
+        Channel of each effect.
+
+    Returns
+    -------
+    tuple of float
+        0 to 1, one per effect.
+
+    Notes
+    -----
+    Every block (a training run; a stretch where runs are few, and for effects of each run) is
+    predicted with nominal values and amplitudes fitted to the other blocks, with and without the
+    contribution of the effect. Nominal values stay as fitted beside the effect; without it they
+    would leave their tolerances to compensate. The excess is over the stated noise.
+    """
+    runs = comparison.rows.block if comparison.blocks > 1 else number_stretches(comparison)
+    # Stretches for a single run, and for effects of single runs.
+    by_run = [each.is_run_specific for each in effects]
+    ways = [_predict_blocks(comparison, effects, runs)]
+    if any(by_run):
+        ways.append(_predict_blocks(comparison, effects, number_stretches(comparison)))
+    shares = []
+    for index, channel in enumerate(channels):
+        residual, added = ways[by_run[index]]
+        own_part = added[index]
+        own = comparison.rows.channel == channel
+        noise = float(own.sum())
+        before = float(np.sum((residual + own_part)[own] ** 2)) - noise
+        after = float(np.sum(residual[own] ** 2)) - noise
+        shares.append(float(np.clip(1.0 - after / before, 0.0, 1.0)) if before > 0.0 else 0.0)
+    return tuple(shares)
+
+
+def _predict_blocks(
+    comparison: Comparison, effects: tuple[LocatedEffect, ...], block: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the cross-validated residual (m,) and the contribution of each effect (e, m).
+
+    Both over the stated noise.
+    """
+    _, sd, nuisance = comparison.nuisance
+    parts = [comparison.effect_columns(e) for e in effects]
+    columns = np.column_stack([nuisance, *parts])
+    prior = np.concatenate([sd, np.ones(sum(p.shape[1] for p in parts))])
+    sums = BlockSums(columns, comparison.target, block, int(block.max()) + 1)
+    gram, moment, square = (x.sum(axis=0) for x in (sums.gram, sums.moment, sums.square))
+    residual = np.empty_like(comparison.target)
+    added = np.empty((len(effects), len(residual)))
+    for b in range(len(sums.square)):
+        rest = Sums(
+            (gram - sums.gram[b])[None],
+            (moment - sums.moment[b])[None],
+            np.array([square - sums.square[b]]),
+        )
+        own = block == b
+        mean = posterior(rest, prior, cross_validate=False).mean
+        residual[own] = comparison.target[own] - columns[own] @ mean
+        begin = len(sd)
+        for index, part in enumerate(parts):
+            end = begin + part.shape[1]
+            added[index, own] = part[own] @ mean[begin:end]
+            begin = end
+    weight = comparison.inflation[comparison.rows.channel]
+    return residual * weight, added * weight

@@ -1,0 +1,172 @@
+"""Deviations of held-out runs from the training runs that a single value explains.
+
+A colder joint, a newly referenced encoder or a drifted current sensor spoils the prediction of a
+run for reasons that no robot model contains. If one value explains most of the residual of a
+channel in a run, it is reported; predictions are not corrected. If friction was found to differ
+from run to run, the deviation is reported in standard deviations.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from stiffopt.discovery.comparison.located_effect import Extension
+from stiffopt.discovery.prediction import RunProof, used_samples
+from stiffopt.discovery.settings import MIN_MOVING_SPEED
+from stiffopt.discovery.signals import RobotConstants, smooth_sign
+
+# Least share of the residual that one value explains, and least residual over noise.
+_MIN_EXPLAINED_SHARE, _MIN_NOISE_RATIO = 0.5, 2.0
+# Parts of a run that must all improve, and least number of samples.
+_RUN_PARTS, _MIN_SAMPLES = 4, 40
+# Squared correlation from which a shape is collinear with that of a known drift.
+_COLLINEAR_SHARE = 0.9
+
+
+@dataclass(frozen=True, kw_only=True)
+class NotCarriedOver:
+    """A value that differs between a run and the training runs.
+
+    Parameters
+    ----------
+    run, channel : str
+    kind : str
+        "constant", "dry friction", "viscous friction", or "friction drift" if friction was found to
+        differ from run to run.
+    value : float
+        Difference to training [SI]; of a drift in its standard deviations.
+    share : float
+        Explained share of the squared residual of the channel.
+    """
+
+    run: str
+    channel: str
+    kind: str
+    value: float
+    share: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Drift:
+    """Standard deviation of a joint's friction between runs.
+
+    Parameters
+    ----------
+    joint : int
+        From 0.
+    dry, viscous : float
+        [N m], [N m s/rad]
+    rms : float
+        Root mean square error of predictions over the held-out runs from it [N m].
+    """
+
+    joint: int
+    dry: float
+    viscous: float
+    rms: float = 0.0
+
+    def torque(self, speed: np.ndarray) -> np.ndarray:
+        """Return the torque of one standard deviation [N m]."""
+        return np.asarray(self.dry * smooth_sign(speed) + self.viscous * speed)
+
+
+def find_friction_drift(
+    found: Extension, constants: RobotConstants, velocities: Sequence[np.ndarray]
+) -> tuple[Drift, ...]:
+    """Return friction that differs from run to run; the latest finding per joint.
+
+    Parameters
+    ----------
+    found : Extension
+        Including the extension of the starting model.
+    constants : RobotConstants
+    velocities : sequence of array (K, n)
+        Of the joints in held-out runs [rad/s].
+    """
+    every: dict[int, Drift] = {}
+    for each in found.effects:
+        located = each.located
+        if located.effect.of_runs is None or located.joint is None:
+            continue
+        values = located.effect.parameters(
+            each.amplitudes, located.shapes, located.constants(constants)
+        )
+        own = Drift(joint=located.joint, dry=values["dFc_spread"], viscous=values["dFv_spread"])
+        if own.dry == 0.0 and own.viscous == 0.0:
+            continue
+        parts = [own.torque(v[:, own.joint]) for v in velocities]
+        torque = np.concatenate(parts) if parts else np.zeros(1)
+        every[own.joint] = replace(own, rms=float(np.sqrt(np.nanmean(torque**2))))
+    return tuple(every.values())
+
+
+def find_run_deviations(
+    proofs: Sequence[RunProof], velocities: Sequence[np.ndarray], drift: Sequence[Drift] = ()
+) -> tuple[NotCarriedOver, ...]:
+    """Find single values that explain most of the residual of a channel in a run.
+
+    Parameters
+    ----------
+    proofs : sequence of RunProof
+    velocities : sequence of array (K, n)
+        Of the joints in each of these runs [rad/s].
+    drift : sequence of Drift
+    """
+    found = []
+    of_joint = {each.joint: each for each in drift}
+    for proof, velocity in zip(proofs, velocities, strict=True):
+        run = proof.run
+        places = np.searchsorted(run.stamps, run.time)
+        noise = {channel.name: channel.noise for channel in proof.channels}
+        for kind, joint, used in used_samples(run, velocity):
+            name = f"{kind}_{joint + 1}"
+            if used is None or name not in noise:
+                continue
+            left = getattr(run, kind)[used, joint] - getattr(proof.after, kind)[places[used], joint]
+            if (
+                len(left) < _MIN_SAMPLES
+                or np.sqrt(np.mean(left**2)) < _MIN_NOISE_RATIO * noise[name]
+            ):
+                continue
+            own = of_joint.get(joint) if kind == "torque" else None
+            best = _best_single_value(left, velocity[used, joint], kind == "torque", own)
+            if best is not None:
+                share, value, cause = best
+                found.append(
+                    NotCarriedOver(run=run.name, channel=name, kind=cause, value=value, share=share)
+                )
+    return tuple(found)
+
+
+def _best_single_value(
+    left: np.ndarray, speed: np.ndarray, torque: bool, drift: Drift | None
+) -> tuple[float, float, str] | None:
+    """Return share, value and kind of the best single value that improves all parts of the run."""
+    shapes = {"constant": np.ones_like(left)}
+    if torque and speed.min() < -MIN_MOVING_SPEED and speed.max() > MIN_MOVING_SPEED:
+        friction = {"dry friction": smooth_sign(speed), "viscous friction": speed}
+        known = np.zeros_like(left) if drift is None else drift.torque(speed)
+        if known.any():
+            # Known drift is no deviation; another friction or a constant is.
+            friction = {
+                k: v for k, v in friction.items() if _shared_squares(v, known) < _COLLINEAR_SHARE
+            }
+            friction["friction drift"] = known
+        shapes |= friction
+    found = []
+    part = np.arange(len(left)) * _RUN_PARTS // len(left)
+    for kind, shape in shapes.items():
+        value = float(shape @ left / (shape @ shape))
+        fall = left**2 - (left - value * shape) ** 2
+        share = float(fall.sum() / (left @ left))
+        if share >= _MIN_EXPLAINED_SHARE and np.bincount(part, fall).min() > 0.0:
+            found.append((share, value, kind))
+    return max(found, default=None)
+
+
+def _shared_squares(shape: np.ndarray, known: np.ndarray) -> float:
+    """Return the squared correlation of two shapes."""
+    return float((shape @ known) ** 2 / ((shape @ shape) * (known @ known)))

@@ -1,1 +1,0 @@
-"""Predictions of runs that no fit has seen, before and after."""

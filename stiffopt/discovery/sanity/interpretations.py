@@ -1,0 +1,226 @@
+"""Interpretations of the same files, by units, signs and column order, at sampled instants."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+
+from stiffopt.discovery.comparison.filtering import (
+    ZeroPhaseFilter,
+    bridge_gaps,
+    derivative,
+    near_gaps,
+    resample_uniform,
+)
+from stiffopt.discovery.comparison.nominal_robot import RobotModel
+from stiffopt.discovery.sanity.torque_fit import Motion
+from stiffopt.recording.run import RecordedRun
+
+# Instants of all runs together: enough for a dozen columns, few enough to try many readings.
+_MAX_INSTANTS = 900
+# Filter cutoff [Hz]: units and orders show in slow motion, without noise and vibration.
+_FILTER_CUTOFF = 8.0
+
+
+@dataclass(frozen=True, eq=False)
+class TorqueSeries:
+    """Torques of one run with their times, to be read with a delay.
+
+    Parameters
+    ----------
+    time : array (K,) [s]
+    torque : array (K, n)
+        Filtered [N m]; nan if a joint has none.
+    at : array (m,)
+        Sampled instants of the run [s].
+    """
+
+    time: np.ndarray
+    torque: np.ndarray
+    at: np.ndarray
+
+    def shifted(self, delay: float) -> np.ndarray:
+        """Return torques (m, n) recorded `delay` [s] after the instants."""
+        when = self.at + delay
+        return np.column_stack([np.interp(when, self.time, column) for column in self.torque.T])
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """Motion and torques at sampled instants of the runs, filtered alike.
+
+    Parameters
+    ----------
+    position, velocity, acceleration, torque : array (m, n)
+        As recorded, in the order of the set; torque is nan if a joint has none.
+    series : tuple of TorqueSeries
+        One per run.
+    """
+
+    position: np.ndarray
+    velocity: np.ndarray
+    acceleration: np.ndarray
+    torque: np.ndarray
+    series: tuple[TorqueSeries, ...]
+
+    def delayed_torque(self, delay: float) -> np.ndarray:
+        """Return torques (m, n) recorded `delay` [s] after the motion."""
+        return np.vstack([each.shifted(delay) for each in self.series])
+
+
+def sample_runs(runs: Sequence[RecordedRun]) -> Samples | None:
+    """Sample instants of the usable runs; None if they are too short."""
+    usable = [run for run in runs if run.usable]
+    every = max(1, _MAX_INSTANTS // max(1, len(usable)))
+    motions, series = [], []
+    for run in usable:
+        time, position, _, torque = resample_uniform(run)
+        dt = float(time[1] - time[0])
+        low_pass = ZeroPhaseFilter(1.0 / dt, min(_FILTER_CUTOFF, 0.2 / dt))
+        inside = np.arange(low_pass.settling, len(time) - low_pass.settling)
+        bridged = near_gaps(_complete_stamps(run), run.step, time, low_pass.settling)
+        inside = inside[~bridged[inside]]
+        if len(inside) < 20:
+            continue
+        places = inside[np.linspace(0, len(inside) - 1, min(every, len(inside))).astype(int)]
+        q = low_pass.filter_motion(bridge_gaps(position))
+        v = derivative(q, dt)
+        motions.append(np.stack([q, v, derivative(v, dt)])[:, places])
+        smooth = low_pass(bridge_gaps(torque))
+        series.append(TorqueSeries(time, smooth, time[places]))
+    if not motions:
+        return None
+    q, v, a = np.concatenate(motions, axis=1)
+    measured = np.vstack([each.shifted(0.0) for each in series])
+    return Samples(q, v, a, measured, tuple(series))
+
+
+def _complete_stamps(run: RecordedRun) -> np.ndarray:
+    """Return the times at which every recorded channel has a finite value."""
+    channels = np.hstack([run.position, run.torque])
+    known = np.isfinite(channels)
+    return np.asarray(run.time[(known | ~known.any(axis=0)).all(axis=1)])
+
+
+# Possible units of positions of revolute and prismatic joints, in SI.
+DEGREE, MILLIMETRE = np.pi / 180.0, 1e-3
+# Clocks in ms, us and ns, and stamps counted at another rate.
+_CLOCK_FACTORS = (1e-3, 1e-6, 1e-9, 0.01, 0.1, 10.0, 100.0, 1e3)
+
+
+@dataclass(frozen=True, eq=False)
+class Reading:
+    """Assignment of columns to joints, with scale factors.
+
+    Parameters
+    ----------
+    position_from, torque_from : tuple of int (n,)
+        Number (from 0) of the joint whose columns each joint uses.
+    position_scale, torque_scale : tuple of float (n,)
+    time_scale : float
+        Factor of the time.
+    steps : int
+        Number of steps from the stated reading.
+    in_degrees : tuple of bool (n,)
+        Joints with positions stated in degrees.
+    """
+
+    position_from: tuple[int, ...]
+    torque_from: tuple[int, ...]
+    position_scale: tuple[float, ...]
+    torque_scale: tuple[float, ...]
+    time_scale: float = 1.0
+    steps: int = 0
+    in_degrees: tuple[bool, ...] = ()
+
+    @staticmethod
+    def as_described(n: int, position_scale: np.ndarray | None = None) -> Reading:
+        """Return the stated reading; positions have been multiplied by a scale (n,)."""
+        order, ones = tuple(range(n)), (1.0,) * n
+        stated = np.ones(n) if position_scale is None else np.abs(position_scale)
+        degrees = tuple(bool(is_) for is_ in np.isclose(stated, DEGREE))
+        return Reading(order, order, ones, ones, in_degrees=degrees)
+
+    def motion(self, samples: Samples) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return position, velocity and acceleration (m, n) of the joints in this reading."""
+        take, scale = list(self.position_from), np.array(self.position_scale)
+        position, velocity, acceleration = (
+            values[:, take] * scale / self.time_scale**order
+            for order, values in enumerate(
+                (samples.position, samples.velocity, samples.acceleration)
+            )
+        )
+        return position, velocity, acceleration
+
+    def torque(self, measured: np.ndarray) -> np.ndarray:
+        """Return torques (m, n) of the joints in this reading."""
+        scaled: np.ndarray = measured[:, list(self.torque_from)] * np.array(self.torque_scale)
+        return scaled
+
+    def neighbours(self, prismatic: np.ndarray) -> Iterator[Reading]:
+        """Yield readings one step further: units, two joints swapped, a sign, a clock."""
+        n, parts = len(self.position_from), ("position", "torque", "both")
+        for which in (*np.eye(n, dtype=bool), ~prismatic, prismatic, np.ones(n, dtype=bool)):
+            other = self.in_other_units(prismatic, which)
+            if other != self:
+                yield other
+        for part in parts:
+            for one, two in combinations(range(n), 2):
+                yield self._swap_joints(part, one, two)
+            for joint in range(n):
+                yield self._turn_sign(part, joint)
+        if self.time_scale == 1.0:
+            for factor in _CLOCK_FACTORS:
+                yield self._take_step(time_scale=factor)
+
+    def in_other_units(self, prismatic: np.ndarray, which: np.ndarray) -> Reading:
+        """Return the reading with these joints (n,) in degrees or mm, unless already so."""
+        scale = tuple(
+            s * (MILLIMETRE if slides else DEGREE) if chosen and abs(s) == 1.0 else s
+            for s, slides, chosen in zip(self.position_scale, prismatic, which, strict=True)
+        )
+        return self if scale == self.position_scale else self._take_step(position_scale=scale)
+
+    def _take_step(self, **changes: Any) -> Reading:
+        return replace(self, steps=self.steps + 1, **changes)
+
+    def _swap_joints(self, part: str, one: int, two: int) -> Reading:
+        changes: dict[str, Any] = {}
+        for kind in ("position", "torque"):
+            if part in (kind, "both"):
+                for field in (f"{kind}_from", f"{kind}_scale"):
+                    values = list(getattr(self, field))
+                    values[one], values[two] = values[two], values[one]
+                    changes[field] = tuple(values)
+        return self._take_step(**changes)
+
+    def _turn_sign(self, part: str, joint: int) -> Reading:
+        changes: dict[str, Any] = {}
+        for kind in ("position", "torque"):
+            if part in (kind, "both"):
+                field = f"{kind}_scale"
+                changes[field] = _scale_joint(getattr(self, field), joint, -1.0)
+        return self._take_step(**changes)
+
+
+def _scale_joint(scale: tuple[float, ...], joint: int, factor: float) -> tuple[float, ...]:
+    return tuple(s * factor if k == joint else s for k, s in enumerate(scale))
+
+
+class Motions:
+    """Cache of the motions of readings with nominal torques."""
+
+    def __init__(self, robot: RobotModel, samples: Samples) -> None:
+        self._robot, self._samples = robot, samples
+        self._kept: dict[tuple[object, ...], Motion] = {}
+
+    def of(self, reading: Reading) -> Motion:
+        """Return the motion of a reading, independent of its torque columns."""
+        key = (reading.position_from, reading.position_scale, reading.time_scale)
+        if key not in self._kept:
+            self._kept[key] = Motion.of(self._robot, *reading.motion(self._samples))
+        return self._kept[key]

@@ -1,0 +1,196 @@
+"""Fit of measured torques by the nominal model with bounded additions: residual shares, gains."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import lsq_linear, minimize_scalar
+
+from stiffopt.discovery.comparison.nominal_robot import RobotModel
+from stiffopt.discovery.settings import MIN_MOVING_SPEED
+from stiffopt.discovery.signals import smooth_sign
+
+# Relative error of a stated friction or rotor inertia, down and up: far above the effect of cold
+# grease, far below that of a wrong unit.
+_MAX_RELATIVE_DECREASE, _MAX_RELATIVE_INCREASE = 0.8, 10.0
+# Largest load-dependent friction over the load.
+_MAX_LOAD_FRICTION = 0.4
+# Largest torque offset over the largest nominal torque.
+_MAX_OFFSET_SHARE = 0.5
+# Largest lever of a payload [m], whose mass may be that of the arm.
+_MAX_PAYLOAD_LEVER = 0.5
+# Largest torque of a counterbalance over the largest gravity torque.
+_MAX_SPRING_SHARE = 0.9
+# Fewer moving instants give no result.
+MIN_MOVING_INSTANTS = 60
+# A usual gain is preferred if its residual share is at most this above 1.5 times the best; and the
+# gains that are tried, with either sign.
+_EQUIVALENT_SHARE = 0.02
+_GAIN_GRID = np.logspace(-4.5, 4.5, 61)
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """A motion, in some interpretation of the files, with its nominal torques.
+
+    Parameters
+    ----------
+    position, velocity, acceleration : array (m, n)
+    spring : array (m, n)
+        Nominal torque of bodies and counterbalances [N m].
+    """
+
+    position: np.ndarray
+    velocity: np.ndarray
+    acceleration: np.ndarray
+    spring: np.ndarray
+
+    @staticmethod
+    def of(robot: RobotModel, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> Motion:
+        """Return a motion with torques of the nominal model."""
+        return Motion(q, v, a, robot.spring_torque(q, v, a))
+
+
+@dataclass(frozen=True, eq=False)
+class Additions:
+    """Columns (m, k) that may be added to a nominal torque, with bounds (k,) of their factors."""
+
+    columns: np.ndarray
+    lower: np.ndarray
+    upper: np.ndarray
+
+
+class TorqueFit:
+    """Fit of measured torques by the nominal model with bounded friction, inertia and offset.
+
+    Parameters
+    ----------
+    robot : RobotModel
+    """
+
+    def __init__(self, robot: RobotModel) -> None:
+        self.robot = robot
+
+    def residual_share(
+        self, motion: Motion, torque: np.ndarray, joint: int, extra: Additions | None = None
+    ) -> float:
+        """Return the residual share of a torque's variance; nan if the motion cannot decide.
+
+        Parameters
+        ----------
+        motion : Motion
+        torque : array (m,)
+            Measured [N m].
+        joint : int
+        extra : Additions, optional
+            Further columns, such as springs and payloads.
+        """
+        reduced = self._reduce_table(motion, torque, joint, extra)
+        return float("nan") if reduced is None else reduced.share(1.0)
+
+    def gain(
+        self, motion: Motion, torque: np.ndarray, joint: int, usual: Sequence[float]
+    ) -> tuple[float, float]:
+        """Return the gain, of either sign, that fits a torque best, and its residual share.
+
+        A usual gain is preferred if it fits nearly as well.
+        """
+        reduced = self._reduce_table(motion, torque, joint, None)
+        if reduced is None:
+            return float("nan"), float("nan")
+        every = [*-_GAIN_GRID[::-1], *_GAIN_GRID]
+        shares = [reduced.share(g) for g in every]
+        best = int(np.argmin(shares))
+        sign, log = np.sign(every[best]), np.log(abs(every[best]))
+        step = float(np.log(_GAIN_GRID[1] / _GAIN_GRID[0]))
+        found = minimize_scalar(
+            lambda x: reduced.share(sign * np.exp(x)),
+            bounds=(log - step, log + step),
+            method="bounded",
+            options={"xatol": 1e-3},
+        )
+        good = {
+            g: share
+            for g in usual
+            if (share := reduced.share(g)) < 1.5 * found.fun + _EQUIVALENT_SHARE
+        }
+        if good:
+            return min(good.items(), key=lambda one: one[1])
+        return float(sign * np.exp(found.x)), float(found.fun)
+
+    def _reduce_table(
+        self, motion: Motion, torque: np.ndarray, joint: int, extra: Additions | None
+    ) -> _ReducedTable | None:
+        speed = motion.velocity[:, joint]
+        rows = (np.abs(speed) >= MIN_MOVING_SPEED) & np.isfinite(torque)
+        if rows.sum() < MIN_MOVING_INSTANTS or np.ptp(torque[rows]) == 0.0:
+            return None
+        robot, spring = self.robot, motion.spring[:, joint]
+        direction = smooth_sign(speed)
+        acceleration = motion.acceleration[:, joint]
+        stated = (
+            (robot.coulomb[joint], direction),
+            (robot.viscous[joint], speed),
+            (robot.rotor_inertia[joint], acceleration),
+        )
+        nominal = spring + sum(value * column for value, column in stated)
+        offset = _MAX_OFFSET_SHARE * float(np.abs(nominal[rows]).max())
+        columns = [np.ones_like(speed), np.abs(spring) * direction]
+        lower, upper = [-offset, 0.0], [offset, _MAX_LOAD_FRICTION]
+        for value, column in stated:
+            columns.append(column)
+            lower.append(-_MAX_RELATIVE_DECREASE * value)
+            upper.append(_MAX_RELATIVE_INCREASE * value if value > 0.0 else np.inf)
+        if extra is not None:
+            columns += list(extra.columns.T)
+            lower += list(extra.lower)
+            upper += list(extra.upper)
+        table = np.column_stack([torque, nominal, *columns])[rows]
+        variance = float(np.sum((table[:, 0] - table[:, 0].mean()) ** 2))
+        triangle = np.asarray(np.linalg.qr(table, mode="r"))
+        return _ReducedTable(triangle, np.array(lower), np.array(upper), variance)
+
+
+@dataclass(frozen=True, eq=False)
+class _ReducedTable:
+    """QR factor R of a table (torque, nominal, columns), which has the same normal equations."""
+
+    triangle: np.ndarray
+    lower: np.ndarray
+    upper: np.ndarray
+    variance: float
+
+    def share(self, gain: float) -> float:
+        """Return the residual share with gain times (nominal plus columns within bounds)."""
+        target = self.triangle[:, 0] / gain - self.triangle[:, 1]
+        matrix = self.triangle[:, 2:]
+        size = np.linalg.norm(matrix, axis=0)
+        kept = size > 0.0
+        matrix, size = matrix[:, kept] / size[kept], size[kept]
+        lower, upper = self.lower[kept] * size, self.upper[kept] * size
+        # lsq_linear needs a strict interior: columns with equal bounds are dropped.
+        free = upper > lower
+        found = lsq_linear(matrix[:, free], target, (lower[free], upper[free]), method="bvls")
+        return float(2.0 * found.cost * gain**2 / self.variance)
+
+
+def allowed_additions(robot: RobotModel, motion: Motion, joint: int) -> Additions:
+    """Return a spring at the joint and another payload as possible additions."""
+    angle, at = motion.position[:, joint], motion.position
+    last = int(np.argmax(robot.order))
+    payload = robot.body_torques(last, at, motion.velocity, motion.acceleration)[:, joint]
+    masses = robot.constants.masses
+    mass = float(masses.sum())
+    weight = robot.gravity_torque(at, robot.recordings.gravity)[:, joint]
+    spring = _MAX_SPRING_SHARE * max(float(np.abs(weight).max()), 1e-9)
+    moment = mass * _MAX_PAYLOAD_LEVER
+    stretch = spring / max(float(np.abs(angle).max()), 1e-9)
+    inertia = moment * _MAX_PAYLOAD_LEVER
+    body_lower = [-float(masses[last]), *[-moment] * 3, *[-inertia] * 6]
+    return Additions(
+        columns=np.column_stack([angle, np.sin(angle), np.cos(angle), payload]),
+        lower=np.array([-stretch, -spring, -spring, *body_lower]),
+        upper=np.array([stretch, spring, spring, mass, *[moment] * 3, *[inertia] * 6]),
+    )

@@ -1,0 +1,257 @@
+"""Re-identify the rigid model if no tolerance of nominal masses is stated.
+
+Masses and centres of robot descriptions are wrong for nearly every arm. Without stated tolerances,
+all inertial parameters are fitted with the values that the set does not state, before any effect is
+searched. A single change (one body, a payload, a tilted base) is preferred if it explains as much
+in recordings left out.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+
+from stiffopt.discovery.comparison.comparison import Comparison
+from stiffopt.discovery.comparison.inertial_parameters import body_units, nominal_bodies
+from stiffopt.discovery.comparison.located_effect import LocatedEffect, effect_places
+from stiffopt.discovery.effect import Effect
+from stiffopt.discovery.search.candidates import Candidate, Scorer
+from stiffopt.discovery.search.cross_validation import CrossValidation
+from stiffopt.discovery.signals import PARAMETERS_PER_BODY
+from stiffopt.discovery.thresholds import ADDED_MASS_OFFSET, NAMED_EVIDENCE, SINGLE_CHANGE_SHARE
+
+# Prior standard deviations of inertial parameters that are tried, over their typical sizes.
+PRIOR_WIDTHS = (0.02, 0.06, 0.2, 0.6)
+# The same for a single body: the first two hold it at the nominal model.
+BODY_WIDTHS = (0.002, 0.006, *PRIOR_WIDTHS)
+# Fits with re-estimated noise until it converges.
+_NOISE_ROUNDS = 3
+# Passes over all bodies, and least gain of squares over noise in recordings left out.
+_MAX_PASSES, _MIN_SQUARES_GAIN = 5, 2.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Counterweight:
+    """A body with re-identified parameters of a counterbalance, impossible for a real body.
+
+    Parameters
+    ----------
+    joint : int
+        Joint that carries it (from 0).
+    nominal, change : float
+        First moment of the body about its joint, and its change [kg m].
+    gain : float
+        Decrease of squares over noise in recordings left out by a counterbalance in its place;
+        negative for an increase.
+    """
+
+    joint: int
+    nominal: float
+    change: float
+    gain: float
+
+    @property
+    def balanced(self) -> bool:
+        """True if recordings left out prefer a counterbalance."""
+        return self.gain > _MIN_SQUARES_GAIN
+
+    @property
+    def torque(self) -> float:
+        """Largest torque [N m]."""
+        return 9.81 * self.change
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RigidStage:
+    """Result of the re-identification of the rigid model.
+
+    Parameters
+    ----------
+    widths : tuple of float
+        Prior standard deviation of each body's inertial parameters over their typical sizes; empty
+        if nominal values within usual tolerances suffice.
+    gain : float
+        Gain of log predictive density in stretches left out by free bodies.
+    single : Candidate or None
+        Single change that explains as much.
+    counterweights : tuple of Counterweight
+    """
+
+    widths: tuple[float, ...]
+    gain: float
+    single: Candidate | None
+    counterweights: tuple[Counterweight, ...] = ()
+
+    @property
+    def freed(self) -> bool:
+        """True if any body is not held at the nominal model."""
+        return any(width > BODY_WIDTHS[1] for width in self.widths)
+
+    def bodies(self, comparison: Comparison) -> np.ndarray | None:
+        """Return prior standard deviations of all inertial parameters (n, 10); None if held."""
+        return _parameter_deviations(comparison, self.widths) if self.widths else None
+
+
+def reidentify_rigid_model(
+    comparison: Comparison,
+    effects: Sequence[LocatedEffect],
+    catalogue: Sequence[Effect],
+    tell: Callable[[str], object] = lambda _: None,
+) -> RigidStage:
+    """Choose between nominal bodies, a single change and all parameters by cross-validation.
+
+    Parameters
+    ----------
+    comparison : Comparison
+        With nominal bodies.
+    effects : sequence of LocatedEffect
+        Effects already found.
+    catalogue : sequence of Effect
+    tell : callable
+        Called with a sentence at every step.
+    """
+    nominal, found = Scorer(comparison, effects), tuple(effects)
+    gain = _gain_of_free_bodies(comparison, found, nominal.by_block, tell)
+    single = _best_single_change(nominal, catalogue, tell)
+    if single is not None and single.gain > max(SINGLE_CHANGE_SHARE * gain, NAMED_EVIDENCE):
+        found = (*found, single.located)
+        gain = _gain_of_free_bodies(comparison, found, Scorer(comparison, found).by_block, tell)
+    else:
+        single = None
+    if gain < NAMED_EVIDENCE:
+        return RigidStage(widths=(), gain=0.0, single=single)
+    widths, free, least = _choose_widths(comparison, found, tell)
+    tell("re-identify the rigid model: counterbalances in place of bodies")
+    return RigidStage(
+        widths=widths,
+        gain=gain,
+        single=single,
+        counterweights=_find_counterweights(free, found, widths, least, catalogue),
+    )
+
+
+def _gain_of_free_bodies(
+    comparison: Comparison,
+    effects: Sequence[LocatedEffect],
+    without: np.ndarray,
+    tell: Callable[[str], object],
+) -> float:
+    """Return the gain of one width for all bodies: the narrowest within one standard error."""
+    rows = []
+    for k, width in enumerate(PRIOR_WIDTHS, start=1):
+        tell(f"re-identify the rigid model ({k} of {len(PRIOR_WIDTHS)} widths)")
+        freed = comparison.with_bodies(
+            _parameter_deviations(comparison, (width,) * comparison.robot.n)
+        )
+        rows.append(Scorer(freed, effects).by_block - without)
+    gains = np.array(rows)
+    best = int(np.argmax(gains.sum(axis=1)))
+    behind = gains[best] - gains
+    error = np.sqrt(gains.shape[1]) * behind.std(axis=1)
+    chosen = int(np.argmax(behind.sum(axis=1) <= error))
+    return float(gains[chosen].sum())
+
+
+def _choose_widths(
+    comparison: Comparison, effects: Sequence[LocatedEffect], tell: Callable[[str], object]
+) -> tuple[tuple[float, ...], Comparison, float]:
+    """Choose the width of every body by cross-validation.
+
+    With one common width, a single body far off, such as one with an unknown counterbalance, would
+    free all others to overfit the training motion. Squares over the noise beside free bodies are
+    compared, not predictive densities, which tolerate errors where a fit is uncertain.
+
+    Returns
+    -------
+    widths : tuple of float
+    free : Comparison
+        With the noise estimated beside free bodies.
+    squares : float
+        Squares over this noise with these widths.
+    """
+    n = comparison.robot.n
+    free = comparison.with_bodies(_parameter_deviations(comparison, (PRIOR_WIDTHS[-1],) * n))
+    for _ in range(_NOISE_ROUNDS):
+        free = free.linearised_at(free.fit(effects))
+    left_out = CrossValidation(free, effects)
+    widths = [BODY_WIDTHS[0]] * n
+    least = left_out.squares(_parameter_deviations(comparison, widths).ravel())
+    for number in range(1, _MAX_PASSES + 1):
+        before = least
+        for body, width in product(range(n), BODY_WIDTHS):
+            tell(f"re-identify the rigid model (body {body + 1} of {n}, pass {number})")
+            tried = [*widths[:body], width, *widths[body + 1 :]]
+            found = left_out.squares(_parameter_deviations(comparison, tried).ravel())
+            if found < least - _MIN_SQUARES_GAIN:
+                widths, least = tried, found
+        if least == before:
+            break
+    return tuple(widths), free, least
+
+
+def _find_counterweights(
+    free: Comparison,
+    effects: Sequence[LocatedEffect],
+    widths: tuple[float, ...],
+    squares: float,
+    catalogue: Sequence[Effect],
+) -> tuple[Counterweight, ...]:
+    """Find bodies whose first moment changes by more than its nominal value.
+
+    Errors of a description do not move a centre of mass to the other side of its joint.
+    """
+    own = free.with_bodies(_parameter_deviations(free, widths))
+    moved = (
+        own.fit(effects)
+        .posterior.mean[: PARAMETERS_PER_BODY * free.robot.n]
+        .reshape(-1, PARAMETERS_PER_BODY)
+    )
+    bodies = nominal_bodies(free.robot)
+    nominal = np.linalg.norm(bodies[:, 1:4], axis=1)
+    change = np.linalg.norm(moved[:, 1:4], axis=1)
+    found = []
+    for body in np.flatnonzero(
+        change > np.maximum(nominal, ADDED_MASS_OFFSET * bodies[:, 0])
+    ).tolist():
+        held = _parameter_deviations(
+            free, (*widths[:body], BODY_WIDTHS[0], *widths[body + 1 :])
+        ).ravel()
+        instead = [
+            CrossValidation(free, [*effects, located]).squares(held)
+            for entry in catalogue
+            if entry.twin
+            for located in effect_places(entry, free.constants, ())
+            if located.joint == body
+        ]
+        gain = squares - min(instead, default=math.inf)
+        size, by = float(nominal[body]), float(change[body])
+        # If the body predicts better, it is a body (the upper arm of the UR10e, by 374).
+        if gain > -_MIN_SQUARES_GAIN:
+            found.append(Counterweight(joint=body, nominal=size, change=by, gain=gain))
+    return tuple(found)
+
+
+def _parameter_deviations(comparison: Comparison, widths: Sequence[float]) -> np.ndarray:
+    """Return prior standard deviations (n, 10) of all inertial parameters."""
+    return np.asarray(np.array(widths)[:, None] * body_units(comparison.robot))
+
+
+def _best_single_change(
+    scorer: Scorer, catalogue: Sequence[Effect], tell: Callable[[str], object]
+) -> Candidate | None:
+    found = []
+    for entry in catalogue:
+        if entry.family != "inertial" or entry.scope not in ("link", "robot"):
+            continue
+        for located in effect_places(entry, scorer.comparison.constants, ()):
+            if any(located.same_place(other) for other in scorer.base):
+                continue
+            tell(f"re-identify the rigid model: {located.label} in place of all")
+            scored = scorer.score(located)
+            if scored is not None:
+                found.append(scored)
+    return max(found, key=lambda c: c.gain, default=None)

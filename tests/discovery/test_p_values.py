@@ -1,0 +1,96 @@
+"""How likely nothing gives what was found: by what it spreads from part to part."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from stiffopt.discovery.search.uncertainty import Estimate, null_probability, p_value_deviations
+
+RUNS, STRETCHES = 8, 40
+
+
+def _estimate(values, spread, between):
+    """One effect of so many amplitudes, no nominal values."""
+    return Estimate(
+        nuisance=(),
+        values=values,
+        effects=(SimpleNamespace(located=SimpleNamespace(is_run_specific=False)),),
+        covariance=1e-6 * np.eye(len(values)),
+        spread=spread,
+        between=between,
+        sizes=(np.ones(len(values)),),
+        shape_sizes=((),),
+        parts=(STRETCHES, RUNS),
+    )
+
+
+def _of_mean(samples):
+    """Mean of samples (b, k) and its covariance by them."""
+    return samples.mean(axis=0), np.cov(samples.T).reshape(2 * samples.shape[1:]) / len(samples)
+
+
+@pytest.mark.parametrize("amplitudes", [1, 3, 6, 10])
+def test_p_value_without_effect_is_rarely_small(amplitudes):
+    rng = np.random.default_rng(amplitudes)
+    chances = []
+    for _ in range(400):
+        mean, between = _of_mean(rng.normal(size=(RUNS, amplitudes)))
+        estimate = _estimate(mean, 1e-6 * np.eye(amplitudes), between)
+        chances.append(estimate.p_value(0))
+    # The smaller of two tests: at most twice as often as each.
+    assert np.mean(np.array(chances) < 0.05) < 0.1
+    assert np.mean(np.array(chances) < 0.005) < 0.02
+
+
+@pytest.mark.parametrize("amplitudes", [1, 6])
+def test_p_value_of_repeated_effect_is_small(amplitudes):
+    rng = np.random.default_rng(0)
+    mean, between = _of_mean(5.0 + 0.5 * rng.normal(size=(RUNS, amplitudes)))
+    estimate = _estimate(mean, 1e-6 * np.eye(amplitudes), between)
+    assert estimate.p_value(0) < 1e-4
+
+
+def test_p_value_uses_larger_covariance():
+    sure, unsure = 1e-6 * np.eye(2), np.eye(2)
+    values = np.array([1.0, 0.5])
+    assert _estimate(values, sure, unsure).p_value(0) > 0.3
+    assert _estimate(values, unsure, sure).p_value(0) > 0.3
+
+
+def test_p_value_of_one_is_zero_sigma():
+    """And is printed so, without a sign."""
+    assert f"{p_value_deviations(1.0):.0f}" == "0"
+    assert p_value_deviations(0.0455) == pytest.approx(2.0, abs=1e-3)
+
+
+def test_p_value_holds_shapes():
+    """An amplitude and a shape that only their product determines."""
+    along, across = np.array([1.0, -1.0]), np.array([1.0, 1.0])
+    spread = np.outer(along, along) + 1e-4 * np.outer(across, across)
+    estimate = replace(
+        _estimate(np.ones(1), spread, spread),
+        covariance=1e-6 * np.eye(2),
+        shape_sizes=((1.0,),),
+    )
+    assert estimate.p_value(0) < 1e-4
+
+
+def test_null_probability_is_sellke_bound():
+    # Table 1 of Sellke, Bayarri & Berger (2001), which rounds twice.
+    for chance, error in (
+        (0.2, 0.465),
+        (0.1, 0.385),
+        (0.05, 0.289),
+        (0.01, 0.111),
+        (0.001, 0.0184),
+    ):
+        assert null_probability(chance) == pytest.approx(error, abs=2e-3)
+    assert null_probability(0.0) == 0.0
+    assert null_probability(1.0) == 0.5
+
+
+def test_sigma_of_p_value():
+    assert p_value_deviations(0.05) == pytest.approx(1.96, abs=1e-3)
+    assert p_value_deviations(0.0) == np.inf
