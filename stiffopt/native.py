@@ -38,11 +38,11 @@ def library() -> Path | None:
 def loaded() -> ctypes.CDLL | None:
     """Return the functions of the extension module, None where it is missing."""
     path = library()
-    return None if path is None else _load(path)
+    return None if path is None else _load_library(path)
 
 
 @functools.cache
-def _load(path: Path) -> ctypes.CDLL:
+def _load_library(path: Path) -> ctypes.CDLL:
     return ctypes.CDLL(str(path))
 
 

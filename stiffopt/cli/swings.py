@@ -79,7 +79,7 @@ def simulate(
     damping
         Of all joints that yield, share of critical, in place of what the robot file states.
     """
-    from stiffopt.elastic.arm import rigid_arm
+    from stiffopt.elastic.arm import rigid_arm_error
     from stiffopt.elastic.motor import Servo
     from stiffopt.report.solve.simulation_page import write_simulation_report
     from stiffopt.report.solve.terminal import print_compensation, print_simulation
@@ -111,7 +111,7 @@ def simulate(
             "command.csv. result.json says why."
         )
     if not stored.problem.robot.yields:
-        raise rigid_arm(stored.problem.robot)
+        raise rigid_arm_error(stored.problem.robot)
     folder = out or result
     with output_folder(folder, "simulate", of="solve") as stage:
         modelled = elastic_arm(stored.problem, stored.optimised.position[0])
@@ -196,7 +196,7 @@ def modes(
         A robot (shipped name, robot TOML or URDF), a problem file, or the folder of a solve.
     """
     from stiffopt.elastic.arm import questionable_springs
-    from stiffopt.elastic.survey import modes_along, modes_at, write_modes_csv
+    from stiffopt.elastic.modes import modes_along, modes_at, write_modes_csv
     from stiffopt.report.common.terminal import print_lines
     from stiffopt.report.solve.modes import print_modes, write_modes_figure
     from stiffopt.solver.stored import read_result

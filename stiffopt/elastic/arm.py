@@ -24,17 +24,17 @@ if TYPE_CHECKING:
 ASSUMED_DAMPING = 0.02
 # Torque, as a share of the drive's, over which a reversal goes through the hysteresis: reducer
 # catalogues measure lost motion at 3 to 4 % of the rated torque.
-_REVERSAL = 0.04
+_REVERSAL_TORQUE_RATIO = 0.04
 # Above it [Hz] a joint that swings alone is taken to follow its motor: the motions of an arm excite
 # up to a tenth of it.
-FAST = 1200.0
+MIN_FOLLOWING_FREQUENCY = 1200.0
 # Below it [Hz] a joint that swings alone is most likely given in another unit: arms have 3 Hz and
 # more, and springs of N m/arcmin taken for N m/rad a 59th of it.
-_SLOW, _USUAL = 1.0, 3.0
-_SETTLED = 1e-12
-_ITERATIONS = 50
+_MIN_PLAUSIBLE_FREQUENCY, _USUAL_MIN_FREQUENCY = 1.0, 3.0
+_EQUILIBRIUM_TOLERANCE = 1e-12
+_MAX_EQUILIBRIUM_STEPS = 50
 # Up to which a damping is the critical one.
-_ROUNDING = 1e-12
+_DAMPING_ROUND_OFF = 1e-12
 
 
 class ElasticArm:
@@ -78,12 +78,12 @@ class ElasticArm:
         self.process_force = np.asarray(process_force, dtype=float)
         self.springs = joint_springs(robot)
         self.elastic = np.array([spring is not None for spring in self.springs])
-        self.hysteresis = _given(robot.hysteresis, robot.n, 0.0) * self.elastic
+        self.hysteresis = _values_or_default(robot.hysteresis, robot.n, 0.0) * self.elastic
         if not np.all(self.hysteresis >= 0.0):
             joint = robot.joint_names[int(np.argmin(self.hysteresis))]
             raise RobotError(f"the hysteresis of {joint} must be a half width of 0 or above.")
-        self.reversal_torque = _REVERSAL * np.asarray(robot.torque_max, dtype=float)
-        stated = _given(robot.damping, robot.n, np.nan)
+        self.reversal_torque = _REVERSAL_TORQUE_RATIO * np.asarray(robot.torque_max, dtype=float)
+        stated = _values_or_default(robot.damping, robot.n, np.nan)
         unknown = np.isnan(stated) & self.elastic
         self.assumed_damping = tuple(int(j) + 1 for j in np.flatnonzero(unknown))
         critical = self._critical_damping(np.asarray(at, dtype=float))
@@ -92,7 +92,7 @@ class ElasticArm:
         self._critical = critical
         self._check_damping()
 
-    def departed(self, departure: Departure) -> ElasticArm:
+    def with_departure(self, departure: Departure) -> ElasticArm:
         """The arm as it may be, off from this one.
 
         Raises
@@ -100,7 +100,7 @@ class ElasticArm:
         RobotError
             A joint's damping is then above critical.
         """
-        self._check_departed(departure.damping)
+        self._check_departure_damping(departure.damping)
         other = copy.copy(self)
         other.robot = self.robot.with_payload_times(departure.payload)
         other.bodies = other.robot.rigid_bodies()
@@ -111,9 +111,9 @@ class ElasticArm:
         other.damping = departure.damping * self.damping
         return other
 
-    def _check_departed(self, factor: float) -> None:
+    def _check_departure_damping(self, factor: float) -> None:
         damped = self.elastic & (self.damping > 0.0)
-        above = factor * self.damping[damped] > (1.0 + _ROUNDING) * self._critical[damped]
+        above = factor * self.damping[damped] > (1.0 + _DAMPING_ROUND_OFF) * self._critical[damped]
         if not np.any(above):
             return
         ratio = np.where(damped, self._critical / np.where(damped, self.damping, 1.0), np.inf)
@@ -144,8 +144,8 @@ class ElasticArm:
         Each swinging alone, judged with the motors at `at` (n,). Such a joint stays within a
         hundred-thousandth of a degree of its motor, and would take an integrator minutes.
         """
-        stiffness, inertia = self._alone(np.asarray(at, dtype=float))
-        fast = self.elastic & (stiffness > (2.0 * np.pi * FAST) ** 2 * inertia)
+        stiffness, inertia = self._single_joint_properties(np.asarray(at, dtype=float))
+        fast = self.elastic & (stiffness > (2.0 * np.pi * MIN_FOLLOWING_FREQUENCY) ** 2 * inertia)
         if not fast.any() or np.all(fast == self.elastic):
             return self
         found = copy.copy(self)
@@ -174,7 +174,7 @@ class ElasticArm:
         found.assumed_damping = ()
         return found
 
-    def assumed_times(self, factor: float) -> ElasticArm:
+    def scale_assumed_damping(self, factor: float) -> ElasticArm:
         """Copy whose assumed damping is so many times as large; what is stated stays."""
         found = copy.copy(self)
         assumed = np.isin(np.arange(self.robot.n) + 1, self.assumed_damping)
@@ -201,7 +201,7 @@ class ElasticArm:
 
     def lag(self, motor: np.ndarray) -> np.ndarray:
         """Time (n,) [s] by which damping delays each wind-up, at rest at a motor position (n,)."""
-        stiffness = self.stiffness(self.held_torque(self.hanging(motor[None])[0]))
+        stiffness = self.stiffness(self.held_torque(self.static_equilibrium(motor[None])[0]))
         return np.asarray(self.damping / stiffness)
 
     def held_torque(self, q: np.ndarray) -> np.ndarray:
@@ -209,7 +209,7 @@ class ElasticArm:
         weight = self.bodies.gravity_torque(q)
         return weight - self.force_torque(q) if self.process_force.any() else weight
 
-    def _held_torques(self, q: np.ndarray) -> np.ndarray:
+    def _holding_torques(self, q: np.ndarray) -> np.ndarray:
         """The same in many positions (K, n)."""
         weight = self.robot.bodies_in_motion().gravity_torque(q)
         if self.process_force.any():
@@ -220,15 +220,15 @@ class ElasticArm:
         """Joint torque (n,) [N m] of the process force."""
         return np.asarray(self.bodies.jacobian(self.robot.tool, q)[:3].T @ self.process_force)
 
-    def hanging(self, motor: np.ndarray) -> np.ndarray:
+    def static_equilibrium(self, motor: np.ndarray) -> np.ndarray:
         """Link positions (K, n) at rest at motor positions (K, n)."""
         q = np.array(motor, dtype=float)
         moving = np.arange(len(q))
-        for _ in range(_ITERATIONS):
-            new = motor[moving] - self.windup(self._held_torques(q[moving]))
+        for _ in range(_MAX_EQUILIBRIUM_STEPS):
+            new = motor[moving] - self.windup(self._holding_torques(q[moving]))
             change = np.max(np.abs(new - q[moving]), axis=1)
             q[moving] = new
-            moving = moving[change > _SETTLED]
+            moving = moving[change > _EQUILIBRIUM_TOLERANCE]
             if not moving.size:
                 return q
         advice = questionable_springs(self.robot, motor[0]) or "Check stiffness and masses."
@@ -243,14 +243,14 @@ class ElasticArm:
 
     def _critical_damping(self, at: np.ndarray) -> np.ndarray:
         """Critical damping (n,) of each joint swinging alone, at rest with the motors at `at`."""
-        stiffness, inertia = self._alone(at)
+        stiffness, inertia = self._single_joint_properties(at)
         # Of rigid joints, behind which nothing may be: infinity times zero.
         with np.errstate(invalid="ignore"):
             return np.asarray(2.0 * np.sqrt(stiffness * inertia))
 
-    def _alone(self, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _single_joint_properties(self, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Stiffness and inertia (n,) of each joint alone, at rest with the motors at `at` (n,)."""
-        q = self.hanging(at[None])[0]
+        q = self.static_equilibrium(at[None])[0]
         return self.stiffness(self.held_torque(q)), np.diag(self.bodies.inertia_matrix(q))
 
 
@@ -271,24 +271,24 @@ def questionable_springs(robot: Robot, at: np.ndarray) -> str:
     bodies = robot.rigid_bodies()
     stiffness = _tangent_stiffness(joint_springs(robot), bodies.gravity_torque(at))
     inertia = np.diag(bodies.inertia_matrix(at))
-    slow = np.flatnonzero(stiffness < (2.0 * np.pi * _SLOW) ** 2 * inertia)
+    slow = np.flatnonzero(stiffness < (2.0 * np.pi * _MIN_PLAUSIBLE_FREQUENCY) ** 2 * inertia)
     if not slow.size:
         return ""
     j = slow[np.argmin(stiffness[slow] / inertia[slow])]
     frequency = np.sqrt(stiffness[j] / inertia[j]) / (2.0 * np.pi)
     given = f"{stiffness[j]:.3g} {joint_unit('N m/rad', bool(robot.prismatic[j]))}"
-    more = f" ({len(slow)} joints below {_SLOW:g} Hz)" if len(slow) > 1 else ""
+    more = f" ({len(slow)} joints below {_MIN_PLAUSIBLE_FREQUENCY:g} Hz)" if len(slow) > 1 else ""
     return (
-        f"{robot.joint_names[j]} alone would swing at {frequency:.2g} Hz with {given}{more}; "
-        f"joints of arms do at {_USUAL:g} Hz or more. Check the unit of its stiffness: "
-        "1 N m/arcmin is 3438 N m/rad, 1 N/um is 1e6 N/m."
+        f"{robot.joint_names[j]} alone would vibrate at {frequency:.2g} Hz with {given}{more}; "
+        f"joints of arms do at {_USUAL_MIN_FREQUENCY:g} Hz or more. Check the unit of its "
+        "stiffness: 1 N m/arcmin is 3438 N m/rad, 1 N/um is 1e6 N/m."
     )
 
 
-def rigid_arm(robot: Robot) -> NotSimulatedError:
+def rigid_arm_error(robot: Robot) -> NotSimulatedError:
     """What is to be raised for an arm that cannot swing."""
     return NotSimulatedError(f"{robot.name} is rigid: no joint has a drivetrain that could yield.")
 
 
-def _given(values: np.ndarray | None, joints: int, default: float) -> np.ndarray:
+def _values_or_default(values: np.ndarray | None, joints: int, default: float) -> np.ndarray:
     return np.full(joints, default) if values is None else np.array(values, dtype=float)

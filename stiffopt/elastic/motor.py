@@ -15,9 +15,9 @@ if TYPE_CHECKING:
     from stiffopt.result.trajectory import JointMotion
 
 # Of a sampled motion: cubic between points this far apart it is exact to a nanoradian.
-_STEP = 5e-4
+_SAMPLE_INTERVAL = 5e-4
 # A motion that ends slower than this ends at rest [rad/s].
-_STANDSTILL = 1e-6
+_MAX_REST_SPEED = 1e-6
 
 
 class MotorMotion:
@@ -53,12 +53,12 @@ class MotorMotion:
         self._joints = both.shape[2] // 2
         self._last = np.array(position[-1], dtype=float)
         self._still = np.zeros_like(self._last)
-        self.ends_at_rest = bool(np.max(np.abs(velocity[-1])) < _STANDSTILL)
+        self.ends_at_rest = bool(np.max(np.abs(velocity[-1])) < _MAX_REST_SPEED)
 
     @classmethod
     def of(cls, motion: JointMotion) -> MotorMotion:
         """Sampled from a motion `motion(t, order)`, at its break times too (`motion.times`)."""
-        count = max(2, int(np.ceil(motion.duration / _STEP)) + 1)
+        count = max(2, int(np.ceil(motion.duration / _SAMPLE_INTERVAL)) + 1)
         breaks = np.asarray(getattr(motion, "times", ()), dtype=float)
         time = np.union1d(np.linspace(0.0, motion.duration, count), breaks)
         time = time[np.concatenate([[True], np.diff(time) > 1e-9 * motion.duration])]
@@ -149,7 +149,7 @@ class Servo:
         forward = f"{100.0 * self.feed_forward:.3g} % velocity feed-forward"
         return f"{self.bandwidth:g} Hz with {forward}{delay}"
 
-    def lagging(self, command: MotorMotion, until: float, share: float) -> MotorMotion:
+    def with_lag(self, command: MotorMotion, until: float, share: float) -> MotorMotion:
         """Motor motion with a share of the lag, to the time `until` [s]."""
         late = self.follow(command, until)
         exact = 1.0 - share
@@ -164,8 +164,8 @@ class Servo:
         """Motor motion from rest under this command, to the time `until` [s]."""
         gain = 2.0 * np.pi * self.bandwidth
         # The delay is a whole number of steps, so that what it needs has been computed.
-        lag = 0 if self.delay == 0.0 else max(1, int(np.ceil(self.delay / _STEP)))
-        step = self.delay / lag if lag else min(_STEP, 0.02 / self.bandwidth)
+        lag = 0 if self.delay == 0.0 else max(1, int(np.ceil(self.delay / _SAMPLE_INTERVAL)))
+        step = self.delay / lag if lag else min(_SAMPLE_INTERVAL, 0.02 / self.bandwidth)
         count = int(np.ceil(until / step)) + 1
         # At whole and half steps; before the start command and motor stand at the first position.
         times = 0.5 * step * np.arange(2 * count + 1)

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Callable
+from copy import copy
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,14 +18,16 @@ from stiffopt import native
 from stiffopt.native import ARRAY, REAL, WHOLE, Struct
 
 if TYPE_CHECKING:
-    from stiffopt.elastic.along_plan import EvenSprings
     from stiffopt.elastic.arm import ElasticArm
     from stiffopt.elastic.motor import MotorMotion
+    from stiffopt.elastic.response import Load, Matrices, Response
+    from stiffopt.elastic.uncertain_arms import TabulatedSprings
+
 
 # Joints that the C code has room for.
 MAX_JOINTS = 32
 
-Slope = Callable[[float, np.ndarray], np.ndarray]
+StateDerivative = Callable[[float, np.ndarray], np.ndarray]
 
 
 class _Springs(Struct):
@@ -62,8 +66,12 @@ def core(joints: int) -> ctypes.CDLL | None:
     return native.loaded() if joints <= MAX_JOINTS else None
 
 
-def swing(
-    made: ctypes.CDLL, springs: EvenSprings, rigid: np.ndarray, begun: np.ndarray, **given: object
+def integrate_linearized(
+    made: ctypes.CDLL,
+    springs: TabulatedSprings,
+    rigid: np.ndarray,
+    begun: np.ndarray,
+    **given: object,
 ) -> np.ndarray:
     """Positions of the links (K, B, n) less those of their plan.
 
@@ -90,9 +98,9 @@ def swing(
     return links
 
 
-def slope(
+def state_derivative(
     made: ctypes.CDLL, arm: ElasticArm, motor: MotorMotion, friction: np.ndarray, loops: int
-) -> Slope:
+) -> StateDerivative:
     """Slope of the state of an arm on a motion of its motors, as `odeint` asks for it.
 
     Parameters
@@ -149,3 +157,85 @@ def slope(
         return found
 
     return at
+
+
+# Capacity of the arrays in response.c.
+MAX_RESPONSE_JOINTS = 16
+# Numbers of a column of a step are filled up to a multiple of so many.
+REGISTER_SIZE = 4
+
+
+class _Response(Struct):
+    _fields_ = (
+        *((name, WHOLE) for name in ("steps", "n", "rows")),
+        *((name, REAL) for name in ("dt", "unit")),
+        *((name, ARRAY) for name in ("mobility", "rate", "stiffness")),
+        *((name, ARRAY) for name in ("step", "soft", "lag")),
+    )
+
+
+def native_steps(matrices: Matrices) -> NativeSteps | None:
+    """Steps as of `ArraySteps`; None without the compiled core, or for too many joints."""
+    made = core(matrices.joints)
+    if made is None or matrices.joints > MAX_RESPONSE_JOINTS:
+        return None
+    return NativeSteps(made, matrices)
+
+
+class NativeSteps:
+    """Steps by the compiled loops.
+
+    Parameters
+    ----------
+    made : CDLL
+    matrices : Matrices
+    """
+
+    def __init__(self, made: ctypes.CDLL, matrices: Matrices) -> None:
+        self._made, self._n, count = made, matrices.joints, len(matrices.mobility) - 1
+        rows = -(-2 * self._n // REGISTER_SIZE) * REGISTER_SIZE
+        self._step_arrays = {
+            "step": np.zeros((count, 2 * self._n, rows)),
+            "soft": np.empty((count, self._n, self._n)),
+            "lag": np.empty((count, self._n, self._n)),
+        }
+        self._point_to(matrices)
+        self.take(0, count)
+
+    def _point_to(self, matrices: Matrices) -> None:
+        count, _, rows = self._step_arrays["step"].shape
+        self._of, self._own = matrices, _Response()
+        self._own.set(steps=count, n=self._n, rows=rows, **vars(matrices), **self._step_arrays)
+
+    def take(self, first: int, last: int) -> None:
+        """See `Steps`."""
+        self._made.take(ctypes.byref(self._own), WHOLE(first), WHOLE(last))
+
+    def copy(self, stiffness: np.ndarray) -> NativeSteps:
+        """See `Steps`."""
+        new = copy(self)
+        new._step_arrays = {name: array.copy() for name, array in self._step_arrays.items()}
+        new._point_to(replace(self._of, stiffness=stiffness))
+        return new
+
+    def march(self, load: Load, begin: np.ndarray | None, *, accelerated: bool) -> Response:
+        """See `Steps`."""
+        many, count = load.torque.shape[:2]
+        z, velocity = np.empty((2, many, count, self._n))
+        acceleration = np.empty(z.shape) if accelerated else None
+        if begin is None:
+            begin = np.zeros((many, 2 * self._n))
+        arrays = (
+            np.ascontiguousarray(load.links, dtype=np.int64),
+            np.ascontiguousarray(load.torque, dtype=float),
+            None if load.within is None else np.ascontiguousarray(load.within, dtype=float),
+            np.ascontiguousarray(begin, dtype=float),
+            *(z, velocity, acceleration),
+        )
+        self._made.march(
+            ctypes.byref(self._own),
+            WHOLE(many),
+            WHOLE(load.links.shape[1]),
+            *(ARRAY(None if each is None else each.ctypes.data) for each in arrays),
+        )
+        return z, velocity, acceleration

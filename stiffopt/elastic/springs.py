@@ -22,9 +22,9 @@ if TYPE_CHECKING:
     from stiffopt.drivetrain.chain import Chain
     from stiffopt.robot.robot import Robot
 
-_REACH = 3.0
-_BEFORE_SLIP = 0.999
-_POINTS = 500
+_TABLE_TORQUE_RATIO = 3.0
+_USED_SHARE_OF_SLIP_TORQUE = 0.999
+_TABLE_POINTS = 500
 
 
 class JointSpring:
@@ -40,7 +40,9 @@ class JointSpring:
     """
 
     def __init__(self, chain: Chain, torque_max: float, name: str) -> None:
-        torque = _table_torques(chain, _reach(chain, _REACH * torque_max))
+        torque = _table_torques(
+            chain, _largest_finite_torque(chain, _TABLE_TORQUE_RATIO * torque_max)
+        )
         windup, compliance = exact_windup(chain, torque), exact_compliance(chain, torque)
         sound = np.isfinite(windup) & np.isfinite(compliance) & (compliance > 0.0)
         if not sound.all():
@@ -54,8 +56,8 @@ class JointSpring:
         self.windup_reach = float(windup[-1])
         """Wind-up [rad] there."""
         self._torques, self._windups = torque.tolist(), windup.tolist()
-        self._by_windup = _cubics(windup, torque, 1.0 / compliance)
-        self._by_torque = _cubics(torque, windup, compliance)
+        self._by_windup = _hermite_coefficients(windup, torque, 1.0 / compliance)
+        self._by_torque = _hermite_coefficients(torque, windup, compliance)
         # Reading a list of tuples is what makes one instant cheap.
         self._pieces = [tuple(piece) for piece in self._by_windup.tolist()]
 
@@ -94,11 +96,11 @@ class JointSpring:
 
     def torque(self, windup: np.ndarray) -> np.ndarray:
         """Torques (k,) [N m] at wind-ups (k,) [rad]."""
-        return _evaluated(self._by_windup, np.array(self._windups), windup)
+        return _evaluate_odd_cubics(self._by_windup, np.array(self._windups), windup)
 
     def windup(self, torque: np.ndarray) -> np.ndarray:
         """Wind-ups (k,) [rad] at torques (k,) [N m]; the inverse of `torque`."""
-        return _evaluated(self._by_torque, np.array(self._torques), torque)
+        return _evaluate_odd_cubics(self._by_torque, np.array(self._torques), torque)
 
 
 def joint_springs(robot: Robot) -> tuple[JointSpring | None, ...]:
@@ -122,7 +124,7 @@ def _joint_spring(chain: Chain, torque_max: float, name: str) -> JointSpring:
     return JointSpring(chain, torque_max, name)
 
 
-def _reach(chain: Chain, wanted: float) -> float:
+def _largest_finite_torque(chain: Chain, wanted: float) -> float:
     """Largest torque at which the compliance is finite, `wanted` at most."""
     held, slips = 0.0, wanted
     # Few long calls: the law costs little more for many torques than for one.
@@ -133,12 +135,12 @@ def _reach(chain: Chain, wanted: float) -> float:
             return wanted
         first = int(broken[0])
         held, slips = (float(tried[first - 1]) if first else held), float(tried[first])
-    return _BEFORE_SLIP * held
+    return _USED_SHARE_OF_SLIP_TORQUE * held
 
 
 def _table_torques(chain: Chain, reach: float) -> np.ndarray:
     """Torques of the table, dense near zero, where contacts begin steeply."""
-    share = np.linspace(0.0, 1.0, _POINTS)
+    share = np.linspace(0.0, 1.0, _TABLE_POINTS)
     # Dense at the other end too: towards slip the stiffness falls steeply.
     graded = 0.5 * share**3 + 0.5 * (1.0 - (1.0 - share) ** 3)
     torques = reach * np.concatenate([graded, share**3])
@@ -149,7 +151,7 @@ def _table_torques(chain: Chain, reach: float) -> np.ndarray:
     return np.asarray(ordered[np.concatenate([[True], np.diff(ordered) > 1e-12 * reach])])
 
 
-def _cubics(x: np.ndarray, y: np.ndarray, slope: np.ndarray) -> np.ndarray:
+def _hermite_coefficients(x: np.ndarray, y: np.ndarray, slope: np.ndarray) -> np.ndarray:
     """Coefficients (k, 4), lowest first, of the cubics through points with slopes; then a line."""
     h, rise = np.diff(x), np.diff(y)
     mean = rise / h
@@ -159,7 +161,7 @@ def _cubics(x: np.ndarray, y: np.ndarray, slope: np.ndarray) -> np.ndarray:
     return np.vstack([inner, [y[-1], slope[-1], 0.0, 0.0]])
 
 
-def _evaluated(cubics: np.ndarray, knots: np.ndarray, x: np.ndarray) -> np.ndarray:
+def _evaluate_odd_cubics(cubics: np.ndarray, knots: np.ndarray, x: np.ndarray) -> np.ndarray:
     """Value of an odd function that is given for positive arguments."""
     size = np.abs(np.asarray(x, dtype=float))
     k = np.searchsorted(knots, size, side="right") - 1

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from stiffopt.elastic.motor import Servo
 
 # Of a normal distribution, taken as the bounds of what is possible: 95 %.
-_DEVIATIONS = 2.0
+_BOUND_IN_STANDARD_DEVIATIONS = 2.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -169,11 +169,11 @@ def corners(uncertainty: Uncertainty, joints: int, carries: bool) -> list[Depart
     """
     shares = uncertainty.shares(joints)
     return [
-        bounded(uncertainty, signs * np.ones(joints), damping, payload, servo)
+        departure_at_bounds(uncertainty, signs * np.ones(joints), damping, payload, servo)
         for signs, damping, payload, servo in product(
-            _sides(bool(shares.any())),
-            _sides(uncertainty.damping > 0.0),
-            _sides(carries and uncertainty.payload > 0.0),
+            _bound_signs(bool(shares.any())),
+            _bound_signs(uncertainty.damping > 0.0),
+            _bound_signs(carries and uncertainty.payload > 0.0),
             (0.0,) if uncertainty.servo is None else (0.0, 1.0),
         )
     ]
@@ -182,10 +182,13 @@ def corners(uncertainty: Uncertainty, joints: int, carries: bool) -> list[Depart
 def one_at_a_time(uncertainty: Uncertainty, joints: int) -> list[Departure]:
     """Arms of which one joint is softer than the model."""
     shares = uncertainty.shares(joints)
-    return [bounded(uncertainty, -np.eye(joints)[j], 0.0, 0.0, 0.0) for j in np.flatnonzero(shares)]
+    return [
+        departure_at_bounds(uncertainty, -np.eye(joints)[j], 0.0, 0.0, 0.0)
+        for j in np.flatnonzero(shares)
+    ]
 
 
-def bounded(
+def departure_at_bounds(
     uncertainty: Uncertainty, signs: np.ndarray, damping: float, payload: float, servo: float
 ) -> Departure:
     """An arm at the bounds: signs (n,) of the joints' stiffness, of damping and payload; servo."""
@@ -195,11 +198,12 @@ def bounded(
         damping=1.0 + damping * uncertainty.damping,
         payload=1.0 + payload * uncertainty.payload,
         servo=servo,
-        label=", ".join(_words(uncertainty, signs * shares, damping, payload, servo)) or "nominal",
+        label=", ".join(_describe_departure(uncertainty, signs * shares, damping, payload, servo))
+        or "nominal",
     )
 
 
-def draws(uncertainty: Uncertainty, joints: int, carries: bool) -> list[Departure]:
+def draw_departures(uncertainty: Uncertainty, joints: int, carries: bool) -> list[Departure]:
     """Arms drawn evenly from within the bounds, each joint's stiffness on its own."""
     random = np.random.default_rng(uncertainty.seed)
     shares = uncertainty.shares(joints)
@@ -218,7 +222,7 @@ def draws(uncertainty: Uncertainty, joints: int, carries: bool) -> list[Departur
     return found
 
 
-def of_deviations(
+def bounds_from_deviations(
     uncertainty: Uncertainty, stiffness: np.ndarray, payload: float = np.nan
 ) -> Uncertainty:
     """The same with bounds by relative standard deviations, NaN where unknown.
@@ -234,26 +238,30 @@ def of_deviations(
         Of its mass.
     """
     if not np.isnan(payload):
-        uncertainty = replace(uncertainty, payload=min(_DEVIATIONS * payload, 1.0))
+        uncertainty = replace(
+            uncertainty, payload=min(_BOUND_IN_STANDARD_DEVIATIONS * payload, 1.0)
+        )
     if np.all(np.isnan(stiffness)):
         return uncertainty
     shares = uncertainty.shares(len(stiffness))
     known = np.where(
-        np.isnan(stiffness), shares, np.minimum(_DEVIATIONS * np.nan_to_num(stiffness), 0.99)
+        np.isnan(stiffness),
+        shares,
+        np.minimum(_BOUND_IN_STANDARD_DEVIATIONS * np.nan_to_num(stiffness), 0.99),
     )
     return replace(uncertainty, stiffness=tuple(float(share) for share in known))
 
 
-def _sides(varies: bool) -> tuple[float, ...]:
+def _bound_signs(varies: bool) -> tuple[float, ...]:
     return (-1.0, 1.0) if varies else (0.0,)
 
 
-def _words(
+def _describe_departure(
     uncertainty: Uncertainty, stiffness: np.ndarray, damping: float, payload: float, servo: float
 ) -> Iterator[str]:
     if stiffness.any():
         alike = np.all(stiffness == stiffness[0])
-        own = f"{100 * stiffness[0]:+.3g} %" if alike else _joints(stiffness)
+        own = f"{100 * stiffness[0]:+.3g} %" if alike else _describe_joint_stiffness(stiffness)
         yield f"stiffness {own}"
     if damping * uncertainty.damping:
         yield f"damping {100 * damping * uncertainty.damping:+.3g} %"
@@ -263,7 +271,7 @@ def _words(
         yield f"servo of {uncertainty.servo_bandwidth:g} Hz"
 
 
-def _joints(stiffness: np.ndarray) -> str:
+def _describe_joint_stiffness(stiffness: np.ndarray) -> str:
     sizes = {f"{100 * share:+.3g} %": [] for share in stiffness if share}  # type: dict[str, list[str]]
     for j, share in enumerate(stiffness, start=1):
         if share:

@@ -177,7 +177,7 @@ class NearMotorModel(MotorModel):
     The law is differentiated exactly, the spring torques' first rate too; the second and third are
     those of the links' inertia times the links' snap and crackle, and the rate of the wind-up at
     rest is left out. That misses a motor's jerk by 1 to 2 % of its limit; rows are tightened by it
-    (`transcription.between`). Exact derivatives cost three times as much an iteration.
+    (`transcription.constraint_back_off`). Exact derivatives cost three times as much an iteration.
     """
 
     @cached_property

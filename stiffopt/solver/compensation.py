@@ -18,11 +18,23 @@ import numpy as np
 
 from stiffopt.certificate.assess import assess, drive_history
 from stiffopt.certificate.violations import CERTIFIED, find_drive_violations
-from stiffopt.elastic.many_arms import Asked, ManyArms, Member, Swings, swings_together
 from stiffopt.elastic.motor import MotorMotion
 from stiffopt.elastic.simulate import REST, simulate
 from stiffopt.elastic.smooth_motion import smooth_motion
-from stiffopt.elastic.uncertainty import Departure, bounded, corners, draws, one_at_a_time
+from stiffopt.elastic.uncertain_arms import (
+    ArmDeviations,
+    Member,
+    SimulationRequest,
+    UncertainArms,
+    simulate_uncertain_arms,
+)
+from stiffopt.elastic.uncertainty import (
+    Departure,
+    corners,
+    departure_at_bounds,
+    draw_departures,
+    one_at_a_time,
+)
 from stiffopt.problem.motor_model import LEADS_MORE, MotorLaw, law_smoothing
 from stiffopt.result.compensation import CompensatedMotion, Compensation, Spread, Spreads
 from stiffopt.result.compensation_store import COMMAND_FILE
@@ -53,7 +65,7 @@ Progress = Callable[[str], object]
 Answer = TypeVar("Answer")
 # What asks for the swings of members on the way to its answer: those of several are simulated
 # together, which costs little more than one alone.
-Asking = Generator[Asked, Swings, Answer]
+Asking = Generator[SimulationRequest, ArmDeviations, Answer]
 
 
 def compensate(
@@ -183,16 +195,16 @@ def compensated(
     return found.shown(), found.motors
 
 
-def _begun(asking: Asking[Answer]) -> tuple[Asking[Answer], Asked]:
+def _begun(asking: Asking[Answer]) -> tuple[Asking[Answer], SimulationRequest]:
     """One that has come to what it asks first."""
     return asking, next(asking)
 
 
-def _answered(begun: Sequence[tuple[Asking[Answer], Asked]]) -> list[Answer]:
+def _answered(begun: Sequence[tuple[Asking[Answer], SimulationRequest]]) -> list[Answer]:
     """The answers of several: what all of them ask is simulated together, round by round."""
     asked, answers = dict(begun), {}  # type: dict[Asking[Answer], Asked], dict[Asking[Answer], Answer]
     while asked:
-        swings = swings_together(list(asked.values()))
+        swings = simulate_uncertain_arms(list(asked.values()))
         for asking, own in zip(list(asked), swings, strict=True):
             try:
                 asked[asking] = asking.send(own)
@@ -336,7 +348,7 @@ class _Compensator:
             plan = self._follows if motion.link is None else MotorMotion.of(motion.link)
         self._plan, self._known = plan, servo
         self._servo = problem.uncertainty.servo if servo is None else servo
-        self._many = ManyArms(arm, self._plan, self._servo)
+        self._many = UncertainArms(arm, self._plan, self._servo)
         self._carries = arm.robot.payload is not None
         self._loads: dict[tuple[JointMotion, int], np.ndarray] = {}
         (self._nominal,) = self._driven([Departure.none(arm.robot.n)])
@@ -374,11 +386,11 @@ class _Compensator:
     ) -> Asking[CommandOnArms]:
         """What a command gives on the arm as modelled, at its bounds, as drawn."""
         follows, plan, command = self._follows, self._plan, MotorMotion.of(motors)
-        drawn = self._driven(draws(self._unsure, self._arm.robot.n, self._carries))
+        drawn = self._driven(draw_departures(self._unsure, self._arm.robot.n, self._carries))
         arms = [self._nominal, *self._corners, *signs, *drawn]
         members = [Member(command=follows, departure=each, reference=follows) for each in arms]
         members += [Member(command=command, departure=each, reference=plan) for each in arms]
-        swings = yield Asked(self._many, members)
+        swings = yield SimulationRequest(self._many, members)
         count = len(arms)
         return CommandOnArms(
             motion=self._motion,
@@ -413,7 +425,7 @@ class _Compensator:
             for own in commands
             for arm in arms
         ]
-        swings = yield Asked(self._many, members)
+        swings = yield SimulationRequest(self._many, members)
         shape = (len(commands), len(arms))
         flight = swings.peak.reshape(shape).max(axis=1)
         after = swings.peak_after.reshape(shape).max(axis=1)
@@ -447,14 +459,14 @@ class _Compensator:
         ]
         return [*own, *splines]
 
-    def _with_single(self, command: MotorMotion) -> Asking[tuple[Swings, int]]:
+    def _with_single(self, command: MotorMotion) -> Asking[tuple[ArmDeviations, int]]:
         """The nominal arm, then those with one softer joint each; how many."""
         single = self._driven(one_at_a_time(self._unsure, self._arm.robot.n))
         arms = [self._nominal, *single]
         members = [Member(command=command, departure=arm, reference=self._plan) for arm in arms]
-        return (yield Asked(self._many, members)), len(arms)
+        return (yield SimulationRequest(self._many, members)), len(arms)
 
-    def _worst_signs(self, swings: Swings, count: int) -> list[Departure]:
+    def _worst_signs(self, swings: ArmDeviations, count: int) -> list[Departure]:
         """Arms whose joints are softer and stiffer such that their errors add up, to first order.
 
         The first member is the nominal arm, those up to `count` have one softer joint each.
@@ -474,7 +486,9 @@ class _Compensator:
             signs[joints] = -along[i, :, k]
             payload = float(self._carries)
             found += [
-                bounded(unsure, side * signs, -1.0, payload, float(unsure.servo is not None))
+                departure_at_bounds(
+                    unsure, side * signs, -1.0, payload, float(unsure.servo is not None)
+                )
                 for side in (-1.0, 1.0)
             ]
         return self._driven(found)
@@ -505,10 +519,10 @@ class _Compensator:
         return tuple(each for each in found if each.value > CERTIFIED)
 
     def _simulated(self, command: MotorMotion, departure: Departure) -> SimulatedMotion:
-        arm, servo = self._arm.departed(departure), self._servo
+        arm, servo = self._arm.with_departure(departure), self._servo
         if servo is None or departure.servo == 0.0:
             return simulate(arm, command, reference=self._plan)
-        late = servo.lagging(command, command.duration + REST, departure.servo)
+        late = servo.with_lag(command, command.duration + REST, departure.servo)
         return simulate(arm, late, reference=self._plan)
 
 

@@ -38,7 +38,7 @@ from stiffopt.solver.stages import (
 )
 from stiffopt.solver.verdict import TRUE_OBJECTIVE
 from stiffopt.solver.way_around import collisions
-from stiffopt.transcription.build import adapted
+from stiffopt.transcription.build import adapt
 from stiffopt.transcription.mesh import Mesh
 from stiffopt.transcription.nlp import BlockScales, Nlp
 
@@ -229,7 +229,7 @@ class ProblemFamily:
                 or BlockScales.of(first.nlp).tobytes() != wanted
             ):
                 continue
-            found = adapted(first, ocp)
+            found = adapt(first, ocp)
             if found is not None:
                 made.solver.rebound(found.nlp)
                 near = made.near or NearOptimum(made.solver)

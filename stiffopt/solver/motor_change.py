@@ -15,13 +15,13 @@ import numpy as np
 from scipy.interpolate import BSpline
 from scipy.sparse import block_diag, csc_matrix, diags, kron, vstack
 
-from stiffopt.elastic.along_plan import EvenSprings
 from stiffopt.elastic.modes import modes
-from stiffopt.elastic.response import SwingResponse
+from stiffopt.elastic.response import ElasticResponse
 from stiffopt.elastic.simulate import REST
+from stiffopt.elastic.uncertain_arms import TabulatedSprings
 from stiffopt.result.trajectory import Trajectory
 from stiffopt.symbolic import array_of
-from stiffopt.transcription.between import largest_beside
+from stiffopt.transcription.constraint_back_off import largest_adjacent_excess
 
 if TYPE_CHECKING:
     from stiffopt.elastic.arm import ElasticArm
@@ -169,7 +169,7 @@ def _answer(
         _at(times, simulated.time, each)
         for each in (simulated.position, simulated.velocity, simulated.windup)
     )
-    springs = EvenSprings(arm).at(windup)[1][:, joints]
+    springs = TabulatedSprings(arm).at(windup)[1][:, joints]
     response = _response(arm, q, v, springs, dt)
     moved, rate = splines(times), splines(times, 1)
     # Instants at which the tool is compared.
@@ -187,7 +187,7 @@ def _answer(
         columns.append(both.reshape(-1, splines.count))
     link = motors.link
     assert link is not None
-    behind = arm.hanging(link(np.minimum(times[at], link.duration))) - q[at]
+    behind = arm.static_equilibrium(link(np.minimum(times[at], link.duration))) - q[at]
     tool_behind = weight * np.einsum("kij,kj->ki", jacobian, behind[:, joints])
     planned = _at(times[at], assessment.time, assessment.deflection["dynamic"])
     lacking = (planned - _at(times[at], simulated.time, simulated.deviation))[flying]
@@ -201,7 +201,7 @@ def _at(times: np.ndarray, known: np.ndarray, values: np.ndarray) -> np.ndarray:
 
 def _response(
     arm: ElasticArm, q: np.ndarray, v: np.ndarray, springs: np.ndarray, dt: float
-) -> SwingResponse:
+) -> ElasticResponse:
     """Links of joints that yield, about a motion (K, n), on springs (K, k) [N m/rad]."""
     joints = np.flatnonzero(arm.elastic)
     acceleration = np.gradient(v, dt, axis=0)
@@ -212,7 +212,7 @@ def _response(
     diagonal = np.arange(len(joints))
     by_q[:, diagonal, diagonal] += springs
     by_v[:, diagonal, diagonal] += arm.damping[joints]
-    return SwingResponse(inertia, by_v, by_q, dt)
+    return ElasticResponse(inertia, by_v, by_q, dt)
 
 
 def _rows(
@@ -240,7 +240,7 @@ def _rows(
         )
         share = (value / most)[:, joints]
         above, below = (
-            largest_beside(now.time, at, np.maximum(each, 0.0)) for each in (share, -share)
+            largest_adjacent_excess(now.time, at, np.maximum(each, 0.0)) for each in (share, -share)
         )
         upper.append(_room(above).T.ravel())
         lower.append(-_room(below).T.ravel())

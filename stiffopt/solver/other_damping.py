@@ -42,7 +42,7 @@ def exceeded_otherwise(problem: TrajectoryProblem, motion: Assessment) -> dict[s
     command = MotorMotion(motion.time, motion.position, motion.velocity)
     found: dict[str, float] = {}
     for factor in _FACTORS:
-        swing = simulate(arm.assumed_times(factor), command, band=limits.settling_band)
+        swing = simulate(arm.scale_assumed_damping(factor), command, band=limits.settling_band)
         for kind in kinds:
             over = LIMITS[kind.name].overshoot(limits, swing)
             if over > max(found.get(kind.name, 0.0), 0.0):

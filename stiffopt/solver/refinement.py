@@ -38,7 +38,13 @@ from stiffopt.solver.stages import (
 )
 from stiffopt.solver.standstill import at_rest
 from stiffopt.solver.verdict import TRUE_OBJECTIVE
-from stiffopt.transcription.between import Excess, KnownRows, drawn_in, excess_of, tightened
+from stiffopt.transcription.constraint_back_off import (
+    Excess,
+    KnownRows,
+    back_off_exceeded,
+    back_off_uniformly,
+    path_row_excess,
+)
 from stiffopt.transcription.nlp import Nlp
 from stiffopt.transcription.point_function import PointFunction
 
@@ -183,7 +189,7 @@ def refined_within(run: SolveRun, outcome: Outcome, nlp: Nlp) -> Outcome:
         asked = _asked_of(run, outcome, nlp, late, off, again)
         if again == _REFINEMENTS or reach > best[0] or not (asked and found.raw.converged):
             break
-        closer = drawn_in(nlp, asked)
+        closer = back_off_uniformly(nlp, asked)
         if not _worth_solving(closer, nlp, moved=False):
             break
         try:
@@ -242,11 +248,11 @@ def _within_rows(run: SolveRun, outcome: Outcome, nlp: Nlp) -> tuple[Outcome, Nl
                 bends = _BENDS if outcome.objective_gap > TRUE_OBJECTIVE else 1.0
                 bent = smoothing.bent(bends).parameters
                 found = _driven(run.problem, outcome.assessment)
-                known = excess_of(made.transcription, raw.x, bent, rows, found)
+                known = path_row_excess(made.transcription, raw.x, bent, rows, found)
                 unseen = _unseen(known, excess)
             given = made.transcription.nlp
-            closer = tightened(nlp, known, given, most=_LARGEST_STEP, limits=LIMITS)
-            closer = drawn_in(closer, unseen)
+            closer = back_off_exceeded(nlp, known, given, most=_LARGEST_STEP, limits=LIMITS)
+            closer = back_off_uniformly(closer, unseen)
             if not _worth_solving(closer, nlp, moved=smoothing != outcome.smoothing):
                 break
             nlp = closer
@@ -255,7 +261,7 @@ def _within_rows(run: SolveRun, outcome: Outcome, nlp: Nlp) -> tuple[Outcome, Nl
                 break
             raw, known = again, None
             if raw.converged and not unseen:
-                left = excess_of(made.transcription, raw.x, smoothing.parameters, rows)
+                left = path_row_excess(made.transcription, raw.x, smoothing.parameters, rows)
                 known = left if _speaks_for_itself(left) else None
             if known is None:
                 outcome = outcome_of(run, made, raw, smoothing)

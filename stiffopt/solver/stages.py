@@ -27,10 +27,9 @@ from stiffopt.solver.plan import SolveStage, solver_options
 from stiffopt.solver.solve_run import SolveProgress, SolveRun
 from stiffopt.symbolic import array_of
 from stiffopt.transcription.build import transcribe
-from stiffopt.transcription.mesh import Mesh, split_counts, uniform_mesh
+from stiffopt.transcription.mesh import Mesh, refine_mesh, split_counts, uniform_mesh
 from stiffopt.transcription.nlp import BlockScales, Nlp
 from stiffopt.transcription.ocp import Guess, OptimalControlProblem
-from stiffopt.transcription.refine import refine_mesh
 from stiffopt.transcription.transcription import Transcription
 
 # Excess of all rows together, relative to their scales, from which on they are in conflict; and

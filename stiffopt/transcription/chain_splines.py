@@ -62,7 +62,7 @@ class ChainSplines:
     @property
     def places(self) -> tuple[tuple[int, ...], ...]:
         """Where position to control of each chain stand among states above controls."""
-        return tuple(tuple(self._indices(j)) for j in range(len(self.chains)))
+        return tuple(tuple(self._chain_indices(j)) for j in range(len(self.chains)))
 
     @cached_property
     def counts(self) -> np.ndarray:
@@ -77,24 +77,24 @@ class ChainSplines:
 
     def at(self, places: Places, coefficients: ca.MX, durations: ca.MX) -> ca.MX:
         """States above controls (nx + nu, P) at places, of coefficients and phase durations."""
-        matrix, powers, phases = self._map(places)
-        moved = ca.mtimes(_sparse(matrix), coefficients)
-        stretched = _lasting(durations, phases) ** ca.DM(-powers)
+        matrix, powers, phases = self._coefficient_map(places)
+        moved = ca.mtimes(_to_casadi(matrix), coefficients)
+        stretched = _phase_duration_column(durations, phases) ** ca.DM(-powers)
         return ca.reshape(moved * stretched, self.values, len(places))
 
     def derivative(
         self, order: int, places: Places, coefficients: ca.MX, durations: ca.MX
     ) -> ca.MX:
         """One derivative of all chains (n, P), as `at`."""
-        matrix, powers, phases = self._map(places, (order,))
-        moved = ca.mtimes(_sparse(matrix), coefficients)
-        stretched = _lasting(durations, phases) ** ca.DM(-powers)
+        matrix, powers, phases = self._coefficient_map(places, (order,))
+        moved = ca.mtimes(_to_casadi(matrix), coefficients)
+        stretched = _phase_duration_column(durations, phases) ** ca.DM(-powers)
         return ca.reshape(moved * stretched, len(self.chains), len(places))
 
     def positions(self, places: Places, states: Sequence[int], columns: int) -> ca.DM:
         """Matrix from variables, the coefficients first, to these positions, place by place."""
         chains = [chain[0] for chain in self.chains]
-        matrix = self._map(places, (0,))[0].tocsr()
+        matrix = self._coefficient_map(places, (0,))[0].tocsr()
         rows = np.arange(len(places))[:, None] * len(chains) + [chains.index(i) for i in states]
         own = matrix[rows.ravel()]
         own.resize((own.shape[0], columns))
@@ -125,7 +125,7 @@ class ChainSplines:
             first = (self.control_degree * interval)[:, None] + splines
             rows[own] = begins[phase] + first
             for order in range(self.orders):
-                values = self._basis(int(phase), fractions, order)
+                values = self._basis_values(int(phase), fractions, order)
                 basis[own, order] = np.take_along_axis(values, first, axis=1)
         return rows, basis
 
@@ -133,13 +133,13 @@ class ChainSplines:
         self, places: Places, coefficients: np.ndarray, durations: np.ndarray
     ) -> np.ndarray:
         """The same as `at` for numbers (P, nx + nu)."""
-        matrix, powers, phases = self._map(places)
+        matrix, powers, phases = self._coefficient_map(places)
         found = matrix.tocsr() @ coefficients / durations[phases] ** powers
         return np.asarray(found.reshape(len(places), self.values))
 
     def matrix(self, places: Places, durations: np.ndarray) -> csr_matrix:
         """What `numeric` multiplies the coefficients with ((nx + nu) P, size), place by place."""
-        matrix, powers, phases = self._map(places)
+        matrix, powers, phases = self._coefficient_map(places)
         return (diags(durations[phases] ** -powers) @ matrix).tocsr()
 
     def fitted(
@@ -164,9 +164,9 @@ class ChainSplines:
                 last = np.flatnonzero(places.phase == phase - 1)[-1]
                 fractions = np.append(0.0, fractions)
                 given = np.vstack([values[last], given])
-            orders = [self._basis(phase, fractions, k) for k in range(self.orders)]
+            orders = [self._basis_values(phase, fractions, k) for k in range(self.orders)]
             for j in range(n):
-                indices = self._indices(j)
+                indices = self._chain_indices(j)
                 rows = [
                     basis / durations[phase] ** k / scales[indices[k]]
                     for k, basis in enumerate(orders)
@@ -177,12 +177,12 @@ class ChainSplines:
             start += count
         return found.ravel()
 
-    def _indices(self, chain: int) -> list[int]:
+    def _chain_indices(self, chain: int) -> list[int]:
         """Where position to control of a chain stand among states and controls."""
         *states, control = self.chains[chain]
         return [*states, (self.orders - 1) * len(self.chains) + control]
 
-    def _basis(self, phase: int, fractions: np.ndarray, order: int) -> np.ndarray:
+    def _basis_values(self, phase: int, fractions: np.ndarray, order: int) -> np.ndarray:
         """Derivatives of all splines (P, count) of a phase by its scaled time."""
         breaks = np.append(0.0, np.cumsum(self.mesh[phase]))
         breaks[-1] = 1.0
@@ -192,7 +192,7 @@ class ChainSplines:
         spline = BSpline(knots, np.eye(self.counts[phase]), self.degree)
         return np.asarray((spline.derivative(order) if order else spline)(fractions))
 
-    def _map(
+    def _coefficient_map(
         self, places: Places, orders: tuple[int, ...] = ()
     ) -> tuple[coo_matrix, np.ndarray, np.ndarray]:
         """Matrix from the coefficients, powers of the phase duration that divide, and phases.
@@ -208,10 +208,10 @@ class ChainSplines:
         for phase in np.unique(places.phase):
             own = np.flatnonzero(places.phase == phase)
             for place, order in enumerate(orders or range(self.orders)):
-                basis = self._basis(int(phase), places.fraction[own], order)
+                basis = self._basis_values(int(phase), places.fraction[own], order)
                 point, coefficient = np.nonzero(np.abs(basis) > 1e-14 * np.abs(basis).max())
                 for j in range(n):
-                    index = place * n + j if orders else self._indices(j)[order]
+                    index = place * n + j if orders else self._chain_indices(j)[order]
                     rows.append(own[point] * height + index)
                     columns.append((begins[phase] + coefficient) * n + j)
                     data.append(basis[point, coefficient])
@@ -223,11 +223,11 @@ class ChainSplines:
         return matrix, powers.ravel(), np.repeat(places.phase, height)
 
 
-def _sparse(matrix: coo_matrix) -> ca.DM:
+def _to_casadi(matrix: coo_matrix) -> ca.DM:
     return ca.DM(matrix.tocsc())
 
 
-def _lasting(durations: ca.MX, phases: np.ndarray) -> ca.MX:
+def _phase_duration_column(durations: ca.MX, phases: np.ndarray) -> ca.MX:
     """Duration of each value's phase, one below the other."""
     if durations.numel() == 1:
         return ca.repmat(durations, len(phases), 1)

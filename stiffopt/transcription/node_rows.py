@@ -55,14 +55,14 @@ def with_node_rows(first: Transcription, blocks: Sequence[NodeRows]) -> Transcri
     """
     nlp = first.nlp
     own = nlp.p.numel()
-    data = _numbers(blocks)
+    data = _join_numbers(blocks)
     x, p = ca.MX.sym("x", len(nlp.lower_x)), ca.MX.sym("p", own + len(data))
     before = p[:own]
     parts, begin = [], own
     for block in blocks:
         end = begin + block.numbers.size
         given = ca.reshape(p[begin:end], block.numbers.shape[1], block.numbers.shape[0])
-        parts.append(_Mapped(first, block, x, given))
+        parts.append(_MappedRows(first, block, x, given))
         begin = end
     f, g = ca.Function("base", [nlp.x, nlp.p], [nlp.f, nlp.g]).call([x, before], True, False)
     values = ca.vertcat(g, *(part.values for part in parts))
@@ -82,7 +82,7 @@ def with_node_rows(first: Transcription, blocks: Sequence[NodeRows]) -> Transcri
         p=p,
         f=f,
         g=values,
-        rows=_rows(first, blocks),
+        rows=_append_row_names(first, blocks),
         derivatives={
             "grad_f": ca.Function("nlp_grad_f", [x, p], list(base["grad_f"](x, before))),
             "jac_g": ca.Function("nlp_jac_g", [x, p], [values, slope]),
@@ -120,19 +120,19 @@ def renumbered(
     )
     nlp = replace(
         made.nlp,
-        numbers=np.append(first.nlp.numbers, _numbers(blocks)),
+        numbers=np.append(first.nlp.numbers, _join_numbers(blocks)),
         lower_g=np.append(first.nlp.lower_g, np.where(kept, lower, -np.inf)),
         upper_g=np.append(first.nlp.upper_g, np.where(kept, upper, np.inf)),
     )
     return replace(made, nlp=nlp)
 
 
-class _Mapped:
+class _MappedRows:
     """One block with its derivatives by all variables."""
 
     def __init__(self, first: Transcription, block: NodeRows, x: ca.MX, given: ca.MX) -> None:
         self.count = len(block.columns)
-        self._inner = _selection(first, block)
+        self._inner = _selection_matrix(first, block)
         self._given = given
         states, numbers = block.function.sx_in()
         row = block.function(states, numbers) / float(block.rows.scale[0])
@@ -158,7 +158,7 @@ class _Mapped:
         return ca.mtimes([self._inner.T, ca.sparsity_cast(found, self._pattern), self._inner])
 
 
-def _selection(first: Transcription, block: NodeRows) -> ca.DM:
+def _selection_matrix(first: Transcription, block: NodeRows) -> ca.DM:
     """Matrix from the scaled variables to the states of every node."""
     if first.splines is not None:
         places = first.scheme.state_places(first.intervals)[block.columns]
@@ -176,7 +176,7 @@ def _selection(first: Transcription, block: NodeRows) -> ca.DM:
     )
 
 
-def _rows(first: Transcription, blocks: Sequence[NodeRows]) -> Blocks:
+def _append_row_names(first: Transcription, blocks: Sequence[NodeRows]) -> Blocks:
     """Names of all rows."""
     found = Blocks(list(first.nlp.rows.items), first.nlp.rows.size)
     places = first.scheme.state_places(first.intervals)
@@ -185,5 +185,5 @@ def _rows(first: Transcription, blocks: Sequence[NodeRows]) -> Blocks:
     return found
 
 
-def _numbers(blocks: Sequence[NodeRows]) -> np.ndarray:
+def _join_numbers(blocks: Sequence[NodeRows]) -> np.ndarray:
     return np.concatenate([np.zeros(0), *(block.numbers.ravel() for block in blocks)])

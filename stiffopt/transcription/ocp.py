@@ -24,7 +24,7 @@ import numpy as np
 from stiffopt.transcription.node_derivatives import NumberedStage, numbered
 
 
-def _full(value: object, size: int) -> np.ndarray:
+def _broadcast(value: object, size: int) -> np.ndarray:
     return np.broadcast_to(np.asarray(value, dtype=float), (size,)).copy()
 
 
@@ -72,9 +72,9 @@ class Rows:
         return cls(
             name=name,
             labels=tuple(labels),
-            lower=_full(lower, m),
-            upper=_full(upper, m),
-            scale=_full(scale, m),
+            lower=_broadcast(lower, m),
+            upper=_broadcast(upper, m),
+            scale=_broadcast(scale, m),
             unit=unit,
             midpoints=midpoints,
         )
@@ -179,17 +179,21 @@ class OptimalControlProblem:
     @property
     def scales_of_states(self) -> np.ndarray:
         """Typical magnitude of each state; ones unless given."""
-        return _full(1.0 if self.state_scale is None else self.state_scale, len(self.states))
+        return _broadcast(1.0 if self.state_scale is None else self.state_scale, len(self.states))
 
     @property
     def scales_of_controls(self) -> np.ndarray:
         """Typical magnitude of each control; ones unless given."""
-        return _full(1.0 if self.control_scale is None else self.control_scale, len(self.controls))
+        return _broadcast(
+            1.0 if self.control_scale is None else self.control_scale, len(self.controls)
+        )
 
     @property
     def scales_of_statics(self) -> np.ndarray:
         """Typical magnitude of each static variable; ones unless given."""
-        return _full(1.0 if self.static_scale is None else self.static_scale, len(self.statics))
+        return _broadcast(
+            1.0 if self.static_scale is None else self.static_scale, len(self.statics)
+        )
 
     @cached_property
     def numbered_stage(self) -> NumberedStage:

@@ -12,7 +12,10 @@ from collections.abc import Iterator
 import casadi as ca
 import numpy as np
 
+from stiffopt.transcription.chain_splines import ChainSplines
+from stiffopt.transcription.mesh import Mesh
 from stiffopt.transcription.nlp import Places
+from stiffopt.transcription.ocp import OptimalControlProblem, Rows
 from stiffopt.transcription.scheme import Defect, Scheme, StagePoints, Symbols
 
 
@@ -34,7 +37,7 @@ class PiecewiseLinear(Scheme):
         """Exact double integration, and the trapezoidal rule for the rest."""
         places = s.intervals.places(np.array([0.5]))
         q, v, a = s.second_order
-        x0, x1, u0, u1 = _ends(s)
+        x0, x1, u0, u1 = _interval_ends(s)
         if q:
             h = s.step(len(q))
             v0, a0, a1 = x0[v, :], u0[a, :], u1[a, :]
@@ -76,7 +79,7 @@ class PiecewiseLinear(Scheme):
         """States and controls in the middles of the intervals."""
         q, v, a = s.second_order
         first = s.first_order
-        x0, x1, u0, u1 = _ends(s)
+        x0, x1, u0, u1 = _interval_ends(s)
         parts, order = [], []
         if q:
             h = s.step(len(q))
@@ -94,5 +97,28 @@ class PiecewiseLinear(Scheme):
         return ca.vertcat(*parts)[np.argsort(order).tolist(), :], (u0 + u1) / 2.0
 
 
-def _ends(s: Symbols) -> tuple[ca.MX, ca.MX, ca.MX, ca.MX]:
+def _interval_ends(s: Symbols) -> tuple[ca.MX, ca.MX, ca.MX, ca.MX]:
     return s.states[:, :-1], s.states[:, 1:], s.controls[:, :-1], s.controls[:, 1:]
+
+
+class IntegratorChain(PiecewiseLinear):
+    """Control linear in each interval and continuous; every state belongs to a chain."""
+
+    def splines(self, ocp: OptimalControlProblem, mesh: Mesh) -> ChainSplines:
+        """The splines whose coefficients are the variables."""
+        return ChainSplines(mesh, ocp.chains)
+
+    def defects(self, s: Symbols) -> Iterator[Defect]:
+        """None: splines obey the dynamics."""
+        return iter(())
+
+    def middle(self, s: Symbols) -> tuple[ca.MX, ca.MX]:
+        """States and controls in the middles of the intervals."""
+        assert s.moves is not None
+        values = s.moves(s.intervals.places(np.array([0.5])))
+        states = len(s.ocp.states)
+        return values[:states, :], values[states:, :]
+
+    def extra_rows(self, s: Symbols) -> Iterator[tuple[Rows, ca.MX, Places]]:
+        """None."""
+        return iter(())

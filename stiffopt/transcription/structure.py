@@ -13,7 +13,7 @@ from stiffopt.transcription.ocp import OptimalControlProblem, Rows, Waypoint
 from stiffopt.transcription.scheme import Scheme
 
 # What `structure_of` compares, or is compared block by block.
-_OF_GRAPH = (
+_GRAPH_FIELDS = (
     "name", "dynamics", "stage", "intermediate", "objective", "integral_function",
     "path_rows", "integral_rows", "start", "vias", "end",
 )  # fmt: skip
@@ -40,10 +40,10 @@ def structure_of(
         [point is None for point in points],
         ocp.fixed_duration,
         len(ocp.parameters),
-        [(rows.name, rows.labels, rows.midpoints, _bounded(rows)) for rows in blocks],
-        [_finite(ocp.control_rate_lower), _finite(ocp.control_rate_upper)],
-        [_finite(ocp.state_lower), _finite(ocp.state_upper)],
-        [_finite(ocp.control_lower), _finite(ocp.control_upper)],
+        [(rows.name, rows.labels, rows.midpoints, _have_bounds(rows)) for rows in blocks],
+        [_are_finite(ocp.control_rate_lower), _are_finite(ocp.control_rate_upper)],
+        [_are_finite(ocp.state_lower), _are_finite(ocp.state_upper)],
+        [_are_finite(ocp.control_lower), _are_finite(ocp.control_upper)],
         *(function.serialize() for function in functions),
     ]
     return hashlib.sha256("\0".join(map(repr, facts)).encode()).hexdigest()
@@ -56,12 +56,12 @@ def scaled_like(ocp: OptimalControlProblem, first: OptimalControlProblem) -> Opt
         state_scale=first.state_scale,
         control_scale=first.control_scale,
         static_scale=first.static_scale,
-        path_rows=_scaled(ocp.path_rows, first.path_rows),
-        integral_rows=_scaled(ocp.integral_rows, first.integral_rows),
-        start=_waypoint(ocp.start, first.start),
-        end=_waypoint(ocp.end, first.end),
+        path_rows=_with_scales_of(ocp.path_rows, first.path_rows),
+        integral_rows=_with_scales_of(ocp.integral_rows, first.integral_rows),
+        start=_scale_waypoint(ocp.start, first.start),
+        end=_scale_waypoint(ocp.end, first.end),
         vias=tuple(
-            replace(own, rows=_scaled(own.rows, other.rows))
+            replace(own, rows=_with_scales_of(own.rows, other.rows))
             for own, other in zip(ocp.vias, first.vias, strict=True)
         ),
     )
@@ -69,33 +69,33 @@ def scaled_like(ocp: OptimalControlProblem, first: OptimalControlProblem) -> Opt
 
 def same_bounds(one: OptimalControlProblem, other: OptimalControlProblem) -> bool:
     """Whether two problems of one structure have the same bounds, scales and duration."""
-    return _bounding(one) == _bounding(other)
+    return _bound_values(one) == _bound_values(other)
 
 
-def _bounding(ocp: OptimalControlProblem) -> list[object]:
+def _bound_values(ocp: OptimalControlProblem) -> list[object]:
     """All values of a problem but its functions' own, as what can be compared."""
     points = [ocp.start, *ocp.vias, ocp.end]
     blocks = [*ocp.path_rows, *ocp.integral_rows, *(r for w in points if w for r in w.rows)]
     facts: list[object] = [
-        getattr(ocp, each.name) for each in fields(ocp) if each.name not in _OF_GRAPH
+        getattr(ocp, each.name) for each in fields(ocp) if each.name not in _GRAPH_FIELDS
     ]
     facts += [each for rows in blocks for each in (rows.lower, rows.upper, rows.scale)]
     return [each.tobytes() if isinstance(each, np.ndarray) else each for each in facts]
 
 
-def _waypoint(own: Waypoint | None, first: Waypoint | None) -> Waypoint | None:
+def _scale_waypoint(own: Waypoint | None, first: Waypoint | None) -> Waypoint | None:
     if own is None or first is None:
         return own
-    return replace(own, rows=_scaled(own.rows, first.rows))
+    return replace(own, rows=_with_scales_of(own.rows, first.rows))
 
 
-def _scaled(own: tuple[Rows, ...], first: tuple[Rows, ...]) -> tuple[Rows, ...]:
+def _with_scales_of(own: tuple[Rows, ...], first: tuple[Rows, ...]) -> tuple[Rows, ...]:
     return tuple(replace(a, scale=b.scale) for a, b in zip(own, first, strict=True))
 
 
-def _bounded(rows: Rows) -> list[bool]:
+def _have_bounds(rows: Rows) -> list[bool]:
     return [bool(each) for each in np.isfinite(rows.lower) | np.isfinite(rows.upper)]
 
 
-def _finite(bounds: np.ndarray | None) -> list[bool] | None:
+def _are_finite(bounds: np.ndarray | None) -> list[bool] | None:
     return None if bounds is None else [bool(each) for each in np.isfinite(bounds)]

@@ -106,7 +106,7 @@ class Transcription:
 
     def times_of(self, places: Places, x: np.ndarray) -> np.ndarray:
         """Times (k,) [s] of places in the motion of an NLP vector."""
-        return _times(places, self.phase_durations(x))
+        return _place_times(places, self.phase_durations(x))
 
     def pack(self, guess: Guess) -> np.ndarray:
         """Return the NLP vector of a guess, moved into the bounds of the variables."""
@@ -115,8 +115,8 @@ class Transcription:
         shares = shares / shares.sum() if len(shares) == phases else np.full(phases, 1.0 / phases)
         states = self.scheme.state_places(self.intervals)
         controls = self.scheme.control_places(self.intervals)
-        own = _sampled(guess.states, self.states, states, shares)
-        driven = _sampled(guess.controls, self.controls, controls, shares)
+        own = _sample_guess(guess.states, self.states, states, shares)
+        driven = _sample_guess(guess.controls, self.controls, controls, shares)
         parts = {
             self.states.rows.name: own,
             self.controls.rows.name: driven,
@@ -128,7 +128,9 @@ class Transcription:
             durations = np.array([self.ocp.duration[0]])
             if self.durations is not None:
                 durations = guess.duration * shares
-            parts[self.coefficients.rows.name] = self._fitted(np.hstack([own, driven]), durations)
+            parts[self.coefficients.rows.name] = self._fit_coefficients(
+                np.hstack([own, driven]), durations
+            )
         x = np.zeros(self.nlp.variables.size)
         for block in self.nlp.variables.items:
             values = np.asarray(parts[block.rows.name], dtype=float) / block.rows.scale
@@ -149,10 +151,10 @@ class Transcription:
         integrals, objective = self.outputs(x, self.nlp.parameters(p))
         steps = self.intervals.shares @ durations
         return Unpacked(
-            times=_times(self.scheme.state_places(self.intervals), durations),
+            times=_place_times(self.scheme.state_places(self.intervals), durations),
             states=self.node_states(x),
-            control_times=_times(self.scheme.control_places(self.intervals), durations),
-            controls=self._controls(x),
+            control_times=_place_times(self.scheme.control_places(self.intervals), durations),
+            controls=self._node_controls(x),
             statics=self.statics.take(x)[0],
             duration=float(durations.sum()),
             phase_durations=durations,
@@ -165,7 +167,7 @@ class Transcription:
         """Power coefficients (K, m, nu) of the controls in local time [s], lowest power first."""
         durations = self.phase_durations(x)
         steps = self.intervals.shares @ durations
-        values = self._controls(x)[self.scheme.control_columns(len(steps))]
+        values = self._node_controls(x)[self.scheme.control_columns(len(steps))]
         coefficients = np.einsum(
             "ij,kjn->kin", grid.power_from_values(self.scheme.control_nodes), values
         )
@@ -197,7 +199,7 @@ class Transcription:
         states, controls = self.node_states(x), self.control_polynomials(x)[:, :, u]
         breaks = np.concatenate([[0.0], np.cumsum(steps)])
         starts = states[self.scheme.state_columns(len(steps))[:, 0]]
-        coefficients = _integrated([starts[:, own] for own in higher], controls)
+        coefficients = _integrate_polynomials([starts[:, own] for own in higher], controls)
         return breaks, coefficients, states[0, q], states[0, v]
 
     def guess_from(self, x: np.ndarray) -> Guess:
@@ -214,8 +216,8 @@ class Transcription:
         controls = self.control_polynomials(x)
         states = self._state_polynomials(x, steps, controls)
         return Guess(
-            states=lambda s: _evaluated(breaks, states, np.asarray(s) * total),
-            controls=lambda s: _evaluated(breaks, controls, np.asarray(s) * total),
+            states=lambda s: _evaluate_pieces(breaks, states, np.asarray(s) * total),
+            controls=lambda s: _evaluate_pieces(breaks, controls, np.asarray(s) * total),
             statics=self.statics.take(x)[0],
             duration=total,
             phase_fractions=durations / total,
@@ -243,22 +245,22 @@ class Transcription:
         """States (NX, nx) at the nodes."""
         if self.splines is None:
             return self.states.take(x)
-        return self._moved(x)[:, : len(self.ocp.states)]
+        return self._spline_values(x)[:, : len(self.ocp.states)]
 
-    def _controls(self, x: np.ndarray) -> np.ndarray:
+    def _node_controls(self, x: np.ndarray) -> np.ndarray:
         """Controls (NU, nu) at their nodes."""
         if self.splines is None:
             return self.controls.take(x)
-        return self._moved(x)[:, len(self.ocp.states) :]
+        return self._spline_values(x)[:, len(self.ocp.states) :]
 
-    def _moved(self, x: np.ndarray) -> np.ndarray:
+    def _spline_values(self, x: np.ndarray) -> np.ndarray:
         assert self.splines is not None
         assert self.coefficients is not None
         places = self.scheme.state_places(self.intervals)
         own = self.coefficients.take(x).ravel()
         return self.splines.numeric(places, own, self.phase_durations(x))
 
-    def _fitted(self, values: np.ndarray, durations: np.ndarray) -> np.ndarray:
+    def _fit_coefficients(self, values: np.ndarray, durations: np.ndarray) -> np.ndarray:
         """Coefficients (k, n) of the splines nearest to states and controls at the nodes."""
         assert self.splines is not None
         places = self.scheme.state_places(self.intervals)
@@ -283,12 +285,12 @@ class Transcription:
             result[:, :, own] = 0.0
             for k, state in enumerate(own):
                 starts = [values[:, 0, [i]] for i in own[k:]]
-                integrated = _integrated(starts, controls[:, :, [chain[-1]]])
+                integrated = _integrate_polynomials(starts, controls[:, :, [chain[-1]]])
                 result[:, : integrated.shape[1], state] = integrated[:, :, 0]
         return result
 
 
-def _integrated(starts: list[np.ndarray], coefficients: np.ndarray) -> np.ndarray:
+def _integrate_polynomials(starts: list[np.ndarray], coefficients: np.ndarray) -> np.ndarray:
     """Integrate polynomials (K, m, n) as often as there are starts (K, n), outermost first."""
     if not starts:
         return coefficients
@@ -298,7 +300,7 @@ def _integrated(starts: list[np.ndarray], coefficients: np.ndarray) -> np.ndarra
     return np.concatenate([np.stack(first, axis=1), coefficients / divisor[:, None]], axis=1)
 
 
-def _sampled(
+def _sample_guess(
     function: Callable[[np.ndarray], np.ndarray], block: Block, places: Places, shares: np.ndarray
 ) -> np.ndarray:
     starts = np.cumsum(shares) - shares
@@ -313,13 +315,13 @@ def _sampled(
     return values
 
 
-def _times(places: Places, durations: np.ndarray) -> np.ndarray:
+def _place_times(places: Places, durations: np.ndarray) -> np.ndarray:
     starts = np.cumsum(durations) - durations
     times: np.ndarray = starts[places.phase] + durations[places.phase] * places.fraction
     return times
 
 
-def _evaluated(breaks: np.ndarray, coefficients: np.ndarray, times: np.ndarray) -> np.ndarray:
+def _evaluate_pieces(breaks: np.ndarray, coefficients: np.ndarray, times: np.ndarray) -> np.ndarray:
     times = np.atleast_1d(times)
     # A border belongs to the interval before it: with Radau that one has the point there.
     early = times - 1e-12 * breaks[-1]

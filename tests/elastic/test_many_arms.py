@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 from swinging_arms import arm, bang, there_and_stop
 
-from stiffopt.elastic.many_arms import ManyArms, Member
 from stiffopt.elastic.motor import Servo
 from stiffopt.elastic.simulate import simulate
+from stiffopt.elastic.uncertain_arms import Member, UncertainArms
 from stiffopt.elastic.uncertainty import (
     Departure,
     Uncertainty,
-    bounded,
+    bounds_from_deviations,
     corners,
-    draws,
-    of_deviations,
+    departure_at_bounds,
+    draw_departures,
     one_at_a_time,
 )
 from stiffopt.errors import InputError, ProblemError, RobotError
@@ -34,15 +34,15 @@ def test_departed_arms_swing_as_the_full_simulation_says(tmp_path):
     unsure = Uncertainty(servo_feed_forward=0.98)
     arms = [
         Departure.none(2),
-        bounded(unsure, np.array([-1.0, -1.0]), -1.0, 1.0, 0.0),
-        bounded(unsure, np.array([1.0, -1.0]), 1.0, -1.0, 0.0),
-        bounded(unsure, np.array([0.0, 0.0]), 0.0, 0.0, 1.0),
+        departure_at_bounds(unsure, np.array([-1.0, -1.0]), -1.0, 1.0, 0.0),
+        departure_at_bounds(unsure, np.array([1.0, -1.0]), 1.0, -1.0, 0.0),
+        departure_at_bounds(unsure, np.array([0.0, 0.0]), 0.0, 0.0, 1.0),
     ]
     members = [Member(command=command, departure=each, reference=command) for each in arms]
-    swings = ManyArms(elastic, plan, unsure.servo).swings(members)
+    swings = UncertainArms(elastic, plan, unsure.servo).swings(members)
     for k, each in enumerate(arms):
         servo = unsure.servo if each.servo else None
-        full = simulate(elastic.departed(each), command, servo=servo)
+        full = simulate(elastic.with_departure(each), command, servo=servo)
         assert swings.peak[k] == pytest.approx(full.peak, rel=0.02)
         assert swings.peak_after[k] == pytest.approx(full.peak_after, rel=0.02)
 
@@ -65,17 +65,17 @@ def test_rigid_joints_move_with_their_motors(tmp_path):
     command = bang((3.0, -4.0), 0.2, (0.3, 0.4))
     plan = there_and_stop((3.0, -4.0), 0.2, (0.3, 0.4))
     one = [Member(command=command, departure=Departure.none(2), reference=command)]
-    found, full = ManyArms(elastic, plan).swings(one), simulate(elastic, command)
+    found, full = UncertainArms(elastic, plan).swings(one), simulate(elastic, command)
     assert found.peak[0] == pytest.approx(full.peak, rel=0.02)
     assert found.peak_after[0] == pytest.approx(full.peak_after, rel=0.02)
 
 
 def test_a_heavier_payload_winds_up_more(tmp_path):
     elastic = planar(tmp_path, payload=2.0)
-    heavier = elastic.departed(Departure(stiffness=np.ones(2), payload=1.5))
+    heavier = elastic.with_departure(Departure(stiffness=np.ones(2), payload=1.5))
     q = np.array([0.3, 0.4])
     more = heavier.held_torque(q) - elastic.held_torque(q)
-    empty = elastic.departed(Departure(stiffness=np.ones(2), payload=0.0)).held_torque(q)
+    empty = elastic.with_departure(Departure(stiffness=np.ones(2), payload=0.0)).held_torque(q)
     assert more == pytest.approx(0.5 * (elastic.held_torque(q) - empty), rel=1e-9)
     with pytest.raises(RobotError, match="0 or more times"):
         elastic.robot.with_payload_times(-0.1)
@@ -89,21 +89,21 @@ def test_corners_and_draws_stay_within_the_bounds():
     assert {each.payload for each in found} == {0.9, 1.1}
     assert len(corners(unsure, 2, False)) == 4
     assert [list(each.stiffness) for each in one_at_a_time(unsure, 2)] == [[0.9, 1.0], [1.0, 0.7]]
-    arms = draws(unsure, 2, True)
+    arms = draw_departures(unsure, 2, True)
     stiffness = np.array([each.stiffness for each in arms])
     assert len(arms) == 60
     assert np.all(np.abs(stiffness - 1.0) <= [0.1, 0.3])
     assert np.all(np.std(stiffness, axis=0) > [0.04, 0.12])
-    again = np.array([each.stiffness for each in draws(unsure, 2, True)])
+    again = np.array([each.stiffness for each in draw_departures(unsure, 2, True)])
     assert np.array_equal(stiffness, again)
     assert "stiffness -10 % of J1, -30 % of J2" in found[0].label
 
 
 def test_standard_deviations_become_bounds_of_the_joints():
-    unsure = of_deviations(Uncertainty(), np.array([np.nan, 0.03, 0.8]))
+    unsure = bounds_from_deviations(Uncertainty(), np.array([np.nan, 0.03, 0.8]))
     assert unsure.stiffness == pytest.approx((0.2, 0.06, 0.99))
     assert unsure.payload == Uncertainty().payload
-    heavy = of_deviations(Uncertainty(), np.array([np.nan, np.nan]), 0.03)
+    heavy = bounds_from_deviations(Uncertainty(), np.array([np.nan, np.nan]), 0.03)
     assert heavy.payload == pytest.approx(0.06)
     assert heavy.stiffness == Uncertainty().stiffness
 
@@ -138,12 +138,12 @@ def test_a_damping_that_may_be_above_critical_is_named(tmp_path):
         np.zeros(2),
     )
     with pytest.raises(RobotError, match=r"uncertainty.damping lets .* critical") as told:
-        damped.departed(Departure(stiffness=np.ones(2), damping=1.5))
+        damped.with_departure(Departure(stiffness=np.ones(2), damping=1.5))
     # 40 times the 2 % that are assumed: a quarter more is critical.
     assert "from 0 to 0.2" in str(told.value)
     largest = float(str(told.value).split("uncertainty.damping = ")[1].rstrip("."))
     assert largest == pytest.approx(0.25, abs=0.0011)
-    damped.departed(Departure(stiffness=np.ones(2), damping=1.0 + largest))
+    damped.with_departure(Departure(stiffness=np.ones(2), damping=1.0 + largest))
 
 
 def test_only_a_servo_that_lags_counts():

@@ -28,7 +28,7 @@ def test_one_joint_has_the_mode_of_a_mass_on_a_spring(tmp_path):
 def test_weight_stiffens_or_softens_a_pendulum_on_a_spring(tmp_path, angle):
     pendulum = arm(tmp_path, "pendulum", at=[angle])
     (mode,) = modes(pendulum, np.array([angle]))
-    (q,) = pendulum.hanging(np.array([[angle]]))[0]
+    (q,) = pendulum.static_equilibrium(np.array([[angle]]))[0]
     # Turning about y lowers the tip: the weight's torque is -m g l cos(q).
     torque = -2.0 * 9.81 * 0.2 * np.cos(q)
     assert pendulum.held_torque(np.array([q]))[0] == pytest.approx(torque)
@@ -40,7 +40,7 @@ def test_modes_of_two_joints_keep_the_trace_and_are_orthogonal(tmp_path):
     planar = arm(tmp_path, "planar")
     found = modes(planar, np.array([0.3, 0.2]))
     assert [mode.frequency for mode in found] == sorted(mode.frequency for mode in found)
-    q = planar.hanging(np.array([[0.3, 0.2]]))[0]
+    q = planar.static_equilibrium(np.array([[0.3, 0.2]]))[0]
     inertia = planar.bodies.inertia_matrix(q)
     shapes = np.stack([mode.shape for mode in found])
     np.testing.assert_allclose(shapes @ inertia @ shapes.T, np.eye(2), atol=1e-10)

@@ -11,10 +11,15 @@ from swinging_arms import arm, bang, one_soft_joint, there_and_stop
 
 from stiffopt import native
 from stiffopt.elastic.arm import ElasticArm
-from stiffopt.elastic.many_arms import Asked, ManyArms, Member, swings_together
 from stiffopt.elastic.motor import MotorMotion
-from stiffopt.elastic.response import SwingResponse
+from stiffopt.elastic.response import ElasticResponse
 from stiffopt.elastic.simulate import _Equations, simulate
+from stiffopt.elastic.uncertain_arms import (
+    Member,
+    SimulationRequest,
+    UncertainArms,
+    simulate_uncertain_arms,
+)
 from stiffopt.elastic.uncertainty import Uncertainty, corners
 from stiffopt.robot.files import load_robot
 
@@ -83,10 +88,10 @@ def test_many_arms_swing_as_without_the_compiled_core(tmp_path, monkeypatch, sof
             Member(command=command, departure=each, reference=command)
             for each in corners(unsure, 2, True)
         ]
-        asked.append(Asked(ManyArms(swinging, plan, unsure.servo), members))
-    quick = swings_together(asked)
+        asked.append(SimulationRequest(UncertainArms(swinging, plan, unsure.servo), members))
+    quick = simulate_uncertain_arms(asked)
     monkeypatch.setattr(native, "loaded", lambda: None)
-    for own, slow in zip(quick, swings_together(asked), strict=True):
+    for own, slow in zip(quick, simulate_uncertain_arms(asked), strict=True):
         scale = np.abs(slow.deviation).max()
         np.testing.assert_allclose(own.deviation, slow.deviation, atol=1e-10 * scale)
 
@@ -105,7 +110,7 @@ def test_swings_about_a_motion_are_those_without_the_compiled_core(monkeypatch, 
     within = random.normal(size=(len(time) - 1, 2, n))
 
     def answers():
-        response = SwingResponse(inertia, rate, stiffness, 0.002)
+        response = ElasticResponse(inertia, rate, stiffness, 0.002)
         changed = response.copy()
         changed.change_springs(slice(100, 217), 0.3 * stiffness[100:217])
         return [

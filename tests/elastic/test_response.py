@@ -6,14 +6,16 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import eigh
 
 from stiffopt import native
-from stiffopt.elastic.response import SwingResponse
+from stiffopt.elastic.response import ElasticResponse
 
 STEP, COUNT = 0.004, 500
 TIME = STEP * np.arange(COUNT)
 
 
 def _one(mass, damping, spring):
-    return SwingResponse(*(np.full((COUNT, 1, 1), float(x)) for x in (mass, damping, spring)), STEP)
+    return ElasticResponse(
+        *(np.full((COUNT, 1, 1), float(x)) for x in (mass, damping, spring)), STEP
+    )
 
 
 @pytest.mark.parametrize("spring", [200.0, 8e4, 5e7])
@@ -62,7 +64,7 @@ def test_two_coupled_joints_whose_matrices_change_follow_a_general_integrator():
 
     torque = random.normal(size=(2, 2)) @ np.array([np.sin(40.0 * TIME), np.cos(11.0 * TIME)])
     along = [np.array(part) for part in zip(*(matrices(t) for t in TIME), strict=True)]
-    z, *_ = SwingResponse(*along, STEP)(torque.T)
+    z, *_ = ElasticResponse(*along, STEP)(torque.T)
 
     def slope(t, state):
         inertia, rate, stiffness = matrices(t)
@@ -103,13 +105,13 @@ def test_modes_are_those_of_the_general_problem_and_of_masses_that_cannot_be():
     )
     squares, shapes = eigh(stiffness, inertia)
     many = [np.stack([each] * 2) for each in (inertia, np.zeros((3, 3)), stiffness)]
-    frequencies, found = SwingResponse(*many, 1e-3).modes(0)
+    frequencies, found = ElasticResponse(*many, 1e-3).modes(0)
     assert 2.0 * np.pi * frequencies == pytest.approx(np.sqrt(squares), rel=1e-9)
     assert np.abs(found) == pytest.approx(np.abs(shapes), rel=1e-7)
     # As a fit on its way may have it: one mass below nothing.
     values, axes = np.linalg.eigh(inertia)
     many[0] = np.stack([axes @ np.diag([-0.01, *values[1:]]) @ axes.T] * 2)
-    frequencies, found = SwingResponse(*many, 1e-4).modes(0)
+    frequencies, found = ElasticResponse(*many, 1e-4).modes(0)
     assert frequencies[0] == 0.0
     assert not np.any(found[:, 0])
     assert np.all(np.isfinite(found))
@@ -119,7 +121,7 @@ def test_modes_are_those_of_the_general_problem_and_of_masses_that_cannot_be():
 def test_swing_of_many_calls_is_that_of_one():
     random = np.random.default_rng(2)
     grown = 1.0 + 0.3 * np.sin(3.0 * TIME)[:, None, None]
-    response = SwingResponse(
+    response = ElasticResponse(
         grown * np.array([[8.0, 1.5], [1.5, 2.0]]),
         grown * np.array([[14.0, 2.0], [-2.0, 5.0]]),
         grown * np.diag([4e4, 3e4]),

@@ -96,7 +96,7 @@ def test_rigid_joints_follow_their_motors_and_load_the_springs(tmp_path):
     )
     assert np.all(found.windup[:, 1] == 0.0)
     # Held at rest long after, the shoulder carries both links' weight.
-    still = elbow.hanging(motion(motion.duration)[None])[0]
+    still = elbow.static_equilibrium(motion(motion.duration)[None])[0]
     np.testing.assert_allclose(
         found.position[-200:].mean(axis=0), still, atol=0.05 * np.ptp(found.windup[:, 0])
     )
@@ -119,7 +119,9 @@ def test_a_steady_force_hangs_with_the_weight(tmp_path):
     plain = arm(tmp_path, "planar")
     motion = bang([2.0, 2.0], 0.1, [0.3, 0.2])
     at = motion.position(np.array([0.0]))
-    difference = pushed.tool(pushed.hanging(at)) - plain.tool(plain.hanging(at))
+    difference = pushed.tool(pushed.static_equilibrium(at)) - plain.tool(
+        plain.static_equilibrium(at)
+    )
     assert difference[0, 2] < -1e-4
     found = simulate(pushed, motion)
     assert found.distance[0] == pytest.approx(0.0, abs=1e-10)

@@ -76,7 +76,7 @@ def test_nothing_rings_on_the_arm_as_modelled_and_little_on_a_softer_one(solved)
     own = simulate(arm, motion)
     assert own.peak == pytest.approx(solution.objective.value, rel=0.1)
     assert own.peak_after < 0.02 * own.peak
-    softer = simulate(arm.departed(Departure(stiffness=np.full(2, 0.8))), motion)
+    softer = simulate(arm.with_departure(Departure(stiffness=np.full(2, 0.8))), motion)
     assert softer.peak_after < 0.15 * own.peak
 
 

@@ -4,8 +4,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from stiffopt.transcription.along_splines import AlongSplines
-from stiffopt.transcription.node_derivatives import NumberedStage, numbered
+from stiffopt.transcription.node_derivatives import NumberedStage, SplineCoordinates, numbered
 
 
 @pytest.mark.parametrize("free", [False, True])
@@ -16,7 +15,7 @@ def test_derivatives_by_local_variables(free):
     stage = ca.Function("stage", [x, u, z, p], [ca.sumsqr(torque), rows])
     taken = numbered(stage, ca.Function("through", [x, u, z, p], [torque]))
     # Second derivatives of cubic splines: positions and velocities are states.
-    along = AlongSplines(((0, 2, 4), (1, 3, 5)), degree=3, statics=1, free=free)
+    along = SplineCoordinates(((0, 2, 4), (1, 3, 5)), degree=3, statics=1, free=free)
     assert along.size == 2 * 4 + 1 + free
     values, jacobian, hessian = NumberedStage(
         taken.function, taken.numbers, taken.formula, along

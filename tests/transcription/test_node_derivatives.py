@@ -10,10 +10,9 @@ import pytest
 
 from stiffopt import native
 from stiffopt.interpreter.batched import POINTS
-from stiffopt.transcription import evaluated
-from stiffopt.transcription.evaluated import stage_functions
+from stiffopt.transcription import point_function
 from stiffopt.transcription.node_derivatives import numbered, with_derivatives
-from stiffopt.transcription.stage_function import StageFunction
+from stiffopt.transcription.point_function import StageFunction, stage_functions
 
 
 def stage(payload: float) -> tuple[ca.Function, ca.Function]:
@@ -72,17 +71,17 @@ def test_two_payloads_are_one_formula() -> None:
 
 
 def test_functions_used_last_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(evaluated, "MAX_KEPT", 2)
+    monkeypatch.setattr(point_function, "MAX_KEPT", 2)
     x, p, number = ca.SX.sym("x"), ca.SX.sym("p"), ca.SX.sym("n")
     squares, cubes, fourth = (
         ca.Function("values", [x, p, number], [x**power]) for power in (2, 3, 4)
     )
-    first = evaluated.point_function(squares)
-    evaluated.point_function(cubes)
-    assert evaluated.point_function(squares) is first
-    evaluated.point_function(fourth)
-    assert evaluated.point_function(squares) is first
-    assert len(evaluated._kept_functions) == 2
+    first = point_function.batched_function(squares)
+    point_function.batched_function(cubes)
+    assert point_function.batched_function(squares) is first
+    point_function.batched_function(fourth)
+    assert point_function.batched_function(squares) is first
+    assert len(point_function._kept_functions) == 2
 
 
 @pytest.mark.skipif(native.library() is None, reason="needs the compiled core")
@@ -90,10 +89,10 @@ def test_a_stage_of_which_one_function_finds_no_place_is_evaluated_by_casadi(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     taken = numbered(*stage(2.3))
-    inner = evaluated.batched
-    monkeypatch.setattr(evaluated, "_kept_functions", OrderedDict())
+    inner = point_function.batched
+    monkeypatch.setattr(point_function, "_kept_functions", OrderedDict())
     monkeypatch.setattr(
-        evaluated, "batched", lambda *given, recalled: inner(*given) if recalled else None
+        point_function, "batched", lambda *given, recalled: inner(*given) if recalled else None
     )
     assert [each.size2_in(0) for each in stage_functions(taken)] == [1, 1, 1]
 

@@ -14,7 +14,7 @@ import numpy as np
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.comparison.spring_law import SpringLaw
 from stiffopt.discovery.comparison.swing import LinkMotion, Swing, slow_filter
-from stiffopt.elastic.response import SwingResponse
+from stiffopt.elastic.response import ElasticResponse
 
 # Spring and link motion agree within this [rad]; far below any encoder's noise.
 _SETTLED = 3e-8
@@ -127,7 +127,7 @@ class Springs:
         mobility = None
         if near is not None and not np.any(heavier) and not np.any(near.heavier):
             mobility = near.response.mobility
-        response = SwingResponse(
+        response = ElasticResponse(
             inertia + heavier,
             rate + self.damping * own,
             weight + stiffness[..., None] * own,

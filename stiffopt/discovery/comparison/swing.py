@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stiffopt.discovery.comparison.filtering import ZeroPhaseFilter
-from stiffopt.elastic.response import SwingResponse
+from stiffopt.elastic.response import ElasticResponse
 
 # Of the wind-up that links are taken to have at first, without swing [Hz].
 SLOW_CUTOFF = 20.0
@@ -105,7 +105,7 @@ class Swing:
         Added to the nominal inertia [kg m^2].
     """
 
-    response: SwingResponse
+    response: ElasticResponse
     stiffness: np.ndarray
     damping: np.ndarray
     bodies: tuple[np.ndarray, np.ndarray, np.ndarray]

@@ -13,7 +13,7 @@ from stiffopt.certificate.violations import CERTIFIED
 from stiffopt.discovery.extended.model import ExtendedModel, load_extended
 from stiffopt.discovery.extended.planner_model import PlannerModel, planner_model
 from stiffopt.discovery.user_effects import load_effects
-from stiffopt.elastic.uncertainty import of_deviations
+from stiffopt.elastic.uncertainty import bounds_from_deviations
 from stiffopt.errors import more
 from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.result.assessment import Assessment
@@ -92,7 +92,7 @@ def solve_extended(
 
 def extended_problem(problem: TrajectoryProblem, planner: PlannerModel) -> TrajectoryProblem:
     """Return the problem with the extended robot, as uncertain as its findings."""
-    unsure = of_deviations(
+    unsure = bounds_from_deviations(
         problem.uncertainty, planner.stiffness_deviation, planner.payload_deviation
     )
     return replace(problem, robot=planner.robot, uncertainty=unsure)

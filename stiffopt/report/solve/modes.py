@@ -7,7 +7,7 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from stiffopt.elastic.survey import PoseModes
+from stiffopt.elastic.modes import PoseModes
 from stiffopt.files import atomic_write
 from stiffopt.report.common.svg import WIDTH, house_style, line_style, to_svg
 from stiffopt.report.common.terminal import print_lines, print_table

@@ -78,7 +78,7 @@ def swinging_poses(arm: ElasticArm, motion: SimulatedMotion, frames: int = _FRAM
     end = min(float(motion.time[-1]), motion.duration + _AFTER)
     at = np.unique(np.searchsorted(motion.time, np.linspace(0.0, end, frames)))
     at = np.unique([*at[at < len(motion.time)], int(np.argmax(motion.distance))])
-    hanging = arm.hanging((motion.position + motion.windup)[at])
+    hanging = arm.static_equilibrium((motion.position + motion.windup)[at])
     bend = hanging - motion.position[at]
     jacobian = tool_jacobian(arm.robot.tree, arm.robot.tool, hanging)
     return Poses(

@@ -19,13 +19,13 @@ from stiffopt.transcription.point_function import PointFunction
 from stiffopt.transcription.transcription import Transcription
 
 # Points in every interval at which rows are looked at.
-_POINTS = 16
+_POINTS_PER_INTERVAL = 16
 # Bounds are drawn in by a little more than the excess: where they move, the excess moves too.
-_MORE, _LEAST = 1.25, 2e-3
+_BACK_OFF_FACTOR, _MIN_BACK_OFF = 1.25, 2e-3
 # What bulges between two points gives way slowly, and the objective hardly feels it: a bound that
 # was drawn in and is still exceeded goes as far again, up to so many times what is needed. One that
 # was not goes by what is needed: more would move the switches of the motion.
-_HASTE = 8.0
+_MAX_BACK_OFF_GROWTH = 8.0
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ class KnownRows:
     values: np.ndarray
 
 
-def excess_of(
+def path_row_excess(
     transcription: Transcription,
     x: np.ndarray,
     parameters: np.ndarray,
@@ -83,7 +83,7 @@ def excess_of(
     motion = transcription.guess_from(x)
     steps = transcription.intervals.shares @ transcription.phase_durations(x)
     breaks = np.concatenate([[0.0], np.cumsum(steps)])
-    inside = np.linspace(0.0, 1.0, _POINTS, endpoint=False)
+    inside = np.linspace(0.0, 1.0, _POINTS_PER_INTERVAL, endpoint=False)
     times = np.append((breaks[:-1, None] + steps[:, None] * inside).ravel(), breaks[-1])
     share = times / breaks[-1]
     statics = np.tile(motion.statics, (len(times), 1))
@@ -109,13 +109,13 @@ def excess_of(
                     excess = np.maximum(sign * (known - limit / block.rows.scale), 0.0)
                 excess = np.nan_to_num(excess, nan=0.0, posinf=0.0)
                 largest[name] = max(largest.get(name, 0.0), float(excess.max(initial=0.0)))
-                beside = np.maximum(beside, largest_beside(when, places[order], excess))
+                beside = np.maximum(beside, largest_adjacent_excess(when, places[order], excess))
             both.append(beside)
         near.append((block, index, both[0], both[1]))
     return Excess(largest, tuple(near))
 
 
-def tightened(
+def back_off_exceeded(
     nlp: Nlp, excess: Excess, given: Nlp, *, most: float, limits: Container[str] = ()
 ) -> Nlp:
     """The NLP with the bounds of its path rows drawn in where a motion exceeds them.
@@ -141,10 +141,10 @@ def tightened(
         ):
             step = near
             if block.rows.name in limits:
-                step = _MORE * near + _LEAST
+                step = _BACK_OFF_FACTOR * near + _MIN_BACK_OFF
                 with np.errstate(invalid="ignore"):
                     drawn = np.nan_to_num(sign * (first[index] - bound[index]))
-                step = np.clip(drawn, step, _HASTE * step)
+                step = np.clip(drawn, step, _MAX_BACK_OFF_GROWTH * step)
             bound[index] -= sign * np.where(near > 0.0, np.minimum(step, most), 0.0)
     # Rows drawn in from both sides past themselves stay as they were.
     crossed = lower > upper
@@ -152,7 +152,7 @@ def tightened(
     return replace(nlp, lower_g=lower, upper_g=upper)
 
 
-def drawn_in(nlp: Nlp, excess: Mapping[str, float]) -> Nlp:
+def back_off_uniformly(nlp: Nlp, excess: Mapping[str, float]) -> Nlp:
     """The NLP with both bounds of all rows of these names drawn in, each by its excess.
 
     Parameters
@@ -165,13 +165,15 @@ def drawn_in(nlp: Nlp, excess: Mapping[str, float]) -> Nlp:
     for block in nlp.rows.items:
         if block.rows.name in excess:
             own = slice(block.offset, block.offset + block.size)
-            step = _MORE * excess[block.rows.name]
+            step = _BACK_OFF_FACTOR * excess[block.rows.name]
             upper[own] = np.maximum(upper[own] - step, 0.05 * upper[own])
             lower[own] = np.minimum(lower[own] + step, 0.05 * lower[own])
     return replace(nlp, lower_g=lower, upper_g=upper)
 
 
-def largest_beside(times: np.ndarray, places: np.ndarray, excess: np.ndarray) -> np.ndarray:
+def largest_adjacent_excess(
+    times: np.ndarray, places: np.ndarray, excess: np.ndarray
+) -> np.ndarray:
     """Largest excess (K, m) between each place and the ones beside it (k, m)."""
     after = np.clip(np.searchsorted(places, times - 1e-12), 0, len(places) - 1)
     before = np.clip(np.searchsorted(places, times + 1e-12, side="right") - 1, 0, None)
