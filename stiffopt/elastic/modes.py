@@ -22,9 +22,9 @@ if TYPE_CHECKING:
     from stiffopt.robot.robot import Robot
 
 
-_MIN_NAMED_SHARE = 0.1
-_DIFFERENCE_STEP = 1e-6
-# Least inertia of the joints together over the largest.
+_MIN_NAMED_SHARE = 0.1  # of the energy; joints below it are not named
+_DIFFERENCE_STEP = 1e-6  # of central differences of the weight [rad]
+# Smallest over largest eigenvalue of the inertia matrix; below it, it is singular.
 _MIN_INERTIA_RATIO = 1e-13
 
 
@@ -35,15 +35,15 @@ class Mode:
     Parameters
     ----------
     frequency : float
-        Without damping [Hz].
+        Undamped natural frequency [Hz].
     damping : float
-        Share of the critical damping.
+        Damping ratio.
     shares : array (n,)
-        Share of each joint's spring in the energy; they sum to 1.
+        Share of each joint's spring in the strain energy; they sum to 1.
     shape : array (n,)
         Motion of the joints, of unit modal mass.
     tool : array (3,)
-        Motion of the tool with it [m].
+        Displacement of the tool in it [m].
     """
 
     frequency: float
@@ -53,11 +53,9 @@ class Mode:
     tool: np.ndarray
 
     def describe(self) -> str:
-        """Who swings: "joint 1 swings with 92 % of the energy"."""
+        """Describe the joints that take part: "joint 1 (92 % of the energy)"."""
         order = [int(j) for j in np.argsort(-self.shares) if self.shares[j] >= _MIN_NAMED_SHARE]
         sizes = [f"{100.0 * self.shares[j]:.0f} %" for j in order]
-        if len(order) == 1:
-            return f"joint {order[0] + 1} swings with {sizes[0]} of the energy"
         sides = np.sign(self.shape[order]) == np.sign(self.shape[order[0]])
         text = f"joint {order[0] + 1} ({sizes[0]} of the energy)"
         for j, size, together in zip(order[1:], sizes[1:], sides[1:], strict=True):
@@ -113,12 +111,11 @@ def modes(arm: ElasticArm, motor: np.ndarray) -> tuple[Mode, ...]:
 
 
 def _check_inertia(arm: ElasticArm, free: np.ndarray, inertia: np.ndarray) -> None:
-    """Raise `NotSimulatedError` where a spring has nothing to swing."""
     sizes, ways = np.linalg.eigh(inertia)
     if sizes[0] <= _MIN_INERTIA_RATIO * max(sizes[-1], 0.0):
         name = arm.robot.joint_names[int(free[np.argmax(np.abs(ways[:, 0]))])]
         raise NotSimulatedError(
-            f"the links behind {name} have no inertia about it: its spring has nothing to swing."
+            f"the links behind {name} have no inertia about it, so its spring has no vibration."
             " Give their masses and inertias ([[link]] of the robot file, or the URDF), or leave"
             " the drivetrain of that joint out (rigid)."
         )
@@ -163,7 +160,7 @@ def modes_at(robot: Robot, poses: Mapping[str, np.ndarray]) -> list[PoseModes]:
 
 
 def modes_along(robot: Robot, time: np.ndarray, position: np.ndarray) -> list[PoseModes]:
-    """Modes at 61 instants of a motion (K,) [s], (K, n) [rad], as if it stood still there."""
+    """Modes at 61 poses along a motion (K,) [s], (K, n) [rad], linearised at rest."""
     arm = _make_elastic_arm(robot, position[0])
     instants = np.linspace(time[0], time[-1], _INSTANTS_ALONG_MOTION)
     return [
@@ -178,7 +175,7 @@ def modes_along(robot: Robot, time: np.ndarray, position: np.ndarray) -> list[Po
 
 
 def write_modes_csv(rows: Sequence[PoseModes], path: Path) -> None:
-    """Frequency [Hz] and damping ratio of every mode over time [s]."""
+    """Write frequency [Hz] and damping ratio of every mode over time [s]."""
     numbers = range(1, len(rows[0].modes) + 1)
     names = ["t", *(f"f{k}" for k in numbers), *(f"damping{k}" for k in numbers)]
     write_csv(

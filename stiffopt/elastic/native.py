@@ -1,7 +1,7 @@
-"""Loops over instants and arms by the compiled core (swings.c).
+"""Calls of the compiled core for elastic arms (swings.c, response.c).
 
-The formulas are those of `many_arms` and `simulate`, which do without it: the numbers are the same
-but for rounding.
+The formulas are those of `uncertain_arms`, `simulate` and `response`, which also work without it:
+results agree but for rounding.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from stiffopt.elastic.uncertain_arms import TabulatedSprings
 
 
-# Joints that the C code has room for.
+# Capacity of the arrays in swings.c.
 MAX_JOINTS = 32
 
 StateDerivative = Callable[[float, np.ndarray], np.ndarray]
@@ -73,7 +73,7 @@ def integrate_linearized(
     begun: np.ndarray,
     **given: object,
 ) -> np.ndarray:
-    """Positions of the links (K, B, n) less those of their plan.
+    """Integrate linearised arms: positions of their links (K, B, n) less those of the plan.
 
     Parameters
     ----------
@@ -81,9 +81,9 @@ def integrate_linearized(
         Of `core`.
     springs : EvenSprings
     rigid : array of int
-        Joints that do as their motors.
+        Joints that follow their motors.
     begun : array (B, n)
-        Where the links begin.
+        Initial positions of the links less those of the plan.
     given : int, float or array
         Fields of the C code's `Plan`.
     """
@@ -101,7 +101,7 @@ def integrate_linearized(
 def state_derivative(
     made: ctypes.CDLL, arm: ElasticArm, motor: MotorMotion, friction: np.ndarray, loops: int
 ) -> StateDerivative:
-    """Slope of the state of an arm on a motion of its motors, as `odeint` asks for it.
+    """Return the time derivative of an arm's state as a function for `odeint`.
 
     Parameters
     ----------
@@ -112,7 +112,7 @@ def state_derivative(
     friction : array (n,)
         Torque of each hysteresis [N m].
     loops : int
-        Numbers of the state for them.
+        State variables of the hysteresis.
     """
     bodies, tables = (
         arm.robot.tree.bodies,
@@ -145,7 +145,7 @@ def state_derivative(
         **motor.table(),
     )
     size = 2 * len(bodies) + loops
-    # The same memory as arrays: reading and writing them is most of what a call costs.
+    # Views of the same memory: copying arguments would dominate the cost of a call.
     state = np.ctypeslib.as_array(own.state)[:size]
     found = np.ctypeslib.as_array(own.slope)[:size]
     run, place = made.slope, ctypes.byref(own)
@@ -161,7 +161,7 @@ def state_derivative(
 
 # Capacity of the arrays in response.c.
 MAX_RESPONSE_JOINTS = 16
-# Numbers of a column of a step are filled up to a multiple of so many.
+# Doubles of a vector register: columns of a step are padded to a multiple of it.
 REGISTER_SIZE = 4
 
 
@@ -175,7 +175,7 @@ class _Response(Struct):
 
 
 def native_steps(matrices: Matrices) -> NativeSteps | None:
-    """Steps as of `ArraySteps`; None without the compiled core, or for too many joints."""
+    """Compiled `ArraySteps`; None without the compiled core, or for too many joints."""
     made = core(matrices.joints)
     if made is None or matrices.joints > MAX_RESPONSE_JOINTS:
         return None
@@ -183,7 +183,7 @@ def native_steps(matrices: Matrices) -> NativeSteps | None:
 
 
 class NativeSteps:
-    """Steps by the compiled loops.
+    """Transition matrices and time integration by the compiled core.
 
     Parameters
     ----------

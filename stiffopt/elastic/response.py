@@ -1,8 +1,8 @@
-"""Answer of links on their springs to small torques, linear along a motion.
+"""Linear elastic response of the links to small torques along a motion.
 
 M(t) z" + C(t) z' + K(t) z = f(t), with the matrices of the motion: inertia, Coriolis terms with the
 damping of the joints, springs with the change of the weight. Matrices are constant from one sample
-to the next and f is linear there; both steps are then exact, however fast a mode is.
+to the next and f is linear there; the matrix exponential is then exact, however fast a mode is.
 """
 
 from __future__ import annotations
@@ -21,16 +21,16 @@ Response = tuple[np.ndarray, np.ndarray, np.ndarray | None]
 
 @dataclass(frozen=True)
 class Matrices:
-    """Of the swings along a motion.
+    """Matrices of the linearised equation of motion along a motion.
 
     Attributes
     ----------
     mobility, rate, stiffness : array (K, n, n)
-        Of which the stiffness may change in place before steps are taken anew.
+        Inverse inertia, C and K at every sample; K may change in place before `take`.
     dt : float
         Between samples [s].
     unit : float
-        Typical rate [1/s]: velocities over it are of the size of displacements.
+        Typical rate [1/s] that scales velocities to the size of displacements.
     """
 
     mobility: np.ndarray
@@ -41,13 +41,13 @@ class Matrices:
 
     @property
     def joints(self) -> int:
-        """Their number n."""
+        """Number of joints n."""
         return int(self.mobility.shape[1])
 
 
 @dataclass(frozen=True)
 class Load:
-    """Torques on m swings, each on l links of its own.
+    """Torques of m independent responses, each on l links of its own.
 
     Attributes
     ----------
@@ -55,7 +55,7 @@ class Load:
     torque : array (m, K, l)
         At every sample, linear in between [N m].
     within : array (m, K - 1, 2, l), optional
-        Beside those, at the begin and at the end of every step [N m].
+        Added to those, at the start and at the end of every step [N m].
     """
 
     links: np.ndarray
@@ -64,27 +64,27 @@ class Load:
 
 
 class Steps(Protocol):
-    """Steps from each sample to the next."""
+    """Transition from each sample to the next."""
 
     def take(self, first: int, last: int) -> None:
-        """Take steps, those from sample `first` on and before `last`, with the springs of now."""
+        """Recompute the steps from sample `first` up to `last` with the present stiffness."""
 
     def copy(self, stiffness: np.ndarray) -> Steps:
-        """Steps that may be taken anew with springs (K, n, n) in another place of memory."""
+        """Return a copy that refers to another array of stiffness (K, n, n)."""
 
     def march(self, load: Load, begin: np.ndarray | None, *, accelerated: bool) -> Response:
-        """Displacements, velocities and, if `accelerated`, accelerations (m, K, n) of m swings.
+        """Integrate m responses: displacements, velocities, accelerations (m, K, n) on request.
 
         Parameters
         ----------
         load : Load
         begin : array (m, 2 n) or None
-            Displacements [rad], then velocities over `unit`; None is at rest.
+            Initial displacements [rad], then velocities over `unit`; None is at rest.
         """
 
 
 class ArraySteps:
-    """Steps with the mean matrices of both ends, without the compiled core."""
+    """Steps by the mean matrices of both ends in NumPy, without the compiled core."""
 
     def __init__(self, matrices: Matrices) -> None:
         self._of, self._n = matrices, matrices.joints
@@ -128,7 +128,7 @@ class ArraySteps:
         if load.within is not None:
             for both, on, within in zip(ends, load.links, load.within, strict=True):
                 both[..., on] += within
-        # Columns: each swing has the same digits alone and beside others.
+        # As columns a response has the same digits alone and beside others.
         states = np.zeros((many, count, 2 * n, 1))
         if begin is not None:
             states[:, 0, :, 0] = begin
@@ -149,7 +149,7 @@ class ArraySteps:
 
 
 class ElasticResponse:
-    """Links that swing about a motion.
+    """Linear time-varying response of the links to torques, about a motion.
 
     Parameters
     ----------
@@ -166,7 +166,7 @@ class ElasticResponse:
 
     Notes
     -----
-    It begins without swing. Steps by the matrix exponential of the mean matrices of both ends.
+    Initially at rest. Steps by the matrix exponential of the mean matrices of both ends.
     """
 
     def __init__(
@@ -187,25 +187,25 @@ class ElasticResponse:
         self._steps: Steps = native.native_steps(given) or ArraySteps(given)
 
     def copy(self) -> ElasticResponse:
-        """One whose springs may be changed."""
+        """Return an independent copy whose stiffness may be changed."""
         new = copy(self)
         new._stiffness = self._stiffness.copy()
         new._steps = self._steps.copy(new._stiffness)
         return new
 
     def change_springs(self, samples: slice, stiffness: np.ndarray) -> None:
-        """Take other springs (K, n, n) at some samples [N m/rad]; elsewhere they stay."""
+        """Replace the stiffness (K, n, n) [N m/rad] at some samples."""
         self._stiffness[samples] = stiffness
         first, last, _ = samples.indices(len(self._stiffness))
         self._steps.take(max(first - 1, 0), min(last, len(self._stiffness) - 1))
 
     def __call__(self, torque: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Swing under torques on the links.
+        """Return the response to torques on the links.
 
         Parameters
         ----------
         torque : array (K, n) or (K, n, m)
-            m of them beside each other [N m].
+            m load cases side by side [N m].
 
         Returns
         -------
@@ -227,9 +227,9 @@ class ElasticResponse:
         velocity: np.ndarray,
         within: np.ndarray | None = None,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Swing under torques (K, n) that begins at a displacement and a velocity (n,).
+        """Return the response to torques (K, n) from an initial displacement and velocity (n,).
 
-        And, where given, under others at the begin and the end of every step (K - 1, 2, n).
+        `within` adds torques at the start and the end of every step (K - 1, 2, n).
         """
         begin = np.concatenate([z, velocity / self._unit])[None]
         beside = None if within is None else within[None]
@@ -239,9 +239,9 @@ class ElasticResponse:
         return found[0][0], found[1][0], found[2][0]
 
     def moved(self, torque: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Swing and its velocity under torques (K, n) of many calls, mostly on one link.
+        """Return response and velocity (K, n) to torques (K, n) that load few links.
 
-        The same as a call gives; what a step does with a torque is kept from call to call.
+        As a call, without accelerations; links without torque are skipped.
         """
         links = np.flatnonzero(torque.any(axis=0))
         load = Load(links[None], torque[None][..., links])
@@ -249,13 +249,13 @@ class ElasticResponse:
         return z[0], velocity[0]
 
     def pushed(self, links: np.ndarray, torque: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Swing and its velocity (m, K, n) under m torques (m, K), each on one link (m,)."""
+        """Return response and velocity (m, K, n) to m torques (m, K), each on one link (m,)."""
         load = Load(links[:, None], torque[..., None])
         z, velocity, _ = self._steps.march(load, None, accelerated=False)
         return z, velocity
 
     def free(self, state: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Swing (K, n, m) that is left alone after it begins at displacements and velocities.
+        """Return the free response (K, n, m) to initial displacements and velocities.
 
         Parameters
         ----------
@@ -273,8 +273,8 @@ class ElasticResponse:
     def modes(self, sample: int) -> tuple[np.ndarray, np.ndarray]:
         """Modes with the matrices of one sample.
 
-        Frequencies (n,) [Hz], lowest first, and shapes (n, n) of unit modal mass, in columns. A fit
-        on its way may have masses that cannot be: what then does not swing has 0 Hz and no shape.
+        Frequencies (n,) [Hz], lowest first, and shapes (n, n) of unit modal mass, in columns.
+        Inertia that is not positive, as in iterations of a fit, gives 0 Hz and a zero shape.
         """
         mobility, stiffness = (
             0.5 * (m[sample] + m[sample].T) for m in (self.mobility, self._stiffness)

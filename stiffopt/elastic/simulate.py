@@ -1,8 +1,8 @@
 """Forward simulation of an elastic arm whose motors follow a motion.
 
-What the tool does is measured against where it would hang at rest at the commanded motor position
-(of a compensated command at the planned one), so that the change of the sag with the pose is not
-counted; a servo's lag is.
+The deviation of the tool is measured from its static equilibrium at the commanded motor position
+(of a compensated command at the planned one): it includes the lag of a servo, but not the change of
+the sag with the pose.
 """
 
 from __future__ import annotations
@@ -19,19 +19,19 @@ from stiffopt.elastic.motor import MotorMotion, Servo
 from stiffopt.errors import NotSimulatedError
 from stiffopt.result.simulation import SETTLING_BAND, SimulatedMotion
 
-# Simulated after arrival [s].
+# Simulated time after arrival [s].
 REST = 1.0
-# Of the integrator: relative, and absolute of position [rad], velocity [rad/s] and hysteresis.
+# Of the integrator; absolute ones of position [rad], velocity [rad/s] and hysteresis state.
 # Errors at the tool stay below 0.07 um on the UR10 and the ER3A, whatever the motion; DOP853 has
 # up to 0.5 um where the motors' acceleration jumps often (toppra), in a third more time.
 _RELATIVE_TOLERANCE = 2e-10
 _ABSOLUTE_TOLERANCES = (2e-9, 2e-7, 1e-4)
-_SAMPLE_INTERVAL = 5e-4
-# Of the integrator, between two samples.
+_SAMPLE_INTERVAL = 5e-4  # of the result [s]
+# Between two samples.
 _MAX_INTEGRATOR_STEPS = 10000
-# Half width of a reducer's loop where none is stated [rad]: 45 to 56 urad were measured.
+# Half width of a reducer's hysteresis where none is stated [rad]: 45 to 56 urad were measured.
 _TYPICAL_HALF_LOOP = 50e-6
-# Above this frequency [Hz] the integrator would take minutes.
+# Faster modes [Hz] would take the integrator minutes.
 _MAX_MODE_FREQUENCY = 5e3
 
 
@@ -44,7 +44,7 @@ def simulate(
     method: str = "",
     reference: MotorMotion | None = None,
 ) -> SimulatedMotion:
-    """Let the motors follow a motion, then stand still for a second.
+    """Simulate the arm on a motor motion, then at rest for a second.
 
     Parameters
     ----------
@@ -52,14 +52,14 @@ def simulate(
     motion : MotorMotion
         The command.
     servo : Servo, optional
-        How the motors follow it; exactly where left out.
+        Response of the motors to it; None follows exactly.
     band : float
-        Within which the tool counts as settled [m].
+        Settling band of the tool [m].
     method : str
-        Of `scipy.integrate.solve_ivp`; LSODA as `odeint` has it where left out.
+        Of `scipy.integrate.solve_ivp`; default LSODA by `odeint`.
     reference : MotorMotion, optional
-        From whose hanging at rest the deviation is measured: the plan that the command is to
-        fulfil; the command itself where left out.
+        Motion from whose static equilibrium the deviation is measured, as the plan of a
+        compensated command; default the command.
 
     Returns
     -------
@@ -72,7 +72,7 @@ def simulate(
     """
     end = motion.duration + (REST if motion.ends_at_rest else 0.0)
     motor = motion if servo is None else servo.follow(motion, end)
-    # An arm that hardly swings would be followed in steps too long to notice that it begins to.
+    # At rest the integrator would choose steps too long to notice the onset of vibration.
     longest = 1.0 / check_reach(arm, motor.at(0.0)[0])
     n = arm.robot.n
     times = _sample_times(motion.duration, end)
@@ -84,7 +84,7 @@ def simulate(
     parts: list[np.ndarray] = []
     spans = [(0.0, motion.duration)]
     if end > motion.duration:
-        # Anew at the arrival, just behind it: the motor's acceleration may jump there.
+        # Restarted just after arrival: the motor's acceleration may jump there.
         spans.append((float(np.nextafter(motion.duration, np.inf)), end))
     for begin, stop in spans:
         inside = times[(times >= begin) & (times <= stop)]
@@ -97,7 +97,7 @@ def simulate(
     q = np.where(arm.elastic, states[:, :n], followed)
     windup = followed - q
     torque = equations.spring_torque(windup, states[:, 2 * n :])
-    # After arrival it would hang in one place.
+    # After arrival the equilibrium is constant.
     moving = int(np.searchsorted(times, motion.duration)) + 1
     places = arm.tool(arm.static_equilibrium(wanted[:moving]))
     hanging = np.concatenate([places, np.repeat(places[-1:], len(times) - len(places), axis=0)])
@@ -128,7 +128,7 @@ def _integrate_states(
     longest: float,
     method: str,
 ) -> np.ndarray:
-    """States (K, m) at the times, from that at `begin`, in steps no longer than `longest`."""
+    """Integrate to states (K, m) at the times, in steps of at most `longest`."""
     errors = np.repeat(_ABSOLUTE_TOLERANCES, equations.joints)[: len(state)]
     if method:
         span, limits = (
@@ -140,7 +140,7 @@ def _integrate_states(
         states = solved.y.T[np.searchsorted(solved.t, times)] if solved.success else solved.y.T
     else:
         with warnings.catch_warnings():
-            # What it warns of ends the simulation.
+            # Reported by the message below.
             warnings.simplefilter("ignore", ODEintWarning)
             states, told = odeint(
                 equations.slope(),
@@ -165,13 +165,13 @@ def _integrate_states(
 
 
 class _Equations:
-    """Slope of the state: link positions, velocities, state of the hysteresis where there is any.
+    """Time derivative of the state: link positions, velocities, hysteresis if any.
 
     Attributes
     ----------
     joints : int
     loops : int
-        Numbers of the state for the hysteresis.
+        State variables of the hysteresis.
     """
 
     def __init__(self, arm: ElasticArm, motor: MotorMotion) -> None:
@@ -183,7 +183,7 @@ class _Equations:
         self._law = [
             _zero_torque if spring is None else spring.torque_alone for spring in arm.springs
         ]
-        # Torque that alone winds the spring up by the loop's half width: so wide is the loop then.
+        # Friction torque that gives the loop its half width.
         self._friction = np.array(
             [
                 0.0 if spring is None else spring.torque_at(half)[0]
@@ -196,7 +196,7 @@ class _Equations:
         self._pushed = bool(arm.process_force.any())
 
     def slope(self) -> native.StateDerivative:
-        """The slope at an instant of a state, by the compiled core where there is one."""
+        """Function (t, state) -> time derivative, of the compiled core where available."""
         made = native.core(self.joints)
         if made is None:
             return self.__call__
@@ -209,7 +209,7 @@ class _Equations:
         if self._note_rigid_joints.size:
             q, v = np.where(arm.elastic, q, motor), np.where(arm.elastic, v, speed)
         rate = speed - v
-        # Numbers of Python's own: six springs one by one are quicker so than as arrays.
+        # Python floats: faster than arrays for six springs.
         turns = (motor - q).tolist()
         torque = np.array([spring(turn) for spring, turn in zip(self._law, turns, strict=True)])
         torque += arm.damping * rate
@@ -231,7 +231,7 @@ class _Equations:
         bodies, free = self._arm.bodies, self._free
         if not self._note_rigid_joints.size:
             return bodies.acceleration(q, v, torque)
-        # Rigid joints move as their motors do, whatever that takes.
+        # Accelerations of rigid joints are prescribed by their motors.
         driven = np.where(self._arm.elastic, 0.0, self._motor.acceleration(t))
         if free.size:
             left = (torque - bodies.torque(q, v, driven))[free]
@@ -247,12 +247,10 @@ class _Equations:
 
 
 def _zero_torque(_: float) -> float:
-    """Torque of no spring."""
     return 0.0
 
 
 def _sample_times(duration: float, end: float) -> np.ndarray:
-    """Every half millisecond, arrival and end among them."""
     flight = np.linspace(0.0, duration, max(2, int(np.ceil(duration / _SAMPLE_INTERVAL)) + 1))
     if end <= duration:
         return flight
@@ -266,7 +264,7 @@ def check_reach(arm: ElasticArm, motor: np.ndarray) -> float:
     Raises
     ------
     NotSimulatedError
-        The integrator would take minutes to follow it.
+        Too fast for the integrator.
     """
     fastest = max(modes(arm, motor), key=lambda mode: mode.frequency, default=None)
     if fastest is None:
@@ -282,7 +280,6 @@ def check_reach(arm: ElasticArm, motor: np.ndarray) -> float:
 
 
 def _note_rigid_joints(arm: ElasticArm) -> list[str]:
-    """Joints whose elements nobody described: their share of the deviation is missing."""
     stiff = [
         name
         for j, name in enumerate(arm.robot.joint_names, start=1)
@@ -291,8 +288,8 @@ def _note_rigid_joints(arm: ElasticArm) -> list[str]:
     if not stiff:
         return []
     return [
-        f"Taken as rigid, since the robot file gives no elements: {', '.join(stiff)}. What yields"
-        " there comes on top."
+        f"Taken as rigid, since the robot file gives no elements: {', '.join(stiff)}. Their"
+        " elasticity adds to the deviation."
     ]
 
 
@@ -301,7 +298,7 @@ def _note_following_joints(arm: ElasticArm) -> list[str]:
         return []
     names = ", ".join(arm.robot.joint_names[j - 1] for j in arm.following)
     return [
-        f"{names}: alone above {MIN_FOLLOWING_FREQUENCY:g} Hz, taken to follow the motor at once."
+        f"{names}: single-joint vibration above {MIN_FOLLOWING_FREQUENCY:g} Hz, taken as rigid."
     ]
 
 
@@ -313,15 +310,15 @@ def _note_torques_beyond_law(arm: ElasticArm, times: np.ndarray, torque: np.ndar
             notes.append(
                 f"{arm.robot.joint_names[j]} passes {spring.torque_reach:.4g} N m at "
                 f"{times[int(np.argmax(beyond))]:.3f} s, where its connections slip or the table "
-                "of its law ends; from there on its spring is taken as straight."
+                "of its law ends; beyond, its spring is linear."
             )
     return notes
 
 
 def typical_hysteresis(arm: ElasticArm, q: np.ndarray) -> float | None:
-    """How far loops of the usual width may hold the tool from where it hangs at q (n,) [m].
+    """Largest tool offset from equilibrium at q (n,) by hysteresis of typical width [m].
 
-    None where the arm's own hysteresis is known, or no joint that yields turns.
+    None where the arm's own hysteresis is known, or no elastic joint is revolute.
     """
     turning = arm.elastic & ~arm.robot.prismatic
     if arm.hysteresis.any() or not turning.any():
@@ -335,7 +332,6 @@ def _tool_offset_of_loops(arm: ElasticArm, q: np.ndarray, half: np.ndarray) -> f
 
 
 def _note_hysteresis(arm: ElasticArm, q: np.ndarray, peak: float) -> list[str]:
-    """How far the loops alone leave the tool from where it would hang, beside the peak [m]."""
     if not arm.hysteresis.any():
         return []
     reach = _tool_offset_of_loops(arm, q, arm.hysteresis)

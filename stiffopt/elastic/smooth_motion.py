@@ -1,8 +1,8 @@
-"""A planned motion made smooth enough for the links of an elastic arm.
+"""Smoothing of a planned motion for feedforward by the wind-up of an elastic arm.
 
-Motors that lead their links by the wind-up move with the fourth derivative of the links' motion in
-their acceleration; a plan of limited jerk has none. The nearest spline of degree 7 has six
-continuous ones; where the plan's jerk jumps it is off by about a hundredth of the jump times the
+Motor accelerations that lead by the wind-up contain the fourth derivative of the link motion, which
+a jerk-limited plan does not have. The nearest spline of degree 7 has six continuous derivatives;
+where the plan's jerk jumps it is off by about a hundredth of the jump times the
 cube of the spacing of its knots (3e-7 rad for 200 rad/s^3 and 5 ms). It starts and ends at rest up
 to its fourth derivative.
 
@@ -20,21 +20,21 @@ from scipy.sparse.linalg import spsolve
 from stiffopt.result.trajectory import JointMotion, Trajectory
 
 _SPLINE_DEGREE = 7
-# Coefficients at either end that hold position and rest up to the fourth derivative.
+# Coefficients at either end that fix position, and rest up to the fourth derivative.
 _FIXED_COEFFICIENTS = 5
 _SAMPLES_PER_INTERVAL = 8
 _MIN_INTERVALS = 12
 
 
 def smooth_motion(plan: JointMotion, spacing: float) -> Trajectory:
-    """Smooth motion nearest to a plan, between the same ends in the same time.
+    """Fit the nearest smooth motion to a plan, with the same ends and duration.
 
     Parameters
     ----------
     plan : JointMotion
         At rest at both ends.
     spacing : float
-        Of the spline's knots [s].
+        Distance of the spline's knots [s].
 
     Returns
     -------

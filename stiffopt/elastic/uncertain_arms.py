@@ -1,9 +1,9 @@
-"""Many arms on one planned motion at once, linearised about the plan.
+"""Batch simulation of arms with uncertain parameters on one planned motion.
 
-Bodies are linearised about the planned motion, payloads in proportion; springs keep their law.
-Links leave the plan by a thousandth of a radian, so that what is neglected is as small. Integrated
-by the trapezoidal rule, the springs at their tangent from step to step: stable however stiff a
-joint is. Hysteresis is left out.
+Bodies are linearised about the plan, linear in the payload; springs keep their nonlinear law. Links
+deviate by about 1e-3 rad from the plan, so neglected terms are of second order in that. Integrated
+by the trapezoidal rule with the tangent of the springs in every step: stable for any stiffness.
+Hysteresis is neglected.
 """
 
 from __future__ import annotations
@@ -28,24 +28,24 @@ if TYPE_CHECKING:
     from stiffopt.robot.robot import Robot
 
 
-_SPRING_TABLE_POINTS = 20001
+_SPRING_TABLE_POINTS = 20001  # of each joint's law, equidistant in wind-up
 
 
 class LinearizedBodies:
-    """Links and payload about instants of a motion: quantities of all bodies, then of the payload.
+    """Linearised bodies at instants of a motion: first all bodies, then the payload alone.
 
     Parameters
     ----------
     arm : ElasticArm
     q, v, a : array (K, n)
-        Motion of the links about which is linearised.
+        Motion of the links, point of linearisation.
 
     Attributes
     ----------
     torque : array (2, K, n)
-        Needed for the motion, less what the process force does [N m].
+        Inverse dynamics of the motion, less the torque of the process force [N m].
     by_q, by_v, inertia : array (2, K, n, n)
-        Its derivatives by position, velocity and acceleration.
+        Derivatives of the torque by position, velocity and acceleration.
     """
 
     def __init__(self, arm: ElasticArm, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> None:
@@ -55,14 +55,14 @@ class LinearizedBodies:
 
 
 class LinearizedWeight:
-    """Weight of links and payload in poses (K, n), in the same parts.
+    """Linearised weight in poses (K, n): first all bodies, then the payload alone.
 
     Attributes
     ----------
     held : array (2, K, n)
-        Torque in the springs at rest [N m].
+        Static spring torque [N m].
     by_q : array (2, K, n, n)
-        Its derivative by position.
+        Derivative by position.
     """
 
     def __init__(self, arm: ElasticArm, q: np.ndarray) -> None:
@@ -76,13 +76,11 @@ class LinearizedWeight:
 
 
 def _robot_and_heavier_payload(arm: ElasticArm) -> list[Robot]:
-    """The robot, and with its payload twice."""
     robot = arm.robot
     return [robot] if robot.payload is None else [robot, robot.with_payload_times(2.0)]
 
 
 def _split_payload(whole: Sequence[tuple[np.ndarray, ...]]) -> list[np.ndarray]:
-    """Of all bodies and of the payload alone, (2, ...)."""
     heavier = whole[-1]
     return [np.stack([own, more - own]) for own, more in zip(whole[0], heavier, strict=True)]
 
@@ -95,7 +93,7 @@ def _linearize_dynamics(
 
 
 class TabulatedSprings:
-    """Springs of all joints on even grids of wind-ups; rigid joints have none and no wind-up.
+    """Springs of all joints tabulated on equidistant wind-ups; zero for rigid joints.
 
     Parameters
     ----------
@@ -117,14 +115,14 @@ class TabulatedSprings:
         self._offset = _SPRING_TABLE_POINTS * np.arange(len(reach))
 
     def table(self) -> dict[str, np.ndarray | int]:
-        """Torques and their rises to the next point (n points,), points in a radian (n,)."""
+        """Torques and differences to the next point (n points,), points per radian (n,)."""
         numbers = {"torque": self._torque, "rise": self._rise, "scale": self._scale}
         return {**numbers, "points": _SPRING_TABLE_POINTS}
 
     def at(self, windup: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Torques [N m] and tangent stiffnesses [N m/rad] at wind-ups, (B, n) each."""
         place = windup * self._scale + self._half
-        # Beyond the table the spring goes on straight.
+        # Linear extrapolation beyond the table.
         cell = np.minimum(np.maximum(place.astype(np.int64), 0), 2 * self._half - 1)
         at = cell + self._offset
         rise = self._rise[at]
@@ -135,35 +133,35 @@ class TabulatedSprings:
         return self.at(windup)[0]
 
     def windup(self, torque: np.ndarray) -> np.ndarray:
-        """Wind-ups at torques, (.., n) each; the inverse."""
+        """Wind-ups [rad] at torques, (.., n) each; the inverse of `torque`."""
         return self._arm.windup(torque.reshape(-1, torque.shape[-1])).reshape(torque.shape)
 
 
-# Of the integration [s], and its steps in a swing of the lowest mode: with a hundred of them it
-# falls behind by a thirtieth of a radian in fifteen swings.
+# Time step [s], and least steps in a period of the lowest mode: with 100 the phase error of the
+# trapezoidal rule is 1/30 rad in 15 periods.
 _MAX_TIME_STEP = 1e-3
 _STEPS_PER_PERIOD = 100
-# Swings of the lowest mode that are followed after arrival: the first is the largest.
+# Periods of the lowest mode simulated after arrival: the first peak is the largest.
 _PERIODS_AFTER_ARRIVAL = 1.5
-_MAX_TIME_AFTER_ARRIVAL = 1.0
-# Where the tool would hang changes slowly: found at every so many steps.
+_MAX_TIME_AFTER_ARRIVAL = 1.0  # [s]
+# The static equilibrium changes slowly: computed every so many steps, linear in between.
 _EQUILIBRIUM_STRIDE = 5
 _EQUILIBRIUM_ITERATIONS = 4
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Member:
-    """One arm with one command.
+    """One simulated arm: a command and a departure of its parameters.
 
     Parameters
     ----------
     command : MotorMotion
-        Of the motors.
+        Motion of the motors.
     departure : Departure
-        What the arm is.
+        Parameters of the arm.
     reference : MotorMotion
-        The motion from whose hanging at rest the deviation is measured: the command itself, or the
-        plan that it is to fulfil.
+        Motion from whose static equilibrium the deviation is measured: the command itself, or the
+        plan of a compensated command.
     """
 
     command: MotorMotion
@@ -173,15 +171,15 @@ class Member:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ArmDeviations:
-    """Deviations of several arms.
+    """Tool deviations of several arms.
 
     Parameters
     ----------
     time : array (K,) [s]
     duration : float
-        When the commands arrive [s].
+        Arrival of the commands [s].
     deviation : array (B, K, 3)
-        Of each arm's tool from where it would hang at rest, base axes [m].
+        Tool position less its static equilibrium, base axes [m].
     """
 
     time: np.ndarray
@@ -190,12 +188,12 @@ class ArmDeviations:
 
     @cached_property
     def distance(self) -> np.ndarray:
-        """Sizes of the deviations (B, K) [m]."""
+        """Magnitudes of the deviations (B, K) [m]."""
         return np.asarray(np.linalg.norm(self.deviation, axis=2))
 
     @property
     def flight(self) -> np.ndarray:
-        """Which instants are in flight (K,)."""
+        """Mask (K,) of the instants before arrival."""
         return np.asarray(self.time <= self.duration)
 
     @property
@@ -210,16 +208,16 @@ class ArmDeviations:
 
 
 class UncertainArms:
-    """The arms of a robot along one planned motion.
+    """Arms of a robot with uncertain parameters, linearised along one planned motion.
 
     Parameters
     ----------
     arm : ElasticArm
-        The nominal one.
+        Nominal arm.
     plan : JointMotion
         At rest at both ends; its second derivative is used.
     servo : Servo, optional
-        The worst one; members have a share of its lag.
+        Worst servo; each departure has a share of its lag.
     """
 
     def __init__(self, arm: ElasticArm, plan: JointMotion, servo: Servo | None = None) -> None:
@@ -257,20 +255,20 @@ class UncertainArms:
             np.array([arm.bodies.jacobian(arm.robot.tool, q)[:3] for q in self._q[: count + 1]])
         )
 
-    def swings(self, members: Sequence[Member]) -> ArmDeviations:
-        """Simulate members, all at once."""
+    def simulate(self, members: Sequence[Member]) -> ArmDeviations:
+        """Simulate all members in one batch."""
         return simulate_uncertain_arms([SimulationRequest(self, members)])[0]
 
     def _extend_at_rest(self, values: np.ndarray, at_rest: float | None = None) -> np.ndarray:
-        """Values of the flight and their last one, or another, until the end."""
+        """Append the last values of the flight, or `at_rest`, until the end."""
         last = values[-1:] if at_rest is None else np.full_like(values[-1:], at_rest)
         return np.concatenate([values, np.repeat(last, len(self.time) - len(values), axis=0)])
 
     def _trapezoidal_matrices(self, bodies: LinearizedBodies) -> np.ndarray:
-        """What the bodies are in the equation of each step (2, K, n, 3 n + 1).
+        """Coefficients of the bodies in the equation of each step (2, K, n, 3 n + 1).
 
-        Columns by the rate at its end, the rate at its beginning and the place there; the torque
-        that the plan needs.
+        Columns of the velocity at its end, of velocity and position at its start, and the torque of
+        the plan.
         """
         step = self.step
         inertia, turning = bodies.inertia / step, 0.5 * bodies.by_v + 0.25 * step * bodies.by_q
@@ -278,10 +276,10 @@ class UncertainArms:
         return np.concatenate(columns, axis=3)
 
     def motors(self, commands: Sequence[MotorMotion]) -> tuple[np.ndarray, np.ndarray]:
-        """Motions (K, C, 4, n) of the different commands, and which each member has (B,).
+        """Motions (K, C, 4, n) of the distinct commands, and the index of each member's (B,).
 
-        Position and velocity as commanded less those of the plan, and what the worst servo adds to
-        either.
+        Commanded position and velocity less those of the plan, and the additions of the worst servo
+        to both.
         """
         different = list({id(command): command for command in commands}.values())
         places = {id(command): c for c, command in enumerate(different)}
@@ -297,13 +295,13 @@ class UncertainArms:
         by_time = np.ascontiguousarray(found.transpose(2, 0, 1, 3))
         return by_time, np.array([places[id(command)] for command in commands])
 
-    def begun(self, arms: _DepartureArrays, turn: np.ndarray) -> np.ndarray:
-        """Links at rest (B, n) with the motors `turn` ahead of where the plan begins."""
+    def initial_equilibrium(self, arms: _DepartureArrays, turn: np.ndarray) -> np.ndarray:
+        """Static equilibrium (B, n) with the motors `turn` ahead of the start of the plan."""
         return _solve_equilibrium(self.springs, self._start, arms, turn[:, None])[:, 0]
 
     def deviation(self, members: Sequence[Member], links: np.ndarray) -> np.ndarray:
-        """Of the members' tools (B, K, 3), for links that are ahead of the plan by (K, B, n)."""
-        # Many members of one arm differ in their commands only, and would hang alike.
+        """Tool deviations (B, K, 3) of members, for link positions less the plan (K, B, n)."""
+        # Members with the same departure and reference share their equilibrium.
         alike = {(id(each.reference), id(each.departure)): each for each in members}
         places = {key: place for place, key in enumerate(alike)}
         hanging = self._reference_equilibrium(
@@ -311,7 +309,7 @@ class UncertainArms:
             [each.reference for each in alike.values()],
         )
         own = [places[id(each.reference), id(each.departure)] for each in members]
-        # One matrix product for all members: einsum would take them one by one.
+        # One matrix product for all members: einsum would loop over them.
         along = self._jacobian.swapaxes(1, 2)
         away = links @ along - (hanging.swapaxes(0, 1) @ along)[:, own]
         return np.asarray(away.swapaxes(0, 1))
@@ -319,7 +317,7 @@ class UncertainArms:
     def _reference_equilibrium(
         self, arms: _DepartureArrays, references: Sequence[MotorMotion]
     ) -> np.ndarray:
-        """Links at rest at the positions of the references, less those of the plan (B, K, n)."""
+        """Static equilibrium at the references, less the plan (B, K, n)."""
         chosen, count = self._equilibrium_samples, len(self.time)
         different = {id(each): each(self.time[chosen]) for each in references}
         turn = np.stack([different[id(each)] for each in references]) - self._q[chosen]
@@ -332,20 +330,20 @@ class UncertainArms:
 
 @dataclass(frozen=True, eq=False)
 class SimulationRequest:
-    """Members whose arms are along one plan."""
+    """Members to be simulated on one plan."""
 
     many: UncertainArms
     members: Sequence[Member]
 
-    def swings(self, links: np.ndarray) -> ArmDeviations:
-        """Their deviations, from the positions of their links less those of the plan (K, B, n)."""
+    def deviations(self, links: np.ndarray) -> ArmDeviations:
+        """Tool deviations of link positions less the plan (K, B, n)."""
         many = self.many
         deviation = many.deviation(self.members, links[: len(many.time)])
         return ArmDeviations(time=many.time, duration=many.duration, deviation=deviation)
 
 
 def simulate_uncertain_arms(asked: Sequence[SimulationRequest]) -> list[ArmDeviations]:
-    """Simulate the members of several plans of one arm.
+    """Simulate the members of several plans of one arm, plan by plan in batches.
 
     Parameters
     ----------
@@ -353,13 +351,13 @@ def simulate_uncertain_arms(asked: Sequence[SimulationRequest]) -> list[ArmDevia
     """
     core = native.core(len(asked[0].many.damping)) if asked else None
     return [
-        each.swings(_integrate_numpy(each) if core is None else _integrate_compiled(core, each))
+        each.deviations(_integrate_numpy(each) if core is None else _integrate_compiled(core, each))
         for each in asked
     ]
 
 
 def _integrate_compiled(core: CDLL, asked: SimulationRequest) -> np.ndarray:
-    """Positions of the links less those of their plan (K, B, n)."""
+    """Integrate to link positions less the plan (K, B, n)."""
     many = asked.many
     arms = _DepartureArrays([member.departure for member in asked.members])
     moved, of = many.motors([member.command for member in asked.members])
@@ -367,7 +365,7 @@ def _integrate_compiled(core: CDLL, asked: SimulationRequest) -> np.ndarray:
         core,
         many.springs,
         many.rigid,
-        many.begun(arms, moved[0, of, 0]),
+        many.initial_equilibrium(arms, moved[0, of, 0]),
         count=len(many.time),
         flight=many.steps.shape[1],
         commands=moved.shape[1],
@@ -383,12 +381,12 @@ def _integrate_compiled(core: CDLL, asked: SimulationRequest) -> np.ndarray:
 
 
 def _integrate_numpy(asked: SimulationRequest) -> np.ndarray:
-    """As `_integrate_compiled`, without the compiled core."""
+    """Integrate without the compiled core, to the same result."""
     many, rigid = asked.many, asked.many.rigid
     arms = _DepartureArrays([member.departure for member in asked.members])
     moved, of = many.motors([member.command for member in asked.members])
     damping, step, joints = arms.damping * many.damping, many.step, np.arange(len(many.damping))
-    turn, e = moved[0, of, 0], many.begun(arms, moved[0, of, 0])
+    turn, e = moved[0, of, 0], many.initial_equilibrium(arms, moved[0, of, 0])
     rate, drive = np.zeros_like(e), np.zeros_like(e)
     found = [e]
     for k in range(1, len(many.time)):
@@ -399,14 +397,14 @@ def _integrate_numpy(asked: SimulationRequest) -> np.ndarray:
         now = moved[k, of]
         turn = now[:, 0] + arms.servo * now[:, 2]
         drive = now[:, 1] + arms.servo * now[:, 3]
-        # Springs at the predicted place, straight from there to the end of the step.
+        # Springs at the predicted position, linear from there to the end of the step.
         torque, tangent = many.springs.at(turn - e - step * rate)
         torque, tangent = arms.stiffness * torque, arms.stiffness * tangent
         ahead = torque + 0.5 * step * tangent * rate + damping * drive
         right += 0.5 * (before + ahead) - bodies[:, :, -1]
         left = bodies[:, :, : len(joints)]
         left[:, joints, joints] += 0.5 * damping + 0.25 * step * tangent
-        # Rigid joints do as their motors.
+        # Rigid joints follow their motors.
         left[:, rigid], left[:, rigid, rigid], right[:, rigid] = 0.0, 1.0, drive[:, rigid]
         new = np.linalg.solve(left, right[..., None])[..., 0]
         e, rate = e + 0.5 * step * (rate + new), new
@@ -428,12 +426,12 @@ class _DepartureArrays:
 def _solve_equilibrium(
     springs: TabulatedSprings, weight: LinearizedWeight, arms: _DepartureArrays, turn: np.ndarray
 ) -> np.ndarray:
-    """Links at rest (B, K, n) with the motors `turn` ahead of the poses of the weight."""
+    """Static equilibrium (B, K, n) with the motors `turn` ahead of the poses of the weight."""
     held = weight.held[0] + arms.payload[..., None] * weight.held[1]
     stiffness = arms.stiffness[:, None]
     e = turn - springs.windup(held / stiffness)
     for _ in range(_EQUILIBRIUM_ITERATIONS - 1):
-        # One matrix product a pose for all arms, whatever they carry.
+        # One matrix product per pose for all arms and payloads.
         own, more = ((e.swapaxes(0, 1) @ by.swapaxes(1, 2)).swapaxes(0, 1) for by in weight.by_q)
         e = turn - springs.windup((held + own + arms.payload[..., None] * more) / stiffness)
     return np.asarray(e)

@@ -1,4 +1,4 @@
-"""From an optimal-control problem to a nonlinear programme and back."""
+"""Transcription of an optimal-control problem into a nonlinear programme, and back."""
 
 from stiffopt.transcription.build import METHODS, transcribe
 from stiffopt.transcription.mesh import Mesh, refine_mesh, uniform_mesh

@@ -1,10 +1,11 @@
-"""From an optimal-control problem and a mesh to an NLP."""
+"""Transcription of an optimal-control problem on a mesh into an NLP."""
 
 from __future__ import annotations
 
 import functools
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -27,9 +28,10 @@ _METHOD_ALIASES = {"piecewise_linear_acceleration": "piecewise_linear"}
 
 
 def scheme_of(method: str, degree: int = 3, integrators: int = 2) -> Scheme:
-    """Find the scheme of a name; `degree` counts the Radau points of an interval.
+    """Return the scheme of a name.
 
-    `integrators` is how many stand between a control and its position.
+    `degree` is the number of Radau points in an interval, `integrators` that of integrators between
+    a control and its position.
     """
     name = _METHOD_ALIASES.get(method, method)
     if name == "piecewise_linear":
@@ -77,7 +79,7 @@ def transcribe(
 
 
 def adapt(first: Transcription, ocp: OptimalControlProblem) -> Transcription | None:
-    """The same programme with the bounds and numbers of another problem; None where more differs.
+    """Return the programme with bounds and numbers of another problem; None if more differs.
 
     Mesh and scales stay.
     """
@@ -86,7 +88,7 @@ def adapt(first: Transcription, ocp: OptimalControlProblem) -> Transcription | N
         return None
     own = scaled_like(ocp, first.ocp)
     if same_bounds(own, first.ocp):
-        # What is left are numbers of the stage: most cases of a sweep.
+        # Only numbers of the stage differ: most cases of a sweep.
         fixed = first.nlp.numbers[: len(first.nlp.numbers) - len(stage.numbers)]
         nlp = replace(first.nlp, numbers=np.append(fixed, stage.numbers))
         return replace(first, ocp=own, nlp=nlp)
@@ -94,7 +96,6 @@ def adapt(first: Transcription, ocp: OptimalControlProblem) -> Transcription | N
 
 
 def _stage_of(ocp: OptimalControlProblem, scheme: Scheme) -> NumberedStage:
-    """The stage, along splines where their coefficients are the variables."""
     stage, splines = ocp.numbered_stage, scheme.splines(ocp, [np.ones(1)])
     if splines is None:
         return stage
@@ -104,7 +105,10 @@ def _stage_of(ocp: OptimalControlProblem, scheme: Scheme) -> NumberedStage:
 
 
 class _NlpBuilder:
-    """Collects variables and rows of one NLP."""
+    """Collects variables and rows of one NLP.
+
+    With `like` given, only bounds and numbers are made; its graph stays.
+    """
 
     def __init__(
         self,
@@ -125,7 +129,7 @@ class _NlpBuilder:
         self.variables, self.rows = Blocks(), Blocks()
         self.expressions: list[ca.MX] = []
         self.splines = scheme.splines(ocp, mesh)
-        # States and controls are variables, unless they follow from the coefficients of splines.
+        # Node values are variables only where spline coefficients are not.
         self.nodes = self.variables if self.splines is None else Blocks()
         self.coefficients: Block | None = None
         self._declare_variables()
@@ -167,7 +171,7 @@ class _NlpBuilder:
             self._state_at_node(symbols, column) for column in (0, self.states.lower.shape[1] - 1)
         ]
         objective = ocp.objective(integrals, total, statics, *ends, self.parameters)
-        return self._assemble(integrals, objective)
+        return self._make_transcription(integrals, objective)
 
     def _make_symbols(self, durations: ca.MX) -> Symbols:
         moves = None
@@ -193,13 +197,12 @@ class _NlpBuilder:
         )
 
     def _state_at_node(self, s: Symbols, column: int) -> ca.MX:
-        """The state at a node."""
         if s.moves is None:
             return s.states[:, column]
         place = self.scheme.state_places(self.intervals)[[column]]
         return s.moves(place)[: len(self.ocp.states)]
 
-    def _assemble(self, integrals: ca.MX, objective: ca.MX) -> Transcription:
+    def _make_transcription(self, integrals: ca.MX, objective: ca.MX) -> Transcription:
         lower_x, upper_x = self.variables.bounds()
         lower_g, upper_g = self.rows.bounds()
         for index in np.flatnonzero(lower_x > upper_x):
@@ -209,26 +212,25 @@ class _NlpBuilder:
                 f"{self.ocp.name}: {entry} must be at least {low:g} and at most {high:g}. Move "
                 "the boundary value inside the limits, or widen the limits."
             )
+        own: dict[str, Any] = {
+            "variables": self.variables,
+            "rows": self.rows,
+            "lower_x": lower_x,
+            "upper_x": upper_x,
+            "lower_g": lower_g,
+            "upper_g": upper_g,
+            "numbers": self.numbers,
+        }
+        blocks: dict[str, Any] = {
+            "ocp": self.ocp,
+            "states": self.states,
+            "controls": self.controls,
+            "statics": self.statics,
+            "durations": self.durations,
+            "path_blocks": tuple(self.path_blocks),
+        }
         if self.like is not None:
-            return replace(
-                self.like,
-                ocp=self.ocp,
-                nlp=replace(
-                    self.like.nlp,
-                    variables=self.variables,
-                    rows=self.rows,
-                    lower_x=lower_x,
-                    upper_x=upper_x,
-                    lower_g=lower_g,
-                    upper_g=upper_g,
-                    numbers=self.numbers,
-                ),
-                states=self.states,
-                controls=self.controls,
-                statics=self.statics,
-                durations=self.durations,
-                path_blocks=tuple(self.path_blocks),
-            )
+            return replace(self.like, nlp=replace(self.like.nlp, **own), **blocks)
         f, g, derivatives = compose_derivatives(
             self.stage,
             (self.x, self.p, self.values),
@@ -243,29 +245,18 @@ class _NlpBuilder:
             f=f,
             g=g,
             derivatives=derivatives,
-            variables=self.variables,
-            rows=self.rows,
-            lower_x=lower_x,
-            upper_x=upper_x,
-            lower_g=lower_g,
-            upper_g=upper_g,
             objective_scale=self.ocp.objective_scale,
-            numbers=self.numbers,
+            **own,
         )
         return Transcription(
-            ocp=self.ocp,
             scheme=self.scheme,
             mesh=self.mesh,
             nlp=nlp,
-            states=self.states,
-            controls=self.controls,
-            statics=self.statics,
-            durations=self.durations,
             splines=self.splines,
             coefficients=self.coefficients,
-            path_blocks=tuple(self.path_blocks),
             outputs=self._output_function(integrals, objective),
             structure=structure_of(self.ocp, self.own_stage, self.scheme, self.mesh),
+            **blocks,
         )
 
     def _output_function(self, integrals: ca.MX, objective: ca.MX) -> ca.Function:
@@ -275,21 +266,21 @@ class _NlpBuilder:
 
     def _declare_variables(self) -> None:
         ocp = self.ocp
-        self.states = self._add_nodes(
-            "state",
-            ocp.states,
-            (ocp.state_lower, ocp.state_upper),
-            ocp.scales_of_states,
+        self.states = self.nodes.add_nodes(
+            Rows.make("state", ocp.states, ocp.state_lower, ocp.state_upper, ocp.scales_of_states),
             self.scheme.state_places(self.intervals),
             (ocp.initial_lower, ocp.initial_upper),
             (ocp.final_lower, ocp.final_upper),
         )
-        starts = self.scheme.continuous_control  # else no control stands at the start
-        self.controls = self._add_nodes(
-            "control",
-            ocp.controls,
-            (ocp.control_lower, ocp.control_upper),
-            ocp.scales_of_controls,
+        starts = self.scheme.continuous_control  # else there is no control at the start
+        self.controls = self.nodes.add_nodes(
+            Rows.make(
+                "control",
+                ocp.controls,
+                ocp.control_lower,
+                ocp.control_upper,
+                ocp.scales_of_controls,
+            ),
             self.scheme.control_places(self.intervals),
             (ocp.initial_control_lower, ocp.initial_control_upper) if starts else (None, None),
             (ocp.final_control_lower, ocp.final_control_upper),
@@ -307,40 +298,17 @@ class _NlpBuilder:
             None,
         )
         self.durations = None
-        if ocp.phases > 1:
+        if ocp.phases > 1 or not ocp.fixed_duration:
             lower, upper = ocp.duration
-            least = ocp.phase_fraction_min * (upper if np.isfinite(upper) else lower)
-            labels = [f"phase {i + 1}" for i in range(ocp.phases)]
-            self.durations = self.variables.add(
-                Rows.make("duration", labels, least, upper, unit="s"), None
-            )
-        elif not ocp.fixed_duration:
-            self.durations = self.variables.add(
-                Rows.make("duration", [""], *ocp.duration, unit="s"), None
-            )
-
-    def _add_nodes(
-        self,
-        name: str,
-        labels: tuple[str, ...],
-        bounds: tuple[np.ndarray, np.ndarray],
-        scale: np.ndarray,
-        places: Places,
-        first: tuple[np.ndarray | None, np.ndarray | None],
-        last: tuple[np.ndarray | None, np.ndarray | None],
-    ) -> Block:
-        rows = Rows.make(name, labels, *bounds, scale)
-        lower = np.repeat(rows.lower[:, None], len(places), axis=1)
-        upper = np.repeat(rows.upper[:, None], len(places), axis=1)
-        for column, (low, high) in ((0, first), (-1, last)):
-            if low is not None:
-                lower[:, column] = np.maximum(lower[:, column], low)
-            if high is not None:
-                upper[:, column] = np.minimum(upper[:, column], high)
-        return self.nodes.add(rows, places, lower, upper)
+            labels = [""]
+            if ocp.phases > 1:
+                lower = ocp.phase_fraction_min * (upper if np.isfinite(upper) else lower)
+                labels = [f"phase {i + 1}" for i in range(ocp.phases)]
+            rows = Rows.make("duration", labels, lower, upper, unit="s")
+            self.durations = self.variables.add(rows, None)
 
     def _declare_coefficients(self) -> Block:
-        """Coefficients of the splines; those that a pose at rest fixes have it as their bound."""
+        """Add the coefficients of the splines; bounds fix those that a pose at rest determines."""
         assert self.splines is not None
         n = len(self.ocp.chains)
         rows = Rows.make("spline", [f"chain {j + 1}" for j in range(n)], -np.inf, np.inf)
@@ -359,7 +327,7 @@ class _NlpBuilder:
         return self.variables.add(rows, places, lower, upper)
 
     def _fixed_derivatives(self, column: int) -> int:
-        """How many derivatives, position included, an end in a given pose at rest has fixed."""
+        """Count the derivatives, position included, that an end at rest in a given pose fixes."""
         low, high = self.states.lower[:, column], self.states.upper[:, column]
         *orders, _ = (list(order) for order in zip(*self.ocp.chains, strict=True))
         for order, own in enumerate(orders):
@@ -369,7 +337,7 @@ class _NlpBuilder:
         return len(orders)
 
     def _add_spline_rows(self, s: Symbols, durations: ca.MX) -> None:
-        """Bounds of the states at the nodes, and splines that go on from phase to phase."""
+        """Add bounds of states at the nodes, and continuity of the splines between phases."""
         assert self.splines is not None
         assert self.coefficients is not None
         ocp, nodes = self.ocp, self.scheme.state_places(self.intervals)
@@ -401,7 +369,7 @@ class _NlpBuilder:
             self._add_rows(rows, enter - leave, ends[0], structural=True)
 
     def _spline_variables(self, points: StagePoints, durations: ca.MX) -> tuple[ca.MX, ca.DM]:
-        """Bases of the splines at all points, and which of the programme's variables each takes."""
+        """Return bases of the splines at all points, and the matrix to their variables."""
         along, splines, coefficients = self.own_stage.along, self.splines, self.coefficients
         assert along is not None
         assert splines is not None
@@ -421,7 +389,7 @@ class _NlpBuilder:
         pattern = ca.Sparsity.triplet(
             len(columns), self.variables.size, list(range(len(columns))), columns.tolist()
         )
-        # Entries of a pattern stand column by column.
+        # Entries of a sparsity pattern are ordered by columns.
         return values, ca.DM(pattern, scales[np.sort(columns)])
 
     def _block_symbol(self, block: Block) -> ca.MX:
@@ -450,23 +418,23 @@ class _NlpBuilder:
         places: Places | None = None,
         main: np.ndarray | None = None,
     ) -> list[tuple[Block, np.ndarray]]:
-        """Rows of a function's output, block by block; rows without any bound are left out.
+        """Add the bounded rows of a function's output, block by block.
 
-        Returns the blocks, each with the entries of the output that it holds.
+        Return the blocks, each with the indices of its entries in the output.
         """
         begin, made = 0, []
         for rows in blocks:
-            kept = np.isfinite(rows.lower) | np.isfinite(rows.upper)
-            entries = begin + np.flatnonzero(kept)
+            kept = np.flatnonzero(rows.bounded)
+            entries = begin + kept
             part = values[entries.tolist(), :]
             begin += len(rows)
-            if not kept.any():
+            if not kept.size:
                 continue
             where = places
             if places is not None and main is not None and not rows.midpoints and not main.all():
                 part = part[:, np.flatnonzero(main).tolist()]
                 where = places[main]
-            made.append((self._add_rows(_selected(rows, kept), part, where), entries))
+            made.append((self._add_rows(rows.select(kept), part, where), entries))
         return made
 
     def _add_stage(self, s: Symbols, points: StagePoints, statics: ca.MX) -> ca.MX:
@@ -483,7 +451,7 @@ class _NlpBuilder:
             self.variables_of_stage = ca.reshape(ca.mtimes(chosen, self.x), -1, count)
         if self.like is None:
             self.stage = StageFunction(self.own_stage, count, len(self.ocp.parameters), basis)
-        # Stand for the stage's values, so that derivatives can be put together from its own.
+        # Placeholder of the stage's values: derivatives are composed from the stage's own.
         self.values = ca.MX.sym("values", values, count)
         first = self.ocp.stage.size1_out(0)
         self.path_blocks = self._add_bounded_rows(
@@ -493,35 +461,29 @@ class _NlpBuilder:
 
     def _add_control_rate_rows(self, s: Symbols) -> None:
         ocp = self.ocp
-        count = len(ocp.controls)
-        lower = (
-            np.full(count, -np.inf) if ocp.control_rate_lower is None else (ocp.control_rate_lower)
+        low, high = ocp.control_rate_lower, ocp.control_rate_upper
+        rows = Rows.make(
+            "control rate",
+            ocp.controls,
+            -np.inf if low is None else low,
+            np.inf if high is None else high,
         )
-        upper = (
-            np.full(count, np.inf) if ocp.control_rate_upper is None else (ocp.control_rate_upper)
-        )
-        use = np.flatnonzero(np.isfinite(lower) | np.isfinite(upper))
+        use = np.flatnonzero(rows.bounded)
         if not use.size:
             return
-        largest = np.maximum(
-            np.abs(np.where(np.isfinite(lower), lower, 0.0)),
-            np.abs(np.where(np.isfinite(upper), upper, 0.0)),
-        )[use]
-        scale = np.where(largest > 0.0, largest, 1.0)
-        rows = Rows.make(
-            "control rate", [ocp.controls[i] for i in use], lower[use], upper[use], scale
-        )
+        rows = rows.select(use)
+        bounds = np.abs([rows.lower, rows.upper])
+        largest = np.where(np.isfinite(bounds), bounds, 0.0).max(axis=0)
+        rows = replace(rows, scale=np.where(largest > 0.0, largest, 1.0))
         for local in self.scheme.rate_nodes:
             rates = self.scheme.control_rates(s, float(local))[use.tolist(), :]
             self._add_rows(rows, rates, self.intervals.places(np.array([local])))
-        if not self.scheme.continuous_control:
-            self._add_control_continuity(s, use)
-
-    def _add_control_continuity(self, s: Symbols, use: np.ndarray) -> None:
+        if self.scheme.continuous_control:
+            return
         # A jump between intervals would be an unbounded rate that no rate row sees.
         jumps = self.scheme.control_jumps(s)[use.tolist(), :]
-        labels = [self.ocp.controls[i] for i in use]
-        rows = Rows.make("control continuity", labels, 0.0, 0.0, self.ocp.scales_of_controls[use])
+        labels = [ocp.controls[i] for i in use]
+        rows = Rows.make("control continuity", labels, 0.0, 0.0, ocp.scales_of_controls[use])
         inner = self.intervals.places(np.array([0.0]))
         self._add_rows(rows, jumps, inner[1:], structural=True)
 
@@ -536,16 +498,3 @@ class _NlpBuilder:
                 given = (self._state_at_node(s, int(column)), s.parameters)
                 values = point.function(*given[: point.function.n_in()])
                 self._add_bounded_rows(point.rows, values, places[[int(column)]])
-
-
-def _selected(rows: Rows, kept: np.ndarray) -> Rows:
-    index = np.flatnonzero(kept)
-    return Rows(
-        name=rows.name,
-        labels=tuple(rows.labels[i] for i in index),
-        lower=rows.lower[index],
-        upper=rows.upper[index],
-        scale=rows.scale[index],
-        unit=rows.unit,
-        midpoints=rows.midpoints,
-    )

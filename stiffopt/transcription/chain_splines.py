@@ -1,9 +1,9 @@
 """Chains of integrators behind a piecewise-linear control, as splines.
 
 With five integrators (position, velocity, acceleration, jerk and snap behind a crackle) positions
-are splines of degree 6 with five continuous derivatives. Their coefficients are all there is to
-choose: with them as variables no equation ties the states of neighbouring nodes, which leaves a
-fifth of the variables, a third of the time of an iteration and fewer of them.
+are splines of degree 6 with five continuous derivatives. With their coefficients as variables no
+equation couples the states of neighbouring nodes: a fifth of the variables, a third of the time of
+an iteration, and fewer iterations.
 
 Source: de Boor (1978), "A practical guide to splines".
 """
@@ -31,13 +31,13 @@ class ChainSplines:
     ----------
     mesh : list of array
     chains : tuple of (position index, velocity index, .., control index)
-        Of states and controls that all belong to one.
+        All states and controls belong to one chain.
     control_degree : int
-        Of the controls, which are continuous.
+        Degree of the controls, which are continuous.
 
     Notes
     -----
-    Coefficients are one vector: those of all chains side by side, in order of time.
+    Coefficients are one vector, in order of time, in which chains run fastest.
     """
 
     mesh: Mesh
@@ -51,7 +51,7 @@ class ChainSplines:
 
     @property
     def degree(self) -> int:
-        """Of the positions."""
+        """Degree of the positions."""
         return self.orders - 1 + self.control_degree
 
     @property
@@ -61,12 +61,12 @@ class ChainSplines:
 
     @property
     def places(self) -> tuple[tuple[int, ...], ...]:
-        """Where position to control of each chain stand among states above controls."""
+        """Indices of position to control of each chain in the vector (states, controls)."""
         return tuple(tuple(self._chain_indices(j)) for j in range(len(self.chains)))
 
     @cached_property
     def counts(self) -> np.ndarray:
-        """Coefficients of a chain in each phase."""
+        """Number of coefficients of a chain in each phase."""
         inner = [self.control_degree * (len(part) - 1) for part in self.mesh]
         return np.array(inner) + self.degree + 1
 
@@ -76,7 +76,7 @@ class ChainSplines:
         return int(self.counts.sum()) * len(self.chains)
 
     def at(self, places: Places, coefficients: ca.MX, durations: ca.MX) -> ca.MX:
-        """States above controls (nx + nu, P) at places, of coefficients and phase durations."""
+        """States and controls (nx + nu, P) at places, as expressions of the coefficients."""
         matrix, powers, phases = self._coefficient_map(places)
         moved = ca.mtimes(_to_casadi(matrix), coefficients)
         stretched = _phase_duration_column(durations, phases) ** ca.DM(-powers)
@@ -85,14 +85,14 @@ class ChainSplines:
     def derivative(
         self, order: int, places: Places, coefficients: ca.MX, durations: ca.MX
     ) -> ca.MX:
-        """One derivative of all chains (n, P), as `at`."""
+        """Derivative of one order of all chains (n, P), as `at`."""
         matrix, powers, phases = self._coefficient_map(places, (order,))
         moved = ca.mtimes(_to_casadi(matrix), coefficients)
         stretched = _phase_duration_column(durations, phases) ** ca.DM(-powers)
         return ca.reshape(moved * stretched, len(self.chains), len(places))
 
     def positions(self, places: Places, states: Sequence[int], columns: int) -> ca.DM:
-        """Matrix from variables, the coefficients first, to these positions, place by place."""
+        """Matrix from variables, the coefficients first, to positions, place by place."""
         chains = [chain[0] for chain in self.chains]
         matrix = self._coefficient_map(places, (0,))[0].tocsr()
         rows = np.arange(len(places))[:, None] * len(chains) + [chains.index(i) for i in states]
@@ -101,7 +101,7 @@ class ChainSplines:
         return ca.DM(own.tocsc())
 
     def about(self, places: Places) -> tuple[np.ndarray, np.ndarray]:
-        """What is not zero at places.
+        """Nonzero basis functions at places.
 
         Parameters
         ----------
@@ -132,20 +132,20 @@ class ChainSplines:
     def numeric(
         self, places: Places, coefficients: np.ndarray, durations: np.ndarray
     ) -> np.ndarray:
-        """The same as `at` for numbers (P, nx + nu)."""
+        """States and controls (P, nx + nu) of numeric coefficients."""
         matrix, powers, phases = self._coefficient_map(places)
         found = matrix.tocsr() @ coefficients / durations[phases] ** powers
         return np.asarray(found.reshape(len(places), self.values))
 
     def matrix(self, places: Places, durations: np.ndarray) -> csr_matrix:
-        """What `numeric` multiplies the coefficients with ((nx + nu) P, size), place by place."""
+        """Matrix ((nx + nu) P, size) from coefficients to states and controls, place by place."""
         matrix, powers, phases = self._coefficient_map(places)
         return (diags(durations[phases] ** -powers) @ matrix).tocsr()
 
     def fitted(
         self, places: Places, values: np.ndarray, scales: np.ndarray, durations: np.ndarray
     ) -> np.ndarray:
-        """Coefficients whose states and controls at places are nearest to values (P, nx + nu).
+        """Fit coefficients to states and controls (P, nx + nu) at places by least squares.
 
         Parameters
         ----------
@@ -178,7 +178,6 @@ class ChainSplines:
         return found.ravel()
 
     def _chain_indices(self, chain: int) -> list[int]:
-        """Where position to control of a chain stand among states and controls."""
         *states, control = self.chains[chain]
         return [*states, (self.orders - 1) * len(self.chains) + control]
 
@@ -195,7 +194,7 @@ class ChainSplines:
     def _coefficient_map(
         self, places: Places, orders: tuple[int, ...] = ()
     ) -> tuple[coo_matrix, np.ndarray, np.ndarray]:
-        """Matrix from the coefficients, powers of the phase duration that divide, and phases.
+        """Matrix from the coefficients, powers of the phase duration in the divisor, and phases.
 
         Rows are the states above the controls, point by point; or derivatives of these orders, of
         all chains.
@@ -228,7 +227,6 @@ def _to_casadi(matrix: coo_matrix) -> ca.DM:
 
 
 def _phase_duration_column(durations: ca.MX, phases: np.ndarray) -> ca.MX:
-    """Duration of each value's phase, one below the other."""
     if durations.numel() == 1:
         return ca.repmat(durations, len(phases), 1)
     return durations[phases.tolist()]

@@ -50,7 +50,7 @@ def bernstein_from_values(nodes: np.ndarray) -> np.ndarray:
 
 
 def bernstein_of_integral(nodes: np.ndarray) -> np.ndarray:
-    """Matrix (m + 1, m): the same for the integral from 0 of the polynomial."""
+    """Matrix (m + 1, m): values at m nodes to Bernstein coefficients of the integral from 0."""
     m = len(nodes)
     power = power_from_values(nodes) / np.arange(1, m + 1)[:, None]
     return np.asarray(_bernstein_from_power(m + 1) @ np.vstack([np.zeros(m), power]))

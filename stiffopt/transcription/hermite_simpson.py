@@ -70,5 +70,4 @@ class HermiteSimpson(Scheme):
 
 
 def _split_thirds(columns: ca.MX) -> tuple[ca.MX, ca.MX, ca.MX]:
-    """Start, middle and end columns of all intervals."""
     return columns[:, 0:-2:2], columns[:, 1::2], columns[:, 2::2]

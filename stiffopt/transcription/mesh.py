@@ -1,4 +1,4 @@
-"""How each phase is cut into intervals."""
+"""Meshes: division of each phase into intervals, uniform or refined by control activity."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def uniform_mesh(intervals: int, phases: int = 1, shares: Sequence[float] | None
         Total number, at least one a phase.
     phases : int
     shares : sequence of float, optional
-        How the intervals are split over the phases (any positive numbers); equal when absent.
+        Proportions of intervals among the phases (any positive numbers); equal when absent.
 
     Returns
     -------
@@ -103,7 +103,7 @@ _INTERVAL_SAMPLES = np.linspace(0.0, 1.0, 5)
 
 
 def control_activity(transcription: Transcription, x: np.ndarray) -> np.ndarray:
-    """How fast the controls change in each interval.
+    """Rate of change of the controls in each interval.
 
     Parameters
     ----------
@@ -135,10 +135,10 @@ def refine_mesh(
     floor: float = 0.1,
     shortest: float = 0.1,
 ) -> Mesh:
-    """Mesh whose intervals carry equal shares of the controls' activity.
+    """Return a mesh whose intervals have equal shares of the controls' activity.
 
     The monitor is sqrt(activity + floor * mean activity): where a control switches or a boundary
-    layer sits the intervals get short, elsewhere they keep a bounded length.
+    layer lies the intervals become short, elsewhere they keep a bounded length.
 
     Parameters
     ----------

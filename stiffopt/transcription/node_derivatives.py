@@ -1,10 +1,10 @@
-"""A stage function with exact first and second derivatives.
+"""Stage function with exact first and second derivatives, by values or spline coefficients.
 
-Two devices make it fast:
+Two measures make it fast:
 
 - numbers become inputs: two stages that differ by a payload, a limit or a drivetrain's numbers are
   one function, so it is differentiated once;
-- derivatives go by the chain rule through an intermediate quantity (joint torques): with y = Y(w),
+- derivatives use the chain rule through an intermediate quantity (joint torques): with y = Y(w),
   the Hessian of L(w, y) is L_ww + L_wy Y' + (L_wy Y')^T + Y'^T L_yy Y' + sum mu_k Y_k'', mu = L_y.
   On a six-joint arm it halves the number of operations.
 """
@@ -22,24 +22,26 @@ import numpy as np
 
 @dataclass(frozen=True)
 class SplineCoordinates:
-    """How a stage's variables w follow from local ones: coefficients, static variables, duration.
+    """Map from local variables (spline coefficients, statics, duration) to a stage's variables w.
 
     Parameters
     ----------
     chains : tuple of (position index, velocity index, .., control index)
-        Places in w.
+        Indices in w.
     degree : int
-        Of the positions: degree + 1 splines are not zero at a point.
+        Degree of the positions: degree + 1 splines are nonzero at a point.
     statics : int
-        Static variables, the last of w.
+        Number of static variables, the last of w.
     free : bool
-        Whether the duration of a point's phase is a variable, the last of all.
+        True where the duration of a point's phase is a variable, the last of all.
 
     Notes
     -----
-    Local variables are the coefficients (chains run fastest), the static variables, the duration.
-    The basis (degree + 1, derivatives) holds the values of a point's splines, column by column, by
-    shares of the phase's duration; where that is given, they are by time.
+    States and controls at a point are sums of few nonzero splines. The chain rule through them is
+    part of the stage's derivatives: sparse matrix products of the whole programme took longer than
+    the stages. Local variables are the coefficients (chains run fastest), the static variables, the
+    duration. The basis (degree + 1, derivatives) holds the values of a point's splines, column by
+    column, as derivatives by the share of the phase's duration, or by time where it is fixed.
     """
 
     chains: tuple[tuple[int, ...], ...]
@@ -58,7 +60,7 @@ class SplineCoordinates:
         return len(self.chains) * (self.degree + 1) + self.statics + self.free
 
     def variables(self, local: ca.SX, basis: ca.SX) -> ca.SX:
-        """The stage's variables w (n,) of local ones and the basis."""
+        """Express the stage's variables w (n,) by the local ones and the basis."""
         n, splines = len(self.chains), self.degree + 1
         moved = ca.mtimes(
             ca.reshape(local[: n * splines], n, splines),
@@ -72,7 +74,7 @@ class SplineCoordinates:
         return ca.vertcat(*found, local[n * splines : n * splines + self.statics])
 
     def stage_derivatives(self, functions: Sequence[ca.Function]) -> tuple[ca.Function, ...]:
-        """A stage and its derivatives by local variables.
+        """Return a stage and its derivatives by local variables.
 
         Parameters
         ----------
@@ -105,7 +107,7 @@ class SplineCoordinates:
         )
 
 
-# Numbers that shape a formula rather than fill it.
+# Numbers that belong to the structure of a formula, not inputs.
 _STRUCTURAL_NUMBERS = (-2.0, -1.0, 0.0, 0.5, 1.0, 2.0)
 
 
@@ -123,7 +125,7 @@ class NumberedStage:
     formula : str
         Hash of the function.
     along : AlongSplines, optional
-        Where w follows from coefficients of splines, by which derivatives are then.
+        Where spline coefficients are the variables: derivatives are by these.
     """
 
     function: ca.Function
@@ -133,24 +135,24 @@ class NumberedStage:
 
     @property
     def derivatives(self) -> tuple[ca.Function, ...]:
-        """The stage, its Jacobian and its Hessian, of w or of the local variables."""
+        """Stage, Jacobian and Hessian, by w or by the local variables."""
         found = with_derivatives(self.function)
         return found if self.along is None else self.along.stage_derivatives(found)
 
 
 def numbered(stage: ca.Function, intermediate: ca.Function | None = None) -> NumberedStage:
-    """Take the numbers out of a stage function.
+    """Turn the numbers of a stage function into inputs.
 
     Parameters
     ----------
     stage : casadi.Function
         (x, u, z, p) -> (integrands, path rows), of SX.
     intermediate : casadi.Function, optional
-        (x, u, z, p) -> (y,), of the same symbols: what most of the stage is computed through.
+        (x, u, z, p) -> (y,), of the same symbols: quantities through which most of it is computed.
     """
     *variables, parameters = symbols = stage.sx_in()
     through = [ca.SX(0, 1)] if intermediate is None else intermediate.call(symbols)
-    # The intermediate comes first, so that what follows is computed from it.
+    # The intermediate comes first: the other outputs are computed from it.
     outputs = [ca.densify(each) for each in (*through, ca.vertcat(*stage.call(symbols)))]
     inputs = [ca.vertcat(*variables), parameters]
     plain = ca.Function("stage", inputs, outputs)
@@ -168,14 +170,14 @@ def numbered(stage: ca.Function, intermediate: ca.Function | None = None) -> Num
 
 @dataclass(frozen=True)
 class _Formula:
-    """A function operation by operation: the formula, and constants by their instruction."""
+    """Operations of a function without constants, and constants by their instruction."""
 
     formula: tuple[object, ...]
     constants: dict[int, float]
 
 
-# Formulas without their numbers, and which instructions hold these: those used last. Most problems
-# of a sweep have one.
+# Least recently used formulas without numbers, with the instructions of these; most problems of a
+# sweep share one.
 _formula_cache: OrderedDict[tuple[object, ...], tuple[ca.Function, list[int], str]] = OrderedDict()
 _MAX_CACHED_FORMULAS = 8
 
@@ -196,7 +198,7 @@ def _read_formula(function: ca.Function) -> _Formula:
 
 
 def _without_numbers(function: ca.Function, inputs: list[ca.SX]) -> tuple[ca.Function, list[int]]:
-    """The function with one more input for the numbers; which instruction holds each of them."""
+    """Return the function with a further input for its numbers, and their instructions."""
     uses: list[int] = []
     names: list[ca.SX] = []
 
@@ -207,13 +209,13 @@ def _without_numbers(function: ca.Function, inputs: list[ca.SX]) -> tuple[ca.Fun
         names.append(ca.SX.sym(f"n{len(names)}"))
         return names[-1]
 
-    replayed = _replay(function, inputs, number=number)
+    replayed = _replay_operations(function, inputs, number=number)
     given = ca.vertcat(ca.SX(0, 1), *names)
     return ca.Function("stage", [*inputs, given], replayed), uses
 
 
 def with_derivatives(function: ca.Function) -> tuple[ca.Function, ca.Function, ca.Function]:
-    """The stage function, its Jacobian and its Hessian.
+    """Return the stage function, its Jacobian and its Hessian.
 
     Parameters
     ----------
@@ -230,7 +232,7 @@ def with_derivatives(function: ca.Function) -> tuple[ca.Function, ca.Function, c
     w = inputs[0]
     n = w.numel()
     y = ca.SX.sym("y", function.numel_out(0))
-    _, outer = _replay(function, inputs, intermediate=y)
+    _, outer = _replay_operations(function, inputs, intermediate=y)
     inner, values = function.call(inputs)
     weights, pull = ca.SX.sym("weights", values.numel()), ca.SX.sym("pull", y.numel())
 
@@ -252,13 +254,13 @@ def with_derivatives(function: ca.Function) -> tuple[ca.Function, ca.Function, c
     )
 
 
-def _replay(
+def _replay_operations(
     function: ca.Function,
     inputs: list[ca.SX],
     number: Callable[[float, int], ca.SX] = lambda value, _: ca.SX(value),
     intermediate: ca.SX | None = None,
 ) -> list[ca.SX]:
-    """Outputs of a function, computed again operation by operation.
+    """Compute the outputs of a function again, operation by operation.
 
     Parameters
     ----------
@@ -266,10 +268,10 @@ def _replay(
         Of SX, with dense outputs.
     inputs : list of SX
     number : callable
-        What stands for a number, by its value and instruction, asked for at each of its uses:
-        whether two numbers happen to be equal is no part of a formula.
+        (value, instruction) -> symbol of a number, called at each of its uses: equal numbers stay
+        separate inputs, since their equality is no part of the formula.
     intermediate : SX, optional
-        Stands for the first output in all that is computed from it.
+        Replaces the first output in everything computed from it.
     """
     work: dict[int, ca.SX | tuple[float, int]] = {}
 

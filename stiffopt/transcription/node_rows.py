@@ -1,8 +1,8 @@
-"""Rows at some nodes of a transcribed problem, added to it: numbers of their own at each node.
+"""Rows added at single nodes of a transcribed problem, with numbers of their own at each node.
 
-Path rows are the same at every point and part of the stage. These are few, differ from node to
-node and change between solves: their numbers are parameters of the programme, so that a solver that
-was set up for them takes new ones at once.
+Path rows are the same at every point and part of the stage. Node rows are few, differ from node to
+node and change between solves: their numbers are parameters of the programme, so a solver that was
+set up for them is used again with new ones.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class NodeRows:
     function : casadi.Function
         (states (m,), numbers (d,)) -> scalar, of SX: some of the states at the node.
     states : sequence of int (m,)
-        Which ones; positions where motions are splines.
+        Their indices; positions only where motions are splines.
     columns : array (k,) of int
         Nodes, counted from the first.
     numbers : array (k, d)
@@ -46,7 +46,7 @@ class NodeRows:
 
 
 def with_node_rows(first: Transcription, blocks: Sequence[NodeRows]) -> Transcription:
-    """The transcription with further rows, the last of its programme.
+    """Return the transcription with node rows appended to its programme.
 
     Parameters
     ----------
@@ -96,12 +96,12 @@ def with_node_rows(first: Transcription, blocks: Sequence[NodeRows]) -> Transcri
 def renumbered(
     made: Transcription, first: Transcription, blocks: Sequence[NodeRows]
 ) -> Transcription:
-    """The same rows with other numbers, and others of them kept.
+    """Return the programme with other numbers of the node rows, and others of them active.
 
     Parameters
     ----------
     made : Transcription
-        Of `with_node_rows`.
+        Result of `with_node_rows`.
     first : Transcription
         Without the rows.
     blocks : sequence of NodeRows
@@ -153,7 +153,6 @@ class _MappedRows:
         )
 
     def hessian(self, weights: ca.MX) -> ca.MX:
-        """Second derivatives of the weighted sum."""
         found = self._bent(self._states, self._given, weights.T)
         return ca.mtimes([self._inner.T, ca.sparsity_cast(found, self._pattern), self._inner])
 
@@ -177,7 +176,6 @@ def _selection_matrix(first: Transcription, block: NodeRows) -> ca.DM:
 
 
 def _append_row_names(first: Transcription, blocks: Sequence[NodeRows]) -> Blocks:
-    """Names of all rows."""
     found = Blocks(list(first.nlp.rows.items), first.nlp.rows.size)
     places = first.scheme.state_places(first.intervals)
     for block in blocks:

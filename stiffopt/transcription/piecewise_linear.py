@@ -1,4 +1,4 @@
-"""Piecewise-linear control: second-order states become cubic splines, integrated exactly.
+"""Piecewise-linear control: chains of integrators become splines, integrated exactly.
 
 States that the dynamics integrate follow the trapezoidal rule, so they and the optimum converge
 with order 2; for second-order states the equations hold exactly and only the shape of the control
@@ -102,14 +102,19 @@ def _interval_ends(s: Symbols) -> tuple[ca.MX, ca.MX, ca.MX, ca.MX]:
 
 
 class IntegratorChain(PiecewiseLinear):
-    """Control linear in each interval and continuous; every state belongs to a chain."""
+    """Chains of more than two integrators behind a piecewise-linear, continuous control.
+
+    Variables are the coefficients of splines (`ChainSplines`), so no equation couples the nodes of
+    a phase. Such motions deviate so little between nodes that bounds of states need no rows within
+    the intervals.
+    """
 
     def splines(self, ocp: OptimalControlProblem, mesh: Mesh) -> ChainSplines:
-        """The splines whose coefficients are the variables."""
+        """Return the splines whose coefficients are the variables."""
         return ChainSplines(mesh, ocp.chains)
 
     def defects(self, s: Symbols) -> Iterator[Defect]:
-        """None: splines obey the dynamics."""
+        """Yield nothing: splines obey the dynamics."""
         return iter(())
 
     def middle(self, s: Symbols) -> tuple[ca.MX, ca.MX]:
@@ -120,5 +125,5 @@ class IntegratorChain(PiecewiseLinear):
         return values[:states, :], values[states:, :]
 
     def extra_rows(self, s: Symbols) -> Iterator[tuple[Rows, ca.MX, Places]]:
-        """None."""
+        """Yield nothing: see the class."""
         return iter(())

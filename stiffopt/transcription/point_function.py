@@ -1,4 +1,15 @@
-"""A function of single points at many of them."""
+"""Functions of a point at all points of a mesh, and NLP derivatives composed from a stage's own.
+
+Evaluated by the interpreter of batched instructions; without the compiled core by CasADi, one point
+a call. With the stage's variables w(x) and values v = V(w), the programme is f(x, v), g(x, v), in
+which all but V is cheap. By the chain rule, S = V' w' and the Lagrangian L(x, v) = sigma f +
+lambda^T g,
+
+    g' = g_x + g_v S,    L'' = L_xx + L_xv S + (L_xv S)^T + S^T L_vv S + sum (V'^T L_v)_k w_k''
+                               + w'^T (sum (L_v)_i V_i'') w'.
+
+CasADi's own colouring of the same graph takes several times as long.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +26,7 @@ from stiffopt.interpreter.batched import batched
 from stiffopt.symbolic import InPlace
 from stiffopt.transcription.node_derivatives import NumberedStage, numbered
 
-# Inputs of a numbered stage that are the same at all points: parameters and numbers.
+# Inputs of a numbered stage that are common to all points: parameters and numbers.
 _SHARED_INPUTS = (1, 2)
 # Functions kept for another mesh or the next problem of the same formula.
 MAX_KEPT = 16
@@ -42,12 +53,12 @@ def _prepare_once(
     if key not in _kept_functions:
         found = functions()
         if path is not None:
-            # An iteration of the optimiser asks for values and slopes again and again.
+            # Values and Jacobian are evaluated repeatedly at one iterate.
             several = [
                 batched(path, each, _SHARED_INPUTS, recalled=len(found) > 1 and k < 2)
                 for k, each in enumerate(found)
             ]
-            # All of one stage are of as many points.
+            # All functions of one stage must have the same number of points.
             if None not in several:
                 found = tuple(each for each in several if each is not None)
         _kept_functions[key] = found
@@ -65,9 +76,8 @@ class PointFunction:
     function : casadi.Function
         (x, u, z, p) -> (m,), of SX.
     extended : callable, optional
-        What is wanted in place of the values, and of which variables: of the variables and values,
-        with numbers of the function as symbols. Numbers of a short function are taken out sooner
-        than those of its derivatives.
+        (variables, values) -> (variables, values) to be evaluated in their place, as derivatives:
+        numbers are extracted from the short function, before it is extended.
     """
 
     def __init__(
@@ -104,16 +114,16 @@ class PointFunction:
 
 
 class StageFunction:
-    """A problem's stage at `count` points.
+    """Stage of a problem at `count` points, with exact derivatives.
 
     Parameters
     ----------
     stage : NumberedStage
     count : int
     parameters : int
-        How many of the programme's parameters are the stage's own; its numbers are the last.
+        Number of the programme's parameters that the stage has; its numbers are the last.
     basis : MX (k, count), optional
-        Of a stage along splines, at every point.
+        Basis of the splines at every point, where their coefficients are the variables.
 
     Notes
     -----
@@ -125,7 +135,7 @@ class StageFunction:
         self, stage: NumberedStage, count: int, parameters: int, basis: ca.MX | None = None
     ) -> None:
         functions = stage_functions(stage)
-        # They may take several points at once.
+        # Batched functions evaluate several points in a call.
         self._lanes = int(functions[0].size2_in(0))
         self._calls = -(-count // self._lanes)
         self._values, self._jacobian, self._hessian = (each.map(self._calls) for each in functions)
@@ -141,14 +151,14 @@ class StageFunction:
         return self._values(*self._stage_arguments(variables, parameters))[:, : self._count]
 
     def jacobian(self, variables: ca.MX, parameters: ca.MX) -> ca.MX:
-        """All values by all variables (m count, n count), block-diagonal."""
+        """Jacobian of all values by all variables (m count, n count), block-diagonal."""
         found = self._jacobian(*self._stage_arguments(variables, parameters))
         return self._along_diagonal(found, variables.size1(), self._jacobian_pattern)
 
     def hessian(self, variables: ca.MX, parameters: ca.MX, weights: ca.MX) -> ca.MX:
         """Second derivatives of the values' weighted sum (n count, n count), block-diagonal.
 
-        Of a stage along splines their upper half.
+        Only the upper half where spline coefficients are the variables.
 
         Parameters
         ----------
@@ -166,12 +176,12 @@ class StageFunction:
         return self._pad_columns(variables), *same, *self._basis
 
     def _pad_columns(self, columns: ca.MX) -> ca.MX:
-        """As many columns as are computed; the last one again where there are fewer points."""
+        """Repeat the last column up to a whole number of batches."""
         missing = self._calls * self._lanes - self._count
         return ca.horzcat(columns, ca.repmat(columns[:, -1], 1, missing)) if missing else columns
 
     def _along_diagonal(self, found: ca.MX, width: int, pattern: ca.Sparsity) -> ca.MX:
-        """Blocks side by side, each so wide, as one block-diagonal matrix."""
+        """Arrange blocks that lie side by side as one block-diagonal matrix."""
         return ca.sparsity_cast(found[:, : width * self._count], pattern)
 
     def _block_diagonal(self, function: ca.Function) -> ca.Sparsity:
@@ -188,19 +198,19 @@ def compose_derivatives(
     rows: ca.MX,
     slope: ca.MX | None = None,
 ) -> tuple[ca.MX, ca.MX, dict[str, ca.Function]]:
-    """Objective and rows as expressions of x alone, and their derivatives for `casadi.nlpsol`.
+    """Compose objective and rows as expressions of x, and derivatives for `casadi.nlpsol`.
 
     Parameters
     ----------
     stage : StageFunction
     symbols : MX
-        x, parameters p, and v (m, count), which stands for the stage's values.
+        x, parameters p, and v (m, count), the placeholder of the stage's values.
     variables : MX (n, count)
         w(x).
     objective, rows : MX
         f(x, v), g(x, v).
     slope : MX, optional
-        w'(x), where more is known of it than CasADi finds out.
+        w'(x), where its sparsity is known better than by CasADi.
     """
     x, p, v = symbols
     true = stage.values(variables, p)
@@ -212,7 +222,7 @@ def compose_derivatives(
     flat = ca.vec(v)
     weights = ca.gradient(lagrangian, flat)
     seen = lagrangian + ca.dot(pull, ca.vec(variables))
-    # All that is left to CasADi are these small graphs.
+    # CasADi differentiates only these small graphs.
     parts = ca.Function(
         "parts",
         [x, p, v, sigma, multipliers, pull],

@@ -1,7 +1,7 @@
 """Legendre-Gauss-Radau collocation (flipped: the points include each interval's end).
 
 States are polynomials of the given degree through the interval's start and its points; controls
-live at the points only. So no control stands at t = 0: bounds on the initial control hold for the
+are defined at the points only. There is none at t = 0: bounds on the initial control hold for the
 polynomial through the first interval's points, which is also the exported acceleration there.
 Second-order states integrate that polynomial exactly. Integrals use the Radau weights, path rows
 hold at the points.

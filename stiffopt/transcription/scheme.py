@@ -1,4 +1,4 @@
-"""What every transcription scheme has in common: intervals, nodes in them, and their rows."""
+"""Base of the transcription schemes: intervals, their nodes and rows."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from stiffopt.transcription.ocp import OptimalControlProblem, Rows
 
 @dataclass(frozen=True)
 class Intervals:
-    """All intervals of a mesh in order of time.
+    """Intervals of a mesh in order of time.
 
     Attributes
     ----------
@@ -60,16 +60,16 @@ class Intervals:
 
 @dataclass(frozen=True, kw_only=True)
 class StagePoints:
-    """Where the stage is evaluated.
+    """Points at which the stage is evaluated.
 
     Attributes
     ----------
     states, controls : MX (nx, P), (nu, P)
     weights : array (P, K)
-        Times the interval durations: quadrature weights of the points.
+        Quadrature weights of the points, as factors of the interval durations.
     places : Places (P,)
     main : array (P,) of bool
-        False for points that only rows with `midpoints` look at.
+        False for points that only rows with `midpoints` use.
     """
 
     states: ca.MX
@@ -90,7 +90,7 @@ class Symbols:
         [s]
     parameters : MX (np, 1)
     moves : callable, optional
-        States above controls (nx + nu, P) at places, where coefficients of splines are variables.
+        Places -> states and controls (nx + nu, P), where spline coefficients are variables.
     """
 
     ocp: OptimalControlProblem
@@ -165,7 +165,7 @@ class Scheme(abc.ABC):
 
     @property
     def continuous_control(self) -> bool:
-        """Whether intervals share the control at their border."""
+        """True where intervals share the control at their border."""
         return bool(self.control_nodes[0] == 0.0)
 
     def state_columns(self, count: int) -> np.ndarray:
@@ -185,14 +185,14 @@ class Scheme(abc.ABC):
         return _node_places(intervals, self.control_nodes)
 
     def splines(self, ocp: OptimalControlProblem, mesh: Mesh) -> ChainSplines | None:
-        """The splines whose coefficients are the variables; None where states are."""
+        """Return the splines whose coefficients are the variables; None where states are."""
         return None
 
     def motion_splines(self, ocp: OptimalControlProblem, mesh: Mesh) -> ChainSplines | None:
-        """The splines that all motions are which obey the equations between the states.
+        """Return the splines that represent every motion that obeys the equations.
 
-        None where there are others, as where dynamics integrate a state or controls jump, and where
-        the coefficients are the variables anyway.
+        None where splines do not represent all, as with first-order states or control jumps, and
+        where their coefficients are the variables already.
         """
         if not ocp.chains or self.splines(ocp, mesh) is not None:
             return None
@@ -270,7 +270,7 @@ def _bounded_rows(
     indices: list[int],
     bounds: tuple[np.ndarray, np.ndarray],
 ) -> tuple[np.ndarray, Rows | None]:
-    """Which of `indices` have a finite bound, and rows for them."""
+    """Select those of `indices` with a finite bound, and make their rows."""
     kept = np.flatnonzero(np.isfinite(bounds[0]) | np.isfinite(bounds[1]))
     if not kept.size:
         return kept, None

@@ -1,4 +1,4 @@
-"""What makes two optimal-control problems one programme that differs in bounds and numbers only."""
+"""Identity of programmes: problems that differ in bounds and numbers only share one graph."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from stiffopt.transcription.node_derivatives import NumberedStage
 from stiffopt.transcription.ocp import OptimalControlProblem, Rows, Waypoint
 from stiffopt.transcription.scheme import Scheme
 
-# What `structure_of` compares, or is compared block by block.
+# Fields that `structure_of` hashes, or that are compared block by block.
 _GRAPH_FIELDS = (
     "name", "dynamics", "stage", "intermediate", "objective", "integral_function",
     "path_rows", "integral_rows", "start", "vias", "end",
@@ -22,9 +22,9 @@ _GRAPH_FIELDS = (
 def structure_of(
     ocp: OptimalControlProblem, stage: NumberedStage, scheme: Scheme, mesh: Mesh
 ) -> str:
-    """Hash of all that the graph of a programme is made of.
+    """Hash everything that the graph of a programme depends on.
 
-    Not in it: bounds (as far as the same exist), scales (those of the first programme stay), a
+    Excluded: bounds (only their existence counts), scales (those of the first programme stay), a
     fixed duration and the numbers of the stage, among them payload, tool, force and drivetrain.
     """
     functions = [ocp.dynamics, ocp.objective]
@@ -40,7 +40,7 @@ def structure_of(
         [point is None for point in points],
         ocp.fixed_duration,
         len(ocp.parameters),
-        [(rows.name, rows.labels, rows.midpoints, _have_bounds(rows)) for rows in blocks],
+        [(rows.name, rows.labels, rows.midpoints, rows.bounded.tolist()) for rows in blocks],
         [_are_finite(ocp.control_rate_lower), _are_finite(ocp.control_rate_upper)],
         [_are_finite(ocp.state_lower), _are_finite(ocp.state_upper)],
         [_are_finite(ocp.control_lower), _are_finite(ocp.control_upper)],
@@ -50,7 +50,7 @@ def structure_of(
 
 
 def scaled_like(ocp: OptimalControlProblem, first: OptimalControlProblem) -> OptimalControlProblem:
-    """The problem with the scales of another one of its structure, which are in the graph."""
+    """Return the problem with the scales of another one, which are part of the graph."""
     return replace(
         ocp,
         state_scale=first.state_scale,
@@ -68,12 +68,11 @@ def scaled_like(ocp: OptimalControlProblem, first: OptimalControlProblem) -> Opt
 
 
 def same_bounds(one: OptimalControlProblem, other: OptimalControlProblem) -> bool:
-    """Whether two problems of one structure have the same bounds, scales and duration."""
+    """True if two problems of one structure have the same bounds, scales and duration."""
     return _bound_values(one) == _bound_values(other)
 
 
 def _bound_values(ocp: OptimalControlProblem) -> list[object]:
-    """All values of a problem but its functions' own, as what can be compared."""
     points = [ocp.start, *ocp.vias, ocp.end]
     blocks = [*ocp.path_rows, *ocp.integral_rows, *(r for w in points if w for r in w.rows)]
     facts: list[object] = [
@@ -91,10 +90,6 @@ def _scale_waypoint(own: Waypoint | None, first: Waypoint | None) -> Waypoint | 
 
 def _with_scales_of(own: tuple[Rows, ...], first: tuple[Rows, ...]) -> tuple[Rows, ...]:
     return tuple(replace(a, scale=b.scale) for a, b in zip(own, first, strict=True))
-
-
-def _have_bounds(rows: Rows) -> list[bool]:
-    return [bool(each) for each in np.isfinite(rows.lower) | np.isfinite(rows.upper)]
 
 
 def _are_finite(bounds: np.ndarray | None) -> list[bool] | None:

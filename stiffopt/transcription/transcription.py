@@ -1,4 +1,4 @@
-"""A transcribed problem: the NLP and the way between its vector and motions."""
+"""Transcribed problem: the NLP, and conversion between its vector and motions."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ class Unpacked:
     Attributes
     ----------
     times : array (NX,)
-        Of the states [s].
+        Times of the states [s].
     states : array (NX, nx)
     control_times : array (NU,)
-        Of the controls [s]; the same as `times` unless the scheme has no control at the start.
+        Times of the controls [s]; those of `times` unless the scheme has no control at the start.
     controls : array (NU, nu)
     statics : array (nz,)
     duration : float
@@ -68,14 +68,14 @@ class Transcription:
         Interval fractions of each phase.
     nlp : Nlp
     states, controls, statics, durations : Block or None
-        Where these variables stand in the NLP vector; `durations` is None when fixed.
+        Blocks of these variables in the NLP vector; `durations` is None when fixed.
     splines, coefficients : ChainSplines, Block or None
-        Where states and controls are no variables, but follow from coefficients: what of, and where
-        these stand. The blocks of states and controls then tell their bounds and scales only.
+        Splines whose coefficients are the variables, and the block of these. The blocks of states
+        and controls then hold their bounds and scales only.
     path_blocks : tuple of (Block, array)
-        Where the path rows stand in the NLP's rows, and which entries of the stage's they are.
+        Blocks of the path rows among the NLP's rows, and their indices in the stage's path rows.
     structure : str
-        Equal for problems whose programmes differ in bounds and `Nlp.numbers` only.
+        Hash, equal for problems whose programmes differ in bounds and `Nlp.numbers` only.
     """
 
     ocp: OptimalControlProblem
@@ -94,7 +94,7 @@ class Transcription:
 
     @property
     def intervals(self) -> Intervals:
-        """All intervals in order of time."""
+        """Intervals in order of time."""
         return Intervals.of(self.mesh)
 
     def phase_durations(self, x: np.ndarray) -> np.ndarray:
@@ -224,17 +224,17 @@ class Transcription:
         )
 
     def motion_basis(self) -> csr_matrix | None:
-        """Matrix (variables, k) from splines' coefficients to the motions that obey all equations.
+        """Matrix (variables, k) from spline coefficients to the motions that obey all equations.
 
-        None where these are not linear, as with a duration that is free, where variables are such
-        coefficients already, or where there are others beside states and controls.
+        None where the equations are nonlinear, as with a free duration, where coefficients are the
+        variables already, or where there are static variables.
         """
         splines = self.scheme.motion_splines(self.ocp, self.mesh)
         if splines is None or self.durations is not None or self.statics.size:
             return None
         places = self.scheme.state_places(self.intervals)
         values = splines.matrix(places, np.array([self.ocp.duration[0]]))
-        # Point by point, states above controls; the variables have all states first.
+        # Rows are (states, controls) point by point; the variables have all states first.
         order = np.arange(values.shape[0]).reshape(len(places), -1)
         states, controls = np.split(order, [len(self.ocp.states)], axis=1)
         scales = np.concatenate([self.states.scales, self.controls.scales])
@@ -261,7 +261,7 @@ class Transcription:
         return self.splines.numeric(places, own, self.phase_durations(x))
 
     def _fit_coefficients(self, values: np.ndarray, durations: np.ndarray) -> np.ndarray:
-        """Coefficients (k, n) of the splines nearest to states and controls at the nodes."""
+        """Fit spline coefficients (k, n) to states and controls at the nodes."""
         assert self.splines is not None
         places = self.scheme.state_places(self.intervals)
         scales = np.concatenate([self.ocp.scales_of_states, self.ocp.scales_of_controls])
@@ -323,7 +323,7 @@ def _place_times(places: Places, durations: np.ndarray) -> np.ndarray:
 
 def _evaluate_pieces(breaks: np.ndarray, coefficients: np.ndarray, times: np.ndarray) -> np.ndarray:
     times = np.atleast_1d(times)
-    # A border belongs to the interval before it: with Radau that one has the point there.
+    # A border belongs to the interval before it, which with Radau has a point there.
     early = times - 1e-12 * breaks[-1]
     index = np.clip(np.searchsorted(breaks, early) - 1, 0, len(coefficients) - 1)
     local = (times - breaks[index])[:, None]

@@ -39,7 +39,7 @@ def test_departed_arms_swing_as_the_full_simulation_says(tmp_path):
         departure_at_bounds(unsure, np.array([0.0, 0.0]), 0.0, 0.0, 1.0),
     ]
     members = [Member(command=command, departure=each, reference=command) for each in arms]
-    swings = UncertainArms(elastic, plan, unsure.servo).swings(members)
+    swings = UncertainArms(elastic, plan, unsure.servo).simulate(members)
     for k, each in enumerate(arms):
         servo = unsure.servo if each.servo else None
         full = simulate(elastic.with_departure(each), command, servo=servo)
@@ -65,7 +65,7 @@ def test_rigid_joints_move_with_their_motors(tmp_path):
     command = bang((3.0, -4.0), 0.2, (0.3, 0.4))
     plan = there_and_stop((3.0, -4.0), 0.2, (0.3, 0.4))
     one = [Member(command=command, departure=Departure.none(2), reference=command)]
-    found, full = UncertainArms(elastic, plan).swings(one), simulate(elastic, command)
+    found, full = UncertainArms(elastic, plan).simulate(one), simulate(elastic, command)
     assert found.peak[0] == pytest.approx(full.peak, rel=0.02)
     assert found.peak_after[0] == pytest.approx(full.peak_after, rel=0.02)
 

@@ -19,7 +19,7 @@ from stiffopt.robot.files import load_robot
 def test_one_joint_has_the_mode_of_a_mass_on_a_spring(tmp_path):
     (mode,) = modes(arm(tmp_path), np.zeros(1))
     assert mode.frequency == pytest.approx(RATE / (2.0 * np.pi))
-    assert mode.describe() == "joint 1 swings with 100 % of the energy"
+    assert mode.describe() == "joint 1 (100 % of the energy)"
     # Of unit modal mass, about the vertical: along y with the arm along x.
     np.testing.assert_allclose(np.abs(mode.tool), [0.0, 0.4 / np.sqrt(0.09), 0.0], atol=1e-9)
 
@@ -69,7 +69,7 @@ def test_springs_in_another_unit_are_questioned_by_name(tmp_path, capsys):
     path = write_robot(tmp_path, "swivel", [joint("swivel", CONSTANT.format(stiffness=wrong))])
     sentence = questionable_springs(load_robot(path), np.zeros(1))
     frequency = np.sqrt(wrong / INERTIA) / (2.0 * np.pi)
-    assert f"swivel alone would swing at {frequency:.2g} Hz with {wrong:.3g} N m/rad;" in sentence
+    assert f"swivel alone would vibrate at {frequency:.2g} Hz with {wrong:.3g} N m/rad;" in sentence
     assert run(["modes", str(path), "--at", "0"]) == 0
     assert "1 N m/arcmin is 3438 N m/rad" in " ".join(capsys.readouterr().out.split())
 
@@ -77,5 +77,7 @@ def test_springs_in_another_unit_are_questioned_by_name(tmp_path, capsys):
 def test_an_arm_that_does_not_hang_has_its_softest_joint_named(tmp_path):
     soft = joint("shoulder", CONSTANT.format(stiffness=1.0))
     robot = load_robot(write_robot(tmp_path, "pendulum", [soft]))
-    with pytest.raises(NotSimulatedError, match=r"hang .* shoulder alone would swing at 0\.\d+ Hz"):
+    with pytest.raises(
+        NotSimulatedError, match=r"hang .* shoulder alone would vibrate at 0\.\d+ Hz"
+    ):
         ElasticArm(robot, np.zeros(1))

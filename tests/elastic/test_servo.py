@@ -56,7 +56,7 @@ def test_a_delay_shifts_the_motion_and_a_long_one_rings():
 @pytest.mark.parametrize(
     ("numbers", "what"),
     [
-        ((20.0, 1.0, 0.0126), "unstable: a position loop of 20 Hz bears a delay below 12.5 ms"),
+        ((20.0, 1.0, 0.0126), "unstable: a position loop of 20 Hz needs a delay below 12.5 ms"),
         ((0.0, 1.0, 0.0), "bandwidth must be above 0"),
         ((20.0, 1.5, 0.0), "share from 0 to 1"),
         ((20.0, 1.0, -1e-3), "0 s or above"),

@@ -238,7 +238,7 @@ def test_a_joint_that_swings_far_above_the_others_may_follow_its_motor(tmp_path)
     motion = bang([20.0, 10.0], 0.05, [0.0, 0.0])
     own, full = simulate(following, motion), simulate(whole, motion)
     assert own.peak == pytest.approx(full.peak, rel=2e-3)
-    assert own.notes[0] == "elbow: alone above 1200 Hz, taken to follow the motor at once."
+    assert own.notes[0] == "elbow: single-joint vibration above 1200 Hz, taken as rigid."
 
 
 def test_a_joint_that_slides_has_no_loop_of_a_reducer(tmp_path):

@@ -191,7 +191,7 @@ def test_poses_that_cannot_be_are_refused(solved, capsys, arguments, what):
 def test_a_rigid_arm_has_no_modes(tmp_path, capsys):
     rigid = write_robot(tmp_path, joints=[joint("shoulder", ""), joint("elbow", "")])
     assert run(["modes", str(rigid), "--at", "0 0"]) == 2
-    assert "is rigid: no joint has a drivetrain" in capsys.readouterr().err
+    assert "is rigid: no joint has an elastic drivetrain" in capsys.readouterr().err
 
 
 def test_a_bare_number_is_si_on_the_command_line(solved, capsys):
