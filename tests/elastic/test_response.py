@@ -1,4 +1,4 @@
-"""Linear swings along a motion: against closed forms, and against a general integrator."""
+"""Linear elastic response along a motion against closed forms and a general integrator."""
 
 import numpy as np
 import pytest
@@ -19,7 +19,7 @@ def _one(mass, damping, spring):
 
 
 @pytest.mark.parametrize("spring", [200.0, 8e4, 5e7])
-def test_a_step_of_torque_makes_the_swing_of_one_mass(spring):
+def test_torque_step_gives_the_response_of_one_mass(spring):
     mass, damping = 2.0, 0.04 * np.sqrt(2.0 * spring)
     torque = np.ones((COUNT, 1))
     z, velocity, acceleration = _one(mass, damping, spring)(torque)
@@ -35,7 +35,7 @@ def test_a_step_of_torque_makes_the_swing_of_one_mass(spring):
 
 
 @pytest.mark.parametrize("compiled", [True, False])
-def test_torques_at_both_ends_of_steps_are_as_those_at_samples(monkeypatch, compiled):
+def test_torques_within_steps_equal_those_at_samples(monkeypatch, compiled):
     if not compiled:
         monkeypatch.setattr(native, "loaded", lambda: None)
     torque = np.random.default_rng(2).normal(size=(COUNT, 1))
@@ -48,7 +48,7 @@ def test_torques_at_both_ends_of_steps_are_as_those_at_samples(monkeypatch, comp
         np.testing.assert_allclose(velocity, expected[1], atol=1e-12 * np.max(np.abs(expected[1])))
 
 
-def test_what_is_left_alone_keeps_its_energy_without_damping():
+def test_free_response_without_damping_keeps_its_energy():
     z, velocity, _ = _one(3.0, 0.0, 1.2e4).free(np.array([[1e-3], [0.02]]))
     energy = 0.5 * 3.0 * velocity[:, 0, 0] ** 2 + 0.5 * 1.2e4 * z[:, 0, 0] ** 2
     np.testing.assert_allclose(energy, energy[0], rtol=1e-10)
@@ -79,7 +79,7 @@ def test_two_coupled_joints_whose_matrices_change_follow_a_general_integrator():
     assert np.max(np.abs(solved.y[:2].T - z[: solved.t.size])) < 1e-4 * np.max(np.abs(z))
 
 
-def test_columns_beside_each_other_are_those_one_after_another():
+def test_load_cases_side_by_side_equal_single_ones():
     response = _one(1.0, 3.0, 9e3)
     torque = np.random.default_rng(0).normal(size=(COUNT, 1, 3))
     together = response(torque)[0]
@@ -87,7 +87,7 @@ def test_columns_beside_each_other_are_those_one_after_another():
         np.testing.assert_array_equal(together[..., i], response(torque[..., i])[0])
 
 
-def test_no_swing_at_all_is_none():
+def test_no_torque_gives_no_response():
     assert _one(1.0, 3.0, 9e3).free(np.zeros((2, 0)))[0].shape == (COUNT, 1, 0)
 
 
@@ -97,7 +97,7 @@ def test_modes_at_the_start_are_those_of_the_first_matrices():
     assert abs(shapes[0, 0]) == pytest.approx(2.0**-0.5)
 
 
-def test_modes_are_those_of_the_general_problem_and_of_masses_that_cannot_be():
+def test_modes_equal_the_generalised_eigenproblem_also_for_indefinite_inertia():
     random = np.random.default_rng(4)
     inertia, stiffness = (
         (root @ root.T + 0.1 * np.eye(3)) * size
@@ -118,7 +118,7 @@ def test_modes_are_those_of_the_general_problem_and_of_masses_that_cannot_be():
     assert np.all(frequencies[1:] > 0.0)
 
 
-def test_swing_of_many_calls_is_that_of_one():
+def test_response_without_acceleration_equals_a_call():
     random = np.random.default_rng(2)
     grown = 1.0 + 0.3 * np.sin(3.0 * TIME)[:, None, None]
     response = ElasticResponse(

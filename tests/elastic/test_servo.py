@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from swinging_arms import arm, bang
+from elastic_arms import arm, bang
 
 from stiffopt.elastic.motor import MotorMotion, Servo
 from stiffopt.elastic.simulate import simulate
@@ -62,6 +62,6 @@ def test_a_delay_shifts_the_motion_and_a_long_one_rings():
         ((20.0, 1.0, -1e-3), "0 s or above"),
     ],
 )
-def test_servos_that_cannot_work_are_refused(numbers, what):
+def test_invalid_servos_are_refused(numbers, what):
     with pytest.raises(InputError, match=what):
         Servo(*numbers)

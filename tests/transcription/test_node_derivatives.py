@@ -26,7 +26,7 @@ def stage(payload: float) -> tuple[ca.Function, ca.Function]:
     )
 
 
-def test_derivatives_are_those_of_casadi() -> None:
+def test_derivatives_agree_with_casadi() -> None:
     function, through = stage(3.7)
     taken = numbered(function, through)
     w = ca.SX.sym("w", 4)
@@ -64,13 +64,13 @@ def test_an_intermediate_may_be_computed_from_another() -> None:
     np.testing.assert_allclose(ours.full(), truth(point, factors).full(), rtol=1e-12)
 
 
-def test_two_payloads_are_one_formula() -> None:
+def test_two_payloads_share_one_formula() -> None:
     light, heavy = (numbered(*stage(payload)) for payload in (3.7, 5.1))
     assert stage_functions(light) is stage_functions(heavy)
     assert not np.allclose(light.numbers, heavy.numbers)
 
 
-def test_functions_used_last_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_least_recently_used_functions_are_dropped(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(point_function, "MAX_KEPT", 2)
     x, p, number = ca.SX.sym("x"), ca.SX.sym("p"), ca.SX.sym("n")
     squares, cubes, fourth = (
@@ -85,7 +85,7 @@ def test_functions_used_last_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.skipif(native.library() is None, reason="needs the compiled core")
-def test_a_stage_of_which_one_function_finds_no_place_is_evaluated_by_casadi(
+def test_stage_that_is_partly_not_batched_is_evaluated_by_casadi(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     taken = numbered(*stage(2.3))
@@ -98,7 +98,7 @@ def test_a_stage_of_which_one_function_finds_no_place_is_evaluated_by_casadi(
 
 
 @pytest.mark.skipif(native.library() is None, reason="needs the compiled core")
-def test_derivatives_by_the_interpreter_are_those_by_casadi() -> None:
+def test_interpreter_derivatives_agree_with_casadi() -> None:
     taken = numbered(*stage(2.3))
     rng = np.random.default_rng(2)
     for fast, slow in zip(stage_functions(taken), with_derivatives(taken.function), strict=True):

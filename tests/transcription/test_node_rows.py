@@ -41,7 +41,7 @@ def programme(tmp_path, monkeypatch):
     return plain, x
 
 
-def test_rows_derivatives_and_names(programme):
+def test_node_rows_have_derivatives_and_names(programme):
     plain, x = programme
     block = bowl([0.3, -0.2])
     made = with_node_rows(plain, [block])
@@ -67,7 +67,7 @@ def test_rows_derivatives_and_names(programme):
     assert np.allclose(found.full(), np.triu(bent.full()), atol=1e-8)
 
 
-def test_other_numbers_are_no_other_programme(programme):
+def test_other_numbers_keep_the_programme(programme):
     plain, x = programme
     made = with_node_rows(plain, [bowl([0.3, -0.2])])
     again = renumbered(made, plain, [bowl([1.5, 0.0])])

@@ -1,4 +1,4 @@
-"""A stage along splines: values and derivatives by local variables, against CasADi's own."""
+"""Stage by spline coefficients: values and derivatives against CasADi's own."""
 
 import casadi as ca
 import numpy as np
@@ -8,7 +8,7 @@ from stiffopt.transcription.node_derivatives import NumberedStage, SplineCoordin
 
 
 @pytest.mark.parametrize("free", [False, True])
-def test_derivatives_by_local_variables(free):
+def test_derivatives_by_local_variables_agree_with_casadi(free):
     x, u, z, p = ca.SX.sym("x", 4), ca.SX.sym("u", 2), ca.SX.sym("z"), ca.SX.sym("p")
     torque = ca.vertcat(u[0] * ca.cos(x[1]) + x[2] * x[3], 1.7 * u[1] * ca.sin(x[0]) + z)
     rows = ca.vertcat(torque[0] ** 2 * z, torque[1] / (p + x[2] ** 2), x[3] * u[0], z)

@@ -1,10 +1,10 @@
-"""Many arms at once against the full simulation, one by one; arms drawn from uncertainties."""
+"""Batch simulation of uncertain arms against the full simulation; corner cases and draws."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
-from swinging_arms import arm, bang, there_and_stop
+from elastic_arms import arm, bang, there_and_stop
 
 from stiffopt.elastic.motor import Servo
 from stiffopt.elastic.simulate import simulate
@@ -27,7 +27,7 @@ def planar(folder, payload=1.0):
     return type(elastic)(loaded, np.array([0.3, 0.4]))
 
 
-def test_departed_arms_swing_as_the_full_simulation_says(tmp_path):
+def test_batch_deviations_agree_with_full_simulation(tmp_path):
     elastic = planar(tmp_path)
     command = bang((3.0, -4.0), 0.2, (0.3, 0.4))
     plan = there_and_stop((3.0, -4.0), 0.2, (0.3, 0.4))
@@ -47,7 +47,7 @@ def test_departed_arms_swing_as_the_full_simulation_says(tmp_path):
         assert swings.peak_after[k] == pytest.approx(full.peak_after, rel=0.02)
 
 
-def test_a_spring_of_twice_the_stiffness_winds_up_half_as_far(tmp_path):
+def test_twice_the_stiffness_halves_the_windup(tmp_path):
     elastic = arm(tmp_path, "planar")
     torque = np.linspace(-20.0, 20.0, 41)
     for spring in elastic.springs:
@@ -58,8 +58,8 @@ def test_a_spring_of_twice_the_stiffness_winds_up_half_as_far(tmp_path):
         assert stiff.torque_at(angle)[1] == pytest.approx(2.0 * spring.torque_at(angle)[1])
 
 
-def test_rigid_joints_move_with_their_motors(tmp_path):
-    from swinging_arms import one_soft_joint
+def test_rigid_joints_follow_their_motors_in_a_batch(tmp_path):
+    from elastic_arms import one_soft_joint
 
     elastic = one_soft_joint(tmp_path)
     command = bang((3.0, -4.0), 0.2, (0.3, 0.4))
@@ -70,7 +70,7 @@ def test_rigid_joints_move_with_their_motors(tmp_path):
     assert found.peak_after[0] == pytest.approx(full.peak_after, rel=0.02)
 
 
-def test_a_heavier_payload_winds_up_more(tmp_path):
+def test_heavier_payload_increases_windup(tmp_path):
     elastic = planar(tmp_path, payload=2.0)
     heavier = elastic.with_departure(Departure(stiffness=np.ones(2), payload=1.5))
     q = np.array([0.3, 0.4])
@@ -81,7 +81,7 @@ def test_a_heavier_payload_winds_up_more(tmp_path):
         elastic.robot.with_payload_times(-0.1)
 
 
-def test_corners_and_draws_stay_within_the_bounds():
+def test_corners_and_draws_are_within_bounds():
     unsure = Uncertainty(stiffness=(0.1, 0.3), seed=3)
     found = corners(unsure, 2, True)
     assert len(found) == 8
@@ -99,7 +99,7 @@ def test_corners_and_draws_stay_within_the_bounds():
     assert "stiffness -10 % of J1, -30 % of J2" in found[0].label
 
 
-def test_standard_deviations_become_bounds_of_the_joints():
+def test_standard_deviations_give_stiffness_bounds():
     unsure = bounds_from_deviations(Uncertainty(), np.array([np.nan, 0.03, 0.8]))
     assert unsure.stiffness == pytest.approx((0.2, 0.06, 0.99))
     assert unsure.payload == Uncertainty().payload
@@ -121,17 +121,17 @@ def test_standard_deviations_become_bounds_of_the_joints():
         ({"draws": 10}, "draws"),
     ],
 )
-def test_uncertainties_that_cannot_be_are_refused(given, what):
+def test_invalid_uncertainties_are_refused(given, what):
     with pytest.raises(InputError, match=what):
         Uncertainty(**given)
 
 
-def test_stiffness_is_of_every_joint():
+def test_stiffness_shares_must_match_the_joints():
     with pytest.raises(ProblemError, match="has 3 numbers"):
         Uncertainty(stiffness=(0.1, 0.1, 0.1)).shares(2)
 
 
-def test_a_damping_that_may_be_above_critical_is_named(tmp_path):
+def test_damping_above_critical_is_refused_with_its_limit(tmp_path):
     elastic = arm(tmp_path, "planar")
     damped = type(elastic)(
         elastic.robot.__class__(**{**vars(elastic.robot), "damping": 40.0 * elastic.damping}),
@@ -146,6 +146,6 @@ def test_a_damping_that_may_be_above_critical_is_named(tmp_path):
     damped.with_departure(Departure(stiffness=np.ones(2), damping=1.0 + largest))
 
 
-def test_only_a_servo_that_lags_counts():
+def test_exact_servo_is_no_corner_case():
     assert Uncertainty().servo is None
     assert Uncertainty(servo_feed_forward=0.9).servo == Servo(20.0, 0.9, 0.0)
