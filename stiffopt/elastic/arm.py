@@ -200,15 +200,15 @@ class ElasticArm:
 
     def lag(self, motor: np.ndarray) -> np.ndarray:
         """Damping over stiffness (n,) [s]: delay of each wind-up, at a motor position (n,)."""
-        stiffness = self.stiffness(self.held_torque(self.static_equilibrium(motor[None])[0]))
+        stiffness = self.stiffness(self.static_torque(self.static_equilibrium(motor[None])[0]))
         return np.asarray(self.damping / stiffness)
 
-    def held_torque(self, q: np.ndarray) -> np.ndarray:
+    def static_torque(self, q: np.ndarray) -> np.ndarray:
         """Static spring torque (n,) [N m] of a link position: weight less process force."""
         weight = self.bodies.gravity_torque(q)
         return weight - self.force_torque(q) if self.process_force.any() else weight
 
-    def _holding_torques(self, q: np.ndarray) -> np.ndarray:
+    def _static_torques(self, q: np.ndarray) -> np.ndarray:
         weight = self.robot.bodies_in_motion().gravity_torque(q)
         if self.process_force.any():
             weight -= [self.force_torque(row) for row in q]
@@ -223,7 +223,7 @@ class ElasticArm:
         q = np.array(motor, dtype=float)
         moving = np.arange(len(q))
         for _ in range(_MAX_EQUILIBRIUM_STEPS):
-            new = motor[moving] - self.windup(self._holding_torques(q[moving]))
+            new = motor[moving] - self.windup(self._static_torques(q[moving]))
             change = np.max(np.abs(new - q[moving]), axis=1)
             q[moving] = new
             moving = moving[change > _EQUILIBRIUM_TOLERANCE]
@@ -248,7 +248,7 @@ class ElasticArm:
     def _single_joint_properties(self, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Stiffness and inertia (n,) of each single-joint vibration, motors at `at` (n,)."""
         q = self.static_equilibrium(at[None])[0]
-        return self.stiffness(self.held_torque(q)), np.diag(self.bodies.inertia_matrix(q))
+        return self.stiffness(self.static_torque(q)), np.diag(self.bodies.inertia_matrix(q))
 
 
 def _tangent_stiffness(springs: Sequence[JointSpring | None], torque: np.ndarray) -> np.ndarray:

@@ -75,12 +75,12 @@ def modes(arm: ElasticArm, motor: np.ndarray) -> tuple[Mode, ...]:
     if not free.size:
         return ()
     q = arm.static_equilibrium(np.asarray(motor, dtype=float)[None])[0]
-    springs = arm.stiffness(arm.held_torque(q))[free]
+    springs = arm.stiffness(arm.static_torque(q))[free]
     slopes = np.empty((arm.robot.n, free.size))
     for column, j in enumerate(free):
         step = np.zeros(arm.robot.n)
         step[j] = _DIFFERENCE_STEP
-        slopes[:, column] = (arm.held_torque(q + step) - arm.held_torque(q - step)) / (
+        slopes[:, column] = (arm.static_torque(q + step) - arm.static_torque(q - step)) / (
             2 * _DIFFERENCE_STEP
         )
     weight = slopes[free]

@@ -100,8 +100,8 @@ def simulate(
     # After arrival the equilibrium is constant.
     moving = int(np.searchsorted(times, motion.duration)) + 1
     places = arm.tool(arm.static_equilibrium(wanted[:moving]))
-    hanging = np.concatenate([places, np.repeat(places[-1:], len(times) - len(places), axis=0)])
-    deviation = arm.tool(q) - hanging
+    equilibrium = np.concatenate([places, np.repeat(places[-1:], len(times) - len(places), axis=0)])
+    deviation = arm.tool(q) - equilibrium
     return SimulatedMotion(
         time=times,
         duration=motion.duration,

@@ -59,7 +59,7 @@ class LinearizedWeight:
 
     Attributes
     ----------
-    held : array (2, K, n)
+    torque : array (2, K, n)
         Static spring torque [N m].
     by_q : array (2, K, n, n)
         Derivative by position.
@@ -71,8 +71,8 @@ class LinearizedWeight:
             bodies = robot.rigid_bodies()
             weight = np.array([bodies.gravity_torque(row) for row in q])
             whole.append((weight, np.array([bodies.weight_slope(row) for row in q])))
-        self.held, self.by_q = _split_payload(whole)
-        self.held[0] -= [arm.force_torque(row) for row in q]
+        self.torque, self.by_q = _split_payload(whole)
+        self.torque[0] -= [arm.force_torque(row) for row in q]
 
 
 def _robot_and_heavier_payload(arm: ElasticArm) -> list[Robot]:
@@ -304,14 +304,14 @@ class UncertainArms:
         # Members with the same departure and reference share their equilibrium.
         alike = {(id(each.reference), id(each.departure)): each for each in members}
         places = {key: place for place, key in enumerate(alike)}
-        hanging = self._reference_equilibrium(
+        equilibrium = self._reference_equilibrium(
             _DepartureArrays([each.departure for each in alike.values()]),
             [each.reference for each in alike.values()],
         )
         own = [places[id(each.reference), id(each.departure)] for each in members]
         # One matrix product for all members: einsum would loop over them.
         along = self._jacobian.swapaxes(1, 2)
-        away = links @ along - (hanging.swapaxes(0, 1) @ along)[:, own]
+        away = links @ along - (equilibrium.swapaxes(0, 1) @ along)[:, own]
         return np.asarray(away.swapaxes(0, 1))
 
     def _reference_equilibrium(
@@ -427,11 +427,11 @@ def _solve_equilibrium(
     springs: TabulatedSprings, weight: LinearizedWeight, arms: _DepartureArrays, turn: np.ndarray
 ) -> np.ndarray:
     """Static equilibrium (B, K, n) with the motors `turn` ahead of the poses of the weight."""
-    held = weight.held[0] + arms.payload[..., None] * weight.held[1]
+    static = weight.torque[0] + arms.payload[..., None] * weight.torque[1]
     stiffness = arms.stiffness[:, None]
-    e = turn - springs.windup(held / stiffness)
+    e = turn - springs.windup(static / stiffness)
     for _ in range(_EQUILIBRIUM_ITERATIONS - 1):
         # One matrix product per pose for all arms and payloads.
         own, more = ((e.swapaxes(0, 1) @ by.swapaxes(1, 2)).swapaxes(0, 1) for by in weight.by_q)
-        e = turn - springs.windup((held + own + arms.payload[..., None] * more) / stiffness)
+        e = turn - springs.windup((static + own + arms.payload[..., None] * more) / stiffness)
     return np.asarray(e)

@@ -19,7 +19,7 @@ import numpy as np
 
 from stiffopt.dynamics.height_over_plane import NUMBERS, height_over_plane
 from stiffopt.robot.separating_planes import SeparatingPlane, SeparatingPlanes
-from stiffopt.transcription.node_rows import NodeRows, renumbered, with_node_rows
+from stiffopt.transcription.node_rows import NodeRows, renumber_node_rows, with_node_rows
 from stiffopt.transcription.ocp import Rows
 from stiffopt.transcription.transcription import Transcription
 
@@ -72,7 +72,7 @@ class Avoidance:
         before = set(self._active)
         blocks = self._blocks(self._plain, x)
         if self._active == before:
-            return (renumbered(made, self._plain, blocks) if blocks else made), True
+            return (renumber_node_rows(made, self._plain, blocks) if blocks else made), True
         return with_node_rows(self._plain, blocks), False
 
     def ran_into(self, x: np.ndarray) -> bool:

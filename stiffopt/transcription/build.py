@@ -174,17 +174,17 @@ class _NlpBuilder:
         return self._make_transcription(integrals, objective)
 
     def _make_symbols(self, durations: ca.MX) -> Symbols:
-        moves = None
+        spline_values = None
         if self.splines is None:
             states, controls = self._block_symbol(self.states), self._block_symbol(self.controls)
         else:
             assert self.coefficients is not None
-            moves = functools.partial(
+            spline_values = functools.partial(
                 self.splines.at,
                 coefficients=ca.vec(self._block_symbol(self.coefficients)),
                 durations=durations,
             )
-            nodes = moves(self.scheme.state_places(self.intervals))
+            nodes = spline_values(self.scheme.state_places(self.intervals))
             states, controls = ca.vertsplit(nodes, [0, len(self.ocp.states), nodes.shape[0]])
         return Symbols(
             ocp=self.ocp,
@@ -193,14 +193,14 @@ class _NlpBuilder:
             controls=controls,
             durations=durations,
             parameters=self.parameters,
-            moves=moves,
+            spline_values=spline_values,
         )
 
     def _state_at_node(self, s: Symbols, column: int) -> ca.MX:
-        if s.moves is None:
+        if s.spline_values is None:
             return s.states[:, column]
         place = self.scheme.state_places(self.intervals)[[column]]
-        return s.moves(place)[: len(self.ocp.states)]
+        return s.spline_values(place)[: len(self.ocp.states)]
 
     def _make_transcription(self, integrals: ca.MX, objective: ca.MX) -> Transcription:
         lower_x, upper_x = self.variables.bounds()
@@ -360,10 +360,10 @@ class _NlpBuilder:
                 scales = ocp.scales_of_states[index]
                 rows = Rows.make(name, labels, low[kept], high[kept], scales)
                 self._add_rows(rows, value[kept.tolist(), :], nodes[columns])
-        assert s.moves is not None
+        assert s.spline_values is not None
         for phase in range(ocp.phases - 1):
             ends = Places(np.array([phase]), np.ones(1)), Places(np.array([phase + 1]), np.zeros(1))
-            leave, enter = (s.moves(place) for place in ends)
+            leave, enter = (s.spline_values(place) for place in ends)
             scales = np.concatenate([ocp.scales_of_states, ocp.scales_of_controls])
             rows = Rows.make("continuity", [*ocp.states, *ocp.controls], 0.0, 0.0, scales)
             self._add_rows(rows, enter - leave, ends[0], structural=True)
@@ -375,7 +375,7 @@ class _NlpBuilder:
         assert splines is not None
         assert coefficients is not None
         count, n = len(points.places), len(along.chains)
-        rows, basis = splines.about(points.places)
+        rows, basis = splines.nonzero_basis(points.places)
         own = [(rows[:, :, None] * n + np.arange(n)).reshape(count, -1) + coefficients.offset]
         own.append(np.tile(self.statics.offset + np.arange(self.statics.size), (count, 1)))
         values: ca.MX = ca.MX(ca.DM(basis.reshape(count, -1).T))

@@ -100,7 +100,7 @@ class ChainSplines:
         own.resize((own.shape[0], columns))
         return ca.DM(own.tocsc())
 
-    def about(self, places: Places) -> tuple[np.ndarray, np.ndarray]:
+    def nonzero_basis(self, places: Places) -> tuple[np.ndarray, np.ndarray]:
         """Nonzero basis functions at places.
 
         Parameters
@@ -129,7 +129,7 @@ class ChainSplines:
                 basis[own, order] = np.take_along_axis(values, first, axis=1)
         return rows, basis
 
-    def numeric(
+    def evaluate(
         self, places: Places, coefficients: np.ndarray, durations: np.ndarray
     ) -> np.ndarray:
         """States and controls (P, nx + nu) of numeric coefficients."""
@@ -142,7 +142,7 @@ class ChainSplines:
         matrix, powers, phases = self._coefficient_map(places)
         return (diags(durations[phases] ** -powers) @ matrix).tocsr()
 
-    def fitted(
+    def fit(
         self, places: Places, values: np.ndarray, scales: np.ndarray, durations: np.ndarray
     ) -> np.ndarray:
         """Fit coefficients to states and controls (P, nx + nu) at places by least squares.

@@ -140,7 +140,7 @@ class NumberedStage:
         return found if self.along is None else self.along.stage_derivatives(found)
 
 
-def numbered(stage: ca.Function, intermediate: ca.Function | None = None) -> NumberedStage:
+def extract_numbers(stage: ca.Function, intermediate: ca.Function | None = None) -> NumberedStage:
     """Turn the numbers of a stage function into inputs.
 
     Parameters

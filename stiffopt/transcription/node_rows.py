@@ -90,10 +90,10 @@ def with_node_rows(first: Transcription, blocks: Sequence[NodeRows]) -> Transcri
         },
     )
     outputs = ca.Function("outputs", [x, p], list(first.outputs(x, before)))
-    return renumbered(replace(first, nlp=made, outputs=outputs), first, blocks)
+    return renumber_node_rows(replace(first, nlp=made, outputs=outputs), first, blocks)
 
 
-def renumbered(
+def renumber_node_rows(
     made: Transcription, first: Transcription, blocks: Sequence[NodeRows]
 ) -> Transcription:
     """Return the programme with other numbers of the node rows, and others of them active.

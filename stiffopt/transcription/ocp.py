@@ -21,7 +21,7 @@ from functools import cached_property
 import casadi as ca
 import numpy as np
 
-from stiffopt.transcription.node_derivatives import NumberedStage, numbered
+from stiffopt.transcription.node_derivatives import NumberedStage, extract_numbers
 
 
 def _broadcast_vector(value: object, size: int) -> np.ndarray:
@@ -215,7 +215,7 @@ class OptimalControlProblem:
     @cached_property
     def numbered_stage(self) -> NumberedStage:
         """The stage with its numbers as inputs: the same on every mesh."""
-        return numbered(self.stage, self.intermediate)
+        return extract_numbers(self.stage, self.intermediate)
 
     @property
     def phases(self) -> int:

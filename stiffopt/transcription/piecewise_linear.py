@@ -119,8 +119,8 @@ class IntegratorChain(PiecewiseLinear):
 
     def middle(self, s: Symbols) -> tuple[ca.MX, ca.MX]:
         """States and controls in the middles of the intervals."""
-        assert s.moves is not None
-        values = s.moves(s.intervals.places(np.array([0.5])))
+        assert s.spline_values is not None
+        values = s.spline_values(s.intervals.places(np.array([0.5])))
         states = len(s.ocp.states)
         return values[:states, :], values[states:, :]
 

@@ -24,7 +24,7 @@ import numpy as np
 from stiffopt import native
 from stiffopt.interpreter.batched import batched
 from stiffopt.symbolic import InPlace
-from stiffopt.transcription.node_derivatives import NumberedStage, numbered
+from stiffopt.transcription.node_derivatives import NumberedStage, extract_numbers
 
 # Inputs of a numbered stage that are common to all points: parameters and numbers.
 _SHARED_INPUTS = (1, 2)
@@ -85,7 +85,7 @@ class PointFunction:
         function: ca.Function,
         extended: Callable[[ca.SX, ca.SX], tuple[ca.SX, ca.SX]] | None = None,
     ) -> None:
-        own = numbered(function)
+        own = extract_numbers(function)
         variables, *same = own.function.sx_in()
         values = own.function.call([variables, *same])[1]
         if extended is not None:

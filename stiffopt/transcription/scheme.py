@@ -89,7 +89,7 @@ class Symbols:
     durations : MX (phases,)
         [s]
     parameters : MX (np, 1)
-    moves : callable, optional
+    spline_values : callable, optional
         Places -> states and controls (nx + nu, P), where spline coefficients are variables.
     """
 
@@ -99,7 +99,7 @@ class Symbols:
     controls: ca.MX
     durations: ca.MX
     parameters: ca.MX
-    moves: Callable[[Places], ca.MX] | None = None
+    spline_values: Callable[[Places], ca.MX] | None = None
 
     @cached_property
     def first_order(self) -> list[int]:

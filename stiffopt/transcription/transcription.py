@@ -258,14 +258,14 @@ class Transcription:
         assert self.coefficients is not None
         places = self.scheme.state_places(self.intervals)
         own = self.coefficients.take(x).ravel()
-        return self.splines.numeric(places, own, self.phase_durations(x))
+        return self.splines.evaluate(places, own, self.phase_durations(x))
 
     def _fit_coefficients(self, values: np.ndarray, durations: np.ndarray) -> np.ndarray:
         """Fit spline coefficients (k, n) to states and controls at the nodes."""
         assert self.splines is not None
         places = self.scheme.state_places(self.intervals)
         scales = np.concatenate([self.ocp.scales_of_states, self.ocp.scales_of_controls])
-        found = self.splines.fitted(places, values, scales, durations)
+        found = self.splines.fit(places, values, scales, durations)
         return found.reshape(-1, len(self.ocp.chains))
 
     def _state_polynomials(

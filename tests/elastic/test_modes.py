@@ -31,7 +31,7 @@ def test_weight_changes_the_frequency_of_a_pendulum_on_a_spring(tmp_path, angle)
     (q,) = pendulum.static_equilibrium(np.array([[angle]]))[0]
     # Turning about y lowers the tip: the weight's torque is -m g l cos(q).
     torque = -2.0 * 9.81 * 0.2 * np.cos(q)
-    assert pendulum.held_torque(np.array([q]))[0] == pytest.approx(torque)
+    assert pendulum.static_torque(np.array([q]))[0] == pytest.approx(torque)
     stiffness = pendulum.stiffness(np.array([torque]))[0] + 2.0 * 9.81 * 0.2 * np.sin(q)
     assert mode.frequency == pytest.approx(np.sqrt(stiffness / 0.09) / (2.0 * np.pi), rel=1e-7)
 

@@ -74,9 +74,9 @@ def test_heavier_payload_increases_windup(tmp_path):
     elastic = planar(tmp_path, payload=2.0)
     heavier = elastic.with_departure(Departure(stiffness=np.ones(2), payload=1.5))
     q = np.array([0.3, 0.4])
-    more = heavier.held_torque(q) - elastic.held_torque(q)
-    empty = elastic.with_departure(Departure(stiffness=np.ones(2), payload=0.0)).held_torque(q)
-    assert more == pytest.approx(0.5 * (elastic.held_torque(q) - empty), rel=1e-9)
+    more = heavier.static_torque(q) - elastic.static_torque(q)
+    empty = elastic.with_departure(Departure(stiffness=np.ones(2), payload=0.0)).static_torque(q)
+    assert more == pytest.approx(0.5 * (elastic.static_torque(q) - empty), rel=1e-9)
     with pytest.raises(RobotError, match="0 or more times"):
         elastic.robot.with_payload_times(-0.1)
 

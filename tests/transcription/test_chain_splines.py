@@ -38,8 +38,8 @@ def polynomial_values():
 
 def test_splines_reproduce_a_polynomial_in_all_derivatives(splines):
     values = polynomial_values()
-    found = splines.fitted(PLACES, values, np.ones(12), DURATIONS)
-    assert splines.numeric(PLACES, found, DURATIONS) == pytest.approx(values, rel=1e-8, abs=1e-7)
+    found = splines.fit(PLACES, values, np.ones(12), DURATIONS)
+    assert splines.evaluate(PLACES, found, DURATIONS) == pytest.approx(values, rel=1e-8, abs=1e-7)
     symbolic = splines.at(PLACES, ca.MX(ca.DM(found)), ca.MX(ca.DM(DURATIONS)))
     shown = np.array(ca.evalf(symbolic)).T
     assert shown == pytest.approx(values, rel=1e-8, abs=1e-7)
@@ -50,14 +50,14 @@ def test_splines_reproduce_a_polynomial_in_all_derivatives(splines):
 
 def test_nonzero_basis_functions_give_the_values(splines):
     c = np.random.default_rng(1).normal(size=splines.size)
-    rows, basis = splines.about(PLACES)
+    rows, basis = splines.nonzero_basis(PLACES)
     own = c.reshape(-1, len(CHAINS))[rows]
     moved = np.einsum("pki,pij->pkj", basis, own)
     moved /= DURATIONS[PLACES.phase][:, None, None] ** np.arange(splines.orders)[:, None]
     found = np.zeros((len(PLACES), splines.values))
     for j, chain in enumerate(splines.places):
         found[:, chain] = moved[:, :, j]
-    assert found == pytest.approx(splines.numeric(PLACES, c, DURATIONS), rel=1e-10, abs=1e-9)
+    assert found == pytest.approx(splines.evaluate(PLACES, c, DURATIONS), rel=1e-10, abs=1e-9)
 
 
 def test_one_duration_applies_to_a_single_phase():

@@ -11,7 +11,7 @@ import pytest
 from stiffopt import native
 from stiffopt.interpreter.batched import POINTS
 from stiffopt.transcription import point_function
-from stiffopt.transcription.node_derivatives import numbered, with_derivatives
+from stiffopt.transcription.node_derivatives import extract_numbers, with_derivatives
 from stiffopt.transcription.point_function import StageFunction, stage_functions
 
 
@@ -28,7 +28,7 @@ def stage(payload: float) -> tuple[ca.Function, ca.Function]:
 
 def test_derivatives_agree_with_casadi() -> None:
     function, through = stage(3.7)
-    taken = numbered(function, through)
+    taken = extract_numbers(function, through)
     w = ca.SX.sym("w", 4)
     p, weights = ca.SX.sym("p"), ca.SX.sym("weights", 4)
     values = ca.vertcat(*function(w[:2], w[2], w[3], p))
@@ -52,7 +52,7 @@ def test_an_intermediate_may_be_computed_from_another() -> None:
     gravity = ca.sin(x[0]) * x[1]
     through = ca.vertcat(gravity, gravity + u * ca.cos(x[1]))
     rows = ca.vertcat(through[1] ** 2 * through[0], z)
-    taken = numbered(
+    taken = extract_numbers(
         ca.Function("stage", [x, u, z, p], [ca.sumsqr(through), rows]),
         ca.Function("through", [x, u, z, p], [through]),
     )
@@ -65,7 +65,7 @@ def test_an_intermediate_may_be_computed_from_another() -> None:
 
 
 def test_two_payloads_share_one_formula() -> None:
-    light, heavy = (numbered(*stage(payload)) for payload in (3.7, 5.1))
+    light, heavy = (extract_numbers(*stage(payload)) for payload in (3.7, 5.1))
     assert stage_functions(light) is stage_functions(heavy)
     assert not np.allclose(light.numbers, heavy.numbers)
 
@@ -88,7 +88,7 @@ def test_least_recently_used_functions_are_dropped(monkeypatch: pytest.MonkeyPat
 def test_stage_that_is_partly_not_batched_is_evaluated_by_casadi(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    taken = numbered(*stage(2.3))
+    taken = extract_numbers(*stage(2.3))
     inner = point_function.batched
     monkeypatch.setattr(point_function, "_kept_functions", OrderedDict())
     monkeypatch.setattr(
@@ -99,7 +99,7 @@ def test_stage_that_is_partly_not_batched_is_evaluated_by_casadi(
 
 @pytest.mark.skipif(native.library() is None, reason="needs the compiled core")
 def test_interpreter_derivatives_agree_with_casadi() -> None:
-    taken = numbered(*stage(2.3))
+    taken = extract_numbers(*stage(2.3))
     rng = np.random.default_rng(2)
     for fast, slow in zip(stage_functions(taken), with_derivatives(taken.function), strict=True):
         inputs = [rng.normal(size=slow.size_in(k)) for k in range(slow.n_in())]
@@ -112,7 +112,7 @@ def test_interpreter_derivatives_agree_with_casadi() -> None:
 
 
 def test_a_programme_may_have_any_number_of_points(monkeypatch: pytest.MonkeyPatch) -> None:
-    taken = numbered(*stage(2.3))
+    taken = extract_numbers(*stage(2.3))
     count = POINTS + 3
     quick = StageFunction(taken, count, 1)
     monkeypatch.setattr(native, "library", lambda: None)
