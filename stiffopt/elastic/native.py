@@ -79,7 +79,7 @@ def integrate_linearized(
     ----------
     made : CDLL
         Of `core`.
-    springs : EvenSprings
+    springs : TabulatedSprings
     rigid : array of int
         Joints that follow their motors.
     begun : array (B, n)

@@ -28,6 +28,16 @@ if TYPE_CHECKING:
     from stiffopt.robot.robot import Robot
 
 
+# Time step [s], and least steps in a period of the lowest mode: with 100 the phase error of the
+# trapezoidal rule is 1/30 rad in 15 periods.
+_MAX_TIME_STEP = 1e-3
+_STEPS_PER_PERIOD = 100
+# Periods of the lowest mode simulated after arrival: the first peak is the largest.
+_PERIODS_AFTER_ARRIVAL = 1.5
+_MAX_TIME_AFTER_ARRIVAL = 1.0  # [s]
+# The static equilibrium changes slowly: computed every so many steps, linear in between.
+_EQUILIBRIUM_STRIDE = 5
+_EQUILIBRIUM_ITERATIONS = 4
 _SPRING_TABLE_POINTS = 20001  # of each joint's law, equidistant in wind-up
 
 
@@ -135,18 +145,6 @@ class TabulatedSprings:
     def windup(self, torque: np.ndarray) -> np.ndarray:
         """Wind-ups [rad] at torques, (.., n) each; the inverse of `torque`."""
         return self._arm.windup(torque.reshape(-1, torque.shape[-1])).reshape(torque.shape)
-
-
-# Time step [s], and least steps in a period of the lowest mode: with 100 the phase error of the
-# trapezoidal rule is 1/30 rad in 15 periods.
-_MAX_TIME_STEP = 1e-3
-_STEPS_PER_PERIOD = 100
-# Periods of the lowest mode simulated after arrival: the first peak is the largest.
-_PERIODS_AFTER_ARRIVAL = 1.5
-_MAX_TIME_AFTER_ARRIVAL = 1.0  # [s]
-# The static equilibrium changes slowly: computed every so many steps, linear in between.
-_EQUILIBRIUM_STRIDE = 5
-_EQUILIBRIUM_ITERATIONS = 4
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -347,7 +345,7 @@ def simulate_uncertain_arms(asked: Sequence[SimulationRequest]) -> list[ArmDevia
 
     Parameters
     ----------
-    asked : sequence of Asked
+    asked : sequence of SimulationRequest
     """
     core = native.core(len(asked[0].many.damping)) if asked else None
     return [

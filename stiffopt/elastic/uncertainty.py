@@ -30,36 +30,34 @@ class Uncertainty:
     stiffness: Annotated[
         Ratio | tuple[Ratio, ...],
         Bounds(least=0.0),
-        Doc("Share by which the stiffness of each joint may be off, one number or one a joint."),
+        Doc("Relative bound of the stiffness of each joint, one number or one a joint."),
     ] = 0.2
     damping: Annotated[
-        Ratio, Bounds(least=0.0), Doc("Share by which the damping of the joints may be off.")
+        Ratio, Bounds(least=0.0), Doc("Relative bound of the damping of the joints.")
     ] = 0.5
     payload: Annotated[
         Ratio,
         Bounds(least=0.0, most=1.0),
-        Doc("Share by which mass and inertia of the payload may be off."),
+        Doc("Relative bound of mass and inertia of the payload."),
     ] = 0.1
     servo_bandwidth: Annotated[
-        Frequency, POSITIVE, Doc("Bandwidth that the motors' position loops have at least.")
+        Frequency, POSITIVE, Doc("Least bandwidth of the motors' position loops.")
     ] = 20.0
     servo_feed_forward: Annotated[
         Ratio,
         Bounds(least=0.0, most=1.0),
-        Doc("Share of the command's velocity that the loops are fed forward at least."),
+        Doc("Least velocity feed-forward of the loops, as a share."),
     ] = 1.0
-    servo_delay: Annotated[
-        Time, Bounds(least=0.0), Doc("Dead time that the loops have at most.")
-    ] = 0.0
+    servo_delay: Annotated[Time, Bounds(least=0.0), Doc("Largest dead time of the loops.")] = 0.0
     price: Annotated[
         Ratio,
         Bounds(least=0.0, most=1.0),
-        Doc("Share by which tool_deviation may be above the least for a command that does better."),
+        Doc("Relative increase of tool_deviation allowed for a better command."),
     ] = 0.2
     draws: Annotated[
-        int, Bounds(least=50, most=10000), Doc("Arms that are drawn for the distribution.")
+        int, Bounds(least=50, most=10000), Doc("Number of random arms for the distribution.")
     ] = 60
-    seed: Annotated[int, Bounds(least=0), Doc("Of the draws.")] = 1
+    seed: Annotated[int, Bounds(least=0), Doc("Seed of the random draws.")] = 1
     # Stated by the user; `AssumedUncertainty` holds the defaults otherwise.
     stated: ClassVar[bool] = True
 

@@ -202,7 +202,8 @@ def _begun(asking: Asking[Answer]) -> tuple[Asking[Answer], SimulationRequest]:
 
 def _answered(begun: Sequence[tuple[Asking[Answer], SimulationRequest]]) -> list[Answer]:
     """The answers of several: what all of them ask is simulated together, round by round."""
-    asked, answers = dict(begun), {}  # type: dict[Asking[Answer], Asked], dict[Asking[Answer], Answer]
+    asked = dict(begun)
+    answers: dict[Asking[Answer], Answer] = {}
     while asked:
         swings = simulate_uncertain_arms(list(asked.values()))
         for asking, own in zip(list(asked), swings, strict=True):

@@ -124,7 +124,7 @@ class NumberedStage:
         Values of the last input.
     formula : str
         Hash of the function.
-    along : AlongSplines, optional
+    along : SplineCoordinates, optional
         Where spline coefficients are the variables: derivatives are by these.
     """
 
@@ -176,7 +176,7 @@ class _Formula:
     constants: dict[int, float]
 
 
-# Least recently used formulas without numbers, with the instructions of these; most problems of a
+# Most recently used formulas without numbers, with the instructions of these; most problems of a
 # sweep share one.
 _formula_cache: OrderedDict[tuple[object, ...], tuple[ca.Function, list[int], str]] = OrderedDict()
 _MAX_CACHED_FORMULAS = 8

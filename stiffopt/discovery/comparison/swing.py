@@ -90,7 +90,7 @@ class Swing:
 
     Parameters
     ----------
-    response : SwingResponse
+    response : ElasticResponse
     stiffness : array (K, n)
         Of the springs along the motion [N m/rad].
     damping : array (n,)
