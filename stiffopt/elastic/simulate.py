@@ -338,5 +338,5 @@ def _note_hysteresis(arm: ElasticArm, q: np.ndarray, peak: float) -> list[str]:
     share = f", {100.0 * reach / peak:.0f} % of the peak" if peak > 0.0 else ""
     return [
         f"The hysteresis of the joints alone may hold the tool up to {1e3 * reach:.3g} mm from "
-        f"where it would hang at the end{share}."
+        f"its static equilibrium at the end{share}."
     ]

@@ -178,7 +178,7 @@ def test_hysteresis_loop_has_the_stated_width(tmp_path):
     # Wind-up lags: going through zero upwards the spring is still wound the other way.
     assert np.all(np.sign(at_zero) == -np.sign(torque[crossing + 1]))
     share = 100.0 * LENGTH * half_width / found.distance.max()
-    assert f"0.04 mm from where it would hang at the end, {share:.0f} %" in found.notes[0]
+    assert f"0.04 mm from its static equilibrium at the end, {share:.0f} %" in found.notes[0]
 
 
 def test_slipping_joint_is_named(tmp_path):
