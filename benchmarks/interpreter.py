@@ -15,7 +15,7 @@ from stiffopt.interpreter.batched import batched
 from stiffopt.problem.files import load_problem
 from stiffopt.solver.solve import solve
 from stiffopt.symbolic import BufferedFunction
-from stiffopt.transcription import evaluated
+from stiffopt.transcription import point_function
 
 TITLE = "Interpreter"
 PROBLEMS = (
@@ -60,8 +60,10 @@ def formulas(name: str) -> list[ca.Function]:
     problem = load_problem(HERE.parent / "problems" / f"{name}.toml").problem
     found: list[ca.Function] = []
     with (
-        mock.patch.object(evaluated, "batched", lambda _, each, *__, **___: found.append(each)),
-        mock.patch.dict(evaluated._kept_functions, clear=True),
+        mock.patch.object(
+            point_function, "batched", lambda _, each, *__, **___: found.append(each)
+        ),
+        mock.patch.dict(point_function._kept_functions, clear=True),
     ):
         solve(replace(problem, method=replace(problem.method, intervals=8)), throw=False)
     return found

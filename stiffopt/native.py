@@ -1,6 +1,6 @@
-"""The compiled core: an extension module that is built at installation, and calls of its functions.
+"""Compiled core: the extension module that is built at installation, and calls of its functions.
 
-Without it (no C compiler at installation) Python, CasADi and MUMPS do the same, slower.
+Without it (no C compiler at installation) Python, CasADi and MUMPS give the same results, slower.
 """
 
 from __future__ import annotations
@@ -38,11 +38,11 @@ def library() -> Path | None:
 def loaded() -> ctypes.CDLL | None:
     """Return the functions of the extension module, None where it is missing."""
     path = library()
-    return None if path is None else _load(path)
+    return None if path is None else _load_library(path)
 
 
 @functools.cache
-def _load(path: Path) -> ctypes.CDLL:
+def _load_library(path: Path) -> ctypes.CDLL:
     return ctypes.CDLL(str(path))
 
 
@@ -54,7 +54,7 @@ def _is_older_than_sources(path: Path) -> bool:
 
 
 class Struct(ctypes.Structure):
-    """A struct of the C code, which keeps the arrays that it points to."""
+    """C struct that holds references to the arrays it points to."""
 
     def set(self, **values: object) -> None:
         """Set fields: numbers, and arrays to point to or, of fixed length, to copy."""

@@ -79,7 +79,7 @@ def simulate(
     damping
         Damping ratio of each elastic joint on its own, in place of the robot file's damping.
     """
-    from stiffopt.elastic.arm import rigid_arm
+    from stiffopt.elastic.arm import rigid_arm_error
     from stiffopt.elastic.motor import Servo
     from stiffopt.report.solve.simulation import write_simulation_report
     from stiffopt.report.solve.terminal import print_compensation, print_simulation
@@ -113,7 +113,7 @@ def simulate(
             "command.csv. See result.json for the reason."
         )
     if not stored.problem.robot.yields:
-        raise rigid_arm(stored.problem.robot)
+        raise rigid_arm_error(stored.problem.robot)
     folder = out or result
     with output_folder(folder, "simulate", of="solve") as stage:
         modelled = elastic_arm(stored.problem, stored.optimised.position[0])
@@ -200,7 +200,7 @@ def modes(
         Folder for the results of a solve's motion; default: the folder of the solve.
     """
     from stiffopt.elastic.arm import questionable_springs
-    from stiffopt.elastic.survey import modes_along, modes_at, write_modes_csv
+    from stiffopt.elastic.modes import modes_along, modes_at, write_modes_csv
     from stiffopt.report.common.terminal import print_lines
     from stiffopt.report.solve.simulation import print_modes, write_modes_figure
     from stiffopt.solver.stored_result import read_result

@@ -1,1 +1,1 @@
-"""The elastic arm: links that swing on the springs of their joints, simulated and linearised."""
+"""Elastic arm: vibration of the links on the springs of their joints, simulated and linearised."""

@@ -1,6 +1,6 @@
-"""An arm whose links hang on the springs of their joints, and the motor side that moves them.
+"""Elastic arm: links on the springs of their joints, which the motors move at the other end.
 
-The springs' far ends follow the motors; rotors are not part of what swings. Rigid joints stay so.
+Rotor inertia is left out, since motors are position-controlled; rigid joints stay rigid.
 """
 
 from __future__ import annotations
@@ -20,21 +20,20 @@ if TYPE_CHECKING:
     from stiffopt.elastic.uncertainty import Departure
     from stiffopt.robot.robot import Robot
 
-# Share of the critical damping where the robot file gives none.
+# Damping ratio where the robot file gives no damping.
 ASSUMED_DAMPING = 0.02
-# Torque, as a share of the drive's, over which a reversal goes through the hysteresis: reducer
-# catalogues measure lost motion at 3 to 4 % of the rated torque.
-_REVERSAL = 0.04
-# Above it [Hz] a joint that swings alone is taken to follow its motor: the motions of an arm excite
-# up to a tenth of it.
-FAST = 1200.0
-# Below it [Hz] a joint that swings alone is most likely given in another unit: arms have 3 Hz and
-# more, and springs of N m/arcmin taken for N m/rad a 59th of it.
-_SLOW, _USUAL = 1.0, 3.0
-_SETTLED = 1e-12
-_ITERATIONS = 50
-# Up to which a damping is the critical one.
-_ROUNDING = 1e-12
+# Torque change of a full reversal of the hysteresis over the drive's torque: reducer catalogues
+# measure lost motion at 3 to 4 % of the rated torque.
+_REVERSAL_TORQUE_RATIO = 0.04
+# A joint with a higher single-joint frequency [Hz] is taken to follow its motor: the motions of an
+# arm excite up to a tenth of it.
+MIN_FOLLOWING_FREQUENCY = 1200.0
+# A lower single-joint frequency [Hz] suggests a stiffness in another unit: arms have 3 Hz and more,
+# and N m/arcmin taken for N m/rad gives a 59th of it.
+_MIN_PLAUSIBLE_FREQUENCY, _USUAL_MIN_FREQUENCY = 1.0, 3.0
+_EQUILIBRIUM_TOLERANCE = 1e-12  # change of a joint in the last step [rad]
+_MAX_EQUILIBRIUM_STEPS = 50
+_DAMPING_ROUND_OFF = 1e-12  # relative; critical damping itself is allowed
 
 
 class ElasticArm:
@@ -45,9 +44,9 @@ class ElasticArm:
     robot : Robot
     at : array (n,)
         Motor position of the pose in which damping is judged and, where none is given, assumed:
-        2 % of what would be critical for each joint swinging alone.
+        2 % of the critical damping of each single-joint vibration.
     process_force : array_like (3,)
-        Acts on the tool all the time, base axes [N].
+        Constant force on the tool, base axes [N].
 
     Attributes
     ----------
@@ -60,7 +59,7 @@ class ElasticArm:
     following : tuple of int
         Joints (from 1) whose springs are left out, see `with_fast_joints_following`.
     reversal_torque : array (n,)
-        Over which a reversal goes through the hysteresis [N m].
+        Torque change of a full reversal of the hysteresis [N m].
 
     Raises
     ------
@@ -78,12 +77,12 @@ class ElasticArm:
         self.process_force = np.asarray(process_force, dtype=float)
         self.springs = joint_springs(robot)
         self.elastic = np.array([spring is not None for spring in self.springs])
-        self.hysteresis = _given(robot.hysteresis, robot.n, 0.0) * self.elastic
+        self.hysteresis = _values_or_default(robot.hysteresis, robot.n, 0.0) * self.elastic
         if not np.all(self.hysteresis >= 0.0):
             joint = robot.joint_names[int(np.argmin(self.hysteresis))]
             raise RobotError(f"the hysteresis of {joint} must be a half width of 0 or above.")
-        self.reversal_torque = _REVERSAL * np.asarray(robot.torque_max, dtype=float)
-        stated = _given(robot.damping, robot.n, np.nan)
+        self.reversal_torque = _REVERSAL_TORQUE_RATIO * np.asarray(robot.torque_max, dtype=float)
+        stated = _values_or_default(robot.damping, robot.n, np.nan)
         unknown = np.isnan(stated) & self.elastic
         self.assumed_damping = tuple(int(j) + 1 for j in np.flatnonzero(unknown))
         critical = self._critical_damping(np.asarray(at, dtype=float))
@@ -92,15 +91,15 @@ class ElasticArm:
         self._critical = critical
         self._check_damping()
 
-    def departed(self, departure: Departure) -> ElasticArm:
-        """The arm as it may be, off from this one.
+    def with_departure(self, departure: Departure) -> ElasticArm:
+        """Return a copy of the arm with a departure of its parameters.
 
         Raises
         ------
         RobotError
-            A joint's damping is then above critical.
+            A joint's damping would exceed the critical one.
         """
-        self._check_departed(departure.damping)
+        self._check_departure_damping(departure.damping)
         other = copy.copy(self)
         other.robot = self.robot.with_payload_times(departure.payload)
         other.bodies = other.robot.rigid_bodies()
@@ -111,19 +110,19 @@ class ElasticArm:
         other.damping = departure.damping * self.damping
         return other
 
-    def _check_departed(self, factor: float) -> None:
+    def _check_departure_damping(self, factor: float) -> None:
         damped = self.elastic & (self.damping > 0.0)
-        above = factor * self.damping[damped] > (1.0 + _ROUNDING) * self._critical[damped]
+        above = factor * self.damping[damped] > (1.0 + _DAMPING_ROUND_OFF) * self._critical[damped]
         if not np.any(above):
             return
         ratio = np.where(damped, self._critical / np.where(damped, self.damping, 1.0), np.inf)
         j = int(np.argmin(ratio))
-        # Rounded down: what is named must be possible.
+        # Rounded down: the value in the message must be accepted.
         largest = max(0.0, np.floor(1000.0 * (ratio[j] - 1.0)) / 1000.0)
         raise RobotError(
             f"uncertainty.damping lets the damping of {self.robot.joint_names[j]}, nominally "
             f"{self.damping[j]:.4g} N m s/rad, be {factor * self.damping[j]:.4g}, above the "
-            f"critical {self._critical[j]:.4g} of the joint swinging alone; allowed for this arm: "
+            f"critical {self._critical[j]:.4g} of the single-joint vibration; allowed here: "
             f"from 0 to {largest:g}. Give a smaller share, such as uncertainty.damping = "
             f"{largest:g}."
         )
@@ -134,18 +133,18 @@ class ElasticArm:
         ):
             raise RobotError(
                 f"the damping of {self.robot.joint_names[j]} must lie between 0 and the critical "
-                f"{self._critical[j]:.4g} N m s/rad of the joint swinging alone; got "
+                f"{self._critical[j]:.4g} N m s/rad of the single-joint vibration; got "
                 f"{self.damping[j]:.4g}."
             )
 
     def with_fast_joints_following(self, at: np.ndarray) -> ElasticArm:
-        """Copy whose joints follow their motors at once where their springs swing above `FAST`.
+        """Return a copy whose joints above `MIN_FOLLOWING_FREQUENCY` are rigid.
 
-        Each swinging alone, judged with the motors at `at` (n,). Such a joint stays within a
-        hundred-thousandth of a degree of its motor, and would take an integrator minutes.
+        Judged by single-joint frequencies with the motors at `at` (n,). Such a joint stays within
+        1e-5 degrees of its motor, and would take an integrator minutes.
         """
-        stiffness, inertia = self._alone(np.asarray(at, dtype=float))
-        fast = self.elastic & (stiffness > (2.0 * np.pi * FAST) ** 2 * inertia)
+        stiffness, inertia = self._single_joint_properties(np.asarray(at, dtype=float))
+        fast = self.elastic & (stiffness > (2.0 * np.pi * MIN_FOLLOWING_FREQUENCY) ** 2 * inertia)
         if not fast.any() or np.all(fast == self.elastic):
             return self
         found = copy.copy(self)
@@ -158,7 +157,7 @@ class ElasticArm:
         return found
 
     def damped(self, share: float) -> ElasticArm:
-        """Copy whose joints that yield all have a share of their critical damping.
+        """Return a copy in which all elastic joints have one damping ratio.
 
         Raises
         ------
@@ -174,21 +173,21 @@ class ElasticArm:
         found.assumed_damping = ()
         return found
 
-    def assumed_times(self, factor: float) -> ElasticArm:
-        """Copy whose assumed damping is so many times as large; what is stated stays."""
+    def scale_assumed_damping(self, factor: float) -> ElasticArm:
+        """Return a copy with the assumed damping times a factor; stated damping stays."""
         found = copy.copy(self)
         assumed = np.isin(np.arange(self.robot.n) + 1, self.assumed_damping)
         found.damping = np.where(assumed, factor, 1.0) * self.damping
         return found
 
     def without_force(self) -> ElasticArm:
-        """The same arm, without the process force."""
+        """Return a copy without the process force."""
         found = copy.copy(self)
         found.process_force = np.zeros(3)
         return found
 
     def windup(self, torque: np.ndarray) -> np.ndarray:
-        """Wind-ups (K, n) [rad] of spring torques (K, n) [N m], in the middle of the hysteresis."""
+        """Wind-ups (K, n) [rad] of spring torques (K, n) [N m], at the middle of the loop."""
         columns = [
             np.zeros(len(torque)) if spring is None else spring.windup(torque[:, j])
             for j, spring in enumerate(self.springs)
@@ -200,17 +199,16 @@ class ElasticArm:
         return _tangent_stiffness(self.springs, torque)
 
     def lag(self, motor: np.ndarray) -> np.ndarray:
-        """Time (n,) [s] by which damping delays each wind-up, at rest at a motor position (n,)."""
-        stiffness = self.stiffness(self.held_torque(self.hanging(motor[None])[0]))
+        """Damping over stiffness (n,) [s]: delay of each wind-up, at a motor position (n,)."""
+        stiffness = self.stiffness(self.static_torque(self.static_equilibrium(motor[None])[0]))
         return np.asarray(self.damping / stiffness)
 
-    def held_torque(self, q: np.ndarray) -> np.ndarray:
-        """Spring torque (n,) [N m] at rest in a link position: weight less process force."""
+    def static_torque(self, q: np.ndarray) -> np.ndarray:
+        """Static spring torque (n,) [N m] of a link position: weight less process force."""
         weight = self.bodies.gravity_torque(q)
         return weight - self.force_torque(q) if self.process_force.any() else weight
 
-    def _held_torques(self, q: np.ndarray) -> np.ndarray:
-        """The same in many positions (K, n)."""
+    def _static_torques(self, q: np.ndarray) -> np.ndarray:
         weight = self.robot.bodies_in_motion().gravity_torque(q)
         if self.process_force.any():
             weight -= [self.force_torque(row) for row in q]
@@ -220,21 +218,21 @@ class ElasticArm:
         """Joint torque (n,) [N m] of the process force."""
         return np.asarray(self.bodies.jacobian(self.robot.tool, q)[:3].T @ self.process_force)
 
-    def hanging(self, motor: np.ndarray) -> np.ndarray:
-        """Link positions (K, n) at rest at motor positions (K, n)."""
+    def static_equilibrium(self, motor: np.ndarray) -> np.ndarray:
+        """Link positions (K, n) in static equilibrium at motor positions (K, n)."""
         q = np.array(motor, dtype=float)
         moving = np.arange(len(q))
-        for _ in range(_ITERATIONS):
-            new = motor[moving] - self.windup(self._held_torques(q[moving]))
+        for _ in range(_MAX_EQUILIBRIUM_STEPS):
+            new = motor[moving] - self.windup(self._static_torques(q[moving]))
             change = np.max(np.abs(new - q[moving]), axis=1)
             q[moving] = new
-            moving = moving[change > _SETTLED]
+            moving = moving[change > _EQUILIBRIUM_TOLERANCE]
             if not moving.size:
                 return q
         advice = questionable_springs(self.robot, motor[0]) or "Check stiffness and masses."
         raise NotSimulatedError(
-            "the arm does not hang at rest on its springs: their weight winds them up further and "
-            f"further. {advice}"
+            "the arm does not hang at rest on its springs: the static equilibrium diverges under "
+            f"its weight. {advice}"
         )
 
     def tool(self, q: np.ndarray) -> np.ndarray:
@@ -242,16 +240,15 @@ class ElasticArm:
         return frame_positions(self.robot.tree, self.robot.tool, q)
 
     def _critical_damping(self, at: np.ndarray) -> np.ndarray:
-        """Critical damping (n,) of each joint swinging alone, at rest with the motors at `at`."""
-        stiffness, inertia = self._alone(at)
-        # Of rigid joints, behind which nothing may be: infinity times zero.
+        stiffness, inertia = self._single_joint_properties(at)
+        # Infinity times zero for rigid joints without inertia behind them.
         with np.errstate(invalid="ignore"):
             return np.asarray(2.0 * np.sqrt(stiffness * inertia))
 
-    def _alone(self, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Stiffness and inertia (n,) of each joint alone, at rest with the motors at `at` (n,)."""
-        q = self.hanging(at[None])[0]
-        return self.stiffness(self.held_torque(q)), np.diag(self.bodies.inertia_matrix(q))
+    def _single_joint_properties(self, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Stiffness and inertia (n,) of each single-joint vibration, motors at `at` (n,)."""
+        q = self.static_equilibrium(at[None])[0]
+        return self.stiffness(self.static_torque(q)), np.diag(self.bodies.inertia_matrix(q))
 
 
 def _tangent_stiffness(springs: Sequence[JointSpring | None], torque: np.ndarray) -> np.ndarray:
@@ -264,31 +261,31 @@ def _tangent_stiffness(springs: Sequence[JointSpring | None], torque: np.ndarray
 
 
 def questionable_springs(robot: Robot, at: np.ndarray) -> str:
-    """A sentence on joints so soft that their stiffness is most likely in another unit.
+    """Describe joints so soft that their stiffness is most likely in another unit.
 
-    Each swinging alone, at rest with the motors at `at` (n,); "" where there is no such joint.
+    Judged by single-joint frequencies with the motors at `at` (n,); "" where there is none.
     """
     bodies = robot.rigid_bodies()
     stiffness = _tangent_stiffness(joint_springs(robot), bodies.gravity_torque(at))
     inertia = np.diag(bodies.inertia_matrix(at))
-    slow = np.flatnonzero(stiffness < (2.0 * np.pi * _SLOW) ** 2 * inertia)
+    slow = np.flatnonzero(stiffness < (2.0 * np.pi * _MIN_PLAUSIBLE_FREQUENCY) ** 2 * inertia)
     if not slow.size:
         return ""
     j = slow[np.argmin(stiffness[slow] / inertia[slow])]
     frequency = np.sqrt(stiffness[j] / inertia[j]) / (2.0 * np.pi)
     given = f"{stiffness[j]:.3g} {joint_unit('N m/rad', bool(robot.prismatic[j]))}"
-    more = f" ({len(slow)} joints below {_SLOW:g} Hz)" if len(slow) > 1 else ""
+    more = f" ({len(slow)} joints below {_MIN_PLAUSIBLE_FREQUENCY:g} Hz)" if len(slow) > 1 else ""
     return (
-        f"{robot.joint_names[j]} alone would swing at {frequency:.2g} Hz with {given}{more}; "
-        f"joints of arms do at {_USUAL:g} Hz or more. Check the unit of its stiffness: "
-        "1 N m/arcmin is 3438 N m/rad, 1 N/um is 1e6 N/m."
+        f"{robot.joint_names[j]} alone would vibrate at {frequency:.2g} Hz with {given}{more}; "
+        f"joints of arms do at {_USUAL_MIN_FREQUENCY:g} Hz or more. Check the unit of its "
+        "stiffness: 1 N m/arcmin is 3438 N m/rad, 1 N/um is 1e6 N/m."
     )
 
 
-def rigid_arm(robot: Robot) -> NotSimulatedError:
-    """What is to be raised for an arm that cannot swing."""
-    return NotSimulatedError(f"{robot.name} is rigid: no joint has a drivetrain that could yield.")
+def rigid_arm_error(robot: Robot) -> NotSimulatedError:
+    """Return the error for an arm without elastic joints."""
+    return NotSimulatedError(f"{robot.name} is rigid: no joint has an elastic drivetrain.")
 
 
-def _given(values: np.ndarray | None, joints: int, default: float) -> np.ndarray:
+def _values_or_default(values: np.ndarray | None, joints: int, default: float) -> np.ndarray:
     return np.full(joints, default) if values is None else np.array(values, dtype=float)

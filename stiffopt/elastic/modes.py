@@ -1,23 +1,31 @@
-"""Small swings of an arm about a pose at rest: frequencies, damping and shapes.
+"""Elastic modes of an arm: frequencies, damping ratios and shapes, in poses or along a motion.
 
-The springs are taken at their tangent stiffness, weight with its change over the pose; motors stand
-still. Damping ratios neglect that damping couples the modes.
+Linearised at rest: springs at their tangent stiffness, weight with its derivative by the pose,
+motors held. Damping ratios neglect the coupling of the modes by damping.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.linalg import eigh
 
-from stiffopt.elastic.arm import ElasticArm
+from stiffopt.elastic.arm import ElasticArm, rigid_arm_error
 from stiffopt.errors import NotSimulatedError
+from stiffopt.files import write_csv
 
-_NAMED_SHARE = 0.1
-_STEP = 1e-6
-# Least inertia of the joints together over the largest.
-_LIGHT = 1e-13
+if TYPE_CHECKING:
+    from stiffopt.robot.robot import Robot
+
+
+_MIN_NAMED_SHARE = 0.1  # of the energy; joints below it are not named
+_DIFFERENCE_STEP = 1e-6  # of central differences of the weight [rad]
+# Smallest over largest eigenvalue of the inertia matrix; below it, it is singular.
+_MIN_INERTIA_RATIO = 1e-13
 
 
 @dataclass(frozen=True)
@@ -27,15 +35,15 @@ class Mode:
     Parameters
     ----------
     frequency : float
-        Without damping [Hz].
+        Undamped natural frequency [Hz].
     damping : float
-        Share of the critical damping.
+        Damping ratio.
     shares : array (n,)
-        Share of each joint's spring in the energy; they sum to 1.
+        Share of each joint's spring in the strain energy; they sum to 1.
     shape : array (n,)
         Motion of the joints, of unit modal mass.
     tool : array (3,)
-        Motion of the tool with it [m].
+        Displacement of the tool in it [m].
     """
 
     frequency: float
@@ -45,11 +53,9 @@ class Mode:
     tool: np.ndarray
 
     def describe(self) -> str:
-        """Who swings: "joint 1 swings with 92 % of the energy"."""
-        order = [int(j) for j in np.argsort(-self.shares) if self.shares[j] >= _NAMED_SHARE]
+        """Describe the joints that take part: "joint 1 (92 % of the energy)"."""
+        order = [int(j) for j in np.argsort(-self.shares) if self.shares[j] >= _MIN_NAMED_SHARE]
         sizes = [f"{100.0 * self.shares[j]:.0f} %" for j in order]
-        if len(order) == 1:
-            return f"joint {order[0] + 1} swings with {sizes[0]} of the energy"
         sides = np.sign(self.shape[order]) == np.sign(self.shape[order[0]])
         text = f"joint {order[0] + 1} ({sizes[0]} of the energy)"
         for j, size, together in zip(order[1:], sizes[1:], sides[1:], strict=True):
@@ -68,13 +74,15 @@ def modes(arm: ElasticArm, motor: np.ndarray) -> tuple[Mode, ...]:
     free = np.flatnonzero(arm.elastic)
     if not free.size:
         return ()
-    q = arm.hanging(np.asarray(motor, dtype=float)[None])[0]
-    springs = arm.stiffness(arm.held_torque(q))[free]
+    q = arm.static_equilibrium(np.asarray(motor, dtype=float)[None])[0]
+    springs = arm.stiffness(arm.static_torque(q))[free]
     slopes = np.empty((arm.robot.n, free.size))
     for column, j in enumerate(free):
         step = np.zeros(arm.robot.n)
-        step[j] = _STEP
-        slopes[:, column] = (arm.held_torque(q + step) - arm.held_torque(q - step)) / (2 * _STEP)
+        step[j] = _DIFFERENCE_STEP
+        slopes[:, column] = (arm.static_torque(q + step) - arm.static_torque(q - step)) / (
+            2 * _DIFFERENCE_STEP
+        )
     weight = slopes[free]
     stiffness = np.diag(springs) + 0.5 * (weight + weight.T)
     inertia = arm.bodies.inertia_matrix(q)[np.ix_(free, free)]
@@ -103,12 +111,85 @@ def modes(arm: ElasticArm, motor: np.ndarray) -> tuple[Mode, ...]:
 
 
 def _check_inertia(arm: ElasticArm, free: np.ndarray, inertia: np.ndarray) -> None:
-    """Raise `NotSimulatedError` where a spring has nothing to swing."""
     sizes, ways = np.linalg.eigh(inertia)
-    if sizes[0] <= _LIGHT * max(sizes[-1], 0.0):
+    if sizes[0] <= _MIN_INERTIA_RATIO * max(sizes[-1], 0.0):
         name = arm.robot.joint_names[int(free[np.argmax(np.abs(ways[:, 0]))])]
         raise NotSimulatedError(
-            f"the links behind {name} have no inertia about it: its spring has nothing to swing."
+            f"the links behind {name} have no inertia about it, so its spring has no vibration."
             " Give their masses and inertias ([[link]] of the robot file, or the URDF), or leave"
             " the drivetrain of that joint out (rigid)."
         )
+
+
+_INSTANTS_ALONG_MOTION = 61
+
+
+@dataclass(frozen=True, kw_only=True)
+class PoseModes:
+    """Modes in one pose.
+
+    Parameters
+    ----------
+    name : str
+    time : float
+        Along a motion [s]; 0 where there is none.
+    modes : tuple of Mode
+        The lowest first.
+    assumed_damping : tuple of int
+        Joints (from 1) whose damping is assumed, from the first pose on.
+    """
+
+    name: str
+    time: float
+    modes: tuple[Mode, ...]
+    assumed_damping: tuple[int, ...]
+
+
+def modes_at(robot: Robot, poses: Mapping[str, np.ndarray]) -> list[PoseModes]:
+    """Modes in named poses, joint angles (n,) [rad] each."""
+    arm = _make_elastic_arm(robot, next(iter(poses.values())))
+    return [
+        PoseModes(
+            name=name,
+            time=0.0,
+            modes=modes(arm, angles),
+            assumed_damping=arm.assumed_damping,
+        )
+        for name, angles in poses.items()
+    ]
+
+
+def modes_along(robot: Robot, time: np.ndarray, position: np.ndarray) -> list[PoseModes]:
+    """Modes at 61 poses along a motion (K,) [s], (K, n) [rad], linearised at rest."""
+    arm = _make_elastic_arm(robot, position[0])
+    instants = np.linspace(time[0], time[-1], _INSTANTS_ALONG_MOTION)
+    return [
+        PoseModes(
+            name=f"at {instant:.3f} s",
+            time=float(instant),
+            modes=modes(arm, np.array([np.interp(instant, time, joint) for joint in position.T])),
+            assumed_damping=arm.assumed_damping,
+        )
+        for instant in instants
+    ]
+
+
+def write_modes_csv(rows: Sequence[PoseModes], path: Path) -> None:
+    """Write frequency [Hz] and damping ratio of every mode over time [s]."""
+    numbers = range(1, len(rows[0].modes) + 1)
+    names = ["t", *(f"f{k}" for k in numbers), *(f"damping{k}" for k in numbers)]
+    write_csv(
+        path,
+        names,
+        [
+            [row.time, *(m.frequency for m in row.modes), *(m.damping for m in row.modes)]
+            for row in rows
+        ],
+    )
+
+
+def _make_elastic_arm(robot: Robot, at: np.ndarray) -> ElasticArm:
+    arm = ElasticArm(robot, at)
+    if not arm.elastic.any():
+        raise rigid_arm_error(robot)
+    return arm

@@ -1,4 +1,4 @@
-"""Motion of the motors: as commanded, or as a servo follows the command."""
+"""Motor motion: the command itself, or the response of a servo to it."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from stiffopt.errors import InputError
 if TYPE_CHECKING:
     from stiffopt.result.trajectory import JointMotion
 
-# Of a sampled motion: cubic between points this far apart it is exact to a nanoradian.
-_STEP = 5e-4
-# A motion that ends slower than this ends at rest [rad/s].
-_STANDSTILL = 1e-6
+# Between samples [s]; cubic interpolation is then exact to a nanoradian.
+_SAMPLE_INTERVAL = 5e-4
+# Final speed of a motion that ends at rest [rad/s].
+_MAX_REST_SPEED = 1e-6
 
 
 class MotorMotion:
@@ -53,12 +53,12 @@ class MotorMotion:
         self._joints = both.shape[2] // 2
         self._last = np.array(position[-1], dtype=float)
         self._still = np.zeros_like(self._last)
-        self.ends_at_rest = bool(np.max(np.abs(velocity[-1])) < _STANDSTILL)
+        self.ends_at_rest = bool(np.max(np.abs(velocity[-1])) < _MAX_REST_SPEED)
 
     @classmethod
     def of(cls, motion: JointMotion) -> MotorMotion:
-        """Sampled from a motion `motion(t, order)`, at its break times too (`motion.times`)."""
-        count = max(2, int(np.ceil(motion.duration / _STEP)) + 1)
+        """Sample a motion `motion(t, order)`, also at its break times (`motion.times`)."""
+        count = max(2, int(np.ceil(motion.duration / _SAMPLE_INTERVAL)) + 1)
         breaks = np.asarray(getattr(motion, "times", ()), dtype=float)
         time = np.union1d(np.linspace(0.0, motion.duration, count), breaks)
         time = time[np.concatenate([[True], np.diff(time) > 1e-9 * motion.duration])]
@@ -102,10 +102,10 @@ class MotorMotion:
 
 @dataclass(frozen=True)
 class Servo:
-    """Position loop of every joint, in place of motors that follow exactly.
+    """Servo: position loop with velocity feed-forward and dead time, the same for every joint.
 
     The motor's speed is feed_forward times the command's, delayed, plus 2 pi bandwidth times the
-    position error as it was a delay ago. What the link does to the motor is not in it.
+    delayed position error. The reaction of the links on the motors is neglected.
 
     Parameters
     ----------
@@ -134,14 +134,14 @@ class Servo:
         largest = 1.0 / (4.0 * self.bandwidth)
         if self.delay >= largest:
             raise InputError(
-                f"the servo is unstable: a position loop of {self.bandwidth:g} Hz bears a delay "
+                f"the servo is unstable: a position loop of {self.bandwidth:g} Hz needs a delay "
                 f"below {1e3 * largest:.4g} ms, and has {1e3 * self.delay:.4g} ms. Lower the "
                 "bandwidth or the delay."
             )
 
     @property
     def follows_exactly(self) -> bool:
-        """Whether it does: with all of the command's velocity, without delay."""
+        """True with full velocity feed-forward and without delay."""
         return self.feed_forward == 1.0 and self.delay == 0.0
 
     def __str__(self) -> str:
@@ -149,8 +149,8 @@ class Servo:
         forward = f"{100.0 * self.feed_forward:.3g} % velocity feed-forward"
         return f"{self.bandwidth:g} Hz with {forward}{delay}"
 
-    def lagging(self, command: MotorMotion, until: float, share: float) -> MotorMotion:
-        """Motor motion with a share of the lag, to the time `until` [s]."""
+    def with_lag(self, command: MotorMotion, until: float, share: float) -> MotorMotion:
+        """Motor motion with a share of the servo's lag, until the time `until` [s]."""
         late = self.follow(command, until)
         exact = 1.0 - share
         return MotorMotion(
@@ -161,13 +161,13 @@ class Servo:
         )
 
     def follow(self, command: MotorMotion, until: float) -> MotorMotion:
-        """Motor motion from rest under this command, to the time `until` [s]."""
+        """Motor motion in response to a command, from rest until the time `until` [s]."""
         gain = 2.0 * np.pi * self.bandwidth
-        # The delay is a whole number of steps, so that what it needs has been computed.
-        lag = 0 if self.delay == 0.0 else max(1, int(np.ceil(self.delay / _STEP)))
-        step = self.delay / lag if lag else min(_STEP, 0.02 / self.bandwidth)
+        # The delay is a whole number of steps, so that delayed positions are known samples.
+        lag = 0 if self.delay == 0.0 else max(1, int(np.ceil(self.delay / _SAMPLE_INTERVAL)))
+        step = self.delay / lag if lag else min(_SAMPLE_INTERVAL, 0.02 / self.bandwidth)
         count = int(np.ceil(until / step)) + 1
-        # At whole and half steps; before the start command and motor stand at the first position.
+        # At whole and half steps; before the start command and motor rest at the first position.
         times = 0.5 * step * np.arange(2 * count + 1)
         late = np.clip(times - self.delay, 0.0, None)
         wanted = command.position(late)
@@ -192,7 +192,7 @@ class Servo:
         else:
             velocity[0] = drive[0] - gain * position[0]
             for k in range(count):
-                # The error of a delay ago is known: Simpson's rule with the cubic at its middle.
+                # The delayed error is known: Simpson's rule with the Hermite cubic at its middle.
                 begin, end = k - lag, k + 1 - lag
                 old = position[max(end, 0)]
                 middle = position[0]

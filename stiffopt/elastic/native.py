@@ -1,13 +1,15 @@
-"""Loops over instants and arms by the compiled core (swings.c).
+"""Calls of the compiled core for elastic arms (swings.c, response.c).
 
-The formulas are those of `many_arms` and `simulate`, which do without it: the numbers are the same
-but for rounding.
+The formulas are those of `uncertain_arms`, `simulate` and `response`, which also work without it:
+results agree but for rounding.
 """
 
 from __future__ import annotations
 
 import ctypes
 from collections.abc import Callable
+from copy import copy
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,14 +18,16 @@ from stiffopt import native
 from stiffopt.native import ARRAY, REAL, WHOLE, Struct
 
 if TYPE_CHECKING:
-    from stiffopt.elastic.along_plan import EvenSprings
     from stiffopt.elastic.arm import ElasticArm
     from stiffopt.elastic.motor import MotorMotion
+    from stiffopt.elastic.response import Load, Matrices, Response
+    from stiffopt.elastic.uncertain_arms import TabulatedSprings
 
-# Joints that the C code has room for.
+
+# Capacity of the arrays in swings.c.
 MAX_JOINTS = 32
 
-Slope = Callable[[float, np.ndarray], np.ndarray]
+StateDerivative = Callable[[float, np.ndarray], np.ndarray]
 
 
 class _Springs(Struct):
@@ -62,20 +66,24 @@ def core(joints: int) -> ctypes.CDLL | None:
     return native.loaded() if joints <= MAX_JOINTS else None
 
 
-def swing(
-    made: ctypes.CDLL, springs: EvenSprings, rigid: np.ndarray, begun: np.ndarray, **given: object
+def integrate_linearized(
+    made: ctypes.CDLL,
+    springs: TabulatedSprings,
+    rigid: np.ndarray,
+    begun: np.ndarray,
+    **given: object,
 ) -> np.ndarray:
-    """Positions of the links (K, B, n) less those of their plan.
+    """Integrate linearised arms: positions of their links (K, B, n) less those of the plan.
 
     Parameters
     ----------
     made : CDLL
         Of `core`.
-    springs : EvenSprings
+    springs : TabulatedSprings
     rigid : array of int
-        Joints that do as their motors.
+        Joints that follow their motors.
     begun : array (B, n)
-        Where the links begin.
+        Initial positions of the links less those of the plan.
     given : int, float or array
         Fields of the C code's `Plan`.
     """
@@ -90,10 +98,10 @@ def swing(
     return links
 
 
-def slope(
+def state_derivative(
     made: ctypes.CDLL, arm: ElasticArm, motor: MotorMotion, friction: np.ndarray, loops: int
-) -> Slope:
-    """Slope of the state of an arm on a motion of its motors, as `odeint` asks for it.
+) -> StateDerivative:
+    """Return the time derivative of an arm's state as a function for `odeint`.
 
     Parameters
     ----------
@@ -104,7 +112,7 @@ def slope(
     friction : array (n,)
         Torque of each hysteresis [N m].
     loops : int
-        Numbers of the state for them.
+        State variables of the hysteresis.
     """
     bodies, tables = (
         arm.robot.tree.bodies,
@@ -137,7 +145,7 @@ def slope(
         **motor.table(),
     )
     size = 2 * len(bodies) + loops
-    # The same memory as arrays: reading and writing them is most of what a call costs.
+    # Views of the same memory: copying arguments would dominate the cost of a call.
     state = np.ctypeslib.as_array(own.state)[:size]
     found = np.ctypeslib.as_array(own.slope)[:size]
     run, place = made.slope, ctypes.byref(own)
@@ -149,3 +157,85 @@ def slope(
         return found
 
     return at
+
+
+# Capacity of the arrays in response.c.
+MAX_RESPONSE_JOINTS = 16
+# Doubles of a vector register: columns of a step are padded to a multiple of it.
+REGISTER_SIZE = 4
+
+
+class _Response(Struct):
+    _fields_ = (
+        *((name, WHOLE) for name in ("steps", "n", "rows")),
+        *((name, REAL) for name in ("dt", "unit")),
+        *((name, ARRAY) for name in ("mobility", "rate", "stiffness")),
+        *((name, ARRAY) for name in ("step", "soft", "lag")),
+    )
+
+
+def native_steps(matrices: Matrices) -> NativeSteps | None:
+    """Compiled `ArraySteps`; None without the compiled core, or for too many joints."""
+    made = core(matrices.joints)
+    if made is None or matrices.joints > MAX_RESPONSE_JOINTS:
+        return None
+    return NativeSteps(made, matrices)
+
+
+class NativeSteps:
+    """Transition matrices and time integration by the compiled core.
+
+    Parameters
+    ----------
+    made : CDLL
+    matrices : Matrices
+    """
+
+    def __init__(self, made: ctypes.CDLL, matrices: Matrices) -> None:
+        self._made, self._n, count = made, matrices.joints, len(matrices.mobility) - 1
+        rows = -(-2 * self._n // REGISTER_SIZE) * REGISTER_SIZE
+        self._step_arrays = {
+            "step": np.zeros((count, 2 * self._n, rows)),
+            "soft": np.empty((count, self._n, self._n)),
+            "lag": np.empty((count, self._n, self._n)),
+        }
+        self._point_to(matrices)
+        self.take(0, count)
+
+    def _point_to(self, matrices: Matrices) -> None:
+        count, _, rows = self._step_arrays["step"].shape
+        self._of, self._own = matrices, _Response()
+        self._own.set(steps=count, n=self._n, rows=rows, **vars(matrices), **self._step_arrays)
+
+    def take(self, first: int, last: int) -> None:
+        """See `Steps`."""
+        self._made.take(ctypes.byref(self._own), WHOLE(first), WHOLE(last))
+
+    def copy(self, stiffness: np.ndarray) -> NativeSteps:
+        """See `Steps`."""
+        new = copy(self)
+        new._step_arrays = {name: array.copy() for name, array in self._step_arrays.items()}
+        new._point_to(replace(self._of, stiffness=stiffness))
+        return new
+
+    def march(self, load: Load, begin: np.ndarray | None, *, accelerated: bool) -> Response:
+        """See `Steps`."""
+        many, count = load.torque.shape[:2]
+        z, velocity = np.empty((2, many, count, self._n))
+        acceleration = np.empty(z.shape) if accelerated else None
+        if begin is None:
+            begin = np.zeros((many, 2 * self._n))
+        arrays = (
+            np.ascontiguousarray(load.links, dtype=np.int64),
+            np.ascontiguousarray(load.torque, dtype=float),
+            None if load.within is None else np.ascontiguousarray(load.within, dtype=float),
+            np.ascontiguousarray(begin, dtype=float),
+            *(z, velocity, acceleration),
+        )
+        self._made.march(
+            ctypes.byref(self._own),
+            WHOLE(many),
+            WHOLE(load.links.shape[1]),
+            *(ARRAY(None if each is None else each.ctypes.data) for each in arrays),
+        )
+        return z, velocity, acceleration

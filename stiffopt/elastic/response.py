@@ -1,23 +1,155 @@
-"""Answer of links on their springs to small torques, linear along a motion.
+"""Linear elastic response of the links to small torques along a motion.
 
 M(t) z" + C(t) z' + K(t) z = f(t), with the matrices of the motion: inertia, Coriolis terms with the
 damping of the joints, springs with the change of the weight. Matrices are constant from one sample
-to the next and f is linear there; both steps are then exact, however fast a mode is.
+to the next and f is linear there; the matrix exponential is then exact, however fast a mode is.
 """
 
 from __future__ import annotations
 
 from copy import copy
+from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
-from scipy.linalg import eigh
+from scipy.linalg import eigh, expm
 
-from stiffopt.elastic import native_steps
-from stiffopt.elastic.steps import ArraySteps, Load, Matrices, Steps
+from stiffopt.elastic import native
+
+Response = tuple[np.ndarray, np.ndarray, np.ndarray | None]
 
 
-class SwingResponse:
-    """Links that swing about a motion.
+@dataclass(frozen=True)
+class Matrices:
+    """Matrices of the linearised equation of motion along a motion.
+
+    Attributes
+    ----------
+    mobility, rate, stiffness : array (K, n, n)
+        Inverse inertia, C and K at every sample; K may change in place before `take`.
+    dt : float
+        Between samples [s].
+    unit : float
+        Typical rate [1/s] that scales velocities to the size of displacements.
+    """
+
+    mobility: np.ndarray
+    rate: np.ndarray
+    stiffness: np.ndarray
+    dt: float
+    unit: float
+
+    @property
+    def joints(self) -> int:
+        """Number of joints n."""
+        return int(self.mobility.shape[1])
+
+
+@dataclass(frozen=True)
+class Load:
+    """Torques of m independent responses, each on l links of its own.
+
+    Attributes
+    ----------
+    links : array (m, l) of int
+    torque : array (m, K, l)
+        At every sample, linear in between [N m].
+    within : array (m, K - 1, 2, l), optional
+        Added to those, at the start and at the end of every step [N m].
+    """
+
+    links: np.ndarray
+    torque: np.ndarray
+    within: np.ndarray | None = None
+
+
+class Steps(Protocol):
+    """Transition from each sample to the next."""
+
+    def take(self, first: int, last: int) -> None:
+        """Recompute the steps from sample `first` up to `last` with the present stiffness."""
+
+    def copy(self, stiffness: np.ndarray) -> Steps:
+        """Return a copy that refers to another array of stiffness (K, n, n)."""
+
+    def march(self, load: Load, begin: np.ndarray | None, *, accelerated: bool) -> Response:
+        """Integrate m responses: displacements, velocities, accelerations (m, K, n) on request.
+
+        Parameters
+        ----------
+        load : Load
+        begin : array (m, 2 n) or None
+            Initial displacements [rad], then velocities over `unit`; None is at rest.
+        """
+
+
+class ArraySteps:
+    """Steps by the mean matrices of both ends in NumPy, without the compiled core."""
+
+    def __init__(self, matrices: Matrices) -> None:
+        self._of, self._n = matrices, matrices.joints
+        count, size = len(matrices.mobility) - 1, 2 * self._n
+        self._step = np.empty((count, size, size))
+        self._soft, self._lag = np.empty((2, count, self._n, self._n))
+        self.take(0, count)
+
+    def take(self, first: int, last: int) -> None:
+        """See `Steps`."""
+        n, unit = self._n, self._of.unit
+        steps, ends = slice(first, last), slice(first + 1, last + 1)
+        mobility, damping, springs = (
+            0.5 * (m[ends] + m[steps])
+            for m in (self._of.mobility, self._of.rate, self._of.stiffness)
+        )
+        slope = np.zeros((len(springs), 2 * n, 2 * n))
+        slope[:, :n, n:] = unit * np.eye(n)
+        slope[:, n:, :n] = -mobility @ springs / unit
+        slope[:, n:, n:] = -mobility @ damping
+        self._step[steps] = expm(self._of.dt * slope)
+        self._soft[steps] = soft = np.linalg.inv(springs)
+        self._lag[steps] = soft @ damping @ soft
+
+    def copy(self, stiffness: np.ndarray) -> ArraySteps:
+        """See `Steps`."""
+        new = copy(self)
+        new._of = replace(self._of, stiffness=stiffness)
+        for name in ("_step", "_soft", "_lag"):
+            setattr(new, name, getattr(self, name).copy())
+        return new
+
+    def march(self, load: Load, begin: np.ndarray | None, *, accelerated: bool) -> Response:
+        """See `Steps`."""
+        of, n = self._of, self._n
+        many, count = load.torque.shape[:2]
+        whole, ends = np.zeros((many, count, n)), np.zeros((many, count - 1, 2, n))
+        for own, both, on, torque in zip(whole, ends, load.links, load.torque, strict=True):
+            own[:, on] = torque
+            both[:, 0], both[:, 1] = own[:-1], own[1:]
+        if load.within is not None:
+            for both, on, within in zip(ends, load.links, load.within, strict=True):
+                both[..., on] += within
+        # As columns a response has the same digits alone and beside others.
+        states = np.zeros((many, count, 2 * n, 1))
+        if begin is not None:
+            states[:, 0, :, 0] = begin
+        for k in range(count - 1):
+            first, last = ends[:, k, 0, :, None], ends[:, k, 1, :, None]
+            ramp = (last - first) / of.dt
+            late, speed = self._lag[k] @ ramp, self._soft[k] @ ramp / of.unit
+            held, then = (
+                np.concatenate([self._soft[k] @ x - late, speed], axis=1) for x in (first, last)
+            )
+            states[:, k + 1] = self._step[k] @ (states[:, k] - held) + then
+        states = states[..., 0]
+        z, velocity = states[..., :n], of.unit * states[..., n:]
+        if not accelerated:
+            return z, velocity, None
+        left = whole - (of.rate @ velocity[..., None] + of.stiffness @ z[..., None])[..., 0]
+        return z, velocity, (of.mobility @ left[..., None])[..., 0]
+
+
+class ElasticResponse:
+    """Linear time-varying response of the links to torques, about a motion.
 
     Parameters
     ----------
@@ -34,7 +166,7 @@ class SwingResponse:
 
     Notes
     -----
-    It begins without swing. Steps by the matrix exponential of the mean matrices of both ends.
+    Initially at rest. Steps by the matrix exponential of the mean matrices of both ends.
     """
 
     def __init__(
@@ -52,28 +184,28 @@ class SwingResponse:
         self._unit = float(np.sqrt(np.max(np.abs(self.mobility @ self._stiffness))))
         damping = np.ascontiguousarray(rate, dtype=float)
         given = Matrices(self.mobility, damping, self._stiffness, dt, self._unit)
-        self._steps: Steps = native_steps.steps(given) or ArraySteps(given)
+        self._steps: Steps = native.native_steps(given) or ArraySteps(given)
 
-    def copy(self) -> SwingResponse:
-        """One whose springs may be changed."""
+    def copy(self) -> ElasticResponse:
+        """Return an independent copy whose stiffness may be changed."""
         new = copy(self)
         new._stiffness = self._stiffness.copy()
         new._steps = self._steps.copy(new._stiffness)
         return new
 
     def change_springs(self, samples: slice, stiffness: np.ndarray) -> None:
-        """Take other springs (K, n, n) at some samples [N m/rad]; elsewhere they stay."""
+        """Replace the stiffness (K, n, n) [N m/rad] at some samples."""
         self._stiffness[samples] = stiffness
         first, last, _ = samples.indices(len(self._stiffness))
         self._steps.take(max(first - 1, 0), min(last, len(self._stiffness) - 1))
 
     def __call__(self, torque: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Swing under torques on the links.
+        """Return the response to torques on the links.
 
         Parameters
         ----------
         torque : array (K, n) or (K, n, m)
-            m of them beside each other [N m].
+            m load cases side by side [N m].
 
         Returns
         -------
@@ -81,7 +213,7 @@ class SwingResponse:
             [rad], [rad/s], [rad/s^2].
         """
         many = np.moveaxis(torque, 2, 0) if torque.ndim == 3 else torque[None]
-        z, velocity, acceleration = self._marched(
+        z, velocity, acceleration = self._integrate_with_acceleration(
             Load(np.tile(np.arange(self.n), (len(many), 1)), many)
         )
         if torque.ndim == 2:
@@ -95,19 +227,21 @@ class SwingResponse:
         velocity: np.ndarray,
         within: np.ndarray | None = None,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Swing under torques (K, n) that begins at a displacement and a velocity (n,).
+        """Return the response to torques (K, n) from an initial displacement and velocity (n,).
 
-        And, where given, under others at the begin and the end of every step (K - 1, 2, n).
+        `within` adds torques at the start and the end of every step (K - 1, 2, n).
         """
         begin = np.concatenate([z, velocity / self._unit])[None]
         beside = None if within is None else within[None]
-        found = self._marched(Load(np.arange(self.n)[None], torque[None], beside), begin)
+        found = self._integrate_with_acceleration(
+            Load(np.arange(self.n)[None], torque[None], beside), begin
+        )
         return found[0][0], found[1][0], found[2][0]
 
     def moved(self, torque: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Swing and its velocity under torques (K, n) of many calls, mostly on one link.
+        """Return response and velocity (K, n) to torques (K, n) that load few links.
 
-        The same as a call gives; what a step does with a torque is kept from call to call.
+        As a call, without accelerations; links without torque are skipped.
         """
         links = np.flatnonzero(torque.any(axis=0))
         load = Load(links[None], torque[None][..., links])
@@ -115,13 +249,13 @@ class SwingResponse:
         return z[0], velocity[0]
 
     def pushed(self, links: np.ndarray, torque: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Swing and its velocity (m, K, n) under m torques (m, K), each on one link (m,)."""
+        """Return response and velocity (m, K, n) to m torques (m, K), each on one link (m,)."""
         load = Load(links[:, None], torque[..., None])
         z, velocity, _ = self._steps.march(load, None, accelerated=False)
         return z, velocity
 
     def free(self, state: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Swing (K, n, m) that is left alone after it begins at displacements and velocities.
+        """Return the free response (K, n, m) to initial displacements and velocities.
 
         Parameters
         ----------
@@ -130,15 +264,17 @@ class SwingResponse:
         """
         begin = state.T / np.repeat([1.0, self._unit], self.n)
         nothing = np.zeros((len(begin), len(self._stiffness), 0))
-        found = self._marched(Load(np.zeros((len(begin), 0), dtype=int), nothing), begin)
+        found = self._integrate_with_acceleration(
+            Load(np.zeros((len(begin), 0), dtype=int), nothing), begin
+        )
         z, velocity, acceleration = (np.moveaxis(each, 0, 2) for each in found)
         return z, velocity, acceleration
 
     def modes(self, sample: int) -> tuple[np.ndarray, np.ndarray]:
         """Modes with the matrices of one sample.
 
-        Frequencies (n,) [Hz], lowest first, and shapes (n, n) of unit modal mass, in columns. A fit
-        on its way may have masses that cannot be: what then does not swing has 0 Hz and no shape.
+        Frequencies (n,) [Hz], lowest first, and shapes (n, n) of unit modal mass, in columns.
+        Inertia that is not positive, as in iterations of a fit, gives 0 Hz and a zero shape.
         """
         mobility, stiffness = (
             0.5 * (m[sample] + m[sample].T) for m in (self.mobility, self._stiffness)
@@ -149,7 +285,7 @@ class SwingResponse:
         shapes = mobility @ root @ turned / np.where(rates > 0.0, rates, np.inf)
         return rates / (2.0 * np.pi), shapes
 
-    def _marched(
+    def _integrate_with_acceleration(
         self, load: Load, begin: np.ndarray | None = None
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         z, velocity, acceleration = self._steps.march(load, begin, accelerated=True)

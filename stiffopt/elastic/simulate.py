@@ -1,8 +1,8 @@
 """Forward simulation of an elastic arm whose motors follow a motion.
 
-What the tool does is measured against where it would hang at rest at the commanded motor position
-(of a compensated command at the planned one), so that the change of the sag with the pose is not
-counted; a servo's lag is.
+The deviation of the tool is measured from its static equilibrium at the commanded motor position
+(of a compensated command at the planned one): it includes the lag of a servo, but not the change of
+the sag with the pose.
 """
 
 from __future__ import annotations
@@ -13,26 +13,26 @@ import numpy as np
 from scipy.integrate import ODEintWarning, odeint, solve_ivp
 
 from stiffopt.elastic import native
-from stiffopt.elastic.arm import FAST, ElasticArm
+from stiffopt.elastic.arm import MIN_FOLLOWING_FREQUENCY, ElasticArm
 from stiffopt.elastic.modes import modes
 from stiffopt.elastic.motor import MotorMotion, Servo
 from stiffopt.errors import NotSimulatedError
 from stiffopt.result.simulation import SETTLING_BAND, SimulatedMotion
 
-# Simulated after arrival [s].
+# Simulated time after arrival [s].
 REST = 1.0
-# Of the integrator: relative, and absolute of position [rad], velocity [rad/s] and hysteresis.
+# Of the integrator; absolute ones of position [rad], velocity [rad/s] and hysteresis state.
 # Errors at the tool stay below 0.07 um on the UR10 and the ER3A, whatever the motion; DOP853 has
 # up to 0.5 um where the motors' acceleration jumps often (toppra), in a third more time.
-_RTOL = 2e-10
-_ATOL = (2e-9, 2e-7, 1e-4)
-_SAMPLE = 5e-4
-# Of the integrator, between two samples.
-_MOST_STEPS = 10000
-# Half width of a reducer's loop where none is stated [rad]: 45 to 56 urad were measured.
-_TYPICAL_HYSTERESIS = 50e-6
-# Above this frequency [Hz] the integrator would take minutes.
-_REACH = 5e3
+_RELATIVE_TOLERANCE = 2e-10
+_ABSOLUTE_TOLERANCES = (2e-9, 2e-7, 1e-4)
+_SAMPLE_INTERVAL = 5e-4  # of the result [s]
+# Between two samples.
+_MAX_INTEGRATOR_STEPS = 10000
+# Half width of a reducer's hysteresis where none is stated [rad]: 45 to 56 urad were measured.
+_TYPICAL_HALF_LOOP = 50e-6
+# Faster modes [Hz] would take the integrator minutes.
+_MAX_MODE_FREQUENCY = 5e3
 
 
 def simulate(
@@ -44,7 +44,7 @@ def simulate(
     method: str = "",
     reference: MotorMotion | None = None,
 ) -> SimulatedMotion:
-    """Let the motors follow a motion, then stand still for a second.
+    """Simulate the arm on a motor motion, then at rest for a second.
 
     Parameters
     ----------
@@ -52,14 +52,14 @@ def simulate(
     motion : MotorMotion
         The command.
     servo : Servo, optional
-        How the motors follow it; exactly where left out.
+        Response of the motors to it; None follows exactly.
     band : float
-        Within which the tool counts as settled [m].
+        Settling band of the tool [m].
     method : str
-        Of `scipy.integrate.solve_ivp`; LSODA as `odeint` has it where left out.
+        Of `scipy.integrate.solve_ivp`; default LSODA by `odeint`.
     reference : MotorMotion, optional
-        From whose hanging at rest the deviation is measured: the plan that the command is to
-        fulfil; the command itself where left out.
+        Motion from whose static equilibrium the deviation is measured, as the plan of a
+        compensated command; default the command.
 
     Returns
     -------
@@ -72,21 +72,23 @@ def simulate(
     """
     end = motion.duration + (REST if motion.ends_at_rest else 0.0)
     motor = motion if servo is None else servo.follow(motion, end)
-    # An arm that hardly swings would be followed in steps too long to notice that it begins to.
+    # At rest the integrator would choose steps too long to notice the onset of vibration.
     longest = 1.0 / check_reach(arm, motor.at(0.0)[0])
     n = arm.robot.n
     times = _sample_times(motion.duration, end)
     start, speed = motor.at(0.0)
     equations = _Equations(arm, motor)
-    state = np.concatenate([arm.hanging(start[None])[0], speed, np.zeros(equations.loops)])
+    state = np.concatenate(
+        [arm.static_equilibrium(start[None])[0], speed, np.zeros(equations.loops)]
+    )
     parts: list[np.ndarray] = []
     spans = [(0.0, motion.duration)]
     if end > motion.duration:
-        # Anew at the arrival, just behind it: the motor's acceleration may jump there.
+        # Restarted just after arrival: the motor's acceleration may jump there.
         spans.append((float(np.nextafter(motion.duration, np.inf)), end))
     for begin, stop in spans:
         inside = times[(times >= begin) & (times <= stop)]
-        found = _integrated(equations, begin, state, np.append(inside, stop), longest, method)
+        found = _integrate_states(equations, begin, state, np.append(inside, stop), longest, method)
         state = found[-1]
         parts.append(found[:-1])
     states = np.concatenate(parts)
@@ -95,11 +97,11 @@ def simulate(
     q = np.where(arm.elastic, states[:, :n], followed)
     windup = followed - q
     torque = equations.spring_torque(windup, states[:, 2 * n :])
-    # After arrival it would hang in one place.
+    # After arrival the equilibrium is constant.
     moving = int(np.searchsorted(times, motion.duration)) + 1
-    places = arm.tool(arm.hanging(wanted[:moving]))
-    hanging = np.concatenate([places, np.repeat(places[-1:], len(times) - len(places), axis=0)])
-    deviation = arm.tool(q) - hanging
+    places = arm.tool(arm.static_equilibrium(wanted[:moving]))
+    equilibrium = np.concatenate([places, np.repeat(places[-1:], len(times) - len(places), axis=0)])
+    deviation = arm.tool(q) - equilibrium
     return SimulatedMotion(
         time=times,
         duration=motion.duration,
@@ -110,15 +112,15 @@ def simulate(
         spring_torque=torque,
         band=band,
         notes=(
-            *_rigid(arm),
-            *_following(arm),
-            *_beyond_law(arm, times, torque),
-            *_hysteresis(arm, q[-1], float(np.linalg.norm(deviation, axis=1).max())),
+            *_note_rigid_joints(arm),
+            *_note_following_joints(arm),
+            *_note_torques_beyond_law(arm, times, torque),
+            *_note_hysteresis(arm, q[-1], float(np.linalg.norm(deviation, axis=1).max())),
         ),
     )
 
 
-def _integrated(
+def _integrate_states(
     equations: _Equations,
     begin: float,
     state: np.ndarray,
@@ -126,26 +128,29 @@ def _integrated(
     longest: float,
     method: str,
 ) -> np.ndarray:
-    """States (K, m) at the times, from that at `begin`, in steps no longer than `longest`."""
-    errors = np.repeat(_ATOL, equations.joints)[: len(state)]
+    """Integrate to states (K, m) at the times, in steps of at most `longest`."""
+    errors = np.repeat(_ABSOLUTE_TOLERANCES, equations.joints)[: len(state)]
     if method:
-        span, limits = (begin, times[-1]), {"rtol": _RTOL, "atol": errors, "max_step": longest}
+        span, limits = (
+            (begin, times[-1]),
+            {"rtol": _RELATIVE_TOLERANCE, "atol": errors, "max_step": longest},
+        )
         solved = solve_ivp(equations, span, state, method, t_eval=np.unique(times), **limits)
         reached, message = float(solved.t[-1]), "" if solved.success else solved.message
         states = solved.y.T[np.searchsorted(solved.t, times)] if solved.success else solved.y.T
     else:
         with warnings.catch_warnings():
-            # What it warns of ends the simulation.
+            # Reported by the message below.
             warnings.simplefilter("ignore", ODEintWarning)
             states, told = odeint(
                 equations.slope(),
                 state,
                 np.append(begin, times),
                 tfirst=True,
-                rtol=_RTOL,
+                rtol=_RELATIVE_TOLERANCE,
                 atol=errors,
                 hmax=longest,
-                mxstep=_MOST_STEPS,
+                mxstep=_MAX_INTEGRATOR_STEPS,
                 tcrit=times[-1:],
                 full_output=True,
             )
@@ -160,23 +165,25 @@ def _integrated(
 
 
 class _Equations:
-    """Slope of the state: link positions, velocities, state of the hysteresis where there is any.
+    """Time derivative of the state: link positions, velocities, hysteresis if any.
 
     Attributes
     ----------
     joints : int
     loops : int
-        Numbers of the state for the hysteresis.
+        State variables of the hysteresis.
     """
 
     def __init__(self, arm: ElasticArm, motor: MotorMotion) -> None:
         self._arm, self._motor = arm, motor
-        self._rigid = np.flatnonzero(~arm.elastic)
+        self._note_rigid_joints = np.flatnonzero(~arm.elastic)
         self._free = np.flatnonzero(arm.elastic)
         springs = list(enumerate(arm.springs))
         self._springs = [(j, spring) for j, spring in springs if spring is not None]
-        self._law = [_nothing if spring is None else spring.torque_alone for spring in arm.springs]
-        # Torque that alone winds the spring up by the loop's half width: so wide is the loop then.
+        self._law = [
+            _zero_torque if spring is None else spring.torque_alone for spring in arm.springs
+        ]
+        # Friction torque that gives the loop its half width.
         self._friction = np.array(
             [
                 0.0 if spring is None else spring.torque_at(half)[0]
@@ -188,21 +195,21 @@ class _Equations:
         self.loops = self.joints if self._loops.size else 0
         self._pushed = bool(arm.process_force.any())
 
-    def slope(self) -> native.Slope:
-        """The slope at an instant of a state, by the compiled core where there is one."""
+    def slope(self) -> native.StateDerivative:
+        """Function (t, state) -> time derivative, of the compiled core where available."""
         made = native.core(self.joints)
         if made is None:
             return self.__call__
-        return native.slope(made, self._arm, self._motor, self._friction, self.loops)
+        return native.state_derivative(made, self._arm, self._motor, self._friction, self.loops)
 
     def __call__(self, t: float, state: np.ndarray) -> np.ndarray:
         arm, n = self._arm, self.joints
         motor, speed = self._motor.at(t)
         q, v = state[:n], state[n : 2 * n]
-        if self._rigid.size:
+        if self._note_rigid_joints.size:
             q, v = np.where(arm.elastic, q, motor), np.where(arm.elastic, v, speed)
         rate = speed - v
-        # Numbers of Python's own: six springs one by one are quicker so than as arrays.
+        # Python floats: faster than arrays for six springs.
         turns = (motor - q).tolist()
         torque = np.array([spring(turn) for spring, turn in zip(self._law, turns, strict=True)])
         torque += arm.damping * rate
@@ -215,16 +222,16 @@ class _Equations:
         if self._pushed:
             torque += arm.force_torque(q)
         slope[:n] = v
-        slope[n : 2 * n] = self._acceleration(t, q, v, torque)
+        slope[n : 2 * n] = self._link_acceleration(t, q, v, torque)
         return slope
 
-    def _acceleration(
+    def _link_acceleration(
         self, t: float, q: np.ndarray, v: np.ndarray, torque: np.ndarray
     ) -> np.ndarray:
         bodies, free = self._arm.bodies, self._free
-        if not self._rigid.size:
+        if not self._note_rigid_joints.size:
             return bodies.acceleration(q, v, torque)
-        # Rigid joints move as their motors do, whatever that takes.
+        # Accelerations of rigid joints are prescribed by their motors.
         driven = np.where(self._arm.elastic, 0.0, self._motor.acceleration(t))
         if free.size:
             left = (torque - bodies.torque(q, v, driven))[free]
@@ -239,17 +246,15 @@ class _Equations:
         return torque
 
 
-def _nothing(_: float) -> float:
-    """Torque of no spring."""
+def _zero_torque(_: float) -> float:
     return 0.0
 
 
 def _sample_times(duration: float, end: float) -> np.ndarray:
-    """Every half millisecond, arrival and end among them."""
-    flight = np.linspace(0.0, duration, max(2, int(np.ceil(duration / _SAMPLE)) + 1))
+    flight = np.linspace(0.0, duration, max(2, int(np.ceil(duration / _SAMPLE_INTERVAL)) + 1))
     if end <= duration:
         return flight
-    rest = np.linspace(duration, end, int(np.ceil((end - duration) / _SAMPLE)) + 1)
+    rest = np.linspace(duration, end, int(np.ceil((end - duration) / _SAMPLE_INTERVAL)) + 1)
     return np.concatenate([flight, rest[1:]])
 
 
@@ -259,23 +264,22 @@ def check_reach(arm: ElasticArm, motor: np.ndarray) -> float:
     Raises
     ------
     NotSimulatedError
-        The integrator would take minutes to follow it.
+        Too fast for the integrator.
     """
     fastest = max(modes(arm, motor), key=lambda mode: mode.frequency, default=None)
     if fastest is None:
         return 1.0
-    if fastest.frequency > _REACH:
+    if fastest.frequency > _MAX_MODE_FREQUENCY:
         joint = arm.robot.joint_names[int(np.argmax(fastest.shares))]
         raise NotSimulatedError(
             f"a mode of {fastest.frequency:.4g} Hz, mostly of {joint}, lies beyond the reach of "
-            f"the integration, {_REACH:g} Hz. Leave the drivetrain of that joint out (rigid), or "
-            "check its stiffness and the inertia behind it."
+            f"the integration, {_MAX_MODE_FREQUENCY:g} Hz. Leave the drivetrain of that joint out "
+            "(rigid), or check its stiffness and the inertia behind it."
         )
     return max(fastest.frequency, 1.0)
 
 
-def _rigid(arm: ElasticArm) -> list[str]:
-    """Joints whose elements nobody described: their share of the deviation is missing."""
+def _note_rigid_joints(arm: ElasticArm) -> list[str]:
     stiff = [
         name
         for j, name in enumerate(arm.robot.joint_names, start=1)
@@ -284,19 +288,21 @@ def _rigid(arm: ElasticArm) -> list[str]:
     if not stiff:
         return []
     return [
-        f"Taken as rigid, since the robot file gives no elements: {', '.join(stiff)}. What yields"
-        " there comes on top."
+        f"Taken as rigid, since the robot file gives no elements: {', '.join(stiff)}. Their"
+        " elasticity adds to the deviation."
     ]
 
 
-def _following(arm: ElasticArm) -> list[str]:
+def _note_following_joints(arm: ElasticArm) -> list[str]:
     if not arm.following:
         return []
     names = ", ".join(arm.robot.joint_names[j - 1] for j in arm.following)
-    return [f"{names}: alone above {FAST:g} Hz, taken to follow the motor at once."]
+    return [
+        f"{names}: single-joint vibration above {MIN_FOLLOWING_FREQUENCY:g} Hz, taken as rigid."
+    ]
 
 
-def _beyond_law(arm: ElasticArm, times: np.ndarray, torque: np.ndarray) -> list[str]:
+def _note_torques_beyond_law(arm: ElasticArm, times: np.ndarray, torque: np.ndarray) -> list[str]:
     notes = []
     for j, spring in enumerate(arm.springs):
         beyond = np.array([]) if spring is None else np.abs(torque[:, j]) > spring.torque_reach
@@ -304,34 +310,33 @@ def _beyond_law(arm: ElasticArm, times: np.ndarray, torque: np.ndarray) -> list[
             notes.append(
                 f"{arm.robot.joint_names[j]} passes {spring.torque_reach:.4g} N m at "
                 f"{times[int(np.argmax(beyond))]:.3f} s, where its connections slip or the table "
-                "of its law ends; from there on its spring is taken as straight."
+                "of its law ends; beyond, its spring is linear."
             )
     return notes
 
 
 def typical_hysteresis(arm: ElasticArm, q: np.ndarray) -> float | None:
-    """How far loops of the usual width may hold the tool from where it hangs at q (n,) [m].
+    """Largest tool offset from equilibrium at q (n,) by hysteresis of typical width [m].
 
-    None where the arm's own hysteresis is known, or no joint that yields turns.
+    None where the arm's own hysteresis is known, or no elastic joint is revolute.
     """
     turning = arm.elastic & ~arm.robot.prismatic
     if arm.hysteresis.any() or not turning.any():
         return None
-    return _reach_of_loops(arm, q, _TYPICAL_HYSTERESIS * turning)
+    return _tool_offset_of_loops(arm, q, _TYPICAL_HALF_LOOP * turning)
 
 
-def _reach_of_loops(arm: ElasticArm, q: np.ndarray, half: np.ndarray) -> float:
+def _tool_offset_of_loops(arm: ElasticArm, q: np.ndarray, half: np.ndarray) -> float:
     columns = np.abs(arm.bodies.jacobian(arm.robot.tool, q)[:3] * half)
     return float(np.linalg.norm(columns.sum(axis=1)))
 
 
-def _hysteresis(arm: ElasticArm, q: np.ndarray, peak: float) -> list[str]:
-    """How far the loops alone leave the tool from where it would hang, beside the peak [m]."""
+def _note_hysteresis(arm: ElasticArm, q: np.ndarray, peak: float) -> list[str]:
     if not arm.hysteresis.any():
         return []
-    reach = _reach_of_loops(arm, q, arm.hysteresis)
+    reach = _tool_offset_of_loops(arm, q, arm.hysteresis)
     share = f", {100.0 * reach / peak:.0f} % of the peak" if peak > 0.0 else ""
     return [
         f"The hysteresis of the joints alone may hold the tool up to {1e3 * reach:.3g} mm from "
-        f"where it would hang at the end{share}."
+        f"its static equilibrium at the end{share}."
     ]

@@ -1,8 +1,8 @@
-"""A planned motion made smooth enough for the links of an elastic arm.
+"""Smoothing of a planned motion for feedforward by the wind-up of an elastic arm.
 
-Motors that lead their links by the wind-up move with the fourth derivative of the links' motion in
-their acceleration; a plan of limited jerk has none. The nearest spline of degree 7 has six
-continuous ones; where the plan's jerk jumps it is off by about a hundredth of the jump times the
+Motor accelerations that lead by the wind-up contain the fourth derivative of the link motion, which
+a jerk-limited plan does not have. The nearest spline of degree 7 has six continuous derivatives;
+where the plan's jerk jumps it is off by about a hundredth of the jump times the
 cube of the spacing of its knots (3e-7 rad for 200 rad/s^3 and 5 ms). It starts and ends at rest up
 to its fourth derivative.
 
@@ -19,42 +19,44 @@ from scipy.sparse.linalg import spsolve
 
 from stiffopt.result.trajectory import JointMotion, Trajectory
 
-_DEGREE = 7
-# Coefficients at either end that hold position and rest up to the fourth derivative.
-_HELD = 5
-_SAMPLES = 8
-_FEWEST = 12
+_SPLINE_DEGREE = 7
+# Coefficients at either end that fix position, and rest up to the fourth derivative.
+_FIXED_COEFFICIENTS = 5
+_SAMPLES_PER_INTERVAL = 8
+_MIN_INTERVALS = 12
 
 
 def smooth_motion(plan: JointMotion, spacing: float) -> Trajectory:
-    """Smooth motion nearest to a plan, between the same ends in the same time.
+    """Fit the nearest smooth motion to a plan, with the same ends and duration.
 
     Parameters
     ----------
     plan : JointMotion
         At rest at both ends.
     spacing : float
-        Of the spline's knots [s].
+        Distance of the spline's knots [s].
 
     Returns
     -------
     Trajectory
     """
     duration = plan.duration
-    pieces = max(round(duration / spacing), _FEWEST)
+    pieces = max(round(duration / spacing), _MIN_INTERVALS)
     breaks = np.linspace(0.0, duration, pieces + 1)
-    knots = np.concatenate([np.zeros(_DEGREE), breaks, np.full(_DEGREE, duration)])
-    times = np.linspace(0.0, duration, _SAMPLES * pieces + 1)
+    knots = np.concatenate([np.zeros(_SPLINE_DEGREE), breaks, np.full(_SPLINE_DEGREE, duration)])
+    times = np.linspace(0.0, duration, _SAMPLES_PER_INTERVAL * pieces + 1)
     wanted = np.asarray(plan(times))
-    basis = BSpline.design_matrix(times, knots, _DEGREE).tocsc()
-    coefficients = np.zeros((pieces + _DEGREE, wanted.shape[1]))
-    coefficients[:_HELD], coefficients[-_HELD:] = wanted[0], wanted[-1]
-    free = basis[:, _HELD:-_HELD]
+    basis = BSpline.design_matrix(times, knots, _SPLINE_DEGREE).tocsc()
+    coefficients = np.zeros((pieces + _SPLINE_DEGREE, wanted.shape[1]))
+    coefficients[:_FIXED_COEFFICIENTS], coefficients[-_FIXED_COEFFICIENTS:] = wanted[0], wanted[-1]
+    free = basis[:, _FIXED_COEFFICIENTS:-_FIXED_COEFFICIENTS]
     left = (free.T @ free).tocsc()
     right = free.T @ (wanted - basis @ coefficients)
-    coefficients[_HELD:-_HELD] = np.asarray(spsolve(left, right)).reshape(-1, wanted.shape[1])
-    spline = BSpline(knots, coefficients, _DEGREE)
-    acceleration = [spline(breaks[:-1], nu=2 + j) / factorial(j) for j in range(_DEGREE - 1)]
+    coefficients[_FIXED_COEFFICIENTS:-_FIXED_COEFFICIENTS] = np.asarray(
+        spsolve(left, right)
+    ).reshape(-1, wanted.shape[1])
+    spline = BSpline(knots, coefficients, _SPLINE_DEGREE)
+    acceleration = [spline(breaks[:-1], nu=2 + j) / factorial(j) for j in range(_SPLINE_DEGREE - 1)]
     return Trajectory.from_acceleration(
         breaks, np.stack(acceleration, axis=1), wanted[0], np.zeros(wanted.shape[1])
     )

@@ -1,9 +1,8 @@
-"""Springs of all joints by the exact law, tabulated both ways: wind-up to torque and back.
+"""Joint springs by the exact law, tabulated from wind-up to torque and back.
 
-Between its points the table is a cubic with the exact slopes. It reaches three times the drive's
-torque. Where a connection of the joint slips before that, the law is followed up to 99.9 % of the
-slip torque; from the last point on the spring goes on straight with the stiffness it has there, and
-whoever passes it is told (`Springs.torque_reach`).
+Cubic Hermite interpolation with the exact slopes, up to three times the drive's torque or 99.9 % of
+the slip torque of a connection; beyond, linear with the last tangent stiffness, which simulations
+report (`JointSpring.torque_reach`).
 """
 
 from __future__ import annotations
@@ -22,13 +21,13 @@ if TYPE_CHECKING:
     from stiffopt.drivetrain.chain import Chain
     from stiffopt.robot.robot import Robot
 
-_REACH = 3.0
-_BEFORE_SLIP = 0.999
-_POINTS = 500
+_TABLE_TORQUE_RATIO = 3.0
+_USED_SHARE_OF_SLIP_TORQUE = 0.999
+_TABLE_POINTS = 500
 
 
 class JointSpring:
-    """Spring of one joint.
+    """Nonlinear spring of one joint.
 
     Parameters
     ----------
@@ -40,12 +39,14 @@ class JointSpring:
     """
 
     def __init__(self, chain: Chain, torque_max: float, name: str) -> None:
-        torque = _table_torques(chain, _reach(chain, _REACH * torque_max))
+        torque = _table_torques(
+            chain, _largest_finite_torque(chain, _TABLE_TORQUE_RATIO * torque_max)
+        )
         windup, compliance = exact_windup(chain, torque), exact_compliance(chain, torque)
         sound = np.isfinite(windup) & np.isfinite(compliance) & (compliance > 0.0)
         if not sound.all():
             raise NotSimulatedError(
-                f"{name} cannot swing on its drivetrain: the wind-up has no end at "
+                f"the drivetrain of {name} has no finite stiffness: its wind-up diverges at "
                 f"{torque[~sound][0]:.3g} N m, as of a contact without pressure. Give its contacts "
                 "a pre-pressure or preload."
             )
@@ -54,13 +55,13 @@ class JointSpring:
         self.windup_reach = float(windup[-1])
         """Wind-up [rad] there."""
         self._torques, self._windups = torque.tolist(), windup.tolist()
-        self._by_windup = _cubics(windup, torque, 1.0 / compliance)
-        self._by_torque = _cubics(torque, windup, compliance)
-        # Reading a list of tuples is what makes one instant cheap.
+        self._by_windup = _hermite_coefficients(windup, torque, 1.0 / compliance)
+        self._by_torque = _hermite_coefficients(torque, windup, compliance)
+        # Tuples are read faster than array rows at single instants.
         self._pieces = [tuple(piece) for piece in self._by_windup.tolist()]
 
     def times(self, factor: float) -> JointSpring:
-        """Spring of `factor` times the stiffness: as many times the torque at every wind-up."""
+        """Return the spring with its torque times `factor` at every wind-up."""
         other = copy.copy(self)
         other.torque_reach = factor * self.torque_reach
         other._torques = [factor * torque for torque in self._torques]
@@ -71,7 +72,7 @@ class JointSpring:
 
     @property
     def by_windup(self) -> tuple[np.ndarray, np.ndarray]:
-        """Wind-ups (k,) and, from each on, the torque's coefficients (k, 4), lowest first."""
+        """Breaks (k,) [rad] and torque polynomials (k, 4) from each on, lowest power first."""
         return np.array(self._windups), self._by_windup
 
     def torque_at(self, windup: float) -> tuple[float, float]:
@@ -94,11 +95,11 @@ class JointSpring:
 
     def torque(self, windup: np.ndarray) -> np.ndarray:
         """Torques (k,) [N m] at wind-ups (k,) [rad]."""
-        return _evaluated(self._by_windup, np.array(self._windups), windup)
+        return _evaluate_odd_cubics(self._by_windup, np.array(self._windups), windup)
 
     def windup(self, torque: np.ndarray) -> np.ndarray:
         """Wind-ups (k,) [rad] at torques (k,) [N m]; the inverse of `torque`."""
-        return _evaluated(self._by_torque, np.array(self._torques), torque)
+        return _evaluate_odd_cubics(self._by_torque, np.array(self._torques), torque)
 
 
 def joint_springs(robot: Robot) -> tuple[JointSpring | None, ...]:
@@ -107,7 +108,7 @@ def joint_springs(robot: Robot) -> tuple[JointSpring | None, ...]:
     Raises
     ------
     NotSimulatedError
-        A joint's wind-up has no end.
+        The wind-up of a joint diverges.
     """
     return tuple(
         None if chain is None or not chain.stages else _joint_spring(chain, float(torque), name)
@@ -122,10 +123,10 @@ def _joint_spring(chain: Chain, torque_max: float, name: str) -> JointSpring:
     return JointSpring(chain, torque_max, name)
 
 
-def _reach(chain: Chain, wanted: float) -> float:
+def _largest_finite_torque(chain: Chain, wanted: float) -> float:
     """Largest torque at which the compliance is finite, `wanted` at most."""
     held, slips = 0.0, wanted
-    # Few long calls: the law costs little more for many torques than for one.
+    # Few calls with many torques each: the law costs little more for many than for one.
     for _ in range(4):
         tried = np.linspace(held, slips, 33)[1:]
         broken = np.flatnonzero(~np.isfinite(exact_compliance(chain, tried)))
@@ -133,12 +134,12 @@ def _reach(chain: Chain, wanted: float) -> float:
             return wanted
         first = int(broken[0])
         held, slips = (float(tried[first - 1]) if first else held), float(tried[first])
-    return _BEFORE_SLIP * held
+    return _USED_SHARE_OF_SLIP_TORQUE * held
 
 
 def _table_torques(chain: Chain, reach: float) -> np.ndarray:
     """Torques of the table, dense near zero, where contacts begin steeply."""
-    share = np.linspace(0.0, 1.0, _POINTS)
+    share = np.linspace(0.0, 1.0, _TABLE_POINTS)
     # Dense at the other end too: towards slip the stiffness falls steeply.
     graded = 0.5 * share**3 + 0.5 * (1.0 - (1.0 - share) ** 3)
     torques = reach * np.concatenate([graded, share**3])
@@ -149,8 +150,8 @@ def _table_torques(chain: Chain, reach: float) -> np.ndarray:
     return np.asarray(ordered[np.concatenate([[True], np.diff(ordered) > 1e-12 * reach])])
 
 
-def _cubics(x: np.ndarray, y: np.ndarray, slope: np.ndarray) -> np.ndarray:
-    """Coefficients (k, 4), lowest first, of the cubics through points with slopes; then a line."""
+def _hermite_coefficients(x: np.ndarray, y: np.ndarray, slope: np.ndarray) -> np.ndarray:
+    """Coefficients (k, 4), lowest power first, of Hermite cubics; the last one is linear."""
     h, rise = np.diff(x), np.diff(y)
     mean = rise / h
     c2 = (3.0 * mean - 2.0 * slope[:-1] - slope[1:]) / h
@@ -159,8 +160,8 @@ def _cubics(x: np.ndarray, y: np.ndarray, slope: np.ndarray) -> np.ndarray:
     return np.vstack([inner, [y[-1], slope[-1], 0.0, 0.0]])
 
 
-def _evaluated(cubics: np.ndarray, knots: np.ndarray, x: np.ndarray) -> np.ndarray:
-    """Value of an odd function that is given for positive arguments."""
+def _evaluate_odd_cubics(cubics: np.ndarray, knots: np.ndarray, x: np.ndarray) -> np.ndarray:
+    """Evaluate an odd function given by cubics for positive arguments."""
     size = np.abs(np.asarray(x, dtype=float))
     k = np.searchsorted(knots, size, side="right") - 1
     local = size - knots[k]

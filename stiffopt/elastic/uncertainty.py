@@ -1,4 +1,4 @@
-"""What is not known exactly of an arm: how far it may be off, and arms drawn from within it."""
+"""Uncertain parameters of an elastic arm: bounds, corner cases and random draws."""
 
 from __future__ import annotations
 
@@ -15,52 +15,50 @@ from stiffopt.errors import ProblemError
 if TYPE_CHECKING:
     from stiffopt.elastic.motor import Servo
 
-# Of a normal distribution, taken as the bounds of what is possible: 95 %.
-_DEVIATIONS = 2.0
+# 95 % interval of a normal distribution.
+_BOUND_IN_STANDARD_DEVIATIONS = 2.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class Uncertainty:
-    """How far the arm may be from its model: motion and command are judged by the worst case.
+    """Bounds of the arm's parameters; motion and command are judged by the worst case.
 
-    Where it is stated, of plans with tool_deviation up to `price` above the least that one is taken
-    whose command does best on the worst arm, if it gains more there than it costs.
+    Where stated, a plan whose tool_deviation is up to `price` above the least is chosen if its
+    command gains more on the worst arm than the plan costs.
     """
 
     stiffness: Annotated[
         Ratio | tuple[Ratio, ...],
         Bounds(least=0.0),
-        Doc("Share by which the stiffness of each joint may be off, one number or one a joint."),
+        Doc("Relative bound of the stiffness of each joint, one number or one a joint."),
     ] = 0.2
     damping: Annotated[
-        Ratio, Bounds(least=0.0), Doc("Share by which the damping of the joints may be off.")
+        Ratio, Bounds(least=0.0), Doc("Relative bound of the damping of the joints.")
     ] = 0.5
     payload: Annotated[
         Ratio,
         Bounds(least=0.0, most=1.0),
-        Doc("Share by which mass and inertia of the payload may be off."),
+        Doc("Relative bound of mass and inertia of the payload."),
     ] = 0.1
     servo_bandwidth: Annotated[
-        Frequency, POSITIVE, Doc("Bandwidth that the motors' position loops have at least.")
+        Frequency, POSITIVE, Doc("Least bandwidth of the motors' position loops.")
     ] = 20.0
     servo_feed_forward: Annotated[
         Ratio,
         Bounds(least=0.0, most=1.0),
-        Doc("Share of the command's velocity that the loops are fed forward at least."),
+        Doc("Least velocity feed-forward of the loops, as a share."),
     ] = 1.0
-    servo_delay: Annotated[
-        Time, Bounds(least=0.0), Doc("Dead time that the loops have at most.")
-    ] = 0.0
+    servo_delay: Annotated[Time, Bounds(least=0.0), Doc("Largest dead time of the loops.")] = 0.0
     price: Annotated[
         Ratio,
         Bounds(least=0.0, most=1.0),
-        Doc("Share by which tool_deviation may be above the least for a command that does better."),
+        Doc("Relative increase of tool_deviation allowed for a better command."),
     ] = 0.2
     draws: Annotated[
-        int, Bounds(least=50, most=10000), Doc("Arms that are drawn for the distribution.")
+        int, Bounds(least=50, most=10000), Doc("Number of random arms for the distribution.")
     ] = 60
-    seed: Annotated[int, Bounds(least=0), Doc("Of the draws.")] = 1
-    # Whether somebody said so; a class of its own holds what is assumed where nobody did.
+    seed: Annotated[int, Bounds(least=0), Doc("Seed of the random draws.")] = 1
+    # Stated by the user; `AssumedUncertainty` holds the defaults otherwise.
     stated: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
@@ -76,12 +74,12 @@ class Uncertainty:
                 f"uncertainty.damping = {self.damping:g} lets the damping of a joint be negative; "
                 "allowed: from 0 to 1. Give a smaller share."
             )
-        # An unstable loop is refused with the servo's own sentence.
+        # The servo's own check refuses an unstable loop.
         _ = self.servo
 
     @property
     def servo(self) -> Servo | None:
-        """The worst servo; None where it follows exactly, with all of the velocity and at once."""
+        """Worst servo; None where it follows exactly."""
         from stiffopt.elastic.motor import Servo
 
         loop = Servo(self.servo_bandwidth, self.servo_feed_forward, self.servo_delay)
@@ -93,7 +91,7 @@ class Uncertainty:
         Raises
         ------
         ProblemError
-            They are of another number of joints.
+            Their number is not that of the joints.
         """
         given = np.atleast_1d(np.asarray(self.stiffness, dtype=float))
         if given.size not in (1, joints):
@@ -104,7 +102,7 @@ class Uncertainty:
         return np.array(np.broadcast_to(given, (joints,)))
 
     def statements(self, carries: bool, servo: bool = True) -> tuple[str, ...]:
-        """What is uncertain, in words: of a payload and of the servos, where they are."""
+        """Describe the bounds, those of payload and servo on request."""
         shares = np.atleast_1d(np.asarray(self.stiffness, dtype=float))
         sizes = "/".join(f"{100 * share:.3g}" for share in dict.fromkeys(shares.tolist()))
         from stiffopt.elastic.motor import Servo
@@ -119,25 +117,25 @@ class Uncertainty:
 
 
 class AssumedUncertainty(Uncertainty):
-    """What is taken to be uncertain where nothing is stated: it judges, and changes no plan."""
+    """Default uncertainty where none is stated: used to judge plans, not to change them."""
 
     stated: ClassVar[bool] = False
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Departure:
-    """An arm as it may be.
+    """Departure of an arm's parameters from their nominal values.
 
     Parameters
     ----------
     stiffness : array (n,)
-        Of each joint, times its nominal one.
+        Factor of each joint's stiffness.
     damping, payload : float
-        Times their nominal values.
+        Factors of their nominal values.
     servo : float
-        How much of the worst servo's lag the motors have, 0 to 1.
+        Share of the worst servo's lag, 0 to 1.
     label : str
-        In words, for reports.
+        Description for reports.
     """
 
     stiffness: np.ndarray
@@ -148,59 +146,63 @@ class Departure:
 
     @classmethod
     def none(cls, joints: int) -> Departure:
-        """The nominal arm."""
+        """Return the nominal arm."""
         return cls(stiffness=np.ones(joints))
 
     def factors(self) -> dict[str, Any]:
-        """Plain numbers: everything but the label."""
+        """Return all factors as plain numbers."""
         numbers = {name: getattr(self, name) for name in ("damping", "payload", "servo")}
         return {"stiffness": self.stiffness.tolist(), **numbers}
 
 
 def corners(uncertainty: Uncertainty, joints: int, carries: bool) -> list[Departure]:
-    """Arms with every uncertainty at one of its bounds, all joints' stiffness alike.
+    """Return the corner cases: every parameter at a bound, all joints' stiffness alike.
 
     Parameters
     ----------
     uncertainty : Uncertainty
     joints : int
     carries : bool
-        Whether there is a payload.
+        True with a payload.
     """
     shares = uncertainty.shares(joints)
     return [
-        bounded(uncertainty, signs * np.ones(joints), damping, payload, servo)
+        departure_at_bounds(uncertainty, signs * np.ones(joints), damping, payload, servo)
         for signs, damping, payload, servo in product(
-            _sides(bool(shares.any())),
-            _sides(uncertainty.damping > 0.0),
-            _sides(carries and uncertainty.payload > 0.0),
+            _bound_signs(bool(shares.any())),
+            _bound_signs(uncertainty.damping > 0.0),
+            _bound_signs(carries and uncertainty.payload > 0.0),
             (0.0,) if uncertainty.servo is None else (0.0, 1.0),
         )
     ]
 
 
 def one_at_a_time(uncertainty: Uncertainty, joints: int) -> list[Departure]:
-    """Arms of which one joint is softer than the model."""
+    """Return departures with one joint at its lower stiffness bound."""
     shares = uncertainty.shares(joints)
-    return [bounded(uncertainty, -np.eye(joints)[j], 0.0, 0.0, 0.0) for j in np.flatnonzero(shares)]
+    return [
+        departure_at_bounds(uncertainty, -np.eye(joints)[j], 0.0, 0.0, 0.0)
+        for j in np.flatnonzero(shares)
+    ]
 
 
-def bounded(
+def departure_at_bounds(
     uncertainty: Uncertainty, signs: np.ndarray, damping: float, payload: float, servo: float
 ) -> Departure:
-    """An arm at the bounds: signs (n,) of the joints' stiffness, of damping and payload; servo."""
+    """Return the departure at bounds of given signs: stiffness (n,), damping, payload."""
     shares = uncertainty.shares(len(signs))
     return Departure(
         stiffness=1.0 + signs * shares,
         damping=1.0 + damping * uncertainty.damping,
         payload=1.0 + payload * uncertainty.payload,
         servo=servo,
-        label=", ".join(_words(uncertainty, signs * shares, damping, payload, servo)) or "nominal",
+        label=", ".join(_describe_departure(uncertainty, signs * shares, damping, payload, servo))
+        or "nominal",
     )
 
 
-def draws(uncertainty: Uncertainty, joints: int, carries: bool) -> list[Departure]:
-    """Arms drawn evenly from within the bounds, each joint's stiffness on its own."""
+def draw_departures(uncertainty: Uncertainty, joints: int, carries: bool) -> list[Departure]:
+    """Draw departures uniformly within the bounds, joints independently."""
     random = np.random.default_rng(uncertainty.seed)
     shares = uncertainty.shares(joints)
     found = []
@@ -218,42 +220,46 @@ def draws(uncertainty: Uncertainty, joints: int, carries: bool) -> list[Departur
     return found
 
 
-def of_deviations(
+def bounds_from_deviations(
     uncertainty: Uncertainty, stiffness: np.ndarray, payload: float = np.nan
 ) -> Uncertainty:
-    """The same with bounds by relative standard deviations, NaN where unknown.
+    """Return the uncertainty with bounds of two relative standard deviations, NaN if unknown.
 
-    Two standard deviations are taken as the bound; at 99 % a stiffness is as good as unknown.
+    The bound of a stiffness is limited to 99 %: it must stay positive.
 
     Parameters
     ----------
     uncertainty : Uncertainty
     stiffness : array (n,)
-        Of each joint.
+        Relative standard deviation of each joint's.
     payload : float
-        Of its mass.
+        Relative standard deviation of its mass.
     """
     if not np.isnan(payload):
-        uncertainty = replace(uncertainty, payload=min(_DEVIATIONS * payload, 1.0))
+        uncertainty = replace(
+            uncertainty, payload=min(_BOUND_IN_STANDARD_DEVIATIONS * payload, 1.0)
+        )
     if np.all(np.isnan(stiffness)):
         return uncertainty
     shares = uncertainty.shares(len(stiffness))
     known = np.where(
-        np.isnan(stiffness), shares, np.minimum(_DEVIATIONS * np.nan_to_num(stiffness), 0.99)
+        np.isnan(stiffness),
+        shares,
+        np.minimum(_BOUND_IN_STANDARD_DEVIATIONS * np.nan_to_num(stiffness), 0.99),
     )
     return replace(uncertainty, stiffness=tuple(float(share) for share in known))
 
 
-def _sides(varies: bool) -> tuple[float, ...]:
+def _bound_signs(varies: bool) -> tuple[float, ...]:
     return (-1.0, 1.0) if varies else (0.0,)
 
 
-def _words(
+def _describe_departure(
     uncertainty: Uncertainty, stiffness: np.ndarray, damping: float, payload: float, servo: float
 ) -> Iterator[str]:
     if stiffness.any():
         alike = np.all(stiffness == stiffness[0])
-        own = f"{100 * stiffness[0]:+.3g} %" if alike else _joints(stiffness)
+        own = f"{100 * stiffness[0]:+.3g} %" if alike else _describe_joint_stiffness(stiffness)
         yield f"stiffness {own}"
     if damping * uncertainty.damping:
         yield f"damping {100 * damping * uncertainty.damping:+.3g} %"
@@ -263,7 +269,7 @@ def _words(
         yield f"servo of {uncertainty.servo_bandwidth:g} Hz"
 
 
-def _joints(stiffness: np.ndarray) -> str:
+def _describe_joint_stiffness(stiffness: np.ndarray) -> str:
     sizes = {f"{100 * share:+.3g} %": [] for share in stiffness if share}  # type: dict[str, list[str]]
     for j, share in enumerate(stiffness, start=1):
         if share:

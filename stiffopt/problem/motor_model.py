@@ -173,7 +173,8 @@ class ApproximateMotorModel(MotorModel):
     The lead law and the first rate of the spring torques are differentiated exactly; second and
     third rates are the links' inertia times snap and crackle, and the rate of the sag is neglected.
     The motor jerk is off by 1 to 2 % of its limit, by which rows are backed off
-    (`transcription.between`). Exact derivatives make an iteration three times as expensive.
+    (`transcription.constraint_back_off`). Exact derivatives make
+    an iteration three times as expensive.
     """
 
     @cached_property

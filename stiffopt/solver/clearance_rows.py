@@ -19,7 +19,7 @@ import numpy as np
 
 from stiffopt.dynamics.kinematics import ROW_PARAMETERS, height_over_plane
 from stiffopt.robot.separating_planes import SeparatingPlane, SeparatingPlanes
-from stiffopt.transcription.node_rows import NodeRows, renumbered, with_node_rows
+from stiffopt.transcription.node_rows import NodeRows, renumber_node_rows, with_node_rows
 from stiffopt.transcription.ocp import Rows
 from stiffopt.transcription.transcription import Transcription
 
@@ -74,7 +74,9 @@ class ClearanceRows:
         before = set(self._active_places)
         blocks = self._clearance_blocks(self._base_transcription, x)
         if self._active_places == before:
-            return (renumbered(made, self._base_transcription, blocks) if blocks else made), True
+            return (
+                renumber_node_rows(made, self._base_transcription, blocks) if blocks else made
+            ), True
         return with_node_rows(self._base_transcription, blocks), False
 
     def collides_elsewhere(self, x: np.ndarray) -> bool:

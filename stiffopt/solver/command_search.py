@@ -11,11 +11,17 @@ import numpy as np
 
 from stiffopt.certificate.assess import drive_history
 from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE, find_drive_violations
-from stiffopt.elastic.many_arms import Asked, ManyArms, Member, Swings
 from stiffopt.elastic.motor import MotorMotion
 from stiffopt.elastic.simulate import REST, simulate
 from stiffopt.elastic.smooth_motion import smooth_motion
-from stiffopt.elastic.uncertainty import Departure, bounded, corners, draws, one_at_a_time
+from stiffopt.elastic.uncertain_arms import ArmDeviations, Member, SimulationRequest, UncertainArms
+from stiffopt.elastic.uncertainty import (
+    Departure,
+    corners,
+    departure_at_bounds,
+    draw_departures,
+    one_at_a_time,
+)
 from stiffopt.problem.formulation import law_smoothing
 from stiffopt.problem.motor_model import ROBUST_LEAD_SHARE, MotorLaw
 from stiffopt.result.compensation import CompensatedMotion, Spread, Spreads
@@ -40,7 +46,7 @@ _TRIAL_SAMPLES = 1001
 Result = TypeVar("Result")
 # Generator that requests simulations on its way to a result: the requests of several generators are
 # simulated together, which costs little more than one alone.
-SimulationRequests = Generator[Asked, Swings, Result]
+SimulationRequests = Generator[SimulationRequest, ArmDeviations, Result]
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,7 +170,7 @@ class CommandSearch:
             plan = self._follows if motion.link is None else MotorMotion.of(motion.link)
         self._plan, self._known = plan, servo
         self._servo = problem.uncertainty.servo if servo is None else servo
-        self._many = ManyArms(arm, self._plan, self._servo)
+        self._many = UncertainArms(arm, self._plan, self._servo)
         self._carries = arm.robot.payload is not None
         self._loads: dict[tuple[JointMotion, int], np.ndarray] = {}
         (self._nominal,) = self._with_known_servo([Departure.none(arm.robot.n)])
@@ -205,12 +211,12 @@ class CommandSearch:
         """Simulate a command on the arm as modelled, at its bounds and as drawn."""
         follows, plan, command = self._follows, self._plan, MotorMotion.of(motors)
         drawn = self._with_known_servo(
-            draws(self._uncertainty_with_servo, self._arm.robot.n, self._carries)
+            draw_departures(self._uncertainty_with_servo, self._arm.robot.n, self._carries)
         )
         arms = [self._nominal, *self._corners, *signs, *drawn]
         members = [Member(command=follows, departure=each, reference=follows) for each in arms]
         members += [Member(command=command, departure=each, reference=plan) for each in arms]
-        swings = yield Asked(self._many, members)
+        swings = yield SimulationRequest(self._many, members)
         count = len(arms)
         return CommandOnArms(
             motion=self._motion,
@@ -251,7 +257,7 @@ class CommandSearch:
             for own in commands
             for arm in arms
         ]
-        swings = yield Asked(self._many, members)
+        swings = yield SimulationRequest(self._many, members)
         shape = (len(commands), len(arms))
         flight = swings.peak.reshape(shape).max(axis=1)
         after = swings.peak_after.reshape(shape).max(axis=1)
@@ -291,16 +297,16 @@ class CommandSearch:
 
     def _request_single_departures(
         self, command: MotorMotion
-    ) -> SimulationRequests[tuple[Swings, int]]:
+    ) -> SimulationRequests[tuple[ArmDeviations, int]]:
         """Simulate the nominal arm and those with one softer joint each; return their number."""
         single = self._with_known_servo(
             one_at_a_time(self._uncertainty_with_servo, self._arm.robot.n)
         )
         arms = [self._nominal, *single]
         members = [Member(command=command, departure=arm, reference=self._plan) for arm in arms]
-        return (yield Asked(self._many, members)), len(arms)
+        return (yield SimulationRequest(self._many, members)), len(arms)
 
-    def _worst_sign_departures(self, swings: Swings, count: int) -> list[Departure]:
+    def _worst_sign_departures(self, swings: ArmDeviations, count: int) -> list[Departure]:
         """Return arms with signs of the joints' stiffness for which errors add up, to first order.
 
         The first member is the nominal arm, those up to `count` have one softer joint each.
@@ -320,7 +326,9 @@ class CommandSearch:
             signs[joints] = -along[i, :, k]
             payload = float(self._carries)
             found += [
-                bounded(unsure, side * signs, -1.0, payload, float(unsure.servo is not None))
+                departure_at_bounds(
+                    unsure, side * signs, -1.0, payload, float(unsure.servo is not None)
+                )
                 for side in (-1.0, 1.0)
             ]
         return self._with_known_servo(found)
@@ -350,10 +358,10 @@ class CommandSearch:
         return tuple(each for each in found if each.value > CERTIFICATE_TOLERANCE)
 
     def _simulate_on(self, command: MotorMotion, departure: Departure) -> SimulatedMotion:
-        arm, servo = self._arm.departed(departure), self._servo
+        arm, servo = self._arm.with_departure(departure), self._servo
         if servo is None or departure.servo == 0.0:
             return simulate(arm, command, reference=self._plan)
-        late = servo.lagging(command, command.duration + REST, departure.servo)
+        late = servo.with_lag(command, command.duration + REST, departure.servo)
         return simulate(arm, late, reference=self._plan)
 
 

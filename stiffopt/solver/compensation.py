@@ -14,7 +14,10 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, TypeVar
 
 from stiffopt.certificate.assess import assess
-from stiffopt.elastic.many_arms import Asked, swings_together
+from stiffopt.elastic.uncertain_arms import (
+    SimulationRequest,
+    simulate_uncertain_arms,
+)
 from stiffopt.problem.motor_model import MotorLaw
 from stiffopt.result.compensation import COMMAND_FILE, CompensatedMotion, Compensation
 from stiffopt.result.store import export_times
@@ -174,17 +177,21 @@ def compensate_motion(
     return found.for_reports(), found.motors
 
 
-def _start_request(asking: SimulationRequests[Result]) -> tuple[SimulationRequests[Result], Asked]:
+def _start_request(
+    asking: SimulationRequests[Result],
+) -> tuple[SimulationRequests[Result], SimulationRequest]:
     """Advance a generator to its first simulation request."""
     return asking, next(asking)
 
 
-def _answer_together(begun: Sequence[tuple[SimulationRequests[Result], Asked]]) -> list[Result]:
+def _answer_together(
+    begun: Sequence[tuple[SimulationRequests[Result], SimulationRequest]],
+) -> list[Result]:
     """Return the results of several generators, simulating their requests of a round together."""
-    asked: dict[SimulationRequests[Result], Asked] = dict(begun)
+    asked: dict[SimulationRequests[Result], SimulationRequest] = dict(begun)
     answers: dict[SimulationRequests[Result], Result] = {}
     while asked:
-        swings = swings_together(list(asked.values()))
+        swings = simulate_uncertain_arms(list(asked.values()))
         for asking, own in zip(list(asked), swings, strict=True):
             try:
                 asked[asking] = asking.send(own)

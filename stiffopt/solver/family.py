@@ -37,7 +37,7 @@ from stiffopt.solver.stages import (
     solve_stage,
 )
 from stiffopt.solver.verdict import MAX_OBJECTIVE_GAP
-from stiffopt.transcription.build import adapted
+from stiffopt.transcription.build import adapt
 from stiffopt.transcription.mesh import Mesh
 from stiffopt.transcription.nlp import BlockScales, Nlp
 
@@ -228,7 +228,7 @@ class ProblemFamily:
                 or BlockScales.of(first.nlp).tobytes() != wanted
             ):
                 continue
-            found = adapted(first, ocp)
+            found = adapt(first, ocp)
             if found is not None:
                 made.solver.set_bounds(found.nlp)
                 near = made.near or ActiveSetSolver(made.solver)

@@ -42,7 +42,13 @@ from stiffopt.solver.stages import (
 from stiffopt.solver.stationary_joints import fix_creeping_joints
 from stiffopt.solver.verdict import MAX_OBJECTIVE_GAP
 from stiffopt.solver.vibration_suppression import SimulatedMotors, suppress_vibration
-from stiffopt.transcription.between import Excess, KnownRows, drawn_in, excess_of, tightened
+from stiffopt.transcription.constraint_back_off import (
+    Excess,
+    KnownRows,
+    back_off_exceeded,
+    back_off_uniformly,
+    path_row_excess,
+)
 from stiffopt.transcription.nlp import Nlp
 from stiffopt.transcription.point_function import PointFunction
 
@@ -193,7 +199,7 @@ def refine_within_mesh(run: SolveRun, outcome: Outcome, nlp: Nlp) -> Outcome:
         asked = _requested_back_off(run, outcome, nlp, late, off, again)
         if again == _MAX_REFINEMENTS or reach > best[0] or not (asked and found.raw.converged):
             break
-        closer = drawn_in(nlp, asked)
+        closer = back_off_uniformly(nlp, asked)
         if not _allows_other_motion(closer, nlp, moved=False):
             break
         try:
@@ -253,11 +259,11 @@ def _back_off_rows(run: SolveRun, outcome: Outcome, nlp: Nlp) -> tuple[Outcome, 
                 bends = _CHECK_SMOOTHING_SHARE if outcome.objective_gap > MAX_OBJECTIVE_GAP else 1.0
                 bent = smoothing.narrowed(bends).parameters
                 found = _known_drive_rows(run.problem, outcome.assessment)
-                known = excess_of(made.transcription, raw.x, bent, rows, found)
+                known = path_row_excess(made.transcription, raw.x, bent, rows, found)
                 unseen = _unexplained_excess(known, excess)
             given = made.transcription.nlp
-            closer = tightened(nlp, known, given, most=_MAX_BACK_OFF_STEP, limits=LIMITS)
-            closer = drawn_in(closer, unseen)
+            closer = back_off_exceeded(nlp, known, given, most=_MAX_BACK_OFF_STEP, limits=LIMITS)
+            closer = back_off_uniformly(closer, unseen)
             if not _allows_other_motion(closer, nlp, moved=smoothing != outcome.smoothing):
                 break
             nlp = closer
@@ -266,7 +272,7 @@ def _back_off_rows(run: SolveRun, outcome: Outcome, nlp: Nlp) -> tuple[Outcome, 
                 break
             raw, known = again, None
             if raw.converged and not unseen:
-                left = excess_of(made.transcription, raw.x, smoothing.parameters, rows)
+                left = path_row_excess(made.transcription, raw.x, smoothing.parameters, rows)
                 known = left if _is_conclusive(left) else None
             if known is None:
                 outcome = certify_outcome(run, made, raw, smoothing)

@@ -358,7 +358,7 @@ def damping_sensitive_limits(problem: TrajectoryProblem, motion: Assessment) -> 
     command = MotorMotion(motion.time, motion.position, motion.velocity)
     found: dict[str, float] = {}
     for factor in _DAMPING_FACTORS:
-        swing = simulate(arm.assumed_times(factor), command, band=limits.settling_band)
+        swing = simulate(arm.scale_assumed_damping(factor), command, band=limits.settling_band)
         for kind in kinds:
             over = LIMITS[kind.name].overshoot(limits, swing)
             if over > max(found.get(kind.name, 0.0), 0.0):

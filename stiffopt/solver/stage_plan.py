@@ -11,9 +11,8 @@ from stiffopt.problem.stage_terms import WINDUP_SMOOTHING, Smoothing
 from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.result.joint_path import JointPath
 from stiffopt.solver.ipopt import IpoptOptions
-from stiffopt.transcription.mesh import Mesh, split_counts, uniform_mesh
+from stiffopt.transcription.mesh import Mesh, refine_mesh, split_counts, uniform_mesh
 from stiffopt.transcription.ocp import Guess, OptimalControlProblem
-from stiffopt.transcription.refine import refine_mesh
 from stiffopt.transcription.transcription import Transcription
 
 _MIN_INTERVALS = 16

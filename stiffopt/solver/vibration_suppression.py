@@ -23,14 +23,14 @@ from scipy.interpolate import BSpline
 from scipy.sparse import block_diag, csc_matrix, diags, kron, vstack
 
 from stiffopt.certificate.assess import assess
-from stiffopt.elastic.along_plan import EvenSprings
 from stiffopt.elastic.modes import modes
 from stiffopt.elastic.motor import MotorMotion
-from stiffopt.elastic.response import SwingResponse
+from stiffopt.elastic.response import ElasticResponse
 from stiffopt.elastic.simulate import REST, simulate
+from stiffopt.elastic.uncertain_arms import TabulatedSprings
 from stiffopt.result.trajectory import Trajectory
 from stiffopt.symbolic import array_of
-from stiffopt.transcription.between import largest_beside
+from stiffopt.transcription.constraint_back_off import largest_adjacent_excess
 
 if TYPE_CHECKING:
     from stiffopt.elastic.arm import ElasticArm
@@ -194,7 +194,7 @@ def _linear_response(
         _interpolate_rows(times, simulated.time, each)
         for each in (simulated.position, simulated.velocity, simulated.windup)
     )
-    springs = EvenSprings(arm).at(windup)[1][:, joints]
+    springs = TabulatedSprings(arm).at(windup)[1][:, joints]
     response = _link_response(arm, q, v, springs, dt)
     moved, rate = splines(times), splines(times, 1)
     at = slice(None, None, _RESPONSE_STRIDE)
@@ -211,7 +211,7 @@ def _linear_response(
         columns.append(both.reshape(-1, splines.count))
     link = motors.link
     assert link is not None
-    behind = arm.hanging(link(np.minimum(times[at], link.duration))) - q[at]
+    behind = arm.static_equilibrium(link(np.minimum(times[at], link.duration))) - q[at]
     tool_behind = weight * np.einsum("kij,kj->ki", jacobian, behind[:, joints])
     planned = _interpolate_rows(times[at], assessment.time, assessment.deflection["dynamic"])
     lacking = (planned - _interpolate_rows(times[at], simulated.time, simulated.deviation))[flying]
@@ -225,7 +225,7 @@ def _interpolate_rows(times: np.ndarray, known: np.ndarray, values: np.ndarray) 
 
 def _link_response(
     arm: ElasticArm, q: np.ndarray, v: np.ndarray, springs: np.ndarray, dt: float
-) -> SwingResponse:
+) -> ElasticResponse:
     """Return the linear response of elastic joints about a motion (K, n); springs [N m/rad]."""
     joints = np.flatnonzero(arm.elastic)
     acceleration = np.gradient(v, dt, axis=0)
@@ -236,7 +236,7 @@ def _link_response(
     diagonal = np.arange(len(joints))
     by_q[:, diagonal, diagonal] += springs
     by_v[:, diagonal, diagonal] += arm.damping[joints]
-    return SwingResponse(inertia, by_v, by_q, dt)
+    return ElasticResponse(inertia, by_v, by_q, dt)
 
 
 def _drive_rows(
@@ -264,7 +264,7 @@ def _drive_rows(
         )
         share = (value / most)[:, joints]
         above, below = (
-            largest_beside(now.time, at, np.maximum(each, 0.0)) for each in (share, -share)
+            largest_adjacent_excess(now.time, at, np.maximum(each, 0.0)) for each in (share, -share)
         )
         upper.append(_remaining_limit(above).T.ravel())
         lower.append(-_remaining_limit(below).T.ravel())

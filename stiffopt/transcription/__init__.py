@@ -1,10 +1,9 @@
-"""From an optimal-control problem to a nonlinear programme and back."""
+"""Transcription of an optimal-control problem into a nonlinear programme, and back."""
 
 from stiffopt.transcription.build import METHODS, transcribe
-from stiffopt.transcription.mesh import Mesh, uniform_mesh
+from stiffopt.transcription.mesh import Mesh, refine_mesh, uniform_mesh
 from stiffopt.transcription.nlp import Nlp, NlpEntry, RowViolation
 from stiffopt.transcription.ocp import Guess, OptimalControlProblem, Rows, Waypoint
-from stiffopt.transcription.refine import refine_mesh
 from stiffopt.transcription.transcription import Transcription, Unpacked
 
 __all__ = [

@@ -1,40 +1,39 @@
-"""From an optimal-control problem and a mesh to an NLP."""
+"""Transcription of an optimal-control problem on a mesh into an NLP."""
 
 from __future__ import annotations
 
 import functools
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from stiffopt.errors import ProblemError, nearest
-from stiffopt.transcription.along_splines import AlongSplines
 from stiffopt.transcription.hermite_simpson import HermiteSimpson
-from stiffopt.transcription.integrator_chain import IntegratorChain
 from stiffopt.transcription.mesh import Mesh, checked_mesh
 from stiffopt.transcription.nlp import Block, Blocks, BlockScales, Nlp, Places
-from stiffopt.transcription.nlp_derivatives import composed
-from stiffopt.transcription.node_derivatives import NumberedStage
+from stiffopt.transcription.node_derivatives import NumberedStage, SplineCoordinates
 from stiffopt.transcription.ocp import OptimalControlProblem, Rows, Waypoint
-from stiffopt.transcription.piecewise_linear import PiecewiseLinear
+from stiffopt.transcription.piecewise_linear import IntegratorChain, PiecewiseLinear
+from stiffopt.transcription.point_function import StageFunction, compose_derivatives
 from stiffopt.transcription.radau import Radau
 from stiffopt.transcription.scheme import Intervals, Scheme, StagePoints, Symbols
-from stiffopt.transcription.stage_function import StageFunction
 from stiffopt.transcription.structure import same_bounds, scaled_like, structure_of
 from stiffopt.transcription.transcription import Transcription
 
 METHODS = ("piecewise_linear", "hermite_simpson", "radau")
-_ALIASES = {"piecewise_linear_acceleration": "piecewise_linear"}
+_METHOD_ALIASES = {"piecewise_linear_acceleration": "piecewise_linear"}
 
 
 def scheme_of(method: str, degree: int = 3, integrators: int = 2) -> Scheme:
-    """Find the scheme of a name; `degree` counts the Radau points of an interval.
+    """Return the scheme of a name.
 
-    `integrators` is how many stand between a control and its position.
+    `degree` is the number of Radau points in an interval, `integrators` that of integrators between
+    a control and its position.
     """
-    name = _ALIASES.get(method, method)
+    name = _METHOD_ALIASES.get(method, method)
     if name == "piecewise_linear":
         return PiecewiseLinear() if integrators == 2 else IntegratorChain()
     if name == "hermite_simpson":
@@ -42,7 +41,7 @@ def scheme_of(method: str, degree: int = 3, integrators: int = 2) -> Scheme:
     if name == "radau":
         return Radau(degree)
     raise ProblemError(
-        f"transcription {method!r} is not known. {nearest(method, [*METHODS, *_ALIASES])}"
+        f"transcription {method!r} is not known. {nearest(method, [*METHODS, *_METHOD_ALIASES])}"
     )
 
 
@@ -76,11 +75,11 @@ def transcribe(
     if scales is not None:
         states, controls, statics = scales.variables[:3]
         ocp = replace(ocp, state_scale=states, control_scale=controls, static_scale=statics)
-    return _Builder(ocp, scheme, checked_mesh(mesh, ocp.phases), stage, scales=scales).build()
+    return _NlpBuilder(ocp, scheme, checked_mesh(mesh, ocp.phases), stage, scales=scales).build()
 
 
-def adapted(first: Transcription, ocp: OptimalControlProblem) -> Transcription | None:
-    """The same programme with the bounds and numbers of another problem; None where more differs.
+def adapt(first: Transcription, ocp: OptimalControlProblem) -> Transcription | None:
+    """Return the programme with bounds and numbers of another problem; None if more differs.
 
     Mesh and scales stay.
     """
@@ -89,25 +88,27 @@ def adapted(first: Transcription, ocp: OptimalControlProblem) -> Transcription |
         return None
     own = scaled_like(ocp, first.ocp)
     if same_bounds(own, first.ocp):
-        # What is left are numbers of the stage: most cases of a sweep.
+        # Only numbers of the stage differ: most cases of a sweep.
         fixed = first.nlp.numbers[: len(first.nlp.numbers) - len(stage.numbers)]
         nlp = replace(first.nlp, numbers=np.append(fixed, stage.numbers))
         return replace(first, ocp=own, nlp=nlp)
-    return _Builder(own, first.scheme, first.mesh, stage, first).build()
+    return _NlpBuilder(own, first.scheme, first.mesh, stage, first).build()
 
 
 def _stage_of(ocp: OptimalControlProblem, scheme: Scheme) -> NumberedStage:
-    """The stage, along splines where their coefficients are the variables."""
     stage, splines = ocp.numbered_stage, scheme.splines(ocp, [np.ones(1)])
     if splines is None:
         return stage
     free = ocp.phases > 1 or not ocp.fixed_duration
-    along = AlongSplines(splines.places, splines.degree, len(ocp.statics), free)
+    along = SplineCoordinates(splines.places, splines.degree, len(ocp.statics), free)
     return replace(stage, formula=f"{stage.formula} {along}", along=along)
 
 
-class _Builder:
-    """Collects variables and rows of one NLP."""
+class _NlpBuilder:
+    """Collects variables and rows of one NLP.
+
+    With `like` given, only bounds and numbers are made; its graph stays.
+    """
 
     def __init__(
         self,
@@ -128,10 +129,10 @@ class _Builder:
         self.variables, self.rows = Blocks(), Blocks()
         self.expressions: list[ca.MX] = []
         self.splines = scheme.splines(ocp, mesh)
-        # States and controls are variables, unless they follow from the coefficients of splines.
+        # Node values are variables only where spline coefficients are not.
         self.nodes = self.variables if self.splines is None else Blocks()
         self.coefficients: Block | None = None
-        self._declare()
+        self._declare_variables()
         self.x = ca.MX.sym("x", self.variables.size)
         fixed = [ocp.duration[0]] if self.durations is None else []
         self.numbers = np.append(fixed, self.own_stage.numbers)
@@ -142,44 +143,48 @@ class _Builder:
     def build(self) -> Transcription:
         ocp = self.ocp
         durations = (
-            self.p[len(ocp.parameters)] if self.durations is None else self._symbol(self.durations)
+            self.p[len(ocp.parameters)]
+            if self.durations is None
+            else self._block_symbol(self.durations)
         )
-        symbols = self._symbols(durations)
-        statics = self._symbol(self.statics)
+        symbols = self._make_symbols(durations)
+        statics = self._block_symbol(self.statics)
         for name, index, expression, places in self.scheme.defects(symbols):
             labels = [ocp.states[i] for i in index]
             rows = Rows.make(name, labels, 0.0, 0.0, ocp.scales_of_states[index])
-            self._row(rows, expression, places, structural=True)
+            self._add_rows(rows, expression, places, structural=True)
         points = self.scheme.stage_points(symbols, any(r.midpoints for r in ocp.path_rows))
-        integrals = self._stage(symbols, points, statics)
+        integrals = self._add_stage(symbols, points, statics)
         for rows, expression, places in self.scheme.extra_rows(symbols):
-            self._row(rows, expression, places)
+            self._add_rows(rows, expression, places)
         if self.splines is not None:
-            self._spline_rows(symbols, durations)
-        self._control_rates(symbols)
-        self._waypoints(symbols)
+            self._add_spline_rows(symbols, durations)
+        self._add_control_rate_rows(symbols)
+        self._add_waypoint_rows(symbols)
         total = ca.sum1(durations)
         if ocp.phases > 1:
-            self._row(Rows.make("duration", [""], *ocp.duration, unit="s"), total, None)
+            self._add_rows(Rows.make("duration", [""], *ocp.duration, unit="s"), total, None)
         if ocp.integral_function is not None:
             values = ocp.integral_function(integrals, total, statics, self.parameters)
-            self._blocks(ocp.integral_rows, values)
-        ends = [self._state(symbols, column) for column in (0, self.states.lower.shape[1] - 1)]
+            self._add_bounded_rows(ocp.integral_rows, values)
+        ends = [
+            self._state_at_node(symbols, column) for column in (0, self.states.lower.shape[1] - 1)
+        ]
         objective = ocp.objective(integrals, total, statics, *ends, self.parameters)
-        return self._finish(integrals, objective)
+        return self._make_transcription(integrals, objective)
 
-    def _symbols(self, durations: ca.MX) -> Symbols:
-        moves = None
+    def _make_symbols(self, durations: ca.MX) -> Symbols:
+        spline_values = None
         if self.splines is None:
-            states, controls = self._symbol(self.states), self._symbol(self.controls)
+            states, controls = self._block_symbol(self.states), self._block_symbol(self.controls)
         else:
             assert self.coefficients is not None
-            moves = functools.partial(
+            spline_values = functools.partial(
                 self.splines.at,
-                coefficients=ca.vec(self._symbol(self.coefficients)),
+                coefficients=ca.vec(self._block_symbol(self.coefficients)),
                 durations=durations,
             )
-            nodes = moves(self.scheme.state_places(self.intervals))
+            nodes = spline_values(self.scheme.state_places(self.intervals))
             states, controls = ca.vertsplit(nodes, [0, len(self.ocp.states), nodes.shape[0]])
         return Symbols(
             ocp=self.ocp,
@@ -188,17 +193,16 @@ class _Builder:
             controls=controls,
             durations=durations,
             parameters=self.parameters,
-            moves=moves,
+            spline_values=spline_values,
         )
 
-    def _state(self, s: Symbols, column: int) -> ca.MX:
-        """The state at a node."""
-        if s.moves is None:
+    def _state_at_node(self, s: Symbols, column: int) -> ca.MX:
+        if s.spline_values is None:
             return s.states[:, column]
         place = self.scheme.state_places(self.intervals)[[column]]
-        return s.moves(place)[: len(self.ocp.states)]
+        return s.spline_values(place)[: len(self.ocp.states)]
 
-    def _finish(self, integrals: ca.MX, objective: ca.MX) -> Transcription:
+    def _make_transcription(self, integrals: ca.MX, objective: ca.MX) -> Transcription:
         lower_x, upper_x = self.variables.bounds()
         lower_g, upper_g = self.rows.bounds()
         for index in np.flatnonzero(lower_x > upper_x):
@@ -208,27 +212,26 @@ class _Builder:
                 f"{self.ocp.name}: {entry} must be at least {low:g} and at most {high:g}. Move "
                 "the boundary value inside the limits, or widen the limits."
             )
+        own: dict[str, Any] = {
+            "variables": self.variables,
+            "rows": self.rows,
+            "lower_x": lower_x,
+            "upper_x": upper_x,
+            "lower_g": lower_g,
+            "upper_g": upper_g,
+            "numbers": self.numbers,
+        }
+        blocks: dict[str, Any] = {
+            "ocp": self.ocp,
+            "states": self.states,
+            "controls": self.controls,
+            "statics": self.statics,
+            "durations": self.durations,
+            "path_blocks": tuple(self.path_blocks),
+        }
         if self.like is not None:
-            return replace(
-                self.like,
-                ocp=self.ocp,
-                nlp=replace(
-                    self.like.nlp,
-                    variables=self.variables,
-                    rows=self.rows,
-                    lower_x=lower_x,
-                    upper_x=upper_x,
-                    lower_g=lower_g,
-                    upper_g=upper_g,
-                    numbers=self.numbers,
-                ),
-                states=self.states,
-                controls=self.controls,
-                statics=self.statics,
-                durations=self.durations,
-                path_blocks=tuple(self.path_blocks),
-            )
-        f, g, derivatives = composed(
+            return replace(self.like, nlp=replace(self.like.nlp, **own), **blocks)
+        f, g, derivatives = compose_derivatives(
             self.stage,
             (self.x, self.p, self.values),
             self.variables_of_stage,
@@ -242,53 +245,42 @@ class _Builder:
             f=f,
             g=g,
             derivatives=derivatives,
-            variables=self.variables,
-            rows=self.rows,
-            lower_x=lower_x,
-            upper_x=upper_x,
-            lower_g=lower_g,
-            upper_g=upper_g,
             objective_scale=self.ocp.objective_scale,
-            numbers=self.numbers,
+            **own,
         )
         return Transcription(
-            ocp=self.ocp,
             scheme=self.scheme,
             mesh=self.mesh,
             nlp=nlp,
-            states=self.states,
-            controls=self.controls,
-            statics=self.statics,
-            durations=self.durations,
             splines=self.splines,
             coefficients=self.coefficients,
-            path_blocks=tuple(self.path_blocks),
-            outputs=self._outputs(integrals, objective),
+            outputs=self._output_function(integrals, objective),
             structure=structure_of(self.ocp, self.own_stage, self.scheme, self.mesh),
+            **blocks,
         )
 
-    def _outputs(self, integrals: ca.MX, objective: ca.MX) -> ca.Function:
+    def _output_function(self, integrals: ca.MX, objective: ca.MX) -> ca.Function:
         outer = ca.Function("outer", [self.x, self.p, self.values], [integrals, objective])
         values = self.stage.values(self.variables_of_stage, self.p)
         return ca.Function("outputs", [self.x, self.p], outer.call([self.x, self.p, values]))
 
-    def _declare(self) -> None:
+    def _declare_variables(self) -> None:
         ocp = self.ocp
-        self.states = self._timed(
-            "state",
-            ocp.states,
-            (ocp.state_lower, ocp.state_upper),
-            ocp.scales_of_states,
+        self.states = self.nodes.add_nodes(
+            Rows.make("state", ocp.states, ocp.state_lower, ocp.state_upper, ocp.scales_of_states),
             self.scheme.state_places(self.intervals),
             (ocp.initial_lower, ocp.initial_upper),
             (ocp.final_lower, ocp.final_upper),
         )
-        starts = self.scheme.continuous_control  # else no control stands at the start
-        self.controls = self._timed(
-            "control",
-            ocp.controls,
-            (ocp.control_lower, ocp.control_upper),
-            ocp.scales_of_controls,
+        starts = self.scheme.continuous_control  # else there is no control at the start
+        self.controls = self.nodes.add_nodes(
+            Rows.make(
+                "control",
+                ocp.controls,
+                ocp.control_lower,
+                ocp.control_upper,
+                ocp.scales_of_controls,
+            ),
             self.scheme.control_places(self.intervals),
             (ocp.initial_control_lower, ocp.initial_control_upper) if starts else (None, None),
             (ocp.final_control_lower, ocp.final_control_upper),
@@ -306,40 +298,17 @@ class _Builder:
             None,
         )
         self.durations = None
-        if ocp.phases > 1:
+        if ocp.phases > 1 or not ocp.fixed_duration:
             lower, upper = ocp.duration
-            least = ocp.phase_fraction_min * (upper if np.isfinite(upper) else lower)
-            labels = [f"phase {i + 1}" for i in range(ocp.phases)]
-            self.durations = self.variables.add(
-                Rows.make("duration", labels, least, upper, unit="s"), None
-            )
-        elif not ocp.fixed_duration:
-            self.durations = self.variables.add(
-                Rows.make("duration", [""], *ocp.duration, unit="s"), None
-            )
-
-    def _timed(
-        self,
-        name: str,
-        labels: tuple[str, ...],
-        bounds: tuple[np.ndarray, np.ndarray],
-        scale: np.ndarray,
-        places: Places,
-        first: tuple[np.ndarray | None, np.ndarray | None],
-        last: tuple[np.ndarray | None, np.ndarray | None],
-    ) -> Block:
-        rows = Rows.make(name, labels, *bounds, scale)
-        lower = np.repeat(rows.lower[:, None], len(places), axis=1)
-        upper = np.repeat(rows.upper[:, None], len(places), axis=1)
-        for column, (low, high) in ((0, first), (-1, last)):
-            if low is not None:
-                lower[:, column] = np.maximum(lower[:, column], low)
-            if high is not None:
-                upper[:, column] = np.minimum(upper[:, column], high)
-        return self.nodes.add(rows, places, lower, upper)
+            labels = [""]
+            if ocp.phases > 1:
+                lower = ocp.phase_fraction_min * (upper if np.isfinite(upper) else lower)
+                labels = [f"phase {i + 1}" for i in range(ocp.phases)]
+            rows = Rows.make("duration", labels, lower, upper, unit="s")
+            self.durations = self.variables.add(rows, None)
 
     def _declare_coefficients(self) -> Block:
-        """Coefficients of the splines; those that a pose at rest fixes have it as their bound."""
+        """Add the coefficients of the splines; bounds fix those that a pose at rest determines."""
         assert self.splines is not None
         n = len(self.ocp.chains)
         rows = Rows.make("spline", [f"chain {j + 1}" for j in range(n)], -np.inf, np.inf)
@@ -347,7 +316,7 @@ class _Builder:
         free = np.full((n, count), np.inf)
         lower, upper = -free, free.copy()
         for column, along in ((0, slice(None)), (-1, slice(None, None, -1))):
-            rests = self._rests(column)
+            rests = self._fixed_derivatives(column)
             pose = self.states.lower[[chain[0] for chain in self.ocp.chains], column]
             for bound in (lower, upper):
                 bound[:, along][:, :rests] = pose[:, None]
@@ -357,8 +326,8 @@ class _Builder:
         )
         return self.variables.add(rows, places, lower, upper)
 
-    def _rests(self, column: int) -> int:
-        """How many derivatives, position included, an end in a given pose at rest has fixed."""
+    def _fixed_derivatives(self, column: int) -> int:
+        """Count the derivatives, position included, that an end at rest in a given pose fixes."""
         low, high = self.states.lower[:, column], self.states.upper[:, column]
         *orders, _ = (list(order) for order in zip(*self.ocp.chains, strict=True))
         for order, own in enumerate(orders):
@@ -367,8 +336,8 @@ class _Builder:
                 return order
         return len(orders)
 
-    def _spline_rows(self, s: Symbols, durations: ca.MX) -> None:
-        """Bounds of the states at the nodes, and splines that go on from phase to phase."""
+    def _add_spline_rows(self, s: Symbols, durations: ca.MX) -> None:
+        """Add bounds of states at the nodes, and continuity of the splines between phases."""
         assert self.splines is not None
         assert self.coefficients is not None
         ocp, nodes = self.ocp, self.scheme.state_places(self.intervals)
@@ -377,7 +346,7 @@ class _Builder:
         for order, own in enumerate(orders):
             for columns in ([0], list(range(1, last)), [last]):
                 first = columns[0] if columns else 0
-                fixed = len(columns) == 1 and order < self._rests(-1 if first else 0)
+                fixed = len(columns) == 1 and order < self._fixed_derivatives(-1 if first else 0)
                 low, high = self.states.lower[own, first], self.states.upper[own, first]
                 kept = np.flatnonzero(np.isfinite(low) | np.isfinite(high))
                 if not columns or fixed or not kept.size:
@@ -386,27 +355,27 @@ class _Builder:
                 labels = [ocp.states[i] for i in index]
                 name = "position" if order == 0 else "state"
                 value = self.splines.derivative(
-                    order, nodes[columns], ca.vec(self._symbol(self.coefficients)), durations
+                    order, nodes[columns], ca.vec(self._block_symbol(self.coefficients)), durations
                 )
                 scales = ocp.scales_of_states[index]
                 rows = Rows.make(name, labels, low[kept], high[kept], scales)
-                self._row(rows, value[kept.tolist(), :], nodes[columns])
-        assert s.moves is not None
+                self._add_rows(rows, value[kept.tolist(), :], nodes[columns])
+        assert s.spline_values is not None
         for phase in range(ocp.phases - 1):
             ends = Places(np.array([phase]), np.ones(1)), Places(np.array([phase + 1]), np.zeros(1))
-            leave, enter = (s.moves(place) for place in ends)
+            leave, enter = (s.spline_values(place) for place in ends)
             scales = np.concatenate([ocp.scales_of_states, ocp.scales_of_controls])
             rows = Rows.make("continuity", [*ocp.states, *ocp.controls], 0.0, 0.0, scales)
-            self._row(rows, enter - leave, ends[0], structural=True)
+            self._add_rows(rows, enter - leave, ends[0], structural=True)
 
-    def _along_splines(self, points: StagePoints, durations: ca.MX) -> tuple[ca.MX, ca.DM]:
-        """Bases of the splines at all points, and which of the programme's variables each takes."""
+    def _spline_variables(self, points: StagePoints, durations: ca.MX) -> tuple[ca.MX, ca.DM]:
+        """Return bases of the splines at all points, and the matrix to their variables."""
         along, splines, coefficients = self.own_stage.along, self.splines, self.coefficients
         assert along is not None
         assert splines is not None
         assert coefficients is not None
         count, n = len(points.places), len(along.chains)
-        rows, basis = splines.about(points.places)
+        rows, basis = splines.nonzero_basis(points.places)
         own = [(rows[:, :, None] * n + np.arange(n)).reshape(count, -1) + coefficients.offset]
         own.append(np.tile(self.statics.offset + np.arange(self.statics.size), (count, 1)))
         values: ca.MX = ca.MX(ca.DM(basis.reshape(count, -1).T))
@@ -420,16 +389,16 @@ class _Builder:
         pattern = ca.Sparsity.triplet(
             len(columns), self.variables.size, list(range(len(columns))), columns.tolist()
         )
-        # Entries of a pattern stand column by column.
+        # Entries of a sparsity pattern are ordered by columns.
         return values, ca.DM(pattern, scales[np.sort(columns)])
 
-    def _symbol(self, block: Block) -> ca.MX:
+    def _block_symbol(self, block: Block) -> ca.MX:
         part = self.x[block.offset : block.offset + block.size]
         if not np.all(block.rows.scale == 1.0):
             part = part * ca.DM(block.scales)
         return ca.reshape(part, *block.lower.shape)
 
-    def _row(
+    def _add_rows(
         self, rows: Rows, expression: ca.MX, places: Places | None, structural: bool = False
     ) -> Block:
         place = len(self.rows.items)
@@ -442,33 +411,33 @@ class _Builder:
         self.expressions.append(column)
         return block
 
-    def _blocks(
+    def _add_bounded_rows(
         self,
         blocks: Sequence[Rows],
         values: ca.MX,
         places: Places | None = None,
         main: np.ndarray | None = None,
     ) -> list[tuple[Block, np.ndarray]]:
-        """Rows of a function's output, block by block; rows without any bound are left out.
+        """Add the bounded rows of a function's output, block by block.
 
-        Returns the blocks, each with the entries of the output that it holds.
+        Return the blocks, each with the indices of its entries in the output.
         """
         begin, made = 0, []
         for rows in blocks:
-            kept = np.isfinite(rows.lower) | np.isfinite(rows.upper)
-            entries = begin + np.flatnonzero(kept)
+            kept = np.flatnonzero(rows.bounded)
+            entries = begin + kept
             part = values[entries.tolist(), :]
             begin += len(rows)
-            if not kept.any():
+            if not kept.size:
                 continue
             where = places
             if places is not None and main is not None and not rows.midpoints and not main.all():
                 part = part[:, np.flatnonzero(main).tolist()]
                 where = places[main]
-            made.append((self._row(_selected(rows, kept), part, where), entries))
+            made.append((self._add_rows(rows.select(kept), part, where), entries))
         return made
 
-    def _stage(self, s: Symbols, points: StagePoints, statics: ca.MX) -> ca.MX:
+    def _add_stage(self, s: Symbols, points: StagePoints, statics: ca.MX) -> ca.MX:
         count = len(points.places)
         values = self.own_stage.function.size1_out(1)
         if self.splines is None:
@@ -477,54 +446,48 @@ class _Builder:
                 points.states, points.controls, ca.repmat(statics, 1, count)
             )
         else:
-            basis, chosen = self._along_splines(points, s.durations)
+            basis, chosen = self._spline_variables(points, s.durations)
             self.slope_of_variables = ca.MX(chosen)
             self.variables_of_stage = ca.reshape(ca.mtimes(chosen, self.x), -1, count)
         if self.like is None:
             self.stage = StageFunction(self.own_stage, count, len(self.ocp.parameters), basis)
-        # Stand for the stage's values, so that derivatives can be put together from its own.
+        # Placeholder of the stage's values: derivatives are composed from the stage's own.
         self.values = ca.MX.sym("values", values, count)
         first = self.ocp.stage.size1_out(0)
-        self.path_blocks = self._blocks(
+        self.path_blocks = self._add_bounded_rows(
             self.ocp.path_rows, self.values[first:, :], points.places, points.main
         )
         return self.values[:first, :] @ (ca.DM(ca.sparsify(ca.DM(points.weights))) @ s.steps.T)
 
-    def _control_rates(self, s: Symbols) -> None:
+    def _add_control_rate_rows(self, s: Symbols) -> None:
         ocp = self.ocp
-        count = len(ocp.controls)
-        lower = (
-            np.full(count, -np.inf) if ocp.control_rate_lower is None else (ocp.control_rate_lower)
+        low, high = ocp.control_rate_lower, ocp.control_rate_upper
+        rows = Rows.make(
+            "control rate",
+            ocp.controls,
+            -np.inf if low is None else low,
+            np.inf if high is None else high,
         )
-        upper = (
-            np.full(count, np.inf) if ocp.control_rate_upper is None else (ocp.control_rate_upper)
-        )
-        use = np.flatnonzero(np.isfinite(lower) | np.isfinite(upper))
+        use = np.flatnonzero(rows.bounded)
         if not use.size:
             return
-        largest = np.maximum(
-            np.abs(np.where(np.isfinite(lower), lower, 0.0)),
-            np.abs(np.where(np.isfinite(upper), upper, 0.0)),
-        )[use]
-        scale = np.where(largest > 0.0, largest, 1.0)
-        rows = Rows.make(
-            "control rate", [ocp.controls[i] for i in use], lower[use], upper[use], scale
-        )
+        rows = rows.select(use)
+        bounds = np.abs([rows.lower, rows.upper])
+        largest = np.where(np.isfinite(bounds), bounds, 0.0).max(axis=0)
+        rows = replace(rows, scale=np.where(largest > 0.0, largest, 1.0))
         for local in self.scheme.rate_nodes:
             rates = self.scheme.control_rates(s, float(local))[use.tolist(), :]
-            self._row(rows, rates, self.intervals.places(np.array([local])))
-        if not self.scheme.continuous_control:
-            self._continuous_control(s, use)
-
-    def _continuous_control(self, s: Symbols, use: np.ndarray) -> None:
+            self._add_rows(rows, rates, self.intervals.places(np.array([local])))
+        if self.scheme.continuous_control:
+            return
         # A jump between intervals would be an unbounded rate that no rate row sees.
         jumps = self.scheme.control_jumps(s)[use.tolist(), :]
-        labels = [self.ocp.controls[i] for i in use]
-        rows = Rows.make("control continuity", labels, 0.0, 0.0, self.ocp.scales_of_controls[use])
+        labels = [ocp.controls[i] for i in use]
+        rows = Rows.make("control continuity", labels, 0.0, 0.0, ocp.scales_of_controls[use])
         inner = self.intervals.places(np.array([0.0]))
-        self._row(rows, jumps, inner[1:], structural=True)
+        self._add_rows(rows, jumps, inner[1:], structural=True)
 
-    def _waypoints(self, s: Symbols) -> None:
+    def _add_waypoint_rows(self, s: Symbols) -> None:
         borders = np.flatnonzero(np.diff(self.intervals.phase)) + 1
         stride = len(self.scheme.state_nodes) - 1
         columns = [0, *(borders * stride), len(self.intervals) * stride]
@@ -532,19 +495,6 @@ class _Builder:
         places = self.scheme.state_places(self.intervals)
         for column, point in zip(columns, points, strict=True):
             if point is not None:
-                given = (self._state(s, int(column)), s.parameters)
+                given = (self._state_at_node(s, int(column)), s.parameters)
                 values = point.function(*given[: point.function.n_in()])
-                self._blocks(point.rows, values, places[[int(column)]])
-
-
-def _selected(rows: Rows, kept: np.ndarray) -> Rows:
-    index = np.flatnonzero(kept)
-    return Rows(
-        name=rows.name,
-        labels=tuple(rows.labels[i] for i in index),
-        lower=rows.lower[index],
-        upper=rows.upper[index],
-        scale=rows.scale[index],
-        unit=rows.unit,
-        midpoints=rows.midpoints,
-    )
+                self._add_bounded_rows(point.rows, values, places[[int(column)]])

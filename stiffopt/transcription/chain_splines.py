@@ -1,9 +1,9 @@
 """Chains of integrators behind a piecewise-linear control, as splines.
 
 With five integrators (position, velocity, acceleration, jerk and snap behind a crackle) positions
-are splines of degree 6 with five continuous derivatives. Their coefficients are all there is to
-choose: with them as variables no equation ties the states of neighbouring nodes, which leaves a
-fifth of the variables, a third of the time of an iteration and fewer of them.
+are splines of degree 6 with five continuous derivatives. With their coefficients as variables no
+equation couples the states of neighbouring nodes: a fifth of the variables, a third of the time of
+an iteration, and fewer iterations.
 
 Source: de Boor (1978), "A practical guide to splines".
 """
@@ -31,13 +31,13 @@ class ChainSplines:
     ----------
     mesh : list of array
     chains : tuple of (position index, velocity index, .., control index)
-        Of states and controls that all belong to one.
+        All states and controls belong to one chain.
     control_degree : int
-        Of the controls, which are continuous.
+        Degree of the controls, which are continuous.
 
     Notes
     -----
-    Coefficients are one vector: those of all chains side by side, in order of time.
+    Coefficients are one vector, in order of time, in which chains run fastest.
     """
 
     mesh: Mesh
@@ -51,7 +51,7 @@ class ChainSplines:
 
     @property
     def degree(self) -> int:
-        """Of the positions."""
+        """Degree of the positions."""
         return self.orders - 1 + self.control_degree
 
     @property
@@ -61,12 +61,12 @@ class ChainSplines:
 
     @property
     def places(self) -> tuple[tuple[int, ...], ...]:
-        """Where position to control of each chain stand among states above controls."""
-        return tuple(tuple(self._indices(j)) for j in range(len(self.chains)))
+        """Indices of position to control of each chain in the vector (states, controls)."""
+        return tuple(tuple(self._chain_indices(j)) for j in range(len(self.chains)))
 
     @cached_property
     def counts(self) -> np.ndarray:
-        """Coefficients of a chain in each phase."""
+        """Number of coefficients of a chain in each phase."""
         inner = [self.control_degree * (len(part) - 1) for part in self.mesh]
         return np.array(inner) + self.degree + 1
 
@@ -76,32 +76,32 @@ class ChainSplines:
         return int(self.counts.sum()) * len(self.chains)
 
     def at(self, places: Places, coefficients: ca.MX, durations: ca.MX) -> ca.MX:
-        """States above controls (nx + nu, P) at places, of coefficients and phase durations."""
-        matrix, powers, phases = self._map(places)
-        moved = ca.mtimes(_sparse(matrix), coefficients)
-        stretched = _lasting(durations, phases) ** ca.DM(-powers)
+        """States and controls (nx + nu, P) at places, as expressions of the coefficients."""
+        matrix, powers, phases = self._coefficient_map(places)
+        moved = ca.mtimes(_to_casadi(matrix), coefficients)
+        stretched = _phase_duration_column(durations, phases) ** ca.DM(-powers)
         return ca.reshape(moved * stretched, self.values, len(places))
 
     def derivative(
         self, order: int, places: Places, coefficients: ca.MX, durations: ca.MX
     ) -> ca.MX:
-        """One derivative of all chains (n, P), as `at`."""
-        matrix, powers, phases = self._map(places, (order,))
-        moved = ca.mtimes(_sparse(matrix), coefficients)
-        stretched = _lasting(durations, phases) ** ca.DM(-powers)
+        """Derivative of one order of all chains (n, P), as `at`."""
+        matrix, powers, phases = self._coefficient_map(places, (order,))
+        moved = ca.mtimes(_to_casadi(matrix), coefficients)
+        stretched = _phase_duration_column(durations, phases) ** ca.DM(-powers)
         return ca.reshape(moved * stretched, len(self.chains), len(places))
 
     def positions(self, places: Places, states: Sequence[int], columns: int) -> ca.DM:
-        """Matrix from variables, the coefficients first, to these positions, place by place."""
+        """Matrix from variables, the coefficients first, to positions, place by place."""
         chains = [chain[0] for chain in self.chains]
-        matrix = self._map(places, (0,))[0].tocsr()
+        matrix = self._coefficient_map(places, (0,))[0].tocsr()
         rows = np.arange(len(places))[:, None] * len(chains) + [chains.index(i) for i in states]
         own = matrix[rows.ravel()]
         own.resize((own.shape[0], columns))
         return ca.DM(own.tocsc())
 
-    def about(self, places: Places) -> tuple[np.ndarray, np.ndarray]:
-        """What is not zero at places.
+    def nonzero_basis(self, places: Places) -> tuple[np.ndarray, np.ndarray]:
+        """Nonzero basis functions at places.
 
         Parameters
         ----------
@@ -125,27 +125,27 @@ class ChainSplines:
             first = (self.control_degree * interval)[:, None] + splines
             rows[own] = begins[phase] + first
             for order in range(self.orders):
-                values = self._basis(int(phase), fractions, order)
+                values = self._basis_values(int(phase), fractions, order)
                 basis[own, order] = np.take_along_axis(values, first, axis=1)
         return rows, basis
 
-    def numeric(
+    def evaluate(
         self, places: Places, coefficients: np.ndarray, durations: np.ndarray
     ) -> np.ndarray:
-        """The same as `at` for numbers (P, nx + nu)."""
-        matrix, powers, phases = self._map(places)
+        """States and controls (P, nx + nu) of numeric coefficients."""
+        matrix, powers, phases = self._coefficient_map(places)
         found = matrix.tocsr() @ coefficients / durations[phases] ** powers
         return np.asarray(found.reshape(len(places), self.values))
 
     def matrix(self, places: Places, durations: np.ndarray) -> csr_matrix:
-        """What `numeric` multiplies the coefficients with ((nx + nu) P, size), place by place."""
-        matrix, powers, phases = self._map(places)
+        """Matrix ((nx + nu) P, size) from coefficients to states and controls, place by place."""
+        matrix, powers, phases = self._coefficient_map(places)
         return (diags(durations[phases] ** -powers) @ matrix).tocsr()
 
-    def fitted(
+    def fit(
         self, places: Places, values: np.ndarray, scales: np.ndarray, durations: np.ndarray
     ) -> np.ndarray:
-        """Coefficients whose states and controls at places are nearest to values (P, nx + nu).
+        """Fit coefficients to states and controls (P, nx + nu) at places by least squares.
 
         Parameters
         ----------
@@ -164,9 +164,9 @@ class ChainSplines:
                 last = np.flatnonzero(places.phase == phase - 1)[-1]
                 fractions = np.append(0.0, fractions)
                 given = np.vstack([values[last], given])
-            orders = [self._basis(phase, fractions, k) for k in range(self.orders)]
+            orders = [self._basis_values(phase, fractions, k) for k in range(self.orders)]
             for j in range(n):
-                indices = self._indices(j)
+                indices = self._chain_indices(j)
                 rows = [
                     basis / durations[phase] ** k / scales[indices[k]]
                     for k, basis in enumerate(orders)
@@ -177,12 +177,11 @@ class ChainSplines:
             start += count
         return found.ravel()
 
-    def _indices(self, chain: int) -> list[int]:
-        """Where position to control of a chain stand among states and controls."""
+    def _chain_indices(self, chain: int) -> list[int]:
         *states, control = self.chains[chain]
         return [*states, (self.orders - 1) * len(self.chains) + control]
 
-    def _basis(self, phase: int, fractions: np.ndarray, order: int) -> np.ndarray:
+    def _basis_values(self, phase: int, fractions: np.ndarray, order: int) -> np.ndarray:
         """Derivatives of all splines (P, count) of a phase by its scaled time."""
         breaks = np.append(0.0, np.cumsum(self.mesh[phase]))
         breaks[-1] = 1.0
@@ -192,10 +191,10 @@ class ChainSplines:
         spline = BSpline(knots, np.eye(self.counts[phase]), self.degree)
         return np.asarray((spline.derivative(order) if order else spline)(fractions))
 
-    def _map(
+    def _coefficient_map(
         self, places: Places, orders: tuple[int, ...] = ()
     ) -> tuple[coo_matrix, np.ndarray, np.ndarray]:
-        """Matrix from the coefficients, powers of the phase duration that divide, and phases.
+        """Matrix from the coefficients, powers of the phase duration in the divisor, and phases.
 
         Rows are the states above the controls, point by point; or derivatives of these orders, of
         all chains.
@@ -208,10 +207,10 @@ class ChainSplines:
         for phase in np.unique(places.phase):
             own = np.flatnonzero(places.phase == phase)
             for place, order in enumerate(orders or range(self.orders)):
-                basis = self._basis(int(phase), places.fraction[own], order)
+                basis = self._basis_values(int(phase), places.fraction[own], order)
                 point, coefficient = np.nonzero(np.abs(basis) > 1e-14 * np.abs(basis).max())
                 for j in range(n):
-                    index = place * n + j if orders else self._indices(j)[order]
+                    index = place * n + j if orders else self._chain_indices(j)[order]
                     rows.append(own[point] * height + index)
                     columns.append((begins[phase] + coefficient) * n + j)
                     data.append(basis[point, coefficient])
@@ -223,12 +222,11 @@ class ChainSplines:
         return matrix, powers.ravel(), np.repeat(places.phase, height)
 
 
-def _sparse(matrix: coo_matrix) -> ca.DM:
+def _to_casadi(matrix: coo_matrix) -> ca.DM:
     return ca.DM(matrix.tocsc())
 
 
-def _lasting(durations: ca.MX, phases: np.ndarray) -> ca.MX:
-    """Duration of each value's phase, one below the other."""
+def _phase_duration_column(durations: ca.MX, phases: np.ndarray) -> ca.MX:
     if durations.numel() == 1:
         return ca.repmat(durations, len(phases), 1)
     return durations[phases.tolist()]

@@ -19,8 +19,8 @@ def radau_nodes(degree: int) -> np.ndarray:
     series = np.zeros(degree + 1)
     series[degree], series[degree - 1] = 1.0, -1.0
     roots = np.sort(legendre.legroots(series).real)
-    roots = _polished(series, roots[:-1])
-    return _frozen(np.append((roots + 1.0) / 2.0, 1.0))
+    roots = _refine_roots(series, roots[:-1])
+    return _make_read_only(np.append((roots + 1.0) / 2.0, 1.0))
 
 
 @cache
@@ -32,8 +32,8 @@ def lobatto_nodes(count: int) -> np.ndarray:
     series = np.zeros(count)
     series[count - 1] = 1.0
     slope = legendre.legder(series)
-    inner = _polished(slope, np.sort(legendre.legroots(slope).real))
-    return _frozen(np.concatenate([[0.0], (inner + 1.0) / 2.0, [1.0]]))
+    inner = _refine_roots(slope, np.sort(legendre.legroots(slope).real))
+    return _make_read_only(np.concatenate([[0.0], (inner + 1.0) / 2.0, [1.0]]))
 
 
 def power_from_values(nodes: np.ndarray) -> np.ndarray:
@@ -50,7 +50,7 @@ def bernstein_from_values(nodes: np.ndarray) -> np.ndarray:
 
 
 def bernstein_of_integral(nodes: np.ndarray) -> np.ndarray:
-    """Matrix (m + 1, m): the same for the integral from 0 of the polynomial."""
+    """Matrix (m + 1, m): values at m nodes to Bernstein coefficients of the integral from 0."""
     m = len(nodes)
     power = power_from_values(nodes) / np.arange(1, m + 1)[:, None]
     return np.asarray(_bernstein_from_power(m + 1) @ np.vstack([np.zeros(m), power]))
@@ -65,7 +65,7 @@ def differentiation_matrix(nodes: np.ndarray) -> np.ndarray:
     """Matrix (m, m): slopes at the nodes of the polynomial through values at the nodes."""
     series = _legendre_from_values(nodes)
     slopes = legendre.legder(series, scl=2.0)
-    return np.asarray(legendre.legvander(_centred(nodes), len(slopes) - 1) @ slopes)
+    return np.asarray(legendre.legvander(_to_symmetric_interval(nodes), len(slopes) - 1) @ slopes)
 
 
 def integration_matrix(nodes: np.ndarray, ends: np.ndarray, times: int = 1) -> np.ndarray:
@@ -80,7 +80,9 @@ def integration_matrix(nodes: np.ndarray, ends: np.ndarray, times: int = 1) -> n
         How often to integrate; 2 turns an acceleration into a displacement.
     """
     integrals = legendre.legint(_legendre_from_values(nodes), m=times, lbnd=-1.0, scl=0.5)
-    return np.asarray(legendre.legvander(_centred(ends), len(nodes) - 1 + times) @ integrals)
+    return np.asarray(
+        legendre.legvander(_to_symmetric_interval(ends), len(nodes) - 1 + times) @ integrals
+    )
 
 
 def quadrature_weights(nodes: np.ndarray) -> np.ndarray:
@@ -90,20 +92,20 @@ def quadrature_weights(nodes: np.ndarray) -> np.ndarray:
 
 def interpolation_matrix(nodes: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Matrix (len(points), len(nodes)): the polynomial through node values at other points."""
-    values = legendre.legvander(_centred(points), len(nodes) - 1)
+    values = legendre.legvander(_to_symmetric_interval(points), len(nodes) - 1)
     return np.asarray(values @ _legendre_from_values(nodes))
 
 
-def _centred(points: np.ndarray) -> np.ndarray:
+def _to_symmetric_interval(points: np.ndarray) -> np.ndarray:
     return 2.0 * np.atleast_1d(np.asarray(points, dtype=float)) - 1.0
 
 
 def _legendre_from_values(nodes: np.ndarray) -> np.ndarray:
     # Well conditioned where the powers of the nodes are not.
-    return np.linalg.inv(legendre.legvander(_centred(nodes), len(nodes) - 1))
+    return np.linalg.inv(legendre.legvander(_to_symmetric_interval(nodes), len(nodes) - 1))
 
 
-def _polished(series: np.ndarray, roots: np.ndarray) -> np.ndarray:
+def _refine_roots(series: np.ndarray, roots: np.ndarray) -> np.ndarray:
     # Two Newton steps bring the companion-matrix roots to full precision.
     slope = legendre.legder(series)
     for _ in range(2):
@@ -111,6 +113,6 @@ def _polished(series: np.ndarray, roots: np.ndarray) -> np.ndarray:
     return roots
 
 
-def _frozen(array: np.ndarray) -> np.ndarray:
+def _make_read_only(array: np.ndarray) -> np.ndarray:
     array.setflags(write=False)  # cached arrays are shared
     return array

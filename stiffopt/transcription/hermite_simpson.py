@@ -15,27 +15,27 @@ import numpy as np
 from stiffopt.transcription import grid
 from stiffopt.transcription.scheme import Defect, Scheme, StagePoints, Symbols
 
-_NODES = grid.lobatto_nodes(3)
+_INTERVAL_NODES = grid.lobatto_nodes(3)
 
 
 class HermiteSimpson(Scheme):
     """Nodes and midpoints, in order of time."""
 
     name = "hermite_simpson"
-    state_nodes = _NODES
-    control_nodes = _NODES
+    state_nodes = _INTERVAL_NODES
+    control_nodes = _INTERVAL_NODES
     rate_nodes = np.array([0.0, 1.0])
 
     def defects(self, s: Symbols) -> Iterator[Defect]:
         """Equations at the midpoint and the end of each interval."""
-        x0, xm, x1 = _thirds(s.states)
-        a0, am, a1 = _thirds(s.controls)
+        x0, xm, x1 = _split_thirds(s.states)
+        a0, am, a1 = _split_thirds(s.controls)
         q, v, a = s.second_order
-        ends = _NODES[1:]
+        ends = _INTERVAL_NODES[1:]
         if q:
             h = s.step(len(q))
-            once = grid.integration_matrix(_NODES, ends)
-            twice = grid.integration_matrix(_NODES, ends, times=2)
+            once = grid.integration_matrix(_INTERVAL_NODES, ends)
+            twice = grid.integration_matrix(_INTERVAL_NODES, ends, times=2)
             nodes = (a0[a, :], am[a, :], a1[a, :])
             for local, target, w1, w2 in zip(ends, (xm, x1), once, twice, strict=True):
                 places = s.intervals.places(np.array([local]))
@@ -47,7 +47,7 @@ class HermiteSimpson(Scheme):
         first = s.first_order
         if first:
             h = s.step(len(first))
-            f0, fm, f1 = _thirds(s.rates(s.states, s.controls))
+            f0, fm, f1 = _split_thirds(s.rates(s.states, s.controls))
             y0, ym, y1 = x0[first, :], xm[first, :], x1[first, :]
             middle = ym - (y0 + y1) / 2.0 - h * (f0 - f1) / 8.0
             yield "dynamics", first, middle, s.intervals.places(np.array([0.5]))
@@ -58,7 +58,7 @@ class HermiteSimpson(Scheme):
         """Nodes and midpoints, whatever the rows ask for."""
         count = len(s.intervals)
         weights = np.zeros((2 * count + 1, count))
-        for j, w in enumerate(grid.quadrature_weights(_NODES)):
+        for j, w in enumerate(grid.quadrature_weights(_INTERVAL_NODES)):
             weights[2 * np.arange(count) + j, np.arange(count)] += w
         return StagePoints(
             states=s.states,
@@ -69,6 +69,5 @@ class HermiteSimpson(Scheme):
         )
 
 
-def _thirds(columns: ca.MX) -> tuple[ca.MX, ca.MX, ca.MX]:
-    """Start, middle and end columns of all intervals."""
+def _split_thirds(columns: ca.MX) -> tuple[ca.MX, ca.MX, ca.MX]:
     return columns[:, 0:-2:2], columns[:, 1::2], columns[:, 2::2]

@@ -10,7 +10,7 @@ import numpy as np
 
 from stiffopt.transcription.ocp import Rows
 
-# SX or MX, as CasADi takes them.
+# SX or MX of CasADi.
 Symbols = Any
 
 
@@ -35,9 +35,9 @@ class NlpEntry:
     Attributes
     ----------
     name : str
-        Of the block, for example "torque".
+        Name of the block, for example "torque".
     label : str
-        Within the block, for example "joint 2".
+        Label within the block, for example "joint 2".
     unit : str
     scale : float
         The NLP works with value / scale.
@@ -46,7 +46,7 @@ class NlpEntry:
     fraction : float
         Of the phase's duration; nan where the entry belongs to no point in time.
     given : bool
-        Whether its bounds are one value.
+        True where both bounds are equal.
     """
 
     name: str
@@ -104,9 +104,9 @@ class Block:
     lower, upper : array (m, k)
         Bounds in the entries' unit.
     offset : int
-        Where the block begins.
+        Index of its first entry.
     structural : bool
-        Equations that any motion obeys; never named as the cause of a conflict.
+        Equations of motion; never named as the cause of a conflict.
     """
 
     rows: Rows
@@ -133,7 +133,7 @@ class Block:
         return np.asarray(values)
 
     def entry(self, index: int) -> NlpEntry:
-        """Name of the entry at a position counted from the block's begin."""
+        """Name of the entry at a position counted from the block's start."""
         point, label = divmod(index, len(self.rows))
         return NlpEntry(
             name=self.rows.name,
@@ -175,6 +175,23 @@ class Blocks:
         self.size += block.size
         return block
 
+    def add_nodes(
+        self,
+        rows: Rows,
+        places: Places,
+        first: tuple[np.ndarray | None, np.ndarray | None],
+        last: tuple[np.ndarray | None, np.ndarray | None],
+    ) -> Block:
+        """Append values at nodes, with further bounds (lower, upper) of the first and the last."""
+        lower = np.repeat(rows.lower[:, None], len(places), axis=1)
+        upper = np.repeat(rows.upper[:, None], len(places), axis=1)
+        for column, (low, high) in ((0, first), (-1, last)):
+            if low is not None:
+                lower[:, column] = np.maximum(lower[:, column], low)
+            if high is not None:
+                upper[:, column] = np.minimum(upper[:, column], high)
+        return self.add(rows, places, lower, upper)
+
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:
         """Scaled lower and upper bounds of all entries."""
         lower = [b.lower.ravel(order="F") / b.scales for b in self.items]
@@ -205,12 +222,12 @@ class BlockScales:
 
     @classmethod
     def of(cls, nlp: Nlp) -> BlockScales:
-        """Those of a programme."""
+        """Collect the scales of a programme."""
         both = ([block.rows.scale for block in own.items] for own in (nlp.variables, nlp.rows))
         return cls(*map(tuple, both))
 
     def tobytes(self) -> bytes:
-        """All of them, to be compared."""
+        """Return all scales as bytes for comparison."""
         return b"".join(each.tobytes() for each in (*self.variables, *self.rows))
 
 
@@ -219,9 +236,8 @@ class Nlp:
     """minimise f(x, p) subject to lower_x <= x <= upper_x, lower_g <= g(x, p) <= upper_g.
 
     All vectors are scaled: value = scale * entry. `objective_scale` times f is the objective.
-    `derivatives` are functions that `casadi.nlpsol` takes in place of its own: grad_f, jac_g,
-    hess_lag. `numbers` are the values of the last parameters: what may differ between problems of
-    one graph.
+    `derivatives` replace those of `casadi.nlpsol`: grad_f, jac_g, hess_lag. `numbers` are values of
+    the last parameters, which may differ between problems of one graph.
     """
 
     x: Symbols
@@ -239,14 +255,14 @@ class Nlp:
     numbers: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
     def parameters(self, own: np.ndarray | None = None) -> np.ndarray:
-        """All parameters: the problem's own (zeros where left out), then the numbers."""
+        """Join the problem's own parameters (default zeros) and the numbers."""
         if own is None:
             own = np.zeros(self.p.numel() - len(self.numbers))
         return np.append(np.asarray(own, dtype=float), self.numbers)
 
     @property
     def casadi(self) -> dict[str, Symbols]:
-        """What `casadi.nlpsol` takes."""
+        """Problem for `casadi.nlpsol`."""
         return {"x": self.x, "p": self.p, "f": self.f, "g": self.g}
 
     def violations(self, g: np.ndarray) -> np.ndarray:
@@ -262,7 +278,7 @@ class Nlp:
 
     @property
     def structural(self) -> np.ndarray:
-        """Which rows are equations that any motion obeys (m,)."""
+        """Mask (m,) of the rows that are equations of motion."""
         each = [np.full(block.size, block.structural) for block in self.rows.items]
         return np.concatenate([np.zeros(0, dtype=bool), *each])
 
@@ -297,15 +313,15 @@ class Nlp:
     ) -> list[NlpEntry]:
         """Find the limits and boundary values that cannot hold together.
 
-        Where IPOPT ends at a point of locally least infeasibility, its multipliers weigh the
-        bounds that keep it there.
+        At a point of locally minimal infeasibility, multipliers weigh the bounds that prevent
+        feasibility.
 
         Parameters
         ----------
         multipliers_x, multipliers_g : array
-            Of an infeasible end.
+            Multipliers at the infeasible point.
         n : int
-            At most so many are named.
+            Largest number of entries.
 
         Returns
         -------

@@ -1,10 +1,10 @@
-"""A stage function with exact first and second derivatives.
+"""Stage function with exact first and second derivatives, by values or spline coefficients.
 
-Two devices make it fast:
+Two measures make it fast:
 
 - numbers become inputs: two stages that differ by a payload, a limit or a drivetrain's numbers are
   one function, so it is differentiated once;
-- derivatives go by the chain rule through an intermediate quantity (joint torques): with y = Y(w),
+- derivatives use the chain rule through an intermediate quantity (joint torques): with y = Y(w),
   the Hessian of L(w, y) is L_ww + L_wy Y' + (L_wy Y')^T + Y'^T L_yy Y' + sum mu_k Y_k'', mu = L_y.
   On a six-joint arm it halves the number of operations.
 """
@@ -13,16 +13,102 @@ from __future__ import annotations
 
 import hashlib
 from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
 
-from stiffopt.transcription.along_splines import AlongSplines
 
-# Numbers that shape a formula rather than fill it.
-_STRUCTURAL = (-2.0, -1.0, 0.0, 0.5, 1.0, 2.0)
+@dataclass(frozen=True)
+class SplineCoordinates:
+    """Map from local variables (spline coefficients, statics, duration) to a stage's variables w.
+
+    Parameters
+    ----------
+    chains : tuple of (position index, velocity index, .., control index)
+        Indices in w.
+    degree : int
+        Degree of the positions: degree + 1 splines are nonzero at a point.
+    statics : int
+        Number of static variables, the last of w.
+    free : bool
+        True where the duration of a point's phase is a variable, the last of all.
+
+    Notes
+    -----
+    States and controls at a point are sums of few nonzero splines. The chain rule through them is
+    part of the stage's derivatives: sparse matrix products of the whole programme took longer than
+    the stages. Local variables are the coefficients (chains run fastest), the static variables, the
+    duration. The basis (degree + 1, derivatives) holds the values of a point's splines, column by
+    column, as derivatives by the share of the phase's duration, or by time where it is fixed.
+    """
+
+    chains: tuple[tuple[int, ...], ...]
+    degree: int
+    statics: int
+    free: bool
+
+    @property
+    def orders(self) -> int:
+        """Number of derivatives, from the position to the control."""
+        return len(self.chains[0])
+
+    @property
+    def size(self) -> int:
+        """Number of local variables."""
+        return len(self.chains) * (self.degree + 1) + self.statics + self.free
+
+    def variables(self, local: ca.SX, basis: ca.SX) -> ca.SX:
+        """Express the stage's variables w (n,) by the local ones and the basis."""
+        n, splines = len(self.chains), self.degree + 1
+        moved = ca.mtimes(
+            ca.reshape(local[: n * splines], n, splines),
+            ca.reshape(basis, splines, self.orders),
+        )
+        lasting = local[self.size - 1] if self.free else ca.SX(1)
+        found = [ca.SX(0)] * (n * self.orders)
+        for j, chain in enumerate(self.chains):
+            for order, place in enumerate(chain):
+                found[place] = moved[j, order] / lasting**order
+        return ca.vertcat(*found, local[n * splines : n * splines + self.statics])
+
+    def stage_derivatives(self, functions: Sequence[ca.Function]) -> tuple[ca.Function, ...]:
+        """Return a stage and its derivatives by local variables.
+
+        Parameters
+        ----------
+        functions : sequence of casadi.Function
+            (w, p, numbers) -> values; -> Jacobian by w; (.., weights) -> Hessian by w.
+
+        Returns
+        -------
+        tuple of casadi.Function
+            (local, p, numbers, basis) -> values; -> Jacobian; (.., weights) -> upper half of the
+            Hessian.
+        """
+        values, jacobian, hessian = functions
+        local, basis = (
+            ca.SX.sym("local", self.size),
+            ca.SX.sym("basis", self.orders * (self.degree + 1)),
+        )
+        _, *same, weights = hessian.sx_in()
+        w = self.variables(local, basis)
+        slope, by_w = ca.jacobian(w, local), jacobian(w, *same)
+        pull = ca.SX.sym("pull", w.numel())
+        curved = ca.hessian(ca.dot(pull, w), local)[0]
+        (bent,) = ca.substitute([curved], [pull], [ca.densify(ca.mtimes(by_w.T, weights))])
+        bent += ca.mtimes([slope.T, hessian(w, *same, weights), slope])
+        given = [local, *same, basis]
+        return (
+            ca.Function(values.name(), given, [values(w, *same)]),
+            ca.Function(jacobian.name(), given, [ca.mtimes(by_w, slope)]),
+            ca.Function(hessian.name(), [*given, weights], [ca.triu(bent)]),
+        )
+
+
+# Numbers that belong to the structure of a formula, not inputs.
+_STRUCTURAL_NUMBERS = (-2.0, -1.0, 0.0, 0.5, 1.0, 2.0)
 
 
 @dataclass(frozen=True)
@@ -38,65 +124,65 @@ class NumberedStage:
         Values of the last input.
     formula : str
         Hash of the function.
-    along : AlongSplines, optional
-        Where w follows from coefficients of splines, by which derivatives are then.
+    along : SplineCoordinates, optional
+        Where spline coefficients are the variables: derivatives are by these.
     """
 
     function: ca.Function
     numbers: np.ndarray
     formula: str
-    along: AlongSplines | None = None
+    along: SplineCoordinates | None = None
 
     @property
     def derivatives(self) -> tuple[ca.Function, ...]:
-        """The stage, its Jacobian and its Hessian, of w or of the local variables."""
+        """Stage, Jacobian and Hessian, by w or by the local variables."""
         found = with_derivatives(self.function)
-        return found if self.along is None else self.along.of_stage(found)
+        return found if self.along is None else self.along.stage_derivatives(found)
 
 
-def numbered(stage: ca.Function, intermediate: ca.Function | None = None) -> NumberedStage:
-    """Take the numbers out of a stage function.
+def extract_numbers(stage: ca.Function, intermediate: ca.Function | None = None) -> NumberedStage:
+    """Turn the numbers of a stage function into inputs.
 
     Parameters
     ----------
     stage : casadi.Function
         (x, u, z, p) -> (integrands, path rows), of SX.
     intermediate : casadi.Function, optional
-        (x, u, z, p) -> (y,), of the same symbols: what most of the stage is computed through.
+        (x, u, z, p) -> (y,), of the same symbols: quantities through which most of it is computed.
     """
     *variables, parameters = symbols = stage.sx_in()
     through = [ca.SX(0, 1)] if intermediate is None else intermediate.call(symbols)
-    # The intermediate comes first, so that what follows is computed from it.
+    # The intermediate comes first: the other outputs are computed from it.
     outputs = [ca.densify(each) for each in (*through, ca.vertcat(*stage.call(symbols)))]
     inputs = [ca.vertcat(*variables), parameters]
     plain = ca.Function("stage", inputs, outputs)
-    read = _read(plain)
-    if read.formula not in _taken:
+    read = _read_formula(plain)
+    if read.formula not in _formula_cache:
         function, uses = _without_numbers(plain, inputs)
         formula = hashlib.sha256(function.serialize().encode()).hexdigest()
-        _taken[read.formula] = function, uses, formula
-    _taken.move_to_end(read.formula)
-    while len(_taken) > _KEPT:
-        _taken.popitem(last=False)
-    function, uses, formula = _taken[read.formula]
+        _formula_cache[read.formula] = function, uses, formula
+    _formula_cache.move_to_end(read.formula)
+    while len(_formula_cache) > _MAX_CACHED_FORMULAS:
+        _formula_cache.popitem(last=False)
+    function, uses, formula = _formula_cache[read.formula]
     return NumberedStage(function, np.array([read.constants[k] for k in uses]), formula)
 
 
 @dataclass(frozen=True)
-class _Read:
-    """A function operation by operation: the formula, and constants by their instruction."""
+class _Formula:
+    """Operations of a function without constants, and constants by their instruction."""
 
     formula: tuple[object, ...]
     constants: dict[int, float]
 
 
-# Formulas without their numbers, and which instructions hold these: those used last. Most problems
-# of a sweep have one.
-_taken: OrderedDict[tuple[object, ...], tuple[ca.Function, list[int], str]] = OrderedDict()
-_KEPT = 8
+# Most recently used formulas without numbers, with the instructions of these; most problems of a
+# sweep share one.
+_formula_cache: OrderedDict[tuple[object, ...], tuple[ca.Function, list[int], str]] = OrderedDict()
+_MAX_CACHED_FORMULAS = 8
 
 
-def _read(function: ca.Function) -> _Read:
+def _read_formula(function: ca.Function) -> _Formula:
     formula: list[object] = [function.size_in(k) for k in range(function.n_in())]
     formula += [function.size_out(k) for k in range(function.n_out())]
     constants: dict[int, float] = {}
@@ -105,31 +191,31 @@ def _read(function: ca.Function) -> _Read:
         formula.append((operation, *function.instruction_output(k)))
         if operation == ca.OP_CONST:
             constants[k] = value = function.instruction_constant(k)
-            formula.append(value if value in _STRUCTURAL else None)
+            formula.append(value if value in _STRUCTURAL_NUMBERS else None)
         else:
             formula.append(tuple(function.instruction_input(k)))
-    return _Read(tuple(formula), constants)
+    return _Formula(tuple(formula), constants)
 
 
 def _without_numbers(function: ca.Function, inputs: list[ca.SX]) -> tuple[ca.Function, list[int]]:
-    """The function with one more input for the numbers; which instruction holds each of them."""
+    """Return the function with a further input for its numbers, and their instructions."""
     uses: list[int] = []
     names: list[ca.SX] = []
 
     def number(value: float, instruction: int) -> ca.SX:
-        if value in _STRUCTURAL:
+        if value in _STRUCTURAL_NUMBERS:
             return ca.SX(value)
         uses.append(instruction)
         names.append(ca.SX.sym(f"n{len(names)}"))
         return names[-1]
 
-    replayed = _replayed(function, inputs, number=number)
+    replayed = _replay_operations(function, inputs, number=number)
     given = ca.vertcat(ca.SX(0, 1), *names)
     return ca.Function("stage", [*inputs, given], replayed), uses
 
 
 def with_derivatives(function: ca.Function) -> tuple[ca.Function, ca.Function, ca.Function]:
-    """The stage function, its Jacobian and its Hessian.
+    """Return the stage function, its Jacobian and its Hessian.
 
     Parameters
     ----------
@@ -146,7 +232,7 @@ def with_derivatives(function: ca.Function) -> tuple[ca.Function, ca.Function, c
     w = inputs[0]
     n = w.numel()
     y = ca.SX.sym("y", function.numel_out(0))
-    _, outer = _replayed(function, inputs, intermediate=y)
+    _, outer = _replay_operations(function, inputs, intermediate=y)
     inner, values = function.call(inputs)
     weights, pull = ca.SX.sym("weights", values.numel()), ca.SX.sym("pull", y.numel())
 
@@ -168,13 +254,13 @@ def with_derivatives(function: ca.Function) -> tuple[ca.Function, ca.Function, c
     )
 
 
-def _replayed(
+def _replay_operations(
     function: ca.Function,
     inputs: list[ca.SX],
     number: Callable[[float, int], ca.SX] = lambda value, _: ca.SX(value),
     intermediate: ca.SX | None = None,
 ) -> list[ca.SX]:
-    """Outputs of a function, computed again operation by operation.
+    """Compute the outputs of a function again, operation by operation.
 
     Parameters
     ----------
@@ -182,10 +268,10 @@ def _replayed(
         Of SX, with dense outputs.
     inputs : list of SX
     number : callable
-        What stands for a number, by its value and instruction, asked for at each of its uses:
-        whether two numbers happen to be equal is no part of a formula.
+        (value, instruction) -> symbol of a number, called at each of its uses: equal numbers stay
+        separate inputs, since their equality is no part of the formula.
     intermediate : SX, optional
-        Stands for the first output in all that is computed from it.
+        Replaces the first output in everything computed from it.
     """
     work: dict[int, ca.SX | tuple[float, int]] = {}
 

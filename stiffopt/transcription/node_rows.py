@@ -1,8 +1,8 @@
-"""Rows at some nodes of a transcribed problem, added to it: numbers of their own at each node.
+"""Rows added at single nodes of a transcribed problem, with numbers of their own at each node.
 
-Path rows are the same at every point and part of the stage. These are few, differ from node to
-node and change between solves: their numbers are parameters of the programme, so that a solver that
-was set up for them takes new ones at once.
+Path rows are the same at every point and part of the stage. Node rows are few, differ from node to
+node and change between solves: their numbers are parameters of the programme, so a solver that was
+set up for them is used again with new ones.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class NodeRows:
     function : casadi.Function
         (states (m,), numbers (d,)) -> scalar, of SX: some of the states at the node.
     states : sequence of int (m,)
-        Which ones; positions where motions are splines.
+        Their indices; positions only where motions are splines.
     columns : array (k,) of int
         Nodes, counted from the first.
     numbers : array (k, d)
@@ -46,7 +46,7 @@ class NodeRows:
 
 
 def with_node_rows(first: Transcription, blocks: Sequence[NodeRows]) -> Transcription:
-    """The transcription with further rows, the last of its programme.
+    """Return the transcription with node rows appended to its programme.
 
     Parameters
     ----------
@@ -55,14 +55,14 @@ def with_node_rows(first: Transcription, blocks: Sequence[NodeRows]) -> Transcri
     """
     nlp = first.nlp
     own = nlp.p.numel()
-    data = _numbers(blocks)
+    data = _join_numbers(blocks)
     x, p = ca.MX.sym("x", len(nlp.lower_x)), ca.MX.sym("p", own + len(data))
     before = p[:own]
     parts, begin = [], own
     for block in blocks:
         end = begin + block.numbers.size
         given = ca.reshape(p[begin:end], block.numbers.shape[1], block.numbers.shape[0])
-        parts.append(_Mapped(first, block, x, given))
+        parts.append(_MappedRows(first, block, x, given))
         begin = end
     f, g = ca.Function("base", [nlp.x, nlp.p], [nlp.f, nlp.g]).call([x, before], True, False)
     values = ca.vertcat(g, *(part.values for part in parts))
@@ -82,7 +82,7 @@ def with_node_rows(first: Transcription, blocks: Sequence[NodeRows]) -> Transcri
         p=p,
         f=f,
         g=values,
-        rows=_rows(first, blocks),
+        rows=_append_row_names(first, blocks),
         derivatives={
             "grad_f": ca.Function("nlp_grad_f", [x, p], list(base["grad_f"](x, before))),
             "jac_g": ca.Function("nlp_jac_g", [x, p], [values, slope]),
@@ -90,18 +90,18 @@ def with_node_rows(first: Transcription, blocks: Sequence[NodeRows]) -> Transcri
         },
     )
     outputs = ca.Function("outputs", [x, p], list(first.outputs(x, before)))
-    return renumbered(replace(first, nlp=made, outputs=outputs), first, blocks)
+    return renumber_node_rows(replace(first, nlp=made, outputs=outputs), first, blocks)
 
 
-def renumbered(
+def renumber_node_rows(
     made: Transcription, first: Transcription, blocks: Sequence[NodeRows]
 ) -> Transcription:
-    """The same rows with other numbers, and others of them kept.
+    """Return the programme with other numbers of the node rows, and others of them active.
 
     Parameters
     ----------
     made : Transcription
-        Of `with_node_rows`.
+        Result of `with_node_rows`.
     first : Transcription
         Without the rows.
     blocks : sequence of NodeRows
@@ -120,19 +120,19 @@ def renumbered(
     )
     nlp = replace(
         made.nlp,
-        numbers=np.append(first.nlp.numbers, _numbers(blocks)),
+        numbers=np.append(first.nlp.numbers, _join_numbers(blocks)),
         lower_g=np.append(first.nlp.lower_g, np.where(kept, lower, -np.inf)),
         upper_g=np.append(first.nlp.upper_g, np.where(kept, upper, np.inf)),
     )
     return replace(made, nlp=nlp)
 
 
-class _Mapped:
+class _MappedRows:
     """One block with its derivatives by all variables."""
 
     def __init__(self, first: Transcription, block: NodeRows, x: ca.MX, given: ca.MX) -> None:
         self.count = len(block.columns)
-        self._inner = _selection(first, block)
+        self._inner = _selection_matrix(first, block)
         self._given = given
         states, numbers = block.function.sx_in()
         row = block.function(states, numbers) / float(block.rows.scale[0])
@@ -153,12 +153,11 @@ class _Mapped:
         )
 
     def hessian(self, weights: ca.MX) -> ca.MX:
-        """Second derivatives of the weighted sum."""
         found = self._bent(self._states, self._given, weights.T)
         return ca.mtimes([self._inner.T, ca.sparsity_cast(found, self._pattern), self._inner])
 
 
-def _selection(first: Transcription, block: NodeRows) -> ca.DM:
+def _selection_matrix(first: Transcription, block: NodeRows) -> ca.DM:
     """Matrix from the scaled variables to the states of every node."""
     if first.splines is not None:
         places = first.scheme.state_places(first.intervals)[block.columns]
@@ -176,8 +175,7 @@ def _selection(first: Transcription, block: NodeRows) -> ca.DM:
     )
 
 
-def _rows(first: Transcription, blocks: Sequence[NodeRows]) -> Blocks:
-    """Names of all rows."""
+def _append_row_names(first: Transcription, blocks: Sequence[NodeRows]) -> Blocks:
     found = Blocks(list(first.nlp.rows.items), first.nlp.rows.size)
     places = first.scheme.state_places(first.intervals)
     for block in blocks:
@@ -185,5 +183,5 @@ def _rows(first: Transcription, blocks: Sequence[NodeRows]) -> Blocks:
     return found
 
 
-def _numbers(blocks: Sequence[NodeRows]) -> np.ndarray:
+def _join_numbers(blocks: Sequence[NodeRows]) -> np.ndarray:
     return np.concatenate([np.zeros(0), *(block.numbers.ravel() for block in blocks)])

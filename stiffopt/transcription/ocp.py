@@ -1,7 +1,7 @@
 """The general optimal-control problem that a transcription turns into an NLP.
 
 Nothing here knows robots: states x, controls u, static variables z (epigraph bounds and the like),
-parameters p (what varies between solves without rebuilding), time scaled by free or fixed phase
+parameters p (that vary between solves without rebuilding), time scaled by free or fixed phase
 durations.
 
     minimise    objective(I, T, z, x0, xf, p)          I = integral of the stage's integrands
@@ -15,16 +15,16 @@ static variable and an integral row instead.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import casadi as ca
 import numpy as np
 
-from stiffopt.transcription.node_derivatives import NumberedStage, numbered
+from stiffopt.transcription.node_derivatives import NumberedStage, extract_numbers
 
 
-def _full(value: object, size: int) -> np.ndarray:
+def _broadcast_vector(value: object, size: int) -> np.ndarray:
     return np.broadcast_to(np.asarray(value, dtype=float), (size,)).copy()
 
 
@@ -35,7 +35,7 @@ class Rows:
     Parameters
     ----------
     name : str
-        What is limited, for example "torque".
+        Limited quantity, for example "torque".
     labels : sequence of str
         One a row, for example "joint 2".
     lower, upper : array_like (m,)
@@ -67,20 +67,35 @@ class Rows:
         unit: str = "",
         midpoints: bool = False,
     ) -> Rows:
-        """Rows with scalars broadcast to the number of labels."""
+        """Make rows, with scalars broadcast to the number of labels."""
         m = len(labels)
         return cls(
             name=name,
             labels=tuple(labels),
-            lower=_full(lower, m),
-            upper=_full(upper, m),
-            scale=_full(scale, m),
+            lower=_broadcast_vector(lower, m),
+            upper=_broadcast_vector(upper, m),
+            scale=_broadcast_vector(scale, m),
             unit=unit,
             midpoints=midpoints,
         )
 
     def __len__(self) -> int:
         return len(self.labels)
+
+    @property
+    def bounded(self) -> np.ndarray:
+        """Mask (m,) of the rows with a finite bound."""
+        return np.asarray(np.isfinite(self.lower) | np.isfinite(self.upper))
+
+    def select(self, index: np.ndarray) -> Rows:
+        """Return some of the rows, by their indices."""
+        return replace(
+            self,
+            labels=tuple(self.labels[i] for i in index),
+            lower=self.lower[index],
+            upper=self.upper[index],
+            scale=self.scale[index],
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -179,22 +194,28 @@ class OptimalControlProblem:
     @property
     def scales_of_states(self) -> np.ndarray:
         """Typical magnitude of each state; ones unless given."""
-        return _full(1.0 if self.state_scale is None else self.state_scale, len(self.states))
+        return _broadcast_vector(
+            1.0 if self.state_scale is None else self.state_scale, len(self.states)
+        )
 
     @property
     def scales_of_controls(self) -> np.ndarray:
         """Typical magnitude of each control; ones unless given."""
-        return _full(1.0 if self.control_scale is None else self.control_scale, len(self.controls))
+        return _broadcast_vector(
+            1.0 if self.control_scale is None else self.control_scale, len(self.controls)
+        )
 
     @property
     def scales_of_statics(self) -> np.ndarray:
         """Typical magnitude of each static variable; ones unless given."""
-        return _full(1.0 if self.static_scale is None else self.static_scale, len(self.statics))
+        return _broadcast_vector(
+            1.0 if self.static_scale is None else self.static_scale, len(self.statics)
+        )
 
     @cached_property
     def numbered_stage(self) -> NumberedStage:
         """The stage with its numbers as inputs: the same on every mesh."""
-        return numbered(self.stage, self.intermediate)
+        return extract_numbers(self.stage, self.intermediate)
 
     @property
     def phases(self) -> int:
@@ -203,13 +224,13 @@ class OptimalControlProblem:
 
     @property
     def fixed_duration(self) -> bool:
-        """Whether the duration is given."""
+        """True where the duration is given."""
         return self.duration[0] == self.duration[1]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Guess:
-    """Where to start: callables of the scaled time s in [0, 1] over the whole motion.
+    """Initial guess: callables of the scaled time s in [0, 1] over the whole motion.
 
     Parameters
     ----------

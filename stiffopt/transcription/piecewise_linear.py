@@ -1,4 +1,4 @@
-"""Piecewise-linear control: second-order states become cubic splines, integrated exactly.
+"""Piecewise-linear control: chains of integrators become splines, integrated exactly.
 
 States that the dynamics integrate follow the trapezoidal rule, so they and the optimum converge
 with order 2; for second-order states the equations hold exactly and only the shape of the control
@@ -12,7 +12,10 @@ from collections.abc import Iterator
 import casadi as ca
 import numpy as np
 
+from stiffopt.transcription.chain_splines import ChainSplines
+from stiffopt.transcription.mesh import Mesh
 from stiffopt.transcription.nlp import Places
+from stiffopt.transcription.ocp import OptimalControlProblem, Rows
 from stiffopt.transcription.scheme import Defect, Scheme, StagePoints, Symbols
 
 
@@ -34,7 +37,7 @@ class PiecewiseLinear(Scheme):
         """Exact double integration, and the trapezoidal rule for the rest."""
         places = s.intervals.places(np.array([0.5]))
         q, v, a = s.second_order
-        x0, x1, u0, u1 = _ends(s)
+        x0, x1, u0, u1 = _interval_ends(s)
         if q:
             h = s.step(len(q))
             v0, a0, a1 = x0[v, :], u0[a, :], u1[a, :]
@@ -76,7 +79,7 @@ class PiecewiseLinear(Scheme):
         """States and controls in the middles of the intervals."""
         q, v, a = s.second_order
         first = s.first_order
-        x0, x1, u0, u1 = _ends(s)
+        x0, x1, u0, u1 = _interval_ends(s)
         parts, order = [], []
         if q:
             h = s.step(len(q))
@@ -94,5 +97,33 @@ class PiecewiseLinear(Scheme):
         return ca.vertcat(*parts)[np.argsort(order).tolist(), :], (u0 + u1) / 2.0
 
 
-def _ends(s: Symbols) -> tuple[ca.MX, ca.MX, ca.MX, ca.MX]:
+def _interval_ends(s: Symbols) -> tuple[ca.MX, ca.MX, ca.MX, ca.MX]:
     return s.states[:, :-1], s.states[:, 1:], s.controls[:, :-1], s.controls[:, 1:]
+
+
+class IntegratorChain(PiecewiseLinear):
+    """Chains of more than two integrators behind a piecewise-linear, continuous control.
+
+    Variables are the coefficients of splines (`ChainSplines`), so no equation couples the nodes of
+    a phase. Such motions deviate so little between nodes that bounds of states need no rows within
+    the intervals.
+    """
+
+    def splines(self, ocp: OptimalControlProblem, mesh: Mesh) -> ChainSplines:
+        """Return the splines whose coefficients are the variables."""
+        return ChainSplines(mesh, ocp.chains)
+
+    def defects(self, s: Symbols) -> Iterator[Defect]:
+        """Yield nothing: splines obey the dynamics."""
+        return iter(())
+
+    def middle(self, s: Symbols) -> tuple[ca.MX, ca.MX]:
+        """States and controls in the middles of the intervals."""
+        assert s.spline_values is not None
+        values = s.spline_values(s.intervals.places(np.array([0.5])))
+        states = len(s.ocp.states)
+        return values[:states, :], values[states:, :]
+
+    def extra_rows(self, s: Symbols) -> Iterator[tuple[Rows, ca.MX, Places]]:
+        """Yield nothing: see the class."""
+        return iter(())

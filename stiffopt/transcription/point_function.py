@@ -1,15 +1,71 @@
-"""A function of single points at many of them."""
+"""Functions of a point at all points of a mesh, and NLP derivatives composed from a stage's own.
+
+Evaluated by the interpreter of batched instructions; without the compiled core by CasADi, one point
+a call. With the stage's variables w(x) and values v = V(w), the programme is f(x, v), g(x, v), in
+which all but V is cheap. By the chain rule, S = V' w' and the Lagrangian L(x, v) = sigma f +
+lambda^T g,
+
+    g' = g_x + g_v S,    L'' = L_xx + L_xv S + (L_xv S)^T + S^T L_vv S + sum (V'^T L_v)_k w_k''
+                               + w'^T (sum (L_v)_i V_i'') w'.
+
+CasADi's own colouring of the same graph takes several times as long.
+"""
 
 from __future__ import annotations
 
+import hashlib
+from collections import OrderedDict
 from collections.abc import Callable
+from pathlib import Path
 
 import casadi as ca
 import numpy as np
 
+from stiffopt import native
+from stiffopt.interpreter.batched import batched
 from stiffopt.symbolic import BufferedFunction
-from stiffopt.transcription.evaluated import point_function
-from stiffopt.transcription.node_derivatives import numbered
+from stiffopt.transcription.node_derivatives import NumberedStage, extract_numbers
+
+# Inputs of a numbered stage that are common to all points: parameters and numbers.
+_SHARED_INPUTS = (1, 2)
+# Functions kept for another mesh or the next problem of the same formula.
+MAX_KEPT = 16
+
+_kept_functions: OrderedDict[tuple[str, Path | None], tuple[ca.Function, ...]] = OrderedDict()
+
+
+def stage_functions(stage: NumberedStage) -> tuple[ca.Function, ...]:
+    """Return a stage's values, Jacobian and Hessian, of one point or several side by side."""
+    return _prepare_once(stage.formula, lambda: stage.derivatives)
+
+
+def batched_function(function: ca.Function) -> ca.Function:
+    """Return a function (w, p, numbers) -> values, of one point or several side by side."""
+    formula = hashlib.sha256(function.serialize().encode()).hexdigest()
+    return _prepare_once(formula, lambda: (function,))[0]
+
+
+def _prepare_once(
+    formula: str, functions: Callable[[], tuple[ca.Function, ...]]
+) -> tuple[ca.Function, ...]:
+    path = native.library()
+    key = (formula, path)
+    if key not in _kept_functions:
+        found = functions()
+        if path is not None:
+            # Values and Jacobian are evaluated repeatedly at one iterate.
+            several = [
+                batched(path, each, _SHARED_INPUTS, recalled=len(found) > 1 and k < 2)
+                for k, each in enumerate(found)
+            ]
+            # All functions of one stage must have the same number of points.
+            if None not in several:
+                found = tuple(each for each in several if each is not None)
+        _kept_functions[key] = found
+    _kept_functions.move_to_end(key)
+    while len(_kept_functions) > MAX_KEPT:
+        _kept_functions.popitem(last=False)
+    return _kept_functions[key]
 
 
 class PointFunction:
@@ -20,9 +76,8 @@ class PointFunction:
     function : casadi.Function
         (x, u, z, p) -> (m,), of SX.
     extended : callable, optional
-        What is wanted in place of the values, and of which variables: of the variables and values,
-        with numbers of the function as symbols. Numbers of a short function are taken out sooner
-        than those of its derivatives.
+        (variables, values) -> (variables, values) to be evaluated in their place, as derivatives:
+        numbers are extracted from the short function, before it is extended.
     """
 
     def __init__(
@@ -30,13 +85,13 @@ class PointFunction:
         function: ca.Function,
         extended: Callable[[ca.SX, ca.SX], tuple[ca.SX, ca.SX]] | None = None,
     ) -> None:
-        own = numbered(function)
+        own = extract_numbers(function)
         variables, *same = own.function.sx_in()
         values = own.function.call([variables, *same])[1]
         if extended is not None:
             variables, values = extended(variables, values)
         found = ca.Function("values", [variables, *same], [ca.densify(values)])
-        self._function, self._numbers = point_function(found), own.numbers
+        self._function, self._numbers = batched_function(found), own.numbers
 
     def __call__(self, variables: np.ndarray, parameters: np.ndarray) -> np.ndarray:
         """Values (m, k).
@@ -56,3 +111,155 @@ class PointFunction:
         same = (np.tile(each, calls) for each in (parameters, self._numbers))
         (values,) = BufferedFunction(function.map(calls))(filled.ravel(), *same)
         return np.asarray(values.reshape(len(filled), -1)[:count].T)
+
+
+class StageFunction:
+    """Stage of a problem at `count` points, with exact derivatives.
+
+    Parameters
+    ----------
+    stage : NumberedStage
+    count : int
+    parameters : int
+        Number of the programme's parameters that the stage has; its numbers are the last.
+    basis : MX (k, count), optional
+        Basis of the splines at every point, where their coefficients are the variables.
+
+    Notes
+    -----
+    The variables of all points are one matrix (n, count), so are the values (m, count); as vectors
+    their columns follow one another. `parameters` of the methods are all of the programme's.
+    """
+
+    def __init__(
+        self, stage: NumberedStage, count: int, parameters: int, basis: ca.MX | None = None
+    ) -> None:
+        functions = stage_functions(stage)
+        # Batched functions evaluate several points in a call.
+        self._lanes = int(functions[0].size2_in(0))
+        self._calls = -(-count // self._lanes)
+        self._values, self._jacobian, self._hessian = (each.map(self._calls) for each in functions)
+        self._own, self._numbers = parameters, len(stage.numbers)
+        self._count = count
+        self._basis = () if basis is None else (self._pad_columns(basis),)
+        self.size = int(functions[0].size1_out(0))
+        self._jacobian_pattern = self._block_diagonal(functions[1])
+        self._hessian_pattern = self._block_diagonal(functions[2])
+
+    def values(self, variables: ca.MX, parameters: ca.MX) -> ca.MX:
+        """Integrands and path rows (m, count)."""
+        return self._values(*self._stage_arguments(variables, parameters))[:, : self._count]
+
+    def jacobian(self, variables: ca.MX, parameters: ca.MX) -> ca.MX:
+        """Jacobian of all values by all variables (m count, n count), block-diagonal."""
+        found = self._jacobian(*self._stage_arguments(variables, parameters))
+        return self._along_diagonal(found, variables.size1(), self._jacobian_pattern)
+
+    def hessian(self, variables: ca.MX, parameters: ca.MX, weights: ca.MX) -> ca.MX:
+        """Second derivatives of the values' weighted sum (n count, n count), block-diagonal.
+
+        Only the upper half where spline coefficients are the variables.
+
+        Parameters
+        ----------
+        variables, parameters : MX (n, count), (np,)
+        weights : MX (m, count)
+        """
+        found = self._hessian(
+            *self._stage_arguments(variables, parameters), self._pad_columns(weights)
+        )
+        return self._along_diagonal(found, variables.size1(), self._hessian_pattern)
+
+    def _stage_arguments(self, variables: ca.MX, parameters: ca.MX) -> tuple[ca.MX, ...]:
+        own, numbers = parameters[: self._own], parameters[parameters.numel() - self._numbers :]
+        same = (ca.repmat(each, 1, self._calls) for each in (own, numbers))
+        return self._pad_columns(variables), *same, *self._basis
+
+    def _pad_columns(self, columns: ca.MX) -> ca.MX:
+        """Repeat the last column up to a whole number of batches."""
+        missing = self._calls * self._lanes - self._count
+        return ca.horzcat(columns, ca.repmat(columns[:, -1], 1, missing)) if missing else columns
+
+    def _along_diagonal(self, found: ca.MX, width: int, pattern: ca.Sparsity) -> ca.MX:
+        """Arrange blocks that lie side by side as one block-diagonal matrix."""
+        return ca.sparsity_cast(found[:, : width * self._count], pattern)
+
+    def _block_diagonal(self, function: ca.Function) -> ca.Sparsity:
+        # Its nonzeros are in the order of the blocks side by side.
+        block = ca.horzsplit(function.sparsity_out(0), function.size2_out(0) // self._lanes)[0]
+        return ca.diagcat(*[block] * self._count)
+
+
+def compose_derivatives(
+    stage: StageFunction,
+    symbols: tuple[ca.MX, ca.MX, ca.MX],
+    variables: ca.MX,
+    objective: ca.MX,
+    rows: ca.MX,
+    slope: ca.MX | None = None,
+) -> tuple[ca.MX, ca.MX, dict[str, ca.Function]]:
+    """Compose objective and rows as expressions of x, and derivatives for `casadi.nlpsol`.
+
+    Parameters
+    ----------
+    stage : StageFunction
+    symbols : MX
+        x, parameters p, and v (m, count), the placeholder of the stage's values.
+    variables : MX (n, count)
+        w(x).
+    objective, rows : MX
+        f(x, v), g(x, v).
+    slope : MX, optional
+        w'(x), where its sparsity is known better than by CasADi.
+    """
+    x, p, v = symbols
+    true = stage.values(variables, p)
+    f, g = ca.Function("outer", [x, p, v], [objective, rows]).call([x, p, true], True, False)
+
+    sigma, multipliers = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", rows.numel())
+    pull = ca.MX.sym("pull", variables.numel())
+    lagrangian = sigma * objective + ca.dot(multipliers, rows)
+    flat = ca.vec(v)
+    weights = ca.gradient(lagrangian, flat)
+    seen = lagrangian + ca.dot(pull, ca.vec(variables))
+    # CasADi differentiates only these small graphs.
+    parts = ca.Function(
+        "parts",
+        [x, p, v, sigma, multipliers, pull],
+        [
+            ca.gradient(objective, x),
+            ca.jacobian(objective, flat),
+            ca.jacobian(rows, x),
+            ca.jacobian(rows, flat),
+            ca.hessian(seen, x)[0],
+            ca.jacobian(ca.gradient(lagrangian, x), flat),
+            ca.hessian(lagrangian, flat)[0],
+            weights,
+        ],
+    )
+    inner = ca.jacobian(ca.vec(variables), x) if slope is None else slope
+    jacobian = stage.jacobian(variables, p)
+    along = ca.mtimes(jacobian, inner)
+
+    def at(pulled: ca.MX) -> list[ca.MX]:
+        return parts.call([x, p, true, sigma, multipliers, pulled], True, False)
+
+    f_x, f_v, g_x, g_v, *_, weights = at(ca.MX.zeros(pull.shape))
+    pulled = ca.mtimes(jacobian.T, weights)
+    *_, l_xx, l_xv, l_vv, _ = at(pulled)
+    cross = ca.mtimes(l_xv, along)
+    bent = stage.hessian(variables, p, ca.reshape(weights, *v.shape))
+    hessian = l_xx + cross + cross.T
+    hessian += ca.mtimes([along.T, l_vv, along]) + ca.mtimes([inner.T, bent, inner])
+    # Two products with a vector, not one of two matrices.
+    gradient = f_x + ca.mtimes(ca.mtimes(f_v, jacobian), inner).T
+    return (
+        f,
+        g,
+        {
+            # CasADi reads a sparse gradient as if it were dense.
+            "grad_f": ca.Function("nlp_grad_f", [x, p], [f, ca.densify(gradient)]),
+            "jac_g": ca.Function("nlp_jac_g", [x, p], [g, g_x + ca.mtimes(g_v, along)]),
+            "hess_lag": ca.Function("nlp_hess_l", [x, p, sigma, multipliers], [ca.triu(hessian)]),
+        },
+    )

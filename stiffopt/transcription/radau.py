@@ -1,7 +1,7 @@
 """Legendre-Gauss-Radau collocation (flipped: the points include each interval's end).
 
 States are polynomials of the given degree through the interval's start and its points; controls
-live at the points only. So no control stands at t = 0: bounds on the initial control hold for the
+are defined at the points only. There is none at t = 0: bounds on the initial control hold for the
 polynomial through the first interval's points, which is also the exported acceleration there.
 Second-order states integrate that polynomial exactly. Integrals use the Radau weights, path rows
 hold at the points.
@@ -52,12 +52,12 @@ class Radau(Scheme):
             places = s.intervals.places(np.array([local]))
             if q:
                 h = s.step(len(q))
-                slope = _combined(slopes[i], x, v)
+                slope = _weighted_sum(slopes[i], x, v)
                 yield "velocity step", v, slope - h * u[i][a, :], places
-                moved = float(local) * h * x[0][v, :] + h * h * _combined(twice[i], u, a)
+                moved = float(local) * h * x[0][v, :] + h * h * _weighted_sum(twice[i], u, a)
                 yield "position step", q, x[i + 1][q, :] - x[0][q, :] - moved, places
             if first:
-                slope = _combined(slopes[i], x, first)
+                slope = _weighted_sum(slopes[i], x, first)
                 yield "dynamics", first, slope - s.step(len(first)) * rates[:, i::d], places
 
     def stage_points(self, s: Symbols, midpoints: bool) -> StagePoints:
@@ -90,11 +90,11 @@ class Radau(Scheme):
         d = self.degree
         start = grid.interpolation_matrix(self.control_nodes, np.array([0.0]))[0]
         u = [s.controls[:, j::d] for j in range(d)]
-        values = _combined(start, u, list(range(s.controls.shape[0])))
+        values = _weighted_sum(start, u, list(range(s.controls.shape[0])))
         return values[:, 1:] - u[-1][:, :-1]
 
 
-def _combined(weights: np.ndarray, parts: list[ca.MX], rows: list[int]) -> ca.MX:
+def _weighted_sum(weights: np.ndarray, parts: list[ca.MX], rows: list[int]) -> ca.MX:
     total = ca.MX(len(rows), parts[0].shape[1])
     for weight, part in zip(weights, parts, strict=True):
         total += float(weight) * part[rows, :]

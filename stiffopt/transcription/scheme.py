@@ -1,4 +1,4 @@
-"""What every transcription scheme has in common: intervals, nodes in them, and their rows."""
+"""Base of the transcription schemes: intervals, their nodes and rows."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from stiffopt.transcription.ocp import OptimalControlProblem, Rows
 
 @dataclass(frozen=True)
 class Intervals:
-    """All intervals of a mesh in order of time.
+    """Intervals of a mesh in order of time.
 
     Attributes
     ----------
@@ -60,16 +60,16 @@ class Intervals:
 
 @dataclass(frozen=True, kw_only=True)
 class StagePoints:
-    """Where the stage is evaluated.
+    """Points at which the stage is evaluated.
 
     Attributes
     ----------
     states, controls : MX (nx, P), (nu, P)
     weights : array (P, K)
-        Times the interval durations: quadrature weights of the points.
+        Quadrature weights of the points, as factors of the interval durations.
     places : Places (P,)
     main : array (P,) of bool
-        False for points that only rows with `midpoints` look at.
+        False for points that only rows with `midpoints` use.
     """
 
     states: ca.MX
@@ -89,8 +89,8 @@ class Symbols:
     durations : MX (phases,)
         [s]
     parameters : MX (np, 1)
-    moves : callable, optional
-        States above controls (nx + nu, P) at places, where coefficients of splines are variables.
+    spline_values : callable, optional
+        Places -> states and controls (nx + nu, P), where spline coefficients are variables.
     """
 
     ocp: OptimalControlProblem
@@ -99,7 +99,7 @@ class Symbols:
     controls: ca.MX
     durations: ca.MX
     parameters: ca.MX
-    moves: Callable[[Places], ca.MX] | None = None
+    spline_values: Callable[[Places], ca.MX] | None = None
 
     @cached_property
     def first_order(self) -> list[int]:
@@ -165,34 +165,34 @@ class Scheme(abc.ABC):
 
     @property
     def continuous_control(self) -> bool:
-        """Whether intervals share the control at their border."""
+        """True where intervals share the control at their border."""
         return bool(self.control_nodes[0] == 0.0)
 
     def state_columns(self, count: int) -> np.ndarray:
         """Columns of the states that belong to each of `count` intervals (count, nodes)."""
-        return _columns(count, len(self.state_nodes), shared=True)
+        return _interval_columns(count, len(self.state_nodes), shared=True)
 
     def control_columns(self, count: int) -> np.ndarray:
         """Columns of the controls that belong to each of `count` intervals (count, nodes)."""
-        return _columns(count, len(self.control_nodes), shared=self.continuous_control)
+        return _interval_columns(count, len(self.control_nodes), shared=self.continuous_control)
 
     def state_places(self, intervals: Intervals) -> Places:
         """Places of all state columns."""
-        return _places(intervals, self.state_nodes)
+        return _node_places(intervals, self.state_nodes)
 
     def control_places(self, intervals: Intervals) -> Places:
         """Places of all control columns."""
-        return _places(intervals, self.control_nodes)
+        return _node_places(intervals, self.control_nodes)
 
     def splines(self, ocp: OptimalControlProblem, mesh: Mesh) -> ChainSplines | None:
-        """The splines whose coefficients are the variables; None where states are."""
+        """Return the splines whose coefficients are the variables; None where states are."""
         return None
 
     def motion_splines(self, ocp: OptimalControlProblem, mesh: Mesh) -> ChainSplines | None:
-        """The splines that all motions are which obey the equations between the states.
+        """Return the splines that represent every motion that obeys the equations.
 
-        None where there are others, as where dynamics integrate a state or controls jump, and where
-        the coefficients are the variables anyway.
+        None where splines do not represent all, as with first-order states or control jumps, and
+        where their coefficients are the variables already.
         """
         if not ocp.chains or self.splines(ocp, mesh) is not None:
             return None
@@ -222,23 +222,23 @@ class Scheme(abc.ABC):
         degree = len(nodes)
         first = self.state_columns(len(s.intervals))[:, 0].tolist()
         bounds = (ocp.state_lower[v], ocp.state_upper[v])
-        kept, rows = _bounded("velocity", ocp.states, ocp.scales_of_states, v, bounds)
+        kept, rows = _bounded_rows("velocity", ocp.states, ocp.scales_of_states, v, bounds)
         if rows is not None:
             v, own = [v[i] for i in kept], [a[i] for i in kept]
             for j, weights in enumerate(grid.bernstein_of_integral(nodes)[1:-1], start=1):
-                change = s.step(len(v)) * self._combined(s, weights, own)
+                change = s.step(len(v)) * self._weighted_controls(s, weights, own)
                 yield rows, s.states[v, first] + change, places(np.array([j / degree]))
         bounds = (ocp.control_lower[a], ocp.control_upper[a])
-        kept, rows = _bounded("acceleration", ocp.controls, ocp.scales_of_controls, a, bounds)
+        kept, rows = _bounded_rows("acceleration", ocp.controls, ocp.scales_of_controls, a, bounds)
         if rows is not None:
             own = [a[i] for i in kept]
             for j, weights in enumerate(grid.bernstein_from_values(nodes)):
                 local = j / max(degree - 1, 1)
                 # At an end that is a node the coefficient is the node's value: bounded already.
                 if local not in (0.0, 1.0) or local not in nodes:
-                    yield rows, self._combined(s, weights, own), places(np.array([local]))
+                    yield rows, self._weighted_controls(s, weights, own), places(np.array([local]))
 
-    def _combined(self, s: Symbols, weights: np.ndarray, controls: list[int]) -> ca.MX:
+    def _weighted_controls(self, s: Symbols, weights: np.ndarray, controls: list[int]) -> ca.MX:
         """Weighted sum of the controls at the nodes of every interval (len(controls), K)."""
         columns = self.control_columns(len(s.intervals))
         total = ca.MX(len(controls), len(columns))
@@ -263,14 +263,14 @@ class Scheme(abc.ABC):
         return total / s.step(s.controls.shape[0])
 
 
-def _bounded(
+def _bounded_rows(
     name: str,
     labels: tuple[str, ...],
     scales: np.ndarray,
     indices: list[int],
     bounds: tuple[np.ndarray, np.ndarray],
 ) -> tuple[np.ndarray, Rows | None]:
-    """Which of `indices` have a finite bound, and rows for them."""
+    """Select those of `indices` with a finite bound, and make their rows."""
     kept = np.flatnonzero(np.isfinite(bounds[0]) | np.isfinite(bounds[1]))
     if not kept.size:
         return kept, None
@@ -285,12 +285,12 @@ def _bounded(
     return kept, rows
 
 
-def _columns(count: int, nodes: int, shared: bool) -> np.ndarray:
+def _interval_columns(count: int, nodes: int, shared: bool) -> np.ndarray:
     stride = nodes - 1 if shared else nodes
     return stride * np.arange(count)[:, None] + np.arange(nodes)
 
 
-def _places(intervals: Intervals, nodes: np.ndarray) -> Places:
+def _node_places(intervals: Intervals, nodes: np.ndarray) -> Places:
     if nodes[0] != 0.0:
         return intervals.places(nodes)
     inner = intervals.places(nodes[1:])

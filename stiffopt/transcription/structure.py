@@ -1,4 +1,4 @@
-"""What makes two optimal-control problems one programme that differs in bounds and numbers only."""
+"""Identity of programmes: problems that differ in bounds and numbers only share one graph."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from stiffopt.transcription.node_derivatives import NumberedStage
 from stiffopt.transcription.ocp import OptimalControlProblem, Rows, Waypoint
 from stiffopt.transcription.scheme import Scheme
 
-# What `structure_of` compares, or is compared block by block.
-_OF_GRAPH = (
+# Fields that `structure_of` hashes, or that are compared block by block.
+_GRAPH_FIELDS = (
     "name", "dynamics", "stage", "intermediate", "objective", "integral_function",
     "path_rows", "integral_rows", "start", "vias", "end",
 )  # fmt: skip
@@ -22,9 +22,9 @@ _OF_GRAPH = (
 def structure_of(
     ocp: OptimalControlProblem, stage: NumberedStage, scheme: Scheme, mesh: Mesh
 ) -> str:
-    """Hash of all that the graph of a programme is made of.
+    """Hash everything that the graph of a programme depends on.
 
-    Not in it: bounds (as far as the same exist), scales (those of the first programme stay), a
+    Excluded: bounds (only their existence counts), scales (those of the first programme stay), a
     fixed duration and the numbers of the stage, among them payload, tool, force and drivetrain.
     """
     functions = [ocp.dynamics, ocp.objective]
@@ -40,62 +40,57 @@ def structure_of(
         [point is None for point in points],
         ocp.fixed_duration,
         len(ocp.parameters),
-        [(rows.name, rows.labels, rows.midpoints, _bounded(rows)) for rows in blocks],
-        [_finite(ocp.control_rate_lower), _finite(ocp.control_rate_upper)],
-        [_finite(ocp.state_lower), _finite(ocp.state_upper)],
-        [_finite(ocp.control_lower), _finite(ocp.control_upper)],
+        [(rows.name, rows.labels, rows.midpoints, rows.bounded.tolist()) for rows in blocks],
+        [_are_finite(ocp.control_rate_lower), _are_finite(ocp.control_rate_upper)],
+        [_are_finite(ocp.state_lower), _are_finite(ocp.state_upper)],
+        [_are_finite(ocp.control_lower), _are_finite(ocp.control_upper)],
         *(function.serialize() for function in functions),
     ]
     return hashlib.sha256("\0".join(map(repr, facts)).encode()).hexdigest()
 
 
 def scaled_like(ocp: OptimalControlProblem, first: OptimalControlProblem) -> OptimalControlProblem:
-    """The problem with the scales of another one of its structure, which are in the graph."""
+    """Return the problem with the scales of another one, which are part of the graph."""
     return replace(
         ocp,
         state_scale=first.state_scale,
         control_scale=first.control_scale,
         static_scale=first.static_scale,
-        path_rows=_scaled(ocp.path_rows, first.path_rows),
-        integral_rows=_scaled(ocp.integral_rows, first.integral_rows),
-        start=_waypoint(ocp.start, first.start),
-        end=_waypoint(ocp.end, first.end),
+        path_rows=_with_scales_of(ocp.path_rows, first.path_rows),
+        integral_rows=_with_scales_of(ocp.integral_rows, first.integral_rows),
+        start=_scale_waypoint(ocp.start, first.start),
+        end=_scale_waypoint(ocp.end, first.end),
         vias=tuple(
-            replace(own, rows=_scaled(own.rows, other.rows))
+            replace(own, rows=_with_scales_of(own.rows, other.rows))
             for own, other in zip(ocp.vias, first.vias, strict=True)
         ),
     )
 
 
 def same_bounds(one: OptimalControlProblem, other: OptimalControlProblem) -> bool:
-    """Whether two problems of one structure have the same bounds, scales and duration."""
-    return _bounding(one) == _bounding(other)
+    """True if two problems of one structure have the same bounds, scales and duration."""
+    return _bound_values(one) == _bound_values(other)
 
 
-def _bounding(ocp: OptimalControlProblem) -> list[object]:
-    """All values of a problem but its functions' own, as what can be compared."""
+def _bound_values(ocp: OptimalControlProblem) -> list[object]:
     points = [ocp.start, *ocp.vias, ocp.end]
     blocks = [*ocp.path_rows, *ocp.integral_rows, *(r for w in points if w for r in w.rows)]
     facts: list[object] = [
-        getattr(ocp, each.name) for each in fields(ocp) if each.name not in _OF_GRAPH
+        getattr(ocp, each.name) for each in fields(ocp) if each.name not in _GRAPH_FIELDS
     ]
     facts += [each for rows in blocks for each in (rows.lower, rows.upper, rows.scale)]
     return [each.tobytes() if isinstance(each, np.ndarray) else each for each in facts]
 
 
-def _waypoint(own: Waypoint | None, first: Waypoint | None) -> Waypoint | None:
+def _scale_waypoint(own: Waypoint | None, first: Waypoint | None) -> Waypoint | None:
     if own is None or first is None:
         return own
-    return replace(own, rows=_scaled(own.rows, first.rows))
+    return replace(own, rows=_with_scales_of(own.rows, first.rows))
 
 
-def _scaled(own: tuple[Rows, ...], first: tuple[Rows, ...]) -> tuple[Rows, ...]:
+def _with_scales_of(own: tuple[Rows, ...], first: tuple[Rows, ...]) -> tuple[Rows, ...]:
     return tuple(replace(a, scale=b.scale) for a, b in zip(own, first, strict=True))
 
 
-def _bounded(rows: Rows) -> list[bool]:
-    return [bool(each) for each in np.isfinite(rows.lower) | np.isfinite(rows.upper)]
-
-
-def _finite(bounds: np.ndarray | None) -> list[bool] | None:
+def _are_finite(bounds: np.ndarray | None) -> list[bool] | None:
     return None if bounds is None else [bool(each) for each in np.isfinite(bounds)]

@@ -1,4 +1,4 @@
-"""A transcribed problem: the NLP and the way between its vector and motions."""
+"""Transcribed problem: the NLP, and conversion between its vector and motions."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ class Unpacked:
     Attributes
     ----------
     times : array (NX,)
-        Of the states [s].
+        Times of the states [s].
     states : array (NX, nx)
     control_times : array (NU,)
-        Of the controls [s]; the same as `times` unless the scheme has no control at the start.
+        Times of the controls [s]; those of `times` unless the scheme has no control at the start.
     controls : array (NU, nu)
     statics : array (nz,)
     duration : float
@@ -68,14 +68,14 @@ class Transcription:
         Interval fractions of each phase.
     nlp : Nlp
     states, controls, statics, durations : Block or None
-        Where these variables stand in the NLP vector; `durations` is None when fixed.
+        Blocks of these variables in the NLP vector; `durations` is None when fixed.
     splines, coefficients : ChainSplines, Block or None
-        Where states and controls are no variables, but follow from coefficients: what of, and where
-        these stand. The blocks of states and controls then tell their bounds and scales only.
+        Splines whose coefficients are the variables, and the block of these. The blocks of states
+        and controls then hold their bounds and scales only.
     path_blocks : tuple of (Block, array)
-        Where the path rows stand in the NLP's rows, and which entries of the stage's they are.
+        Blocks of the path rows among the NLP's rows, and their indices in the stage's path rows.
     structure : str
-        Equal for problems whose programmes differ in bounds and `Nlp.numbers` only.
+        Hash, equal for problems whose programmes differ in bounds and `Nlp.numbers` only.
     """
 
     ocp: OptimalControlProblem
@@ -94,7 +94,7 @@ class Transcription:
 
     @property
     def intervals(self) -> Intervals:
-        """All intervals in order of time."""
+        """Intervals in order of time."""
         return Intervals.of(self.mesh)
 
     def phase_durations(self, x: np.ndarray) -> np.ndarray:
@@ -106,7 +106,7 @@ class Transcription:
 
     def times_of(self, places: Places, x: np.ndarray) -> np.ndarray:
         """Times (k,) [s] of places in the motion of an NLP vector."""
-        return _times(places, self.phase_durations(x))
+        return _place_times(places, self.phase_durations(x))
 
     def pack(self, guess: Guess) -> np.ndarray:
         """Return the NLP vector of a guess, moved into the bounds of the variables."""
@@ -115,8 +115,8 @@ class Transcription:
         shares = shares / shares.sum() if len(shares) == phases else np.full(phases, 1.0 / phases)
         states = self.scheme.state_places(self.intervals)
         controls = self.scheme.control_places(self.intervals)
-        own = _sampled(guess.states, self.states, states, shares)
-        driven = _sampled(guess.controls, self.controls, controls, shares)
+        own = _sample_guess(guess.states, self.states, states, shares)
+        driven = _sample_guess(guess.controls, self.controls, controls, shares)
         parts = {
             self.states.rows.name: own,
             self.controls.rows.name: driven,
@@ -128,7 +128,9 @@ class Transcription:
             durations = np.array([self.ocp.duration[0]])
             if self.durations is not None:
                 durations = guess.duration * shares
-            parts[self.coefficients.rows.name] = self._fitted(np.hstack([own, driven]), durations)
+            parts[self.coefficients.rows.name] = self._fit_coefficients(
+                np.hstack([own, driven]), durations
+            )
         x = np.zeros(self.nlp.variables.size)
         for block in self.nlp.variables.items:
             values = np.asarray(parts[block.rows.name], dtype=float) / block.rows.scale
@@ -149,10 +151,10 @@ class Transcription:
         integrals, objective = self.outputs(x, self.nlp.parameters(p))
         steps = self.intervals.shares @ durations
         return Unpacked(
-            times=_times(self.scheme.state_places(self.intervals), durations),
+            times=_place_times(self.scheme.state_places(self.intervals), durations),
             states=self.node_states(x),
-            control_times=_times(self.scheme.control_places(self.intervals), durations),
-            controls=self._controls(x),
+            control_times=_place_times(self.scheme.control_places(self.intervals), durations),
+            controls=self._node_controls(x),
             statics=self.statics.take(x)[0],
             duration=float(durations.sum()),
             phase_durations=durations,
@@ -165,7 +167,7 @@ class Transcription:
         """Power coefficients (K, m, nu) of the controls in local time [s], lowest power first."""
         durations = self.phase_durations(x)
         steps = self.intervals.shares @ durations
-        values = self._controls(x)[self.scheme.control_columns(len(steps))]
+        values = self._node_controls(x)[self.scheme.control_columns(len(steps))]
         coefficients = np.einsum(
             "ij,kjn->kin", grid.power_from_values(self.scheme.control_nodes), values
         )
@@ -197,7 +199,7 @@ class Transcription:
         states, controls = self.node_states(x), self.control_polynomials(x)[:, :, u]
         breaks = np.concatenate([[0.0], np.cumsum(steps)])
         starts = states[self.scheme.state_columns(len(steps))[:, 0]]
-        coefficients = _integrated([starts[:, own] for own in higher], controls)
+        coefficients = _integrate_polynomials([starts[:, own] for own in higher], controls)
         return breaks, coefficients, states[0, q], states[0, v]
 
     def guess_from(self, x: np.ndarray) -> Guess:
@@ -214,25 +216,25 @@ class Transcription:
         controls = self.control_polynomials(x)
         states = self._state_polynomials(x, steps, controls)
         return Guess(
-            states=lambda s: _evaluated(breaks, states, np.asarray(s) * total),
-            controls=lambda s: _evaluated(breaks, controls, np.asarray(s) * total),
+            states=lambda s: _evaluate_pieces(breaks, states, np.asarray(s) * total),
+            controls=lambda s: _evaluate_pieces(breaks, controls, np.asarray(s) * total),
             statics=self.statics.take(x)[0],
             duration=total,
             phase_fractions=durations / total,
         )
 
     def motion_basis(self) -> csr_matrix | None:
-        """Matrix (variables, k) from splines' coefficients to the motions that obey all equations.
+        """Matrix (variables, k) from spline coefficients to the motions that obey all equations.
 
-        None where these are not linear, as with a duration that is free, where variables are such
-        coefficients already, or where there are others beside states and controls.
+        None where the equations are nonlinear, as with a free duration, where coefficients are the
+        variables already, or where there are static variables.
         """
         splines = self.scheme.motion_splines(self.ocp, self.mesh)
         if splines is None or self.durations is not None or self.statics.size:
             return None
         places = self.scheme.state_places(self.intervals)
         values = splines.matrix(places, np.array([self.ocp.duration[0]]))
-        # Point by point, states above controls; the variables have all states first.
+        # Rows are (states, controls) point by point; the variables have all states first.
         order = np.arange(values.shape[0]).reshape(len(places), -1)
         states, controls = np.split(order, [len(self.ocp.states)], axis=1)
         scales = np.concatenate([self.states.scales, self.controls.scales])
@@ -243,27 +245,27 @@ class Transcription:
         """States (NX, nx) at the nodes."""
         if self.splines is None:
             return self.states.take(x)
-        return self._moved(x)[:, : len(self.ocp.states)]
+        return self._spline_values(x)[:, : len(self.ocp.states)]
 
-    def _controls(self, x: np.ndarray) -> np.ndarray:
+    def _node_controls(self, x: np.ndarray) -> np.ndarray:
         """Controls (NU, nu) at their nodes."""
         if self.splines is None:
             return self.controls.take(x)
-        return self._moved(x)[:, len(self.ocp.states) :]
+        return self._spline_values(x)[:, len(self.ocp.states) :]
 
-    def _moved(self, x: np.ndarray) -> np.ndarray:
+    def _spline_values(self, x: np.ndarray) -> np.ndarray:
         assert self.splines is not None
         assert self.coefficients is not None
         places = self.scheme.state_places(self.intervals)
         own = self.coefficients.take(x).ravel()
-        return self.splines.numeric(places, own, self.phase_durations(x))
+        return self.splines.evaluate(places, own, self.phase_durations(x))
 
-    def _fitted(self, values: np.ndarray, durations: np.ndarray) -> np.ndarray:
-        """Coefficients (k, n) of the splines nearest to states and controls at the nodes."""
+    def _fit_coefficients(self, values: np.ndarray, durations: np.ndarray) -> np.ndarray:
+        """Fit spline coefficients (k, n) to states and controls at the nodes."""
         assert self.splines is not None
         places = self.scheme.state_places(self.intervals)
         scales = np.concatenate([self.ocp.scales_of_states, self.ocp.scales_of_controls])
-        found = self.splines.fitted(places, values, scales, durations)
+        found = self.splines.fit(places, values, scales, durations)
         return found.reshape(-1, len(self.ocp.chains))
 
     def _state_polynomials(
@@ -283,12 +285,12 @@ class Transcription:
             result[:, :, own] = 0.0
             for k, state in enumerate(own):
                 starts = [values[:, 0, [i]] for i in own[k:]]
-                integrated = _integrated(starts, controls[:, :, [chain[-1]]])
+                integrated = _integrate_polynomials(starts, controls[:, :, [chain[-1]]])
                 result[:, : integrated.shape[1], state] = integrated[:, :, 0]
         return result
 
 
-def _integrated(starts: list[np.ndarray], coefficients: np.ndarray) -> np.ndarray:
+def _integrate_polynomials(starts: list[np.ndarray], coefficients: np.ndarray) -> np.ndarray:
     """Integrate polynomials (K, m, n) as often as there are starts (K, n), outermost first."""
     if not starts:
         return coefficients
@@ -298,7 +300,7 @@ def _integrated(starts: list[np.ndarray], coefficients: np.ndarray) -> np.ndarra
     return np.concatenate([np.stack(first, axis=1), coefficients / divisor[:, None]], axis=1)
 
 
-def _sampled(
+def _sample_guess(
     function: Callable[[np.ndarray], np.ndarray], block: Block, places: Places, shares: np.ndarray
 ) -> np.ndarray:
     starts = np.cumsum(shares) - shares
@@ -313,15 +315,15 @@ def _sampled(
     return values
 
 
-def _times(places: Places, durations: np.ndarray) -> np.ndarray:
+def _place_times(places: Places, durations: np.ndarray) -> np.ndarray:
     starts = np.cumsum(durations) - durations
     times: np.ndarray = starts[places.phase] + durations[places.phase] * places.fraction
     return times
 
 
-def _evaluated(breaks: np.ndarray, coefficients: np.ndarray, times: np.ndarray) -> np.ndarray:
+def _evaluate_pieces(breaks: np.ndarray, coefficients: np.ndarray, times: np.ndarray) -> np.ndarray:
     times = np.atleast_1d(times)
-    # A border belongs to the interval before it: with Radau that one has the point there.
+    # A border belongs to the interval before it, which with Radau has a point there.
     early = times - 1e-12 * breaks[-1]
     index = np.clip(np.searchsorted(breaks, early) - 1, 0, len(coefficients) - 1)
     local = (times - breaks[index])[:, None]

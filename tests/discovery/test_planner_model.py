@@ -18,7 +18,7 @@ from stiffopt.discovery.catalogue.robot_change import ADDED_SPRING_NAME
 from stiffopt.discovery.comparison.located_effect import EstimatedEffect, Extension, LocatedEffect
 from stiffopt.discovery.extended.model import ExtendedModel, load_extended, robot_signature
 from stiffopt.discovery.extended.planning import joint_constants, planner_model
-from stiffopt.elastic.uncertainty import Uncertainty, of_deviations
+from stiffopt.elastic.uncertainty import Uncertainty, bounds_from_deviations
 from stiffopt.errors import InputFileError
 from stiffopt.exact.chain import exact_windup, windup_shares
 from stiffopt.robot.files import load_robot
@@ -139,7 +139,7 @@ factor = { value = 0.8, sd = 0.02 }
     deviation = planner.stiffness_deviation
     assert deviation[2] == pytest.approx(0.025)
     assert np.isnan(np.delete(deviation, 2)).all()
-    shares = of_deviations(Uncertainty(), deviation).shares(arm.n)
+    shares = bounds_from_deviations(Uncertainty(), deviation).shares(arm.n)
     assert shares == pytest.approx([0.2, 0.2, 0.05, 0.2, 0.2, 0.2])
     assert np.isnan(planner_model(arm, own).stiffness_deviation).all()
     assert np.isnan(planner.payload_deviation)
@@ -160,7 +160,9 @@ def test_the_standard_deviation_of_a_payload_bounds_it_in_planning(
     varied = planner.robot.with_payload_times(1.0 + planner.payload_deviation)
     added = varied.model.inertias[6].mass - planner.robot.model.inertias[6].mass
     assert added == pytest.approx(0.05)
-    unsure = of_deviations(Uncertainty(), planner.stiffness_deviation, planner.payload_deviation)
+    unsure = bounds_from_deviations(
+        Uncertainty(), planner.stiffness_deviation, planner.payload_deviation
+    )
     assert unsure.payload == pytest.approx(0.05)
     assert np.isnan(planner_model(carrying, model).payload_deviation)
 

@@ -1,4 +1,4 @@
-"""`stiffopt simulate` of a solve that wrote a command: the same arms again, or others."""
+"""`stiffopt simulate` of a solve with a command: same or other uncertainty."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ def solved(tmp_path_factory):
 
 
 def led(folder, *options, out):
-    """What simulation.json says of the optimised motion, compensated."""
+    """Entry of the compensated optimised motion in simulation.json."""
     assert run(["simulate", str(folder / "out"), "--out", str(folder / out), *options]) == 0
     document = json.loads((folder / out / "simulation.json").read_text())["compensation"]
     assert document["command"] == "../out/command.csv"
     return document, document["motions"]["optimised"]["compensated"]
 
 
-def test_the_command_is_judged_as_the_solve_judged_it(solved, capsys):
+def test_simulated_command_repeats_the_values_of_the_solve(solved, capsys):
     document, anew = led(solved, out="same")
     assert document["servo"] is None
     inside = json.loads((solved / "out" / "result.json").read_text())["compensation"]
@@ -54,7 +54,7 @@ def test_the_command_is_judged_as_the_solve_judged_it(solved, capsys):
 
 
 @pytest.mark.slow
-def test_a_servo_is_that_of_every_arm(solved, capsys):
+def test_servo_option_applies_to_every_arm(solved, capsys):
     _, exact = led(solved, out="exact")
     options = ("--bandwidth", "20", "--feed-forward", "0.9")
     document, lagging = led(solved, *options, out="lagging")
@@ -68,7 +68,7 @@ def test_a_servo_is_that_of_every_arm(solved, capsys):
 
 
 @pytest.mark.slow
-def test_what_is_uncertain_can_be_asked_anew(solved):
+def test_uncertainty_options_replace_those_of_the_solve(solved):
     _, wide = led(solved, out="wide")
     _, near = led(solved, "--set", "uncertainty.stiffness=0.05", out="near")
     assert near["in_flight"]["worst"] < 0.7 * wide["in_flight"]["worst"]
@@ -99,12 +99,12 @@ def test_what_is_uncertain_can_be_asked_anew(solved):
         ),
     ],
 )
-def test_what_cannot_be_asked_is_refused_in_a_sentence(solved, capsys, options, what):
+def test_invalid_options_of_a_command_are_refused(solved, capsys, options, what):
     assert run(["simulate", str(solved / "out"), *options]) == 2
     assert what in capsys.readouterr().err
 
 
-def test_commands_of_baselines_are_those_that_the_solve_chose(solved):
+def test_baseline_commands_are_those_of_the_solve(solved):
     asked = ("--set", "uncertainty.stiffness=0.4", "--damping", "0.1")
     document, _ = led(solved, *asked, "--bandwidth", "15", "--feed-forward", "0.9", out="other")
     inside = json.loads((solved / "out" / "result.json").read_text())["compensation"]
@@ -114,7 +114,7 @@ def test_commands_of_baselines_are_those_that_the_solve_chose(solved):
         assert document["motions"][name]["within_motor_limits"] == before["within_motor_limits"]
 
 
-def test_a_command_beyond_the_motors_is_told(solved, tmp_path, capsys):
+def test_command_beyond_motor_limits_is_reported(solved, tmp_path, capsys):
     shutil.copytree(solved, tmp_path / "copy")
     out = tmp_path / "copy" / "out"
     (out / "manifest.json").unlink()
@@ -136,7 +136,7 @@ def test_a_command_beyond_the_motors_is_told(solved, tmp_path, capsys):
     assert {"acceleration"} <= {each["limit"] for each in own["excess"]}
 
 
-def test_a_command_that_was_changed_or_is_missing_is_told(solved, tmp_path, capsys):
+def test_changed_or_missing_command_is_refused(solved, tmp_path, capsys):
     shutil.copytree(solved, tmp_path / "copy")
     out = tmp_path / "copy" / "out"
     with (out / "command.csv").open("a") as stream:

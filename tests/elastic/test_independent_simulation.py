@@ -1,4 +1,4 @@
-"""The simulation that shares nothing with the package, where joints slide or have no elements."""
+"""Simulation against an independent one, for prismatic and rigid joints."""
 
 from __future__ import annotations
 
@@ -65,13 +65,15 @@ RAILS = {
 
 
 @pytest.mark.parametrize("rail", RAILS)
-def test_a_slide_and_a_turn_swing_as_the_package_has_it(tmp_path, independent, rail):
+def test_prismatic_and_revolute_joint_agree_with_independent_simulation(
+    tmp_path, independent, rail
+):
     own, other = both(independent, slide(tmp_path, RAILS[rail]), Cycloid(WAY))
     assert other == pytest.approx(own, rel=0.01)
     assert min(other) > 1e-6
 
 
-def test_a_slide_without_elements_shakes_the_arm_on_it(tmp_path, independent):
+def test_rigid_prismatic_joint_excites_the_arm_on_it(tmp_path, independent):
     robot = slide(tmp_path, RAILS["rigid"])
     # The turn's motor stands still: all that the tool deviates is from the slide's push.
     found = independent.simulate(robot, Cycloid(WAY * [1.0, 0.0]))
@@ -80,7 +82,7 @@ def test_a_slide_without_elements_shakes_the_arm_on_it(tmp_path, independent):
     assert 0.4 * force / 1e3 < found.peak < 2.0 * 0.4 * force / 1e3
 
 
-def test_an_arm_without_any_spring_does_not_deviate(tmp_path, independent):
+def test_rigid_arm_has_no_deviation_in_independent_simulation(tmp_path, independent):
     robot = slide(tmp_path, RAILS["rigid"], joint("arm", ""))
     found = independent.simulate(robot, Cycloid(WAY))
     assert (found.peak, found.residual) == pytest.approx((0.0, 0.0), abs=1e-12)

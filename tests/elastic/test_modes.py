@@ -1,4 +1,4 @@
-"""Modes against closed forms, and the words for their shapes."""
+"""Modes against closed forms, and descriptions of their shapes."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from elastic_arms import INERTIA, RATE, STIFFNESS, arm
 from small_arms import CONSTANT, joint, write_robot
-from swinging_arms import INERTIA, RATE, STIFFNESS, arm
 
 from stiffopt.cli import run
 from stiffopt.elastic.arm import ElasticArm, questionable_springs
@@ -16,31 +16,31 @@ from stiffopt.errors import NotSimulatedError, RobotError
 from stiffopt.robot.files import load_robot
 
 
-def test_one_joint_has_the_mode_of_a_mass_on_a_spring(tmp_path):
+def test_one_joint_mode_is_that_of_a_mass_on_a_spring(tmp_path):
     (mode,) = modes(arm(tmp_path), np.zeros(1))
     assert mode.frequency == pytest.approx(RATE / (2.0 * np.pi))
-    assert mode.describe() == "joint 1 swings with 100 % of the energy"
+    assert mode.describe() == "joint 1 (100 % of the energy)"
     # Of unit modal mass, about the vertical: along y with the arm along x.
     np.testing.assert_allclose(np.abs(mode.tool), [0.0, 0.4 / np.sqrt(0.09), 0.0], atol=1e-9)
 
 
 @pytest.mark.parametrize("angle", [-1.2, 0.3, 1.4])
-def test_weight_stiffens_or_softens_a_pendulum_on_a_spring(tmp_path, angle):
+def test_weight_changes_the_frequency_of_a_pendulum_on_a_spring(tmp_path, angle):
     pendulum = arm(tmp_path, "pendulum", at=[angle])
     (mode,) = modes(pendulum, np.array([angle]))
-    (q,) = pendulum.hanging(np.array([[angle]]))[0]
+    (q,) = pendulum.static_equilibrium(np.array([[angle]]))[0]
     # Turning about y lowers the tip: the weight's torque is -m g l cos(q).
     torque = -2.0 * 9.81 * 0.2 * np.cos(q)
-    assert pendulum.held_torque(np.array([q]))[0] == pytest.approx(torque)
+    assert pendulum.static_torque(np.array([q]))[0] == pytest.approx(torque)
     stiffness = pendulum.stiffness(np.array([torque]))[0] + 2.0 * 9.81 * 0.2 * np.sin(q)
     assert mode.frequency == pytest.approx(np.sqrt(stiffness / 0.09) / (2.0 * np.pi), rel=1e-7)
 
 
-def test_modes_of_two_joints_keep_the_trace_and_are_orthogonal(tmp_path):
+def test_two_joint_modes_keep_the_trace_and_are_orthogonal(tmp_path):
     planar = arm(tmp_path, "planar")
     found = modes(planar, np.array([0.3, 0.2]))
     assert [mode.frequency for mode in found] == sorted(mode.frequency for mode in found)
-    q = planar.hanging(np.array([[0.3, 0.2]]))[0]
+    q = planar.static_equilibrium(np.array([[0.3, 0.2]]))[0]
     inertia = planar.bodies.inertia_matrix(q)
     shapes = np.stack([mode.shape for mode in found])
     np.testing.assert_allclose(shapes @ inertia @ shapes.T, np.eye(2), atol=1e-10)
@@ -48,12 +48,12 @@ def test_modes_of_two_joints_keep_the_trace_and_are_orthogonal(tmp_path):
         assert mode.shares.sum() == pytest.approx(1.0)
 
 
-def test_shapes_are_said_in_words():
+def test_mode_shapes_are_described():
     mode = Mode(9.0, 0.02, np.array([0.05, 0.6, 0.35]), np.array([0.1, 1.0, -2.0]), np.zeros(3))
     assert mode.describe() == "joint 2 (60 % of the energy) against joint 3 (35 %)"
 
 
-def test_springs_that_do_not_hold_the_arm_are_told(tmp_path):
+def test_springs_too_soft_for_the_weight_are_refused(tmp_path):
     pendulum = arm(tmp_path, "pendulum", at=[-1.5])
     pendulum.robot.model.inertias[1].mass = 5e4
     heavy = replace(pendulum.robot)
@@ -61,7 +61,7 @@ def test_springs_that_do_not_hold_the_arm_are_told(tmp_path):
         modes(type(pendulum)(heavy, np.array([-1.5])), np.array([-1.5]))
 
 
-def test_springs_in_another_unit_are_questioned_by_name(tmp_path, capsys):
+def test_implausibly_soft_springs_are_named(tmp_path, capsys):
     right = write_robot(tmp_path, "swivel")
     assert questionable_springs(load_robot(right), np.zeros(1)) == ""
     # As given in N m/arcmin, read as N m/rad.
@@ -69,13 +69,15 @@ def test_springs_in_another_unit_are_questioned_by_name(tmp_path, capsys):
     path = write_robot(tmp_path, "swivel", [joint("swivel", CONSTANT.format(stiffness=wrong))])
     sentence = questionable_springs(load_robot(path), np.zeros(1))
     frequency = np.sqrt(wrong / INERTIA) / (2.0 * np.pi)
-    assert f"swivel alone would swing at {frequency:.2g} Hz with {wrong:.3g} N m/rad;" in sentence
+    assert f"swivel alone would vibrate at {frequency:.2g} Hz with {wrong:.3g} N m/rad;" in sentence
     assert run(["modes", str(path), "--at", "0"]) == 0
     assert "1 N m/arcmin is 3438 N m/rad" in " ".join(capsys.readouterr().out.split())
 
 
-def test_an_arm_that_does_not_hang_has_its_softest_joint_named(tmp_path):
+def test_arm_without_equilibrium_names_its_softest_joint(tmp_path):
     soft = joint("shoulder", CONSTANT.format(stiffness=1.0))
     robot = load_robot(write_robot(tmp_path, "pendulum", [soft]))
-    with pytest.raises(NotSimulatedError, match=r"hang .* shoulder alone would swing at 0\.\d+ Hz"):
+    with pytest.raises(
+        NotSimulatedError, match=r"hang .* shoulder alone would vibrate at 0\.\d+ Hz"
+    ):
         ElasticArm(robot, np.zeros(1))

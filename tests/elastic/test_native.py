@@ -1,4 +1,4 @@
-"""Loops of the compiled core against those without it, and against pinocchio."""
+"""Compiled core against Python and pinocchio."""
 
 from __future__ import annotations
 
@@ -6,15 +6,20 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from elastic_arms import arm, bang, one_soft_joint, there_and_stop
 from small_arms import write_robot
-from swinging_arms import arm, bang, one_soft_joint, there_and_stop
 
 from stiffopt import native
 from stiffopt.elastic.arm import ElasticArm
-from stiffopt.elastic.many_arms import Asked, ManyArms, Member, swings_together
 from stiffopt.elastic.motor import MotorMotion
-from stiffopt.elastic.response import SwingResponse
+from stiffopt.elastic.response import ElasticResponse
 from stiffopt.elastic.simulate import _Equations, simulate
+from stiffopt.elastic.uncertain_arms import (
+    Member,
+    SimulationRequest,
+    UncertainArms,
+    simulate_uncertain_arms,
+)
 from stiffopt.elastic.uncertainty import Uncertainty, corners
 from stiffopt.robot.files import load_robot
 
@@ -30,7 +35,7 @@ def shaken(n):
 
 @pytest.mark.parametrize("name", ["er3a_c60", "ur10", "planar", "slide", "spatial"])
 @pytest.mark.parametrize("loops", [False, True])
-def test_slopes_are_those_without_the_compiled_core(tmp_path, name, loops):
+def test_compiled_state_derivative_agrees_with_python(tmp_path, name, loops):
     robot = load_robot(name if name in ("er3a_c60", "ur10") else write_robot(tmp_path, name))
     if loops:
         robot = replace(robot, hysteresis=np.where(np.arange(robot.n) == 1, 0.0, 4e-5))
@@ -53,7 +58,7 @@ def test_slopes_are_those_without_the_compiled_core(tmp_path, name, loops):
         )
 
 
-def test_rigid_joints_are_driven_as_without_the_compiled_core(tmp_path):
+def test_compiled_rigid_joints_agree_with_python(tmp_path):
     arm = one_soft_joint(tmp_path)
     equations = _Equations(arm, shaken(2))
     state = np.array([0.1, -0.2, 1.0, 2.0])
@@ -61,7 +66,7 @@ def test_rigid_joints_are_driven_as_without_the_compiled_core(tmp_path):
         np.testing.assert_allclose(equations.slope()(t, state), equations(t, state), rtol=1e-11)
 
 
-def test_a_simulation_is_that_without_the_compiled_core(tmp_path, monkeypatch):
+def test_compiled_simulation_agrees_with_python(tmp_path, monkeypatch):
     swinging = arm(tmp_path, "planar", at=(0.3, 0.4))
     command = bang((3.0, -4.0), 0.2, (0.3, 0.4))
     quick = simulate(swinging, command)
@@ -72,7 +77,7 @@ def test_a_simulation_is_that_without_the_compiled_core(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("soft", [1, 2])
-def test_many_arms_swing_as_without_the_compiled_core(tmp_path, monkeypatch, soft):
+def test_compiled_batch_agrees_with_numpy(tmp_path, monkeypatch, soft):
     at = (0.3, 0.4)
     swinging = one_soft_joint(tmp_path) if soft == 1 else arm(tmp_path, "planar", at=at)
     unsure = Uncertainty(servo_feed_forward=0.98)
@@ -83,16 +88,16 @@ def test_many_arms_swing_as_without_the_compiled_core(tmp_path, monkeypatch, sof
             Member(command=command, departure=each, reference=command)
             for each in corners(unsure, 2, True)
         ]
-        asked.append(Asked(ManyArms(swinging, plan, unsure.servo), members))
-    quick = swings_together(asked)
+        asked.append(SimulationRequest(UncertainArms(swinging, plan, unsure.servo), members))
+    quick = simulate_uncertain_arms(asked)
     monkeypatch.setattr(native, "loaded", lambda: None)
-    for own, slow in zip(quick, swings_together(asked), strict=True):
+    for own, slow in zip(quick, simulate_uncertain_arms(asked), strict=True):
         scale = np.abs(slow.deviation).max()
         np.testing.assert_allclose(own.deviation, slow.deviation, atol=1e-10 * scale)
 
 
 @pytest.mark.parametrize("n", [1, 2, 6, 7])
-def test_swings_about_a_motion_are_those_without_the_compiled_core(monkeypatch, n):
+def test_compiled_elastic_response_agrees_with_numpy(monkeypatch, n):
     random = np.random.default_rng(n)
     time = 0.002 * np.arange(403)
     grown = 1.0 + 0.3 * np.sin(9.0 * time)[:, None, None]
@@ -105,7 +110,7 @@ def test_swings_about_a_motion_are_those_without_the_compiled_core(monkeypatch, 
     within = random.normal(size=(len(time) - 1, 2, n))
 
     def answers():
-        response = SwingResponse(inertia, rate, stiffness, 0.002)
+        response = ElasticResponse(inertia, rate, stiffness, 0.002)
         changed = response.copy()
         changed.change_springs(slice(100, 217), 0.3 * stiffness[100:217])
         return [

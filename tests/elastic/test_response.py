@@ -1,4 +1,4 @@
-"""Linear swings along a motion: against closed forms, and against a general integrator."""
+"""Linear elastic response along a motion against closed forms and a general integrator."""
 
 import numpy as np
 import pytest
@@ -6,18 +6,20 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import eigh
 
 from stiffopt import native
-from stiffopt.elastic.response import SwingResponse
+from stiffopt.elastic.response import ElasticResponse
 
 STEP, COUNT = 0.004, 500
 TIME = STEP * np.arange(COUNT)
 
 
 def _one(mass, damping, spring):
-    return SwingResponse(*(np.full((COUNT, 1, 1), float(x)) for x in (mass, damping, spring)), STEP)
+    return ElasticResponse(
+        *(np.full((COUNT, 1, 1), float(x)) for x in (mass, damping, spring)), STEP
+    )
 
 
 @pytest.mark.parametrize("spring", [200.0, 8e4, 5e7])
-def test_a_step_of_torque_makes_the_swing_of_one_mass(spring):
+def test_torque_step_gives_the_response_of_one_mass(spring):
     mass, damping = 2.0, 0.04 * np.sqrt(2.0 * spring)
     torque = np.ones((COUNT, 1))
     z, velocity, acceleration = _one(mass, damping, spring)(torque)
@@ -33,7 +35,7 @@ def test_a_step_of_torque_makes_the_swing_of_one_mass(spring):
 
 
 @pytest.mark.parametrize("compiled", [True, False])
-def test_torques_at_both_ends_of_steps_are_as_those_at_samples(monkeypatch, compiled):
+def test_torques_within_steps_equal_those_at_samples(monkeypatch, compiled):
     if not compiled:
         monkeypatch.setattr(native, "loaded", lambda: None)
     torque = np.random.default_rng(2).normal(size=(COUNT, 1))
@@ -46,7 +48,7 @@ def test_torques_at_both_ends_of_steps_are_as_those_at_samples(monkeypatch, comp
         np.testing.assert_allclose(velocity, expected[1], atol=1e-12 * np.max(np.abs(expected[1])))
 
 
-def test_what_is_left_alone_keeps_its_energy_without_damping():
+def test_free_response_without_damping_keeps_its_energy():
     z, velocity, _ = _one(3.0, 0.0, 1.2e4).free(np.array([[1e-3], [0.02]]))
     energy = 0.5 * 3.0 * velocity[:, 0, 0] ** 2 + 0.5 * 1.2e4 * z[:, 0, 0] ** 2
     np.testing.assert_allclose(energy, energy[0], rtol=1e-10)
@@ -62,7 +64,7 @@ def test_two_coupled_joints_whose_matrices_change_follow_a_general_integrator():
 
     torque = random.normal(size=(2, 2)) @ np.array([np.sin(40.0 * TIME), np.cos(11.0 * TIME)])
     along = [np.array(part) for part in zip(*(matrices(t) for t in TIME), strict=True)]
-    z, *_ = SwingResponse(*along, STEP)(torque.T)
+    z, *_ = ElasticResponse(*along, STEP)(torque.T)
 
     def slope(t, state):
         inertia, rate, stiffness = matrices(t)
@@ -77,7 +79,7 @@ def test_two_coupled_joints_whose_matrices_change_follow_a_general_integrator():
     assert np.max(np.abs(solved.y[:2].T - z[: solved.t.size])) < 1e-4 * np.max(np.abs(z))
 
 
-def test_columns_beside_each_other_are_those_one_after_another():
+def test_load_cases_side_by_side_equal_single_ones():
     response = _one(1.0, 3.0, 9e3)
     torque = np.random.default_rng(0).normal(size=(COUNT, 1, 3))
     together = response(torque)[0]
@@ -85,7 +87,7 @@ def test_columns_beside_each_other_are_those_one_after_another():
         np.testing.assert_array_equal(together[..., i], response(torque[..., i])[0])
 
 
-def test_no_swing_at_all_is_none():
+def test_no_torque_gives_no_response():
     assert _one(1.0, 3.0, 9e3).free(np.zeros((2, 0)))[0].shape == (COUNT, 1, 0)
 
 
@@ -95,7 +97,7 @@ def test_modes_at_the_start_are_those_of_the_first_matrices():
     assert abs(shapes[0, 0]) == pytest.approx(2.0**-0.5)
 
 
-def test_modes_are_those_of_the_general_problem_and_of_masses_that_cannot_be():
+def test_modes_equal_the_generalised_eigenproblem_also_for_indefinite_inertia():
     random = np.random.default_rng(4)
     inertia, stiffness = (
         (root @ root.T + 0.1 * np.eye(3)) * size
@@ -103,23 +105,23 @@ def test_modes_are_those_of_the_general_problem_and_of_masses_that_cannot_be():
     )
     squares, shapes = eigh(stiffness, inertia)
     many = [np.stack([each] * 2) for each in (inertia, np.zeros((3, 3)), stiffness)]
-    frequencies, found = SwingResponse(*many, 1e-3).modes(0)
+    frequencies, found = ElasticResponse(*many, 1e-3).modes(0)
     assert 2.0 * np.pi * frequencies == pytest.approx(np.sqrt(squares), rel=1e-9)
     assert np.abs(found) == pytest.approx(np.abs(shapes), rel=1e-7)
     # As a fit on its way may have it: one mass below nothing.
     values, axes = np.linalg.eigh(inertia)
     many[0] = np.stack([axes @ np.diag([-0.01, *values[1:]]) @ axes.T] * 2)
-    frequencies, found = SwingResponse(*many, 1e-4).modes(0)
+    frequencies, found = ElasticResponse(*many, 1e-4).modes(0)
     assert frequencies[0] == 0.0
     assert not np.any(found[:, 0])
     assert np.all(np.isfinite(found))
     assert np.all(frequencies[1:] > 0.0)
 
 
-def test_swing_of_many_calls_is_that_of_one():
+def test_response_without_acceleration_equals_a_call():
     random = np.random.default_rng(2)
     grown = 1.0 + 0.3 * np.sin(3.0 * TIME)[:, None, None]
-    response = SwingResponse(
+    response = ElasticResponse(
         grown * np.array([[8.0, 1.5], [1.5, 2.0]]),
         grown * np.array([[14.0, 2.0], [-2.0, 5.0]]),
         grown * np.diag([4e4, 3e4]),

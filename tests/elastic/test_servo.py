@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from swinging_arms import arm, bang
+from elastic_arms import arm, bang
 
 from stiffopt.elastic.motor import MotorMotion, Servo
 from stiffopt.elastic.simulate import simulate
@@ -56,12 +56,12 @@ def test_a_delay_shifts_the_motion_and_a_long_one_rings():
 @pytest.mark.parametrize(
     ("numbers", "what"),
     [
-        ((20.0, 1.0, 0.0126), "unstable: a position loop of 20 Hz bears a delay below 12.5 ms"),
+        ((20.0, 1.0, 0.0126), "unstable: a position loop of 20 Hz needs a delay below 12.5 ms"),
         ((0.0, 1.0, 0.0), "bandwidth must be above 0"),
         ((20.0, 1.5, 0.0), "share from 0 to 1"),
         ((20.0, 1.0, -1e-3), "0 s or above"),
     ],
 )
-def test_servos_that_cannot_work_are_refused(numbers, what):
+def test_invalid_servos_are_refused(numbers, what):
     with pytest.raises(InputError, match=what):
         Servo(*numbers)

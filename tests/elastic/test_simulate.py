@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 import pytest
-from small_arms import CONSTANT, joint, write_robot
-from swinging_arms import (
+from elastic_arms import (
     INERTIA,
     LENGTH,
     RATE,
@@ -17,6 +16,7 @@ from swinging_arms import (
     one_soft_joint,
     there_and_stop,
 )
+from small_arms import CONSTANT, joint, write_robot
 
 from stiffopt.elastic.arm import ElasticArm
 from stiffopt.elastic.modes import modes
@@ -27,7 +27,7 @@ from stiffopt.robot.files import load_robot
 
 
 @pytest.mark.parametrize("share", [0.0, 0.02, 0.3])
-def test_one_joint_swings_as_two_masses_on_a_spring_do(tmp_path, share):
+def test_one_joint_vibrates_as_two_masses_on_a_spring(tmp_path, share):
     damping = 2.0 * share * np.sqrt(STIFFNESS * INERTIA)
     swivel = arm(tmp_path, damping=np.array([damping]))
     half, acceleration = 0.0973, 40.0
@@ -45,7 +45,7 @@ def test_one_joint_swings_as_two_masses_on_a_spring_do(tmp_path, share):
     assert found.time[-1] == pytest.approx(2 * half + REST)
 
 
-def test_unstated_damping_is_two_percent_of_critical_and_the_ring_decays_by_it(tmp_path):
+def test_default_damping_is_two_percent_of_critical_and_ringing_decays_by_it(tmp_path):
     swivel = arm(tmp_path)
     assert swivel.assumed_damping == (1,)
     assert modes(swivel, np.zeros(1))[0].damping == pytest.approx(0.02)
@@ -58,7 +58,7 @@ def test_unstated_damping_is_two_percent_of_critical_and_the_ring_decays_by_it(t
     assert np.log(first / later) == pytest.approx(0.02 * RATE * 15 * period, rel=0.02)
 
 
-def test_energy_stays_without_damping(tmp_path):
+def test_energy_is_conserved_without_damping(tmp_path):
     planar = arm(tmp_path, "planar", damping=np.zeros(2))
     found = simulate(planar, bang([12.0, -9.0], 0.1, [-0.6, 0.4]))
     rest = found.time >= found.duration
@@ -78,7 +78,7 @@ def test_energy_stays_without_damping(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["planar", "slide"])
-def test_another_integrator_finds_the_same(tmp_path, name):
+def test_integrators_agree(tmp_path, name):
     jointed = arm(tmp_path, name)
     motion = bang([3.0, -9.0], 0.12, [0.0, 0.4])
     one, other = (simulate(jointed, motion, method=m) for m in ("DOP853", "Radau"))
@@ -96,7 +96,7 @@ def test_rigid_joints_follow_their_motors_and_load_the_springs(tmp_path):
     )
     assert np.all(found.windup[:, 1] == 0.0)
     # Held at rest long after, the shoulder carries both links' weight.
-    still = elbow.hanging(motion(motion.duration)[None])[0]
+    still = elbow.static_equilibrium(motion(motion.duration)[None])[0]
     np.testing.assert_allclose(
         found.position[-200:].mean(axis=0), still, atol=0.05 * np.ptp(found.windup[:, 0])
     )
@@ -106,7 +106,7 @@ def test_rigid_joints_follow_their_motors_and_load_the_springs(tmp_path):
     assert not heavier.hysteresis.any()
 
 
-def test_an_arm_without_springs_does_not_deviate(tmp_path):
+def test_rigid_arm_has_no_deviation(tmp_path):
     elbow = one_soft_joint(tmp_path, chains=(None, None))
     found = simulate(elbow, bang([5.0, 30.0], 0.1, [0.3, 0.2]))
     assert found.peak == pytest.approx(0.0, abs=1e-12)
@@ -114,12 +114,14 @@ def test_an_arm_without_springs_does_not_deviate(tmp_path):
     assert modes(elbow, np.zeros(2)) == ()
 
 
-def test_a_steady_force_hangs_with_the_weight(tmp_path):
+def test_constant_force_shifts_the_static_equilibrium(tmp_path):
     pushed = arm(tmp_path, "planar", process_force=(30.0, 0.0, -40.0))
     plain = arm(tmp_path, "planar")
     motion = bang([2.0, 2.0], 0.1, [0.3, 0.2])
     at = motion.position(np.array([0.0]))
-    difference = pushed.tool(pushed.hanging(at)) - plain.tool(plain.hanging(at))
+    difference = pushed.tool(pushed.static_equilibrium(at)) - plain.tool(
+        plain.static_equilibrium(at)
+    )
     assert difference[0, 2] < -1e-4
     found = simulate(pushed, motion)
     assert found.distance[0] == pytest.approx(0.0, abs=1e-10)
@@ -138,7 +140,7 @@ def test_ringing_has_the_frequency_of_a_mode(tmp_path):
     assert frequency == pytest.approx(lowest.frequency, rel=0.01)
 
 
-def test_settling_is_from_the_arrival_until_the_tool_stays_in_the_band(tmp_path):
+def test_settling_time_is_from_arrival_until_the_tool_stays_in_the_band(tmp_path):
     found = simulate(arm(tmp_path), bang([40.0], 0.0973, [0.0]), band=2e-5)
     after = found.time - found.duration
     settled = found.settling_time
@@ -150,7 +152,7 @@ def test_settling_is_from_the_arrival_until_the_tool_stays_in_the_band(tmp_path)
     assert never.settling_time is None
 
 
-def test_the_loop_of_wind_up_is_as_wide_as_stated(tmp_path):
+def test_hysteresis_loop_has_the_stated_width(tmp_path):
     half_width = 1e-4
     swivel = arm(tmp_path, hysteresis=np.array([half_width]), damping=np.zeros(1))
 
@@ -176,10 +178,10 @@ def test_the_loop_of_wind_up_is_as_wide_as_stated(tmp_path):
     # Wind-up lags: going through zero upwards the spring is still wound the other way.
     assert np.all(np.sign(at_zero) == -np.sign(torque[crossing + 1]))
     share = 100.0 * LENGTH * half_width / found.distance.max()
-    assert f"0.04 mm from where it would hang at the end, {share:.0f} %" in found.notes[0]
+    assert f"0.04 mm from its static equilibrium at the end, {share:.0f} %" in found.notes[0]
 
 
-def test_a_joint_that_slips_is_named(tmp_path):
+def test_slipping_joint_is_named(tmp_path):
     robot = load_robot("er3a_c60")
     slipping = ElasticArm(robot, np.zeros(6))
     found = simulate(slipping, bang([120.0, 0.0, 0.0, 0.0, 0.0, 0.0], 0.05, np.zeros(6)))
@@ -187,7 +189,7 @@ def test_a_joint_that_slips_is_named(tmp_path):
     assert found.notes[0].startswith("joint_1 passes 80")
 
 
-def test_bad_dynamics_are_refused_in_a_sentence(tmp_path):
+def test_invalid_dynamics_are_refused(tmp_path):
     with pytest.raises(RobotError, match="damping of swivel must lie between 0 and the critical"):
         arm(tmp_path, damping=np.array([61.0]))
     with pytest.raises(RobotError, match="got -1"):
@@ -202,7 +204,7 @@ def test_bad_dynamics_are_refused_in_a_sentence(tmp_path):
         simulate(light, bang([1.0, 0.0], 0.1, [0.0, 0.0]))
 
 
-def test_damping_and_hysteresis_of_a_robot_file_come_with_their_source(tmp_path):
+def test_damping_and_hysteresis_of_a_robot_file_keep_their_source(tmp_path):
     stated = {"damping": 3.0, "hysteresis": '"20 arcmin"', "source": '"a measured ring-down"'}
     spring = CONSTANT.format(stiffness=STIFFNESS)
     robot = load_robot(write_robot(tmp_path, "swivel", joints=[joint("swivel", spring, **stated)]))
@@ -217,7 +219,7 @@ def test_damping_and_hysteresis_of_a_robot_file_come_with_their_source(tmp_path)
         load_robot(write_robot(tmp_path, "swivel", joints=wrong))
 
 
-def test_a_motion_that_does_not_end_at_rest_has_no_time_after_it(tmp_path):
+def test_motion_without_final_rest_ends_at_arrival(tmp_path):
     motion = MotorMotion(np.array([0.0, 0.2]), np.array([[0.0], [0.2]]), np.ones((2, 1)))
     found = simulate(arm(tmp_path), motion)
     assert found.time[-1] == pytest.approx(0.2)
@@ -225,7 +227,7 @@ def test_a_motion_that_does_not_end_at_rest_has_no_time_after_it(tmp_path):
     assert found.peak_after is found.rms_after is found.settling_time is None
 
 
-def test_a_joint_that_swings_far_above_the_others_may_follow_its_motor(tmp_path):
+def test_joint_of_high_frequency_may_follow_its_motor(tmp_path):
     """A light hand on a stiff wrist, 2 kHz: what the arm does otherwise is the same."""
     springs = [CONSTANT.format(stiffness=k) for k in (STIFFNESS, 4e6)]
     joints = [joint(name, s) for name, s in zip(("shoulder", "elbow"), springs, strict=True)]
@@ -236,10 +238,10 @@ def test_a_joint_that_swings_far_above_the_others_may_follow_its_motor(tmp_path)
     motion = bang([20.0, 10.0], 0.05, [0.0, 0.0])
     own, full = simulate(following, motion), simulate(whole, motion)
     assert own.peak == pytest.approx(full.peak, rel=2e-3)
-    assert own.notes[0] == "elbow: alone above 1200 Hz, taken to follow the motor at once."
+    assert own.notes[0] == "elbow: single-joint vibration above 1200 Hz, taken as rigid."
 
 
-def test_a_joint_that_slides_has_no_loop_of_a_reducer(tmp_path):
+def test_prismatic_joint_has_no_typical_hysteresis(tmp_path):
     robot = load_robot(write_robot(tmp_path, "slide"))
     pose = np.array([0.1, 0.5])
     held = ElasticArm(robot, pose)

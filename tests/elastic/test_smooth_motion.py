@@ -1,4 +1,4 @@
-"""The smooth motion nearest to a plan."""
+"""Smoothing of a plan: distance, ends, continuity."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def jerky(jerk=200.0, step=0.1):
 
 
 @pytest.mark.parametrize("spacing", [0.005, 0.01])
-def test_it_is_as_near_as_stated_and_rests_at_both_ends(spacing):
+def test_smooth_motion_is_near_the_plan_and_rests_at_both_ends(spacing):
     plan = jerky()
     found = smooth_motion(plan, spacing)
     assert found.duration == pytest.approx(plan.duration)
@@ -31,14 +31,14 @@ def test_it_is_as_near_as_stated_and_rests_at_both_ends(spacing):
         assert np.max(ends) < 1e-8 * np.max(np.abs(found(t, order)))
 
 
-def test_its_fifth_derivative_does_not_jump():
+def test_smooth_motion_has_a_continuous_fifth_derivative():
     found = smooth_motion(jerky(), 0.01)
     breaks = found.times[1:-1]
     before, after = found(breaks - 1e-9, 5), found(breaks + 1e-9, 5)
     assert np.max(np.abs(after - before)) < 1e-4 * np.max(np.abs(after))
 
 
-def test_a_polynomial_of_its_degree_is_kept():
+def test_polynomial_of_the_spline_degree_is_reproduced():
     # x^5 (1 - x)^2 has rest up to the fourth derivative at one end only: shift both.
     t = np.linspace(0.0, 1.0, 201)
     shape = np.polynomial.Polynomial([0, 0, 0, 0, 0, 126, -420, 540, -315, 70])

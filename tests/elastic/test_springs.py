@@ -1,4 +1,4 @@
-"""The tabulated springs are the exact law, and go on where it ends."""
+"""Tabulated springs against the exact law, and beyond its end."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from stiffopt.robot.files import load_robot
 
 
 @pytest.mark.parametrize("name", ["er3a_c60", "er3a_c60_contact", "ur10"])
-def test_springs_are_the_exact_law_both_ways(name):
+def test_springs_follow_the_exact_law_both_ways(name):
     robot = load_robot(name)
     share = np.random.default_rng(1).uniform(-1.2, 1.2, 300)
     for chain, spring, largest in zip(
@@ -27,7 +27,7 @@ def test_springs_are_the_exact_law_both_ways(name):
         np.testing.assert_allclose(stiffness, 1.0 / exact_compliance(chain, torque), rtol=1e-5)
 
 
-def test_a_spring_whose_flange_slips_goes_on_straight():
+def test_spring_is_linear_beyond_slip():
     robot = load_robot("er3a_c60")
     spring = joint_springs(robot)[0]
     reach = spring.torque_reach

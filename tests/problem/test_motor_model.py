@@ -32,9 +32,14 @@ from stiffopt.result.store import export_times, write_trajectory
 from stiffopt.result.trajectory import Trajectory
 from stiffopt.solver.initial_guess import initial_guess
 from stiffopt.solver.solve import solve
-from stiffopt.transcription import between
-from stiffopt.transcription.between import Excess, KnownRows, excess_of, tightened
+from stiffopt.transcription import constraint_back_off
 from stiffopt.transcription.build import transcribe
+from stiffopt.transcription.constraint_back_off import (
+    Excess,
+    KnownRows,
+    back_off_exceeded,
+    path_row_excess,
+)
 from stiffopt.transcription.mesh import uniform_mesh
 from stiffopt.transcription.point_function import PointFunction
 
@@ -176,7 +181,7 @@ def test_command_moves_the_links_along_the_written_plan(planar, link, tmp_path):
     arm = ElasticArm(planar.robot, command[0])
     found = simulate(arm, MotorMotion(written["t"], command, speed))
     at = np.minimum(found.time, motors.duration)
-    wanted = arm.tool(arm.hanging(link(at)))
+    wanted = arm.tool(arm.static_equilibrium(link(at)))
     missed = np.max(np.linalg.norm(arm.tool(found.position) - wanted, axis=1))
     # Commanded as they are planned, the links swing about that place.
     plain = simulate(arm, MotorMotion.of(link)).peak
@@ -252,9 +257,9 @@ def test_back_off_is_local_to_violations(planar):
     transcription = transcribe(ocp, mesh=uniform_mesh(8))
     x = transcription.pack(initial_guess(planar, motion, baselines(planar, motion)))
     rows = PointFunction(exact_path_rows(planar, motion, Scales()))
-    excess = excess_of(transcription, x, Smoothing(SMOOTHING).parameters, rows)
+    excess = path_row_excess(transcription, x, Smoothing(SMOOTHING).parameters, rows)
     given = transcription.nlp
-    nlp = tightened(given, excess, given, most=0.1)
+    nlp = back_off_exceeded(given, excess, given, most=0.1)
     change = transcription.nlp.upper_g - nlp.upper_g
     changed = np.flatnonzero(np.nan_to_num(change))
     assert max(excess.largest.values()) > 0.0
@@ -264,19 +269,21 @@ def test_back_off_is_local_to_violations(planar):
     names = {nlp.rows.entry(int(k)).name for k in changed}
     assert names <= {rows.name for rows in ocp.path_rows}
     # Again from there, bounds only move further in.
-    further = tightened(nlp, excess, given, most=0.1)
+    further = back_off_exceeded(nlp, excess, given, most=0.1)
     assert np.all(np.nan_to_num(nlp.upper_g - further.upper_g) >= 0.0)
 
 
 def test_repeated_back_off_applies_only_to_rows_backed_off_before(monkeypatch):
-    monkeypatch.setattr(between, "replace", lambda nlp, **bounds: SimpleNamespace(**bounds))
+    monkeypatch.setattr(
+        constraint_back_off, "replace", lambda nlp, **bounds: SimpleNamespace(**bounds)
+    )
     index = np.arange(3)[:, None]
     near = np.array([[0.02], [0.02], [0.0]])
     block = SimpleNamespace(rows=SimpleNamespace(name="jerk"))
     excess = Excess({"jerk": 0.02}, ((block, index, near, np.zeros((3, 1))),))
     given = SimpleNamespace(lower_g=np.full(3, -1.0), upper_g=np.ones(3))
     before = SimpleNamespace(lower_g=np.full(3, -1.0), upper_g=np.array([0.9, 1.0, 0.9]))
-    found = tightened(before, excess, given, most=1.0, limits=("jerk",))
+    found = back_off_exceeded(before, excess, given, most=1.0, limits=("jerk",))
     assert found.upper_g[0] == pytest.approx(0.8)
     assert 1.0 - 2.0 * 0.02 < found.upper_g[1] < 1.0 - 0.02
     assert found.upper_g[2] == 0.9
@@ -284,11 +291,13 @@ def test_repeated_back_off_applies_only_to_rows_backed_off_before(monkeypatch):
 
 
 def test_back_off_from_both_sides_keeps_rows_feasible(monkeypatch):
-    monkeypatch.setattr(between, "replace", lambda nlp, **bounds: SimpleNamespace(**bounds))
+    monkeypatch.setattr(
+        constraint_back_off, "replace", lambda nlp, **bounds: SimpleNamespace(**bounds)
+    )
     index, near = np.arange(2)[:, None], np.array([[0.7], [0.2]])
     block = SimpleNamespace(rows=SimpleNamespace(name="peak"))
     given = SimpleNamespace(lower_g=np.full(2, -0.5), upper_g=np.full(2, 0.5))
-    found = tightened(given, Excess({}, ((block, index, near, near),)), given, most=1.0)
+    found = back_off_exceeded(given, Excess({}, ((block, index, near, near),)), given, most=1.0)
     assert found.lower_g == pytest.approx([-0.5, -0.3])
     assert found.upper_g == pytest.approx([0.5, 0.3])
 
@@ -303,8 +312,8 @@ def test_exact_motor_rows_determine_the_back_off(planar):
     speed = np.zeros((201, planar.joints))
     speed[times > 0.9 * duration, 1] = 1.5
     asked = (transcription, x, Smoothing(SMOOTHING).parameters, rows)
-    plain = excess_of(*asked)
-    found = excess_of(*asked, {"velocity": KnownRows(times, speed)})
+    plain = path_row_excess(*asked)
+    found = path_row_excess(*asked, {"velocity": KnownRows(times, speed)})
     assert found.largest["velocity"] == pytest.approx(max(0.5, plain.largest["velocity"]))
     for (block, _, above, below), (_, _, known, same) in zip(found.near, plain.near, strict=True):
         changed = above != known

@@ -132,10 +132,10 @@ def test_programme_is_reused_only_for_the_same_set_of_bounds(monkeypatch, change
 
     made = build.transcribe(stated(), "piecewise_linear", uniform_mesh(8))
     ocp = stated(change)
-    taken = build.adapted(made, ocp)
+    taken = build.adapt(made, ocp)
     assert same_bounds(scaled_like(ocp, made.ocp), made.ocp) is quick
     monkeypatch.setattr(build, "same_bounds", lambda *_: False)
-    built = build.adapted(made, ocp)
+    built = build.adapt(made, ocp)
     for name in ("lower_x", "upper_x", "lower_g", "upper_g", "numbers"):
         assert np.array_equal(getattr(taken.nlp, name), getattr(built.nlp, name)), name
     # Torque is bounded relative to its limit, which is a number of the stage.

@@ -76,7 +76,7 @@ def test_residual_vibration_is_small_on_nominal_and_softer_arm(solved):
     own = simulate(arm, motion)
     assert own.peak == pytest.approx(solution.objective.value, rel=0.1)
     assert own.peak_after < 0.02 * own.peak
-    softer = simulate(arm.departed(Departure(stiffness=np.full(2, 0.8))), motion)
+    softer = simulate(arm.with_departure(Departure(stiffness=np.full(2, 0.8))), motion)
     assert softer.peak_after < 0.15 * own.peak
 
 

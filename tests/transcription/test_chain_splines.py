@@ -1,4 +1,4 @@
-"""Splines in place of chains of integrators: their values, slopes and the way back."""
+"""Splines of integrator chains: values, derivatives and fit."""
 
 import casadi as ca
 import numpy as np
@@ -36,10 +36,10 @@ def polynomial_values():
     return np.stack([each for order in orders for each in order], axis=1)
 
 
-def test_a_polynomial_of_its_degree_is_met_in_all_derivatives(splines):
+def test_splines_reproduce_a_polynomial_in_all_derivatives(splines):
     values = polynomial_values()
-    found = splines.fitted(PLACES, values, np.ones(12), DURATIONS)
-    assert splines.numeric(PLACES, found, DURATIONS) == pytest.approx(values, rel=1e-8, abs=1e-7)
+    found = splines.fit(PLACES, values, np.ones(12), DURATIONS)
+    assert splines.evaluate(PLACES, found, DURATIONS) == pytest.approx(values, rel=1e-8, abs=1e-7)
     symbolic = splines.at(PLACES, ca.MX(ca.DM(found)), ca.MX(ca.DM(DURATIONS)))
     shown = np.array(ca.evalf(symbolic)).T
     assert shown == pytest.approx(values, rel=1e-8, abs=1e-7)
@@ -48,19 +48,19 @@ def test_a_polynomial_of_its_degree_is_met_in_all_derivatives(splines):
     assert found_jerk == pytest.approx(values[:, 6:8], rel=1e-8, abs=1e-7)
 
 
-def test_what_is_not_zero_at_places_gives_the_values(splines):
+def test_nonzero_basis_functions_give_the_values(splines):
     c = np.random.default_rng(1).normal(size=splines.size)
-    rows, basis = splines.about(PLACES)
+    rows, basis = splines.nonzero_basis(PLACES)
     own = c.reshape(-1, len(CHAINS))[rows]
     moved = np.einsum("pki,pij->pkj", basis, own)
     moved /= DURATIONS[PLACES.phase][:, None, None] ** np.arange(splines.orders)[:, None]
     found = np.zeros((len(PLACES), splines.values))
     for j, chain in enumerate(splines.places):
         found[:, chain] = moved[:, :, j]
-    assert found == pytest.approx(splines.numeric(PLACES, c, DURATIONS), rel=1e-10, abs=1e-9)
+    assert found == pytest.approx(splines.evaluate(PLACES, c, DURATIONS), rel=1e-10, abs=1e-9)
 
 
-def test_one_duration_stands_for_all_of_one_phase():
+def test_one_duration_applies_to_a_single_phase():
     alone = ChainSplines(MESH[:1], CHAINS)
     places = Places(np.zeros(2, dtype=int), np.array([0.0, 1.0]))
     ends = alone.at(places, ca.MX.ones(alone.size), ca.MX(2.0))
@@ -70,7 +70,7 @@ def test_one_duration_stands_for_all_of_one_phase():
 
 
 @pytest.mark.parametrize("method", ["piecewise_linear_acceleration", "hermite_simpson"])
-def test_a_basis_of_motions_spans_all_that_equations_allow(method):
+def test_motion_basis_spans_the_feasible_motions(method):
     changes = [f'method.transcription="{method}"', "method.intervals=7"]
     problem = load_problem(ROOT / "problems" / "two_link.toml", changes).problem
     ocp = formulate(problem, resolve(problem), Scales())
@@ -86,7 +86,7 @@ def test_a_basis_of_motions_spans_all_that_equations_allow(method):
 
 
 @pytest.mark.parametrize("change", ['method.transcription="radau"', FREE])
-def test_there_is_no_basis_where_equations_are_not_linear_or_controls_jump(change):
+def test_motion_basis_is_none_for_nonlinear_equations_or_control_jumps(change):
     problem = load_problem(ROOT / "problems" / "two_link.toml", [change]).problem
     ocp = formulate(problem, resolve(problem), Scales())
     assert transcribe(ocp, problem.method.transcription, uniform_mesh(5)).motion_basis() is None

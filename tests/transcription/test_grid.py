@@ -6,14 +6,14 @@ import pytest
 from stiffopt.transcription import grid
 
 
-def test_radau_nodes_are_the_known_ones():
+def test_radau_nodes_equal_known_values():
     assert grid.radau_nodes(1) == pytest.approx([1.0])
     assert grid.radau_nodes(2) == pytest.approx([1 / 3, 1.0], abs=1e-15)
     inner = np.array([4 - np.sqrt(6), 4 + np.sqrt(6)]) / 10
     assert grid.radau_nodes(3) == pytest.approx([*inner, 1.0], abs=1e-15)
 
 
-def test_lobatto_nodes_are_the_known_ones():
+def test_lobatto_nodes_equal_known_values():
     assert grid.lobatto_nodes(3) == pytest.approx([0.0, 0.5, 1.0], abs=1e-15)
     root = np.sqrt(1 / 5) / 2
     assert grid.lobatto_nodes(4) == pytest.approx([0, 0.5 - root, 0.5 + root, 1], abs=1e-15)
@@ -37,7 +37,7 @@ def test_lobatto_quadrature_is_exact_to_its_degree(count):
         assert weights @ nodes**power == pytest.approx(1 / (power + 1), abs=1e-13)
 
 
-def test_differentiation_undoes_integration():
+def test_differentiation_inverts_integration():
     nodes = np.append(0.0, grid.radau_nodes(4))
     values = nodes**4 - 2 * nodes**2 + 3
     slopes = grid.differentiation_matrix(nodes) @ values
@@ -45,7 +45,7 @@ def test_differentiation_undoes_integration():
     assert grid.integration_matrix(nodes, nodes) @ slopes == pytest.approx(values - 3, abs=1e-12)
 
 
-def test_integrating_twice():
+def test_double_integration_is_exact():
     nodes, ends = grid.radau_nodes(3), np.array([0.25, 1.0])
     twice = grid.integration_matrix(nodes, ends, times=2) @ nodes**2
     assert twice == pytest.approx(ends**4 / 12, abs=1e-14)

@@ -32,12 +32,12 @@ def test_counts_are_whole_and_complete(total):
         ([np.array([0.5, 0.4])], "sum to 0.9"),
     ],
 )
-def test_bad_meshes_are_refused(mesh, message):
+def test_invalid_meshes_are_refused(mesh, message):
     with pytest.raises(ProblemError, match=message):
         checked_mesh(mesh, 1)
 
 
-def test_too_few_intervals():
+def test_fewer_intervals_than_phases_are_refused():
     with pytest.raises(ProblemError, match="2 intervals cannot cover 3 phases"):
         uniform_mesh(2, 3)
 

@@ -10,10 +10,9 @@ import pytest
 
 from stiffopt import native
 from stiffopt.interpreter.batched import POINTS
-from stiffopt.transcription import evaluated
-from stiffopt.transcription.evaluated import stage_functions
-from stiffopt.transcription.node_derivatives import numbered, with_derivatives
-from stiffopt.transcription.stage_function import StageFunction
+from stiffopt.transcription import point_function
+from stiffopt.transcription.node_derivatives import extract_numbers, with_derivatives
+from stiffopt.transcription.point_function import StageFunction, stage_functions
 
 
 def stage(payload: float) -> tuple[ca.Function, ca.Function]:
@@ -27,9 +26,9 @@ def stage(payload: float) -> tuple[ca.Function, ca.Function]:
     )
 
 
-def test_derivatives_are_those_of_casadi() -> None:
+def test_derivatives_agree_with_casadi() -> None:
     function, through = stage(3.7)
-    taken = numbered(function, through)
+    taken = extract_numbers(function, through)
     w = ca.SX.sym("w", 4)
     p, weights = ca.SX.sym("p"), ca.SX.sym("weights", 4)
     values = ca.vertcat(*function(w[:2], w[2], w[3], p))
@@ -53,7 +52,7 @@ def test_an_intermediate_may_be_computed_from_another() -> None:
     gravity = ca.sin(x[0]) * x[1]
     through = ca.vertcat(gravity, gravity + u * ca.cos(x[1]))
     rows = ca.vertcat(through[1] ** 2 * through[0], z)
-    taken = numbered(
+    taken = extract_numbers(
         ca.Function("stage", [x, u, z, p], [ca.sumsqr(through), rows]),
         ca.Function("through", [x, u, z, p], [through]),
     )
@@ -65,42 +64,42 @@ def test_an_intermediate_may_be_computed_from_another() -> None:
     np.testing.assert_allclose(ours.full(), truth(point, factors).full(), rtol=1e-12)
 
 
-def test_two_payloads_are_one_formula() -> None:
-    light, heavy = (numbered(*stage(payload)) for payload in (3.7, 5.1))
+def test_two_payloads_share_one_formula() -> None:
+    light, heavy = (extract_numbers(*stage(payload)) for payload in (3.7, 5.1))
     assert stage_functions(light) is stage_functions(heavy)
     assert not np.allclose(light.numbers, heavy.numbers)
 
 
-def test_functions_used_last_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(evaluated, "MAX_KEPT", 2)
+def test_least_recently_used_functions_are_dropped(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(point_function, "MAX_KEPT", 2)
     x, p, number = ca.SX.sym("x"), ca.SX.sym("p"), ca.SX.sym("n")
     squares, cubes, fourth = (
         ca.Function("values", [x, p, number], [x**power]) for power in (2, 3, 4)
     )
-    first = evaluated.point_function(squares)
-    evaluated.point_function(cubes)
-    assert evaluated.point_function(squares) is first
-    evaluated.point_function(fourth)
-    assert evaluated.point_function(squares) is first
-    assert len(evaluated._kept_functions) == 2
+    first = point_function.batched_function(squares)
+    point_function.batched_function(cubes)
+    assert point_function.batched_function(squares) is first
+    point_function.batched_function(fourth)
+    assert point_function.batched_function(squares) is first
+    assert len(point_function._kept_functions) == 2
 
 
 @pytest.mark.skipif(native.library() is None, reason="needs the compiled core")
-def test_a_stage_of_which_one_function_finds_no_place_is_evaluated_by_casadi(
+def test_stage_that_is_partly_not_batched_is_evaluated_by_casadi(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    taken = numbered(*stage(2.3))
-    inner = evaluated.batched
-    monkeypatch.setattr(evaluated, "_kept_functions", OrderedDict())
+    taken = extract_numbers(*stage(2.3))
+    inner = point_function.batched
+    monkeypatch.setattr(point_function, "_kept_functions", OrderedDict())
     monkeypatch.setattr(
-        evaluated, "batched", lambda *given, recalled: inner(*given) if recalled else None
+        point_function, "batched", lambda *given, recalled: inner(*given) if recalled else None
     )
     assert [each.size2_in(0) for each in stage_functions(taken)] == [1, 1, 1]
 
 
 @pytest.mark.skipif(native.library() is None, reason="needs the compiled core")
-def test_derivatives_by_the_interpreter_are_those_by_casadi() -> None:
-    taken = numbered(*stage(2.3))
+def test_interpreter_derivatives_agree_with_casadi() -> None:
+    taken = extract_numbers(*stage(2.3))
     rng = np.random.default_rng(2)
     for fast, slow in zip(stage_functions(taken), with_derivatives(taken.function), strict=True):
         inputs = [rng.normal(size=slow.size_in(k)) for k in range(slow.n_in())]
@@ -113,7 +112,7 @@ def test_derivatives_by_the_interpreter_are_those_by_casadi() -> None:
 
 
 def test_a_programme_may_have_any_number_of_points(monkeypatch: pytest.MonkeyPatch) -> None:
-    taken = numbered(*stage(2.3))
+    taken = extract_numbers(*stage(2.3))
     count = POINTS + 3
     quick = StageFunction(taken, count, 1)
     monkeypatch.setattr(native, "library", lambda: None)

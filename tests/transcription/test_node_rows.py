@@ -12,7 +12,7 @@ from stiffopt.problem.resolve import resolve
 from stiffopt.solver.initial_guess import initial_guess
 from stiffopt.transcription.build import transcribe
 from stiffopt.transcription.mesh import uniform_mesh
-from stiffopt.transcription.node_rows import NodeRows, renumbered, with_node_rows
+from stiffopt.transcription.node_rows import NodeRows, renumber_node_rows, with_node_rows
 from stiffopt.transcription.ocp import Rows
 
 
@@ -41,7 +41,7 @@ def programme(tmp_path, monkeypatch):
     return plain, x
 
 
-def test_rows_derivatives_and_names(programme):
+def test_node_rows_have_derivatives_and_names(programme):
     plain, x = programme
     block = bowl([0.3, -0.2])
     made = with_node_rows(plain, [block])
@@ -67,10 +67,10 @@ def test_rows_derivatives_and_names(programme):
     assert np.allclose(found.full(), np.triu(bent.full()), atol=1e-8)
 
 
-def test_other_numbers_are_no_other_programme(programme):
+def test_other_numbers_keep_the_programme(programme):
     plain, x = programme
     made = with_node_rows(plain, [bowl([0.3, -0.2])])
-    again = renumbered(made, plain, [bowl([1.5, 0.0])])
+    again = renumber_node_rows(made, plain, [bowl([1.5, 0.0])])
     assert again.nlp.x is made.nlp.x
     value = ca.Function("value", [made.nlp.x, made.nlp.p], [made.nlp.g])
     before = len(plain.nlp.lower_g)

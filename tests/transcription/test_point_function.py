@@ -10,7 +10,7 @@ from stiffopt.transcription.point_function import PointFunction
 
 
 @pytest.mark.parametrize("count", [1, POINTS, 3 * POINTS + 1])
-def test_the_same_numbers_with_and_without_the_compiled_core(monkeypatch, count):
+def test_compiled_values_equal_those_of_casadi(monkeypatch, count):
     x, u, z, p = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("z", 0), ca.SX.sym("p", 2)
     rows = ca.vertcat(ca.sin(3.7 * x[0]) * u / p[0], ca.fmax(x[1], p[1]) ** 2 - 0.3)
     function = ca.Function("rows", [x, u, z, p], [rows])
@@ -23,7 +23,7 @@ def test_the_same_numbers_with_and_without_the_compiled_core(monkeypatch, count)
     np.testing.assert_allclose(quick(points, parameters), plain, rtol=1e-15, atol=0)
 
 
-def test_rates_in_place_of_values():
+def test_extended_function_gives_rates():
     q, p, none = ca.SX.sym("q"), ca.SX.sym("p"), ca.SX(0, 1)
     speed = ca.SX.sym("speed")
     found = PointFunction(

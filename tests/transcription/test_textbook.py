@@ -63,7 +63,7 @@ def test_piecewise_linear_is_within_its_order(name):
     assert coarse / fine == pytest.approx(16.0, rel=0.15)
 
 
-def test_the_method_is_checked():
+def test_unknown_method_is_refused():
     case = CASES["block_move"]
     with pytest.raises(ProblemError, match="Did you mean 'radau'"):
         transcribe(case.ocp, "radaw", uniform_mesh(10))

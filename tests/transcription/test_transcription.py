@@ -1,4 +1,4 @@
-"""Names, bounds and the way between NLP vectors and motions."""
+"""Transcribed problems: names, bounds, and conversion between NLP vectors and motions."""
 
 from dataclasses import replace
 
@@ -80,7 +80,7 @@ def test_rows_are_named_with_unit_and_place():
     assert (first.name, first.label, first.fraction) == ("state", "x", 0.0)
 
 
-def test_rows_without_midpoints_stand_at_the_nodes():
+def test_rows_without_midpoints_hold_at_the_nodes():
     ocp, _ = with_rows(midpoints=False)
     made = transcribe(ocp, "piecewise_linear", uniform_mesh(4))
     entries = [made.nlp.rows.entry(i) for i in range(made.nlp.rows.size)]
@@ -168,7 +168,7 @@ def test_mesh_continuation_saves_iterations():
     assert warm.iterations < 0.6 * cold.iterations
 
 
-def test_guesses_are_checked():
+def test_invalid_guesses_are_refused():
     made = transcribe(block_move().ocp, "radau", uniform_mesh(5))
     flat = Guess(states=lambda s: s, controls=lambda s: s[:, None], duration=1.0)
     with pytest.raises(ProblemError, match=r"state callable returned shape \(16,\)"):
@@ -178,7 +178,7 @@ def test_guesses_are_checked():
         made.pack(broken)
 
 
-def test_a_start_outside_the_limits_is_named():
+def test_start_outside_the_limits_is_named():
     case = block_move(state_bounds=[(0.5, 2.0), (-INF, INF)])
     with pytest.raises(ProblemError, match=r"state, x .at 0 %. must be at least 0.5 and at most 0"):
         transcribe(case.ocp, "piecewise_linear", uniform_mesh(5))
@@ -250,7 +250,7 @@ def test_jerk_limited_minimum_time():
         assert found.objective == pytest.approx(1.0, abs=1e-6)
 
 
-def test_rate_bounds_make_radau_controls_continuous():
+def test_rate_bounds_give_continuous_radau_controls():
     """With free end acceleration T = (12 distance/jerk)^(1/3), by a linear acceleration."""
     ocp = replace(
         minimum_time(chains=((0, 1, 0),)).ocp,

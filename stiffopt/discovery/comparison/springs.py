@@ -14,7 +14,7 @@ import numpy as np
 
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.comparison.vibration import LinkMotion, Vibration, slow_filter
-from stiffopt.elastic.response import SwingResponse
+from stiffopt.elastic.response import ElasticResponse
 
 # Share of the largest torque; smaller changes have no mean slope.
 _MIN_TORQUE_CHANGE = 1e-9
@@ -194,7 +194,7 @@ class Springs:
         mobility = None
         if near is not None and not np.any(added_inertia) and not np.any(near.added_inertia):
             mobility = near.response.mobility
-        response = SwingResponse(
+        response = ElasticResponse(
             inertia + added_inertia,
             rate + self.damping * own,
             weight + stiffness[..., None] * own,

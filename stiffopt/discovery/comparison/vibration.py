@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stiffopt.discovery.comparison.filtering import ZeroPhaseFilter
-from stiffopt.elastic.response import SwingResponse
+from stiffopt.elastic.response import ElasticResponse
 
 # Cutoff of the slow motion that links have before vibration is added [Hz].
 SLOW_CUTOFF = 20.0
@@ -90,7 +90,7 @@ class Vibration:
 
     Parameters
     ----------
-    response : SwingResponse
+    response : ElasticResponse
     stiffness : array (K, n)
         Tangent stiffness of the springs along the motion [N m/rad].
     damping : array (n,)
@@ -105,7 +105,7 @@ class Vibration:
         Added to the nominal inertia [kg m^2].
     """
 
-    response: SwingResponse
+    response: ElasticResponse
     stiffness: np.ndarray
     damping: np.ndarray
     bodies: tuple[np.ndarray, np.ndarray, np.ndarray]

@@ -22,7 +22,7 @@ from stiffopt.discovery.extended.model import ExtendedModel, load_extended, requ
 from stiffopt.discovery.signals import JointConstants
 from stiffopt.discovery.user_effects import load_effects
 from stiffopt.drivetrain.chain import Chain
-from stiffopt.elastic.uncertainty import of_deviations
+from stiffopt.elastic.uncertainty import bounds_from_deviations
 from stiffopt.errors import InputFileError, format_increase
 from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.result.assessment import Assessment
@@ -360,7 +360,7 @@ def _format_change(after: float, before: float) -> str:
 
 def extended_problem(problem: TrajectoryProblem, planner: PlannerModel) -> TrajectoryProblem:
     """Return the problem with the extended robot, as uncertain as its findings."""
-    uncertainty = of_deviations(
+    uncertainty = bounds_from_deviations(
         problem.uncertainty, planner.stiffness_deviation, planner.payload_deviation
     )
     return replace(problem, robot=planner.robot, uncertainty=uncertainty)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from stiffopt.elastic.survey import PoseModes
+from stiffopt.elastic.modes import PoseModes
 from stiffopt.files import atomic_write
 from stiffopt.report.common.page import PageFigures, write_page
 from stiffopt.report.common.svg import (
@@ -231,7 +231,7 @@ def elastic_poses(arm: ElasticArm, motion: SimulatedMotion, frames: int = _FRAME
     end = min(float(motion.time[-1]), motion.duration + _TIME_AFTER_ARRIVAL)
     at = np.unique(np.searchsorted(motion.time, np.linspace(0.0, end, frames)))
     at = np.unique([*at[at < len(motion.time)], int(np.argmax(motion.distance))])
-    hanging = arm.hanging((motion.position + motion.windup)[at])
+    hanging = arm.static_equilibrium((motion.position + motion.windup)[at])
     bend = hanging - motion.position[at]
     jacobian = tool_jacobian(arm.robot.tree, arm.robot.tool, hanging)
     return Poses(

@@ -1,22 +1,25 @@
-"""A stage along splines: values and derivatives by local variables, against CasADi's own."""
+"""Stage by spline coefficients: values and derivatives against CasADi's own."""
 
 import casadi as ca
 import numpy as np
 import pytest
 
-from stiffopt.transcription.along_splines import AlongSplines
-from stiffopt.transcription.node_derivatives import NumberedStage, numbered
+from stiffopt.transcription.node_derivatives import (
+    NumberedStage,
+    SplineCoordinates,
+    extract_numbers,
+)
 
 
 @pytest.mark.parametrize("free", [False, True])
-def test_derivatives_by_local_variables(free):
+def test_derivatives_by_local_variables_agree_with_casadi(free):
     x, u, z, p = ca.SX.sym("x", 4), ca.SX.sym("u", 2), ca.SX.sym("z"), ca.SX.sym("p")
     torque = ca.vertcat(u[0] * ca.cos(x[1]) + x[2] * x[3], 1.7 * u[1] * ca.sin(x[0]) + z)
     rows = ca.vertcat(torque[0] ** 2 * z, torque[1] / (p + x[2] ** 2), x[3] * u[0], z)
     stage = ca.Function("stage", [x, u, z, p], [ca.sumsqr(torque), rows])
-    taken = numbered(stage, ca.Function("through", [x, u, z, p], [torque]))
+    taken = extract_numbers(stage, ca.Function("through", [x, u, z, p], [torque]))
     # Second derivatives of cubic splines: positions and velocities are states.
-    along = AlongSplines(((0, 2, 4), (1, 3, 5)), degree=3, statics=1, free=free)
+    along = SplineCoordinates(((0, 2, 4), (1, 3, 5)), degree=3, statics=1, free=free)
     assert along.size == 2 * 4 + 1 + free
     values, jacobian, hessian = NumberedStage(
         taken.function, taken.numbers, taken.formula, along

@@ -1,21 +1,21 @@
-"""Many arms at once against the full simulation, one by one; arms drawn from uncertainties."""
+"""Batch simulation of uncertain arms against the full simulation; corner cases and draws."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
-from swinging_arms import arm, bang, there_and_stop
+from elastic_arms import arm, bang, there_and_stop
 
-from stiffopt.elastic.many_arms import ManyArms, Member
 from stiffopt.elastic.motor import Servo
 from stiffopt.elastic.simulate import simulate
+from stiffopt.elastic.uncertain_arms import Member, UncertainArms
 from stiffopt.elastic.uncertainty import (
     Departure,
     Uncertainty,
-    bounded,
+    bounds_from_deviations,
     corners,
-    draws,
-    of_deviations,
+    departure_at_bounds,
+    draw_departures,
     one_at_a_time,
 )
 from stiffopt.errors import InputError, ProblemError, RobotError
@@ -27,27 +27,27 @@ def planar(folder, payload=1.0):
     return type(elastic)(loaded, np.array([0.3, 0.4]))
 
 
-def test_departed_arms_swing_as_the_full_simulation_says(tmp_path):
+def test_batch_deviations_agree_with_full_simulation(tmp_path):
     elastic = planar(tmp_path)
     command = bang((3.0, -4.0), 0.2, (0.3, 0.4))
     plan = there_and_stop((3.0, -4.0), 0.2, (0.3, 0.4))
     unsure = Uncertainty(servo_feed_forward=0.98)
     arms = [
         Departure.none(2),
-        bounded(unsure, np.array([-1.0, -1.0]), -1.0, 1.0, 0.0),
-        bounded(unsure, np.array([1.0, -1.0]), 1.0, -1.0, 0.0),
-        bounded(unsure, np.array([0.0, 0.0]), 0.0, 0.0, 1.0),
+        departure_at_bounds(unsure, np.array([-1.0, -1.0]), -1.0, 1.0, 0.0),
+        departure_at_bounds(unsure, np.array([1.0, -1.0]), 1.0, -1.0, 0.0),
+        departure_at_bounds(unsure, np.array([0.0, 0.0]), 0.0, 0.0, 1.0),
     ]
     members = [Member(command=command, departure=each, reference=command) for each in arms]
-    swings = ManyArms(elastic, plan, unsure.servo).swings(members)
+    swings = UncertainArms(elastic, plan, unsure.servo).simulate(members)
     for k, each in enumerate(arms):
         servo = unsure.servo if each.servo else None
-        full = simulate(elastic.departed(each), command, servo=servo)
+        full = simulate(elastic.with_departure(each), command, servo=servo)
         assert swings.peak[k] == pytest.approx(full.peak, rel=0.02)
         assert swings.peak_after[k] == pytest.approx(full.peak_after, rel=0.02)
 
 
-def test_a_spring_of_twice_the_stiffness_winds_up_half_as_far(tmp_path):
+def test_twice_the_stiffness_halves_the_windup(tmp_path):
     elastic = arm(tmp_path, "planar")
     torque = np.linspace(-20.0, 20.0, 41)
     for spring in elastic.springs:
@@ -58,30 +58,30 @@ def test_a_spring_of_twice_the_stiffness_winds_up_half_as_far(tmp_path):
         assert stiff.torque_at(angle)[1] == pytest.approx(2.0 * spring.torque_at(angle)[1])
 
 
-def test_rigid_joints_move_with_their_motors(tmp_path):
-    from swinging_arms import one_soft_joint
+def test_rigid_joints_follow_their_motors_in_a_batch(tmp_path):
+    from elastic_arms import one_soft_joint
 
     elastic = one_soft_joint(tmp_path)
     command = bang((3.0, -4.0), 0.2, (0.3, 0.4))
     plan = there_and_stop((3.0, -4.0), 0.2, (0.3, 0.4))
     one = [Member(command=command, departure=Departure.none(2), reference=command)]
-    found, full = ManyArms(elastic, plan).swings(one), simulate(elastic, command)
+    found, full = UncertainArms(elastic, plan).simulate(one), simulate(elastic, command)
     assert found.peak[0] == pytest.approx(full.peak, rel=0.02)
     assert found.peak_after[0] == pytest.approx(full.peak_after, rel=0.02)
 
 
-def test_a_heavier_payload_winds_up_more(tmp_path):
+def test_heavier_payload_increases_windup(tmp_path):
     elastic = planar(tmp_path, payload=2.0)
-    heavier = elastic.departed(Departure(stiffness=np.ones(2), payload=1.5))
+    heavier = elastic.with_departure(Departure(stiffness=np.ones(2), payload=1.5))
     q = np.array([0.3, 0.4])
-    more = heavier.held_torque(q) - elastic.held_torque(q)
-    empty = elastic.departed(Departure(stiffness=np.ones(2), payload=0.0)).held_torque(q)
-    assert more == pytest.approx(0.5 * (elastic.held_torque(q) - empty), rel=1e-9)
+    more = heavier.static_torque(q) - elastic.static_torque(q)
+    empty = elastic.with_departure(Departure(stiffness=np.ones(2), payload=0.0)).static_torque(q)
+    assert more == pytest.approx(0.5 * (elastic.static_torque(q) - empty), rel=1e-9)
     with pytest.raises(RobotError, match="the factor of a payload"):
         elastic.robot.with_payload_times(-0.1)
 
 
-def test_corners_and_draws_stay_within_the_bounds():
+def test_corners_and_draws_are_within_bounds():
     unsure = Uncertainty(stiffness=(0.1, 0.3), seed=3)
     found = corners(unsure, 2, True)
     assert len(found) == 8
@@ -89,21 +89,21 @@ def test_corners_and_draws_stay_within_the_bounds():
     assert {each.payload for each in found} == {0.9, 1.1}
     assert len(corners(unsure, 2, False)) == 4
     assert [list(each.stiffness) for each in one_at_a_time(unsure, 2)] == [[0.9, 1.0], [1.0, 0.7]]
-    arms = draws(unsure, 2, True)
+    arms = draw_departures(unsure, 2, True)
     stiffness = np.array([each.stiffness for each in arms])
     assert len(arms) == 60
     assert np.all(np.abs(stiffness - 1.0) <= [0.1, 0.3])
     assert np.all(np.std(stiffness, axis=0) > [0.04, 0.12])
-    again = np.array([each.stiffness for each in draws(unsure, 2, True)])
+    again = np.array([each.stiffness for each in draw_departures(unsure, 2, True)])
     assert np.array_equal(stiffness, again)
     assert "stiffness -10 % of J1, -30 % of J2" in found[0].label
 
 
-def test_standard_deviations_become_bounds_of_the_joints():
-    unsure = of_deviations(Uncertainty(), np.array([np.nan, 0.03, 0.8]))
+def test_standard_deviations_give_stiffness_bounds():
+    unsure = bounds_from_deviations(Uncertainty(), np.array([np.nan, 0.03, 0.8]))
     assert unsure.stiffness == pytest.approx((0.2, 0.06, 0.99))
     assert unsure.payload == Uncertainty().payload
-    heavy = of_deviations(Uncertainty(), np.array([np.nan, np.nan]), 0.03)
+    heavy = bounds_from_deviations(Uncertainty(), np.array([np.nan, np.nan]), 0.03)
     assert heavy.payload == pytest.approx(0.06)
     assert heavy.stiffness == Uncertainty().stiffness
 
@@ -121,31 +121,31 @@ def test_standard_deviations_become_bounds_of_the_joints():
         ({"draws": 10}, "draws"),
     ],
 )
-def test_uncertainties_that_cannot_be_are_refused(given, what):
+def test_invalid_uncertainties_are_refused(given, what):
     with pytest.raises(InputError, match=what):
         Uncertainty(**given)
 
 
-def test_stiffness_is_of_every_joint():
+def test_stiffness_shares_must_match_the_joints():
     with pytest.raises(ProblemError, match="has 3 numbers"):
         Uncertainty(stiffness=(0.1, 0.1, 0.1)).shares(2)
 
 
-def test_a_damping_that_may_be_above_critical_is_named(tmp_path):
+def test_damping_above_critical_is_refused_with_its_limit(tmp_path):
     elastic = arm(tmp_path, "planar")
     damped = type(elastic)(
         elastic.robot.__class__(**{**vars(elastic.robot), "damping": 40.0 * elastic.damping}),
         np.zeros(2),
     )
     with pytest.raises(RobotError, match=r"uncertainty.damping lets .* critical") as told:
-        damped.departed(Departure(stiffness=np.ones(2), damping=1.5))
+        damped.with_departure(Departure(stiffness=np.ones(2), damping=1.5))
     # 40 times the 2 % that are assumed: a quarter more is critical.
     assert "from 0 to 0.2" in str(told.value)
     largest = float(str(told.value).split("uncertainty.damping = ")[1].rstrip("."))
     assert largest == pytest.approx(0.25, abs=0.0011)
-    damped.departed(Departure(stiffness=np.ones(2), damping=1.0 + largest))
+    damped.with_departure(Departure(stiffness=np.ones(2), damping=1.0 + largest))
 
 
-def test_only_a_servo_that_lags_counts():
+def test_exact_servo_is_no_corner_case():
     assert Uncertainty().servo is None
     assert Uncertainty(servo_feed_forward=0.9).servo == Servo(20.0, 0.9, 0.0)

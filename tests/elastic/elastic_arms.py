@@ -1,4 +1,4 @@
-"""Small arms that swing, and motions with closed forms."""
+"""Small elastic arms, and motions with closed forms."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from stiffopt.elastic.motor import MotorMotion
 from stiffopt.result.trajectory import Trajectory
 from stiffopt.robot.files import load_robot
 
-# Of the swivel: spring [N m/rad] and inertia of its link about the joint [kg m^2].
+# Swivel: spring [N m/rad] and inertia of its link about the joint [kg m^2].
 STIFFNESS = 1e4
 INERTIA = 1e-2 + 2.0 * 0.2**2
 RATE = float(np.sqrt(STIFFNESS / INERTIA))
@@ -41,7 +41,7 @@ def there_and_stop(acceleration, half, start):
 
 
 def bang(acceleration, half, start):
-    """The same as a motor's motion."""
+    """`there_and_stop` as a motor motion."""
     return MotorMotion.of(there_and_stop(acceleration, half, start))
 
 

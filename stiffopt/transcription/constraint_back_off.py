@@ -1,9 +1,9 @@
-"""Path rows between the points at which they hold, and bounds tightened where they are exceeded.
+"""Constraint back-off: bounds of path rows reduced where the exact rows exceed them.
 
-Rows hold at nodes and midpoints; between them a motion of high order bulges, and rows that are only
-nearly right differ from the exact ones everywhere. Both are met by sequential correction: the exact
-rows are evaluated densely on the motion that was found, and the bound of a row is drawn in by what
-they exceed it by in the neighbourhood of its point. The programme stays, only its bounds change.
+Rows hold at nodes and midpoints; between them a motion of high order may exceed a bound, and
+approximated rows differ from the exact ones everywhere. Both are corrected sequentially: the exact
+rows are evaluated densely on the last solution, and the bound of a row is reduced by the excess in
+the neighbourhood of its point. The programme stays, only its bounds change.
 """
 
 from __future__ import annotations
@@ -18,26 +18,25 @@ from stiffopt.transcription.nlp import Block, Nlp
 from stiffopt.transcription.point_function import PointFunction
 from stiffopt.transcription.transcription import Transcription
 
-# Points in every interval at which rows are looked at.
-_POINTS = 16
-# Bounds are drawn in by a little more than the excess: where they move, the excess moves too.
-_MORE, _LEAST = 1.25, 2e-3
-# What bulges between two points gives way slowly, and the objective hardly feels it: a bound that
-# was drawn in and is still exceeded goes as far again, up to so many times what is needed. One that
-# was not goes by what is needed: more would move the switches of the motion.
-_HASTE = 8.0
+_POINTS_PER_INTERVAL = 16  # at which the exact rows are evaluated
+# Back-off over excess, and its least value in units of the row: the excess moves with the bounds.
+_BACK_OFF_FACTOR, _MIN_BACK_OFF = 1.25, 2e-3
+# An excess between two points decreases slowly with the bound, at little cost of the objective: a
+# bound that is exceeded again is reduced as far again, up to this multiple of the excess. The first
+# back-off is just the excess: more would move the switching times.
+_MAX_BACK_OFF_GROWTH = 8.0
 
 
 @dataclass(frozen=True)
 class Excess:
-    """What exact path rows of a motion exceed their bounds by, in units of the rows.
+    """Excess of exact path rows over their bounds, in units of the rows.
 
     Parameters
     ----------
     largest : dict of row name to float
     near : tuple of (block, index (k, m), upper (k, m), lower (k, m))
-        Of every block its rows in the NLP, point by point in time, and the largest excess of either
-        bound about each point.
+        For every block its NLP rows, point by point in time, and the largest excess of either bound
+        in the neighbourhood of each point.
     """
 
     largest: dict[str, float]
@@ -46,12 +45,12 @@ class Excess:
 
 @dataclass(frozen=True)
 class KnownRows:
-    """What rows of a name are in truth, where it is known apart from the programme.
+    """Exact values of rows that were computed outside the programme.
 
     Parameters
     ----------
     times : array (K,)
-        In time, from 0 [s].
+        From 0 [s].
     values : array (K, m)
         In the unit of the rows and in their order.
     """
@@ -60,7 +59,7 @@ class KnownRows:
     values: np.ndarray
 
 
-def excess_of(
+def path_row_excess(
     transcription: Transcription,
     x: np.ndarray,
     parameters: np.ndarray,
@@ -73,17 +72,17 @@ def excess_of(
     ----------
     transcription : Transcription
     x : array
-        The NLP vector that was found.
+        Solution of the NLP.
     parameters : array (np,)
     rows : PointFunction
         Exact path rows.
     found : mapping of row name to KnownRows
-        What counts besides: motors arrive later than the links by what rows do not know.
+        Further values to be considered, as of motors, which arrive later than the links.
     """
     motion = transcription.guess_from(x)
     steps = transcription.intervals.shares @ transcription.phase_durations(x)
     breaks = np.concatenate([[0.0], np.cumsum(steps)])
-    inside = np.linspace(0.0, 1.0, _POINTS, endpoint=False)
+    inside = np.linspace(0.0, 1.0, _POINTS_PER_INTERVAL, endpoint=False)
     times = np.append((breaks[:-1, None] + steps[:, None] * inside).ravel(), breaks[-1])
     share = times / breaks[-1]
     statics = np.tile(motion.statics, (len(times), 1))
@@ -109,29 +108,29 @@ def excess_of(
                     excess = np.maximum(sign * (known - limit / block.rows.scale), 0.0)
                 excess = np.nan_to_num(excess, nan=0.0, posinf=0.0)
                 largest[name] = max(largest.get(name, 0.0), float(excess.max(initial=0.0)))
-                beside = np.maximum(beside, largest_beside(when, places[order], excess))
+                beside = np.maximum(beside, largest_adjacent_excess(when, places[order], excess))
             both.append(beside)
         near.append((block, index, both[0], both[1]))
     return Excess(largest, tuple(near))
 
 
-def tightened(
+def back_off_exceeded(
     nlp: Nlp, excess: Excess, given: Nlp, *, most: float, limits: Container[str] = ()
 ) -> Nlp:
-    """The NLP with the bounds of its path rows drawn in where a motion exceeds them.
+    """Return the NLP with the bounds of path rows backed off where a motion exceeds them.
 
     Parameters
     ----------
     nlp : Nlp
-        That of the motion, or one tightened before.
+        The solved one, with its back-off.
     excess : Excess
     given : Nlp
-        With the bounds as they were first.
+        With the original bounds.
     most : float
-        Largest step by which a bound is drawn in, in units of its row.
+        Largest back-off in one step, in units of the row.
     limits : container of str
-        Names of rows that have to hold. The others are those of a peak, which is what it is: they
-        are drawn in by just their excess.
+        Names of rows that must hold. The others bound a peak that is minimised: their back-off is
+        just the excess.
     """
     lower, upper = nlp.lower_g.copy(), nlp.upper_g.copy()
     for block, index, above, below in excess.near:
@@ -141,38 +140,40 @@ def tightened(
         ):
             step = near
             if block.rows.name in limits:
-                step = _MORE * near + _LEAST
+                step = _BACK_OFF_FACTOR * near + _MIN_BACK_OFF
                 with np.errstate(invalid="ignore"):
                     drawn = np.nan_to_num(sign * (first[index] - bound[index]))
-                step = np.clip(drawn, step, _HASTE * step)
+                step = np.clip(drawn, step, _MAX_BACK_OFF_GROWTH * step)
             bound[index] -= sign * np.where(near > 0.0, np.minimum(step, most), 0.0)
-    # Rows drawn in from both sides past themselves stay as they were.
+    # Rows whose bounds would cross stay.
     crossed = lower > upper
     lower[crossed], upper[crossed] = nlp.lower_g[crossed], nlp.upper_g[crossed]
     return replace(nlp, lower_g=lower, upper_g=upper)
 
 
-def drawn_in(nlp: Nlp, excess: Mapping[str, float]) -> Nlp:
-    """The NLP with both bounds of all rows of these names drawn in, each by its excess.
+def back_off_uniformly(nlp: Nlp, excess: Mapping[str, float]) -> Nlp:
+    """Return the NLP with both bounds of all rows of these names backed off by their excess.
 
     Parameters
     ----------
     nlp : Nlp
     excess : mapping row name -> float
-        In units of the row; no bound is drawn to less than a twentieth of what it was.
+        In units of the row; bounds are reduced to 5 % of their value at least.
     """
     lower, upper = nlp.lower_g.copy(), nlp.upper_g.copy()
     for block in nlp.rows.items:
         if block.rows.name in excess:
             own = slice(block.offset, block.offset + block.size)
-            step = _MORE * excess[block.rows.name]
+            step = _BACK_OFF_FACTOR * excess[block.rows.name]
             upper[own] = np.maximum(upper[own] - step, 0.05 * upper[own])
             lower[own] = np.minimum(lower[own] + step, 0.05 * lower[own])
     return replace(nlp, lower_g=lower, upper_g=upper)
 
 
-def largest_beside(times: np.ndarray, places: np.ndarray, excess: np.ndarray) -> np.ndarray:
-    """Largest excess (K, m) between each place and the ones beside it (k, m)."""
+def largest_adjacent_excess(
+    times: np.ndarray, places: np.ndarray, excess: np.ndarray
+) -> np.ndarray:
+    """Return the largest excess (k, m) between each place and its neighbours."""
     after = np.clip(np.searchsorted(places, times - 1e-12), 0, len(places) - 1)
     before = np.clip(np.searchsorted(places, times + 1e-12, side="right") - 1, 0, None)
     found = np.zeros((len(places), excess.shape[1]))

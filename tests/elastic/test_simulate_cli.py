@@ -1,4 +1,4 @@
-"""`stiffopt simulate` and `stiffopt modes` as people run them."""
+"""Command lines `stiffopt simulate` and `stiffopt modes`."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ def solved(tmp_path_factory):
 
 @pytest.fixture
 def copied(solved, tmp_path):
-    """The same, to be changed."""
+    """Copy of the folder that a test may change."""
     shutil.copytree(solved, tmp_path / "copy")
     return tmp_path / "copy"
 
 
-def test_simulate_reads_a_solve_and_finds_what_the_solve_found(solved, capsys):
+def test_simulate_repeats_the_values_of_the_solve(solved, capsys):
     out = solved / "simulated"
     assert run(["simulate", str(solved / "out"), "--out", str(out)]) == 0
     printed = capsys.readouterr().out
@@ -59,13 +59,13 @@ def test_simulate_reads_a_solve_and_finds_what_the_solve_found(solved, capsys):
     assert len(page) < 3e6
 
 
-def test_report_of_the_solve_shows_the_swing_beside_the_certificate(solved):
+def test_report_shows_vibration_beside_the_certificate(solved):
     page = (solved / "out" / "report.html").read_text()
     assert "Elastic simulation" in page
     assert "after arrival" in page
 
 
-def test_a_jerky_plan_has_no_command_that_the_motors_can_do_and_says_why(solved, capsys):
+def test_jerky_plan_without_feasible_command_gives_the_reason(solved, capsys):
     out = solved / "out"
     assert not (out / "command.csv").exists()
     document = json.loads((out / "result.json").read_text())["compensation"]
@@ -77,7 +77,7 @@ def test_a_jerky_plan_has_no_command_that_the_motors_can_do_and_says_why(solved,
     assert "the motors would exceed" in page
 
 
-def test_a_servo_that_lags_shows_in_the_deviation(solved, capsys):
+def test_servo_lag_increases_the_deviation(solved, capsys):
     out = solved / "lagging"
     options = ["--bandwidth", "20", "--feed-forward", "0.5", "--delay", "1 ms", "--band", "1 mm"]
     assert run(["simulate", str(solved / "out"), "--out", str(out), *options]) == 0
@@ -97,12 +97,12 @@ def test_a_servo_that_lags_shows_in_the_deviation(solved, capsys):
         (["--bandwidth", "-3"], "bandwidth must be above 0"),
     ],
 )
-def test_options_that_cannot_be_are_refused_in_a_sentence(solved, capsys, options, what):
+def test_invalid_options_are_refused(solved, capsys, options, what):
     assert run(["simulate", str(solved / "out"), *options]) == 2
     assert what in capsys.readouterr().err
 
 
-def test_results_that_cannot_be_simulated_say_why(copied, capsys):
+def test_results_that_cannot_be_simulated_give_the_reason(copied, capsys):
     out = copied / "out"
     document = json.loads((out / "result.json").read_text())
 
@@ -137,7 +137,7 @@ def test_results_that_cannot_be_simulated_say_why(copied, capsys):
     refused("result.json")
 
 
-def test_a_damping_above_critical_is_named_before_the_solve(tmp_path, capsys):
+def test_damping_above_critical_is_refused_before_the_solve(tmp_path, capsys):
     path = write_problem(tmp_path)
     arm = tmp_path / "planar.toml"
     arm.write_text(arm.read_text().replace('name = "elbow"', 'name = "elbow"\ndamping = 500.0'))
@@ -147,7 +147,7 @@ def test_a_damping_above_critical_is_named_before_the_solve(tmp_path, capsys):
     assert not (tmp_path / "out").exists()
 
 
-def test_modes_of_a_robot_without_a_pose_are_those_where_its_first_problem_starts(solved, capsys):
+def test_modes_default_to_the_start_of_the_first_problem(solved, capsys):
     path = solved / "planar.toml"
     robot = load_robot(path)
     start = first_motion(robot).start
@@ -181,20 +181,20 @@ def test_modes_of_a_robot_a_problem_and_a_motion(solved, capsys):
         (["out", "--at", "0 0"], "Omit --at"),
     ],
 )
-def test_poses_that_cannot_be_are_refused(solved, capsys, arguments, what):
+def test_invalid_poses_are_refused(solved, capsys, arguments, what):
     path = solved / arguments[0]
     source = str(path) if path.exists() else arguments[0]
     assert run(["modes", source, *arguments[1:]]) == 2
     assert what in capsys.readouterr().err
 
 
-def test_a_rigid_arm_has_no_modes(tmp_path, capsys):
+def test_modes_of_a_rigid_arm_are_refused(tmp_path, capsys):
     rigid = write_robot(tmp_path, joints=[joint("shoulder", ""), joint("elbow", "")])
     assert run(["modes", str(rigid), "--at", "0 0"]) == 2
-    assert "is rigid: no joint has a drivetrain" in capsys.readouterr().err
+    assert "is rigid: no joint has an elastic drivetrain" in capsys.readouterr().err
 
 
-def test_a_bare_number_is_si_on_the_command_line(solved, capsys):
+def test_number_without_unit_is_si_on_the_command_line(solved, capsys):
     found = []
     for number, name in (("1e-4", "bare"), ("0.1 mm", "unit")):
         out = solved / name

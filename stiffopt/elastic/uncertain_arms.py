@@ -1,0 +1,435 @@
+"""Batch simulation of arms with uncertain parameters on one planned motion.
+
+Bodies are linearised about the plan, linear in the payload; springs keep their nonlinear law. Links
+deviate by about 1e-3 rad from the plan, so neglected terms are of second order in that. Integrated
+by the trapezoidal rule with the tangent of the springs in every step: stable for any stiffness.
+Hysteresis is neglected.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from stiffopt.elastic import native
+from stiffopt.elastic.arm import ElasticArm
+from stiffopt.elastic.modes import modes
+from stiffopt.elastic.motor import MotorMotion, Servo
+from stiffopt.elastic.uncertainty import Departure
+from stiffopt.result.trajectory import JointMotion
+
+if TYPE_CHECKING:
+    from ctypes import CDLL
+
+    from stiffopt.robot.robot import Robot
+
+
+# Time step [s], and least steps in a period of the lowest mode: with 100 the phase error of the
+# trapezoidal rule is 1/30 rad in 15 periods.
+_MAX_TIME_STEP = 1e-3
+_STEPS_PER_PERIOD = 100
+# Periods of the lowest mode simulated after arrival: the first peak is the largest.
+_PERIODS_AFTER_ARRIVAL = 1.5
+_MAX_TIME_AFTER_ARRIVAL = 1.0  # [s]
+# The static equilibrium changes slowly: computed every so many steps, linear in between.
+_EQUILIBRIUM_STRIDE = 5
+_EQUILIBRIUM_ITERATIONS = 4
+_SPRING_TABLE_POINTS = 20001  # of each joint's law, equidistant in wind-up
+
+
+class LinearizedBodies:
+    """Linearised bodies at instants of a motion: first all bodies, then the payload alone.
+
+    Parameters
+    ----------
+    arm : ElasticArm
+    q, v, a : array (K, n)
+        Motion of the links, point of linearisation.
+
+    Attributes
+    ----------
+    torque : array (2, K, n)
+        Inverse dynamics of the motion, less the torque of the process force [N m].
+    by_q, by_v, inertia : array (2, K, n, n)
+        Derivatives of the torque by position, velocity and acceleration.
+    """
+
+    def __init__(self, arm: ElasticArm, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> None:
+        whole = [_linearize_dynamics(robot, q, v, a) for robot in _robot_and_heavier_payload(arm)]
+        self.torque, self.by_q, self.by_v, self.inertia = _split_payload(whole)
+        self.torque[0] -= [arm.force_torque(row) for row in q]
+
+
+class LinearizedWeight:
+    """Linearised weight in poses (K, n): first all bodies, then the payload alone.
+
+    Attributes
+    ----------
+    torque : array (2, K, n)
+        Static spring torque [N m].
+    by_q : array (2, K, n, n)
+        Derivative by position.
+    """
+
+    def __init__(self, arm: ElasticArm, q: np.ndarray) -> None:
+        whole = []
+        for robot in _robot_and_heavier_payload(arm):
+            bodies = robot.rigid_bodies()
+            weight = np.array([bodies.gravity_torque(row) for row in q])
+            whole.append((weight, np.array([bodies.weight_slope(row) for row in q])))
+        self.torque, self.by_q = _split_payload(whole)
+        self.torque[0] -= [arm.force_torque(row) for row in q]
+
+
+def _robot_and_heavier_payload(arm: ElasticArm) -> list[Robot]:
+    robot = arm.robot
+    return [robot] if robot.payload is None else [robot, robot.with_payload_times(2.0)]
+
+
+def _split_payload(whole: Sequence[tuple[np.ndarray, ...]]) -> list[np.ndarray]:
+    heavier = whole[-1]
+    return [np.stack([own, more - own]) for own, more in zip(whole[0], heavier, strict=True)]
+
+
+def _linearize_dynamics(
+    robot: Robot, q: np.ndarray, v: np.ndarray, a: np.ndarray
+) -> tuple[np.ndarray, ...]:
+    bodies = robot.bodies_in_motion()
+    return bodies.torque(q, v, a), *bodies.torque_slopes(q, v, a)
+
+
+class TabulatedSprings:
+    """Springs of all joints tabulated on equidistant wind-ups; zero for rigid joints.
+
+    Parameters
+    ----------
+    arm : ElasticArm
+    """
+
+    def __init__(self, arm: ElasticArm) -> None:
+        self._arm, self._half = arm, (_SPRING_TABLE_POINTS - 1) // 2
+        reach = np.array([1.0 if s is None else s.windup_reach for s in arm.springs])
+        windups = np.linspace(-reach, reach, _SPRING_TABLE_POINTS)
+        table = np.array(
+            [
+                np.zeros(_SPRING_TABLE_POINTS) if spring is None else spring.torque(windup)
+                for spring, windup in zip(arm.springs, windups.T, strict=True)
+            ]
+        )
+        self._scale = self._half / reach
+        self._torque, self._rise = table.ravel(), np.diff(table, append=table[:, -1:]).ravel()
+        self._offset = _SPRING_TABLE_POINTS * np.arange(len(reach))
+
+    def table(self) -> dict[str, np.ndarray | int]:
+        """Torques and differences to the next point (n points,), points per radian (n,)."""
+        numbers = {"torque": self._torque, "rise": self._rise, "scale": self._scale}
+        return {**numbers, "points": _SPRING_TABLE_POINTS}
+
+    def at(self, windup: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Torques [N m] and tangent stiffnesses [N m/rad] at wind-ups, (B, n) each."""
+        place = windup * self._scale + self._half
+        # Linear extrapolation beyond the table.
+        cell = np.minimum(np.maximum(place.astype(np.int64), 0), 2 * self._half - 1)
+        at = cell + self._offset
+        rise = self._rise[at]
+        return self._torque[at] + (place - cell) * rise, rise * self._scale
+
+    def torque(self, windup: np.ndarray) -> np.ndarray:
+        """Torques [N m] at wind-ups, (B, n) each."""
+        return self.at(windup)[0]
+
+    def windup(self, torque: np.ndarray) -> np.ndarray:
+        """Wind-ups [rad] at torques, (.., n) each; the inverse of `torque`."""
+        return self._arm.windup(torque.reshape(-1, torque.shape[-1])).reshape(torque.shape)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Member:
+    """One simulated arm: a command and a departure of its parameters.
+
+    Parameters
+    ----------
+    command : MotorMotion
+        Motion of the motors.
+    departure : Departure
+        Parameters of the arm.
+    reference : MotorMotion
+        Motion from whose static equilibrium the deviation is measured: the command itself, or the
+        plan of a compensated command.
+    """
+
+    command: MotorMotion
+    departure: Departure
+    reference: MotorMotion
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ArmDeviations:
+    """Tool deviations of several arms.
+
+    Parameters
+    ----------
+    time : array (K,) [s]
+    duration : float
+        Arrival of the commands [s].
+    deviation : array (B, K, 3)
+        Tool position less its static equilibrium, base axes [m].
+    """
+
+    time: np.ndarray
+    duration: float
+    deviation: np.ndarray
+
+    @cached_property
+    def distance(self) -> np.ndarray:
+        """Magnitudes of the deviations (B, K) [m]."""
+        return np.asarray(np.linalg.norm(self.deviation, axis=2))
+
+    @property
+    def flight(self) -> np.ndarray:
+        """Mask (K,) of the instants before arrival."""
+        return np.asarray(self.time <= self.duration)
+
+    @property
+    def peak(self) -> np.ndarray:
+        """Largest deviations in flight (B,) [m]."""
+        return np.asarray(self.distance[:, self.flight].max(axis=1))
+
+    @property
+    def peak_after(self) -> np.ndarray:
+        """Largest deviations after arrival (B,) [m]."""
+        return np.asarray(self.distance[:, self.time >= self.duration].max(axis=1))
+
+
+class UncertainArms:
+    """Arms of a robot with uncertain parameters, linearised along one planned motion.
+
+    Parameters
+    ----------
+    arm : ElasticArm
+        Nominal arm.
+    plan : JointMotion
+        At rest at both ends; its second derivative is used.
+    servo : Servo, optional
+        Worst servo; each departure has a share of its lag.
+    """
+
+    def __init__(self, arm: ElasticArm, plan: JointMotion, servo: Servo | None = None) -> None:
+        self._servo = servo
+        self.duration = plan.duration
+        start = plan(np.zeros(1))[0]
+        slowest = min((mode.frequency for mode in modes(arm, start)), default=1.0)
+        count = int(
+            np.ceil(self.duration / min(_MAX_TIME_STEP, 1.0 / (_STEPS_PER_PERIOD * slowest)))
+        )
+        self.step = self.duration / count
+        flight = np.minimum(self.step * np.arange(count + 1), self.duration)
+        rest = (
+            int(np.ceil(min(_PERIODS_AFTER_ARRIVAL / slowest, _MAX_TIME_AFTER_ARRIVAL) / self.step))
+            + 1
+        )
+        self.time = np.concatenate([flight, self.duration + self.step * np.arange(1, rest + 1)])
+        self._flight = count + 1
+        self._q, self._v = (
+            self._extend_at_rest(plan(flight)),
+            self._extend_at_rest(plan(flight, 1), 0.0),
+        )
+        # Bodies in the middle of every step of the flight, then at rest.
+        middle = 0.5 * (flight[:-1] + flight[1:])
+        ends = [self._q[-1:], np.zeros_like(self._q[:1]), np.zeros_like(self._q[:1])]
+        moving = [np.concatenate([plan(middle, k), end]) for k, end in enumerate(ends)]
+        self.steps = self._trapezoidal_matrices(LinearizedBodies(arm, *moving))
+        self.springs, self.damping = TabulatedSprings(arm), arm.damping
+        self.rigid = np.flatnonzero(~arm.elastic)
+        self._start = LinearizedWeight(arm, self._q[:1])
+        steps = np.arange(0, len(self.time), _EQUILIBRIUM_STRIDE)
+        self._equilibrium_samples = np.unique(np.append(steps, len(self.time) - 1))
+        self._weight = LinearizedWeight(arm, self._q[self._equilibrium_samples])
+        self._jacobian = self._extend_at_rest(
+            np.array([arm.bodies.jacobian(arm.robot.tool, q)[:3] for q in self._q[: count + 1]])
+        )
+
+    def simulate(self, members: Sequence[Member]) -> ArmDeviations:
+        """Simulate all members in one batch."""
+        return simulate_uncertain_arms([SimulationRequest(self, members)])[0]
+
+    def _extend_at_rest(self, values: np.ndarray, at_rest: float | None = None) -> np.ndarray:
+        """Append the last values of the flight, or `at_rest`, until the end."""
+        last = values[-1:] if at_rest is None else np.full_like(values[-1:], at_rest)
+        return np.concatenate([values, np.repeat(last, len(self.time) - len(values), axis=0)])
+
+    def _trapezoidal_matrices(self, bodies: LinearizedBodies) -> np.ndarray:
+        """Coefficients of the bodies in the equation of each step (2, K, n, 3 n + 1).
+
+        Columns of the velocity at its end, of velocity and position at its start, and the torque of
+        the plan.
+        """
+        step = self.step
+        inertia, turning = bodies.inertia / step, 0.5 * bodies.by_v + 0.25 * step * bodies.by_q
+        columns = [inertia + turning, inertia - turning, -bodies.by_q, bodies.torque[..., None]]
+        return np.concatenate(columns, axis=3)
+
+    def motors(self, commands: Sequence[MotorMotion]) -> tuple[np.ndarray, np.ndarray]:
+        """Motions (K, C, 4, n) of the distinct commands, and the index of each member's (B,).
+
+        Commanded position and velocity less those of the plan, and the additions of the worst servo
+        to both.
+        """
+        different = list({id(command): command for command in commands}.values())
+        places = {id(command): c for c, command in enumerate(different)}
+        found = np.zeros((len(different), 4, len(self.time), self._q.shape[1]))
+        for own, command in zip(found, different, strict=True):
+            own[0], own[1] = command(self.time), command(self.time, 1)
+            own[1, self.time > self.duration] = 0.0
+            if self._servo is not None:
+                late = self._servo.follow(command, self.time[-1])
+                own[2], own[3] = late(self.time) - own[0], late(self.time, 1) - own[1]
+        found[:, 0] -= self._q
+        found[:, 1] -= self._v
+        by_time = np.ascontiguousarray(found.transpose(2, 0, 1, 3))
+        return by_time, np.array([places[id(command)] for command in commands])
+
+    def initial_equilibrium(self, arms: _DepartureArrays, turn: np.ndarray) -> np.ndarray:
+        """Static equilibrium (B, n) with the motors `turn` ahead of the start of the plan."""
+        return _solve_equilibrium(self.springs, self._start, arms, turn[:, None])[:, 0]
+
+    def deviation(self, members: Sequence[Member], links: np.ndarray) -> np.ndarray:
+        """Tool deviations (B, K, 3) of members, for link positions less the plan (K, B, n)."""
+        # Members with the same departure and reference share their equilibrium.
+        alike = {(id(each.reference), id(each.departure)): each for each in members}
+        places = {key: place for place, key in enumerate(alike)}
+        equilibrium = self._reference_equilibrium(
+            _DepartureArrays([each.departure for each in alike.values()]),
+            [each.reference for each in alike.values()],
+        )
+        own = [places[id(each.reference), id(each.departure)] for each in members]
+        # One matrix product for all members: einsum would loop over them.
+        along = self._jacobian.swapaxes(1, 2)
+        away = links @ along - (equilibrium.swapaxes(0, 1) @ along)[:, own]
+        return np.asarray(away.swapaxes(0, 1))
+
+    def _reference_equilibrium(
+        self, arms: _DepartureArrays, references: Sequence[MotorMotion]
+    ) -> np.ndarray:
+        """Static equilibrium at the references, less the plan (B, K, n)."""
+        chosen, count = self._equilibrium_samples, len(self.time)
+        different = {id(each): each(self.time[chosen]) for each in references}
+        turn = np.stack([different[id(each)] for each in references]) - self._q[chosen]
+        coarse = _solve_equilibrium(self.springs, self._weight, arms, turn)
+        right = np.clip(np.searchsorted(chosen, np.arange(count)), 1, len(chosen) - 1)
+        left = right - 1
+        share = ((np.arange(count) - chosen[left]) / (chosen[right] - chosen[left]))[:, None]
+        return np.asarray((1.0 - share) * coarse[:, left] + share * coarse[:, right])
+
+
+@dataclass(frozen=True, eq=False)
+class SimulationRequest:
+    """Members to be simulated on one plan."""
+
+    many: UncertainArms
+    members: Sequence[Member]
+
+    def deviations(self, links: np.ndarray) -> ArmDeviations:
+        """Tool deviations of link positions less the plan (K, B, n)."""
+        many = self.many
+        deviation = many.deviation(self.members, links[: len(many.time)])
+        return ArmDeviations(time=many.time, duration=many.duration, deviation=deviation)
+
+
+def simulate_uncertain_arms(asked: Sequence[SimulationRequest]) -> list[ArmDeviations]:
+    """Simulate the members of several plans of one arm, plan by plan in batches.
+
+    Parameters
+    ----------
+    asked : sequence of SimulationRequest
+    """
+    core = native.core(len(asked[0].many.damping)) if asked else None
+    return [
+        each.deviations(_integrate_numpy(each) if core is None else _integrate_compiled(core, each))
+        for each in asked
+    ]
+
+
+def _integrate_compiled(core: CDLL, asked: SimulationRequest) -> np.ndarray:
+    """Integrate to link positions less the plan (K, B, n)."""
+    many = asked.many
+    arms = _DepartureArrays([member.departure for member in asked.members])
+    moved, of = many.motors([member.command for member in asked.members])
+    return native.integrate_linearized(
+        core,
+        many.springs,
+        many.rigid,
+        many.initial_equilibrium(arms, moved[0, of, 0]),
+        count=len(many.time),
+        flight=many.steps.shape[1],
+        commands=moved.shape[1],
+        step=many.step,
+        bodies=many.steps,
+        commanded=moved,
+        of=of,
+        stiffness=arms.stiffness,
+        damping=arms.damping * many.damping,
+        payload=arms.payload,
+        servo=arms.servo,
+    )
+
+
+def _integrate_numpy(asked: SimulationRequest) -> np.ndarray:
+    """Integrate without the compiled core, to the same result."""
+    many, rigid = asked.many, asked.many.rigid
+    arms = _DepartureArrays([member.departure for member in asked.members])
+    moved, of = many.motors([member.command for member in asked.members])
+    damping, step, joints = arms.damping * many.damping, many.step, np.arange(len(many.damping))
+    turn, e = moved[0, of, 0], many.initial_equilibrium(arms, moved[0, of, 0])
+    rate, drive = np.zeros_like(e), np.zeros_like(e)
+    found = [e]
+    for k in range(1, len(many.time)):
+        own, more = many.steps[:, min(k, many.steps.shape[1]) - 1]
+        bodies = own + arms.payload[..., None] * more
+        right = np.einsum("bij,bj->bi", bodies[:, :, len(joints) : -1], np.hstack([rate, e]))
+        before = arms.stiffness * many.springs.torque(turn - e) + damping * (drive - rate)
+        now = moved[k, of]
+        turn = now[:, 0] + arms.servo * now[:, 2]
+        drive = now[:, 1] + arms.servo * now[:, 3]
+        # Springs at the predicted position, linear from there to the end of the step.
+        torque, tangent = many.springs.at(turn - e - step * rate)
+        torque, tangent = arms.stiffness * torque, arms.stiffness * tangent
+        ahead = torque + 0.5 * step * tangent * rate + damping * drive
+        right += 0.5 * (before + ahead) - bodies[:, :, -1]
+        left = bodies[:, :, : len(joints)]
+        left[:, joints, joints] += 0.5 * damping + 0.25 * step * tangent
+        # Rigid joints follow their motors.
+        left[:, rigid], left[:, rigid, rigid], right[:, rigid] = 0.0, 1.0, drive[:, rigid]
+        new = np.linalg.solve(left, right[..., None])[..., 0]
+        e, rate = e + 0.5 * step * (rate + new), new
+        e[:, rigid] = turn[:, rigid]
+        found.append(e)
+    return np.array(found)
+
+
+class _DepartureArrays:
+    """Departures as arrays: stiffness (B, n), the others (B, 1)."""
+
+    def __init__(self, departures: Sequence[Departure]) -> None:
+        self.stiffness = np.array([each.stiffness for each in departures])
+        self.damping = np.array([[each.damping] for each in departures])
+        self.payload = np.array([[each.payload - 1.0] for each in departures])
+        self.servo = np.array([[each.servo] for each in departures])
+
+
+def _solve_equilibrium(
+    springs: TabulatedSprings, weight: LinearizedWeight, arms: _DepartureArrays, turn: np.ndarray
+) -> np.ndarray:
+    """Static equilibrium (B, K, n) with the motors `turn` ahead of the poses of the weight."""
+    static = weight.torque[0] + arms.payload[..., None] * weight.torque[1]
+    stiffness = arms.stiffness[:, None]
+    e = turn - springs.windup(static / stiffness)
+    for _ in range(_EQUILIBRIUM_ITERATIONS - 1):
+        # One matrix product per pose for all arms and payloads.
+        own, more = ((e.swapaxes(0, 1) @ by.swapaxes(1, 2)).swapaxes(0, 1) for by in weight.by_q)
+        e = turn - springs.windup((static + own + arms.payload[..., None] * more) / stiffness)
+    return np.asarray(e)
