@@ -19,6 +19,7 @@ import stat
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
+from errno import ENOTDIR
 from pathlib import Path
 from typing import Any
 
@@ -179,7 +180,11 @@ def _folder_lock(path: Path) -> Iterator[None]:
 
     lock = FileLock(path / _LOCK_FILE, timeout=0)
     try:
-        path.mkdir(parents=True, exist_ok=True)
+        try:
+            path.mkdir(parents=True, exist_ok=True)
+        except FileExistsError:
+            path.stat()  # names a loop of links
+            raise NotADirectoryError(ENOTDIR, os.strerror(ENOTDIR), path) from None
         _check_control_files(path)
         held = lock.acquire()
     except Timeout as error:

@@ -330,6 +330,6 @@ def test_a_fit_beyond_double_precision_is_told(monkeypatch):
     def fails(*_, **__):
         raise np.linalg.LinAlgError
 
-    monkeypatch.setattr(diagnose, "_diagnosed", fails)
+    monkeypatch.setattr(diagnose, "_run_diagnosis", fails)
     with pytest.raises(InputFileError, match="differ by more than a fit can hold"):
         diagnose.diagnose(ROOT / "problems/recordings/two_link_friction")

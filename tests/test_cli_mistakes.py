@@ -27,7 +27,6 @@ URDF = str(ROOT / "problems" / "two_link.urdf")
         (["simulate", "here", "--set", "a=1"], "Run solve again with --set"),
         (["compare", "here", "here", "--set", "a=1"], "has no entries to change"),
         (["view", "here", "--set", "a=1"], "has no entries to change"),
-        (["cache", "clear"], r"cache: unexpected argument 'clear'\. Did you mean --clear\?"),
         (["recording", "check", "a", "b"], "check: unexpected argument 'b'"),
         (["verify", PROBLEM, "--set", "motion.durations=2"], r"motion.durations.*Did you mean"),
     ],

@@ -189,7 +189,7 @@ class CommandSearch:
     def _with_known_servo(self, arms: list[Departure]) -> list[Departure]:
         return arms if self._known is None else [replace(each, servo=1.0) for each in arms]
 
-    def judged_command(self) -> SimulationRequests[CommandOnArms]:
+    def evaluate_command(self) -> SimulationRequests[CommandOnArms]:
         """Choose the command and judge it on all arms."""
         lead, share, signs = yield from self._choose_lead()
         return (yield from self._judge_on_all_arms(lead.command(share), signs, lead.spacing, share))

@@ -165,7 +165,7 @@ def commands_on_arms(
     for motion in motions:
         if progress is not None:
             progress(motion.name)
-        asking.append(_start_request(CommandSearch(problem, arm, motion, law).judged_command()))
+        asking.append(_start_request(CommandSearch(problem, arm, motion, law).evaluate_command()))
     return _answer_together(asking)
 
 

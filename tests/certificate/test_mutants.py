@@ -55,9 +55,10 @@ def pendulum(folder, **pieces):
 
 
 def hurried(folder):
-    """Torque-limited minimum duration."""
+    """Torque-limited minimum duration; with free end accelerations toppra has no finer ramp."""
     return pendulum(
         folder,
+        motion='boundary_acceleration = "free"',
         duration="{ lower = 0.1, upper = 2.0 }",
         minimise='objective = "duration"',
         limits="torque = [9.0]",

@@ -81,7 +81,7 @@ def test_invalid_bands_and_steps_are_refused(kind, entry):
         EffectSection: {"name": "coulomb", "joint": 1, "step": -2.5, "term": {"dFc": 0.1}},
     }[kind]
     assert validate(kind, sound, Path("x"))
-    with pytest.raises(InputFileError, match=f"{next(iter(entry))}.* cannot be used"):
+    with pytest.raises(InputFileError, match=next(iter(entry))):
         validate(kind, sound | entry, Path("x"))
 
 

@@ -44,9 +44,9 @@ def test_open_residual_of_model_is_no_finding(again, tmp_path, capsys):
     assert again.verdict == "nothing_missing"
     print_diagnosis(again, tmp_path)
     said = " ".join(capsys.readouterr().out.split())
-    assert "Nothing has changed since the model; it left" in said
-    assert "open in the torque of joint 1." in said
-    assert headline(again).startswith("Nothing has changed since the model; it left")
+    assert "Nothing has changed since the model; it leaves" in said
+    assert "unexplained in the torque of joint 1" in said
+    assert headline(again).startswith("Nothing has changed since the model; it leaves")
     assert "tolerances" not in lead(again)
 
 

@@ -99,7 +99,7 @@ def test_table_text_and_document_have_every_motion(smooth):
     ]
     assert all(len(row) == len(head) for row in rows)
     text = compensation_text(found)
-    assert "at worst" in text
+    assert "in the worst case" in text
     assert "toppra's motion" in text
     assert "50 arms" in compensation_notes(found)[0]
     document = compensation_document(found)

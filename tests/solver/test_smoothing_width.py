@@ -46,10 +46,10 @@ def test_excess_independent_of_width_is_no_kink():
     ],
 )
 def test_smoothing_widens_for_kink_excess_only(monkeypatch, excess, corners):
-    outcome = SimpleNamespace(smoothing=SimpleNamespace(corners=4.0))
+    outcome = SimpleNamespace(smoothing=SimpleNamespace(lead=4.0))
 
     def motors(run, outcome, share, *, sagged):
-        return share * outcome.smoothing.corners
+        return share * outcome.smoothing.lead
 
     def drives(problem, width):
         return [SimpleNamespace(value=-0.1), SimpleNamespace(value=excess(width))]

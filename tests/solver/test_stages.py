@@ -37,7 +37,7 @@ def test_initial_smoothing_is_as_wide_as_a_smooth_motion_needs(jerk, corners):
     quintic = baselines(problem, motion)["quintic"]
     run = SolveRun(problem, motion, Scales(), None, quintic)
     assert run.motor_smoothing == corners
-    assert {s.smoothing.corners for s in plan_stages(problem, 40, run.motor_smoothing)} == {corners}
+    assert {s.smoothing.lead for s in plan_stages(problem, 40, run.motor_smoothing)} == {corners}
 
 
 def test_minimum_duration_starts_near_the_guess():

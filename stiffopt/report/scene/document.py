@@ -211,13 +211,13 @@ def shapes_around(cell: Cell | None, reach: float) -> list[JointShape]:
     if cell is None:
         return []
     found = [
-        _placed_shape(box.name, "box", box.size, np.array(box.position), rotation_from_rpy(box.rpy))
+        _shape_at(box.name, "box", box.size, np.array(box.position), rotation_from_rpy(box.rpy))
         for box in cell.box
     ]
     for mesh in cell.mesh:
         at, turn = np.array(mesh.position), rotation_from_rpy(mesh.rpy)
         scale = (mesh.scale,) * 3
-        found.append(_placed_shape(mesh.name, "mesh", scale, at, turn, Path(mesh.file)))
+        found.append(_shape_at(mesh.name, "mesh", scale, at, turn, Path(mesh.file)))
     walls = [(plane.name, np.array(plane.point), np.array(plane.normal)) for plane in cell.plane]
     if cell.floor is not None:
         walls.append(("floor", np.array([0.0, 0.0, cell.floor]), np.array([0.0, 0.0, 1.0])))
@@ -227,12 +227,12 @@ def shapes_around(cell: Cell | None, reach: float) -> list[JointShape]:
         # Centred at the base and entirely behind the face.
         middle = out * (out @ point - 0.5 * _WALL_THICKNESS)
         found.append(
-            _placed_shape(name, "box", (side, side, _WALL_THICKNESS), middle, _frame_along(out))
+            _shape_at(name, "box", (side, side, _WALL_THICKNESS), middle, _frame_along(out))
         )
     return found
 
 
-def _placed_shape(
+def _shape_at(
     name: str,
     kind: Kind,
     size: tuple[float, ...],

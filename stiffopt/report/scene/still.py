@@ -126,7 +126,7 @@ def _view_axes(tree: BodyTree, tool: LinkFrame, positions: np.ndarray) -> np.nda
     return np.stack([right, np.cross(back, right), back])
 
 
-def _placed_capsules(
+def _capsules_at_pose(
     tree: BodyTree, tool: LinkFrame, q: np.ndarray
 ) -> list[tuple[np.ndarray, np.ndarray, float]]:
     """Return ends and radius of the arm's capsules in the base frame."""
@@ -152,7 +152,7 @@ def _fit_view(
     ends = [
         (view @ point)[:2] + side * radius
         for q in positions
-        for begin, end, radius in _placed_capsules(tree, tool, q)
+        for begin, end, radius in _capsules_at_pose(tree, tool, q)
         for point in (begin, end)
         for side in (-1.6, 1.6)
     ]
@@ -182,7 +182,7 @@ def _draw_arm(
     front = 10.0 if share is not None else 1.0
     parts = [
         (0.5 * (begin + end), np.stack([begin, end]), radius, colour)
-        for begin, end, radius in _placed_capsules(tree, tool, q)
+        for begin, end, radius in _capsules_at_pose(tree, tool, q)
     ]
     if share is not None:
         _, origins = joint_frames(tree, q[None])
