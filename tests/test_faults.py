@@ -12,7 +12,6 @@ SECOND_CASES = tuple(second_cases()) if SECOND.is_dir() else ()
 # a character is printed.
 ANSWERED = {
     "mesh_scale_zero",
-    "results_traceback_4532ee",
     "runs_npz_diag_traceback_73c36b",
     "runs_parquet_arr_traceback_73c36b",
     "urdf_crash_0283ba",

@@ -66,7 +66,7 @@ def marked(work):
         return work(*arguments, **named)
     return begun
 ipopt.IpoptSolver.solve = marked(ipopt.IpoptSolver.solve)
-search.pruned = marked(search.pruned)  # something has been found
+search.prune_effects = marked(search.prune_effects)  # something has been found
 from stiffopt.__main__ import main
 signal.signal(signal.SIGINT, signal.default_int_handler)
 main()

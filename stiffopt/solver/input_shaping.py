@@ -93,7 +93,7 @@ def solve_shaped(
         Solves a problem without raising where no motion is found.
     windows : sequence of (float, str), optional
         Averaging windows in periods of the lowest mode, and their names: the first one whose motion
-        is no worse than the baselines is used.
+        is no worse than the baselines is used, else the one of the best motion.
 
     Raises
     ------
@@ -114,7 +114,10 @@ def solve_shaped(
         made, averaged = _solve_averaged(problem, motion, inner, window, clock.solve)
         stopped = made.status is SolveStatus.INTERRUPTED
         behind = averaged is not None and _rival_is_better(problem, rival, averaged[1])
-        if kept is None or (not behind and (made.status.usable or not kept[0].status.usable)):
+        if kept is None or (
+            (made.status.usable or not kept[0].status.usable)
+            and (not behind or _is_better_shaped(problem, averaged, kept[1]))
+        ):
             kept = made, averaged, over
         elif stopped:
             kept = mark_solution_interrupted(kept[0]), *kept[1:]
@@ -161,6 +164,17 @@ def solve_shaped(
         strict_baseline=strict,
         ratio_to_strict_baseline=_objective_ratio(problem, value.value, strict),
     )
+
+
+def _is_better_shaped(
+    problem: TrajectoryProblem,
+    shaped: tuple[Trajectory, Assessment] | None,
+    other: tuple[Trajectory, Assessment] | None,
+) -> bool:
+    """Return True if a shaped motion beats another one, or there is no other."""
+    if shaped is None or other is None:
+        return shaped is not None
+    return _rival_is_better(problem, shaped[1], other[1])
 
 
 def windows_for_arms(

@@ -9,6 +9,7 @@ import itertools
 import json
 import math
 import os
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -164,6 +165,9 @@ def build_sweep(document: SweepFile, path: Path, changes: Sequence[str] = ()) ->
         As `load_sweep`.
     """
     names = [document.base] if isinstance(document.base, str) else document.base
+    twice = next((name for name, count in Counter(names).items() if count > 1), None)
+    if twice is not None:
+        raise InputFileError(path, "base", f"names {twice!r} more than once. List each file once.")
     bases = [_read_base(path, name) for name in names]
     kinds = {kind for _, kind in bases}
     if len(kinds) != 1:

@@ -135,7 +135,7 @@ def test_changes_are_printed_and_head_the_report(tmp_path, capsys):
     assert "Coulomb friction of joint2: 1.7 -> 2.3" in capsys.readouterr().out
     page = (out / "report.html").read_text(encoding="utf-8")
     header = page.split("</header>")[0].replace("\N{NO-BREAK SPACE}", " ")
-    assert "change in the model" in header
+    assert "of the model changed" in header
     assert "<td>1.7 N m</td><td>2.3" in header
 
 

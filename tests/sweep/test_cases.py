@@ -232,3 +232,12 @@ def test_diagnoses_and_further_guesses_start_cold(tmp_path):
     before = predecessors(list(sweep.cases))
     begun = [case.start for case in sweep.cases if before[case.key] is not None]
     assert begun == [0]
+
+
+def test_a_base_listed_twice_is_refused(tmp_path):
+    path = sweep_file(tmp_path, "")
+    line = next(line for line in path.read_text().splitlines() if line.startswith("base"))
+    name = line.partition("=")[2].strip().strip("[]")
+    path.write_text(path.read_text().replace(line, f"base = [{name}, {name}]"))
+    with pytest.raises(InputFileError, match="more than once"):
+        load_sweep(path)
