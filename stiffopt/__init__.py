@@ -7,7 +7,7 @@ Public names are listed in `__init__.pyi` and loaded on first use, so that the i
 
 import lazy_loader
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 __getattr__, _, _public_names = lazy_loader.attach_stub(__name__, __file__)
 __all__ = ["__version__", *_public_names]

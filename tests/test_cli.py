@@ -229,7 +229,7 @@ def test_help_and_version(capsys):
     for command in ("solve", "verify", "stiffness", "schema"):
         assert command in text
     assert run(["--version"]) == 0
-    assert capsys.readouterr().out.strip() == "0.1.0"
+    assert capsys.readouterr().out.strip() == "0.2.0"
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")

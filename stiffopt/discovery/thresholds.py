@@ -1,7 +1,7 @@
 """Decision thresholds of a diagnosis, each with its reason.
 
 They are no settings: they were fixed on simulated and published recordings (numbers in brackets are
-decisions in `.github/decisions`). Parameters of a single method are defined beside that method.
+decisions in `.github/docs/decisions`). Parameters of one method are defined beside that method.
 """
 
 # ---- Naming an effect [0016, 0017]

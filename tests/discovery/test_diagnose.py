@@ -27,7 +27,7 @@ def test_nominal_model_within_tolerance_has_no_findings():
     document = answer_document(diagnosis)
     conforms(document)
     assert document["outside"] is None
-    # What would have been seen: friction of every joint, in numbers below its nominal value.
+    # What is detectable: friction of every joint, in numbers below its nominal value.
     limits = {(e["effect"], e["joint"]): e["value"] for e in document["detection_limits"]}
     for joint, nominal in enumerate(diagnosis.recordings.robot.coulomb, 1):
         assert 0.0 < limits["coulomb", joint] < nominal

@@ -42,7 +42,7 @@ class DetectionLimit:
         unit = f" {self.unit}" if self.unit else ""
         return (
             f"{self.effect.title}{place}: {self.parameter} above "
-            f"{self.value:.3g}{unit}{share} would have been seen"
+            f"{self.value:.3g}{unit}{share} is detectable"
         )
 
 
