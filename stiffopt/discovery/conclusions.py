@@ -16,7 +16,7 @@ from stiffopt.discovery.diagnosis import (
 from stiffopt.discovery.experiment.design import ExperimentPlan
 from stiffopt.discovery.judging.explained_shares import MismatchShare, variance_explained
 from stiffopt.discovery.judging.unexplained import Unexplained, channel_name
-from stiffopt.discovery.search.cross_validation import held_out_shares, repeats_in_halves
+from stiffopt.discovery.search.cross_validation import held_out_shares
 from stiffopt.discovery.search.rivals import Selected
 from stiffopt.discovery.search.uncertainty import (
     Estimate,
@@ -29,6 +29,7 @@ from stiffopt.discovery.thresholds import (
     OPEN_RATIO,
     OPEN_SHARE,
     UNREPEATED_ODDS,
+    UNSTATED_DEVIATIONS,
 )
 from stiffopt.discovery.training import Training
 
@@ -59,10 +60,13 @@ def build_findings(
     )
     refitted = held_out_shares(comparison, tuple(s.located for s in kept))
     again = (True,) * len(kept)
-    if training.free_bodies:
-        again = repeats_in_halves(comparison, tuple(s.located for s in kept))
     findings = []
     for index, (selected, share) in enumerate(zip(kept, shares, strict=True)):
+        if (
+            selected.located.calibrated
+            and parameters.min_deviations(index) < UNSTATED_DEVIATIONS
+        ):
+            continue
         located, effect = selected.located, selected.located.effect
         open_ = after[selected.channel] > MISFIT_RATIO
         misfit = MISFIT_ODDS * (1.0 - refitted[index]) if open_ else 0.0

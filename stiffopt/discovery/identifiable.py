@@ -185,10 +185,10 @@ def locate_unstated(
 ) -> tuple[LocatedEffect, ...]:
     """Return the effects at joints that replace nominal values which the set does not state.
 
-    They are fitted together before any other effect; unsupported ones are dropped.
+    They belong to the calibrated nominal model: effects are sought beside them, not in their place.
     """
     return tuple(
-        LocatedEffect(effect=_remove_upper_bounds(effect), joint=j)
+        LocatedEffect(effect=_remove_upper_bounds(effect), joint=j, calibrated=True)
         for effect in catalogue
         if _replaces_unstated(effect, recordings) or (usual and effect.usual)
         for j, constants in enumerate(joints)

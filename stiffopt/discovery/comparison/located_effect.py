@@ -65,6 +65,9 @@ class LocatedEffect:
     run : str or None
         Name of the run, for effects of a run.
     shapes : tuple of float
+    calibrated : bool
+        True for a value that every arm has and the nominal model does not state, such as dry
+        friction: fitted in every model, and never compared with effects in its place.
     """
 
     effect: Effect
@@ -72,6 +75,7 @@ class LocatedEffect:
     link: int | None = None
     run: str | None = None
     shapes: tuple[float, ...] = ()
+    calibrated: bool = False
 
     @property
     def label(self) -> str:

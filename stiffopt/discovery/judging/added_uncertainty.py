@@ -19,7 +19,6 @@ from stiffopt.discovery.search.uncertainty import Estimate, estimate_parameters
 from stiffopt.discovery.thresholds import (
     FINDING_DEVIATIONS,
     FINDING_SHARE,
-    UNSTATED_DEVIATIONS,
 )
 from stiffopt.discovery.training import Training
 
@@ -43,16 +42,14 @@ def drop_insignificant(
 
     Notes
     -----
-    Values that every joint has and the nominal model does not state need only exceed one standard
-    deviation: they exist without doubt.
+    Calibrated values are kept: they exist without doubt.
     """
     while True:
         kept, parameters = estimated(selected)
         excess = [_excess_deviations(each, parameters, k) for k, each in enumerate(kept)]
         if explained is not None and kept and min(excess) >= 0.0:
-            # Values that every joint has are exempt.
             excess = [
-                0.0 if each.located.effect.nominal else share - FINDING_SHARE
+                0.0 if each.located.calibrated else share - FINDING_SHARE
                 for each, share in zip(kept, explained(kept), strict=True)
             ]
         if not excess or min(excess) >= 0.0:
@@ -63,8 +60,9 @@ def drop_insignificant(
 
 def _excess_deviations(selected: Selected, parameters: Estimate, index: int) -> float:
     """Return the significance of a finding less the required one [sigma]."""
-    asked = UNSTATED_DEVIATIONS if selected.located.effect.nominal else FINDING_DEVIATIONS
-    return parameters.min_deviations(index) - asked
+    if selected.located.calibrated:
+        return 0.0
+    return parameters.min_deviations(index) - FINDING_DEVIATIONS
 
 
 def add_scale_deviation(parameters: Estimate, selected: Sequence[Selected]) -> Estimate:

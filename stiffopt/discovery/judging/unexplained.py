@@ -93,11 +93,8 @@ def assess_findings(result: SearchResult) -> tuple[tuple[Selected, ...], Unexpla
     excess = np.maximum(before**2 - least**2, 1e-9)
     share = 1.0 - (after**2 - least**2) / excess
     poor = {int(c) for c in remaining if share[c] < EXPLAINED_SHARE}
-    unstated = result.comparison.robot.recordings.unstated
-    # Unstated values exist in any case, even beside a large residual.
-    kept = tuple(
-        s for s in result.selected if s.channel not in poor or s.located.effect.nominal in unstated
-    )
+    # Calibrated values exist in any case, even beside a large residual.
+    kept = tuple(s for s in result.selected if s.channel not in poor or s.located.calibrated)
     if not poor and kept and after[remaining].max() < PASSED_OVER_RATIO:
         # Error of inexact formulas, small against the part that they explain.
         return kept, None

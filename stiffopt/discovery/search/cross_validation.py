@@ -69,14 +69,14 @@ def select_predictive(
     -----
     Effects that cancel others are removed first, then those whose shapes come from one fold only;
     then repeatedly the least helpful one, each judged by a fit without it. Effects of one run
-    cannot be cross-validated and stay. With an extended model changes must exceed its open
+    cannot be cross-validated and stay, as do calibrated values. With an extended model changes must exceed its open
     residual.
     """
     effects = _drop_single_fold_shapes(comparison, drop_cancelling(comparison, effects))
     if not effects:
         return []
     columns, prior, owner = _stack_columns(comparison, effects)
-    judged = [k for k, e in enumerate(effects) if e.run is None]
+    judged = [k for k, e in enumerate(effects) if e.run is None and not e.calibrated]
     new = {k: _is_unseen(comparison, columns[:, owner == k]) for k in judged}
     ways = [_Folds(comparison, columns, prior, fine=False)]
     chosen = dict.fromkeys(judged, ways[0])
@@ -120,7 +120,7 @@ def _drop_single_fold_shapes(
     Shapes come from all recordings and are not refitted per fold: those of a single event would
     seem to be reproduced.
     """
-    fold = _number_folds(comparison, _FOLDS_OF_FEW_RUNS)
+    fold = number_folds(comparison, _FOLDS_OF_FEW_RUNS)
     return [
         e
         for e in effects
@@ -147,6 +147,7 @@ def drop_cancelling(
     kept = list(effects)
     while kept:
         ratio = _cancellation_ratios(comparison, kept)
+        ratio[[e.calibrated for e in kept]] = 0.0
         worst = int(np.argmax(ratio))
         if ratio[worst] <= MAX_CANCELLATION_RATIO:
             break
@@ -177,7 +178,7 @@ def held_out_shares(comparison: Comparison, effects: Sequence[LocatedEffect]) ->
     if not effects:
         return ()
     columns, prior, owner = _stack_columns(comparison, effects)
-    sums = _sum_folds(comparison, columns, prior, _number_folds(comparison))
+    sums = _sum_folds(comparison, columns, prior, number_folds(comparison))
     errors = sums.errors(np.arange(len(owner)))
     shares = []
     for k in range(len(effects)):
@@ -186,38 +187,6 @@ def held_out_shares(comparison: Comparison, effects: Sequence[LocatedEffect]) ->
         own = int(np.argmax(falls))
         shares.append(float(np.clip(falls[own] / without[:, own].sum(), 0.0, 1.0)))
     return tuple(shares)
-
-
-def repeats_in_halves(comparison: Comparison, effects: Sequence[LocatedEffect]) -> tuple[bool, ...]:
-    """Return for each effect if its fit to each half of the recordings helps in the other half.
-
-    Halves are alternating runs, or the two halves of a single run; all other values stay as fitted
-    to all data. Effects of one run, or that hardly act in one half, are exempt (True).
-    """
-    if not effects:
-        return ()
-    half = _number_halves(comparison)
-    fit = comparison.fit(effects)
-    _, sd, nuisance = comparison.nuisance
-    parts = [comparison.effect_columns(e) for e in effects]
-    left = comparison.target - np.column_stack([nuisance, *parts]) @ fit.posterior.mean
-    found, begin = [], len(sd)
-    for located, part in zip(effects, parts, strict=True):
-        own = left + part @ fit.posterior.mean[begin : begin + part.shape[1]]
-        begin += part.shape[1]
-        acted = [float(np.sum(part[half == h] ** 2)) for h in (0, 1)]
-        if located.is_run_specific or min(acted) <= MIN_ACTIVE_SHARE * max(acted):
-            found.append(True)
-            continue
-        found.append(min(_squares_removed(part, own, half == h) for h in (0, 1)) > 0.0)
-    return tuple(found)
-
-
-def _squares_removed(part: np.ndarray, left: np.ndarray, used: np.ndarray) -> float:
-    """Return the decrease of squares of the other rows by columns fitted to the used ones."""
-    fitted, other = part[used], part[~used]
-    values = np.linalg.solve(fitted.T @ fitted + np.eye(part.shape[1]), fitted.T @ left[used])
-    return float(np.sum(left[~used] ** 2) - np.sum((left[~used] - other @ values) ** 2))
 
 
 def _stack_columns(
@@ -242,14 +211,22 @@ class CrossValidation:
     """
 
     def __init__(self, comparison: Comparison, effects: Sequence[LocatedEffect]) -> None:
+        self._comparison = comparison
         columns, prior, _ = _stack_columns(comparison, effects)
-        self._sums = _sum_folds(comparison, columns, prior, _number_folds(comparison))
+        self._sums = _sum_folds(comparison, columns, prior, number_folds(comparison))
 
     def squares(self, first: np.ndarray) -> float:
         """Return the sum of squares over noise, with other priors of the first columns (k,)."""
         prior = np.concatenate([first, self._sums.prior[len(first) :]])
         sums = replace(self._sums, prior=prior)
         return float(sums.errors(np.arange(len(prior))).sum())
+
+    def squares_by_channel(self) -> np.ndarray:
+        """Return the sums of squares over noise of every channel (2 n,)."""
+        found = np.zeros(2 * self._comparison.robot.n)
+        errors = self._sums.errors(np.arange(len(self._sums.prior)))
+        found[self._comparison.rows.channels] = errors.sum(axis=0)
+        return found
 
 
 class _Folds:
@@ -258,7 +235,7 @@ class _Folds:
     def __init__(
         self, comparison: Comparison, columns: np.ndarray, prior: np.ndarray, *, fine: bool
     ) -> None:
-        self._fold = _number_folds(
+        self._fold = number_folds(
             comparison, _FOLDS_OF_FEW_RUNS if fine else folds_per_run(len(comparison.runs))
         )
         self.sums = _sum_folds(comparison, columns, prior, self._fold)
@@ -332,7 +309,7 @@ def folds_per_run(runs: int) -> int:
     return 1 if runs >= 2 * MIN_RUNS_AS_BLOCKS else -(-_FOLDS_OF_FEW_RUNS // runs)
 
 
-def _number_folds(comparison: Comparison, parts: int | None = None) -> np.ndarray:
+def number_folds(comparison: Comparison, parts: int | None = None) -> np.ndarray:
     """Return the fold number of every row (m,): runs, or parts of runs in time."""
     runs = comparison.runs
     cut = folds_per_run(len(runs)) if parts is None else parts
@@ -342,14 +319,3 @@ def _number_folds(comparison: Comparison, parts: int | None = None) -> np.ndarra
         return np.asarray(runs.index(run) * cut + np.minimum((share * cut).astype(int), cut - 1))
 
     return np.unique(comparison.rows.sample_signal(number), return_inverse=True)[1]
-
-
-def _number_halves(comparison: Comparison) -> np.ndarray:
-    """Return the half (0, 1) of every row (m,): alternating runs, or halves of a single run."""
-    runs = comparison.runs
-
-    def number(run: PreparedRun) -> np.ndarray:
-        late = run.time - run.time[0] >= 0.5 * float(run.time[-1] - run.time[0])
-        return late.astype(int) if len(runs) == 1 else np.full(len(late), runs.index(run) % 2)
-
-    return comparison.rows.sample_signal(number)

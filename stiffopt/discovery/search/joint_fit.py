@@ -74,14 +74,18 @@ def _best_initial_shapes(scorer: Scorer, located: LocatedEffect) -> Candidate | 
 
 
 def prune_effects(comparison: Comparison, effects: list[LocatedEffect]) -> list[LocatedEffect]:
-    """Remove effects without which the evidence hardly falls, the least first."""
+    """Remove effects without which the evidence hardly falls, the least first.
+
+    Calibrated values are removed only outside their bounds.
+    """
     kept = [
         e
         for e in effects
         if Scorer(comparison, [o for o in effects if o is not e]).score(e) is not None
     ]
-    while kept:
+    while not all(e.calibrated for e in kept):
         losses = comparison.fit(kept).evidence_losses()
+        losses[[e.calibrated for e in kept]] = np.inf
         worst = int(np.argmin(losses))
         if losses[worst] >= NAMED_EVIDENCE:
             break
@@ -96,18 +100,19 @@ def confirm_effects(
 
     Effects that act for a few seconds only, such as a drive at its limit, count if they remove most
     of a channel's residual, in recordings left out as well. Without stated tolerances (`strict`)
-    they need significance as well, and one amplitude that is significant alone; values that every
-    joint has are exempt.
+    they need significance as well, and one amplitude that is significant alone. Calibrated values
+    are exempt.
     """
     kept = list(effects)
-    while kept:
+    while not all(e.calibrated for e in kept):
         sure, single = jackknife_significance(comparison, kept)
+        sure[[e.calibrated for e in kept]] = np.inf
         weak = [int(i) for i in np.argsort(sure) if sure[i] < CONFIRMED_DEVIATIONS]
         doubted = [
             int(i)
             for i in np.argsort(sure)
             if strict
-            and not kept[i].effect.nominal
+            and np.isfinite(sure[i])
             and (sure[i] < STRICT_DEVIATIONS or single[i] < DETERMINED_DEVIATIONS)
         ]
         unproved = (i for i in weak if not _is_locally_supported(comparison, kept, i))
@@ -134,6 +139,7 @@ def select_supported(
         e
         for e, share in zip(sure, shares, strict=True)
         if e.run is not None
+        or e.calibrated
         or share >= MIN_HELD_OUT_SHARE
         or _is_supported_by_nominal(comparison, sure, e)
     ]

@@ -18,7 +18,6 @@ from stiffopt.discovery.search.joint_fit import (
     confirm_effects,
     fit_jointly,
     passes_thresholds,
-    prune_effects,
 )
 from stiffopt.discovery.search.uncertainty import jackknife_significance
 from stiffopt.discovery.signals import RobotConstants
@@ -92,6 +91,9 @@ def rank_rivals(
     own = scorer.score(located)
     if own is None:
         return None
+    if located.calibrated:
+        alone = Selected(located, own.evidence, own.deviations, 1.0, (), own.channel)
+        return RankedEffect(alone, located)
     worth = _MIN_REFINED_SHARE * own.evidence
     every = scan(scorer, catalogue, worth=worth, about=located, tell=tell)
     found = [
@@ -271,43 +273,6 @@ def restore_lost(
         if any(best.same_place(other) for other in judged):
             current, effects = wider, tried
     return current, effects
-
-
-def restore_unstated(
-    comparison: Comparison,
-    current: Comparison,
-    ranked: list[RankedEffect],
-    lost: list[LocatedEffect],
-    catalogue: Sequence[Effect],
-    tell: Callable[[str], object],
-) -> tuple[Comparison, list[RankedEffect]]:
-    """Add unstated values of every joint back if their substitutes have been removed meanwhile.
-
-    Effects that become insignificant beside them were substitutes as well.
-    """
-    effects = [r.selected.located for r in ranked]
-    while lost:
-        wider, found = fit_jointly(comparison, [*effects, *lost])
-        found = select_predictive(wider, prune_effects(wider, found))
-        found = confirm_effects(wider, found, strict=True)
-        kept = [e for e in lost if any(e.same_place(other) for other in found)]
-        if len(kept) == len(lost):
-            scorer = Scorer(wider, found)
-            for each in effects:
-                if not any(each.same_place(other) for other in found):
-                    beside = scorer.score(each)
-                    if beside is not None and beside.evidence > NAMED_EVIDENCE:
-                        found.append(each)
-            wider, found = fit_jointly(comparison, found)
-            weighed = _rank_effects(wider, found, catalogue, tell, ranked)
-            unlikely = [
-                r.selected.located for r in weighed if r.likeliest is not r.selected.located
-            ]
-            kept = [e for e in lost if not any(e.same_place(other) for other in unlikely)]
-            if len(kept) == len(lost):
-                return wider, weighed
-        lost = kept
-    return current, ranked
 
 
 def _drop_duplicates(effects: Sequence[LocatedEffect]) -> list[LocatedEffect]:

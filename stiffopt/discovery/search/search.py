@@ -26,7 +26,6 @@ from stiffopt.discovery.search.rivals import (
     Selected,
     exchange_rivals,
     restore_lost,
-    restore_unstated,
     select_unranked,
 )
 from stiffopt.discovery.thresholds import (
@@ -250,11 +249,6 @@ def _run_stages(
             exchange_rivals(
                 so_far.start, so_far.current, so_far.effects, catalogue, tell, so_far.ranked
             )
-        )
-    if strict:
-        lost = [e for e in start if not any(e.same_place(other) for other in so_far.effects)]
-        so_far.weighed(
-            restore_unstated(so_far.start, so_far.current, so_far.ranked, lost, catalogue, tell)
         )
 
 

@@ -1,0 +1,90 @@
+"""Tournament of rigid models and the catalogue's: the best prediction of stretches left out.
+
+Before effects are claimed, the model with them competes with three plainer ones that see the same
+samples: friction lines (nominal masses, friction and offset of every joint), the best single body
+beside those, and base parameters (all inertial parameters free beside those). Every model is
+fitted without a stretch and predicts it; the answer never predicts worse than the best of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from stiffopt.discovery.comparison.comparison import Comparison
+from stiffopt.discovery.comparison.inertial_parameters import body_units
+from stiffopt.discovery.comparison.located_effect import LocatedEffect
+from stiffopt.discovery.search.cross_validation import CrossValidation
+from stiffopt.discovery.search.rigid_model import PRIOR_WIDTHS
+
+FRICTION_LINES, SINGLE_BODY, BASE_PARAMETERS, CATALOGUE_MODEL = (
+    "friction lines",
+    "the best single body",
+    "base parameters",
+    "effects of the catalogue",
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Contender:
+    """A model of the tournament.
+
+    Parameters
+    ----------
+    name : str
+    comparison : Comparison
+        With its prior of masses, and the stated noise.
+    effects : tuple of LocatedEffect
+    residual : float
+        Normalised residual of stretches left out, root mean square over the channels.
+    """
+
+    name: str
+    comparison: Comparison
+    effects: tuple[LocatedEffect, ...]
+    residual: float
+
+
+def hold_tournament(
+    comparison: Comparison,
+    calibrated: Sequence[LocatedEffect],
+    single: LocatedEffect | None,
+    effects: Sequence[LocatedEffect],
+) -> tuple[Contender, ...]:
+    """Return the models with their residuals in stretches left out, the best first.
+
+    Parameters
+    ----------
+    comparison : Comparison
+        Linearised about the effects, with the masses as free as found best.
+    calibrated : sequence of LocatedEffect
+        Values that every joint has and the nominal model does not state.
+    single : LocatedEffect or None
+        The best single body.
+    effects : sequence of LocatedEffect
+        Calibrated values and effects of the catalogue.
+    """
+    held = comparison.with_bodies(None)
+    free = comparison.with_bodies(PRIOR_WIDTHS[-1] * body_units(comparison.robot))
+    entries = [(CATALOGUE_MODEL, comparison, tuple(effects))]
+    if calibrated:
+        entries += [
+            (FRICTION_LINES, held, tuple(calibrated)),
+            (BASE_PARAMETERS, free, tuple(calibrated)),
+        ]
+        if single is not None:
+            entries.append((SINGLE_BODY, held, (*calibrated, single)))
+    found = [
+        Contender(name, model, own, _residual_left_out(model, own)) for name, model, own in entries
+    ]
+    return tuple(sorted(found, key=lambda each: each.residual))
+
+
+def _residual_left_out(model: Comparison, effects: Sequence[LocatedEffect]) -> float:
+    """Return the normalised residual of stretches left out, over the stated noise."""
+    counts = model.rows.counts
+    squares = CrossValidation(model, effects).squares_by_channel() * model.inflation**2
+    used = counts > 0
+    return float(np.sqrt(np.mean(squares[used] / counts[used])))
