@@ -147,7 +147,8 @@ def is_unstated(diagnosis: Diagnosis, finding: Finding) -> bool:
 
 def statement_headline(diagnosis: Diagnosis, findings: list[Finding]) -> str:
     """Return the headline of findings: the first ones with values and places."""
-    own = [each for each in statements(diagnosis) if each.finding in findings]
+    every = [each for each in statements(diagnosis) if each.finding in findings]
+    own = [each for each in every if each.certainty != "possible"] or every
     text = "; ".join(_with_rivals(each) for each in own[:MAX_HEADLINE_FINDINGS])
     if more := len(own) - MAX_HEADLINE_FINDINGS:
         text += f"; and {more} more" if more > 0 else ""
@@ -156,7 +157,9 @@ def statement_headline(diagnosis: Diagnosis, findings: list[Finding]) -> str:
 
 def action(diagnosis: Diagnosis) -> str:
     """Return one line of what to do: the remedy of the first finding, or the next recording."""
-    first = next(iter(statements(diagnosis)), None)
+    own = statements(diagnosis)
+    new = [each for each in own if not is_unstated(diagnosis, each.finding)]
+    first = next(iter(new or own), None)
     if diagnosis.verdict == "nothing_missing":
         return "Nothing has to be changed."
     if first is None or first.certainty in ("one of these", "possible"):
@@ -214,6 +217,9 @@ def _describe_remedy(
     if effect.nominal and located.joint is not None:
         first = next(iter(named.values()))
         old = float(getattr(constants, effect.nominal, 0.0) or 0.0)
+        if is_unstated(diagnosis, finding):
+            value = pm(first.value, first.sd, first.unit)
+            return f"Enter {effect.nominal_words} {value} for {where}."
         words["new"] = f"{significant(old + first.value, 3)} {first.unit}"
     return fill(effect.remedy, named, words)
 

@@ -39,8 +39,8 @@ if TYPE_CHECKING:
 
 # Share of the amplitudes at which reported values are compared with the fitted ones.
 _SMALL_SHARE = 1e-3
-# Largest p-value to which the bound of the null hypothesis applies.
-MAX_CHANCE = float(np.exp(-1.0))
+# Two-sided p-value of one standard deviation: a value beyond it is zero within its deviation.
+_ONE_DEVIATION = float(2.0 * special.ndtr(-1.0))
 
 
 def build_findings(
@@ -83,9 +83,7 @@ def build_findings(
             parameters.p_value(index),
             _reported_p_value(parameters.effects[index], values, located.constants(constants)),
         )
-        # The bound of the null hypothesis is one half at most, where a zero value is the better
-        # explanation.
-        misfit = max(misfit, null_probability(chance) if chance < MAX_CHANCE else chance)
+        misfit = max(misfit, _null_share(chance))
         findings.append(
             Finding(
                 estimated=parameters.effects[index],
@@ -103,6 +101,16 @@ def build_findings(
             )
         )
     return tuple(findings)
+
+
+def _null_share(chance: float) -> float:
+    """Return the probability that an effect is zero, from the p-value of its values.
+
+    The bound of the null hypothesis is one half at most; where zero is within one standard
+    deviation, zero is the better explanation.
+    """
+    beyond = max(chance - _ONE_DEVIATION, 0.0) / (1.0 - _ONE_DEVIATION)
+    return max(null_probability(chance), 0.5 + 0.5 * beyond if beyond > 0.0 else 0.0)
 
 
 def _reported_p_value(

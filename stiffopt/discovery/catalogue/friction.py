@@ -246,7 +246,7 @@ ASYM_FRICTION = Effect(
     signature="motor torque off alike in both directions while moving and not at rest, growing"
     " with the size of the speed",
     title="asymmetric friction",
-    phrase="friction that differs by direction, by {dFc}",
+    phrase="friction that differs by direction, by {dFc} and {dFv}",
     remedy="Check {where} for a spring, hose or brake that acts in one direction, then"
     " record it in both directions.",
     needs=("torque", "moves", "reverses"),
