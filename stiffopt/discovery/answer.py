@@ -16,7 +16,7 @@ from stiffopt.formatting import capital, pm, scale, significant
 from stiffopt.units import joint_unit
 
 if TYPE_CHECKING:
-    from stiffopt.discovery.comparison.located_effect import LocatedEffect
+    from stiffopt.discovery.comparison.located_effect import EstimatedEffect, LocatedEffect
     from stiffopt.discovery.diagnosis import Certainty, Diagnosis, Finding, Parameter
 
 # Findings that a headline states; the others are in the table.
@@ -96,7 +96,9 @@ def changed_values(diagnosis: Diagnosis) -> list[ChangedValue]:
     if not extension.effects or not diagnosis.findings:
         return []
 
-    def changes(calibration: Mapping[str, float], effects: tuple) -> list[ValueChange]:
+    def changes(
+        calibration: Mapping[str, float], effects: tuple[EstimatedEffect, ...]
+    ) -> list[ValueChange]:
         own = replace(extension, calibration=calibration, effects=effects)
         model = extended_model(diagnosis.recordings, diagnosis.training.constants, own)
         return value_changes(nominal, planner_model(nominal, model).robot)

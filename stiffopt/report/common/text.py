@@ -14,6 +14,27 @@ from stiffopt.errors import format_factor, is_factor
 from stiffopt.formatting import DASH, capital, listed, pm, scale, si, significant
 from stiffopt.units import joint_unit
 
+__all__ = [
+    "DASH",
+    "FILTERS",
+    "UNCHANGED",
+    "breakable",
+    "capital",
+    "change",
+    "decades",
+    "fixed",
+    "joint_unit",
+    "listed",
+    "number",
+    "percent",
+    "pm",
+    "scale",
+    "si",
+    "significant",
+    "whole",
+    "words",
+]
+
 UNCHANGED = 5e-5  # relative change that is written as 0 %
 
 
