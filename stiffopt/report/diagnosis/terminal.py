@@ -7,13 +7,12 @@ from typing import TYPE_CHECKING
 
 from stiffopt.discovery.answer import action
 from stiffopt.report.common.terminal import print_lines, print_table
-from stiffopt.report.common.text import capital, listed
+from stiffopt.report.common.text import listed
 from stiffopt.report.diagnosis.sections import answer_sections
 from stiffopt.report.diagnosis.words import (
     headline,
     proof_sentence,
     unexplained_sentence,
-    verdict_words,
 )
 
 if TYPE_CHECKING:
@@ -27,7 +26,7 @@ def print_diagnosis(diagnosis: Diagnosis, folder: Path) -> None:
     """Print the answer's sections, validation on held-out runs, assumptions and paths of files."""
     print_lines(
         [
-            f"{capital(verdict_words(diagnosis))}. {headline(diagnosis)}.",
+            f"{diagnosis.verdict}: {headline(diagnosis)}.",
             f"To do: {action(diagnosis)}",
             *(
                 line
