@@ -80,10 +80,15 @@ def statements(diagnosis: Diagnosis) -> list[Statement]:
 
 def explained_squares(diagnosis: Diagnosis, finding: Finding) -> float:
     """Return the mean squared residual over noise that a finding removes in its channel."""
-    kind, _, joint = finding.channel.rpartition("_")
-    number = int(joint) - 1 + (0 if kind == "torque" else diagnosis.recordings.n)
+    number = channel_number(diagnosis, finding.channel)
     excess = float(diagnosis.search.calibrated[number]) ** 2 - 1.0
     return max(excess, 0.0) * finding.variance_explained
+
+
+def channel_number(diagnosis: Diagnosis, name: str) -> int:
+    """Return the index of a channel among the torques, then the deflections, of all joints."""
+    kind, _, joint = name.rpartition("_")
+    return int(joint) - 1 + (0 if kind == "torque" else diagnosis.recordings.n)
 
 
 def changed_values(diagnosis: Diagnosis) -> list[ChangedValue]:
@@ -165,7 +170,9 @@ def action(diagnosis: Diagnosis) -> str:
     if diagnosis.verdict == "nothing_missing":
         return "Nothing has to be changed."
     if first is None or first.certainty in ("one of these", "possible"):
-        return diagnosis.next_experiment
+        # One line: its first sentence; the whole stands under "Next experiment".
+        sentence, dot, _ = diagnosis.next_experiment.partition(". ")
+        return sentence + dot.strip()
     return first.action
 
 

@@ -27,7 +27,7 @@ def print_diagnosis(diagnosis: Diagnosis, folder: Path) -> None:
     print_lines(
         [
             f"{diagnosis.verdict}: {headline(diagnosis)}.",
-            f"To do: {action(diagnosis)}",
+            f"To do: {action(diagnosis)}" if action(diagnosis) else None,
             *(
                 line
                 for line in (proof_sentence(diagnosis), unexplained_sentence(diagnosis))
@@ -38,7 +38,7 @@ def print_diagnosis(diagnosis: Diagnosis, folder: Path) -> None:
     for section in answer_sections(diagnosis):
         if section.rows:
             print_table(section.head, section.rows, title=section.title)
-        print_lines(line for line in section.lines if line != action(diagnosis))
+        print_lines(section.lines)
     lines = [f"Assumed: {note}" for note in diagnosis.assumptions]
     lines += fault_lines(diagnosis)
     page = folder / "report.html"

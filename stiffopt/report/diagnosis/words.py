@@ -12,6 +12,7 @@ from stiffopt.discovery.answer import (
     MAX_HEADLINE_FINDINGS,
     Statement,
     action,
+    channel_number,
     is_unstated,
     statement_headline,
     statements,
@@ -274,12 +275,6 @@ def channels_in_words(channels: Iterable[str]) -> str:
     'the torque of joint 3 and the link encoder of joint 1'
     """
     return listed(f"the {channel_words(name)}" for name in channels)
-
-
-def channel_number(diagnosis: Diagnosis, name: str) -> int:
-    """Return the index of a channel among the torques, then the deflections, of all joints."""
-    kind, _, joint = name.rpartition("_")
-    return int(joint) - 1 + (0 if kind == "torque" else diagnosis.recordings.n)
 
 
 def worst_channel(diagnosis: Diagnosis, ratios: np.ndarray) -> str:
