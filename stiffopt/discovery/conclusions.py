@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy import special
 
 from stiffopt.discovery.comparison.comparison import Comparison
+from stiffopt.discovery.comparison.located_effect import EstimatedEffect
 from stiffopt.discovery.diagnosis import (
     Finding,
     Parameter,
@@ -21,7 +24,6 @@ from stiffopt.discovery.search.rivals import Selected
 from stiffopt.discovery.search.uncertainty import (
     Estimate,
     null_probability,
-    p_value_deviations,
 )
 from stiffopt.discovery.thresholds import (
     MISFIT_ODDS,
@@ -32,6 +34,14 @@ from stiffopt.discovery.thresholds import (
     UNSTATED_DEVIATIONS,
 )
 from stiffopt.discovery.training import Training
+
+if TYPE_CHECKING:
+    from stiffopt.discovery.effect import Constants
+
+# Share of the amplitudes at which reported values are compared with the fitted ones.
+_SMALL_SHARE = 1e-3
+# Two-sided p-value of one standard deviation: a value beyond it is zero within its deviation.
+_ONE_DEVIATION = float(2.0 * special.ndtr(-1.0))
 
 
 def build_findings(
@@ -72,9 +82,12 @@ def build_findings(
         misfit = MISFIT_ODDS * (1.0 - refitted[index]) if open_ else 0.0
         if not again[index]:
             misfit = max(misfit, UNREPEATED_ODDS)
-        chance = parameters.p_value(index)
-        misfit = max(misfit, null_probability(chance))
         values = parameters.parameters(index, located.constants(constants))
+        chance = max(
+            parameters.p_value(index),
+            _reported_p_value(parameters.effects[index], values, located.constants(constants)),
+        )
+        misfit = max(misfit, _null_share(chance))
         findings.append(
             Finding(
                 estimated=parameters.effects[index],
@@ -89,20 +102,52 @@ def build_findings(
                 where=effect.signature,
                 channel=channel_name(selected.channel, n),
                 variance_explained=share,
-                log_evidence=selected.loss,
-                significance=min(selected.deviations, p_value_deviations(chance)),
             )
         )
     return tuple(findings)
 
 
+def _null_share(chance: float) -> float:
+    """Return the probability that an effect is zero, from the p-value of its values.
+
+    The bound of the null hypothesis is one half at most; where zero is within one standard
+    deviation, zero is the better explanation.
+    """
+    beyond = max(chance - _ONE_DEVIATION, 0.0) / (1.0 - _ONE_DEVIATION)
+    return max(null_probability(chance), 0.5 + 0.5 * beyond if beyond > 0.0 else 0.0)
+
+
+def _reported_p_value(
+    found: EstimatedEffect, values: Mapping[str, tuple[float, float]], constants: Constants
+) -> float:
+    """Return the p-value of the reported sizes of an effect; 0 where none is zero without it.
+
+    A size is a value that falls with the amplitudes; a place, a factor or a ratio is none.
+    """
+    located = found.located
+    smaller = tuple(_SMALL_SHARE * amplitude for amplitude in found.amplitudes)
+    small = located.effect.parameters(smaller, located.shapes, constants)
+    ratios = [
+        abs(value) / sd
+        for name, (value, sd) in values.items()
+        if sd > 0.0 and abs(small[name]) <= 2.0 * _SMALL_SHARE * abs(value)
+    ]
+    if not ratios:
+        return 0.0
+    return min(1.0, 2.0 * len(ratios) * float(special.ndtr(-max(ratios))))
+
+
 def decide_verdict(findings: tuple[Finding, ...], unexplained: Unexplained | None) -> Verdict:
-    """Return the verdict on the findings and on the residual that they leave."""
-    if findings and (
+    """Return the verdict on the findings and on the residual that they leave.
+
+    Findings that are no more than possible leave the residual unexplained.
+    """
+    sure = any(finding.certainty != "possible" for finding in findings)
+    if sure and (
         unexplained is None or unexplained.ratio < OPEN_RATIO or unexplained.left < OPEN_SHARE
     ):
         return "named"
-    return "nothing_missing" if unexplained is None else "outside_catalogue"
+    return "outside_catalogue" if findings or unexplained is not None else "nothing_missing"
 
 
 def describe_next_experiment(

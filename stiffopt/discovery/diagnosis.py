@@ -23,12 +23,14 @@ from stiffopt.discovery.sanity.doubt import Doubt
 from stiffopt.discovery.search.rivals import Selected
 from stiffopt.discovery.search.search import SearchResult
 from stiffopt.discovery.settings import Settings
+from stiffopt.discovery.thresholds import FOUND_PROBABILITY, NAMED_PROBABILITY
 from stiffopt.discovery.training import Training
 from stiffopt.recording.recording_set import RecordingSet
 from stiffopt.recording.run import Fault
 from stiffopt.result.solution import DisplayedResult
 
 Verdict = Literal["named", "nothing_missing", "outside_catalogue"]
+Certainty = Literal["found", "likely", "one of these", "possible"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,8 +79,8 @@ class Finding:
         Against its rivals and an unknown cause (`misfit`).
     misfit : float
         Probability of an unknown cause: its channel stays above twice the noise, the finding of
-        one half of the recordings does not help in the other, or its scatter over parts of the
-        recordings does not exclude zero.
+        one half of the recordings does not help in the other, or neither its scatter over parts of
+        the recordings nor its reported values exclude zero.
     rivals : tuple of Rival
     parameters : tuple of Parameter
     where : str
@@ -88,10 +90,6 @@ class Finding:
     variance_explained : float
         Share, 0 to 1, of that channel's squared residual above noise that it removes in training
         runs (or stretches) left out of the fit.
-    log_evidence : float
-        Log evidence lost without it.
-    significance : float
-        Standard deviations from zero.
     """
 
     estimated: EstimatedEffect
@@ -103,8 +101,6 @@ class Finding:
     where: str
     channel: str
     variance_explained: float
-    log_evidence: float
-    significance: float
 
     @property
     def located(self) -> LocatedEffect:
@@ -120,6 +116,21 @@ class Finding:
     def effect(self) -> Effect:
         """Entry of the catalogue."""
         return self.located.effect
+
+    @property
+    def group_probability(self) -> float:
+        """Probability that it or one of its rivals is the cause."""
+        return self.probability + sum(rival.probability for rival in self.rivals)
+
+    @property
+    def certainty(self) -> Certainty:
+        """How sure it is: only what is found or likely is named."""
+        if self.probability >= FOUND_PROBABILITY:
+            return "found"
+        if self.probability >= NAMED_PROBABILITY:
+            return "likely"
+        together = self.rivals and self.group_probability >= NAMED_PROBABILITY
+        return "one of these" if together else "possible"
 
     @property
     def joint(self) -> int | None:

@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 Scope = Literal["joint", "robot", "link", "run"]
 # Values of the reported parameters from amplitudes, shapes and constants.
 Report = Callable[[Sequence[float], Sequence[float], Any], Mapping[str, float]]
+# What to do, from amplitudes, shapes and constants.
+Remedy = Callable[[Sequence[float], Sequence[float], Any], str]
 # Property of the joint or the recording set without which an effect cannot show.
 Need = Literal[
     "torque",
@@ -232,8 +234,14 @@ class Effect:
     title : str
         Name in prose; default: the name with spaces.
     phrase : str or (str, str)
-        Missing physics, for a headline; two phrases where it depends on the sign of the first
-        amplitude, positive first. Default: the title.
+        Missing physics, for a headline, with its values as placeholders: "{dm}" is the value with
+        its standard deviation, "{eps:%}" the same in percent, "{cx/cy/cz}" values in one unit. Two
+        phrases where it depends on the sign of the first amplitude, positive first: values are then
+        without sign. Default: the title.
+    remedy : str or callable
+        What to do: the value to enter, the part to look at. Placeholders as in `phrase`, and
+        "{where}" for the place and "{new}" for the nominal value with the change; or
+        (amplitudes, shapes, constants) -> the sentence. Default: a look at the place.
     nominal : str
         Nominal value of every joint (a field of `Nominal` and of `Robot`) that the first amplitude
         adds to; "" where there is none. Where a set does not state it, the effect takes its place.
@@ -286,6 +294,7 @@ class Effect:
     log_prior: Callable[[Any], float] | None = None
     title: str = ""
     phrase: str | tuple[str, str] = ""
+    remedy: str | Remedy = ""
     nominal: str = ""
     nominal_words: str = ""
     needs: tuple[Need, ...] = ()
@@ -302,6 +311,7 @@ class Effect:
         for field_name, default in (
             ("title", self.name.replace("_", " ")),
             ("phrase", self.title or self.name.replace("_", " ")),
+            ("remedy", f"Look for the cause at {{where}}: {self.title or self.name}."),
             ("nominal_words", self.nominal.replace("_", " ")),
         ):
             if not getattr(self, field_name):

@@ -10,8 +10,15 @@ from typing import Any
 
 import numpy as np
 
+from stiffopt.discovery.answer import (
+    MIN_LISTED_PROBABILITY,
+    Statement,
+    action,
+    changed_values,
+    statements,
+)
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
-from stiffopt.discovery.diagnosis import Diagnosis, Finding, Rival
+from stiffopt.discovery.diagnosis import Diagnosis, Rival
 from stiffopt.discovery.experiment.design import EXPERIMENT_FILE
 from stiffopt.discovery.extended.store import extended_text
 from stiffopt.discovery.judging.explained_shares import MismatchShare
@@ -56,7 +63,11 @@ def answer_document(diagnosis: Diagnosis) -> dict[str, Any]:
     document = {
         "schema": SCHEMA_VERSION,
         "verdict": diagnosis.verdict,
-        "findings": [_finding_entry(f, constants) for f in diagnosis.findings],
+        "findings": [_finding_entry(each, constants) for each in statements(diagnosis)],
+        "to_do": action(diagnosis),
+        "changed_values": [
+            vars(each.change) | {"cause": each.cause} for each in changed_values(diagnosis)
+        ],
         "fit": {
             "channels": [vars(channel) for channel in diagnosis.channels],
             **{role: _fit_entry(diagnosis, role) for role in ("test", "extrapolate")},
@@ -110,12 +121,15 @@ def answer_document(diagnosis: Diagnosis) -> dict[str, Any]:
     return found
 
 
-def _finding_entry(finding: Finding, constants: RobotConstants) -> dict[str, Any]:
+def _finding_entry(statement: Statement, constants: RobotConstants) -> dict[str, Any]:
+    finding = statement.finding
     return {
         "effect": finding.effect.name,
         "joint": finding.joint,
         "probability": finding.probability,
-        "misfit": finding.misfit,
+        "certainty": finding.certainty,
+        "statement": statement.sentence,
+        "to_do": statement.action,
         "equation": finding.effect.equation,
         "parameters": {
             p.name: {"value": p.value, "sd": p.sd, "unit": p.unit} for p in finding.parameters
@@ -125,9 +139,11 @@ def _finding_entry(finding: Finding, constants: RobotConstants) -> dict[str, Any
         "run": finding.located.run,
         "variance_explained": finding.variance_explained,
         "channel": finding.channel,
-        "log_evidence": finding.log_evidence,
-        "significance": finding.significance,
-        "confused_with": [_rival_entry(rival, constants) for rival in finding.rivals],
+        "confused_with": [
+            _rival_entry(rival, constants)
+            for rival in finding.rivals
+            if rival.probability >= MIN_LISTED_PROBABILITY
+        ],
     }
 
 

@@ -21,6 +21,9 @@ PRIOR_RELIEF_SHARE = 0.5
 # largest ones.
 MIN_ACTIVE_SHARE = 0.05
 
+# Probability from which a finding is named, and from which it counts as found.
+NAMED_PROBABILITY, FOUND_PROBABILITY = 0.5, 0.95
+
 # ---- Re-identification of the rigid model [0036]
 
 # A single change of masses replaces all free parameters if it gains this share of their log

@@ -12,7 +12,7 @@ from stiffopt.discovery.extended.model import load_extended
 from stiffopt.recording.recording_set import load_recordings
 from stiffopt.report.diagnosis.regimes import channel_residuals
 from stiffopt.report.diagnosis.terminal import print_diagnosis
-from stiffopt.report.diagnosis.words import headline, lead
+from stiffopt.report.diagnosis.words import headline, paragraph
 
 # What the joint's own recordings leave, as unfiltered noise [N m].
 OPEN = 2.28
@@ -47,7 +47,7 @@ def test_open_residual_of_model_is_no_finding(again, tmp_path, capsys):
     assert "Nothing has changed since the model; it leaves" in said
     assert "unexplained in the torque of joint 1" in said
     assert headline(again).startswith("Nothing has changed since the model; it leaves")
-    assert "tolerances" not in lead(again)
+    assert "tolerances" not in paragraph(again)
 
 
 def test_residual_above_open_residual_is_reported(folder):

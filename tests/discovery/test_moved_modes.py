@@ -4,7 +4,7 @@ import pytest
 from simulated_sets import diagnosed, said, simulated
 
 from benchmarks.simulator import CaseSpec
-from stiffopt.report.diagnosis.words import lead
+from stiffopt.report.diagnosis.words import paragraph
 
 SOFT = CaseSpec(
     robot="big6", seed=11, train=3, test=1, extrapolate=0, seconds=5.0, rate=250.0, substeps=8,
@@ -30,7 +30,9 @@ def test_soft_joint_is_found_with_stiffness_and_mode():
     moved = [mode for mode in found.modes if mode.is_shifted]
     assert moved
     assert moved[0].found < moved[0].nominal
-    assert f"The mode of joint {moved[0].joint} has {moved[0].found:.1f} Hz, in the" in lead(found)
+    assert f"The mode of joint {moved[0].joint} has {moved[0].found:.1f} Hz, in the" in paragraph(
+        found
+    )
 
 
 @pytest.mark.slow
@@ -41,4 +43,4 @@ def test_payload_shifts_modes_and_is_found():
     moved = [mode for mode in found.modes if mode.is_shifted]
     assert moved
     assert all(mode.found < mode.nominal for mode in moved)
-    assert str(moved[0]) in lead(found)
+    assert str(moved[0]) in paragraph(found)

@@ -6,14 +6,18 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from page_reader import Page
+from scipy import special
 
-from stiffopt.discovery.diagnosis import Rival
+from stiffopt.discovery import answer
+from stiffopt.discovery.answer import changed_values, fill, format_probability, statements
+from stiffopt.discovery.catalogue import CATALOGUE
+from stiffopt.discovery.conclusions import _null_share
+from stiffopt.discovery.diagnosis import Parameter, Rival
 from stiffopt.discovery.extended.value_changes import ValueChange
 from stiffopt.discovery.judging.explained_shares import MismatchShare
 from stiffopt.discovery.judging.unexplained import Unexplained
 from stiffopt.recording.run import Fault
 from stiffopt.report.common.text import pm, significant
-from stiffopt.report.diagnosis import page
 from stiffopt.report.diagnosis.figures import trace, worst_windows
 from stiffopt.report.diagnosis.mismatch import mismatches
 from stiffopt.report.diagnosis.page import write_diagnosis_report
@@ -27,9 +31,8 @@ from stiffopt.report.diagnosis.regimes import (
 from stiffopt.report.diagnosis.terminal import print_diagnosis
 from stiffopt.report.diagnosis.words import (
     channels_in_words,
-    format_probability,
     headline,
-    lead,
+    paragraph,
     proof_sentence,
     saturation_sentences,
 )
@@ -68,9 +71,14 @@ def unexplained_in(diagnosis, **changes):
 def test_page_lists_the_findings(friction, tmp_path):
     text = page_of(friction, tmp_path, png=True).text
     (finding,) = friction.findings
-    assert "Joint 2: more dry friction than nominal" in text
     parameter = finding.parameters[0]
-    assert f"dFc = {pm(parameter.value, parameter.sd, parameter.unit)}" in text
+    value = pm(parameter.value, parameter.sd, parameter.unit)
+    assert headline(friction) == f"Joint 2: {value} more dry friction than the model"
+    assert headline(friction) in text
+    assert f"dFc = {value}" in text
+    # The value to enter is the nominal one with the change.
+    entered = 1.0 * friction.recordings.robot.coulomb[1] + parameter.value
+    assert f"Enter Coulomb friction {significant(entered, 3)} N m for joint 2" in text
     for role in ("test", "extrapolate"):
         before, after = (significant(v, 3) for v in friction.nrmse(role))
         assert f"from {before} to {after} in" in text
@@ -80,16 +88,72 @@ def test_page_lists_the_findings(friction, tmp_path):
     assert {path.stem for path in tmp_path.glob("*.png")} == names
 
 
-def test_model_changes_that_round_alike_are_omitted(friction, monkeypatch):
-    """A relative change of 1e-4 of a mass is within the tolerance of a fit."""
+def test_changed_values_are_ordered_by_what_they_explain(friction, monkeypatch):
+    """The value of the finding is first, however small; changes that read alike are left out."""
+    first, *rest = changed_values(friction)
+    assert (first.change.joint, first.change.quantity) == (2, "Coulomb friction")
+    assert first.cause.startswith("Coulomb friction")
+    assert {each.cause for each in rest} <= {"fitted within its tolerance"}
     changes = [
-        ValueChange(1, "a", "mass behind it", 35.8, new, "kg") for new in (35.8004, 35.81, 36.0)
+        ValueChange(1, "a", f"mass {new}", 35.8, new, "kg") for new in (35.8004, 35.81, 36.0)
     ]
-    monkeypatch.setattr(page, "value_changes", lambda *_: changes)
-    assert [(old, new) for _, old, new in page._model_changes(friction)] == [
-        ("35.8", "35.81"),
-        ("35.8", "36"),
-    ]
+    monkeypatch.setattr(answer, "value_changes", lambda *_: changes)
+    assert [each.change.new for each in changed_values(friction)] == [35.81, 36.0]
+
+
+@pytest.mark.parametrize(
+    ("probability", "certainty", "words"),
+    [(0.97, "found", "Joint 2"), (0.6, "likely", "Likely (60 %): joint 2"),
+     (0.3, "one of these", "One of these: joint 2")],
+)  # fmt: skip
+def test_sentence_fits_the_probability(friction, probability, certainty, words):
+    (finding,) = friction.findings
+    other = Rival(located=replace(finding.located, joint=0), probability=0.95 - probability)
+    rivals = (other,) if probability < 0.9 else ()
+    shared = replace(finding, probability=probability, rivals=rivals)
+    assert shared.certainty == certainty
+    assert headline(replace(friction, findings=(shared,))).startswith(words)
+
+
+def test_improbable_findings_are_neither_named_nor_listed(friction, tmp_path, capsys):
+    (finding,) = friction.findings
+    doubtful = replace(finding, probability=0.4)
+    assert doubtful.certainty == "possible"
+    none = replace(friction, findings=(replace(finding, probability=0.004),))
+    assert statements(none) == []
+    print_diagnosis(none, tmp_path)
+    assert "dFc =" not in capsys.readouterr().out
+
+
+def test_value_that_is_zero_within_its_deviation_is_not_named():
+    assert _null_share(2.0 * special.ndtr(-0.9)) > 0.5
+    assert _null_share(2.0 * special.ndtr(-2.0)) == pytest.approx(0.275, abs=0.005)
+    assert _null_share(1.0) == 1.0
+
+
+def test_placeholders_of_phrases_and_remedies_are_reported_values():
+    class Values(dict):
+        def __missing__(self, key):
+            raise AssertionError(f"{entry.name} reports no {key}")
+
+    for entry in CATALOGUE:
+        known = [a.name for a in (*entry.amplitudes, *entry.shapes)] + list(entry.units)
+        named = Values({k: Parameter(name=k, value=2.0, sd=0.1, unit="") for k in known})
+        named |= {f"c{axis}": Parameter(name="c", value=0.002, sd=0.1, unit="m") for axis in "xyz"}
+        phrases = (entry.phrase,) if isinstance(entry.phrase, str) else entry.phrase
+        remedies = () if callable(entry.remedy) else (entry.remedy,)
+        for text in (*phrases, *remedies):
+            assert "{" not in fill(text, named, {"where": "joint 1", "new": "3 N m"})
+
+
+def test_values_of_a_place_share_a_unit():
+    named = {
+        f"c{axis}": Parameter(name=axis, value=value, sd=0.001, unit="m")
+        for axis, value in zip("xyz", (-0.0001, 0.0022, 0.0817), strict=True)
+    }
+    named["dm"] = Parameter(name="dm", value=-1.484, sd=0.088, unit="kg")
+    text = fill("{dm} lighter, at {cx/cy/cz}", named, signed=False)
+    assert text == "1.48 ± 0.09 kg lighter, at 0/2/82 mm"
 
 
 def test_large_unexplained_residual_is_reported_with_findings(friction, tmp_path, capsys):
@@ -98,14 +162,12 @@ def test_large_unexplained_residual_is_reported_with_findings(friction, tmp_path
     found = replace(friction, unexplained=left)
     text = page_of(found, tmp_path).text
     assert "42 times the noise remains unexplained in the torque of joint 2" in text
-    assert "mostly identified, large unexplained residual" in text
+    assert "cause found, large unexplained residual" in text
+    assert "check unit, torque constant and masses first" in text
     print_diagnosis(found, tmp_path)
-    said = " ".join(capsys.readouterr().out.split())
-    assert "which were identified." not in said
-    assert "Check unit, torque constant and masses first" in said
+    assert "42 times the noise remains unexplained" in " ".join(capsys.readouterr().out.split())
     near = replace(friction, unexplained=replace(left, ratio=3.0))
-    print_diagnosis(near, tmp_path)
-    assert "which were identified." in " ".join(capsys.readouterr().out.split())
+    assert headline(near) == headline(friction)
 
 
 def test_page_of_an_effect_outside_the_catalogue(friction, tmp_path):
@@ -190,7 +252,7 @@ def test_binned_means():
 def test_page_with_nothing_missing(friction, tmp_path):
     none = replace(friction, verdict="nothing_missing", findings=())
     assert headline(none) == "Nothing is missing within the tolerances"
-    assert "No effect of the catalogue is needed" in lead(none)
+    assert "No effect of the catalogue is needed" in paragraph(none)
     page = page_of(none, tmp_path)
     assert page.table("channel", "noise")[0][0] == "torque of joint 1"
     limits = page.table("effect", "parameter", "J1", "J2")
@@ -202,10 +264,10 @@ def test_unexplained_residual_names_its_signals(friction):
     followed = unexplained_in(
         friction, period=None, regressors=("q_1 x sign(qd_2)", "session_time")
     )
-    text = lead(followed)
+    text = paragraph(followed)
     assert "the position of joint 1 and the direction of motion" in text
     assert "the session time, which predicts 40 % of it" in text
-    assert "no recorded signal" in lead(unexplained_in(friction, period=None, regressors=()))
+    assert "no recorded signal" in paragraph(unexplained_in(friction, period=None, regressors=()))
 
 
 def test_rivals_are_sorted_by_probability(friction, tmp_path):
@@ -215,7 +277,7 @@ def test_rivals_are_sorted_by_probability(friction, tmp_path):
     page = page_of(replace(friction, findings=(shared,)), tmp_path)
     rivals = page.table("", "effect", "place", "probability")
     assert [row[2:4] for row in rivals] == [["joint 1", "60 %"], ["joint 2", "40 %"]]
-    assert "probability 40 %, nearest rival Coulomb friction of joint 1" in page.text
+    assert "Coulomb friction of joint 1 (60 %)" in page.text
 
 
 def test_mismatch_shares_are_per_kind_of_channel(friction, tmp_path, capsys):
@@ -254,6 +316,7 @@ def test_headline_of_values_without_nominal_value(friction):
     stated = recordings.stated.model_copy(update={"coulomb": None})
     silent = replace(friction, recordings=recordings.with_nominal(stated, recordings.path))
     assert headline(silent).endswith("without nominal value: dry friction of joint 2")
+    assert answer.action(silent).startswith("Enter dry friction 0.")
 
 
 def test_large_held_out_residual_is_reported(friction):

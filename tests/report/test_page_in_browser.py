@@ -1,4 +1,4 @@
-"""The page of a solve in Chromium: no console errors, moving scene, no overflow."""
+"""Pages in Chromium: no console errors, moving scene, no overflow."""
 
 import io
 from dataclasses import replace
@@ -12,11 +12,13 @@ from synthetic_solution import solution
 
 from stiffopt.certificate.assess import assess
 from stiffopt.problem.files import load_problem
+from stiffopt.report.diagnosis.page import write_diagnosis_report
 from stiffopt.report.solve.page import write_solve_report
 from stiffopt.report.solve.simulation import write_simulation_report
 from stiffopt.result.solution import Baseline
 from stiffopt.result.trajectory import Trajectory
 from stiffopt.solver.simulation import PlannedMotion, elastic_arm, simulate_motions
+from tests.discovery.simulated_sets import COULOMB, diagnosed
 
 pytestmark = [
     pytest.mark.slow,
@@ -231,3 +233,19 @@ def test_without_webgl_the_still_remains(tmp_path, page):
         browser.open(page)
         assert browser.value("document.getElementById('scene')") is None
         assert browser.value("document.querySelector('header .plot.whole svg') !== null")
+
+
+def test_diagnosis_fits_a_narrow_screen(tmp_path):
+    """Tables become lists and figures are scaled: nothing scrolls sideways."""
+    path = write_diagnosis_report(diagnosed(COULOMB), tmp_path)
+    with Browser(tmp_path / "profile") as browser:
+        browser.size(390, 844)
+        browser.open(path)
+        browser.value("document.querySelectorAll('details').forEach(each => each.open = true)")
+        cut = browser.value(
+            "[...document.querySelectorAll('table, svg')]"
+            ".filter(e => e.getBoundingClientRect().right > innerWidth)"
+            ".map(e => e.tagName + ' ' + e.textContent.trim().slice(0, 40))"
+        )
+        assert cut == []
+        assert not browser.console

@@ -56,7 +56,9 @@ COUPLED_DRIVE = Effect(
     equation="tau_j += f, tau_before += c*f, f = Fc*sg(w) + Fv*w + J*dw/dt, w = v_j + c*v_before",
     signature="motor torques of a wrist joint and the one before off together, with the speed of"
     " their sum or difference",
-    phrase="a drive that turns with two joints",
+    phrase="a drive that turns with the joint before too, {c} turns a turn",
+    remedy="Check in the gear plan of the wrist whether {where} is coupled with the joint"
+    " before, and enter its friction as that of the sum.",
     needs=("torque", "moves", "reverses", "before"),
     confused_with=("coulomb", "viscous", "rotor_inertia"),
     term=coupled_drive_term,

@@ -111,6 +111,9 @@ BACKLASH = Effect(
     scope="joint",
     equation="d += width/2*s/sqrt(s^2 + e^2)",
     signature="motor and link angle step apart where the load changes side, and nowhere else",
+    phrase="backlash {width}",
+    remedy="Check gear mesh, key and coupling of {where} for play, and adjust or replace the"
+    " worn part.",
     needs=("windup", "moves", "load_changes_sign"),
     confused_with=("k1_softening", "preload_loss"),
     reference="NordinGutman2002",
@@ -132,7 +135,9 @@ HYSTERESIS = Effect(
     equation="d += -D'(s)*h*y, dy/dd = (1 - y*sgn(dd))^i/s",
     signature="wind-up that differs between falling and rising load at equal torque, whatever"
     " the speed",
-    phrase="hysteresis of the wind-up",
+    phrase="hysteresis of the wind-up, {h}",
+    remedy="Look for sliding contacts at {where}: bolts, keys and splines; tighten them to"
+    " their torque.",
     needs=("windup", "moves", "reverses"),
     term=hysteresis_term,
     amplitudes=(Amplitude(name="h", unit="N m", scale=_loop_height, lower=0.0, upper=3.0),),

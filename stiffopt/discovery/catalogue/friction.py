@@ -146,9 +146,14 @@ COULOMB = Effect(
     signature="motor torque off by a constant whose sign follows the direction, at every speed,"
     " angle and load",
     title="Coulomb friction",
-    phrase=("more dry friction than nominal", "less dry friction than nominal"),
     nominal="coulomb",
     nominal_words="dry friction",
+    phrase=(
+        "{dFc} more dry friction than the model",
+        "{dFc} less dry friction than the model",
+    ),
+    remedy="Enter Coulomb friction {new} for {where}, and look at what rubs or binds there:"
+    " grease, seals, brake.",
     needs=("torque", "moves", "reverses"),
     confused_with=("stribeck", "hysteresis", "position_friction"),
     reference="ArmstrongEtAl1994",
@@ -168,9 +173,14 @@ VISCOUS = Effect(
     equation="tau += dFv*w",
     signature="motor torque off in proportion to speed, alike in both directions",
     title="viscous friction",
-    phrase=("more viscous friction than nominal", "less viscous friction than nominal"),
     nominal="viscous",
     nominal_words="viscous friction",
+    phrase=(
+        "{dFv} more viscous friction than the model",
+        "{dFv} less viscous friction than the model",
+    ),
+    remedy="Enter viscous friction {new} for {where}, and look at the lubricant and its"
+    " temperature there.",
     needs=("torque", "moves", "speeds"),
     confused_with=("thermal_friction", "time_delay"),
     reference="ArmstrongEtAl1994",
@@ -190,7 +200,9 @@ STRIBECK = Effect(
     equation="tau += A*exp(-abs(w/vs)^n)*sg(w)",
     signature="motor torque too high only at low speed, against the motion",
     title="Stribeck friction",
-    phrase="friction that depends on low speed",
+    phrase="{A} more friction at low speed, below {vs}",
+    remedy="Warm {where} up and check its lubricant; in the model, add the low-speed"
+    " friction of extended.toml.",
     needs=("torque", "moves", "reverses", "slow"),
     confused_with=("hysteresis",),
     reference="ArmstrongEtAl1994",
@@ -212,7 +224,9 @@ LOAD_FRICTION = Effect(
     equation="tau += mu*abs(s)*sg(w)",
     signature="motor torque off against the motion, in proportion to the size of the load"
     " carried, whatever its sign",
-    phrase="friction that grows with the load",
+    phrase="friction that grows by {mu:%} of the load",
+    remedy="Look at the gear mesh and bearings of {where}; in the model, add load friction"
+    " with mu = {mu}.",
     needs=("torque", "moves", "reverses"),
     reference="BittencourtAxelsson2014",
     term=load_friction_term,
@@ -232,7 +246,9 @@ ASYM_FRICTION = Effect(
     signature="motor torque off alike in both directions while moving and not at rest, growing"
     " with the size of the speed",
     title="asymmetric friction",
-    phrase="friction that differs by direction",
+    phrase="friction that differs by direction, by {dFc} and {dFv}",
+    remedy="Check {where} for a spring, hose or brake that acts in one direction, then"
+    " record it in both directions.",
     needs=("torque", "moves", "reverses"),
     confused_with=("torque_offset",),
     reference="ArmstrongEtAl1994",
@@ -252,7 +268,8 @@ POSITION_FRICTION = Effect(
     equation="tau += A*exp(-((q - q0)/width)^2/2)*sg(w)",
     signature="motor torque too high against the motion at one place of the stroke, in both"
     " directions",
-    phrase="a tight place in the stroke",
+    phrase="a tight place in the stroke, {A} at {q0}",
+    remedy="Turn {where} by hand through {q0}, and look at gear, bearing and hoses at that place.",
     needs=("torque", "moves", "reverses"),
     reference="ArmstrongEtAl1994",
     term=position_friction_term,
@@ -272,7 +289,9 @@ THERMAL_FRICTION = Effect(
     scope="joint",
     equation="tau += (exp(-b*(T - T0)) - 1)*(Fv*w + share*Fc*sg(w))",
     signature="motor torque against the motion that falls from run to run as the housing warms",
-    phrase="friction that falls with temperature",
+    phrase="friction that falls with temperature, {b}",
+    remedy="Warm the robot up before work that needs accuracy, or plan {where} with friction"
+    " for its housing temperature.",
     needs=("torque", "moves", "warmer"),
     confused_with=("time_delay",),
     reference="BittencourtAxelsson2014",

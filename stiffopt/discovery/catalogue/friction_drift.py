@@ -164,7 +164,9 @@ def friction_drift(runs: Sequence[str], *, seen: bool = True) -> Effect:
         signature="motor torque off against the motion by an amount that differs between"
         " runs, whatever the motion and the temperature",
         title="friction drift between runs",
-        phrase="friction that differs from run to run",
+        phrase="friction that differs from run to run, by {dFc_spread}",
+        remedy="Warm {where} up alike before each run, and check its brake and hoses; plan"
+        " with a margin of twice this friction.",
         needs=("torque", "moves", "reverses", "three_runs"),
         confused_with=("thermal_friction",),
         beside=ANY_FRICTION,

@@ -160,8 +160,13 @@ ROTOR_INERTIA = Effect(
     equation="tau += dJ*dw/dt",
     signature="motor torque off in proportion to the motor's own acceleration, alike in every"
     " posture",
-    phrase=("more rotor inertia than nominal", "less rotor inertia than nominal"),
     nominal="rotor_inertia",
+    phrase=(
+        "{dJ} more rotor inertia than the model",
+        "{dJ} less rotor inertia than the model",
+    ),
+    remedy="Enter rotor inertia {new} for {where}, at the joint's output, and check the"
+    " motor's data sheet.",
     needs=("torque", "moves"),
     change_robot=add_to_nominal_value,
     term=rotor_inertia_term,
@@ -185,7 +190,12 @@ PAYLOAD = Effect(
     scope="robot",
     equation="s += Y_last(q, v, a)*(dm, dm*c, dI)",
     signature="link torques of several joints off together, as a mass at the last link makes them",
-    phrase=("payload heavier than nominal", "payload lighter than nominal"),
+    phrase=(
+        "{dm} heavier than the model, at {cx/cy/cz} of the last joint",
+        "{dm} lighter than the model, at {cx/cy/cz} of the last joint",
+    ),
+    remedy="Change the payload by {dm} at {cx/cy/cz} of the last joint's frame, or weigh the"
+    " tool and what it carries.",
     needs=("torque", "moves"),
     confused_with=("torque_gain", "inertial_error", "base_tilt", "encoder_offset"),
     change_robot=change_payload,
@@ -204,7 +214,8 @@ INERTIAL_ERROR = Effect(
     equation="s += Y_link(q, v, a)*(dm, dmc, dI)",
     signature="torques of a link's own joint and of those before it off together, with gravity and"
     " acceleration",
-    phrase="wrong mass properties",
+    phrase="mass off by {dm}, first moment off by {dmc}",
+    remedy="Check what is mounted on {where}: hoses, valves, covers; else change its mass by {dm}.",
     needs=("torque", "moves"),
     confused_with=("torque_gain",),
     change_robot=change_body,
@@ -223,7 +234,8 @@ BASE_TILT = Effect(
     equation="s += g(q; base turned by rx, ry) - g(q)",
     signature="weight on an upright first axis, which should carry none, and a fitting change on"
     " the next joints",
-    phrase="a base that is not level",
+    phrase="base not level, by {rx} about x and {ry} about y",
+    remedy="Put a level on the base, and enter the tilt as the direction of gravity.",
     needs=("torque", "moves"),
     confused_with=("encoder_offset",),
     term=base_tilt_term,

@@ -52,8 +52,12 @@ JOINT_DAMPING = Effect(
     signature="vibration after sharp motion that decays faster or slower than nominal, at the"
     " frequency that the model has",
     title="joint damping",
-    phrase=("more joint damping than nominal", "less joint damping than nominal"),
     nominal="joint_damping",
+    phrase=(
+        "{dD} more joint damping than the model",
+        "{dD} less joint damping than the model",
+    ),
+    remedy="Enter joint damping {new} for {where}.",
     needs=("windup", "moves"),
     confused_with=("hysteresis",),
     change_robot=change_damping,

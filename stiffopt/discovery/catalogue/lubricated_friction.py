@@ -59,7 +59,8 @@ LUBRICATED_FRICTION = Effect(
     " + (eta - 1)*Fv*w, eta = exp(-b*(T - T0)), thin = exp(-abs(eta*w/vs)^1.3)",
     signature="motor torque off against the motion by a share of the load that is larger at low"
     " speed, or at low speed by more as the housing warms",
-    phrase="friction that depends on load, speed and temperature together",
+    phrase="friction that depends on load, speed and temperature together, {mu} of the load",
+    remedy="Check oil and grease of {where}; in the model, add the friction of extended.toml.",
     needs=("torque", "moves", "reverses", "slow"),
     confused_with=("load_friction", "stribeck", "thermal_friction"),
     reference="BittencourtAxelsson2014",

@@ -145,6 +145,7 @@ PRELOAD_LOSS = Effect(
     equation="d += c*((abs(s) + tp)^b - tp^b)*sgn(s)",
     signature="wind-up off that is steep around zero torque and keeps growing, ever more slowly",
     phrase="a connection that lost preload",
+    remedy="Check bolts and pins of {where}, and tighten them to their torque.",
     needs=("windup", "moves"),
     confused_with=("belt_creep",),
     change_robot=lose_preload,

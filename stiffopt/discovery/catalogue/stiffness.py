@@ -139,7 +139,12 @@ STIFFNESS_LINEAR = Effect(
     equation="d += (1/factor - 1)*D(s)",
     signature="wind-up off in proportion to the nominal one",
     title="stiffness",
-    phrase=("softer than nominal", "stiffer than nominal"),
+    phrase=(
+        "softer than the model, by a factor of {factor}",
+        "stiffer than the model, by a factor of {factor}",
+    ),
+    remedy="Multiply the stiffness of {where} by {factor}, and check what was mounted there"
+    " against the data sheet.",
     needs=("windup", "moves"),
     confused_with=("belt_creep", "preload_loss"),
     change_robot=scale_stiffness,
@@ -159,7 +164,8 @@ K1_SOFTENING = Effect(
     equation="d += D(s; k1_factor*K1, t1_factor*T1) - D(s)",
     signature="wind-up off around zero torque that stops growing beyond the reducer's first corner",
     title="K1 softening",
-    phrase="lost stiffness near zero torque",
+    phrase="lost stiffness near zero torque, factor {k1_factor}",
+    remedy="Check the gear of {where} for wear, and multiply its K1 by {k1_factor}.",
     needs=("windup", "moves", "load_changes_sign"),
     confused_with=("preload_loss",),
     reference="HarmonicDriveCSF",

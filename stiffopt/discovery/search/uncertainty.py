@@ -299,11 +299,6 @@ def null_probability(chance: float) -> float:
     return float(bound / (1.0 + bound))
 
 
-def p_value_deviations(chance: float) -> float:
-    """Return the number of standard deviations of a two-sided p-value."""
-    return abs(float(special.ndtri(0.5 * chance)))
-
-
 def jackknife_significance(
     comparison: Comparison, effects: Sequence[LocatedEffect]
 ) -> tuple[np.ndarray, np.ndarray]:

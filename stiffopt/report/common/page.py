@@ -17,6 +17,8 @@ from stiffopt.files import atomic_write
 from stiffopt.report.common.svg import to_png, to_svg
 from stiffopt.report.common.text import FILTERS
 
+# Columns of text that a screen of 390 px shows side by side.
+MAX_NARROW_COLUMNS = 3
 Filters = dict[str, Callable[..., Any]]
 
 
@@ -68,6 +70,23 @@ def add_contents(page: str) -> str:
     )
     contents = f'<nav class="contents" aria-label="Contents"><ol>{items}</ol></nav>'
     return page.replace("</header>", f"</header>\n{contents}", 1) if len(titles) > 2 else page
+
+
+def label_cells(page: str) -> str:
+    """Add its column's heading to every cell, which narrow screens show as a list of pairs."""
+
+    def labelled(table: re.Match[str]) -> str:
+        heads = [re.sub(r"<.*?>", "", head) for head in re.findall(r"<th>(.*?)</th>", table[0])]
+
+        def row(match: re.Match[str]) -> str:
+            names = iter(heads)
+            return re.sub(r"<td", lambda _: f'<td data-label="{next(names, "")}"', match[0])
+
+        body = re.sub(r"<tr.*?</tr>", row, table[0], flags=re.DOTALL) if heads else table[0]
+        many = len(heads) > MAX_NARROW_COLUMNS
+        return body.replace("<table", '<table data-wide=""', 1) if many else body
+
+    return re.sub(r"<table.*?</table>", labelled, page, flags=re.DOTALL)
 
 
 class _CompiledTemplates(BytecodeCache):
@@ -122,7 +141,8 @@ def write_page(
     )
     environment.tests["finite"] = math.isfinite
     environment.filters |= FILTERS | (filters or {})
-    page = add_contents(environment.get_template(template).render(context, figures=figures))
+    page = environment.get_template(template).render(context, figures=figures)
+    page = add_contents(label_cells(page))
     contents = {path.parent / name: content for name, content in figures.files.items()}
     contents[path] = page
     new = [each for each in contents if not each.exists()]

@@ -34,6 +34,7 @@ if TYPE_CHECKING:
 HEAT = LinearSegmentedColormap.from_list("heat", ["#f5f7f9", "#f7d99a", ORANGE, "#a33b00"])
 # Least residual over noise of the darkest colour.
 _MIN_DARKEST_RATIO = 10.0
+_NARROW_WIDTH = 4.2  # of a figure that a screen of 390 px shows whole [in]
 # Units of the signals that a residual may depend on.
 _SIGNAL_UNITS = {"q": "rad", "qd": "rad/s", "qdd": "rad/s^2", "torque": "N m"}
 _ROLE_TITLES = (("test", "test runs"), ("extrapolate", "extrapolation runs"))
@@ -247,6 +248,31 @@ def trace(diagnosis: Diagnosis, proof: RunProof, name: str) -> Trace | None:
         predictions = [run.position[:, j] - p for p in predictions]
         used = np.isfinite(measured)
     return Trace(run.time, measured, predictions[0], predictions[1], used, speed, error, unit)
+
+
+def proof_figure(shown: Trace) -> Figure:
+    """Plot the residual of one held-out run before and after, legible on a narrow screen."""
+    rest = float(np.nanquantile(np.abs(shown.measured - shown.before), 0.99))
+    factor, unit = scale(rest, shown.unit)
+    noise = factor * shown.error.noise
+    with figure_style():
+        figure = Figure(figsize=(_NARROW_WIDTH, 2.8))
+        axes = figure.subplots()
+        axes.axhspan(-2 * noise, 2 * noise, color=PALE, zorder=0, linewidth=0, label="sensor noise")
+        for predicted, colour, label in (
+            (shown.before, VERMILLION, "model as it was"),
+            (shown.after, BLUE, "model as found"),
+        ):
+            left = np.where(shown.used, factor * (shown.measured - predicted), np.nan)
+            _draw_curve(axes, shown.time, left, colour, label, 0.9)
+        axes.set_xlim(shown.time[0], shown.time[-1])
+        axes.set_xlabel("time [s]")
+        axes.set_ylabel(f"measured less predicted [{unit}]")
+        low, high = axes.get_ylim()
+        axes.set_ylim(low, high + 0.35 * (high - low))
+        axes.legend(loc="upper left", ncols=2)
+        figure.subplots_adjust(left=0.17, right=0.98, top=0.97, bottom=0.17)
+        return figure
 
 
 def overlay_figure(shown: Trace) -> Figure:

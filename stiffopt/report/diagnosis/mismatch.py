@@ -6,24 +6,20 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from stiffopt.discovery.answer import format_probability, place
 from stiffopt.discovery.judging.noise_ceiling import SHOWN_SHARE
-from stiffopt.report.common.text import listed, pm, significant
+from stiffopt.report.common.text import listed, significant
 from stiffopt.report.diagnosis.overview import moved_values
 from stiffopt.report.diagnosis.words import (
     channel_words,
-    format_probability,
-    is_prismatic,
     joints_in_words,
-    place,
     regressor_words,
-    residual_reduction,
-    unstated_groups,
 )
 from stiffopt.units import joint_unit
 
 if TYPE_CHECKING:
     from stiffopt.discovery.comparison.located_effect import LocatedEffect
-    from stiffopt.discovery.diagnosis import Diagnosis, Finding
+    from stiffopt.discovery.diagnosis import Diagnosis
     from stiffopt.discovery.judging.explained_shares import MismatchShare
     from stiffopt.discovery.judging.run_deviations import Drift
 
@@ -72,26 +68,6 @@ class NamedShare:
     words: str
     share: float
     open: bool
-
-
-@dataclass(frozen=True, kw_only=True)
-class UnstatedRow:
-    """Table row of one kind of value without a nominal value, all its joints together.
-
-    Parameters
-    ----------
-    effect, where, values, min_deviations, shows_in, falls, explains, probability : str
-        Texts; numbers are ranges over the joints. `min_deviations` is the significance.
-    """
-
-    effect: str
-    where: str
-    values: str
-    min_deviations: str
-    shows_in: str
-    falls: str
-    explains: str
-    probability: str
 
 
 def mismatches(diagnosis: Diagnosis) -> list[Mismatch]:
@@ -264,33 +240,6 @@ def episode_sentences(diagnosis: Diagnosis) -> list[str]:
     return found
 
 
-def unstated_rows(diagnosis: Diagnosis, findings: Sequence[Finding]) -> list[UnstatedRow]:
-    """Return values that the nominal model does not state, one row per kind."""
-    rows = []
-    for own in unstated_groups(findings):
-        slides = is_prismatic(diagnosis, own[0].located)
-        first = own[0].parameters[0]
-        unit = joint_unit(first.unit, slides)
-        values = ", ".join(
-            f"{f.joint}: {pm(f.parameters[0].value, f.parameters[0].sd, unit)}" for f in own
-        )
-        shares = [f.variance_explained for f in own]
-        left = [residual_reduction(diagnosis, f.channel) for f in own]
-        rows.append(
-            UnstatedRow(
-                effect=own[0].effect.title,
-                where=joints_in_words([f.joint for f in own if f.joint is not None]),
-                values=f"{first.name} of joint {values}",
-                min_deviations=f"{_format_range([f.significance for f in own], 1)} sd",
-                shows_in=_format_channels(list(dict.fromkeys(f.channel for f in own))),
-                falls=" → ".join(_format_range([falls[k] for falls in left], 2) for k in (0, 1)),
-                explains=_format_share_range(min(shares), max(shares)),
-                probability=_format_probability_range([f.probability for f in own]),
-            )
-        )
-    return rows
-
-
 def _part_phrase(diagnosis: Diagnosis, share: MismatchShare) -> str:
     part = share.part
     assert part is not None
@@ -340,35 +289,13 @@ def _nominal_part_phrase(diagnosis: Diagnosis, effects: Sequence[LocatedEffect])
     return listed(found)
 
 
-def _format_channels(names: Sequence[str]) -> str:
-    """Return channels grouped by kind, such as "torques of joints 1 to 6"."""
-    kinds: dict[str, list[int]] = {}
-    for name in names:
-        kind, _, joint = name.rpartition("_")
-        kinds.setdefault(kind, []).append(int(joint))
-    words = {"torque": "torque", "link_position": "link encoder"}
-    return listed(
-        f"{words[kind]}{'s' * (len(own) > 1)} of {joints_in_words(sorted(own))}"
-        for kind, own in kinds.items()
-    )
-
-
-def _format_range(values: Sequence[float], digits: int) -> str:
-    """Format the range of values; one number where both ends read alike, large ones rounded."""
-    ends = [
-        f"{v:.0f}" if v >= 10.0**digits else significant(v, digits)
-        for v in (min(values), max(values))
-    ]
-    return " to ".join(dict.fromkeys(ends))
-
-
-def _format_probability_range(values: Sequence[float]) -> str:
+def format_probability_range(values: Sequence[float]) -> str:
     """Format a range of probabilities, never as certainty."""
     ends = [format_probability(min(values)), format_probability(max(values))]
     return " to ".join(dict.fromkeys(ends)).replace(" % to", " to")
 
 
-def _format_share_range(low: float, high: float) -> str:
+def format_share_range(low: float, high: float) -> str:
     """Format a range of shares in percent; one number where both ends read alike."""
     least, most = round(100 * low), round(100 * high)
     return f"{most} %" if least == most else f"{least} to {most} %"

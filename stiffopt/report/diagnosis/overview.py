@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from stiffopt.discovery.answer import MIN_LISTED_PROBABILITY
 from stiffopt.discovery.comparison.inertial_parameters import INERTIAL_PARAMETER_NAMES
 from stiffopt.report.common.text import percent
 
@@ -77,7 +78,8 @@ def candidates(finding: Finding) -> list[tuple[LocatedEffect, float]]:
     """Return a finding and its rivals, the most probable first."""
     every = [(finding.located, finding.probability)]
     every += [(rival.located, rival.probability) for rival in finding.rivals]
-    return sorted(every, key=lambda pair: -pair[1])
+    shown = [pair for pair in every if pair[1] >= MIN_LISTED_PROBABILITY]
+    return sorted(shown, key=lambda pair: -pair[1])
 
 
 def limits_by_effect(

@@ -8,33 +8,26 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from stiffopt.discovery.extended.planning import planner_model
-from stiffopt.discovery.extended.value_changes import ValueChange, extended_model, value_changes
+from stiffopt.discovery.answer import action, format_probability, place, statements
 from stiffopt.discovery.identifiable import effect_checks
 from stiffopt.recording.check import missing_signals
 from stiffopt.recording.joint_facts import joint_facts
 from stiffopt.recording.run import counted
 from stiffopt.report.common.citations import diagnosis_references
 from stiffopt.report.common.page import Filters, PageFigures, write_page
-from stiffopt.report.common.text import significant
+from stiffopt.report.common.text import capital
 from stiffopt.report.diagnosis.figures import (
     Trace,
     channel_ratio,
     held_out_figure,
     noise_ceiling_figure,
     overlay_figure,
+    proof_figure,
     residual_figure,
     trace,
     worst_windows,
 )
-from stiffopt.report.diagnosis.mismatch import (
-    counterbalance_sentences,
-    episode_sentences,
-    mismatches,
-    noise_ceiling_sentence,
-    transfer_sentences,
-    unstated_rows,
-)
+from stiffopt.report.diagnosis.mismatch import mismatches
 from stiffopt.report.diagnosis.overview import (
     candidates,
     limits_by_effect,
@@ -50,19 +43,13 @@ from stiffopt.report.diagnosis.regimes import (
     regressor_figure,
     spectrum_figure,
 )
+from stiffopt.report.diagnosis.sections import answer_sections
 from stiffopt.report.diagnosis.words import (
     channel_words,
     channels_in_words,
-    effect_phrase,
-    format_probability,
     headline,
-    is_prismatic,
-    is_unstated,
-    lead,
     new_and_unstated,
-    place,
-    proof_sentence,
-    residual_reduction,
+    paragraph,
     unexplained_sentence,
     verdict_words,
     worst_channel,
@@ -96,8 +83,8 @@ def write_diagnosis_report(
     """
     recordings, search = diagnosis.recordings, diagnosis.search
     trained = diagnosis.training.recorded
-    new, unstated = new_and_unstated(diagnosis)
-    shown = [*new, *unstated][:_MAX_SHOWN_FINDINGS]
+    order = [each.finding for each in statements(diagnosis)]
+    shown = order[:_MAX_SHOWN_FINDINGS]
     overlays = _overlay_traces(diagnosis)
     figures = PageFigures("diagnosis", png=png)
     figures.draw("balances", residual_figure(diagnosis), "Residual over noise of all channels")
@@ -108,25 +95,29 @@ def write_diagnosis_report(
         drawn = noise_ceiling_figure(diagnosis)
         figures.draw("dependence", drawn, "Black-box fit of the remaining residual")
     figures.draw("held_out", held_out_figure(diagnosis), "Residual over noise of held-out runs")
+    caption = ""
+    if leading := overlays.get("test") or overlays.get("extrapolate"):
+        run, curve = leading
+        figures.draw("proof", proof_figure(curve), "Residual of a held-out run, before and after")
+        caption = (
+            f"{capital(channel_words(curve.error.name))} in {run}, a run that no fit has seen:"
+            " what the prediction leaves. The closer to zero, the better the model."
+        )
     for role, (_, curve) in overlays.items():
         figures.draw(role, overlay_figure(curve), "Measured and predicted, before and after")
     context = {
         "diagnosis": diagnosis,
         "title": f"{recordings.title}: diagnosis of the nominal model",
         "headline": headline(diagnosis),
-        "lead": lead(diagnosis),
+        "action": action(diagnosis),
+        "paragraph": paragraph(diagnosis),
         "verdict": verdict_words(diagnosis),
-        "proof": proof_sentence(diagnosis),
         "unexplained": unexplained_sentence(diagnosis),
         "mismatches": mismatches(diagnosis),
-        "rod": noise_ceiling_sentence(diagnosis),
-        "counterbalances": counterbalance_sentences(diagnosis),
-        "carried_over": [*episode_sentences(diagnosis), *transfer_sentences(diagnosis)],
-        "new": new,
-        "not_given": unstated_rows(diagnosis, unstated),
+        "sections": answer_sections(diagnosis),
+        "proof_caption": caption,
+        "statements": {each.finding: each for each in statements(diagnosis)},
         "shown": shown,
-        "changes": _model_changes(diagnosis),
-        "leading": (new or unstated)[:2],
         "overlays": overlays,
         "worst": worst_channel(diagnosis, search.after) if _has_residuals(search.after) else None,
         "worst_ratio": worst_ratio(search.after),
@@ -149,9 +140,6 @@ def write_diagnosis_report(
     }
     filters: Filters = {
         "place": partial(place, diagnosis),
-        "fall": partial(residual_reduction, diagnosis),
-        "prismatic": partial(is_prismatic, diagnosis),
-        "phrase": lambda finding: effect_phrase(finding, is_unstated(diagnosis, finding)),
         "candidates": candidates,
         "channel": channel_words,
         "channels": channels_in_words,
@@ -196,31 +184,20 @@ def _draw_unexplained(figures: PageFigures, diagnosis: Diagnosis) -> None:
         figures.draw("quiet", regime_figure(diagnosis, rows, None), "The worst channel by regime")
 
 
-def _model_changes(diagnosis: Diagnosis) -> list[tuple[ValueChange, str, str]]:
-    """Return values of the nominal robot that the findings change, with old and new as text."""
-    if not diagnosis.findings:
-        return []
-    model = extended_model(diagnosis.recordings, diagnosis.training.constants, diagnosis.extension)
-    nominal = diagnosis.recordings.robot
-    every = value_changes(nominal, planner_model(nominal, model).robot)
-    shown = [(each, significant(each.old), significant(each.new)) for each in every]
-    return [row for row in shown if row[1] != row[2]]
-
-
 def _overlay_traces(diagnosis: Diagnosis) -> dict[str, tuple[str, Trace]]:
     """Return by role the first run that has the leading channel."""
-    new, unstated = new_and_unstated(diagnosis)
+    new, _ = new_and_unstated(diagnosis)
     if diagnosis.unexplained is not None and not new:
         name = diagnosis.unexplained.channels[0]
-    elif new or unstated:
-        name = (new or unstated)[0].channel
+    elif found := statements(diagnosis):
+        name = found[0].finding.channel
     else:
         name = worst_channel(diagnosis, diagnosis.search.before)
-    found: dict[str, tuple[str, Trace]] = {}
+    traces: dict[str, tuple[str, Trace]] = {}
     for role in ("test", "extrapolate"):
         for proof in diagnosis.proofs(role):
             curve = trace(diagnosis, proof, name)
             if curve is not None:
-                found[role] = proof.run.name, curve
+                traces[role] = proof.run.name, curve
                 break
-    return found
+    return traces

@@ -10,6 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from stiffopt.discovery.answer import channel_number
 from stiffopt.report.common.svg import (
     BLUE,
     GREY,
@@ -22,7 +23,6 @@ from stiffopt.report.common.svg import (
     figure_style,
 )
 from stiffopt.report.common.text import scale
-from stiffopt.report.diagnosis.words import channel_number
 from stiffopt.units import joint_unit
 
 if TYPE_CHECKING:

@@ -5,84 +5,41 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from stiffopt.discovery.answer import action
 from stiffopt.report.common.terminal import print_lines, print_table
-from stiffopt.report.common.text import DASH, listed, pm, significant
-from stiffopt.report.diagnosis.mismatch import (
-    counterbalance_sentences,
-    episode_sentences,
-    mismatches,
-    noise_ceiling_sentence,
-    transfer_sentences,
-    unstated_rows,
-)
+from stiffopt.report.common.text import listed
+from stiffopt.report.diagnosis.sections import answer_sections
 from stiffopt.report.diagnosis.words import (
-    channels_in_words,
-    is_partly_unexplained,
-    is_prismatic,
-    new_and_unstated,
-    place,
-    saturation_sentences,
-    unassessed_joint_sentences,
-    unchanged_sentence,
+    headline,
+    proof_sentence,
     unexplained_sentence,
 )
-from stiffopt.units import joint_unit
 
 if TYPE_CHECKING:
-    from stiffopt.discovery.diagnosis import Diagnosis, Finding
+    from stiffopt.discovery.diagnosis import Diagnosis
 
-_VERDICT_SENTENCES = {
-    "named": "The nominal model lacks effects, which were identified.",
-    "nothing_missing": "Nothing is missing: the nominal model within its tolerances explains the"
-    " recordings.",
-    "outside_catalogue": "The nominal model lacks an effect that is not in the catalogue.",
-}
-NOT_GIVEN = "no nominal value"
 # Excluded channels that are listed individually.
 _MAX_FAULT_LINES = 5
-_FINDING_COLUMNS = ("effect", "where", "parameters", "explains", "probability", "confused with")
 
 
 def print_diagnosis(diagnosis: Diagnosis, folder: Path) -> None:
-    """Print verdict, findings, validation on held-out runs, assumptions and paths of the files."""
-    label = diagnosis.verdict
-    part = label == "named" and is_partly_unexplained(diagnosis)
-    print_lines([f"{'named in part' if part else label}: {_verdict_sentence(diagnosis)}"])
-    more = [each.sentence for each in mismatches(diagnosis)]
-    more += counterbalance_sentences(diagnosis)
-    more += [
-        *unassessed_joint_sentences(diagnosis),
-        *saturation_sentences(diagnosis),
-        *episode_sentences(diagnosis),
-        noise_ceiling_sentence(diagnosis),
-    ]
-    more += transfer_sentences(diagnosis)
-    print_lines([line for line in more if line])
-    new, unstated = new_and_unstated(diagnosis)
-    if diagnosis.findings:
-        rows = [_finding_row(diagnosis, finding) for finding in new]
-        rows += [
-            (
-                each.effect,
-                each.where,
-                each.values.replace(", ", "\n"),
-                each.explains,
-                each.probability,
-                NOT_GIVEN,
-            )
-            for each in unstated_rows(diagnosis, unstated)
+    """Print the answer's sections, validation on held-out runs, assumptions and paths of files."""
+    print_lines(
+        [
+            f"{diagnosis.verdict}: {headline(diagnosis)}.",
+            f"To do: {action(diagnosis)}" if action(diagnosis) else None,
+            *(
+                line
+                for line in (proof_sentence(diagnosis), unexplained_sentence(diagnosis))
+                if line
+            ),
         ]
-        print_table(_FINDING_COLUMNS, rows)
-    lines = []
-    if diagnosis.unexplained is not None:
-        lines.append(f"Outside the catalogue. {unexplained_sentence(diagnosis)}")
-    for role, meaning in (("test", "test"), ("extrapolate", "extrapolation")):
-        if diagnosis.proofs(role):
-            before, after = (significant(v, 3) for v in diagnosis.nrmse(role))
-            lines.append(f"Residual over noise in {meaning} runs: {before} before, {after} after.")
-    if diagnosis.next_experiment:
-        lines.append(f"Next experiment: {diagnosis.next_experiment}")
-    lines += [f"Assumed: {note}" for note in diagnosis.assumptions]
+    )
+    for section in answer_sections(diagnosis):
+        if section.rows:
+            print_table(section.head, section.rows, title=section.title)
+        print_lines(section.lines)
+    lines = [f"Assumed: {note}" for note in diagnosis.assumptions]
     lines += fault_lines(diagnosis)
     page = folder / "report.html"
     lines.append(f"Answer: {folder / 'diagnosis.json'}")
@@ -104,42 +61,3 @@ def fault_lines(diagnosis: Diagnosis) -> list[str]:
         faults = "Further faults" if told else "Faults"
         lines.append(f"{faults} of the recordings: {rest}, in diagnosis.json.")
     return lines
-
-
-def _verdict_sentence(diagnosis: Diagnosis) -> str:
-    left = diagnosis.unexplained
-    if left is not None and is_partly_unexplained(diagnosis):
-        much = (
-            f"{significant(left.ratio, 2)} times the noise remains unexplained in"
-            f" {channels_in_words(left.channels[:1])}"
-        )
-        if diagnosis.verdict == "outside_catalogue":
-            return (
-                f"The nominal model lacks effects, which were identified in part, but {much}: all"
-                " findings are tentative."
-            )
-        return (
-            f"The nominal model lacks effects, most of which were identified, but {much}: findings"
-            " there may be misattributed. Check unit, torque constant and masses first."
-        )
-    return unchanged_sentence(diagnosis) or _VERDICT_SENTENCES[diagnosis.verdict]
-
-
-def _finding_row(diagnosis: Diagnosis, finding: Finding) -> tuple[str, ...]:
-    slides = is_prismatic(diagnosis, finding.located)
-    parameters = (
-        f"{p.name} = {pm(p.value, p.sd, joint_unit(p.unit, slides))}" for p in finding.parameters
-    )
-    rivals = (
-        f"{rival.located.effect.name} {place(diagnosis, rival.located)}"
-        f" ({100 * rival.probability:.0f} %)"
-        for rival in finding.rivals
-    )
-    return (
-        finding.effect.name,
-        place(diagnosis, finding.located),
-        "\n".join(parameters),
-        f"{100 * finding.variance_explained:.0f} % of {finding.channel}",
-        f"{100 * finding.probability:.0f} %",
-        "\n".join(rivals) or DASH,
-    )

@@ -8,21 +8,22 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from stiffopt.discovery.answer import (
+    MAX_HEADLINE_FINDINGS,
+    Statement,
+    action,
+    channel_number,
+    is_unstated,
+    statement_headline,
+    statements,
+)
 from stiffopt.discovery.thresholds import OPEN_RATIO
-from stiffopt.report.common.text import capital, listed, significant, words
+from stiffopt.report.common.text import listed, significant, words
 
 if TYPE_CHECKING:
-    from stiffopt.discovery.comparison.located_effect import LocatedEffect
     from stiffopt.discovery.diagnosis import Diagnosis, Finding
     from stiffopt.discovery.judging.unexplained import Unexplained
 
-VERDICTS = {
-    "named": "missing effect identified",
-    "nothing_missing": "nothing missing",
-    "outside_catalogue": "outside the catalogue",
-}
-# Probability above which "above 99 %" is written.
-_MAX_SHOWN_PROBABILITY = 0.995
 # Residual over noise of held-out runs above which the worst channel is named.
 _LARGE_RESIDUAL_RATIO = 2.0
 
@@ -32,37 +33,10 @@ _MIN_SATURATED_SHARE = 0.05
 _BURST_CAUSES = {"torque": "saturates", "dtorque": "limits the rate of its torque"}
 
 
-def place(diagnosis: Diagnosis, located: LocatedEffect) -> str:
-    """Return the place of an effect: link, joint (with the run of run effects) or robot."""
-    if located.link is not None:
-        return f"link {diagnosis.training.constants.links[located.link]}"
-    if located.joint is None:
-        return "robot"
-    return f"joint {located.joint + 1}" + (f", {located.run}" if located.run else "")
-
-
-def is_prismatic(diagnosis: Diagnosis, located: LocatedEffect) -> bool:
-    """Return True where an effect's joint is prismatic."""
-    joints = diagnosis.training.constants.joints
-    return located.joint is not None and joints[located.joint].prismatic
-
-
-def is_unstated(diagnosis: Diagnosis, finding: Finding) -> bool:
-    """Return True for a finding that supplies a value without nominal value."""
-    return finding.effect.nominal in diagnosis.recordings.unstated
-
-
 def new_and_unstated(diagnosis: Diagnosis) -> tuple[list[Finding], list[Finding]]:
     """Return new effects, and findings that only supply values without nominal value."""
     unstated = [f for f in diagnosis.findings if is_unstated(diagnosis, f)]
     return [f for f in diagnosis.findings if f not in unstated], unstated
-
-
-def effect_phrase(finding: Finding, unstated: bool = False) -> str:
-    """Return the missing effect in words."""
-    if unstated:
-        return f"{finding.effect.nominal_words}, for which there is no nominal value"
-    return finding.effect.phrase_of(finding.estimated.amplitudes)
 
 
 def unchanged_sentence(diagnosis: Diagnosis) -> str:
@@ -101,11 +75,7 @@ def headline(diagnosis: Diagnosis) -> str:
     if not new:
         text = f"Identified values without nominal value: {_unstated_phrase(unstated)}"
         return text + _unexplained_clause(diagnosis)
-    by_place: dict[str, list[str]] = {}
-    for finding in new:
-        by_place.setdefault(place(diagnosis, finding.located), []).append(effect_phrase(finding))
-    text = "; ".join(f"{where}: {listed(effects)}" for where, effects in by_place.items())
-    return capital(text) + _unexplained_clause(diagnosis)
+    return statement_headline(diagnosis, new) + _unexplained_clause(diagnosis)
 
 
 def is_partly_unexplained(diagnosis: Diagnosis) -> bool:
@@ -169,68 +139,55 @@ def saturation_sentences(diagnosis: Diagnosis) -> list[str]:
 
 
 def verdict_words(diagnosis: Diagnosis) -> str:
-    """Return the verdict in words."""
-    if diagnosis.findings and diagnosis.verdict == "outside_catalogue":
-        return "identified in part, large unexplained residual"
-    if is_partly_unexplained(diagnosis):
-        return "mostly identified, large unexplained residual"
-    return VERDICTS[diagnosis.verdict]
-
-
-def lead(diagnosis: Diagnosis) -> str:
-    """Return the lead paragraph: confidence of findings, residuals, unexplained part, modes."""
+    """Return the verdict in words that fit the probability of the leading finding."""
     if diagnosis.verdict == "nothing_missing":
-        most = worst_ratio(diagnosis.search.after)
-        within = (
-            "" if unchanged_sentence(diagnosis) else "With nominal values within their tolerances, "
+        return "nothing missing"
+    first = next(iter(statements(diagnosis)), None)
+    if first is None or first.certainty == "possible":
+        return "outside the catalogue"
+    name = {
+        "found": "cause found",
+        "likely": "likely cause",
+        "one of these": "one of several causes",
+    }[first.certainty]
+    return f"{name}, large unexplained residual" if is_partly_unexplained(diagnosis) else name
+
+
+def paragraph(diagnosis: Diagnosis) -> str:
+    """Return the paragraph to forward: set, missing physics, surety, validation, what to do."""
+    parts = [f"{diagnosis.recordings.title}: {headline(diagnosis)}."]
+    named = [each for each in statements(diagnosis) if each.certainty != "possible"]
+    if diagnosis.verdict == "nothing_missing":
+        most = significant(worst_ratio(diagnosis.search.after), 2)
+        parts.append(
+            f"No effect of the catalogue is needed: the worst channel of the training runs is at"
+            f" {most} times its noise."
         )
-        text = "No effect of the catalogue is needed. " + capital(
-            f"{within}the worst channel of the training runs is at {most:.2g} times its noise."
+    elif named:
+        parts.append(_surety_sentence(named))
+    parts += [
+        proof_sentence(diagnosis),
+        unexplained_sentence(diagnosis),
+        *(str(mode) for mode in diagnosis.modes if mode.is_shifted),
+    ]
+    if is_partly_unexplained(diagnosis):
+        parts.append(
+            "Findings beside so large a residual may be misattributed: check unit, torque constant"
+            " and masses first."
         )
-    elif not diagnosis.findings:
-        text = unexplained_sentence(diagnosis)
-    else:
-        new, unstated = new_and_unstated(diagnosis)
-        parts = [confidence_sentence(finding) for finding in new]
-        parts += [
-            residual_reduction_sentence(diagnosis, c) for c in dict.fromkeys(f.channel for f in new)
-        ]
-        if new and unstated:
-            parts.append(f"Also identified, without nominal value: {_unstated_phrase(unstated)}.")
-        elif unstated:
-            parts.append("Beyond these, no effect of the catalogue is needed.")
-        text = " ".join(parts)
-        if diagnosis.unexplained is not None:
-            text += f" {unexplained_sentence(diagnosis)}"
-    return " ".join([text, *(str(mode) for mode in diagnosis.modes if mode.is_shifted)])
+    text = action(diagnosis)
+    if named:
+        parts.append(f"To do: {text}")
+    return " ".join(part for part in parts if part)
 
 
-def confidence_sentence(finding: Finding) -> str:
-    """Return a sentence on a finding's probability against rivals and its significance."""
-    if finding.rivals:
-        rival = finding.rivals[0]
-        other = rival.located.effect.title
-        sure = f"probability {format_probability(finding.probability)}, nearest rival {other}"
-        if rival.located.joint not in (None, finding.located.joint):
-            sure += f" of joint {rival.located.joint + 1}"
-    elif finding.misfit:
-        sure = f"probability {format_probability(finding.probability)}, no comparable rival"
-    else:
-        sure = "no comparable rival"
-    if round(100 * finding.misfit):
-        sure += f" (probability of an unknown cause {100 * finding.misfit:.0f} %)"
-    name = capital(finding.effect.title)
-    return f"{name}: {sure}; significance {finding.significance:.0f} standard deviations."
-
-
-def residual_reduction_sentence(diagnosis: Diagnosis, channel: str) -> str:
-    """Return a sentence on the reduction of a channel's residual in the training runs."""
-    within, after = residual_reduction(diagnosis, channel)
-    return (
-        f"The residual of {channels_in_words([channel])} is"
-        f" {significant(within, 2)} times its noise "
-        f"with nominal values within tolerance, {significant(after, 2)} times with the findings."
-    )
+def _surety_sentence(named: Sequence[Statement]) -> str:
+    """Return a sentence on the probabilities of the findings of the headline."""
+    shown = [
+        f"{each.finding.effect.title} ({each.place}) {each.probability}"
+        for each in named[:MAX_HEADLINE_FINDINGS]
+    ]
+    return f"Probability that it is the cause: {listed(shown)}."
 
 
 def residual_reduction(diagnosis: Diagnosis, channel: str) -> tuple[float, float]:
@@ -299,11 +256,6 @@ def proof_sentence(diagnosis: Diagnosis) -> str:
     return text
 
 
-def format_probability(probability: float) -> str:
-    """Format a probability in percent, never as certainty."""
-    return "above 99 %" if probability > _MAX_SHOWN_PROBABILITY else f"{100 * probability:.0f} %"
-
-
 def worst_ratio(ratios: np.ndarray) -> float:
     """Return the largest residual over noise of any channel; nan without one."""
     known = ratios[np.isfinite(ratios)]
@@ -323,12 +275,6 @@ def channels_in_words(channels: Iterable[str]) -> str:
     'the torque of joint 3 and the link encoder of joint 1'
     """
     return listed(f"the {channel_words(name)}" for name in channels)
-
-
-def channel_number(diagnosis: Diagnosis, name: str) -> int:
-    """Return the index of a channel among the torques, then the deflections, of all joints."""
-    kind, _, joint = name.rpartition("_")
-    return int(joint) - 1 + (0 if kind == "torque" else diagnosis.recordings.n)
 
 
 def worst_channel(diagnosis: Diagnosis, ratios: np.ndarray) -> str:

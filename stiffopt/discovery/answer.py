@@ -1,0 +1,275 @@
+"""Answer of a diagnosis in words: what is missing, how sure it is, what to do.
+
+Page, terminal and diagnosis.json take headline, findings and changed values from here.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+from stiffopt.discovery.extended.planning import planner_model
+from stiffopt.discovery.extended.value_changes import ValueChange, extended_model, value_changes
+from stiffopt.formatting import capital, pm, scale, significant
+from stiffopt.units import joint_unit
+
+if TYPE_CHECKING:
+    from stiffopt.discovery.comparison.located_effect import EstimatedEffect, LocatedEffect
+    from stiffopt.discovery.diagnosis import Certainty, Diagnosis, Finding, Parameter
+
+# Findings that a headline states; the others are in the table.
+MAX_HEADLINE_FINDINGS = 2
+# Probability below which a cause is not listed: it would read 0 %.
+MIN_LISTED_PROBABILITY = 0.005
+# Probability above which "above 99 %" is written.
+_MAX_SHOWN_PROBABILITY = 0.995
+_PLACEHOLDER = re.compile(r"\{([^{}:]+)(:%)?\}")
+
+
+@dataclass(frozen=True, eq=False)
+class Statement:
+    """A finding in words.
+
+    Parameters
+    ----------
+    finding : Finding
+    place : str
+    sentence : str
+        Place and missing physics with values and standard deviations.
+    certainty : str
+        "found", "likely", "one of these" or "possible".
+    probability : str
+        In percent.
+    action : str
+        What to do about it.
+    values : tuple of str
+        Reported parameters with standard deviations.
+    rivals : tuple of str
+        Other causes that the data do not tell apart, with probabilities.
+    """
+
+    finding: Finding
+    place: str
+    sentence: str
+    certainty: Certainty
+    probability: str
+    action: str
+    values: tuple[str, ...]
+    rivals: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class ChangedValue:
+    """A value of the nominal robot that the extended model changes, and the cause."""
+
+    change: ValueChange
+    cause: str
+
+
+def statements(diagnosis: Diagnosis) -> list[Statement]:
+    """Return the findings in words, in the order of what they explain, the named ones first."""
+    listed_findings = [f for f in diagnosis.findings if f.probability >= MIN_LISTED_PROBABILITY]
+    order = sorted(
+        listed_findings,
+        key=lambda f: (f.certainty == "possible", -explained_squares(diagnosis, f)),
+    )
+    return [_state_finding(diagnosis, finding) for finding in order]
+
+
+def explained_squares(diagnosis: Diagnosis, finding: Finding) -> float:
+    """Return the mean squared residual over noise that a finding removes in its channel."""
+    number = channel_number(diagnosis, finding.channel)
+    excess = float(diagnosis.search.calibrated[number]) ** 2 - 1.0
+    return max(excess, 0.0) * finding.variance_explained
+
+
+def channel_number(diagnosis: Diagnosis, name: str) -> int:
+    """Return the index of a channel among the torques, then the deflections, of all joints."""
+    kind, _, joint = name.rpartition("_")
+    return int(joint) - 1 + (0 if kind == "torque" else diagnosis.recordings.n)
+
+
+def changed_values(diagnosis: Diagnosis) -> list[ChangedValue]:
+    """Return values that the extended model changes, in the order of what they explain.
+
+    Those of findings come first, then nominal values that were fitted within their tolerances.
+    Changes that read alike are left out.
+    """
+    extension, nominal = diagnosis.extension, diagnosis.recordings.robot
+    if not extension.effects or not diagnosis.findings:
+        return []
+
+    def changes(
+        calibration: Mapping[str, float], effects: tuple[EstimatedEffect, ...]
+    ) -> list[ValueChange]:
+        own = replace(extension, calibration=calibration, effects=effects)
+        model = extended_model(diagnosis.recordings, diagnosis.training.constants, own)
+        return value_changes(nominal, planner_model(nominal, model).robot)
+
+    causes: dict[tuple[int, str], str] = {}
+    for each in statements(diagnosis):
+        for change in changes({}, (each.finding.estimated,)):
+            title = f"{each.finding.effect.title}, {each.certainty}"
+            causes.setdefault((change.joint, change.quantity), title)
+    rank = {key: number for number, key in enumerate(causes)}
+    every = [
+        ChangedValue(c, causes.get((c.joint, c.quantity), "fitted within its tolerance"))
+        for c in changes(extension.calibration, extension.effects)
+        if significant(c.old) != significant(c.new)
+    ]
+
+    def order(each: ChangedValue) -> tuple[int, float]:
+        c = each.change
+        relative = abs(c.new - c.old) / max(abs(c.old), abs(c.new))
+        return rank.get((c.joint, c.quantity), len(rank)), -relative
+
+    return sorted(every, key=order)
+
+
+def place(diagnosis: Diagnosis, located: LocatedEffect) -> str:
+    """Return the place of an effect: link, joint or robot, with the run of an effect of one run."""
+    if located.link is not None:
+        return f"link {diagnosis.training.constants.links[located.link]}"
+    where = "robot" if located.joint is None else f"joint {located.joint + 1}"
+    return where + (f", {located.run}" if located.run else "")
+
+
+def is_prismatic(diagnosis: Diagnosis, located: LocatedEffect) -> bool:
+    """Return True where an effect's joint is prismatic."""
+    joints = diagnosis.training.constants.joints
+    return located.joint is not None and joints[located.joint].prismatic
+
+
+def format_probability(probability: float) -> str:
+    """Format a probability in percent, never as certainty."""
+    return "above 99 %" if probability > _MAX_SHOWN_PROBABILITY else f"{100 * probability:.0f} %"
+
+
+def is_unstated(diagnosis: Diagnosis, finding: Finding) -> bool:
+    """Return True for a finding that supplies a value without nominal value."""
+    return finding.effect.nominal in diagnosis.recordings.unstated
+
+
+def statement_headline(diagnosis: Diagnosis, findings: list[Finding]) -> str:
+    """Return the headline of findings: the first ones with values and places."""
+    every = [each for each in statements(diagnosis) if each.finding in findings]
+    own = [each for each in every if each.certainty != "possible"] or every
+    text = "; ".join(_with_rivals(each) for each in own[:MAX_HEADLINE_FINDINGS])
+    if more := len(own) - MAX_HEADLINE_FINDINGS:
+        text += f"; and {more} more" if more > 0 else ""
+    return capital(text)
+
+
+def action(diagnosis: Diagnosis) -> str:
+    """Return one line of what to do: the remedy of the first finding, or the next recording."""
+    own = statements(diagnosis)
+    new = [each for each in own if not is_unstated(diagnosis, each.finding)]
+    first = next(iter(new or own), None)
+    if diagnosis.verdict == "nothing_missing":
+        return "Nothing has to be changed."
+    if first is None or first.certainty in ("one of these", "possible"):
+        # One line: its first sentence; the whole stands under "Next experiment".
+        sentence, dot, _ = diagnosis.next_experiment.partition(". ")
+        return sentence + dot.strip()
+    return first.action
+
+
+def _with_rivals(each: Statement) -> str:
+    if each.certainty == "found":
+        return each.sentence
+    if each.certainty == "one of these":
+        return f"one of these: {each.sentence}, or {' or '.join(each.rivals)}"
+    return f"{each.certainty} ({each.probability}): {each.sentence}"
+
+
+def _state_finding(diagnosis: Diagnosis, finding: Finding) -> Statement:
+    effect, located = finding.effect, finding.located
+    slides = is_prismatic(diagnosis, located)
+    where = place(diagnosis, located)
+    named = {p.name: replace(p, unit=joint_unit(p.unit, slides)) for p in finding.parameters}
+    phrase = effect.phrase_of(finding.estimated.amplitudes)
+    if is_unstated(diagnosis, finding):
+        first = next(iter(named.values()))
+        value = pm(first.value, first.sd, first.unit)
+        phrase = f"{effect.nominal_words} {value}, for which there is no nominal value"
+    signed = isinstance(effect.phrase, str)
+    sentence = fill(phrase, named, signed=signed)
+    return Statement(
+        finding=finding,
+        place=where,
+        sentence=sentence
+        if located.joint is None and located.link is None
+        else f"{where}: {sentence}",
+        certainty=finding.certainty,
+        probability=format_probability(finding.probability),
+        action=_describe_remedy(diagnosis, finding, named, where),
+        values=tuple(f"{p.name} = {pm(p.value, p.sd, p.unit)}" for p in named.values()),
+        rivals=tuple(
+            f"{r.located.effect.title} of {place(diagnosis, r.located)}"
+            f" ({format_probability(r.probability)})"
+            for r in finding.rivals
+            if r.probability >= MIN_LISTED_PROBABILITY
+        ),
+    )
+
+
+def _describe_remedy(
+    diagnosis: Diagnosis, finding: Finding, named: Mapping[str, Parameter], where: str
+) -> str:
+    effect, located = finding.effect, finding.located
+    constants = located.constants(diagnosis.training.constants)
+    if callable(effect.remedy):
+        return effect.remedy(finding.estimated.amplitudes, located.shapes, constants)
+    words = {"where": "the robot" if where == "robot" else where}
+    if effect.nominal and located.joint is not None:
+        first = next(iter(named.values()))
+        old = float(getattr(constants, effect.nominal, 0.0) or 0.0)
+        if is_unstated(diagnosis, finding):
+            value = pm(first.value, first.sd, first.unit)
+            return f"Enter {effect.nominal_words} {value} for {where}."
+        words["new"] = f"{significant(old + first.value, 3)} {first.unit}"
+    return fill(effect.remedy, named, words)
+
+
+def fill(
+    text: str,
+    named: Mapping[str, Parameter],
+    words: Mapping[str, str] | None = None,
+    *,
+    signed: bool = True,
+) -> str:
+    """Fill the placeholders of a phrase or remedy with values.
+
+    Parameters
+    ----------
+    text : str
+    named : mapping of str to Parameter
+    words : mapping of str to str, optional
+        Further placeholders.
+    signed : bool
+        False: single values without sign, which the phrase states.
+    """
+
+    def value(match: re.Match[str]) -> str:
+        key, share = match[1], match[2]
+        if key in (words or {}):
+            return (words or {})[key]
+        names = key.split("/")
+        if len(names) > 1:
+            return _format_together([named[name] for name in names])
+        own = named[key]
+        size = own.value if signed else abs(own.value)
+        if share:
+            return f"{pm(100.0 * size, 100.0 * own.sd, '')} %"
+        return pm(size, own.sd, own.unit)
+
+    return _PLACEHOLDER.sub(value, text)
+
+
+def _format_together(parameters: list[Parameter]) -> str:
+    """Format values in the unit of the largest, such as "0/2/82 mm"."""
+    factor, unit = scale(max(abs(p.value) for p in parameters), parameters[0].unit)
+    # Plus zero: no minus before a value that rounds to zero.
+    return f"{'/'.join(f'{round(factor * p.value) + 0:d}' for p in parameters)} {unit}"
