@@ -30,7 +30,6 @@ from stiffopt.discovery.thresholds import (
     MISFIT_RATIO,
     OPEN_RATIO,
     OPEN_SHARE,
-    UNREPEATED_ODDS,
     UNSTATED_DEVIATIONS,
 )
 from stiffopt.discovery.training import Training
@@ -50,6 +49,7 @@ def build_findings(
     parameters: Estimate,
     training: Training,
     after: np.ndarray,
+    again: np.ndarray,
 ) -> tuple[Finding, ...]:
     """Return the findings with probabilities and parameters.
 
@@ -63,31 +63,27 @@ def build_findings(
     training : Training
     after : array (2 n,)
         Normalised residual of every channel, with the effects.
+    again : array (e,)
+        Share of the perturbation ensemble in which each is named again.
     """
     constants, n = training.constants, training.robot.n
     shares = variance_explained(
         comparison, tuple(s.located for s in kept), tuple(s.channel for s in kept)
     )
     refitted = held_out_shares(comparison, tuple(s.located for s in kept))
-    again = (True,) * len(kept)
     findings = []
     for index, (selected, share) in enumerate(zip(kept, shares, strict=True)):
-        if (
-            selected.located.calibrated
-            and parameters.min_deviations(index) < UNSTATED_DEVIATIONS
-        ):
+        if selected.located.calibrated and parameters.min_deviations(index) < UNSTATED_DEVIATIONS:
             continue
         located, effect = selected.located, selected.located.effect
         open_ = after[selected.channel] > MISFIT_RATIO
         misfit = MISFIT_ODDS * (1.0 - refitted[index]) if open_ else 0.0
-        if not again[index]:
-            misfit = max(misfit, UNREPEATED_ODDS)
         values = parameters.parameters(index, located.constants(constants))
         chance = max(
             parameters.p_value(index),
             _reported_p_value(parameters.effects[index], values, located.constants(constants)),
         )
-        misfit = max(misfit, _null_share(chance))
+        misfit = 1.0 - (1.0 - max(misfit, _null_share(chance))) * float(again[index])
         findings.append(
             Finding(
                 estimated=parameters.effects[index],

@@ -29,9 +29,11 @@ from stiffopt.discovery.judging.added_uncertainty import (
     add_band_deviation,
     add_scale_deviation,
     drop_insignificant,
+    half_band_comparison,
 )
 from stiffopt.discovery.judging.bursts import find_bursts
 from stiffopt.discovery.judging.detection_limits import DetectionLimit, detection_limits
+from stiffopt.discovery.judging.ensemble import recurrence
 from stiffopt.discovery.judging.episodes import (
     training_tracks,
 )
@@ -48,6 +50,7 @@ from stiffopt.discovery.sanity.gate import SanityGate
 from stiffopt.discovery.search.candidates import Scorer
 from stiffopt.discovery.search.rivals import Selected
 from stiffopt.discovery.search.search import SearchResult
+from stiffopt.discovery.search.tournament import describe_tournament
 from stiffopt.discovery.search.uncertainty import (
     Estimate,
     estimate_parameters,
@@ -188,9 +191,16 @@ def _run_diagnosis(
     )
     parameters = add_scale_deviation(parameters, selected)
     located = tuple(s.located for s in selected)
+    again = skip_if_stopped(
+        stopped, NOT_PERTURBED, lambda: _perturb_findings(training, result, selected, say)
+    )
+    if again is None:
+        again = np.ones(len(selected))
     findings = finish_step(
         stopped,
-        lambda: build_findings(result.comparison, selected, parameters, training, result.after),
+        lambda: build_findings(
+            result.comparison, selected, parameters, training, result.after, again
+        ),
     )
     limits: tuple[DetectionLimit, ...] = (
         skip_if_stopped(
@@ -259,6 +269,7 @@ def _run_diagnosis(
                 *_describe_ignored_doubts(doubted),
                 *(f"to be checked: {each}" for each in remarked),
                 *thin,
+                *describe_tournament(result.contenders),
                 *training.assumptions,
             ),
             faults=tuple((run.name, fault) for run in seen for fault in run.faults),
@@ -322,6 +333,18 @@ def _estimate_parameters(
     return drop_insignificant(selected, doubted, asked_for)
 
 
+def _perturb_findings(
+    training: Training, result: SearchResult, selected: Sequence[Selected], say: Say
+) -> np.ndarray:
+    """Return the share of the perturbation ensemble in which each finding is named again."""
+    if not selected:
+        return np.ones(0)
+    say("fit the findings again to perturbed runs and models")
+    vibrates = training.runs[0].vibration is not None
+    half_band = None if vibrates else half_band_comparison(training, result.comparison)
+    return recurrence(result.comparison, selected, half_band, free_bodies=training.free_bodies)
+
+
 def _predict_held_out(
     opened: HeldOutRuns, recordings: RecordingSet, stopped: list[str], say: Say
 ) -> None:
@@ -383,6 +406,7 @@ FRICTION_NOT_REFITTED = (
 NO_LIMITS = "Stopped by the user: detection limits were not calculated."
 NO_BURSTS = "Stopped by the user: torque bursts above the filter's band were not searched for."
 BAND_NOT_VARIED = "Stopped by the user: standard deviations do not include a fit in half the band."
+NOT_PERTURBED = "Stopped by the user: findings were not fitted again to perturbed runs."
 NO_EXPERIMENT = "Stopped by the user: no experiment was designed."
 NO_NOISE_CEILING = "Stopped by the user: no noise ceiling was fitted."
 NO_SUSPECTS = "Stopped by the user: the open residual was not searched for suspects."

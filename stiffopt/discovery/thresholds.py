@@ -102,9 +102,6 @@ MAX_EXCHANGES = 3
 # Normalised residual from which a channel counts as misfit, and the probability of an unknown cause
 # there.
 MISFIT_RATIO, MISFIT_ODDS = 2.0, 0.5
-# Probability of an unknown cause if a finding of one half of the recordings does not help in the
-# other.
-UNREPEATED_ODDS = 0.5
 
 # Normalised residual of a fit with vibration from which a quasi-static one is tried as well [0037].
 MAX_VIBRATION_MISFIT = 1.5

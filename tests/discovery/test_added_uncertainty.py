@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -23,23 +22,20 @@ from stiffopt.recording.recording_set import load_recordings
 
 
 @pytest.mark.parametrize(
-    ("every_joint_has_it", "doubt", "stays"),
+    ("calibrated", "doubt", "stays"),
     [
         (False, 0.4, True),
         (False, 0.7, False),  # 1.4 deviations from nothing
-        (True, 0.7, True),
-        (True, 1.5, False),  # less than its deviation
+        (True, 1.5, True),  # part of the model, however small
     ],
 )
 def test_finding_within_its_deviation_is_dropped(
-    every_joint_has_it: bool, doubt: float, stays: bool
+    calibrated: bool, doubt: float, stays: bool
 ) -> None:
     """Whatever makes it so large: half the band, other runs, what a model left open."""
     comparison = prepare_training(load_recordings(SHIPPED), Settings()).comparison()
-    friction = effect("coulomb")
-    if not every_joint_has_it:
-        friction = replace(friction, nominal="")
-    there = Selected(LocatedEffect(effect=friction, joint=1), 1.0, 1.0, 1.0, (), 1)
+    friction = LocatedEffect(effect=effect("coulomb"), joint=1, calibrated=calibrated)
+    there = Selected(friction, 1.0, 1.0, 1.0, (), 1)
 
     def estimated(found: Sequence[Selected]) -> Found:
         known = estimate_parameters(comparison, [s.located for s in found])
@@ -52,13 +48,15 @@ def test_finding_within_its_deviation_is_dropped(
 
 
 @pytest.mark.parametrize(
-    ("nominal", "share", "stays"), [("", 0.0, 0), ("", 0.1, 1), ("coulomb", 0.0, 1)]
+    ("calibrated", "share", "stays"), [(False, 0.0, 0), (False, 0.1, 1), (True, 0.0, 1)]
 )
-def test_finding_without_explained_share_is_dropped(nominal: str, share: float, stays: int) -> None:
+def test_finding_without_explained_share_is_dropped(
+    calibrated: bool, share: float, stays: int
+) -> None:
     """However sure its value is."""
     comparison = prepare_training(load_recordings(SHIPPED), Settings()).comparison()
-    friction = replace(effect("coulomb"), nominal=nominal)
-    there = Selected(LocatedEffect(effect=friction, joint=1), 1.0, 1.0, 1.0, (), 1)
+    friction = LocatedEffect(effect=effect("coulomb"), joint=1, calibrated=calibrated)
+    there = Selected(friction, 1.0, 1.0, 1.0, (), 1)
 
     def estimated(found: Sequence[Selected]) -> Found:
         return tuple(found), estimate_parameters(comparison, [s.located for s in found])
@@ -73,7 +71,7 @@ def test_position_effect_passed_once_is_dropped(monkeypatch: pytest.MonkeyPatch)
     parts = np.repeat(np.arange(6), 50)
     once = np.where(parts == 3, 1.0, 0.001)
     twice = np.where((parts == 3) | (parts == 5), 1.0, 0.001)
-    monkeypatch.setattr(cross_validation, "_number_folds", lambda *_: parts)
+    monkeypatch.setattr(cross_validation, "number_folds", lambda *_: parts)
     for column, met in ((once, False), (twice, True)):
         comparison: Any = SimpleNamespace(effect_columns=lambda _, c=column: c[:, None])
         assert cross_validation._drop_single_fold_shapes(comparison, [place]) == (

@@ -9,17 +9,16 @@ import numpy as np
 import pytest
 from shipped_set import SHIPPED
 
-from stiffopt.discovery.catalogue import CATALOGUE, effect
+from stiffopt.discovery.catalogue import effect
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.judging.friction_refit import _apply_steps, _MovingSamples, refit_friction
 from stiffopt.discovery.search import uncertainty
 from stiffopt.discovery.search.cross_validation import (
     _excess_share,
     drop_cancelling,
-    repeats_in_halves,
     select_predictive,
 )
-from stiffopt.discovery.search.rivals import Selected, restore_unstated
+from stiffopt.discovery.search.rivals import Selected
 from stiffopt.discovery.search.uncertainty import estimate_parameters
 from stiffopt.discovery.settings import Settings
 from stiffopt.discovery.thresholds import MIN_HELD_OUT_SHARE
@@ -76,36 +75,6 @@ def test_change_must_exceed_open_residual(falls: list[float], change: bool) -> N
     assert (excess >= 0.0) == change
 
 
-@pytest.mark.parametrize(
-    ("moved", "second", "again"),
-    [
-        (1.0, 1.0, True),
-        (1.0, 0.7, True),
-        (1.0, -1.0, False),
-        (0.5, -1.0, False),
-        (0.0, 1.0, True),  # a half in which it stands says nothing
-        (0.1, -1.0, True),
-    ],
-)
-def test_effect_repeats_if_both_halves_agree(moved: float, second: float, again: bool) -> None:
-    """Torque of a joint that goes to and fro, more, as much or less in the second half."""
-    time = np.linspace(0.0, 1.0, 400, endpoint=False)
-    side = np.sign(np.sin(40.0 * time)) * np.where(time < 0.5, 1.0, moved)
-    target = 10.0 * side * np.where(time < 0.5, 1.0, second)
-    run = SimpleNamespace(time=time)
-    amplitude = float(target @ side) / float(side @ side)
-    comparison: Any = SimpleNamespace(
-        target=target,
-        runs=(run,),
-        rows=SimpleNamespace(sample_signal=lambda of: of(run)),
-        nuisance=([], np.zeros(0), np.zeros((len(time), 0))),
-        effect_columns=lambda _: side[:, None],
-        fit=lambda _: SimpleNamespace(posterior=SimpleNamespace(mean=np.array([amplitude]))),
-    )
-    located = LocatedEffect(effect=effect("coulomb"), joint=0)
-    assert repeats_in_halves(comparison, [located]) == (again,)
-
-
 def test_cancelling_effects_are_dropped() -> None:
     """Nine times as much as there is to explain, less nearly as much again: neither is there."""
     time = np.linspace(0.0, 1.0, 200)
@@ -125,14 +94,6 @@ def test_cancelling_effects_are_dropped() -> None:
     kept = [e.effect.name for e in drop_cancelling(comparison, found)]
     assert "viscous" in kept
     assert len(kept) == 2  # alone, the other adds no more than there is
-
-
-def test_unstated_friction_is_restored() -> None:
-    """Dry friction that was lost on the way is found again where it is, and only there."""
-    comparison = prepare_training(load_recordings(SHIPPED), Settings()).comparison()
-    lost = [LocatedEffect(effect=effect("coulomb"), joint=j) for j in range(2)]
-    _, ranked = restore_unstated(comparison, comparison, [], lost, CATALOGUE, lambda _: None)
-    assert [r.selected.located for r in ranked] == lost[1:]
 
 
 def test_friction_is_refitted_to_moving_samples() -> None:

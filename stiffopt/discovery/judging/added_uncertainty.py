@@ -96,6 +96,19 @@ _CUTOFF_FACTOR = 0.5
 _UNDETERMINED_SHARE, _MAX_AMPLITUDE_RANGE = 0.5, 100.0
 
 
+def half_band_comparison(training: Training, comparison: Comparison) -> Comparison | None:
+    """Return the comparison of the same runs in half the band; None if no sample is left."""
+    settings = replace(training.settings, cutoff=_CUTOFF_FACTOR * training.settings.fit_band)
+    runs = [
+        prepare_run(training.robot, run, k, training.constants, settings)
+        for k, run in enumerate(training.recorded)
+    ]
+    if not all((run.torque_used.any() or run.deflection_used.any()) for run in runs):
+        return None
+    other = replace(training, runs=tuple(runs)).comparison().with_bodies(comparison.bodies)
+    return other.with_extension(comparison.columns.found, comparison.inflation)
+
+
 def add_band_deviation(
     training: Training, comparison: Comparison, parameters: Estimate
 ) -> Estimate:
@@ -114,15 +127,9 @@ def add_band_deviation(
     """
     if not parameters.effects:
         return parameters
-    settings = replace(training.settings, cutoff=_CUTOFF_FACTOR * training.settings.fit_band)
-    runs = [
-        prepare_run(training.robot, run, k, training.constants, settings)
-        for k, run in enumerate(training.recorded)
-    ]
-    if not all((run.torque_used.any() or run.deflection_used.any()) for run in runs):
+    other = half_band_comparison(training, comparison)
+    if other is None:
         return parameters
-    other = replace(training, runs=tuple(runs)).comparison().with_bodies(comparison.bodies)
-    other = other.with_extension(comparison.columns.found, comparison.inflation)
     located = [each.located for each in parameters.effects]
     first, last = len(parameters.nuisance), len(parameters.values)
     if comparison.after_model:

@@ -118,9 +118,7 @@ def _named_in(
     return again, acts
 
 
-def _fit(
-    gram: np.ndarray, moment: np.ndarray, prior: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+def _fit(gram: np.ndarray, moment: np.ndarray, prior: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return posterior mean (p,) and covariance (p, p)."""
     scaled = gram * np.outer(prior, prior) + np.eye(len(prior))
     covariance = np.linalg.inv(scaled) * np.outer(prior, prior)

@@ -55,7 +55,9 @@ def refit_friction(
         kept = [
             each
             for each, found in zip(selected, parameters.effects, strict=True)
-            if each.located.calibrated or not _is_refittable(found) or rows.helps(found, names, training)
+            if each.located.calibrated
+            or not _is_refittable(found)
+            or rows.helps(found, names, training)
         ]
         if len(kept) == len(selected):
             return tuple(selected), _apply_steps(training, parameters, rows, names)

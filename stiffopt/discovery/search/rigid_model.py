@@ -78,12 +78,15 @@ class RigidStage:
         Gain of log predictive density in stretches left out by free bodies.
     single : Candidate or None
         Single change that explains as much.
+    best : Candidate or None
+        Single change that explains most.
     counterweights : tuple of Counterweight
     """
 
     widths: tuple[float, ...]
     gain: float
     single: Candidate | None
+    best: Candidate | None = None
     counterweights: tuple[Counterweight, ...] = ()
 
     @property
@@ -116,20 +119,21 @@ def reidentify_rigid_model(
     """
     nominal, found = Scorer(comparison, effects), tuple(effects)
     gain = _gain_of_free_bodies(comparison, found, nominal.by_block, tell)
-    single = _best_single_change(nominal, catalogue, tell)
+    single = best = _best_single_change(nominal, catalogue, tell)
     if single is not None and single.gain > max(SINGLE_CHANGE_SHARE * gain, NAMED_EVIDENCE):
         found = (*found, single.located)
         gain = _gain_of_free_bodies(comparison, found, Scorer(comparison, found).by_block, tell)
     else:
         single = None
     if gain < NAMED_EVIDENCE:
-        return RigidStage(widths=(), gain=0.0, single=single)
+        return RigidStage(widths=(), gain=0.0, single=single, best=best)
     widths, free, least = _choose_widths(comparison, found, tell)
     tell("re-identify the rigid model: counterbalances in place of bodies")
     return RigidStage(
         widths=widths,
         gain=gain,
         single=single,
+        best=best,
         counterweights=_find_counterweights(free, found, widths, least, catalogue),
     )
 

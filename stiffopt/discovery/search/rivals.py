@@ -196,26 +196,26 @@ def exchange_rivals(
     before: Sequence[RankedEffect] = (),
 ) -> tuple[Comparison, list[RankedEffect]]:
     """Replace effects by their likeliest rivals until nothing changes; return them ranked."""
-    ranked = _rank_effects(current, effects, catalogue, tell, before)
+    ranked = rank_effects(current, effects, catalogue, tell, before)
     for _ in range(MAX_EXCHANGES):
         likelier = _drop_duplicates([r.likeliest for r in ranked])
         if likelier == effects:
             break
         current, effects = fit_jointly(comparison, likelier)
-        ranked = _rank_effects(current, effects, catalogue, tell, ranked)
+        ranked = rank_effects(current, effects, catalogue, tell, ranked)
     else:
         # Effects that replace each other in turns are dropped.
         kept = [r.selected.located for r in ranked if r.likeliest is r.selected.located]
         if len(kept) < len(effects):
             current, effects = fit_jointly(comparison, kept)
-            ranked = _rank_effects(current, effects, catalogue, tell)
+            ranked = rank_effects(current, effects, catalogue, tell)
     if len(ranked) < len(effects):
         current, effects = fit_jointly(comparison, [r.selected.located for r in ranked])
-        ranked = _rank_effects(current, effects, catalogue, tell, ranked)
+        ranked = rank_effects(current, effects, catalogue, tell, ranked)
     return current, ranked
 
 
-def _rank_effects(
+def rank_effects(
     comparison: Comparison,
     effects: list[LocatedEffect],
     catalogue: Sequence[Effect],

@@ -25,9 +25,11 @@ from stiffopt.discovery.search.rivals import (
     RankedEffect,
     Selected,
     exchange_rivals,
+    rank_effects,
     restore_lost,
     select_unranked,
 )
+from stiffopt.discovery.search.tournament import CATALOGUE_MODEL, Contender, hold_tournament
 from stiffopt.discovery.thresholds import (
     LINEARISATION_DEVIATIONS,
     LINEARISATION_TOLERANCE,
@@ -57,6 +59,8 @@ class SearchResult:
         within tolerance, and with the effects.
     target : array (m,)
         Residual of the nominal model over the stated noise: the rows of `before`.
+    contenders : tuple of Contender
+        Models that competed in the prediction of stretches left out, the best first.
     stopped : bool
         By Ctrl-C, before the search was complete.
     weighed : bool
@@ -73,6 +77,7 @@ class SearchResult:
     calibrated: np.ndarray
     after: np.ndarray
     target: np.ndarray
+    contenders: tuple[Contender, ...] = ()
     stopped: bool = False
     weighed: bool = True
     hurried: bool = False
@@ -142,6 +147,7 @@ def search(
         calibrated,
         current.channel_ratio(fit.residual),
         target,
+        so_far.contenders,
         so_far.stopped,
         weighed,
         hurried,
@@ -160,6 +166,7 @@ class _SearchState:
     ranked : list of Ranked
         Effects ranked last.
     rigid : RigidStage or None
+    contenders : tuple of Contender
     stopped : bool
     """
 
@@ -168,6 +175,7 @@ class _SearchState:
     effects: list[LocatedEffect] = field(default_factory=list)
     ranked: list[RankedEffect] = field(default_factory=list)
     rigid: RigidStage | None = None
+    contenders: tuple[Contender, ...] = ()
     stopped: bool = False
 
     def fitted(self, found: tuple[Comparison, list[LocatedEffect]]) -> None:
@@ -250,6 +258,25 @@ def _run_stages(
                 so_far.start, so_far.current, so_far.effects, catalogue, tell, so_far.ranked
             )
         )
+    if reidentify:
+        _adopt_best_model(so_far, catalogue, tell)
+
+
+def _adopt_best_model(
+    so_far: _SearchState, catalogue: Sequence[Effect], tell: Callable[[str], object]
+) -> None:
+    """Adopt a plainer model where it predicts stretches left out better than the effects."""
+    calibrated = [each for each in so_far.effects if each.calibrated]
+    best = None if so_far.rigid is None else so_far.rigid.best
+    single = None if best is None else best.located
+    so_far.contenders = hold_tournament(so_far.current, calibrated, single, so_far.effects)
+    winner = so_far.contenders[0]
+    if winner.name == CATALOGUE_MODEL:
+        return
+    so_far.start = so_far.start.with_bodies(winner.comparison.bodies)
+    so_far.fitted(fit_jointly(so_far.start, list(winner.effects)))
+    ranked = rank_effects(so_far.current, so_far.effects, catalogue, tell, so_far.ranked)
+    so_far.weighed((so_far.current, ranked))
 
 
 def _relinearise_fit(

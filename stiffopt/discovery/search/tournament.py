@@ -88,3 +88,15 @@ def _residual_left_out(model: Comparison, effects: Sequence[LocatedEffect]) -> f
     squares = CrossValidation(model, effects).squares_by_channel() * model.inflation**2
     used = counts > 0
     return float(np.sqrt(np.mean(squares[used] / counts[used])))
+
+
+def describe_tournament(contenders: Sequence[Contender]) -> tuple[str, ...]:
+    """Return a sentence on the models that competed; none without a competition."""
+    if len(contenders) < 2:
+        return ()
+    best, *others = contenders
+    rest = ", ".join(f"{each.name} {each.residual:.3g}" for each in others)
+    return (
+        f"Stretches of the training runs left out are predicted best by {best.name}"
+        f" ({best.residual:.3g} times the noise; {rest}).",
+    )

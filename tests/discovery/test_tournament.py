@@ -1,0 +1,65 @@
+"""Tournament of models and perturbation ensemble on the shipped two-link set."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from shipped_set import SHIPPED
+
+from stiffopt.discovery.catalogue import effect
+from stiffopt.discovery.comparison.comparison import Comparison
+from stiffopt.discovery.comparison.located_effect import LocatedEffect
+from stiffopt.discovery.judging.ensemble import recurrence
+from stiffopt.discovery.search.rivals import Selected
+from stiffopt.discovery.search.tournament import (
+    CATALOGUE_MODEL,
+    FRICTION_LINES,
+    describe_tournament,
+    hold_tournament,
+)
+from stiffopt.discovery.settings import Settings
+from stiffopt.discovery.training import prepare_training
+from stiffopt.recording.recording_set import load_recordings
+
+# The set lacks dry friction of joint 2; friction of joint 1 is nominal.
+PRESENT = LocatedEffect(effect=effect("coulomb"), joint=1)
+ABSENT = LocatedEffect(effect=effect("load_friction"), joint=0, shapes=(0.02,))
+
+
+@pytest.fixture(scope="module")
+def comparison() -> Comparison:
+    start = prepare_training(load_recordings(SHIPPED), Settings()).comparison()
+    return start.linearised_at(start.fit([PRESENT]))
+
+
+def _selected(located: LocatedEffect) -> Selected:
+    return Selected(located, 1.0, 1.0, 1.0, (), 1)
+
+
+def test_present_effect_is_named_by_all_members_and_absent_by_none(comparison: Comparison) -> None:
+    found = [_selected(PRESENT), _selected(ABSENT)]
+    again = recurrence(comparison, found, None, free_bodies=False)
+    np.testing.assert_array_equal(again, [1.0, 0.0])
+
+
+def test_effect_with_a_likelier_rival_is_not_named_again(comparison: Comparison) -> None:
+    beaten = Selected(ABSENT, 1.0, 1.0, 1.0, ((PRESENT, 0.9),), 1)
+    assert recurrence(comparison, [beaten], None, free_bodies=False) == [0.0]
+
+
+def test_model_with_the_present_effect_wins(comparison: Comparison) -> None:
+    calibrated = LocatedEffect(effect=effect("viscous"), joint=0, calibrated=True)
+    best, *others = hold_tournament(comparison, [calibrated], None, [calibrated, PRESENT])
+    assert best.name == CATALOGUE_MODEL
+    assert others[-1].residual > 1.5 * best.residual
+    assert best.name in describe_tournament([best, *others])[0]
+
+
+def test_friction_lines_win_over_an_effect_that_only_fits_noise(comparison: Comparison) -> None:
+    calibrated = LocatedEffect(effect=effect("coulomb"), joint=1, calibrated=True)
+    useless = [
+        LocatedEffect(effect=effect("load_friction"), joint=j, shapes=(0.02,)) for j in (0, 1)
+    ]
+    found = hold_tournament(comparison, [calibrated], None, [calibrated, *useless])
+    order = [each.name for each in found]
+    assert order.index(FRICTION_LINES) < order.index(CATALOGUE_MODEL)
