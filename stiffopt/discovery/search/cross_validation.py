@@ -69,8 +69,8 @@ def select_predictive(
     -----
     Effects that cancel others are removed first, then those whose shapes come from one fold only;
     then repeatedly the least helpful one, each judged by a fit without it. Effects of one run
-    cannot be cross-validated and stay, as do calibrated values. With an extended model changes must exceed its open
-    residual.
+    cannot be cross-validated and stay, as do calibrated values. With an extended model changes must
+    exceed its open residual.
     """
     effects = _drop_single_fold_shapes(comparison, drop_cancelling(comparison, effects))
     if not effects:
