@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     # Constants of the joint for an effect of a joint, else of the robot.
     Constants = JointConstants | RobotConstants
 
-Scope = Literal["joint", "robot", "link", "run"]
+Scope = Literal["joint", "robot", "link", "run", "recording"]
 # Values of the reported parameters from amplitudes, shapes and constants.
 Report = Callable[[Sequence[float], Sequence[float], Any], Mapping[str, float]]
 # Property of the joint or the recording set without which an effect cannot show.
@@ -194,8 +194,9 @@ class Effect:
     name : str
     family : str
         friction, elastic, periodic, inertial, sensor, spring, contact.
-    scope : {"joint", "robot", "link", "run"}
-        Place that a finding names: a joint, the robot as a whole, a link or a run.
+    scope : {"joint", "robot", "link", "run", "recording"}
+        Place that a finding names: a joint, the robot as a whole, a link, a joint in one run, or
+        the robot in one run.
     equation : str
         For reports.
     signature : str
@@ -306,6 +307,11 @@ class Effect:
         ):
             if not getattr(self, field_name):
                 object.__setattr__(self, field_name, default)
+
+    @property
+    def of_robot(self) -> bool:
+        """True where its term acts on all joints, in every run or in one."""
+        return self.scope in ("robot", "recording")
 
     @property
     def has_distinctive(self) -> bool:

@@ -7,17 +7,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-import numpy as np
-
 from stiffopt.discovery.catalogue.common import (
     CHANGED_SCALE_RATIO,
     Constants,
     dry_friction,
     viscous_friction,
 )
+from stiffopt.discovery.catalogue.time_shift import shift_samples
 from stiffopt.discovery.effect import Amplitude, Effect, Shape, Term
 from stiffopt.discovery.signals import JointConstants, JointSignals, RobotSignals
-from stiffopt.symbolic import Quantity, is_symbolic, softplus
+from stiffopt.symbolic import Quantity, softplus
 
 # Rounding of a drive's torque limit over the highest torque.
 _LIMIT_ROUNDING = 0.01
@@ -53,31 +52,8 @@ def time_delay_term(
 ) -> Term:
     """Return tau(t - d) - tau(t) of all joints, linear in d about the delay of the shape."""
     asked, about = signals.drive_torque, shapes[0]
-    late = _delay_samples(asked, about / signals.dt, int(_MAX_DELAY / signals.dt))
+    late = shift_samples(asked, about / signals.dt, 0, int(_MAX_DELAY / signals.dt) + 1)
     return Term(drive_torque=amplitudes[0] / about * (late - asked))
-
-
-def _delay_samples(values: Quantity, samples: Quantity, most: int) -> Quantity:
-    """Return values (K, n) delayed by fractional samples, `most` at most, by cubic convolution."""
-    if is_symbolic(samples):
-        nearest = range(-1, most + 3)
-    else:
-        whole = int(samples)
-        nearest = range(whole - 1, whole + 3)
-    return sum((_cubic_weight(samples - k) * _shift_samples(values, k) for k in nearest), 0.0)
-
-
-def _cubic_weight(away: Quantity) -> Quantity:
-    """Return the weight of a sample at a distance in samples (Keys 1981)."""
-    near, far = np.fmin(np.abs(away), 1.0), np.fmin(np.fmax(np.abs(away), 1.0), 2.0)
-    inner = 1.5 * near**3 - 2.5 * near**2 + 1.0
-    return inner - 0.5 * far**3 + 2.5 * far**2 - 4.0 * far + 2.0
-
-
-def _shift_samples(values: Quantity, samples: int) -> Quantity:
-    """Return values (K, n) delayed by whole samples, constant beyond the ends."""
-    places = np.clip(np.arange(values.shape[0]) - samples, 0, values.shape[0] - 1)
-    return values[places.tolist(), :]
 
 
 def encoder_skew_term(

@@ -63,7 +63,7 @@ class LocatedEffect:
     link : int or None
         0-based, for effects of a link.
     run : str or None
-        Name of the run, for effects of a run.
+        Name of the run, for effects of one run.
     shapes : tuple of float
     """
 
@@ -250,6 +250,8 @@ def effect_places(
         grids = [LocatedEffect(effect=effect, link=j) for j in range(n - 1)]
     elif effect.scope == "run":
         grids = [LocatedEffect(effect=effect, joint=j, run=run) for j in range(n) for run in runs]
+    elif effect.scope == "recording":
+        grids = [LocatedEffect(effect=effect, run=run) for run in runs]
     else:
         grids = [LocatedEffect(effect=effect)]
     for place in grids:

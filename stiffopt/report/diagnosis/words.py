@@ -33,12 +33,11 @@ _BURST_CAUSES = {"torque": "saturates", "dtorque": "limits the rate of its torqu
 
 
 def place(diagnosis: Diagnosis, located: LocatedEffect) -> str:
-    """Return the place of an effect: link, joint (with the run of run effects) or robot."""
+    """Return the place of an effect: link, joint or robot, with the run of an effect of one run."""
     if located.link is not None:
         return f"link {diagnosis.training.constants.links[located.link]}"
-    if located.joint is None:
-        return "robot"
-    return f"joint {located.joint + 1}" + (f", {located.run}" if located.run else "")
+    where = "robot" if located.joint is None else f"joint {located.joint + 1}"
+    return where + (f", {located.run}" if located.run else "")
 
 
 def is_prismatic(diagnosis: Diagnosis, located: LocatedEffect) -> bool:
