@@ -240,6 +240,9 @@ class Effect:
         adds to; "" where there is none. Where a set does not state it, the effect takes its place.
     nominal_words : str
         Name of that value in prose; default: the field with spaces.
+    tolerances : tuple of str
+        Nominal values (fields of `Tolerance`) that it changes beyond what their tolerances allow;
+        default: `nominal`.
     needs : tuple of Need
         Properties of the recordings without which it cannot show at a joint, the most basic first.
         Default: the sensor that the term acts on, and motion.
@@ -289,6 +292,7 @@ class Effect:
     phrase: str | tuple[str, str] = ""
     nominal: str = ""
     nominal_words: str = ""
+    tolerances: tuple[str, ...] = ()
     needs: tuple[Need, ...] = ()
     confused_with: tuple[str, ...] = ()
     twin: str = ""
@@ -304,6 +308,7 @@ class Effect:
             ("title", self.name.replace("_", " ")),
             ("phrase", self.title or self.name.replace("_", " ")),
             ("nominal_words", self.nominal.replace("_", " ")),
+            ("tolerances", (self.nominal,) if self.nominal else ()),
         ):
             if not getattr(self, field_name):
                 object.__setattr__(self, field_name, default)

@@ -29,7 +29,7 @@ from stiffopt.discovery.catalogue.sensors import SENSORS
 from stiffopt.discovery.catalogue.springs import SPRINGS
 from stiffopt.discovery.catalogue.stiffness import K1_SOFTENING, STIFFNESS_LINEAR
 from stiffopt.discovery.catalogue.stroke_friction import STROKE_FRICTION
-from stiffopt.discovery.catalogue.torque_lead import TORQUE_LEAD
+from stiffopt.discovery.catalogue.time_delay import TIME_DELAY
 from stiffopt.discovery.effect import Effect
 from stiffopt.errors import InputError, nearest
 
@@ -52,7 +52,7 @@ CATALOGUE: tuple[Effect, ...] = (
     *INERTIAL,
     *SPRINGS,
     *SENSORS,
-    TORQUE_LEAD,
+    TIME_DELAY,
     CLOCK_DRIFT,
     RUN_CLOCK,
     *GAIN_DRIFTS,

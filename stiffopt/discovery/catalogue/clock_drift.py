@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from stiffopt.discovery.catalogue.time_shift import shift_samples
+from stiffopt.discovery.catalogue.time_shift import shift_slope
 from stiffopt.discovery.effect import Amplitude, Effect, Shape, Term
 from stiffopt.discovery.signals import RobotSignals
 from stiffopt.symbolic import Quantity
@@ -18,12 +18,15 @@ def clock_drift_term(
     signals: RobotSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
 ) -> Term:
     """Return tau(t - d - e t) - tau(t) of all joints, linear in e about the shape, and in d."""
-    needed, about = signals.drive_torque, shapes[0]
     elapsed = signals.time - signals.time[0]
-    reach = int(_MAX_RATE_DIFFERENCE * float(elapsed[-1]) / signals.dt) + 1
-    drifted = shift_samples(needed, about / signals.dt * elapsed, -reach, reach)
-    drift = amplitudes[0] / about * (drifted - needed)
-    return Term(drive_torque=drift - amplitudes[1] * signals.drive_torque_rate)
+    drift = shift_slope(
+        signals.drive_torque,
+        signals.dt,
+        shapes[0],
+        _MAX_RATE_DIFFERENCE * float(elapsed[-1]),
+        growth=elapsed,
+    )
+    return Term(drive_torque=amplitudes[0] * drift - amplitudes[1] * signals.drive_torque_rate)
 
 
 CLOCK_DRIFT = Effect(
@@ -36,7 +39,7 @@ CLOCK_DRIFT = Effect(
     title="clock drift between torque and position",
     phrase="torque and position recorded on clocks of different rate: use one clock for both",
     needs=("torque", "moves"),
-    confused_with=("time_delay", "torque_lead"),
+    confused_with=("time_delay",),
     term=clock_drift_term,
     amplitudes=(
         Amplitude(name="e", unit="", scale=1e-3, lower=-10.0, upper=10.0, own=True),

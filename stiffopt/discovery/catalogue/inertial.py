@@ -186,6 +186,7 @@ PAYLOAD = Effect(
     equation="s += Y_last(q, v, a)*(dm, dm*c, dI)",
     signature="link torques of several joints off together, as a mass at the last link makes them",
     phrase=("payload heavier than nominal", "payload lighter than nominal"),
+    tolerances=("mass", "com"),
     needs=("torque", "moves"),
     confused_with=("torque_gain", "inertial_error", "base_tilt", "encoder_offset"),
     change_robot=change_payload,
@@ -205,6 +206,7 @@ INERTIAL_ERROR = Effect(
     signature="torques of a link's own joint and of those before it off together, with gravity and"
     " acceleration",
     phrase="wrong mass properties",
+    tolerances=("mass", "com"),
     needs=("torque", "moves"),
     confused_with=("torque_gain",),
     change_robot=change_body,

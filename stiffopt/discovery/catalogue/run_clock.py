@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from stiffopt.discovery.catalogue.time_shift import shift_samples
+from stiffopt.discovery.catalogue.time_shift import shift_slope
 from stiffopt.discovery.effect import Amplitude, Effect, Shape, Term
 from stiffopt.discovery.signals import RobotSignals
 from stiffopt.symbolic import Quantity
@@ -17,10 +17,10 @@ def run_clock_term(
     signals: RobotSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
 ) -> Term:
     """Return tau(t - d) - tau(t) of all joints, linear in d about the offset of the shape."""
-    needed, about = signals.drive_torque, shapes[0]
-    reach = int(_MAX_OFFSET / signals.dt) + 1
-    shifted = shift_samples(needed, about / signals.dt, -reach, reach)
-    return Term(drive_torque=amplitudes[0] / about * (shifted - needed))
+    return Term(
+        drive_torque=amplitudes[0]
+        * shift_slope(signals.drive_torque, signals.dt, shapes[0], _MAX_OFFSET)
+    )
 
 
 RUN_CLOCK = Effect(
@@ -35,7 +35,7 @@ RUN_CLOCK = Effect(
         "torque of one run recorded early: shift its torque columns or leave the run out",
     ),
     needs=("torque", "moves", "runs"),
-    confused_with=("time_delay", "torque_lead"),
+    confused_with=("time_delay",),
     term=run_clock_term,
     amplitudes=(Amplitude(name="d", unit="s", scale=0.02, lower=-10.0, upper=10.0),),
     shapes=(

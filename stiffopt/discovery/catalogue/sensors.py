@@ -1,4 +1,4 @@
-"""Errors of sensors and drives: gain, offset, delay and saturation of readings.
+"""Errors of sensors and drives: gain, offset and saturation of readings.
 
 Readings: torque reading = (1 + eps) drive torque + off; link reading = link angle + off.
 """
@@ -13,7 +13,6 @@ from stiffopt.discovery.catalogue.common import (
     dry_friction,
     viscous_friction,
 )
-from stiffopt.discovery.catalogue.time_shift import shift_samples
 from stiffopt.discovery.effect import Amplitude, Effect, Shape, Term
 from stiffopt.discovery.signals import JointConstants, JointSignals, RobotSignals
 from stiffopt.symbolic import Quantity, softplus
@@ -22,8 +21,6 @@ from stiffopt.symbolic import Quantity, softplus
 _LIMIT_ROUNDING = 0.01
 # Smallest torque limit over the largest filtered torque: a filter overshoots.
 _MIN_LIMIT_RATIO = 0.97
-# Longest delay [s].
-_MAX_DELAY = 0.05
 
 
 def torque_gain_term(
@@ -45,15 +42,6 @@ def encoder_offset_term(
 ) -> Term:
     """Return a constant added to the reading of the link angle."""
     return Term(reading=-amplitudes[0] + 0.0 * signals.windup)
-
-
-def time_delay_term(
-    signals: RobotSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
-) -> Term:
-    """Return tau(t - d) - tau(t) of all joints, linear in d about the delay of the shape."""
-    asked, about = signals.drive_torque, shapes[0]
-    late = shift_samples(asked, about / signals.dt, 0, int(_MAX_DELAY / signals.dt) + 1)
-    return Term(drive_torque=amplitudes[0] / about * (late - asked))
 
 
 def encoder_skew_term(
@@ -108,6 +96,7 @@ TORQUE_GAIN = Effect(
     equation="tau += eps*tau",
     signature="motor torque off in proportion to itself, whatever it comes from",
     phrase="torque reading off by a factor",
+    tolerances=("torque_constant",),
     needs=("torque", "moves"),
     term=torque_gain_term,
     amplitudes=(Amplitude(name="eps", unit="", scale=0.1, lower=-6.0, upper=6.0),),
@@ -168,26 +157,6 @@ ENCODER_ZERO_CHANGE = Effect(
     " away.",
 )
 
-TIME_DELAY = Effect(
-    name="time_delay",
-    family="sensor",
-    scope="robot",
-    equation="tau += tau(t - d) - tau(t)",
-    signature="motor torques of all joints late by the same time",
-    phrase="torque recorded late",
-    needs=("torque", "moves"),
-    term=time_delay_term,
-    amplitudes=(Amplitude(name="d", unit="s", scale=5e-3, lower=0.0, upper=10.0),),
-    shapes=(
-        Shape(
-            name="about", unit="s", starts=(1e-3, 5e-3, 0.02), lower=1e-4, upper=0.05, usual=1e-4
-        ),
-    ),
-    report=lambda amplitudes, shapes, constants: {"d": amplitudes[0]},
-    separate="Change speed quickly, then hold it: a delay shows while the torque changes, friction"
-    " and inertia do not depend on how fast it does.",
-)
-
 ENCODER_SKEW = Effect(
     name="encoder_skew",
     family="sensor",
@@ -226,7 +195,6 @@ SENSORS = (
     TORQUE_GAIN,
     TORQUE_OFFSET,
     ENCODER_OFFSET,
-    TIME_DELAY,
     SATURATION,
     ENCODER_SKEW,
     ENCODER_ZERO_CHANGE,

@@ -8,6 +8,33 @@ import numpy as np
 
 from stiffopt.symbolic import Quantity, is_symbolic
 
+# Shortest shift [s] whose slope rounding errors leave exact.
+_SHORTEST_SHIFT = 1e-9
+
+
+def shift_slope(
+    values: Quantity, dt: float, shift: Quantity, longest: float, *, growth: Any = 1.0
+) -> Quantity:
+    """Return (values(t - shift) - values(t))/shift (K, n), per unit of the shift.
+
+    Parameters
+    ----------
+    values : array (K, n)
+        At uniform instants.
+    dt : float
+        [s]
+    shift : float or symbol
+        [s], or relative where it grows with the time.
+    longest : float
+        Largest size of the shift at any instant [s].
+    growth : float or array (K,)
+        Factor on the shift at every instant: 1, or the time [s].
+    """
+    if not is_symbolic(shift) and abs(shift) < _SHORTEST_SHIFT:
+        shift = _SHORTEST_SHIFT
+    reach = int(longest / dt) + 1
+    return (shift_samples(values, shift / dt * growth, -reach, reach) - values) / shift
+
 
 def shift_samples(values: Quantity, samples: Any, least: int, most: int) -> Quantity:
     """Return values (K, n) of earlier instants, by cubic convolution; constant beyond the ends.

@@ -20,6 +20,7 @@ from stiffopt.discovery.search.joint_fit import (
     select_supported,
 )
 from stiffopt.discovery.search.model_changes import find_changes
+from stiffopt.discovery.search.nominal_values import claim_outside_values
 from stiffopt.discovery.search.rigid_model import RigidStage, reidentify_rigid_model
 from stiffopt.discovery.search.rivals import (
     RankedEffect,
@@ -251,7 +252,11 @@ def _run_stages(
                 so_far.start, so_far.current, so_far.effects, catalogue, tell, so_far.ranked
             )
         )
-    if strict:
+    if not strict:
+        so_far.weighed(
+            claim_outside_values(so_far.start, so_far.current, so_far.ranked, catalogue, most, tell)
+        )
+    else:
         lost = [e for e in start if not any(e.same_place(other) for other in so_far.effects)]
         so_far.weighed(
             restore_unstated(so_far.start, so_far.current, so_far.ranked, lost, catalogue, tell)
