@@ -222,6 +222,9 @@ class Effect:
     is_play : bool
         True for free travel of a joint as a function of its spring torque alone, across which links
         are simulated.
+    linear_about : bool
+        True where the first shape is the value of the first amplitude about which the term is
+        linear: the amplitude has to agree with it.
     only_changed : bool
         True where it is sought only as a change since an extended model was made: a form so free
         fits part of everything that a nominal model lacks.
@@ -285,6 +288,7 @@ class Effect:
     usual: bool = False
     lags: bool = False
     is_play: bool = False
+    linear_about: bool = False
     only_changed: bool = False
     separate: str = ""
     log_prior: Callable[[Any], float] | None = None

@@ -55,6 +55,7 @@ CLOCK_DRIFT = Effect(
             usual=1e-5,
         ),
     ),
+    linear_about=True,
     report=lambda amplitudes, shapes, constants: {"e": amplitudes[0], "d": amplitudes[1]},
     separate="Record one short motion at the start and again at the end of a long run: the delay of"
     " a constant offset is equal in both, that of two clocks is not.",

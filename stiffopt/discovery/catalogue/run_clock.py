@@ -48,6 +48,7 @@ RUN_CLOCK = Effect(
             usual=1e-4,
         ),
     ),
+    linear_about=True,
     report=lambda amplitudes, shapes, constants: {"d": amplitudes[0]},
     separate="Repeat the run with one clock for all signals: a cause in the robot stays.",
 )

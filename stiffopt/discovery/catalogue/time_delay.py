@@ -51,6 +51,7 @@ TIME_DELAY = Effect(
             usual=1e-4,
         ),
     ),
+    linear_about=True,
     report=lambda amplitudes, shapes, constants: {"d": amplitudes[0]},
     separate="Change speed quickly, then hold it: a delay shows while the torque changes, friction"
     " and inertia do not depend on how fast it does. Ahead of the motion is a command: read the"

@@ -22,6 +22,11 @@ ChannelChange = tuple[Kind, int, int, np.ndarray]
 LinkLoad = tuple[int, np.ndarray, np.ndarray]
 
 
+# Largest ratio of an amplitude to the value that its term is linear about: a longer shift with a
+# small amplitude is a filter, not a delay.
+_MAX_LINEAR_RATIO = 3.0
+
+
 @dataclass(frozen=True, eq=False)
 class Contribution:
     """Contribution of an effect to the channels of one run, (K, n) each or None.
@@ -138,6 +143,10 @@ class LocatedEffect:
         if self.effect.nominal and isinstance(own, JointConstants):
             least = -getattr(own, self.effect.nominal) / self.sizes(robot)[0]
             found[0, 0] = max(found[0, 0], least)
+        if self.effect.linear_about:
+            about = float(self.shapes[0]) / self.sizes(robot)[0]
+            low, high = sorted((about / _MAX_LINEAR_RATIO, about * _MAX_LINEAR_RATIO))
+            found[0] = max(found[0, 0], low), min(found[0, 1], high)
         return found
 
     def contribution(self, run: PreparedRun, amplitudes: Sequence[float]) -> Contribution:
