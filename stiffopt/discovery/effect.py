@@ -243,6 +243,8 @@ class Effect:
         adds to; "" where there is none. Where a set does not state it, the effect takes its place.
     nominal_words : str
         Name of that value in prose; default: the field with spaces.
+    signals_key : str
+        Key of [signals] in recordings.toml that undoes it: its first parameter adds to that value.
     tolerances : tuple of str
         Nominal values (fields of `Tolerance`) that it changes beyond what their tolerances allow;
         default: `nominal`.
@@ -296,6 +298,7 @@ class Effect:
     phrase: str | tuple[str, str] = ""
     nominal: str = ""
     nominal_words: str = ""
+    signals_key: str = ""
     tolerances: tuple[str, ...] = ()
     needs: tuple[Need, ...] = ()
     confused_with: tuple[str, ...] = ()

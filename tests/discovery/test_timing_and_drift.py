@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -17,6 +18,7 @@ from stiffopt.discovery.comparison.nuisance import select_outside
 from stiffopt.discovery.diagnose import diagnose
 from stiffopt.discovery.diagnosis import Diagnosis
 from stiffopt.discovery.user_effects import sample_signals
+from stiffopt.report.diagnosis.values_to_enter import value_sentences
 
 CASES = ROOT.parent / "shared" / "cases" / "diagnosis"
 ROBOT = sample_signals()
@@ -41,6 +43,7 @@ def test_commanded_torque_is_named_with_its_lead() -> None:
     assert list(values(found)) == [("time_delay", None)], said(found)
     (finding,) = found.findings
     assert finding.parameters[0].value == pytest.approx(-0.012, abs=1e-3)
+    assert re.search(r"enter torque_delay = -0\.01[12]\d* in", " ".join(value_sentences(found)))
     assert "commanded torque" in finding.effect.phrase_of(finding.estimated.amplitudes)
 
 
@@ -58,6 +61,11 @@ def test_friction_outside_its_tolerance_is_named_with_its_value(name: str, share
     assert own["coulomb", 2]["dFc"] == pytest.approx(share * 14.0, rel=0.1)
     assert own["viscous", 2]["dFv"] == pytest.approx(share * 14.0, rel=0.1)
     assert all(f.probability > 0.5 for f in found.findings), said(found)
+    told = value_sentences(found)
+    assert len(told) == 2
+    corrected = 14.0 * (1.0 + share)
+    (entered,) = re.findall(r"Enter coulomb = \[12\.0, ([0-9.]+), 9\.0", told[0])
+    assert float(entered) == pytest.approx(corrected, rel=0.02)
 
 
 def test_nothing_is_outside_on_another_arm() -> None:
@@ -111,6 +119,16 @@ def test_clock_drift_reads_torque_at_drifted_instants(rate: float) -> None:
     term = effect("clock_drift").term(signals, [rate, 0.0], [rate])
     expected = np.sin(5.0 * time[:, None] * (1.0 - rate) + np.arange(6)) - wave
     np.testing.assert_allclose(term.drive_torque[5:-12], expected[5:-12], atol=1e-4)
+
+
+def test_value_beside_many_others_is_told_as_pinned() -> None:
+    """Too many values outside their tolerances are another cause, and none is claimed."""
+    found = case("mfac12")
+    bare = replace(found.search, selected=())
+    told = value_sentences(replace(found, search=bare, findings=()))
+    assert len(told) == 2
+    assert all("Nominal value pinned at its tolerance: the" in each for each in told)
+    assert any("friction of joint 2 would have to change by +19" in each for each in told)
 
 
 def test_drift_of_runs_vanishes_in_other_runs_and_on_average() -> None:

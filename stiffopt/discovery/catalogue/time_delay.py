@@ -52,6 +52,7 @@ TIME_DELAY = Effect(
         ),
     ),
     linear_about=True,
+    signals_key="torque_delay",
     report=lambda amplitudes, shapes, constants: {"d": amplitudes[0]},
     separate="Change speed quickly, then hold it: a delay shows while the torque changes, friction"
     " and inertia do not depend on how fast it does. Ahead of the motion is a command: read the"

@@ -136,13 +136,17 @@ class LocatedEffect:
     def bounds(self, robot: RobotConstants) -> np.ndarray:
         """Return lower and upper amplitudes over their sizes (k, 2).
 
-        A nominal value and its change are not negative together: no friction drives a joint.
+        A nominal value and its change are not negative together: no friction drives a joint, and no
+        link weighs less than nothing.
         """
         found = np.array([(a.lower, a.upper) for a in self.effect.amplitudes], dtype=float)
         own = self.constants(robot)
         if self.effect.nominal and isinstance(own, JointConstants):
             least = -getattr(own, self.effect.nominal) / self.sizes(robot)[0]
             found[0, 0] = max(found[0, 0], least)
+        if "mass" in self.effect.tolerances and isinstance(own, RobotConstants):
+            body = own.masses[-1 if self.link is None else self.link]
+            found[0, 0] = max(found[0, 0], -body / self.sizes(robot)[0])
         if self.effect.linear_about:
             about = float(self.shapes[0]) / self.sizes(robot)[0]
             low, high = sorted((about / _MAX_LINEAR_RATIO, about * _MAX_LINEAR_RATIO))

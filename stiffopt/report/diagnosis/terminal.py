@@ -15,6 +15,7 @@ from stiffopt.report.diagnosis.mismatch import (
     transfer_sentences,
     unstated_rows,
 )
+from stiffopt.report.diagnosis.values_to_enter import value_sentences
 from stiffopt.report.diagnosis.words import (
     channels_in_words,
     is_partly_unexplained,
@@ -49,7 +50,7 @@ def print_diagnosis(diagnosis: Diagnosis, folder: Path) -> None:
     part = label == "named" and is_partly_unexplained(diagnosis)
     print_lines([f"{'named in part' if part else label}: {_verdict_sentence(diagnosis)}"])
     more = [each.sentence for each in mismatches(diagnosis)]
-    more += counterbalance_sentences(diagnosis)
+    more += [*value_sentences(diagnosis), *counterbalance_sentences(diagnosis)]
     more += [
         *unassessed_joint_sentences(diagnosis),
         *saturation_sentences(diagnosis),
