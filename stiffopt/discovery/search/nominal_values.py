@@ -49,7 +49,13 @@ def claim_outside_values(
     an effect that is missing. More than `most` values at once stand for one as well.
     """
     effects = [each.selected.located for each in ranked]
-    outside = values_outside_tolerance(current, effects)
+    stated = current.robot.recordings.tolerance
+    # A default is no statement about this robot.
+    outside = [
+        each
+        for each in values_outside_tolerance(current, effects)
+        if getattr(stated, each.kind) is not None
+    ]
     if not outside or len(outside) > most or not _explains(current, effects):
         return current, ranked
     wanted = list(effects)

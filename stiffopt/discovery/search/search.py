@@ -252,15 +252,14 @@ def _run_stages(
                 so_far.start, so_far.current, so_far.effects, catalogue, tell, so_far.ranked
             )
         )
-    if not strict:
-        so_far.weighed(
-            claim_outside_values(so_far.start, so_far.current, so_far.ranked, catalogue, most, tell)
-        )
-    else:
+    if strict:
         lost = [e for e in start if not any(e.same_place(other) for other in so_far.effects)]
         so_far.weighed(
             restore_unstated(so_far.start, so_far.current, so_far.ranked, lost, catalogue, tell)
         )
+    so_far.weighed(
+        claim_outside_values(so_far.start, so_far.current, so_far.ranked, catalogue, most, tell)
+    )
 
 
 def _relinearise_fit(

@@ -50,6 +50,7 @@ from stiffopt.report.diagnosis.regimes import (
     regressor_figure,
     spectrum_figure,
 )
+from stiffopt.report.diagnosis.reidentified_masses import mass_sentences
 from stiffopt.report.diagnosis.values_to_enter import value_sentences
 from stiffopt.report.diagnosis.words import (
     channel_words,
@@ -122,7 +123,7 @@ def write_diagnosis_report(
         "mismatches": mismatches(diagnosis),
         "rod": noise_ceiling_sentence(diagnosis),
         "counterbalances": counterbalance_sentences(diagnosis),
-        "values_to_enter": value_sentences(diagnosis),
+        "values_to_enter": [*value_sentences(diagnosis), *mass_sentences(diagnosis)],
         "carried_over": [*episode_sentences(diagnosis), *transfer_sentences(diagnosis)],
         "new": new,
         "not_given": unstated_rows(diagnosis, unstated),

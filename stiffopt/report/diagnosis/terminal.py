@@ -15,6 +15,7 @@ from stiffopt.report.diagnosis.mismatch import (
     transfer_sentences,
     unstated_rows,
 )
+from stiffopt.report.diagnosis.reidentified_masses import mass_sentences
 from stiffopt.report.diagnosis.values_to_enter import value_sentences
 from stiffopt.report.diagnosis.words import (
     channels_in_words,
@@ -50,7 +51,8 @@ def print_diagnosis(diagnosis: Diagnosis, folder: Path) -> None:
     part = label == "named" and is_partly_unexplained(diagnosis)
     print_lines([f"{'named in part' if part else label}: {_verdict_sentence(diagnosis)}"])
     more = [each.sentence for each in mismatches(diagnosis)]
-    more += [*value_sentences(diagnosis), *counterbalance_sentences(diagnosis)]
+    more += [*value_sentences(diagnosis), *mass_sentences(diagnosis)]
+    more += counterbalance_sentences(diagnosis)
     more += [
         *unassessed_joint_sentences(diagnosis),
         *saturation_sentences(diagnosis),
