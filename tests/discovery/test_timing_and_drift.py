@@ -18,6 +18,7 @@ from stiffopt.discovery.comparison.nuisance import select_outside
 from stiffopt.discovery.diagnose import diagnose
 from stiffopt.discovery.diagnosis import Diagnosis
 from stiffopt.discovery.user_effects import sample_signals
+from stiffopt.errors import InputFileError
 from stiffopt.report.diagnosis.values_to_enter import value_sentences
 
 CASES = ROOT.parent / "shared" / "cases" / "diagnosis"
@@ -66,6 +67,13 @@ def test_friction_outside_its_tolerance_is_named_with_its_value(name: str, share
     corrected = 14.0 * (1.0 + share)
     (entered,) = re.findall(r"Enter coulomb = \[12\.0, ([0-9.]+), 9\.0", told[0])
     assert float(entered) == pytest.approx(corrected, rel=0.02)
+
+
+def test_recordings_without_torque_are_refused_with_what_to_record() -> None:
+    if not (CASES / "notorque").is_dir():
+        pytest.skip("../shared/cases is absent")
+    with pytest.raises(InputFileError, match=r"signals.torque: .* missing: Torques .* record them"):
+        diagnose(CASES / "notorque", experiment=False)
 
 
 def test_nothing_is_outside_on_another_arm() -> None:

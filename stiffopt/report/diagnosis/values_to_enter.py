@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from stiffopt.discovery.diagnosis import Diagnosis, Finding
 
 # Kinds of nominal values in words.
-_KINDS = {
+_KIND_WORDS = {
     "mass": "mass behind",
     "com": "centre of mass behind",
     "torque_constant": "torque constant of",
@@ -27,7 +27,7 @@ _KINDS = {
     "joint_damping": "damping of",
     "encoder_zero": "encoder zero of",
 }
-_UNITS = {"com": "m", "encoder_zero": "rad"}
+_KIND_UNITS = {"com": "m", "encoder_zero": "rad"}
 
 
 def value_sentences(diagnosis: Diagnosis) -> list[str]:
@@ -54,7 +54,7 @@ def _nominal_sentence(diagnosis: Diagnosis, finding: Finding) -> str:
     far = abs(change.value) / (tolerance * nominal[joint - 1]) if tolerance else np.inf
     beyond = f", {significant(far, 2)} tolerances off" if np.isfinite(far) else ""
     return (
-        f"{_KINDS[key].capitalize()} joint {joint} is"
+        f"{_KIND_WORDS[key].capitalize()} joint {joint} is"
         f" {pm(corrected[joint - 1], change.sd, unit)}; nominal is"
         f" {significant(nominal[joint - 1], 3)} {unit}{beyond}. Enter"
         f" {key} = {format_numbers(corrected)} in [nominal]."
@@ -74,7 +74,7 @@ def _signals_sentence(diagnosis: Diagnosis, finding: Finding) -> str:
 
 def _pinned_sentence(diagnosis: Diagnosis, value: OutsideValue) -> str:
     """Return that a value is far outside its tolerance and no finding accounts for it."""
-    unit = _UNITS.get(value.kind, "")
+    unit = _KIND_UNITS.get(value.kind, "")
     size = (
         f"{significant(value.change, 2)} ± {significant(value.sd, 1)} {unit}"
         if unit
@@ -83,8 +83,8 @@ def _pinned_sentence(diagnosis: Diagnosis, value: OutsideValue) -> str:
     axis = f" along {value.name.split()[2]}" if value.kind == "com" else ""
     most = diagnosis.training.box
     return (
-        f"Nominal value pinned at its tolerance: the {_KINDS.get(value.kind, value.kind)} joint"
-        f" {value.place + 1}{axis} would have to change by {size},"
+        f"Nominal value pinned at its tolerance: the {_KIND_WORDS.get(value.kind, value.kind)}"
+        f" joint {value.place + 1}{axis} would have to change by {size},"
         f" {significant(abs(value.change) / value.tolerance, 2)} times its tolerance (a fit allows"
         f" {most:g}). Measure it, or look for another cause: a value so far off seldom is the only"
         " one."
