@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from stiffopt.declaration import Unit
+from stiffopt.declaration import Doc, Unit
 from stiffopt.errors import InputError, InputFileError, nearest, shortened
 from stiffopt.units import entry_reader
 
@@ -131,7 +131,8 @@ def _describe_fault(model: type[BaseModel], where: str, error: Any) -> tuple[str
     if kind == "missing" and isinstance(error["loc"][-1], int):
         return where, "this entry of the list is required and missing."
     if kind == "missing":
-        return where, "this key is required and missing."
+        meaning = _describe_key(model, error["loc"])
+        return where, f"this key is required and missing{f': {meaning}' if meaning else '.'}"
     if kind == "union_tag_not_found":
         return where, "the key 'type' is required and missing."
     if kind == "union_tag_invalid":
@@ -167,6 +168,19 @@ def _allowed_keys(model: Any, location: Sequence[str | int]) -> list[str]:
         if keys:
             return list(keys)
     return []
+
+
+def _describe_key(model: Any, location: Sequence[str | int]) -> str:
+    """Return the description of the key at `location` inside `model`, or ""."""
+    *above, key = location
+    for part in above:
+        model = _inner_annotation(model, part)
+    for candidate in _union_members(model):
+        field = getattr(candidate, "model_fields", {}).get(key)
+        for note in () if field is None else field.metadata:
+            if isinstance(note, Doc):
+                return note.text
+    return ""
 
 
 def _key_annotations(section: Any) -> dict[str, Any]:

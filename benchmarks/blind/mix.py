@@ -59,7 +59,7 @@ class Plan:
 
 def places_of(key: Key, robot: str, name: str, effect: str) -> list[int | None]:
     """Joints of a case's robot that an effect can be at, in the order in which they are tried."""
-    if EFFECTS[effect].where == "robot":
+    if EFFECTS[effect].where in ("robot", "recording"):
         return [None]
     arm = ROBOTS[robot]
     places: Sequence[int | None] = range(1, arm.joints + 1)

@@ -12,6 +12,7 @@ from . import (  # noqa: F401
     effects_load,
     effects_outside,
     effects_sensor,
+    effects_timing,
 )
 from .effects import apply
 from .integrator import integrate

@@ -10,7 +10,7 @@ import numpy as np
 
 from .world import World
 
-Where = Literal["joint", "robot", "link", "run"]
+Where = Literal["joint", "robot", "link", "run", "recording"]
 
 
 @dataclass(frozen=True, kw_only=True)

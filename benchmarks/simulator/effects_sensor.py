@@ -67,18 +67,18 @@ def encoder_zero_change(
 
 
 def _late(values: np.ndarray, steps: float) -> np.ndarray:
-    """Values of a number of steps ago, between the steps on a straight line."""
+    """Values of a number of steps ago, or ahead, between the steps on a straight line."""
     whole = int(np.floor(steps))
     index = np.arange(values.shape[1])
-    before = values[:, np.maximum(index - whole, 0)]
-    earlier = values[:, np.maximum(index - whole - 1, 0)]
+    before = values[:, np.clip(index - whole, 0, len(index) - 1)]
+    earlier = values[:, np.clip(index - whole - 1, 0, len(index) - 1)]
     return np.asarray(before + (steps - whole) * (earlier - before))
 
 
 @effect("sensor", "robot")
 def time_delay(world: World, joint: int, severity: float, rng: np.random.Generator) -> Outcome:
-    """The torque of all joints arrives late in the recording."""
-    delay = 4e-3 * severity * spread(rng)
+    """The torque of all joints arrives late in the recording, or is the command, and early."""
+    delay = 4e-3 * severity * spread(rng) * sign(rng)
 
     def read(signals: Signals) -> None:
         signals.torque[...] = _late(signals.torque, delay / signals.step)

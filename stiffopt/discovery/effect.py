@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     # Constants of the joint for an effect of a joint, else of the robot.
     Constants = JointConstants | RobotConstants
 
-Scope = Literal["joint", "robot", "link", "run"]
+Scope = Literal["joint", "robot", "link", "run", "recording"]
 # Values of the reported parameters from amplitudes, shapes and constants.
 Report = Callable[[Sequence[float], Sequence[float], Any], Mapping[str, float]]
 # What to do, from amplitudes, shapes and constants.
@@ -196,8 +196,9 @@ class Effect:
     name : str
     family : str
         friction, elastic, periodic, inertial, sensor, spring, contact.
-    scope : {"joint", "robot", "link", "run"}
-        Place that a finding names: a joint, the robot as a whole, a link or a run.
+    scope : {"joint", "robot", "link", "run", "recording"}
+        Place that a finding names: a joint, the robot as a whole, a link, a joint in one run, or
+        the robot in one run.
     equation : str
         For reports.
     signature : str
@@ -223,6 +224,9 @@ class Effect:
     is_play : bool
         True for free travel of a joint as a function of its spring torque alone, across which links
         are simulated.
+    linear_about : bool
+        True where the first shape is the value of the first amplitude about which the term is
+        linear: the amplitude has to agree with it.
     only_changed : bool
         True where it is sought only as a change since an extended model was made: a form so free
         fits part of everything that a nominal model lacks.
@@ -247,6 +251,11 @@ class Effect:
         adds to; "" where there is none. Where a set does not state it, the effect takes its place.
     nominal_words : str
         Name of that value in prose; default: the field with spaces.
+    signals_key : str
+        Key of [signals] in recordings.toml that undoes it: its first parameter adds to that value.
+    tolerances : tuple of str
+        Nominal values (fields of `Tolerance`) that it changes beyond what their tolerances allow;
+        default: `nominal`.
     needs : tuple of Need
         Properties of the recordings without which it cannot show at a joint, the most basic first.
         Default: the sensor that the term acts on, and motion.
@@ -289,6 +298,7 @@ class Effect:
     usual: bool = False
     lags: bool = False
     is_play: bool = False
+    linear_about: bool = False
     only_changed: bool = False
     separate: str = ""
     log_prior: Callable[[Any], float] | None = None
@@ -297,6 +307,8 @@ class Effect:
     remedy: str | Remedy = ""
     nominal: str = ""
     nominal_words: str = ""
+    signals_key: str = ""
+    tolerances: tuple[str, ...] = ()
     needs: tuple[Need, ...] = ()
     confused_with: tuple[str, ...] = ()
     twin: str = ""
@@ -313,9 +325,15 @@ class Effect:
             ("phrase", self.title or self.name.replace("_", " ")),
             ("remedy", f"Look for the cause at {{where}}: {self.title or self.name}."),
             ("nominal_words", self.nominal.replace("_", " ")),
+            ("tolerances", (self.nominal,) if self.nominal else ()),
         ):
             if not getattr(self, field_name):
                 object.__setattr__(self, field_name, default)
+
+    @property
+    def of_robot(self) -> bool:
+        """True where its term acts on all joints, in every run or in one."""
+        return self.scope in ("robot", "recording")
 
     @property
     def has_distinctive(self) -> bool:

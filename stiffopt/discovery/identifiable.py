@@ -88,7 +88,7 @@ def required_signals(effect: Effect) -> tuple[Need, ...]:
         np.any(part) for part in (term.drive_torque, term.link_torque, term.previous_torque)
     )
     own: tuple[Need, ...] = ("torque" if acts_on_torque else "link", "moves")
-    return (*own, "runs") if effect.scope == "run" else own
+    return (*own, "runs") if effect.scope in ("run", "recording") else own
 
 
 def effect_checks(
@@ -135,8 +135,8 @@ def effect_checks(
         )
 
     wanted = [(effect, required_signals(effect)) for effect in effects]
-    robot = [pair for pair in wanted if pair[0].scope == "robot"]
-    joints = [pair for pair in wanted if pair[0].scope != "robot"]
+    robot = [pair for pair in wanted if pair[0].of_robot]
+    joints = [pair for pair in wanted if not pair[0].of_robot]
     return (
         *(check(*pair, j) for j in range(recordings.n) for pair in joints),
         *(check(*pair, None) for pair in robot),

@@ -275,7 +275,7 @@ def sample_constants(
 
 def sample_signals_of(effect: Effect, robot: RobotSignals) -> JointSignals | RobotSignals:
     """Return the signals for an effect's scope; of joints the fifth, which has two neighbours."""
-    return robot if effect.scope in ("robot", "link") else robot.of_joint(4)
+    return robot if effect.of_robot or effect.scope == "link" else robot.of_joint(4)
 
 
 def sample_term(effect: Effect) -> Term:

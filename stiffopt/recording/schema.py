@@ -62,7 +62,13 @@ class SignalsSection(Section):
     position: Annotated[Names, Doc("Motor encoders through the ratios, in rad.")]
     velocity: Annotated[Names | None, Doc("Velocities in rad/s.")] = None
     link_position: Annotated[Names | None, Doc("Encoders on the link's side, in rad.")] = None
-    torque: Annotated[Names, Doc("Torques of the drives at the output side, in N m.")]
+    torque: Annotated[
+        Names,
+        Doc(
+            "Torques of the drives at the output side, in N m, or motor currents with N m per A in"
+            " signals.scale. Without either no mass, load or friction shows: record them."
+        ),
+    ]
     torque_side: Annotated[
         Literal["motor", "link"] | None,
         Doc(

@@ -60,12 +60,6 @@ def test_amplitude_bounds_keep_nominal_sum_nonnegative(name: str, least: float) 
     assert located.bounds(ROBOT)[0, 0] * located.sizes(ROBOT)[0] == pytest.approx(least)
 
 
-def test_time_delay_is_nonnegative() -> None:
-    """A delay has one sign."""
-    delay = LocatedEffect(effect=effect("time_delay"))
-    assert delay.bounds(ROBOT)[0, 0] == 0.0
-
-
 def test_effect_is_sought_only_where_identifiable() -> None:
     """What `recording check` says cannot be told of a joint is not tried there."""
     entry = effect("coulomb")

@@ -42,6 +42,9 @@ REPORTED = {
         "b": "1/K",
     },
     "friction_drift": {"dFc_spread": "N m", "dFv_spread": "N m s/rad"},
+    "friction_warmup": {"dFc": "N m", "dFv": "N m s/rad"},
+    "stroke_friction": {"A": "N m", "q0": "rad", "q1": "rad"},
+    "quadratic_drag": {"D": "N m s^2/rad^2"},
     "coupled_drive": {"Fc": "N m", "Fv": "N m s/rad", "J": "kg m^2", "c": ""},
     "backlash": {"width": "rad"},
     "hysteresis": {"h": "N m", "s": "rad"},
@@ -63,6 +66,11 @@ REPORTED = {
     "encoder_offset": {"off": "rad"},
     "time_delay": {"d": "s"},
     "saturation": {"limit": "N m"},
+    "clock_drift": {"e": "", "d": "s"},
+    "run_clock": {"d": "s"},
+    "common_gain_drift": {"per_run": "", "spread": ""},
+    "gain_drift": {"per_run": "", "spread": ""},
+    "gain_warmup": {"eps": ""},
     "base_tilt": {"rx": "rad", "ry": "rad"},
     "wrist_coupling": {"c": ""},
     "external_contact": {"k": "N/m", "z": "m"},
@@ -94,7 +102,7 @@ def symbols_of(signals):
 
 def test_catalogue_names_units_and_parameters_match_reference():
     assert [e.name for e in CATALOGUE if REPORTED.get(e.name) is None] == []
-    assert len(CATALOGUE) == len(REPORTED) == 36
+    assert len(CATALOGUE) == len(REPORTED) == 44
     for entry in CATALOGUE:
         signals = sample_signals_of(entry, ROBOT)
         values = entry.parameters(

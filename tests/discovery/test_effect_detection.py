@@ -70,6 +70,14 @@ TRIALS = (
     Trial("inertial_error", 1, 28),
     Trial("encoder_skew", None, 29),
     Trial("encoder_zero_change", 2, 30),
+    Trial("clock_drift", None, 31),
+    Trial("run_clock", None, 32),
+    Trial("common_gain_drift", None, 33),
+    Trial("gain_drift", 1, 34),
+    Trial("gain_warmup", 1, 35),
+    Trial("friction_warmup", 2, 36),
+    Trial("stroke_friction", 1, 37),
+    Trial("quadratic_drag", 1, 38),
 )
 
 

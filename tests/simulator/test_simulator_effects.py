@@ -23,6 +23,9 @@ FRICTION = {
     "dragging_brake",
     "lubricated_friction",
     "friction_drift",
+    "friction_warmup",
+    "stroke_friction",
+    "quadratic_drag",
 }
 DRIVE = {
     "rotor_inertia",
@@ -32,6 +35,8 @@ DRIVE = {
     "saturation",
     "slew_limit",
     "torque_sensor_drift",
+    "gain_drift",
+    "gain_warmup",
 }
 ELASTIC = {
     "backlash",
@@ -47,6 +52,9 @@ OUTER = {"gravity_spring", "cable_spring", "pulsing_load", "slosh"}
 # Balance -> joints (from 1) where something shows; the rest has to stay silent.
 OTHERS: dict[str, dict[str, set[int]]] = {
     "time_delay": {"motor": {1, 2}, "total": {1, 2}},
+    "clock_drift": {"motor": {1, 2}, "total": {1, 2}},
+    "run_clock": {"motor": {1, 2}, "total": {1, 2}},
+    "common_gain_drift": {"motor": {1, 2}, "total": {1, 2}},
     "encoder_skew": {"motor": {1, 2}, "link": {1, 2}, "deflection": {1, 2}},
     "payload": {"link": {1, 2}, "deflection": {1, 2}, "total": {1, 2}},
     "inertial_error": {"link": {1, 2}, "deflection": {1, 2}, "total": {1, 2}},
@@ -73,7 +81,7 @@ def expected(name: str) -> dict[str, set[int]]:
 def lacking(name: str | None) -> dict[str, np.ndarray]:
     effects = ()
     if name:
-        effects = ((name, None if EFFECTS[name].where == "robot" else 2, 1.0),)
+        effects = ((name, None if EFFECTS[name].where in ("robot", "recording") else 2, 1.0),)
     return excess(simulate(CaseSpec(**{**BASE.__dict__, "effects": effects})))
 
 
@@ -96,12 +104,13 @@ def test_effect_shows_where_it_acts(name):
 
 def test_the_catalogue_of_the_design_is_complete():
     alone = {"payload", "base_tilt", "external_contact", "time_delay", "inertial_error"}
+    alone |= {"clock_drift", "run_clock", "common_gain_drift"}
     alone |= {"encoder_skew", "wrist_coupling", "transmission_error"}
     outside = {"pulsing_load", "neighbour_friction", "slosh", "torque_sensor_drift"}
     outside |= {"slew_limit", "dragging_brake"}
     later = {name for name, entry in EFFECTS.items() if not entry.drawn}
     named = (FRICTION | DRIVE | ELASTIC | OUTER | alone) - outside - later
-    assert len(named) == 32
+    assert len(named) == 40
     inside = {name for name, entry in EFFECTS.items() if not entry.outside} - later
     assert inside == named
     assert set(EFFECTS) - inside - later == outside

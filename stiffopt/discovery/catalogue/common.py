@@ -15,6 +15,9 @@ from stiffopt.symbolic import Quantity, is_symbolic
 # fixes it at 1 and reports only the shapes.
 WEIGHT = Amplitude(name="weight", unit="", scale=1.0, lower=0.0, upper=1.5)
 
+# Prefix of run names in names of amplitudes of effects of runs.
+RUN_PREFIX = "of "
+
 # Typical size of a change by breakage, exchange or wrong setting over that of an error as built.
 CHANGED_SCALE_RATIO = 3.0
 

@@ -13,14 +13,12 @@ from functools import partial
 
 import numpy as np
 
-from stiffopt.discovery.catalogue.common import dry_friction, viscous_friction
+from stiffopt.discovery.catalogue.common import RUN_PREFIX, dry_friction, viscous_friction
 from stiffopt.discovery.catalogue.friction import rounded_load
 from stiffopt.discovery.effect import Amplitude, Effect, Shape, Term
 from stiffopt.discovery.signals import JointConstants, JointSignals
 from stiffopt.symbolic import Quantity, smooth_abs
 
-# Prefix of run names in names of amplitudes.
-RUN_PREFIX = "of "
 # Typical relative deviation of friction between runs.
 _TYPICAL_SHARE = 0.2
 # Powers of the speed in a general friction law, rounding of the speed at rest [rad/s], and of the

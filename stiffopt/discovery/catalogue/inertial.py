@@ -196,6 +196,7 @@ PAYLOAD = Effect(
     ),
     remedy="Change the payload by {dm} at {cx/cy/cz} of the last joint's frame, or weigh the"
     " tool and what it carries.",
+    tolerances=("mass", "com"),
     needs=("torque", "moves"),
     confused_with=("torque_gain", "inertial_error", "base_tilt", "encoder_offset"),
     change_robot=change_payload,
@@ -216,6 +217,7 @@ INERTIAL_ERROR = Effect(
     " acceleration",
     phrase="mass off by {dm}, first moment off by {dmc}",
     remedy="Check what is mounted on {where}: hoses, valves, covers; else change its mass by {dm}.",
+    tolerances=("mass", "com"),
     needs=("torque", "moves"),
     confused_with=("torque_gain",),
     change_robot=change_body,

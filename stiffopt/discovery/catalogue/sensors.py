@@ -1,4 +1,4 @@
-"""Errors of sensors and drives: gain, offset, delay and saturation of readings.
+"""Errors of sensors and drives: gain, offset and saturation of readings.
 
 Readings: torque reading = (1 + eps) drive torque + off; link reading = link angle + off.
 """
@@ -6,8 +6,6 @@ Readings: torque reading = (1 + eps) drive torque + off; link reading = link ang
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-
-import numpy as np
 
 from stiffopt.discovery.catalogue.common import (
     CHANGED_SCALE_RATIO,
@@ -17,14 +15,12 @@ from stiffopt.discovery.catalogue.common import (
 )
 from stiffopt.discovery.effect import Amplitude, Effect, Shape, Term
 from stiffopt.discovery.signals import JointConstants, JointSignals, RobotSignals
-from stiffopt.symbolic import Quantity, is_symbolic, softplus
+from stiffopt.symbolic import Quantity, softplus
 
 # Rounding of a drive's torque limit over the highest torque.
 _LIMIT_ROUNDING = 0.01
 # Smallest torque limit over the largest filtered torque: a filter overshoots.
 _MIN_LIMIT_RATIO = 0.97
-# Longest delay [s].
-_MAX_DELAY = 0.05
 
 
 def torque_gain_term(
@@ -46,38 +42,6 @@ def encoder_offset_term(
 ) -> Term:
     """Return a constant added to the reading of the link angle."""
     return Term(reading=-amplitudes[0] + 0.0 * signals.windup)
-
-
-def time_delay_term(
-    signals: RobotSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
-) -> Term:
-    """Return tau(t - d) - tau(t) of all joints, linear in d about the delay of the shape."""
-    asked, about = signals.drive_torque, shapes[0]
-    late = _delay_samples(asked, about / signals.dt, int(_MAX_DELAY / signals.dt))
-    return Term(drive_torque=amplitudes[0] / about * (late - asked))
-
-
-def _delay_samples(values: Quantity, samples: Quantity, most: int) -> Quantity:
-    """Return values (K, n) delayed by fractional samples, `most` at most, by cubic convolution."""
-    if is_symbolic(samples):
-        nearest = range(-1, most + 3)
-    else:
-        whole = int(samples)
-        nearest = range(whole - 1, whole + 3)
-    return sum((_cubic_weight(samples - k) * _shift_samples(values, k) for k in nearest), 0.0)
-
-
-def _cubic_weight(away: Quantity) -> Quantity:
-    """Return the weight of a sample at a distance in samples (Keys 1981)."""
-    near, far = np.fmin(np.abs(away), 1.0), np.fmin(np.fmax(np.abs(away), 1.0), 2.0)
-    inner = 1.5 * near**3 - 2.5 * near**2 + 1.0
-    return inner - 0.5 * far**3 + 2.5 * far**2 - 4.0 * far + 2.0
-
-
-def _shift_samples(values: Quantity, samples: int) -> Quantity:
-    """Return values (K, n) delayed by whole samples, constant beyond the ends."""
-    places = np.clip(np.arange(values.shape[0]) - samples, 0, values.shape[0] - 1)
-    return values[places.tolist(), :]
 
 
 def encoder_skew_term(
@@ -133,6 +97,7 @@ TORQUE_GAIN = Effect(
     signature="motor torque off in proportion to itself, whatever it comes from",
     phrase=("torque reading {eps:%} too large", "torque reading {eps:%} too small"),
     remedy="Check torque constant and unit of {where}, and correct its readings by {eps:%}.",
+    tolerances=("torque_constant",),
     needs=("torque", "moves"),
     term=torque_gain_term,
     amplitudes=(Amplitude(name="eps", unit="", scale=0.1, lower=-6.0, upper=6.0),),
@@ -197,27 +162,6 @@ ENCODER_ZERO_CHANGE = Effect(
     " away.",
 )
 
-TIME_DELAY = Effect(
-    name="time_delay",
-    family="sensor",
-    scope="robot",
-    equation="tau += tau(t - d) - tau(t)",
-    signature="motor torques of all joints late by the same time",
-    phrase="torque recorded {d} late",
-    remedy="Shift the torque channels by {d} to earlier times, or use one clock for all signals.",
-    needs=("torque", "moves"),
-    term=time_delay_term,
-    amplitudes=(Amplitude(name="d", unit="s", scale=5e-3, lower=0.0, upper=10.0),),
-    shapes=(
-        Shape(
-            name="about", unit="s", starts=(1e-3, 5e-3, 0.02), lower=1e-4, upper=0.05, usual=1e-4
-        ),
-    ),
-    report=lambda amplitudes, shapes, constants: {"d": amplitudes[0]},
-    separate="Change speed quickly, then hold it: a delay shows while the torque changes, friction"
-    " and inertia do not depend on how fast it does.",
-)
-
 ENCODER_SKEW = Effect(
     name="encoder_skew",
     family="sensor",
@@ -259,7 +203,6 @@ SENSORS = (
     TORQUE_GAIN,
     TORQUE_OFFSET,
     ENCODER_OFFSET,
-    TIME_DELAY,
     SATURATION,
     ENCODER_SKEW,
     ENCODER_ZERO_CHANGE,

@@ -22,6 +22,11 @@ ChannelChange = tuple[Kind, int, int, np.ndarray]
 LinkLoad = tuple[int, np.ndarray, np.ndarray]
 
 
+# Largest ratio of an amplitude to the value that its term is linear about: a longer shift with a
+# small amplitude is a filter, not a delay.
+_MAX_LINEAR_RATIO = 3.0
+
+
 @dataclass(frozen=True, eq=False)
 class Contribution:
     """Contribution of an effect to the channels of one run, (K, n) each or None.
@@ -63,7 +68,7 @@ class LocatedEffect:
     link : int or None
         0-based, for effects of a link.
     run : str or None
-        Name of the run, for effects of a run.
+        Name of the run, for effects of one run.
     shapes : tuple of float
     calibrated : bool
         True for a value that every arm has and the nominal model does not state, such as dry
@@ -135,13 +140,21 @@ class LocatedEffect:
     def bounds(self, robot: RobotConstants) -> np.ndarray:
         """Return lower and upper amplitudes over their sizes (k, 2).
 
-        A nominal value and its change are not negative together: no friction drives a joint.
+        A nominal value and its change are not negative together: no friction drives a joint, and no
+        link weighs less than nothing.
         """
         found = np.array([(a.lower, a.upper) for a in self.effect.amplitudes], dtype=float)
         own = self.constants(robot)
         if self.effect.nominal and isinstance(own, JointConstants):
             least = -getattr(own, self.effect.nominal) / self.sizes(robot)[0]
             found[0, 0] = max(found[0, 0], least)
+        if "mass" in self.effect.tolerances and isinstance(own, RobotConstants):
+            body = own.masses[-1 if self.link is None else self.link]
+            found[0, 0] = max(found[0, 0], -body / self.sizes(robot)[0])
+        if self.effect.linear_about:
+            about = float(self.shapes[0]) / self.sizes(robot)[0]
+            low, high = sorted((about / _MAX_LINEAR_RATIO, about * _MAX_LINEAR_RATIO))
+            found[0] = max(found[0, 0], low), min(found[0, 1], high)
         return found
 
     def contribution(self, run: PreparedRun, amplitudes: Sequence[float]) -> Contribution:
@@ -254,6 +267,8 @@ def effect_places(
         grids = [LocatedEffect(effect=effect, link=j) for j in range(n - 1)]
     elif effect.scope == "run":
         grids = [LocatedEffect(effect=effect, joint=j, run=run) for j in range(n) for run in runs]
+    elif effect.scope == "recording":
+        grids = [LocatedEffect(effect=effect, run=run) for run in runs]
     else:
         grids = [LocatedEffect(effect=effect)]
     for place in grids:

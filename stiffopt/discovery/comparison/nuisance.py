@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -53,6 +53,70 @@ class NuisanceColumn:
     name: str
     sd: float
     added: Contribution
+
+
+# Tolerances from nominal beyond which a value is outside its tolerance, which is one standard
+# deviation: chance puts one of forty values there in one set of fifty.
+MIN_TOLERANCES_OUTSIDE = 3.5
+# Largest standard deviation of such a value, in tolerances: a less determined value follows others.
+_MAX_DEVIATION_OUTSIDE = 0.5
+
+
+@dataclass(frozen=True)
+class OutsideValue:
+    """A nominal value that the recordings put outside its tolerance.
+
+    Parameters
+    ----------
+    name : str
+        As in `NuisanceColumn`.
+    change, sd : float
+        Fitted change from nominal, and its standard deviation: relative, or [m].
+    tolerance : float
+        One standard deviation of the nominal value, as stated.
+    """
+
+    name: str
+    change: float
+    sd: float
+    tolerance: float
+
+    @property
+    def kind(self) -> str:
+        """Field of `Tolerance`."""
+        return self.name.split()[0]
+
+    @property
+    def place(self) -> int:
+        """Joint, or joint that carries the body, from 0."""
+        return int(self.name.split()[1]) - 1
+
+    @property
+    def of_body(self) -> bool:
+        """True for masses and centres of mass."""
+        return self.kind in BODY_VALUES
+
+
+def select_outside(
+    names: Sequence[str], tolerances: np.ndarray, changes: np.ndarray, deviations: np.ndarray
+) -> tuple[OutsideValue, ...]:
+    """Return the values outside their tolerances, the furthest first.
+
+    Parameters
+    ----------
+    names : sequence of str (p,)
+    tolerances, changes, deviations : array (p,)
+        Relative, or [m], [rad].
+    """
+    known = {field.name for field in fields(Tolerance)}
+    found = [
+        OutsideValue(name, float(change), float(sd), float(tolerance))
+        for name, tolerance, change, sd in zip(names, tolerances, changes, deviations, strict=True)
+        if name.split()[0] in known
+        and abs(change) > MIN_TOLERANCES_OUTSIDE * tolerance
+        and sd < _MAX_DEVIATION_OUTSIDE * tolerance
+    ]
+    return tuple(sorted(found, key=lambda each: -abs(each.change) / each.tolerance))
 
 
 def nuisance_columns(

@@ -50,7 +50,7 @@ from typing import Any
 import numpy as np
 
 from stiffopt.discovery.catalogue import CATALOGUE
-from stiffopt.discovery.catalogue.friction_drift import RUN_PREFIX
+from stiffopt.discovery.catalogue.common import RUN_PREFIX
 from stiffopt.discovery.catalogue.periodic import ROTOR_RIPPLE
 from stiffopt.discovery.comparison.located_effect import EstimatedEffect, Extension, LocatedEffect
 from stiffopt.discovery.effect import Effect
@@ -369,7 +369,13 @@ def _read_effect(
 def _read_place(
     section: EffectSection, effect: Effect, document: ExtendedFile, path: object, where: str
 ) -> dict[str, Any]:
-    needed = {"joint": ("joint",), "robot": (), "link": ("link",), "run": ("joint", "run")}
+    needed = {
+        "joint": ("joint",),
+        "robot": (),
+        "link": ("link",),
+        "run": ("joint", "run"),
+        "recording": ("run",),
+    }
     for key in ("joint", "link", "run"):
         given, wanted = getattr(section, key) is not None, key in needed[effect.scope]
         if given != wanted:

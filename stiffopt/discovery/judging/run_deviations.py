@@ -94,6 +94,8 @@ def find_friction_drift(
         values = located.effect.parameters(
             each.amplitudes, located.shapes, located.constants(constants)
         )
+        if "dFc_spread" not in values:
+            continue
         own = Drift(joint=located.joint, dry=values["dFc_spread"], viscous=values["dFv_spread"])
         if own.dry == 0.0 and own.viscous == 0.0:
             continue

@@ -78,16 +78,19 @@ class RigidStage:
         Gain of log predictive density in stretches left out by free bodies.
     single : Candidate or None
         Single change that explains as much.
-    best : Candidate or None
-        Single change that explains most.
+    nearest : Candidate or None
+        Best single change, also where it explains less.
+    nearest_share : float
+        Share of the gain of free bodies that it has.
     counterweights : tuple of Counterweight
     """
 
     widths: tuple[float, ...]
     gain: float
     single: Candidate | None
-    best: Candidate | None = None
     counterweights: tuple[Counterweight, ...] = ()
+    nearest: Candidate | None = None
+    nearest_share: float = 0.0
 
     @property
     def freed(self) -> bool:
@@ -119,22 +122,24 @@ def reidentify_rigid_model(
     """
     nominal, found = Scorer(comparison, effects), tuple(effects)
     gain = _gain_of_free_bodies(comparison, found, nominal.by_block, tell)
-    single = best = _best_single_change(nominal, catalogue, tell)
+    nearest = single = _best_single_change(nominal, catalogue, tell)
+    share = 0.0 if nearest is None or gain <= 0.0 else min(max(nearest.gain / gain, 0.0), 1.0)
     if single is not None and single.gain > max(SINGLE_CHANGE_SHARE * gain, NAMED_EVIDENCE):
         found = (*found, single.located)
         gain = _gain_of_free_bodies(comparison, found, Scorer(comparison, found).by_block, tell)
     else:
         single = None
     if gain < NAMED_EVIDENCE:
-        return RigidStage(widths=(), gain=0.0, single=single, best=best)
+        return RigidStage(widths=(), gain=0.0, single=single, nearest=nearest)
     widths, free, least = _choose_widths(comparison, found, tell)
     tell("re-identify the rigid model: counterbalances in place of bodies")
     return RigidStage(
         widths=widths,
         gain=gain,
         single=single,
-        best=best,
         counterweights=_find_counterweights(free, found, widths, least, catalogue),
+        nearest=nearest,
+        nearest_share=share,
     )
 
 

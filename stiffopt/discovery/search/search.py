@@ -20,6 +20,7 @@ from stiffopt.discovery.search.joint_fit import (
     select_supported,
 )
 from stiffopt.discovery.search.model_changes import find_changes
+from stiffopt.discovery.search.nominal_values import claim_outside_values
 from stiffopt.discovery.search.rigid_model import RigidStage, reidentify_rigid_model
 from stiffopt.discovery.search.rivals import (
     RankedEffect,
@@ -258,6 +259,9 @@ def _run_stages(
                 so_far.start, so_far.current, so_far.effects, catalogue, tell, so_far.ranked
             )
         )
+    so_far.weighed(
+        claim_outside_values(so_far.start, so_far.current, so_far.ranked, catalogue, most, tell)
+    )
     if reidentify:
         _adopt_best_model(so_far, catalogue, tell)
 
@@ -267,7 +271,7 @@ def _adopt_best_model(
 ) -> None:
     """Adopt a plainer model where it predicts stretches left out better than the effects."""
     calibrated = [each for each in so_far.effects if each.calibrated]
-    best = None if so_far.rigid is None else so_far.rigid.best
+    best = None if so_far.rigid is None else so_far.rigid.nearest
     single = None if best is None else best.located
     so_far.contenders = hold_tournament(so_far.current, calibrated, single, so_far.effects)
     winner = so_far.contenders[0]

@@ -260,7 +260,13 @@ def _part_phrase(diagnosis: Diagnosis, share: MismatchShare) -> str:
 
 def _largest_moved_value(diagnosis: Diagnosis) -> str:
     """Return the nominal value that moved most, where it exceeds its tolerance; else ""."""
-    moved = [each for each in moved_values(diagnosis) if abs(each.change) >= each.tolerance]
+    # A value at its bound is no result of a fit.
+    bound = 0.999 * diagnosis.training.box
+    moved = [
+        each
+        for each in moved_values(diagnosis)
+        if each.tolerance <= abs(each.change) < bound * each.tolerance
+    ]
     if not moved:
         return ""
     first = moved[0]

@@ -23,6 +23,8 @@ from stiffopt.report.diagnosis.mismatch import (
     noise_ceiling_sentence,
     transfer_sentences,
 )
+from stiffopt.report.diagnosis.reidentified_masses import mass_sentences
+from stiffopt.report.diagnosis.values_to_enter import value_sentences
 from stiffopt.report.diagnosis.words import (
     channel_words,
     joints_in_words,
@@ -111,6 +113,8 @@ def mismatch_lines(diagnosis: Diagnosis) -> list[str]:
     """Return sentences on what explains the mismatch, and on what was left out or differs."""
     lines = [
         *(each.sentence for each in mismatches(diagnosis)),
+        *value_sentences(diagnosis),
+        *mass_sentences(diagnosis),
         *counterbalance_sentences(diagnosis),
         *unassessed_joint_sentences(diagnosis),
         *saturation_sentences(diagnosis),

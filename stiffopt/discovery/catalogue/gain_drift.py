@@ -1,0 +1,98 @@
+"""Torque constant that differs from run to run, as magnets and windings warm.
+
+Ferrite magnets lose 0.2 % of their flux a kelvin, rare-earth ones 0.1 %: the same current gives
+less torque in a warm motor, and a torque that is computed from the current reads too large or too
+small. Each run has a factor of its own about the mean of all; the mean is a nominal value or a
+torque gain. Runs are in the order of the set: the trend is per run.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import partial
+from typing import Literal
+
+import numpy as np
+
+from stiffopt.discovery.catalogue.common import RUN_PREFIX, Constants
+from stiffopt.discovery.effect import Amplitude, Effect, Term
+from stiffopt.discovery.signals import JointSignals, RobotSignals
+from stiffopt.symbolic import Quantity
+
+# Typical relative deviation of a torque constant: 20 to 30 K of warming.
+_TYPICAL_DEVIATION = 0.03
+
+
+def _drift_term(
+    seen: Sequence[str],
+    signals: JointSignals | RobotSignals,
+    amplitudes: Sequence[Quantity],
+    shapes: Sequence[Quantity],
+) -> Term:
+    """Return the deviation of a recorded run from the mean of all; zero in any other run."""
+    if signals.run not in seen:
+        return Term()
+    off = amplitudes[seen.index(signals.run)] - sum(amplitudes) / len(amplitudes)
+    return Term(drive_torque=off * signals.drive_torque)
+
+
+def _report_trend(
+    amplitudes: Sequence[float], shapes: Sequence[float], constants: Constants
+) -> Mapping[str, float]:
+    """Return the change from run to run, by a straight line, and the spread of all runs."""
+    values, count = np.asarray(amplitudes, dtype=float), len(amplitudes)
+    trend = float(np.polyfit(np.arange(count), values, 1)[0]) if count > 1 else 0.0
+    spread = float(np.std(values, ddof=1)) if count > 1 else 0.0
+    return {"per_run": trend, "spread": spread}
+
+
+def gain_drift(
+    scope: Literal["joint", "robot"], runs: Sequence[str], *, seen: bool = True
+) -> Effect:
+    """Return the effect with one amplitude per run.
+
+    Parameters
+    ----------
+    scope : {"joint", "robot"}
+        One torque constant, or that of all joints alike.
+    runs : sequence of str
+    seen : bool
+        True where runs of these names are those of the amplitudes.
+    """
+    common = scope == "robot"
+    whose = "of all joints alike" if common else "of one joint"
+    return Effect(
+        name="common_gain_drift" if common else "gain_drift",
+        family="sensor",
+        scope=scope,
+        equation="tau += eps_run*tau, eps_run ~ N(0, spread^2), sum 0",
+        signature=f"motor torque {whose} off in proportion to itself, by a factor that differs"
+        " between runs",
+        title=f"torque constant {whose} that drifts between runs",
+        phrase=f"torque constant {whose} that changes from run to run, as with warming: record"
+        " motor temperature, and runs of one warmth in one set",
+        needs=("torque", "moves", "three_runs"),
+        confused_with=("friction_drift", "thermal_friction")
+        if common
+        else ("common_gain_drift", "friction_drift", "thermal_friction"),
+        term=partial(_drift_term, tuple(runs) if seen else ()),
+        amplitudes=tuple(
+            Amplitude(
+                name=f"{RUN_PREFIX}{run}",
+                unit="",
+                scale=_TYPICAL_DEVIATION,
+                lower=-10.0,
+                upper=10.0,
+            )
+            for run in runs
+        ),
+        report=_report_trend,
+        units={"per_run": "", "spread": ""},
+        of_runs=partial(gain_drift, scope),
+        separate="Hold the arm still in one posture, cold and after half an hour of work: weight"
+        " does not change, a torque constant does; friction does not act at rest.",
+    )
+
+
+# Signals without a recording have an empty run name.
+GAIN_DRIFTS = tuple(gain_drift(scope, ("", "another")) for scope in ("robot", "joint"))

@@ -1,0 +1,62 @@
+"""Torque that is late or ahead of the motion by a constant time.
+
+A measured torque is late by its filter and its way through the bus. It is never ahead of the motion
+that it causes: a torque that is ahead was commanded, and recorded in place of the measured one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from stiffopt.discovery.catalogue.time_shift import shift_slope
+from stiffopt.discovery.effect import Amplitude, Effect, Shape, Term
+from stiffopt.discovery.signals import RobotSignals
+from stiffopt.symbolic import Quantity
+
+# Longest delay and lead [s]: some cycles of a slow controller.
+_MAX_DELAY = 0.05
+
+
+def time_delay_term(
+    signals: RobotSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
+) -> Term:
+    """Return tau(t - d) - tau(t) of all joints, linear in d about the delay of the shape."""
+    return Term(
+        drive_torque=amplitudes[0]
+        * shift_slope(signals.drive_torque, signals.dt, shapes[0], _MAX_DELAY)
+    )
+
+
+TIME_DELAY = Effect(
+    name="time_delay",
+    family="sensor",
+    scope="robot",
+    equation="tau += tau(t - d) - tau(t)",
+    signature="motor torques of all joints late by the same time, or early as commanded torques"
+    " are",
+    phrase=(
+        "torque recorded {d} late",
+        "torque recorded {d} ahead of the motion, as a commanded torque is",
+    ),
+    remedy="Shift the torque channels by {d}, use one clock for all signals, and record the"
+    " measured torque where it is ahead of the motion.",
+    needs=("torque", "moves"),
+    term=time_delay_term,
+    amplitudes=(Amplitude(name="d", unit="s", scale=5e-3, lower=-10.0, upper=10.0),),
+    shapes=(
+        Shape(
+            name="about",
+            unit="s",
+            starts=(-0.02, -5e-3, -1e-3, 1e-3, 5e-3, 0.02),
+            lower=-_MAX_DELAY,
+            upper=_MAX_DELAY,
+            usual=1e-4,
+        ),
+    ),
+    linear_about=True,
+    signals_key="torque_delay",
+    report=lambda amplitudes, shapes, constants: {"d": amplitudes[0]},
+    separate="Change speed quickly, then hold it: a delay shows while the torque changes, friction"
+    " and inertia do not depend on how fast it does. Ahead of the motion is a command: read the"
+    " name of its column in the manual, and record the measured current as well.",
+)

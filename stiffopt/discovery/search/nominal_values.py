@@ -1,0 +1,98 @@
+"""Nominal values outside their stated tolerances, as effects that compete like any other.
+
+A nominal value that is fitted far outside its tolerance is an effect of the catalogue under another
+name: dry friction that has grown by a fifth is the effect `coulomb`, a torque constant that is off
+is `torque_gain`. One at a time such values gain too little evidence for a search of thousands of
+shapes, which they are not: place and form are known before.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from stiffopt.discovery.comparison.comparison import Comparison
+from stiffopt.discovery.comparison.located_effect import LocatedEffect
+from stiffopt.discovery.comparison.nuisance import OutsideValue, select_outside
+from stiffopt.discovery.effect import Effect
+from stiffopt.discovery.search.joint_fit import fit_jointly
+from stiffopt.discovery.search.rivals import RankedEffect, rank_rivals
+from stiffopt.discovery.thresholds import UNEXPLAINED_RATIO
+
+
+def values_outside_tolerance(
+    comparison: Comparison, effects: Sequence[LocatedEffect]
+) -> tuple[OutsideValue, ...]:
+    """Return the nominal values outside their tolerances beside effects, the furthest first.
+
+    Without bounds: bounded values push others, which take over their part, to their bounds.
+    """
+    names, tolerances, _ = comparison.nuisance
+    found = comparison.fit(effects, boxed=False).posterior
+    count = len(names)
+    deviations = np.sqrt(np.diag(found.covariance)[:count])
+    return select_outside(names, tolerances, found.mean[:count], deviations)
+
+
+def claim_outside_values(
+    start: Comparison,
+    current: Comparison,
+    ranked: list[RankedEffect],
+    catalogue: Sequence[Effect],
+    most: int,
+    tell: Callable[[str], object],
+) -> tuple[Comparison, list[RankedEffect]]:
+    """Add the effects of nominal values outside their tolerances, and rank all effects anew.
+
+    Only where nominal values and effects explain the recordings: beside a residual they stand for
+    an effect that is missing. More than `most` values at once stand for one as well.
+    """
+    effects = [each.selected.located for each in ranked]
+    stated = current.robot.recordings.tolerance
+    # A default is no statement about this robot.
+    outside = [
+        each
+        for each in values_outside_tolerance(current, effects)
+        if getattr(stated, each.kind) is not None
+    ]
+    if not outside or len(outside) > most or not _explains(current, effects):
+        return current, ranked
+    wanted = list(effects)
+    for value in outside:
+        located = _locate_effect(value, catalogue, current)
+        if located is not None and not any(located.same_place(other) for other in wanted):
+            wanted.append(located)
+    if len(wanted) == len(effects):
+        return current, ranked
+    wider, found = fit_jointly(start, wanted)
+    # The search has tried to exchange them: rivals that gained enough are among the effects.
+    again = (rank_rivals(wider, found, each, catalogue, tell=tell) for each in found)
+    return wider, [each for each in again if each is not None]
+
+
+def _explains(comparison: Comparison, effects: Sequence[LocatedEffect]) -> bool:
+    left = comparison.channel_ratio(comparison.fit(effects, boxed=False).residual)
+    return bool(np.nanmax(left / comparison.least) < UNEXPLAINED_RATIO)
+
+
+def _locate_effect(
+    value: OutsideValue, catalogue: Sequence[Effect], comparison: Comparison
+) -> LocatedEffect | None:
+    """Return the effect of the catalogue that changes a nominal value; None where none does."""
+    constants, last = comparison.constants, comparison.robot.n - 1
+    for effect in catalogue:
+        if value.kind not in effect.tolerances:
+            continue
+        of_last = effect.scope == "robot"
+        if value.of_body and of_last != (value.place == last):
+            continue
+        located = LocatedEffect(
+            effect=effect,
+            joint=value.place if effect.scope == "joint" else None,
+            link=value.place if effect.scope == "link" else None,
+        )
+        own = located.constants(constants)
+        if effect.applies is None or effect.applies(own):
+            return located
+    return None

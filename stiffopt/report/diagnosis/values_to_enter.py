@@ -1,0 +1,91 @@
+"""Lines of recordings.toml to enter: nominal values outside their tolerances, and delays."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from stiffopt.discovery.sanity.doubt import format_numbers
+from stiffopt.discovery.search.nominal_values import values_outside_tolerance
+from stiffopt.report.common.text import capital, pm, significant
+from stiffopt.units import joint_unit
+
+if TYPE_CHECKING:
+    from stiffopt.discovery.comparison.nuisance import OutsideValue
+    from stiffopt.discovery.diagnosis import Diagnosis, Finding
+
+# Kinds of nominal values in words.
+_KIND_WORDS = {
+    "mass": "mass behind",
+    "com": "centre of mass behind",
+    "torque_constant": "torque constant of",
+    "coulomb": "dry friction of",
+    "viscous": "viscous friction of",
+    "rotor_inertia": "rotor inertia of",
+    "stiffness": "compliance of",
+    "joint_damping": "damping of",
+    "encoder_zero": "encoder zero of",
+}
+_KIND_UNITS = {"com": "m", "encoder_zero": "rad"}
+
+
+def value_sentences(diagnosis: Diagnosis) -> list[str]:
+    """Return a sentence on every value to enter, and on nominal values pinned at tolerances."""
+    stated = [
+        f for f in diagnosis.findings if f.effect.nominal not in diagnosis.recordings.unstated
+    ]
+    found = [_nominal_sentence(diagnosis, f) for f in stated if f.effect.nominal and f.joint]
+    found += [_signals_sentence(diagnosis, f) for f in stated if f.effect.signals_key]
+    outside = values_outside_tolerance(diagnosis.search.comparison, diagnosis.search.effects)
+    return [*found, *(_pinned_sentence(diagnosis, each) for each in outside)]
+
+
+def _nominal_sentence(diagnosis: Diagnosis, finding: Finding) -> str:
+    """Return the corrected nominal value of a joint, with the line to enter."""
+    key, joint = finding.effect.nominal, finding.joint
+    assert joint is not None
+    nominal = np.asarray(getattr(diagnosis.training.robot, key), dtype=float)
+    change = finding.parameters[0]
+    corrected = nominal.copy()
+    corrected[joint - 1] = float(f"{nominal[joint - 1] + change.value:.4g}")
+    unit = joint_unit(change.unit, diagnosis.training.constants.joints[joint - 1].prismatic)
+    tolerance = getattr(diagnosis.training.tolerance, key) or 0.0
+    far = abs(change.value) / (tolerance * nominal[joint - 1]) if tolerance else np.inf
+    beyond = f", {significant(far, 2)} tolerances off" if np.isfinite(far) else ""
+    return (
+        f"{_KIND_WORDS[key].capitalize()} joint {joint} is"
+        f" {pm(corrected[joint - 1], change.sd, unit)}; nominal is"
+        f" {significant(nominal[joint - 1], 3)} {unit}{beyond}. Enter"
+        f" {key} = {format_numbers(corrected)} in [nominal]."
+    )
+
+
+def _signals_sentence(diagnosis: Diagnosis, finding: Finding) -> str:
+    """Return the value of [signals] that undoes a finding."""
+    key, change = finding.effect.signals_key, finding.parameters[0]
+    stated = float(getattr(diagnosis.recordings.signals, key))
+    phrase = finding.effect.phrase_of(finding.estimated.amplitudes)
+    return (
+        f"{capital(phrase)}: {pm(change.value, change.sd, change.unit)}. To diagnose the"
+        f" rest, enter {key} = {stated + change.value:.4g} in [signals]."
+    )
+
+
+def _pinned_sentence(diagnosis: Diagnosis, value: OutsideValue) -> str:
+    """Return that a value is far outside its tolerance and no finding accounts for it."""
+    unit = _KIND_UNITS.get(value.kind, "")
+    size = (
+        f"{significant(value.change, 2)} ± {significant(value.sd, 1)} {unit}"
+        if unit
+        else f"{100.0 * value.change:+.2g} ± {100.0 * value.sd:.1g} %"
+    )
+    axis = f" along {value.name.split()[2]}" if value.kind == "com" else ""
+    most = diagnosis.training.box
+    return (
+        f"Nominal value pinned at its tolerance: the {_KIND_WORDS.get(value.kind, value.kind)}"
+        f" joint {value.place + 1}{axis} would have to change by {size},"
+        f" {significant(abs(value.change) / value.tolerance, 2)} times its tolerance (a fit allows"
+        f" {most:g}). Measure it, or look for another cause: a value so far off seldom is the only"
+        " one."
+    )
