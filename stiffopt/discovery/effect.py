@@ -24,6 +24,9 @@ if TYPE_CHECKING:
     Constants = JointConstants | RobotConstants
 
 Scope = Literal["joint", "robot", "link", "run"]
+# Fit of a shape: free; held at initial values, as the number of a joint; or a secant: equal to
+# the amplitude of the same index.
+ShapeFit = Literal["free", "held", "secant"]
 # Values of the reported parameters from amplitudes, shapes and constants.
 Report = Callable[[Sequence[float], Sequence[float], Any], Mapping[str, float]]
 # Property of the joint or the recording set without which an effect cannot show.
@@ -127,6 +130,8 @@ class Shape:
         Bounds [unit].
     usual : float, optional
         Default where a file gives no value [unit]; without a default a file must give one.
+    fit : {"free", "held", "secant"}
+        "secant": the term is exact where the shape equals the amplitude of the same index.
     """
 
     name: str
@@ -135,6 +140,7 @@ class Shape:
     lower: float = -float("inf")
     upper: float = float("inf")
     usual: float | None = None
+    fit: ShapeFit = "free"
 
     def start_values(self, ranges: Constants) -> tuple[float, ...]:
         """Return the initial values as the entry defines them."""
@@ -193,7 +199,7 @@ class Effect:
     ----------
     name : str
     family : str
-        friction, elastic, periodic, inertial, sensor, spring, contact.
+        friction, elastic, periodic, inertial, geometry, sensor, spring, contact.
     scope : {"joint", "robot", "link", "run"}
         Place that a finding names: a joint, the robot as a whole, a link or a run.
     equation : str
@@ -215,6 +221,12 @@ class Effect:
     usual : bool
         True where every real robot has a little of it: it is fitted from the start unless the
         nominal model is vouched for.
+    couples_joints : bool
+        True for an effect of a joint that acts on other joints too: its term takes the signals of
+        the robot, where `link` is the joint, and returns values of all joints.
+    shifts_weight : bool
+        True where it changes the weight that several joints carry: a single one competes with
+        re-identified masses.
     lags : bool
         True where its wind-up lags the load: the tangent stiffness is then that under a sudden
         change of load.
@@ -264,6 +276,8 @@ class Effect:
         seen=False) -> the same for runs that were not recorded.
     change_robot : callable, optional
         Changes the robot that a planner computes with.
+    remedy : callable, optional
+        (amplitudes, shapes, constants) -> what to do, with the line to write.
     """
 
     name: str
@@ -279,6 +293,8 @@ class Effect:
     applies: Callable[[Any], bool] | None = None
     possible: Callable[[Sequence[float], Any], bool] | None = None
     usual: bool = False
+    couples_joints: bool = False
+    shifts_weight: bool = False
     lags: bool = False
     is_play: bool = False
     only_changed: bool = False
@@ -297,6 +313,7 @@ class Effect:
     drawn: Report | None = None
     of_runs: Callable[..., Effect] | None = None
     change_robot: ChangeRobot | None = None
+    remedy: Callable[[Sequence[float], Sequence[float], Any], str] | None = None
 
     def __post_init__(self) -> None:
         for field_name, default in (

@@ -172,7 +172,8 @@ class SampleArm:
     tool_velocity: Quantity
     tool_jacobian: Quantity
     body_regressor: Quantity
-    tilt: Quantity
+    weight: Quantity
+    zero_harmonics: Quantity
 
     def head(self, count: int) -> SampleArm:
         """Return the first samples."""
@@ -234,7 +235,8 @@ def sample_signals(count: int = 60, dt: float = 0.01) -> RobotSignals:
             tool_velocity=np.gradient(tool, dt, axis=0),
             tool_jacobian=lever,
             body_regressor=body,
-            tilt=20.0 * np.stack([np.sin(angle), np.cos(angle)], axis=2),
+            weight=2.0 * np.stack([np.sin(angle), np.cos(angle), np.sin(2.0 * angle)], axis=2),
+            zero_harmonics=3.0 * np.sin(np.arange(4 * _SAMPLE_JOINTS) + angle[:, :, None]),
         ),
         last_link=_SAMPLE_JOINTS - 1,
         link=2,
@@ -261,6 +263,7 @@ def sample_constants(
             stroke=(float(position[:, j].min()), float(position[:, j].max())),
             fastest=float(np.abs(velocity[:, j]).max()),
             largest_torque=float(np.abs(torque[:, j]).max()),
+            joints=position.shape[1],
         )
         for j in range(position.shape[1])
     )
@@ -275,7 +278,8 @@ def sample_constants(
 
 def sample_signals_of(effect: Effect, robot: RobotSignals) -> JointSignals | RobotSignals:
     """Return the signals for an effect's scope; of joints the fifth, which has two neighbours."""
-    return robot if effect.scope in ("robot", "link") else robot.of_joint(4)
+    of_robot = effect.scope in ("robot", "link") or effect.couples_joints
+    return robot if of_robot else robot.of_joint(4)
 
 
 def sample_term(effect: Effect) -> Term:

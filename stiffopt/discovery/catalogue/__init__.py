@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from stiffopt.discovery.catalogue.base_tilt import BASE_TILT
 from stiffopt.discovery.catalogue.belt_creep import BELT_CREEP
 from stiffopt.discovery.catalogue.contacts import CONTACTS
 from stiffopt.discovery.catalogue.coupled_drive import COUPLED_DRIVE
@@ -16,6 +17,7 @@ from stiffopt.discovery.catalogue.friction import FRICTION
 from stiffopt.discovery.catalogue.friction_drift import FRICTION_DRIFT
 from stiffopt.discovery.catalogue.inertial import INERTIAL
 from stiffopt.discovery.catalogue.joint_damping import JOINT_DAMPING
+from stiffopt.discovery.catalogue.joint_zero import JOINT_ZERO
 from stiffopt.discovery.catalogue.lubricated_friction import LUBRICATED_FRICTION
 from stiffopt.discovery.catalogue.periodic import PERIODIC
 from stiffopt.discovery.catalogue.preload_loss import PRELOAD_LOSS
@@ -39,6 +41,8 @@ CATALOGUE: tuple[Effect, ...] = (
     JOINT_DAMPING,
     *PERIODIC,
     *INERTIAL,
+    BASE_TILT,
+    JOINT_ZERO,
     *SPRINGS,
     *SENSORS,
     *CONTACTS,
