@@ -71,9 +71,16 @@ def build_findings(
         chance = parameters.p_value(index)
         misfit = max(misfit, null_probability(chance))
         values = parameters.parameters(index, located.constants(constants))
+        estimated = parameters.effects[index]
+        remedy = ""
+        if effect.remedy is not None:
+            remedy = effect.remedy(
+                estimated.amplitudes, estimated.shapes, located.constants(constants)
+            )
         findings.append(
             Finding(
-                estimated=parameters.effects[index],
+                estimated=estimated,
+                remedy=remedy,
                 link=None if located.link is None else constants.links[located.link],
                 probability=(1.0 - misfit) * selected.probability,
                 misfit=misfit,

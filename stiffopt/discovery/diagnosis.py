@@ -92,6 +92,8 @@ class Finding:
         Log evidence lost without it.
     significance : float
         Standard deviations from zero.
+    remedy : str
+        What to do, with the line to write; "" where the effect states none.
     """
 
     estimated: EstimatedEffect
@@ -105,6 +107,7 @@ class Finding:
     variance_explained: float
     log_evidence: float
     significance: float
+    remedy: str = ""
 
     @property
     def located(self) -> LocatedEffect:

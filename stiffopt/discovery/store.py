@@ -121,6 +121,7 @@ def _finding_entry(finding: Finding, constants: RobotConstants) -> dict[str, Any
             p.name: {"value": p.value, "sd": p.sd, "unit": p.unit} for p in finding.parameters
         },
         "where": finding.where,
+        "remedy": finding.remedy,
         "link": finding.link,
         "run": finding.located.run,
         "variance_explained": finding.variance_explained,

@@ -94,8 +94,8 @@ def _describe_remedy(
     angle = np.degrees(np.linalg.norm(_rotation_vector(amplitudes, gravity)))
     values = ", ".join(f"{value:.3f}" for value in tilted_gravity(amplitudes, gravity))
     return (
-        f"The base stands {angle:.2g} degrees off its stated orientation: check it with a level, and"
-        f" write gravity = [{values}] in recordings.toml and in the controller's mounting angles."
+        f"The base stands {angle:.2g} degrees off its stated orientation: check it with a level"
+        f" and write gravity = [{values}] in recordings.toml."
     )
 
 

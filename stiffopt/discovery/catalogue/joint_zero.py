@@ -1,4 +1,4 @@
-"""Wrong zero of a joint (mastering): geometry and weight of all joints off, no link encoder needed."""
+"""Wrong zero of a joint (mastering), seen in weight and inertia without a link encoder."""
 
 from __future__ import annotations
 
@@ -55,7 +55,8 @@ def _describe_remedy(
     return (
         f"Joint {constants.joint} stands {np.degrees(amplitudes[0]):+.2f} degrees from where its"
         " encoder says: check its mastering mark, and write"
-        f" offset = [{', '.join(offsets)}] in [signals] of recordings.toml (add to an offset there)."
+        f" offset = [{', '.join(offsets)}] in [signals] of recordings.toml, added to one that is"
+        " there."
     )
 
 

@@ -73,7 +73,7 @@ def print_diagnosis(diagnosis: Diagnosis, folder: Path) -> None:
             for each in unstated_rows(diagnosis, unstated)
         ]
         print_table(_FINDING_COLUMNS, rows)
-    lines = []
+    lines = [finding.remedy for finding in new if finding.remedy]
     if diagnosis.unexplained is not None:
         lines.append(f"Outside the catalogue. {unexplained_sentence(diagnosis)}")
     for role, meaning in (("test", "test"), ("extrapolate", "extrapolation")):
