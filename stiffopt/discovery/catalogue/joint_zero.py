@@ -51,7 +51,7 @@ def _describe_remedy(
     amplitudes: Sequence[float], shapes: Sequence[float], constants: JointConstants
 ) -> str:
     offsets = ["0"] * constants.joints
-    offsets[constants.joint - 1] = f'"{np.degrees(amplitudes[0]):.2f} deg"'
+    offsets[constants.joint - 1] = f"{amplitudes[0]:.5f}"
     return (
         f"Joint {constants.joint} stands {np.degrees(amplitudes[0]):+.2f} degrees from where its"
         " encoder says: check its mastering mark, and write"

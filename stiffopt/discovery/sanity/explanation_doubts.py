@@ -167,14 +167,13 @@ def _doubt_zeros(recordings: RecordingSet, reading: Reading, shares: str) -> Ite
     offset = np.array(reading.offset)
     if stated is not None:
         offset = offset + np.sign(reading.position_scale) * stated
-    entries = ", ".join(f'"{np.degrees(x):g} deg"' if x else "0" for x in offset)
     turns = ", ".join(f"{np.degrees(reading.offset[j]):+.0f} degrees" for j in off)
     yield Doubt(
         kind="position zero",
         joints=tuple(int(j) + 1 for j in off),
         evidence=f"The zero of {format_joints(off)} looks like that of another convention, off by"
         f" {turns}: {shares}.",
-        line=f"offset = [{entries}] in [signals]",
+        line=f"offset = {format_numbers(offset)} in [signals]",
     )
 
 
