@@ -62,3 +62,13 @@ def test_convention_is_told_with_its_line(name, line):
 def test_line_of_a_convention_leaves_nothing_missing(name, change):
     recordings = load_recordings(shared_case(name), [change])
     assert diagnose(recordings, experiment=False).verdict == "nothing_missing"
+
+
+def test_hand_that_guides_the_arm_is_told_as_a_force_at_the_tool():
+    found = diagnose(shared_case("hand_guided"), experiment=False)
+    assert found.findings == ()
+    assert found.unexplained is not None
+    force = found.unexplained.tool_force
+    assert force is not None
+    assert force.explained > 0.95
+    assert 60.0 < force.size < 110.0
