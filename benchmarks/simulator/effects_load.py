@@ -136,6 +136,41 @@ def external_contact(
     return Outcome(parameters={"k": stiffness, "z": top}, law={"damping": damping, "rim": rim})
 
 
+def _pull_at_tool(
+    world: World, severity: float, rng: np.random.Generator, turning: bool
+) -> Outcome:
+    """Pull at the tool with a force that is constant in the base, or in the tool."""
+    model, data = world.model, world.model.createData()
+    tool = model.getFrameId("tool0")
+    way = rng.standard_normal(3)
+    if world.robot.name == "planar2":  # its axes are parallel to y
+        way[1] = 0.0
+    force = 0.3 * severity * spread(rng) * 9.81 * world.robot.payload_mass
+    force = force * way / np.linalg.norm(way)
+    axes = pin.ReferenceFrame.LOCAL if turning else pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+
+    def load(state: State, torque: np.ndarray) -> None:
+        for r, q in enumerate(state.link):
+            torque[r] += pin.computeFrameJacobian(model, data, q, tool, axes)[:3].T @ force
+
+    world.link_loads.append(load)
+    return Outcome(parameters=dict(zip(("fx", "fy", "fz"), map(float, force), strict=True)))
+
+
+@effect("contact", "robot")
+def tool_force(world: World, joint: int, severity: float, rng: np.random.Generator) -> Outcome:
+    """A weight on a cord over a pulley, far away: its pull keeps its direction."""
+    return _pull_at_tool(world, severity, rng, turning=False)
+
+
+@effect("contact", "robot")
+def turning_tool_force(
+    world: World, joint: int, severity: float, rng: np.random.Generator
+) -> Outcome:
+    """A jet or a spring in the tool: its force turns with the tool."""
+    return _pull_at_tool(world, severity, rng, turning=True)
+
+
 @effect("contact", "robot", drawn=False)
 def touched(world: World, joint: int, severity: float, rng: np.random.Generator) -> Outcome:
     """Somebody pushes at the tool for a while, in one training run and in one held-out run."""

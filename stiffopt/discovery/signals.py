@@ -299,6 +299,13 @@ class ArmSignals(Protocol):
         """Jacobian of the tool position (K, 3, n)."""
 
     @property
+    def tool_levers(self) -> Quantity:
+        """Work of forces at the tool (K, n, 6) [m]: along the axes of the base, then of the tool.
+
+        Columns of J^T, and of J^T R with the rotation R of the last link.
+        """
+
+    @property
     def body_regressor(self) -> Any:
         """Joint torques per inertial parameter of every body (K, n, 10 n) [N m per unit].
 
@@ -360,6 +367,11 @@ class RobotSignals(MotionSignals):
     def tool_jacobian(self) -> Quantity:
         """Jacobian of the tool position (K, 3, n)."""
         return self.arm.tool_jacobian
+
+    @property
+    def tool_levers(self) -> Quantity:
+        """Work of forces at the tool (K, n, 6) [m], along the axes of base and tool."""
+        return self.arm.tool_levers
 
     @property
     def body_regressor(self) -> Any:

@@ -70,6 +70,10 @@ TRIALS = (
     Trial("inertial_error", 1, 28),
     Trial("encoder_skew", None, 29),
     Trial("encoder_zero_change", 2, 30),
+    Trial("joint_zero", 2, 31, "small3"),
+    Trial("crosstalk", 2, 32, "small3"),
+    Trial("tool_force", None, 33, "small3"),
+    Trial("turning_tool_force", None, 34, "small3"),
 )
 
 

@@ -42,7 +42,7 @@ def test_tilt_is_named_with_its_size(name, degrees):
 @pytest.mark.parametrize(
     ("name", "line"),
     [
-        ("zero_offset", 'offset = [0.0, -1.5708, 0.0, 0.0, 0.0, 0.0] in [signals]'),
+        ("zero_offset", "offset = [0.0, -1.5708, 0.0, 0.0, 0.0, 0.0] in [signals]"),
         ("fanuc_coupled", "position_includes = [0, 0, 2, 0, 0, 0] in [signals]"),
     ],
 )
@@ -55,7 +55,7 @@ def test_convention_is_told_with_its_line(name, line):
 @pytest.mark.parametrize(
     ("name", "change"),
     [
-        ("zero_offset", 'signals.offset=[0.0, -1.5708, 0.0, 0.0, 0.0, 0.0]'),
+        ("zero_offset", "signals.offset=[0.0, -1.5708, 0.0, 0.0, 0.0, 0.0]"),
         ("fanuc_coupled", "signals.position_includes=[0, 0, 2, 0, 0, 0]"),
     ],
 )

@@ -12,6 +12,7 @@ from stiffopt.discovery.catalogue.base_tilt import BASE_TILT
 from stiffopt.discovery.catalogue.belt_creep import BELT_CREEP
 from stiffopt.discovery.catalogue.contacts import CONTACTS
 from stiffopt.discovery.catalogue.coupled_drive import COUPLED_DRIVE
+from stiffopt.discovery.catalogue.crosstalk import CROSSTALK
 from stiffopt.discovery.catalogue.elastic import BACKLASH, HYSTERESIS
 from stiffopt.discovery.catalogue.friction import FRICTION
 from stiffopt.discovery.catalogue.friction_drift import FRICTION_DRIFT
@@ -24,6 +25,7 @@ from stiffopt.discovery.catalogue.preload_loss import PRELOAD_LOSS
 from stiffopt.discovery.catalogue.sensors import SENSORS
 from stiffopt.discovery.catalogue.springs import SPRINGS
 from stiffopt.discovery.catalogue.stiffness import K1_SOFTENING, STIFFNESS_LINEAR
+from stiffopt.discovery.catalogue.tool_force import TOOL_FORCES
 from stiffopt.discovery.effect import Effect
 from stiffopt.errors import InputError, nearest
 
@@ -45,7 +47,9 @@ CATALOGUE: tuple[Effect, ...] = (
     JOINT_ZERO,
     *SPRINGS,
     *SENSORS,
+    CROSSTALK,
     *CONTACTS,
+    *TOOL_FORCES,
 )
 
 # Largest number of runs with one amplitude each.

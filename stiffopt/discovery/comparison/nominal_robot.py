@@ -21,7 +21,11 @@ from stiffopt.discovery.signals import (
 )
 from stiffopt.recording.recording_set import RecordingSet
 from stiffopt.recording.run import RecordedRun
-from stiffopt.robot.batched_kinematics import body_torque_regressor, tool_jacobians
+from stiffopt.robot.batched_kinematics import (
+    body_torque_regressor,
+    frame_positions,
+    tool_jacobians,
+)
 from stiffopt.robot.frames import first_link_of
 
 
@@ -240,6 +244,15 @@ class RobotModel:
         position, jacobian = tool_jacobians(self.arm.tree, self.arm.tool, self._to_robot_order(q))
         return position, jacobian[..., self.order]
 
+    def tool_axes(self, q: np.ndarray) -> np.ndarray:
+        """Return the rotation (K, 3, 3) of the link that carries the tool, in the base."""
+        frame, ordered = self.arm.tool, self._to_robot_order(q)
+        places = [
+            frame_positions(self.arm.tree, replace(frame, offset=frame.offset + step), ordered)
+            for step in (np.zeros(3), *np.eye(3))
+        ]
+        return np.stack([place - places[0] for place in places[1:]], axis=2)
+
     def temperature_rise(self, run: RecordedRun, count: int) -> np.ndarray:
         """Return the housing temperature above that of friction identification (K, n) [K]."""
         reference = self.recordings.nominal.friction_temperature
@@ -369,6 +382,13 @@ class LazyArmSignals:
         return np.asarray(np.einsum("kij,kj->ki", self._tool_kinematics[1], self._motion[1]))
 
     @cached_property
+    def tool_levers(self) -> np.ndarray:
+        """Work of forces at the tool (K, n, 6) [m], along the axes of base and tool."""
+        levers = np.swapaxes(self.tool_jacobian, 1, 2)
+        turned = levers @ self._robot.tool_axes(self._motion[0])
+        return np.concatenate([levers, turned], axis=2)
+
+    @cached_property
     def weight(self) -> np.ndarray:
         """Torques per gravity along the axes of the base (K, n, 3) [N m per m/s^2]."""
         return self._robot.weight(self._motion[0])
@@ -420,6 +440,10 @@ class _ArmHead(LazyArmSignals):
     def _tool_kinematics(self) -> tuple[np.ndarray, np.ndarray]:
         position, jacobian = self._whole._tool_kinematics
         return position[: self._count], jacobian[: self._count]
+
+    @cached_property
+    def tool_levers(self) -> np.ndarray:
+        return self._whole.tool_levers[: self._count]
 
     @cached_property
     def weight(self) -> np.ndarray:
