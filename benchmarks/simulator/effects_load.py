@@ -99,6 +99,18 @@ def base_tilt(world: World, joint: int, severity: float, rng: np.random.Generato
     return Outcome(parameters={"rx": rx, "ry": ry})
 
 
+@effect("mounting")
+def joint_zero(world: World, joint: int, severity: float, rng: np.random.Generator) -> Outcome:
+    """A joint mastered beside its mark: where both encoders say q, the link stands at q + dq."""
+    off = sign(rng) * np.deg2rad(1.0) * severity * spread(rng)
+    model = world.model
+    q = pin.neutral(model)
+    axis = pin.computeJointJacobian(model, model.createData(), q, joint + 1)[3:, joint]
+    moved = pin.SE3(pin.exp3(off * axis), np.zeros(3))
+    model.jointPlacements[joint + 1] = model.jointPlacements[joint + 1] * moved
+    return Outcome(parameters={"dq": float(off)})
+
+
 @effect("contact", "robot")
 def external_contact(
     world: World, joint: int, severity: float, rng: np.random.Generator

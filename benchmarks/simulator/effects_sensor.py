@@ -51,19 +51,6 @@ def encoder_offset(world: World, joint: int, severity: float, rng: np.random.Gen
     return Outcome(parameters={"off": off})
 
 
-@effect("mounting")
-def joint_zero(world: World, joint: int, severity: float, rng: np.random.Generator) -> Outcome:
-    """A joint that was mastered beside its mark: both encoders read too little by one angle."""
-    off = sign(rng) * np.deg2rad(1.0) * severity * spread(rng)
-
-    def read(signals: Signals) -> None:
-        signals.motor[:, :, joint] -= off
-        signals.link[:, :, joint] -= off
-
-    world.sensors.append(read)
-    return Outcome(parameters={"dq": float(off)})
-
-
 @effect("sensor")
 def crosstalk(world: World, joint: int, severity: float, rng: np.random.Generator) -> Outcome:
     """A share of another drive's current is read in this channel."""
