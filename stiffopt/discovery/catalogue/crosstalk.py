@@ -44,7 +44,7 @@ def _has_other_joints(constants: JointConstants) -> bool:
 def _report_crosstalk(
     amplitudes: Sequence[float], shapes: Sequence[float], constants: JointConstants
 ) -> Mapping[str, float]:
-    return {"c": amplitudes[0], "from_joint": shapes[0]}
+    return {"c": amplitudes[0], "from_joint": float(round(shapes[0]))}
 
 
 def _describe_remedy(

@@ -11,9 +11,10 @@ from stiffopt.discovery.effect import Amplitude, Effect, Shape, Term
 from stiffopt.discovery.signals import HARMONICS_PER_JOINT, JointConstants, RobotSignals
 from stiffopt.symbolic import Quantity
 
-# Typical mastering error [rad]; and the largest one sought: beyond, it is a convention, which is
-# checked before a diagnosis.
-_TYPICAL_ZERO, _MAX_ZERO = 0.03, 0.6
+# Typical error [rad]: between a mastering beside the mark and another convention, a quarter turn.
+_TYPICAL_ZERO, _MAX_ZERO = 0.1, np.pi
+# Angles about which a search begins [rad]; a secant converges from the next of them.
+_STARTS = (0.0, 1.5, -1.5, 3.0)
 # Regularises sin(x)/x at zero [rad].
 _TINY_ANGLE = 1e-9
 
@@ -86,7 +87,7 @@ JOINT_ZERO = Effect(
         Shape(
             name="about",
             unit="rad",
-            starts=(0.0,),
+            starts=_STARTS,
             lower=-_MAX_ZERO,
             upper=_MAX_ZERO,
             usual=0.0,

@@ -62,7 +62,11 @@ class SanityGate:
         explanation, search = None, self._explanation_search
         if search is not None:
             odd = [each for each in self._odd_runs if each not in self._extended_range_runs]
-            explanation = None if odd else search.best()
+            explanation = search.best()
+            if odd and (explanation is None or not _explains_odd_runs(explanation, odd)):
+                explanation = None
+            else:
+                odd = []
             if odd:
                 found = [*_doubt_odd_runs(recordings, odd), *found]
             elif explanation is not None:
@@ -309,6 +313,12 @@ def find_odd_runs(together: Explanations, runs: Sequence[RecordedRun]) -> list[O
             )
             found.append(OddRun(run, search, joints, shares[k], others, outside_range))
     return found
+
+
+def _explains_odd_runs(explanation: Explanation, odd: Sequence[OddRun]) -> bool:
+    """True if an explanation of all runs together explains the joints that are odd in some."""
+    joints = sorted({joint for each in odd for joint in each.joints})
+    return bool(np.all(explanation.left[joints] < _MIN_ODD_SHARE))
 
 
 def _is_odd(shares: np.ndarray, others: np.ndarray) -> np.ndarray:

@@ -108,8 +108,9 @@ def _complete_stamps(run: RecordedRun) -> np.ndarray:
 
 # Possible units of positions of revolute and prismatic joints, in SI.
 DEGREE, MILLIMETRE = np.pi / 180.0, 1e-3
-# Zeros of joints in other conventions [rad].
-_ZERO_CONVENTIONS = (0.5 * np.pi, -0.5 * np.pi, np.pi)
+# Zeros of joints in other conventions [rad], and those tried between them with the stated sign.
+ZERO_CONVENTIONS = (0.5 * np.pi, -0.5 * np.pi, np.pi)
+_OTHER_ZEROS = (0.25 * np.pi, -0.25 * np.pi, 0.75 * np.pi, -0.75 * np.pi)
 # Clocks in ms, us and ns, and stamps counted at another rate.
 _CLOCK_FACTORS = (1e-3, 1e-6, 1e-9, 0.01, 0.1, 10.0, 100.0, 1e3)
 
@@ -205,12 +206,19 @@ class Reading:
         )
         return self if scale == self.position_scale else self._take_step(position_scale=scale)
 
+    def with_offset(self, joint: int, offset: float) -> Reading:
+        """Return the reading with another zero of one joint [rad]."""
+        return replace(
+            self,
+            offset=tuple(offset if k == joint else own for k, own in enumerate(self.offset)),
+        )
+
     def _turn_zero(self, joint: int) -> Iterator[Reading]:
         """Yield the other zeros of a joint, a quarter or half a turn away, with either sign."""
         for sign in (1.0, -1.0):
             scale = _scale_joint(self.position_scale, joint, sign)
             torque = _scale_joint(self.torque_scale, joint, sign)
-            for turn in _ZERO_CONVENTIONS:
+            for turn in (*ZERO_CONVENTIONS, *(_OTHER_ZEROS if sign > 0.0 else ())):
                 offset = tuple(turn if k == joint else own for k, own in enumerate(self.offset))
                 if offset == self.offset:
                     continue
