@@ -20,6 +20,7 @@ from stiffopt.discovery.sanity.explanations import Explanation, Explanations
 from stiffopt.discovery.sanity.interpretations import Samples, sample_runs
 from stiffopt.discovery.sanity.joint_gains import JointGain, find_joint_gains
 from stiffopt.discovery.sanity.sensor_doubts import doubt_position_limits, doubt_second_sensors
+from stiffopt.discovery.sanity.torque_doubts import doubt_dead_channels, doubt_repeated_torques
 from stiffopt.recording.recording_set import RecordingSet
 from stiffopt.recording.run import RecordedRun
 from stiffopt.recording.signals import is_set_point, may_be_set_point
@@ -58,6 +59,7 @@ class SanityGate:
             *_doubt_currents(recordings),
             *_doubt_set_points(recordings),
             *doubt_second_sensors(recordings, runs),
+            *doubt_repeated_torques(runs),
         ]
         explanation, search = None, self._explanation_search
         if search is not None:
@@ -73,6 +75,10 @@ class SanityGate:
                 found = [*describe_explanation(recordings, search, explanation), *found]
             elif (standing := search.stationary_in_degrees()) is not None:
                 found = [doubt_degrees(recordings, search, standing), *found]
+            elif dead := tuple(
+                doubt_dead_channels(recordings, self._nominal_robot, search.samples)
+            ):
+                found = [*dead, *found]
             elif len(runs) > 1 and not found:
                 found = [*_doubt_single_runs(recordings, runs, search)]
         if not any(doubt.kind == "position unit" for doubt in found):
