@@ -19,6 +19,7 @@ from stiffopt.discovery.sanity.explanation_doubts import describe_explanation, d
 from stiffopt.discovery.sanity.explanations import Explanation, Explanations
 from stiffopt.discovery.sanity.interpretations import Samples, sample_runs
 from stiffopt.discovery.sanity.joint_gains import JointGain, find_joint_gains
+from stiffopt.discovery.sanity.rest_doubts import doubt_contacts_at_rest
 from stiffopt.discovery.sanity.sensor_doubts import doubt_position_limits, doubt_second_sensors
 from stiffopt.discovery.sanity.torque_doubts import doubt_dead_channels, doubt_repeated_torques
 from stiffopt.recording.recording_set import RecordingSet
@@ -99,7 +100,16 @@ class SanityGate:
             *told,
             *map(_doubt_extended_range, self._extended_range_runs),
             *(_doubt_joint_gain(self._recordings, each) for each in gains),
+            *self._contacts_at_rest,
         )
+
+    @property
+    def _contacts_at_rest(self) -> tuple[Doubt, ...]:
+        """Contacts at rest, where the nominal model holds in motion."""
+        search = self._explanation_search
+        if search is None or np.nanmax(search.strict, initial=0.0) > _MIN_OPEN_SHARE:
+            return ()
+        return tuple(doubt_contacts_at_rest(self._nominal_robot, self._runs))
 
     @cached_property
     def _nominal_robot(self) -> RobotModel:
