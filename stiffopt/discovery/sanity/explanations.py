@@ -19,6 +19,7 @@ from stiffopt.discovery.sanity.interpretations import (
 from stiffopt.discovery.sanity.sensor_doubts import LIMIT_MARGIN_SHARE
 from stiffopt.discovery.sanity.torque_fit import Additions, Motion, TorqueFit, allowed_additions
 from stiffopt.discovery.settings import MIN_MOVING_SPEED
+from stiffopt.discovery.signals import smooth_sign
 
 # Largest residual share with which a description explains a torque.
 MAX_EXPLAINED_SHARE = 0.15
@@ -47,6 +48,9 @@ _MIN_DELAY = 0.06
 
 # Range of a fitted zero about a tried one; distance to a convention that is taken for it [rad].
 _ZERO_REACH, _CONVENTION_TOLERANCE = np.pi / 6.0, 0.03
+# Residual share of coupled drives over that of a sum of positions from which the sum is told.
+_EQUIVALENT_RATIO = 2.0
+_RATES = ("velocity", "acceleration")
 # Largest tilt of the base that is left to a diagnosis [rad].
 _MAX_SMALL_TILT = np.pi / 6.0
 
@@ -370,6 +374,17 @@ class Explanations:
         ]
         return np.array([_is_explained(b, a) for b, a in zip(there, left, strict=True)])
 
+    def _is_coupled_drive(self, reading: Reading, joint: int, left: float) -> bool:
+        """True if friction and inertia of a drive of two joints explain as much as a sum."""
+        v, a = (getattr(self.motions.of(reading), name)[:, joint] for name in _RATES)
+        columns = np.column_stack([smooth_sign(v), v, a])
+        free = np.full(columns.shape[1], np.inf)
+        torque = self.samples.torque[:, joint]
+        share = self.torque_fit.residual_share(
+            self.motion, torque, joint, Additions(columns, -free, free)
+        )
+        return share < _EQUIVALENT_RATIO * (left + _SHARE_FLOOR)
+
     def _log_improvement(self, before: np.ndarray, after: np.ndarray) -> float:
         ratio = np.log((before + _SHARE_FLOOR) / (after + _SHARE_FLOOR))
         return float(np.nansum(ratio))
@@ -396,6 +411,8 @@ class Explanations:
             worse = left > np.maximum(
                 self.strict + _WORSENING_TOLERANCE[0], self.strict * _WORSENING_TOLERANCE[1]
             )
+        for joint in np.flatnonzero(mended & (np.array(reading.includes) != 0)).tolist():
+            mended[joint] = not self._is_coupled_drive(reading, joint, left[joint])
         if not mended.any() or worse.any():
             return None
         return Explanation(

@@ -191,9 +191,9 @@ class Reading:
                 yield self._turn_sign(part, joint)
         for joint in np.flatnonzero(~prismatic).tolist():
             yield from self._turn_zero(joint)
-            for other in (joint - 1, joint + 1):
-                if 0 <= other < n and not prismatic[other]:
-                    yield from self._separate_sum(joint, other)
+            for beside in (joint - 1, joint + 1):
+                if 0 <= beside < n and not prismatic[beside]:
+                    yield from self._separate_sum(joint, beside)
         if self.time_scale == 1.0:
             for factor in _CLOCK_FACTORS:
                 yield self._take_step(time_scale=factor)
