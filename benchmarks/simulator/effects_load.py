@@ -99,6 +99,18 @@ def base_tilt(world: World, joint: int, severity: float, rng: np.random.Generato
     return Outcome(parameters={"rx": rx, "ry": ry})
 
 
+@effect("mounting")
+def joint_zero(world: World, joint: int, severity: float, rng: np.random.Generator) -> Outcome:
+    """A joint mastered beside its mark: where both encoders say q, the link stands at q + dq."""
+    off = sign(rng) * np.deg2rad(1.0) * severity * spread(rng)
+    model = world.model
+    q = pin.neutral(model)
+    axis = pin.computeJointJacobian(model, model.createData(), q, joint + 1)[3:, joint]
+    moved = pin.SE3(pin.exp3(off * axis), np.zeros(3))
+    model.jointPlacements[joint + 1] = model.jointPlacements[joint + 1] * moved
+    return Outcome(parameters={"dq": float(off)})
+
+
 @effect("contact", "robot")
 def external_contact(
     world: World, joint: int, severity: float, rng: np.random.Generator
@@ -134,6 +146,41 @@ def external_contact(
 
     world.link_loads.append(load)
     return Outcome(parameters={"k": stiffness, "z": top}, law={"damping": damping, "rim": rim})
+
+
+def _pull_at_tool(
+    world: World, severity: float, rng: np.random.Generator, turning: bool
+) -> Outcome:
+    """Pull at the tool with a force that is constant in the base, or in the tool."""
+    model, data = world.model, world.model.createData()
+    tool = model.getFrameId("tool0")
+    way = rng.standard_normal(3)
+    if world.robot.name == "planar2":  # its axes are parallel to y
+        way[1] = 0.0
+    force = 0.3 * severity * spread(rng) * 9.81 * world.robot.payload_mass
+    force = force * way / np.linalg.norm(way)
+    axes = pin.ReferenceFrame.LOCAL if turning else pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+
+    def load(state: State, torque: np.ndarray) -> None:
+        for r, q in enumerate(state.link):
+            torque[r] += pin.computeFrameJacobian(model, data, q, tool, axes)[:3].T @ force
+
+    world.link_loads.append(load)
+    return Outcome(parameters=dict(zip(("fx", "fy", "fz"), map(float, force), strict=True)))
+
+
+@effect("contact", "robot")
+def tool_force(world: World, joint: int, severity: float, rng: np.random.Generator) -> Outcome:
+    """A weight on a cord over a pulley, far away: its pull keeps its direction."""
+    return _pull_at_tool(world, severity, rng, turning=False)
+
+
+@effect("contact", "robot")
+def turning_tool_force(
+    world: World, joint: int, severity: float, rng: np.random.Generator
+) -> Outcome:
+    """A jet or a spring in the tool: its force turns with the tool."""
+    return _pull_at_tool(world, severity, rng, turning=True)
 
 
 @effect("contact", "robot", drawn=False)

@@ -51,6 +51,20 @@ def encoder_offset(world: World, joint: int, severity: float, rng: np.random.Gen
     return Outcome(parameters={"off": off})
 
 
+@effect("sensor")
+def crosstalk(world: World, joint: int, severity: float, rng: np.random.Generator) -> Outcome:
+    """A share of another drive's current is read in this channel."""
+    others = [other for other in range(world.robot.joints) if other != joint]
+    source = int(rng.choice(others))
+    share = sign(rng) * 0.05 * severity * spread(rng)
+
+    def read(signals: Signals) -> None:
+        signals.torque[:, :, joint] += share * signals.torque[:, :, source]
+
+    world.sensors.append(read)
+    return Outcome(parameters={"c": share, "from_joint": source + 1.0})
+
+
 @effect("sensor", "run")
 def encoder_zero_change(
     world: World, joint: int, severity: float, rng: np.random.Generator

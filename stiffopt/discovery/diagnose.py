@@ -43,6 +43,7 @@ from stiffopt.discovery.judging.held_out import HeldOutRuns
 from stiffopt.discovery.judging.left_open import add_left_open_deviation, build_left_open
 from stiffopt.discovery.judging.modes import mode_shifts
 from stiffopt.discovery.judging.run_deviations import find_friction_drift, find_run_deviations
+from stiffopt.discovery.judging.tool_force import explain_by_tool_force
 from stiffopt.discovery.judging.unexplained import Unexplained, assess_findings
 from stiffopt.discovery.progress import repeat_progress
 from stiffopt.discovery.sanity.doubt import Doubt, DoubtfulRecordings
@@ -182,7 +183,8 @@ def _run_diagnosis(
 
     def assessed() -> tuple[tuple[Selected, ...], Unexplained | None]:
         say("estimate parameters")
-        return assess_findings(result)
+        kept, left = assess_findings(result)
+        return kept, explain_by_tool_force(result, left)
 
     selected, unexplained = finish_step(stopped, assessed)
     start = () if base is None else (base.extension,)

@@ -24,6 +24,9 @@ if TYPE_CHECKING:
     Constants = JointConstants | RobotConstants
 
 Scope = Literal["joint", "robot", "link", "run", "recording"]
+# Fit of a shape: free; held at initial values, as the number of a joint; or a secant: equal to
+# the amplitude of the same index.
+ShapeFit = Literal["free", "held", "secant"]
 # Values of the reported parameters from amplitudes, shapes and constants.
 Report = Callable[[Sequence[float], Sequence[float], Any], Mapping[str, float]]
 # What to do, from amplitudes, shapes and constants.
@@ -129,6 +132,8 @@ class Shape:
         Bounds [unit].
     usual : float, optional
         Default where a file gives no value [unit]; without a default a file must give one.
+    fit : {"free", "held", "secant"}
+        "secant": the term is exact where the shape equals the amplitude of the same index.
     """
 
     name: str
@@ -137,6 +142,7 @@ class Shape:
     lower: float = -float("inf")
     upper: float = float("inf")
     usual: float | None = None
+    fit: ShapeFit = "free"
 
     def start_values(self, ranges: Constants) -> tuple[float, ...]:
         """Return the initial values as the entry defines them."""
@@ -195,7 +201,7 @@ class Effect:
     ----------
     name : str
     family : str
-        friction, elastic, periodic, inertial, sensor, spring, contact.
+        friction, elastic, periodic, inertial, geometry, sensor, spring, contact.
     scope : {"joint", "robot", "link", "run", "recording"}
         Place that a finding names: a joint, the robot as a whole, a link, a joint in one run, or
         the robot in one run.
@@ -218,6 +224,12 @@ class Effect:
     usual : bool
         True where every real robot has a little of it: it is fitted from the start unless the
         nominal model is vouched for.
+    couples_joints : bool
+        True for an effect of a joint that acts on other joints too: its term takes the signals of
+        the robot, where `link` is the joint, and returns values of all joints.
+    shifts_weight : bool
+        True where it changes the weight that several joints carry: a single one competes with
+        re-identified masses.
     lags : bool
         True where its wind-up lags the load: the tangent stiffness is then that under a sudden
         change of load.
@@ -296,6 +308,8 @@ class Effect:
     applies: Callable[[Any], bool] | None = None
     possible: Callable[[Sequence[float], Any], bool] | None = None
     usual: bool = False
+    couples_joints: bool = False
+    shifts_weight: bool = False
     lags: bool = False
     is_play: bool = False
     linear_about: bool = False

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Protocol
 
@@ -16,6 +16,8 @@ from stiffopt.symbolic import Quantity
 
 # Inertial parameters of a body: mass, three first moments, six of the inertia.
 PARAMETERS_PER_BODY = 10
+# Harmonics of the torques over the angle of a joint: sine and cosine of it and of twice it.
+HARMONICS_PER_JOINT = 4
 # Share of SIGN_SPEED; the sign is taken as constant over smaller changes of speed [-].
 _MIN_SPEED_CHANGE = 1e-3
 
@@ -93,6 +95,8 @@ class JointConstants:
     prismatic : bool
     belt : bool or None
         True where a belt is among the connections; None where they are unknown.
+    joints : int
+        Number of joints of the arm.
     """
 
     joint: int
@@ -111,6 +115,7 @@ class JointConstants:
     measured_torque: float = 0.0
     prismatic: bool = False
     belt: bool | None = None
+    joints: int = 1
 
     @property
     def elastic(self) -> bool:
@@ -266,6 +271,8 @@ class RobotConstants:
         Nominal centres of mass in the joints' frames [m].
     tool_range : array (2, 3)
         Lowest and highest tool position in the recordings, base frame [m].
+    gravity : array (3,)
+        Stated gravity, base frame [m/s^2].
     """
 
     joints: tuple[JointConstants, ...]
@@ -273,6 +280,7 @@ class RobotConstants:
     masses: np.ndarray
     centres: np.ndarray
     tool_range: np.ndarray
+    gravity: np.ndarray = field(default_factory=lambda: np.array([0.0, 0.0, -9.81]))
 
 
 class ArmSignals(Protocol):
@@ -291,6 +299,13 @@ class ArmSignals(Protocol):
         """Jacobian of the tool position (K, 3, n)."""
 
     @property
+    def tool_levers(self) -> Quantity:
+        """Work of forces at the tool (K, n, 6) [m]: along the axes of the base, then of the tool.
+
+        Columns of J^T, and of J^T R with the rotation R of the last link.
+        """
+
+    @property
     def body_regressor(self) -> Any:
         """Joint torques per inertial parameter of every body (K, n, 10 n) [N m per unit].
 
@@ -299,8 +314,16 @@ class ArmSignals(Protocol):
         """
 
     @property
-    def tilt(self) -> Quantity:
-        """Change of spring torque per rotation of the base about x and y (K, n, 2) [N m/rad]."""
+    def weight(self) -> Quantity:
+        """Spring torque per gravity along the axes of the base (K, n, 3) [N m per m/s^2]."""
+
+    @property
+    def zero_harmonics(self) -> Any:
+        """Harmonics of the spring torque over the zero of every joint (K, n, 4 n) [N m].
+
+        A zero of joint j moved by x adds the sum of columns 4 j to 4 j + 3 times sin x, cos x - 1,
+        sin 2x, cos 2x - 1; entries [..., k] where it is evaluated on demand.
+        """
 
     def head(self, count: int) -> ArmSignals:
         """Return the first samples."""
@@ -346,14 +369,24 @@ class RobotSignals(MotionSignals):
         return self.arm.tool_jacobian
 
     @property
+    def tool_levers(self) -> Quantity:
+        """Work of forces at the tool (K, n, 6) [m], along the axes of base and tool."""
+        return self.arm.tool_levers
+
+    @property
     def body_regressor(self) -> Any:
         """Joint torques per inertial parameter of every body (K, n, 10 n) [N m per unit]."""
         return self.arm.body_regressor
 
     @property
-    def tilt(self) -> Quantity:
-        """Change of spring torque per rotation of the base about x and y (K, n, 2) [N m/rad]."""
-        return self.arm.tilt
+    def weight(self) -> Quantity:
+        """Spring torque per gravity along the axes of the base (K, n, 3) [N m per m/s^2]."""
+        return self.arm.weight
+
+    @property
+    def zero_harmonics(self) -> Any:
+        """Harmonics of the spring torque over the zero of every joint (K, n, 4 n) [N m]."""
+        return self.arm.zero_harmonics
 
     def head(self, count: int) -> RobotSignals:
         """Return the first samples."""

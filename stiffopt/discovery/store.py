@@ -229,6 +229,7 @@ def _unexplained_entry(unexplained: Unexplained) -> dict[str, Any]:
         "ratio": unexplained.ratio,
         "left": unexplained.left,
         "brief": unexplained.brief,
+        "tool_force": None if unexplained.tool_force is None else vars(unexplained.tool_force),
         "alone": None
         if unexplained.alone is None
         else {"run": unexplained.alone[0], "times_any_other": unexplained.alone[1]},

@@ -171,8 +171,10 @@ class SampleArm:
     tool_position: Quantity
     tool_velocity: Quantity
     tool_jacobian: Quantity
+    tool_levers: Quantity
     body_regressor: Quantity
-    tilt: Quantity
+    weight: Quantity
+    zero_harmonics: Quantity
 
     def head(self, count: int) -> SampleArm:
         """Return the first samples."""
@@ -233,8 +235,10 @@ def sample_signals(count: int = 60, dt: float = 0.01) -> RobotSignals:
             tool_position=tool,
             tool_velocity=np.gradient(tool, dt, axis=0),
             tool_jacobian=lever,
+            tool_levers=np.swapaxes(np.concatenate([lever, lever[:, ::-1]], axis=1), 1, 2),
             body_regressor=body,
-            tilt=20.0 * np.stack([np.sin(angle), np.cos(angle)], axis=2),
+            weight=2.0 * np.stack([np.sin(angle), np.cos(angle), np.sin(2.0 * angle)], axis=2),
+            zero_harmonics=3.0 * np.sin(np.arange(4 * _SAMPLE_JOINTS) + angle[:, :, None]),
         ),
         last_link=_SAMPLE_JOINTS - 1,
         link=2,
@@ -261,6 +265,7 @@ def sample_constants(
             stroke=(float(position[:, j].min()), float(position[:, j].max())),
             fastest=float(np.abs(velocity[:, j]).max()),
             largest_torque=float(np.abs(torque[:, j]).max()),
+            joints=position.shape[1],
         )
         for j in range(position.shape[1])
     )
@@ -275,20 +280,30 @@ def sample_constants(
 
 def sample_signals_of(effect: Effect, robot: RobotSignals) -> JointSignals | RobotSignals:
     """Return the signals for an effect's scope; of joints the fifth, which has two neighbours."""
-    return robot if effect.of_robot or effect.scope == "link" else robot.of_joint(4)
+    of_robot = effect.of_robot or effect.scope == "link" or effect.couples_joints
+    return robot if of_robot else robot.of_joint(4)
+
+
+def constants_at(
+    effect: Effect, signals: JointSignals | RobotSignals
+) -> JointConstants | RobotConstants:
+    """Return the constants for sizes and shapes of an effect: of its joint, else of the robot."""
+    if effect.couples_joints and isinstance(signals, RobotSignals):
+        return signals.constants.joints[signals.link]
+    return signals.constants
 
 
 def sample_term(effect: Effect) -> Term:
     """Return the term of an effect of typical size on the sample arm."""
     signals = sample_signals_of(effect, sample_signals())
-    sizes = [a.size(signals.constants) for a in effect.amplitudes]
+    sizes = [a.size(constants_at(effect, signals)) for a in effect.amplitudes]
     return effect.term(signals, sizes, _initial_shapes(effect, signals))
 
 
 def find_faults(effect: Effect) -> Iterator[str]:
     """Yield the faults of an effect, a sentence each; none for a valid one."""
     signals = sample_signals_of(effect, sample_signals())
-    yield from _find_parameter_faults(effect, signals.constants)
+    yield from _find_parameter_faults(effect, constants_at(effect, signals))
     try:
         with np.errstate(all="ignore"):
             found = list(_find_term_faults(effect, signals))
@@ -334,7 +349,7 @@ def _find_parameter_faults(
 
 
 def _find_term_faults(effect: Effect, signals: JointSignals | RobotSignals) -> Iterator[str]:
-    sizes = np.array([a.size(signals.constants) for a in effect.amplitudes])
+    sizes = np.array([a.size(constants_at(effect, signals)) for a in effect.amplitudes])
     first, second = 0.7 * sizes, -1.3 * sizes * np.cos(np.arange(len(sizes)))
     if (
         effect.term(signals, list(0.0 * sizes), _initial_shapes(effect, signals)).__class__
@@ -342,7 +357,7 @@ def _find_term_faults(effect: Effect, signals: JointSignals | RobotSignals) -> I
     ):
         yield "its term returns no Term."
         return
-    for shapes in product(*(s.grid(signals.constants) for s in effect.shapes)):
+    for shapes in product(*(s.grid(constants_at(effect, signals)) for s in effect.shapes)):
         own = stack_term(effect.term(signals, list(first), shapes))
         if not np.isfinite(own).all():
             yield f"its term is not finite at the shapes {shapes}."
@@ -363,7 +378,7 @@ def _find_term_faults(effect: Effect, signals: JointSignals | RobotSignals) -> I
 
 
 def _initial_shapes(effect: Effect, signals: JointSignals | RobotSignals) -> list[float]:
-    return [s.grid(signals.constants)[0] for s in effect.shapes]
+    return [s.grid(constants_at(effect, signals))[0] for s in effect.shapes]
 
 
 def stack_term(term: Term) -> np.ndarray:

@@ -77,6 +77,18 @@ class SignalsSection(Section):
         ),
     ] = None
     torque_delay: Annotated[Time, Doc("By which torques were recorded later than positions.")] = 0.0
+    position_includes: Annotated[
+        tuple[int, ...] | None,
+        Doc(
+            "Joint whose position is contained in that of each joint: its number from 1, negative "
+            "where it is subtracted, 0 for none. [0, 0, 2, 0, 0, 0] where joint 3 is reported as "
+            "joint 2 + joint 3."
+        ),
+    ] = None
+    offset: Annotated[
+        tuple[JointPosition, ...] | None,
+        Doc("Added to the positions of each joint, in rad: where its zero is off or another one."),
+    ] = None
     scale: ScaleSection = ScaleSection()
 
 

@@ -41,6 +41,11 @@ class Signals:
         Factors of columns to SI; absent where they are in SI.
     torque_delay : float
         Delay of recorded torques after positions [s].
+    includes : tuple of int (n,)
+        Joint (from 1) whose position is contained in that of each; negative where subtracted, 0 for
+        none.
+    offset : array (n,) or None
+        Added to positions [rad].
     currents : bool
         Torques are given in A without a torque constant.
 
@@ -58,6 +63,8 @@ class Signals:
     torque_side: Literal["motor", "link"] = "motor"
     scale: Mapping[str, np.ndarray] = field(default_factory=dict)
     torque_delay: float = 0.0
+    includes: tuple[int, ...] = ()
+    offset: np.ndarray | None = None
     currents: bool = False
 
     def scale_of(self, kind: str, n: int) -> np.ndarray:
@@ -74,11 +81,31 @@ class Signals:
                 out[name] = out[name] * self.scale[kind][joint]
             if kind == "torque" and self.torque_delay:
                 out[name] = _shift_earlier(out[self.time], out[name], self.torque_delay)
+        self._separate_sums(out, -1.0)
+        if self.offset is not None:
+            for name, offset in zip(self.position, self.offset, strict=True):
+                out[name] = out[name] + offset
         return out
+
+    def _separate_sums(self, columns: dict[str, np.ndarray], sign: float) -> None:
+        """Add (1) to positions, or take from them (-1), those of joints that they include."""
+        for kind in ("position", "velocity"):
+            names = getattr(self, kind) or ("",) * len(self.includes)
+            found = {
+                name: columns[name] + sign * np.sign(other) * columns[names[abs(other) - 1]]
+                for name, other in zip(names, self.includes or (0,) * len(names), strict=True)
+                if other and {name, names[abs(other) - 1]} <= columns.keys()
+            }
+            columns |= found
 
     def as_recorded(self, columns: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
         """Convert columns in SI to units and delay of the files, the inverse of `to_si`."""
         out = dict(columns)
+        if self.offset is not None:
+            for name, offset in zip(self.position, self.offset, strict=True):
+                if name in out:
+                    out[name] = out[name] - offset
+        self._separate_sums(out, 1.0)
         for kind, joint, name in self.columns():
             if name not in out:
                 continue
@@ -132,6 +159,18 @@ def build_signals(section: SignalsSection, n: int, path: Path) -> Signals:
         raise fail(
             "torque", "no joint has a torque, which a diagnosis needs. Name at least one column."
         )
+    for key in ("offset", "position_includes"):
+        given = getattr(section, key)
+        if given is not None and len(given) != n:
+            raise fail(key, f"needs one number a joint ({n}), got {len(given)}; 0 for none.")
+    includes = section.position_includes or ()
+    for joint, other in enumerate(includes, start=1):
+        if other and (abs(other) > n or abs(other) == joint or includes[abs(other) - 1]):
+            raise fail(
+                "position_includes",
+                f"joint {joint} cannot contain joint {abs(other)}: give another joint of 1 to {n}"
+                " that contains none itself, or 0.",
+            )
     return Signals(
         time=section.time,
         position=section.position,
@@ -141,6 +180,8 @@ def build_signals(section: SignalsSection, n: int, path: Path) -> Signals:
         torque_side=section.torque_side or "motor",
         scale=_scale_factors(section.scale, n, path),
         torque_delay=section.torque_delay,
+        includes=includes,
+        offset=None if section.offset is None else np.array(section.offset, dtype=float),
         currents=any(entry in _CURRENT_UNITS for entry in _entry_list(section.scale.torque)),
     )
 

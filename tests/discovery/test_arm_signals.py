@@ -25,15 +25,15 @@ def arms(robot):
 
 def test_body_torques_recently_used_stay_cached(robot, arms, monkeypatch):
     size = arms[0].body_regressor.of_body(0).nbytes
-    monkeypatch.setattr(nominal_robot, "_BODY_TORQUE_CACHE_BYTES", 2 * size)
+    monkeypatch.setattr(nominal_robot, "_TORQUE_CACHE_BYTES", 2 * size)
     first = arms[0].body_regressor.of_body(0)
     assert arms[0].body_regressor.of_body(0) is first
     for arm in arms:
         arm.body_regressor.of_body(0)
-    assert [regressor for regressor, _ in robot.body_torque_cache] == [
+    assert [regressor for regressor, _ in robot.torque_cache] == [
         arm.body_regressor for arm in arms[1:]
     ]
-    assert sum(each.nbytes for each in robot.body_torque_cache.values()) <= 2 * size
+    assert sum(each.nbytes for each in robot.torque_cache.values()) <= 2 * size
     np.testing.assert_array_equal(arms[0].body_regressor.of_body(0), first)
 
 
@@ -54,6 +54,6 @@ def test_changed_body_torques_match_regressor_on_two_motions(robot, arms):
     np.testing.assert_allclose(moved.body_regressor.torque(change), expected, atol=1e-12)
     # Tool and weight stay those of the motion before.
     np.testing.assert_array_equal(moved.tool_position, there[0].tool_position)
-    np.testing.assert_array_equal(moved.tilt, there[0].tilt)
+    np.testing.assert_array_equal(moved.weight, there[0].weight)
     few = arms[0].decimate(10)
     np.testing.assert_array_equal(few.tool_jacobian, there[0].tool_jacobian[::10])

@@ -78,6 +78,10 @@ TRIALS = (
     Trial("friction_warmup", 2, 36),
     Trial("stroke_friction", 1, 37),
     Trial("quadratic_drag", 1, 38),
+    Trial("joint_zero", 2, 31, "small3"),
+    Trial("crosstalk", 2, 32, "small3"),
+    Trial("tool_force", None, 33, "small3"),
+    Trial("turning_tool_force", None, 34, "small3"),
 )
 
 

@@ -521,3 +521,10 @@ def test_stationary_instants_give_no_gain():
 )
 def test_names_of_set_points(name, told):
     assert is_set_point(name) == told
+
+
+def test_drives_that_are_coupled_are_no_sum_of_positions() -> None:
+    folder = PUBLISHED / "tx40_first"
+    if not folder.is_dir():
+        pytest.skip("the published recordings are not beside this repository")
+    assert not doubted(folder)

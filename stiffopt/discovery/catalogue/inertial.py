@@ -1,4 +1,4 @@
-"""Inertia and gravity errors: rotor inertia, payload, link masses, tilt of the base."""
+"""Inertia errors: rotor inertia, payload, link masses."""
 
 from __future__ import annotations
 
@@ -62,16 +62,6 @@ def inertial_error_term(
 ) -> Term:
     """Return the torques of mass, first moment and inertia of the located link."""
     return body_term(signals, amplitudes, signals.link)
-
-
-def base_tilt_term(
-    signals: RobotSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
-) -> Term:
-    """Return the torques of gravity rotated against the base by small angles about x and y."""
-    return Term(
-        link_torque=amplitudes[0] * component(signals.tilt, 0)
-        + amplitudes[1] * component(signals.tilt, 1)
-    )
 
 
 def change_payload(
@@ -198,7 +188,8 @@ PAYLOAD = Effect(
     " tool and what it carries.",
     tolerances=("mass", "com"),
     needs=("torque", "moves"),
-    confused_with=("torque_gain", "inertial_error", "base_tilt", "encoder_offset"),
+    confused_with=("torque_gain", "inertial_error", "base_tilt", "joint_zero", "encoder_offset"),
+    shifts_weight=True,
     change_robot=change_payload,
     term=payload_term,
     amplitudes=(_MASS_AMPLITUDE, *_moment_amplitudes("mcx", "mcy", "mcz"), *_INERTIA_AMPLITUDES),
@@ -219,7 +210,8 @@ INERTIAL_ERROR = Effect(
     remedy="Check what is mounted on {where}: hoses, valves, covers; else change its mass by {dm}.",
     tolerances=("mass", "com"),
     needs=("torque", "moves"),
-    confused_with=("torque_gain",),
+    confused_with=("torque_gain", "joint_zero"),
+    shifts_weight=True,
     change_robot=change_body,
     term=inertial_error_term,
     amplitudes=(_MASS_AMPLITUDE, *_moment_amplitudes("dmcx", "dmcy", "dmcz"), *_INERTIA_AMPLITUDES),
@@ -229,24 +221,4 @@ INERTIAL_ERROR = Effect(
     " postures of the others: friction turns with the direction, masses do not.",
 )
 
-BASE_TILT = Effect(
-    name="base_tilt",
-    family="inertial",
-    scope="robot",
-    equation="s += g(q; base turned by rx, ry) - g(q)",
-    signature="weight on an upright first axis, which should carry none, and a fitting change on"
-    " the next joints",
-    phrase="base not level, by {rx} about x and {ry} about y",
-    remedy="Put a level on the base, and enter the tilt as the direction of gravity.",
-    needs=("torque", "moves"),
-    confused_with=("encoder_offset",),
-    term=base_tilt_term,
-    amplitudes=(
-        Amplitude(name="rx", unit="rad", scale=0.01, lower=-9.0, upper=9.0),
-        Amplitude(name="ry", unit="rad", scale=0.01, lower=-9.0, upper=9.0),
-    ),
-    separate="Turn the first axis once with the arm stretched: only a tilt makes its torque follow"
-    " the sine of its angle.",
-)
-
-INERTIAL = (ROTOR_INERTIA, PAYLOAD, BASE_TILT, INERTIAL_ERROR)
+INERTIAL = (ROTOR_INERTIA, PAYLOAD, INERTIAL_ERROR)

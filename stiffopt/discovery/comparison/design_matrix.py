@@ -155,7 +155,7 @@ class DesignMatrix:
     def release_memory(self) -> None:
         """Free the memory of columns that are not needed after a search."""
         self._recent_cache.clear()
-        self.robot.body_torque_cache.clear()
+        self.robot.torque_cache.clear()
 
     @property
     def nuisance(self) -> tuple[list[str], np.ndarray, np.ndarray]:
@@ -265,7 +265,7 @@ class DesignMatrix:
         for kept in (self._start_cache, self._recent_cache):
             if key in kept:
                 return kept[key]
-        if located.joint is None:
+        if not located.is_of_one_joint:
             return self._cache_columns(located, self._robot_effect_pieces(located))
         return self._cache_columns(located, self._joint_effect_pieces([located])[0])
 
@@ -276,7 +276,7 @@ class DesignMatrix:
         asked = [
             each
             for each in effects
-            if each.joint is not None
+            if each.is_of_one_joint
             and each.key not in self._start_cache.keys() | self._recent_cache.keys()
         ]
         longest = max(run.signals.spring_torque.nbytes for run in self.runs)

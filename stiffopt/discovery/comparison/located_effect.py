@@ -98,14 +98,21 @@ class LocatedEffect:
         return (self.effect.name, self.joint, self.link, self.run, self.shapes)
 
     @property
+    def is_of_one_joint(self) -> bool:
+        """True where it acts on the channels of its joint, and of the one before, alone."""
+        return self.joint is not None and not self.effect.couples_joints
+
+    @property
     def is_run_specific(self) -> bool:
         """True where its contribution to a run predicts nothing of other runs."""
         return self.run is not None or self.effect.of_runs is not None
 
     def is_adjacent(self, other: LocatedEffect) -> bool:
-        """Return True where both are at the same or neighbouring joints, or at none."""
-        if self.joint is None or other.joint is None:
+        """Return True where both are at the same or neighbouring joints, or act on several."""
+        if not (self.is_of_one_joint and other.is_of_one_joint):
             return True
+        assert self.joint is not None
+        assert other.joint is not None
         return abs(self.joint - other.joint) <= 1
 
     def same_place(self, other: LocatedEffect) -> bool:
@@ -163,8 +170,9 @@ class LocatedEffect:
         if self.run is not None and run.name != self.run:
             return Contribution()
         like = signals.motor_position
-        if self.joint is None:
-            seen = signals if self.link is None else replace(signals, link=self.link)
+        if not self.is_of_one_joint:
+            place = self.link if self.joint is None else self.joint
+            seen = signals if place is None else replace(signals, link=place)
             term = self.effect.term(seen, amplitudes, self.shapes)
             return Contribution(
                 _as_robot_array(term.drive_torque, like),
@@ -172,6 +180,7 @@ class LocatedEffect:
                 _as_robot_array(term.deflection, like),
                 _as_robot_array(term.reading, like),
             )
+        assert self.joint is not None
         term = self.effect.term(run.of_joint(self.joint), amplitudes, self.shapes)
         drive = _as_joint_column(term.drive_torque, like, self.joint)
         before = (

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import replace
 from functools import cached_property
@@ -12,6 +12,7 @@ import numpy as np
 
 from stiffopt.discovery.settings import fill_missing
 from stiffopt.discovery.signals import (
+    HARMONICS_PER_JOINT,
     PARAMETERS_PER_BODY,
     JointConstants,
     RobotConstants,
@@ -20,7 +21,11 @@ from stiffopt.discovery.signals import (
 )
 from stiffopt.recording.recording_set import RecordingSet
 from stiffopt.recording.run import RecordedRun
-from stiffopt.robot.batched_kinematics import body_torque_regressor, tool_jacobians
+from stiffopt.robot.batched_kinematics import (
+    body_torque_regressor,
+    frame_positions,
+    tool_jacobians,
+)
 from stiffopt.robot.frames import first_link_of
 
 
@@ -37,8 +42,8 @@ class RobotModel:
         Joints.
     rotor_inertia, coulomb, viscous : array (n,)
         Zero where the set states none.
-    body_torque_cache : dict
-        Recently used torques of single bodies along motions.
+    torque_cache : dict
+        Recently used torques of single bodies, and harmonics of single joints, along motions.
     """
 
     def __init__(self, recordings: RecordingSet) -> None:
@@ -51,7 +56,7 @@ class RobotModel:
         self.coulomb = self.arm.coulomb[self.order]
         self.viscous = self.arm.viscous[self.order]
         self._counterbalances = recordings.nominal.counterbalance
-        self.body_torque_cache: dict[tuple[object, int], np.ndarray] = {}
+        self.torque_cache: dict[tuple[object, int], np.ndarray] = {}
 
     # ---- constants
 
@@ -78,6 +83,7 @@ class RobotModel:
                 pole_pairs=nominal.pole_pairs,
                 prismatic=bool(self.recordings.prismatic[j]),
                 belt=None if connections is None else "belt" in connections[j],
+                joints=self.n,
             )
             for j in range(self.n)
         )
@@ -88,6 +94,7 @@ class RobotModel:
             masses=np.array([body.mass for body in bodies]),
             centres=np.array([body.centre for body in bodies]),
             tool_range=np.array([[-1.0] * 3, [1.0] * 3]),
+            gravity=np.asarray(self.recordings.gravity, dtype=float),
         )
 
     def constants_over(
@@ -196,16 +203,55 @@ class RobotModel:
         motion = (self._to_robot_order(x) for x in (q, v, a))
         return self._bodies.changed_torque(by_body, *motion)[:, self.order]
 
-    def tilt(self, q: np.ndarray) -> np.ndarray:
-        """Return the change of gravity torque per rotation of the base about x and y (K, n, 2)."""
-        # Gravity rotates the opposite way in the axes of the base.
-        turned = [-np.cross(axis, self.recordings.gravity) for axis in np.eye(3)[:2]]
-        return np.stack([self.gravity_torque(q, gravity) for gravity in turned], axis=2)
+    def weight(self, q: np.ndarray) -> np.ndarray:
+        """Return the gravity torque per gravity along the axes of the base (K, n, 3)."""
+        return np.stack([self.gravity_torque(q, axis) for axis in np.eye(3)], axis=2)
+
+    def zero_harmonics(self, joint: int, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
+        """Return the harmonics of the body torques over the angle of one joint (K, n, 4).
+
+        Rotations are linear in sine and cosine of the angle, and torques quadratic in rotations:
+        five angles determine the harmonics exactly. Counterbalances keep their torque.
+        """
+        count = HARMONICS_PER_JOINT + 1
+        angles = 2.0 * np.pi * np.arange(count) / count
+        found = np.zeros((HARMONICS_PER_JOINT, self.n, len(q)))
+        for angle in angles:
+            moved = q.copy()
+            moved[:, joint] += angle
+            torque = self._bodies.torque(*(self._to_robot_order(x) for x in (moved, v, a))).T
+            for k, order in enumerate((1, 1, 2, 2)):
+                wave = np.cos(order * angle) if k % 2 else np.sin(order * angle)
+                found[k] += 2.0 / count * wave * torque[self.order]
+        return found.T
+
+    def cached_torques(
+        self, key: tuple[object, int], size: int, evaluate: Callable[[], np.ndarray]
+    ) -> np.ndarray:
+        """Return torques along a motion from the cache, or evaluate them (of a size in bytes)."""
+        kept = self.torque_cache
+        found = kept.pop(key, None)
+        if found is None:
+            # Free memory before the allocation: a long run has no room for one more.
+            while kept and size + sum(each.nbytes for each in kept.values()) > _TORQUE_CACHE_BYTES:
+                kept.pop(next(iter(kept)))
+            found = evaluate()
+        kept[key] = found
+        return found
 
     def tool(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the tool position (K, 3) and its Jacobian (K, 3, n)."""
         position, jacobian = tool_jacobians(self.arm.tree, self.arm.tool, self._to_robot_order(q))
         return position, jacobian[..., self.order]
+
+    def tool_axes(self, q: np.ndarray) -> np.ndarray:
+        """Return the rotation (K, 3, 3) of the link that carries the tool, in the base."""
+        frame, ordered = self.arm.tool, self._to_robot_order(q)
+        places = [
+            frame_positions(self.arm.tree, replace(frame, offset=frame.offset + step), ordered)
+            for step in (np.zeros(3), *np.eye(3))
+        ]
+        return np.stack([place - places[0] for place in places[1:]], axis=2)
 
     def temperature_rise(self, run: RecordedRun, count: int) -> np.ndarray:
         """Return the housing temperature above that of friction identification (K, n) [K]."""
@@ -221,8 +267,8 @@ class RobotModel:
         return full
 
 
-# Cache of body torques over all runs of a robot, least recently used out first [bytes].
-_BODY_TORQUE_CACHE_BYTES = 2**26
+# Cache of torques over all runs of a robot, least recently used out first [bytes].
+_TORQUE_CACHE_BYTES = 2**26
 # Cached torques of changed inertial parameters per run, oldest out first.
 _MAX_CACHED_CHANGES = 3
 
@@ -245,19 +291,10 @@ class BodyRegressor:
 
     def of_body(self, body: int) -> np.ndarray:
         """Return the torques (K, n, 10) per parameter of one body (from 0)."""
-        kept = self._robot.body_torque_cache
-        found = kept.pop((self, body), None)
-        if found is None:
-            size = self._motion[0].nbytes * PARAMETERS_PER_BODY
-            # Free memory before the allocation: a long run has no room for one more.
-            while (
-                kept
-                and size + sum(each.nbytes for each in kept.values()) > _BODY_TORQUE_CACHE_BYTES
-            ):
-                kept.pop(next(iter(kept)))
-            found = self._robot.body_torques(body, *self._motion)
-        kept[self, body] = found
-        return found
+        size = self._motion[0].nbytes * PARAMETERS_PER_BODY
+        return self._robot.cached_torques(
+            (self, body), size, lambda: self._robot.body_torques(body, *self._motion)
+        )
 
     def torque(self, change: np.ndarray) -> np.ndarray:
         """Return the torques (K, n) of changed parameters (n, 10) of all bodies."""
@@ -280,8 +317,34 @@ class BodyRegressor:
         return np.asarray(self._robot.body_regressor(*self._motion), dtype=dtype)
 
 
+class ZeroHarmonics:
+    """Harmonics of the torques over the zeros of joints (K, n, 4 n), evaluated on demand.
+
+    Parameters
+    ----------
+    robot : RobotModel
+    q, v, a : array (K, n)
+        Motion of the links.
+    """
+
+    def __init__(self, robot: RobotModel, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> None:
+        self._robot, self._motion = robot, (q, v, a)
+
+    def of_joint(self, joint: int) -> np.ndarray:
+        """Return the harmonics (K, n, 4) of one joint (from 0)."""
+        size = self._motion[0].nbytes * HARMONICS_PER_JOINT
+        return self._robot.cached_torques(
+            (self, joint), size, lambda: self._robot.zero_harmonics(joint, *self._motion)
+        )
+
+    def __getitem__(self, where: tuple[Any, int]) -> np.ndarray:
+        """Return entries [..., k] as of an array."""
+        joint, harmonic = divmod(where[1], HARMONICS_PER_JOINT)
+        return np.asarray(self.of_joint(joint)[..., harmonic])
+
+
 class LazyArmSignals:
-    """Tool, base tilt and body torques along a link motion, evaluated on demand.
+    """Tool, weight, body torques and joint zeros along a link motion, evaluated on demand.
 
     Parameters
     ----------
@@ -291,11 +354,13 @@ class LazyArmSignals:
     Attributes
     ----------
     body_regressor : BodyRegressor
+    zero_harmonics : ZeroHarmonics
     """
 
     def __init__(self, robot: RobotModel, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> None:
         self._robot, self._motion = robot, (q, v, a)
         self.body_regressor = BodyRegressor(robot, q, v, a)
+        self.zero_harmonics = ZeroHarmonics(robot, q, v, a)
 
     @cached_property
     def _tool_kinematics(self) -> tuple[np.ndarray, np.ndarray]:
@@ -317,9 +382,16 @@ class LazyArmSignals:
         return np.asarray(np.einsum("kij,kj->ki", self._tool_kinematics[1], self._motion[1]))
 
     @cached_property
-    def tilt(self) -> np.ndarray:
-        """Change of the torques per rotation of the base about x and y (K, n, 2) [N m/rad]."""
-        return self._robot.tilt(self._motion[0])
+    def tool_levers(self) -> np.ndarray:
+        """Work of forces at the tool (K, n, 6) [m], along the axes of base and tool."""
+        levers = np.swapaxes(self.tool_jacobian, 1, 2)
+        turned = levers @ self._robot.tool_axes(self._motion[0])
+        return np.concatenate([levers, turned], axis=2)
+
+    @cached_property
+    def weight(self) -> np.ndarray:
+        """Torques per gravity along the axes of the base (K, n, 3) [N m per m/s^2]."""
+        return self._robot.weight(self._motion[0])
 
     def head(self, count: int) -> LazyArmSignals:
         """Return the first samples, as views of the evaluation of all."""
@@ -348,11 +420,21 @@ class _RegressorHead(BodyRegressor):
         return self._whole.torque(change)[: self._count]
 
 
+class _HarmonicsHead(ZeroHarmonics):
+    def __init__(self, whole: ZeroHarmonics, count: int) -> None:
+        super().__init__(whole._robot, *(x[:count] for x in whole._motion))
+        self._whole, self._count = whole, count
+
+    def of_joint(self, joint: int) -> np.ndarray:
+        return self._whole.of_joint(joint)[: self._count]
+
+
 class _ArmHead(LazyArmSignals):
     def __init__(self, whole: LazyArmSignals, count: int) -> None:
         super().__init__(whole._robot, *(x[:count] for x in whole._motion))
         self._whole, self._count = whole, count
         self.body_regressor = _RegressorHead(whole.body_regressor, count)
+        self.zero_harmonics = _HarmonicsHead(whole.zero_harmonics, count)
 
     @cached_property
     def _tool_kinematics(self) -> tuple[np.ndarray, np.ndarray]:
@@ -360,5 +442,9 @@ class _ArmHead(LazyArmSignals):
         return position[: self._count], jacobian[: self._count]
 
     @cached_property
-    def tilt(self) -> np.ndarray:
-        return self._whole.tilt[: self._count]
+    def tool_levers(self) -> np.ndarray:
+        return self._whole.tool_levers[: self._count]
+
+    @cached_property
+    def weight(self) -> np.ndarray:
+        return self._whole.weight[: self._count]

@@ -105,7 +105,7 @@ class _DifferenceFormula:
         sigma = np.concatenate([noise.torque, noise.deflection]) * gain
         self.weight = np.where(seen, 1.0 / sigma, 0.0)
         self.joints = sorted({e.joint for e in self.effects if e.joint is not None})
-        self.usable = all(e.joint is not None for e in self.effects)
+        self.usable = all(e.is_of_one_joint for e in self.effects)
         self.difference: Quantity = None
         if self.usable:
             self._fit_rival(separation, run)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.interpolate import BSpline
@@ -22,6 +23,9 @@ from stiffopt.discovery.thresholds import (
     REMAINDER_SHARE,
     UNEXPLAINED_RATIO,
 )
+
+if TYPE_CHECKING:
+    from stiffopt.discovery.judging.tool_force import ToolForce
 
 # Spline regression of a residual: knots, maximum number of signals, least relative decrease by one
 # more.
@@ -55,6 +59,8 @@ class Unexplained:
     alone : tuple of (str, float) or None
         Training run with nearly all of the nominal residual in the worst channel, and the ratio to
         any other run.
+    tool_force : ToolForce or None
+        Forces at the tool that explain it.
     """
 
     channels: tuple[str, ...]
@@ -65,6 +71,7 @@ class Unexplained:
     left: float = 1.0
     brief: bool = False
     alone: tuple[str, float] | None = None
+    tool_force: ToolForce | None = None
 
 
 def assess_findings(result: SearchResult) -> tuple[tuple[Selected, ...], Unexplained | None]:

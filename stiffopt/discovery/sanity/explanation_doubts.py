@@ -18,7 +18,7 @@ from stiffopt.discovery.sanity.doubt import (
     scale_line,
 )
 from stiffopt.discovery.sanity.explanations import Explanation, Explanations
-from stiffopt.discovery.sanity.interpretations import DEGREE, MILLIMETRE
+from stiffopt.discovery.sanity.interpretations import DEGREE, MILLIMETRE, Reading
 from stiffopt.discovery.sanity.sensor_doubts import FACTOR_TOLERANCE
 from stiffopt.recording.recording_set import RecordingSet
 
@@ -130,6 +130,8 @@ def _doubt_reading(
             line=f"{lines} in [signals]",
         )
     torque_turned = np.flatnonzero(np.array(reading.torque_scale) < 0.0)
+    yield from _doubt_zeros(recordings, reading, shares)
+    yield from _doubt_sums(recordings, reading, shares)
     if turned.size:
         with_torque = set(turned) == set(torque_turned)
         one = turned.size == 1
@@ -153,6 +155,46 @@ def _doubt_reading(
             evidence=f"The torque of {format_joints(torque_turned)} has the other sign: {shares}.",
             line=scale_line(recordings, "torque", np.array(reading.torque_scale)),
         )
+
+
+def _doubt_zeros(recordings: RecordingSet, reading: Reading, shares: str) -> Iterator[Doubt]:
+    """Yield a doubt about zeros of joints in another convention."""
+    off = np.flatnonzero(reading.offset)
+    if not off.size:
+        return
+    # The offset is added after the sign is corrected, to one that is stated.
+    stated = recordings.signals.offset
+    offset = np.array(reading.offset)
+    if stated is not None:
+        offset = offset + np.sign(reading.position_scale) * stated
+    turns = ", ".join(f"{np.degrees(reading.offset[j]):+.0f} degrees" for j in off)
+    yield Doubt(
+        kind="position zero",
+        joints=tuple(int(j) + 1 for j in off),
+        evidence=f"The zero of {format_joints(off)} looks like that of another convention, off by"
+        f" {turns}: {shares}.",
+        line=f"offset = {format_numbers(offset)} in [signals]",
+    )
+
+
+def _doubt_sums(recordings: RecordingSet, reading: Reading, shares: str) -> Iterator[Doubt]:
+    """Yield a doubt about positions that are sums of two joints."""
+    summed = np.flatnonzero(reading.includes)
+    if not summed.size:
+        return
+    parts = [
+        f"joint {j + 1} {'+' if reading.includes[j] > 0 else '-'} joint {abs(reading.includes[j])}"
+        f" in place of joint {j + 1} alone"
+        for j in summed
+    ]
+    stated = np.array(recordings.signals.includes or (0,) * recordings.n)
+    entries = ", ".join(str(int(x)) for x in np.where(stated == 0, reading.includes, stated))
+    yield Doubt(
+        kind="position sum",
+        joints=tuple(int(j) + 1 for j in summed),
+        evidence=f"The positions look like those of {' and '.join(parts)}: {shares}.",
+        line=f"position_includes = [{entries}] in [signals]",
+    )
 
 
 def _doubt_gains(

@@ -6,12 +6,20 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
-from stiffopt.discovery.sanity.interpretations import DEGREE, Motions, Reading, Samples
+from stiffopt.discovery.sanity.interpretations import (
+    DEGREE,
+    ZERO_CONVENTIONS,
+    Motions,
+    Reading,
+    Samples,
+)
 from stiffopt.discovery.sanity.sensor_doubts import LIMIT_MARGIN_SHARE
 from stiffopt.discovery.sanity.torque_fit import Additions, Motion, TorqueFit, allowed_additions
 from stiffopt.discovery.settings import MIN_MOVING_SPEED
+from stiffopt.discovery.signals import smooth_sign
 
 # Largest residual share with which a description explains a torque.
 MAX_EXPLAINED_SHARE = 0.15
@@ -36,6 +44,15 @@ _UNIT_GAINS = (1.0, 1e3, 1e-3)
 # Delays that are tried [s]; those below the second value are an effect of the catalogue.
 _DELAY_GRID = np.concatenate([-np.geomspace(2.0, 0.01, 40), np.geomspace(0.01, 2.0, 40)])
 _MIN_DELAY = 0.06
+
+
+# Range of a fitted zero about a tried one; distance to a convention that is taken for it [rad].
+_ZERO_REACH, _CONVENTION_TOLERANCE = np.pi / 6.0, 0.03
+# Residual share of coupled drives over that of a sum of positions from which the sum is told.
+_EQUIVALENT_RATIO = 2.0
+_RATES = ("velocity", "acceleration")
+# Largest tilt of the base that is left to a diagnosis [rad].
+_MAX_SMALL_TILT = np.pi / 6.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,11 +138,21 @@ class Explanations:
             *self._explain_by_readings(),
         ]
         candidates = [e for e in found if e is not None]
-        return max(
+        best = max(
             candidates,
             key=lambda e: e.score - e.price - self._limit_penalty(e.reading),
             default=None,
         )
+        # A diagnosis finds a small tilt, with its size.
+        return None if best is not None and self._is_small_tilt(best.gravity) else best
+
+    def _is_small_tilt(self, direction: np.ndarray | None) -> bool:
+        """True for a direction of gravity (3,) near the stated one."""
+        stated = np.asarray(self.robot.recordings.gravity, dtype=float)
+        size = float(np.linalg.norm(stated))
+        if direction is None or not 9.0 < size < 10.5:
+            return False
+        return bool(direction @ stated > np.cos(_MAX_SMALL_TILT) * size)
 
     def _limit_penalty(self, reading: Reading) -> float:
         """Return the price of a reading with positions beyond the robot's limits."""
@@ -231,9 +258,32 @@ class Explanations:
                 )
             if self._log_improvement(left, after) < _MIN_STEP_GAIN:
                 break
-            reading, left = other, after
+            reading, left = self._refine_zeros(other, after)
             found.append(self._accept_explanation(left, reading))
         return [e for e in found if e is not None]
+
+    def _refine_zeros(self, reading: Reading, left: np.ndarray) -> tuple[Reading, np.ndarray]:
+        """Fit the zeros that a reading moves, unless the convention is as good."""
+
+        def residual(tried: Reading) -> np.ndarray:
+            torque = tried.torque(self.samples.torque)
+            return self._residual_shares(self.motions.of(tried), torque)
+
+        for joint in np.flatnonzero(reading.offset).tolist():
+            stated = reading.offset[joint]
+            found = minimize_scalar(
+                lambda x, joint=joint, reading=reading: (
+                    -self._log_improvement(self.strict, residual(reading.with_offset(joint, x)))
+                ),
+                bounds=(stated - _ZERO_REACH, stated + _ZERO_REACH),
+                method="bounded",
+                options={"xatol": 2e-3},
+            )
+            near = min(ZERO_CONVENTIONS, key=lambda turn: abs(abs(turn - found.x) % (2.0 * np.pi)))
+            usual = abs(near - found.x) < _CONVENTION_TOLERANCE
+            reading = reading.with_offset(joint, near if usual else float(found.x))
+            left = residual(reading)
+        return reading, left
 
     def _explain_by_gravity(self) -> Explanation | None:
         """Explain by gravity along another direction of the base."""
@@ -248,9 +298,6 @@ class Explanations:
         direction = self._fit_gravity_direction(moving, pulls)
         if direction is None:
             return self._explain_without_weight(moving)
-        size = float(np.linalg.norm(stated))
-        if size > 0.0 and 9.0 < size < 10.5 and direction @ stated > np.cos(np.pi / 6.0) * size:
-            return None
         spring = moving + pulls @ (9.81 * direction)
         left = self._residual_shares(replace(motion, spring=spring), self.samples.torque)
         # A spring at one joint may look similar, but not at all joints that carry weight.
@@ -290,9 +337,9 @@ class Explanations:
             return None
         found = found / size
         main = int(np.argmax(np.abs(found)))
-        if abs(found[main]) > np.cos(np.pi / 12.0):
-            found = np.eye(3)[main] * np.sign(found[main])
-        return np.asarray(found)
+        axis = np.eye(3)[main] * np.sign(found[main])
+        near = abs(found[main]) > np.cos(np.pi / 12.0)
+        return np.asarray(axis if near and not self._is_small_tilt(axis) else found)
 
     def _explain_by_delay(self) -> Explanation | None:
         """Explain by a delay of all torques against the motion."""
@@ -327,6 +374,17 @@ class Explanations:
         ]
         return np.array([_is_explained(b, a) for b, a in zip(there, left, strict=True)])
 
+    def _is_coupled_drive(self, reading: Reading, joint: int, left: float) -> bool:
+        """True if friction and inertia of a drive of two joints explain as much as a sum."""
+        v, a = (getattr(self.motions.of(reading), name)[:, joint] for name in _RATES)
+        columns = np.column_stack([smooth_sign(v), v, a])
+        free = np.full(columns.shape[1], np.inf)
+        torque = self.samples.torque[:, joint]
+        share = self.torque_fit.residual_share(
+            self.motion, torque, joint, Additions(columns, -free, free)
+        )
+        return share < _EQUIVALENT_RATIO * (left + _SHARE_FLOOR)
+
     def _log_improvement(self, before: np.ndarray, after: np.ndarray) -> float:
         ratio = np.log((before + _SHARE_FLOOR) / (after + _SHARE_FLOOR))
         return float(np.nansum(ratio))
@@ -353,6 +411,8 @@ class Explanations:
             worse = left > np.maximum(
                 self.strict + _WORSENING_TOLERANCE[0], self.strict * _WORSENING_TOLERANCE[1]
             )
+        for joint in np.flatnonzero(mended & (np.array(reading.includes) != 0)).tolist():
+            mended[joint] = not self._is_coupled_drive(reading, joint, left[joint])
         if not mended.any() or worse.any():
             return None
         return Explanation(

@@ -19,7 +19,9 @@ from stiffopt.discovery.sanity.explanation_doubts import describe_explanation, d
 from stiffopt.discovery.sanity.explanations import Explanation, Explanations
 from stiffopt.discovery.sanity.interpretations import Samples, sample_runs
 from stiffopt.discovery.sanity.joint_gains import JointGain, find_joint_gains
+from stiffopt.discovery.sanity.rest_doubts import doubt_contacts_at_rest
 from stiffopt.discovery.sanity.sensor_doubts import doubt_position_limits, doubt_second_sensors
+from stiffopt.discovery.sanity.torque_doubts import doubt_dead_channels, doubt_repeated_torques
 from stiffopt.recording.recording_set import RecordingSet
 from stiffopt.recording.run import RecordedRun
 from stiffopt.recording.signals import is_set_point, may_be_set_point
@@ -58,17 +60,26 @@ class SanityGate:
             *_doubt_currents(recordings),
             *_doubt_set_points(recordings),
             *doubt_second_sensors(recordings, runs),
+            *doubt_repeated_torques(runs),
         ]
         explanation, search = None, self._explanation_search
         if search is not None:
             odd = [each for each in self._odd_runs if each not in self._extended_range_runs]
-            explanation = None if odd else search.best()
+            explanation = search.best()
+            if odd and (explanation is None or not _explains_odd_runs(explanation, odd)):
+                explanation = None
+            else:
+                odd = []
             if odd:
                 found = [*_doubt_odd_runs(recordings, odd), *found]
             elif explanation is not None:
                 found = [*describe_explanation(recordings, search, explanation), *found]
             elif (standing := search.stationary_in_degrees()) is not None:
                 found = [doubt_degrees(recordings, search, standing), *found]
+            elif dead := tuple(
+                doubt_dead_channels(recordings, self._nominal_robot, search.samples)
+            ):
+                found = [*dead, *found]
             elif len(runs) > 1 and not found:
                 found = [*_doubt_single_runs(recordings, runs, search)]
         if not any(doubt.kind == "position unit" for doubt in found):
@@ -89,7 +100,16 @@ class SanityGate:
             *told,
             *map(_doubt_extended_range, self._extended_range_runs),
             *(_doubt_joint_gain(self._recordings, each) for each in gains),
+            *self._contacts_at_rest,
         )
+
+    @property
+    def _contacts_at_rest(self) -> tuple[Doubt, ...]:
+        """Contacts at rest, where the nominal model holds in motion."""
+        search = self._explanation_search
+        if search is None or np.nanmax(search.strict, initial=0.0) > _MIN_OPEN_SHARE:
+            return ()
+        return tuple(doubt_contacts_at_rest(self._nominal_robot, self._runs))
 
     @cached_property
     def _nominal_robot(self) -> RobotModel:
@@ -309,6 +329,12 @@ def find_odd_runs(together: Explanations, runs: Sequence[RecordedRun]) -> list[O
             )
             found.append(OddRun(run, search, joints, shares[k], others, outside_range))
     return found
+
+
+def _explains_odd_runs(explanation: Explanation, odd: Sequence[OddRun]) -> bool:
+    """True if an explanation of all runs together explains the joints that are odd in some."""
+    joints = sorted({joint for each in odd for joint in each.joints})
+    return bool(np.all(explanation.left[joints] < _MIN_ODD_SHARE))
 
 
 def _is_odd(shares: np.ndarray, others: np.ndarray) -> np.ndarray:

@@ -108,6 +108,9 @@ def _complete_stamps(run: RecordedRun) -> np.ndarray:
 
 # Possible units of positions of revolute and prismatic joints, in SI.
 DEGREE, MILLIMETRE = np.pi / 180.0, 1e-3
+# Zeros of joints in other conventions [rad], and those tried between them with the stated sign.
+ZERO_CONVENTIONS = (0.5 * np.pi, -0.5 * np.pi, np.pi)
+_OTHER_ZEROS = (0.25 * np.pi, -0.25 * np.pi, 0.75 * np.pi, -0.75 * np.pi)
 # Clocks in ms, us and ns, and stamps counted at another rate.
 _CLOCK_FACTORS = (1e-3, 1e-6, 1e-9, 0.01, 0.1, 10.0, 100.0, 1e3)
 
@@ -123,6 +126,11 @@ class Reading:
     position_scale, torque_scale : tuple of float (n,)
     time_scale : float
         Factor of the time.
+    includes : tuple of int (n,)
+        Joint (from 1) whose position is contained in that of each; negative where subtracted, 0 for
+        none.
+    offset : tuple of float (n,)
+        Added to positions [rad].
     steps : int
         Number of steps from the stated reading.
     in_degrees : tuple of bool (n,)
@@ -134,6 +142,8 @@ class Reading:
     position_scale: tuple[float, ...]
     torque_scale: tuple[float, ...]
     time_scale: float = 1.0
+    includes: tuple[int, ...] = ()
+    offset: tuple[float, ...] = ()
     steps: int = 0
     in_degrees: tuple[bool, ...] = ()
 
@@ -143,7 +153,8 @@ class Reading:
         order, ones = tuple(range(n)), (1.0,) * n
         stated = np.ones(n) if position_scale is None else np.abs(position_scale)
         degrees = tuple(bool(is_) for is_ in np.isclose(stated, DEGREE))
-        return Reading(order, order, ones, ones, in_degrees=degrees)
+        zeros = (0,) * n
+        return Reading(order, order, ones, ones, includes=zeros, offset=zeros, in_degrees=degrees)
 
     def motion(self, samples: Samples) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return position, velocity and acceleration (m, n) of the joints in this reading."""
@@ -154,7 +165,12 @@ class Reading:
                 (samples.position, samples.velocity, samples.acceleration)
             )
         )
-        return position, velocity, acceleration
+        motion = [position.copy(), velocity.copy(), acceleration.copy()]
+        for joint, other in enumerate(self.includes):
+            if other:
+                for own, values in zip(motion, (position, velocity, acceleration), strict=True):
+                    own[:, joint] -= np.sign(other) * values[:, abs(other) - 1]
+        return motion[0] + np.array(self.offset), motion[1], motion[2]
 
     def torque(self, measured: np.ndarray) -> np.ndarray:
         """Return torques (m, n) of the joints in this reading."""
@@ -173,6 +189,11 @@ class Reading:
                 yield self._swap_joints(part, one, two)
             for joint in range(n):
                 yield self._turn_sign(part, joint)
+        for joint in np.flatnonzero(~prismatic).tolist():
+            yield from self._turn_zero(joint)
+            for beside in (joint - 1, joint + 1):
+                if 0 <= beside < n and not prismatic[beside]:
+                    yield from self._separate_sum(joint, beside)
         if self.time_scale == 1.0:
             for factor in _CLOCK_FACTORS:
                 yield self._take_step(time_scale=factor)
@@ -184,6 +205,38 @@ class Reading:
             for s, slides, chosen in zip(self.position_scale, prismatic, which, strict=True)
         )
         return self if scale == self.position_scale else self._take_step(position_scale=scale)
+
+    def with_offset(self, joint: int, offset: float) -> Reading:
+        """Return the reading with another zero of one joint [rad]."""
+        return replace(
+            self,
+            offset=tuple(offset if k == joint else own for k, own in enumerate(self.offset)),
+        )
+
+    def _turn_zero(self, joint: int) -> Iterator[Reading]:
+        """Yield the other zeros of a joint, a quarter or half a turn away, with either sign."""
+        for sign in (1.0, -1.0):
+            scale = _scale_joint(self.position_scale, joint, sign)
+            torque = _scale_joint(self.torque_scale, joint, sign)
+            for turn in (*ZERO_CONVENTIONS, *(_OTHER_ZEROS if sign > 0.0 else ())):
+                offset = tuple(turn if k == joint else own for k, own in enumerate(self.offset))
+                if offset == self.offset:
+                    continue
+                other = self._take_step(offset=offset, position_scale=scale)
+                yield other
+                if sign < 0.0:
+                    yield replace(other, torque_scale=torque)
+
+    def _separate_sum(self, joint: int, other: int) -> Iterator[Reading]:
+        """Yield readings in which the position of a joint contains that of a neighbour."""
+        if self.includes[joint] or self.includes[other]:
+            return
+        for sign in (1, -1):
+            yield self._take_step(
+                includes=tuple(
+                    sign * (other + 1) if k == joint else own for k, own in enumerate(self.includes)
+                )
+            )
 
     def _take_step(self, **changes: Any) -> Reading:
         return replace(self, steps=self.steps + 1, **changes)
@@ -220,7 +273,13 @@ class Motions:
 
     def of(self, reading: Reading) -> Motion:
         """Return the motion of a reading, independent of its torque columns."""
-        key = (reading.position_from, reading.position_scale, reading.time_scale)
+        key = (
+            reading.position_from,
+            reading.position_scale,
+            reading.time_scale,
+            reading.includes,
+            reading.offset,
+        )
         if key not in self._kept:
             self._kept[key] = Motion.of(self._robot, *reading.motion(self._samples))
         return self._kept[key]

@@ -24,6 +24,8 @@ from stiffopt.discovery.thresholds import MIN_ACTIVE_SHARE, NAMED_DEVIATIONS, NA
 
 # Nelder-Mead evaluations per shape.
 _MAX_REFINEMENT_STEPS = 40
+# Fits of a secant, and the change of its shapes that ends them, relative and in their unit.
+_MAX_SECANT_STEPS, _SECANT_TOLERANCE = 20, 1e-5
 
 
 @dataclass(frozen=True, eq=False)
@@ -239,17 +241,23 @@ class Scorer:
 
     def refine(self, candidate: Candidate, price: float = 0.0) -> Candidate:
         """Fit the shapes of a candidate within their bounds, from their current values."""
-        shapes = candidate.located.effect.shapes
-        if not shapes:
+        candidate = self._follow_secants(candidate, price)
+        every = candidate.located.effect.shapes
+        free = [i for i, shape in enumerate(every) if shape.fit == "free"]
+        if not free:
             return candidate
-        start = np.array(candidate.located.shapes)
+        shapes = [every[i] for i in free]
+        start = np.array(candidate.located.shapes)[free]
         scale = np.where(start != 0.0, np.abs(start), 1.0)
         best = candidate
 
         def cost(scaled: np.ndarray) -> float:
             nonlocal best
             values = np.clip(scaled * scale, [s.lower for s in shapes], [s.upper for s in shapes])
-            moved = replace(candidate.located, shapes=tuple(float(v) for v in values))
+            changed = list(candidate.located.shapes)
+            for i, value in zip(free, values, strict=True):
+                changed[i] = float(value)
+            moved = replace(candidate.located, shapes=tuple(changed))
             found = self.score(moved, price)
             if found is None:
                 return 1e12
@@ -275,6 +283,24 @@ class Scorer:
             },
         )
         return best
+
+    def _follow_secants(self, candidate: Candidate, price: float) -> Candidate:
+        """Repeat the fit until the shapes of a secant equal the amplitudes."""
+        shapes = candidate.located.effect.shapes
+        secant = [i for i, shape in enumerate(shapes) if shape.fit == "secant"]
+        for _ in range(_MAX_SECANT_STEPS if secant else 0):
+            located = candidate.located
+            amplitudes = candidate.amplitudes * located.sizes(self.comparison.constants)
+            moved = list(located.shapes)
+            for i in secant:
+                moved[i] = float(np.clip(amplitudes[i], shapes[i].lower, shapes[i].upper))
+            if np.allclose(moved, located.shapes, rtol=_SECANT_TOLERANCE, atol=_SECANT_TOLERANCE):
+                break
+            found = self.score(replace(located, shapes=tuple(moved)), price)
+            if found is None:
+                break
+            candidate = found
+        return candidate
 
 
 def _has_own_amplitude(located: LocatedEffect, found: AddedPosterior, kept: np.ndarray) -> bool:

@@ -254,7 +254,7 @@ def _best_single_change(
 ) -> Candidate | None:
     found = []
     for entry in catalogue:
-        if entry.family != "inertial" or entry.scope not in ("link", "robot"):
+        if not entry.shifts_weight:
             continue
         for located in effect_places(entry, scorer.comparison.constants, ()):
             if any(located.same_place(other) for other in scorer.base):
@@ -262,5 +262,5 @@ def _best_single_change(
             tell(f"re-identify the rigid model: {located.label} in place of all")
             scored = scorer.score(located)
             if scored is not None:
-                found.append(scored)
+                found.append(scorer.refine(scored))
     return max(found, key=lambda c: c.gain, default=None)

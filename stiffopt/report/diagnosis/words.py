@@ -22,11 +22,14 @@ from stiffopt.report.common.text import listed, significant, words
 
 if TYPE_CHECKING:
     from stiffopt.discovery.diagnosis import Diagnosis, Finding
+    from stiffopt.discovery.judging.tool_force import ToolForce
     from stiffopt.discovery.judging.unexplained import Unexplained
 
 # Residual over noise of held-out runs above which the worst channel is named.
 _LARGE_RESIDUAL_RATIO = 2.0
 
+# Length of the mean over the root mean square of forces, above which they are called constant.
+_STEADY_FORCE = 0.9
 # Share of a run above which a saturated torque is reported.
 _MIN_SATURATED_SHARE = 0.05
 # Causes of bursts by the signal that they follow.
@@ -67,6 +70,9 @@ def headline(diagnosis: Diagnosis) -> str:
         silent = " ".join(unassessed_joint_sentences(diagnosis)).removesuffix(".")
         return f"Nothing is missing within the tolerances{silent and '. '}{silent}"
     if not diagnosis.findings:
+        if diagnosis.unexplained is not None and diagnosis.unexplained.tool_force is not None:
+            force = diagnosis.unexplained.tool_force
+            return f"A force of up to {significant(force.size, 2)} N acts on the tool"
         where = (
             channels_in_words(diagnosis.unexplained.channels[:1]) if diagnosis.unexplained else ""
         )
@@ -221,6 +227,8 @@ def _dependence_sentence(unexplained: Unexplained) -> str:
             f" {_BURST_CAUSES[unexplained.regressors[0].partition('_')[0]]}."
         )
     text = f"Up to {unexplained.ratio:.2g} times the noise remains unexplained in {channels}"
+    if unexplained.tool_force is not None:
+        return f"{text}; {_tool_force_clause(unexplained.tool_force)}"
     if unexplained.period is not None:
         text += f"; it has a period of {significant(unexplained.period, 3)} s in any motion"
         return f"{text}: a sinusoid of that period explains {100 * unexplained.gain:.0f} % of it."
@@ -231,6 +239,15 @@ def _dependence_sentence(unexplained: Unexplained) -> str:
     return (
         f"{text}, which predicts {100 * unexplained.gain:.0f} % of it in left-out intervals of the"
         " training runs."
+    )
+
+
+def _tool_force_clause(force: ToolForce) -> str:
+    kind = "nearly constant" if force.steadiness > _STEADY_FORCE else "changing"
+    return (
+        f"a {kind} force at the tool, up to {significant(force.size, 2)} N, explains"
+        f" {100.0 * force.explained:.0f} % of it: the arm was guided by hand, touched something or"
+        " was pulled, as by a hose. Record it moving freely, or leave such runs out."
     )
 
 

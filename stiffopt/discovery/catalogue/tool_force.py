@@ -1,0 +1,93 @@
+"""Constant force at the tool, as of a hose or a cable, fixed in the base or in the tool."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from stiffopt.discovery.catalogue.common import component
+from stiffopt.discovery.effect import Amplitude, Effect, Term
+from stiffopt.discovery.signals import RobotConstants, RobotSignals
+from stiffopt.symbolic import Quantity
+
+# Typical force over the weight of the arm.
+_WEIGHT_SHARE = 0.03
+_STANDARD_GRAVITY = 9.81
+
+
+def tool_force_term(
+    signals: RobotSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
+) -> Term:
+    """Return -J^T f of a force on the tool with constant components along the base axes."""
+    levers = signals.tool_levers
+    return Term(link_torque=_weigh_levers(levers, amplitudes, 0))
+
+
+def turning_force_term(
+    signals: RobotSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
+) -> Term:
+    """Return -J^T R f of a force on the tool with constant components along the tool's axes."""
+    return Term(link_torque=_weigh_levers(signals.tool_levers, amplitudes, 3))
+
+
+def _weigh_levers(levers: Quantity, force: Sequence[Quantity], first: int) -> Quantity:
+    torque: Quantity = 0.0
+    for k, part in enumerate(force):
+        torque = torque - part * component(levers, first + k)
+    return torque
+
+
+def _typical_force(constants: RobotConstants) -> float:
+    return max(_WEIGHT_SHARE * _STANDARD_GRAVITY * float(np.sum(constants.masses)), 0.5)
+
+
+_FORCE = tuple(
+    Amplitude(name=name, unit="N", scale=_typical_force, lower=-40.0, upper=40.0)
+    for name in ("fx", "fy", "fz")
+)
+
+
+def _describe_remedy(
+    amplitudes: Sequence[float], shapes: Sequence[float], constants: RobotConstants
+) -> str:
+    parts = ", ".join(f"{value:.1f}" for value in amplitudes)
+    return (
+        f"A force of ({parts}) N pulls at the tool in every run: look for a hose, a cable or a"
+        " balancer there, and record without it if it is not part of the arm."
+    )
+
+
+TOOL_FORCE = Effect(
+    name="tool_force",
+    family="contact",
+    scope="robot",
+    equation="s += -J^T*f, f constant in the base",
+    signature="torques of several joints off as under one force on the tool of constant direction",
+    phrase="a constant force at the tool",
+    needs=("torque", "moves", "tool_frame"),
+    confused_with=("payload", "external_contact", "base_tilt"),
+    term=tool_force_term,
+    amplitudes=_FORCE,
+    remedy=_describe_remedy,
+    separate="Accelerate the tool in the direction of the force: a payload's torque grows with the"
+    " acceleration, that of a pulling hose does not.",
+)
+
+TURNING_TOOL_FORCE = Effect(
+    name="turning_tool_force",
+    family="contact",
+    scope="robot",
+    equation="s += -J^T*R*f, f constant in the tool",
+    signature="torques of several joints off as under one force on the tool that turns with it",
+    phrase="a force that is fixed to the tool",
+    needs=("torque", "moves", "tool_frame"),
+    confused_with=("payload", "tool_force"),
+    term=turning_force_term,
+    amplitudes=_FORCE,
+    remedy=_describe_remedy,
+    separate="Turn the wrist by half a turn at one place: the force of a spring in the tool turns"
+    " with it, that of a hose and of a payload does not.",
+)
+
+TOOL_FORCES = (TOOL_FORCE, TURNING_TOOL_FORCE)

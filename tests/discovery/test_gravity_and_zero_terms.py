@@ -1,0 +1,132 @@
+"""Torques of a tilted base and of a wrong joint zero against pinocchio, exact at large angles."""
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from simulated_sets import short_case, simulated
+
+from benchmarks.simulator import write_case
+from stiffopt.discovery.catalogue.base_tilt import BASE_TILT, tilt_axes, tilted_gravity
+from stiffopt.discovery.catalogue.joint_zero import JOINT_ZERO
+from stiffopt.discovery.comparison.nominal_robot import LazyArmSignals, RobotModel
+from stiffopt.discovery.diagnose import diagnose
+from stiffopt.discovery.sanity.doubt import DoubtfulRecordings
+from stiffopt.discovery.signals import RobotConstants
+from stiffopt.recording.recording_set import load_recordings
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    case = simulated(short_case(seed=72, robot="small3", train=3, link_encoders=False))
+    return write_case(case, tmp_path_factory.mktemp("geometry") / "set")
+
+
+@pytest.fixture(scope="module")
+def robot(folder):
+    return RobotModel(load_recordings(folder))
+
+
+class Signals:
+    """The signals of an arm along random states that both terms need."""
+
+    def __init__(self, robot, link=0):
+        rng = np.random.default_rng(8)
+        self.motion = [rng.uniform(-1.5, 1.5, (6, robot.n)) for _ in range(3)]
+        arm = LazyArmSignals(robot, *self.motion)
+        self.weight, self.zero_harmonics = arm.weight, arm.zero_harmonics
+        self.constants: RobotConstants = robot.constants
+        self.link = link
+
+
+@pytest.mark.parametrize("angle", [0.01, 0.4, 1.3, 2.2])
+@pytest.mark.parametrize("azimuth", [0.0, 1.1, 3.7])
+def test_tilt_term_is_exact(robot, angle, azimuth):
+    signals = Signals(robot)
+    axis = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
+    turned = 2.0 * np.tan(0.5 * angle) * axis
+    amplitudes = [float(turned @ each) for each in tilt_axes(signals.constants.gravity)]
+    term = BASE_TILT.term(signals, amplitudes, amplitudes)
+    # The base turns by the angle, gravity in its axes by the opposite one.
+    gravity = pin.exp3(-angle * axis) @ signals.constants.gravity
+    q = signals.motion[0]
+    expected = robot.gravity_torque(q, gravity) - robot.gravity_torque(q, signals.constants.gravity)
+    np.testing.assert_allclose(term.link_torque, expected, atol=1e-12 * np.abs(expected).max())
+    told = tilted_gravity(amplitudes, signals.constants.gravity)
+    np.testing.assert_allclose(told, gravity, atol=1e-12)
+    reported = BASE_TILT.parameters(amplitudes, amplitudes, signals.constants)
+    np.testing.assert_allclose([reported["rx"], reported["ry"]], angle * axis[:2], atol=1e-12)
+
+
+def test_tilt_axes_are_normal_to_any_gravity():
+    for gravity in ([0, 0, -9.81], [9.81, 0, 0], [0, -6.9, -6.9], [3.0, 4.0, -8.0]):
+        down = np.array(gravity) / np.linalg.norm(gravity)
+        axes = np.array([*tilt_axes(np.array(gravity, dtype=float)), down])
+        np.testing.assert_allclose(axes @ axes.T, np.eye(3), atol=1e-12)
+
+
+@pytest.mark.parametrize("joint", [0, 1, 2])
+@pytest.mark.parametrize("angle", [1e-3, -0.3, 1.6, 3.0])
+def test_zero_term_is_exact(robot, joint, angle):
+    signals = Signals(robot, link=joint)
+    q, v, a = signals.motion
+    moved = q.copy()
+    moved[:, joint] += angle
+    expected = robot.spring_torque(moved, v, a) - robot.spring_torque(q, v, a)
+    term = JOINT_ZERO.term(signals, [angle], [angle])
+    scale = np.abs(robot.spring_torque(q, v, a)).max()
+    np.testing.assert_allclose(term.link_torque, expected, atol=1e-8 * angle**2 + 1e-12 * scale)
+
+
+def changed_set(folder, there, change):
+    there.mkdir()
+    for file in folder.iterdir():
+        if file.suffix == ".npz":
+            with np.load(file) as stored:
+                columns = dict(stored)
+            change(columns)
+            np.savez(there / file.name, **columns)
+        elif file.is_file():
+            (there / file.name).write_bytes(file.read_bytes())
+    return there
+
+
+def lines_of(folder):
+    with pytest.raises(DoubtfulRecordings) as raised:
+        diagnose(folder, experiment=False)
+    return [doubt.line for doubt in raised.value.doubts]
+
+
+def test_sum_and_difference_of_joints_are_told(folder, tmp_path):
+    def add(columns):
+        columns["q3"] = columns["q3"] + columns["q2"]
+        columns["qd3"] = columns["qd3"] + columns["qd2"]
+
+    def take(columns):
+        columns["q3"] = columns["q3"] - columns["q2"]
+        columns["qd3"] = columns["qd3"] - columns["qd2"]
+
+    added, taken = (
+        lines_of(changed_set(folder, tmp_path / name, change))
+        for name, change in (("sum", add), ("difference", take))
+    )
+    assert added == ["position_includes = [0, 0, 2] in [signals]"]
+    assert taken == ["position_includes = [0, 0, -2] in [signals]"]
+
+
+def test_quarter_turn_of_a_zero_is_told(folder, tmp_path):
+    def turn(columns):
+        columns["q2"] = columns["q2"] + 0.5 * np.pi
+
+    lines = lines_of(changed_set(folder, tmp_path / "turned", turn))
+    assert lines[0] == "offset = [0.0, -1.5708, 0.0] in [signals]"
+
+
+def test_opposite_axis_with_a_quarter_turn_is_told(folder, tmp_path):
+    def turn(columns):
+        columns["q2"] = 0.5 * np.pi - columns["q2"]
+        columns["qd2"], columns["tau2"] = -columns["qd2"], -columns["tau2"]
+
+    lines = " ".join(lines_of(changed_set(folder, tmp_path / "opposite", turn)))
+    assert "offset = [0.0, 1.5708, 0.0]" in lines
+    assert "position = [1.0, -1.0, 1.0]" in lines
+    assert "torque = [1.0, -1.0, 1.0]" in lines
