@@ -6,11 +6,11 @@ import os
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
-from stiffopt.discovery.catalogue import CATALOGUE, effects_of_runs
+from stiffopt.discovery.catalogue import CATALOGUE, changes_in, effects_of_runs
 from stiffopt.discovery.comparison.located_effect import Extension
 from stiffopt.discovery.conclusions import build_findings, decide_verdict, describe_next_experiment
 from stiffopt.discovery.diagnosis import (
@@ -67,6 +67,7 @@ from stiffopt.recording.decimation import (
 )
 from stiffopt.recording.joint_facts import joint_facts
 from stiffopt.recording.recording_set import RecordingSet, load_recordings, require_test_runs
+from stiffopt.recording.state_pair import StatePair, load_state_pair
 
 Say = Callable[[str], object]
 
@@ -136,6 +137,37 @@ def diagnose(
             ) from error  # fmt: skip
 
 
+def diagnose_change(
+    before: RecordingSet | str | os.PathLike[str],
+    after: RecordingSet | str | os.PathLike[str],
+    **options: Any,
+) -> Diagnosis:
+    """Find what changed between two states of one robot; prove it on runs held out of both.
+
+    Both states share one nominal model: its calibration and the effects that it lacks. Changes act
+    in the state after alone, so that whatever is common to both cancels as far as the motions
+    allow.
+
+    Parameters
+    ----------
+    before, after : RecordingSet or path
+        Sets of one robot with the same joints, signals and nominal values.
+    **options
+        As of `diagnose`.
+
+    Returns
+    -------
+    Diagnosis
+        Changes are the findings whose effect has `only_in`.
+
+    Raises
+    ------
+    InputFileError
+        Sets that cannot be compared, besides those of `diagnose`.
+    """
+    return diagnose(load_state_pair(before, after), **options)
+
+
 def _run_diagnosis(
     recordings: RecordingSet,
     extra: tuple[Effect, ...],
@@ -152,6 +184,8 @@ def _run_diagnosis(
         recordings = base.applied_to(recordings)
     runs = open_training_runs(recordings, say)
     catalogue = effects_of_runs((*CATALOGUE, *extra), [run.name for run in runs])
+    if isinstance(recordings, StatePair):
+        catalogue = (*catalogue, *changes_in(catalogue, recordings.runs_after))
     every = decimation_factor(runs)
     thin = () if every == 1 else (describe_decimation(runs, every),)
     clock = sampling_rate(runs)
@@ -223,7 +257,8 @@ def _run_diagnosis(
     parts = split_extension(found, recordings.unstated)
     opened = HeldOutRuns(training, settings, start, found, parts, every, tracks)
     _predict_held_out(opened, recordings, stopped, say)
-    left_open = _assess_left_open(training, whole, asked, base, stopped, say)
+    lasting = [each for each in asked if not each.only_in]
+    left_open = _assess_left_open(training, whole, lasting, base, stopped, say)
 
     def concluded() -> Diagnosis:
         proofs, taken = tuple(opened.proofs), opened.shares.found()

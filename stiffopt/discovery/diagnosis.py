@@ -26,6 +26,7 @@ from stiffopt.discovery.settings import Settings
 from stiffopt.discovery.training import Training
 from stiffopt.recording.recording_set import RecordingSet
 from stiffopt.recording.run import Fault
+from stiffopt.recording.state_pair import StatePair
 from stiffopt.result.solution import DisplayedResult
 
 Verdict = Literal["named", "nothing_missing", "outside_catalogue"]
@@ -120,6 +121,11 @@ class Finding:
     def effect(self) -> Effect:
         """Entry of the catalogue."""
         return self.located.effect
+
+    @property
+    def is_change(self) -> bool:
+        """True for a change between two states of the robot."""
+        return bool(self.effect.only_in)
 
     @property
     def joint(self) -> int | None:
@@ -231,6 +237,16 @@ class Diagnosis(DisplayedResult):
     stopped: bool = False
     episodes: tuple[Episode, ...] = ()
     drift: tuple[Drift, ...] = ()
+
+    @property
+    def compares_states(self) -> bool:
+        """True where two states of the robot were compared."""
+        return isinstance(self.recordings, StatePair)
+
+    @property
+    def changes(self) -> tuple[Finding, ...]:
+        """Findings that act in the state after alone."""
+        return tuple(finding for finding in self.findings if finding.is_change)
 
     def facts(self) -> dict[str, str]:
         """Return verdict, findings and normalised residuals as short text."""

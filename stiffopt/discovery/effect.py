@@ -264,6 +264,8 @@ class Effect:
         seen=False) -> the same for runs that were not recorded.
     change_robot : callable, optional
         Changes the robot that a planner computes with.
+    only_in : tuple of str
+        Names of the runs in which it acts: those of one state of the robot. Default: all runs.
     """
 
     name: str
@@ -297,6 +299,7 @@ class Effect:
     drawn: Report | None = None
     of_runs: Callable[..., Effect] | None = None
     change_robot: ChangeRobot | None = None
+    only_in: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         for field_name, default in (
@@ -306,6 +309,15 @@ class Effect:
         ):
             if not getattr(self, field_name):
                 object.__setattr__(self, field_name, default)
+
+    @property
+    def identity(self) -> tuple[str, tuple[str, ...]]:
+        """Name and runs: a value common to all runs is another one than its change in some."""
+        return (self.name, self.only_in)
+
+    def acts_in(self, run: str) -> bool:
+        """Return True where the effect acts in a run of this name."""
+        return not self.only_in or run in self.only_in
 
     @property
     def has_distinctive(self) -> bool:

@@ -7,6 +7,7 @@ in `stiffopt.discovery.effect.Term`.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 from stiffopt.discovery.catalogue.belt_creep import BELT_CREEP
 from stiffopt.discovery.catalogue.contacts import CONTACTS
@@ -75,6 +76,24 @@ def effects_of_runs(effects: Sequence[Effect], runs: Sequence[str]) -> tuple[Eff
         each if each.of_runs is None else each.of_runs(tuple(runs))
         for each in effects
         if each.of_runs is None or len(runs) <= _MAX_RUNS
+    )
+
+
+def changes_in(effects: Sequence[Effect], runs: Sequence[str]) -> tuple[Effect, ...]:
+    """Return effects as changes of the robot between two states: they act in the runs of one only.
+
+    Effects of single runs are left out: they are no property of a state.
+
+    Parameters
+    ----------
+    effects : sequence of Effect
+    runs : sequence of str
+        Names of all runs of that state.
+    """
+    return tuple(
+        replace(each, only_in=tuple(runs), usual=False)
+        for each in effects
+        if each.scope != "run" and each.of_runs is None
     )
 
 
