@@ -190,7 +190,8 @@ def locate_unstated(
     return tuple(
         LocatedEffect(effect=_remove_upper_bounds(effect), joint=j)
         for effect in catalogue
-        if not effect.only_in and (_replaces_unstated(effect, recordings) or (usual and effect.usual))
+        if not effect.only_in
+        and (_replaces_unstated(effect, recordings) or (usual and effect.usual))
         for j, constants in enumerate(joints)
         if effect.applies is None or effect.applies(constants)
     )

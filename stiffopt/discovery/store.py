@@ -12,6 +12,7 @@ import numpy as np
 
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.diagnosis import Diagnosis, Finding, Rival
+from stiffopt.discovery.effect import Effect
 from stiffopt.discovery.experiment.design import EXPERIMENT_FILE
 from stiffopt.discovery.extended.store import extended_text
 from stiffopt.discovery.judging.explained_shares import MismatchShare
@@ -70,6 +71,7 @@ def answer_document(diagnosis: Diagnosis) -> dict[str, Any]:
         "detection_limits": [
             {
                 "effect": limit.effect.name,
+                "state": _name_state(limit.effect),
                 "joint": limit.joint,
                 "parameter": limit.parameter,
                 "value": limit.value,
@@ -110,9 +112,15 @@ def answer_document(diagnosis: Diagnosis) -> dict[str, Any]:
     return found
 
 
+def _name_state(effect: Effect) -> str | None:
+    """Return "after" for a change between two states; None for what acts in all runs."""
+    return "after" if effect.only_in else None
+
+
 def _finding_entry(finding: Finding, constants: RobotConstants) -> dict[str, Any]:
     return {
         "effect": finding.effect.name,
+        "state": _name_state(finding.effect),
         "joint": finding.joint,
         "probability": finding.probability,
         "misfit": finding.misfit,

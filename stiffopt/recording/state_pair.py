@@ -145,9 +145,7 @@ def _require_comparable(first: RecordingSet, second: RecordingSet) -> None:
 def _describe_arm_difference(first: RecordingSet, second: RecordingSet) -> str:
     """Return the first difference of the arms' bodies, "" where they agree."""
     for j, name in enumerate(first.joints):
-        bodies = [
-            each.described.tree.bodies[int(each.order[j])] for each in (first, second)
-        ]
+        bodies = [each.described.tree.bodies[int(each.order[j])] for each in (first, second)]
         lengths = [float((body.translation**2).sum() ** 0.5) for body in bodies]
         if abs(lengths[0] - lengths[1]) > _LENGTH_TOLERANCE:
             return (

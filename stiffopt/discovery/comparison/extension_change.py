@@ -99,7 +99,7 @@ def is_damping(each: EstimatedEffect) -> bool:
 
 
 def extended_damping(robot: RobotModel, extension: Extension, run: str) -> np.ndarray:
-    """Return the damping of the joints (n,) in a run with an extension [N m s/rad]; not negative."""
+    """Return the damping of the joints (n,) in a run, extended, at least zero [N m s/rad]."""
     damping = nominal_damping(robot)
     factors = [extension.calibration.get(f"joint_damping {j + 1}", 0.0) for j in range(robot.n)]
     added = np.zeros(robot.n)

@@ -144,7 +144,9 @@ class _MovingSamples:
                 rows[joint].append((columns, left, fold[used]))
         self._rows = rows
 
-    def helps(self, found: EstimatedEffect, names: Sequence[EffectIdentity], training: Training) -> bool:
+    def helps(
+        self, found: EstimatedEffect, names: Sequence[EffectIdentity], training: Training
+    ) -> bool:
         """True if it improves the prediction of all moving samples."""
         located = found.located
         assert located.joint is not None

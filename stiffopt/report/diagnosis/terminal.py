@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from stiffopt.report.common.terminal import print_lines, print_table
 from stiffopt.report.common.text import DASH, listed, pm, significant
+from stiffopt.report.diagnosis.changes import terminal_lines
 from stiffopt.report.diagnosis.mismatch import (
     counterbalance_sentences,
     episode_sentences,
@@ -47,7 +48,10 @@ def print_diagnosis(diagnosis: Diagnosis, folder: Path) -> None:
     """Print verdict, findings, validation on held-out runs, assumptions and paths of the files."""
     label = diagnosis.verdict
     part = label == "named" and is_partly_unexplained(diagnosis)
-    print_lines([f"{'named in part' if part else label}: {_verdict_sentence(diagnosis)}"])
+    if diagnosis.compares_states:
+        print_lines(terminal_lines(diagnosis))
+    else:
+        print_lines([f"{'named in part' if part else label}: {_verdict_sentence(diagnosis)}"])
     more = [each.sentence for each in mismatches(diagnosis)]
     more += counterbalance_sentences(diagnosis)
     more += [
@@ -137,7 +141,7 @@ def _finding_row(diagnosis: Diagnosis, finding: Finding) -> tuple[str, ...]:
     )
     return (
         finding.effect.name,
-        place(diagnosis, finding.located),
+        place(diagnosis, finding.located) + (" (change)" if finding.is_change else ""),
         "\n".join(parameters),
         f"{100 * finding.variance_explained:.0f} % of {finding.channel}",
         f"{100 * finding.probability:.0f} %",
