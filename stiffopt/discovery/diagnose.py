@@ -235,7 +235,7 @@ def _run_diagnosis(
         or ()
     )
     found = Extension(calibration=parameters.calibration(), effects=parameters.effects)
-    if unexplained is None and not findings:
+    if unexplained is None and not findings and not runs[0].at_rest:
 
         def burst() -> Unexplained | None:
             say("look for bursts above the filter's band")
@@ -243,7 +243,7 @@ def _run_diagnosis(
 
         unexplained = skip_if_stopped(stopped, NO_BURSTS, burst)
     new = [s for s in selected if s.located.effect.nominal not in recordings.unstated]
-    pair = leading_pair(new or selected) if experiment else None
+    pair = leading_pair(new or selected) if experiment and not runs[0].at_rest else None
     whole = found if base is None else base.extension.plus(found)
     plan = None
     if pair is not None:

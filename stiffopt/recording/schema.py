@@ -71,6 +71,13 @@ class SignalsSection(Section):
         ),
     ] = None
     torque_delay: Annotated[Time, Doc("By which torques were recorded later than positions.")] = 0.0
+    at_rest: Annotated[
+        bool | None,
+        Doc(
+            "True where each row is a pose at rest and time only numbers the poses, as in tables "
+            "for gravity compensation; left out, it is seen from the rows."
+        ),
+    ] = None
     scale: ScaleSection = ScaleSection()
 
 

@@ -41,6 +41,8 @@ class Signals:
         Factors of columns to SI; absent where they are in SI.
     torque_delay : float
         Delay of recorded torques after positions [s].
+    at_rest : bool or None
+        Each row is a pose at rest; None where not stated.
     currents : bool
         Torques are given in A without a torque constant.
 
@@ -58,6 +60,7 @@ class Signals:
     torque_side: Literal["motor", "link"] = "motor"
     scale: Mapping[str, np.ndarray] = field(default_factory=dict)
     torque_delay: float = 0.0
+    at_rest: bool | None = None
     currents: bool = False
 
     def scale_of(self, kind: str, n: int) -> np.ndarray:
@@ -141,6 +144,7 @@ def build_signals(section: SignalsSection, n: int, path: Path) -> Signals:
         torque_side=section.torque_side or "motor",
         scale=_scale_factors(section.scale, n, path),
         torque_delay=section.torque_delay,
+        at_rest=section.at_rest,
         currents=any(entry in _CURRENT_UNITS for entry in _entry_list(section.scale.torque)),
     )
 

@@ -63,8 +63,8 @@ def change_lead(diagnosis: Diagnosis) -> str:
     shared = [each for each in diagnosis.findings if not each.is_change]
     text = (
         f"Before: {pair.before.path.parent.name} ({len(pair.before.runs)} runs). After:"
-        f" {pair.after.path.parent.name} ({len(pair.after.runs)} runs). One model serves both states; a change is what the runs"
-        " after need beyond it."
+        f" {pair.after.path.parent.name} ({len(pair.after.runs)} runs). One model serves both"
+        " states; a change is what the runs after need beyond it."
     )
     if shared:
         both = listed(
