@@ -37,6 +37,11 @@ def holds_rest_poses(columns: Mapping[str, np.ndarray], signals: Signals) -> boo
     if not steps.size or not float(np.median(steps)) > MAX_MOTION_STEP:
         return False
     positions = np.column_stack([columns[name] for name in signals.position])
+    return are_unordered(positions)
+
+
+def are_unordered(positions: np.ndarray) -> bool:
+    """Return True if rows of positions (K, n), in any unit, do not follow one another."""
     positions = positions[np.isfinite(positions).all(axis=1)]
     if len(positions) < MIN_POSES:
         return False
