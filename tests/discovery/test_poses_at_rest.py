@@ -1,4 +1,4 @@
-"""Poses at rest, one row a pose: recognised, weight estimated, and what they cannot show is told."""
+"""Poses at rest: recognised, weight estimated, and what they cannot show is told."""
 
 from pathlib import Path
 
