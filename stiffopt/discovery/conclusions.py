@@ -15,7 +15,7 @@ from stiffopt.discovery.diagnosis import (
 )
 from stiffopt.discovery.experiment.design import ExperimentPlan
 from stiffopt.discovery.judging.explained_shares import MismatchShare, variance_explained
-from stiffopt.discovery.judging.unexplained import Unexplained, channel_name
+from stiffopt.discovery.judging.unexplained import ChannelVerdict, Unexplained, channel_name
 from stiffopt.discovery.search.cross_validation import held_out_shares, repeats_in_halves
 from stiffopt.discovery.search.rivals import Selected
 from stiffopt.discovery.search.uncertainty import (
@@ -92,10 +92,19 @@ def build_findings(
     return tuple(findings)
 
 
-def decide_verdict(findings: tuple[Finding, ...], unexplained: Unexplained | None) -> Verdict:
-    """Return the verdict on the findings and on the residual that they leave."""
+def decide_verdict(
+    findings: tuple[Finding, ...],
+    unexplained: Unexplained | None,
+    channels: Sequence[ChannelVerdict] = (),
+) -> Verdict:
+    """Return the verdict on the findings and on the residual that they leave.
+
+    A finding in one channel does not answer for another in which none acts.
+    """
+    hidden = any(each.verdict == "outside" and not each.acted_on for each in channels)
     if findings and (
-        unexplained is None or unexplained.ratio < OPEN_RATIO or unexplained.left < OPEN_SHARE
+        unexplained is None
+        or (not hidden and (unexplained.ratio < OPEN_RATIO or unexplained.left < OPEN_SHARE))
     ):
         return "named"
     return "nothing_missing" if unexplained is None else "outside_catalogue"

@@ -41,7 +41,7 @@ from stiffopt.discovery.judging.held_out import HeldOutRuns
 from stiffopt.discovery.judging.left_open import add_left_open_deviation, build_left_open
 from stiffopt.discovery.judging.modes import mode_shifts
 from stiffopt.discovery.judging.run_deviations import find_friction_drift, find_run_deviations
-from stiffopt.discovery.judging.unexplained import Unexplained, assess_findings
+from stiffopt.discovery.judging.unexplained import Unexplained, assess_findings, judge_channels
 from stiffopt.discovery.progress import repeat_progress
 from stiffopt.discovery.sanity.doubt import Doubt, DoubtfulRecordings
 from stiffopt.discovery.sanity.gate import SanityGate
@@ -262,6 +262,7 @@ def _run_diagnosis(
 
     def concluded() -> Diagnosis:
         proofs, taken = tuple(opened.proofs), opened.shares.found()
+        channels = judge_channels(result, tuple(f.located for f in findings), unexplained)
         drift = find_friction_drift(whole, training.constants, opened.velocities)
         unusable = [run for run in runs if not run.usable]
         seen = (*training.recorded, *unusable, *(proof.run for proof in proofs))
@@ -269,7 +270,8 @@ def _run_diagnosis(
             recordings=recordings,
             settings=settings,
             model=None if base is None else base.source,
-            verdict=decide_verdict(findings, unexplained),
+            verdict=decide_verdict(findings, unexplained, channels),
+            channel_verdicts=channels,
             findings=findings,
             extension=whole,
             left_open=rescale_to_rate(left_open, clock),

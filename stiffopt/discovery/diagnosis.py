@@ -17,7 +17,7 @@ from stiffopt.discovery.judging.explained_shares import MismatchShare
 from stiffopt.discovery.judging.modes import ModeShift
 from stiffopt.discovery.judging.noise_ceiling import NoiseCeiling
 from stiffopt.discovery.judging.run_deviations import Drift, NotCarriedOver
-from stiffopt.discovery.judging.unexplained import Unexplained
+from stiffopt.discovery.judging.unexplained import ChannelVerdict, Unexplained
 from stiffopt.discovery.prediction import RunProof, nrmse
 from stiffopt.discovery.sanity.doubt import Doubt
 from stiffopt.discovery.search.rivals import Selected
@@ -208,6 +208,8 @@ class Diagnosis(DisplayedResult):
         Contact intervals, excluded from fit and proof.
     stopped : bool
         By Ctrl-C; the first assumptions say which steps were skipped.
+    channel_verdicts : tuple of ChannelVerdict
+        Verdict on each recorded channel by itself.
     modes : tuple of ModeShift
         Elastic modes within the band of the fit, lowest first; none without elastic joints.
     """
@@ -236,6 +238,7 @@ class Diagnosis(DisplayedResult):
     doubts: tuple[Doubt, ...] = ()
     stopped: bool = False
     episodes: tuple[Episode, ...] = ()
+    channel_verdicts: tuple[ChannelVerdict, ...] = ()
     drift: tuple[Drift, ...] = ()
 
     @property

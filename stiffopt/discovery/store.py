@@ -57,6 +57,14 @@ def answer_document(diagnosis: Diagnosis) -> dict[str, Any]:
     document = {
         "schema": SCHEMA_VERSION,
         "verdict": diagnosis.verdict,
+        "verdict_by_channel": {
+            each.channel: {
+                "verdict": each.verdict,
+                "residual_before": each.before,
+                "residual_after": each.after,
+            }
+            for each in diagnosis.channel_verdicts
+        },
         "findings": [_finding_entry(f, constants) for f in diagnosis.findings],
         "fit": {
             "channels": [vars(channel) for channel in diagnosis.channels],

@@ -60,6 +60,7 @@ from stiffopt.report.diagnosis.regimes import (
     spectrum_figure,
 )
 from stiffopt.report.diagnosis.words import (
+    CHANNEL_OUTCOMES,
     channel_words,
     channels_in_words,
     effect_phrase,
@@ -133,6 +134,7 @@ def write_diagnosis_report(
         if pair
         else diagnosis.verdict == "nothing_missing",
         "pair": pair,
+        "channel_outcomes": CHANNEL_OUTCOMES,
         "change_columns": CHANGE_COLUMNS,
         "change_rows": change_rows(diagnosis),
         "unchanged_rows": unchanged_rows(diagnosis),

@@ -80,6 +80,7 @@ def print_diagnosis(diagnosis: Diagnosis, folder: Path) -> None:
     lines = []
     if diagnosis.unexplained is not None:
         lines.append(f"Outside the catalogue. {unexplained_sentence(diagnosis)}")
+    lines += outside_lines(diagnosis)
     for role, meaning in (("test", "test"), ("extrapolate", "extrapolation")):
         if diagnosis.proofs(role):
             before, after = (significant(v, 3) for v in diagnosis.nrmse(role))
@@ -91,6 +92,16 @@ def print_diagnosis(diagnosis: Diagnosis, folder: Path) -> None:
     page = folder / "report.html"
     lines.append(f"Answer: {folder / 'diagnosis.json'}")
     print_lines([*lines, *([f"Report: {page}"] if page.is_file() else [])])
+
+
+def outside_lines(diagnosis: Diagnosis) -> list[str]:
+    """Return a line on channels that the findings leave open, where other channels are named."""
+    left = [each.channel for each in diagnosis.channel_verdicts if each.verdict == "outside"]
+    if not left or not diagnosis.findings:
+        return []
+    named = [each.channel for each in diagnosis.channel_verdicts if each.verdict == "named"]
+    text = f"By channel: outside the catalogue in {channels_in_words(left)}"
+    return [text + (f"; explained in {channels_in_words(named)}." if named else ".")]
 
 
 def fault_lines(diagnosis: Diagnosis) -> list[str]:

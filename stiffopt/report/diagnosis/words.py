@@ -21,6 +21,11 @@ VERDICTS = {
     "nothing_missing": "nothing missing",
     "outside_catalogue": "outside the catalogue",
 }
+CHANNEL_OUTCOMES = {
+    "named": "explained by findings",
+    "nothing": "nothing missing",
+    "outside": "outside the catalogue",
+}
 # Probability above which "above 99 %" is written.
 _MAX_SHOWN_PROBABILITY = 0.995
 # Residual over noise of held-out runs above which the worst channel is named.
