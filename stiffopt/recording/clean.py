@@ -11,8 +11,8 @@ from stiffopt.recording.channel import noise_level, resolution, true_intervals
 from stiffopt.recording.channel_faults import JointChannels, check_joint_channels, covered_range
 from stiffopt.recording.clock import Clock, read_clock
 from stiffopt.recording.rest_poses import holds_rest_poses, read_pose_rows
-from stiffopt.recording.run import Fault, Kind, RecordedRun, Role, counted
-from stiffopt.recording.signals import KINDS, Signals
+from stiffopt.recording.run import Fault, RecordedRun, Role, counted
+from stiffopt.recording.signals import KINDS, Kind, Signals
 
 # Motion over repeated rows over its extrapolation by the speeds around, and the reciprocal.
 _MAX_MOTION_RATIO = 1.5

@@ -15,6 +15,7 @@ from stiffopt.report.diagnosis.words import (
     effect_phrase,
     format_probability,
     is_prismatic,
+    new_and_unstated,
     place,
 )
 from stiffopt.units import joint_unit
@@ -60,7 +61,7 @@ def change_lead(diagnosis: Diagnosis) -> str:
     """Return the sentences under the headline: what was compared, and how."""
     pair = diagnosis.recordings
     assert isinstance(pair, StatePair)
-    shared = [each for each in diagnosis.findings if not each.is_change]
+    shared = [each for each in new_and_unstated(diagnosis)[0] if not each.is_change]
     text = (
         f"Before: {pair.before.path.parent.name} ({len(pair.before.runs)} runs). After:"
         f" {pair.after.path.parent.name} ({len(pair.after.runs)} runs). One model serves both"
