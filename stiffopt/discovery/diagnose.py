@@ -183,9 +183,10 @@ def _run_diagnosis(
     if base is not None:
         recordings = base.applied_to(recordings)
     runs = open_training_runs(recordings, say)
-    catalogue = effects_of_runs((*CATALOGUE, *extra), [run.name for run in runs])
-    if isinstance(recordings, StatePair):
-        catalogue = (*catalogue, *changes_in(catalogue, recordings.runs_after))
+    after = recordings.runs_after if isinstance(recordings, StatePair) else ()
+    catalogue = effects_of_runs((*CATALOGUE, *extra), [run.name for run in runs], after)
+    if after:
+        catalogue = (*catalogue, *changes_in(catalogue, after))
     every = decimation_factor(runs)
     thin = () if every == 1 else (describe_decimation(runs, every),)
     clock = sampling_rate(runs)

@@ -261,7 +261,8 @@ class Effect:
         number of runs [its unit].
     of_runs : callable, optional
         (names) -> the entry with one amplitude per run, random about a common mean; (names,
-        seen=False) -> the same for runs that were not recorded.
+        seen=False) -> the same for runs that were not recorded; (names, states=states) -> random
+        about the mean of each state of the robot.
     change_robot : callable, optional
         Changes the robot that a planner computes with.
     only_in : tuple of str

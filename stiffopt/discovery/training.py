@@ -27,6 +27,7 @@ from stiffopt.recording.nominal import Tolerance
 from stiffopt.recording.nominal_files import NO_RATIO
 from stiffopt.recording.recording_set import RecordingSet
 from stiffopt.recording.run import RecordedRun
+from stiffopt.recording.state_pair import StatePair
 from stiffopt.units import joint_unit
 
 Say = Callable[[str], object]
@@ -218,7 +219,7 @@ def prepare_training(
         free_bodies=free,
         reidentified=free and model is None,
         box=settings.box,
-        most=_max_effects(settings.effects, free),
+        most=_max_effects(settings.effects, free, isinstance(recordings, StatePair)),
         settings=settings,
         assumptions=(*recordings.assumptions, *noise.assumptions(), *notes),
         least=least,
@@ -243,10 +244,11 @@ def _require_one_kind(recordings: RecordingSet, opened: Sequence[RecordedRun]) -
         )
 
 
-def _max_effects(stated: int | None, free: bool) -> int:
+def _max_effects(stated: int | None, free: bool, two_states: bool) -> int:
     if stated is not None:
         return stated
-    return MAX_EFFECTS_FREE if free else MAX_EFFECTS
+    # What both states lack does not take the place of what changed.
+    return (MAX_EFFECTS_FREE if free else MAX_EFFECTS) * (1 + two_states)
 
 
 def _choose_bands(

@@ -61,7 +61,9 @@ def confused_with(entry: Effect, effects: Sequence[Effect] = CATALOGUE) -> tuple
     )
 
 
-def effects_of_runs(effects: Sequence[Effect], runs: Sequence[str]) -> tuple[Effect, ...]:
+def effects_of_runs(
+    effects: Sequence[Effect], runs: Sequence[str], after: Sequence[str] = ()
+) -> tuple[Effect, ...]:
     """Return effects with one amplitude per run where they have such.
 
     Effects of runs are left out where there are too many runs.
@@ -71,9 +73,12 @@ def effects_of_runs(effects: Sequence[Effect], runs: Sequence[str]) -> tuple[Eff
     effects : sequence of Effect
     runs : sequence of str
         Names of the training runs.
+    after : sequence of str
+        Names of the runs in another state of the robot than the others.
     """
+    states = {"states": ["after" if run in after else "before" for run in runs]} if after else {}
     return tuple(
-        each if each.of_runs is None else each.of_runs(tuple(runs))
+        each if each.of_runs is None else each.of_runs(tuple(runs), **states)
         for each in effects
         if each.of_runs is None or len(runs) <= _MAX_RUNS
     )
