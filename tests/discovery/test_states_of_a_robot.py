@@ -7,9 +7,12 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from stiffopt.cli import run
+from stiffopt.discovery.catalogue.friction_drift import friction_drift
 from stiffopt.discovery.diagnose import diagnose_change
 from stiffopt.discovery.extended.model import load_extended
 from stiffopt.discovery.store import answer_document, write_diagnosis
+from stiffopt.discovery.user_effects import sample_signals
 from stiffopt.errors import InputFileError
 from stiffopt.recording.state_pair import load_state_pair
 from stiffopt.report.diagnosis.changes import change_headline, change_verdict
@@ -30,6 +33,7 @@ UPRIGHT = Machine(
     noise=(0.4, 0.2, 0.05),
 )
 MACHINES = (SCARA, UPRIGHT)
+SCARA_CONSTANTS = sample_signals().constants.joints[0]
 
 
 def _write_state(
@@ -139,3 +143,32 @@ def test_sets_that_cannot_be_compared_are_refused(tmp_path):
         (wrong / file).write_text(content)
         with pytest.raises(InputFileError, match=message):
             load_state_pair(before, wrong)
+
+
+def test_command_writes_result_and_tells_mistakes(tmp_path, capsys):
+    before = _write_state(SCARA, tmp_path / "before", 61)
+    after = _write_state(SCARA, tmp_path / "after", 62)
+    out = tmp_path / "out"
+    call = ["diagnose", "--out", str(out), "--quiet", "--no-report", "--no-experiment"]
+    states = ["--before", str(before), "--after", str(after)]
+    assert run([*call, *states]) == 0
+    assert "unchanged: No change of the robot shows between the two states." in (
+        " ".join(capsys.readouterr().out.split())
+    )
+    assert (out / "extended.toml").is_file()
+    for wrong, message in (
+        (["--before", str(before)], "--before needs --after as well"),
+        ([str(before), *states], "one too many"),
+        ([*states, "--model", str(out / "extended.toml")], "give one of the two"),
+        ([], "needs a recording set, or two states"),
+    ):
+        assert run(["diagnose", *wrong]) == 2
+        assert message in " ".join(capsys.readouterr().err.split())
+
+
+def test_drift_between_runs_is_about_the_mean_of_each_state():
+    runs, states = ("a", "b", "c", "d"), ("before", "before", "after", "after")
+    drift = friction_drift(runs, states=states)
+    # A difference of the states alone is no drift.
+    assert drift.report((0.0, 0.0, 1.0, 1.0), (1.0,), SCARA_CONSTANTS)["dFv_spread"] == 0.0
+    assert drift.report((0.0, 0.2, 1.0, 1.0), (1.0,), SCARA_CONSTANTS)["dFv_spread"] > 0.0

@@ -44,7 +44,8 @@ def drop_insignificant(
     Notes
     -----
     Values that every joint has and the nominal model does not state need only exceed one standard
-    deviation: they exist without doubt.
+    deviation: they exist without doubt. A change between two states needs an amplitude that is
+    determined by itself.
     """
     while True:
         kept, parameters = estimated(selected)
@@ -52,7 +53,9 @@ def drop_insignificant(
         if explained is not None and kept and min(excess) >= 0.0:
             # Values that every joint has are exempt.
             excess = [
-                0.0 if each.located.effect.nominal else share - FINDING_SHARE
+                0.0
+                if each.located.effect.nominal and not each.located.effect.only_in
+                else share - FINDING_SHARE
                 for each, share in zip(kept, explained(kept), strict=True)
             ]
         if not excess or min(excess) >= 0.0:
@@ -63,7 +66,12 @@ def drop_insignificant(
 
 def _excess_deviations(selected: Selected, parameters: Estimate, index: int) -> float:
     """Return the significance of a finding less the required one [sigma]."""
-    asked = UNSTATED_DEVIATIONS if selected.located.effect.nominal else FINDING_DEVIATIONS
+    effect = selected.located.effect
+    if effect.only_in:
+        # A change is told by its value: a form with a value that may be zero is no change.
+        own = min(parameters.min_deviations(index), parameters.amplitude_deviations(index))
+        return own - FINDING_DEVIATIONS
+    asked = UNSTATED_DEVIATIONS if effect.nominal else FINDING_DEVIATIONS
     return parameters.min_deviations(index) - asked
 
 

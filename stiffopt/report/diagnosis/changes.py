@@ -23,8 +23,8 @@ from stiffopt.units import joint_unit
 if TYPE_CHECKING:
     from stiffopt.discovery.diagnosis import Diagnosis, Finding
 
-# Least probability of a change that is stated as found; below it is called one of several.
-_MIN_FOUND_PROBABILITY = 0.5
+# Least probability of a change that is stated as found, and as a probable one.
+_MIN_FOUND_PROBABILITY, _MIN_PROBABLE = 0.8, 0.5
 CHANGE_COLUMNS = (
     "changed",
     "place",
@@ -43,11 +43,13 @@ def change_headline(diagnosis: Diagnosis) -> str:
             f"; {significant(left.ratio, 2)} times the noise in"
             f" {channels_in_words(left.channels[:1])} has no cause in the catalogue"
         )
-    found = [each for each in diagnosis.changes if each.probability >= _MIN_FOUND_PROBABILITY]
+    found = [each for each in diagnosis.changes if each.probability >= _MIN_PROBABLE]
     if found:
         by_place: dict[str, list[str]] = {}
         for each in found:
             text = f"{_change_phrase(each)}, {_format_values(diagnosis, each)}"
+            if each.probability < _MIN_FOUND_PROBABILITY:
+                text = f"probably {text}"
             by_place.setdefault(place(diagnosis, each.located), []).append(text)
         text = "; ".join(f"{at} changed: {listed(changes)}" for at, changes in by_place.items())
         return capital(text) + clause
