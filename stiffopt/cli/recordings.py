@@ -19,8 +19,10 @@ app.command(recording)
 
 @app.command
 def diagnose(
-    recordings: Path,
+    recordings: Path | None = None,
     *more: Path,
+    before: Path | None = None,
+    after: Path | None = None,
     out: Out | None = None,
     model: Path | None = None,
     effects: Path | None = None,
@@ -47,6 +49,10 @@ def diagnose(
         Recording set: its folder or its recordings.toml.
     more
         Further sets.
+    before, after
+        Two sets of one robot in two states, in place of a recording set: names what changed
+        between them, such as by maintenance, a new gripper or a crash. extended.toml is the model
+        of the state after.
     out
         Folder for the results; default: out/NAME of the set's folder, with the changes of --set;
         for several sets out/fleet.
@@ -70,7 +76,8 @@ def diagnose(
     quiet
         No progress display.
     """
-    if more:
+    _require_one_question(recordings, before, after, model)
+    if recordings is not None and more:
         of_one = {
             "--model": model,
             "--effects": effects,
@@ -97,19 +104,27 @@ def diagnose(
     from stiffopt.discovery.diagnose import diagnose as find
     from stiffopt.discovery.experiment.design import EXPERIMENT_FILE
     from stiffopt.discovery.store import write_diagnosis
-    from stiffopt.recording.recording_set import load_recordings
+    from stiffopt.recording.recording_set import RecordingSet, load_recordings
+    from stiffopt.recording.state_pair import load_state_pair
     from stiffopt.report.common.terminal import StepDisplay
     from stiffopt.report.diagnosis.terminal import print_diagnosis
 
-    loaded = load_recordings(recordings, changes)
-    home = loaded.path.parent.resolve()
-    chosen = out or default_folder(home.name, changes)
-    if home in (chosen.resolve(), *chosen.resolve().parents):
-        raise InputFileError(
-            chosen,
-            "",
-            f"lies in the recording set {home}, which is read-only. Give another --out.",
-        )
+    if before is not None and after is not None:
+        states = [load_recordings(each, changes) for each in (before, after)]
+        loaded: RecordingSet = load_state_pair(*states)
+        homes = [each.path.parent.resolve() for each in states]
+    else:
+        assert recordings is not None
+        loaded = load_recordings(recordings, changes)
+        homes = [loaded.path.parent.resolve()]
+    chosen = out or default_folder("_to_".join(home.name for home in homes), changes)
+    for home in homes:
+        if home in (chosen.resolve(), *chosen.resolve().parents):
+            raise InputFileError(
+                chosen,
+                "",
+                f"lies in the recording set {home}, which is read-only. Give another --out.",
+            )
     with output_folder(chosen, "diagnose", maybe=("report.html", EXPERIMENT_FILE)) as stage:
         with nullcontext() if quiet else StepDisplay(loaded.title) as progress:
             found = find(
@@ -129,6 +144,31 @@ def diagnose(
     print_diagnosis(found, chosen)
     show_report(chosen, open_report)
     return 130 if found.stopped else 0
+
+
+def _require_one_question(
+    recordings: Path | None, before: Path | None, after: Path | None, model: Path | None
+) -> None:
+    """Raise `InputError` unless either recording sets or two states are given."""
+    if before is None and after is None:
+        if recordings is None:
+            raise InputError(
+                "diagnose needs a recording set, or two states of one robot: --before SET"
+                " --after SET."
+            )
+        return
+    if before is None or after is None:
+        given, missing = ("--before", "--after") if after is None else ("--after", "--before")
+        raise InputError(f"{given} needs {missing} as well: the set of the other state.")
+    if recordings is not None:
+        raise InputError(
+            f"--before and --after are the recording sets; {recordings} is one too many. Leave it"
+            " out."
+        )
+    if model is not None:
+        raise InputError(
+            "--model starts from an earlier state, as --before does: give one of the two."
+        )
 
 
 @recording.command

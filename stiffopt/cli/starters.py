@@ -131,7 +131,9 @@ def recording(
     started = start_recording_set(data, urdf, folder, rate, tip)
     print_lines(
         (
-            f"Wrote {started.path}, {started.guess.rate:.4g} Hz. Inferred:",
+            f"Wrote {started.path}, "
+            + ("poses at rest" if started.guess.at_rest else f"{started.guess.rate:.4g} Hz")
+            + ". Inferred:",
             *(f"  {reason}" for reason in started.guess.reasons),
             *started.notes,
             f"Next: stiffopt recording check {folder}",

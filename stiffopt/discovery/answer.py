@@ -184,18 +184,29 @@ def _with_rivals(each: Statement) -> str:
     return f"{each.certainty} ({each.probability}): {each.sentence}"
 
 
-def _state_finding(diagnosis: Diagnosis, finding: Finding) -> Statement:
-    effect, located = finding.effect, finding.located
-    slides = is_prismatic(diagnosis, located)
-    where = place(diagnosis, located)
-    named = {p.name: replace(p, unit=joint_unit(p.unit, slides)) for p in finding.parameters}
+def _name_parameters(diagnosis: Diagnosis, finding: Finding) -> dict[str, Parameter]:
+    """Return the reported values by name, with units of a prismatic joint where it is one."""
+    slides = is_prismatic(diagnosis, finding.located)
+    return {p.name: replace(p, unit=joint_unit(p.unit, slides)) for p in finding.parameters}
+
+
+def missing_physics(diagnosis: Diagnosis, finding: Finding) -> str:
+    """Return the missing physics of a finding in words, with values, without its place."""
+    effect = finding.effect
+    named = _name_parameters(diagnosis, finding)
     phrase = effect.phrase_of(finding.estimated.amplitudes)
     if is_unstated(diagnosis, finding):
         first = next(iter(named.values()))
         value = pm(first.value, first.sd, first.unit)
         phrase = f"{effect.nominal_words} {value}, for which there is no nominal value"
-    signed = isinstance(effect.phrase, str)
-    sentence = fill(phrase, named, signed=signed)
+    return fill(phrase, named, signed=isinstance(effect.phrase, str))
+
+
+def _state_finding(diagnosis: Diagnosis, finding: Finding) -> Statement:
+    located = finding.located
+    where = place(diagnosis, located)
+    named = _name_parameters(diagnosis, finding)
+    sentence = missing_physics(diagnosis, finding)
     return Statement(
         finding=finding,
         place=where,

@@ -18,7 +18,7 @@ from stiffopt.discovery.diagnosis import (
 )
 from stiffopt.discovery.experiment.design import ExperimentPlan
 from stiffopt.discovery.judging.explained_shares import MismatchShare, variance_explained
-from stiffopt.discovery.judging.unexplained import Unexplained, channel_name
+from stiffopt.discovery.judging.unexplained import ChannelVerdict, Unexplained, channel_name
 from stiffopt.discovery.search.cross_validation import held_out_shares
 from stiffopt.discovery.search.rivals import Selected
 from stiffopt.discovery.search.uncertainty import (
@@ -133,14 +133,21 @@ def _reported_p_value(
     return min(1.0, 2.0 * len(ratios) * float(special.ndtr(-max(ratios))))
 
 
-def decide_verdict(findings: tuple[Finding, ...], unexplained: Unexplained | None) -> Verdict:
+def decide_verdict(
+    findings: tuple[Finding, ...],
+    unexplained: Unexplained | None,
+    channels: Sequence[ChannelVerdict] = (),
+) -> Verdict:
     """Return the verdict on the findings and on the residual that they leave.
 
-    Findings that are no more than possible leave the residual unexplained.
+    Findings that are no more than possible leave the residual unexplained. A finding in one channel
+    does not answer for another in which none acts.
     """
     sure = any(finding.certainty != "possible" for finding in findings)
+    hidden = any(each.verdict == "outside" and not each.acted_on for each in channels)
     if sure and (
-        unexplained is None or unexplained.ratio < OPEN_RATIO or unexplained.left < OPEN_SHARE
+        unexplained is None
+        or (not hidden and (unexplained.ratio < OPEN_RATIO or unexplained.left < OPEN_SHARE))
     ):
         return "named"
     return "outside_catalogue" if findings or unexplained is not None else "nothing_missing"

@@ -6,11 +6,11 @@ import os
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
-from stiffopt.discovery.catalogue import CATALOGUE, effects_of_runs
+from stiffopt.discovery.catalogue import CATALOGUE, changes_in, effects_of_runs
 from stiffopt.discovery.comparison.located_effect import Extension
 from stiffopt.discovery.conclusions import build_findings, decide_verdict, describe_next_experiment
 from stiffopt.discovery.diagnosis import (
@@ -44,7 +44,7 @@ from stiffopt.discovery.judging.left_open import add_left_open_deviation, build_
 from stiffopt.discovery.judging.modes import mode_shifts
 from stiffopt.discovery.judging.run_deviations import find_friction_drift, find_run_deviations
 from stiffopt.discovery.judging.tool_force import explain_by_tool_force
-from stiffopt.discovery.judging.unexplained import Unexplained, assess_findings
+from stiffopt.discovery.judging.unexplained import Unexplained, assess_findings, judge_channels
 from stiffopt.discovery.progress import repeat_progress
 from stiffopt.discovery.sanity.doubt import Doubt, DoubtfulRecordings
 from stiffopt.discovery.sanity.gate import SanityGate
@@ -71,6 +71,7 @@ from stiffopt.recording.decimation import (
 )
 from stiffopt.recording.joint_facts import joint_facts
 from stiffopt.recording.recording_set import RecordingSet, load_recordings, require_test_runs
+from stiffopt.recording.state_pair import StatePair, load_state_pair
 
 Say = Callable[[str], object]
 
@@ -140,6 +141,37 @@ def diagnose(
             ) from error  # fmt: skip
 
 
+def diagnose_change(
+    before: RecordingSet | str | os.PathLike[str],
+    after: RecordingSet | str | os.PathLike[str],
+    **options: Any,
+) -> Diagnosis:
+    """Find what changed between two states of one robot; prove it on runs held out of both.
+
+    Both states share one nominal model: its calibration and the effects that it lacks. Changes act
+    in the state after alone, so that whatever is common to both cancels as far as the motions
+    allow.
+
+    Parameters
+    ----------
+    before, after : RecordingSet or path
+        Sets of one robot with the same joints, signals and nominal values.
+    **options
+        As of `diagnose`.
+
+    Returns
+    -------
+    Diagnosis
+        Changes are the findings whose effect has `only_in`.
+
+    Raises
+    ------
+    InputFileError
+        Sets that cannot be compared, besides those of `diagnose`.
+    """
+    return diagnose(load_state_pair(before, after), **options)
+
+
 def _run_diagnosis(
     recordings: RecordingSet,
     extra: tuple[Effect, ...],
@@ -155,7 +187,10 @@ def _run_diagnosis(
     if base is not None:
         recordings = base.applied_to(recordings)
     runs = open_training_runs(recordings, say)
-    catalogue = effects_of_runs((*CATALOGUE, *extra), [run.name for run in runs])
+    after = recordings.runs_after if isinstance(recordings, StatePair) else ()
+    catalogue = effects_of_runs((*CATALOGUE, *extra), [run.name for run in runs], after)
+    if after:
+        catalogue = (*catalogue, *changes_in(catalogue, after))
     every = decimation_factor(runs)
     thin = () if every == 1 else (describe_decimation(runs, every),)
     clock = sampling_rate(runs)
@@ -213,7 +248,7 @@ def _run_diagnosis(
         or ()
     )
     found = Extension(calibration=parameters.calibration(), effects=parameters.effects)
-    if unexplained is None and not findings:
+    if unexplained is None and not findings and not runs[0].at_rest:
 
         def burst() -> Unexplained | None:
             say("look for bursts above the filter's band")
@@ -221,7 +256,7 @@ def _run_diagnosis(
 
         unexplained = skip_if_stopped(stopped, NO_BURSTS, burst)
     new = [s for s in selected if s.located.effect.nominal not in recordings.unstated]
-    pair = leading_pair(new or selected) if experiment else None
+    pair = leading_pair(new or selected) if experiment and not runs[0].at_rest else None
     whole = found if base is None else base.extension.plus(found)
     plan = None
     if pair is not None:
@@ -235,10 +270,12 @@ def _run_diagnosis(
     parts = split_extension(found, recordings.unstated)
     opened = HeldOutRuns(training, settings, start, found, parts, every, tracks)
     _predict_held_out(opened, recordings, stopped, say)
-    left_open = _assess_left_open(training, whole, asked, base, stopped, say)
+    lasting = [each for each in asked if not each.only_in]
+    left_open = _assess_left_open(training, whole, lasting, base, stopped, say)
 
     def concluded() -> Diagnosis:
         proofs, taken = tuple(opened.proofs), opened.shares.found()
+        channels = judge_channels(result, tuple(f.located for f in findings), unexplained)
         drift = find_friction_drift(whole, training.constants, opened.velocities)
         unusable = [run for run in runs if not run.usable]
         seen = (*training.recorded, *unusable, *(proof.run for proof in proofs))
@@ -246,7 +283,8 @@ def _run_diagnosis(
             recordings=recordings,
             settings=settings,
             model=None if base is None else base.source,
-            verdict=decide_verdict(findings, unexplained),
+            verdict=decide_verdict(findings, unexplained, channels),
+            channel_verdicts=channels,
             findings=findings,
             extension=whole,
             left_open=rescale_to_rate(left_open, clock),

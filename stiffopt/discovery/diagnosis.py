@@ -17,7 +17,7 @@ from stiffopt.discovery.judging.explained_shares import MismatchShare
 from stiffopt.discovery.judging.modes import ModeShift
 from stiffopt.discovery.judging.noise_ceiling import NoiseCeiling
 from stiffopt.discovery.judging.run_deviations import Drift, NotCarriedOver
-from stiffopt.discovery.judging.unexplained import Unexplained
+from stiffopt.discovery.judging.unexplained import ChannelVerdict, Unexplained
 from stiffopt.discovery.prediction import RunProof, nrmse
 from stiffopt.discovery.sanity.doubt import Doubt
 from stiffopt.discovery.search.rivals import Selected
@@ -27,6 +27,7 @@ from stiffopt.discovery.thresholds import FOUND_PROBABILITY, NAMED_PROBABILITY
 from stiffopt.discovery.training import Training
 from stiffopt.recording.recording_set import RecordingSet
 from stiffopt.recording.run import Fault
+from stiffopt.recording.state_pair import StatePair
 from stiffopt.result.solution import DisplayedResult
 
 Verdict = Literal["named", "nothing_missing", "outside_catalogue"]
@@ -133,6 +134,11 @@ class Finding:
         return "one of these" if together else "possible"
 
     @property
+    def is_change(self) -> bool:
+        """True for a change between two states of the robot."""
+        return bool(self.effect.only_in)
+
+    @property
     def joint(self) -> int | None:
         """Joint from 1; None for effects of the whole robot or of a link."""
         return None if self.located.joint is None else self.located.joint + 1
@@ -213,6 +219,8 @@ class Diagnosis(DisplayedResult):
         Contact intervals, excluded from fit and proof.
     stopped : bool
         By Ctrl-C; the first assumptions say which steps were skipped.
+    channel_verdicts : tuple of ChannelVerdict
+        Verdict on each recorded channel by itself.
     modes : tuple of ModeShift
         Elastic modes within the band of the fit, lowest first; none without elastic joints.
     """
@@ -241,7 +249,18 @@ class Diagnosis(DisplayedResult):
     doubts: tuple[Doubt, ...] = ()
     stopped: bool = False
     episodes: tuple[Episode, ...] = ()
+    channel_verdicts: tuple[ChannelVerdict, ...] = ()
     drift: tuple[Drift, ...] = ()
+
+    @property
+    def compares_states(self) -> bool:
+        """True where two states of the robot were compared."""
+        return isinstance(self.recordings, StatePair)
+
+    @property
+    def changes(self) -> tuple[Finding, ...]:
+        """Findings that act in the state after alone."""
+        return tuple(finding for finding in self.findings if finding.is_change)
 
     def facts(self) -> dict[str, str]:
         """Return verdict, findings and normalised residuals as short text."""

@@ -290,9 +290,12 @@ class Effect:
         number of runs [its unit].
     of_runs : callable, optional
         (names) -> the entry with one amplitude per run, random about a common mean; (names,
-        seen=False) -> the same for runs that were not recorded.
+        seen=False) -> the same for runs that were not recorded; (names, states=states) -> random
+        about the mean of each state of the robot.
     change_robot : callable, optional
         Changes the robot that a planner computes with.
+    only_in : tuple of str
+        Names of the runs in which it acts: those of one state of the robot. Default: all runs.
     """
 
     name: str
@@ -332,6 +335,7 @@ class Effect:
     drawn: Report | None = None
     of_runs: Callable[..., Effect] | None = None
     change_robot: ChangeRobot | None = None
+    only_in: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         for field_name, default in (
@@ -348,6 +352,15 @@ class Effect:
     def of_robot(self) -> bool:
         """True where its term acts on all joints, in every run or in one."""
         return self.scope in ("robot", "recording")
+
+    @property
+    def identity(self) -> tuple[str, tuple[str, ...]]:
+        """Name and runs: a value common to all runs is another one than its change in some."""
+        return (self.name, self.only_in)
+
+    def acts_in(self, run: str) -> bool:
+        """Return True where the effect acts in a run of this name."""
+        return not self.only_in or run in self.only_in
 
     @property
     def has_distinctive(self) -> bool:

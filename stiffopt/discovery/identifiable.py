@@ -12,7 +12,7 @@ from stiffopt.discovery.catalogue import CATALOGUE
 from stiffopt.discovery.comparison.located_effect import Extension, LocatedEffect
 from stiffopt.discovery.effect import Amplitude, Effect, Need
 from stiffopt.discovery.signals import JointConstants
-from stiffopt.discovery.user_effects import sample_term
+from stiffopt.discovery.user_effects import acts_at_rest, sample_term
 from stiffopt.recording.joint_facts import JointFacts
 from stiffopt.recording.recording_set import RecordingSet
 
@@ -24,6 +24,16 @@ _PREREQUISITE_NEEDS: tuple[Need, ...] = (
     "windup",
     "moves",
     "gear_ratio",
+)
+# Properties of a motion, which poses at rest replace by effects that act at rest.
+_MOTION_NEEDS: tuple[Need, ...] = (
+    "moves",
+    "reverses",
+    "slow",
+    "speeds",
+    "load_changes_sign",
+    "rotor_slow",
+    "ripple_slow",
 )
 MISSING_DATA: dict[Need, str] = {
     "torque": "its torque is not recorded",
@@ -124,7 +134,19 @@ def effect_checks(
         joints = facts if joint is None else facts[joint : joint + 1]
         return any(getattr(one, need) for one in joints)
 
+    still = any(one.at_rest for one in facts)
+
+    def check_at_rest(effect: Effect, wanted: Iterable[Need], joint: int | None) -> EffectCheck:
+        """Check an effect with poses at rest: it must act without motion."""
+        lacks = [MISSING_DATA[n] for n in wanted if n not in _MOTION_NEEDS and not met(n, joint)]
+        if not lacks and (effect.of_runs is not None or not acts_at_rest(effect)):
+            lacks = ["all poses are at rest"]
+        place = None if joint is None else joint + 1
+        return EffectCheck(effect=effect, joint=place, lacks=tuple(lacks))
+
     def check(effect: Effect, wanted: Iterable[Need], joint: int | None) -> EffectCheck:
+        if still:
+            return check_at_rest(effect, wanted, joint)
         missing = [need for need in wanted if not met(need, joint)]
         if missing and missing[0] in _PREREQUISITE_NEEDS:
             missing = missing[:1]
@@ -190,7 +212,8 @@ def locate_unstated(
     return tuple(
         LocatedEffect(effect=_remove_upper_bounds(effect), joint=j, calibrated=True)
         for effect in catalogue
-        if _replaces_unstated(effect, recordings) or (usual and effect.usual)
+        if not effect.only_in
+        and (_replaces_unstated(effect, recordings) or (usual and effect.usual))
         for j, constants in enumerate(joints)
         if effect.applies is None or effect.applies(constants)
     )

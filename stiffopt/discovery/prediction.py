@@ -288,6 +288,6 @@ def used_samples(
                 yield kind, joint, None
                 continue
             used = np.isfinite(measured[:, joint])
-            if kind == "torque":
+            if kind == "torque" and not run.at_rest:
                 used &= moving[:, joint]
             yield kind, joint, used if used.any() else None

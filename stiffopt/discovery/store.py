@@ -19,6 +19,7 @@ from stiffopt.discovery.answer import (
 )
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.diagnosis import Diagnosis, Rival
+from stiffopt.discovery.effect import Effect
 from stiffopt.discovery.experiment.design import EXPERIMENT_FILE
 from stiffopt.discovery.extended.store import extended_text
 from stiffopt.discovery.judging.explained_shares import MismatchShare
@@ -63,6 +64,14 @@ def answer_document(diagnosis: Diagnosis) -> dict[str, Any]:
     document = {
         "schema": SCHEMA_VERSION,
         "verdict": diagnosis.verdict,
+        "verdict_by_channel": {
+            each.channel: {
+                "verdict": each.verdict,
+                "residual_before": each.before,
+                "residual_after": each.after,
+            }
+            for each in diagnosis.channel_verdicts
+        },
         "findings": [_finding_entry(each, constants) for each in statements(diagnosis)],
         "to_do": action(diagnosis),
         "changed_values": [
@@ -81,6 +90,7 @@ def answer_document(diagnosis: Diagnosis) -> dict[str, Any]:
         "detection_limits": [
             {
                 "effect": limit.effect.name,
+                "state": _name_state(limit.effect),
                 "joint": limit.joint,
                 "parameter": limit.parameter,
                 "value": limit.value,
@@ -121,10 +131,16 @@ def answer_document(diagnosis: Diagnosis) -> dict[str, Any]:
     return found
 
 
+def _name_state(effect: Effect) -> str | None:
+    """Return "after" for a change between two states; None for what acts in all runs."""
+    return "after" if effect.only_in else None
+
+
 def _finding_entry(statement: Statement, constants: RobotConstants) -> dict[str, Any]:
     finding = statement.finding
     return {
         "effect": finding.effect.name,
+        "state": _name_state(finding.effect),
         "joint": finding.joint,
         "probability": finding.probability,
         "certainty": finding.certainty,

@@ -11,7 +11,7 @@ from stiffopt.discovery.comparison.bands import choose_bands
 from stiffopt.discovery.comparison.channel_rows import KnownNoise, known_noise
 from stiffopt.discovery.comparison.comparison import Comparison
 from stiffopt.discovery.comparison.design_matrix import MIN_RUNS_AS_BLOCKS
-from stiffopt.discovery.comparison.filtering import fill_missing
+from stiffopt.discovery.comparison.filtering import PoseFilter, fill_missing
 from stiffopt.discovery.comparison.initial_states import estimate_initial_states
 from stiffopt.discovery.comparison.located_effect import Extension
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
@@ -27,6 +27,7 @@ from stiffopt.recording.nominal import Tolerance
 from stiffopt.recording.nominal_files import NO_RATIO
 from stiffopt.recording.recording_set import RecordingSet
 from stiffopt.recording.run import RecordedRun
+from stiffopt.recording.state_pair import StatePair
 from stiffopt.units import joint_unit
 
 Say = Callable[[str], object]
@@ -157,13 +158,16 @@ def prepare_training(
             continue
         prepared.append(probe)
         opened.append(run)
+    _require_one_kind(recordings, opened)
     if not opened:
         raise InputFileError(
             recordings.path,
             "runs",
             f"no training run can be used. {' '.join(notes)} `stiffopt recording check` says more.",
         )
-    if settings.cutoff is None and not robot.vibrates:
+    if opened[0].at_rest:
+        settings = replace(settings, cutoff=PoseFilter().cutoff)
+    elif settings.cutoff is None and not robot.vibrates:
         say("choose how fast a motion to follow")
         settings, note = _choose_bands(robot, opened, settings)
         notes.append(note)
@@ -215,7 +219,7 @@ def prepare_training(
         free_bodies=free,
         reidentified=free and model is None,
         box=settings.box,
-        most=_max_effects(settings.effects, free),
+        most=_max_effects(settings.effects, free, isinstance(recordings, StatePair)),
         settings=settings,
         assumptions=(*recordings.assumptions, *noise.assumptions(), *notes),
         least=least,
@@ -227,10 +231,24 @@ def prepare_training(
     return replace(training, runs=estimate_initial_states(training.comparison()))
 
 
-def _max_effects(stated: int | None, free: bool) -> int:
+def _require_one_kind(recordings: RecordingSet, opened: Sequence[RecordedRun]) -> None:
+    """Raise `InputFileError` for runs in motion beside poses at rest."""
+    if len({run.at_rest for run in opened}) > 1:
+        still, moving = (
+            ", ".join(run.file for run in opened if run.at_rest == kind) for kind in (True, False)
+        )
+        raise InputFileError(
+            recordings.path,
+            "runs",
+            f"{still}: poses at rest; {moving}: motion. A set holds one kind: give each its own.",
+        )
+
+
+def _max_effects(stated: int | None, free: bool, two_states: bool) -> int:
     if stated is not None:
         return stated
-    return MAX_EFFECTS_FREE if free else MAX_EFFECTS
+    # What both states lack does not take the place of what changed.
+    return (MAX_EFFECTS_FREE if free else MAX_EFFECTS) * (1 + two_states)
 
 
 def _choose_bands(

@@ -7,7 +7,7 @@ import importlib.util
 import inspect
 import sys
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
 from types import ModuleType
@@ -298,6 +298,47 @@ def sample_term(effect: Effect) -> Term:
     signals = sample_signals_of(effect, sample_signals())
     sizes = [a.size(constants_at(effect, signals)) for a in effect.amplitudes]
     return effect.term(signals, sizes, _initial_shapes(effect, signals))
+
+
+def acts_at_rest(effect: Effect) -> bool:
+    """Return True if an effect acts on an arm at rest, in every pose by that pose alone.
+
+    A delay does not: poses in the opposite order give other contributions.
+    """
+    moving = sample_signals()
+    terms = []
+    for order in (slice(None), slice(None, None, -1)):
+        signals = sample_signals_of(effect, _hold_still(moving, order))
+        sizes = [a.size(signals.constants) for a in effect.amplitudes]
+        shapes = _initial_shapes(effect, signals)
+        term = effect.term(signals, sizes, shapes)
+        parts = [np.asarray(getattr(term, part), dtype=float) for part in TERM_PARTS]
+        terms.append([part[order] if part.size > 1 else part for part in parts])
+    ahead, back = terms
+    same = all(np.allclose(one, other) for one, other in zip(ahead, back, strict=True))
+    return same and any(part.size > 1 and part.any() for part in ahead)
+
+
+def _hold_still(moving: RobotSignals, order: slice) -> RobotSignals:
+    """Return the poses of a motion without its velocities, in an order of the samples."""
+    rest, arm = np.zeros_like(moving.motor_velocity), moving.arm
+    places = ("motor_position", "link_position", "transmitted_torque", "spring_torque", "windup")
+    speeds = ("motor_velocity", "motor_acceleration", "motor_direction", "link_velocity")
+    return replace(
+        moving,
+        **{name: getattr(moving, name)[order] for name in places},
+        **dict.fromkeys((*speeds, "link_acceleration", "drive_torque_rate"), rest),
+        drive_torque=moving.spring_torque[order],
+        arm=SampleArm(
+            tool_position=arm.tool_position[order],
+            tool_velocity=np.zeros_like(arm.tool_velocity),
+            tool_jacobian=arm.tool_jacobian[order],
+            body_regressor=arm.body_regressor[order],
+            tool_levers=arm.tool_levers[order],
+            weight=arm.weight[order],
+            zero_harmonics=arm.zero_harmonics[order],
+        ),
+    )
 
 
 def find_faults(effect: Effect) -> Iterator[str]:

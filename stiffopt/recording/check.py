@@ -92,6 +92,8 @@ class RunCheck:
         Every joint has a position.
     channels : tuple of ChannelCheck
     faults : tuple of Fault
+    at_rest : bool
+        Samples are poses at rest; duration and rate then count poses.
     """
 
     name: str
@@ -105,6 +107,7 @@ class RunCheck:
     usable: bool
     channels: tuple[ChannelCheck, ...]
     faults: tuple[Fault, ...]
+    at_rest: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -191,6 +194,7 @@ def _check_run(recordings: RecordingSet, run: RecordedRun) -> RunCheck:
         usable=run.usable,
         channels=tuple(channels),
         faults=run.faults,
+        at_rest=run.at_rest,
     )
 
 

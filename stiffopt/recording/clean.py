@@ -10,8 +10,9 @@ import numpy as np
 from stiffopt.recording.channel import noise_level, resolution, true_intervals
 from stiffopt.recording.channel_faults import JointChannels, check_joint_channels, covered_range
 from stiffopt.recording.clock import Clock, read_clock
+from stiffopt.recording.rest_poses import holds_rest_poses, read_pose_rows
 from stiffopt.recording.run import Fault, RecordedRun, Role, counted
-from stiffopt.recording.signals import KINDS, Signals
+from stiffopt.recording.signals import KINDS, Kind, Signals
 
 # Motion over repeated rows over its extrapolation by the speeds around, and the reciprocal.
 _MAX_MOTION_RATIO = 1.5
@@ -51,6 +52,29 @@ def clean_run(
         A clock that cannot be used.
     """
     n = len(signals.position)
+    if holds_rest_poses(columns, signals):
+        stamps, rows = read_pose_rows(columns, signals, path)
+        position, links, torque = (
+            _stack_channels(columns, signals, kind, rows)
+            for kind in ("position", "link_position", "torque")
+        )
+        assert position is not None
+        assert torque is not None
+        return RecordedRun(
+            name=name,
+            file=file,
+            role=role,
+            session_time=session_time,
+            temperature=temperature,
+            stamps=stamps,
+            time=stamps[rows],
+            position=position,
+            velocity=None,
+            link_position=links,
+            torque=torque,
+            faults=(),
+            at_rest=True,
+        )
     clock = read_clock(columns[signals.time], path, signals.time)
     rows, stale = _remove_repeated_rows(columns, signals, clock)
     time = clock.stamps[rows]
@@ -91,6 +115,17 @@ def clean_run(
         torque=torque,
         faults=tuple(faults),
     )
+
+
+def _stack_channels(
+    columns: Mapping[str, np.ndarray], signals: Signals, kind: Kind, rows: np.ndarray
+) -> np.ndarray | None:
+    """Return the channels (K, n) of one kind at some rows; None if no joint has that signal."""
+    array = np.full((len(rows), len(signals.position)), np.nan)
+    for own, joint, column in signals.columns():
+        if own == kind:
+            array[:, joint] = columns[column][rows]
+    return _none_if_empty(array)
 
 
 def _none_if_empty(array: np.ndarray | None) -> np.ndarray | None:

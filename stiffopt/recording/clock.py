@@ -23,7 +23,7 @@ MAX_GRID_RATIO = 20.0
 MIN_GRID = 1_000_000
 # Samples of a run, and spacing above which no motion is resolved [s].
 _MIN_SAMPLES = 20
-_MAX_STEP = 0.5
+MAX_MOTION_STEP = 0.5
 # Drives sample at 1 MHz at most, and a log lasts longer than 1 ms [s].
 _MIN_STEP, _MIN_DURATION = 1e-6, 1e-3
 
@@ -84,12 +84,13 @@ def read_clock(stamps: np.ndarray, path: Path, column: str) -> Clock:
         )
     spacing = np.diff(stamps[rows])
     step = float(np.median(spacing))
-    if step > _MAX_STEP:
+    if step > MAX_MOTION_STEP:
         raise InputFileError(
             path,
             where,
             f"its usual spacing is {step:g}; in seconds that is too slow to hold a motion "
-            f"(allowed: up to {_MAX_STEP:g} s). Convert the column to seconds.",
+            f"(allowed: up to {MAX_MOTION_STEP:g} s). Convert the column to seconds; of a table "
+            "with one pose at rest a row, say at_rest = true in [signals].",
         )
     if step < _MIN_STEP or stamps[rows[-1]] - stamps[rows[0]] < _MIN_DURATION:
         raise InputFileError(

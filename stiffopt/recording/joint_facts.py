@@ -43,6 +43,8 @@ class JointFacts:
         Part of the motion is slow enough to resolve two periods a turn of the rotor.
     ripple_slow : bool
         The same for the periods of the motor's poles.
+    at_rest : bool
+        All runs are poses at rest.
     warmer : bool
         Runs differ in temperature by 3 K or in session time by 120 s.
     """
@@ -59,6 +61,7 @@ class JointFacts:
     rotor_slow: bool
     ripple_slow: bool
     warmer: bool
+    at_rest: bool = False
 
     @property
     def sensor(self) -> bool:
@@ -82,6 +85,8 @@ def joint_facts(recordings: RecordingSet, runs: Sequence[RecordedRun]) -> tuple[
 
 def velocities(run: RecordedRun) -> np.ndarray:
     """Recorded velocity, else the slope of the encoder over 20 ms, (K, n) [rad/s]."""
+    if run.at_rest:
+        return np.zeros_like(run.position)
     width = max(1, round(0.01 / run.step))
     slope: np.ndarray = np.full_like(run.position, np.nan)
     span = run.time[2 * width :] - run.time[: -2 * width]
@@ -95,7 +100,7 @@ def velocities(run: RecordedRun) -> np.ndarray:
 def _gravity_torques(recordings: RecordingSet, run: RecordedRun) -> np.ndarray:
     """Gravity torque of the nominal model at some samples, (m, n) [N m]."""
     order = recordings.order
-    rows = run.position[::_GRAVITY_SAMPLE_STEP]
+    rows = run.position[:: 1 if run.at_rest else _GRAVITY_SAMPLE_STEP]
     rows = rows[np.isfinite(rows).all(axis=1)]
     position = np.zeros(rows.shape)
     position[:, order] = rows
@@ -104,6 +109,8 @@ def _gravity_torques(recordings: RecordingSet, run: RecordedRun) -> np.ndarray:
 
 def _inertial_loads(recordings: RecordingSet, run: RecordedRun) -> np.ndarray:
     """Torque of weight and inertia of the nominal model at some samples, (m, n) [N m]."""
+    if run.at_rest:
+        return _gravity_torques(recordings, run)
     order, speed = recordings.order, velocities(run)
     width = max(1, round(_HALF_ACCELERATION_WINDOW / run.step))
     middle = np.arange(width, len(run.time) - width, width)
@@ -166,6 +173,7 @@ def _joint_facts(
         rotor_slow=moves and _resolves_periods(recordings, runs, speed[moving], j, 2.0),
         ripple_slow=moves and _resolves_periods(recordings, runs, speed[moving], j, poles or 1.0),
         warmer=_differs_in_temperature(runs, j),
+        at_rest=bool(runs) and all(run.at_rest for run in runs),
     )
 
 

@@ -96,6 +96,8 @@ class RecordedRun:
     torque : array (K, n)
         Drive torque at the output side [N m].
     faults : tuple of Fault
+    at_rest : bool
+        Each sample is a pose at rest, and time its number.
 
     Notes
     -----
@@ -116,6 +118,7 @@ class RecordedRun:
     link_position: np.ndarray | None
     torque: np.ndarray
     faults: tuple[Fault, ...]
+    at_rest: bool = False
 
     @property
     def n(self) -> int:

@@ -89,6 +89,13 @@ class SignalsSection(Section):
         tuple[JointPosition, ...] | None,
         Doc("Added to the positions of each joint, in rad: where its zero is off or another one."),
     ] = None
+    at_rest: Annotated[
+        bool | None,
+        Doc(
+            "True where each row is a pose at rest and time only numbers the poses, as in tables "
+            "for gravity compensation; left out, it is seen from the rows."
+        ),
+    ] = None
     scale: ScaleSection = ScaleSection()
 
 

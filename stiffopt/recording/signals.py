@@ -46,6 +46,8 @@ class Signals:
         none.
     offset : array (n,) or None
         Added to positions [rad].
+    at_rest : bool or None
+        Each row is a pose at rest; None where not stated.
     currents : bool
         Torques are given in A without a torque constant.
 
@@ -65,6 +67,7 @@ class Signals:
     torque_delay: float = 0.0
     includes: tuple[int, ...] = ()
     offset: np.ndarray | None = None
+    at_rest: bool | None = None
     currents: bool = False
 
     def scale_of(self, kind: str, n: int) -> np.ndarray:
@@ -182,6 +185,7 @@ def build_signals(section: SignalsSection, n: int, path: Path) -> Signals:
         torque_delay=section.torque_delay,
         includes=includes,
         offset=None if section.offset is None else np.array(section.offset, dtype=float),
+        at_rest=section.at_rest,
         currents=any(entry in _CURRENT_UNITS for entry in _entry_list(section.scale.torque)),
     )
 

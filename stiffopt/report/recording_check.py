@@ -49,6 +49,10 @@ def report_lines(report: RecordingReport, effects: Sequence[EffectCheck]) -> Ite
 
 
 def _run_lines(run: RunCheck) -> Iterator[str]:
+    if run.at_rest:
+        yield f"{run.file} ({run.role}): {run.samples} poses at rest"
+        yield from (f"  {_channel_line(channel)}" for channel in run.channels)
+        return
     gap = f", longest gap {1e3 * run.longest_gap:.3g} ms" if run.jitter > 0.0 else ""
     yield (
         f"{run.file} ({run.role}): {run.samples} samples, {run.duration:.4g} s, "

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from stiffopt.errors import InputError
+from stiffopt.recording.rest_poses import are_unordered
 from stiffopt.recording.signals import may_be_set_point
 from stiffopt.robot.robot import Robot
 from stiffopt.starter.column_names import (
@@ -61,6 +62,8 @@ class GuessedColumns:
         Sampling rate [Hz].
     asked : tuple of str
         Alternative columns to ask the user about.
+    at_rest : bool
+        Rows are poses at rest.
     """
 
     time: str
@@ -69,6 +72,7 @@ class GuessedColumns:
     reasons: tuple[str, ...] = field(default=())
     rate: float = 0.0
     asked: tuple[str, ...] = ()
+    at_rest: bool = False
 
 
 def guess_columns(
@@ -110,6 +114,9 @@ def guess_columns(
     unit, why = _guess_time_unit(table[time], time)
     if rate is not None:
         unit, why = "", f"time: counted, {rate:g} rows a second"
+    at_rest = are_unordered(np.column_stack([table[name] for name in columns["position"]]))
+    if at_rest:
+        unit, why = "", f"poses at rest: positions do not follow one another, {time} numbers them"
     units: dict[str, str | tuple[str, ...]] = {"time": unit}
     reasons.append(why)
     seconds = table[time] * _SECONDS_PER_UNIT[unit]
@@ -132,6 +139,7 @@ def guess_columns(
         reasons=tuple(reasons),
         rate=1.0 / max(step, 1e-9),
         asked=tuple(dict.fromkeys(asked)),
+        at_rest=at_rest,
     )
 
 
@@ -196,7 +204,7 @@ def _find_time_column(table: Mapping[str, np.ndarray]) -> str:
         )
     raise InputError(
         f"no column increases as a time does among {', '.join(list(table)[:40])}. Give --rate HZ,"
-        " the rows a second, or add a column of seconds."
+        " the rows a second (--rate 1 for poses at rest), or add a column of seconds."
     )
 
 

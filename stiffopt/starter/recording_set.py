@@ -256,7 +256,7 @@ def _set_text(
     lines = [
         "# Written by `stiffopt init recording`; guesses and their reasons:",
         *(f"#   {reason}" for reason in found.reasons),
-        f"#   rate: {found.rate:.4g} Hz",
+        *([] if found.at_rest else [f"#   rate: {found.rate:.4g} Hz"]),
         "# Check it: `stiffopt recording check` of this folder.",
         "schema = 1",
         f"name = {toml_string(name)}",
@@ -270,6 +270,8 @@ def _set_text(
         if kind in found.columns:
             lines.append(f"{kind} = {toml_list(map(toml_string, found.columns[kind]))}")
     lines.append('torque_side = "motor"  # "link" with joint torque sensors')
+    if found.at_rest:
+        lines.append("at_rest = true  # each row is a pose at rest; time numbers the poses")
     scaled = {kind: unit for kind, unit in found.units.items() if unit}
     if scaled:
         lines += ["", "[signals.scale]"]

@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from stiffopt.discovery.answer import action
 from stiffopt.discovery.diagnose import diagnose
 from stiffopt.discovery.sanity.doubt import DoubtfulRecordings
 from stiffopt.recording.recording_set import load_recordings
@@ -22,12 +23,13 @@ def shared_case(name):
     ("name", "joint", "degrees"), [("small_offset", 3, -2.0), ("offset5", 2, -5.0)]
 )
 def test_wrong_zero_is_named_with_its_size(name, joint, degrees):
-    found = diagnose(shared_case(name), experiment=False).findings
+    diagnosis = diagnose(shared_case(name), experiment=False)
+    found = diagnosis.findings
     assert [(f.effect.name, f.joint) for f in found] == [("joint_zero", joint)]
     (dq,) = found[0].parameters
     assert abs(dq.value - np.radians(degrees)) < 3.0 * dq.sd
     assert dq.sd < np.radians(0.3)
-    assert "offset = [" in found[0].remedy
+    assert "offset = [" in action(diagnosis)
 
 
 @pytest.mark.parametrize(("name", "degrees"), [("tiltd9", 9.0), ("tiltd16", 16.0)])

@@ -7,6 +7,7 @@ in `stiffopt.discovery.effect.Term`.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 from stiffopt.discovery.catalogue.base_tilt import BASE_TILT
 from stiffopt.discovery.catalogue.belt_creep import BELT_CREEP
@@ -84,7 +85,9 @@ def confused_with(entry: Effect, effects: Sequence[Effect] = CATALOGUE) -> tuple
     )
 
 
-def effects_of_runs(effects: Sequence[Effect], runs: Sequence[str]) -> tuple[Effect, ...]:
+def effects_of_runs(
+    effects: Sequence[Effect], runs: Sequence[str], after: Sequence[str] = ()
+) -> tuple[Effect, ...]:
     """Return effects with one amplitude per run where they have such.
 
     Effects of runs are left out where there are too many runs.
@@ -94,11 +97,32 @@ def effects_of_runs(effects: Sequence[Effect], runs: Sequence[str]) -> tuple[Eff
     effects : sequence of Effect
     runs : sequence of str
         Names of the training runs.
+    after : sequence of str
+        Names of the runs in another state of the robot than the others.
     """
+    states = {"states": ["after" if run in after else "before" for run in runs]} if after else {}
     return tuple(
-        each if each.of_runs is None else each.of_runs(tuple(runs))
+        each if each.of_runs is None else each.of_runs(tuple(runs), **states)
         for each in effects
         if each.of_runs is None or len(runs) <= _MAX_RUNS
+    )
+
+
+def changes_in(effects: Sequence[Effect], runs: Sequence[str]) -> tuple[Effect, ...]:
+    """Return effects as changes of the robot between two states: they act in the runs of one only.
+
+    Effects of single runs are left out: they are no property of a state.
+
+    Parameters
+    ----------
+    effects : sequence of Effect
+    runs : sequence of str
+        Names of all runs of that state.
+    """
+    return tuple(
+        replace(each, only_in=tuple(runs), usual=False)
+        for each in effects
+        if each.scope != "run" and each.of_runs is None
     )
 
 

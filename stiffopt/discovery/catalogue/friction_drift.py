@@ -28,25 +28,37 @@ _SPEED_POWERS, _SPEED_ROUNDING, _LOAD_ROUNDING = (0.0, 0.5, 1.0, 2.0), 1e-2, 0.0
 _CURVE_KNOTS = 5
 
 
+def _deviation(amplitudes: Sequence[Quantity], states: Sequence[str], run: int) -> Quantity:
+    """Return the deviation of a run from the mean of the runs of its state."""
+    own = [a for a, state in zip(amplitudes, states, strict=True) if state == states[run]]
+    return amplitudes[run] - sum(own) / len(own)
+
+
 def _drift_term(
     seen: Sequence[str],
+    states: Sequence[str],
     signals: JointSignals,
     amplitudes: Sequence[Quantity],
     shapes: Sequence[Quantity],
 ) -> Term:
-    """Return the deviation of a recorded run from the mean of all; zero in any other run."""
+    """Return the deviation of a recorded run from the mean; zero in any other run."""
     if signals.run not in seen:
         return Term()
-    off = amplitudes[seen.index(signals.run)] - sum(amplitudes) / len(amplitudes)
+    off = _deviation(amplitudes, states, seen.index(signals.run))
     constants, w, viscous = signals.constants, signals.motor_velocity, shapes[0]
     dry = (1.0 - viscous) * dry_friction(constants) * signals.motor_direction
     return Term(drive_torque=off * (dry + viscous * viscous_friction(constants) * w))
 
 
 def _report_spread(
-    amplitudes: Sequence[float], shapes: Sequence[float], constants: JointConstants
+    states: Sequence[str],
+    amplitudes: Sequence[float],
+    shapes: Sequence[float],
+    constants: JointConstants,
 ) -> Mapping[str, float]:
-    spread = float(np.std(amplitudes, ddof=1)) if len(amplitudes) > 1 else 0.0
+    free = len(amplitudes) - len(set(states))
+    off = [float(_deviation(amplitudes, states, run)) for run in range(len(amplitudes))]
+    spread = float(np.sqrt(np.sum(np.square(off)) / free)) if free else 0.0
     return {
         "dFc_spread": spread * (1.0 - shapes[0]) * dry_friction(constants),
         "dFv_spread": spread * shapes[0] * viscous_friction(constants),
@@ -54,11 +66,15 @@ def _report_spread(
 
 
 def _sampling_error(
-    amplitudes: Sequence[float], shapes: Sequence[float], constants: JointConstants
+    states: Sequence[str],
+    amplitudes: Sequence[float],
+    shapes: Sequence[float],
+    constants: JointConstants,
 ) -> Mapping[str, float]:
     """Return the sampling error of the spread from so few runs [N m], [N m s/rad]."""
-    found = _report_spread(amplitudes, shapes, constants)
-    return {k: v / np.sqrt(2.0 * max(len(amplitudes) - 1, 1)) for k, v in found.items()}
+    found = _report_spread(states, amplitudes, shapes, constants)
+    free = max(len(amplitudes) - len(set(states)), 1)
+    return {k: v / np.sqrt(2.0 * free) for k, v in found.items()}
 
 
 def _any_friction_term(
@@ -145,7 +161,9 @@ def friction_within_runs(runs: Sequence[str]) -> Effect:
     )
 
 
-def friction_drift(runs: Sequence[str], *, seen: bool = True) -> Effect:
+def friction_drift(
+    runs: Sequence[str], *, seen: bool = True, states: Sequence[str] | None = None
+) -> Effect:
     """Return the effect with one amplitude per run.
 
     Parameters
@@ -153,7 +171,11 @@ def friction_drift(runs: Sequence[str], *, seen: bool = True) -> Effect:
     runs : sequence of str
     seen : bool
         True where runs of these names are those of the amplitudes.
+    states : sequence of str, optional
+        State of the robot in each run: deviations are from the mean of each state, and their
+        difference is a change of the robot. Default: one state.
     """
+    states = tuple(states) if states is not None else ("",) * len(runs)
     return Effect(
         name="friction_drift",
         family="friction",
@@ -170,7 +192,7 @@ def friction_drift(runs: Sequence[str], *, seen: bool = True) -> Effect:
         beside=ANY_FRICTION,
         likelier_than=friction_within_runs(runs),
         reference="LairdWare1982",
-        term=partial(_drift_term, tuple(runs) if seen else ()),
+        term=partial(_drift_term, tuple(runs) if seen else (), states),
         amplitudes=tuple(
             Amplitude(
                 name=f"{RUN_PREFIX}{run}", unit="", scale=_TYPICAL_SHARE, lower=-5.0, upper=25.0
@@ -178,8 +200,8 @@ def friction_drift(runs: Sequence[str], *, seen: bool = True) -> Effect:
             for run in runs
         ),
         shapes=(Shape(name="viscous", unit="", starts=(0.0, 0.5, 1.0), lower=0.0, upper=1.0),),
-        report=_report_spread,
-        drawn=_sampling_error,
+        report=partial(_report_spread, states),
+        drawn=partial(_sampling_error, states),
         units={"dFc_spread": "N m", "dFv_spread": "N m s/rad"},
         of_runs=friction_drift,
         separate="Repeat one motion on several days, and several times on one: a difference"

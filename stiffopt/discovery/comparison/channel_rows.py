@@ -196,11 +196,14 @@ class KnownNoise:
         Standard deviations of torque [N m] and deflection [rad] (n,).
     torque_stated, deflection_stated : array (n,) of bool
         True where the set states it; otherwise estimated.
+    at_rest : bool
+        Torques are of poses at rest: their noise includes friction of unknown direction.
     """
 
     channels: ChannelNoise
     torque_stated: np.ndarray
     deflection_stated: np.ndarray
+    at_rest: bool = False
 
     def assumptions(self) -> list[str]:
         """Return sentences about estimated noise."""
@@ -210,6 +213,15 @@ class KnownNoise:
             ("Link encoder", self.channels.deflection, self.deflection_stated, "rad"),
         ):
             guessed = np.flatnonzero(~stated & np.isfinite(values))
+            if guessed.size and self.at_rest and name == "Torque":
+                each = ", ".join(f"{j + 1}: {values[j]:.3g} {unit}" for j in guessed)
+                found.append(
+                    "Poses at rest: friction holds a pose with any torque within its band, and its"
+                    f" direction is unknown; the scatter of the poses (joint {each}, one standard"
+                    " deviation) counts as noise. Such data cannot show friction, rotor inertia,"
+                    " damping, backlash in motion or delays: these need runs in motion."
+                )
+                continue
             if guessed.size:
                 each = ", ".join(f"{j + 1}: {values[j]:.3g} {unit}" for j in guessed)
                 found.append(
@@ -237,6 +249,9 @@ def known_noise(stated: Noise, runs: Sequence[PreparedRun]) -> KnownNoise:
     torque, torque_stated = _channel_noise(
         stated.torque, None, [run.torque for run in runs], runs, (None,)
     )
+    if runs[0].at_rest:
+        torque = np.fmax(torque * torque_stated, scatter_at_rest(runs))
+        torque_stated = np.zeros_like(torque_stated)
     deflection, deflection_stated = _channel_noise(
         stated.link_position,
         stated.link_position_resolution,
@@ -248,6 +263,7 @@ def known_noise(stated: Noise, runs: Sequence[PreparedRun]) -> KnownNoise:
         channels=ChannelNoise(torque, deflection),
         torque_stated=torque_stated,
         deflection_stated=deflection_stated,
+        at_rest=runs[0].at_rest,
     )
 
 
@@ -285,6 +301,38 @@ def _channel_noise(
         guess = _estimate_noise([s[:, j] for s in samples], runs)
         values[j] = np.maximum(guess, rounding[j])
     return values, known
+
+
+def scatter_at_rest(runs: Sequence[PreparedRun]) -> np.ndarray:
+    """Return the scatter (n,) of the torques of poses at rest beside any weight of the arm [N m].
+
+    Friction holds a pose with any torque within its band: beside sensor noise, the scatter is that
+    of friction of unknown direction. First moments of all bodies and a constant are fitted to each
+    joint alone.
+    """
+    found = []
+    for j in range(runs[0].torque.shape[1]):
+        used = [np.isfinite(run.torque[:, j]) for run in runs]
+        left = np.concatenate(
+            [(r.torque - r.signals.drive_torque)[u, j] for r, u in zip(runs, used, strict=True)]
+        )
+        count = 10 * runs[0].torque.shape[1]
+        columns = np.vstack(
+            [
+                np.column_stack(
+                    [r.signals.body_regressor[..., k][u, j] for k in range(count)]
+                    + [np.ones(int(u.sum()))]
+                )
+                for r, u in zip(runs, used, strict=True)
+            ]
+        )
+        if len(left) < 2:
+            found.append(float("nan"))
+            continue
+        fitted, _, rank, _ = np.linalg.lstsq(columns, left, rcond=1e-9)
+        free = max(len(left) - int(rank), 1)
+        found.append(float(np.sqrt(np.sum((left - columns @ fitted) ** 2) / free)))
+    return np.array(found)
 
 
 def _estimate_noise(channels: Sequence[np.ndarray], runs: Sequence[PreparedRun]) -> float:

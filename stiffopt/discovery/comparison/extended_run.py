@@ -98,7 +98,7 @@ def _solve_links(run: PreparedRun, robot: RobotModel, extension: Extension) -> P
     """
     assert run.vibration is not None
     laws, rest = spring_laws(run, extension)
-    springs = run.springs(robot, extended_damping(robot, extension), laws)
+    springs = run.springs(robot, extended_damping(robot, extension, run.name), laws)
     bodies = select_calibration(extension, BODY_VALUES)
     sprung = replace(
         extension,
@@ -278,7 +278,7 @@ def linearise_run(
     laws, rest = spring_laws(moved, whole)
     softer = relative_compliance(moved, robot, rest)
     heavier = added_inertia_along(moved, robot, whole)
-    springs = moved.springs(robot, extended_damping(robot, whole), laws)
+    springs = moved.springs(robot, extended_damping(robot, whole, run.name), laws)
     own = springs.linearise(moved.links, softer, heavier, moved.vibration)
     moved = replace(moved, vibration=own, play=springs.play(moved.links))
     change = extension_change(moved, robot, found)

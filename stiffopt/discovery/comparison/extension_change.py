@@ -98,13 +98,13 @@ def is_damping(each: EstimatedEffect) -> bool:
     return each.effect.nominal == "joint_damping"
 
 
-def extended_damping(robot: RobotModel, extension: Extension) -> np.ndarray:
-    """Return the damping of the joints (n,) with an extension, at least zero [N m s/rad]."""
+def extended_damping(robot: RobotModel, extension: Extension, run: str) -> np.ndarray:
+    """Return the damping of the joints (n,) in a run, extended, at least zero [N m s/rad]."""
     damping = nominal_damping(robot)
     factors = [extension.calibration.get(f"joint_damping {j + 1}", 0.0) for j in range(robot.n)]
     added = np.zeros(robot.n)
     for each in extension.effects:
-        if is_damping(each) and each.located.joint is not None:
+        if is_damping(each) and each.located.joint is not None and each.located.acts_in(run):
             added[each.located.joint] += each.amplitudes[0]
     return np.asarray(np.maximum(damping * (1.0 + np.array(factors)) + added, 0.0))
 
@@ -143,6 +143,8 @@ def spring_laws(run: PreparedRun, extension: Extension) -> tuple[dict[int, Sprin
     others = []
     for each in extension.effects:
         joint = each.located.joint
+        if not each.located.acts_in(run.name):
+            continue
         if each.effect.is_play and joint is not None:
             by_joint.setdefault(joint, []).append(each)
         else:

@@ -126,6 +126,19 @@ class ZeroPhaseFilter:
         return np.asarray(kernel / kernel.sum())
 
 
+@dataclass(frozen=True)
+class PoseFilter(ZeroPhaseFilter):
+    """Identity in place of the low-pass, for poses at rest: rows have no neighbours in time."""
+
+    rate: float = 1.0
+    cutoff: float = 1.0
+
+    @cached_property
+    def settling(self) -> int:
+        """No row depends on another."""
+        return 0
+
+
 def derivative(samples: np.ndarray, dt: float) -> np.ndarray:
     """Return the fourth-order difference along the first axis, one-sided at the ends."""
     if len(samples) < 5:

@@ -90,12 +90,13 @@ class LocatedEffect:
             place = f" of joint {self.joint + 1}"
         elif self.link is not None:
             place = f" of link {self.link + 1}"
-        return f"{self.effect.name}{place}" + (f" in {self.run}" if self.run else "")
+        changed = " after the change" if self.effect.only_in else ""
+        return f"{self.effect.name}{place}{changed}" + (f" in {self.run}" if self.run else "")
 
     @property
     def key(self) -> tuple[object, ...]:
         """Name, place and shapes, which identify it."""
-        return (self.effect.name, self.joint, self.link, self.run, self.shapes)
+        return (self.effect.identity, self.joint, self.link, self.run, self.shapes)
 
     @property
     def is_of_one_joint(self) -> bool:
@@ -106,6 +107,10 @@ class LocatedEffect:
     def is_run_specific(self) -> bool:
         """True where its contribution to a run predicts nothing of other runs."""
         return self.run is not None or self.effect.of_runs is not None
+
+    def acts_in(self, run: str) -> bool:
+        """Return True where it acts in a run of this name."""
+        return self.effect.acts_in(run) and self.run in (None, run)
 
     def is_adjacent(self, other: LocatedEffect) -> bool:
         """Return True where both are at the same or neighbouring joints, or act on several."""
@@ -167,7 +172,7 @@ class LocatedEffect:
     def contribution(self, run: PreparedRun, amplitudes: Sequence[float]) -> Contribution:
         """Return its contribution to a run, not filtered."""
         signals = run.signals
-        if self.run is not None and run.name != self.run:
+        if not self.acts_in(run.name):
             return Contribution()
         like = signals.motor_position
         if not self.is_of_one_joint:
@@ -198,7 +203,7 @@ class LocatedEffect:
     ) -> tuple[list[ChannelChange], list[LinkLoad]]:
         """Return changes per unit of each amplitude, and loads on vibrating links."""
         assert self.joint is not None
-        if self.run is not None and run.name != self.run:
+        if not self.acts_in(run.name):
             return [], []
         signals, count = run.of_joint(self.joint), len(self.effect.amplitudes)
         changes: list[ChannelChange] = []

@@ -9,6 +9,7 @@ from math import comb
 import numpy as np
 
 from stiffopt.discovery.comparison.filtering import (
+    PoseFilter,
     ZeroPhaseFilter,
     derivative,
     interpolate_motion,
@@ -118,6 +119,8 @@ class PreparedRun:
         Share of the deflection that is free travel between flanks [rad].
     initial_state : array (2 n,), optional
         Initial displacement and velocity of the links relative to their slow motion, where known.
+    at_rest : bool
+        Samples are poses at rest.
     extension_cache : dict
         This run with the extensions that were simulated last.
     """
@@ -138,6 +141,7 @@ class PreparedRun:
     added_deflection: np.ndarray | float = 0.0
     play: np.ndarray | float = 0.0
     initial_state: np.ndarray | None = None
+    at_rest: bool = False
     extension_cache: dict[tuple[object, ...], PreparedRun] = field(default_factory=dict, init=False)
     _joints: dict[int, JointSignals] = field(default_factory=dict, init=False)
     _compliance: dict[int, np.ndarray] = field(default_factory=dict, init=False)
@@ -253,6 +257,8 @@ def prepare_run(
     vibrating : bool
         Let links vibrate where the nominal model determines how; else they follow quasi-statically.
     """
+    if run.at_rest:
+        return _prepare_poses(robot, run, index, constants)
     time, position, link, torque = resample_uniform(run)
     dt = float(time[1] - time[0])
     low_pass = ZeroPhaseFilter(1.0 / dt, min(settings.fit_band, 0.2 / dt))
@@ -328,6 +334,57 @@ def prepare_run(
         low_pass=low_pass,
         motion_filter=wide,
         vibration=vibration,
+    )
+
+
+def _prepare_poses(
+    robot: RobotModel, run: RecordedRun, index: int, constants: RobotConstants | None
+) -> PreparedRun:
+    """Evaluate the nominal model in poses at rest: without motion, filter or vibration."""
+    low_pass, shape = PoseFilter(), run.position.shape
+    rest = np.zeros(shape, order="F")
+    q = np.asfortranarray(run.position)
+    for _ in range(_WINDUP_ITERATIONS if robot.elastic else 0):
+        q = np.asfortranarray(run.position - robot.windup(robot.spring_torque(q, rest, rest)))
+    spring = np.asfortranarray(robot.spring_torque(q, rest, rest))
+    signals = RobotSignals(
+        time=run.time,
+        run=run.name,
+        dt=1.0,
+        session_time=np.full(len(run.time), run.session_time or 0.0),
+        temperature_rise=robot.temperature_rise(run, len(run.time)),
+        motor_position=np.asfortranarray(run.position),
+        motor_velocity=rest,
+        motor_acceleration=rest,
+        motor_direction=rest,
+        link_position=q,
+        link_velocity=rest,
+        link_acceleration=rest,
+        transmitted_torque=spring,
+        spring_torque=spring,
+        windup=robot.windup(spring),
+        drive_torque=spring,
+        drive_torque_rate=rest,
+        arm=LazyArmSignals(robot, q, rest, rest),
+        last_link=robot.n - 1,
+        link=robot.n - 1,
+        constants=constants or robot.constants,
+    )
+    link = np.full(shape, np.nan) if run.link_position is None else run.link_position
+    return PreparedRun(
+        name=run.name,
+        role=run.role,
+        index=index,
+        time=run.time,
+        signals=signals,
+        torque=run.torque,
+        deflection=run.position - link,
+        torque_used=np.isfinite(run.torque),
+        deflection_used=np.isfinite(link),
+        moving=np.zeros(shape, dtype=bool),
+        low_pass=low_pass,
+        motion_filter=low_pass,
+        at_rest=True,
     )
 
 

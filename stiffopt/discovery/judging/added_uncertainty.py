@@ -42,7 +42,8 @@ def drop_insignificant(
 
     Notes
     -----
-    Calibrated values are kept: they exist without doubt.
+    Calibrated values are kept: they exist without doubt. A change between two states needs an
+    amplitude that is determined by itself.
     """
     while True:
         kept, parameters = estimated(selected)
@@ -60,9 +61,14 @@ def drop_insignificant(
 
 def _excess_deviations(selected: Selected, parameters: Estimate, index: int) -> float:
     """Return the significance of a finding less the required one [sigma]."""
-    if selected.located.calibrated:
+    located = selected.located
+    if located.calibrated:
         return 0.0
-    return parameters.min_deviations(index) - FINDING_DEVIATIONS
+    sure = parameters.min_deviations(index)
+    if located.effect.only_in:
+        # A change is told by its value: a form with a value that may be zero is no change.
+        sure = min(sure, parameters.amplitude_deviations(index))
+    return sure - FINDING_DEVIATIONS
 
 
 def add_scale_deviation(parameters: Estimate, selected: Sequence[Selected]) -> Estimate:

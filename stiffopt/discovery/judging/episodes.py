@@ -128,6 +128,8 @@ class ResidualTrack:
 
 def training_tracks(comparison: Comparison, fit: Fit) -> list[ResidualTrack]:
     """Return the residual tracks of a fit to the training runs."""
+    if comparison.runs[0].at_rest:
+        return []  # poses have no intervals
     rows, n = comparison.rows, comparison.robot.n
 
     def place(run: PreparedRun) -> np.ndarray:
@@ -220,6 +222,8 @@ def find_episodes(
     A channel with any strong residual that is no contact is not used.
     """
     strengths = [track.strength() for track in tracks]
+    if not tracks:
+        return ()
     quiet = np.zeros(tracks[0].left.shape[1], dtype=bool)
     while True:
         found = [

@@ -81,13 +81,15 @@ def split_extension(extension: Extension, unstated: Sequence[str]) -> tuple[Exte
     unstated : sequence of str
         Nominal values that the set does not state.
     """
-    by_name: dict[tuple[Kind, str], list[LocatedEffect]] = {}
+    by_name: dict[tuple[Kind, object], list[LocatedEffect]] = {}
     if any(extension.calibration.values()):
         by_name["nominal", ""] = []
     for each in extension.effects:
         effect = each.located.effect
-        key: tuple[Kind, str] = ("finding", effect.name)
-        if effect.nominal in unstated:
+        key: tuple[Kind, object] = ("finding", effect.identity)
+        if effect.only_in:
+            pass  # a change between two states is told apart from what both have
+        elif effect.nominal in unstated:
             key = ("unstated", effect.family)
         elif effect.usual:
             key = ("usual", effect.family)

@@ -64,13 +64,17 @@ def refit_friction(
         selected = kept
 
 
-def _refittable_names(parameters: Estimate) -> list[str]:
+# Name of an effect and the runs in which it acts.
+EffectIdentity = tuple[str, tuple[str, ...]]
+
+
+def _refittable_names(parameters: Estimate) -> list[EffectIdentity]:
     """Return the names of the effects that may be refitted."""
-    return sorted({e.located.effect.name for e in parameters.effects if _is_refittable(e)})
+    return sorted({e.located.effect.identity for e in parameters.effects if _is_refittable(e)})
 
 
 def _apply_steps(
-    training: Training, parameters: Estimate, rows: _MovingSamples, names: Sequence[str]
+    training: Training, parameters: Estimate, rows: _MovingSamples, names: Sequence[EffectIdentity]
 ) -> Estimate:
     """Return the estimate with friction and offsets refitted to all moving samples."""
     effects = parameters.effects
@@ -79,7 +83,7 @@ def _apply_steps(
     for joint in {effects[k].located.joint for k in plain}:
         own = [k for k in plain if effects[k].located.joint == joint]
         assert joint is not None
-        columns = [names.index(effects[k].located.effect.name) for k in own]
+        columns = [names.index(effects[k].located.effect.identity) for k in own]
         found = rows.step(joint, columns)
         if found is not None and _is_within_bounds(parameters, own, found, training):
             steps[own] = found
@@ -118,7 +122,7 @@ class _MovingSamples:
         settings: Settings,
         start: Sequence[Extension],
         parameters: Estimate,
-        names: Sequence[str],
+        names: Sequence[EffectIdentity],
     ) -> None:
         found = Extension(calibration=parameters.calibration(), effects=parameters.effects)
         parts = folds_per_run(len(training.recorded))
@@ -142,11 +146,13 @@ class _MovingSamples:
                 rows[joint].append((columns, left, fold[used]))
         self._rows = rows
 
-    def helps(self, found: EstimatedEffect, names: Sequence[str], training: Training) -> bool:
+    def helps(
+        self, found: EstimatedEffect, names: Sequence[EffectIdentity], training: Training
+    ) -> bool:
         """True if it improves the prediction of all moving samples."""
         located = found.located
         assert located.joint is not None
-        column = names.index(located.effect.name)
+        column = names.index(located.effect.identity)
         amount = found.amplitudes[0] / located.sizes(training.constants)[0]
         own = self._rows[located.joint]
         now = sum(float(left @ left) for _, left, _ in own)
@@ -174,11 +180,11 @@ class _MovingSamples:
         return np.asarray(np.linalg.lstsq(gram, moment)[0])
 
 
-def _increase_amplitudes(found: Extension, name: str, training: Training) -> Extension:
+def _increase_amplitudes(found: Extension, name: EffectIdentity, training: Training) -> Extension:
     """Return the extension with every effect of a name increased by its size."""
     effects = []
     for each in found.effects:
-        if each.located.effect.name == name:
+        if each.located.effect.identity == name:
             size = each.located.sizes(training.constants)[0]
             each = replace(each, amplitudes=(each.amplitudes[0] + size,))
         effects.append(each)

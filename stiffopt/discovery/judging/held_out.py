@@ -142,7 +142,7 @@ class HeldOutRuns:
             )
             before, after = predictor.predict_each([self._start, extensions])
             track = held_out_track(run, predictor, after, training.noise.channels)
-            touched = find_episodes([track], self._known)
+            touched = () if run.at_rest else find_episodes([track], self._known)
             proof = compare_predictions(run, predictor.velocity, before, after, training.noise)
             if touched:
                 touched = mark_lasting_loads(touched, track, training.robot, predictor.nominal)

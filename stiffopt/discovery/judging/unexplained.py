@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from scipy.interpolate import BSpline
 
 from stiffopt.discovery.comparison.channel_rows import noise_above_cutoff
 from stiffopt.discovery.comparison.comparison import Comparison
+from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.judging.modes import matches_mode
 from stiffopt.discovery.search.rivals import Selected
 from stiffopt.discovery.search.search import SearchResult
@@ -18,6 +19,7 @@ from stiffopt.discovery.thresholds import (
     EXPLAINED_SHARE,
     FAINT_RATIO,
     FAINT_SHARE,
+    MIN_ACTIVE_SHARE,
     PASSED_OVER_RATIO,
     REMAINDER_RATIO,
     REMAINDER_SHARE,
@@ -74,6 +76,90 @@ class Unexplained:
     tool_force: ToolForce | None = None
 
 
+ChannelOutcome = Literal["named", "nothing", "outside"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ChannelVerdict:
+    """Verdict on one channel, whatever is found in others.
+
+    Parameters
+    ----------
+    channel : str
+        Such as "torque_3".
+    verdict : str
+        "named": findings explain its residual; "nothing": nominal values within tolerance do;
+        "outside": a residual remains that findings do not explain.
+    before, after : float
+        Residual over noise with nominal values within tolerance, and with the findings.
+    acted_on : bool
+        A finding contributes to the channel.
+    """
+
+    channel: str
+    verdict: ChannelOutcome
+    before: float
+    after: float
+    acted_on: bool
+
+
+def judge_channels(
+    result: SearchResult, findings: Sequence[LocatedEffect], unexplained: Unexplained | None
+) -> tuple[ChannelVerdict, ...]:
+    """Return the verdict on every recorded channel.
+
+    Parameters
+    ----------
+    result : SearchResult
+    findings : sequence of LocatedEffect
+    unexplained : Unexplained or None
+        Of all channels, beside the findings.
+    """
+    comparison, n = result.comparison, result.comparison.robot.n
+    acted = _mark_affected_channels(comparison, findings)
+    open_names = () if unexplained is None else unexplained.channels
+    found = []
+    for c in (int(each) for each in comparison.rows.channels):
+        name, before = channel_name(c, n), float(result.calibrated[c])
+        needed = before > UNEXPLAINED_RATIO * comparison.least[c]
+        verdict: ChannelOutcome = "named" if needed and acted[c] else "nothing"
+        brief = unexplained is not None and unexplained.brief
+        if name in open_names and (brief or not acted[c] or _is_open(result, c)):
+            verdict = "outside"
+        found.append(
+            ChannelVerdict(
+                channel=name,
+                verdict=verdict,
+                before=before,
+                after=float(result.after[c]),
+                acted_on=bool(acted[c]),
+            )
+        )
+    return tuple(found)
+
+
+def _is_open(result: SearchResult, channel: int) -> bool:
+    """Return True where the findings leave a channel's residual unexplained."""
+    least = float(result.comparison.least[channel])
+    before, after = float(result.calibrated[channel]), float(result.after[channel])
+    if not after > UNEXPLAINED_RATIO * least:
+        return False
+    explained = 1.0 - (after**2 - least**2) / max(before**2 - least**2, 1e-9)
+    return explained < EXPLAINED_SHARE or after > PASSED_OVER_RATIO * least
+
+
+def _mark_affected_channels(
+    comparison: Comparison, findings: Sequence[LocatedEffect]
+) -> np.ndarray:
+    """Return True for channels (2 n,) that a finding contributes to."""
+    affected = np.zeros(2 * comparison.robot.n, dtype=bool)
+    for located in findings:
+        squares = np.sum(comparison.effect_columns(located) ** 2, axis=1)
+        by_channel = np.bincount(comparison.rows.channel, squares, minlength=len(affected))
+        affected |= by_channel > MIN_ACTIVE_SHARE * by_channel.max()
+    return affected
+
+
 def assess_findings(result: SearchResult) -> tuple[tuple[Selected, ...], Unexplained | None]:
     """Select findings that explain their channels, and describe the unexplained residual.
 
@@ -105,8 +191,16 @@ def assess_findings(result: SearchResult) -> tuple[tuple[Selected, ...], Unexpla
     if not poor and kept and after[remaining].max() < PASSED_OVER_RATIO:
         # Error of inexact formulas, small against the part that they explain.
         return kept, None
-    found = _describe_remainder(result, [int(c) for c in remaining])
-    if _is_elastic_mode(result, found):
+    found = None
+    # The worst first that findings leave open. A mode in one channel hides no other channel.
+    ordered = [int(c) for c in remaining]
+    ordered.sort(key=lambda c: (not _is_open(result, c), -beyond[c]))
+    for first in range(len(ordered)):
+        found = _describe_remainder(result, ordered[first:])
+        if not _is_elastic_mode(result, found):
+            break
+        found = None
+    if found is None:
         return kept, None
     small = found.ratio < REMAINDER_RATIO * _noise_excess(result)
     if not kept and small and found.gain < REMAINDER_SHARE:

@@ -117,6 +117,8 @@ class SanityGate:
 
     @cached_property
     def _explanation_search(self) -> Explanations | None:
+        if any(run.at_rest for run in self._runs):
+            return None  # every alternative reading is judged by motion
         samples = sample_runs(self._runs)
         return None if samples is None else Explanations(self._nominal_robot, samples)
 

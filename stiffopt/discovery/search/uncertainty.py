@@ -132,6 +132,13 @@ class Estimate:
             chances.append(min(_jackknife_p_value(values, *way) for way in ways if way[1] > 1))
         return max(chances)
 
+    def amplitude_deviations(self, index: int) -> float:
+        """Return the largest ratio of an amplitude to its standard deviation, all else free."""
+        rows = self._parameter_rows(index)[0][: len(self.sizes[index])]
+        known = [self.covariance, self.spread, self._between_runs(index)]
+        sd = np.sqrt(np.max([np.diag(each)[rows] for each in known], axis=0))
+        return float(np.max(np.abs(self.values[rows]) / np.maximum(sd, 1e-300)))
+
     def min_deviations(self, index: int) -> float:
         """Return the least significance of one effect over all covariance estimates [sigma].
 

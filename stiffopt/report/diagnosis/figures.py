@@ -235,6 +235,8 @@ def trace(diagnosis: Diagnosis, proof: RunProof, name: str) -> Trace | None:
     if error is None:
         return None
     run, j = proof.run, error.joint
+    if run.at_rest:
+        return None  # poses have no course over time
     places = np.searchsorted(run.stamps, run.time)
     predictions = [getattr(p, error.kind)[places, j] for p in (proof.before, proof.after)]
     speed = velocities(run)[:, j]

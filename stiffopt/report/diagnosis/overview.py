@@ -87,14 +87,19 @@ def limits_by_effect(
 ) -> dict[tuple[str, str], dict[int | None, DetectionLimit]]:
     """Return detection limits by effect and parameter, then joint (None: robot)."""
     found: dict[tuple[str, str], dict[int | None, DetectionLimit]] = {}
-    for limit in diagnosis.detection_limits:
+    for limit in _lasting_limits(diagnosis):
         found.setdefault((limit.effect.title, limit.parameter), {})[limit.joint] = limit
     return found
 
 
+def _lasting_limits(diagnosis: Diagnosis) -> list[DetectionLimit]:
+    """Return the limits of effects that act in all runs."""
+    return [limit for limit in diagnosis.detection_limits if not limit.effect.only_in]
+
+
 def sharpest_limits(diagnosis: Diagnosis) -> list[str]:
     """Return sentences on the smallest detectable relative changes."""
-    known = [limit for limit in diagnosis.detection_limits if limit.relative is not None]
+    known = [limit for limit in _lasting_limits(diagnosis) if limit.relative is not None]
     best: dict[str, DetectionLimit] = {}
     for limit in sorted(known, key=lambda each: each.relative or 0.0):
         best.setdefault(limit.effect.nominal_words, limit)

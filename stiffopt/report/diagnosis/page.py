@@ -16,6 +16,15 @@ from stiffopt.recording.run import counted
 from stiffopt.report.common.citations import diagnosis_references
 from stiffopt.report.common.page import Filters, PageFigures, write_page
 from stiffopt.report.common.text import capital
+from stiffopt.report.diagnosis.changes import (
+    CHANGE_COLUMNS,
+    change_headline,
+    change_lead,
+    change_rows,
+    change_verdict,
+    state_figure,
+    unchanged_rows,
+)
 from stiffopt.report.diagnosis.figures import (
     Trace,
     channel_ratio,
@@ -45,6 +54,7 @@ from stiffopt.report.diagnosis.regimes import (
 )
 from stiffopt.report.diagnosis.sections import answer_sections
 from stiffopt.report.diagnosis.words import (
+    CHANNEL_OUTCOMES,
     channel_words,
     channels_in_words,
     headline,
@@ -91,6 +101,9 @@ def write_diagnosis_report(
     for number, finding in enumerate(shown, start=1):
         _draw_finding(figures, diagnosis, finding, number)
     _draw_unexplained(figures, diagnosis)
+    pair = diagnosis.compares_states
+    if pair:
+        figures.draw("states", state_figure(diagnosis), "Held-out residual in both states")
     if diagnosis.noise_ceiling is not None and diagnosis.noise_ceiling.depends:
         drawn = noise_ceiling_figure(diagnosis)
         figures.draw("dependence", drawn, "Black-box fit of the remaining residual")
@@ -107,11 +120,20 @@ def write_diagnosis_report(
         figures.draw(role, overlay_figure(curve), "Measured and predicted, before and after")
     context = {
         "diagnosis": diagnosis,
-        "title": f"{recordings.title}: diagnosis of the nominal model",
-        "headline": headline(diagnosis),
+        "title": f"{recordings.title}: "
+        + ("changes between two states" if pair else "diagnosis of the nominal model"),
+        "headline": change_headline(diagnosis) if pair else headline(diagnosis),
         "action": action(diagnosis),
-        "paragraph": paragraph(diagnosis),
-        "verdict": verdict_words(diagnosis),
+        "paragraph": change_lead(diagnosis) if pair else paragraph(diagnosis),
+        "verdict": change_verdict(diagnosis) if pair else verdict_words(diagnosis),
+        "steady": not diagnosis.changes and diagnosis.verdict != "outside_catalogue"
+        if pair
+        else diagnosis.verdict == "nothing_missing",
+        "pair": pair,
+        "channel_outcomes": CHANNEL_OUTCOMES,
+        "change_columns": CHANGE_COLUMNS,
+        "change_rows": change_rows(diagnosis),
+        "unchanged_rows": unchanged_rows(diagnosis),
         "unexplained": unexplained_sentence(diagnosis),
         "mismatches": mismatches(diagnosis),
         "sections": answer_sections(diagnosis),

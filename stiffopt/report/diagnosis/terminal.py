@@ -10,6 +10,7 @@ from stiffopt.report.common.terminal import print_lines, print_table
 from stiffopt.report.common.text import listed
 from stiffopt.report.diagnosis.sections import answer_sections
 from stiffopt.report.diagnosis.words import (
+    channels_in_words,
     headline,
     proof_sentence,
     unexplained_sentence,
@@ -26,7 +27,11 @@ def print_diagnosis(diagnosis: Diagnosis, folder: Path) -> None:
     """Print the answer's sections, validation on held-out runs, assumptions and paths of files."""
     print_lines(
         [
-            f"{diagnosis.verdict}: {headline(diagnosis)}.",
+            *(
+                terminal_lines(diagnosis)
+                if diagnosis.compares_states
+                else [f"{diagnosis.verdict}: {headline(diagnosis)}."]
+            ),
             f"To do: {action(diagnosis)}" if action(diagnosis) else None,
             *(
                 line
@@ -39,11 +44,21 @@ def print_diagnosis(diagnosis: Diagnosis, folder: Path) -> None:
         if section.rows:
             print_table(section.head, section.rows, title=section.title)
         print_lines(section.lines)
-    lines = [f"Assumed: {note}" for note in diagnosis.assumptions]
+    lines = [*outside_lines(diagnosis), *(f"Assumed: {note}" for note in diagnosis.assumptions)]
     lines += fault_lines(diagnosis)
     page = folder / "report.html"
     lines.append(f"Answer: {folder / 'diagnosis.json'}")
     print_lines([*lines, *([f"Report: {page}"] if page.is_file() else [])])
+
+
+def outside_lines(diagnosis: Diagnosis) -> list[str]:
+    """Return a line on channels that the findings leave open, where other channels are named."""
+    left = [each.channel for each in diagnosis.channel_verdicts if each.verdict == "outside"]
+    if not left or not diagnosis.findings:
+        return []
+    named = [each.channel for each in diagnosis.channel_verdicts if each.verdict == "named"]
+    text = f"By channel: outside the catalogue in {channels_in_words(left)}"
+    return [text + (f"; explained in {channels_in_words(named)}." if named else ".")]
 
 
 def fault_lines(diagnosis: Diagnosis) -> list[str]:

@@ -25,6 +25,11 @@ if TYPE_CHECKING:
     from stiffopt.discovery.judging.tool_force import ToolForce
     from stiffopt.discovery.judging.unexplained import Unexplained
 
+CHANNEL_OUTCOMES = {
+    "named": "explained by findings",
+    "nothing": "nothing missing",
+    "outside": "outside the catalogue",
+}
 # Residual over noise of held-out runs above which the worst channel is named.
 _LARGE_RESIDUAL_RATIO = 2.0
 
