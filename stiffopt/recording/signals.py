@@ -206,7 +206,8 @@ def _none_if_unnamed(names: tuple[str, ...] | None) -> tuple[str, ...] | None:
 
 
 _SET_POINT_WORDS = ("target", "cmd", "command", "desired", "planned", "soll", "setpoint",
-          "consigne", "consigna", "riferimento", "action")  # fmt: skip
+          "consigne", "consigna", "riferimento", "action", "actions", "goal", "leader",
+          "ctrl")  # fmt: skip
 # Prefixes of longer words: commanded, setpoints.
 _SET_POINT_PREFIXES = ("target", "command", "desired", "setpoint", "consign")
 _SOLL_PATTERN = r"soll(wert|pos|winkel|lage|stell|dreh|achs|gelenk|bahn|weg)"
@@ -217,6 +218,7 @@ _SHORT_WORDS = ("soll", "target", "cmd", "des", "ref", "reference", "set")
 _COMPOUND_PATTERN = rf"({'|'.join((*_QUANTITY_WORDS, *_AXIS_WORDS[:3]))})({'|'.join(_SHORT_WORDS)})"
 _UNIT_WORDS = ("deg", "rad", "grad", "m", "mm")
 _REFERENCE_WORDS = ("ref", "reference")
+_DESIRED_QUANTITIES = (*_QUANTITY_WORDS, "dq", "qd", "ddq", "qdd", "tau", "j", "vel", "torque")
 # Shorter words before "des" are no German noun followed by a genitive.
 _MIN_NOUN_LETTERS = 4
 
@@ -226,7 +228,8 @@ def is_set_point(name: str) -> bool:
     words = _split_words(name)
     letters = [word for word in words if word.isalpha()]
     return (
-        any(word in _SET_POINT_WORDS or word.startswith(_SET_POINT_PREFIXES) for word in letters)
+        _has_desired_suffix(words)
+        or any(word in _SET_POINT_WORDS or word.startswith(_SET_POINT_PREFIXES) for word in letters)
         or any(
             re.match(_SOLL_PATTERN, word) or re.fullmatch(_COMPOUND_PATTERN, word)
             for word in letters
@@ -247,6 +250,11 @@ def _split_words(name: str) -> list[str]:
     # QTarget, jointAngle; a word of capitals such as QSOLL1 stays whole.
     apart = re.sub(r"(?<=[a-z])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", " ", name)
     return re.findall(r"[a-z]+|\d+", apart.lower())
+
+
+def _has_desired_suffix(words: list[str]) -> bool:
+    """Return whether "d" stands for "desired" after a quantity: "q_d[0]", "tau_J_d"."""
+    return any(two == "d" and one in _DESIRED_QUANTITIES for one, two in itertools.pairwise(words))
 
 
 def _has_desired(words: list[str]) -> bool:
