@@ -26,6 +26,9 @@ from stiffopt.recording.signals import is_set_point, may_be_set_point
 
 # Residual share of a torque from which single runs are checked, and how many.
 _MIN_OPEN_SHARE, _MAX_SINGLE_RUNS = 0.04, 12
+# Shortest run, or runs together, that a refusal may rest on [s]: friction, weight and inertia of a
+# shorter one, filtered at both ends, look alike.
+_MIN_JUDGED_DURATION = 2.0
 
 
 class SanityGate:
@@ -97,6 +100,8 @@ class SanityGate:
 
     @cached_property
     def _explanation_search(self) -> Explanations | None:
+        if sum(run.duration for run in self._runs) < _MIN_JUDGED_DURATION:
+            return None
         samples = sample_runs(self._runs)
         return None if samples is None else Explanations(self._nominal_robot, samples)
 
@@ -233,7 +238,7 @@ def _doubt_single_runs(
     if not fails.any():
         return
     for run in runs[:_MAX_SINGLE_RUNS]:
-        samples = sample_runs([run])
+        samples = _sample_judged_run(run)
         if samples is None:
             continue
         search = Explanations(together.robot, samples)
@@ -287,7 +292,7 @@ def find_odd_runs(together: Explanations, runs: Sequence[RecordedRun]) -> list[O
     """
     searches: list[tuple[RecordedRun, Explanations]] = []
     for run in runs[:_MAX_COMPARED_RUNS]:
-        samples = sample_runs([run])
+        samples = _sample_judged_run(run)
         if samples is not None:
             searches.append((run, Explanations(together.robot, samples)))
     if len(searches) < 2:
@@ -309,6 +314,11 @@ def find_odd_runs(together: Explanations, runs: Sequence[RecordedRun]) -> list[O
             )
             found.append(OddRun(run, search, joints, shares[k], others, outside_range))
     return found
+
+
+def _sample_judged_run(run: RecordedRun) -> Samples | None:
+    """Sample one run; None where it is too short to be judged alone."""
+    return sample_runs([run]) if run.duration >= _MIN_JUDGED_DURATION else None
 
 
 def _is_odd(shares: np.ndarray, others: np.ndarray) -> np.ndarray:
