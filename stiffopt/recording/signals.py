@@ -41,8 +41,8 @@ class Signals:
         Factors of columns to SI; absent where they are in SI.
     torque_delay : float
         Delay of recorded torques after positions [s].
-    currents : bool
-        Torques are given in A without a torque constant.
+    current_joints : tuple of int
+        Joints (from 0) with torques in A without a torque constant.
 
     Notes
     -----
@@ -58,7 +58,12 @@ class Signals:
     torque_side: Literal["motor", "link"] = "motor"
     scale: Mapping[str, np.ndarray] = field(default_factory=dict)
     torque_delay: float = 0.0
-    currents: bool = False
+    current_joints: tuple[int, ...] = ()
+
+    @property
+    def currents(self) -> bool:
+        """Return whether any torque is still a current."""
+        return bool(self.current_joints)
 
     def scale_of(self, kind: str, n: int) -> np.ndarray:
         """Factors (n,) of the columns of a kind to SI."""
@@ -141,12 +146,22 @@ def build_signals(section: SignalsSection, n: int, path: Path) -> Signals:
         torque_side=section.torque_side or "motor",
         scale=_scale_factors(section.scale, n, path),
         torque_delay=section.torque_delay,
-        currents=any(entry in _CURRENT_UNITS for entry in _entry_list(section.scale.torque)),
+        current_joints=_current_joints(section, n),
     )
 
 
 # Currents [A] are accepted as torques, but a diagnosis needs the torque constant first.
 _CURRENT_UNITS = {"A": 1.0, "mA": 1e-3}
+
+
+def _current_joints(section: SignalsSection, n: int) -> tuple[int, ...]:
+    entries = _entry_list(section.scale.torque)
+    each = entries * n if len(entries) == 1 else entries
+    return tuple(
+        joint
+        for joint, (entry, name) in enumerate(zip(each, section.torque, strict=False))
+        if name and entry in _CURRENT_UNITS
+    )
 
 
 def _scale_factors(section: ScaleSection, n: int, path: Path) -> dict[str, np.ndarray]:

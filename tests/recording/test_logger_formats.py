@@ -16,8 +16,8 @@ from stiffopt.recording.recording_set import load_recordings
 from stiffopt.recording.signals import Signals, is_set_point
 
 URDF = ROOT / "problems" / "recordings" / "two_link_friction" / "robot.urdf"
-LOGS = ROOT / "shared" / "cases" / "logs"
-SHARED = next((p for p in (LOGS, ROOT.parent / "shared/cases/logs") if p.is_dir()), None)
+LOGS = ROOT.parent / "shared" / "cases" / "logs"
+SHARED = LOGS if LOGS.is_dir() else None
 TIME = np.arange(0.0, 4.0, 0.005)
 Q = np.column_stack([np.sin(TIME), 0.8 * np.cos(2.0 * TIME)])
 QD = np.column_stack([np.cos(TIME), -1.6 * np.sin(2.0 * TIME)])
@@ -252,3 +252,18 @@ def test_published_layouts_become_sets(name, tmp_path, capsys):
     for kind in ("position", "torque"):
         assert len(signals[kind]) == 6
         assert not any(map(is_set_point, signals[kind]))
+
+
+@pytest.mark.parametrize(("bits", "each"), [(12, "0.00153398"), (16, "9.58738e-05")])
+def test_ticks_are_counts(bits, each, tmp_path, capsys):
+    """Positions as whole numbers, up to those of one turn, are no degrees."""
+    turn = 2**bits
+    ticks = np.round(turn / 2 + 0.4 * turn * Q)
+    table = np.column_stack([TIME, ticks, np.round(300.0 * QD), TAU])
+    np.savetxt(tmp_path / "log.csv", table, header=",".join(HEAD), delimiter=",", comments="")
+    arguments = ["init", "recording", str(tmp_path / "log.csv"), "--urdf", str(URDF)]
+    assert run([*arguments, "-o", str(tmp_path / "set")]) == 0
+    assert f"{each} rad per count if one turn has {turn}" in capsys.readouterr().out
+    signals = tomllib.loads((tmp_path / "set" / "recordings.toml").read_text())["signals"]
+    assert signals["scale"]["position"] == "counts"
+    assert "velocity" not in signals

@@ -132,13 +132,21 @@ def _doubt_masses(recordings: RecordingSet) -> Doubt:
 
 def _doubt_currents(recordings: RecordingSet) -> Iterator[Doubt]:
     """Doubt torques that are still currents."""
-    if recordings.signals.currents:
+    joints = recordings.signals.current_joints
+    if joints:
+        some = 0 < len(joints) < sum(map(bool, recordings.signals.torque))
+        stated = (
+            f"The torque of {format_joints(joints)} is stated as a current"
+            if some
+            else "The torques are stated as currents"
+        )
+        leave = ', or "" in place of its torque column, to go without it;' if some else ";"
         yield Doubt(
             kind="torque unit",
-            joints=(),
-            evidence="The torques are stated as currents in A. Give N m per A at each joint (the"
-            " motor's torque constant times the gear ratio) as torque in [signals.scale]; an"
-            " estimate from the weight of the nominal model, if possible, is listed as well.",
+            joints=tuple(j + 1 for j in joints) if some else (),
+            evidence=f"{stated} in A. Give N m per A at each joint (the"
+            f" motor's torque constant times the gear ratio) as torque in [signals.scale]{leave}"
+            " an estimate from the weight of the nominal model, if possible, is listed as well.",
             line="",
         )
 

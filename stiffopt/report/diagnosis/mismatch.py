@@ -80,8 +80,8 @@ class UnstatedRow:
 
     Parameters
     ----------
-    effect, where, values, from_nothing, shows_in, falls, explains, probability : str
-        Texts; numbers are ranges over the joints. `from_nothing` is the significance.
+    effect, where, values, min_deviations, shows_in, falls, explains, probability : str
+        Texts; numbers are ranges over the joints. `min_deviations` is the least significance.
     """
 
     effect: str
