@@ -61,7 +61,7 @@ def _columns_of_document(document: Any, path: Path) -> Table:
         leaves = dict(flatten_mapping(_arrays_of_data_frame(document)))
         records = [each for each in leaves.values() if _is_records(each)]
         if records:
-            return columns_of_records(max(records, key=len), path)
+            return columns_of_records(max(records, key=lambda rows: len(rows)), path)
         return columns_of_arrays(leaves)
     if _is_records(document):
         return columns_of_records(document, path)
