@@ -54,7 +54,7 @@ _OTHER_SIGNAL_WORDS = (
 )
 # Words that make a kind together.
 _PAIRS_BY_KIND = {"torque": (("actuator", "force"), ("actuator", "forces"))}
-_BRACKETS = re.compile(r"[\[(]\s*([^\])]+)\s*[\])](?=\s*\d*\s*$)")
+_BRACKET_PATTERN = re.compile(r"[\[(]\s*([^\])]+)\s*[\])](?=\s*\d*\s*$)")
 # Content of brackets that is an entry of a vector, not a unit: q[0], position[elbow].
 _ENTRY_PATTERN = re.compile(r"\d+|[A-Za-z_][\w.\- ]{2,}")
 _UNITS_BY_KIND = {
@@ -103,7 +103,7 @@ def columns_of_kind(
 
 def split_words(name: str) -> list[str]:
     """Split a column name into words without its unit: "Actual_Q_0 [rad]" to actual, q, 0."""
-    bare = _BRACKETS.sub("", name) if _bracketed_unit(name) else name
+    bare = _BRACKET_PATTERN.sub("", name) if _bracketed_unit(name) else name
     bare = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", bare)
     return _WORD_PATTERN.findall(bare.lower())
 
@@ -118,7 +118,7 @@ def stated_unit(name: str) -> str | None:
 
 def _bracketed_unit(name: str) -> str:
     """Return the unit in the brackets of a name, "" without."""
-    found = _BRACKETS.search(name)
+    found = _BRACKET_PATTERN.search(name)
     unit = "" if found is None else found[1].strip().lower()
     return unit if unit in UNITS or not _ENTRY_PATTERN.fullmatch(unit) else ""
 

@@ -74,7 +74,7 @@ _FORMAT_NAMES = {
     "kuka_trace": "a KUKA trace",
 }
 # Formats that are not read: name, and how to convert them.
-_CONVERSIONS = {
+_CONVERSION_ADVICE = {
     ".bag": ("a bag of ROS 1", "convert it: rosbags-convert --src FILE.bag --dst FOLDER"),
     ".xls": ("an Excel workbook of 1997", "save it as .xlsx or CSV"),
     ".xlsb": ("a binary Excel workbook", "save it as .xlsx or CSV"),
@@ -225,8 +225,8 @@ def _select_reader(path: Path) -> str:
     file, _ = split_part(path)
     check_file(file)
     ending = file.suffix.lower()
-    if ending in _CONVERSIONS:
-        name, how = _CONVERSIONS[ending]
+    if ending in _CONVERSION_ADVICE:
+        name, how = _CONVERSION_ADVICE[ending]
         raise InputFileError(path, "", f"is {name}, which is not read: {how}.")
     module = _TRACE_READER if _is_trace(file) else _READER_OF_ENDING.get(ending, "")
     if not module:

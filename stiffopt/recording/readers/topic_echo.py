@@ -9,7 +9,7 @@ from typing import Any
 
 from stiffopt.recording.readers.columns import Table, columns_of_records
 
-_SEPARATOR = "---"
+_MESSAGE_SEPARATOR = "---"
 _ARRAY_PATTERN = re.compile(r"(?:array\('\w', *)?\[(.*)\]\)?$")
 _FIELD_PATTERN = re.compile(r"^\s*(- )?[A-Za-z_]\w*:(\s|$)")
 
@@ -17,11 +17,11 @@ _FIELD_PATTERN = re.compile(r"^\s*(- )?[A-Za-z_]\w*:(\s|$)")
 def is_topic_echo(text: str) -> bool:
     """Return True if text begins with fields of a message and has separators of messages."""
     head = [line for line in text[:4096].splitlines() if line.strip()]
-    fields = [line for line in head[:6] if line != _SEPARATOR]
+    fields = [line for line in head[:6] if line != _MESSAGE_SEPARATOR]
     return (
         bool(fields)
         and _FIELD_PATTERN.match(fields[0]) is not None
-        and f"\n{_SEPARATOR}" in text
+        and f"\n{_MESSAGE_SEPARATOR}" in text
         and "," not in fields[0].partition(":")[0]
     )
 
@@ -35,7 +35,7 @@ def _iterate_messages(text: str) -> Iterator[Any]:
     lines: list[tuple[int, str]] = []
     complete = False
     for line in text.splitlines():
-        if line.rstrip() == _SEPARATOR:
+        if line.rstrip() == _MESSAGE_SEPARATOR:
             if lines:
                 yield _parse_block(lines, 0, lines[0][0])[0]
             lines, complete = [], True
