@@ -59,9 +59,10 @@ def _invalid_json(path: Path, error: json.JSONDecodeError, line: int) -> InputFi
 def _columns_of_document(document: Any, path: Path) -> Table:
     if isinstance(document, Mapping):
         leaves = dict(flatten_mapping(_arrays_of_data_frame(document)))
-        records = [each for each in leaves.values() if _is_records(each)]
+        records: list[list[Any]] = [each for each in leaves.values() if _is_records(each)]
         if records:
-            return columns_of_records(max(records, key=lambda rows: len(rows)), path)
+            longest: list[Any] = max(records, key=len)
+            return columns_of_records(longest, path)
         return columns_of_arrays(leaves)
     if _is_records(document):
         return columns_of_records(document, path)
