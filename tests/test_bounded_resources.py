@@ -18,13 +18,13 @@ from stiffopt.errors import InputError, InputFileError, RobotError, UnitError
 from stiffopt.files import MAX_STRING_LENGTH, atomic_write, load_json, load_toml, read_table
 from stiffopt.folders import check_result
 from stiffopt.recording.clock import read_clock
-from stiffopt.recording.readers.read import read_columns
+from stiffopt.recording.readers.read import read_columns, read_tables
+from stiffopt.recording.readers.text_table import MAX_LINE
 from stiffopt.recording.signals import Signals
 from stiffopt.result.store import MAX_SAMPLES, export_times
 from stiffopt.robot.meshes import convex_hull, load_mesh_file
 from stiffopt.robot.urdf import MAX_MOVING_JOINTS, load_urdf
 from stiffopt.robot.urdf_xml import MAX_DEPTH, MAX_ELEMENTS, parse_xml
-from stiffopt.starter.tables import MAX_LINE, read_any_table
 from stiffopt.starter.writing import toml_string
 from stiffopt.units import joint_to_si, to_si
 
@@ -35,7 +35,7 @@ READERS = {
     "urdf": load_urdf,
     "csv": lambda path: read_columns(path, TABLE),
     "parquet": lambda path: read_columns(path, TABLE),
-    "txt": read_any_table,
+    "txt": read_tables,
     "table": lambda path: read_table(path, ["t"]),
     "stl": lambda path: load_mesh_file(path, np.ones(3)),
 }
@@ -136,10 +136,10 @@ def test_a_table_without_rows_is_said_and_no_warning(tmp_path, recwarn):
 
 
 def test_a_table_of_one_long_line_is_refused(tmp_path):
-    path = tmp_path / "log.json"
-    path.write_text(json.dumps([{"t": k} for k in range(MAX_LINE // 8)]))
+    path = tmp_path / "log.txt"
+    path.write_text("1.0 " * (MAX_LINE // 4 + 1))
     with pytest.raises(InputFileError, match="is no table: a line has"):
-        read_any_table(path)
+        read_tables(path)[""]
 
 
 @pytest.mark.parametrize("dimension", ["time", "torque"])

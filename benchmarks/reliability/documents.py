@@ -169,12 +169,12 @@ def sets(place: Path) -> Iterator[Subject]:
 
 def begun(place: Path) -> Iterator[Subject]:
     """What `stiffopt init` begins with, and one's own catalogue."""
+    from stiffopt.recording.readers.read import read_tables
     from stiffopt.robot.files import load_robot
     from stiffopt.robot.own_catalogue import read_own_catalogue
     from stiffopt.starter.guessing import guess_columns
     from stiffopt.starter.problem_file import problem_text
     from stiffopt.starter.robot_file import robot_text
-    from stiffopt.starter.tables import read_any_table
 
     begun = place / "begun"
     begun.mkdir()
@@ -199,7 +199,7 @@ def begun(place: Path) -> Iterator[Subject]:
     }  # fmt: skip
     write_csv(begun / "log.csv", columns)
     command = ("init", "recording", "log.csv", "--urdf", "two.urdf", "--out", "out")
-    guessed = lambda path: guess_columns(read_any_table(path), two)  # noqa: E731
+    guessed = lambda path: guess_columns(read_tables(path)[""], two)  # noqa: E731
     yield Subject("own table", begun, "log.csv", mutators.spoiled_csv, guessed, command)
     (begun / "reducers.toml").write_text(_CATALOGUE)
     command = ("catalogue", "reducers", "--own", "reducers.toml")

@@ -111,7 +111,8 @@ def recording(
 ) -> int:
     """Write a recording set for recorded tables or bags; inferred entries are listed.
 
-    Reads CSV, NPZ, Parquet, LeRobot datasets, MCAP and rosbag2.
+    Reads text tables, JSON, NPZ, Parquet, LeRobot datasets, MATLAB, Excel, HDF5, MCAP, rosbag2 and
+    the text of `ros2 topic echo`.
 
     Parameters
     ----------

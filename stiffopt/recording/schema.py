@@ -226,8 +226,9 @@ class RunSection(Section):
     file: Annotated[
         Text,
         Doc(
-            "CSV, NPZ, Parquet, MCAP, rosbag2, .dat of a KUKA trace, or an episode of a LeRobot "
-            "dataset (FILE.parquet#3), relative to this file."
+            "Text, JSON, NPZ, Parquet, MATLAB, Excel, HDF5, MCAP, rosbag2 or .dat of a KUKA trace, "
+            "relative to this file; FILE#PART for one of several runs in it, such as an episode of "
+            "a LeRobot dataset (FILE.parquet#3), a group of HDF5 or a sheet."
         ),
     ]
     role: Annotated[

@@ -48,8 +48,8 @@ class Signals:
         Added to positions [rad].
     at_rest : bool or None
         Each row is a pose at rest; None where not stated.
-    currents : bool
-        Torques are given in A without a torque constant.
+    current_joints : tuple of int
+        Joints (from 0) with torques in A without a torque constant.
 
     Notes
     -----
@@ -68,7 +68,12 @@ class Signals:
     includes: tuple[int, ...] = ()
     offset: np.ndarray | None = None
     at_rest: bool | None = None
-    currents: bool = False
+    current_joints: tuple[int, ...] = ()
+
+    @property
+    def currents(self) -> bool:
+        """True where a torque is still a current."""
+        return bool(self.current_joints)
 
     def scale_of(self, kind: str, n: int) -> np.ndarray:
         """Factors (n,) of the columns of a kind to SI."""
@@ -186,12 +191,22 @@ def build_signals(section: SignalsSection, n: int, path: Path) -> Signals:
         includes=includes,
         offset=None if section.offset is None else np.array(section.offset, dtype=float),
         at_rest=section.at_rest,
-        currents=any(entry in _CURRENT_UNITS for entry in _entry_list(section.scale.torque)),
+        current_joints=_current_joints(section, n),
     )
 
 
 # Currents [A] are accepted as torques, but a diagnosis needs the torque constant first.
 _CURRENT_UNITS = {"A": 1.0, "mA": 1e-3}
+
+
+def _current_joints(section: SignalsSection, n: int) -> tuple[int, ...]:
+    entries = _entry_list(section.scale.torque)
+    each = entries * n if len(entries) == 1 else entries
+    return tuple(
+        joint
+        for joint, (entry, name) in enumerate(zip(each, section.torque, strict=False))
+        if name and entry in _CURRENT_UNITS
+    )
 
 
 def _scale_factors(section: ScaleSection, n: int, path: Path) -> dict[str, np.ndarray]:
@@ -251,7 +266,8 @@ def _none_if_unnamed(names: tuple[str, ...] | None) -> tuple[str, ...] | None:
 
 
 _SET_POINT_WORDS = ("target", "cmd", "command", "desired", "planned", "soll", "setpoint",
-          "consigne", "consigna", "riferimento", "action")  # fmt: skip
+          "consigne", "consigna", "riferimento", "action", "actions", "goal", "leader",
+          "ctrl")  # fmt: skip
 # Prefixes of longer words: commanded, setpoints.
 _SET_POINT_PREFIXES = ("target", "command", "desired", "setpoint", "consign")
 _SOLL_PATTERN = r"soll(wert|pos|winkel|lage|stell|dreh|achs|gelenk|bahn|weg)"
@@ -262,6 +278,7 @@ _SHORT_WORDS = ("soll", "target", "cmd", "des", "ref", "reference", "set")
 _COMPOUND_PATTERN = rf"({'|'.join((*_QUANTITY_WORDS, *_AXIS_WORDS[:3]))})({'|'.join(_SHORT_WORDS)})"
 _UNIT_WORDS = ("deg", "rad", "grad", "m", "mm")
 _REFERENCE_WORDS = ("ref", "reference")
+_DESIRED_QUANTITIES = (*_QUANTITY_WORDS, "dq", "qd", "ddq", "qdd", "tau", "j", "vel", "torque")
 # Shorter words before "des" are no German noun followed by a genitive.
 _MIN_NOUN_LETTERS = 4
 
@@ -271,7 +288,8 @@ def is_set_point(name: str) -> bool:
     words = _split_words(name)
     letters = [word for word in words if word.isalpha()]
     return (
-        any(word in _SET_POINT_WORDS or word.startswith(_SET_POINT_PREFIXES) for word in letters)
+        _has_desired_suffix(words)
+        or any(word in _SET_POINT_WORDS or word.startswith(_SET_POINT_PREFIXES) for word in letters)
         or any(
             re.match(_SOLL_PATTERN, word) or re.fullmatch(_COMPOUND_PATTERN, word)
             for word in letters
@@ -292,6 +310,11 @@ def _split_words(name: str) -> list[str]:
     # QTarget, jointAngle; a word of capitals such as QSOLL1 stays whole.
     apart = re.sub(r"(?<=[a-z])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", " ", name)
     return re.findall(r"[a-z]+|\d+", apart.lower())
+
+
+def _has_desired_suffix(words: list[str]) -> bool:
+    """Return whether "d" stands for "desired" after a quantity: "q_d[0]", "tau_J_d"."""
+    return any(two == "d" and one in _DESIRED_QUANTITIES for one, two in itertools.pairwise(words))
 
 
 def _has_desired(words: list[str]) -> bool:

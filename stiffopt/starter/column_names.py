@@ -6,21 +6,21 @@ import re
 from collections.abc import Sequence
 
 from stiffopt.recording.signals import may_be_set_point
-from stiffopt.starter.tables import UNITS
+from stiffopt.recording.unit_names import UNITS
 
 KINDS = ("velocity", "torque", "link_position", "position")
 # Words of each kind, in order of precedence; names are split at other characters than letters and
 # digits.
 _WORDS_BY_KIND = {
     "velocity": ("velocity", "velocities", "vel", "speed", "qd", "dq", "omega", "geschwindigkeit",
-                 "drehzahl", "speeds"),
+                 "drehzahl", "speeds", "velo", "qvel"),
     "torque": (
         "torque", "torques", "tau", "trq", "moment", "effort", "drehmoment", "current", "currents",
-        "strom", "amps", "tq", "load",
+        "strom", "amps", "tq", "load", "qfrc",
     ),
     "link_position": ("link", "linkside", "ql", "secondary", "outputside"),
     "position": ("position", "positions", "pos", "q", "angle", "angles", "theta", "winkel", "lage",
-                 "ist", "axis", "joint", "a", "j", "state"),
+                 "ist", "qpos", "axis", "joint", "a", "j", "state"),
 }  # fmt: skip
 CURRENT_WORDS = ("current", "currents", "strom", "amps", "i")
 # Words that other signals of a joint share.
@@ -39,8 +39,24 @@ _OTHER_SIGNAL_WORDS = (
     "qdd",
     "mode",
     "status",
+    "error",
+    "err",
+    # Shares of a torque that models or observers compute; names of MuJoCo and libfranka.
+    "ext",
+    "external",
+    "gravity",
+    "coriolis",
+    "bias",
+    "passive",
+    "constraint",
+    "applied",
+    "contact",
 )
-_BRACKETED_UNIT = re.compile(r"[\[(]\s*([^\])]+)\s*[\])](?=\s*\d*\s*$)")
+# Words that make a kind together.
+_PAIRS_BY_KIND = {"torque": (("actuator", "force"), ("actuator", "forces"))}
+_BRACKET_PATTERN = re.compile(r"[\[(]\s*([^\])]+)\s*[\])](?=\s*\d*\s*$)")
+# Content of brackets that is an entry of a vector, not a unit: q[0], position[elbow].
+_ENTRY_PATTERN = re.compile(r"\d+|[A-Za-z_][\w.\- ]{2,}")
 _UNITS_BY_KIND = {
     "position": ("deg", "degree", "degrees", "°", "grad", "rad", "mrad", "rev", "revs", "turns"),
     "velocity": ("deg/s", "°/s", "rad/s", "mrad/s", "rpm", "1/min", "min-1", "u/min"),
@@ -87,23 +103,24 @@ def columns_of_kind(
 
 def split_words(name: str) -> list[str]:
     """Split a column name into words without its unit: "Actual_Q_0 [rad]" to actual, q, 0."""
-    bare = _BRACKETED_UNIT.sub("", name)
+    bare = _BRACKET_PATTERN.sub("", name) if _bracketed_unit(name) else name
     bare = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", bare)
     return _WORD_PATTERN.findall(bare.lower())
 
 
 def stated_unit(name: str) -> str | None:
     """Return the unit in brackets or as the last word: "q1 [deg]", "q1_deg"; None without."""
-    if _BRACKETED_UNIT.search(name) is not None:
-        return UNITS.get(_bracketed_unit(name))
+    if unit := _bracketed_unit(name):
+        return UNITS.get(unit)
     last = re.split(r"[_\s]", name.strip().lower())[-1]
     return UNITS[last] if last in _SUFFIX_UNITS else None
 
 
 def _bracketed_unit(name: str) -> str:
-    """Return the text in the brackets of a name, "" without."""
-    found = _BRACKETED_UNIT.search(name)
-    return "" if found is None else found[1].strip().lower()
+    """Return the unit in the brackets of a name, "" without."""
+    found = _BRACKET_PATTERN.search(name)
+    unit = "" if found is None else found[1].strip().lower()
+    return unit if unit in UNITS or not _ENTRY_PATTERN.fullmatch(unit) else ""
 
 
 def _without_set_points(names: Sequence[str]) -> list[str]:
@@ -128,7 +145,7 @@ def _column_families(names: Sequence[str], joints: Sequence[str]) -> list[tuple[
         digits = [k for k, word in enumerate(family) if word.isdigit()]
         if digits:
             del family[digits[-1]]
-        families.setdefault((*family, _bracketed_unit(name)), []).append(name)
+        families.setdefault((*family, _bracketed_unit(bare)), []).append(name)
     found = [_order_by_joint(own, joints) for own in families.values()]
     fitting = [each for each in found if each is not None]
     # Families that lack joints are combined if they complete each other.
@@ -150,6 +167,9 @@ def _is_kind(name: str, kind: str) -> bool:
     measured = _kind_by_unit(name)
     if measured is not None and measured != kind.removeprefix("link_"):
         return False  # "axis 1 [Nm]"
+    for other, pairs in _PAIRS_BY_KIND.items():
+        if any(said >= set(pair) for pair in pairs):
+            return other == kind
     for other in KINDS:
         if said & set(_WORDS_BY_KIND[other]):
             return other == kind

@@ -9,7 +9,7 @@ import numpy as np
 
 from stiffopt.errors import InputError
 from stiffopt.recording.rest_poses import are_unordered
-from stiffopt.recording.signals import may_be_set_point
+from stiffopt.recording.signals import is_set_point, may_be_set_point
 from stiffopt.robot.robot import Robot
 from stiffopt.starter.column_names import (
     CURRENT_WORDS,
@@ -28,6 +28,10 @@ FACTOR_REQUESTS = {
     "%": "a share: put N m per % (a hundredth of the rated torque)",
     "counts": "counts of an encoder: put rad per count, one number a joint",
 }
+# Counts of one turn of encoders that are read as they are: 12 to 16 bits.
+_COUNTS_PER_TURN = (4096, 8192, 16384, 32768, 65536)
+# Least reach of counts [counts]: whole degrees reach less.
+_MIN_COUNTS = 720.0
 # Units per rad and per rad/s, for comparing position changes with speeds.
 _ANGLE_UNITS_PER_RAD = {"": 1.0, "deg": np.degrees(1.0), "mrad": 1e3, "turn": 0.5 / np.pi}
 _SPEED_UNITS_PER_RAD_S = {"": 1.0, "deg/s": np.degrees(1.0)}
@@ -104,13 +108,12 @@ def guess_columns(
         if found:
             columns[kind], others[kind] = found[0], found[1:]
             left = [name for name in left if name not in found[0]]
-    for kind in ("position", "torque"):
-        if kind not in columns:
-            raise UnrecognisedError(
-                f"no {kind} was recognised for {robot.n} joints among the columns"
-                f" {', '.join(list(table)[:40])}. Name them like {_NAME_EXAMPLES[kind]}, or write"
-                " [signals] of recordings.toml by hand."
-            )
+    _require_kinds(columns, left, table, robot)
+    if "velocity" in columns and _is_counted(_column_values(table, columns["position"])):
+        reasons.append(
+            f"velocity: {columns.pop('velocity')[0]}, ... are counts per an unknown time and not"
+            " used: positions tell the speed"
+        )
     unit, why = _guess_time_unit(table[time], time)
     if rate is not None:
         unit, why = "", f"time: counted, {rate:g} rows a second"
@@ -141,6 +144,28 @@ def guess_columns(
         asked=tuple(dict.fromkeys(asked)),
         at_rest=at_rest,
     )
+
+
+def _require_kinds(
+    columns: Mapping[str, tuple[str, ...]],
+    left: Sequence[str],
+    table: Mapping[str, np.ndarray],
+    robot: Robot,
+) -> None:
+    """Raise `UnrecognisedError` without positions or torques of all joints."""
+    for kind in ("position", "torque"):
+        if kind not in columns:
+            commands = ""
+            if kind == "torque" and any(map(is_set_point, left)):
+                commands = (
+                    " Set points and measured positions alone do not tell the torque that a"
+                    " diagnosis explains: log the motors' currents, loads or efforts too."
+                )
+            raise UnrecognisedError(
+                f"no {kind} was recognised for {robot.n} joints among the columns"
+                f" {', '.join(list(table)[:40])}. Name them like {_NAME_EXAMPLES[kind]}, or write"
+                f" [signals] of recordings.toml by hand.{commands}"
+            )
 
 
 _NAME_EXAMPLES = {
@@ -261,6 +286,12 @@ def _guess_unit(
     return "", "taken as SI"
 
 
+def _is_counted(values: np.ndarray) -> bool:
+    """Return True if positions (K, m) are whole numbers beyond those of degrees."""
+    known = values[np.isfinite(values)]
+    return bool(known.size and np.all(known == np.round(known)) and np.ptp(known) > _MIN_COUNTS)
+
+
 def _column_values(table: Mapping[str, np.ndarray], names: Sequence[str]) -> np.ndarray:
     """Return columns (K, m); nan for values that are not finite."""
     values = np.column_stack([table[name] for name in names])
@@ -348,6 +379,15 @@ def _guess_angle_unit(values: np.ndarray, robot: Robot) -> tuple[str, str]:
         np.any(np.fmax.reduce(values, axis=0)[finite] > high[finite] + 0.1)
         or np.any(np.fmin.reduce(values, axis=0)[finite] < low[finite] - 0.1)
     )
+    if _is_counted(values):
+        turn = next((c for c in _COUNTS_PER_TURN if most < c), 0)
+        told = f"counts: whole numbers that reach {most:.4g}"
+        if turn:
+            told += (
+                f", so {2.0 * np.pi / turn:.6g} rad per count if one turn has {turn}, and zero"
+                f" perhaps at {turn // 2}"
+            )
+        return "counts", f"{told}; {FACTOR_REQUESTS['counts']} in [signals.scale]"
     if most > np.degrees(_MAX_JOINT_ANGLE):
         return "counts", f"they reach {most:.4g}, {FACTOR_REQUESTS['counts']} in [signals.scale]"
     if most > 4.0 * np.pi or (beyond and most > np.pi):

@@ -8,7 +8,7 @@ import re
 import shutil
 import tempfile
 from collections.abc import Collection, Container, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,8 @@ import numpy as np
 
 from stiffopt.errors import InputError, InputFileError
 from stiffopt.files import load_toml, read_text
-from stiffopt.recording.readers.read import is_messages
+from stiffopt.recording.readers.columns import Table
+from stiffopt.recording.readers.read import RUN_ENDINGS, is_messages, read_tables
 from stiffopt.robot.body_tree import body_tree
 from stiffopt.robot.files import load_robot
 from stiffopt.robot.joint_tree import JointTree
@@ -30,11 +31,11 @@ from stiffopt.starter.guessing import (
     guess_columns,
     with_time,
 )
+from stiffopt.starter.message_tables import read_message_table
 from stiffopt.starter.robot_file import robot_text
-from stiffopt.starter.tables import read_any_table, read_message_table
+from stiffopt.starter.table_layouts import join_signal_files, name_blocks
 from stiffopt.starter.writing import toml_list, toml_string, write_new
 
-_TABLE_SUFFIXES = (".csv", ".txt", ".tsv", ".dat", ".log", ".npz", ".parquet")
 # Training share of a single recording; the rest is held out. Fewest rows for training.
 _TRAINING_SHARE = 0.7
 _MIN_TRAINING_ROWS = 400
@@ -88,7 +89,7 @@ def start_recording_set(
     """
     if (folder / "recordings.toml").exists():
         raise InputFileError(folder / "recordings.toml", "", "exists and is kept.")
-    if urdf.suffix.lower() in _TABLE_SUFFIXES:
+    if urdf.suffix.lower() in RUN_ENDINGS:
         raise InputFileError(urdf, "", "is a recording, not a URDF. Give the arm's as --urdf.")
     with tempfile.TemporaryDirectory() as beside:
         arm = store_robot(urdf, Path(beside), tip)
@@ -111,17 +112,15 @@ def _write_set(
     """Write the set of an arm whose files are in the folder `beside`."""
     robot = arm.robot
     files = _find_files(data)
-    tables = {
-        path: read_message_table(path, robot.joint_names)
-        if is_messages(path)
-        else read_any_table(path)
-        for path in files
-    }
+    tables, layout = _read_runs(files, robot)
+    files = list(tables)
     if rate is not None:
         if not 0.0 < rate < 1e6:
             raise InputError(f"--rate {rate:g} must be above 0 and below 1e6 rows a second.")
         tables = {path: with_time(table, rate) for path, table in tables.items()}
     first = guess_columns(tables[files[0]], robot, rate)
+    if layout:
+        first = replace(first, reasons=(layout, *first.reasons))
     wanted = [first.time, *(c for columns in first.columns.values() for c in columns if c)]
     notes = list(arm.notes)
     for path, table in tables.items():
@@ -166,6 +165,26 @@ def _write_set(
     return StartedSet(
         path=write_new(folder / "recordings.toml", text), guess=first, notes=tuple(notes)
     )
+
+
+def _read_runs(files: Sequence[Path], robot: Robot) -> tuple[dict[Path, Table], str]:
+    """Return the tables of all runs by file, with names for columns that have none, and why."""
+    tables: dict[Path, Table] = {}
+    for path in files:
+        if is_messages(path):
+            tables[path] = read_message_table(path, robot.joint_names)
+            continue
+        for part, table in read_tables(path).items():
+            own = path.with_name(f"{path.stem}_{part}{path.suffix}") if part else path
+            tables[own] = table
+    layout = ""
+    tables = join_signal_files(tables, robot)
+    for path, table in tables.items():
+        try:
+            tables[path], layout = name_blocks(table, robot)
+        except InputError as error:
+            raise InputFileError(path, "", str(error)) from error
+    return tables, layout
 
 
 def _split_runs(
@@ -229,14 +248,14 @@ def _find_files(data: Sequence[Path]) -> list[Path]:
             found += sorted(path.glob("data/**/*.parquet"))
         elif path.is_dir() and not is_messages(path):
             found += sorted(
-                p for p in path.iterdir() if p.suffix.lower() in _TABLE_SUFFIXES or is_messages(p)
+                p for p in path.iterdir() if p.suffix.lower() in RUN_ENDINGS or is_messages(p)
             )
         else:
             found.append(path)
     if not found:
         raise InputError(
-            f"no recordings in {', '.join(map(str, data))}: {', '.join(_TABLE_SUFFIXES)}, MCAP,"
-            " rosbag2 and LeRobot datasets are read."
+            f"no recordings in {', '.join(map(str, data))}: {', '.join(RUN_ENDINGS)}, rosbag2"
+            " and LeRobot datasets are read."
         )
     stems = [_run_name(path) for path in found]
     twice = [path for path, stem in zip(found, stems, strict=True) if stems.count(stem) > 1]

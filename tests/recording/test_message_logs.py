@@ -12,7 +12,7 @@ from test_recording_readers import write_bag, write_json_mcap
 from stiffopt.cli import run
 from stiffopt.errors import InputError
 from stiffopt.recording.recording_set import load_recordings
-from stiffopt.starter.tables import STAMP_COLUMN, read_message_table
+from stiffopt.starter.message_tables import STAMP_COLUMN, read_message_table
 
 pytest.importorskip("rosbags")
 pytest.importorskip("mcap")
@@ -70,5 +70,5 @@ def test_slow_reader_is_stopped(tmp_path, monkeypatch):
     monkeypatch.setattr(reader, "read", endless)
     (tmp_path / "run.csv").write_text("t,q,tau\n0,0,0\n")
     signals = Signals(time="t", position=("q",), velocity=None, link_position=None, torque=("tau",))
-    with pytest.raises(InputError, match=r"cannot be read as a CSV text file within 0\.3 s"):
+    with pytest.raises(InputError, match=r"cannot be read as a text file within 0\.3 s"):
         read.read_columns(tmp_path / "run.csv", signals)

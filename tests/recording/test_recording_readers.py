@@ -326,9 +326,9 @@ def test_content_that_is_no_table_of_numbers_is_refused(tmp_path: Path) -> None:
     (tmp_path / "word.csv").write_text("\n".join(text))
     with pytest.raises(InputFileError, match=r"row 5, q1: 'high' is no number"):
         read_columns(tmp_path / "word.csv", PLAIN)
-    (tmp_path / "run.mat").write_text("")
-    with pytest.raises(InputFileError, match=r"'.mat' is none of .csv"):
-        read_columns(tmp_path / "run.mat", PLAIN)
+    (tmp_path / "run.xyz").write_text("")
+    with pytest.raises(InputFileError, match=r"'.xyz' is none of .csv"):
+        read_columns(tmp_path / "run.xyz", PLAIN)
     write_csv(tmp_path / "run.csv", run)
     with pytest.raises(InputFileError, match=r"signals.time is required"):
         read_columns(tmp_path / "run.csv", JOINTS)

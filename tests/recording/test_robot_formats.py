@@ -96,7 +96,7 @@ def test_incomplete_kuka_traces_are_refused(tmp_path: Path) -> None:
     data.unlink()
     with pytest.raises(InputFileError, match="not beside it"):
         read_columns(path, signals("t", two, ("AxisPos_Act1", "")))
-    path.write_text("nothing")
+    path.write_text("#BEGIN nothing")
     with pytest.raises(InputFileError, match="no KUKA trace"):
         read_columns(path, signals("t", two, ("AxisPos_Act1", "")))
 

@@ -203,8 +203,8 @@ def test_one_recording_is_cut_in_two(tmp_path, capsys):
     ],
 )  # fmt: skip
 def test_columns_by_the_names_of_common_loggers(head, units, tmp_path):
+    from stiffopt.recording.readers.read import read_tables
     from stiffopt.starter.guessing import guess_columns
-    from stiffopt.starter.tables import read_any_table
 
     mark = "," if "," in head else "\t" if "\t" in head else " "
     t = np.arange(0.0, 5.0, 0.01)
@@ -213,7 +213,7 @@ def test_columns_by_the_names_of_common_loggers(head, units, tmp_path):
     rows = [t] + [scale * np.sin((k + 1) * t) for k in range(len(names) - 1)]
     lines = [head, *(mark.join(f"{v:.6f}" for v in row) for row in np.column_stack(rows))]
     (tmp_path / "log.csv").write_text("\n".join(lines))
-    found = guess_columns(read_any_table(tmp_path / "log.csv"), load_robot(SHIPPED / "robot.urdf"))
+    found = guess_columns(read_tables(tmp_path / "log.csv")[""], load_robot(SHIPPED / "robot.urdf"))
     assert {kind: unit for kind, unit in found.units.items() if unit} == units
     assert "target" not in " ".join(found.columns["position"])
     assert len(found.columns["torque"]) == 2

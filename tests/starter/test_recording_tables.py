@@ -13,11 +13,13 @@ from small_arms import ROOT
 
 from stiffopt.cli import run
 from stiffopt.errors import InputError
+from stiffopt.recording.readers.clocks import parse_stamps
+from stiffopt.recording.readers.read import read_tables
 from stiffopt.recording.recording_set import load_recordings
 from stiffopt.robot.files import load_robot
-from stiffopt.starter.clocks import parse_stamps
 from stiffopt.starter.guessing import guess_columns
-from stiffopt.starter.tables import _joint_fields, read_any_table
+from stiffopt.starter.message_tables import _joint_fields
+from stiffopt.starter.table_layouts import name_blocks
 
 URDF = ROOT / "problems" / "recordings" / "two_link_friction" / "robot.urdf"
 NAMES = ["t", "q1", "q2", "tau1", "tau2"]
@@ -34,7 +36,7 @@ def lines(names=NAMES, columns=None, mark=",", form="{:.9g}"):
 def table(folder, text):
     path = folder / "log.csv"
     path.write_text("\n".join(text))
-    return read_any_table(path)
+    return read_tables(path)[""]
 
 
 def guessed(folder, text):
@@ -188,8 +190,9 @@ def test_motor_currents_are_recognised_by_letter(tmp_path):
 
 
 def test_a_table_without_names_is_told_what_to_write(tmp_path):
-    with pytest.raises(InputError, match=r"5 columns without names\. Give it one line of 5"):
-        table(tmp_path, lines(names=None))
+    found = table(tmp_path, lines(names=None, columns=[TIME, *VALUES[:2]]))
+    with pytest.raises(InputError, match=r"3 columns without names.*Give it one line of 3"):
+        name_blocks(found, load_robot(URDF))
 
 
 def test_a_table_of_one_row_is_no_recording(tmp_path):
@@ -460,7 +463,7 @@ def test_header_with_unit_row_and_empty_last_column(last, tmp_path):
     text = [f"Zeit;Achse 1 Istposition;Achse 1 Strom;{last}", "[ms];[Grad];[A];"]
     text += [f"{k};{k},5;0,{k};" for k in range(40)]
     (tmp_path / "log.csv").write_text("\n".join(text), encoding="cp1252")
-    assert list(read_any_table(tmp_path / "log.csv")) == [
+    assert list(read_tables(tmp_path / "log.csv")[""]) == [
         "Zeit [ms]", "Achse 1 Istposition [Grad]", "Achse 1 Strom [A]",
     ]  # fmt: skip
 
@@ -517,7 +520,7 @@ def test_a_lerobot_dataset_is_a_recording_set(named, tmp_path, capsys):
     assert "restarts 1 time(s): it is stored as 2 runs" in capsys.readouterr().out
     signals = tomllib.loads((out / "recordings.toml").read_text())["signals"]
     entries = ["pan.pos", "lift.pos"] if named else ["0", "1"]
-    assert signals["position"] == [f"observation.state.{entry}" for entry in entries]
+    assert signals["position"] == [f"observation.state[{entry}]" for entry in entries]
     second = np.load(out / "file-000_2.npz")
     np.testing.assert_allclose(second[signals["torque"][1]], 0.5 * VALUES[3])
 
@@ -529,7 +532,7 @@ def test_stamps_of_a_data_frame_are_seconds(tmp_path):
     stamped = (1e9 * TIME).astype("datetime64[ns]") + np.timedelta64(1, "D")
     columns = dict(zip(NAMES, [stamped, *VALUES], strict=True))
     parquet.write_table(arrow.table(columns), tmp_path / "log.parquet")
-    np.testing.assert_allclose(read_any_table(tmp_path / "log.parquet")["t"], TIME, atol=1e-9)
+    np.testing.assert_allclose(read_tables(tmp_path / "log.parquet")[""]["t"], TIME, atol=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -246,8 +246,9 @@ def known_noise(stated: Noise, runs: Sequence[PreparedRun]) -> KnownNoise:
     white noise; by medians, so that jerks at reversals hardly count. Motion above the cutoff counts
     as noise. A channel that no run has is nan. Rounding to one count is the lower limit.
     """
+    torque_count = np.median([run.torque_count for run in runs], axis=0)
     torque, torque_stated = _channel_noise(
-        stated.torque, None, [run.torque for run in runs], runs, (None,)
+        stated.torque, None, [run.torque for run in runs], runs, (torque_count,)
     )
     if runs[0].at_rest:
         torque = np.fmax(torque * torque_stated, scatter_at_rest(runs))

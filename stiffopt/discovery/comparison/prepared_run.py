@@ -27,7 +27,7 @@ from stiffopt.discovery.signals import (
     mean_sign,
     smooth_sign,
 )
-from stiffopt.recording.channel import DEVIATION_PER_MAD
+from stiffopt.recording.channel import DEVIATION_PER_MAD, resolution
 from stiffopt.recording.run import RecordedRun
 
 # Range of the cutoff of the motors' motion [Hz]: wider than the fit's filter, which all derived
@@ -102,6 +102,8 @@ class PreparedRun:
         Filtered motion and nominal torques.
     torque, deflection : array (K, n)
         Measured drive torque, and motor minus link angle; not filtered; nan where missing.
+    torque_count : array (n,)
+        One count of a quantised torque [N m]; 0 where it lies on no grid.
     torque_used, deflection_used : array (K, n) of bool
         Samples that a fit uses.
     moving : array (K, n) of bool
@@ -132,6 +134,7 @@ class PreparedRun:
     signals: RobotSignals
     torque: np.ndarray
     deflection: np.ndarray
+    torque_count: np.ndarray
     torque_used: np.ndarray
     deflection_used: np.ndarray
     moving: np.ndarray
@@ -320,7 +323,10 @@ def prepare_run(
     used = inside & ~gap
     deflection = position - link
     standing = _dilate_flags(~moving, int(1.0 / (low_pass.cutoff * dt)))
+    # By the samples as recorded: a uniform clock has values between the counts.
+    torque_count = np.array([resolution(own) or 0.0 for own in run.torque.T])
     return PreparedRun(
+        torque_count=torque_count,
         name=run.name,
         role=run.role,
         index=index,
@@ -384,6 +390,7 @@ def _prepare_poses(
         moving=np.zeros(shape, dtype=bool),
         low_pass=low_pass,
         motion_filter=low_pass,
+        torque_count=np.array([resolution(own) or 0.0 for own in run.torque.T]),
         at_rest=True,
     )
 

@@ -74,8 +74,17 @@ class DoubtfulRecordings(InputFileError):
 _UNITS_OVER_POSITION = {"velocity": "/s", "link_position": ""}
 
 
-def scale_line(recordings: RecordingSet, signal: str, factors: np.ndarray, unit: str = "") -> str:
-    """Return an entry of [signals.scale]: a unit for all joints, or a corrected factor each."""
+def scale_line(
+    recordings: RecordingSet,
+    signal: str,
+    factors: np.ndarray,
+    unit: str = "",
+    unknown: np.ndarray | None = None,
+) -> str:
+    """Return an entry of [signals.scale]: a unit for all joints, or a corrected factor each.
+
+    Joints of `unknown` (n,) keep "A", a current whose factor nobody has told.
+    """
     if unit:
         text = f'{signal} = "{unit}"'
         if signal == "position":
@@ -85,7 +94,16 @@ def scale_line(recordings: RecordingSet, signal: str, factors: np.ndarray, unit:
             )
         return f"{text} in [signals.scale]"
     stated = recordings.signals.scale_of(signal, recordings.n)
-    return f"{signal} = {format_numbers(stated * factors)} in [signals.scale]"
+    if unknown is None or not unknown.any():
+        return f"{signal} = {format_numbers(stated * factors)} in [signals.scale]"
+    each = [
+        '"A"' if left else format_numbers([value])[1:-1]
+        for value, left in zip(stated * factors, unknown, strict=True)
+    ]
+    return (
+        f"{signal} = [{', '.join(each)}] in [signals.scale] (the weight does not tell that of"
+        f" {format_joints(np.flatnonzero(unknown))})"
+    )
 
 
 def column_line(recordings: RecordingSet, signal: str, order: Sequence[int]) -> str:

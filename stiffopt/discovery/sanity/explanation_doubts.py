@@ -24,6 +24,8 @@ from stiffopt.recording.recording_set import RecordingSet
 
 # Range of gear ratios of arms.
 _GEAR_RATIO_RANGE = (20.0, 400.0)
+# Magnitudes of gains that are a sign or a prefix of the unit, no current.
+_UNIT_GAINS = (-1.0, 1e-3, -1e-3)
 
 
 def describe_explanation(
@@ -64,7 +66,7 @@ def describe_explanation(
     else:
         yield from _doubt_reading(recordings, explanation, shares)
         if explanation.gains is not None:
-            yield from _doubt_gains(recordings, explanation, search.strict)
+            yield from _doubt_gains(recordings, explanation, search)
 
 
 def doubt_degrees(recordings: RecordingSet, search: Explanations, found: Explanation) -> Doubt:
@@ -198,14 +200,24 @@ def _doubt_sums(recordings: RecordingSet, reading: Reading, shares: str) -> Iter
 
 
 def _doubt_gains(
-    recordings: RecordingSet, explanation: Explanation, before: np.ndarray
+    recordings: RecordingSet, explanation: Explanation, search: Explanations
 ) -> Iterator[Doubt]:
-    """Yield doubts about torque gains, one per joint; one line corrects all."""
+    """Yield doubts about torque gains, one per joint; one line corrects all.
+
+    Where torques are currents, joints whose factor the motion does not tell stay currents in it.
+    """
+    before = search.strict
     gains = explanation.gains
     assert gains is not None
     ratio = recordings.nominal.gear_ratio
     factors = np.array([float(f"{1.0 / gain:.3g}") for gain in gains])
-    line = scale_line(recordings, "torque", factors)
+    currents = recordings.signals.currents or any(
+        0.0 < abs(gain) < 1.0 and gain not in _UNIT_GAINS for gain in gains
+    )
+    unknown = (
+        (gains == 1.0) & ~search.torque_scale_known if currents else np.zeros(len(gains), bool)
+    )
+    line = scale_line(recordings, "torque", factors, unknown=unknown)
     for j in np.flatnonzero(gains != 1.0):
         slides = bool(recordings.prismatic[j])
         kind, words = _describe_gain(

@@ -36,6 +36,8 @@ _MIN_FAILURE_SHARE = min(share for share, _ in _FAILURE_LEVELS)
 _USUAL_GAIN_RANGE = (0.5, 2.0)
 _SHARE_FLOOR = 0.02
 _MAX_STEPS = 3
+# Largest torque of a joint that is not driven, over that of the nominal model; currents are larger.
+_MAX_IDLE_SHARE = 3e-3
 # Least gain of a further step of a reading, as sum of log ratios over joints; and the price of a
 # step when explanations are compared.
 _MIN_STEP_GAIN, _STEP_PRICE = 0.7, 0.5
@@ -127,6 +129,16 @@ class Explanations:
             shares[j] = self.torque_fit.residual_share(self.motion, torque, j, additions)
         return shares
 
+    @cached_property
+    def torque_scale_known(self) -> np.ndarray:
+        """True for joints (n,) whose torque fits as stated, and fits no other scale as well."""
+        other = self._residual_shares(self.motion, 0.5 * self.samples.torque)
+        with np.errstate(invalid="ignore"):
+            return np.asarray(
+                (self.strict < MAX_EXPLAINED_SHARE)
+                & (other > _FAILURE_LEVELS[1][1] * np.maximum(self.strict, _SHARE_FLOOR))
+            )
+
     def best(self) -> Explanation | None:
         """Return the description that explains most beyond the stated one, or None."""
         if not (self.strict > _MIN_FAILURE_SHARE).any():
@@ -207,10 +219,26 @@ class Explanations:
                 before[j], share
             ):
                 gains[j], left[j] = gain, share
+        idle = self._find_idle_joints(motion, torque)
+        gains[idle], left[idle] = 1.0, before[idle]
         if (gains == 1.0).all():
             return None
         self._adopt_common_gain(gains, left, motion, torque)
         return self._accept_explanation(left, reading, gains=gains)
+
+    def _find_idle_joints(self, motion: Motion, torque: np.ndarray) -> np.ndarray:
+        """Find joints (n,) with torques near zero beside those of other joints.
+
+        A joint that is commanded to zero shows friction of its sensor, and no unit.
+        """
+        known = np.isfinite(torque)
+        size = np.sqrt(np.sum(np.where(known, torque, 0.0) ** 2, axis=0) / len(torque))
+        needed = np.sqrt(np.nanmean(motion.spring**2, axis=0))
+        near_zero = size < _MAX_IDLE_SHARE * needed
+        told = known.any(axis=0)
+        if near_zero[told].all() or self.robot.recordings.signals.currents:
+            return np.zeros(self.n, dtype=bool)
+        return np.asarray(near_zero)
 
     def _adopt_common_gain(
         self, gains: np.ndarray, left: np.ndarray, motion: Motion, torque: np.ndarray

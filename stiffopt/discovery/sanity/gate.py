@@ -28,6 +28,9 @@ from stiffopt.recording.signals import is_set_point, may_be_set_point
 
 # Residual share of a torque from which single runs are checked, and how many.
 _MIN_OPEN_SHARE, _MAX_SINGLE_RUNS = 0.04, 12
+# Shortest run, or runs together, that a refusal may rest on [s]: friction, weight and inertia of a
+# shorter one, filtered at both ends, look alike.
+_MIN_JUDGED_DURATION = 2.0
 
 
 class SanityGate:
@@ -119,6 +122,8 @@ class SanityGate:
     def _explanation_search(self) -> Explanations | None:
         if any(run.at_rest for run in self._runs):
             return None  # every alternative reading is judged by motion
+        if sum(run.duration for run in self._runs) < _MIN_JUDGED_DURATION:
+            return None
         samples = sample_runs(self._runs)
         return None if samples is None else Explanations(self._nominal_robot, samples)
 
@@ -149,13 +154,21 @@ def _doubt_masses(recordings: RecordingSet) -> Doubt:
 
 def _doubt_currents(recordings: RecordingSet) -> Iterator[Doubt]:
     """Doubt torques that are still currents."""
-    if recordings.signals.currents:
+    joints = recordings.signals.current_joints
+    if joints:
+        some = 0 < len(joints) < sum(map(bool, recordings.signals.torque))
+        stated = (
+            f"The torque of {format_joints(joints)} is stated as a current"
+            if some
+            else "The torques are stated as currents"
+        )
+        leave = ', or "" in place of its torque column, to go without it;' if some else ";"
         yield Doubt(
             kind="torque unit",
-            joints=(),
-            evidence="The torques are stated as currents in A. Give N m per A at each joint (the"
-            " motor's torque constant times the gear ratio) as torque in [signals.scale]; an"
-            " estimate from the weight of the nominal model, if possible, is listed as well.",
+            joints=tuple(j + 1 for j in joints) if some else (),
+            evidence=f"{stated} in A. Give N m per A at each joint (the"
+            f" motor's torque constant times the gear ratio) as torque in [signals.scale]{leave}"
+            " an estimate from the weight of the nominal model, if possible, is listed as well.",
             line="",
         )
 
@@ -255,7 +268,7 @@ def _doubt_single_runs(
     if not fails.any():
         return
     for run in runs[:_MAX_SINGLE_RUNS]:
-        samples = sample_runs([run])
+        samples = _sample_judged_run(run)
         if samples is None:
             continue
         search = Explanations(together.robot, samples)
@@ -309,7 +322,7 @@ def find_odd_runs(together: Explanations, runs: Sequence[RecordedRun]) -> list[O
     """
     searches: list[tuple[RecordedRun, Explanations]] = []
     for run in runs[:_MAX_COMPARED_RUNS]:
-        samples = sample_runs([run])
+        samples = _sample_judged_run(run)
         if samples is not None:
             searches.append((run, Explanations(together.robot, samples)))
     if len(searches) < 2:
@@ -337,6 +350,11 @@ def _explains_odd_runs(explanation: Explanation, odd: Sequence[OddRun]) -> bool:
     """True if an explanation of all runs together explains the joints that are odd in some."""
     joints = sorted({joint for each in odd for joint in each.joints})
     return bool(np.all(explanation.left[joints] < _MIN_ODD_SHARE))
+
+
+def _sample_judged_run(run: RecordedRun) -> Samples | None:
+    """Sample one run; None where it is too short to be judged alone."""
+    return sample_runs([run]) if run.duration >= _MIN_JUDGED_DURATION else None
 
 
 def _is_odd(shares: np.ndarray, others: np.ndarray) -> np.ndarray:

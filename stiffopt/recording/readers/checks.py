@@ -133,14 +133,12 @@ def check_columns(path: Path, wanted: Sequence[str], there: Iterable[str]) -> No
         )
 
 
-def split_episode(path: Path) -> tuple[Path, int | None]:
-    """Split "FILE.parquet#3" into file and number of the episode, None without one."""
-    name, mark, number = path.name.rpartition("#")
-    if not mark or path.exists():
+def split_part(path: Path) -> tuple[Path, str | None]:
+    """Split "FILE.parquet#3" into file and the name of one run in it, None without one."""
+    name, mark, part = path.name.rpartition("#")
+    if not mark or not name or path.exists():
         return path, None
-    if not number.isdecimal():
-        raise InputFileError(path, "", f"{number!r} is no episode; give its number, as in #0.")
-    return path.parent / name, int(number)
+    return path.parent / name, part
 
 
 def find_dataset_info(path: Path) -> Path | None:

@@ -15,6 +15,7 @@ import numpy as np
 from stiffopt.errors import InputFileError
 from stiffopt.files import read_bytes
 from stiffopt.recording.readers.checks import check_bytes, check_columns, check_numbers
+from stiffopt.recording.readers.columns import Table
 from stiffopt.recording.signals import Signals
 
 # Keys of a channel header: name, kind, type and number of values, column, offset, step.
@@ -61,6 +62,22 @@ def read(path: Path, signals: Signals) -> dict[str, np.ndarray]:
         values = found.values[:, found.names.index(channel)]
         columns[name] = np.interp(own.time, found.time, values, left=np.nan, right=np.nan)
     return columns
+
+
+def read_tables(path: Path) -> dict[str, Table]:
+    """Read the table of a trace, with the channels of all its pairs on the clock of this one."""
+    own = _read_trace(path)
+    table: Table = {_TIME_NAMES[0]: own.time}
+    table |= {name: own.values[:, k] for k, name in enumerate(own.names)}
+    for beside in files_of(path):
+        if beside.suffix.lower() != path.suffix.lower() or beside == path:
+            continue
+        trace, prefix = _read_trace(beside), beside.stem.rpartition("_")[2]
+        for k, name in enumerate(trace.names):
+            table[f"{prefix}.{name}"] = np.interp(
+                own.time, trace.time, trace.values[:, k], left=np.nan, right=np.nan
+            )
+    return {"": table}
 
 
 def files_of(path: Path) -> list[Path]:

@@ -21,8 +21,9 @@ from stiffopt.recording.readers.checks import (
     bounded_memory,
     bounded_time,
     find_dataset_info,
-    split_episode,
+    split_part,
 )
+from stiffopt.recording.readers.columns import select_columns
 from stiffopt.recording.readers.messages import Message
 from stiffopt.recording.signals import Signals
 
@@ -39,25 +40,60 @@ _READER_OF_ENDING = {
     ".csv": "csv",
     ".txt": "csv",
     ".tsv": "csv",
+    ".log": "csv",
+    ".dat": "csv",
+    ".yaml": "csv",
     ".npz": "npz",
+    ".npy": "npy",
     ".parquet": "parquet",
+    ".json": "json_log",
+    ".jsonl": "json_log",
+    ".ndjson": "json_log",
+    ".mat": "matlab",
+    ".xlsx": "excel",
+    ".xlsm": "excel",
+    ".h5": "hdf5",
+    ".hdf5": "hdf5",
     ".mcap": "mcap",
     ".db3": "rosbag2",
-    ".dat": "kuka_trace",
 }
 SET_FILE = "recordings.toml"
-# Endings of recordings as they come from a logger.
-_RUN_ENDINGS = (*_READER_OF_ENDING, ".log")
 _BAG_READER = "rosbag2"
+_TRACE_READER, _TRACE_ENDING, _TRACE_MARK = "kuka_trace", ".dat", b"#BEGIN"
 _FORMAT_NAMES = {
-    "csv": "a CSV text file",
+    "csv": "a text file",
     "npz": "an NPZ file of numbers",
+    "npy": "an NPY file of numbers",
     "parquet": "Parquet",
+    "json_log": "JSON",
+    "matlab": "a MATLAB file",
+    "excel": "an Excel workbook",
+    "hdf5": "HDF5",
     "mcap": "MCAP",
     "rosbag2": "a rosbag2",
     "kuka_trace": "a KUKA trace",
-    "lerobot": "an episode of a LeRobot dataset",
 }
+# Formats that are not read: name, and how to convert them.
+_CONVERSION_ADVICE = {
+    ".bag": ("a bag of ROS 1", "convert it: rosbags-convert --src FILE.bag --dst FOLDER"),
+    ".xls": ("an Excel workbook of 1997", "save it as .xlsx or CSV"),
+    ".xlsb": ("a binary Excel workbook", "save it as .xlsx or CSV"),
+    ".ods": ("an OpenDocument sheet", "save it as .xlsx or CSV"),
+    ".pkl": ("a Python pickle, which may run any code", "save its arrays with numpy.savez"),
+    ".pickle": ("a Python pickle, which may run any code", "save its arrays with numpy.savez"),
+    ".pt": ("a PyTorch file, which may run any code", "save its arrays with numpy.savez"),
+    ".feather": ("Feather", "pandas.read_feather(FILE).to_parquet(OUT)"),
+    ".arrow": ("Arrow", "pandas.read_feather(FILE).to_parquet(OUT)"),
+    ".tdms": ("TDMS of LabVIEW", "with nptdms, TdmsFile(FILE).as_dataframe().to_csv(OUT)"),
+    ".mf4": ("MDF", "with asammdf, MDF(FILE).export('csv', OUT)"),
+    ".mdf": ("MDF", "with asammdf, MDF(FILE).export('csv', OUT)"),
+    ".ulg": ("a ULog of PX4", "convert it: ulog2csv FILE"),
+    ".rrd": ("a recording of Rerun", "export its dataframe as Parquet"),
+    ".zarr": ("Zarr", "save its arrays with numpy.savez"),
+    ".slx": ("a Simulink model", "log its signals and save them to a .mat file"),
+}  # fmt: skip
+# Endings by which files of a folder are taken for recordings.
+RUN_ENDINGS = tuple(ending for ending in _READER_OF_ENDING if ending not in (".json", ".yaml"))
 
 
 def read_columns(path: str | os.PathLike[str], signals: Signals) -> Columns:
@@ -66,8 +102,9 @@ def read_columns(path: str | os.PathLike[str], signals: Signals) -> Columns:
     Parameters
     ----------
     path : path
-        CSV, NPZ, Parquet, MCAP, a rosbag2 (its folder or the .db3 inside), the .dat of a KUKA
-        trace, or an episode of a LeRobot dataset ("data/chunk-000/file-000.parquet#3").
+        Text, JSON, NPZ, Parquet, MATLAB, Excel, HDF5, MCAP, a rosbag2 (its folder or the .db3
+        inside), the .dat of a KUKA trace; "FILE#PART" for one of several runs in it: an episode of
+        a LeRobot dataset ("data/chunk-000/file-000.parquet#3"), a group of HDF5, a sheet.
     signals : Signals
 
     Returns
@@ -87,7 +124,8 @@ def read_columns(path: str | os.PathLike[str], signals: Signals) -> Columns:
     path = Path(path)
     module = _select_reader(path)
     reader = _import_reader(module, path)
-    columns: Columns = read_bounded(lambda: reader.read(path, signals), path, _FORMAT_NAMES[module])
+    read = reader.read if hasattr(reader, "read") else _reader_of_tables(reader)
+    columns: Columns = read_bounded(lambda: read(path, signals), path, _FORMAT_NAMES[module])
     lengths = {name: len(column) for name, column in columns.items()}
     if len(set(lengths.values())) > 1:
         listed = ", ".join(f"{name}: {count}" for name, count in lengths.items())
@@ -105,6 +143,44 @@ def read_columns(path: str | os.PathLike[str], signals: Signals) -> Columns:
     return columns
 
 
+def read_tables(path: Path) -> dict[str, Columns]:
+    """Read all numeric columns of a file, by run; "" where it holds one run.
+
+    Raises
+    ------
+    InputFileError, InputError
+        See `read_columns`.
+    """
+    module = _select_reader(path)
+    reader = _import_reader(module, path)
+    tables: dict[str, Columns] = read_bounded(
+        lambda: reader.read_tables(path), path, _FORMAT_NAMES[module]
+    )
+    if not all(tables.values()):
+        raise InputFileError(
+            path, "", f"was read as {_FORMAT_NAMES[module]} and holds no columns of numbers."
+        )
+    return tables
+
+
+def _reader_of_tables(reader: Any) -> Callable[[Path, Signals], Columns]:
+    """Return the reading of named columns for a format of whole tables."""
+
+    def read(path: Path, signals: Signals) -> Columns:
+        file, part = split_part(path)
+        tables = reader.read_tables(file)
+        if part is None and len(tables) == 1:
+            (part,) = tables
+        if part not in tables:
+            first = f"{file.name}#{next(iter(tables))}"
+            raise InputFileError(
+                path, "", f"holds the runs {', '.join(tables)}. Name one of them as {first}."
+            )
+        return select_columns(path, tables[part], signals)
+
+    return read
+
+
 def files_of(path: Path) -> list[Path]:
     """List the files of a run and of its metadata; empty where there is no such run."""
     if path.suffix.lower() == ".db3" and (path.parent / "metadata.yaml").is_file():
@@ -112,11 +188,11 @@ def files_of(path: Path) -> list[Path]:
     if path.is_dir():
         found = sorted(path.iterdir())
     else:
-        file, _ = split_episode(path)
+        file, _ = split_part(path)
         found = [file]
         if _READER_OF_ENDING.get(file.suffix.lower()) == "parquet":
             found += filter(None, [find_dataset_info(file)])
-        if _READER_OF_ENDING.get(file.suffix.lower()) == "kuka_trace":
+        if _is_trace(file):
             found = kuka_trace.files_of(file)
     return [each for each in found if each.is_file()]
 
@@ -146,17 +222,27 @@ def _select_reader(path: Path) -> str:
     """Return the name of the module that reads a file."""
     if path.is_dir() and (path / "metadata.yaml").is_file():
         return _BAG_READER
-    file, episode = split_episode(path)
+    file, _ = split_part(path)
     check_file(file)
-    module = _READER_OF_ENDING.get(file.suffix.lower(), "")
+    ending = file.suffix.lower()
+    if ending in _CONVERSION_ADVICE:
+        name, how = _CONVERSION_ADVICE[ending]
+        raise InputFileError(path, "", f"is {name}, which is not read: {how}.")
+    module = _TRACE_READER if _is_trace(file) else _READER_OF_ENDING.get(ending, "")
     if not module:
         raise InputFileError(
-            path, "", f"cannot be read: the ending {path.suffix!r} is none of "
+            path, "", f"cannot be read: the ending {file.suffix!r} is none of "
             f"{', '.join(_READER_OF_ENDING)}, nor is it the folder of a rosbag2."
         )  # fmt: skip
-    if module == "parquet" and (episode is not None or find_dataset_info(file)):
-        return "lerobot"
     return module
+
+
+def _is_trace(path: Path) -> bool:
+    """Return True for the header of a KUKA trace, by its first lines."""
+    if path.suffix.lower() != _TRACE_ENDING or not path.is_file():
+        return False
+    with path.open("rb") as stream:
+        return _TRACE_MARK in stream.read(4096)
 
 
 def _import_reader(module: str, path: Path) -> Any:
@@ -202,13 +288,13 @@ def find_set_file(path: Path) -> Path:
         Recordings without one; the message names the command that writes it.
     """
     file = path / SET_FILE if path.is_dir() else path
-    if path.is_file() and path.suffix.lower() in _RUN_ENDINGS:
+    if path.is_file() and path.suffix.lower() in RUN_ENDINGS:
         raise InputFileError(
             path, "", "is a recording, not a recording set, which names its columns:"
             f" `stiffopt init recording {path} --urdf ROBOT.urdf` writes one."
         )  # fmt: skip
     bare = path.is_dir() and not file.exists()
-    if bare and any(each.suffix.lower() in _RUN_ENDINGS for each in path.iterdir()):
+    if bare and any(each.suffix.lower() in RUN_ENDINGS for each in path.iterdir()):
         raise InputFileError(
             path, "", f"holds recordings, but no {SET_FILE} that names their columns:"
             f" `stiffopt init recording {path} --urdf ROBOT.urdf` writes one."

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from stiffopt.discovery.answer import action
 from stiffopt.report.common.terminal import print_lines, print_table
 from stiffopt.report.common.text import listed
+from stiffopt.report.diagnosis.changes import terminal_lines
 from stiffopt.report.diagnosis.sections import answer_sections
 from stiffopt.report.diagnosis.words import (
     channels_in_words,

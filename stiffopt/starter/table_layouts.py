@@ -1,0 +1,113 @@
+"""Layouts of tables that lack names: one file a signal, and blocks of columns without names."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from stiffopt.errors import InputError
+from stiffopt.recording.readers.columns import Table, is_unnamed
+from stiffopt.robot.robot import Robot
+from stiffopt.starter.column_names import columns_of_kind
+
+# Least correlation of a column with the rate of change of another, of which it is the velocity.
+_MIN_RATE_CORRELATION = 0.9
+# Largest blocks of columns: position, velocity, acceleration, torque.
+_MAX_BLOCKS = 4
+
+
+def join_signal_files(tables: Mapping[Path, Table], robot: Robot) -> dict[Path, Table]:
+    """Join tables of one signal each, with equally many rows, to one run; others are kept.
+
+    The columns of a file are named after it, "tau[0]", and its clock is that of the first file.
+    """
+    complete = any(
+        all(
+            columns_of_kind(list(table), kind, robot.joint_names) for kind in ("position", "torque")
+        )
+        or (is_unnamed(table) and len(table) > robot.n + 1)
+        for table in tables.values()
+    )
+    lengths = {len(next(iter(table.values()))) for table in tables.values()}
+    if complete or len(tables) < 2 or len(lengths) != 1:
+        return dict(tables)
+    joined: Table = {}
+    for path, table in tables.items():
+        clock = list(table)[: len(table) % robot.n] if len(table) > 1 else []
+        signals = [name for name in table if name not in clock]
+        for name in clock:
+            joined.setdefault("t" if is_unnamed(table) else name, table[name])
+        for k, name in enumerate(signals):
+            joined[path.stem if len(signals) == 1 else f"{path.stem}[{k}]"] = table[name]
+    first = next(iter(tables))
+    return {first.parent / f"{first.parent.name}.npz": joined}
+
+
+def name_blocks(table: Table, robot: Robot) -> tuple[Table, str]:
+    """Name the columns of a table without names: a time, then blocks of one column a joint.
+
+    Returns
+    -------
+    table : Table
+        Under names such as "t", "position[0]"; as it is where its file has names.
+    reason : str
+        Why, with a question where the values leave it open; "" where the file has names.
+
+    Raises
+    ------
+    InputError
+        The number of columns is that of no layout.
+    """
+    if not is_unnamed(table):
+        return table, ""
+    columns, n = list(table.values()), robot.n
+    timed = len(columns) % n == 1 if n > 1 else bool(np.all(np.diff(columns[0]) > 0.0))
+    blocks = [np.column_stack(columns[k : k + n]) for k in range(timed, len(columns), n)]
+    if not 2 <= len(blocks) <= _MAX_BLOCKS or any(block.shape[1] != n for block in blocks):
+        raise InputError(
+            f"has {len(columns)} columns without names, which are no time and blocks of {n} joints."
+            f" Give it one line of {len(columns)} column names, such as t, q1, q2, tau1, tau2,"
+            " above the numbers."
+        )
+    names, reason = _guess_block_kinds(blocks)
+    found: Table = {"t": columns[0]} if timed else {}
+    for name, block in zip(names, blocks, strict=True):
+        found |= {f"{name}[{j}]": block[:, j] for j in range(n)}
+    order = ", ".join([*(["time"] if timed else []), *names])
+    return found, f"the columns have no names; taken as {order}, {n} each: {reason}"
+
+
+def _guess_block_kinds(blocks: list[np.ndarray]) -> tuple[list[str], str]:
+    """Return the kinds of blocks (K, n) by which of them changes at the rate of another."""
+    names = [""] * len(blocks)
+    position = 0
+    for k in range(len(blocks)):
+        rate = next((m for m in range(len(blocks)) if _is_rate_of(blocks[m], blocks[k])), None)
+        if rate is None:
+            continue
+        if "velocity" not in names:
+            position, names[rate] = k, "velocity"
+        elif not names[rate]:
+            names[rate] = "acceleration"
+    names[position] = "position"
+    rest = [k for k, name in enumerate(names) if not name]
+    for number, k in enumerate(rest):
+        names[k] = "torque" if number == 0 else f"other {number}"
+    if "velocity" in names and len(rest) == 1:
+        return names, "the velocities are the positions' rate of change"
+    return names, "QUESTION: is this their order? Else write their names above the numbers"
+
+
+def _is_rate_of(rates: np.ndarray, values: np.ndarray) -> bool:
+    """Return True if columns (K, n) correlate with the changes of others, joint by joint."""
+    if rates is values:
+        return False
+    fits = []
+    for rate, value in zip(rates.T, values.T, strict=True):
+        change, mean = np.diff(value), 0.5 * (rate[1:] + rate[:-1])
+        known = np.isfinite(change) & np.isfinite(mean)
+        if known.sum() > 2 and np.ptp(change[known]) > 0.0 and np.ptp(mean[known]) > 0.0:
+            fits.append(float(np.corrcoef(change[known], mean[known])[0, 1]))
+    return bool(fits) and float(np.median(fits)) > _MIN_RATE_CORRELATION

@@ -1,0 +1,114 @@
+"""What a first recording must not be refused for, and what stays unknown in the lines to paste."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from shipped_set import SHIPPED
+from small_arms import ROOT
+
+from stiffopt.cli import run
+from stiffopt.discovery.comparison.channel_rows import known_noise
+from stiffopt.discovery.comparison.nominal_robot import RobotModel
+from stiffopt.discovery.comparison.prepared_run import prepare_run
+from stiffopt.discovery.sanity.doubt import scale_line
+from stiffopt.discovery.sanity.gate import SanityGate
+from stiffopt.discovery.settings import Settings
+from stiffopt.discovery.training import open_training_runs
+from stiffopt.recording.recording_set import load_recordings
+
+SHARED = ROOT.parent / "shared" / "cases"
+
+
+def changed(folder: Path, change) -> Path:
+    shutil.copytree(SHIPPED, folder)
+    for file in sorted(folder.glob("*.npz")):
+        with np.load(file) as stored:
+            columns = dict(stored)
+        np.savez(file, **(change(file.stem, columns) or columns))
+    return folder
+
+
+def doubts(folder: Path):
+    recordings = load_recordings(folder)
+    return SanityGate(recordings, open_training_runs(recordings)).doubts
+
+
+def test_a_joint_that_is_not_driven_has_no_other_unit(tmp_path):
+    """Commanded to zero: what is left is 1/2000 of the torque, with the other sign."""
+
+    def idle(_, columns):
+        columns["tau2"] = -5e-4 * columns["tau2"]
+
+    assert not [
+        each for each in doubts(changed(tmp_path / "set", idle)) if each.kind == "torque unit"
+    ]
+
+
+def test_a_unit_of_all_torques_is_still_told(tmp_path):
+    def kilo(_, columns):
+        for name in ("tau1", "tau2"):
+            columns[name] = 1e-3 * columns[name]
+
+    found = doubts(changed(tmp_path / "set", kilo))
+    assert any("looks like kN m" in each.evidence for each in found)
+
+
+@pytest.mark.parametrize(("seconds", "refused"), [(0.95, False), (60.0, True)])
+def test_a_short_run_is_no_ground_to_refuse(seconds, refused, tmp_path):
+    """The torque of joint 2 is reversed in one run, which is named where it is long enough."""
+
+    def reverse(name, columns):
+        if name == "train_2":
+            rows = columns["t"] - columns["t"][0] <= seconds
+            columns["tau2"] = -columns["tau2"]
+            return {key: column[rows] for key, column in columns.items()}
+        return None
+
+    found = doubts(changed(tmp_path / "set", reverse))
+    assert bool(found) == refused
+    assert all("train_2" in each.evidence for each in found)
+
+
+def test_one_joint_that_is_still_a_current_is_named(tmp_path, capsys):
+    """As the line to paste leaves it where the weight does not tell its factor."""
+    folder = changed(tmp_path / "set", lambda *_: None)
+    recordings = load_recordings(folder)
+    line = scale_line(recordings, "torque", np.array([9.5, 1.0]), unknown=np.array([False, True]))
+    assert line.startswith('torque = [9.5, "A"] in [signals.scale] (the weight does not tell')
+    assert "joint 2" in line
+    file = folder / "recordings.toml"
+    file.write_text(file.read_text() + '\n[signals.scale]\ntorque = [1.0, "A"]\n')
+    assert run(["recording", "check", str(folder)]) == 2
+    told = capsys.readouterr().err
+    assert "The torque of joint 2 is stated as a current in A" in told
+    assert 'or "" in place of its torque column' in told
+
+
+def test_the_line_to_paste_for_currents_keeps_the_wrist_unknown(tmp_path, capsys):
+    """Motor currents of six joints, of which the weight tells four."""
+    log = SHARED / "logs" / "excel.csv"
+    if not log.is_file():
+        pytest.skip("the folder of shared logs is absent")
+    urdf, out = SHARED / "diagnosis" / "zero_offset" / "robot.urdf", tmp_path / "set"
+    assert run(["init", "recording", str(log), "--urdf", str(urdf), "-o", str(out)]) == 0
+    assert run(["recording", "check", str(out)]) == 2
+    assert '8.74, "A", "A"] in [signals.scale]' in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("count", [0.02, 0.5])
+def test_counts_of_a_torque_are_part_of_its_noise(count, tmp_path):
+    def rounded(_, columns):
+        # A smooth torque: noise of its own would hide the counts.
+        columns["tau2"] = count * np.round(3.0 * np.sin(columns["t"] / 4.0) / count)
+
+    recordings = load_recordings(changed(tmp_path / "set", rounded), ["noise.torque=[0.2, 0]"])
+    robot = RobotModel(recordings)
+    runs = [
+        prepare_run(robot, each, k, None, Settings())
+        for k, each in enumerate(open_training_runs(recordings))
+    ]
+    assert known_noise(recordings.noise, runs).channels.torque[1] >= 0.99 * count / np.sqrt(12.0)
