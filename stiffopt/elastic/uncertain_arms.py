@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,6 +19,7 @@ from stiffopt.elastic.arm import ElasticArm
 from stiffopt.elastic.modes import modes
 from stiffopt.elastic.motor import MotorMotion, Servo
 from stiffopt.elastic.uncertainty import Departure
+from stiffopt.result.tool_error import ToolError, path_directions
 from stiffopt.result.trajectory import JointMotion
 
 if TYPE_CHECKING:
@@ -157,52 +157,10 @@ class Member:
         Motion of the motors.
     departure : Departure
         Parameters of the arm.
-    reference : MotorMotion
-        Motion from whose static equilibrium the deviation is measured: the command itself, or the
-        plan of a compensated command.
     """
 
     command: MotorMotion
     departure: Departure
-    reference: MotorMotion
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class ArmDeviations:
-    """Tool deviations of several arms.
-
-    Parameters
-    ----------
-    time : array (K,) [s]
-    duration : float
-        Arrival of the commands [s].
-    deviation : array (B, K, 3)
-        Tool position less its static equilibrium, base axes [m].
-    """
-
-    time: np.ndarray
-    duration: float
-    deviation: np.ndarray
-
-    @cached_property
-    def distance(self) -> np.ndarray:
-        """Magnitudes of the deviations (B, K) [m]."""
-        return np.asarray(np.linalg.norm(self.deviation, axis=2))
-
-    @property
-    def flight(self) -> np.ndarray:
-        """Mask (K,) of the instants before arrival."""
-        return np.asarray(self.time <= self.duration)
-
-    @property
-    def peak(self) -> np.ndarray:
-        """Largest deviations in flight (B,) [m]."""
-        return np.asarray(self.distance[:, self.flight].max(axis=1))
-
-    @property
-    def peak_after(self) -> np.ndarray:
-        """Largest deviations after arrival (B,) [m]."""
-        return np.asarray(self.distance[:, self.time >= self.duration].max(axis=1))
 
 
 class UncertainArms:
@@ -250,10 +208,11 @@ class UncertainArms:
         self._equilibrium_samples = np.unique(np.append(steps, len(self.time) - 1))
         self._weight = LinearizedWeight(arm, self._q[self._equilibrium_samples])
         self._jacobian = self._extend_at_rest(
-            np.array([arm.bodies.jacobian(arm.robot.tool, q)[:3] for q in self._q[: count + 1]])
+            np.array([arm.bodies.jacobian(arm.robot.tool, q) for q in self._q[: count + 1]])
         )
+        self._direction = path_directions(arm.tool(self._q))
 
-    def simulate(self, members: Sequence[Member]) -> ArmDeviations:
+    def simulate(self, members: Sequence[Member]) -> ToolError:
         """Simulate all members in one batch."""
         return simulate_uncertain_arms([SimulationRequest(self, members)])[0]
 
@@ -284,7 +243,6 @@ class UncertainArms:
         found = np.zeros((len(different), 4, len(self.time), self._q.shape[1]))
         for own, command in zip(found, different, strict=True):
             own[0], own[1] = command(self.time), command(self.time, 1)
-            own[1, self.time > self.duration] = 0.0
             if self._servo is not None:
                 late = self._servo.follow(command, self.time[-1])
                 own[2], own[3] = late(self.time) - own[0], late(self.time, 1) - own[1]
@@ -297,28 +255,29 @@ class UncertainArms:
         """Static equilibrium (B, n) with the motors `turn` ahead of the start of the plan."""
         return _solve_equilibrium(self.springs, self._start, arms, turn[:, None])[:, 0]
 
-    def deviation(self, members: Sequence[Member], links: np.ndarray) -> np.ndarray:
-        """Tool deviations (B, K, 3) of members, for link positions less the plan (K, B, n)."""
-        # Members with the same departure and reference share their equilibrium.
-        alike = {(id(each.reference), id(each.departure)): each for each in members}
+    def tool_error(self, members: Sequence[Member], links: np.ndarray) -> ToolError:
+        """Tool errors of members, for link positions less the plan (K, B, n)."""
+        # Members with the same departure share their equilibrium.
+        alike = {id(each.departure): each.departure for each in members}
         places = {key: place for place, key in enumerate(alike)}
-        equilibrium = self._reference_equilibrium(
-            _DepartureArrays([each.departure for each in alike.values()]),
-            [each.reference for each in alike.values()],
-        )
-        own = [places[id(each.reference), id(each.departure)] for each in members]
+        equilibrium = self._planned_equilibrium(_DepartureArrays(list(alike.values())))
+        own = [places[id(each.departure)] for each in members]
         # One matrix product for all members: einsum would loop over them.
         along = self._jacobian.swapaxes(1, 2)
         away = links @ along - (equilibrium.swapaxes(0, 1) @ along)[:, own]
-        return np.asarray(away.swapaxes(0, 1))
+        away = away.swapaxes(0, 1)
+        return ToolError(
+            time=self.time,
+            duration=self.duration,
+            position=away[..., :3],
+            orientation=away[..., 3:],
+            direction=self._direction,
+        )
 
-    def _reference_equilibrium(
-        self, arms: _DepartureArrays, references: Sequence[MotorMotion]
-    ) -> np.ndarray:
-        """Static equilibrium at the references, less the plan (B, K, n)."""
+    def _planned_equilibrium(self, arms: _DepartureArrays) -> np.ndarray:
+        """Static equilibrium with the motors at the planned positions, less these (B, K, n)."""
         chosen, count = self._equilibrium_samples, len(self.time)
-        different = {id(each): each(self.time[chosen]) for each in references}
-        turn = np.stack([different[id(each)] for each in references]) - self._q[chosen]
+        turn = np.zeros((len(arms.stiffness), len(chosen), self._q.shape[1]))
         coarse = _solve_equilibrium(self.springs, self._weight, arms, turn)
         right = np.clip(np.searchsorted(chosen, np.arange(count)), 1, len(chosen) - 1)
         left = right - 1
@@ -333,14 +292,8 @@ class SimulationRequest:
     many: UncertainArms
     members: Sequence[Member]
 
-    def deviations(self, links: np.ndarray) -> ArmDeviations:
-        """Tool deviations of link positions less the plan (K, B, n)."""
-        many = self.many
-        deviation = many.deviation(self.members, links[: len(many.time)])
-        return ArmDeviations(time=many.time, duration=many.duration, deviation=deviation)
 
-
-def simulate_uncertain_arms(asked: Sequence[SimulationRequest]) -> list[ArmDeviations]:
+def simulate_uncertain_arms(asked: Sequence[SimulationRequest]) -> list[ToolError]:
     """Simulate the members of several plans of one arm, plan by plan in batches.
 
     Parameters
@@ -349,7 +302,10 @@ def simulate_uncertain_arms(asked: Sequence[SimulationRequest]) -> list[ArmDevia
     """
     core = native.core(len(asked[0].many.damping)) if asked else None
     return [
-        each.deviations(_integrate_numpy(each) if core is None else _integrate_compiled(core, each))
+        each.many.tool_error(
+            each.members,
+            _integrate_numpy(each) if core is None else _integrate_compiled(core, each),
+        )
         for each in asked
     ]
 

@@ -10,16 +10,23 @@ import numpy as np
 
 from stiffopt.files import write_csv
 from stiffopt.result.assessment import Violation
-from stiffopt.result.simulation import SimulatedMotion
+from stiffopt.result.simulation import SimulatedMotion, simulated_document
 
 if TYPE_CHECKING:
     from stiffopt.result.assessment import Assessment
-    from stiffopt.result.simulation import SimulatedMotion
+
+
+@dataclass(frozen=True, kw_only=True)
+class PartPeaks:
+    """Peaks of one part of the tool error: on the nominal arm, and the worst over all arms."""
+
+    nominal: float
+    worst: float
 
 
 @dataclass(frozen=True, kw_only=True)
 class Spread:
-    """Peaks of the tool's deviation over uncertain arms, in flight or after arrival [m].
+    """Peaks of the tool's position error over uncertain arms, in flight or after arrival [m].
 
     Parameters
     ----------
@@ -34,6 +41,8 @@ class Spread:
         the share of the worst servo's lag.
     draws : array (D,)
         Peaks on arms sampled from the uncertainties.
+    parts : dict of PartPeaks
+        "along" and "across" the path [m], and "orientation" [rad].
     """
 
     nominal: float
@@ -41,6 +50,7 @@ class Spread:
     worst_case: str
     worst_arm: dict[str, Any]
     draws: np.ndarray
+    parts: dict[str, PartPeaks]
 
     def quantile(self, share: float) -> float:
         """Quantile of the sampled peaks."""
@@ -175,16 +185,8 @@ def _motion_document(motion: CompensatedMotion) -> dict[str, Any]:
         "share_of_windup": motion.share,
         "as_planned": _spreads_document(motion.planned),
         "compensated": _spreads_document(motion.compensated),
-        "simulated": _simulated_document(motion.simulated),
-        "simulated_worst": None if motion.worst is None else _simulated_document(motion.worst),
-    }
-
-
-def _simulated_document(simulated: SimulatedMotion) -> dict[str, Any]:
-    return {
-        "in_flight": {"peak": simulated.peak, "rms": simulated.rms},
-        "after_arrival": {"peak": simulated.peak_after, "rms": simulated.rms_after},
-        "notes": simulated.notes,
+        "simulated": simulated_document(motion.simulated),
+        "simulated_worst": None if motion.worst is None else simulated_document(motion.worst),
     }
 
 
@@ -201,5 +203,6 @@ def _spread_document(spread: Spread) -> dict[str, Any]:
         "worst": spread.worst,
         "worst_case": spread.worst_case,
         "worst_arm": spread.worst_arm,
+        "parts": {name: dict(vars(part)) for name, part in spread.parts.items()},
         "draws": spread.draws,
     }

@@ -316,11 +316,15 @@ def write_simulation(
     document = to_json_types(content)
     found = simulation.optimised.simulated
     joints = range(1, found.position.shape[1] + 1)
-    names = ["t", *(f"deviation_{axis}" for axis in "xyz")]
+    names = ["t", *(f"{error}_{axis}" for error in ("deviation", "rotation") for axis in "xyz")]
+    names += ["along", "across"]
     names += [f"{quantity}{j}" for quantity in ("q", "qd", "tau_spring", "windup") for j in joints]
     columns = [
         found.time[:, None],
-        found.deviation,
+        found.error.position,
+        found.error.orientation,
+        found.error.along[:, None],
+        found.error.across[:, None],
         found.position,
         found.velocity,
         found.spring_torque,

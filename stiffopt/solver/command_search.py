@@ -14,7 +14,7 @@ from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE, find_drive_vi
 from stiffopt.elastic.motor import MotorMotion
 from stiffopt.elastic.simulate import REST, simulate
 from stiffopt.elastic.smooth_motion import smooth_motion
-from stiffopt.elastic.uncertain_arms import ArmDeviations, Member, SimulationRequest, UncertainArms
+from stiffopt.elastic.uncertain_arms import Member, SimulationRequest, UncertainArms
 from stiffopt.elastic.uncertainty import (
     Departure,
     corners,
@@ -24,7 +24,8 @@ from stiffopt.elastic.uncertainty import (
 )
 from stiffopt.problem.formulation import law_smoothing
 from stiffopt.problem.motor_model import ROBUST_LEAD_SHARE, MotorLaw
-from stiffopt.result.compensation import CompensatedMotion, Spread, Spreads
+from stiffopt.result.compensation import CompensatedMotion, PartPeaks, Spread, Spreads
+from stiffopt.result.tool_error import ToolError
 from stiffopt.result.trajectory import JointMotion, Trajectory
 from stiffopt.solver.smoothing_width import KNOT_SPACINGS, motors_with_sufficient_smoothing
 
@@ -46,7 +47,7 @@ _TRIAL_SAMPLES = 1001
 Result = TypeVar("Result")
 # Generator that requests simulations on its way to a result: the requests of several generators are
 # simulated together, which costs little more than one alone.
-SimulationRequests = Generator[SimulationRequest, ArmDeviations, Result]
+SimulationRequests = Generator[SimulationRequest, ToolError, Result]
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,15 +58,12 @@ class ExistingCommand:
     ----------
     motors : JointMotion
         Motion of the motors, with that of the links as its `link`.
-    plan : MotorMotion
-        Planned motion of the links.
     spacing : float or None
         As of `CompensatedMotion`.
     share : float
     """
 
     motors: JointMotion
-    plan: MotorMotion
     spacing: float | None
     share: float
 
@@ -161,14 +159,11 @@ class CommandSearch:
         arm: ElasticArm,
         motion: PlannedMotion,
         law: MotorLaw,
-        plan: MotorMotion | None = None,
         servo: Servo | None = None,
     ) -> None:
         self._problem, self._arm, self._motion, self._law = problem, arm, motion, law
-        self._follows = MotorMotion(motion.time, motion.position, motion.velocity)
-        if plan is None:
-            plan = self._follows if motion.link is None else MotorMotion.of(motion.link)
-        self._plan, self._known = plan, servo
+        self._follows, self._plan = motion.followed, motion.planned_path
+        self._known = servo
         self._servo = problem.uncertainty.servo if servo is None else servo
         self._many = UncertainArms(arm, self._plan, self._servo)
         self._carries = arm.robot.payload is not None
@@ -197,7 +192,7 @@ class CommandSearch:
     def chosen_command(self) -> SimulationRequests[ExistingCommand]:
         """Choose the command without judging it."""
         lead, share, _ = yield from self._choose_lead()
-        return ExistingCommand(lead.command(share), self._plan, lead.spacing, share)
+        return ExistingCommand(lead.command(share), lead.spacing, share)
 
     def judge_existing(self, made: ExistingCommand) -> SimulationRequests[CommandOnArms]:
         """Judge an existing command on all arms."""
@@ -209,26 +204,23 @@ class CommandSearch:
         self, motors: JointMotion, signs: list[Departure], spacing: float | None, share: float
     ) -> SimulationRequests[CommandOnArms]:
         """Simulate a command on the arm as modelled, at its bounds and as drawn."""
-        follows, plan, command = self._follows, self._plan, MotorMotion.of(motors)
+        follows, command = self._follows, MotorMotion.of(motors)
         drawn = self._with_known_servo(
             draw_departures(self._uncertainty_with_servo, self._arm.robot.n, self._carries)
         )
         arms = [self._nominal, *self._corners, *signs, *drawn]
-        members = [Member(command=follows, departure=each, reference=follows) for each in arms]
-        members += [Member(command=command, departure=each, reference=plan) for each in arms]
-        swings = yield SimulationRequest(self._many, members)
+        members = [
+            Member(command=own, departure=each) for own in (follows, command) for each in arms
+        ]
+        errors = yield SimulationRequest(self._many, members)
         count = len(arms)
         return CommandOnArms(
             motion=self._motion,
             motors=motors,
-            planned=_summarise_spreads(
-                swings.peak[:count], swings.peak_after[:count], arms, len(drawn)
-            ),
-            compensated=_summarise_spreads(
-                swings.peak[count:], swings.peak_after[count:], arms, len(drawn)
-            ),
+            planned=_summarise_spreads(errors, slice(count), arms, len(drawn)),
+            compensated=_summarise_spreads(errors, slice(count, None), arms, len(drawn)),
             nominal=self._nominal,
-            worst=arms[int(np.argmax(swings.peak[count:]))],
+            worst=arms[int(np.argmax(errors.peaks(errors.flight)["position"][count:]))],
             spacing=spacing,
             share=share,
             excess=self._motor_violations(motors),
@@ -252,15 +244,12 @@ class CommandSearch:
             *(yield from self._request_single_departures(commands[0]))
         )
         arms = [*self._corners, *signs]
-        members = [
-            Member(command=own, departure=arm, reference=self._plan)
-            for own in commands
-            for arm in arms
-        ]
-        swings = yield SimulationRequest(self._many, members)
-        shape = (len(commands), len(arms))
-        flight = swings.peak.reshape(shape).max(axis=1)
-        after = swings.peak_after.reshape(shape).max(axis=1)
+        members = [Member(command=own, departure=arm) for own in commands for arm in arms]
+        errors = yield SimulationRequest(self._many, members)
+        flight, after = (
+            errors.peaks(phase)["position"].reshape(len(commands), len(arms)).max(axis=1)
+            for phase in (errors.flight, errors.after)
+        )
         best = [tried[k] for k in np.argsort(flight + after, kind="stable")]
         # The trial grid may miss excesses shorter than its step, such as the jerk at an end.
         lead, share = next(
@@ -297,24 +286,24 @@ class CommandSearch:
 
     def _request_single_departures(
         self, command: MotorMotion
-    ) -> SimulationRequests[tuple[ArmDeviations, int]]:
+    ) -> SimulationRequests[tuple[ToolError, int]]:
         """Simulate the nominal arm and those with one softer joint each; return their number."""
         single = self._with_known_servo(
             one_at_a_time(self._uncertainty_with_servo, self._arm.robot.n)
         )
         arms = [self._nominal, *single]
-        members = [Member(command=command, departure=arm, reference=self._plan) for arm in arms]
+        members = [Member(command=command, departure=arm) for arm in arms]
         return (yield SimulationRequest(self._many, members)), len(arms)
 
-    def _worst_sign_departures(self, swings: ArmDeviations, count: int) -> list[Departure]:
+    def _worst_sign_departures(self, errors: ToolError, count: int) -> list[Departure]:
         """Return arms with signs of the joints' stiffness for which errors add up, to first order.
 
         The first member is the nominal arm, those up to `count` have one softer joint each.
         """
         unsure, found = self._uncertainty_with_servo, []  # type: Uncertainty, list[Departure]
-        share = swings.deviation[1:count] - swings.deviation[0]
+        share = errors.position[1:count] - errors.position[0]
         joints = np.flatnonzero(unsure.shares(self._arm.robot.n))
-        for chosen in (swings.flight, ~swings.flight):
+        for chosen in (errors.flight, ~errors.flight):
             own = share[:, chosen]
             # Along each joint's own error, signs are chosen so that all projections add.
             along = np.sign(np.einsum("jkx,ikx->ijk", own, own))
@@ -360,23 +349,31 @@ class CommandSearch:
     def _simulate_on(self, command: MotorMotion, departure: Departure) -> SimulatedMotion:
         arm, servo = self._arm.with_departure(departure), self._servo
         if servo is None or departure.servo == 0.0:
-            return simulate(arm, command, reference=self._plan)
+            return simulate(arm, command, plan=self._plan)
         late = servo.with_lag(command, command.duration + REST, departure.servo)
-        return simulate(arm, late, reference=self._plan)
+        return simulate(arm, late, plan=self._plan)
 
 
 def _summarise_spreads(
-    flight: np.ndarray, after: np.ndarray, arms: Sequence[Departure], drawn: int
+    errors: ToolError, chosen: slice, arms: Sequence[Departure], drawn: int
 ) -> Spreads:
-    """Summarise peaks (B,) over the arms: the nominal one first, drawn ones last."""
-    spreads = [
-        Spread(
-            nominal=float(peak[0]),
-            worst=float(peak.max()),
-            worst_case=arms[int(np.argmax(peak))].label,
-            worst_arm=arms[int(np.argmax(peak))].factors(),
-            draws=peak[len(arms) - drawn :],
+    """Summarise the peaks of chosen members, one an arm: the nominal one first, drawn ones last."""
+    spreads = []
+    for phase in (errors.flight, errors.after):
+        parts = {name: peaks[chosen] for name, peaks in errors.peaks(phase).items()}
+        peak = parts.pop("position")
+        worst = arms[int(np.argmax(peak))]
+        spreads.append(
+            Spread(
+                nominal=float(peak[0]),
+                worst=float(peak.max()),
+                worst_case=worst.label,
+                worst_arm=worst.factors(),
+                draws=peak[len(arms) - drawn :],
+                parts={
+                    name: PartPeaks(nominal=float(own[0]), worst=float(own.max()))
+                    for name, own in parts.items()
+                },
+            )
         )
-        for peak in (flight, after)
-    ]
     return Spreads(flight=spreads[0], after=spreads[1])

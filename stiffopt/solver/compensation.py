@@ -125,9 +125,7 @@ def judge_existing_command(
     )
     problem = problem if uncertainty is None else replace(problem, uncertainty=uncertainty)
     arm = arm if damping is None else arm.damped(damping)
-    asking = [
-        _start_request(CommandSearch(problem, arm, own, law, made.plan, servo).judge_existing(made))
-    ]
+    asking = [_start_request(CommandSearch(problem, arm, own, law, servo).judge_existing(made))]
     asking += [
         _start_request(
             CommandSearch(problem, arm, motion, law, servo=servo).judge_existing(command)

@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -45,7 +46,7 @@ if TYPE_CHECKING:
     from stiffopt.problem.trajectory import TrajectoryProblem
     from stiffopt.result.assessment import Assessment
     from stiffopt.result.solution import Baseline, Solution
-    from stiffopt.result.trajectory import Trajectory
+    from stiffopt.result.trajectory import JointMotion, Trajectory
 
 # Factors on the assumed damping of 2 % of critical: 1 and 3 %.
 _DAMPING_FACTORS = (0.5, 1.5)
@@ -92,7 +93,9 @@ class PlannedMotion:
     counted : bool
         True where it keeps all limits and the problem's duration.
     motors : Trajectory or None
-        With the planned motion of its links, where that differs from the motors'.
+        Where the motors lead the planned path, as planned.
+    path : JointMotion or None
+        Planned motion of the links of a stored motion whose motors lead it.
     exceeded : tuple of str
         Names of limits that it exceeds.
     """
@@ -104,18 +107,31 @@ class PlannedMotion:
     parts: dict[str, PeakRms]
     counted: bool
     motors: Trajectory | None = None
+    path: JointMotion | None = None
     exceeded: tuple[str, ...] = ()
 
+    @cached_property
+    def followed(self) -> MotorMotion:
+        """Motion of motors that follow the plan."""
+        return MotorMotion(self.time, self.position, self.velocity)
+
+    @cached_property
+    def planned_path(self) -> MotorMotion:
+        """Planned motion of the links, from which the tool error is measured."""
+        return self.followed if self.link is None else MotorMotion.of(self.link)
+
     @property
-    def link(self) -> Trajectory | None:
-        """Planned motion of the links, None where it is not planned."""
-        return None if self.motors is None else self.motors.link
+    def link(self) -> JointMotion | None:
+        """Planned motion of the links, None where the motors follow the plan."""
+        return self.path if self.motors is None else self.motors.link
 
     @property
     def vibrates_after_arrival(self) -> bool:
         """True where the plan has residual vibration of the links after the motors' arrival."""
-        link = self.link
-        return link is not None and bool(np.any(np.abs(link(link.duration, 1)) > _STANDSTILL_SPEED))
+        if self.link is None:
+            return False
+        end = self.link(np.array([self.link.duration]), 1)
+        return bool(np.any(np.abs(end) > _STANDSTILL_SPEED))
 
     @classmethod
     def of(cls, name: str, assessment: Assessment, counted: bool) -> PlannedMotion:
@@ -187,14 +203,11 @@ def simulate_motions(
     part = terms[0].kind.deflection_part if len(terms) == 1 else ""
     found = []
     for each in motions:
-        command = MotorMotion(each.time, each.position, each.velocity)
-        simulated = simulate(arm, command, servo=servo, band=band)
+        command, plan = each.followed, each.planned_path
+        simulated = simulate(arm, command, servo=servo, band=band, plan=plan)
         minimised = None
-        if part not in ("", "dynamic"):
-            reference = command.position(simulated.time)
-            if part == "process":
-                reference = simulate(arm.without_force(), command, servo=servo).position
-            minimised = _simulate_part(arm, part, each.parts[part], simulated, reference)
+        if part:
+            minimised = _simulate_part(arm, part, each, simulated, servo)
         found.append(
             ElasticMotion(
                 name=each.name,
@@ -215,16 +228,26 @@ def simulate_motions(
 def _simulate_part(
     arm: ElasticArm,
     name: str,
-    planned: PeakRms,
+    motion: PlannedMotion,
     simulated: SimulatedMotion,
-    reference: np.ndarray,
+    servo: Servo | None,
 ) -> SimulatedPart:
-    """Return the tool's deviation in flight from the reference joint positions (K, n)."""
-    flight = simulated.time <= simulated.duration
-    away = arm.tool(simulated.position[flight]) - arm.tool(reference[flight])
-    size, time = np.linalg.norm(away, axis=1), simulated.time[flight]
+    """Return a part of the tool's deflection against the motors in flight, as objectives have it.
+
+    The dynamic part is less the sag, the part of the process less the motion without it.
+    """
+    command = motion.followed
+    flight = simulated.time <= command.duration
+    time = simulated.time[flight]
+    unloaded = command.position(time)
+    if name == "dynamic":
+        unloaded = arm.static_equilibrium(unloaded)
+    elif name == "process":
+        unloaded = simulate(arm.without_force(), command, servo=servo).position[flight]
+    size = np.linalg.norm(arm.tool(simulated.position[flight]) - arm.tool(unloaded), axis=1)
     rms = float(np.sqrt(np.trapezoid(size**2, time) / time[-1]))
-    return SimulatedPart(name=name, planned=planned, simulated=PeakRms(float(size.max()), rms))
+    found = PeakRms(float(size.max()), rms)
+    return SimulatedPart(name=name, planned=motion.parts[name], simulated=found)
 
 
 def check_simulation(problem: TrajectoryProblem, motion: ResolvedMotion) -> None:

@@ -38,13 +38,13 @@ def test_batch_deviations_agree_with_full_simulation(tmp_path):
         departure_at_bounds(unsure, np.array([1.0, -1.0]), 1.0, -1.0, 0.0),
         departure_at_bounds(unsure, np.array([0.0, 0.0]), 0.0, 0.0, 1.0),
     ]
-    members = [Member(command=command, departure=each, reference=command) for each in arms]
+    members = [Member(command=command, departure=each) for each in arms]
     swings = UncertainArms(elastic, plan, unsure.servo).simulate(members)
     for k, each in enumerate(arms):
         servo = unsure.servo if each.servo else None
         full = simulate(elastic.with_departure(each), command, servo=servo)
-        assert swings.peak[k] == pytest.approx(full.peak, rel=0.02)
-        assert swings.peak_after[k] == pytest.approx(full.peak_after, rel=0.02)
+        assert swings.peaks(swings.flight)["position"][k] == pytest.approx(full.peak, rel=0.02)
+        assert swings.peaks(swings.after)["position"][k] == pytest.approx(full.peak_after, rel=0.02)
 
 
 def test_twice_the_stiffness_halves_the_windup(tmp_path):
@@ -64,10 +64,10 @@ def test_rigid_joints_follow_their_motors_in_a_batch(tmp_path):
     elastic = one_soft_joint(tmp_path)
     command = bang((3.0, -4.0), 0.2, (0.3, 0.4))
     plan = there_and_stop((3.0, -4.0), 0.2, (0.3, 0.4))
-    one = [Member(command=command, departure=Departure.none(2), reference=command)]
+    one = [Member(command=command, departure=Departure.none(2))]
     found, full = UncertainArms(elastic, plan).simulate(one), simulate(elastic, command)
-    assert found.peak[0] == pytest.approx(full.peak, rel=0.02)
-    assert found.peak_after[0] == pytest.approx(full.peak_after, rel=0.02)
+    assert found.peaks(found.flight)["position"][0] == pytest.approx(full.peak, rel=0.02)
+    assert found.peaks(found.after)["position"][0] == pytest.approx(full.peak_after, rel=0.02)
 
 
 def test_heavier_payload_increases_windup(tmp_path):
