@@ -14,7 +14,8 @@ from scipy.integrate import ODEintWarning, odeint, solve_ivp
 from stiffopt.elastic import native
 from stiffopt.elastic.arm import MIN_FOLLOWING_FREQUENCY, ElasticArm
 from stiffopt.elastic.modes import modes
-from stiffopt.elastic.motor import MotorMotion, Servo
+from stiffopt.elastic.motor import MotorMotion
+from stiffopt.elastic.servo import Servo
 from stiffopt.errors import NotSimulatedError
 from stiffopt.result.simulation import SETTLING_BAND, SimulatedMotion
 
@@ -39,6 +40,7 @@ def simulate(
     motion: MotorMotion,
     *,
     servo: Servo | None = None,
+    ahead: float = 0.0,
     band: float = SETTLING_BAND,
     method: str = "",
     plan: MotorMotion | None = None,
@@ -52,6 +54,8 @@ def simulate(
         The command.
     servo : Servo, optional
         Response of the motors to it; None follows exactly.
+    ahead : float
+        Time by which the set-points are sent ahead of the plan [s].
     band : float
         Settling band of the tool [m].
     method : str
@@ -71,7 +75,7 @@ def simulate(
     """
     plan = motion if plan is None else plan
     end = motion.duration + (REST if motion.ends_at_rest else 0.0)
-    motor = motion if servo is None else servo.follow(motion, end)
+    motor = motion if servo is None else servo.follow(motion, end, ahead)
     # At rest the integrator would choose steps too long to notice the onset of vibration.
     longest = 1.0 / check_reach(arm, motor.at(0.0)[0])
     n = arm.robot.n

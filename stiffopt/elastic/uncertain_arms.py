@@ -17,7 +17,8 @@ import numpy as np
 from stiffopt.elastic import native
 from stiffopt.elastic.arm import ElasticArm
 from stiffopt.elastic.modes import modes
-from stiffopt.elastic.motor import MotorMotion, Servo
+from stiffopt.elastic.motor import MotorMotion
+from stiffopt.elastic.servo import Servo
 from stiffopt.elastic.uncertainty import Departure
 from stiffopt.result.tool_error import ToolError, path_directions
 from stiffopt.result.trajectory import JointMotion
@@ -172,12 +173,19 @@ class UncertainArms:
         Nominal arm.
     plan : JointMotion
         At rest at both ends; its second derivative is used.
-    servo : Servo, optional
-        Worst servo; each departure has a share of its lag.
+    servo, worst : Servo, optional
+        The nominal and the worst servo; each departure has a share of the difference of their
+        responses. Set-points are sent the nominal dead time ahead. None follows exactly.
     """
 
-    def __init__(self, arm: ElasticArm, plan: JointMotion, servo: Servo | None = None) -> None:
-        self._servo = servo
+    def __init__(
+        self,
+        arm: ElasticArm,
+        plan: JointMotion,
+        servo: Servo | None = None,
+        worst: Servo | None = None,
+    ) -> None:
+        self._servo, self._worst = servo or Servo(), worst or servo or Servo()
         self.duration = plan.duration
         start = plan(np.zeros(1))[0]
         slowest = min((mode.frequency for mode in modes(arm, start)), default=1.0)
@@ -235,21 +243,26 @@ class UncertainArms:
     def motors(self, commands: Sequence[MotorMotion]) -> tuple[np.ndarray, np.ndarray]:
         """Motions (K, C, 4, n) of the distinct commands, and the index of each member's (B,).
 
-        Commanded position and velocity less those of the plan, and the additions of the worst servo
-        to both.
+        Position and velocity with the nominal servo less those of the plan, and the additions of
+        the worst servo to both.
         """
         different = list({id(command): command for command in commands}.values())
         places = {id(command): c for c, command in enumerate(different)}
         found = np.zeros((len(different), 4, len(self.time), self._q.shape[1]))
         for own, command in zip(found, different, strict=True):
-            own[0], own[1] = command(self.time), command(self.time, 1)
-            if self._servo is not None:
-                late = self._servo.follow(command, self.time[-1])
-                own[2], own[3] = late(self.time) - own[0], late(self.time, 1) - own[1]
+            motor, worst = (self._follow(servo, command) for servo in (self._servo, self._worst))
+            own[0], own[1] = motor(self.time), motor(self.time, 1)
+            if self._worst != self._servo:
+                own[2], own[3] = worst(self.time) - own[0], worst(self.time, 1) - own[1]
         found[:, 0] -= self._q
         found[:, 1] -= self._v
         by_time = np.ascontiguousarray(found.transpose(2, 0, 1, 3))
         return by_time, np.array([places[id(command)] for command in commands])
+
+    def _follow(self, servo: Servo, command: MotorMotion) -> MotorMotion:
+        if servo.follows_exactly:
+            return command
+        return servo.follow(command, self.time[-1], self._servo.dead_time)
 
     def initial_equilibrium(self, arms: _DepartureArrays, turn: np.ndarray) -> np.ndarray:
         """Static equilibrium (B, n) with the motors `turn` ahead of the start of the plan."""

@@ -118,6 +118,8 @@ class Compensation:
         Description of the position loops of all arms; "" where servos are uncertain.
     file : str
         File of the assessed command; "" for one computed with the motion.
+    ahead : float
+        Known dead time of the servo, by which the command is sent ahead of the plan [s].
     """
 
     motions: tuple[CompensatedMotion, ...]
@@ -127,6 +129,7 @@ class Compensation:
     draws: int
     loop: str = ""
     file: str = ""
+    ahead: float = 0.0
 
     @property
     def optimised(self) -> CompensatedMotion:
@@ -172,6 +175,7 @@ def compensation_document(compensation: Compensation | None) -> dict[str, Any] |
     return {
         "command": COMMAND_FILE if compensation.command is not None else None,
         "refusal": compensation.refusal,
+        "command_ahead": compensation.ahead,
         "uncertainty": compensation.uncertainty,
         "motions": {motion.name: _motion_document(motion) for motion in compensation.motions},
     }

@@ -31,7 +31,7 @@ from stiffopt.solver.command_search import (
 
 if TYPE_CHECKING:
     from stiffopt.elastic.arm import ElasticArm
-    from stiffopt.elastic.motor import Servo
+    from stiffopt.elastic.servo import Servo
     from stiffopt.elastic.uncertainty import Uncertainty
     from stiffopt.problem.trajectory import TrajectoryProblem
     from stiffopt.result.assessment import Violation
@@ -84,7 +84,8 @@ def compensate(
         motions=tuple(each.for_reports() for each in found),
         command=command,
         refusal=refusal,
-        uncertainty=problem.uncertainty.statements(arm.robot.payload is not None),
+        uncertainty=problem.uncertainty.statements(arm.robot.payload is not None, problem.servo),
+        ahead=problem.servo.dead_time,
         draws=problem.uncertainty.draws,
     )
 
@@ -138,8 +139,9 @@ def judge_existing_command(
         command=None,
         refusal="",
         uncertainty=problem.uncertainty.statements(
-            arm.robot.payload is not None, servo=servo is None
+            arm.robot.payload is not None, problem.servo if servo is None else None
         ),
+        ahead=problem.servo.dead_time,
         draws=problem.uncertainty.draws,
         loop="" if servo is None else str(servo),
         file=file,

@@ -32,7 +32,6 @@ from stiffopt.result.simulation import (
     SETTLING_BAND,
     ElasticMotion,
     PeakRms,
-    SimulatedMotion,
     SimulatedPart,
     Simulation,
 )
@@ -42,7 +41,7 @@ from stiffopt.solver.compensation import compensate
 from stiffopt.solver.solve_run import ProgressCallback, SolveProgress
 
 if TYPE_CHECKING:
-    from stiffopt.elastic.motor import Servo
+    from stiffopt.elastic.servo import Servo
     from stiffopt.problem.trajectory import TrajectoryProblem
     from stiffopt.result.assessment import Assessment
     from stiffopt.result.solution import Baseline, Solution
@@ -191,6 +190,7 @@ def simulate_motions(
     arm : ElasticArm
     motions : sequence of PlannedMotion
     servo : Servo, optional
+        Default that of the problem.
     band : float
         Settling band of the tool [m].
 
@@ -201,13 +201,13 @@ def simulate_motions(
     """
     terms = problem.objectives
     part = terms[0].kind.deflection_part if len(terms) == 1 else ""
-    found = []
+    found, servo = [], servo or problem.servo
     for each in motions:
         command, plan = each.followed, each.planned_path
-        simulated = simulate(arm, command, servo=servo, band=band, plan=plan)
+        simulated = simulate(arm, command, servo=servo, ahead=servo.dead_time, band=band, plan=plan)
         minimised = None
         if part:
-            minimised = _simulate_part(arm, part, each, simulated, servo)
+            minimised = _simulate_part(arm, part, each)
         found.append(
             ElasticMotion(
                 name=each.name,
@@ -229,21 +229,21 @@ def _simulate_part(
     arm: ElasticArm,
     name: str,
     motion: PlannedMotion,
-    simulated: SimulatedMotion,
-    servo: Servo | None,
 ) -> SimulatedPart:
     """Return a part of the tool's deflection against the motors in flight, as objectives have it.
 
-    The dynamic part is less the sag, the part of the process less the motion without it.
+    Motors follow exactly. The dynamic part is less the sag, that of the process less the motion
+    without it.
     """
     command = motion.followed
+    simulated = simulate(arm, command)
     flight = simulated.time <= command.duration
     time = simulated.time[flight]
     unloaded = command.position(time)
     if name == "dynamic":
         unloaded = arm.static_equilibrium(unloaded)
     elif name == "process":
-        unloaded = simulate(arm.without_force(), command, servo=servo).position[flight]
+        unloaded = simulate(arm.without_force(), command).position[flight]
     size = np.linalg.norm(arm.tool(simulated.position[flight]) - arm.tool(unloaded), axis=1)
     rms = float(np.sqrt(np.trapezoid(size**2, time) / time[-1]))
     found = PeakRms(float(size.max()), rms)
