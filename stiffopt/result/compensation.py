@@ -64,6 +64,11 @@ class Spreads:
     flight: Spread
     after: Spread
 
+    @property
+    def worst_case(self) -> float:
+        """Sum of the worst peaks in flight and after arrival [m]."""
+        return self.flight.worst + self.after.worst
+
 
 @dataclass(frozen=True, kw_only=True)
 class CompensatedMotion:
@@ -120,6 +125,8 @@ class Compensation:
         File of the assessed command; "" for one computed with the motion.
     ahead : float
         Known dead time of the servo, by which the command is sent ahead of the plan [s].
+    rival_plan, rival_command : Assessment or None
+        Motion and command of the best rival, where it wins.
     """
 
     motions: tuple[CompensatedMotion, ...]
@@ -130,28 +137,71 @@ class Compensation:
     loop: str = ""
     file: str = ""
     ahead: float = 0.0
+    rival_plan: Assessment | None = None
+    rival_command: Assessment | None = None
 
     @property
     def optimised(self) -> CompensatedMotion:
         """Optimised motion."""
         return self.motions[0]
 
+    @property
+    def best_rival(self) -> CompensatedMotion | None:
+        """Rival with the least worst-case error whose command keeps every limit."""
+        kept = [each for each in self.motions[1:] if not each.excess]
+        return min(kept, key=lambda each: each.compensated.worst_case, default=None)
+
+    @property
+    def rival_wins(self) -> bool:
+        """True where the best rival has less worst-case error, or the only command."""
+        best, own = self.best_rival, self.optimised
+        if best is None:
+            return False
+        needed = (1.0 - MIN_RIVAL_GAIN) * own.compensated.worst_case
+        return bool(own.excess) or best.compensated.worst_case < needed
+
+    @property
+    def ratios(self) -> tuple[float, float] | None:
+        """Worst-case errors over those of the best rival, in flight and after arrival."""
+        best, own = self.best_rival, self.optimised
+        if best is None or own.excess:
+            return None
+        pairs = [
+            (getattr(own.compensated, phase).worst, getattr(best.compensated, phase).worst)
+            for phase in ("flight", "after")
+        ]
+        return tuple(mine / theirs if theirs > 0.0 else np.inf for mine, theirs in pairs)
+
 
 COMMAND_FILE = "command.csv"
+# Motion and command of the best rival, where it wins.
+RIVAL_TRAJECTORY_FILE, RIVAL_COMMAND_FILE = "rival_trajectory.csv", "rival_command.csv"
+# Relative gain from which a rival wins: smaller ones are within the model's agreement.
+MIN_RIVAL_GAIN = 0.02
 
 
 def write_command(compensation: Compensation | None, directory: str | Path) -> Path | None:
-    """Write command.csv into `directory`; return its path.
+    """Write command.csv, and that of a rival that wins, into `directory`; return the first's path.
 
     Columns are position, velocity and acceleration of the motors every 2 ms, the drive torque of
     the links' motion, and the link positions. Without a command, the file of an earlier solve is
     removed, as it belongs to another motion.
     """
-    path = Path(directory) / COMMAND_FILE
-    if compensation is None or compensation.command is None:
-        path.unlink(missing_ok=True)
-        return None
-    command = compensation.command
+    found = []
+    for name, command in (
+        (COMMAND_FILE, None if compensation is None else compensation.command),
+        (RIVAL_COMMAND_FILE, None if compensation is None else compensation.rival_command),
+    ):
+        path = Path(directory) / name
+        found.append(None if command is None else path)
+        if command is None:
+            path.unlink(missing_ok=True)
+        else:
+            _write_motors(command, path)
+    return found[0]
+
+
+def _write_motors(command: Assessment, path: Path) -> None:
     joints = range(1, command.position.shape[1] + 1)
     names = ["t", *(f"{quantity}{j}" for quantity in ("q", "qd", "qdd", "tau") for j in joints)]
     columns = [
@@ -165,7 +215,6 @@ def write_command(compensation: Compensation | None, directory: str | Path) -> P
         columns.append(command.link)
         names += [f"link{j}" for j in joints]
     write_csv(path, names, np.hstack(columns).tolist())
-    return path
 
 
 def compensation_document(compensation: Compensation | None) -> dict[str, Any] | None:
@@ -177,12 +226,28 @@ def compensation_document(compensation: Compensation | None) -> dict[str, Any] |
         "refusal": compensation.refusal,
         "command_ahead": compensation.ahead,
         "uncertainty": compensation.uncertainty,
+        **_rival_document(compensation),
         "motions": {motion.name: _motion_document(motion) for motion in compensation.motions},
+    }
+
+
+def _rival_document(compensation: Compensation) -> dict[str, Any]:
+    best, ratios = compensation.best_rival, compensation.ratios
+    handed = compensation.rival_command is not None
+    return {
+        "best_rival": None if best is None else best.name,
+        "rival_wins": compensation.rival_wins,
+        "ratio_to_best_rival": (
+            None if ratios is None else {"in_flight": ratios[0], "after_arrival": ratios[1]}
+        ),
+        "rival_trajectory": RIVAL_TRAJECTORY_FILE if handed else None,
+        "rival_command": RIVAL_COMMAND_FILE if handed else None,
     }
 
 
 def _motion_document(motion: CompensatedMotion) -> dict[str, Any]:
     return {
+        "duration": motion.simulated.duration,
         "within_motor_limits": not motion.excess,
         "excess": [dict(vars(each)) for each in motion.excess],
         "knot_spacing": motion.spacing,

@@ -1,8 +1,4 @@
-"""Elastic simulation of a solution and its baselines, with its sensitivity to assumed damping.
-
-A quintic motion that exceeds a limit is simulated a second time, slowed until it keeps them all; it
-is counted where the problem allows that duration.
-"""
+"""Elastic simulation of a solution and its rivals, with its sensitivity to assumed damping."""
 
 from __future__ import annotations
 
@@ -16,7 +12,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from stiffopt.baseline.baselines import slowed_quintic
+from stiffopt.baseline.rivals import FairRival, fair_rivals
+from stiffopt.certificate.assess import assess
 from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
 from stiffopt.elastic.arm import ElasticArm
 from stiffopt.elastic.motor import MotorMotion
@@ -44,11 +41,13 @@ if TYPE_CHECKING:
     from stiffopt.elastic.servo import Servo
     from stiffopt.problem.trajectory import TrajectoryProblem
     from stiffopt.result.assessment import Assessment
-    from stiffopt.result.solution import Baseline, Solution
+    from stiffopt.result.solution import Solution
     from stiffopt.result.trajectory import JointMotion, Trajectory
 
 # Factors on the assumed damping of 2 % of critical: 1 and 3 %.
 _DAMPING_FACTORS = (0.5, 1.5)
+# Rounding of a duration.
+_DURATION_SLACK = 1.0 + 1e-9
 # Links slower than this are at rest [rad/s].
 _STANDSTILL_SPEED = 1e-6
 _COMMAND_NOT_REQUESTED = (
@@ -97,6 +96,8 @@ class PlannedMotion:
         Planned motion of the links of a stored motion whose motors lead it.
     exceeded : tuple of str
         Names of limits that it exceeds.
+    rival : FairRival or None
+        By which it can be slowed.
     """
 
     name: str
@@ -108,6 +109,7 @@ class PlannedMotion:
     motors: Trajectory | None = None
     path: JointMotion | None = None
     exceeded: tuple[str, ...] = ()
+    rival: FairRival | None = None
 
     @cached_property
     def followed(self) -> MotorMotion:
@@ -133,6 +135,18 @@ class PlannedMotion:
         return bool(np.any(np.abs(end) > _STANDSTILL_SPEED))
 
     @classmethod
+    def of_rival(cls, rival: FairRival, assessment: Assessment, counted: bool) -> PlannedMotion:
+        """Make the motion of a rival, which can be slowed."""
+        return replace(cls.of(rival.name, assessment, counted), rival=rival)
+
+    def slowed(self, problem: TrajectoryProblem, factor: float) -> PlannedMotion:
+        """Return a rival at a longer duration."""
+        assert self.rival is not None
+        assessment = assess(problem, self.rival.at(factor * float(self.time[-1])))
+        counted = assessment.duration <= problem.duration[1] * _DURATION_SLACK
+        return PlannedMotion.of_rival(self.rival, assessment, counted)
+
+    @classmethod
     def of(cls, name: str, assessment: Assessment, counted: bool) -> PlannedMotion:
         """Make the motion from its certificate."""
         return cls(
@@ -149,29 +163,18 @@ class PlannedMotion:
 
 
 def rival_motions(
-    problem: TrajectoryProblem,
-    motion: ResolvedMotion,
-    baselines: dict[str, Baseline],
-    strict: Baseline | None = None,
+    problem: TrajectoryProblem, motion: ResolvedMotion, duration: float
 ) -> list[PlannedMotion]:
-    """Return the existing baselines, and the slowed quintic one where the quintic is infeasible.
+    """Return the rivals that keep every limit, of the optimised duration [s] or slowed.
 
-    `strict` is the slowed one where it is known already.
+    Where the duration is minimised they are as fast as their limits allow.
     """
-    found = [
-        PlannedMotion.of(name, baseline.assessment, baseline.feasible)
-        for name, baseline in baselines.items()
-        if baseline.assessment is not None
+    free = any(each.name == "duration" for each in problem.objectives)
+    shortest, longest = problem.duration
+    return [
+        PlannedMotion.of_rival(rival, assessment, assessment.duration <= longest * _DURATION_SLACK)
+        for rival, assessment in fair_rivals(problem, motion, shortest if free else duration)
     ]
-    quintic = baselines.get("quintic")
-    if quintic is not None and not quintic.feasible:
-        known = strict is not None and strict.name == "slowed quintic"
-        slowed = strict.assessment if strict and known else slowed_quintic(problem, motion)
-        if slowed is not None:
-            shortest, longest = problem.duration
-            allowed = shortest <= slowed.duration <= longest
-            found.append(PlannedMotion.of("slowed quintic", slowed, allowed))
-    return found
 
 
 def simulate_motions(
@@ -284,7 +287,7 @@ def with_simulation(
         arm = elastic_arm(problem, assessment.position[0])
         counted = assessment.feasible(CERTIFICATE_TOLERANCE)
         own = PlannedMotion.of("optimised", assessment, counted)
-        others = rival_motions(problem, motion, solution.baselines, solution.strict_baseline)
+        others = rival_motions(problem, motion, assessment.duration)
         if solution.trajectory is not None and solution.trajectory.link is not None:
             own = replace(own, motors=solution.trajectory)
         band = problem.active_limits.settling_band

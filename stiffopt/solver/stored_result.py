@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline, CubicSpline, make_interp_spline
 
-from stiffopt.baseline.baselines import baselines
 from stiffopt.certificate.assess import assess
 from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
 from stiffopt.elastic.uncertainty import Uncertainty
@@ -56,9 +55,9 @@ class StoredResult:
     command: ExistingCommand | None = None
 
     def motions(self) -> list[PlannedMotion]:
-        """Return the stored motion, then recomputed baselines."""
-        compared = baselines(self.problem, self.motion)
-        return [self.optimised, *rival_motions(self.problem, self.motion, compared)]
+        """Return the stored motion, then recomputed rivals."""
+        duration = float(self.optimised.time[-1])
+        return [self.optimised, *rival_motions(self.problem, self.motion, duration)]
 
 
 def read_result(

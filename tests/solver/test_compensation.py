@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from small_arms import load
 
-from stiffopt.baseline.baselines import baselines, quintic_law
+from stiffopt.baseline.baselines import baselines
+from stiffopt.baseline.rivals import quintic_law
 from stiffopt.certificate.assess import assess
 from stiffopt.elastic.uncertainty import Uncertainty
 from stiffopt.errors import RobotError
