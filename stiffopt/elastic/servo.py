@@ -38,7 +38,7 @@ _MIN_LED_TORQUE_SHARE, _MIN_LED_VELOCITY_SHARE = 0.02, 0.1
 # Time after the plan's end in which the lead decays, over the time constant of the position loop.
 _LEAD_DECAY_CONSTANTS = 14.0
 # Lead [rad] and its rate [rad/s] at which a command ends.
-_MAX_LEAD_AT_END = (1e-8, 5e-7)
+MAX_LEAD_AT_END = (1e-8, 5e-7)
 _COMMAND_STRIDE = 4  # steps between the breaks of a leading command
 
 
@@ -205,7 +205,7 @@ class Servo:
         lead[2] = (force - inner * forward * lead[1] - inner * gain * lead[0]) / torque
         lead[3] = (rate - inner * forward * lead[2] - inner * gain * lead[1]) / torque
         # Until the lead has decayed: a jump to the end would have any jerk.
-        large = np.abs(lead[:2]) > np.reshape(_MAX_LEAD_AT_END, (2, 1, 1))
+        large = np.abs(lead[:2]) > np.reshape(MAX_LEAD_AT_END, (2, 1, 1))
         last = np.flatnonzero(large.any(axis=(0, 2)) | (times < motors.duration))[-1] + 1
         last = min(_COMMAND_STRIDE * -(-last // _COMMAND_STRIDE), len(times) - 1)
         at = slice(None, last + 1, _COMMAND_STRIDE)

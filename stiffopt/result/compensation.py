@@ -162,15 +162,17 @@ class Compensation:
 
     @property
     def ratios(self) -> tuple[float, float] | None:
-        """Worst-case errors over those of the best rival, in flight and after arrival."""
+        """Worst-case errors over those of the best rival, in flight and after arrival.
+
+        None where one is missing or an error of the rival is zero.
+        """
         best, own = self.best_rival, self.optimised
         if best is None or own.excess:
             return None
-        pairs = [
-            (getattr(own.compensated, phase).worst, getattr(best.compensated, phase).worst)
-            for phase in ("flight", "after")
-        ]
-        return tuple(mine / theirs if theirs > 0.0 else np.inf for mine, theirs in pairs)
+        mine, theirs = own.compensated, best.compensated
+        if not (theirs.flight.worst > 0.0 and theirs.after.worst > 0.0):
+            return None
+        return mine.flight.worst / theirs.flight.worst, mine.after.worst / theirs.after.worst
 
 
 COMMAND_FILE = "command.csv"

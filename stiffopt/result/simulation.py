@@ -210,10 +210,14 @@ class Simulation:
         """Optimised motion."""
         return self.motions[0]
 
-    def value(self, motion: ElasticMotion) -> float:
-        """Compared simulated deflection in flight [m]."""
+    def objective_value(self, motion: ElasticMotion) -> float:
+        """Simulated minimised deflection in flight, motors following exactly [m]."""
         found = motion.compared.simulated
         return found.rms if self.measure == "rms" else found.peak
+
+    def value(self, motion: ElasticMotion) -> float:
+        """Tool error in flight by the minimised measure [m]."""
+        return motion.simulated.rms if self.measure == "rms" else motion.simulated.peak
 
     @property
     def better_baseline(self) -> ElasticMotion | None:
@@ -223,7 +227,7 @@ class Simulation:
 
     @property
     def ratio_to_better_baseline(self) -> float | None:
-        """Simulated deflection over that of the better baseline, if it is minimised."""
+        """Tool error over that of the better baseline, if a deflection is minimised."""
         better = self.better_baseline
         if better is None or not self.measure or not self.optimised.counted:
             return None

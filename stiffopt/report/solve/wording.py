@@ -63,7 +63,7 @@ def headline_text(solution: Solution) -> str:
         return objective_text(solution.objective)
     simulated = simulation.optimised.simulated
     phrase = objective_phrase(solution.objective.name, simulation.measure)
-    text = f"{phrase} {si(simulation.value(simulation.optimised), 'm', 3)} in flight"
+    text = f"{phrase} {si(simulation.objective_value(simulation.optimised), 'm', 3)} in flight"
     if simulated.peak_after is not None:
         text += f", {si(simulated.peak_after, 'm', 3)} after arrival"
     return f"{text}, simulated (planned {si(solution.objective.value, 'm', 3)})"
