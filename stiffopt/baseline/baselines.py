@@ -95,9 +95,10 @@ def strict_baseline(
     ):
         return best
     shortest, longest = problem.duration
-    slowed = {}
+    slowed, durations = {}, {}
     for rival, found in fair_rivals(problem, motion, shortest):
         allowed = found.duration <= longest * (1.0 + 1e-9)
+        durations[rival.name] = found.duration
         slowed[rival.name] = Baseline(
             name=f"slowed {rival.name}" if found.duration > shortest * (1.0 + 1e-9) else rival.name,
             assessment=found,
@@ -105,9 +106,8 @@ def strict_baseline(
             feasible=allowed,
             reason="" if allowed else f"Keeps every limit, but takes {found.duration:.3g} s.",
         )
-    return better_baseline(problem, slowed) or min(
-        slowed.values(), key=lambda each: each.assessment.duration, default=None
-    )
+    quickest = min(durations, key=lambda name: durations[name], default=None)
+    return better_baseline(problem, slowed) or (None if quickest is None else slowed[quickest])
 
 
 def better_baseline(problem: TrajectoryProblem, compared: dict[str, Baseline]) -> Baseline | None:

@@ -209,8 +209,8 @@ class Servo:
         last = np.flatnonzero(large.any(axis=(0, 2)) | (times < motors.duration))[-1] + 1
         last = min(_COMMAND_STRIDE * -(-last // _COMMAND_STRIDE), len(times) - 1)
         at = slice(None, last + 1, _COMMAND_STRIDE)
-        link = motors.link
-        held = None if link is None else link.held_for(float(times[last]) - link.duration)
+        link = motors.link or motors
+        held = link.held_for(float(times[last]) - link.duration)
         return Trajectory.through(times[at], (plan + lead)[:, at], held)
 
 

@@ -155,7 +155,7 @@ class _Lead:
         held = motors.held_for(times[-1] - end)
         for led in _SERVO_LEAD_SHARES:
             derivatives = [led * whole(times, k) + (1.0 - led) * held(times, k) for k in range(4)]
-            yield Trajectory.through(times, np.stack(derivatives), whole.link)
+            yield Trajectory.through(times, np.stack(derivatives), whole.link or held)
         yield motors
 
     def _motors_with_share(self, share: float) -> Trajectory:
@@ -341,11 +341,11 @@ class CommandSearch:
             ]
         return found
 
-    def _keeps_plan_limits(self, motors: Trajectory) -> bool:
+    def _keeps_plan_limits(self, motors: JointMotion) -> bool:
         """Return True where no limit that the plan keeps is exceeded, on the trial grid."""
         return self._excess_beyond_plan(motors, _TRIAL_SAMPLES) <= CERTIFICATE_TOLERANCE
 
-    def _excess_beyond_plan(self, motors: Trajectory, points: int | None = None) -> float:
+    def _excess_beyond_plan(self, motors: JointMotion, points: int | None = None) -> float:
         """Return the largest excess of the limits that the plan keeps."""
         excess = self._motor_violations(motors, points)
         kept = [each.value for each in excess if each.limit not in self._motion.exceeded]
