@@ -24,7 +24,7 @@ def test_rivals_keep_every_limit_and_are_no_slower_than_needed(tmp_path):
         times = np.linspace(0.0, each.duration, 4001)
         # Independent of the certificate: differences of the acceleration.
         rates = np.diff(rival.at(each.duration)(times, 2), axis=0) / times[1]
-        assert np.all(np.abs(rates) <= 1.001 * jerk)
+        assert np.all(np.abs(rates) <= (1.0 + CERTIFICATE_TOLERANCE) * jerk)
         if each.duration > 1.01 * duration:
             shorter = rival.at(each.duration * 0.99)
             sizes = (np.abs(shorter(0.99 * times, k)).max(axis=0) for k in (1, 2, 3))
