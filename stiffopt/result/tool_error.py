@@ -70,7 +70,7 @@ class ToolError:
     @property
     def after(self) -> np.ndarray:
         """Mask (K,) of the instants from arrival on; none where only the flight is known."""
-        return np.asarray(self.time >= self.duration) & (self.time[-1] > self.duration)
+        return np.asarray((self.time >= self.duration) & (self.time[-1] > self.duration))
 
     def peaks(self, phase: np.ndarray) -> dict[str, np.ndarray]:
         """Largest magnitudes (..,) over the instants of a mask (K,), by component.

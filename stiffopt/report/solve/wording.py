@@ -122,6 +122,9 @@ def rival_text(compensation: Compensation) -> str:
         )
         if not np.isclose(flight, after):
             text += f"; after arrival {amount(after).lower()} it"
+    slower = best.simulated.duration / own.simulated.duration - 1.0
+    if slower > _EQUAL_RATIO_TOLERANCE:
+        tail += f"; the rival was slowed by {percent(slower, 2)} to keep the limits"
     text += f"; {tail}."
     if compensation.rival_wins:
         text += (
