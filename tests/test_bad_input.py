@@ -59,7 +59,7 @@ PROBLEMS = {
     ),
     "a servo that is not stable": (
         {"extra": "[uncertainty]\nservo_delay = '20 ms'"},
-        ["uncertainty", "the servo is unstable", "12.5 ms"],
+        ["uncertainty", "the servo is unstable", "needs a delay below 13.96 ms"],
     ),
     "a frequency in another unit": (
         {"extra": "[uncertainty]\nservo_bandwidth = '20 mm'"},

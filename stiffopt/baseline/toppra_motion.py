@@ -49,12 +49,15 @@ class BaselineMotion:
         A sentence, empty where there is a motion.
     fastest : float or None
         Shortest duration on the path under the limits, where it is known. [s]
+    law : Trajectory or None
+        Its time law, where it is known.
     """
 
     name: str
     motion: Trajectory | None
     reason: str = ""
     fastest: float | None = None
+    law: Trajectory | None = None
 
 
 def toppra_baseline(
@@ -111,7 +114,7 @@ def toppra_baseline(
     motion = path.follow(law)
     fastest = motion.duration
     if duration is None:
-        return BaselineMotion(name="toppra", motion=motion, fastest=fastest)
+        return BaselineMotion(name="toppra", motion=motion, fastest=fastest, law=law)
     if duration < fastest:
         return _missing_baseline(
             f"The fastest motion along this path takes {fastest:.4g} s, longer than the "

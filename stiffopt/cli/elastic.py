@@ -80,7 +80,7 @@ def simulate(
         Damping ratio of each elastic joint on its own, in place of the robot file's damping.
     """
     from stiffopt.elastic.arm import rigid_arm_error
-    from stiffopt.elastic.motor import Servo
+    from stiffopt.elastic.servo import Servo
     from stiffopt.report.solve.simulation import write_simulation_report
     from stiffopt.report.solve.terminal import print_compensation, print_simulation
     from stiffopt.result.compensation import COMMAND_FILE

@@ -56,7 +56,7 @@ def solve(
     with defer_until_result():
         from stiffopt.certificate.assess import assess
         from stiffopt.problem.files import load_problem
-        from stiffopt.result.compensation import write_command
+        from stiffopt.result.compensation import RIVAL_TRAJECTORY_FILE, write_command
         from stiffopt.result.status import SolveStatus
         from stiffopt.result.store import (
             RESULT_FILE,
@@ -106,6 +106,9 @@ def solve(
                     exported = assess(stated, solution.trajectory, times=times)
                     write_trajectory(exported, stage)
                 write_command(solution.compensation, stage)
+                led = solution.compensation
+                if led is not None and led.rival_plan is not None:
+                    write_trajectory(led.rival_plan, stage, RIVAL_TRAJECTORY_FILE)
                 write_solve_report(stated, solution, stage)
                 write_result(
                     solution,

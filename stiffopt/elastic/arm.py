@@ -10,10 +10,12 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from stiffopt.elastic.springs import JointSpring, joint_springs
 from stiffopt.errors import NotSimulatedError, RobotError
-from stiffopt.robot.batched_kinematics import frame_positions
+from stiffopt.result.tool_error import ToolError, path_directions
+from stiffopt.robot.batched_kinematics import frame_positions, frame_rotations
 from stiffopt.units import joint_unit
 
 if TYPE_CHECKING:
@@ -238,6 +240,40 @@ class ElasticArm:
     def tool(self, q: np.ndarray) -> np.ndarray:
         """Tool positions (K, 3) [m] of link positions (K, n)."""
         return frame_positions(self.robot.tree, self.robot.tool, q)
+
+    def tool_error(
+        self, time: np.ndarray, duration: float, q: np.ndarray, planned: np.ndarray
+    ) -> ToolError:
+        """Tool error of link positions (K, n) against the path of planned ones (K, n).
+
+        The planned path is where the tool rests with its motors at the planned positions: the sag
+        under weight and process force is calibrated away.
+
+        Parameters
+        ----------
+        time : array (K,)
+        duration : float
+            Arrival of the planned path [s].
+        q, planned : array (K, n)
+        """
+        # After arrival the planned pose is constant.
+        moving = min(int(np.searchsorted(time, duration)) + 1, len(time))
+        resting = self.static_equilibrium(planned[:moving])
+        places, axes = (
+            np.concatenate([at, np.repeat(at[-1:], len(time) - moving, axis=0)])
+            for at in (
+                self.tool(resting),
+                frame_rotations(self.robot.tree, self.robot.tool, resting),
+            )
+        )
+        turned = frame_rotations(self.robot.tree, self.robot.tool, q) @ axes.swapaxes(1, 2)
+        return ToolError(
+            time=time,
+            duration=duration,
+            position=self.tool(q) - places,
+            orientation=Rotation.from_matrix(turned).as_rotvec(),
+            direction=path_directions(places),
+        )
 
     def _critical_damping(self, at: np.ndarray) -> np.ndarray:
         stiffness, inertia = self._single_joint_properties(at)

@@ -1,8 +1,7 @@
 """Forward simulation of an elastic arm whose motors follow a motion.
 
-The deviation of the tool is measured from its static equilibrium at the commanded motor position
-(of a compensated command at the planned one): it includes the lag of a servo, but not the change of
-the sag with the pose.
+The tool error is measured from the planned path (`ElasticArm.tool_error`): it includes the lag of a
+servo, but not the sag under weight.
 """
 
 from __future__ import annotations
@@ -15,7 +14,8 @@ from scipy.integrate import ODEintWarning, odeint, solve_ivp
 from stiffopt.elastic import native
 from stiffopt.elastic.arm import MIN_FOLLOWING_FREQUENCY, ElasticArm
 from stiffopt.elastic.modes import modes
-from stiffopt.elastic.motor import MotorMotion, Servo
+from stiffopt.elastic.motor import MotorMotion
+from stiffopt.elastic.servo import Servo
 from stiffopt.errors import NotSimulatedError
 from stiffopt.result.simulation import SETTLING_BAND, SimulatedMotion
 
@@ -40,9 +40,10 @@ def simulate(
     motion: MotorMotion,
     *,
     servo: Servo | None = None,
+    ahead: float = 0.0,
     band: float = SETTLING_BAND,
     method: str = "",
-    reference: MotorMotion | None = None,
+    plan: MotorMotion | None = None,
 ) -> SimulatedMotion:
     """Simulate the arm on a motor motion, then at rest for a second.
 
@@ -53,13 +54,15 @@ def simulate(
         The command.
     servo : Servo, optional
         Response of the motors to it; None follows exactly.
+    ahead : float
+        Time by which the set-points are sent ahead of the plan [s].
     band : float
         Settling band of the tool [m].
     method : str
         Of `scipy.integrate.solve_ivp`; default LSODA by `odeint`.
-    reference : MotorMotion, optional
-        Motion from whose static equilibrium the deviation is measured, as the plan of a
-        compensated command; default the command.
+    plan : MotorMotion, optional
+        Planned motion of the links, from whose path the tool error is measured; default the
+        command.
 
     Returns
     -------
@@ -70,8 +73,9 @@ def simulate(
     NotSimulatedError
         A mode of the arm is too fast for the integrator, or it does not finish.
     """
+    plan = motion if plan is None else plan
     end = motion.duration + (REST if motion.ends_at_rest else 0.0)
-    motor = motion if servo is None else servo.follow(motion, end)
+    motor = motion if servo is None else servo.follow(motion, end, ahead)
     # At rest the integrator would choose steps too long to notice the onset of vibration.
     longest = 1.0 / check_reach(arm, motor.at(0.0)[0])
     n = arm.robot.n
@@ -92,20 +96,13 @@ def simulate(
         state = found[-1]
         parts.append(found[:-1])
     states = np.concatenate(parts)
-    wanted = (motion if reference is None else reference).position(times)
     followed = motor.position(times)
     q = np.where(arm.elastic, states[:, :n], followed)
     windup = followed - q
     torque = equations.spring_torque(windup, states[:, 2 * n :])
-    # After arrival the equilibrium is constant.
-    moving = int(np.searchsorted(times, motion.duration)) + 1
-    places = arm.tool(arm.static_equilibrium(wanted[:moving]))
-    equilibrium = np.concatenate([places, np.repeat(places[-1:], len(times) - len(places), axis=0)])
-    deviation = arm.tool(q) - equilibrium
+    error = arm.tool_error(times, plan.duration, q, plan.position(times))
     return SimulatedMotion(
-        time=times,
-        duration=motion.duration,
-        deviation=deviation,
+        error=error,
         position=q,
         velocity=states[:, n : 2 * n],
         windup=windup,
@@ -115,7 +112,7 @@ def simulate(
             *_note_rigid_joints(arm),
             *_note_following_joints(arm),
             *_note_torques_beyond_law(arm, times, torque),
-            *_note_hysteresis(arm, q[-1], float(np.linalg.norm(deviation, axis=1).max())),
+            *_note_hysteresis(arm, q[-1], float(error.distance.max())),
         ),
     )
 

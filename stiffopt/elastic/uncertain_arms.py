@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,8 +17,10 @@ import numpy as np
 from stiffopt.elastic import native
 from stiffopt.elastic.arm import ElasticArm
 from stiffopt.elastic.modes import modes
-from stiffopt.elastic.motor import MotorMotion, Servo
+from stiffopt.elastic.motor import MotorMotion
+from stiffopt.elastic.servo import Servo
 from stiffopt.elastic.uncertainty import Departure
+from stiffopt.result.tool_error import ToolError, path_directions
 from stiffopt.result.trajectory import JointMotion
 
 if TYPE_CHECKING:
@@ -157,52 +158,10 @@ class Member:
         Motion of the motors.
     departure : Departure
         Parameters of the arm.
-    reference : MotorMotion
-        Motion from whose static equilibrium the deviation is measured: the command itself, or the
-        plan of a compensated command.
     """
 
     command: MotorMotion
     departure: Departure
-    reference: MotorMotion
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class ArmDeviations:
-    """Tool deviations of several arms.
-
-    Parameters
-    ----------
-    time : array (K,) [s]
-    duration : float
-        Arrival of the commands [s].
-    deviation : array (B, K, 3)
-        Tool position less its static equilibrium, base axes [m].
-    """
-
-    time: np.ndarray
-    duration: float
-    deviation: np.ndarray
-
-    @cached_property
-    def distance(self) -> np.ndarray:
-        """Magnitudes of the deviations (B, K) [m]."""
-        return np.asarray(np.linalg.norm(self.deviation, axis=2))
-
-    @property
-    def flight(self) -> np.ndarray:
-        """Mask (K,) of the instants before arrival."""
-        return np.asarray(self.time <= self.duration)
-
-    @property
-    def peak(self) -> np.ndarray:
-        """Largest deviations in flight (B,) [m]."""
-        return np.asarray(self.distance[:, self.flight].max(axis=1))
-
-    @property
-    def peak_after(self) -> np.ndarray:
-        """Largest deviations after arrival (B,) [m]."""
-        return np.asarray(self.distance[:, self.time >= self.duration].max(axis=1))
 
 
 class UncertainArms:
@@ -214,12 +173,19 @@ class UncertainArms:
         Nominal arm.
     plan : JointMotion
         At rest at both ends; its second derivative is used.
-    servo : Servo, optional
-        Worst servo; each departure has a share of its lag.
+    servo, worst : Servo, optional
+        The nominal and the worst servo; each departure has a share of the difference of their
+        responses. Set-points are sent the nominal dead time ahead. None follows exactly.
     """
 
-    def __init__(self, arm: ElasticArm, plan: JointMotion, servo: Servo | None = None) -> None:
-        self._servo = servo
+    def __init__(
+        self,
+        arm: ElasticArm,
+        plan: JointMotion,
+        servo: Servo | None = None,
+        worst: Servo | None = None,
+    ) -> None:
+        self._servo, self._worst = servo or Servo(), worst or servo or Servo()
         self.duration = plan.duration
         start = plan(np.zeros(1))[0]
         slowest = min((mode.frequency for mode in modes(arm, start)), default=1.0)
@@ -250,10 +216,11 @@ class UncertainArms:
         self._equilibrium_samples = np.unique(np.append(steps, len(self.time) - 1))
         self._weight = LinearizedWeight(arm, self._q[self._equilibrium_samples])
         self._jacobian = self._extend_at_rest(
-            np.array([arm.bodies.jacobian(arm.robot.tool, q)[:3] for q in self._q[: count + 1]])
+            np.array([arm.bodies.jacobian(arm.robot.tool, q) for q in self._q[: count + 1]])
         )
+        self._direction = path_directions(arm.tool(self._q))
 
-    def simulate(self, members: Sequence[Member]) -> ArmDeviations:
+    def simulate(self, members: Sequence[Member]) -> ToolError:
         """Simulate all members in one batch."""
         return simulate_uncertain_arms([SimulationRequest(self, members)])[0]
 
@@ -276,49 +243,54 @@ class UncertainArms:
     def motors(self, commands: Sequence[MotorMotion]) -> tuple[np.ndarray, np.ndarray]:
         """Motions (K, C, 4, n) of the distinct commands, and the index of each member's (B,).
 
-        Commanded position and velocity less those of the plan, and the additions of the worst servo
-        to both.
+        Position and velocity with the nominal servo less those of the plan, and the additions of
+        the worst servo to both.
         """
         different = list({id(command): command for command in commands}.values())
         places = {id(command): c for c, command in enumerate(different)}
         found = np.zeros((len(different), 4, len(self.time), self._q.shape[1]))
         for own, command in zip(found, different, strict=True):
-            own[0], own[1] = command(self.time), command(self.time, 1)
-            own[1, self.time > self.duration] = 0.0
-            if self._servo is not None:
-                late = self._servo.follow(command, self.time[-1])
-                own[2], own[3] = late(self.time) - own[0], late(self.time, 1) - own[1]
+            motor, worst = (self._follow(servo, command) for servo in (self._servo, self._worst))
+            own[0], own[1] = motor(self.time), motor(self.time, 1)
+            if self._worst != self._servo:
+                own[2], own[3] = worst(self.time) - own[0], worst(self.time, 1) - own[1]
         found[:, 0] -= self._q
         found[:, 1] -= self._v
         by_time = np.ascontiguousarray(found.transpose(2, 0, 1, 3))
         return by_time, np.array([places[id(command)] for command in commands])
 
+    def _follow(self, servo: Servo, command: MotorMotion) -> MotorMotion:
+        if servo.follows_exactly:
+            return command
+        return servo.follow(command, self.time[-1], self._servo.dead_time)
+
     def initial_equilibrium(self, arms: _DepartureArrays, turn: np.ndarray) -> np.ndarray:
         """Static equilibrium (B, n) with the motors `turn` ahead of the start of the plan."""
         return _solve_equilibrium(self.springs, self._start, arms, turn[:, None])[:, 0]
 
-    def deviation(self, members: Sequence[Member], links: np.ndarray) -> np.ndarray:
-        """Tool deviations (B, K, 3) of members, for link positions less the plan (K, B, n)."""
-        # Members with the same departure and reference share their equilibrium.
-        alike = {(id(each.reference), id(each.departure)): each for each in members}
+    def tool_error(self, members: Sequence[Member], links: np.ndarray) -> ToolError:
+        """Tool errors of members, for link positions less the plan (K, B, n)."""
+        # Members with the same departure share their equilibrium.
+        alike = {id(each.departure): each.departure for each in members}
         places = {key: place for place, key in enumerate(alike)}
-        equilibrium = self._reference_equilibrium(
-            _DepartureArrays([each.departure for each in alike.values()]),
-            [each.reference for each in alike.values()],
-        )
-        own = [places[id(each.reference), id(each.departure)] for each in members]
+        equilibrium = self._planned_equilibrium(_DepartureArrays(list(alike.values())))
+        own = [places[id(each.departure)] for each in members]
         # One matrix product for all members: einsum would loop over them.
         along = self._jacobian.swapaxes(1, 2)
         away = links @ along - (equilibrium.swapaxes(0, 1) @ along)[:, own]
-        return np.asarray(away.swapaxes(0, 1))
+        away = away.swapaxes(0, 1)
+        return ToolError(
+            time=self.time,
+            duration=self.duration,
+            position=away[..., :3],
+            orientation=away[..., 3:],
+            direction=self._direction,
+        )
 
-    def _reference_equilibrium(
-        self, arms: _DepartureArrays, references: Sequence[MotorMotion]
-    ) -> np.ndarray:
-        """Static equilibrium at the references, less the plan (B, K, n)."""
+    def _planned_equilibrium(self, arms: _DepartureArrays) -> np.ndarray:
+        """Static equilibrium with the motors at the planned positions, less these (B, K, n)."""
         chosen, count = self._equilibrium_samples, len(self.time)
-        different = {id(each): each(self.time[chosen]) for each in references}
-        turn = np.stack([different[id(each)] for each in references]) - self._q[chosen]
+        turn = np.zeros((len(arms.stiffness), len(chosen), self._q.shape[1]))
         coarse = _solve_equilibrium(self.springs, self._weight, arms, turn)
         right = np.clip(np.searchsorted(chosen, np.arange(count)), 1, len(chosen) - 1)
         left = right - 1
@@ -333,14 +305,8 @@ class SimulationRequest:
     many: UncertainArms
     members: Sequence[Member]
 
-    def deviations(self, links: np.ndarray) -> ArmDeviations:
-        """Tool deviations of link positions less the plan (K, B, n)."""
-        many = self.many
-        deviation = many.deviation(self.members, links[: len(many.time)])
-        return ArmDeviations(time=many.time, duration=many.duration, deviation=deviation)
 
-
-def simulate_uncertain_arms(asked: Sequence[SimulationRequest]) -> list[ArmDeviations]:
+def simulate_uncertain_arms(asked: Sequence[SimulationRequest]) -> list[ToolError]:
     """Simulate the members of several plans of one arm, plan by plan in batches.
 
     Parameters
@@ -349,7 +315,10 @@ def simulate_uncertain_arms(asked: Sequence[SimulationRequest]) -> list[ArmDevia
     """
     core = native.core(len(asked[0].many.damping)) if asked else None
     return [
-        each.deviations(_integrate_numpy(each) if core is None else _integrate_compiled(core, each))
+        each.many.tool_error(
+            each.members,
+            _integrate_numpy(each) if core is None else _integrate_compiled(core, each),
+        )
         for each in asked
     ]
 

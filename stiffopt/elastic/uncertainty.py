@@ -5,16 +5,17 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import product
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 
 from stiffopt.declaration import POSITIVE, Bounds, Doc, Frequency, Ratio, Time, check_fields
+from stiffopt.elastic.servo import Servo
 from stiffopt.errors import ProblemError
 
-if TYPE_CHECKING:
-    from stiffopt.elastic.motor import Servo
-
+# Bounds where none are stated: identified position loops vary by a fifth, and the inertia that the
+# torque feed-forward relies on is known within a tenth.
+_SERVO_BANDWIDTH_RATIO, _TORQUE_FEED_FORWARD_BOUND = 0.8, 0.1
 # 95 % interval of a normal distribution.
 _BOUND_IN_STANDARD_DEVIATIONS = 2.0
 
@@ -41,14 +42,25 @@ class Uncertainty:
         Doc("Relative bound of mass and inertia of the payload."),
     ] = 0.1
     servo_bandwidth: Annotated[
-        Frequency, POSITIVE, Doc("Least bandwidth of the motors' position loops.")
-    ] = 20.0
+        Frequency | None,
+        POSITIVE,
+        Doc("Least bandwidth of the motors' position loops; default 0.8 of that of [servo]."),
+    ] = None
     servo_feed_forward: Annotated[
-        Ratio,
+        Ratio | None,
         Bounds(least=0.0, most=1.0),
-        Doc("Least velocity feed-forward of the loops, as a share."),
-    ] = 1.0
-    servo_delay: Annotated[Time, Bounds(least=0.0), Doc("Largest dead time of the loops.")] = 0.0
+        Doc("Least velocity feed-forward of the loops, as a share; default that of [servo]."),
+    ] = None
+    servo_torque_feed_forward: Annotated[
+        Ratio | None,
+        Bounds(least=0.0, most=1.0),
+        Doc("Least torque feed-forward of the loops, as a share; default 0.1 below [servo]."),
+    ] = None
+    servo_delay: Annotated[
+        Time | None,
+        Bounds(least=0.0),
+        Doc("Largest dead time of the loops; default that of [servo]."),
+    ] = None
     price: Annotated[
         Ratio,
         Bounds(least=0.0, most=1.0),
@@ -75,15 +87,23 @@ class Uncertainty:
                 "allowed: from 0 to 1. Give a smaller share."
             )
         # The servo's own check refuses an unstable loop.
-        _ = self.servo
+        self.worst_servo(Servo())
 
-    @property
-    def servo(self) -> Servo | None:
-        """Worst servo; None where it follows exactly."""
-        from stiffopt.elastic.motor import Servo
+    def worst_servo(self, servo: Servo) -> Servo:
+        """Return the worst servo within the bounds, about a nominal one."""
 
-        loop = Servo(self.servo_bandwidth, self.servo_feed_forward, self.servo_delay)
-        return None if loop.follows_exactly else loop
+        def given(value: float | None, default: float | None) -> float | None:
+            return default if value is None else value
+
+        torque = max((servo.torque_feed_forward or 0.0) - _TORQUE_FEED_FORWARD_BOUND, 0.0)
+        slowest = _SERVO_BANDWIDTH_RATIO * (servo.bandwidth or 0.0)
+        return replace(
+            servo,
+            bandwidth=given(self.servo_bandwidth, slowest),
+            feed_forward=given(self.servo_feed_forward, servo.feed_forward),
+            torque_feed_forward=given(self.servo_torque_feed_forward, torque),
+            delay=given(self.servo_delay, servo.delay),
+        )
 
     def shares(self, joints: int) -> np.ndarray:
         """Shares (n,) by which the stiffness of each joint may be off.
@@ -101,18 +121,15 @@ class Uncertainty:
             )
         return np.array(np.broadcast_to(given, (joints,)))
 
-    def statements(self, carries: bool, servo: bool = True) -> tuple[str, ...]:
-        """Describe the bounds, those of payload and servo on request."""
+    def statements(self, carries: bool, servo: Servo | None = None) -> tuple[str, ...]:
+        """Describe the bounds, those of a payload and about a nominal servo on request."""
         shares = np.atleast_1d(np.asarray(self.stiffness, dtype=float))
         sizes = "/".join(f"{100 * share:.3g}" for share in dict.fromkeys(shares.tolist()))
-        from stiffopt.elastic.motor import Servo
-
         found = [f"stiffness of each joint within {sizes} %", f"damping {100 * self.damping:.3g} %"]
         if carries:
             found.append(f"payload {100 * self.payload:.3g} %")
-        if servo:
-            loop = Servo(self.servo_bandwidth, self.servo_feed_forward, self.servo_delay)
-            found.append(f"servo of at least {loop}")
+        if servo is not None:
+            found.append(f"servo of {servo}, at least {self.worst_servo(servo)}")
         return tuple(found)
 
 
@@ -133,7 +150,7 @@ class Departure:
     damping, payload : float
         Factors of their nominal values.
     servo : float
-        Share of the worst servo's lag, 0 to 1.
+        Share of the difference of the worst servo to the nominal one, 0 to 1.
     label : str
         Description for reports.
     """
@@ -155,7 +172,9 @@ class Departure:
         return {"stiffness": self.stiffness.tolist(), **numbers}
 
 
-def corners(uncertainty: Uncertainty, joints: int, carries: bool) -> list[Departure]:
+def corners(
+    uncertainty: Uncertainty, joints: int, carries: bool, *, servo: bool = True
+) -> list[Departure]:
     """Return the corner cases: every parameter at a bound, all joints' stiffness alike.
 
     Parameters
@@ -164,15 +183,17 @@ def corners(uncertainty: Uncertainty, joints: int, carries: bool) -> list[Depart
     joints : int
     carries : bool
         True with a payload.
+    servo : bool
+        True where the servo is uncertain.
     """
     shares = uncertainty.shares(joints)
     return [
-        departure_at_bounds(uncertainty, signs * np.ones(joints), damping, payload, servo)
-        for signs, damping, payload, servo in product(
+        departure_at_bounds(uncertainty, signs * np.ones(joints), damping, payload, share)
+        for signs, damping, payload, share in product(
             _bound_signs(bool(shares.any())),
             _bound_signs(uncertainty.damping > 0.0),
             _bound_signs(carries and uncertainty.payload > 0.0),
-            (0.0,) if uncertainty.servo is None else (0.0, 1.0),
+            (0.0, 1.0) if servo else (0.0,),
         )
     ]
 
@@ -201,7 +222,9 @@ def departure_at_bounds(
     )
 
 
-def draw_departures(uncertainty: Uncertainty, joints: int, carries: bool) -> list[Departure]:
+def draw_departures(
+    uncertainty: Uncertainty, joints: int, carries: bool, *, servo: bool = True
+) -> list[Departure]:
     """Draw departures uniformly within the bounds, joints independently."""
     random = np.random.default_rng(uncertainty.seed)
     shares = uncertainty.shares(joints)
@@ -213,7 +236,7 @@ def draw_departures(uncertainty: Uncertainty, joints: int, carries: bool) -> lis
                 stiffness=1.0 + stiffness * shares,
                 damping=1.0 + float(rest[0]) * uncertainty.damping,
                 payload=1.0 + float(rest[1]) * uncertainty.payload * carries,
-                servo=0.0 if uncertainty.servo is None else 0.5 * (1.0 + float(rest[2])),
+                servo=0.5 * (1.0 + float(rest[2])) if servo else 0.0,
                 label=f"draw {number}",
             )
         )
@@ -266,7 +289,7 @@ def _describe_departure(
     if payload * uncertainty.payload:
         yield f"payload {100 * payload * uncertainty.payload:+.3g} %"
     if servo:
-        yield f"servo of {uncertainty.servo_bandwidth:g} Hz"
+        yield "worst servo"
 
 
 def _describe_joint_stiffness(stiffness: np.ndarray) -> str:

@@ -146,6 +146,7 @@ def _build_problem(
         process_force=np.array(document.tool.process_force),
         method=document.method,
         uncertainty=document.uncertainty,
+        servo=document.servo,
         title=document.title or path.stem,
         remarks=remarks,
         cell=None if document.cell is None else document.cell.found_in(path.parent),

@@ -26,6 +26,7 @@ from stiffopt.declaration import (
     Time,
     declared,
 )
+from stiffopt.elastic.servo import Servo
 from stiffopt.elastic.uncertainty import AssumedUncertainty, Uncertainty
 from stiffopt.problem.limit import LIMITS, LimitKey
 from stiffopt.problem.objective import OBJECTIVES, Objective
@@ -239,6 +240,7 @@ class ProblemFile(Section):
     cell: Annotated[Cell | None, Doc("Obstacles around the arm.")] = None
     method: Method = Method()
     uncertainty: Uncertainty = AssumedUncertainty()
+    servo: Servo = Servo(kind="industrial")
     expected: ExpectedSection | None = None
 
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 import numpy as np
 
 from stiffopt.declaration import POSITIVE, Bounds, Doc, Ratio, Time, check_fields
+from stiffopt.elastic.servo import Servo
 from stiffopt.elastic.uncertainty import AssumedUncertainty, Uncertainty
 from stiffopt.errors import ProblemError
 from stiffopt.problem.limit import Limits
@@ -199,6 +200,8 @@ class TrajectoryProblem:
     uncertainty : Uncertainty
         Ranges of stiffness, damping and payload for which the command is judged. Where stated, it
         also selects among plans of about equal value (`chosen_for_robustness`).
+    servo : Servo
+        Servo of the motors, whose known lag the command leads.
     cell : Cell or None
         Obstacles; None: collisions of the arm with itself, by the shapes of its URDF.
     """
@@ -218,6 +221,7 @@ class TrajectoryProblem:
     title: str = ""
     remarks: tuple[str, ...] = ()
     uncertainty: Uncertainty = field(default_factory=AssumedUncertainty)
+    servo: Servo = field(default_factory=lambda: Servo(kind="industrial"))
     cell: Cell | None = None
     # Reason for default objectives. No field: it does not change the problem.
     chosen: ClassVar[str] = ""
@@ -235,6 +239,8 @@ class TrajectoryProblem:
                 "'zero' or 'free'."
             )
         self.uncertainty.shares(self.joints)
+        # Refuses an unstable loop.
+        self.uncertainty.worst_servo(self.servo)
         if not self.objectives:
             self._choose_objective()
         for number, objective in enumerate(self.objectives, start=1):

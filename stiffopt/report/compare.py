@@ -24,6 +24,9 @@ _ENTRY_UNITS = {
     "settling_time": "s",
     "peak": "m",
     "rms": "m",
+    "along": "m",
+    "across": "m",
+    "orientation": "rad",
     "settling_band": "m",
     "typical_hysteresis": "m",
 }

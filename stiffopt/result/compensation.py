@@ -10,16 +10,23 @@ import numpy as np
 
 from stiffopt.files import write_csv
 from stiffopt.result.assessment import Violation
-from stiffopt.result.simulation import SimulatedMotion
+from stiffopt.result.simulation import SimulatedMotion, simulated_document
 
 if TYPE_CHECKING:
     from stiffopt.result.assessment import Assessment
-    from stiffopt.result.simulation import SimulatedMotion
+
+
+@dataclass(frozen=True, kw_only=True)
+class PartPeaks:
+    """Peaks of one part of the tool error: on the nominal arm, and the worst over all arms."""
+
+    nominal: float
+    worst: float
 
 
 @dataclass(frozen=True, kw_only=True)
 class Spread:
-    """Peaks of the tool's deviation over uncertain arms, in flight or after arrival [m].
+    """Peaks of the tool's position error over uncertain arms, in flight or after arrival [m].
 
     Parameters
     ----------
@@ -34,6 +41,8 @@ class Spread:
         the share of the worst servo's lag.
     draws : array (D,)
         Peaks on arms sampled from the uncertainties.
+    parts : dict of PartPeaks
+        "along" and "across" the path [m], and "orientation" [rad].
     """
 
     nominal: float
@@ -41,6 +50,7 @@ class Spread:
     worst_case: str
     worst_arm: dict[str, Any]
     draws: np.ndarray
+    parts: dict[str, PartPeaks]
 
     def quantile(self, share: float) -> float:
         """Quantile of the sampled peaks."""
@@ -53,6 +63,11 @@ class Spreads:
 
     flight: Spread
     after: Spread
+
+    @property
+    def worst_case(self) -> float:
+        """Sum of the worst peaks in flight and after arrival [m]."""
+        return self.flight.worst + self.after.worst
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -108,6 +123,10 @@ class Compensation:
         Description of the position loops of all arms; "" where servos are uncertain.
     file : str
         File of the assessed command; "" for one computed with the motion.
+    ahead : float
+        Known dead time of the servo, by which the command is sent ahead of the plan [s].
+    rival_plan, rival_command : Assessment or None
+        Motion and command of the best rival, where it wins.
     """
 
     motions: tuple[CompensatedMotion, ...]
@@ -117,28 +136,74 @@ class Compensation:
     draws: int
     loop: str = ""
     file: str = ""
+    ahead: float = 0.0
+    rival_plan: Assessment | None = None
+    rival_command: Assessment | None = None
 
     @property
     def optimised(self) -> CompensatedMotion:
         """Optimised motion."""
         return self.motions[0]
 
+    @property
+    def best_rival(self) -> CompensatedMotion | None:
+        """Rival with the least worst-case error whose command keeps every limit."""
+        kept = [each for each in self.motions[1:] if not each.excess]
+        return min(kept, key=lambda each: each.compensated.worst_case, default=None)
+
+    @property
+    def rival_wins(self) -> bool:
+        """True where the best rival has less worst-case error, or the only command."""
+        best, own = self.best_rival, self.optimised
+        if best is None:
+            return False
+        needed = (1.0 - MIN_RIVAL_GAIN) * own.compensated.worst_case
+        return bool(own.excess) or best.compensated.worst_case < needed
+
+    @property
+    def ratios(self) -> tuple[float, float] | None:
+        """Worst-case errors over those of the best rival, in flight and after arrival.
+
+        None where one is missing or an error of the rival is zero.
+        """
+        best, own = self.best_rival, self.optimised
+        if best is None or own.excess:
+            return None
+        mine, theirs = own.compensated, best.compensated
+        if not (theirs.flight.worst > 0.0 and theirs.after.worst > 0.0):
+            return None
+        return mine.flight.worst / theirs.flight.worst, mine.after.worst / theirs.after.worst
+
 
 COMMAND_FILE = "command.csv"
+# Motion and command of the best rival, where it wins.
+RIVAL_TRAJECTORY_FILE, RIVAL_COMMAND_FILE = "rival_trajectory.csv", "rival_command.csv"
+# Relative gain from which a rival wins: smaller ones are within the model's agreement.
+MIN_RIVAL_GAIN = 0.02
 
 
 def write_command(compensation: Compensation | None, directory: str | Path) -> Path | None:
-    """Write command.csv into `directory`; return its path.
+    """Write command.csv, and that of a rival that wins, into `directory`; return the first's path.
 
     Columns are position, velocity and acceleration of the motors every 2 ms, the drive torque of
     the links' motion, and the link positions. Without a command, the file of an earlier solve is
     removed, as it belongs to another motion.
     """
-    path = Path(directory) / COMMAND_FILE
-    if compensation is None or compensation.command is None:
-        path.unlink(missing_ok=True)
-        return None
-    command = compensation.command
+    found = []
+    for name, command in (
+        (COMMAND_FILE, None if compensation is None else compensation.command),
+        (RIVAL_COMMAND_FILE, None if compensation is None else compensation.rival_command),
+    ):
+        path = Path(directory) / name
+        found.append(None if command is None else path)
+        if command is None:
+            path.unlink(missing_ok=True)
+        else:
+            _write_motors(command, path)
+    return found[0]
+
+
+def _write_motors(command: Assessment, path: Path) -> None:
     joints = range(1, command.position.shape[1] + 1)
     names = ["t", *(f"{quantity}{j}" for quantity in ("q", "qd", "qdd", "tau") for j in joints)]
     columns = [
@@ -152,7 +217,6 @@ def write_command(compensation: Compensation | None, directory: str | Path) -> P
         columns.append(command.link)
         names += [f"link{j}" for j in joints]
     write_csv(path, names, np.hstack(columns).tolist())
-    return path
 
 
 def compensation_document(compensation: Compensation | None) -> dict[str, Any] | None:
@@ -162,29 +226,38 @@ def compensation_document(compensation: Compensation | None) -> dict[str, Any] |
     return {
         "command": COMMAND_FILE if compensation.command is not None else None,
         "refusal": compensation.refusal,
+        "command_ahead": compensation.ahead,
         "uncertainty": compensation.uncertainty,
+        **_rival_document(compensation),
         "motions": {motion.name: _motion_document(motion) for motion in compensation.motions},
+    }
+
+
+def _rival_document(compensation: Compensation) -> dict[str, Any]:
+    best, ratios = compensation.best_rival, compensation.ratios
+    handed = compensation.rival_command is not None
+    return {
+        "best_rival": None if best is None else best.name,
+        "rival_wins": compensation.rival_wins,
+        "ratio_to_best_rival": (
+            None if ratios is None else {"in_flight": ratios[0], "after_arrival": ratios[1]}
+        ),
+        "rival_trajectory": RIVAL_TRAJECTORY_FILE if handed else None,
+        "rival_command": RIVAL_COMMAND_FILE if handed else None,
     }
 
 
 def _motion_document(motion: CompensatedMotion) -> dict[str, Any]:
     return {
+        "duration": motion.simulated.duration,
         "within_motor_limits": not motion.excess,
         "excess": [dict(vars(each)) for each in motion.excess],
         "knot_spacing": motion.spacing,
         "share_of_windup": motion.share,
         "as_planned": _spreads_document(motion.planned),
         "compensated": _spreads_document(motion.compensated),
-        "simulated": _simulated_document(motion.simulated),
-        "simulated_worst": None if motion.worst is None else _simulated_document(motion.worst),
-    }
-
-
-def _simulated_document(simulated: SimulatedMotion) -> dict[str, Any]:
-    return {
-        "in_flight": {"peak": simulated.peak, "rms": simulated.rms},
-        "after_arrival": {"peak": simulated.peak_after, "rms": simulated.rms_after},
-        "notes": simulated.notes,
+        "simulated": simulated_document(motion.simulated),
+        "simulated_worst": None if motion.worst is None else simulated_document(motion.worst),
     }
 
 
@@ -201,5 +274,6 @@ def _spread_document(spread: Spread) -> dict[str, Any]:
         "worst": spread.worst,
         "worst_case": spread.worst_case,
         "worst_arm": spread.worst_arm,
+        "parts": {name: dict(vars(part)) for name, part in spread.parts.items()},
         "draws": spread.draws,
     }

@@ -7,6 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from stiffopt.result.tool_error import ERROR_PARTS, ToolError
+
 # Default band within which a tool counts as settled [m].
 SETTLING_BAND = 5e-5
 # Relative difference of simulated and planned deflection above which reports state it.
@@ -29,11 +31,8 @@ class SimulatedMotion:
 
     Parameters
     ----------
-    time : array (K,) [s]
-    duration : float
-        Arrival time of the command [s]; it is at rest afterwards.
-    deviation : array (K, 3)
-        Tool position less its static equilibrium at the commanded position, base axes [m].
+    error : ToolError
+        Against the planned path, from its start until the end of the simulation.
     position, velocity : array (K, n)
         Link position [rad] and velocity [rad/s].
     windup, spring_torque : array (K, n)
@@ -44,9 +43,7 @@ class SimulatedMotion:
         Limitations of the result.
     """
 
-    time: np.ndarray
-    duration: float
-    deviation: np.ndarray
+    error: ToolError
     position: np.ndarray
     velocity: np.ndarray
     windup: np.ndarray
@@ -55,31 +52,45 @@ class SimulatedMotion:
     notes: tuple[str, ...] = ()
 
     @property
+    def time(self) -> np.ndarray:
+        """Instants (K,) [s]."""
+        return self.error.time
+
+    @property
+    def duration(self) -> float:
+        """Arrival of the planned path [s]; it is at rest afterwards."""
+        return self.error.duration
+
+    @property
+    def deviation(self) -> np.ndarray:
+        """Position error of the tool (K, 3), base axes [m]."""
+        return self.error.position
+
+    @property
     def distance(self) -> np.ndarray:
-        """Magnitude of the deviation (K,) [m]."""
-        return np.asarray(np.linalg.norm(self.deviation, axis=1))
+        """Magnitude of the position error (K,) [m]."""
+        return self.error.distance
 
     @property
     def peak(self) -> float:
         """Largest deviation in flight [m]."""
-        return float(self.distance[self.time <= self.duration].max())
+        return float(self.distance[self.error.flight].max())
 
     @property
     def rms(self) -> float:
         """Root mean square of the deviation in flight [m]."""
-        flight = self.time <= self.duration
-        return self._rms_over(flight)
+        return self._rms_over(self.error.flight)
 
     @property
     def peak_after(self) -> float | None:
         """Largest deviation after arrival [m]; None where the motion does not end at rest."""
-        rest = self._after_arrival
+        rest = self.error.after
         return float(self.distance[rest].max()) if rest.any() else None
 
     @property
     def rms_after(self) -> float | None:
         """Root mean square of the residual vibration over the simulated time [m]."""
-        return self._rms_over(self._after_arrival) if self._after_arrival.any() else None
+        return self._rms_over(self.error.after) if self.error.after.any() else None
 
     @property
     def settling_time(self) -> float | None:
@@ -87,7 +98,7 @@ class SimulatedMotion:
 
         None if it does not settle within the simulated time or does not end at rest.
         """
-        rest = self._after_arrival
+        rest = self.error.after
         if not rest.any():
             return None
         outside = np.flatnonzero(self.distance[rest] > self.band)
@@ -97,12 +108,6 @@ class SimulatedMotion:
         last = int(outside[-1])
         # Shorter stays at the end may only be passing through the band.
         return None if after[-1] - after[last] < _MIN_SETTLED_TIME else float(after[last + 1])
-
-    @property
-    def _after_arrival(self) -> np.ndarray:
-        if self.time[-1] <= self.duration:
-            return np.zeros(len(self.time), dtype=bool)
-        return np.asarray(self.time >= self.duration)
 
     def _rms_over(self, chosen: np.ndarray) -> float:
         time, square = self.time[chosen], self.distance[chosen] ** 2
@@ -205,10 +210,14 @@ class Simulation:
         """Optimised motion."""
         return self.motions[0]
 
-    def value(self, motion: ElasticMotion) -> float:
-        """Compared simulated deflection in flight [m]."""
+    def objective_value(self, motion: ElasticMotion) -> float:
+        """Simulated minimised deflection in flight, motors following exactly [m]."""
         found = motion.compared.simulated
         return found.rms if self.measure == "rms" else found.peak
+
+    def value(self, motion: ElasticMotion) -> float:
+        """Tool error in flight by the minimised measure [m]."""
+        return motion.simulated.rms if self.measure == "rms" else motion.simulated.peak
 
     @property
     def better_baseline(self) -> ElasticMotion | None:
@@ -218,7 +227,7 @@ class Simulation:
 
     @property
     def ratio_to_better_baseline(self) -> float | None:
-        """Simulated deflection over that of the better baseline, if it is minimised."""
+        """Tool error over that of the better baseline, if a deflection is minimised."""
         better = self.better_baseline
         if better is None or not self.measure or not self.optimised.counted:
             return None
@@ -256,10 +265,29 @@ def _elastic_document(motion: ElasticMotion) -> dict[str, Any]:
         "counted": motion.counted,
         "duration": simulated.duration,
         "planned": dict(vars(motion.planned)),
-        "in_flight": {"peak": simulated.peak, "rms": simulated.rms},
+        **simulated_document(simulated),
         "minimised": _part_document(motion.minimised),
-        "after_arrival": {"peak": simulated.peak_after, "rms": simulated.rms_after},
         "settling_time": simulated.settling_time,
         "settling_band": simulated.band,
+    }
+
+
+def simulated_document(simulated: SimulatedMotion) -> dict[str, Any]:
+    """Return peak and rms of the tool error with its parts, and the notes of a simulation."""
+    flight, after = (
+        _phase_parts(simulated.error, phase)
+        for phase in (simulated.error.flight, simulated.error.after)
+    )
+    return {
+        "in_flight": {"peak": simulated.peak, "rms": simulated.rms, **flight},
+        "after_arrival": {"peak": simulated.peak_after, "rms": simulated.rms_after, **after},
         "notes": simulated.notes,
     }
+
+
+def _phase_parts(error: ToolError, phase: np.ndarray) -> dict[str, float | None]:
+    """Return the peaks of the parts of the tool error; None where the phase was not simulated."""
+    if not phase.any():
+        return dict.fromkeys(ERROR_PARTS)
+    peaks = error.peaks(phase)
+    return {name: float(peaks[name]) for name in ERROR_PARTS}

@@ -265,8 +265,10 @@ def trajectory_columns(joints: int) -> list[str]:
     return names
 
 
-def write_trajectory(assessment: Assessment, directory: str | Path) -> Path:
-    """Write trajectory.csv into `directory`; return its path.
+def write_trajectory(
+    assessment: Assessment, directory: str | Path, name: str = TRAJECTORY_FILE
+) -> Path:
+    """Write a trajectory file into `directory`; return its path.
 
     With planned links, link positions are added as columns: q is then the motor command, and
     torques are those of the links' motion (`COLUMNS`).
@@ -276,6 +278,8 @@ def write_trajectory(assessment: Assessment, directory: str | Path) -> Path:
     assessment : Assessment
         Evaluated at `export_times(duration)`.
     directory : path
+    name : str
+        Of the file.
     """
     columns = [
         assessment.time[:, None],
@@ -290,7 +294,7 @@ def write_trajectory(assessment: Assessment, directory: str | Path) -> Path:
         assessment.deflection["total"],
         assessment.deflection["dynamic"],
     ]
-    path = Path(directory) / TRAJECTORY_FILE
+    path = Path(directory) / name
     joints = assessment.position.shape[1]
     names = trajectory_columns(joints)
     if assessment.link is not None:
@@ -316,11 +320,15 @@ def write_simulation(
     document = to_json_types(content)
     found = simulation.optimised.simulated
     joints = range(1, found.position.shape[1] + 1)
-    names = ["t", *(f"deviation_{axis}" for axis in "xyz")]
+    names = ["t", *(f"{error}_{axis}" for error in ("deviation", "rotation") for axis in "xyz")]
+    names += ["along", "across"]
     names += [f"{quantity}{j}" for quantity in ("q", "qd", "tau_spring", "windup") for j in joints]
     columns = [
         found.time[:, None],
-        found.deviation,
+        found.error.position,
+        found.error.orientation,
+        found.error.along[:, None],
+        found.error.across[:, None],
         found.position,
         found.velocity,
         found.spring_torque,

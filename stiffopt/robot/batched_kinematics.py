@@ -88,6 +88,18 @@ def frame_positions(tree: BodyTree, frame: LinkFrame, q: np.ndarray) -> np.ndarr
     return position.T
 
 
+def frame_rotations(tree: BodyTree, frame: LinkFrame, q: np.ndarray) -> np.ndarray:
+    """Axes (K, 3, 3) of a frame, as columns in the base, at joint positions (K, n)."""
+    found = np.empty((len(q), 3, 3))
+    for part in _split_blocks(len(q)):
+        own, turned = np.ascontiguousarray(q[part].T), frame.rotation[..., None]
+        for joint in reversed(_supporting_joints(tree, frame.joint - 1)):
+            rotation, _ = _frame_in_parent(tree.bodies[joint], own[joint])
+            turned = np.einsum("ijk,jlk->ilk", rotation, turned * np.ones(own.shape[1]))
+        found[part] = np.moveaxis(turned, 2, 0)
+    return found
+
+
 @dataclass(frozen=True, eq=False)
 class _BodyJacobian:
     """Jacobian of a body's frame by the joints that support it, in its own axes.

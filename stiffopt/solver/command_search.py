@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Generator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Generator, Iterator, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
@@ -14,7 +14,7 @@ from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE, find_drive_vi
 from stiffopt.elastic.motor import MotorMotion
 from stiffopt.elastic.simulate import REST, simulate
 from stiffopt.elastic.smooth_motion import smooth_motion
-from stiffopt.elastic.uncertain_arms import ArmDeviations, Member, SimulationRequest, UncertainArms
+from stiffopt.elastic.uncertain_arms import Member, SimulationRequest, UncertainArms
 from stiffopt.elastic.uncertainty import (
     Departure,
     corners,
@@ -24,14 +24,14 @@ from stiffopt.elastic.uncertainty import (
 )
 from stiffopt.problem.formulation import law_smoothing
 from stiffopt.problem.motor_model import ROBUST_LEAD_SHARE, MotorLaw
-from stiffopt.result.compensation import CompensatedMotion, Spread, Spreads
+from stiffopt.result.compensation import CompensatedMotion, PartPeaks, Spread, Spreads
+from stiffopt.result.tool_error import ToolError
 from stiffopt.result.trajectory import JointMotion, Trajectory
 from stiffopt.solver.smoothing_width import KNOT_SPACINGS, motors_with_sufficient_smoothing
 
 if TYPE_CHECKING:
     from stiffopt.elastic.arm import ElasticArm
-    from stiffopt.elastic.motor import Servo
-    from stiffopt.elastic.uncertainty import Uncertainty
+    from stiffopt.elastic.servo import Servo
     from stiffopt.problem.trajectory import TrajectoryProblem
     from stiffopt.result.assessment import Violation
     from stiffopt.result.simulation import SimulatedMotion
@@ -40,32 +40,31 @@ if TYPE_CHECKING:
 # Shares of the nominal wind-up that are tried; a plan chosen for uncertain arms reserves drive
 # capacity for the second one (`LEADS_MORE`).
 _WINDUP_SHARES = (1.0, 1.0 + ROBUST_LEAD_SHARE, 1.06, 1.09)
+# Shares of the servo's known lag that are led where the whole exceeds a limit; the last one is 0.
+_SERVO_LEAD_SHARES = (0.5,)
 # Samples at which candidates are judged; the chosen one is judged on the certificate's grid.
 _TRIAL_SAMPLES = 1001
 
 Result = TypeVar("Result")
 # Generator that requests simulations on its way to a result: the requests of several generators are
 # simulated together, which costs little more than one alone.
-SimulationRequests = Generator[SimulationRequest, ArmDeviations, Result]
+SimulationRequests = Generator[SimulationRequest, ToolError, Result]
 
 
 @dataclass(frozen=True, eq=False)
 class ExistingCommand:
-    """Command of an earlier solve.
+    """Command of the motors, made or of an earlier solve.
 
     Parameters
     ----------
     motors : JointMotion
         Motion of the motors, with that of the links as its `link`.
-    plan : MotorMotion
-        Planned motion of the links.
     spacing : float or None
         As of `CompensatedMotion`.
     share : float
     """
 
     motors: JointMotion
-    plan: MotorMotion
     spacing: float | None
     share: float
 
@@ -135,14 +134,31 @@ class _Lead:
     motors : Trajectory
         With all of the nominal wind-up.
     spacing : float or None
+    servo : Servo
+        Whose known lag the command leads.
     """
 
     link: Trajectory
     motors: Trajectory
     spacing: float | None
+    servo: Servo
 
-    def command(self, share: float) -> Trajectory:
-        """Return the motors' motion with a share of the wind-up."""
+    def commands(self, share: float) -> Iterator[Trajectory]:
+        """Commands with a share of the wind-up, and with less and less of the servo's lag."""
+        motors = self._motors_with_share(share)
+        if self.servo.leads_exactly:
+            yield motors
+            return
+        whole = self.servo.lead(motors)
+        yield whole
+        times, end = whole.times, motors.duration
+        held = motors.held_for(times[-1] - end)
+        for led in _SERVO_LEAD_SHARES:
+            derivatives = [led * whole(times, k) + (1.0 - led) * held(times, k) for k in range(4)]
+            yield Trajectory.through(times, np.stack(derivatives), whole.link or held)
+        yield motors
+
+    def _motors_with_share(self, share: float) -> Trajectory:
         if share == 1.0:
             return self.motors
         times = self.motors.times
@@ -161,123 +177,117 @@ class CommandSearch:
         arm: ElasticArm,
         motion: PlannedMotion,
         law: MotorLaw,
-        plan: MotorMotion | None = None,
         servo: Servo | None = None,
     ) -> None:
         self._problem, self._arm, self._motion, self._law = problem, arm, motion, law
-        self._follows = MotorMotion(motion.time, motion.position, motion.velocity)
-        if plan is None:
-            plan = self._follows if motion.link is None else MotorMotion.of(motion.link)
-        self._plan, self._known = plan, servo
-        self._servo = problem.uncertainty.servo if servo is None else servo
-        self._many = UncertainArms(arm, self._plan, self._servo)
+        self._follows, self._plan = motion.followed, motion.planned_path
+        self._servo = self._worst = servo or problem.servo
+        if servo is None:
+            self._worst = problem.uncertainty.worst_servo(problem.servo)
+        self._servo_varies = self._worst != self._servo
+        self._many = UncertainArms(arm, self._plan, self._servo, self._worst)
         self._carries = arm.robot.payload is not None
         self._loads: dict[tuple[JointMotion, int], np.ndarray] = {}
-        (self._nominal,) = self._with_known_servo([Departure.none(arm.robot.n)])
-        self._corners = self._with_known_servo(
-            corners(self._uncertainty_with_servo, arm.robot.n, self._carries)
+        self._nominal = Departure.none(arm.robot.n)
+        self._corners = corners(
+            problem.uncertainty, arm.robot.n, self._carries, servo=self._servo_varies
         )
-
-    @property
-    def _uncertainty_with_servo(self) -> Uncertainty:
-        unsure = self._problem.uncertainty
-        if self._known is None:
-            return unsure
-        # An ideal servo: no uncertainty of it.
-        return replace(unsure, servo_feed_forward=1.0, servo_delay=0.0)
-
-    def _with_known_servo(self, arms: list[Departure]) -> list[Departure]:
-        return arms if self._known is None else [replace(each, servo=1.0) for each in arms]
 
     def evaluate_command(self) -> SimulationRequests[CommandOnArms]:
         """Choose the command and judge it on all arms."""
-        lead, share, signs = yield from self._choose_lead()
-        return (yield from self._judge_on_all_arms(lead.command(share), signs, lead.spacing, share))
+        chosen, signs = yield from self._choose_lead()
+        return (yield from self._judge_on_all_arms(chosen, signs))
 
     def chosen_command(self) -> SimulationRequests[ExistingCommand]:
         """Choose the command without judging it."""
-        lead, share, _ = yield from self._choose_lead()
-        return ExistingCommand(lead.command(share), self._plan, lead.spacing, share)
+        chosen, _ = yield from self._choose_lead()
+        return chosen
 
     def judge_existing(self, made: ExistingCommand) -> SimulationRequests[CommandOnArms]:
         """Judge an existing command on all arms."""
         single = self._request_single_departures(MotorMotion.of(made.motors))
         signs = self._worst_sign_departures(*(yield from single))
-        return (yield from self._judge_on_all_arms(made.motors, signs, made.spacing, made.share))
+        return (yield from self._judge_on_all_arms(made, signs))
 
     def _judge_on_all_arms(
-        self, motors: JointMotion, signs: list[Departure], spacing: float | None, share: float
+        self, made: ExistingCommand, signs: list[Departure]
     ) -> SimulationRequests[CommandOnArms]:
         """Simulate a command on the arm as modelled, at its bounds and as drawn."""
-        follows, plan, command = self._follows, self._plan, MotorMotion.of(motors)
-        drawn = self._with_known_servo(
-            draw_departures(self._uncertainty_with_servo, self._arm.robot.n, self._carries)
+        follows, command = self._follows, MotorMotion.of(made.motors)
+        drawn = draw_departures(
+            self._problem.uncertainty,
+            self._arm.robot.n,
+            self._carries,
+            servo=self._servo_varies,
         )
         arms = [self._nominal, *self._corners, *signs, *drawn]
-        members = [Member(command=follows, departure=each, reference=follows) for each in arms]
-        members += [Member(command=command, departure=each, reference=plan) for each in arms]
-        swings = yield SimulationRequest(self._many, members)
+        members = [
+            Member(command=own, departure=each) for own in (follows, command) for each in arms
+        ]
+        errors = yield SimulationRequest(self._many, members)
         count = len(arms)
         return CommandOnArms(
             motion=self._motion,
-            motors=motors,
-            planned=_summarise_spreads(
-                swings.peak[:count], swings.peak_after[:count], arms, len(drawn)
-            ),
-            compensated=_summarise_spreads(
-                swings.peak[count:], swings.peak_after[count:], arms, len(drawn)
-            ),
+            motors=made.motors,
+            planned=_summarise_spreads(errors, slice(count), arms, len(drawn)),
+            compensated=_summarise_spreads(errors, slice(count, None), arms, len(drawn)),
             nominal=self._nominal,
-            worst=arms[int(np.argmax(swings.peak[count:]))],
-            spacing=spacing,
-            share=share,
-            excess=self._motor_violations(motors),
+            worst=arms[int(np.argmax(errors.peaks(errors.flight)["position"][count:]))],
+            spacing=made.spacing,
+            share=made.share,
+            excess=self._motor_violations(made.motors),
             simulated=functools.partial(self._simulate_on, command),
             law=self._law,
         )
 
-    def _choose_lead(self) -> SimulationRequests[tuple[_Lead, float, list[Departure]]]:
-        """Return spline and share of the least worst case, and the worst signs of stiffness."""
-        leads = self._candidate_leads()
-        within = [lead for lead in leads if self._keeps_plan_limits(lead.motors)] or leads
-        # A plan at a limit leaves no drive capacity for more than the nominal wind-up.
-        tried = [
-            (lead, share)
-            for lead in within
-            for share in _WINDUP_SHARES
-            if share == 1.0 or self._keeps_plan_limits(lead.command(share))
-        ]
-        commands = [MotorMotion.of(lead.command(share)) for lead, share in tried]
+    def _choose_lead(self) -> SimulationRequests[tuple[ExistingCommand, list[Departure]]]:
+        """Return the command of the least worst case, and the worst signs of stiffness."""
+        tried = self._candidates_within_limits(self._candidate_leads())
+        commands = [MotorMotion.of(each.motors) for each in tried]
         signs = self._worst_sign_departures(
             *(yield from self._request_single_departures(commands[0]))
         )
         arms = [*self._corners, *signs]
-        members = [
-            Member(command=own, departure=arm, reference=self._plan)
-            for own in commands
-            for arm in arms
-        ]
-        swings = yield SimulationRequest(self._many, members)
-        shape = (len(commands), len(arms))
-        flight = swings.peak.reshape(shape).max(axis=1)
-        after = swings.peak_after.reshape(shape).max(axis=1)
+        members = [Member(command=own, departure=arm) for own in commands for arm in arms]
+        errors = yield SimulationRequest(self._many, members)
+        flight, after = (
+            errors.peaks(phase)["position"].reshape(len(commands), len(arms)).max(axis=1)
+            for phase in (errors.flight, errors.after)
+        )
         best = [tried[k] for k in np.argsort(flight + after, kind="stable")]
         # The trial grid may miss excesses shorter than its step, such as the jerk at an end.
-        lead, share = next(
+        chosen = next(
             (
                 each
                 for each in best
-                if self._excess_beyond_plan(each[0].command(each[1])) <= CERTIFICATE_TOLERANCE
+                if self._excess_beyond_plan(each.motors) <= CERTIFICATE_TOLERANCE
             ),
             best[0],
         )
-        return lead, share, signs
+        return chosen, signs
+
+    def _candidates_within_limits(self, leads: list[_Lead]) -> list[ExistingCommand]:
+        """Return commands that keep the plan's limits on the trial grid.
+
+        Where none does, the ones that lead by the nominal wind-up alone.
+        """
+        found, last = [], []
+        for lead in leads:
+            for share in _WINDUP_SHARES:
+                made = [
+                    ExistingCommand(motors, lead.spacing, share) for motors in lead.commands(share)
+                ]
+                kept = [each for each in made if self._keeps_plan_limits(each.motors)]
+                # The one without the servo's lag has the largest margin on a finer grid.
+                found += [kept[0], *(kept[-1:] if kept[-1] is not kept[0] else [])] if kept else []
+                last += made[-1:] if share == 1.0 else []
+        return found or last
 
     def _candidate_leads(self) -> list[_Lead]:
         planned, own = self._motion.motors, []
         if planned is not None and planned.link is not None:
             # At a limit the planned motion cannot lead by more; a smoother spline may.
-            own = [_Lead(planned.link, planned, None)]
+            own = [_Lead(planned.link, planned, None, self._problem.servo)]
         links = [(smooth_motion(self._plan, each), each) for each in KNOT_SPACINGS]
         smoothing = law_smoothing(self._problem)
         splines = [
@@ -290,6 +300,7 @@ class CommandSearch:
                     CERTIFICATE_TOLERANCE,
                 ),
                 spacing,
+                self._problem.servo,
             )
             for link, spacing in links
         ]
@@ -297,24 +308,23 @@ class CommandSearch:
 
     def _request_single_departures(
         self, command: MotorMotion
-    ) -> SimulationRequests[tuple[ArmDeviations, int]]:
+    ) -> SimulationRequests[tuple[ToolError, int]]:
         """Simulate the nominal arm and those with one softer joint each; return their number."""
-        single = self._with_known_servo(
-            one_at_a_time(self._uncertainty_with_servo, self._arm.robot.n)
-        )
+        single = one_at_a_time(self._problem.uncertainty, self._arm.robot.n)
         arms = [self._nominal, *single]
-        members = [Member(command=command, departure=arm, reference=self._plan) for arm in arms]
+        members = [Member(command=command, departure=arm) for arm in arms]
         return (yield SimulationRequest(self._many, members)), len(arms)
 
-    def _worst_sign_departures(self, swings: ArmDeviations, count: int) -> list[Departure]:
+    def _worst_sign_departures(self, errors: ToolError, count: int) -> list[Departure]:
         """Return arms with signs of the joints' stiffness for which errors add up, to first order.
 
         The first member is the nominal arm, those up to `count` have one softer joint each.
         """
-        unsure, found = self._uncertainty_with_servo, []  # type: Uncertainty, list[Departure]
-        share = swings.deviation[1:count] - swings.deviation[0]
+        unsure = self._problem.uncertainty
+        found: list[Departure] = []
+        share = errors.position[1:count] - errors.position[0]
         joints = np.flatnonzero(unsure.shares(self._arm.robot.n))
-        for chosen in (swings.flight, ~swings.flight):
+        for chosen in (errors.flight, ~errors.flight):
             own = share[:, chosen]
             # Along each joint's own error, signs are chosen so that all projections add.
             along = np.sign(np.einsum("jkx,ikx->ijk", own, own))
@@ -326,18 +336,16 @@ class CommandSearch:
             signs[joints] = -along[i, :, k]
             payload = float(self._carries)
             found += [
-                departure_at_bounds(
-                    unsure, side * signs, -1.0, payload, float(unsure.servo is not None)
-                )
+                departure_at_bounds(unsure, side * signs, -1.0, payload, float(self._servo_varies))
                 for side in (-1.0, 1.0)
             ]
-        return self._with_known_servo(found)
+        return found
 
-    def _keeps_plan_limits(self, motors: Trajectory) -> bool:
+    def _keeps_plan_limits(self, motors: JointMotion) -> bool:
         """Return True where no limit that the plan keeps is exceeded, on the trial grid."""
         return self._excess_beyond_plan(motors, _TRIAL_SAMPLES) <= CERTIFICATE_TOLERANCE
 
-    def _excess_beyond_plan(self, motors: Trajectory, points: int | None = None) -> float:
+    def _excess_beyond_plan(self, motors: JointMotion, points: int | None = None) -> float:
         """Return the largest excess of the limits that the plan keeps."""
         excess = self._motor_violations(motors, points)
         kept = [each.value for each in excess if each.limit not in self._motion.exceeded]
@@ -358,25 +366,39 @@ class CommandSearch:
         return tuple(each for each in found if each.value > CERTIFICATE_TOLERANCE)
 
     def _simulate_on(self, command: MotorMotion, departure: Departure) -> SimulatedMotion:
-        arm, servo = self._arm.with_departure(departure), self._servo
-        if servo is None or departure.servo == 0.0:
-            return simulate(arm, command, reference=self._plan)
-        late = servo.with_lag(command, command.duration + REST, departure.servo)
-        return simulate(arm, late, reference=self._plan)
+        arm, until = self._arm.with_departure(departure), command.duration + REST
+        motor, worst = (
+            servo.follow(command, until, self._servo.dead_time)
+            for servo in (self._servo, self._worst)
+        )
+        share, time = departure.servo, motor.time
+        mixed = [
+            (1.0 - share) * motor(time, order) + share * worst(time, order) for order in (0, 1)
+        ]
+        late = MotorMotion(time, mixed[0], mixed[1], command.duration)
+        return simulate(arm, late, plan=self._plan)
 
 
 def _summarise_spreads(
-    flight: np.ndarray, after: np.ndarray, arms: Sequence[Departure], drawn: int
+    errors: ToolError, chosen: slice, arms: Sequence[Departure], drawn: int
 ) -> Spreads:
-    """Summarise peaks (B,) over the arms: the nominal one first, drawn ones last."""
-    spreads = [
-        Spread(
-            nominal=float(peak[0]),
-            worst=float(peak.max()),
-            worst_case=arms[int(np.argmax(peak))].label,
-            worst_arm=arms[int(np.argmax(peak))].factors(),
-            draws=peak[len(arms) - drawn :],
+    """Summarise the peaks of chosen members, one an arm: the nominal one first, drawn ones last."""
+    spreads = []
+    for phase in (errors.flight, errors.after):
+        parts = {name: peaks[chosen] for name, peaks in errors.peaks(phase).items()}
+        peak = parts.pop("position")
+        worst = arms[int(np.argmax(peak))]
+        spreads.append(
+            Spread(
+                nominal=float(peak[0]),
+                worst=float(peak.max()),
+                worst_case=worst.label,
+                worst_arm=worst.factors(),
+                draws=peak[len(arms) - drawn :],
+                parts={
+                    name: PartPeaks(nominal=float(own[0]), worst=float(own.max()))
+                    for name, own in parts.items()
+                },
+            )
         )
-        for peak in (flight, after)
-    ]
     return Spreads(flight=spreads[0], after=spreads[1])

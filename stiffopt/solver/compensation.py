@@ -13,6 +13,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, TypeVar
 
+import numpy as np
+
 from stiffopt.certificate.assess import assess
 from stiffopt.elastic.uncertain_arms import (
     SimulationRequest,
@@ -31,7 +33,7 @@ from stiffopt.solver.command_search import (
 
 if TYPE_CHECKING:
     from stiffopt.elastic.arm import ElasticArm
-    from stiffopt.elastic.motor import Servo
+    from stiffopt.elastic.servo import Servo
     from stiffopt.elastic.uncertainty import Uncertainty
     from stiffopt.problem.trajectory import TrajectoryProblem
     from stiffopt.result.assessment import Violation
@@ -39,6 +41,10 @@ if TYPE_CHECKING:
 
 # Objectives whose links are planned.
 _LINK_PLANNING_OBJECTIVES = ("shaped_deviation", "tool_deviation")
+
+# Slowing of a rival whose command exceeds a limit, in all and in each step.
+_MAX_RIVAL_SLOWDOWN = 1.5
+_MIN_SLOWDOWN_STEP, _MAX_SLOWDOWN_STEP = 1.01, 1.1
 
 Progress = Callable[[str], object]
 Result = TypeVar("Result")
@@ -77,16 +83,44 @@ def compensate(
     others = motions[len(first) :]
     found = [*first, *commands_on_arms(problem, arm, others, law, progress=progress)]
     own = found[0]
+    found = [own, *(_slow_until_led(problem, arm, each) for each in found[1:])]
     refusal, command = _explain_refusal(problem, own.excess), None
     if not refusal:
         command = assess(problem, own.motors, times=export_times(own.motors.duration))
-    return Compensation(
+    result = Compensation(
         motions=tuple(each.for_reports() for each in found),
         command=command,
         refusal=refusal,
-        uncertainty=problem.uncertainty.statements(arm.robot.payload is not None),
+        uncertainty=problem.uncertainty.statements(arm.robot.payload is not None, problem.servo),
+        ahead=problem.servo.dead_time,
         draws=problem.uncertainty.draws,
     )
+    best = result.best_rival
+    if best is None or not result.rival_wins:
+        return result
+    place = next(k for k, each in enumerate(result.motions) if each is best)
+    motors, plan = found[place].motors, found[place].motion
+    assert plan.rival is not None
+    duration = float(plan.time[-1])
+    return replace(
+        result,
+        rival_plan=assess(problem, plan.rival.at(duration), times=export_times(duration)),
+        rival_command=assess(problem, motors, times=export_times(motors.duration)),
+    )
+
+
+def _slow_until_led(
+    problem: TrajectoryProblem, arm: ElasticArm, found: CommandOnArms
+) -> CommandOnArms:
+    """Return a rival at the duration at which its command keeps the limits, as far as it does."""
+    slowed = 1.0
+    while found.excess and found.motion.rival is not None and slowed < _MAX_RIVAL_SLOWDOWN:
+        # Limits of the velocity scale with the duration, those of the jerk with its cube.
+        over = (1.0 + found.excess[0].value) ** (1.0 / 3.0)
+        factor = float(np.clip(over, _MIN_SLOWDOWN_STEP, _MAX_SLOWDOWN_STEP))
+        slowed *= factor
+        (found,) = commands_on_arms(problem, arm, [found.motion.slowed(problem, factor)], found.law)
+    return found
 
 
 def judge_existing_command(
@@ -125,9 +159,7 @@ def judge_existing_command(
     )
     problem = problem if uncertainty is None else replace(problem, uncertainty=uncertainty)
     arm = arm if damping is None else arm.damped(damping)
-    asking = [
-        _start_request(CommandSearch(problem, arm, own, law, made.plan, servo).judge_existing(made))
-    ]
+    asking = [_start_request(CommandSearch(problem, arm, own, law, servo).judge_existing(made))]
     asking += [
         _start_request(
             CommandSearch(problem, arm, motion, law, servo=servo).judge_existing(command)
@@ -140,8 +172,9 @@ def judge_existing_command(
         command=None,
         refusal="",
         uncertainty=problem.uncertainty.statements(
-            arm.robot.payload is not None, servo=servo is None
+            arm.robot.payload is not None, problem.servo if servo is None else None
         ),
+        ahead=problem.servo.dead_time,
         draws=problem.uncertainty.draws,
         loop="" if servo is None else str(servo),
         file=file,

@@ -1,8 +1,4 @@
-"""Elastic simulation of a solution and its baselines, with its sensitivity to assumed damping.
-
-A quintic motion that exceeds a limit is simulated a second time, slowed until it keeps them all; it
-is counted where the problem allows that duration.
-"""
+"""Elastic simulation of a solution and its rivals, with its sensitivity to assumed damping."""
 
 from __future__ import annotations
 
@@ -11,11 +7,13 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from stiffopt.baseline.baselines import slowed_quintic
+from stiffopt.baseline.rivals import FairRival, fair_rivals
+from stiffopt.certificate.assess import assess
 from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
 from stiffopt.elastic.arm import ElasticArm
 from stiffopt.elastic.motor import MotorMotion
@@ -31,7 +29,6 @@ from stiffopt.result.simulation import (
     SETTLING_BAND,
     ElasticMotion,
     PeakRms,
-    SimulatedMotion,
     SimulatedPart,
     Simulation,
 )
@@ -41,14 +38,16 @@ from stiffopt.solver.compensation import compensate
 from stiffopt.solver.solve_run import ProgressCallback, SolveProgress
 
 if TYPE_CHECKING:
-    from stiffopt.elastic.motor import Servo
+    from stiffopt.elastic.servo import Servo
     from stiffopt.problem.trajectory import TrajectoryProblem
     from stiffopt.result.assessment import Assessment
-    from stiffopt.result.solution import Baseline, Solution
-    from stiffopt.result.trajectory import Trajectory
+    from stiffopt.result.solution import Solution
+    from stiffopt.result.trajectory import JointMotion, Trajectory
 
 # Factors on the assumed damping of 2 % of critical: 1 and 3 %.
 _DAMPING_FACTORS = (0.5, 1.5)
+# Rounding of a duration.
+_DURATION_SLACK = 1.0 + 1e-9
 # Links slower than this are at rest [rad/s].
 _STANDSTILL_SPEED = 1e-6
 _COMMAND_NOT_REQUESTED = (
@@ -92,9 +91,13 @@ class PlannedMotion:
     counted : bool
         True where it keeps all limits and the problem's duration.
     motors : Trajectory or None
-        With the planned motion of its links, where that differs from the motors'.
+        Where the motors lead the planned path, as planned.
+    path : JointMotion or None
+        Planned motion of the links of a stored motion whose motors lead it.
     exceeded : tuple of str
         Names of limits that it exceeds.
+    rival : FairRival or None
+        By which it can be slowed.
     """
 
     name: str
@@ -104,18 +107,44 @@ class PlannedMotion:
     parts: dict[str, PeakRms]
     counted: bool
     motors: Trajectory | None = None
+    path: JointMotion | None = None
     exceeded: tuple[str, ...] = ()
+    rival: FairRival | None = None
+
+    @cached_property
+    def followed(self) -> MotorMotion:
+        """Motion of motors that follow the plan."""
+        return MotorMotion(self.time, self.position, self.velocity)
+
+    @cached_property
+    def planned_path(self) -> MotorMotion:
+        """Planned motion of the links, from which the tool error is measured."""
+        return self.followed if self.link is None else MotorMotion.of(self.link)
 
     @property
-    def link(self) -> Trajectory | None:
-        """Planned motion of the links, None where it is not planned."""
-        return None if self.motors is None else self.motors.link
+    def link(self) -> JointMotion | None:
+        """Planned motion of the links, None where the motors follow the plan."""
+        return self.path if self.motors is None else self.motors.link
 
     @property
     def vibrates_after_arrival(self) -> bool:
         """True where the plan has residual vibration of the links after the motors' arrival."""
-        link = self.link
-        return link is not None and bool(np.any(np.abs(link(link.duration, 1)) > _STANDSTILL_SPEED))
+        if self.link is None:
+            return False
+        end = self.link(np.array([self.link.duration]), 1)
+        return bool(np.any(np.abs(end) > _STANDSTILL_SPEED))
+
+    @classmethod
+    def of_rival(cls, rival: FairRival, assessment: Assessment, counted: bool) -> PlannedMotion:
+        """Make the motion of a rival, which can be slowed."""
+        return replace(cls.of(rival.name, assessment, counted), rival=rival)
+
+    def slowed(self, problem: TrajectoryProblem, factor: float) -> PlannedMotion:
+        """Return a rival at a longer duration."""
+        assert self.rival is not None
+        assessment = assess(problem, self.rival.at(factor * float(self.time[-1])))
+        counted = assessment.duration <= problem.duration[1] * _DURATION_SLACK
+        return PlannedMotion.of_rival(self.rival, assessment, counted)
 
     @classmethod
     def of(cls, name: str, assessment: Assessment, counted: bool) -> PlannedMotion:
@@ -134,29 +163,18 @@ class PlannedMotion:
 
 
 def rival_motions(
-    problem: TrajectoryProblem,
-    motion: ResolvedMotion,
-    baselines: dict[str, Baseline],
-    strict: Baseline | None = None,
+    problem: TrajectoryProblem, motion: ResolvedMotion, duration: float
 ) -> list[PlannedMotion]:
-    """Return the existing baselines, and the slowed quintic one where the quintic is infeasible.
+    """Return the rivals that keep every limit, of the optimised duration [s] or slowed.
 
-    `strict` is the slowed one where it is known already.
+    Where the duration is minimised they are as fast as their limits allow.
     """
-    found = [
-        PlannedMotion.of(name, baseline.assessment, baseline.feasible)
-        for name, baseline in baselines.items()
-        if baseline.assessment is not None
+    free = any(each.name == "duration" for each in problem.objectives)
+    shortest, longest = problem.duration
+    return [
+        PlannedMotion.of_rival(rival, assessment, assessment.duration <= longest * _DURATION_SLACK)
+        for rival, assessment in fair_rivals(problem, motion, shortest if free else duration)
     ]
-    quintic = baselines.get("quintic")
-    if quintic is not None and not quintic.feasible:
-        known = strict is not None and strict.name == "slowed quintic"
-        slowed = strict.assessment if strict and known else slowed_quintic(problem, motion)
-        if slowed is not None:
-            shortest, longest = problem.duration
-            allowed = shortest <= slowed.duration <= longest
-            found.append(PlannedMotion.of("slowed quintic", slowed, allowed))
-    return found
 
 
 def simulate_motions(
@@ -175,6 +193,7 @@ def simulate_motions(
     arm : ElasticArm
     motions : sequence of PlannedMotion
     servo : Servo, optional
+        Default that of the problem.
     band : float
         Settling band of the tool [m].
 
@@ -185,16 +204,13 @@ def simulate_motions(
     """
     terms = problem.objectives
     part = terms[0].kind.deflection_part if len(terms) == 1 else ""
-    found = []
+    found, servo = [], servo or problem.servo
     for each in motions:
-        command = MotorMotion(each.time, each.position, each.velocity)
-        simulated = simulate(arm, command, servo=servo, band=band)
+        command, plan = each.followed, each.planned_path
+        simulated = simulate(arm, command, servo=servo, ahead=servo.dead_time, band=band, plan=plan)
         minimised = None
-        if part not in ("", "dynamic"):
-            reference = command.position(simulated.time)
-            if part == "process":
-                reference = simulate(arm.without_force(), command, servo=servo).position
-            minimised = _simulate_part(arm, part, each.parts[part], simulated, reference)
+        if part:
+            minimised = _simulate_part(arm, part, each)
         found.append(
             ElasticMotion(
                 name=each.name,
@@ -215,16 +231,26 @@ def simulate_motions(
 def _simulate_part(
     arm: ElasticArm,
     name: str,
-    planned: PeakRms,
-    simulated: SimulatedMotion,
-    reference: np.ndarray,
+    motion: PlannedMotion,
 ) -> SimulatedPart:
-    """Return the tool's deviation in flight from the reference joint positions (K, n)."""
-    flight = simulated.time <= simulated.duration
-    away = arm.tool(simulated.position[flight]) - arm.tool(reference[flight])
-    size, time = np.linalg.norm(away, axis=1), simulated.time[flight]
+    """Return a part of the tool's deflection against the motors in flight, as objectives have it.
+
+    Motors follow exactly. The dynamic part is less the sag, that of the process less the motion
+    without it.
+    """
+    command = motion.followed
+    simulated = simulate(arm, command)
+    flight = simulated.time <= command.duration
+    time = simulated.time[flight]
+    unloaded = command.position(time)
+    if name == "dynamic":
+        unloaded = arm.static_equilibrium(unloaded)
+    elif name == "process":
+        unloaded = simulate(arm.without_force(), command).position[flight]
+    size = np.linalg.norm(arm.tool(simulated.position[flight]) - arm.tool(unloaded), axis=1)
     rms = float(np.sqrt(np.trapezoid(size**2, time) / time[-1]))
-    return SimulatedPart(name=name, planned=planned, simulated=PeakRms(float(size.max()), rms))
+    found = PeakRms(float(size.max()), rms)
+    return SimulatedPart(name=name, planned=motion.parts[name], simulated=found)
 
 
 def check_simulation(problem: TrajectoryProblem, motion: ResolvedMotion) -> None:
@@ -261,7 +287,7 @@ def with_simulation(
         arm = elastic_arm(problem, assessment.position[0])
         counted = assessment.feasible(CERTIFICATE_TOLERANCE)
         own = PlannedMotion.of("optimised", assessment, counted)
-        others = rival_motions(problem, motion, solution.baselines, solution.strict_baseline)
+        others = rival_motions(problem, motion, assessment.duration)
         if solution.trajectory is not None and solution.trajectory.link is not None:
             own = replace(own, motors=solution.trajectory)
         band = problem.active_limits.settling_band

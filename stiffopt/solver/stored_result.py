@@ -10,10 +10,8 @@ from typing import Any
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline, CubicSpline, make_interp_spline
 
-from stiffopt.baseline.baselines import baselines
 from stiffopt.certificate.assess import assess
 from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
-from stiffopt.elastic.motor import MotorMotion
 from stiffopt.elastic.uncertainty import Uncertainty
 from stiffopt.errors import InputFileError, shortened
 from stiffopt.files import read_table
@@ -57,9 +55,9 @@ class StoredResult:
     command: ExistingCommand | None = None
 
     def motions(self) -> list[PlannedMotion]:
-        """Return the stored motion, then recomputed baselines."""
-        compared = baselines(self.problem, self.motion)
-        return [self.optimised, *rival_motions(self.problem, self.motion, compared)]
+        """Return the stored motion, then recomputed rivals."""
+        duration = float(self.optimised.time[-1])
+        return [self.optimised, *rival_motions(self.problem, self.motion, duration)]
 
 
 def read_result(
@@ -112,6 +110,7 @@ def read_result(
         velocity=velocity,
         parts=parts,
         counted=worst <= CERTIFICATE_TOLERANCE,
+        path=_read_planned_links(folder, stated.joints),
     )
     return StoredResult(
         problem=stated,
@@ -190,18 +189,22 @@ def _read_command(
     check_result(folder, RESULT_FILE, COMMAND_FILE)
     quantities = ("q", "qd", "qdd")
     rows = _read_joint_table(path, joints, quantities)
+    motors = _TableMotion(*rows)
+    motors.link = planned.path or _TableMotion(
+        *_read_joint_table(folder / TRAJECTORY_FILE, joints, quantities)
+    )
+    return ExistingCommand(motors, spacing, share)
+
+
+def _read_planned_links(folder: Path, joints: int) -> JointMotion | None:
+    """Read the planned motion of the links, None where the motors follow the plan."""
     names = [f"link{j}" for j in range(1, joints + 1)]
     table = read_table(folder / TRAJECTORY_FILE, ["t"], names)
-    plan = MotorMotion(planned.time, planned.position, planned.velocity)
-    link = _TableMotion(*_read_joint_table(folder / TRAJECTORY_FILE, joints, quantities))
-    if all(name in table for name in names):
-        moments = np.array(table["t"])
-        links = CubicSpline(moments, np.array([table[n] for n in names]).T, bc_type="clamped")
-        plan = MotorMotion(moments, links(moments), links(moments, 1))
-        link = _TableMotion(moments, links(moments), links(moments, 1), links(moments, 2))
-    motors = _TableMotion(*rows)
-    motors.link = link
-    return ExistingCommand(motors, plan, spacing, share)
+    if not all(name in table for name in names):
+        return None
+    moments = np.array(table["t"])
+    links = CubicSpline(moments, np.array([table[n] for n in names]).T, bc_type="clamped")
+    return _TableMotion(moments, links(moments), links(moments, 1), links(moments, 2))
 
 
 def _read_trajectory(path: Path, joints: int) -> tuple[np.ndarray, ...]:

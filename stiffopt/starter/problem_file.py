@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from stiffopt.baseline.baselines import quintic_law
+from stiffopt.baseline.rivals import quintic_law
 from stiffopt.elastic.arm import ElasticArm
 from stiffopt.elastic.modes import modes
 from stiffopt.errors import NotSimulatedError, RobotError

@@ -13,6 +13,7 @@ from stiffopt import native
 from stiffopt.elastic.arm import ElasticArm
 from stiffopt.elastic.motor import MotorMotion
 from stiffopt.elastic.response import ElasticResponse
+from stiffopt.elastic.servo import Servo
 from stiffopt.elastic.simulate import _Equations, simulate
 from stiffopt.elastic.uncertain_arms import (
     Member,
@@ -84,16 +85,17 @@ def test_compiled_batch_agrees_with_numpy(tmp_path, monkeypatch, soft):
     asked = []
     for half in (0.2, 0.13):
         command, plan = (make((3.0, -4.0), half, at) for make in (bang, there_and_stop))
-        members = [
-            Member(command=command, departure=each, reference=command)
-            for each in corners(unsure, 2, True)
-        ]
-        asked.append(SimulationRequest(UncertainArms(swinging, plan, unsure.servo), members))
+        members = [Member(command=command, departure=each) for each in corners(unsure, 2, True)]
+        asked.append(
+            SimulationRequest(
+                UncertainArms(swinging, plan, worst=unsure.worst_servo(Servo())), members
+            )
+        )
     quick = simulate_uncertain_arms(asked)
     monkeypatch.setattr(native, "loaded", lambda: None)
     for own, slow in zip(quick, simulate_uncertain_arms(asked), strict=True):
-        scale = np.abs(slow.deviation).max()
-        np.testing.assert_allclose(own.deviation, slow.deviation, atol=1e-10 * scale)
+        scale = np.abs(slow.position).max()
+        np.testing.assert_allclose(own.position, slow.position, atol=1e-10 * scale)
 
 
 @pytest.mark.parametrize("n", [1, 2, 6, 7])

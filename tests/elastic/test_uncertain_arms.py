@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from elastic_arms import arm, bang, there_and_stop
 
-from stiffopt.elastic.motor import Servo
+from stiffopt.elastic.servo import Servo
 from stiffopt.elastic.simulate import simulate
 from stiffopt.elastic.uncertain_arms import Member, UncertainArms
 from stiffopt.elastic.uncertainty import (
@@ -38,13 +38,13 @@ def test_batch_deviations_agree_with_full_simulation(tmp_path):
         departure_at_bounds(unsure, np.array([1.0, -1.0]), 1.0, -1.0, 0.0),
         departure_at_bounds(unsure, np.array([0.0, 0.0]), 0.0, 0.0, 1.0),
     ]
-    members = [Member(command=command, departure=each, reference=command) for each in arms]
-    swings = UncertainArms(elastic, plan, unsure.servo).simulate(members)
+    members = [Member(command=command, departure=each) for each in arms]
+    swings = UncertainArms(elastic, plan, worst=unsure.worst_servo(Servo())).simulate(members)
     for k, each in enumerate(arms):
-        servo = unsure.servo if each.servo else None
+        servo = unsure.worst_servo(Servo()) if each.servo else None
         full = simulate(elastic.with_departure(each), command, servo=servo)
-        assert swings.peak[k] == pytest.approx(full.peak, rel=0.02)
-        assert swings.peak_after[k] == pytest.approx(full.peak_after, rel=0.02)
+        assert swings.peaks(swings.flight)["position"][k] == pytest.approx(full.peak, rel=0.02)
+        assert swings.peaks(swings.after)["position"][k] == pytest.approx(full.peak_after, rel=0.02)
 
 
 def test_twice_the_stiffness_halves_the_windup(tmp_path):
@@ -64,10 +64,10 @@ def test_rigid_joints_follow_their_motors_in_a_batch(tmp_path):
     elastic = one_soft_joint(tmp_path)
     command = bang((3.0, -4.0), 0.2, (0.3, 0.4))
     plan = there_and_stop((3.0, -4.0), 0.2, (0.3, 0.4))
-    one = [Member(command=command, departure=Departure.none(2), reference=command)]
+    one = [Member(command=command, departure=Departure.none(2))]
     found, full = UncertainArms(elastic, plan).simulate(one), simulate(elastic, command)
-    assert found.peak[0] == pytest.approx(full.peak, rel=0.02)
-    assert found.peak_after[0] == pytest.approx(full.peak_after, rel=0.02)
+    assert found.peaks(found.flight)["position"][0] == pytest.approx(full.peak, rel=0.02)
+    assert found.peaks(found.after)["position"][0] == pytest.approx(full.peak_after, rel=0.02)
 
 
 def test_heavier_payload_increases_windup(tmp_path):
@@ -84,10 +84,10 @@ def test_heavier_payload_increases_windup(tmp_path):
 def test_corners_and_draws_are_within_bounds():
     unsure = Uncertainty(stiffness=(0.1, 0.3), seed=3)
     found = corners(unsure, 2, True)
-    assert len(found) == 8
+    assert len(found) == 16
     assert {tuple(each.stiffness) for each in found} == {(0.9, 0.7), (1.1, 1.3)}
     assert {each.payload for each in found} == {0.9, 1.1}
-    assert len(corners(unsure, 2, False)) == 4
+    assert len(corners(unsure, 2, False, servo=False)) == 4
     assert [list(each.stiffness) for each in one_at_a_time(unsure, 2)] == [[0.9, 1.0], [1.0, 0.7]]
     arms = draw_departures(unsure, 2, True)
     stiffness = np.array([each.stiffness for each in arms])
@@ -146,6 +146,10 @@ def test_damping_above_critical_is_refused_with_its_limit(tmp_path):
     damped.with_departure(Departure(stiffness=np.ones(2), damping=1.0 + largest))
 
 
-def test_exact_servo_is_no_corner_case():
-    assert Uncertainty().servo is None
-    assert Uncertainty(servo_feed_forward=0.9).servo == Servo(20.0, 0.9, 0.0)
+def test_worst_servo_has_the_stated_bounds_and_typical_ones_elsewhere():
+    nominal = Servo(kind="industrial")
+    worst = Uncertainty(servo_delay=1e-3).worst_servo(nominal)
+    assert worst.delay == 1e-3
+    assert worst.bandwidth == pytest.approx(0.8 * nominal.bandwidth)
+    assert worst.torque_feed_forward == pytest.approx(nominal.torque_feed_forward - 0.1)
+    assert (worst.feed_forward, worst.rate) == (nominal.feed_forward, nominal.rate)

@@ -1,19 +1,30 @@
-"""Sentences on compensated motions, compared with toppra's motion."""
+"""Sentences on compensated motions, compared with the best rival."""
 
 from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from stiffopt.report.solve.compensation import compensation_text
+from stiffopt.result.assessment import Violation
 from stiffopt.result.compensation import CompensatedMotion, Compensation, Spread, Spreads
+
+BEYOND = Violation(limit="jerk", value=1.0, joint=1, time=0.1)
 
 
 def motion(name, flight, after):
     spreads = Spreads(
         **{
             phase: Spread(
-                nominal=peak, worst=peak, worst_case="", worst_arm={}, draws=np.array([peak])
+                nominal=peak,
+                worst=peak,
+                worst_case="",
+                worst_arm={},
+                draws=np.array([peak]),
+                parts={},
             )
             for phase, peak in (("flight", flight), ("after", after))
         }
@@ -22,7 +33,7 @@ def motion(name, flight, after):
         name=name,
         planned=spreads,
         compensated=spreads,
-        simulated=None,
+        simulated=SimpleNamespace(duration=0.5),
         worst=None,
         spacing=None,
         share=1.0,
@@ -30,29 +41,44 @@ def motion(name, flight, after):
     )
 
 
-@pytest.mark.parametrize(
-    ("toppra", "own", "said"),
-    [
-        ((8.0, 6.0), (1.0, 2.0), "8 / 3 times below"),
-        ((1.0, 1.0), (2.0, 3.0), "2 / 3 times above"),
-        ((1.0, 6.0), (2.0, 2.0), "in flight 2 times above and after arrival 3 times below"),
-        ((1.0, 0.0), (2.0, 0.0), "in flight 2 times above and after arrival equal to"),
-        ((1.0, 0.0), (2.0, 1.0), "in flight 2 times above and after arrival above the 0 of"),
-        ((1.0, 2.0), (0.0, 1.0), "in flight at 0, below and after arrival 2 times below"),
-        ((0.0, 0.0), (0.0, 0.0), "equal to"),
-        ((1.0, 1.0), (1.0001, 0.9999), "about equal to"),
-        ((np.nan, 2.0), (1.0, 1.0),
-         "in flight not comparable with and after arrival 2 times below"),
-    ],
-)  # fmt: skip
-def test_compensation_text_compares_with_toppra(toppra, own, said):
-    compensation = Compensation(
-        motions=(motion("optimised", *own), motion("toppra", *toppra)),
-        command=None,
-        uncertainty=("stiffness",),
-        draws=1,
-        refusal="",
+def compensation(*motions, **fields):
+    return Compensation(
+        motions=motions, command=None, uncertainty=("stiffness",), draws=1, refusal="", **fields
     )
-    text = compensation_text(compensation)
-    assert f"{said} toppra as planned; in the worst case {said} toppra" in text
-    assert f"{said} toppra compensated" in text
+
+
+def test_the_ratio_is_to_the_best_rival_within_the_limits():
+    fast = replace(motion("toppra", 0.1, 0.1), excess=(BEYOND,))
+    found = compensation(
+        motion("optimised", 1.0, 2.0),
+        motion("quintic", 4.0, 4.0),
+        motion("S-curve", 2.0, 3.0),
+        fast,
+    )
+    assert found.best_rival.name == "S-curve"
+    assert found.ratios == (0.5, pytest.approx(2.0 / 3.0))
+    assert not found.rival_wins
+    text = compensation_text(found)
+    assert "2 times less than the best rival, the S-curve motion of 0.5 s" in text
+    assert "better motion" not in text
+
+
+def test_a_rival_that_wins_is_named_with_its_files():
+    command = object()
+    found = compensation(
+        motion("optimised", 2.0, 2.0), motion("quintic", 1.0, 1.0), rival_command=command
+    )
+    assert found.rival_wins
+    text = compensation_text(found)
+    assert "2 times as much as the best rival, the quintic motion" in text
+    assert "rival_trajectory.csv with rival_command.csv" in text
+    assert not compensation(motion("optimised", 1.01, 1.0), motion("quintic", 1.0, 1.0)).rival_wins
+
+
+def test_a_rival_wins_where_the_optimised_motion_has_no_command():
+    refused = replace(motion("optimised", 1.0, 1.0), excess=(BEYOND,))
+    found = compensation(refused, motion("quintic", 3.0, 3.0))
+    assert found.rival_wins
+    assert found.ratios is None
+    assert "The best rival, the quintic motion of 0.5 s, has" in compensation_text(found)
+    assert compensation(refused).best_rival is None

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
-from stiffopt.baseline.baselines import quintic_law
+from stiffopt.baseline.rivals import quintic_law
 from stiffopt.errors import ProblemError
 from stiffopt.result.joint_path import JointPath
 from stiffopt.result.trajectory import Trajectory

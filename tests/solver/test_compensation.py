@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 from small_arms import load
 
-from stiffopt.baseline.baselines import baselines, quintic_law
+from stiffopt.baseline.baselines import baselines
+from stiffopt.baseline.rivals import quintic_law
 from stiffopt.certificate.assess import assess
+from stiffopt.elastic.servo import MAX_LEAD_AT_END
 from stiffopt.elastic.uncertainty import Uncertainty
 from stiffopt.errors import RobotError
 from stiffopt.problem.resolve import resolve
@@ -77,13 +79,18 @@ def test_the_command_is_written_and_an_old_one_of_another_motion_removed(smooth,
         "t",
         *(f"{q}{j}" for q in ("q", "qd", "qdd", "tau", "link") for j in (1, 2)),
     ]
-    assert float(rows[-1]["t"]) == pytest.approx(0.5)
+    # The lead of the servo's known lag decays after the plan's arrival.
+    assert 0.5 <= float(rows[-1]["t"]) < 0.6
     for j in (1, 2):
         q = np.array([float(row[f"q{j}"]) for row in rows])
-        assert q[[0, -1]] == pytest.approx(motion.position[[0, -1], j - 1], abs=1e-9)
+        assert q[[0, -1]] == pytest.approx(motion.position[[0, -1], j - 1], abs=MAX_LEAD_AT_END[0])
         v = np.array([float(row[f"qd{j}"]) for row in rows])
-        assert v[[0, -1]] == pytest.approx([0.0, 0.0], abs=1e-9)
-        assert np.diff(q) / 2e-3 == pytest.approx(0.5 * (v[1:] + v[:-1]), abs=1e-2)
+        assert v[[0, -1]] == pytest.approx([0.0, 0.0], abs=MAX_LEAD_AT_END[1])
+        a = np.array([float(row[f"qdd{j}"]) for row in rows])
+        step = np.diff([float(row["t"]) for row in rows])
+        # Hermite's rule: the mean of the velocities alone is off by the jerk over each step.
+        moved = 0.5 * (v[1:] + v[:-1]) - step / 12.0 * np.diff(a)
+        assert np.diff(q) / step == pytest.approx(moved, abs=1e-2)
     limits = problem.active_limits
     assert np.all(np.abs(found.command.torque) <= limits.torque)
     assert write_command(replace(found, command=None), tmp_path) is None
@@ -138,7 +145,8 @@ def test_command_is_feasible_on_the_fine_grid(smooth, monkeypatch):
     tight = replace(problem, limits=replace(problem.active_limits, acceleration=0.99 * most))
     found, other = compensate_motion(tight, arm, motion)
     assert found.excess == ()
-    assert np.max(np.abs(other(best.times) - best(best.times))) > 1e-7
+    times = np.linspace(0.0, motion.time[-1], 501)
+    assert np.max(np.abs(other(times) - best(times))) > 1e-7
 
 
 def test_a_damping_that_may_be_above_critical_is_refused(smooth):

@@ -8,7 +8,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from stiffopt.report.common.svg import BLUE, GREY, VERMILLION, WIDTH, figure_style
-from stiffopt.report.common.text import listed, scale, si, significant
+from stiffopt.report.common.text import listed, scale, si
+from stiffopt.report.solve.wording import rival_text
 from stiffopt.result.compensation import (
     COMMAND_FILE,
     CompensatedMotion,
@@ -69,9 +70,9 @@ def compensation_section(compensation: Compensation | None) -> dict[str, Any] | 
 
 
 def compensation_text(compensation: Compensation) -> str:
-    """Return a paragraph on nominal and worst deviations, compared with toppra's motion."""
+    """Return a paragraph on nominal and worst deviations, compared with the best rival."""
     if compensation.refusal:
-        return compensation.refusal
+        return f"{compensation.refusal} {rival_text(compensation)}"
     own = compensation.optimised
     text = (
         f"With the command {compensation.file or COMMAND_FILE} the"
@@ -79,48 +80,12 @@ def compensation_text(compensation: Compensation) -> str:
         f"the plan by at most {_format_deviations(own.compensated)} in flight / after arrival, in "
         f"the worst case {_format_deviations(own.compensated, True)}"
     )
-    other = next((each for each in compensation.motions if each.name == "toppra"), None)
-    if other is None:
-        return f"{text}."
-    plain, led = other.planned, other.compensated
-    return (
-        f"{text}; toppra's motion as planned {_format_deviations(plain)}, worst case "
-        f"{_format_deviations(plain, True)}; compensated alike"
-        f" {_format_deviations(led)}, worst case "
-        f"{_format_deviations(led, True)}. This is {_compare_deviations(plain, own.compensated)} "
-        f"toppra as planned; in the worst case "
-        f"{_compare_deviations(plain, own.compensated, True)} toppra as planned and "
-        f"{_compare_deviations(led, own.compensated, True)} toppra compensated."
-    )
+    return f"{text}. {rival_text(compensation)}"
 
 
 def _format_deviations(spreads: Spreads, worst: bool = False) -> str:
     values = [s.worst if worst else s.nominal for s in (spreads.flight, spreads.after)]
     return " / ".join(si(value, "m", 2) for value in values)
-
-
-def _compare_deviations(other: Spreads, own: Spreads, worst: bool = False) -> str:
-    """Return a comparison in flight and after arrival, such as "8.5 / 5.7 times below"."""
-    phases = ((other.flight, own.flight), (other.after, own.after))
-    pairs = [[s.worst if worst else s.nominal for s in pair] for pair in phases]
-    (flight, first), (after, second) = (_compare_sizes(theirs, ours) for theirs, ours in pairs)
-    if first == second:
-        return f"{flight} / {after} {first}" if flight else first
-    return f"in flight {flight} {first} and after arrival {after} {second}".replace("  ", " ")
-
-
-def _compare_sizes(theirs: float, ours: float) -> tuple[str, str]:
-    """Return ratio of two magnitudes ("" without one) and relation, as ("8.5", "times below")."""
-    if not np.isfinite([theirs, ours]).all():
-        return "", "not comparable with"
-    if theirs == ours:
-        return "", "equal to"
-    if 0.0 in (theirs, ours):
-        return "", "above the 0 of" if theirs == 0.0 else "at 0, below"
-    ratio = significant(max(theirs / ours, ours / theirs), 2)
-    if ratio == significant(1.0, 2):
-        return "", "about equal to"
-    return ratio, "times below" if theirs > ours else "times above"
 
 
 def compensation_notes(compensation: Compensation) -> list[str]:

@@ -4,17 +4,19 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from stiffopt.baseline.baselines import better_baseline
 from stiffopt.certificate.objective_value import is_maximised
-from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
 from stiffopt.problem.objective import OBJECTIVES, ObjectiveKind
-from stiffopt.report.common.text import listed, percent, si, significant, words
+from stiffopt.report.common.text import percent, si, significant, words
 from stiffopt.result.assessment import Violation
-from stiffopt.result.solution import Baseline, ObjectiveValue, Solution
+from stiffopt.result.compensation import RIVAL_COMMAND_FILE, RIVAL_TRAJECTORY_FILE
+from stiffopt.result.solution import ObjectiveValue, Solution
 
 if TYPE_CHECKING:
     from stiffopt.problem.trajectory import TrajectoryProblem
-    from stiffopt.result.simulation import Simulation
+    from stiffopt.result.compensation import CompensatedMotion, Compensation
 
 # Ratio below which a gain is written as "3.4 times less", above it as a percentage.
 _MAX_FACTOR_RATIO = 0.6
@@ -61,7 +63,7 @@ def headline_text(solution: Solution) -> str:
         return objective_text(solution.objective)
     simulated = simulation.optimised.simulated
     phrase = objective_phrase(solution.objective.name, simulation.measure)
-    text = f"{phrase} {si(simulation.value(simulation.optimised), 'm', 3)} in flight"
+    text = f"{phrase} {si(simulation.objective_value(simulation.optimised), 'm', 3)} in flight"
     if simulated.peak_after is not None:
         text += f", {si(simulated.peak_after, 'm', 3)} after arrival"
     return f"{text}, simulated (planned {si(solution.objective.value, 'm', 3)})"
@@ -95,88 +97,48 @@ def difference_text(problem: TrajectoryProblem, solution: Solution) -> str:
 
 
 def comparison(problem: TrajectoryProblem, solution: Solution) -> str:
-    """Return sentences on the better feasible baseline and on limits it is exempt from."""
-    return f"{_simulated_comparison(problem, solution)}{_exemption_sentence(problem, solution)}"
+    """Return sentences on the best rival: on uncertain arms where commands were made for them."""
+    led = solution.compensation
+    if led is None or led.best_rival is None:
+        return _certified_comparison(problem, solution)
+    return rival_text(led)
 
 
-def _exemption_sentence(problem: TrajectoryProblem, solution: Solution) -> str:
-    """Return sentences on limits that the counted baseline exceeds, and on one that keeps all."""
-    better = _counted_baseline(problem, solution)
-    if better is None or better.assessment is None or solution.ratio_to_better_baseline is None:
-        return ""
-    exceeded = [v for v in better.assessment.violations if v.value > CERTIFICATE_TOLERANCE]
-    if not exceeded:
-        return ""
-    worst: dict[str, Violation] = {}
-    for each in sorted(exceeded, key=lambda v: -v.value):
-        worst.setdefault(each.limit, each)
-    limits = listed(f"{words(v.limit)} ({violation_text(v)})" for v in worst.values())
-    motion = _motion_phrase(better.name)
-    text = f" {motion[0].upper()}{motion[1:]} is exempt from limits that its method cannot handle: "
-    return f"{text}{limits}.{_strict_comparison(problem, solution)}"
-
-
-def _counted_baseline(problem: TrajectoryProblem, solution: Solution) -> Baseline | None:
-    """Return the baseline compared with: the better one by simulation, if simulated."""
-    simulation = solution.simulation
-    if simulation is not None and simulation.ratio_to_better_baseline is not None:
-        assert simulation.better_baseline is not None
-        # The slowed quintic is not among the baselines, but keeps every limit.
-        return solution.baselines.get(simulation.better_baseline.name, solution.strict_baseline)
-    return better_baseline(problem, solution.baselines)
-
-
-def _strict_comparison(problem: TrajectoryProblem, solution: Solution) -> str:
-    strict, simulation = solution.strict_baseline, solution.simulation
-    if strict is None or strict.assessment is None:
-        return " No baseline was found that keeps every limit."
-    ratio, how = solution.ratio_to_strict_baseline, ""
-    if simulation is not None and simulation.measure:
-        found = next((m for m in simulation.motions if m.name == strict.name), None)
-        if found is not None and simulation.value(found) > 0.0:
-            ratio = simulation.value(simulation.optimised) / simulation.value(found)
-            how = ", both simulated in flight"
-    if ratio is None:
-        return ""
-    name = "quintic" if strict.name == "slowed quintic" else strict.name
-    slowed = "" if name == strict.name else f", slowed to {si(strict.assessment.duration, 's', 3)}"
-    term = problem.objectives[0].name if len(problem.objectives) == 1 else ""
-    how_much = amount(ratio, term, is_maximised(problem))
-    return f" {how_much} {_motion_phrase(name)}{slowed}, which keeps every limit{how}."
-
-
-def _simulated_comparison(problem: TrajectoryProblem, solution: Solution) -> str:
-    """Return a sentence on the better feasible baseline, simulated if a deflection is minimised."""
-    simulation = solution.simulation
-    if simulation is not None and simulation.ratio_to_better_baseline is not None:
-        better = simulation.better_baseline
-        assert better is not None
-        motion = (
-            f"{better.name}'s motion" if better.name == "toppra" else f"the {better.name} motion"
+def rival_text(compensation: Compensation) -> str:
+    """Return sentences on the worst-case tool error beside that of the best rival."""
+    best, own = compensation.best_rival, compensation.optimised
+    if best is None:
+        return "No rival's command keeps every limit."
+    name = f"{_motion_phrase(best.name)} of {si(best.simulated.duration, 's', 4)}"
+    theirs = _format_phases(best)
+    tail = "each with its best command within the limits, on the same uncertain arms"
+    if compensation.ratios is None:
+        text = f"The best rival, {name}, has a worst-case tool error of {theirs}"
+    else:
+        flight, after = compensation.ratios
+        text = (
+            f"Worst-case tool error {_format_phases(own)} in flight / after arrival: in flight "
+            f"{amount(flight).lower()} the best rival, {name}, which has {theirs}"
         )
-        text = f"{amount(simulation.ratio_to_better_baseline)} {motion}, both simulated in flight"
-        own, other = simulation.optimised.simulated.peak_after, better.simulated.peak_after
-        if own is None or other is None:
-            return f"{text}."
-        text += f"; after arrival {si(own, 'm', 3)} against {si(other, 'm', 3)}."
-        return f"{text}{_least_vibration_sentence(simulation, own)}"
-    return _certified_comparison(problem, solution)
+        if not np.isclose(flight, after):
+            text += f"; after arrival {amount(after).lower()} it"
+    slower = best.simulated.duration / own.simulated.duration - 1.0
+    if slower > _EQUAL_RATIO_TOLERANCE:
+        tail += f"; the rival was slowed by {percent(slower, 2)} to keep the limits"
+    text += f"; {tail}."
+    if compensation.rival_wins:
+        text += (
+            f" The rival is the better motion: run {RIVAL_TRAJECTORY_FILE} with "
+            f"{RIVAL_COMMAND_FILE}."
+            if compensation.rival_command is not None
+            else " The rival is the better motion."
+        )
+    return text
 
 
-def _least_vibration_sentence(simulation: Simulation, own: float) -> str:
-    """Return a sentence on a motion with less residual vibration than the optimised one, if any."""
-    rings = {
-        motion.name: (motion.simulated.peak_after, motion.simulated.duration)
-        for motion in simulation.motions
-    }
-    name, (peak, duration) = min(rings.items(), key=lambda item: item[1][0] or 0.0)
-    if peak is None or peak >= own:
-        return ""
-    motion = _motion_phrase(name)
-    return (
-        f" {motion[0].upper()}{motion[1:]}, {si(duration, 's')}, has the least residual vibration:"
-        f" {si(peak, 'm', 3)}."
-    )
+def _format_phases(motion: CompensatedMotion) -> str:
+    spreads = motion.compensated
+    return " / ".join(si(each.worst, "m", 2) for each in (spreads.flight, spreads.after))
 
 
 def _certified_comparison(problem: TrajectoryProblem, solution: Solution) -> str:

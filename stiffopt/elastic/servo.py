@@ -1,0 +1,231 @@
+"""Servo: cascaded position and velocity loops of the motors, sampled set-points and dead time.
+
+The controller sends set-points at its rate; the drive interpolates between them by cubics, for
+which it waits one period. With y the set-point as it reaches the drive, x the motor, g = 2 pi
+bandwidth of the position loop and w the bandwidth of the velocity loop:
+
+    x'' = w (a y' + g (y - x(t - delay)) - x') + b y''
+
+with the shares a and b of velocity and torque fed forward. Known lag and dead time are led by the
+command (`Servo.lead`); set-points are sent by the known dead time earlier. The load's reaction on
+the motors is neglected.
+
+Source of the cascade and of w = 5 g: Gross, Hamann, Wiegaertner (2001), "Electrical feed drives in
+automation", Publicis.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+import numpy as np
+from scipy.linalg import expm
+from scipy.optimize import brentq
+
+from stiffopt.declaration import NOT_NEGATIVE, POSITIVE, Bounds, Doc, Frequency, Ratio, Time
+from stiffopt.elastic.motor import SAMPLE_INTERVAL, MotorMotion
+from stiffopt.elastic.servo_kinds import SERVO_KINDS
+from stiffopt.errors import InputError
+from stiffopt.result.trajectory import Trajectory
+
+# Bandwidth of the velocity loop over that of the position loop.
+_VELOCITY_LOOP_RATIO = 5.0
+# Shares below which the inverse of the servo, by which a command leads, rings or leaves a pole
+# faster than the samples.
+_MIN_LED_TORQUE_SHARE, _MIN_LED_VELOCITY_SHARE = 0.02, 0.1
+# Time after the plan's end in which the lead decays, over the time constant of the position loop.
+_LEAD_DECAY_CONSTANTS = 14.0
+# Lead [rad] and its rate [rad/s] at which a command ends.
+MAX_LEAD_AT_END = (1e-8, 5e-7)
+_COMMAND_STRIDE = 4  # steps between the breaks of a leading command
+
+
+@dataclass(frozen=True)
+class Servo:
+    """Position loop of the motors, the same for every joint.
+
+    Keys that are left out have the typical values of the kind of controller.
+    """
+
+    bandwidth: Annotated[Frequency | None, POSITIVE, Doc("Bandwidth of the position loop.")] = None
+    feed_forward: Annotated[
+        Ratio | None,
+        Bounds(least=0.0, most=1.0),
+        Doc("Share of the commanded velocity that is fed forward."),
+    ] = None
+    delay: Annotated[Time | None, NOT_NEGATIVE, Doc("Dead time of the loop.")] = None
+    torque_feed_forward: Annotated[
+        Ratio | None,
+        Bounds(least=0.0, most=1.0),
+        Doc("Share of the torque of the commanded acceleration that is fed forward."),
+    ] = None
+    rate: Annotated[
+        Frequency | None, POSITIVE, Doc("Rate of the set-points; default that of the kind.")
+    ] = None
+    kind: Annotated[
+        Literal["ideal", "industrial", "collaborative", "research", "cb_series"],
+        Doc("Kind of controller, whose typical values stand for keys that are left out."),
+    ] = "ideal"
+
+    def __post_init__(self) -> None:
+        for name, value in vars(SERVO_KINDS[self.kind]).items():
+            if name != "source" and getattr(self, name) is None:
+                object.__setattr__(self, name, value)
+        gain, forward, delay, torque = self._numbers
+        if not (np.isfinite(gain) and gain > 0.0):
+            raise InputError(f"the servo's bandwidth must be above 0 Hz, got {self.bandwidth:g}.")
+        for share, name in ((forward, "velocity"), (torque, "torque")):
+            if not 0.0 <= share <= 1.0:
+                raise InputError(
+                    f"the servo's {name} feed-forward is a share from 0 to 1, got {share:g}."
+                )
+        if not (np.isfinite(delay) and delay >= 0.0):
+            raise InputError(f"the servo's delay must be 0 s or above, got {delay:g}.")
+        largest = self._largest_stable_delay()
+        if delay >= largest:
+            raise InputError(
+                f"the servo is unstable: a position loop of {self.bandwidth:g} Hz needs a delay "
+                f"below {1e3 * largest:.4g} ms, and has {1e3 * delay:.4g} ms. Lower the "
+                "bandwidth or the delay."
+            )
+
+    @property
+    def _numbers(self) -> tuple[float, float, float, float]:
+        """Gain of the position loop [1/s], velocity share, delay [s] and torque share."""
+        found = (self.bandwidth, self.feed_forward, self.delay, self.torque_feed_forward)
+        gain, forward, delay, torque = (math.nan if x is None else x for x in found)
+        return 2.0 * np.pi * gain, forward, delay, torque
+
+    def _largest_stable_delay(self) -> float:
+        gain = self._numbers[0]
+        inner = _VELOCITY_LOOP_RATIO * gain
+        # Frequency at which the open loop g w / (s (s + w)) has unit magnitude.
+        crossing = brentq(lambda w: inner * gain - w * np.hypot(w, inner), 0.0, 2.0 * gain)
+        return float((0.5 * np.pi - np.arctan(crossing / inner)) / crossing)
+
+    @property
+    def period(self) -> float:
+        """Period of the set-points [s]; 0 where they are continuous."""
+        return 0.0 if self.rate is None else 1.0 / self.rate
+
+    @property
+    def dead_time(self) -> float:
+        """Time from sending a set-point until the motor moves [s]."""
+        return self._numbers[2] + self.period
+
+    @property
+    def follows_exactly(self) -> bool:
+        """True with full feed-forward and without delay and sampling."""
+        return self.leads_exactly and self.period == 0.0
+
+    @property
+    def leads_exactly(self) -> bool:
+        """True where the motor follows the set-points but for the dead time of sampling."""
+        return self._numbers[1:] == (1.0, 0.0, 1.0)
+
+    def __str__(self) -> str:
+        _, forward, delay, torque = self._numbers
+        late = f" and {1e3 * delay:g} ms delay" if delay else ""
+        sampled = "" if self.rate is None else f", set-points at {self.rate:g} Hz"
+        shares = f"{100.0 * forward:.3g} % velocity"
+        shares += "" if torque == 1.0 else f" and {100.0 * torque:.3g} % torque"
+        return f"{self.bandwidth:g} Hz with {shares} feed-forward{late}{sampled}"
+
+    def follow(self, command: MotorMotion, until: float, ahead: float = 0.0) -> MotorMotion:
+        """Motor motion in response to a command, from rest until the time `until` [s].
+
+        The command is sent `ahead` [s] of the time of the result.
+        """
+        gain, forward, delay, torque = self._numbers
+        inner = _VELOCITY_LOOP_RATIO * gain
+        # The delay is a whole number of steps, so that delayed positions are known samples.
+        lag = 0 if delay == 0.0 else max(1, int(np.ceil(delay / SAMPLE_INTERVAL)))
+        step = delay / lag if lag else min(SAMPLE_INTERVAL, 0.02 / gain)
+        times = step * np.arange(int(np.ceil(until / step)) + 1)
+        sent = times + ahead - self.dead_time
+        y, rate, bend = self._set_points(command, sent)
+        before = np.concatenate([np.repeat(y[:1], lag, axis=0), y])[: len(y)]
+        # Of the lag x - y; the loop's own delayed part is added in the loop below.
+        force = -(1.0 - torque) * bend - inner * (1.0 - forward) * rate
+        force += inner * gain * (y - before)
+        matrix = np.array([[0.0, 1.0], [0.0 if lag else -inner * gain, -inner]])
+        step_state, first, second = _linear_hold(matrix, step)
+        state = np.zeros((len(times), 2, y.shape[1]))
+        for k in range(len(times) - 1):
+            begin, end = force[k], force[k + 1]
+            if lag:
+                begin = begin - inner * gain * state[max(k - lag, 0), 0]
+                end = end - inner * gain * state[max(k + 1 - lag, 0), 0]
+            state[k + 1] = step_state @ state[k] + first * begin + second * end
+        return MotorMotion(times, y + state[:, 0], rate + state[:, 1], command.duration)
+
+    def _set_points(
+        self, command: MotorMotion, sent: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Interpolated set-points with two rates (K, n) at the times since the first one (K,)."""
+        if self.period:
+            grid = self.period * np.arange(int(np.ceil(command.time[-1] / self.period)) + 2)
+            command = MotorMotion(grid, command(grid), command(grid, 1), command.duration)
+        found = [command(np.maximum(sent, 0.0), k) for k in range(3)]
+        for rates in found[1:]:
+            rates[sent < 0.0] = 0.0
+        return found[0], found[1], found[2]
+
+    def lead(self, motors: Trajectory) -> Trajectory:
+        """Command by which the motors move as planned; it is sent the dead time ahead.
+
+        The inverse of the loops' response; its link motion is that of `motors`, held to its end.
+        """
+        if self.leads_exactly:
+            return motors
+        gain, forward, delay, torque = self._numbers
+        inner = _VELOCITY_LOOP_RATIO * gain
+        forward = max(forward, _MIN_LED_VELOCITY_SHARE)
+        torque = max(torque, _MIN_LED_TORQUE_SHARE)
+        decay = _LEAD_DECAY_CONSTANTS * max(forward / gain, 1.0 / inner) + delay
+        count = int(np.ceil((motors.duration + decay) / (_COMMAND_STRIDE * SAMPLE_INTERVAL)))
+        times = np.linspace(0.0, motors.duration + decay, _COMMAND_STRIDE * count + 1)
+        plan, late = _hold_at_ends(motors, times), _hold_at_ends(motors, times - delay)
+        force, rate = (
+            (1.0 - torque) * plan[2 + k]
+            + inner * (1.0 - forward) * plan[1 + k]
+            + inner * gain * (late[k] - plan[k])
+            for k in range(2)
+        )
+        matrix = np.array([[0.0, 1.0], [-inner * gain / torque, -inner * forward / torque]])
+        step_state, first, second = _linear_hold(matrix, times[1])
+        state = np.zeros((len(times), 2, force.shape[1]))
+        for k in range(len(times) - 1):
+            state[k + 1] = (
+                step_state @ state[k] + (first * force[k] + second * force[k + 1]) / torque
+            )
+        lead = np.stack([state[:, 0], state[:, 1], np.zeros_like(force), np.zeros_like(force)])
+        lead[2] = (force - inner * forward * lead[1] - inner * gain * lead[0]) / torque
+        lead[3] = (rate - inner * forward * lead[2] - inner * gain * lead[1]) / torque
+        # Until the lead has decayed: a jump to the end would have any jerk.
+        large = np.abs(lead[:2]) > np.reshape(MAX_LEAD_AT_END, (2, 1, 1))
+        last = np.flatnonzero(large.any(axis=(0, 2)) | (times < motors.duration))[-1] + 1
+        last = min(_COMMAND_STRIDE * -(-last // _COMMAND_STRIDE), len(times) - 1)
+        at = slice(None, last + 1, _COMMAND_STRIDE)
+        link = motors.link or motors
+        held = link.held_for(float(times[last]) - link.duration)
+        return Trajectory.through(times[at], (plan + lead)[:, at], held)
+
+
+def _hold_at_ends(motion: Trajectory, times: np.ndarray) -> np.ndarray:
+    """Motion with three rates (4, K, n), at rest before its start and after its end."""
+    inside = np.clip(times, 0.0, motion.duration)
+    found = np.stack([motion(inside, k) for k in range(4)])
+    found[1:, (times < 0.0) | (times > motion.duration)] = 0.0
+    return found
+
+
+def _linear_hold(matrix: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Exact step of z' = A z + (0, f) with f linear in it: transition, weights of both ends."""
+    whole = np.zeros((4, 4))
+    whole[:2, :2], whole[1, 2], whole[2, 3] = matrix, 1.0, 1.0 / step
+    found = expm(step * whole)
+    ramp = found[:2, 3:]
+    return found[:2, :2], found[:2, 2:3] - ramp, ramp

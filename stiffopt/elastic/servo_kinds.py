@@ -1,0 +1,80 @@
+"""Typical servo values by kind of controller.
+
+Rates are those of the controllers' interfaces. Bandwidths, feed-forward shares and loop delays are
+not published; they are assumed within the ranges that identified drives have: 8 to 40 Hz, 0.9 to 1,
+1 to 8 ms.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, kw_only=True)
+class ServoKind:
+    """Typical values of a kind of controller.
+
+    Parameters
+    ----------
+    bandwidth : float
+        Of the position loop [Hz].
+    feed_forward, torque_feed_forward : float
+        Shares of the commanded velocity and of the torque of the commanded acceleration.
+    delay : float
+        Dead time of the loop [s].
+    rate : float or None
+        Of the set-points [Hz]; None for continuous ones.
+    source : str
+        Of the rate.
+    """
+
+    bandwidth: float
+    feed_forward: float
+    torque_feed_forward: float
+    delay: float
+    rate: float | None
+    source: str
+
+
+SERVO_KINDS = {
+    "ideal": ServoKind(
+        bandwidth=20.0,
+        feed_forward=1.0,
+        torque_feed_forward=1.0,
+        delay=0.0,
+        rate=None,
+        source="Follows exactly.",
+    ),
+    "industrial": ServoKind(
+        bandwidth=20.0,
+        feed_forward=1.0,
+        torque_feed_forward=0.9,
+        delay=0.0,
+        rate=250.0,
+        source="KUKA.RobotSensorInterface: 4 ms cycle.",
+    ),
+    "collaborative": ServoKind(
+        bandwidth=15.0,
+        feed_forward=1.0,
+        torque_feed_forward=0.9,
+        delay=0.0,
+        rate=500.0,
+        source="Universal Robots e-Series, The URScript Programming Language: 2 ms cycle.",
+    ),
+    "research": ServoKind(
+        bandwidth=40.0,
+        feed_forward=1.0,
+        torque_feed_forward=0.95,
+        delay=0.0,
+        rate=1000.0,
+        source="Franka Control Interface: 1 ms cycle.",
+    ),
+    "cb_series": ServoKind(
+        bandwidth=15.0,
+        feed_forward=1.0,
+        torque_feed_forward=0.8,
+        delay=0.0,
+        rate=125.0,
+        source="Universal Robots CB-Series, The URScript Programming Language: 8 ms cycle.",
+    ),
+}

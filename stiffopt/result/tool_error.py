@@ -1,0 +1,101 @@
+"""Tool error: actual pose of the tool less the pose of the planned path at the same instant.
+
+The one yardstick of simulations and comparisons, in flight and after arrival. Its position is split
+along the path (lateness, overshoot) and across it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+# Parts of the tool error beside its magnitude.
+ERROR_PARTS = ("along", "across", "orientation")
+# Share of the largest tool speed below which the path keeps the direction of its last movement.
+_MIN_DIRECTION_SPEED = 1e-4
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ToolError:
+    """Tool error of one arm, or of B arms on the same path.
+
+    Parameters
+    ----------
+    time : array (K,)
+        Of the planned path, from its start [s].
+    duration : float
+        Arrival of the planned path [s].
+    position : array (K, 3) or (B, K, 3)
+        Actual less planned tool position, base axes [m].
+    orientation : array (K, 3) or (B, K, 3)
+        Rotation vector from the planned to the actual orientation, base axes [rad].
+    direction : array (K, 3)
+        Unit vectors along the planned path.
+    """
+
+    time: np.ndarray
+    duration: float
+    position: np.ndarray
+    orientation: np.ndarray
+    direction: np.ndarray
+
+    @cached_property
+    def distance(self) -> np.ndarray:
+        """Magnitude of the position error (.., K) [m]."""
+        return np.asarray(np.linalg.norm(self.position, axis=-1))
+
+    @cached_property
+    def along(self) -> np.ndarray:
+        """Position error along the path (.., K), negative where the tool is late [m]."""
+        return np.asarray(np.einsum("...kx,kx->...k", self.position, self.direction))
+
+    @cached_property
+    def across(self) -> np.ndarray:
+        """Magnitude of the position error across the path (.., K) [m]."""
+        side = self.position - self.along[..., None] * self.direction
+        return np.asarray(np.linalg.norm(side, axis=-1))
+
+    @cached_property
+    def angle(self) -> np.ndarray:
+        """Magnitude of the orientation error (.., K) [rad]."""
+        return np.asarray(np.linalg.norm(self.orientation, axis=-1))
+
+    @property
+    def flight(self) -> np.ndarray:
+        """Mask (K,) of the instants until arrival."""
+        return np.asarray(self.time <= self.duration)
+
+    @property
+    def after(self) -> np.ndarray:
+        """Mask (K,) of the instants from arrival on; none where only the flight is known."""
+        return np.asarray((self.time >= self.duration) & (self.time[-1] > self.duration))
+
+    def peaks(self, phase: np.ndarray) -> dict[str, np.ndarray]:
+        """Largest magnitudes (..,) over the instants of a mask (K,), by component.
+
+        The keys are "position", "along", "across" [m] and "orientation" [rad].
+        """
+        parts = {
+            "position": self.distance,
+            "along": np.abs(self.along),
+            "across": self.across,
+            "orientation": self.angle,
+        }
+        return {name: part[..., phase].max(axis=-1) for name, part in parts.items()}
+
+
+def path_directions(places: np.ndarray) -> np.ndarray:
+    """Unit vectors (K, 3) along a path of evenly timed places (K, 3) [m].
+
+    Where the path rests it keeps its last direction, before the first movement that one's; zero for
+    a path that does not move.
+    """
+    moved = np.gradient(places, axis=0) if len(places) > 1 else np.zeros_like(places)
+    speed = np.linalg.norm(moved, axis=1)
+    moving = np.flatnonzero(speed > _MIN_DIRECTION_SPEED * speed.max(initial=0.0))
+    if not moving.size:
+        return np.zeros_like(places)
+    last = np.maximum(np.searchsorted(moving, np.arange(len(places)), side="right") - 1, 0)
+    return np.asarray((moved / np.where(speed > 0.0, speed, 1.0)[:, None])[moving[last]])
