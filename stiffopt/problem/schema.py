@@ -31,6 +31,7 @@ from stiffopt.problem.limit import LIMITS, LimitKey
 from stiffopt.problem.objective import OBJECTIVES, Objective
 from stiffopt.problem.trajectory import Method
 from stiffopt.robot.cell import Cell
+from stiffopt.robot.tolerances import Tolerances
 from stiffopt.validation import Section
 
 Vector3 = tuple[Length, Length, Length]
@@ -239,6 +240,7 @@ class ProblemFile(Section):
     cell: Annotated[Cell | None, Doc("Obstacles around the arm.")] = None
     method: Method = Method()
     uncertainty: Uncertainty = AssumedUncertainty()
+    tolerances: Tolerances = Tolerances()
     expected: ExpectedSection | None = None
 
 
