@@ -182,6 +182,11 @@ def _assess_baseline(
     )
 
 
+def quintic_motion(problem: TrajectoryProblem, motion: ResolvedMotion) -> Trajectory:
+    """Return the quintic motion at the least duration that the problem allows, limits aside."""
+    return _baseline_path(problem, motion).follow(quintic_law(problem.duration[0]))
+
+
 def quintic_law(duration: float) -> Trajectory:
     """Return the time law s(t) = 10 x^3 - 15 x^4 + 6 x^5, x = t/duration.
 

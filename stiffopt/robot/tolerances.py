@@ -11,6 +11,7 @@ from stiffopt.errors import ProblemError
 
 # A tolerance is a 95 % bound of a normal distribution.
 TOLERANCE_IN_STANDARD_DEVIATIONS = 2.0
+_FRAME_ORIENTATION, _JOINT_ZERO = radians(0.01), radians(0.005)  # without calibration [rad]
 # Below any growth by temperature; above, a temperature was given.
 _MAX_GROWTH = 0.01
 
@@ -27,18 +28,18 @@ class Tolerances:
     ] = 5e-5
     frame_orientation: Annotated[
         Angle, NOT_NEGATIVE, Doc("Orientation of each joint's frame on the link before, each axis.")
-    ] = radians(0.01)
+    ] = _FRAME_ORIENTATION
     joint_zero: Annotated[
         Angle,
         NOT_NEGATIVE,
         Doc("Zero position of each revolute joint; of a prismatic one it is frame_position."),
-    ] = radians(0.005)
+    ] = _JOINT_ZERO
     tool_position: Annotated[
         Length, NOT_NEGATIVE, Doc("Position of the tool on its link, each axis.")
     ] = 5e-5
     tool_orientation: Annotated[
         Angle, NOT_NEGATIVE, Doc("Orientation of the tool on its link, each axis.")
-    ] = radians(0.01)
+    ] = _FRAME_ORIENTATION
     base_position: Annotated[
         Length, NOT_NEGATIVE, Doc("Position of the base in the cell, each axis.")
     ] = 0.0

@@ -1,14 +1,18 @@
 """The error budget against sampled arms: perturbed models of pinocchio, and exact wind-ups."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
 import pytest
+from small_arms import ROOT
 
 from stiffopt.budget.budget import ORIENTATION, POSITION, ErrorModel, error_budget
 from stiffopt.budget.ellipsoids import magnitude_bound, semi_axes
+from stiffopt.budget.measurements import TRACKER_DEVIATION, rank_measurements
 from stiffopt.budget.sources import States
+from stiffopt.cli import run
 from stiffopt.elastic.uncertainty import Uncertainty
 from stiffopt.exact.chain import exact_windup
 from stiffopt.robot.files import load_robot
@@ -149,3 +153,43 @@ def test_bound_of_a_length_is_its_quantile(offset):
 def test_bound_without_spread_is_the_length_of_the_mean():
     mean = np.array([[3.0, 0.0, 4.0]])
     assert magnitude_bound(mean, np.zeros((1, 3, 3))) == pytest.approx([5.0])
+
+
+def test_calibration_leaves_about_the_error_of_the_tracker():
+    robot = without_hysteresis(arm("er3a_c60", 1.0))
+    model = ErrorModel(
+        robot=robot, tolerances=TOLERANCES, uncertainty=EXACT, process_force=np.zeros(3),
+        compensated=True,
+    )  # fmt: skip
+    found = error_budget(model, States.at_rest(np.full((1, robot.n), 0.3)))
+    ranked = {each.name.split(":")[0]: each for each in rank_measurements(model, found)}
+    calibrated = ranked["calibration"]
+    # 30 poses at 0.02 mm determine the position at another pose to about the tracker's error.
+    assert 2e-6 < calibrated.bound < 2.8 * TRACKER_DEVIATION
+    assert calibrated.gain > 0.8
+    assert "payload" not in "".join(ranked)
+
+
+def test_command_writes_page_and_numbers_and_narrows_with_identified_stiffness(tmp_path, capsys):
+    problem = tmp_path / "move.toml"
+    text = (ROOT / "problems" / "ur10_tool_deviation.toml").read_text(encoding="utf-8")
+    problem.write_text(text + "\n[tolerances]\nframe_position = '0.1 mm'\nreference = 'start'\n")
+    assert run(["budget", str(problem), "-o", str(tmp_path / "wide")]) == 0
+    assert "measurement that narrows the bound most" in capsys.readouterr().out
+    identified = tmp_path / "known"
+    identified.mkdir()
+    joints = [
+        {"name": f"J{j}", "status": "identified", "stiffness": 1e4, "sd": 10.0} for j in range(6)
+    ]
+    (identified / "stiffness.json").write_text(json.dumps({"joints": joints}))
+    narrow = ["budget", str(problem), "-o", str(tmp_path / "narrow"), "--stiffness"]
+    assert run([*narrow, str(identified)]) == 0
+    wide, known = (
+        json.loads((tmp_path / name / "budget.json").read_text()) for name in ("wide", "narrow")
+    )
+    assert max(known["motion"]["position"]["bound"]) < max(wide["motion"]["position"]["bound"])
+    assert wide["motion"]["position"]["bound"][0] == 0.0
+    assert (tmp_path / "wide" / "report.html").is_file()
+    (identified / "stiffness.json").write_text(json.dumps({"joints": joints + joints}))
+    assert run([*narrow, str(identified)]) == 2
+    assert "Give the stiffness of the same arm" in capsys.readouterr().err
