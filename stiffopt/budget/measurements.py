@@ -18,7 +18,7 @@ from stiffopt.budget.sources import States
 # Standard deviation of one component of a laser tracker at a few metres [m].
 TRACKER_DEVIATION = 2e-5
 # Poses of a usual calibration or static set, spread over the joints' ranges.
-_POSES, _SEED = 30, 1
+_POSE_COUNT, _POSE_SEED = 30, 1
 # Half range of a joint without position limits [rad].
 _UNLIMITED_RANGE = np.pi
 # Of the joints' largest torques, that a load for deflections may reach.
@@ -63,14 +63,14 @@ def _informations(model: ErrorModel, budget: ErrorBudget) -> Iterator[tuple[str,
     """Yield names of measurements and their information (s, s) on the sources."""
     robot = model.robot
     groups = np.array([source.group for source in budget.sources])
-    random = np.random.default_rng(_SEED)
+    random = np.random.default_rng(_POSE_SEED)
     lower = np.where(np.isfinite(robot.position_lower), robot.position_lower, -_UNLIMITED_RANGE)
     upper = np.where(np.isfinite(robot.position_upper), robot.position_upper, _UNLIMITED_RANGE)
-    poses = States.at_rest(random.uniform(lower, upper, (_POSES, robot.n)))
+    poses = States.at_rest(random.uniform(lower, upper, (_POSE_COUNT, robot.n)))
     # Another loop state in every pose: hysteresis is noise here, and no measurement narrows it.
     unloaded = _position_effects(replace(model, process_force=np.zeros(3)), poses, budget)
     loop = groups == "hysteresis"
-    accuracy = f"{1e3 * TRACKER_DEVIATION:g} mm in {_POSES} poses"
+    accuracy = f"{1e3 * TRACKER_DEVIATION:g} mm in {_POSE_COUNT} poses"
     yield (
         f"calibration: tool position within {accuracy}",
         _information(np.where(loop[:, None, None], 0.0, unloaded), unloaded[loop]),

@@ -20,7 +20,7 @@ from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.solver.stored_result import StoredResult
 
 # Instants of a budget along a motion.
-_INSTANTS = 121
+_INSTANT_COUNT = 121
 _STIFFNESS_FILE = "stiffness.json"
 
 
@@ -39,7 +39,7 @@ def solved_states(stored: StoredResult) -> States:
 
 
 def _sample_states(motion: MotorMotion, command: MotorMotion, uncertainty: Uncertainty) -> States:
-    time = np.linspace(0.0, motion.duration, _INSTANTS)
+    time = np.linspace(0.0, motion.duration, _INSTANT_COUNT)
     servo = uncertainty.servo
     lag = np.zeros((len(time), motion(time).shape[1]))
     if servo is not None:

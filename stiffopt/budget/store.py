@@ -17,7 +17,7 @@ from stiffopt.budget.volume import VolumeBudget
 from stiffopt.files import atomic_write, write_csv
 
 JSON_FILE, CSV_FILE = "budget.json", "budget.csv"
-_PARTS = (("position", "m", POSITION), ("orientation", "rad", ORIENTATION))
+_BUDGET_PARTS = (("position", "m", POSITION), ("orientation", "rad", ORIENTATION))
 
 
 def write_budget(
@@ -40,7 +40,7 @@ def write_budget(
         "measurements": [asdict(each) for each in measurements],
         "assumptions": list(assumptions),
     }
-    bounds = [budget.bound(rows) for _, _, rows in _PARTS]
+    bounds = [budget.bound(rows) for _, _, rows in _BUDGET_PARTS]
     table = np.column_stack([budget.states.time, budget.place, *bounds, budget.mean])
     write_csv(
         folder / CSV_FILE,
@@ -57,7 +57,7 @@ def budget_entry(budget: ErrorBudget) -> dict[str, Any]:
     """Return bounds, ellipsoids and shares in every state as plain data."""
     covariance = budget.covariance
     entry: dict[str, Any] = {"time": budget.states.time.tolist(), "tool": budget.place.tolist()}
-    for name, unit, rows in _PARTS:
+    for name, unit, rows in _BUDGET_PARTS:
         lengths, directions = semi_axes(covariance[:, rows, rows])
         entry[name] = {
             "unit": unit,

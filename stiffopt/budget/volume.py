@@ -13,7 +13,7 @@ from stiffopt.dynamics.inverse_kinematics import UnreachablePoseError, solve_pos
 # Points of the box along each axis.
 _GRID_POINTS = 5
 # Of the inverse kinematics: from the nearest pose of the motion, few others.
-_RESTARTS = 3
+_MAX_RESTARTS = 3
 # Change of the tool's position that a bound does not notice.
 _POSITION_TOLERANCE = 1e-7
 
@@ -63,7 +63,7 @@ def volume_budget(model: ErrorModel, motion: ErrorBudget, margin: float) -> Volu
                     point,
                     rotation,
                     near,
-                    restarts=_RESTARTS,
+                    restarts=_MAX_RESTARTS,
                     tolerance=_POSITION_TOLERANCE,
                 )
             )
