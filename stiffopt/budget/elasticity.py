@@ -81,8 +81,8 @@ def _half_loops(robot: Robot) -> np.ndarray:
     """Half widths (n,) [rad] of the hysteresis loops of the joints."""
     springs = np.array([spring is not None for spring in joint_springs(robot)])
     if robot.hysteresis is not None and np.any(robot.hysteresis):
-        return springs * np.asarray(robot.hysteresis)
-    return TYPICAL_HALF_LOOP * (springs & ~robot.prismatic)
+        return np.asarray(springs * robot.hysteresis)
+    return np.asarray(TYPICAL_HALF_LOOP * (springs & ~robot.prismatic))
 
 
 def _windups(robot: Robot, tool: ToolJacobians, states: States, force: np.ndarray) -> np.ndarray:

@@ -56,4 +56,5 @@ def magnitude_bound(mean: np.ndarray, covariance: np.ndarray) -> np.ndarray:
     safe_second, safe_third = np.where(spread, second, 1.0), np.where(spread, third, 1.0)
     freedom = 8.0 * safe_second**3 / safe_third**2
     quantile = (chi2.ppf(CONFIDENCE, freedom) - freedom) / np.sqrt(2.0 * freedom)
-    return np.sqrt(np.maximum(first + np.where(spread, np.sqrt(safe_second) * quantile, 0.0), 0.0))
+    square = first + np.where(spread, np.sqrt(safe_second) * quantile, 0.0)
+    return np.asarray(np.sqrt(np.maximum(square, 0.0)))

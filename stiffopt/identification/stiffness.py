@@ -259,8 +259,8 @@ def _largest_correlation(
 
 def _list_assumptions(recorded: StaticSet, rows: StaticRows) -> tuple[str, ...]:
     said = [
-        "Links and base are rigid. Joint stiffness is that about the axes, of rigid bearings; tilt of "
-        "bearings is tested beside it.",
+        "Links and base are rigid. Joint stiffness is that about the axes, of rigid bearings; "
+        "their tilt is tested beside it.",
         "Joint angles and forces are exact; all error is in the displacements.",
         "Deflections are small: the lever arms are those of the undeflected arm.",
     ]

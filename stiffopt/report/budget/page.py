@@ -84,9 +84,11 @@ def advice(measurements: Sequence[Measurement]) -> str:
 
 def share_rows(budget: ErrorBudget) -> list[tuple[str, float, float]]:
     """Return groups with their mean shares along the motion, of position and orientation."""
-    both = [budget.shares(rows) for rows in (POSITION, ORIENTATION)]
-    names = list(dict.fromkeys(name for each in both for name in each))
-    rows = [(name, *(float(np.mean(each.get(name, 0.0))) for each in both)) for name in names]
+    first, second = (budget.shares(rows) for rows in (POSITION, ORIENTATION))
+    rows = [
+        (name, float(np.mean(first.get(name, 0.0))), float(np.mean(second.get(name, 0.0))))
+        for name in dict.fromkeys([*first, *second])
+    ]
     return sorted(rows, key=lambda row: -row[1])
 
 
@@ -144,18 +146,21 @@ def volume_figure(budget: ErrorBudget, volume: VolumeBudget) -> Figure:
     factor, unit = scale(float(bound.max(initial=0.0)), "m")
     with figure_style():
         figure = Figure(figsize=(WIDTH, 3.6))
-        points = None
         axes_pair = figure.subplots(1, 2)
         for axes, (a, b), title in zip(
             axes_pair, ((0, 1), (0, 2)), ("From above", "From the side"), strict=True
         ):
-            points = axes.scatter(place[:, a], place[:, b], c=factor * bound, s=60, cmap="viridis")
+            axes.scatter(place[:, a], place[:, b], c=factor * bound, s=60, cmap="viridis")
             axes.plot(budget.place[:, a], budget.place[:, b], color="#222222", label="motion")
             axes.set_title(title)
             axes.set_xlabel(f"{'xyz'[a]} [m]")
             axes.set_ylabel(f"{'xyz'[b]} [m]")
             axes.set_aspect("equal", adjustable="datalim")
-        figure.colorbar(points, ax=list(axes_pair), label=f"95 % bound of the position [{unit}]")
+        figure.colorbar(
+            axes_pair[0].collections[0],
+            ax=list(axes_pair),
+            label=f"95 % bound of the position [{unit}]",
+        )
         return figure
 
 
