@@ -75,7 +75,7 @@ def _informations(model: ErrorModel, budget: ErrorBudget) -> Iterator[tuple[str,
         f"calibration: tool position within {accuracy}",
         _information(np.where(loop[:, None, None], 0.0, unloaded), unloaded[loop]),
     )
-    if np.any(groups == "torsion") or np.any(groups == "tilt"):
+    if np.any(groups == "torsion"):
         force = _test_force(model, poses)
         loaded = _position_effects(
             replace(model, process_force=np.array([0.0, 0.0, -force])), poses, budget
