@@ -281,10 +281,11 @@ def test_entries_can_be_changed_on_every_command_that_reads_a_file(tmp_path, cap
 
 WRITE = [
     *("solve", "preload", "stiffness", "diagnose", "identify-stiffness", "export", "simulate"),
-    *("modes", "sweep", "init robot", "init problem", "init recording", "init flange"),
+    *("budget", "modes", "sweep", "init robot", "init problem", "init recording", "init flange"),
 ]
 HAVE_A_PAGE = [
     *("solve", "preload", "stiffness", "diagnose", "identify-stiffness", "simulate", "sweep"),
+    "budget",
 ]
 
 

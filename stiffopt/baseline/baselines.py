@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from stiffopt.baseline.rivals import FairRival, baseline_path, fair_rivals, quintic_law
+    from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.baseline.toppra_motion import BaselineMotion, toppra_baseline
 from stiffopt.certificate.assess import assess
 from stiffopt.certificate.collisions import with_collisions
@@ -141,3 +142,8 @@ def _assess_baseline(problem: TrajectoryProblem, baseline: BaselineMotion) -> Ba
         reason=reason,
         trajectory=baseline.motion,
     )
+
+
+def quintic_motion(problem: TrajectoryProblem, motion: ResolvedMotion) -> Trajectory:
+    """Return the quintic motion at the least duration that the problem allows, limits aside."""
+    return baseline_path(problem, motion).follow(quintic_law(problem.duration[0]))

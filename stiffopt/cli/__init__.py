@@ -13,12 +13,13 @@ from collections.abc import Sequence
 from cyclopts import CycloptsError, UnusedCliTokensError
 
 from stiffopt import folders
-from stiffopt.cli import elastic, exports, motions, recordings, schemas, starters, sweeps
+from stiffopt.cli import budgets, elastic, exports, motions, recordings, schemas, starters, sweeps
 from stiffopt.cli.base import app
 from stiffopt.errors import InputError, NoSolutionFound, shortened
 
 __all__ = [
     "app",
+    "budgets",
     "elastic",
     "exports",
     "motions",

@@ -30,7 +30,7 @@ _SAMPLE_INTERVAL = 5e-4  # of the result [s]
 # Between two samples.
 _MAX_INTEGRATOR_STEPS = 10000
 # Half width of a reducer's hysteresis where none is stated [rad]: 45 to 56 urad were measured.
-_TYPICAL_HALF_LOOP = 50e-6
+TYPICAL_HALF_LOOP = 50e-6
 # Faster modes [Hz] would take the integrator minutes.
 _MAX_MODE_FREQUENCY = 5e3
 
@@ -320,7 +320,7 @@ def typical_hysteresis(arm: ElasticArm, q: np.ndarray) -> float | None:
     turning = arm.elastic & ~arm.robot.prismatic
     if arm.hysteresis.any() or not turning.any():
         return None
-    return _tool_offset_of_loops(arm, q, _TYPICAL_HALF_LOOP * turning)
+    return _tool_offset_of_loops(arm, q, TYPICAL_HALF_LOOP * turning)
 
 
 def _tool_offset_of_loops(arm: ElasticArm, q: np.ndarray, half: np.ndarray) -> float:

@@ -11,6 +11,7 @@ from typing import Any, Literal
 import numpy as np
 
 from stiffopt.files import atomic_write, write_csv
+from stiffopt.identification.bearing_tilt import BearingTilt
 from stiffopt.identification.static_rows import StaticRows
 from stiffopt.identification.torque_dependence import TorqueDependence
 from stiffopt.recording.static_set import StaticSet
@@ -123,6 +124,8 @@ class StaticStiffness:
     correlation : array (n, n)
         Of the compliances; nan for joints that are not identifiable.
     torque_dependence : TorqueDependence
+    tilt : tuple of BearingTilt
+        Bearings whose tilt the poses support.
     assumptions : tuple of str
     """
 
@@ -137,6 +140,7 @@ class StaticStiffness:
     outliers: tuple[int, ...]
     correlation: np.ndarray
     torque_dependence: TorqueDependence
+    tilt: tuple[BearingTilt, ...]
     assumptions: tuple[str, ...]
 
 
@@ -202,6 +206,7 @@ def stiffness_document(result: StaticStiffness) -> dict[str, Any]:
             [None if np.isnan(each) else float(each) for each in row] for row in result.correlation
         ],
         "torque_dependence": _torque_dependence_entry(result.torque_dependence),
+        "bearing_tilt": [dataclasses.asdict(each) for each in result.tilt],
         "assumptions": list(result.assumptions),
     }
 

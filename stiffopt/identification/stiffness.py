@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from stiffopt.errors import InputFileError
+from stiffopt.identification.bearing_tilt import identify_tilt
 from stiffopt.identification.result import Errors, JointStiffness, StaticStiffness, Status
 from stiffopt.identification.robust_compliance import (
     RobustFit,
@@ -93,6 +94,7 @@ def identify_stiffness(
         outliers=tuple(int(k) + 1 for k in np.flatnonzero(norm > outlying)),
         correlation=_largest_correlation(used, fitted, can, recorded.n),
         torque_dependence=dependence,
+        tilt=identify_tilt(recorded, used, folds),
         assumptions=_list_assumptions(recorded, rows),
     )
 
@@ -257,7 +259,8 @@ def _largest_correlation(
 
 def _list_assumptions(recorded: StaticSet, rows: StaticRows) -> tuple[str, ...]:
     said = [
-        "Links, base and bearings are rigid: all compliance is about the joint axes.",
+        "Links and base are rigid. Joint stiffness is that about the axes, of rigid bearings; "
+        "their tilt is tested beside it.",
         "Joint angles and forces are exact; all error is in the displacements.",
         "Deflections are small: the lever arms are those of the undeflected arm.",
     ]

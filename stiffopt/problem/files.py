@@ -35,6 +35,7 @@ from stiffopt.robot.elements import locate_errors
 from stiffopt.robot.files import load_robot, shipped_robots
 from stiffopt.robot.frames import rotation_from_rpy
 from stiffopt.robot.robot import Robot
+from stiffopt.robot.tolerances import Tolerances
 from stiffopt.units import convert
 
 
@@ -47,11 +48,14 @@ class LoadedProblem:
     problem : TrajectoryProblem
     expected : ExpectedSection or None
     path : Path
+    tolerances : Tolerances
+        For the error budget; no motion depends on them.
     """
 
     problem: TrajectoryProblem
     expected: ExpectedSection | None
     path: Path
+    tolerances: Tolerances
 
 
 def load_problem(
@@ -77,7 +81,7 @@ def load_problem(
     if document.expected is not None and len(problem.objectives) == 1:
         with locate_errors(path, "expected.unit"):
             convert(1.0, problem.objectives[0].unit, document.expected.unit)
-    return LoadedProblem(problem, document.expected, path)
+    return LoadedProblem(problem, document.expected, path, document.tolerances)
 
 
 def _build_problem(

@@ -32,6 +32,7 @@ from stiffopt.problem.limit import LIMITS, LimitKey
 from stiffopt.problem.objective import OBJECTIVES, Objective
 from stiffopt.problem.trajectory import Method
 from stiffopt.robot.cell import Cell
+from stiffopt.robot.tolerances import Tolerances
 from stiffopt.validation import Section
 
 Vector3 = tuple[Length, Length, Length]
@@ -241,6 +242,7 @@ class ProblemFile(Section):
     method: Method = Method()
     uncertainty: Uncertainty = AssumedUncertainty()
     servo: Servo = Servo(kind="industrial")
+    tolerances: Tolerances = Tolerances()
     expected: ExpectedSection | None = None
 
 

@@ -25,6 +25,7 @@ from stiffopt.result.provenance import inputs_hash
 from stiffopt.result.simulation import PeakRms
 from stiffopt.result.store import RESULT_FILE, TRAJECTORY_FILE, read_document
 from stiffopt.result.trajectory import JointMotion
+from stiffopt.robot.tolerances import Tolerances
 from stiffopt.solver.command_search import ExistingCommand
 from stiffopt.solver.simulation import PlannedMotion, rival_motions
 
@@ -39,6 +40,8 @@ class StoredResult:
         As it was solved.
     uncertainty : Uncertainty
         With changes; the problem's where there are none.
+    tolerances : Tolerances
+        Likewise.
     motion : ResolvedMotion
     optimised : PlannedMotion
     windup : array (K, n)
@@ -49,6 +52,7 @@ class StoredResult:
 
     problem: TrajectoryProblem
     uncertainty: Uncertainty
+    tolerances: Tolerances
     motion: ResolvedMotion
     optimised: PlannedMotion
     windup: np.ndarray
@@ -71,8 +75,8 @@ def read_result(
     problem : Path, optional
         Problem file, replaces the one that the result names.
     changes : sequence of str
-        Of entries of its [uncertainty], such as "uncertainty.stiffness=0.3"; the motion does not
-        depend on them.
+        Of entries of its [uncertainty] and [tolerances], such as "uncertainty.stiffness=0.3"; the
+        motion does not depend on them.
 
     Raises
     ------
@@ -83,11 +87,10 @@ def read_result(
     document = read_document(path)
     problem = problem_file(path, document, problem)
     solved = read_changes(path, document)
-    stated = load_problem(problem, solved).problem
+    loaded = load_problem(problem, solved)
+    stated = loaded.problem
     check_inputs(path, document, problem, stated)
-    unsure = stated.uncertainty
-    if changes:
-        unsure = load_problem(problem, (*solved, *changes)).problem.uncertainty
+    judged = load_problem(problem, (*solved, *changes)) if changes else loaded
     certificate = document.get("certificate")
     if not isinstance(certificate, dict):
         raise InputFileError(path, "certificate", "this solve found no motion to simulate.")
@@ -114,7 +117,8 @@ def read_result(
     )
     return StoredResult(
         problem=stated,
-        uncertainty=unsure,
+        uncertainty=judged.problem.uncertainty,
+        tolerances=judged.tolerances,
         motion=resolve(stated),
         optimised=own,
         windup=windup,

@@ -55,6 +55,7 @@ def write_static_report(result: StaticStiffness, folder: Path) -> Path:
         "title": f"{result.source.title}: joint stiffness from static deflections",
         "headline": headline(result),
         "subline": error_sentence(result),
+        "tilt": tilt_sentence(result),
         "outliers": _outlying_poses(result),
     }
     filters: Filters = {"status_words": status_words, "interval": interval}
@@ -78,6 +79,21 @@ def error_sentence(result: StaticStiffness) -> str:
     if errors.nominal is not None:
         text += f"; error of the nominal stiffness {si(errors.nominal, 'm', 3)}"
     return f"{text}."
+
+
+def tilt_sentence(result: StaticStiffness) -> str:
+    """Return the identified tilt of bearings in words."""
+    if not result.tilt:
+        return "not supported by these poses."
+    named = ", ".join(
+        f"J{each.joint} {decades(1.0 / each.compliance)} N m/rad "
+        f"({100.0 * each.sd / each.compliance:.0f} %)"
+        for each in result.tilt
+    )
+    return (
+        f"supported, moment stiffness {named}; leave-one-out error with it "
+        f"{si(result.tilt[-1].left_out, 'm', 3)} in place of {si(result.errors.left_out, 'm', 3)}."
+    )
 
 
 def status_words(joint: JointStiffness) -> str:
@@ -131,6 +147,7 @@ def print_static(result: StaticStiffness, folder: Path) -> None:
         (
             *(f"J{joint.joint}: {joint.reason}" for joint in result.joints if joint.reason),
             f"Outliers: poses {outliers}" if outliers else None,
+            f"Tilt of bearings: {tilt_sentence(result)}",
             f"Torque-dependent stiffness: {result.torque_dependence.sentence}",
             f"Report: {folder / 'report.html'}",
         )

@@ -1,0 +1,1 @@
+"""Error budget of the tool: geometry, elasticity, servo and temperature by linear propagation."""

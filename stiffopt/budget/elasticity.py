@@ -1,0 +1,96 @@
+"""Errors of the tool by the joints: wind-up, payload, hysteresis and servo.
+
+Quasi-static: every spring carries the torque of the motion, without vibration.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from stiffopt.budget.sources import KnownError, Source, States, ToolJacobians
+from stiffopt.elastic.simulate import TYPICAL_HALF_LOOP
+from stiffopt.elastic.springs import joint_springs
+from stiffopt.elastic.uncertainty import Uncertainty
+from stiffopt.robot.robot import Robot
+
+# Bounds of an uncertainty are 95 % bounds of a normal distribution.
+BOUND_IN_STANDARD_DEVIATIONS = 2.0
+# Standard deviation of a uniform distribution over its width.
+_UNIFORM_DEVIATION = 1.0 / np.sqrt(12.0)
+
+
+def elastic_errors(
+    tool: ToolJacobians,
+    states: States,
+    uncertainty: Uncertainty,
+    force: np.ndarray,
+    *,
+    compensated: bool,
+) -> Iterator[Source | KnownError]:
+    """Yield errors by wind-up: its mean, by uncertain stiffness, and by uncertain payload.
+
+    Parameters
+    ----------
+    tool : ToolJacobians
+    states : States
+    uncertainty : Uncertainty
+    force : array (3,)
+        On the tool, base axes [N].
+    compensated : bool
+        The motors lead by the wind-up, which is then no error.
+    """
+    robot = tool.robot
+    windup = _windups(robot, tool, states, force)
+    if not compensated:
+        yield KnownError(group="torsion", effect=-tool.moved(windup))
+    shares = uncertainty.shares(robot.n) / BOUND_IN_STANDARD_DEVIATIONS
+    for j in np.flatnonzero(np.any(windup != 0.0, axis=0) & (shares > 0.0)):
+        yield Source(
+            name=f"stiffness of {robot.joint_names[j]}",
+            group="torsion",
+            effect=shares[j] * windup[:, j, None] * tool.jacobian[:, :, j],
+        )
+    if robot.payload is not None and uncertainty.payload > 0.0:
+        heavier = robot.with_payload_times(1.0 + uncertainty.payload / BOUND_IN_STANDARD_DEVIATIONS)
+        added = _windups(heavier, tool, states, force) - windup
+        yield Source(name="payload", group="payload", effect=-tool.moved(added))
+
+
+def hysteresis_sources(tool: ToolJacobians) -> Iterator[Source]:
+    """Yield one source a joint: anywhere in its loop, of the typical width where none is stated."""
+    half = _half_loops(tool.robot)
+    for j in np.flatnonzero(half):
+        yield Source(
+            name=f"hysteresis of {tool.robot.joint_names[j]}",
+            group="hysteresis",
+            effect=2.0 * half[j] * _UNIFORM_DEVIATION * tool.jacobian[:, :, j],
+        )
+
+
+def servo_errors(tool: ToolJacobians, states: States) -> Iterator[Source | KnownError]:
+    """Yield the mean lag of the servos and its spread, between none and that of the worst."""
+    if np.any(states.lag):
+        lag = tool.moved(states.lag)
+        yield KnownError(group="servo", effect=0.5 * lag)
+        yield Source(name="servo", group="servo", effect=_UNIFORM_DEVIATION * lag)
+
+
+def _half_loops(robot: Robot) -> np.ndarray:
+    """Half widths (n,) [rad] of the hysteresis loops of the joints."""
+    springs = np.array([spring is not None for spring in joint_springs(robot)])
+    if robot.hysteresis is not None and np.any(robot.hysteresis):
+        return np.asarray(springs * robot.hysteresis)
+    return np.asarray(TYPICAL_HALF_LOOP * (springs & ~robot.prismatic))
+
+
+def _windups(robot: Robot, tool: ToolJacobians, states: States, force: np.ndarray) -> np.ndarray:
+    """Wind-ups (K, n) [rad] under the torques of the motion."""
+    torque = robot.bodies_in_motion().torque(states.position, states.velocity, states.acceleration)
+    torque = torque - np.einsum("kij,i->kj", tool.jacobian[:, :3], force)
+    columns = [
+        np.zeros(len(torque)) if spring is None else spring.windup(torque[:, j])
+        for j, spring in enumerate(joint_springs(robot))
+    ]
+    return np.stack(columns, axis=1)

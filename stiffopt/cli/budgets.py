@@ -1,0 +1,101 @@
+"""`stiffopt budget`: error budget of the tool."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+from stiffopt.cli.base import (
+    Changes,
+    Open,
+    Out,
+    app,
+    default_folder,
+    number_or_text,
+    show_report,
+)
+from stiffopt.errors import InputError
+from stiffopt.folders import output_folder
+
+
+@app.command
+def budget(
+    source: Path,
+    *,
+    out: Out | None = None,
+    model: Path | None = None,
+    stiffness: Path | None = None,
+    margin: str = "0.1 m",
+    changes: Changes = (),
+    open_report: Open = False,
+) -> int:
+    """Compute the error budget of the tool: bounds, shares of their sources, best measurement.
+
+    Writes budget.json, budget.csv and report.html: along the motion of a solve, or the quintic
+    motion of a problem, and at rest over the box around it. [tolerances] and [uncertainty] of the
+    problem file say what is not exactly known.
+
+    Parameters
+    ----------
+    source
+        Problem file, or folder of a solve.
+    out
+        Folder for the results; default: out/NAME-budget.
+    model
+        extended.toml of a diagnosis of this arm, whose findings replace the nominal robot.
+    stiffness
+        Folder of identify-stiffness of this arm, whose confidence replaces that of [uncertainty].
+    margin
+        Of the box around the motion.
+    """
+    from stiffopt.budget.assumptions import list_assumptions
+    from stiffopt.budget.budget import ErrorModel, error_budget
+    from stiffopt.budget.measurements import rank_measurements
+    from stiffopt.budget.motion import narrow_stiffness, problem_states, solved_states
+    from stiffopt.budget.store import write_budget
+    from stiffopt.budget.volume import volume_budget
+    from stiffopt.problem.files import load_problem
+    from stiffopt.report.budget.page import print_budget, write_budget_report
+    from stiffopt.solver.stored_result import read_result
+    from stiffopt.units import to_si
+
+    around = to_si(number_or_text(margin), "length", "--margin")
+    if around < 0.0:
+        raise InputError(f"--margin {margin}: must be 0 or above.")
+    if source.is_dir():
+        stored = read_result(source, changes=changes)
+        problem, tolerances = stored.problem, stored.tolerances
+        problem = replace(problem, uncertainty=stored.uncertainty)
+        states, compensated = solved_states(stored), stored.command is not None
+    else:
+        loaded = load_problem(source, changes)
+        problem, tolerances = loaded.problem, loaded.tolerances
+        states, compensated = problem_states(problem), False
+    if model is not None:
+        from stiffopt.discovery.extended.planning import (
+            extended_problem,
+            planner_model,
+            read_model,
+        )
+
+        problem = extended_problem(problem, planner_model(problem.robot, read_model(model)))
+    unsure = ErrorModel(
+        robot=problem.robot,
+        tolerances=tolerances,
+        uncertainty=problem.uncertainty,
+        process_force=problem.process_force,
+        compensated=compensated,
+    )
+    if stiffness is not None:
+        unsure = replace(unsure, uncertainty=narrow_stiffness(unsure, stiffness))
+    folder = out or default_folder(f"{source.resolve().stem}-budget", changes)
+    with output_folder(folder, "budget") as stage:
+        found = error_budget(unsure, states)
+        volume = volume_budget(unsure, found, around)
+        measurements = rank_measurements(unsure, found)
+        assumptions = list_assumptions(unsure, solved=source.is_dir())
+        write_budget_report(problem.title, found, volume, measurements, assumptions, stage)
+        write_budget(found, volume, measurements, assumptions, stage)
+    print_budget(found, volume, measurements, folder)
+    show_report(folder, open_report)
+    return 0

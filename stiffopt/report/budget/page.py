@@ -1,0 +1,185 @@
+"""report.html and terminal output of an error budget."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from stiffopt.budget.budget import ORIENTATION, POSITION, ErrorBudget
+from stiffopt.budget.measurements import Measurement
+from stiffopt.budget.volume import VolumeBudget
+from stiffopt.report.common.page import PageFigures, write_page
+from stiffopt.report.common.svg import PALETTE, WIDTH, figure_style
+from stiffopt.report.common.terminal import print_lines, print_table
+from stiffopt.report.common.text import scale, si
+
+# Causes that are named in the table.
+_MAX_SOURCES = 12
+# Gain below which a measurement is not recommended.
+_MIN_GAIN = 0.01
+
+
+@dataclass(frozen=True)
+class CauseRow:
+    """A cause of error at the instant of the largest bound: standard deviation and share."""
+
+    name: str
+    deviation: float
+    share: float
+
+
+def write_budget_report(
+    title: str,
+    budget: ErrorBudget,
+    volume: VolumeBudget,
+    measurements: Sequence[Measurement],
+    assumptions: Sequence[str],
+    folder: Path,
+) -> Path:
+    """Write report.html and its figures as SVG and PNG into `folder`; return the page."""
+    figures = PageFigures("budget")
+    figures.draw("time", bounds_figure(budget), "Error bounds over time")
+    figures.draw("volume", volume_figure(budget, volume), "Error bound over the work volume")
+    context = {
+        "title": f"{title}: error budget of the tool",
+        "headline": headline(budget, volume),
+        "advice": advice(measurements),
+        "shares": share_rows(budget),
+        "causes": largest_causes(budget),
+        "measurements": measurements,
+        "volume": volume,
+        "assumptions": assumptions,
+    }
+    return write_page("budget/page.html.j2", folder / "report.html", context, figures)
+
+
+def headline(budget: ErrorBudget, volume: VolumeBudget) -> str:
+    """Return the largest bounds in words."""
+    position, orientation = (budget.bound(rows) for rows in (POSITION, ORIENTATION))
+    at = float(budget.states.time[int(np.argmax(position))])
+    text = (
+        f"With 95 % confidence the tool is within {si(position.max(), 'm', 3)} (largest at "
+        f"{at:.3f} s) and {si(orientation.max(), 'rad', 3)} of its path"
+    )
+    if len(volume.budget.place):
+        largest = si(volume.budget.bound(POSITION).max(), "m", 3)
+        text += f"; over the work volume at rest within {largest}"
+    return f"{text}."
+
+
+def advice(measurements: Sequence[Measurement]) -> str:
+    """Return the measurement that narrows the bound most, in words."""
+    if not measurements or measurements[0].gain < _MIN_GAIN:
+        return "No measurement narrows the bound by 1 % or more: it is a mean error, or hysteresis."
+    best = measurements[0]
+    return (
+        f"The measurement that narrows the bound most is {best.name}: to {si(best.bound, 'm', 3)}, "
+        f"{100.0 * best.gain:.0f} % less."
+    )
+
+
+def share_rows(budget: ErrorBudget) -> list[tuple[str, float, float]]:
+    """Return groups with their mean shares along the motion, of position and orientation."""
+    first, second = (budget.shares(rows) for rows in (POSITION, ORIENTATION))
+    rows = [
+        (name, float(np.mean(first.get(name, 0.0))), float(np.mean(second.get(name, 0.0))))
+        for name in dict.fromkeys([*first, *second])
+    ]
+    return sorted(rows, key=lambda row: -row[1])
+
+
+def largest_causes(budget: ErrorBudget) -> list[CauseRow]:
+    """Return the causes of the largest variance where the bound is largest."""
+    k = int(np.argmax(budget.bound(POSITION)))
+    squares: dict[str, float] = {}
+    for source in budget.sources:
+        size = float(np.sum(source.effect[k, POSITION] ** 2))
+        squares[source.name] = squares.get(source.name, 0.0) + size
+    whole = sum(squares.values()) or 1.0
+    ordered = sorted(squares.items(), key=lambda item: -item[1])[:_MAX_SOURCES]
+    return [CauseRow(name, float(np.sqrt(size)), size / whole) for name, size in ordered if size]
+
+
+def bounds_figure(budget: ErrorBudget) -> Figure:
+    """Plot the bounds of position and orientation over time, and the shares of the position."""
+    time = budget.states.time
+    with figure_style():
+        figure = Figure(figsize=(WIDTH, 5.4))
+        upper, middle, lower = figure.subplots(3, 1, sharex=True)
+        for axes, rows, unit, colour in (
+            (upper, POSITION, "m", PALETTE[0]),
+            (middle, ORIENTATION, "rad", PALETTE[1]),
+        ):
+            bound = budget.bound(rows)
+            factor, name = scale(float(bound.max()), unit)
+            mean = np.linalg.norm(budget.mean[:, rows], axis=1)
+            axes.plot(time, factor * bound, color=colour, label="95 % bound")
+            axes.plot(time, factor * mean, color=colour, linestyle="--", label="mean error")
+            axes.set_ylabel(f"[{name}]")
+            axes.set_ylim(bottom=0.0)
+            axes.legend(loc="upper right", ncols=2)
+        upper.set_title("Error of position and orientation")
+        shares = budget.shares(POSITION)
+        lower.stackplot(
+            time,
+            [100.0 * np.maximum(part, 0.0) for part in shares.values()],
+            labels=list(shares),
+            colors=PALETTE,
+            alpha=0.8,
+        )
+        lower.set_ylabel("share of the mean square [%]")
+        lower.set_xlabel("time [s]")
+        lower.set_ylim(0.0, 100.0)
+        lower.legend(loc="upper left", bbox_to_anchor=(0.0, -0.28), ncols=len(shares))
+        figure.subplots_adjust(left=0.07, right=0.98, hspace=0.25)
+        return figure
+
+
+def volume_figure(budget: ErrorBudget, volume: VolumeBudget) -> Figure:
+    """Plot the bound over the work volume, seen from above and from the side."""
+    place = volume.budget.place
+    bound = volume.budget.bound(POSITION) if len(place) else np.zeros(0)
+    factor, unit = scale(float(bound.max(initial=0.0)), "m")
+    with figure_style():
+        figure = Figure(figsize=(WIDTH, 3.6))
+        axes_pair = figure.subplots(1, 2)
+        for axes, (a, b), title in zip(
+            axes_pair, ((0, 1), (0, 2)), ("From above", "From the side"), strict=True
+        ):
+            axes.scatter(place[:, a], place[:, b], c=factor * bound, s=60, cmap="viridis")
+            axes.plot(budget.place[:, a], budget.place[:, b], color="#222222", label="motion")
+            axes.set_title(title)
+            axes.set_xlabel(f"{'xyz'[a]} [m]")
+            axes.set_ylabel(f"{'xyz'[b]} [m]")
+            axes.set_aspect("equal", adjustable="datalim")
+        figure.colorbar(
+            axes_pair[0].collections[0],
+            ax=list(axes_pair),
+            label=f"95 % bound of the position [{unit}]",
+        )
+        return figure
+
+
+def print_budget(
+    budget: ErrorBudget, volume: VolumeBudget, measurements: Sequence[Measurement], folder: Path
+) -> None:
+    """Print bounds, shares, the best measurements and the path of the report."""
+    print_lines([headline(budget, volume)])
+    print_table(
+        ("source", "share of position", "share of orientation"),
+        [
+            (name, f"{100 * first:.1f} %", f"{100 * second:.1f} %")
+            for name, first, second in share_rows(budget)
+        ],
+        numbers=("share of position", "share of orientation"),
+    )
+    print_table(
+        ("measurement", "bound after it", "less by"),
+        [(each.name, si(each.bound, "m", 3), f"{100 * each.gain:.1f} %") for each in measurements],
+        numbers=("bound after it", "less by"),
+    )
+    print_lines([advice(measurements), f"Report: {folder / 'report.html'}"])
