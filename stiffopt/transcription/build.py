@@ -133,7 +133,10 @@ class _NlpBuilder:
         self.nodes = self.variables if self.splines is None else Blocks()
         self.coefficients: Block | None = None
         self._declare_variables()
-        self.x = ca.MX.sym("x", self.variables.size)
+        self.lift = self._lift_durations()
+        # Variables, then the copies of durations.
+        self.z = ca.MX.sym("z", self.variables.size if self.lift is None else self.lift.size1())
+        self.x = self.z[: self.variables.size]
         fixed = [ocp.duration[0]] if self.durations is None else []
         self.numbers = np.append(fixed, self.own_stage.numbers)
         count = len(ocp.parameters)
@@ -142,11 +145,12 @@ class _NlpBuilder:
 
     def build(self) -> Transcription:
         ocp = self.ocp
-        durations = (
-            self.p[len(ocp.parameters)]
-            if self.durations is None
-            else self._block_symbol(self.durations)
-        )
+        count = len(self.intervals)
+        copies = self.z[self.variables.size :]
+        if self.durations is None:
+            durations = ca.repmat(self.p[len(ocp.parameters)], count, 1)
+        else:
+            durations = copies[:count]
         symbols = self._make_symbols(durations)
         statics = self._block_symbol(self.statics)
         for name, index, expression, places in self.scheme.defects(symbols):
@@ -161,9 +165,14 @@ class _NlpBuilder:
             self._add_spline_rows(symbols, durations)
         self._add_control_rate_rows(symbols)
         self._add_waypoint_rows(symbols)
-        total = ca.sum1(durations)
         if ocp.phases > 1:
-            self._add_rows(Rows.make("duration", [""], *ocp.duration, unit="s"), total, None)
+            rows = Rows.make("duration", [""], *ocp.duration, unit="s")
+            self._add_rows(rows, copies[count], None)
+        # A fixed total is a number: as a variable it would couple each phase with all others.
+        fixed = self.durations is None or ocp.fixed_duration
+        total = ca.MX(ocp.duration[0]) if ocp.phases > 1 and fixed else durations[0]
+        if not fixed:
+            total = copies[count]
         if ocp.integral_function is not None:
             values = ocp.integral_function(integrals, total, statics, self.parameters)
             self._add_bounded_rows(ocp.integral_rows, values)
@@ -231,16 +240,18 @@ class _NlpBuilder:
         }
         if self.like is not None:
             return replace(self.like, nlp=replace(self.like.nlp, **own), **blocks)
+        x = self.z if self.lift is None else ca.MX.sym("x", self.variables.size)
         f, g, derivatives = compose_derivatives(
             self.stage,
-            (self.x, self.p, self.values),
+            (self.z, self.p, self.values),
             self.variables_of_stage,
             ca.densify(objective) / self.ocp.objective_scale,
             ca.vertcat(ca.MX(0, 1), *self.expressions),
+            (x, self.lift),
             self.slope_of_variables,
         )
         nlp = Nlp(
-            x=self.x,
+            x=x,
             p=self.p,
             f=f,
             g=g,
@@ -254,15 +265,32 @@ class _NlpBuilder:
             nlp=nlp,
             splines=self.splines,
             coefficients=self.coefficients,
-            outputs=self._output_function(integrals, objective),
+            outputs=self._output_function(x, integrals, objective),
             structure=structure_of(self.ocp, self.own_stage, self.scheme, self.mesh),
             **blocks,
         )
 
-    def _output_function(self, integrals: ca.MX, objective: ca.MX) -> ca.Function:
-        outer = ca.Function("outer", [self.x, self.p, self.values], [integrals, objective])
+    def _output_function(self, x: ca.MX, integrals: ca.MX, objective: ca.MX) -> ca.Function:
         values = self.stage.values(self.variables_of_stage, self.p)
-        return ca.Function("outputs", [self.x, self.p], outer.call([self.x, self.p, values]))
+        outer = ca.Function("outer", [self.z, self.p, self.values], [integrals, objective])
+        inner = ca.Function("inner", [self.z, self.p], outer.call([self.z, self.p, values]))
+        at_x = x if self.lift is None else ca.mtimes(self.lift, x)
+        return ca.Function("outputs", [x, self.p], inner.call([at_x, self.p], True, False))
+
+    def _lift_durations(self) -> ca.DM | None:
+        """Matrix (n + K + 1, n) from the variables to these and copies of durations.
+
+        Each interval has its own copy of its phase's duration, and the last is their total: second
+        derivatives by copies are as sparse as those of one interval, however many phases there are.
+        """
+        if self.durations is None:
+            return None
+        same = ca.DM.eye(self.variables.size)
+        phases, count = self.ocp.phases, len(self.intervals)
+        columns = [self.durations.offset + i for i in (*self.intervals.phase, *range(phases))]
+        rows = [*range(count), *[count] * phases]
+        copies = ca.DM.triplet(rows, columns, ca.DM.ones(len(rows)), count + 1, same.size2())
+        return ca.vertcat(same, copies)
 
     def _declare_variables(self) -> None:
         ocp = self.ocp
@@ -381,7 +409,7 @@ class _NlpBuilder:
         values: ca.MX = ca.MX(ca.DM(basis.reshape(count, -1).T))
         if self.durations is None:
             powers = np.repeat(np.arange(along.orders), along.degree + 1)
-            values = values * ca.repmat(durations ** ca.DM(-powers), 1, count)
+            values = values * ca.repmat(durations[0] ** ca.DM(-powers), 1, count)
         else:
             own.append(self.durations.offset + points.places.phase[:, None])
         columns = np.hstack(own).ravel()

@@ -86,8 +86,8 @@ class Symbols:
     Attributes
     ----------
     states, controls : MX (nx, NX), (nu, NU)
-    durations : MX (phases,)
-        [s]
+    durations : MX (K,)
+        Of each interval's phase [s].
     parameters : MX (np, 1)
     spline_values : callable, optional
         Places -> states and controls (nx + nu, P), where spline coefficients are variables.
@@ -128,7 +128,7 @@ class Symbols:
     @cached_property
     def steps(self) -> ca.MX:
         """Interval durations (1, K) [s]."""
-        return (ca.DM(self.intervals.shares) @ self.durations).T
+        return (ca.DM(self.intervals.width) * self.durations).T
 
     def step(self, rows: int) -> ca.MX:
         """Interval durations repeated over rows (rows, K)."""
