@@ -10,39 +10,16 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from stiffopt.errors import ProblemError, nearest
-from stiffopt.transcription.hermite_simpson import HermiteSimpson
+from stiffopt.errors import ProblemError
 from stiffopt.transcription.mesh import Mesh, checked_mesh
 from stiffopt.transcription.nlp import Block, Blocks, BlockScales, Nlp, Places
 from stiffopt.transcription.node_derivatives import NumberedStage, SplineCoordinates
 from stiffopt.transcription.ocp import OptimalControlProblem, Rows, Waypoint
-from stiffopt.transcription.piecewise_linear import IntegratorChain, PiecewiseLinear
 from stiffopt.transcription.point_function import StageFunction, compose_derivatives
-from stiffopt.transcription.radau import Radau
 from stiffopt.transcription.scheme import Intervals, Scheme, StagePoints, Symbols
+from stiffopt.transcription.schemes import scheme_of
 from stiffopt.transcription.structure import same_bounds, scaled_like, structure_of
 from stiffopt.transcription.transcription import Transcription
-
-METHODS = ("piecewise_linear", "hermite_simpson", "radau")
-_METHOD_ALIASES = {"piecewise_linear_acceleration": "piecewise_linear"}
-
-
-def scheme_of(method: str, degree: int = 3, integrators: int = 2) -> Scheme:
-    """Return the scheme of a name.
-
-    `degree` is the number of Radau points in an interval, `integrators` that of integrators between
-    a control and its position.
-    """
-    name = _METHOD_ALIASES.get(method, method)
-    if name == "piecewise_linear":
-        return PiecewiseLinear() if integrators == 2 else IntegratorChain()
-    if name == "hermite_simpson":
-        return HermiteSimpson()
-    if name == "radau":
-        return Radau(degree)
-    raise ProblemError(
-        f"transcription {method!r} is not known. {nearest(method, [*METHODS, *_METHOD_ALIASES])}"
-    )
 
 
 def transcribe(
@@ -133,7 +110,12 @@ class _NlpBuilder:
         self.nodes = self.variables if self.splines is None else Blocks()
         self.coefficients: Block | None = None
         self._declare_variables()
-        self.lift = self._lift_durations()
+        free = self.durations
+        self.lift = (
+            None
+            if free is None
+            else self.intervals.copy_durations(free.offset, self.variables.size)
+        )
         # Variables, then the copies of durations.
         self.z = ca.MX.sym("z", self.variables.size if self.lift is None else self.lift.size1())
         self.x = self.z[: self.variables.size]
@@ -276,21 +258,6 @@ class _NlpBuilder:
         inner = ca.Function("inner", [self.z, self.p], outer.call([self.z, self.p, values]))
         at_x = x if self.lift is None else ca.mtimes(self.lift, x)
         return ca.Function("outputs", [x, self.p], inner.call([at_x, self.p], True, False))
-
-    def _lift_durations(self) -> ca.DM | None:
-        """Matrix (n + K + 1, n) from the variables to these and copies of durations.
-
-        Each interval has its own copy of its phase's duration, and the last is their total: second
-        derivatives by copies are as sparse as those of one interval, however many phases there are.
-        """
-        if self.durations is None:
-            return None
-        same = ca.DM.eye(self.variables.size)
-        phases, count = self.ocp.phases, len(self.intervals)
-        columns = [self.durations.offset + i for i in (*self.intervals.phase, *range(phases))]
-        rows = [*range(count), *[count] * phases]
-        copies = ca.DM.triplet(rows, columns, ca.DM.ones(len(rows)), count + 1, same.size2())
-        return ca.vertcat(same, copies)
 
     def _declare_variables(self) -> None:
         ocp = self.ocp
