@@ -21,8 +21,8 @@ _MAX_COARSE_INTERVALS, _MAX_MIDDLE_INTERVALS = 60, 100
 # And the intervals of a phase below which neither mesh goes: with fewer a phase has hardly a motion
 # that keeps its limits.
 _COARSE_PHASE_INTERVALS, _MIDDLE_PHASE_INTERVALS = 6, 10
-# Phases from which on a smooth problem starts on a coarse mesh, and its intervals a phase: 31
-# phases take 320 iterations on the fine mesh after it, more than 500 without.
+# Phases from which on a smooth problem starts on a coarse mesh, and its intervals a phase: there an
+# iteration of 31 phases takes a fifth of the time, and the fine mesh follows the motion.
 _MIN_COARSE_START_PHASES, _COARSE_START_PHASE_INTERVALS = 8, 5
 # Phases for which the iteration limit of a problem holds; more phases have proportionally more.
 _ITERATION_LIMIT_PHASES = 10
