@@ -22,6 +22,11 @@ is the unknowns that what is eliminated meets. */
 #define LANES 8
 typedef double wide __attribute__((vector_size(8 * LANES), aligned(8), may_alias));
 
+/* Largest front over the one that no pivot is delayed in, and slack for small systems. Beyond, the
+   matrix counts as singular, and IPOPT regularises it: delayed pivots would fill all fronts. */
+#define MAX_FRONT_GROWTH 2
+#define FRONT_SLACK 64
+
 #include "frontal_analysis.c"
 
 /* ------------------------------------------------------------------ what IPOPT hands over */
@@ -261,32 +266,39 @@ static HOT int factorised(const Analysis *a, Factors *f, double u, double small)
   t.free_slots = room(t.line, sizeof(int));
   t.wait = room(t.line, sizeof(int));
   t.slot_of = malloc((a->kept + 1) * sizeof(int));
-  if (!t.f || !t.place_at || !t.free_slots || !t.wait || !t.slot_of) goto end;
+  char *done = room(a->border, 1);
+  if (!done || !t.f || !t.place_at || !t.free_slots || !t.wait || !t.slot_of) goto end;
   for (int p = 0; p < a->kept; p++) t.slot_of[p] = -1;
-  for (int p = 0; p < a->kept; p++) {
-    int last = p < a->bulk ? (p + a->width < a->bulk ? p + a->width : a->bulk) : a->bulk;
+  for (int k = 0; k < a->kept; k++) {
+    int p = a->turn[k], last = p + a->width < a->bulk ? p + a->width : a->bulk;
     for (int part = 0; part < 2; part++)
-      for (int q = part ? (p > a->bulk ? p : a->bulk) : p; q < (part ? a->kept : last); q++) {
-        double value = f->matrix[where(a, p, q)];
+      for (int q = part ? a->bulk : p; q < (part ? a->kept : last); q++) {
+        if (p >= a->bulk && done[q - a->bulk]) continue;
+        double value = f->matrix[p < q ? where(a, p, q) : where(a, q, p)];
         if (value == 0.0 && q != p) continue;
         int s = slot(&t, p), r = slot(&t, q);
         if (s < 0 || r < 0) goto end;
         t.f[(size_t)s * t.line + r] += value;
         if (s != r) t.f[(size_t)r * t.line + s] += value;
       }
+    if (p >= a->bulk) done[p - a->bulk] = 1;
     t.wait[t.waiting++] = t.slot_of[p];
     if (t.used > f->front) f->front = t.used;
-    for (int k = t.waiting - 1; k >= 0; k--) {
-      int done = pivot(&t, f, k, u, small);
-      if (done < 0) goto end;
+    for (int w = t.waiting - 1; w >= 0; w--) {
+      int eliminated = pivot(&t, f, w, u, small);
+      if (eliminated < 0) goto end;
       /* What waited may do now. */
-      if (done) k = t.waiting;
+      if (eliminated) w = t.waiting;
+    }
+    if (t.used > MAX_FRONT_GROWTH * rest + FRONT_SLACK) {
+      failed = SINGULAR;
+      goto end;
     }
     f->delayed += t.waiting;
   }
   failed = t.waiting ? SINGULAR : 0;
 end:
-  free(t.f); free(t.place_at); free(t.free_slots); free(t.wait); free(t.slot_of);
+  free(t.f); free(t.place_at); free(t.free_slots); free(t.wait); free(t.slot_of); free(done);
   return failed;
 }
 

@@ -12,6 +12,7 @@ typedef struct {
   int *leaf_at, *row_at, *coupling_at; /* their entries among the matrix's, -1 where there is none */
   int *start, *place, *at;    /* per pair: kept unknowns of its row in order, and entries */
   int *unknown;               /* of each kept place */
+  int *turn;                  /* kept places in the order of elimination */
   long *to;                   /* entries between kept unknowns: where in K */
   int *from;                  /* and among the matrix's */
   long size;                  /* of K */
@@ -158,7 +159,7 @@ end:
 static void forget(Analysis *a) {
   if (!a) return;
   free(a->leaf); free(a->row); free(a->leaf_at); free(a->row_at); free(a->coupling_at);
-  free(a->start); free(a->place); free(a->at); free(a->unknown); free(a->to); free(a->from);
+  free(a->start); free(a->place); free(a->at); free(a->unknown); free(a->turn); free(a->to); free(a->from);
   free(a);
 }
 
@@ -233,9 +234,10 @@ static int with_room(Analysis *a, int count) {
   a->place = room(count, sizeof(int));
   a->at = room(count, sizeof(int));
   a->unknown = room(a->kept, sizeof(int));
+  a->turn = room(a->kept, sizeof(int));
   a->to = room(count, sizeof(long));
   a->from = room(count, sizeof(int));
-  return whole && a->start && a->place && a->at && a->unknown && a->to && a->from;
+  return whole && a->start && a->place && a->at && a->unknown && a->turn && a->to && a->from;
 }
 
 /* Where the pairs' entries are, those of their rows, then those between kept unknowns. */
@@ -309,7 +311,23 @@ static int grouped(const Analysis *a, const Look *s, Meeting *m) {
   return inverted(&m->groups, a->kept, &m->of);
 }
 
-/* Those that meet far more than others do. */
+/* True where an unknown meets others, all of which belong to the border. */
+static int beside_border(const Meeting *m, int v) {
+  int others = 0;
+  for (int k = m->of.start[v]; k < m->of.start[v + 1]; k++) {
+    int group = m->of.item[k];
+    for (int i = m->groups.start[group]; i < m->groups.start[group + 1]; i++) {
+      int w = m->groups.item[i];
+      if (w == v) continue;
+      if (!m->out[w]) return 0;
+      others = 1;
+    }
+  }
+  return others;
+}
+
+/* Those that meet far more than others do, and those that meet only such, as the sum of durations:
+   in the bulk these would bring the whole border into a front at once. */
 static void set_apart(Analysis *a, Look *s, Meeting *m) {
   for (int v = 0; v < a->kept; v++) {
     m->stamp++;
@@ -320,7 +338,42 @@ static void set_apart(Analysis *a, Look *s, Meeting *m) {
   int usual = a->kept ? m->reach[s->order[a->kept / 2]] : 0;
   for (int v = 0; v < a->kept; v++)
     if (m->reach[v] > 3 * usual + 16) m->out[v] = 1, a->border++;
+  for (int v = 0; v < a->kept; v++)
+    if (!m->out[v]) s->place_of[v] = beside_border(m, v);
+  for (int v = 0; v < a->kept; v++)
+    if (!m->out[v] && s->place_of[v]) m->out[v] = 1, a->border++;
   a->bulk = a->kept - a->border;
+}
+
+/* One of the border is eliminated after the last of the bulk that it meets: a phase's duration with
+   its phase, so that fronts do not grow with the number of phases. */
+static int in_turn(Analysis *a) {
+  int *last = room(a->border, sizeof(int)), *begin = room(a->bulk + 2, sizeof(int));
+  if (!last || !begin) { free(last); free(begin); return 0; }
+  for (int q = 0; q < a->border; q++) last[q] = -1;
+  for (int p = 0; p < a->pairs; p++) {
+    int end = a->start[p + 1], near = -1;
+    for (int k = a->start[p]; k < end && a->place[k] < a->bulk; k++) near = a->place[k];
+    for (int k = end - 1; k >= a->start[p] && a->place[k] >= a->bulk; k--)
+      if (near > last[a->place[k] - a->bulk]) last[a->place[k] - a->bulk] = near;
+  }
+  long line = a->width + a->border, bands = a->bulk * line;
+  for (int d = 0; d < a->direct; d++) {
+    if (a->to[d] >= bands || a->to[d] % line < a->width) continue;
+    int q = (int)(a->to[d] % line) - a->width, p = (int)(a->to[d] / line);
+    if (p > last[q]) last[q] = p;
+  }
+  /* Those that meet none of the bulk are the last. */
+  for (int q = 0; q < a->border; q++) if (last[q] < 0) last[q] = a->bulk;
+  for (int q = 0; q < a->border; q++) begin[last[q] + 1]++;
+  int next = 0;
+  for (int p = 0; p <= a->bulk; p++) {
+    if (p < a->bulk) a->turn[next++] = p;
+    if (begin[p + 1])
+      for (int q = 0; q < a->border; q++) if (last[q] == p) a->turn[next++] = a->bulk + q;
+  }
+  free(last); free(begin);
+  return 1;
 }
 
 /* All by the places of the kept unknowns, of which the border's are the last. */
@@ -368,7 +421,10 @@ static int analyse(const int *ptr, const int *index, const double *value, Analys
     a->width = arranged(&m, a->kept, s.order, a->bulk);
     whole = a->width > 0;
   }
-  if (whole) placed(a, &s, &m);
+  if (whole) {
+    placed(a, &s, &m);
+    whole = in_turn(a);
+  }
   looked(&s);
   free(m.seen); free(m.reach); free(m.out); free(m.groups.start); free(m.groups.item);
   free(m.of.start); free(m.of.item);

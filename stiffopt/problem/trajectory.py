@@ -151,7 +151,7 @@ class Method:
     max_iterations: Annotated[
         int,
         Bounds(least=1, most=1_000_000),
-        Doc("Largest number of IPOPT iterations of each stage."),
+        Doc("Largest number of IPOPT iterations of each stage; from 10 phases on, per 10 phases."),
     ] = 500
     starts: Annotated[
         int,

@@ -192,6 +192,7 @@ class IpoptSolver:
         push: float = 1e-8,
         report: Callable[[Progress], object] | None = None,
         max_seconds: float | None = None,
+        max_iterations: int | None = None,
     ) -> RawSolution:
         """Solve from a guess; Ctrl-C ends it at the next iteration with the best iterate kept.
 
@@ -213,6 +214,8 @@ class IpoptSolver:
             Called with a `Progress` in each iteration.
         max_seconds : float, optional
             Overrides the option.
+        max_iterations : int, optional
+            Below that of the options.
         """
         nlp = self.nlp
         p = nlp.parameters(parameters)
@@ -232,6 +235,7 @@ class IpoptSolver:
         limit = self.options.max_seconds if max_seconds is None else max_seconds
         monitor.begin(report, limit)
         monitor.patience = self.options.patience
+        monitor.max_iterations = max_iterations
         with handle_interrupts(lambda *_: monitor.interrupt.set()):
             outputs = solver(**inputs)
         solve_s = time.perf_counter() - monitor.started

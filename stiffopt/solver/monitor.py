@@ -89,6 +89,7 @@ class Monitor(ca.Callback):
     def begin(self, report: Callable[[Progress], object] | None, max_seconds: float) -> None:
         """Reset the record before a solve."""
         self.report, self.max_seconds, self.patience = report, max_seconds, 0
+        self.max_iterations: int | None = None
         self.started = time.perf_counter()
         self.history: list[Progress] = []
         self.steps: list[float] = []  # largest change of a variable in each iteration
@@ -133,7 +134,7 @@ class Monitor(ca.Callback):
             self.stopped_by = "interrupted"
         elif time.perf_counter() - self.started > self.max_seconds:
             self.stopped_by = "time_limit"
-        elif self.patience and len(self.history) > self.patience and not self._is_nearly_feasible():
+        elif self._has_spent_iterations():
             self.stopped_by = "iteration_limit"
         return float(bool(self.stopped_by))
 
@@ -167,6 +168,13 @@ class Monitor(ca.Callback):
             np.ptp(objectives) <= tolerance * largest
             and max(each.violation for each in since) <= tolerance
         )
+
+    def _has_spent_iterations(self) -> bool:
+        """Return True at the iteration limit, or where patience ends without a feasible point."""
+        made = len(self.history)
+        if self.max_iterations is not None and made > self.max_iterations:
+            return True
+        return bool(self.patience) and made > self.patience and not self._is_nearly_feasible()
 
     def _is_nearly_feasible(self) -> bool:
         """Return True where some iterate so far is nearly feasible."""

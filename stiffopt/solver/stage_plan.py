@@ -18,6 +18,14 @@ from stiffopt.transcription.transcription import Transcription
 _MIN_INTERVALS = 16
 # Most intervals of the first and the second mesh where a deflection peak is minimised.
 _MAX_COARSE_INTERVALS, _MAX_MIDDLE_INTERVALS = 60, 100
+# And the intervals of a phase below which neither mesh goes: with fewer a phase has hardly a motion
+# that keeps its limits.
+_COARSE_PHASE_INTERVALS, _MIDDLE_PHASE_INTERVALS = 6, 10
+# Phases from which on a smooth problem starts on a coarse mesh, and its intervals a phase: there an
+# iteration of 31 phases takes a fifth of the time, and the fine mesh follows the motion.
+_MIN_COARSE_START_PHASES, _COARSE_START_PHASE_INTERVALS = 8, 5
+# Phases for which the iteration limit of a problem holds; more phases have proportionally more.
+_ITERATION_LIMIT_PHASES = 10
 # Iterations without a nearly feasible point, after which infeasibility is analysed.
 _INFEASIBLE_ITERATIONS = 100
 # Initial barrier parameter, and so bound multipliers, where the duration is minimised.
@@ -60,19 +68,25 @@ def plan_stages(
     `corners` is the factor on the smoothing widths of the motor law.
     """
     coarse = max(intervals // 2, min(_MIN_INTERVALS, intervals))
+    phases = len(problem.vias) + 1
     widths = tuple(Smoothing(width, corners) for width in smoothing_stages(problem))
     if len(widths) == 1:
         # Smooth problems converge directly from the guess; a coarse mesh would only cost time.
-        return (SolveStage(intervals, Smoothing(1.0)),)
+        fine = SolveStage(intervals, Smoothing(1.0), new_mesh=True)
+        start = SolveStage(_COARSE_START_PHASE_INTERVALS * phases, Smoothing(1.0))
+        if phases >= _MIN_COARSE_START_PHASES and start.intervals < intervals:
+            return (start, fine)
+        return (replace(fine, new_mesh=False),)
     if problem.plans_links:
         # Long chains of integrators converge poorly on a new mesh: one change of mesh, directly
         # with the narrow smoothing.
         return (SolveStage(coarse, widths[1]), SolveStage(intervals, widths[-1], new_mesh=True))
     if smoothing_stages(problem) == WINDUP_SMOOTHING:
         # Each mesh is adapted to the motion before it. A middle one costs less than a second fine
-        # one, and its peaks are as low. Neither has to grow with the last one.
-        coarse = min(coarse, _MAX_COARSE_INTERVALS)
-        middle = max(min(2 * intervals // 3, _MAX_MIDDLE_INTERVALS), coarse)
+        # one, and its peaks are as low. Neither has to grow with the last one, but with the phases.
+        coarse = min(coarse, max(_MAX_COARSE_INTERVALS, _COARSE_PHASE_INTERVALS * phases))
+        most = max(_MAX_MIDDLE_INTERVALS, _MIDDLE_PHASE_INTERVALS * phases)
+        middle = max(min(2 * intervals // 3, most), coarse)
         between = Smoothing(float(np.sqrt(np.prod(WINDUP_SMOOTHING[-2:]))))
         return (
             SolveStage(coarse, widths[0]),
@@ -80,15 +94,15 @@ def plan_stages(
             SolveStage(intervals, widths[-1], new_mesh=True),
         )
     first = [SolveStage(coarse, width) for width in widths[:2]]
-    fine = [SolveStage(intervals, width) for width in widths[1:]]
+    last = [SolveStage(intervals, width) for width in widths[1:]]
     # On the first fine mesh the intervals follow the coarse motion.
-    fine[0] = replace(fine[0], new_mesh=True)
-    return (*first, *fine)
+    last[0] = replace(last[0], new_mesh=True)
+    return (*first, *last)
 
 
 def solver_options(problem: TrajectoryProblem, *, near: bool = False) -> IpoptOptions:
     """Return IPOPT's options for a problem; `near` where it starts near the optimum."""
-    method = problem.method
+    method, phases = problem.method, len(problem.vias) + 1
     # A barrier that adapts takes a fifth to a half of the iterations less, and steadier ones on
     # long chains of integrators.
     extra: dict[str, object] = {"mu_strategy": "adaptive"}
@@ -119,7 +133,9 @@ def solver_options(problem: TrajectoryProblem, *, near: bool = False) -> IpoptOp
         extra |= dict.fromkeys(_BOUND_PUSH_OPTIONS, 1e-3)
     return IpoptOptions(
         tol=method.tolerance,
-        max_iterations=method.max_iterations,
+        max_iterations=int(
+            np.ceil(method.max_iterations * max(1.0, phases / _ITERATION_LIMIT_PHASES))
+        ),
         patience=0 if problem.plans_links else _INFEASIBLE_ITERATIONS,
         extra=extra,
     )

@@ -51,6 +51,9 @@ _MAX_REMAINING_VIOLATION = 0.7
 _NEAR_GUESS_EXCESS = 1.0
 # And that from which on it comes from passing a kink of the motor law fast.
 _SPIKE_EXCESS = 10.0
+# A correction starts at an optimum: beyond the iterations that this took, and at least so many, it
+# is unlikely to converge.
+_MIN_CORRECTION_ITERATIONS = 150
 # Least distance from backed-off bounds of a correction's start.
 _CORRECTION_BOUND_PUSH = 1e-3
 
@@ -134,7 +137,15 @@ def solve_correction(
     made.solver.set_bounds(nlp)
     stage = SolveStage(len(made.transcription.intervals), smoothing)
     return solve_stage(
-        run, made, stage, before.x, before, "correction", "adaptive", _CORRECTION_BOUND_PUSH
+        run,
+        made,
+        stage,
+        before.x,
+        before,
+        "correction",
+        "adaptive",
+        _CORRECTION_BOUND_PUSH,
+        max(before.iterations, _MIN_CORRECTION_ITERATIONS),
     )
 
 
@@ -285,6 +296,7 @@ def solve_stage(
     text: str,
     barrier: Literal["monotone", "adaptive"] = "monotone",
     push: float = 1e-8,
+    max_iterations: int | None = None,
 ) -> RawSolution:
     """Solve one stage; after a stall once more from the best point without multipliers."""
     report = _progress_reporter(
@@ -299,6 +311,7 @@ def solve_stage(
             push=push,
             report=report,
             max_seconds=run.remaining,
+            max_iterations=max_iterations,
         )
         run.record(stage, raw)
         if raw.status != "stalled":

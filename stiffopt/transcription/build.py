@@ -10,39 +10,16 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from stiffopt.errors import ProblemError, nearest
-from stiffopt.transcription.hermite_simpson import HermiteSimpson
+from stiffopt.errors import ProblemError
 from stiffopt.transcription.mesh import Mesh, checked_mesh
 from stiffopt.transcription.nlp import Block, Blocks, BlockScales, Nlp, Places
 from stiffopt.transcription.node_derivatives import NumberedStage, SplineCoordinates
 from stiffopt.transcription.ocp import OptimalControlProblem, Rows, Waypoint
-from stiffopt.transcription.piecewise_linear import IntegratorChain, PiecewiseLinear
 from stiffopt.transcription.point_function import StageFunction, compose_derivatives
-from stiffopt.transcription.radau import Radau
 from stiffopt.transcription.scheme import Intervals, Scheme, StagePoints, Symbols
+from stiffopt.transcription.schemes import scheme_of
 from stiffopt.transcription.structure import same_bounds, scaled_like, structure_of
 from stiffopt.transcription.transcription import Transcription
-
-METHODS = ("piecewise_linear", "hermite_simpson", "radau")
-_METHOD_ALIASES = {"piecewise_linear_acceleration": "piecewise_linear"}
-
-
-def scheme_of(method: str, degree: int = 3, integrators: int = 2) -> Scheme:
-    """Return the scheme of a name.
-
-    `degree` is the number of Radau points in an interval, `integrators` that of integrators between
-    a control and its position.
-    """
-    name = _METHOD_ALIASES.get(method, method)
-    if name == "piecewise_linear":
-        return PiecewiseLinear() if integrators == 2 else IntegratorChain()
-    if name == "hermite_simpson":
-        return HermiteSimpson()
-    if name == "radau":
-        return Radau(degree)
-    raise ProblemError(
-        f"transcription {method!r} is not known. {nearest(method, [*METHODS, *_METHOD_ALIASES])}"
-    )
 
 
 def transcribe(
@@ -133,7 +110,15 @@ class _NlpBuilder:
         self.nodes = self.variables if self.splines is None else Blocks()
         self.coefficients: Block | None = None
         self._declare_variables()
-        self.x = ca.MX.sym("x", self.variables.size)
+        free = self.durations
+        self.lift = (
+            None
+            if free is None
+            else self.intervals.copy_durations(free.offset, self.variables.size)
+        )
+        # Variables, then the copies of durations.
+        self.z = ca.MX.sym("z", self.variables.size if self.lift is None else self.lift.size1())
+        self.x = self.z[: self.variables.size]
         fixed = [ocp.duration[0]] if self.durations is None else []
         self.numbers = np.append(fixed, self.own_stage.numbers)
         count = len(ocp.parameters)
@@ -142,11 +127,12 @@ class _NlpBuilder:
 
     def build(self) -> Transcription:
         ocp = self.ocp
-        durations = (
-            self.p[len(ocp.parameters)]
-            if self.durations is None
-            else self._block_symbol(self.durations)
-        )
+        count = len(self.intervals)
+        copies = self.z[self.variables.size :]
+        if self.durations is None:
+            durations = ca.repmat(self.p[len(ocp.parameters)], count, 1)
+        else:
+            durations = copies[:count]
         symbols = self._make_symbols(durations)
         statics = self._block_symbol(self.statics)
         for name, index, expression, places in self.scheme.defects(symbols):
@@ -161,9 +147,14 @@ class _NlpBuilder:
             self._add_spline_rows(symbols, durations)
         self._add_control_rate_rows(symbols)
         self._add_waypoint_rows(symbols)
-        total = ca.sum1(durations)
         if ocp.phases > 1:
-            self._add_rows(Rows.make("duration", [""], *ocp.duration, unit="s"), total, None)
+            rows = Rows.make("duration", [""], *ocp.duration, unit="s")
+            self._add_rows(rows, copies[count], None)
+        # A fixed total is a number: as a variable it would couple each phase with all others.
+        fixed = self.durations is None or ocp.fixed_duration
+        total = ca.MX(ocp.duration[0]) if ocp.phases > 1 and fixed else durations[0]
+        if not fixed:
+            total = copies[count]
         if ocp.integral_function is not None:
             values = ocp.integral_function(integrals, total, statics, self.parameters)
             self._add_bounded_rows(ocp.integral_rows, values)
@@ -231,16 +222,18 @@ class _NlpBuilder:
         }
         if self.like is not None:
             return replace(self.like, nlp=replace(self.like.nlp, **own), **blocks)
+        x = self.z if self.lift is None else ca.MX.sym("x", self.variables.size)
         f, g, derivatives = compose_derivatives(
             self.stage,
-            (self.x, self.p, self.values),
+            (self.z, self.p, self.values),
             self.variables_of_stage,
             ca.densify(objective) / self.ocp.objective_scale,
             ca.vertcat(ca.MX(0, 1), *self.expressions),
+            (x, self.lift),
             self.slope_of_variables,
         )
         nlp = Nlp(
-            x=self.x,
+            x=x,
             p=self.p,
             f=f,
             g=g,
@@ -254,15 +247,17 @@ class _NlpBuilder:
             nlp=nlp,
             splines=self.splines,
             coefficients=self.coefficients,
-            outputs=self._output_function(integrals, objective),
+            outputs=self._output_function(x, integrals, objective),
             structure=structure_of(self.ocp, self.own_stage, self.scheme, self.mesh),
             **blocks,
         )
 
-    def _output_function(self, integrals: ca.MX, objective: ca.MX) -> ca.Function:
-        outer = ca.Function("outer", [self.x, self.p, self.values], [integrals, objective])
+    def _output_function(self, x: ca.MX, integrals: ca.MX, objective: ca.MX) -> ca.Function:
         values = self.stage.values(self.variables_of_stage, self.p)
-        return ca.Function("outputs", [self.x, self.p], outer.call([self.x, self.p, values]))
+        outer = ca.Function("outer", [self.z, self.p, self.values], [integrals, objective])
+        inner = ca.Function("inner", [self.z, self.p], outer.call([self.z, self.p, values]))
+        at_x = x if self.lift is None else ca.mtimes(self.lift, x)
+        return ca.Function("outputs", [x, self.p], inner.call([at_x, self.p], True, False))
 
     def _declare_variables(self) -> None:
         ocp = self.ocp
@@ -381,7 +376,7 @@ class _NlpBuilder:
         values: ca.MX = ca.MX(ca.DM(basis.reshape(count, -1).T))
         if self.durations is None:
             powers = np.repeat(np.arange(along.orders), along.degree + 1)
-            values = values * ca.repmat(durations ** ca.DM(-powers), 1, count)
+            values = values * ca.repmat(durations[0] ** ca.DM(-powers), 1, count)
         else:
             own.append(self.durations.offset + points.places.phase[:, None])
         columns = np.hstack(own).ravel()

@@ -76,19 +76,22 @@ class ChainSplines:
         return int(self.counts.sum()) * len(self.chains)
 
     def at(self, places: Places, coefficients: ca.MX, durations: ca.MX) -> ca.MX:
-        """States and controls (nx + nu, P) at places, as expressions of the coefficients."""
-        matrix, powers, phases = self._coefficient_map(places)
+        """States and controls (nx + nu, P) at places, as expressions of the coefficients.
+
+        `durations` (K,) are those of each interval's phase.
+        """
+        matrix, powers, _ = self._coefficient_map(places)
         moved = ca.mtimes(_to_casadi(matrix), coefficients)
-        stretched = _phase_duration_column(durations, phases) ** ca.DM(-powers)
+        stretched = self._durations_at(places, durations, self.values) ** ca.DM(-powers)
         return ca.reshape(moved * stretched, self.values, len(places))
 
     def derivative(
         self, order: int, places: Places, coefficients: ca.MX, durations: ca.MX
     ) -> ca.MX:
         """Derivative of one order of all chains (n, P), as `at`."""
-        matrix, powers, phases = self._coefficient_map(places, (order,))
+        matrix, powers, _ = self._coefficient_map(places, (order,))
         moved = ca.mtimes(_to_casadi(matrix), coefficients)
-        stretched = _phase_duration_column(durations, phases) ** ca.DM(-powers)
+        stretched = self._durations_at(places, durations, len(self.chains)) ** ca.DM(-powers)
         return ca.reshape(moved * stretched, len(self.chains), len(places))
 
     def positions(self, places: Places, states: Sequence[int], columns: int) -> ca.DM:
@@ -120,8 +123,7 @@ class ChainSplines:
         basis = np.zeros((len(places), self.orders, len(splines)))
         for phase in np.unique(places.phase):
             own, fractions = places.phase == phase, places.fraction[places.phase == phase]
-            borders = np.cumsum(self.mesh[phase])[:-1]
-            interval = np.searchsorted(borders, fractions, side="right")
+            interval = self._interval_index(int(phase), fractions)
             first = (self.control_degree * interval)[:, None] + splines
             rows[own] = begins[phase] + first
             for order in range(self.orders):
@@ -177,6 +179,21 @@ class ChainSplines:
             start += count
         return found.ravel()
 
+    def _durations_at(self, places: Places, durations: ca.MX, height: int) -> ca.MX:
+        """Phase durations of the intervals of places, each repeated `height` times."""
+        counts = np.array([len(part) for part in self.mesh])
+        firsts = np.cumsum(counts) - counts
+        index = np.zeros(len(places), dtype=int)
+        for phase in np.unique(places.phase):
+            own = places.phase == phase
+            index[own] = firsts[phase] + self._interval_index(int(phase), places.fraction[own])
+        return durations[np.repeat(index, height).tolist()]
+
+    def _interval_index(self, phase: int, fractions: np.ndarray) -> np.ndarray:
+        """Index of the interval within a phase at each fraction of its duration."""
+        borders = np.cumsum(self.mesh[phase])[:-1]
+        return np.searchsorted(borders, fractions, side="right")
+
     def _chain_indices(self, chain: int) -> list[int]:
         *states, control = self.chains[chain]
         return [*states, (self.orders - 1) * len(self.chains) + control]
@@ -224,9 +241,3 @@ class ChainSplines:
 
 def _to_casadi(matrix: coo_matrix) -> ca.DM:
     return ca.DM(matrix.tocsc())
-
-
-def _phase_duration_column(durations: ca.MX, phases: np.ndarray) -> ca.MX:
-    if durations.numel() == 1:
-        return ca.repmat(durations, len(phases), 1)
-    return durations[phases.tolist()]

@@ -196,6 +196,7 @@ def compose_derivatives(
     variables: ca.MX,
     objective: ca.MX,
     rows: ca.MX,
+    lifted: tuple[ca.MX, ca.DM | None],
     slope: ca.MX | None = None,
 ) -> tuple[ca.MX, ca.MX, dict[str, ca.Function]]:
     """Compose objective and rows as expressions of x, and derivatives for `casadi.nlpsol`.
@@ -204,17 +205,31 @@ def compose_derivatives(
     ----------
     stage : StageFunction
     symbols : MX
-        x, parameters p, and v (m, count), the placeholder of the stage's values.
+        z, parameters p, and v (m, count), the placeholder of the stage's values.
     variables : MX (n, count)
-        w(x).
+        w(z).
     objective, rows : MX
-        f(x, v), g(x, v).
+        f(z, v), g(z, v).
+    lifted : (MX, DM or None)
+        x and a constant matrix z'(x): z are the variables and copies of some of them, by which
+        second derivatives are sparse. None where z is x.
     slope : MX, optional
         w'(x), where its sparsity is known better than by CasADi.
     """
-    x, p, v = symbols
-    true = stage.values(variables, p)
-    f, g = ca.Function("outer", [x, p, v], [objective, rows]).call([x, p, true], True, False)
+    z, p, v = symbols
+    x, lift = lifted
+    at_x = x if lift is None else ca.mtimes(lift, x)
+
+    def by_x(by_z: ca.MX) -> ca.MX:
+        return by_z if lift is None else ca.mtimes(by_z, lift)
+
+    def pulled_back(each: ca.MX) -> ca.MX:
+        return each if lift is None else ca.mtimes(lift.T, each)
+
+    slope = by_x(ca.jacobian(ca.vec(variables), z)) if slope is None else slope
+    w, inner = ca.Function("variables", [z, p], [variables, slope]).call([at_x, p], True, False)
+    true = stage.values(w, p)
+    f, g = ca.Function("outer", [z, p, v], [objective, rows]).call([at_x, p, true], True, False)
 
     sigma, multipliers = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", rows.numel())
     pull = ca.MX.sym("pull", variables.numel())
@@ -225,41 +240,40 @@ def compose_derivatives(
     # CasADi differentiates only these small graphs.
     parts = ca.Function(
         "parts",
-        [x, p, v, sigma, multipliers, pull],
+        [z, p, v, sigma, multipliers, pull],
         [
-            ca.gradient(objective, x),
+            ca.jacobian(objective, z),
             ca.jacobian(objective, flat),
-            ca.jacobian(rows, x),
+            ca.jacobian(rows, z),
             ca.jacobian(rows, flat),
-            ca.hessian(seen, x)[0],
-            ca.jacobian(ca.gradient(lagrangian, x), flat),
+            ca.hessian(seen, z)[0],
+            ca.jacobian(ca.gradient(lagrangian, z), flat),
             ca.hessian(lagrangian, flat)[0],
             weights,
         ],
     )
-    inner = ca.jacobian(ca.vec(variables), x) if slope is None else slope
-    jacobian = stage.jacobian(variables, p)
+    jacobian = stage.jacobian(w, p)
     along = ca.mtimes(jacobian, inner)
 
     def at(pulled: ca.MX) -> list[ca.MX]:
-        return parts.call([x, p, true, sigma, multipliers, pulled], True, False)
+        return parts.call([at_x, p, true, sigma, multipliers, pulled], True, False)
 
-    f_x, f_v, g_x, g_v, *_, weights = at(ca.MX.zeros(pull.shape))
+    f_z, f_v, g_z, g_v, *_, weights = at(ca.MX.zeros(pull.shape))
     pulled = ca.mtimes(jacobian.T, weights)
-    *_, l_xx, l_xv, l_vv, _ = at(pulled)
-    cross = ca.mtimes(l_xv, along)
-    bent = stage.hessian(variables, p, ca.reshape(weights, *v.shape))
-    hessian = l_xx + cross + cross.T
+    *_, l_zz, l_zv, l_vv, _ = at(pulled)
+    cross = ca.mtimes(pulled_back(l_zv), along)
+    bent = stage.hessian(w, p, ca.reshape(weights, *v.shape))
+    hessian = by_x(pulled_back(l_zz)) + cross + cross.T
     hessian += ca.mtimes([along.T, l_vv, along]) + ca.mtimes([inner.T, bent, inner])
     # Two products with a vector, not one of two matrices.
-    gradient = f_x + ca.mtimes(ca.mtimes(f_v, jacobian), inner).T
+    gradient = by_x(f_z) + ca.mtimes(ca.mtimes(f_v, jacobian), inner)
     return (
         f,
         g,
         {
             # CasADi reads a sparse gradient as if it were dense.
-            "grad_f": ca.Function("nlp_grad_f", [x, p], [f, ca.densify(gradient)]),
-            "jac_g": ca.Function("nlp_jac_g", [x, p], [g, g_x + ca.mtimes(g_v, along)]),
+            "grad_f": ca.Function("nlp_grad_f", [x, p], [f, ca.densify(gradient.T)]),
+            "jac_g": ca.Function("nlp_jac_g", [x, p], [g, by_x(g_z) + ca.mtimes(g_v, along)]),
             "hess_lag": ca.Function("nlp_hess_l", [x, p, sigma, multipliers], [ca.triu(hessian)]),
         },
     )

@@ -52,6 +52,19 @@ class Intervals:
         own = self.phase[:, None] == np.arange(self.phase[-1] + 1)
         return np.where(own, self.width[:, None], 0.0)
 
+    def copy_durations(self, offset: int, variables: int) -> ca.DM:
+        """Matrix (n + K + 1, n) from n variables to these and copies of the phase durations.
+
+        The durations stand at `offset`. Each interval has its own copy of its phase's duration, the
+        last entry is their total: second derivatives by copies are as sparse as those of one
+        interval, however many phases there are.
+        """
+        phases, count = int(self.phase[-1]) + 1, len(self)
+        columns = [offset + int(i) for i in (*self.phase, *range(phases))]
+        rows = [*range(count), *[count] * phases]
+        copies = ca.DM.triplet(rows, columns, ca.DM.ones(len(rows)), count + 1, variables)
+        return ca.vertcat(ca.DM.eye(variables), copies)
+
     def places(self, nodes: np.ndarray) -> Places:
         """Places of local nodes (m,) in every interval: (K m,), interval by interval."""
         fraction = self.start[:, None] + self.width[:, None] * nodes
@@ -86,8 +99,8 @@ class Symbols:
     Attributes
     ----------
     states, controls : MX (nx, NX), (nu, NU)
-    durations : MX (phases,)
-        [s]
+    durations : MX (K,)
+        Of each interval's phase [s].
     parameters : MX (np, 1)
     spline_values : callable, optional
         Places -> states and controls (nx + nu, P), where spline coefficients are variables.
@@ -128,7 +141,7 @@ class Symbols:
     @cached_property
     def steps(self) -> ca.MX:
         """Interval durations (1, K) [s]."""
-        return (ca.DM(self.intervals.shares) @ self.durations).T
+        return (ca.DM(self.intervals.width) * self.durations).T
 
     def step(self, rows: int) -> ca.MX:
         """Interval durations repeated over rows (rows, K)."""

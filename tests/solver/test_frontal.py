@@ -20,6 +20,11 @@ def made():
 
 def solved(path, matrix, right):
     """Flag, solution and number of negative eigenvalues, by the interface that IPOPT calls."""
+    return solved_with_front(path, matrix, right)[:3]
+
+
+def solved_with_front(path, matrix, right):
+    """As `solved`, with the size of the largest front."""
     library = ctypes.CDLL(str(path))
     lower = csc_matrix(tril(matrix))
     lower.sort_indices()
@@ -32,14 +37,14 @@ def solved(path, matrix, right):
     library.ma97_analyse_d(0, len(x), *given[:2], None, both[0], control, info, None)
     assert info[0] == 0
     library.ma97_factor_d(4, *given, *both, control, info, None)
-    flag, negative = info[0], info[14]
+    flag, front, negative = info[0], info[8], info[14]
     if flag == 0:
         at = x.ctypes.data_as(ctypes.c_void_p)
         library.ma97_solve_d(0, 1, at, len(x), *both, control, info)
     library.ma97_finalise_d(*both)
     assert not analysis
     assert not factors
-    return flag, x, negative
+    return flag, x, negative, front
 
 
 def system(random, unknowns, equations, rows, width, dense=0):
@@ -149,3 +154,32 @@ def test_infeasible_rows_are_named_as_with_mumps():
 def test_without_the_compiled_core_it_is_mumps(monkeypatch):
     monkeypatch.setattr(native, "library", lambda: None)
     assert IpoptOptions().for_ipopt()["linear_solver"] == "mumps"
+
+
+def phases_with_durations(random, phases, nodes=60):
+    """A chain of nodes; each phase's nodes meet its duration, the durations have a given sum."""
+    count = phases * nodes
+    whole = np.zeros((count + phases + 1, count + phases + 1))
+    for k in range(count):
+        whole[k, k] = 4.0 + random.uniform()
+        whole[k, count + k // nodes] = random.normal()
+        if k + 1 < count:
+            whole[k, k + 1] = random.normal()
+    for phase in range(phases):
+        whole[count + phase, count + phase] = 100.0
+        whole[count + phase, -1] = 1.0
+    return np.triu(whole) + np.triu(whole, 1).T
+
+
+def test_fronts_do_not_grow_with_the_number_of_phases(made):
+    fronts = []
+    for phases in (5, 30):
+        random = np.random.default_rng(phases)
+        matrix = phases_with_durations(random, phases)
+        right = random.normal(size=len(matrix))
+        flag, x, negative, front = solved_with_front(made, matrix, right)
+        assert flag == 0
+        assert negative == np.sum(np.linalg.eigvalsh(matrix) < 0.0)
+        assert np.abs(matrix @ x - right).max() < 1e-10
+        fronts.append(front)
+    assert fronts[1] <= fronts[0] + 2

@@ -185,3 +185,10 @@ def test_a_feasible_iterate_is_never_called_infeasible(monkeypatch):
     far = solver(made, max_iterations=1).solve(x0, GRAVITY)
     assert far.violation > 1e-6
     assert far.status == "infeasible"
+
+
+def test_one_solve_may_have_fewer_iterations_than_the_options_allow():
+    made, x0 = pendulum()
+    one = solver(made)
+    assert one.solve(x0, GRAVITY, max_iterations=3).status == "iteration_limit"
+    assert one.solve(x0, GRAVITY).status == "optimal"

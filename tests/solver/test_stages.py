@@ -51,3 +51,21 @@ def test_minimum_duration_starts_near_the_guess():
     assert found.status == "optimal"
     # With IPOPT's own first multipliers it comes from 1.2 s by way of 4.3 s to 1.0 s.
     assert max(each.objective for each in found.history) < 1.5 * guess.duration
+
+
+def test_coarse_meshes_grow_with_the_phases():
+    problem = load_problem(PROBLEMS / "er3a_pick_and_place.toml").problem
+    many = replace(problem, vias=problem.vias[:1] * 30)
+    coarse, middle, fine = plan_stages(many, 600)
+    assert coarse.intervals >= 6 * 31
+    assert middle.intervals >= 10 * 31
+    assert fine.intervals == 600
+    assert solver_options(many).max_iterations > solver_options(problem).max_iterations
+
+
+def test_smooth_problems_with_many_phases_start_on_a_coarse_mesh():
+    path = PROBLEMS / "er3a_pick_and_place_torque_squared.toml"
+    problem = load_problem(path).problem
+    assert [each.intervals for each in plan_stages(problem, 60)] == [60]
+    many = replace(problem, vias=problem.vias[:1] * 9)
+    assert [each.intervals for each in plan_stages(many, 200)] == [50, 200]

@@ -18,6 +18,7 @@ from stiffopt.transcription.nlp import Places
 CHAINS = tuple((*(2 * k + j for k in range(5)), j) for j in range(2))
 MESH = [np.array([0.5, 0.3, 0.2]), np.array([0.4, 0.6])]
 DURATIONS = np.array([0.8, 0.3])
+EACH_DURATION = ca.MX(ca.DM(np.repeat(DURATIONS, [3, 2])))  # of each interval's phase
 PLACES = Places(np.array([0, 0, 0, 0, 1, 1]), np.array([0.0, 0.5, 0.8, 1.0, 0.4, 1.0]))
 FREE = 'motion.duration={ lower = "0.5 s", upper = "2 s" }'
 POLYNOMIALS = (Polynomial([1, -2, 0.5, 3, 1, -4, 2]), Polynomial([0, 1, 1, -1, 2, 0, 5]))
@@ -40,10 +41,10 @@ def test_splines_reproduce_a_polynomial_in_all_derivatives(splines):
     values = polynomial_values()
     found = splines.fit(PLACES, values, np.ones(12), DURATIONS)
     assert splines.evaluate(PLACES, found, DURATIONS) == pytest.approx(values, rel=1e-8, abs=1e-7)
-    symbolic = splines.at(PLACES, ca.MX(ca.DM(found)), ca.MX(ca.DM(DURATIONS)))
+    symbolic = splines.at(PLACES, ca.MX(ca.DM(found)), EACH_DURATION)
     shown = np.array(ca.evalf(symbolic)).T
     assert shown == pytest.approx(values, rel=1e-8, abs=1e-7)
-    jerk = splines.derivative(3, PLACES, ca.MX(ca.DM(found)), ca.MX(ca.DM(DURATIONS)))
+    jerk = splines.derivative(3, PLACES, ca.MX(ca.DM(found)), EACH_DURATION)
     found_jerk = np.array(ca.evalf(jerk)).T
     assert found_jerk == pytest.approx(values[:, 6:8], rel=1e-8, abs=1e-7)
 
@@ -60,10 +61,10 @@ def test_nonzero_basis_functions_give_the_values(splines):
     assert found == pytest.approx(splines.evaluate(PLACES, c, DURATIONS), rel=1e-10, abs=1e-9)
 
 
-def test_one_duration_applies_to_a_single_phase():
+def test_coefficients_that_are_alike_are_at_rest():
     alone = ChainSplines(MESH[:1], CHAINS)
     places = Places(np.zeros(2, dtype=int), np.array([0.0, 1.0]))
-    ends = alone.at(places, ca.MX.ones(alone.size), ca.MX(2.0))
+    ends = alone.at(places, ca.MX.ones(alone.size), ca.MX(ca.DM([2.0, 2.0, 2.0])))
     # All coefficients alike: at rest there.
     assert np.array(ca.evalf(ends))[:2] == pytest.approx(1.0)
     assert np.array(ca.evalf(ends))[2:] == pytest.approx(0.0, abs=1e-9)

@@ -213,6 +213,29 @@ def test_out_and_back_through_a_via(method, declared):
     assert motion.states[border, 0] == pytest.approx(1.0)
 
 
+def test_derivatives_by_phase_durations_are_exact_and_couple_no_other_phase():
+    case = minimum_time(chains=((0, 1, 0),))
+    ocp = replace(case.ocp, duration=(0.1, 20.0), vias=(via(1.0), via(0.5)))
+    nlp = transcribe(ocp, "piecewise_linear", uniform_mesh(9, 3)).nlp
+    random = np.random.default_rng(1)
+    x, multipliers = random.uniform(0.5, 1.5, nlp.x.numel()), random.normal(size=nlp.g.numel())
+    weights = ca.MX.sym("weights", nlp.g.numel())
+    exact = ca.hessian(nlp.f + ca.dot(weights, nlp.g), nlp.x)[0]
+    p = nlp.parameters(ocp.parameters)
+    wanted = ca.Function("exact", [nlp.x, nlp.p, weights], [exact])(x, p, multipliers)
+    found = nlp.derivatives["hess_lag"](x, p, 1.0, multipliers)
+    assert np.triu(wanted.full()) == pytest.approx(found.full(), abs=1e-10)
+    _, slope = nlp.derivatives["jac_g"](x, p)
+    own = ca.Function("slope", [nlp.x, nlp.p], [ca.jacobian(nlp.g, nlp.x)])(x, p)
+    assert slope.full() == pytest.approx(own.full(), abs=1e-12)
+    first, *_, last = np.flatnonzero([e.name == "duration" for e in _entries(nlp.variables)])
+    assert not found.sparsity().has_nz(int(first), int(last))
+
+
+def _entries(blocks):
+    return [blocks.entry(k) for k in range(blocks.size)]
+
+
 def test_minimum_time_through_a_via_and_names_of_phases():
     """Out and back with |u| <= 1 takes 1 + 2 + 1."""
     case = minimum_time(chains=((0, 1, 0),))
