@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from stiffopt.baseline.rivals import FairRival, baseline_path, fair_rivals, quintic_law
-    from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.baseline.toppra_motion import BaselineMotion, toppra_baseline
 from stiffopt.certificate.assess import assess
 from stiffopt.certificate.collisions import with_collisions
@@ -15,6 +14,7 @@ from stiffopt.problem.trajectory import ResolvedMotion, TrajectoryProblem
 from stiffopt.result.assessment import Assessment
 from stiffopt.result.joint_path import JointPath
 from stiffopt.result.solution import Baseline
+from stiffopt.result.trajectory import Trajectory
 
 
 def baselines(problem: TrajectoryProblem, motion: ResolvedMotion) -> dict[str, Baseline]:
