@@ -30,7 +30,7 @@ _MAX_SLOWDOWN = 10.0
 _DURATION_RESOLUTION = 1e-3  # relative
 # Samples at which an S-curve's limits on the path are taken.
 _PATH_SAMPLES = 201
-_UNLIMITED = 1e9  # speed of the path parameter [1/s]
+_UNLIMITED_RATE = 1e9  # speed of the path parameter [1/s]
 
 
 class FairRival:
@@ -162,8 +162,8 @@ def s_curve_law(problem: TrajectoryProblem, path: JointPath, duration: float) ->
     least_jerk = 32.0 / duration**3
     asked = InputParameter(1)
     asked.current_position, asked.target_position = [0.0], [1.0]
-    asked.max_velocity = [min(speed, _UNLIMITED)]
-    asked.max_acceleration = [min(acceleration, _UNLIMITED)]
+    asked.max_velocity = [min(speed, _UNLIMITED_RATE)]
+    asked.max_acceleration = [min(acceleration, _UNLIMITED_RATE)]
     asked.max_jerk = [jerk if np.isfinite(jerk) else least_jerk]
     found = RuckigTrajectory(1)
     if Ruckig(1).calculate(asked, found) not in (Result.Working, Result.Finished):

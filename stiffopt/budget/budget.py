@@ -10,7 +10,7 @@ import numpy as np
 from stiffopt.budget.elasticity import elastic_errors, hysteresis_sources, servo_errors
 from stiffopt.budget.ellipsoids import magnitude_bound
 from stiffopt.budget.geometry import geometric_sources
-from stiffopt.budget.sources import GROUPS, KnownError, Source, States, ToolJacobians
+from stiffopt.budget.sources import GROUPS, ErrorSource, KnownError, States, ToolJacobians
 from stiffopt.elastic.uncertainty import Uncertainty
 from stiffopt.robot.robot import Robot
 from stiffopt.robot.tolerances import Tolerances
@@ -38,7 +38,7 @@ class ErrorModel:
     process_force: np.ndarray
     compensated: bool = False
 
-    def errors(self, states: States) -> tuple[list[Source], list[KnownError]]:
+    def errors(self, states: States) -> tuple[list[ErrorSource], list[KnownError]]:
         """Return the sources of error and the mean errors; the same sources in any states."""
         tool = ToolJacobians(self.robot, states.position)
         found = [
@@ -53,7 +53,7 @@ class ErrorModel:
             *hysteresis_sources(tool),
             *servo_errors(tool, states),
         ]
-        sources = [each for each in found if isinstance(each, Source)]
+        sources = [each for each in found if isinstance(each, ErrorSource)]
         return sources, [each for each in found if isinstance(each, KnownError)]
 
 
@@ -66,13 +66,13 @@ class ErrorBudget:
     states : States
     place : array (K, 3)
         Of the tool [m].
-    sources : tuple of Source
+    sources : tuple of ErrorSource
     known : tuple of KnownError
     """
 
     states: States
     place: np.ndarray
-    sources: tuple[Source, ...]
+    sources: tuple[ErrorSource, ...]
     known: tuple[KnownError, ...]
 
     @property
@@ -131,7 +131,7 @@ def error_budget(model: ErrorModel, states: States) -> ErrorBudget:
     sources, known = model.errors(states)
     if model.tolerances.reference == "start":
         sources = [
-            Source(name=s.name, group=s.group, effect=s.effect - s.effect[:1]) for s in sources
+            ErrorSource(name=s.name, group=s.group, effect=s.effect - s.effect[:1]) for s in sources
         ]
         known = [KnownError(group=k.group, effect=k.effect - k.effect[:1]) for k in known]
     return ErrorBudget(

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from stiffopt.budget.sources import KnownError, Source, States, ToolJacobians
+from stiffopt.budget.sources import ErrorSource, KnownError, States, ToolJacobians
 from stiffopt.elastic.simulate import TYPICAL_HALF_LOOP
 from stiffopt.elastic.springs import joint_springs
 from stiffopt.elastic.uncertainty import Uncertainty
@@ -28,7 +28,7 @@ def elastic_errors(
     force: np.ndarray,
     *,
     compensated: bool,
-) -> Iterator[Source | KnownError]:
+) -> Iterator[ErrorSource | KnownError]:
     """Yield errors by wind-up: its mean, by uncertain stiffness, and by uncertain payload.
 
     Parameters
@@ -47,7 +47,7 @@ def elastic_errors(
         yield KnownError(group="torsion", effect=-tool.moved(windup))
     shares = uncertainty.shares(robot.n) / BOUND_IN_STANDARD_DEVIATIONS
     for j in np.flatnonzero(np.any(windup != 0.0, axis=0) & (shares > 0.0)):
-        yield Source(
+        yield ErrorSource(
             name=f"stiffness of {robot.joint_names[j]}",
             group="torsion",
             effect=shares[j] * windup[:, j, None] * tool.jacobian[:, :, j],
@@ -55,26 +55,26 @@ def elastic_errors(
     if robot.payload is not None and uncertainty.payload > 0.0:
         heavier = robot.with_payload_times(1.0 + uncertainty.payload / BOUND_IN_STANDARD_DEVIATIONS)
         added = _windups(heavier, tool, states, force) - windup
-        yield Source(name="payload", group="payload", effect=-tool.moved(added))
+        yield ErrorSource(name="payload", group="payload", effect=-tool.moved(added))
 
 
-def hysteresis_sources(tool: ToolJacobians) -> Iterator[Source]:
+def hysteresis_sources(tool: ToolJacobians) -> Iterator[ErrorSource]:
     """Yield one source a joint: anywhere in its loop, of the typical width where none is stated."""
     half = _half_loops(tool.robot)
     for j in np.flatnonzero(half):
-        yield Source(
+        yield ErrorSource(
             name=f"hysteresis of {tool.robot.joint_names[j]}",
             group="hysteresis",
             effect=2.0 * half[j] * _UNIFORM_DEVIATION * tool.jacobian[:, :, j],
         )
 
 
-def servo_errors(tool: ToolJacobians, states: States) -> Iterator[Source | KnownError]:
+def servo_errors(tool: ToolJacobians, states: States) -> Iterator[ErrorSource | KnownError]:
     """Yield the mean lag of the servos and its spread, between none and that of the worst."""
     if np.any(states.lag):
         lag = tool.moved(states.lag)
         yield KnownError(group="servo", effect=0.5 * lag)
-        yield Source(name="servo", group="servo", effect=_UNIFORM_DEVIATION * lag)
+        yield ErrorSource(name="servo", group="servo", effect=_UNIFORM_DEVIATION * lag)
 
 
 def _half_loops(robot: Robot) -> np.ndarray:

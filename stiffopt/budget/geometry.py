@@ -6,12 +6,12 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from stiffopt.budget.sources import Source, ToolJacobians, rigid_shifts
+from stiffopt.budget.sources import ErrorSource, ToolJacobians, rigid_shifts
 from stiffopt.robot.frames import LinkFrame
 from stiffopt.robot.tolerances import TOLERANCE_IN_STANDARD_DEVIATIONS, Tolerances
 
 
-def geometric_sources(tool: ToolJacobians, tolerances: Tolerances) -> Iterator[Source]:
+def geometric_sources(tool: ToolJacobians, tolerances: Tolerances) -> Iterator[ErrorSource]:
     """Yield the sources of geometry, and of thermal growth.
 
     Frames of joints that do not move the tool have none.
@@ -45,7 +45,7 @@ def geometric_sources(tool: ToolJacobians, tolerances: Tolerances) -> Iterator[S
         )
         zero = size["frame_position"] if body.prismatic else size["joint_zero"]
         if zero > 0.0:
-            yield Source(
+            yield ErrorSource(
                 name=f"zero of {body.name}",
                 group="geometry",
                 effect=zero * tool.jacobian[:, :, joint - 1],
@@ -59,4 +59,4 @@ def geometric_sources(tool: ToolJacobians, tolerances: Tolerances) -> Iterator[S
     )
     if size["thermal_growth"] > 0.0:
         grown = np.concatenate([size["thermal_growth"] * tool.place, np.zeros((count, 3))], axis=1)
-        yield Source(name="temperature", group="thermal growth", effect=grown)
+        yield ErrorSource(name="temperature", group="thermal growth", effect=grown)

@@ -11,6 +11,7 @@ from stiffopt.baseline.baselines import quintic_motion
 from stiffopt.budget.budget import ErrorModel
 from stiffopt.budget.sources import States
 from stiffopt.elastic.motor import MotorMotion
+from stiffopt.elastic.servo import Servo
 from stiffopt.elastic.uncertainty import Uncertainty, bounds_from_deviations
 from stiffopt.errors import InputFileError
 from stiffopt.files import load_json
@@ -27,7 +28,7 @@ _STIFFNESS_FILE = "stiffness.json"
 def problem_states(problem: TrajectoryProblem) -> States:
     """Return the states of the quintic motion of a problem, at the least duration allowed."""
     motion = MotorMotion.of(quintic_motion(problem, resolve(problem)))
-    return _sample_states(motion, motion, problem.uncertainty)
+    return _sample_states(motion, motion, problem.servo)
 
 
 def solved_states(stored: StoredResult) -> States:
@@ -35,15 +36,18 @@ def solved_states(stored: StoredResult) -> States:
     own = stored.optimised
     motion = MotorMotion(own.time, own.position, own.velocity)
     command = motion if stored.command is None else MotorMotion.of(stored.command.motors)
-    return _sample_states(motion, command, stored.uncertainty)
+    servo = stored.problem.servo
+    # A command is sent ahead of the plan by the known dead time.
+    ahead = 0.0 if stored.command is None else servo.dead_time
+    return _sample_states(motion, command, servo, ahead)
 
 
-def _sample_states(motion: MotorMotion, command: MotorMotion, uncertainty: Uncertainty) -> States:
+def _sample_states(
+    motion: MotorMotion, command: MotorMotion, servo: Servo, ahead: float = 0.0
+) -> States:
     time = np.linspace(0.0, motion.duration, _INSTANT_COUNT)
-    servo = uncertainty.servo
-    lag = np.zeros((len(time), motion(time).shape[1]))
-    if servo is not None:
-        lag = servo.follow(command, motion.duration).position(time) - command.position(time)
+    followed = servo.follow(command, motion.duration, ahead)
+    lag = followed.position(time) - motion.position(time)
     return States(
         time=time,
         position=motion(time),

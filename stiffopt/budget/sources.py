@@ -22,7 +22,7 @@ GROUPS: tuple[Group, ...] = (
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Source:
+class ErrorSource:
     """One independent cause of error, normally distributed.
 
     Parameters
@@ -125,7 +125,7 @@ class ToolJacobians:
 
 def rigid_shifts(
     name: str, group: Group, axes: np.ndarray, arm: np.ndarray, sizes: tuple[float, float]
-) -> Iterator[Source]:
+) -> Iterator[ErrorSource]:
     """Yield the sources of a frame: three displacements and three rotations.
 
     Parameters
@@ -145,4 +145,4 @@ def rigid_shifts(
             effect = np.concatenate(
                 [np.cross(axis, arm) if turning else axis, axis if turning else 0.0 * axis], axis=1
             )
-            yield Source(name=f"{name}, {kind}", group=group, effect=effect)
+            yield ErrorSource(name=f"{name}, {kind}", group=group, effect=effect)

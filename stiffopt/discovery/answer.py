@@ -25,7 +25,7 @@ MAX_HEADLINE_FINDINGS = 2
 MIN_LISTED_PROBABILITY = 0.005
 # Probability above which "above 99 %" is written.
 _MAX_SHOWN_PROBABILITY = 0.995
-_PLACEHOLDER = re.compile(r"\{([^{}:]+)(:%)?\}")
+_VALUE_PLACEHOLDER = re.compile(r"\{([^{}:]+)(:%)?\}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -276,7 +276,7 @@ def fill(
             return f"{pm(100.0 * size, 100.0 * own.sd, '')} %"
         return pm(size, own.sd, own.unit)
 
-    return _PLACEHOLDER.sub(value, text)
+    return _VALUE_PLACEHOLDER.sub(value, text)
 
 
 def _format_together(parameters: list[Parameter]) -> str:

@@ -125,7 +125,7 @@ class Finding:
 
     @property
     def certainty(self) -> Certainty:
-        """How sure it is: only what is found or likely is named."""
+        """Certainty in one word: only what is found or likely is named."""
         if self.probability >= FOUND_PROBABILITY:
             return "found"
         if self.probability >= NAMED_PROBABILITY:

@@ -26,7 +26,7 @@ def test_channel_of_a_joint_effect_is_of_its_joint(training):
     scorer = Scorer(comparison)
     tried = 0
     for effect in CATALOGUE:
-        if effect.scope != "joint" or effect.name == "wrist_coupling":
+        if effect.scope != "joint" or effect.couples_joints:
             continue
         for located in effect_places(
             effect, comparison.constants, [run.name for run in comparison.runs]

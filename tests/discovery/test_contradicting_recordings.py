@@ -126,5 +126,5 @@ def test_a_run_without_a_position_is_left_out_by_name_and_reason(tmp_path: Path)
 def test_run_with_another_payload_is_doubted(tmp_path: Path) -> None:
     diagnosis = diagnose(SCARA.write(tmp_path / "set", payload=(1, 0.6)), experiment=False)
     assert diagnosis.verdict == "outside_catalogue"
-    assert not diagnosis.findings
+    assert all(each.certainty == "possible" for each in diagnosis.findings)
     assert "In run_2 the residual of the nominal model" in unexplained_sentence(diagnosis)

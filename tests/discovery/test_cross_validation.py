@@ -110,8 +110,8 @@ def test_friction_is_refitted_to_moving_samples() -> None:
     )
     # Its words follow the sign of the amplitude.
     assert "more dry friction" in there.effect.phrase_of(off.effects[0].amplitudes)
-    rows = _MovingSamples(training, training.settings, (), off, ["coulomb"])
-    again = _apply_steps(training, off, rows, ["coulomb"])
+    rows = _MovingSamples(training, training.settings, (), off, [effect("coulomb").identity])
+    again = _apply_steps(training, off, rows, [effect("coulomb").identity])
     value, sd = again.parameters(0, there.constants(constants))["dFc"]
     known, exact = first.parameters(0, there.constants(constants))["dFc"]
     assert value == pytest.approx(known, rel=0.05)
@@ -124,8 +124,8 @@ def test_friction_contradicted_by_moving_samples_is_dropped() -> None:
     comparison = training.comparison()
     places = [LocatedEffect(effect=effect("coulomb"), joint=j) for j in (0, 1)]
     wrong = estimate_parameters(comparison, places).moved(np.array([1.0, 0.0]))
-    rows = _MovingSamples(training, training.settings, (), wrong, ["coulomb"])
-    helps = [rows.helps(found, ["coulomb"], training) for found in wrong.effects]
+    rows = _MovingSamples(training, training.settings, (), wrong, [effect("coulomb").identity])
+    helps = [rows.helps(found, [effect("coulomb").identity], training) for found in wrong.effects]
     assert helps == [False, True]
     there = Selected(places[1], 1.0, 1.0, 1.0, (), 1)
     kept, parameters = refit_friction(training, training.settings, (), comparison, [there])

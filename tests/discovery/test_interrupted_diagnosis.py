@@ -150,7 +150,7 @@ def test_ctrl_c_keeps_predicted_runs_consistent(monkeypatch):
     names = ("a.npz", "b.npz")
     stands_for = SimpleNamespace
     for name in ("held_out_track", "mask_episodes", "decimate_run", "_choose_vibrating_links"):
-        monkeypatch.setattr(held_out, name, lambda *_: stands_for(usable=True))
+        monkeypatch.setattr(held_out, name, lambda *_: stands_for(usable=True, at_rest=False))
     monkeypatch.setattr(held_out, "find_episodes", lambda *_: ())
     monkeypatch.setattr(held_out, "compare_predictions", lambda *_: stands_for())
     monkeypatch.setattr(
@@ -159,7 +159,8 @@ def test_ctrl_c_keeps_predicted_runs_consistent(monkeypatch):
         lambda *_, **__: stands_for(velocity=0, predict_each=lambda _: (0, 0)),
     )
     recordings = stands_for(
-        with_role=lambda *_: [stands_for(file=name) for name in names], open=lambda entry: entry
+        with_role=lambda *_: [stands_for(file=name) for name in names],
+        open=lambda _: stands_for(usable=True, at_rest=False),
     )
     training = stands_for(robot=None, constants=None, noise=stands_for(channels=None))
     stopped = 0

@@ -195,7 +195,8 @@ def test_planned_links_have_no_residual_vibration(planar):
     assert solution.duration == pytest.approx(planar.duration[0], abs=1e-9)
     assert solution.trajectory.link.duration == solution.duration
     swinging = solution.simulation.optimised.simulated
-    assert swinging.peak == pytest.approx(solution.objective.value, rel=0.1, abs=5e-6)
+    # The tool follows the planned path although it leads the motors by the wind-up.
+    assert swinging.peak < 0.1 * solution.objective.value
     # Damping delays the wind-up: motors that know it leave a hundredth.
     assert swinging.peak_after < max(0.01 * solution.objective.value, 5e-6)
 
@@ -222,7 +223,7 @@ def test_process_force_shifts_the_static_equilibrium(tmp_path):
     assert solution.status.usable
     assert solution.trajectory([0.0])[0] == pytest.approx(problem.start.joints, abs=1e-9)
     swinging = solution.simulation.optimised.simulated
-    assert swinging.peak == pytest.approx(solution.objective.value, rel=0.1, abs=5e-6)
+    assert swinging.peak < 0.1 * solution.objective.value
     assert swinging.peak_after < max(0.05 * solution.objective.value, 5e-6)
 
 

@@ -28,6 +28,7 @@ def told(part, left, part_of=OFFSETS, kinds=("torque",), rigid=None, moved=()):
             MismatchShare(part=None, measured="torque", share=left),
         ],
         held_out=[SimpleNamespace(channels=[SimpleNamespace(kind=kind) for kind in kinds])],
+        training=SimpleNamespace(box=4.0),
         search=SimpleNamespace(
             rigid=rigid,
             comparison=SimpleNamespace(nuisance=(names, np.full(len(names), 0.3), None)),

@@ -192,7 +192,8 @@ def test_least_residual_vibration(tmp_path):
     solution = solve(problem, simulate=True)
     assert solution.status.usable
     after = solution.simulation.optimised.simulated.peak_after
-    assert solution.objective.value == pytest.approx(after, rel=1e-3)
+    # The tool error after arrival is measured from the planned path, which ends beside rest.
+    assert solution.objective.value == pytest.approx(after, abs=1e-6)
     assert after < 5e-6
     assert solution.ratio_to_better_baseline < 0.05
     document = result_document(solution)

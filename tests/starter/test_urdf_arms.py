@@ -359,4 +359,6 @@ def test_recordings_of_one_of_two_arms(tmp_path, capsys):
     assert run([*arguments, "--tip", "right_link6"]) == 0
     text = (tmp_path / "log_set" / "recordings.toml").read_text()
     assert 'joints = ["right_1", "right_2", "right_3", "right_4", "right_5", "right_6"]' in text
-    assert run(["recording", "check", str(tmp_path / "log_set")]) == 0
+    # Made-up torques belong to no motion.
+    assert run(["recording", "check", str(tmp_path / "log_set")]) == 2
+    assert "does not follow the motion" in capsys.readouterr().err

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -99,3 +99,11 @@ def on_wrist(constants: JointConstants) -> bool:
 
 Reported = Mapping[str, float]
 Constants = Any
+
+
+def deviation_from_state(
+    amplitudes: Sequence[Quantity], states: Sequence[str], run: int
+) -> Quantity:
+    """Return the deviation of a run from the mean of the runs of its state."""
+    own = [a for a, state in zip(amplitudes, states, strict=True) if state == states[run]]
+    return amplitudes[run] - sum(own) / len(own)

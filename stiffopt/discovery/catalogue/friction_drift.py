@@ -13,7 +13,12 @@ from functools import partial
 
 import numpy as np
 
-from stiffopt.discovery.catalogue.common import RUN_PREFIX, dry_friction, viscous_friction
+from stiffopt.discovery.catalogue.common import (
+    RUN_PREFIX,
+    deviation_from_state,
+    dry_friction,
+    viscous_friction,
+)
 from stiffopt.discovery.catalogue.friction import rounded_load
 from stiffopt.discovery.effect import Amplitude, Effect, Shape, Term
 from stiffopt.discovery.signals import JointConstants, JointSignals
@@ -28,12 +33,6 @@ _SPEED_POWERS, _SPEED_ROUNDING, _LOAD_ROUNDING = (0.0, 0.5, 1.0, 2.0), 1e-2, 0.0
 _CURVE_KNOTS = 5
 
 
-def _deviation(amplitudes: Sequence[Quantity], states: Sequence[str], run: int) -> Quantity:
-    """Return the deviation of a run from the mean of the runs of its state."""
-    own = [a for a, state in zip(amplitudes, states, strict=True) if state == states[run]]
-    return amplitudes[run] - sum(own) / len(own)
-
-
 def _drift_term(
     seen: Sequence[str],
     states: Sequence[str],
@@ -44,7 +43,7 @@ def _drift_term(
     """Return the deviation of a recorded run from the mean; zero in any other run."""
     if signals.run not in seen:
         return Term()
-    off = _deviation(amplitudes, states, seen.index(signals.run))
+    off = deviation_from_state(amplitudes, states, seen.index(signals.run))
     constants, w, viscous = signals.constants, signals.motor_velocity, shapes[0]
     dry = (1.0 - viscous) * dry_friction(constants) * signals.motor_direction
     return Term(drive_torque=off * (dry + viscous * viscous_friction(constants) * w))
@@ -57,7 +56,7 @@ def _report_spread(
     constants: JointConstants,
 ) -> Mapping[str, float]:
     free = len(amplitudes) - len(set(states))
-    off = [float(_deviation(amplitudes, states, run)) for run in range(len(amplitudes))]
+    off = [float(deviation_from_state(amplitudes, states, run)) for run in range(len(amplitudes))]
     spread = float(np.sqrt(np.sum(np.square(off)) / free)) if free else 0.0
     return {
         "dFc_spread": spread * (1.0 - shapes[0]) * dry_friction(constants),

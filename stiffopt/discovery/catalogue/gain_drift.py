@@ -14,7 +14,7 @@ from typing import Literal
 
 import numpy as np
 
-from stiffopt.discovery.catalogue.common import RUN_PREFIX, Constants
+from stiffopt.discovery.catalogue.common import RUN_PREFIX, Constants, deviation_from_state
 from stiffopt.discovery.effect import Amplitude, Effect, Term
 from stiffopt.discovery.signals import JointSignals, RobotSignals
 from stiffopt.symbolic import Quantity
@@ -25,14 +25,15 @@ _TYPICAL_DEVIATION = 0.03
 
 def _drift_term(
     seen: Sequence[str],
+    states: Sequence[str],
     signals: JointSignals | RobotSignals,
     amplitudes: Sequence[Quantity],
     shapes: Sequence[Quantity],
 ) -> Term:
-    """Return the deviation of a recorded run from the mean of all; zero in any other run."""
+    """Return the deviation of a recorded run from the mean of its state; zero in any other run."""
     if signals.run not in seen:
         return Term()
-    off = amplitudes[seen.index(signals.run)] - sum(amplitudes) / len(amplitudes)
+    off = deviation_from_state(amplitudes, states, seen.index(signals.run))
     return Term(drive_torque=off * signals.drive_torque)
 
 
@@ -47,7 +48,11 @@ def _report_trend(
 
 
 def gain_drift(
-    scope: Literal["joint", "robot"], runs: Sequence[str], *, seen: bool = True
+    scope: Literal["joint", "robot"],
+    runs: Sequence[str],
+    *,
+    seen: bool = True,
+    states: Sequence[str] | None = None,
 ) -> Effect:
     """Return the effect with one amplitude per run.
 
@@ -58,7 +63,10 @@ def gain_drift(
     runs : sequence of str
     seen : bool
         True where runs of these names are those of the amplitudes.
+    states : sequence of str, optional
+        State of the robot in each run, where two are compared.
     """
+    states = tuple(states) if states is not None else ("",) * len(runs)
     common = scope == "robot"
     whose = "of all joints alike" if common else "of one joint"
     return Effect(
@@ -75,7 +83,7 @@ def gain_drift(
         confused_with=("friction_drift", "thermal_friction")
         if common
         else ("common_gain_drift", "friction_drift", "thermal_friction"),
-        term=partial(_drift_term, tuple(runs) if seen else ()),
+        term=partial(_drift_term, tuple(runs) if seen else (), states),
         amplitudes=tuple(
             Amplitude(
                 name=f"{RUN_PREFIX}{run}",

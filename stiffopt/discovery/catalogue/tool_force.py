@@ -42,7 +42,7 @@ def _typical_force(constants: RobotConstants) -> float:
     return max(_WEIGHT_SHARE * _STANDARD_GRAVITY * float(np.sum(constants.masses)), 0.5)
 
 
-_FORCE = tuple(
+_FORCE_COMPONENTS = tuple(
     Amplitude(name=name, unit="N", scale=_typical_force, lower=-40.0, upper=40.0)
     for name in ("fx", "fy", "fz")
 )
@@ -68,7 +68,7 @@ TOOL_FORCE = Effect(
     needs=("torque", "moves", "tool_frame"),
     confused_with=("payload", "external_contact", "base_tilt"),
     term=tool_force_term,
-    amplitudes=_FORCE,
+    amplitudes=_FORCE_COMPONENTS,
     remedy=_describe_remedy,
     separate="Accelerate the tool in the direction of the force: a payload's torque grows with the"
     " acceleration, that of a pulling hose does not.",
@@ -84,7 +84,7 @@ TURNING_TOOL_FORCE = Effect(
     needs=("torque", "moves", "tool_frame"),
     confused_with=("payload", "tool_force"),
     term=turning_force_term,
-    amplitudes=_FORCE,
+    amplitudes=_FORCE_COMPONENTS,
     remedy=_describe_remedy,
     separate="Turn the wrist by half a turn at one place: the force of a spring in the tool turns"
     " with it, that of a hose and of a payload does not.",

@@ -23,6 +23,9 @@ from stiffopt.discovery.thresholds import MIN_ACTIVE_SHARE, NAMED_EVIDENCE
 
 # Shares of each run's start that members leave out: filters, contacts and warm-up act there.
 START_CUTS = (0.03, 0.05, 0.10)
+# Share of a finding's evidence, or of the required one if that is less, in proportion to the rows
+# of a member, with which it is named again: evidence of equal stretches differs by about as much.
+MIN_EVIDENCE_KEPT = 0.5
 # Prior standard deviation of inertial parameters over their typical sizes in the member with free
 # masses: the second widest of the re-identification.
 FREE_WIDTH = PRIOR_WIDTHS[-2]
@@ -50,17 +53,25 @@ def recurrence(
 
     Notes
     -----
-    A member names a finding again if the evidence for it, beside the other findings, reaches the
-    one required of all data in proportion to its rows, its main amplitude keeps its sign, and no
-    rival in its place has more evidence. Members in which an effect does not act are not counted
-    for it.
+    A member names a finding again if the evidence for it, beside the other findings, reaches half
+    of the one required of all data in proportion to its rows, its main amplitude keeps its sign,
+    and no rival in its place has more evidence. Members in which an effect does not act are not
+    counted for it. A drift between runs is named only if it is named again without each single run:
+    one odd run is no drift.
     """
     named, counted = np.zeros(len(selected)), np.zeros(len(selected))
     for member, kept in _members(comparison, half_band, free_bodies=free_bodies):
         again, acts = _named_in(member, selected, kept)
         named += again & acts
         counted += acts
-    return np.where(counted > 0, named / np.maximum(counted, 1), 1.0)
+    share = np.where(counted > 0, named / np.maximum(counted, 1), 1.0)
+    drifts = np.array([each.located.effect.of_runs is not None for each in selected])
+    if drifts.any():
+        number = comparison.rows.sample_signal(lambda run: np.full(len(run.time), run.index))
+        for left_out in np.unique(number):
+            again, acts = _named_in(comparison, selected, number != left_out)
+            share = np.where(drifts & acts & ~again, 0.0, share)
+    return share
 
 
 def _members(
@@ -114,7 +125,8 @@ def _named_in(
             > gained
             for rival, _ in each.rivals
         )
-        again[k] = gained >= share * NAMED_EVIDENCE and same_sign and not ahead
+        asked = MIN_EVIDENCE_KEPT * share * min(NAMED_EVIDENCE, each.loss)
+        again[k] = gained >= asked and same_sign and not ahead
     return again, acts
 
 

@@ -52,7 +52,7 @@ _MIN_DELAY = 0.06
 _ZERO_REACH, _CONVENTION_TOLERANCE = np.pi / 6.0, 0.03
 # Residual share of coupled drives over that of a sum of positions from which the sum is told.
 _EQUIVALENT_RATIO = 2.0
-_RATES = ("velocity", "acceleration")
+_DERIVATIVE_NAMES = ("velocity", "acceleration")
 # Largest tilt of the base that is left to a diagnosis [rad].
 _MAX_SMALL_TILT = np.pi / 6.0
 
@@ -404,7 +404,7 @@ class Explanations:
 
     def _is_coupled_drive(self, reading: Reading, joint: int, left: float) -> bool:
         """True if friction and inertia of a drive of two joints explain as much as a sum."""
-        v, a = (getattr(self.motions.of(reading), name)[:, joint] for name in _RATES)
+        v, a = (getattr(self.motions.of(reading), name)[:, joint] for name in _DERIVATIVE_NAMES)
         columns = np.column_stack([smooth_sign(v), v, a])
         free = np.full(columns.shape[1], np.inf)
         torque = self.samples.torque[:, joint]

@@ -268,7 +268,7 @@ def _doubt_single_runs(
     if not fails.any():
         return
     for run in runs[:_MAX_SINGLE_RUNS]:
-        samples = _sample_judged_run(run)
+        samples = _sample_run(run)
         if samples is None:
             continue
         search = Explanations(together.robot, samples)
@@ -322,7 +322,7 @@ def find_odd_runs(together: Explanations, runs: Sequence[RecordedRun]) -> list[O
     """
     searches: list[tuple[RecordedRun, Explanations]] = []
     for run in runs[:_MAX_COMPARED_RUNS]:
-        samples = _sample_judged_run(run)
+        samples = _sample_run(run)
         if samples is not None:
             searches.append((run, Explanations(together.robot, samples)))
     if len(searches) < 2:
@@ -352,7 +352,7 @@ def _explains_odd_runs(explanation: Explanation, odd: Sequence[OddRun]) -> bool:
     return bool(np.all(explanation.left[joints] < _MIN_ODD_SHARE))
 
 
-def _sample_judged_run(run: RecordedRun) -> Samples | None:
+def _sample_run(run: RecordedRun) -> Samples | None:
     """Sample one run; None where it is too short to be judged alone."""
     return sample_runs([run]) if run.duration >= _MIN_JUDGED_DURATION else None
 

@@ -192,7 +192,7 @@ def files_of(path: Path) -> list[Path]:
         found = [file]
         if _READER_OF_ENDING.get(file.suffix.lower()) == "parquet":
             found += filter(None, [find_dataset_info(file)])
-        if _is_trace(file):
+        if file.suffix.lower() == _TRACE_ENDING:
             found = kuka_trace.files_of(file)
     return [each for each in found if each.is_file()]
 

@@ -22,7 +22,6 @@ from stiffopt.report.diagnosis.changes import (
     change_lead,
     change_rows,
     change_verdict,
-    state_figure,
     unchanged_rows,
 )
 from stiffopt.report.diagnosis.figures import (
@@ -53,6 +52,7 @@ from stiffopt.report.diagnosis.regimes import (
     spectrum_figure,
 )
 from stiffopt.report.diagnosis.sections import answer_sections
+from stiffopt.report.diagnosis.state_figure import state_figure
 from stiffopt.report.diagnosis.words import (
     CHANNEL_OUTCOMES,
     channel_words,

@@ -43,7 +43,7 @@ _CHANGE_COLUMNS = ("changed value", "from", "to", "cause")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Section:
+class AnswerSection:
     """Part of an answer with its sentences and a table.
 
     Parameters
@@ -62,13 +62,13 @@ class Section:
     rows: tuple[tuple[str, ...], ...] = ()
 
 
-def answer_sections(diagnosis: Diagnosis) -> list[Section]:
+def answer_sections(diagnosis: Diagnosis) -> list[AnswerSection]:
     """Return the sections of an answer that have content, the most important first."""
     every = [
-        Section(title="Findings", head=_FINDING_COLUMNS, rows=tuple(finding_rows(diagnosis))),
+        AnswerSection(title="Findings", head=_FINDING_COLUMNS, rows=tuple(finding_rows(diagnosis))),
         _changes_section(diagnosis),
-        Section(title="Composition of the mismatch", lines=tuple(mismatch_lines(diagnosis))),
-        Section(
+        AnswerSection(title="Composition of the mismatch", lines=tuple(mismatch_lines(diagnosis))),
+        AnswerSection(
             title="Next experiment",
             lines=(diagnosis.next_experiment,) if diagnosis.next_experiment else (),
         ),
@@ -76,10 +76,10 @@ def answer_sections(diagnosis: Diagnosis) -> list[Section]:
     return [each for each in every if each.lines or each.rows]
 
 
-def _changes_section(diagnosis: Diagnosis) -> Section:
+def _changes_section(diagnosis: Diagnosis) -> AnswerSection:
     rows = change_rows(diagnosis)
     rest = len(rows) - _MAX_CHANGE_ROWS
-    return Section(
+    return AnswerSection(
         title="Changed values",
         head=_CHANGE_COLUMNS,
         rows=tuple(rows[:_MAX_CHANGE_ROWS]),
