@@ -14,7 +14,7 @@ from stiffopt.symbolic import Quantity
 # Typical error [rad]: between a mastering beside the mark and another convention, a quarter turn.
 _TYPICAL_ZERO, _MAX_ZERO = 0.1, np.pi
 # Angles about which a search begins [rad]; a secant converges from the next of them.
-_STARTS = (0.0, 1.5, -1.5, 3.0)
+_INITIAL_ZEROS = (0.0, 1.5, -1.5, 3.0)
 # Regularises sin(x)/x at zero [rad].
 _TINY_ANGLE = 1e-9
 
@@ -87,7 +87,7 @@ JOINT_ZERO = Effect(
         Shape(
             name="about",
             unit="rad",
-            starts=_STARTS,
+            starts=_INITIAL_ZEROS,
             lower=-_MAX_ZERO,
             upper=_MAX_ZERO,
             usual=0.0,
