@@ -118,7 +118,9 @@ def _named_in(
         rows = np.flatnonzero(owner == k)
         gained = _evidence(mean, covariance, rows)
         main = rows[int(np.argmax(np.abs(mean[rows]) / np.sqrt(np.diag(covariance)[rows])))]
-        same_sign = mean[main] * signs[main - len(sd)] > 0.0
+        # Deviations of runs are about the mean of the runs that are left: their signs may change.
+        drifts = each.located.effect.of_runs is not None
+        same_sign = drifts or mean[main] * signs[main - len(sd)] > 0.0
         others = owner != k
         ahead = any(
             _evidence_in_place(gram, moment, prior, own, target, others, member, rival, kept)
