@@ -106,7 +106,8 @@ def test_held_out_runs_are_read_after_findings_are_fixed(monkeypatch):
         diagnose(recordings, progress=told.append)
     assert opened == ["train"] * 3 + ["test"]
     # Parameters are estimated and their deviations known before the first held-out run.
-    assert told.index("estimate parameters") == len(told) - 2
+    assert told.index("estimate parameters") == len(told) - 3
+    assert told[-2] == "fit the findings again to perturbed runs and models"
     assert told[-1].startswith("predict ")
 
 
