@@ -122,7 +122,8 @@ class SanityGate:
     def _explanation_search(self) -> Explanations | None:
         if any(run.at_rest for run in self._runs):
             return None  # every alternative reading is judged by motion
-        if sum(run.duration for run in self._runs) < _MIN_JUDGED_DURATION:
+        # One short run grounds no refusal; several short ones that agree do.
+        if len(self._runs) == 1 and self._runs[0].duration < _MIN_JUDGED_DURATION:
             return None
         samples = sample_runs(self._runs)
         return None if samples is None else Explanations(self._nominal_robot, samples)
