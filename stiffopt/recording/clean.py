@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -52,6 +53,14 @@ def clean_run(
         A clock that cannot be used.
     """
     n = len(signals.position)
+    build_run = partial(
+        RecordedRun,
+        name=name,
+        file=file,
+        role=role,
+        session_time=session_time,
+        temperature=temperature,
+    )
     if holds_rest_poses(columns, signals):
         stamps, rows = read_pose_rows(columns, signals, path)
         position, links, torque = (
@@ -60,12 +69,7 @@ def clean_run(
         )
         assert position is not None
         assert torque is not None
-        return RecordedRun(
-            name=name,
-            file=file,
-            role=role,
-            session_time=session_time,
-            temperature=temperature,
+        return build_run(
             stamps=stamps,
             time=stamps[rows],
             position=position,
@@ -101,12 +105,7 @@ def clean_run(
     position, torque = arrays["position"], arrays["torque"]
     assert position is not None
     assert torque is not None
-    return RecordedRun(
-        name=name,
-        file=file,
-        role=role,
-        session_time=session_time,
-        temperature=temperature,
+    return build_run(
         stamps=clock.stamps,
         time=time,
         position=position,

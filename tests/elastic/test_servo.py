@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from elastic_arms import arm, bang
+from runge_kutta import integrate
 
 from stiffopt.baseline.rivals import quintic_law
 from stiffopt.elastic.motor import MotorMotion
@@ -29,15 +30,7 @@ def integrate_servo(servo, command, end, step=2e-5):
         drive = servo.feed_forward * rate + gain * (wanted - state[0]) - state[1]
         return np.array([state[1], inner * drive + servo.torque_feed_forward * bend])
 
-    state, found = np.array([0.0, 0.0]), [0.0]
-    for k in range(round(end / step)):
-        t = k * step
-        a = slope(t, state)
-        b = slope(t + 0.5 * step, state + 0.5 * step * a)
-        c = slope(t + 0.5 * step, state + 0.5 * step * b)
-        state = state + step / 6.0 * (a + 2 * b + 2 * c + slope(t + step, state + step * c))
-        found.append(state[0])
-    return np.arange(len(found)) * step, np.array(found)
+    return integrate(slope, np.zeros(2), end, step)
 
 
 def smooth(angle=1.0, duration=0.4):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from elastic_arms import INERTIA, LENGTH, STIFFNESS, arm, bang, there_and_stop
+from runge_kutta import integrate
 
 from stiffopt.elastic.motor import MotorMotion
 from stiffopt.elastic.simulate import simulate
@@ -21,15 +22,7 @@ def integrate_swivel(motor, damping, end, step=2e-5):
         torque = STIFFNESS * (motor_angle - state[0]) + damping * (motor_rate - state[1])
         return np.array([state[1], torque / INERTIA])
 
-    state, found = np.zeros(2), [0.0]
-    for k in range(round(end / step)):
-        t = k * step
-        a = slope(t, state)
-        b = slope(t + 0.5 * step, state + 0.5 * step * a)
-        c = slope(t + 0.5 * step, state + 0.5 * step * b)
-        state = state + step / 6.0 * (a + 2 * b + 2 * c + slope(t + step, state + step * c))
-        found.append(state[0])
-    return np.arange(len(found)) * step, np.array(found)
+    return integrate(slope, np.zeros(2), end, step)
 
 
 def test_error_is_measured_from_the_planned_path_and_not_from_the_motors(tmp_path):

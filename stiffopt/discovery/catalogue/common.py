@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -99,6 +99,16 @@ def on_wrist(constants: JointConstants) -> bool:
 
 Reported = Mapping[str, float]
 Constants = Any
+
+
+def amplitudes_of_runs(
+    runs: Iterable[str], scale: float, lower: float, upper: float
+) -> tuple[Amplitude, ...]:
+    """Return one relative amplitude per run with its typical size, and its bounds over that."""
+    return tuple(
+        Amplitude(name=f"{RUN_PREFIX}{run}", unit="", scale=scale, lower=lower, upper=upper)
+        for run in runs
+    )
 
 
 def deviation_from_state(

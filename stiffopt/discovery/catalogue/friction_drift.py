@@ -14,7 +14,7 @@ from functools import partial
 import numpy as np
 
 from stiffopt.discovery.catalogue.common import (
-    RUN_PREFIX,
+    amplitudes_of_runs,
     deviation_from_state,
     dry_friction,
     viscous_friction,
@@ -146,16 +146,8 @@ def friction_within_runs(runs: Sequence[str]) -> Effect:
         needs=("torque", "moves", "reverses"),
         reference="LairdWare1982",
         term=partial(_drift_within_term, tuple(runs)),
-        amplitudes=tuple(
-            Amplitude(
-                name=f"{RUN_PREFIX}{run} {k}",
-                unit="",
-                scale=_TYPICAL_SHARE,
-                lower=-50.0,
-                upper=50.0,
-            )
-            for run in runs
-            for k in range(_CURVE_KNOTS)
+        amplitudes=amplitudes_of_runs(
+            (f"{run} {k}" for run in runs for k in range(_CURVE_KNOTS)), _TYPICAL_SHARE, -50.0, 50.0
         ),
     )
 
@@ -192,12 +184,7 @@ def friction_drift(
         likelier_than=friction_within_runs(runs),
         reference="LairdWare1982",
         term=partial(_drift_term, tuple(runs) if seen else (), states),
-        amplitudes=tuple(
-            Amplitude(
-                name=f"{RUN_PREFIX}{run}", unit="", scale=_TYPICAL_SHARE, lower=-5.0, upper=25.0
-            )
-            for run in runs
-        ),
+        amplitudes=amplitudes_of_runs(runs, _TYPICAL_SHARE, -5.0, 25.0),
         shapes=(Shape(name="viscous", unit="", starts=(0.0, 0.5, 1.0), lower=0.0, upper=1.0),),
         report=partial(_report_spread, states),
         drawn=partial(_sampling_error, states),

@@ -14,8 +14,12 @@ from typing import Literal
 
 import numpy as np
 
-from stiffopt.discovery.catalogue.common import RUN_PREFIX, Constants, deviation_from_state
-from stiffopt.discovery.effect import Amplitude, Effect, Term
+from stiffopt.discovery.catalogue.common import (
+    Constants,
+    amplitudes_of_runs,
+    deviation_from_state,
+)
+from stiffopt.discovery.effect import Effect, Term
 from stiffopt.discovery.signals import JointSignals, RobotSignals
 from stiffopt.symbolic import Quantity
 
@@ -84,16 +88,7 @@ def gain_drift(
         if common
         else ("common_gain_drift", "friction_drift", "thermal_friction"),
         term=partial(_drift_term, tuple(runs) if seen else (), states),
-        amplitudes=tuple(
-            Amplitude(
-                name=f"{RUN_PREFIX}{run}",
-                unit="",
-                scale=_TYPICAL_DEVIATION,
-                lower=-10.0,
-                upper=10.0,
-            )
-            for run in runs
-        ),
+        amplitudes=amplitudes_of_runs(runs, _TYPICAL_DEVIATION, -10.0, 10.0),
         report=_report_trend,
         units={"per_run": "", "spread": ""},
         of_runs=partial(gain_drift, scope),

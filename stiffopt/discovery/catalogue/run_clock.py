@@ -2,25 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from functools import partial
 
-from stiffopt.discovery.catalogue.time_shift import shift_slope
-from stiffopt.discovery.effect import Amplitude, Effect, Shape, Term
-from stiffopt.discovery.signals import RobotSignals
-from stiffopt.symbolic import Quantity
+from stiffopt.discovery.catalogue.time_shift import delay_term
+from stiffopt.discovery.effect import Amplitude, Effect, Shape
 
 # Longest offset of the clock [s]; the plausibility check finds longer ones.
 _MAX_OFFSET = 0.2
-
-
-def run_clock_term(
-    signals: RobotSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
-) -> Term:
-    """Return tau(t - d) - tau(t) of all joints, linear in d about the offset of the shape."""
-    return Term(
-        drive_torque=amplitudes[0]
-        * shift_slope(signals.drive_torque, signals.dt, shapes[0], _MAX_OFFSET)
-    )
 
 
 RUN_CLOCK = Effect(
@@ -36,7 +24,7 @@ RUN_CLOCK = Effect(
     ),
     needs=("torque", "moves", "runs"),
     confused_with=("time_delay",),
-    term=run_clock_term,
+    term=partial(delay_term, _MAX_OFFSET),
     amplitudes=(Amplitude(name="d", unit="s", scale=0.02, lower=-10.0, upper=10.0),),
     shapes=(
         Shape(

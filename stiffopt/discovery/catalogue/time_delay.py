@@ -6,25 +6,13 @@ that it causes: a torque that is ahead was commanded, and recorded in place of t
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from functools import partial
 
-from stiffopt.discovery.catalogue.time_shift import shift_slope
-from stiffopt.discovery.effect import Amplitude, Effect, Shape, Term
-from stiffopt.discovery.signals import RobotSignals
-from stiffopt.symbolic import Quantity
+from stiffopt.discovery.catalogue.time_shift import delay_term
+from stiffopt.discovery.effect import Amplitude, Effect, Shape
 
 # Longest delay and lead [s]: some cycles of a slow controller.
 _MAX_DELAY = 0.05
-
-
-def time_delay_term(
-    signals: RobotSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
-) -> Term:
-    """Return tau(t - d) - tau(t) of all joints, linear in d about the delay of the shape."""
-    return Term(
-        drive_torque=amplitudes[0]
-        * shift_slope(signals.drive_torque, signals.dt, shapes[0], _MAX_DELAY)
-    )
 
 
 TIME_DELAY = Effect(
@@ -41,7 +29,7 @@ TIME_DELAY = Effect(
     remedy="Shift the torque channels by {d}, use one clock for all signals, and record the"
     " measured torque where it is ahead of the motion.",
     needs=("torque", "moves"),
-    term=time_delay_term,
+    term=partial(delay_term, _MAX_DELAY),
     amplitudes=(Amplitude(name="d", unit="s", scale=5e-3, lower=-10.0, upper=10.0),),
     shapes=(
         Shape(

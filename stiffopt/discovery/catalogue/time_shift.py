@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
+from stiffopt.discovery.effect import Term
+from stiffopt.discovery.signals import RobotSignals
 from stiffopt.symbolic import Quantity, is_symbolic
 
 # Shortest shift [s] whose slope rounding errors leave exact.
@@ -34,6 +37,26 @@ def shift_slope(
         shift = _SHORTEST_SHIFT
     reach = int(longest / dt) + 1
     return (shift_samples(values, shift / dt * growth, -reach, reach) - values) / shift
+
+
+def delay_term(
+    longest: float,
+    signals: RobotSignals,
+    amplitudes: Sequence[Quantity],
+    shapes: Sequence[Quantity],
+) -> Term:
+    """Return tau(t - d) - tau(t) of all joints, linear in d about the delay of the shape.
+
+    Parameters
+    ----------
+    longest : float
+        Largest size of the delay [s].
+    signals : RobotSignals
+    amplitudes, shapes : sequence
+        The delay d, and the one that the term is linear about [s].
+    """
+    slope = shift_slope(signals.drive_torque, signals.dt, shapes[0], longest)
+    return Term(drive_torque=amplitudes[0] * slope)
 
 
 def shift_samples(values: Quantity, samples: Any, least: int, most: int) -> Quantity:

@@ -23,6 +23,7 @@ from stiffopt.discovery.comparison.evidence import (
     Posterior,
     Sums,
     posterior,
+    savage_dickey,
 )
 from stiffopt.discovery.comparison.inertial_parameters import (
     body_units,
@@ -67,8 +68,7 @@ class Fit:
         for located in self.effects:
             part = slice(begin, begin + len(located.effect.amplitudes))
             mean, covariance = self.posterior.mean[part], self.posterior.covariance[part, part]
-            chi = float(mean @ np.linalg.solve(covariance, mean))
-            lost.append(0.5 * (chi + float(np.linalg.slogdet(covariance)[1])))
+            lost.append(savage_dickey(mean, covariance))
             begin = part.stop
         return np.array(lost)
 

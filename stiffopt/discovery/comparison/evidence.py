@@ -257,6 +257,15 @@ def _sum_blocks(parts: np.ndarray) -> np.ndarray:
     return np.asarray(parts.sum(axis=0, keepdims=True))
 
 
+def savage_dickey(mean: np.ndarray, covariance: np.ndarray) -> float:
+    """Return the log evidence for parameters (k,) of unit prior, by the Savage-Dickey ratio.
+
+    Posterior over prior density at zero, from the posterior mean (k,) and covariance (k, k).
+    """
+    chi = float(mean @ np.linalg.solve(covariance, mean))
+    return 0.5 * (chi + float(np.linalg.slogdet(covariance)[1]))
+
+
 def posterior(sums: Sums, prior_sd: np.ndarray, *, cross_validate: bool = True) -> Posterior:
     """Return the posterior under independent zero-mean priors.
 

@@ -8,13 +8,19 @@ again.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from stiffopt.discovery.comparison.comparison import Comparison
+from stiffopt.discovery.comparison.evidence import (
+    BlockSums,
+    Posterior,
+    posterior,
+    savage_dickey,
+)
 from stiffopt.discovery.comparison.inertial_parameters import body_units
-from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.comparison.prepared_run import PreparedRun
 from stiffopt.discovery.search.cross_validation import number_folds
 from stiffopt.discovery.search.rigid_model import PRIOR_WIDTHS
@@ -59,9 +65,14 @@ def recurrence(
     counted for it. A drift between runs is named only if it is named again without each single run:
     one odd run is no drift.
     """
+    signs = np.sign(comparison.fit([each.located for each in selected]).amplitudes())
     named, counted = np.zeros(len(selected)), np.zeros(len(selected))
-    for member, kept in _members(comparison, half_band, free_bodies=free_bodies):
-        again, acts = _named_in(member, selected, kept)
+    own = _Member(comparison, selected, signs)
+    others = _other_members(comparison, half_band, free_bodies=free_bodies)
+    for again, acts in (
+        *(own.named_again(kept) for kept in _kept_rows(comparison)),
+        *(_Member(other, selected, signs).named_again() for other in others),
+    ):
         named += again & acts
         counted += acts
     share = np.where(counted > 0, named / np.maximum(counted, 1), 1.0)
@@ -69,98 +80,103 @@ def recurrence(
     if drifts.any():
         number = comparison.rows.sample_signal(lambda run: np.full(len(run.time), run.index))
         for left_out in np.unique(number):
-            again, acts = _named_in(comparison, selected, number != left_out)
+            again, acts = own.named_again(number != left_out)
             share = np.where(drifts & acts & ~again, 0.0, share)
     return share
 
 
-def _members(
-    comparison: Comparison, half_band: Comparison | None, *, free_bodies: bool
-) -> Iterator[tuple[Comparison, np.ndarray]]:
-    """Yield comparisons with masks (m,) of the rows that each member keeps."""
+def _kept_rows(comparison: Comparison) -> Iterator[np.ndarray]:
+    """Yield masks (m,) of the rows that are left without a stretch, or without starts of runs."""
     fold = number_folds(comparison)
     for left_out in range(int(fold.max()) + 1):
-        yield comparison, fold != left_out
+        yield fold != left_out
 
     def progress(run: PreparedRun) -> np.ndarray:
         return np.asarray((run.time - run.time[0]) / float(run.time[-1] - run.time[0]))
 
     share = comparison.rows.sample_signal(progress)
     for cut in START_CUTS:
-        yield comparison, share >= cut
+        yield share >= cut
+
+
+def _other_members(
+    comparison: Comparison, half_band: Comparison | None, *, free_bodies: bool
+) -> Iterator[Comparison]:
+    """Yield the comparisons in half the band and with free masses, where there are any."""
     if half_band is not None:
-        yield half_band, np.ones(half_band.rows.size, dtype=bool)
+        yield half_band
     if free_bodies:
-        freed = comparison.with_bodies(FREE_WIDTH * body_units(comparison.robot))
-        yield freed, np.ones(comparison.rows.size, dtype=bool)
+        yield comparison.with_bodies(FREE_WIDTH * body_units(comparison.robot))
 
 
-def _named_in(
-    member: Comparison, selected: Sequence[Selected], kept: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return masks (e,) of the findings that a member names again, and that act in it."""
-    effects = [each.located for each in selected]
-    parts = [member.effect_columns(each) for each in effects]
-    share = float(np.mean(kept))
-    _, sd, nuisance = member.nuisance
-    own = np.column_stack([nuisance, *parts])[kept]
-    target = member.target[kept]
-    gram, moment = own.T @ own, own.T @ target
-    prior = np.concatenate([sd, np.ones(own.shape[1] - len(sd))])
-    owner = np.repeat(np.arange(-1, len(parts)), [len(sd), *(p.shape[1] for p in parts)])
-    again = np.zeros(len(parts), dtype=bool)
-    acts = np.zeros(len(parts), dtype=bool)
-    mean, covariance = _fit(gram, moment, prior)
-    signs = member.fit(effects).amplitudes()
-    for k, (each, part) in enumerate(zip(selected, parts, strict=True)):
-        square = float(np.sum(part**2))
-        acts[k] = np.sum(part[kept] ** 2) > MIN_ACTIVE_SHARE * square
-        rows = np.flatnonzero(owner == k)
-        gained = _evidence(mean, covariance, rows)
-        main = rows[int(np.argmax(np.abs(mean[rows]) / np.sqrt(np.diag(covariance)[rows])))]
-        # Deviations of runs are about the mean of the runs that are left: their signs may change.
-        drifts = each.located.effect.of_runs is not None
-        same_sign = drifts or mean[main] * signs[main - len(sd)] > 0.0
-        others = owner != k
-        ahead = any(
-            _evidence_in_place(gram, moment, prior, own, target, others, member, rival, kept)
-            > gained
-            for rival, _ in each.rivals
-        )
-        asked = MIN_EVIDENCE_KEPT * share * min(NAMED_EVIDENCE, each.loss)
-        again[k] = gained >= asked and same_sign and not ahead
-    return again, acts
+class _Member:
+    """Columns of the findings and of their rivals in one comparison.
+
+    Parameters
+    ----------
+    comparison : Comparison
+    selected : sequence of Selected
+    signs : array (p,)
+        Of the amplitudes as found.
+    """
+
+    def __init__(
+        self, comparison: Comparison, selected: Sequence[Selected], signs: np.ndarray
+    ) -> None:
+        _, sd, nuisance = comparison.nuisance
+        parts = [comparison.effect_columns(each.located) for each in selected]
+        self._selected, self._signs, self._target = selected, signs, comparison.target
+        self._columns = np.column_stack([nuisance, *parts])
+        self._owner = np.repeat(np.arange(-1, len(parts)), [len(sd), *(p.shape[1] for p in parts)])
+        self._prior = np.concatenate([sd, np.ones(len(self._owner) - len(sd))])
+        self._rivals = [
+            [comparison.effect_columns(rival) for rival, _ in each.rivals] for each in selected
+        ]
+
+    def named_again(self, kept: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+        """Return masks (e,) of the findings that are named again, and that act.
+
+        Parameters
+        ----------
+        kept : array (m,) of bool, optional
+            Rows that are fitted; default all.
+        """
+        if kept is None:
+            kept = np.ones(len(self._target), dtype=bool)
+        columns, target = self._columns[kept], self._target[kept]
+        found = _fit(columns, target, self._prior)
+        share = float(np.mean(kept))
+        first = int(np.sum(self._owner < 0))
+        again = np.zeros(len(self._selected), dtype=bool)
+        acts = np.zeros(len(self._selected), dtype=bool)
+        for k, each in enumerate(self._selected):
+            rows = np.flatnonzero(self._owner == k)
+            square = float(np.sum(self._columns[:, rows] ** 2))
+            acts[k] = np.sum(columns[:, rows] ** 2) > MIN_ACTIVE_SHARE * square
+            mean, covariance = found.mean[rows], found.covariance[np.ix_(rows, rows)]
+            gained = savage_dickey(mean, covariance)
+            main = int(np.argmax(np.abs(mean) / np.sqrt(np.diag(covariance))))
+            # Deviations of runs are about the mean of the runs left: their signs may change.
+            drifts = each.located.effect.of_runs is not None
+            same_sign = drifts or mean[main] * self._signs[rows[main] - first] > 0.0
+            asked = MIN_EVIDENCE_KEPT * share * min(NAMED_EVIDENCE, each.loss)
+            again[k] = gained >= asked and same_sign and gained >= self._best_rival(k, kept)
+        return again, acts
+
+    def _best_rival(self, k: int, kept: np.ndarray) -> float:
+        """Return the largest log evidence of a rival in place of a finding; -inf without one."""
+        others = self._owner != k
+        best = -math.inf
+        for rival in self._rivals[k]:
+            columns = np.column_stack([self._columns[:, others], rival])[kept]
+            prior = np.concatenate([self._prior[others], np.ones(rival.shape[1])])
+            found = _fit(columns, self._target[kept], prior)
+            rows = slice(int(others.sum()), None)
+            best = max(best, savage_dickey(found.mean[rows], found.covariance[rows, rows]))
+        return best
 
 
-def _fit(gram: np.ndarray, moment: np.ndarray, prior: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return posterior mean (p,) and covariance (p, p)."""
-    scaled = gram * np.outer(prior, prior) + np.eye(len(prior))
-    covariance = np.linalg.inv(scaled) * np.outer(prior, prior)
-    return covariance @ moment, covariance
-
-
-def _evidence(mean: np.ndarray, covariance: np.ndarray, rows: np.ndarray) -> float:
-    """Return the log evidence for parameters of unit prior: the Savage-Dickey ratio."""
-    own = covariance[np.ix_(rows, rows)]
-    chi = float(mean[rows] @ np.linalg.solve(own, mean[rows]))
-    return 0.5 * (chi + float(np.linalg.slogdet(own)[1]))
-
-
-def _evidence_in_place(
-    gram: np.ndarray,
-    moment: np.ndarray,
-    prior: np.ndarray,
-    own: np.ndarray,
-    target: np.ndarray,
-    others: np.ndarray,
-    member: Comparison,
-    rival: LocatedEffect,
-    kept: np.ndarray,
-) -> float:
-    """Return the log evidence for a rival beside the other columns."""
-    added = member.effect_columns(rival)[kept]
-    cross = own[:, others].T @ added
-    whole = np.block([[gram[np.ix_(others, others)], cross], [cross.T, added.T @ added]])
-    goal = np.concatenate([moment[others], added.T @ target])
-    mean, covariance = _fit(whole, goal, np.concatenate([prior[others], np.ones(added.shape[1])]))
-    return _evidence(mean, covariance, np.arange(int(others.sum()), len(goal)))
+def _fit(columns: np.ndarray, target: np.ndarray, prior: np.ndarray) -> Posterior:
+    """Return the posterior of all columns from all rows."""
+    rows = np.zeros(len(target), dtype=int)
+    return posterior(BlockSums(columns, target, rows, 1).own, prior, cross_validate=False)
