@@ -36,17 +36,13 @@ def solved_states(stored: StoredResult) -> States:
     own = stored.optimised
     motion = MotorMotion(own.time, own.position, own.velocity)
     command = motion if stored.command is None else MotorMotion.of(stored.command.motors)
-    servo = stored.problem.servo
-    # A command is sent ahead of the plan by the known dead time.
-    ahead = 0.0 if stored.command is None else servo.dead_time
-    return _sample_states(motion, command, servo, ahead)
+    return _sample_states(motion, command, stored.problem.servo)
 
 
-def _sample_states(
-    motion: MotorMotion, command: MotorMotion, servo: Servo, ahead: float = 0.0
-) -> States:
+def _sample_states(motion: MotorMotion, command: MotorMotion, servo: Servo) -> States:
     time = np.linspace(0.0, motion.duration, _INSTANT_COUNT)
-    followed = servo.follow(command, motion.duration, ahead)
+    # Commands are sent ahead of the plan by the known dead time.
+    followed = servo.follow(command, motion.duration, servo.dead_time)
     lag = followed.position(time) - motion.position(time)
     return States(
         time=time,
