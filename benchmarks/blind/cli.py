@@ -23,6 +23,8 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--cases", type=int, default=200, help="of the mixed suite")
     parser.add_argument("--none", type=int, default=150, help="with nothing missing")
     parser.add_argument("--sweep", type=int, default=0, help="of the detection curves")
+    parser.add_argument("--arms", type=int, default=0, help="of the mix, on further arms")
+    parser.add_argument("--arms-none", type=int, default=0, help="nothing missing, further arms")
     parser.add_argument("--jobs", type=int, default=2, help="side by side")
     parser.add_argument("--timeout", type=float, default=900.0, help="of one diagnosis [s]")
     parser.add_argument("--work", type=Path, default=WORK, help="folder of all files")
@@ -58,6 +60,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 2
     store = Store(given.work.resolve() / key.text)
     suites = {"main": given.cases, "none": given.none, "sweep": given.sweep}
+    suites |= {"arms": given.arms, "armsnone": given.arms_none}
     cases = run.names(suites)
     print(f"key {key.text}{' (development)' if key.development else ''}, {len(cases)} cases")
     try:

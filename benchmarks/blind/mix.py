@@ -12,15 +12,19 @@ from .key import Key
 
 T = TypeVar("T")
 
-SUITES = ("main", "none", "sweep")
+# `arms` and `armsnone` repeat `main` and `none` on machines that nothing was developed on.
+SUITES = ("main", "none", "sweep", "arms", "armsnone")
 SECONDS, RATE, SUBSTEPS = 5.0, 250.0, 8  # integrated at 2 kHz
 KINDS = ("single",) * 15 + ("outside",) * 3 + ("pair",) * 2
 SEVERITIES = (0.35, 0.7, 1.0, 1.0, 1.0, 1.5, 1.5, 1.5, 3.0, 3.0)
 SWEPT = (0.05, 0.1, 0.2, 0.35, 0.5, 0.7, 1.0)
+FURTHER_ARMS = (("rv6", 1 / 3), ("scara4", 1 / 3), ("arm7", 1 / 3))
 ROBOT_SHARES = {
     "main": (("small3", 0.6), ("arm6", 0.25), ("big6", 0.15)),
     "none": (("planar2", 0.4), ("small3", 0.45), ("arm6", 0.15)),
     "sweep": (("small3", 1.0),),
+    "arms": FURTHER_ARMS,
+    "armsnone": FURTHER_ARMS,
 }
 WITHOUT_LINK_ENCODERS = 0.15
 
@@ -111,9 +115,9 @@ def plan(key: Key, name: str) -> Plan:
 
 
 def _kind(key: Key, suite: str, index: int) -> str:
-    if suite == "main":
+    if suite in ("main", "arms"):
         return _dealt(key, KINDS, index, suite, "kind")
-    return "none" if suite == "none" else "single"
+    return "single" if suite == "sweep" else "none"
 
 
 def _dealt(key: Key, items: Sequence[T], index: int, *purpose: str | int) -> T:

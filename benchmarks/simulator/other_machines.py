@@ -1,4 +1,4 @@
-"""Machines of other kinds, which nothing was developed on: seven axes, a palletiser, a SCARA."""
+"""Machines of other kinds, which nothing was developed on: seven axes, palletiser, SCARA, heavy arm."""
 
 from __future__ import annotations
 
@@ -146,4 +146,50 @@ SCARA4 = Robot(
     torque_noise=row(0.35, 0.16, 1.2, 0.025),
 )
 
-ROBOTS = {robot.name: robot for robot in (PLANAR2, SMALL3, ARM6, BIG6, ARM7, PALLET4, SCARA4)}
+# Six axes for 20 kg: cycloidal (RV) reducers, stiff against the bodies that they carry, dry friction
+# that their preload makes, an offset wrist, and encoders of few bits on both sides.
+RV6 = Robot(
+    name="rv6",
+    bodies=(
+        Body(origin=(0, 0, 0.2), axis=Z, mass=64.0, com=(0.05, 0, 0.12), inertia=(1.5, 1.6, 1.3)),
+        Body(origin=(0.17, 0, 0.3), axis=Y, mass=36.0, com=(0, 0.04, 0.3), inertia=(2.4, 2.3, 0.3)),
+        Body(origin=(0, 0, 0.76), axis=Y, mass=28.0, com=(0.1, 0, 0.09), inertia=(0.4, 0.9, 0.8)),
+        Body(origin=(0.4, 0, 0.2), axis=X, mass=13.0, com=(0.2, 0, 0), inertia=(0.07, 0.4, 0.4)),
+        Body(
+            origin=(0.42, 0, 0), axis=Y, mass=5.2, com=(0.04, 0, 0), inertia=(0.015, 0.025, 0.025)
+        ),
+        Body(
+            origin=(0.1, 0, 0), axis=X, mass=0.9, com=(0.015, 0, 0), inertia=(1.4e-3, 9e-4, 9e-4)
+        ),
+    ),
+    payload_mass=18.0,
+    payload_com=(0.12, 0.05, 0.07),
+    tool=(0.2, 0, 0),
+    gear_ratio=row(141, 153, 129, 81, 81, 51),
+    rotor_inertia=row(21, 27, 17, 2.6, 2.4, 0.9),
+    coulomb=row(62, 80, 48, 12, 11, 5.5),
+    viscous=row(75, 95, 52, 9, 8.5, 3.4),
+    torque_max=row(2100, 2600, 1500, 300, 290, 150),
+    torque_rated=row(700, 880, 500, 100, 96, 50),
+    joint_damping=row(210, 260, 120, 12, 11, 5),
+    contact_stiffness=row(5.4e6, 6.2e6, 3.4e6, 4.6e5, 4.4e5, 2.1e5),
+    connections=("pins+bolts",) * 3 + ("key+bolts", "belt+key+bolts", "belt+key+bolts"),
+    slopes=np.array(
+        [
+            [1.5e6, 1.9e6, 9.5e5, 9.0e4, 8.8e4, 4.2e4],
+            [1.7e6, 2.1e6, 1.1e6, 1.3e5, 1.3e5, 6.0e4],
+            [1.8e6, 2.2e6, 1.2e6, 1.5e5, 1.5e5, 6.8e4],
+        ]
+    ),
+    corners=np.array(
+        [[110.0, 140.0, 80.0, 24.0, 23.0, 12.0], [420.0, 530.0, 300.0, 82.0, 80.0, 42.0]]
+    ),
+    speed_max=row(2.6, 2.4, 2.9, 5.2, 5.0, 7.5),
+    centre=row(0.0, 0.15, 0.25, 0.0, 0.7, 0.0),
+    reach=row(1.0, 0.55, 0.6, 1.1, 0.9, 1.5),
+    torque_noise=row(4.2, 5.0, 3.1, 0.7, 0.65, 0.35),
+    link_count=2 * np.pi / 2**18,
+    motor_bits=13,
+)
+
+ROBOTS = {robot.name: robot for robot in (PLANAR2, SMALL3, ARM6, BIG6, ARM7, PALLET4, SCARA4, RV6)}
