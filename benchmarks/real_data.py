@@ -20,7 +20,14 @@ import traceback
 from pathlib import Path
 from typing import Any
 
-from real_peers import friction_lines, gaussian_process, motions
+from real_claims import (
+    CLAIM_PROBABILITY,
+    answers_of_cut_runs,
+    claimed_names,
+    claims,
+    remaining_residual,
+)
+from real_peers import base_parameters, friction_lines, gaussian_process, motions
 
 from stiffopt.discovery.diagnose import diagnose
 from stiffopt.discovery.diagnosis import Diagnosis, fit_by_channel
@@ -33,17 +40,20 @@ HERE = Path(__file__).parent
 RECORDINGS = Path(
     os.environ.get("STIFFOPT_RECORDINGS", HERE.parent.parent / "shared" / "recordings")
 )
-MODELS = ("nominal", "friction lines", "Gaussian process", "extended")
+MODELS = ("nominal", "friction lines", "base parameters", "Gaussian process", "extended")
 HEAD = """# Published recordings
 
 What `stiffopt diagnose` finds in recordings of real robots, and how well the extended model
-predicts runs that nothing was fitted to. Beside it two peers that start from the same nominal
+predicts runs that nothing was fitted to. Beside it three peers that start from the same nominal
 inertial model and see the same training runs: friction lines (Coulomb, viscous and an offset of
-every joint by plain least squares), and a Gaussian process of the residual (800 samples, scales
+every joint by plain least squares), base parameters (all inertial parameters, friction lines and
+rotors by weighted least squares), and a Gaussian process of the residual (800 samples, scales
 chosen by stretches left out) as a black box that names nothing. Peers follow the motion in bands of
 their own choice, as they predict stretches of the training runs best. Residuals are root mean
 squares of unfiltered channels, torque where the joint moves; *over noise* divides every channel by
-its noise.
+its noise. A claim (probability 0.8 and more, beyond friction, rotors and offsets) is *refuted*
+where the model fitted without it predicts the held-out runs no worse. *Start cut* diagnoses again
+with the first 3, 5 and 10 % of each training run left out.
 Best of each row in bold.
 """
 
@@ -56,12 +66,16 @@ def main(names: list[str]) -> None:
     if not RECORDINGS.is_dir():
         sys.exit(f"no recordings at {RECORDINGS}: set STIFFOPT_RECORDINGS")
     sets = [RECORDINGS / name for name in names] or sorted(RECORDINGS.iterdir())
-    sections = []
+    sections, results = [], {}
     for path in sets:
-        sections.append(_section(path.name, _apart(path)))
+        results[path.name] = _apart(path)
+        sections.append(_section(path.name, results[path.name]))
         print(sections[-1], flush=True)
+    summary = _summary(results)
+    print(summary)
     if not names:
-        (HERE / "REAL_DATA.md").write_text("\n\n".join([HEAD.rstrip(), *sections]) + "\n")
+        page = "\n\n".join([HEAD.rstrip(), summary, *sections])
+        (HERE / "REAL_DATA.md").write_text(page + "\n", encoding="utf-8")
 
 
 def _apart(path: Path) -> dict[str, Any]:
@@ -97,6 +111,7 @@ def one(path: Path) -> dict[str, Any]:
     )
     peers = {
         "friction lines": friction_lines(train, test),
+        "base parameters": base_parameters(train, test),
         "Gaussian process": gaussian_process(train, test),
     }
     noise = diagnosis.training.noise
@@ -106,7 +121,27 @@ def one(path: Path) -> dict[str, Any]:
             compare_predictions(each.run, each.velocity, proof.before, prediction, noise)
             for each, proof, prediction in zip(test, held_out, predictions, strict=True)
         ]
+    remaining, names = remaining_residual(diagnosis), claimed_names(diagnosis)
     return {
+        "claims": [
+            [
+                c.label,
+                f"{c.probability:.2f}",
+                f"{c.fitted_with:.3g}",
+                f"{c.fitted_without:.3g}",
+                "yes" if c.refuted else "no",
+            ]
+            for c in claims(diagnosis)
+        ],
+        "cuts": [
+            [
+                f"{100 * cut.share:.0f} %",
+                ", ".join(sorted(cut.names ^ names)) or "none",
+                f"{cut.remaining / remaining:.3f}",
+                "yes" if cut.agrees(names, remaining) else "no",
+            ]
+            for cut in answers_of_cut_runs(path)
+        ],
         "verdict": diagnosis.verdict,
         "findings": [_finding(diagnosis, k) for k in range(len(diagnosis.findings))],
         "outside": None if diagnosis.unexplained is None else vars(diagnosis.unexplained),
@@ -220,6 +255,16 @@ def _section(name: str, found: dict[str, Any]) -> str:
     if found["findings"]:
         head = ("effect", "where", "probability", "parameters", "explains", "confused with")
         parts.append(_table(head, found["findings"]))
+    if found["claims"]:
+        head = ("claim", "probability", "residual with it", "without it", "refuted")
+        parts.append(_table(head, found["claims"]))
+    head = (
+        "start cut",
+        f"names at P >= {CLAIM_PROBABILITY} that differ",
+        "residual over uncut",
+        "agrees",
+    )
+    parts.append(_table(head, found["cuts"]))
     if found["outside"]:
         channels = ", ".join(found["outside"]["channels"])
         depends = ", ".join(found["outside"]["regressors"]) or "nothing that was recorded"
@@ -238,6 +283,25 @@ def _section(name: str, found: dict[str, Any]) -> str:
     ]
     parts.append(_table(("residual", *MODELS, "noise"), rows))
     return "\n\n".join(parts)
+
+
+def _summary(results: dict[str, dict[str, Any]]) -> str:
+    """All sets in one table, and refuted claims and agreements counted."""
+    rows, claimed, refuted, agreed, cut = [], 0, 0, 0, 0
+    for name, found in results.items():
+        if "failed" in found or "joints" in found:
+            continue
+        wrong = sum(line[-1] == "yes" for line in found["claims"])
+        same = sum(line[-1] == "yes" for line in found["cuts"])
+        claimed, refuted = claimed + len(found["claims"]), refuted + wrong
+        agreed, cut = agreed + same, cut + len(found["cuts"])
+        rows.append(
+            [name, *_best(found["total"]), f"{wrong} of {len(found['claims'])}",
+             f"{same} of {len(found['cuts'])}"]
+        )  # fmt: skip
+    head = ("all channels over noise", *MODELS, "claims refuted", "start cuts that agree")
+    counts = f"Claims refuted: {refuted} of {claimed}. Start cuts that agree: {agreed} of {cut}."
+    return "\n\n".join(["## All sets", _table(head, rows), counts])
 
 
 def _best(values: list[float]) -> list[str]:

@@ -1,4 +1,4 @@
-"""What a diagnosis is compared with on real recordings: friction lines, and a Gaussian process.
+"""Peers of a diagnosis on real recordings: friction lines, base parameters, a Gaussian process.
 
 Both start from the same nominal prediction, are fitted to the training runs alone and predict the
 held-out runs on their own stamps. Each joint follows the motion in the band in which friction lines
@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
+import pinocchio as pin
 
 from stiffopt.discovery.diagnosis import Diagnosis
 from stiffopt.discovery.prediction import Prediction, Predictor
@@ -112,6 +113,69 @@ def friction_lines(train: list[Motion], test: list[Motion]) -> list[Prediction]:
         )
         for each in test
     ]
+
+
+def base_parameters(train: list[Motion], test: list[Motion]) -> list[Prediction]:
+    """All inertial parameters with friction lines and rotors, by weighted least squares.
+
+    Columns that the motion does not tell apart get the solution of least norm; each joint is
+    weighted by what friction lines leave of it, then by its own residual.
+    """
+    rows = [_inertial_rows(each) for each in train]
+    n = train[0].run.n
+    weights = np.ones(n)
+    for _ in range(3):
+        blocks, values = [], []
+        for each, own in zip(train, rows, strict=True):
+            residual = _torque_residual(each)
+            for j in range(n):
+                used = np.isfinite(residual[:, j]) & (np.abs(each.velocity[:, j]) >= SLOW)
+                blocks.append(weights[j] * own[used, j])
+                values.append(weights[j] * residual[used, j])
+        matrix, wanted = np.vstack(blocks), np.concatenate(values)
+        scale = np.linalg.norm(matrix, axis=0)
+        scale[scale == 0.0] = 1.0
+        fitted = np.linalg.lstsq(matrix / scale, wanted, rcond=1e-6)[0] / scale
+        for j in range(n):
+            left = np.concatenate(
+                [
+                    (_torque_residual(each)[:, j] - own[:, j] @ fitted)[
+                        np.abs(each.velocity[:, j]) >= SLOW
+                    ]
+                    for each, own in zip(train, rows, strict=True)
+                ]
+            )
+            left = left[np.isfinite(left)]
+            weights[j] = 1.0 / max(float(np.std(left)), 1e-12) if left.size else 0.0
+    return [
+        _moved(each, _inertial_rows(each) @ fitted, np.zeros_like(each.velocity)) for each in test
+    ]
+
+
+def _inertial_rows(each: Motion) -> np.ndarray:
+    """Columns of bodies, then of friction lines and rotors (K, n, p)."""
+    prepared, robot = each.predictor.nominal, each.predictor.robot
+    model, order, n = robot.arm.model, robot.order, each.run.n
+    kept = (
+        np.interp(each.run.time, prepared.time, np.arange(len(prepared.time))).round().astype(int)
+    )
+    signals = prepared.signals
+    lines = (signals.motor_position, signals.motor_velocity, signals.motor_acceleration)
+    q, v, a = (np.zeros((len(kept), model.nv)) for _ in range(3))
+    for target, source in zip((q, v, a), lines, strict=True):
+        target[:, order] = source[kept]
+    data = model.createData()
+    bodies = np.array(
+        [
+            pin.computeJointTorqueRegressor(model, data, *at)[order]
+            for at in zip(q, v, a, strict=True)
+        ]
+    )
+    own = np.zeros((len(kept), n, 4 * n))
+    for j in range(n):
+        own[:, j, 4 * j : 4 * j + 3] = _friction(v[:, order[j]])
+        own[:, j, 4 * j + 3] = a[:, order[j]]
+    return np.concatenate([bodies, own], axis=2)
 
 
 def gaussian_process(train: list[Motion], test: list[Motion]) -> list[Prediction]:

@@ -1,4 +1,4 @@
-"""Machines of other kinds, which nothing was developed on: seven axes, palletiser, SCARA, heavy arm."""
+"""Machines that nothing was developed on: seven axes, a palletiser, a SCARA, a heavy arm."""
 
 from __future__ import annotations
 
@@ -146,7 +146,7 @@ SCARA4 = Robot(
     torque_noise=row(0.35, 0.16, 1.2, 0.025),
 )
 
-# Six axes for 20 kg: cycloidal (RV) reducers, stiff against the bodies that they carry, dry friction
+# Six axes for 20 kg: cycloidal (RV) reducers, stiff against the bodies they carry, dry friction
 # that their preload makes, an offset wrist, and encoders of few bits on both sides.
 RV6 = Robot(
     name="rv6",
