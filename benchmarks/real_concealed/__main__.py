@@ -2,8 +2,9 @@
 
     python -m benchmarks.real_concealed [--cases 60] [--controls 12] [--seconds S] [--key dev-...]
 
-The tool starts every time from the model that it found for the set without the concealment, so
-that what it names is the difference. Recordings are in the folder of STIFFOPT_RECORDINGS.
+The tool starts from the model that it found for the set without the concealment, so that what it
+names is the difference, and once more from the nominal model, as a first user would. Recordings are
+in the folder of STIFFOPT_RECORDINGS.
 """
 
 from __future__ import annotations
@@ -111,7 +112,7 @@ def _diagnose(plan: Plan, s: PublicSet, folder: Path, first: Job, made: dict[str
     else:
         hidden(s, plan.kind, joint, amount, case)
     stopped = plan.kind is not None and plan.kind.where == "sign" and _doubted(case)
-    answer = None
+    answer, fresh = None, None
     if not stopped:
         model = first.out / "extended.toml"
         out = folder / plan.name / "answer"
@@ -119,7 +120,10 @@ def _diagnose(plan: Plan, s: PublicSet, folder: Path, first: Job, made: dict[str
             # The model brings the nominal values that it was made with.
             out.mkdir(parents=True, exist_ok=True)
             model = softer(model, joint, amount, out / "softer.toml")
+        else:
+            (fresh,) = answers([Job("whole", case, folder / plan.name / "from_nominal")], 1, _say)
         (answer,) = answers([Job("whole", case, out, model=model)], 1, _say)
+    (without,) = answers([first], 1, _say)
     shutil.rmtree(case, ignore_errors=True)
     kept = {
         **made,
@@ -127,6 +131,8 @@ def _diagnose(plan: Plan, s: PublicSet, folder: Path, first: Job, made: dict[str
         "stopped": stopped,
         "verdict": None if answer is None else answer["verdict"],
         "findings": [] if answer is None else answer["findings"],
+        "from_nominal": None if fresh is None else fresh["findings"],
+        "without": [] if without is None else without["findings"],
         "seconds": time.monotonic() - begin,
     }
     _keep(folder, plan, kept)

@@ -12,7 +12,8 @@ from .motion import PublicSet
 SIZES = (1.0, 2.0, 4.0, 8.0)
 # How often a set is drawn: those that take minutes less often.
 WEIGHTS = {
-    "dfki_a0815": 2, "emps": 1, "kuka_kr300": 2, "tx40_first": 1, "unisa_ur10": 3, "ur10e": 1,
+    "airbot": 1, "dfki_a0815": 2, "emps": 1, "kuka_kr300": 2, "panda_gaz": 1, "tx40_first": 1,
+    "unisa_ur10": 3, "ur10e": 1,
 }  # fmt: skip
 # Factors on a nominal stiffness, which has no multiples.
 FACTORS = (0.5, 2.0)

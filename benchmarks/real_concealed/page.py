@@ -12,6 +12,7 @@ from benchmarks.blind.key import Key
 from benchmarks.blind.score import Named
 from benchmarks.blind.wilson import Rate
 
+from . import from_nominal
 from .draw import SIZES, Plan
 
 # Units of hidden amounts that are not SI's own.
@@ -46,6 +47,7 @@ def page(key: Key, rows: Sequence[Row], planned: int) -> str:
         _by(hidden, lambda r: _name(r), sorted({_name(r) for r in hidden})),
         "## By set\n",
         _by(hidden, lambda r: r[0].source, sorted({r[0].source for r in hidden})),
+        from_nominal.section(sized, lambda r: r[0].kind.parameter if r[0].kind else "", _value),
         "## Controls\n",
         f"Named where nothing is hidden: {Rate.of(bool(r[1]['findings']) for r in controls)}.\n",
         "## Intervals\n",
