@@ -52,8 +52,8 @@ chosen by stretches left out) as a black box that names nothing. Peers follow th
 their own choice, as they predict stretches of the training runs best. Residuals are root mean
 squares of unfiltered channels, torque where the joint moves; *over noise* divides every channel by
 its noise. A claim (probability 0.8 and more, beyond friction, rotors and offsets) is *refuted*
-where the model fitted without it predicts the held-out runs no worse. *Start cut* diagnoses again
-with the first 3, 5 and 10 % of each training run left out.
+where the model fitted without it predicts its channel of the held-out runs better. *Start cut*
+diagnoses again with the first 3, 5 and 10 % of each training run left out.
 Best of each row in bold.
 """
 
@@ -129,7 +129,7 @@ def one(path: Path) -> dict[str, Any]:
                 f"{c.probability:.2f}",
                 f"{c.fitted_with:.3g}",
                 f"{c.fitted_without:.3g}",
-                "yes" if c.refuted else "no",
+                c.judgement,
             ]
             for c in claims(diagnosis)
         ],
@@ -256,7 +256,7 @@ def _section(name: str, found: dict[str, Any]) -> str:
         head = ("effect", "where", "probability", "parameters", "explains", "confused with")
         parts.append(_table(head, found["findings"]))
     if found["claims"]:
-        head = ("claim", "probability", "residual with it", "without it", "refuted")
+        head = ("claim", "probability", "its channel with it", "without it", "held-out runs")
         parts.append(_table(head, found["claims"]))
     head = (
         "start cut",
@@ -291,7 +291,7 @@ def _summary(results: dict[str, dict[str, Any]]) -> str:
     for name, found in results.items():
         if "failed" in found or "joints" in found:
             continue
-        wrong = sum(line[-1] == "yes" for line in found["claims"])
+        wrong = sum(line[-1] == "refuted" for line in found["claims"])
         same = sum(line[-1] == "yes" for line in found["cuts"])
         claimed, refuted = claimed + len(found["claims"]), refuted + wrong
         agreed, cut = agreed + same, cut + len(found["cuts"])

@@ -165,9 +165,10 @@ def _inertial_rows(each: Motion) -> np.ndarray:
     for target, source in zip((q, v, a), lines, strict=True):
         target[:, order] = source[kept]
     data = model.createData()
+    # A model of one joint gets its rows without the first axis.
     bodies = np.array(
         [
-            pin.computeJointTorqueRegressor(model, data, *at)[order]
+            pin.computeJointTorqueRegressor(model, data, *at).reshape(model.nv, -1)[order]
             for at in zip(q, v, a, strict=True)
         ]
     )
