@@ -61,8 +61,7 @@ def claims(diagnosis: Diagnosis) -> list[Claim]:
     for finding in diagnosis.findings:
         if finding.probability < CLAIM_PROBABILITY or finding.effect.name in FRICTION_NAMES:
             continue
-        key = (finding.effect.name, finding.joint, finding.link)
-        others = [e for e in located if (e.effect.name, e.joint, e.link) != key]
+        others = [each for each in located if each.key != finding.located.key]
         without = _residual_by_channel(diagnosis, others)
         found.append(
             Claim(
