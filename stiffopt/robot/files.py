@@ -79,7 +79,7 @@ def load_robot(
             f"no robot {str(source)!r}: neither a shipped robot nor a file. "
             f"{nearest(str(source), shipped_robots())} Or give the path of a robot TOML or URDF."
         )
-    bare = path.suffix.lower() in (".urdf", ".xml")
+    bare = path.suffix.lower() in (".urdf", ".xml", ".mjcf")
     if bare and drivetrain is None:
         if changes:
             raise InputFileError(path, "--set", "a URDF has no entries to change: give a TOML.")
@@ -219,7 +219,7 @@ _JOINT_NUMBERS: tuple[tuple[str, str, float | None], ...] = (
     ("velocity_max", "velocity", None),
     ("acceleration_max", "", np.inf),
     ("jerk_max", "", np.inf),
-    ("rotor_inertia", "", 0.0),
+    ("rotor_inertia", "armature", 0.0),
     ("coulomb", "friction", 0.0),
     ("viscous", "damping", 0.0),
     ("damping", "", np.nan),

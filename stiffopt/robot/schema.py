@@ -61,8 +61,12 @@ class JointSection(Cited):
     position_lower: Annotated[JointPosition | None, Doc("Lower limit of the position.")] = None
     position_upper: Annotated[JointPosition | None, Doc("Upper limit of the position.")] = None
     rotor_inertia: Annotated[
-        JointInertia, NOT_NEGATIVE, Doc("Inertia of the motor's rotor, at the joint's output.")
-    ] = 0.0
+        JointInertia | None,
+        NOT_NEGATIVE,
+        Doc(
+            "Inertia of the motor's rotor, at the joint's output; default the armature of an MJCF."
+        ),
+    ] = None
     coulomb: Annotated[
         JointTorque | None, NOT_NEGATIVE, Doc("Coulomb friction at the joint's output.")
     ] = None

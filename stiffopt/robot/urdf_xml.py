@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import os
 import xml.etree.ElementTree as ET
 from collections import Counter
@@ -14,6 +15,7 @@ from xml.parsers import expat
 
 from stiffopt.errors import InputFileError, RobotError, nearest, shortened
 from stiffopt.files import read_bytes
+from stiffopt.robot.mjcf import MJCF_ROOT, read_mjcf
 
 # Levels of nested elements; a URDF with its extensions for simulators stays below 15.
 MAX_DEPTH = 40
@@ -81,7 +83,7 @@ _MAX_NAMED_ELEMENTS = 1000
 # Elements of xacro that only define something and can be ignored.
 _XACRO_DEFINITIONS = ("property", "arg", "macro")
 # Other robot formats by the root of their XML.
-_OTHER_FORMATS = {"mujoco": "an MJCF (a model of MuJoCo)", "sdf": "an SDF (a model of Gazebo)"}
+_OTHER_FORMATS = {"sdf": "an SDF (a model of Gazebo)"}
 # Mechanical parts of links and joints; shapes and colours are ignored.
 _MECHANICAL_PARTS = {
     "link": ("inertial",),
@@ -90,16 +92,28 @@ _MECHANICAL_PARTS = {
 
 
 def read_urdf_tree(path: str | os.PathLike[str]) -> ET.Element:
-    """Read the mechanics of a URDF: `<robot>` with links and joints that form one tree.
+    """Read the mechanics of a URDF or MJCF: `<robot>` with links and joints that form one tree.
 
     Raises
     ------
     InputFileError, RobotError
-        No URDF; a missing or repeated name; a joint between unknown links; a link with two parents,
-        a loop, more than one root.
+        Neither a URDF nor an MJCF; a missing or repeated name; a joint between unknown links; a
+        link with two parents, a loop, more than one root.
     """
     path = Path(path)
     found = parse_xml(path)
+    if found.tag == MJCF_ROOT:
+        tree = copy.deepcopy(read_mjcf(path).tree)
+    else:
+        tree = _read_urdf_mechanics(found, path)
+    for kind in _MECHANICAL_PARTS:
+        _check_names(tree, kind, path)
+    _check_tree(tree, path)
+    return tree
+
+
+def _read_urdf_mechanics(found: ET.Element, path: Path) -> ET.Element:
+    """Copy links and joints of a URDF without shapes and extensions."""
     if found.tag != "robot":
         tag = shortened(found.tag)[1:-1]
         if tag in _OTHER_FORMATS:
@@ -113,16 +127,14 @@ def read_urdf_tree(path: str | os.PathLike[str]) -> ET.Element:
                 part = each.find(name)
                 if part is not None:
                     _copy_part(part, bare)
-        _check_names(tree, kind, path)
     _check_expanded(found, tree, path)
-    _check_tree(tree, path)
     return tree
 
 
 def unsupported_format(kind: str) -> str:
     """Message on a robot in an unsupported format, with the remedy."""
     return (
-        f"is {kind}; only URDF is read. Take the URDF that came with the arm or that its CAD"
+        f"is {kind}; URDF and MJCF are read. Take the URDF that came with the arm or that its CAD"
         " exports, or expand its xacro: `xacro arm.urdf.xacro > arm.urdf`."
     )
 

@@ -387,7 +387,7 @@ def store_robot(source: Path, folder: Path, tip: str | None = None) -> RecordedR
 
 def _has_gaps(urdf: Path, keep: Collection[str]) -> bool:
     """Return True if a URDF lacks limits or masses of moving joints."""
-    arm = load_urdf(urdf, keep=keep, limited=None, followers=True)
+    arm = load_urdf(urdf, keep=keep, limited=None, hold_unplanned=True)
     silent = any(not (each["effort"] and each["velocity"]) for each in arm.joints.values())
     weightless = any(not body.mass > 0.0 for body in body_tree(arm.model).bodies)
     return silent or weightless or bool(arm.unlimited)

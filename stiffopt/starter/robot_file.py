@@ -54,7 +54,7 @@ _MIN_TIP_DISTANCE, _MAX_SHOWN_TIPS = 1e-3, 6
 _TOOL_NAME_PATTERN = re.compile("tcp|tool|flange|effector", re.IGNORECASE)
 # Least relative change of masses by torque limits that is reported [-].
 _MIN_SCALE_CHANGE = 0.05
-_UNREAD_FORMATS = {".sdf": "an SDF", ".mjcf": "an MJCF", ".xacro": "xacro"}
+_UNREAD_FORMATS = {".sdf": "an SDF", ".xacro": "xacro"}
 _SLIDE_COMMENT = (
     '# Prismatic joint: describe its elements, such as type = "constant" with its stiffness.',
 )
@@ -108,18 +108,18 @@ def robot_text(
         Unreadable URDF, unknown tip, or several arms and no tip.
     """
     _check_format(urdf)
-    arm = load_urdf(urdf, tip=tip, limited=None, followers=True)
+    arm = load_urdf(urdf, tip=tip, limited=None, hold_unplanned=True)
     names = link_names(arm.model)
     if tip is not None and tip not in names:
         raise RobotError(f"{urdf}: there is no link {tip!r}. {nearest(tip, names)}")
     tool = link_frame(arm.model, tip or default_tool_link(arm.model))
     bodies = estimate_bodies(arm, urdf, tool)
     if bodies:
-        arm = load_urdf(urdf, tip=tip, limited=None, followers=True, bodies=bodies)
+        arm = load_urdf(urdf, tip=tip, limited=None, hold_unplanned=True, bodies=bodies)
         fitted = fit_to_torque_limits(bodies, _weight_torques(arm), credible_torques(arm))
         if fitted != bodies:
             bodies = fitted
-            arm = load_urdf(urdf, tip=tip, limited=None, followers=True, bodies=bodies)
+            arm = load_urdf(urdf, tip=tip, limited=None, hold_unplanned=True, bodies=bodies)
     doubted = speed_placeholders(arm, tool)
     arm = drop_placeholders(arm, doubted)
     demands = _torque_demands(arm)
