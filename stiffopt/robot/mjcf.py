@@ -72,6 +72,8 @@ class Mjcf:
         prismatic and fixed, or "free" and "ball", which an arm cannot have.
     actuators : tuple of MjcfActuator
     springs : mapping of joint name to JointSpring
+    meshes : tuple of Path
+        Files of the meshes that give bodies their mass.
     notes : tuple of str
         Parts of the model that a tree of joints cannot represent.
     """
@@ -79,7 +81,23 @@ class Mjcf:
     tree: ET.Element
     actuators: tuple[MjcfActuator, ...]
     springs: dict[str, JointSpring]
+    meshes: tuple[Path, ...]
     notes: tuple[str, ...]
+
+
+def is_mjcf(path: Path) -> bool:
+    """Return whether a file is an MJCF, by its root element."""
+    try:
+        with path.open("rb") as stream:
+            _, root = next(ET.iterparse(stream, events=("start",)))
+    except (ET.ParseError, OSError, StopIteration, ValueError, LookupError):
+        return False
+    return root.tag == MJCF_ROOT
+
+
+def mjcf_files(path: Path) -> list[Path]:
+    """Files that an MJCF needs: itself, those that it includes, and meshes that give mass."""
+    return [*mjcf_parts(path), *read_mjcf(path).meshes]
 
 
 def read_mjcf(path: str | os.PathLike[str]) -> Mjcf:
@@ -135,7 +153,9 @@ def _read_mjcf(_resolved: Path, path: Path, _stamps: tuple[int, ...]) -> Mjcf:
         model = spec.compile()
     except (ValueError, mujoco.FatalError) as error:
         raise InputFileError(path, "", f"is refused by MuJoCo: {shortened(error)}.") from error
-    return _TreeBuilder(mujoco, model).build(notes)
+    folder = path.parent / spec.meshdir
+    meshes = [mesh.file for mesh in spec.meshes if mesh.file]
+    return _TreeBuilder(mujoco, model).build(notes, [folder / file for file in meshes])
 
 
 def _reduce_to_mechanism(mujoco: Any, spec: Any) -> Iterator[str]:
@@ -212,8 +232,8 @@ class _TreeBuilder:
         self.taken = {model.body(b).name for b in range(model.nbody)}
         self.limits = self._torque_limits()
 
-    def build(self, notes: Iterable[str]) -> Mjcf:
-        """Return the tree with drives and springs."""
+    def build(self, notes: Iterable[str], meshes: Iterable[Path]) -> Mjcf:
+        """Return the tree with drives and springs, and what was told of the file."""
         model = self.model
         ET.SubElement(self.tree, "link", name=_WORLD)
         for b in range(1, model.nbody):
@@ -233,6 +253,7 @@ class _TreeBuilder:
             tree=self.tree,
             actuators=tuple(self._actuators()),
             springs=springs,
+            meshes=tuple(meshes),
             notes=tuple(notes),
         )
 

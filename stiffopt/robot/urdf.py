@@ -13,8 +13,10 @@ import numpy as np
 import pinocchio as pin
 
 from stiffopt.errors import InputFileError, RobotError, nearest, shortened
+from stiffopt.robot.body_tree import body_tree
 from stiffopt.robot.held_joints import HeldJoint, fix_free_joints, hold_joints
 from stiffopt.robot.joint_tree import PLANNED_KINDS
+from stiffopt.robot.mjcf import is_mjcf
 from stiffopt.robot.urdf_xml import read_urdf_tree
 
 _JOINT_KINDS = (*PLANNED_KINDS, "fixed")
@@ -51,12 +53,27 @@ class LoadedUrdf:
         Joints that are held fixed.
     unlimited : tuple of str
         Joints without the position limits that they need; unlimited in the model.
+    format : str
+        "URDF" or "MJCF".
     """
 
     model: pin.Model
     joints: dict[str, dict[str, float]]
     held: tuple[HeldJoint, ...] = ()
     unlimited: tuple[str, ...] = ()
+    format: str = "URDF"
+
+    @property
+    def massless_joints(self) -> list[int]:
+        """Joints, from 1, whose links have no mass, although a file has to give it.
+
+        None of an MJCF: MuJoCo refuses moving bodies without mass, and several joints of one body
+        have links without mass between them.
+        """
+        if self.format == "MJCF":
+            return []
+        bodies = body_tree(self.model).bodies
+        return [j for j, body in enumerate(bodies, start=1) if not body.mass > 0.0]
 
 
 # Memory of the dynamics grows with the cube: 900 joints need 35 GB.
@@ -148,7 +165,11 @@ def load_urdf(
     # A URDF may list its joints in any order.
     joints = {name: moving[name] for name in list(model.names)[1:]}
     return LoadedUrdf(
-        model, joints, (*free, *held), tuple(joint.get("name", "") for joint in unlimited)
+        model,
+        joints,
+        held=(*free, *held),
+        unlimited=tuple(joint.get("name", "") for joint in unlimited),
+        format="MJCF" if is_mjcf(path) else "URDF",
     )
 
 
