@@ -1,82 +1,19 @@
-"""XML of a URDF, bounded in size and without entities: one tree of links and joints, its meshes."""
+"""Links and joints of a URDF or MJCF as one tree of XML elements, and the meshes of a URDF."""
 
 from __future__ import annotations
 
-import copy
 import os
 import xml.etree.ElementTree as ET
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
 from urllib.parse import unquote, urlparse
-from xml.parsers import expat
 
 from stiffopt.errors import InputFileError, RobotError, nearest, shortened
-from stiffopt.files import read_bytes
 from stiffopt.robot.mjcf import MJCF_ROOT, read_mjcf
-
-# Levels of nested elements; a URDF with its extensions for simulators stays below 15.
-MAX_DEPTH = 40
-# Number of elements; an arm of 50 joints with shapes, sensors and transmissions has some 2000.
-MAX_ELEMENTS = 100_000
-
-
-def parse_xml(path: str | os.PathLike[str], *, comments: bool = False) -> ET.Element:
-    """Parse an XML file and return its root.
-
-    Raises
-    ------
-    InputFileError
-        No file, no XML, declared entities, or too many or too deep elements.
-    """
-    path = Path(path)
-    content = read_bytes(path)
-    try:
-        _check_structure(content, path)
-        parser = ET.XMLParser(target=ET.TreeBuilder(insert_comments=comments))
-        return ET.fromstring(content, parser)
-    except InputFileError:
-        raise
-    except (expat.ExpatError, ET.ParseError, LookupError, ValueError) as error:
-        # Unknown and multi-byte encodings raise no ParseError.
-        raise InputFileError(path, "", f"is not a URDF: {shortened(error)}.") from error
-
-
-def _check_structure(content: bytes, path: Path) -> None:
-    """Raise `InputFileError` for too deep or too many elements before a tree is built."""
-    parser: Any = expat.ParserCreate()
-    depth = elements = 0
-
-    def begin(*_: object) -> None:
-        nonlocal depth, elements
-        depth, elements = depth + 1, elements + 1
-        if depth > MAX_DEPTH:
-            raise InputFileError(
-                path, _current_line(), f"elements are nested deeper than {MAX_DEPTH}."
-            )
-        if elements > MAX_ELEMENTS:
-            raise InputFileError(path, "", f"has more than {MAX_ELEMENTS} elements.")
-
-    def end(_: object) -> None:
-        nonlocal depth
-        depth -= 1
-
-    def refuse_entity(name: str, *_: object) -> None:
-        raise InputFileError(
-            path,
-            _current_line(),
-            f"declares the entity {shortened(name)}: write its text in its place.",
-        )
-
-    def _current_line() -> str:
-        return f"line {parser.CurrentLineNumber}"
-
-    parser.StartElementHandler, parser.EndElementHandler = begin, end
-    parser.EntityDeclHandler = refuse_entity
-    parser.Parse(content, True)
-
+from stiffopt.robot.mjcf_tree import build_tree
+from stiffopt.robot.xml_files import parse_xml
 
 # Number of links or joints; the loader's time grows with its square.
 _MAX_NAMED_ELEMENTS = 1000
@@ -103,7 +40,7 @@ def read_urdf_tree(path: str | os.PathLike[str]) -> ET.Element:
     path = Path(path)
     found = parse_xml(path)
     if found.tag == MJCF_ROOT:
-        tree = copy.deepcopy(read_mjcf(path).tree)
+        tree = build_tree(read_mjcf(path))
     else:
         tree = _read_urdf_mechanics(found, path)
     for kind in _MECHANICAL_PARTS:

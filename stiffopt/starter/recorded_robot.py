@@ -95,15 +95,15 @@ def _mjcf_entries(robot: Robot) -> tuple[str, ...]:
     if robot.urdf is None or not is_mjcf(robot.urdf):
         return ()
     lines: list[str] = []
-    for name, spring in read_mjcf(robot.urdf).springs.items():
-        if name in robot.joint_names:
+    for name, joint in read_mjcf(robot.urdf).joints.items():
+        if name in robot.joint_names and joint.stiffness != 0.0:
             lines += [
                 "",
                 "[[nominal.counterbalance]]  # spring of the MJCF",
                 'type = "spring"',
                 f"joint = {toml_string(name)}",
-                f"stiffness = {toml_number(spring.stiffness)}",
-                f"offset = {toml_number(spring.offset)}",
+                f"stiffness = {toml_number(joint.stiffness)}",
+                f"offset = {toml_number(joint.spring_reference)}",
             ]
     stated = [key for key in _JOINT_VALUES if np.any(getattr(robot, key))]
     if stated:

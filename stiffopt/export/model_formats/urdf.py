@@ -8,7 +8,7 @@ import numpy as np
 
 from stiffopt.export.model_format import MODEL_FORMATS, DiagnosedRobot, ModelFormat, notes
 from stiffopt.robot.body_tree import Body
-from stiffopt.robot.urdf_xml import parse_xml
+from stiffopt.robot.xml_files import parse_xml
 
 
 class Urdf(ModelFormat):
