@@ -22,9 +22,11 @@ ARM = """<mujoco model="odd">
           <joint name="lift" axis="1 0 0" range="-90 90" pos="0 0.01 0.05" class="small"/>
           <body name="slider" pos="0 0.1 0.3" euler="10 0 80">
             <geom type="capsule" size="0.04 0.1" pos="0.05 0 0" density="900"/>
-            <joint name="slide" type="slide" axis="0 0 -1" range="-0.1 0.2" ref="0.03"
+            <!-- the lead screw; "<joint name='pan'/>" is above -->
+            <joint name="slide" type='slide'  axis="0 0 -1" range="-0.1 0.2" ref="0.03"
               stiffness="40" springref="0.1"/>
-            <body name="hand" pos="0 0 0.2" euler="0 90 0">
+            <body name="hand" pos="0 0 0.2"
+                  euler="0 90 0">
               <geom type="box" size="0.03 0.05 0.02" mass="0.7" pos="0.01 0.02 0.03"/>
               <joint name="roll" axis="0 0 1"/>
               <site name="tcp" pos="0 0 0.1" euler="0 0 30"/>

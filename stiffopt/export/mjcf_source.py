@@ -29,8 +29,6 @@ class MjcfElement:
     begin, end : int
         Bytes of the start tag.
     line : int
-    attributes : mapping of str to str
-        Without those of default classes.
     """
 
     file: str
@@ -38,7 +36,6 @@ class MjcfElement:
     begin: int
     end: int
     line: int
-    attributes: Mapping[str, str]
 
 
 class MjcfSource:
@@ -135,7 +132,6 @@ class MjcfSource:
                     begin=start,
                     end=found.end(),
                     line=parser.CurrentLineNumber,
-                    attributes=dict(attributes),
                 )
                 if tag == "body":
                     self._bodies[name] = element

@@ -99,22 +99,50 @@ class MjcfJoint:
 
 @dataclass(frozen=True, kw_only=True)
 class MjcfActuator:
-    """An actuator of MuJoCo that drives one joint, referred to the joint.
+    """An actuator of MuJoCo that drives one joint.
 
     Parameters
     ----------
     name, joint : str
-    position_gain, velocity_gain : float
-        `kp` [N m/rad] and `kv` [N m s/rad] of a servo; 0 of a motor.
-    torque_max : float
-        Largest torque [N m]; 0 for no limit.
+    gear : float
+        Torque at the joint over force, and length over position.
+    gain : float
+        Force over control signal.
+    bias : tuple of float
+        Force, force over length and force over velocity of the length.
+    force_range : tuple of float, or None
+        Least and largest force.
+    control_range : tuple of float, or None
+        Least and largest control signal.
     """
 
     name: str
     joint: str
-    position_gain: float
-    velocity_gain: float
-    torque_max: float
+    gear: float
+    gain: float
+    bias: tuple[float, ...]
+    force_range: tuple[float, float] | None
+    control_range: tuple[float, float] | None
+
+    @property
+    def position_gain(self) -> float:
+        """`kp` of a servo at the joint [N m/rad]; 0 of a motor."""
+        return -self.bias[1] * self.gear**2
+
+    @property
+    def velocity_gain(self) -> float:
+        """`kv` of a servo at the joint [N m s/rad]; 0 of a motor."""
+        return -self.bias[2] * self.gear**2
+
+    @property
+    def torque_max(self) -> float:
+        """Largest torque at the joint [N m]; 0 for no limit."""
+        ranges = []
+        if self.force_range is not None:
+            ranges.append(max(map(abs, self.force_range)))
+        if self.control_range is not None and not any(self.bias):
+            ranges.append(max(map(abs, self.control_range)) * abs(self.gain))
+        return min(ranges, default=0.0) * abs(self.gear)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -344,10 +372,14 @@ class _ModelReader:
 
     def joints(self) -> Iterator[MjcfJoint]:
         """Yield all joints."""
-        model, limits = self.model, self._torque_limits()
+        model = self.model
+        drives = list(self.actuators())
         for j in range(model.njnt):
             position, dof = model.jnt_qposadr[j], model.jnt_dofadr[j]
             lower, upper = (float(x) for x in model.jnt_range[j])
+            torques = [sum(each.torque_max for each in drives if each.joint == model.joint(j).name)]
+            if model.jnt_actfrclimited[j]:
+                torques.append(float(np.abs(model.jnt_actfrcrange[j]).max()))
             kind = self.mujoco.mjtJoint(model.jnt_type[j]).name
             yield MjcfJoint(
                 name=model.joint(j).name,
@@ -362,7 +394,7 @@ class _ModelReader:
                 armature=float(model.dof_armature[dof]),
                 stiffness=float(model.jnt_stiffness[j]),
                 spring_reference=float(model.qpos_spring[position]),
-                torque_max=limits[j],
+                torque_max=min(filter(None, torques), default=0.0),
             )
 
     def couplings(self) -> Iterator[MjcfCoupling]:
@@ -386,38 +418,22 @@ class _ModelReader:
         """Yield all actuators."""
         model = self.model
         for a in range(model.nu):
-            # The force of a servo is gain * ctrl + bias[1] * length + bias[2] * velocity, its
-            # length gear * q.
-            gear, bias = float(model.actuator_gear[a, 0]), model.actuator_biasprm[a]
+            force, control = (
+                (float(pair[0]), float(pair[1])) if limited else None
+                for pair, limited in (
+                    (model.actuator_forcerange[a], model.actuator_forcelimited[a]),
+                    (model.actuator_ctrlrange[a], model.actuator_ctrllimited[a]),
+                )
+            )
             yield MjcfActuator(
                 name=model.actuator(a).name,
                 joint=model.joint(model.actuator_trnid[a, 0]).name,
-                position_gain=-float(bias[1]) * gear**2,
-                velocity_gain=-float(bias[2]) * gear**2,
-                torque_max=self._actuator_torque(a),
+                gear=float(model.actuator_gear[a, 0]),
+                gain=float(model.actuator_gainprm[a, 0]),
+                bias=tuple(float(x) for x in model.actuator_biasprm[a, :3]),
+                force_range=force,
+                control_range=control,
             )
-
-    def _torque_limits(self) -> list[float]:
-        """Return the largest torque of each joint by its actuators and own limit; 0 for none."""
-        model = self.model
-        limits = [0.0] * model.njnt
-        for a in range(model.nu):
-            limits[model.actuator_trnid[a, 0]] += self._actuator_torque(a)
-        for j in range(model.njnt):
-            if model.jnt_actfrclimited[j]:
-                own = float(np.abs(model.jnt_actfrcrange[j]).max())
-                limits[j] = min(limits[j] or own, own)
-        return limits
-
-    def _actuator_torque(self, a: int) -> float:
-        """Return the largest torque of an actuator at its joint; 0 for no limit."""
-        model = self.model
-        ranges = []
-        if model.actuator_forcelimited[a]:
-            ranges.append(np.abs(model.actuator_forcerange[a]).max())
-        if model.actuator_ctrllimited[a] and not model.actuator_biasprm[a].any():
-            ranges.append(np.abs(model.actuator_ctrlrange[a] * model.actuator_gainprm[a, 0]).max())
-        return float(min(ranges, default=0.0) * abs(model.actuator_gear[a, 0]))
 
     def _rotation(self, quaternion: np.ndarray) -> np.ndarray:
         found = np.zeros(9)
