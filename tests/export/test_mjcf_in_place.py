@@ -136,3 +136,38 @@ def test_what_the_file_cannot_take_is_said(nominal, tmp_path):
     assert table == []
     assert "body 'shoulder'" in remarks[0]
     assert "several joints move it" in remarks[0]
+
+
+def test_isaac_table_has_joint_values_in_its_own_units(nominal):
+    friction = nominal.coulomb.copy()
+    friction[0] = 1.9
+    found = diagnosed(nominal, replace(nominal, coulomb=friction), gain=(0.9, 1.0, 1.0, 1.0))
+    files = MODEL_FORMATS["usd"].export(found).files
+    rows = list(csv.DictReader(str(files["isaac_joints.csv"]).splitlines()))
+    pan = {row["isaac_lab"]: row for row in rows if row["joint"] == "pan"}
+    assert (pan["friction"]["nominal"], pan["friction"]["found"]) == ("1.5", "1.9")
+    assert (
+        pan["dynamic_friction"]["usd_attribute"] == "physxJointAxis:angular:dynamicFrictionEffort"
+    )
+    assert float(pan["stiffness"]["found"]) == pytest.approx(180.0)
+    assert float(pan["stiffness"]["usd_value"]) == pytest.approx(np.pi)
+    assert pan["stiffness"]["usd_unit"] == "N m/deg"
+    slide = {row["isaac_lab"]: row for row in rows if row["joint"] == "slide"}
+    assert (slide["armature"]["usd_value"], slide["armature"]["usd_unit"]) == ("0.3", "kg")
+    assert slide["viscous_friction"]["usd_value"] == "0.5"
+    assert "stiffness" not in slide
+
+
+def test_urdf_of_an_mjcf_is_the_same_robot(nominal, tmp_path):
+    friction = nominal.coulomb.copy()
+    friction[0] = 1.9
+    robot = replace(nominal, coulomb=friction)
+    path = tmp_path / "found.urdf"
+    path.write_text(str(MODEL_FORMATS["urdf"].export(diagnosed(nominal, robot)).files[path.name]))
+    again = load_robot(path)
+    assert again.coulomb == pytest.approx(friction)
+    assert again.rotor_inertia == pytest.approx(robot.rotor_inertia)
+    q, v, a = np.random.default_rng(4).uniform(-1.0, 1.0, (3, 4))
+    np.testing.assert_allclose(
+        again.rigid_bodies().torque(q, v, a), robot.rigid_bodies().torque(q, v, a), rtol=1e-12
+    )
