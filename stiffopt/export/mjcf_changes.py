@@ -79,8 +79,7 @@ def change_mjcf(found: DiagnosedRobot, path: Path) -> ChangedMjcf:
     for j, name in enumerate(found.robot.joint_names):
         editor.change_joint(j, editor.model.joints[name])
         editor.change_body(j, editor.model.joints[name])
-        if found.gain[j] != 1.0:
-            editor.change_drives(name, float(found.gain[j]))
+        editor.change_drives(j, name)
     return ChangedMjcf(
         contents=editor.source.contents(),
         changes=tuple(editor.changes),
@@ -171,23 +170,37 @@ class _Editor:
         else:
             self.source.change(inertial, new | dict.fromkeys(_OTHER_INERTIA_ATTRIBUTES))
 
-    def change_drives(self, joint: str, gain: float) -> None:
-        """Multiply the torque of the drives of a joint by the actual over the reported one."""
-        for actuator in self.model.actuators:
-            if actuator.joint != joint:
+    def change_drives(self, j: int, joint: str) -> None:
+        """Set the gains of the drives of a joint, and multiply their torque by its error."""
+        factor, kp, kv = (
+            float(x[j]) for x in (self.found.gain, self.found.stiffness, self.found.damping)
+        )
+        for drive in self.model.actuators:
+            if drive.joint != joint:
                 continue
-            element = self.source.actuator(actuator.name)
+            element = self.source.actuator(drive.name)
+            gains = tuple(
+                factor * own if math.isnan(new) else new / drive.gear**2
+                for own, new in ((-drive.bias[1], kp), (-drive.bias[2], kv))
+            )
             tag = "" if element is None else element.tag
+            pairs = _drive_attributes(drive, tag, factor, gains)
             texts = {
                 key: (_format_all(old), _format_all(new), "")
-                for key, (old, new) in _scaled_attributes(actuator, tag, gain).items()
+                for key, (old, new) in pairs.items()
+                if any(map(_differs, old, new))
             }
-            if element is None or not texts:
+            if element is not None and texts:
+                self._change(element, tag, drive.name, texts)
+            if tag == "motor" and not math.isnan(kp):
                 self.left_out.append(
-                    f"torque of the actuator {actuator.name!r}: multiply it by {gain:.6g}"
+                    f"the actuator {drive.name!r} is a motor: the gains of its controller, kp ="
+                    f" {kp:.6g} and kv = {kv:.6g}, are outside the file"
                 )
-            else:
-                self._change(element, tag, actuator.name, texts)
+            elif factor != 1.0 and not pairs:
+                self.left_out.append(
+                    f"torque of the actuator {drive.name!r}: multiply it by {factor:.6g}"
+                )
 
     def _change(
         self, element: MjcfElement, kind: str, name: str, texts: dict[str, tuple[str, str, str]]
@@ -222,22 +235,25 @@ class _Editor:
         self.left_out.append(f"{kind} {name!r}, {values}: {reason}")
 
 
-def _scaled_attributes(
-    drive: MjcfActuator, tag: str, factor: float
+def _drive_attributes(
+    drive: MjcfActuator, tag: str, factor: float, gains: tuple[float, ...]
 ) -> dict[str, tuple[tuple[float, ...], tuple[float, ...]]]:
-    """Return attributes of an actuator, before and with its torque multiplied by a factor."""
+    """Return old and new attributes of an actuator that set its torque or gains."""
     if tag == "motor":
         return {"gear": ((drive.gear,), (factor * drive.gear,))}
-    own: dict[str, tuple[float, ...]] = {}
+    kp, kv = gains
+    found: dict[str, tuple[tuple[float, ...], tuple[float, ...]]] = {}
     if tag == "position":
-        own = {"kp": (drive.gain,)}
-        if drive.bias[2]:
-            own["kv"] = (-drive.bias[2],)
-    elif tag == "general":
-        own = {"gainprm": (drive.gain,), "biasprm": drive.bias}
-    if own and drive.force_range is not None:
-        own["forcerange"] = drive.force_range
-    return {key: (values, tuple(factor * x for x in values)) for key, values in own.items()}
+        found = {"kp": ((drive.gain,), (kp,)), "kv": ((-drive.bias[2],), (kv,))}
+    elif tag == "general" and drive.bias[1] == -drive.gain:
+        # A position servo written out: force = kp ctrl - kp length - kv velocity.
+        found = {
+            "gainprm": ((drive.gain,), (kp,)),
+            "biasprm": (drive.bias, (factor * drive.bias[0], -kp, -kv)),
+        }
+    if found and drive.force_range is not None:
+        found["forcerange"] = drive.force_range, tuple(factor * x for x in drive.force_range)
+    return found
 
 
 def _add_inertia(

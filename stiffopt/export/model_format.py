@@ -38,6 +38,8 @@ class DiagnosedRobot:
         Actual over reported drive torque, in the order of the robot's joints.
     zeros : array (n,)
         Position of each joint where its encoder reads 0 [rad].
+    stiffness, damping : array (n,)
+        Gains of the joints' position servos [N m/rad], [N m s/rad]; nan where not estimated.
     changes : tuple of ValueChange
     left_out : tuple of str
         Findings that such a model cannot represent.
@@ -48,6 +50,8 @@ class DiagnosedRobot:
     robot: Robot
     gain: np.ndarray
     zeros: np.ndarray
+    stiffness: np.ndarray
+    damping: np.ndarray
     changes: tuple[ValueChange, ...]
     left_out: tuple[str, ...]
 
@@ -94,6 +98,8 @@ def read_diagnosed_robot(
         robot=planner.robot,
         gain=gain,
         zeros=zeros,
+        stiffness=np.full(loaded.robot.n, np.nan),
+        damping=np.full(loaded.robot.n, np.nan),
         changes=tuple(value_changes(loaded.robot, planner.robot)),
         left_out=left_out,
     )

@@ -19,7 +19,7 @@ import numpy as np
 from stiffopt.errors import InputError, InputFileError, shortened
 from stiffopt.robot.xml_files import parse_xml
 
-MJCF_ROOT = "mujoco"
+MJCF_ROOT, MJCF_ENDINGS = "mujoco", (".xml", ".mjcf")
 # Body that is the ground.
 WORLD = "world"
 # Elements that refer to shapes, or are none of a mechanism.
@@ -156,7 +156,7 @@ class MjcfCoupling:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Mjcf:
+class MjcfModel:
     """A compiled MJCF.
 
     Parameters
@@ -222,7 +222,7 @@ def mjcf_files(path: Path) -> list[Path]:
     return [*mjcf_parts(path), *read_mjcf(path).meshes]
 
 
-def read_mjcf(path: str | os.PathLike[str]) -> Mjcf:
+def read_mjcf(path: str | os.PathLike[str]) -> MjcfModel:
     """Read an MJCF.
 
     Raises
@@ -248,7 +248,7 @@ def _import_mujoco() -> Any:
 
 
 @lru_cache(maxsize=8)
-def _read_mjcf(path: Path, _times: tuple[int, ...]) -> Mjcf:
+def _read_mjcf(path: Path, _times: tuple[int, ...]) -> MjcfModel:
     """Read an MJCF anew where one of its files was written since."""
     mujoco = _import_mujoco()
     try:
@@ -260,7 +260,7 @@ def _read_mjcf(path: Path, _times: tuple[int, ...]) -> Mjcf:
     except (ValueError, mujoco.FatalError) as error:
         raise InputFileError(path, "", f"is refused by MuJoCo: {shortened(error)}.") from error
     reader = _ModelReader(mujoco, model)
-    return Mjcf(
+    return MjcfModel(
         bodies=tuple(reader.bodies()),
         sites=tuple(reader.sites()),
         joints={joint.name: joint for joint in reader.joints()},

@@ -33,13 +33,20 @@ def nominal(tmp_path):
     return load(write_arm(tmp_path))
 
 
-def diagnosed(nominal, robot=None, gain=(1.0, 1.0, 1.0, 1.0), zeros=(0.0, 0.0, 0.0, 0.0)):
+UNKNOWN = (np.nan,) * 4
+
+
+def diagnosed(
+    nominal, robot=None, gain=(1.0,) * 4, zeros=(0.0,) * 4, stiffness=UNKNOWN, damping=UNKNOWN
+):
     return DiagnosedRobot(
         name="found",
         nominal=nominal,
         robot=robot or nominal,
         gain=np.array(gain),
         zeros=np.array(zeros),
+        stiffness=np.array(stiffness),
+        damping=np.array(damping),
         changes=(),
         left_out=(),
     )
@@ -127,6 +134,18 @@ def test_drives_give_the_actual_torque(nominal, tmp_path):
     assert after["pan"].velocity_gain == pytest.approx(0.9 * before["pan"].velocity_gain)
     assert after["pan"].torque_max == pytest.approx(0.9 * before["pan"].torque_max)
     assert after["lift"].gear == pytest.approx(11.0)
+
+
+def test_gains_of_a_servo_are_those_estimated(nominal, tmp_path):
+    found = diagnosed(nominal, stiffness=(180.0, *UNKNOWN[1:]), damping=(7.0, *UNKNOWN[1:]))
+    again, table, _ = written(found, tmp_path / "out")
+    servo = next(each for each in read_mjcf(again.urdf).actuators if each.joint == "pan")
+    assert (servo.position_gain, servo.velocity_gain) == pytest.approx((180.0, 7.0))
+    # At a gear of 2 the file's gains are a quarter of those at the joint.
+    assert [(row["attribute"], row["old"], row["new"]) for row in table] == [
+        ("kp", "50", "45"),
+        ("kv", "2", "1.75"),
+    ]
 
 
 def test_what_the_file_cannot_take_is_said(nominal, tmp_path):

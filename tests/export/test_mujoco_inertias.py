@@ -34,6 +34,8 @@ def test_mujoco_reads_raised_inertias(moments, tmp_path):
         robot=arm,
         gain=np.ones(arm.n),
         zeros=np.zeros(arm.n),
+        stiffness=np.full(arm.n, np.nan),
+        damping=np.full(arm.n, np.nan),
         changes=(),
         left_out=(),
     )

@@ -6,6 +6,8 @@ import math
 from collections.abc import Iterator
 from dataclasses import astuple, dataclass, fields
 
+import numpy as np
+
 from stiffopt.export.model_format import MODEL_FORMATS, DiagnosedRobot, ModelFormat
 from stiffopt.files import csv_text
 from stiffopt.robot.mjcf import is_mjcf, read_mjcf
@@ -68,7 +70,6 @@ def _isaac_values(found: DiagnosedRobot) -> Iterator[IsaacValue]:
     drives = read_mjcf(path).actuators if path is not None and is_mjcf(path) else ()
     nominal, robot = found.nominal, found.robot
     for j, name in enumerate(robot.joint_names):
-        gain = float(found.gain[j])
         axis = "linear" if robot.prismatic[j] else "angular"
         axial, drive = f"physxJointAxis:{axis}:", f"drive:{axis}:physics:"
         rows: list[tuple[str, float, float, str, str]] = [
@@ -81,15 +82,15 @@ def _isaac_values(found: DiagnosedRobot) -> Iterator[IsaacValue]:
                 ("effort_limit_sim", "torque_max", "N m", f"{drive}maxForce"),
             )
         ]
-        for own in drives:
-            if own.joint == name and own.position_gain:
-                rows += [
-                    (key, value, gain * value, unit, f"{drive}{key}")
-                    for key, value, unit in (
-                        ("stiffness", own.position_gain, "N m/rad"),
-                        ("damping", own.velocity_gain, "N m s/rad"),
-                    )
-                ]
+        servos = [each for each in drives if each.joint == name and each.position_gain]
+        for key, before, estimated, unit in (
+            ("stiffness", [s.position_gain for s in servos], found.stiffness[j], "N m/rad"),
+            ("damping", [s.velocity_gain for s in servos], found.damping[j], "N m s/rad"),
+        ):
+            if servos or not np.isnan(estimated):
+                old = sum(before) if servos else math.nan
+                new = found.gain[j] * old if np.isnan(estimated) else estimated
+                rows.append((key, old, float(new), unit, f"{drive}{key}"))
         for key, before, after, unit, attribute in rows:
             unit = joint_unit(unit, bool(robot.prismatic[j]))
             angular = unit.endswith("/rad")
