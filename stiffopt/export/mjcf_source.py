@@ -100,9 +100,9 @@ class MjcfSource:
                         tag = _set_attribute(tag, name, value)
             pieces[element.file].append((element.begin, element.end, tag))
         for body, given in self._added:
-            text = " ".join(f'{name}="{value}"' for name, value in given.items())
-            place = self._break_before(body) + b"  "
-            pieces[body.file].append((body.end, body.end, place + f"<inertial {text}/>".encode()))
+            values = " ".join(f'{name}="{value}"' for name, value in given.items())
+            inertial = self._break_before(body) + f"  <inertial {values}/>".encode()
+            pieces[body.file].append((body.end, body.end, inertial))
         changed = {}
         for name, content in self._content.items():
             for begin, end, text in sorted(pieces[name], reverse=True):

@@ -195,7 +195,7 @@ def is_mjcf(path: Path) -> bool:
             _, root = next(ET.iterparse(stream, events=("start",)))
     except (ET.ParseError, OSError, StopIteration, ValueError, LookupError):
         return False
-    return root.tag == MJCF_ROOT
+    return bool(root.tag == MJCF_ROOT)
 
 
 def mjcf_parts(path: Path) -> list[Path]:

@@ -13,7 +13,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from stiffopt.robot.frames import rotation_about_axis, rpy_from_rotation
-from stiffopt.robot.mjcf import WORLD, MjcfModel, MjcfBody, MjcfJoint, free_name
+from stiffopt.robot.mjcf import WORLD, MjcfBody, MjcfJoint, MjcfModel, free_name
 
 _INERTIA_KEYS = (("ixx", 0, 0), ("ixy", 0, 1), ("ixz", 0, 2),
                  ("iyy", 1, 1), ("iyz", 1, 2), ("izz", 2, 2))  # fmt: skip

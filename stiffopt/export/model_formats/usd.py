@@ -83,12 +83,12 @@ def _isaac_values(found: DiagnosedRobot) -> Iterator[IsaacValue]:
             )
         ]
         servos = [each for each in drives if each.joint == name and each.position_gain]
-        for key, before, estimated, unit in (
+        for key, gains, estimated, unit in (
             ("stiffness", [s.position_gain for s in servos], found.stiffness[j], "N m/rad"),
             ("damping", [s.velocity_gain for s in servos], found.damping[j], "N m s/rad"),
         ):
             if servos or not np.isnan(estimated):
-                old = sum(before) if servos else math.nan
+                old = sum(gains) if servos else math.nan
                 new = found.gain[j] * old if np.isnan(estimated) else estimated
                 rows.append((key, old, float(new), unit, f"{drive}{key}"))
         for key, before, after, unit, attribute in rows:
