@@ -298,6 +298,7 @@ def _set_text(
             else:
                 lines.append(f"{kind} = {toml_string(unit)}")
     lines += [
+        *arm.entries,
         "",
         "# [nominal]                 # parameters of the nominal model, one number a joint, SI",
         f"# gear_ratio = {toml_list(['100.0'] * len(joints))}",
@@ -305,7 +306,6 @@ def _set_text(
         f"# coulomb = {toml_list(['1.0'] * len(joints))}",
         f"# viscous = {toml_list(['1.0'] * len(joints))}",
     ]
-    lines += arm.entries
     for run, role in runs:
         lines += [
             "",
