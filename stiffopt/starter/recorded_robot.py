@@ -20,12 +20,12 @@ from stiffopt.robot.robot import Robot
 from stiffopt.robot.urdf import load_urdf
 from stiffopt.robot.urdf_xml import read_urdf_tree
 from stiffopt.starter.robot_file import robot_text
-from stiffopt.starter.writing import toml_number, toml_string
+from stiffopt.starter.writing import toml_list, toml_number, toml_string
 
-# Joint values of an MJCF, and their relative tolerance: whoever identified them by experiment
-# reaches some 10 % (friction changes more by temperature alone), and guesses are to be found out.
+# Joint values of an MJCF, and their relative tolerance: a change by a tenth is to be reported, and
+# a fit moves a value by some tolerances before it names an effect.
 _JOINT_VALUES = ("coulomb", "viscous", "rotor_inertia")
-JOINT_VALUE_TOLERANCE = 0.1
+JOINT_VALUE_TOLERANCE = 0.05
 
 ROBOT_FILE = "robot.toml"
 _URDF_FILE, _CATALOGUE_FILE = "robot.urdf", "catalogue.toml"
@@ -43,7 +43,7 @@ class RecordedRobot:
     notes : tuple of str
         Guesses, a sentence each.
     entries : tuple of str
-        Lines of recordings.toml on springs and tolerances of an MJCF.
+        Lines of recordings.toml on springs, tolerances and servos of an MJCF.
     """
 
     robot: Robot
@@ -91,11 +91,12 @@ def store_robot(source: Path, folder: Path, tip: str | None = None) -> RecordedR
 
 
 def _mjcf_entries(robot: Robot) -> tuple[str, ...]:
-    """Return lines on the springs of an MJCF's joints, and the tolerance of its joint values."""
+    """Return lines on springs of an MJCF's joints, tolerance of its joint values, servo gains."""
     if robot.urdf is None or not is_mjcf(robot.urdf):
         return ()
     lines: list[str] = []
-    for name, joint in read_mjcf(robot.urdf).joints.items():
+    model = read_mjcf(robot.urdf)
+    for name, joint in model.joints.items():
         if name in robot.joint_names and joint.stiffness != 0.0:
             lines += [
                 "",
@@ -109,6 +110,16 @@ def _mjcf_entries(robot: Robot) -> tuple[str, ...]:
     if stated:
         lines += ["", "[tolerance]  # relative, of the MJCF's values: larger changes are findings"]
         lines += [f"{key} = {JOINT_VALUE_TOLERANCE}" for key in stated]
+    servos = {each.joint: each for each in model.actuators if each.position_gain > 0.0}
+    if set(servos) >= set(robot.joint_names):
+        own = [servos[name] for name in robot.joint_names]
+        lines += [
+            "",
+            "# [actuator]  # servos of the MJCF: uncomment where the real ones have these gains",
+            '# kind = "position_servo"',
+            f"# kp = {toml_list(toml_number(each.position_gain) for each in own)}",
+            f"# kd = {toml_list(toml_number(each.velocity_gain) for each in own)}",
+        ]
     return tuple(lines)
 
 
