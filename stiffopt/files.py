@@ -360,8 +360,13 @@ def write_csv(
     path: str | os.PathLike[str], columns: Sequence[str], rows: Iterable[Sequence[object]]
 ) -> None:
     """Write a CSV file atomically; floats keep their full precision."""
+    atomic_write(path, csv_text(columns, rows))
+
+
+def csv_text(columns: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+    """Return a table as CSV; floats keep their full precision."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(columns)
     writer.writerows(rows)
-    atomic_write(path, text.getvalue())
+    return text.getvalue()

@@ -24,7 +24,7 @@ from stiffopt.recording.signals import Signals
 from stiffopt.result.store import MAX_SAMPLES, export_times
 from stiffopt.robot.meshes import convex_hull, load_mesh_file
 from stiffopt.robot.urdf import MAX_MOVING_JOINTS, load_urdf
-from stiffopt.robot.urdf_xml import MAX_DEPTH, MAX_ELEMENTS, parse_xml
+from stiffopt.robot.xml_files import MAX_DEPTH, MAX_ELEMENTS, parse_xml
 from stiffopt.starter.writing import toml_string
 from stiffopt.units import joint_to_si, to_si
 

@@ -195,7 +195,7 @@ def modes(
     Parameters
     ----------
     source
-        Robot (shipped name, robot file or URDF), problem file, or folder of a solve.
+        Robot (shipped name, robot file, URDF or MJCF), problem file, or folder of a solve.
     out
         Folder for the results of a solve's motion; default: the folder of the solve.
     """

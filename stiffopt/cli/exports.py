@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -20,7 +21,8 @@ def export(
     to: Annotated[
         str,
         Parameter(
-            help="Format: ros2, urscript, csv or krl-rsi of a solve; urdf or mjcf of a diagnosis."
+            help="Format: ros2, urscript, csv or krl-rsi of a solve; urdf, mjcf or usd of a"
+            " diagnosis."
         ),
     ],
     rate: float | None = None,
@@ -70,6 +72,7 @@ def export(
                 f"--to {to}: give the recording set of the diagnosis as --recordings; its robot is "
                 "changed by the findings."
             )
+        texts: Mapping[str, str | bytes]
         texts, maker = _extended_robot_files(result, to, recordings, effects), "diagnose"
     elif to in FORMATS:
         texts, maker = FORMATS[to].export(read_motion(result, of, problem), rate), "solve"
@@ -79,6 +82,7 @@ def export(
     folder = out or result
     with output_folder(folder, f"export --to {to}", of=maker) as stage:
         for name, text in texts.items():
+            (stage / name).parent.mkdir(parents=True, exist_ok=True)
             atomic_write(stage / name, text)
     print(f"Wrote {', '.join(str(folder / name) for name in texts)}")
     return 0
@@ -122,11 +126,12 @@ def check(
 
 def _extended_robot_files(
     result: Path, to: str, recordings: Path, effects: Path | None
-) -> dict[str, str]:
+) -> Mapping[str, str | bytes]:
     """Return the files of a robot with the findings of a diagnosis; print the changes."""
     from stiffopt.export.model_format import MODEL_FORMATS, notes, read_diagnosed_robot
 
     found = read_diagnosed_robot(result, recordings, effects)
-    for line in (*notes(found), *MODEL_FORMATS[to].remarks(found)):
+    exported = MODEL_FORMATS[to].export(found)
+    for line in (*notes(found), *exported.remarks):
         print(line)
-    return {MODEL_FORMATS[to].file: MODEL_FORMATS[to].text(found)}
+    return exported.files

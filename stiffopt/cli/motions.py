@@ -232,11 +232,11 @@ def stiffness(
     Parameters
     ----------
     robot
-        Shipped robot (er3a_c60, er3a_c60_contact, ur10), robot file (TOML) or URDF.
+        Shipped robot (er3a_c60, er3a_c60_contact, ur10), robot file (TOML), URDF or MJCF.
     out
         Folder for the results; default: out/stiffness_NAME, with the changes of --set.
     drivetrain
-        Robot file (TOML) with the drivetrain of a URDF.
+        Robot file (TOML) with the drivetrain of a URDF or MJCF.
     """
     from stiffopt.report.stiffness.page import write_stiffness_report
     from stiffopt.robot.files import load_robot

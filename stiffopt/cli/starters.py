@@ -1,4 +1,4 @@
-"""`stiffopt init`: starter files from a URDF or recorded data."""
+"""`stiffopt init`: starter files from a URDF, an MJCF or recorded data."""
 
 from __future__ import annotations
 
@@ -42,12 +42,12 @@ def robot(
     out: File = None,
     changes: NoChanges = (),
 ) -> int:
-    """Write a robot file for a URDF: limits and candidate reducers, estimates marked.
+    """Write a robot file for a URDF or MJCF: limits and candidate reducers, estimates marked.
 
     Parameters
     ----------
     urdf
-        URDF of the arm; joints that do not lead to the tip, such as fingers, are fixed.
+        URDF or MJCF of the arm; joints that do not lead to the tip, such as fingers, are fixed.
     tip
         Last link of the arm; default: the link from which fingers branch off.
     catalogue
@@ -77,7 +77,7 @@ def problem(source: str, *, out: File = None, changes: NoChanges = ()) -> int:
     Parameters
     ----------
     source
-        Shipped robot, robot file (TOML) or URDF.
+        Shipped robot, robot file (TOML), URDF or MJCF.
     """
     from stiffopt.robot.files import load_robot, shipped_robots
     from stiffopt.starter.problem_file import problem_text
@@ -119,7 +119,7 @@ def recording(
     data
         Files or folders; the last of several is held out for validation, a single one is split.
     urdf
-        URDF or robot file of the arm; limits and masses that a URDF lacks are estimated.
+        URDF, MJCF or robot file of the arm; limits and masses that it lacks are estimated.
     rate
         Sampling rate [Hz], where the data have no time column.
     tip

@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from stiffopt.discovery.extended.planning import planner_model, read_model
-from stiffopt.discovery.extended.value_changes import ValueChange, torque_gains, value_changes
+from stiffopt.discovery.extended.value_changes import (
+    ValueChange,
+    joint_zeros,
+    torque_gains,
+    value_changes,
+)
 from stiffopt.discovery.store import MODEL_FILE
 from stiffopt.errors import InputFileError
 from stiffopt.folders import check_result
@@ -30,6 +36,10 @@ class DiagnosedRobot:
         Nominal robot, and the robot with the findings.
     gain : array (n,)
         Actual over reported drive torque, in the order of the robot's joints.
+    zeros : array (n,)
+        Position of each joint where its encoder reads 0 [rad].
+    stiffness, damping : array (n,)
+        Gains of the joints' position servos [N m/rad], [N m s/rad]; nan where not estimated.
     changes : tuple of ValueChange
     left_out : tuple of str
         Findings that such a model cannot represent.
@@ -39,6 +49,9 @@ class DiagnosedRobot:
     nominal: Robot
     robot: Robot
     gain: np.ndarray
+    zeros: np.ndarray
+    stiffness: np.ndarray
+    damping: np.ndarray
     changes: tuple[ValueChange, ...]
     left_out: tuple[str, ...]
 
@@ -73,17 +86,38 @@ def read_diagnosed_robot(
             f"{', '.join(loaded.joints)}. Give the diagnosed set.",
         )
     planner = planner_model(loaded.robot, model)
-    gain = np.ones(loaded.robot.n)
+    gain, zeros = np.ones(loaded.robot.n), np.zeros(loaded.robot.n)
     gain[loaded.order] = torque_gains(model)
-    left_out = tuple(each for each in planner.left_out if not each.startswith("torque_gain"))
+    zeros[loaded.order] = joint_zeros(model)
+    left_out = tuple(
+        each for each in planner.left_out if not each.startswith(("torque_gain", "joint_zero"))
+    )
     return DiagnosedRobot(
         name=model.name,
         nominal=loaded.robot,
         robot=planner.robot,
         gain=gain,
+        zeros=zeros,
+        stiffness=np.full(loaded.robot.n, np.nan),
+        damping=np.full(loaded.robot.n, np.nan),
         changes=tuple(value_changes(loaded.robot, planner.robot)),
         left_out=left_out,
     )
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExportedRobot:
+    """Files of an exported robot.
+
+    Parameters
+    ----------
+    files : mapping of path to str or bytes
+    remarks : tuple of str
+        Further differences from the robot, a line each.
+    """
+
+    files: Mapping[str, str | bytes]
+    remarks: tuple[str, ...] = ()
 
 
 class ModelFormat(ABC):
@@ -104,9 +138,9 @@ class ModelFormat(ABC):
     def text(self, found: DiagnosedRobot) -> str:
         """Return the content of the file."""
 
-    def remarks(self, found: DiagnosedRobot) -> list[str]:
-        """Further differences from the robot, one per line."""
-        return []
+    def export(self, found: DiagnosedRobot) -> ExportedRobot:
+        """Return all files, and remarks on them."""
+        return ExportedRobot(files={self.file: self.text(found)})
 
 
 def notes(found: DiagnosedRobot) -> list[str]:
@@ -119,6 +153,11 @@ def notes(found: DiagnosedRobot) -> list[str]:
         f"actual over reported torque of {name}: 1 -> {gain:.6g}"
         for name, gain in zip(found.robot.joint_names, found.gain, strict=True)
         if gain != 1.0
+    ]
+    lines += [
+        f"position of {name} where its encoder reads 0: {zero:.6g} rad"
+        for name, zero in zip(found.robot.joint_names, found.zeros, strict=True)
+        if zero != 0.0
     ]
     lines += [f"finding without a value in this model: {each}" for each in found.left_out]
     return lines or ["no finding changes a value"]

@@ -223,7 +223,7 @@ class ProblemFile(Section):
     kind: Annotated[Literal["trajectory"], Doc("Kind of file.")]
     title: Annotated[str, Doc("Title of the report; default the name of the file.")] = ""
     robot: Annotated[
-        str, Doc("A shipped robot, or the path of a robot file or URDF beside this file.")
+        str, Doc("A shipped robot, or the path of a robot file, URDF or MJCF beside this file.")
     ]
     payload: PayloadSection | None = None
     tool: ToolSection = ToolSection()

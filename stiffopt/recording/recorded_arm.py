@@ -13,6 +13,7 @@ import numpy as np
 from stiffopt.errors import InputFileError, nearest
 from stiffopt.robot.files import load_robot, shipped_robots
 from stiffopt.robot.frames import frame_names, named_frame
+from stiffopt.robot.mjcf import is_mjcf
 from stiffopt.robot.robot import Robot
 
 
@@ -92,12 +93,13 @@ def load_arm(
 
     Notes
     -----
-    A shipped robot or a robot TOML has drivetrain, friction and rotor inertia. Friction of a bare
-    URDF is ignored: `<dynamics>` is a setting of simulators.
+    A shipped robot or a robot TOML has drivetrain, friction and rotor inertia, an MJCF the latter
+    two. Friction of a bare URDF is ignored: `<dynamics>` is a setting of simulators.
     """
     shipped = source in shipped_robots()
     robot = load_robot(source if shipped else path_inside_set(path, "robot", source), keep=joints)
-    if not (shipped or source.lower().endswith(".toml")):
+    stated = shipped or source.lower().endswith(".toml")
+    if not stated and robot.urdf is not None and not is_mjcf(robot.urdf):
         robot = replace(robot, coulomb=np.zeros(robot.n), viscous=np.zeros(robot.n))
     names = robot.joint_names
     for number, name in enumerate(joints):

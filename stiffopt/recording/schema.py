@@ -253,10 +253,10 @@ class ArmSection(Section):
     citation: Annotated[str, Doc("Who recorded it, and where it is published.")] = ""
     licence: Annotated[str, Doc("Licence of the recordings.")] = ""
     robot: Annotated[
-        Text, Doc("A shipped robot, or the path of a robot file or URDF beside this file.")
+        Text, Doc("A shipped robot, or the path of a robot file, URDF or MJCF beside this file.")
     ]
     joints: Annotated[
-        Names, Field(min_length=1), Doc("Joints of the URDF, in the order of every list.")
+        Names, Field(min_length=1), Doc("Joints of the robot, in the order of every list.")
     ]
     gravity: Annotated[
         tuple[Acceleration, Acceleration, Acceleration] | None,

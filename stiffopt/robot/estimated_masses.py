@@ -70,7 +70,7 @@ def estimate_bodies(arm: LoadedUrdf, urdf: Path, tool: LinkFrame) -> dict[str, E
         A link without shape of an arm without length.
     """
     model, tree = arm.model, body_tree(arm.model)
-    without = [j for j, body in enumerate(tree.bodies, start=1) if not body.mass > 0.0]
+    without = arm.massless_joints
     if not without:
         return {}
     shapes = read_link_shapes(urdf)

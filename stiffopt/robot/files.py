@@ -1,4 +1,4 @@
-"""Loading of robots: shipped ones by name, robot TOML files, URDFs."""
+"""Loading of robots: shipped ones by name, robot TOML files, URDFs, MJCFs."""
 
 from __future__ import annotations
 
@@ -20,6 +20,7 @@ from stiffopt.robot.body_tree import body_tree
 from stiffopt.robot.elements import Cited, ElementBuilder, locate_errors
 from stiffopt.robot.frames import LinkFrame, link_frame, link_names
 from stiffopt.robot.link_shapes import read_link_shapes
+from stiffopt.robot.mjcf import MJCF_ENDINGS
 from stiffopt.robot.robot import Robot, Source
 from stiffopt.robot.schema import JointSection, PlaceSection, RobotFile, robot_file_schema
 from stiffopt.robot.urdf import UNLIMITED, LinkBody, load_urdf
@@ -51,7 +52,7 @@ def load_robot(
     Parameters
     ----------
     source : str or path
-        A shipped robot ("er3a_c60"), a robot TOML, or a URDF.
+        A shipped robot ("er3a_c60"), a robot TOML, a URDF or an MJCF.
     drivetrain : path, optional
         Robot TOML for a URDF given as `source`; its own `urdf` key is then not needed. Without
         it, the joints of a URDF are rigid and only its limits apply.
@@ -63,7 +64,7 @@ def load_robot(
     Returns
     -------
     Robot
-        Limits (effort, velocity, position) and friction that the TOML omits are those of the URDF;
+        Limits, friction and rotor inertia that the TOML omits are those of the URDF or MJCF;
         omitted limits of acceleration and jerk are infinite.
 
     Raises
@@ -79,7 +80,7 @@ def load_robot(
             f"no robot {str(source)!r}: neither a shipped robot nor a file. "
             f"{nearest(str(source), shipped_robots())} Or give the path of a robot TOML or URDF."
         )
-    bare = path.suffix.lower() in (".urdf", ".xml")
+    bare = path.suffix.lower() in (".urdf", *MJCF_ENDINGS)
     if bare and drivetrain is None:
         if changes:
             raise InputFileError(path, "--set", "a URDF has no entries to change: give a TOML.")
@@ -219,7 +220,7 @@ _JOINT_NUMBERS: tuple[tuple[str, str, float | None], ...] = (
     ("velocity_max", "velocity", None),
     ("acceleration_max", "", np.inf),
     ("jerk_max", "", np.inf),
-    ("rotor_inertia", "", 0.0),
+    ("rotor_inertia", "armature", 0.0),
     ("coulomb", "friction", 0.0),
     ("viscous", "damping", 0.0),
     ("damping", "", np.nan),

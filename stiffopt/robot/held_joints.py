@@ -15,7 +15,7 @@ import numpy as np
 
 from stiffopt.errors import RobotError, nearest
 from stiffopt.robot.frames import rotation_about_axis, rotation_from_rpy, rpy_from_rotation
-from stiffopt.robot.joint_tree import JointTree, mimicked_joint
+from stiffopt.robot.joint_tree import PLANNED_KINDS, JointTree, mimicked_joint
 from stiffopt.units import fit_joint
 
 
@@ -38,6 +38,34 @@ class HeldJoint:
 
     def __str__(self) -> str:
         return f"{self.name} at {self.value:g} ({self.why})"
+
+
+def fix_free_joints(
+    tree: ET.Element, *, lock: Collection[str], tip: str | None, all_: bool
+) -> tuple[HeldJoint, ...]:
+    """Fix joints of several degrees of freedom where they are, in place.
+
+    Those that are locked, and those of objects that are no part of the arm; free bases and ball
+    joints of the arm as well if `all_`.
+    """
+    joints = JointTree(tree)
+    leading = set(joints.joints_to(tip)) if tip in joints.above else None
+    held = []
+    for name, joint in joints.joints.items():
+        if joint.get("type") in (*PLANNED_KINDS, "fixed"):
+            continue
+        of_arm = joints.behind[name] > 0 if leading is None else name in leading
+        if name in lock:
+            why = "locked"
+        elif not of_arm:
+            why = "not on the way to the tool"
+        elif all_:
+            why = f"{joint.get('type')} in the model"
+        else:
+            continue
+        held.append(HeldJoint(name, 0.0, why))
+        _fix_joint(joint, 0.0)
+    return tuple(held)
 
 
 def hold_joints(

@@ -10,7 +10,8 @@ import xml.etree.ElementTree as ET
 from collections.abc import Collection
 from functools import cached_property
 
-_MOVING_KINDS = ("revolute", "continuous", "prismatic")
+# Kinds of moving joints that an arm may have.
+PLANNED_KINDS = ("revolute", "continuous", "prismatic")
 # A branch of at most so many joints at the end of an arm of at least so many is a finger; beside
 # such an arm, one of at most so many is a head or a wheel.
 _MAX_FINGER_JOINTS, _MIN_ARM_JOINTS, _MAX_HEAD_JOINTS = 4, 3, 2
@@ -44,7 +45,7 @@ class JointTree:
 
     def moves(self, name: str) -> bool:
         """Return whether a joint is not fixed."""
-        return name not in self.still and self.joints[name].get("type") in _MOVING_KINDS
+        return name not in self.still and self.joints[name].get("type") in PLANNED_KINDS
 
     @property
     def moving(self) -> list[str]:
@@ -53,11 +54,14 @@ class JointTree:
 
     def path_to(self, link: str) -> list[str]:
         """Moving joints from the base to a link."""
+        return [name for name in self.joints_to(link) if self.moves(name)]
+
+    def joints_to(self, link: str | None) -> list[str]:
+        """Joints of all kinds from the base to a link."""
         way: list[str] = []
         while link in self.above:
             name = self.above[link]
-            if self.moves(name):
-                way.insert(0, name)
+            way.insert(0, name)
             link = _link_attribute(self.joints[name], "parent")
         return way
 

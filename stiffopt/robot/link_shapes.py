@@ -20,7 +20,8 @@ from stiffopt.files import read_bytes
 from stiffopt.robot.frames import rotation_from_rpy
 from stiffopt.robot.meshes import MAX_MESH_BYTES, load_mesh_file
 from stiffopt.robot.urdf import urdf_numbers
-from stiffopt.robot.urdf_xml import find_mesh, parse_xml
+from stiffopt.robot.urdf_xml import find_mesh
+from stiffopt.robot.xml_files import parse_xml
 
 Purpose = Literal["visual", "collision"]
 Kind = Literal["box", "cylinder", "sphere", "mesh"]

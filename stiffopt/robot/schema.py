@@ -45,9 +45,9 @@ Vector = tuple[Length, Length, Length]
 
 
 class JointSection(Cited):
-    """One joint of the URDF; omitted keys are those of the URDF or without limit."""
+    """One joint of the model; omitted keys are those of the model or without limit."""
 
-    name: Annotated[str, Doc("Name of the joint in the URDF.")]
+    name: Annotated[str, Doc("Name of the joint in the URDF or MJCF.")]
     torque_max: Annotated[
         JointTorque | None,
         POSITIVE,
@@ -61,8 +61,12 @@ class JointSection(Cited):
     position_lower: Annotated[JointPosition | None, Doc("Lower limit of the position.")] = None
     position_upper: Annotated[JointPosition | None, Doc("Upper limit of the position.")] = None
     rotor_inertia: Annotated[
-        JointInertia, NOT_NEGATIVE, Doc("Inertia of the motor's rotor, at the joint's output.")
-    ] = 0.0
+        JointInertia | None,
+        NOT_NEGATIVE,
+        Doc(
+            "Inertia of the motor's rotor, at the joint's output; default the armature of an MJCF."
+        ),
+    ] = None
     coulomb: Annotated[
         JointTorque | None, NOT_NEGATIVE, Doc("Coulomb friction at the joint's output.")
     ] = None
@@ -92,9 +96,9 @@ class JointSection(Cited):
 
 
 class LinkSection(Cited):
-    """Mass and inertia of a link, in place of those of the URDF."""
+    """Mass and inertia of a link, in place of those of the URDF or MJCF."""
 
-    name: Annotated[str, Doc("Name of the link in the URDF.")]
+    name: Annotated[str, Doc("Name of the link in the URDF, or of the body in the MJCF.")]
     mass: Annotated[Mass, Bounds(least=0.0, most=1e5), Doc("Mass.")]
     com: Annotated[Vector, Doc("Centre of mass in the frame of the link.")] = (0.0, 0.0, 0.0)
     inertia: Annotated[
@@ -125,7 +129,7 @@ class AssemblySection(Cited):
 class PlaceSection(Section):
     """A frame fixed to a link."""
 
-    link: Annotated[str, Doc("Link of the URDF that it is fixed to.")]
+    link: Annotated[str, Doc("Link of the URDF, or body or site of the MJCF, that it is fixed to.")]
     offset: Annotated[Vector, Doc("Origin in the frame of the link.")] = (0.0, 0.0, 0.0)
     rpy: Annotated[
         tuple[Angle, Angle, Angle], Doc("Roll, pitch, yaw about the axes of the link.")
@@ -133,14 +137,15 @@ class PlaceSection(Section):
 
 
 class RobotFile(Section):
-    """A robot: its URDF, tool, and the drivetrain of each joint."""
+    """A robot: its URDF or MJCF, tool, and the drivetrain of each joint."""
 
     schema_: Annotated[int, Doc("Version of the format: 1.")] = Field(alias="schema")
     kind: Annotated[Literal["robot"], Doc("Kind of file.")]
     name: Annotated[str, Doc("Name of the robot.")]
     title: Annotated[str, Doc("Title in reports; default the name.")] = ""
     urdf: Annotated[
-        str | None, Doc("Path of the URDF, relative to this file; needed unless it is given.")
+        str | None,
+        Doc("Path of the URDF or MJCF, relative to this file; needed unless it is given."),
     ] = None
     catalogue: Annotated[
         str | None,
@@ -149,9 +154,9 @@ class RobotFile(Section):
     lock: Annotated[
         dict[str, JointPosition],
         Doc(
-            "Joints that are held, and their positions. Others that do not lead to the tool "
-            "are held at zero, and those that follow a held joint with it, unless a "
-            "[[joint]] names them."
+            "Joints that are held, and their positions; a free base is held where it is. Others "
+            "that do not lead to the tool are held at zero, and those that follow a held joint "
+            "with it, unless a [[joint]] names them."
         ),
     ] = Field(default_factory=dict)
     tool: Annotated[PlaceSection | None, Doc("Tool point; default the frame of the last link.")] = (

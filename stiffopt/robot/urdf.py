@@ -1,4 +1,4 @@
-"""Loading of URDFs as pinocchio models of revolute and prismatic joints, with checks."""
+"""Loading of URDFs and MJCFs as pinocchio models of revolute and prismatic joints, with checks."""
 
 from __future__ import annotations
 
@@ -13,10 +13,13 @@ import numpy as np
 import pinocchio as pin
 
 from stiffopt.errors import InputFileError, RobotError, nearest, shortened
-from stiffopt.robot.held_joints import HeldJoint, hold_joints
+from stiffopt.robot.body_tree import body_tree
+from stiffopt.robot.held_joints import HeldJoint, fix_free_joints, hold_joints
+from stiffopt.robot.joint_tree import PLANNED_KINDS
+from stiffopt.robot.mjcf import is_mjcf
 from stiffopt.robot.urdf_xml import read_urdf_tree
 
-_JOINT_KINDS = ("revolute", "continuous", "prismatic", "fixed")
+_JOINT_KINDS = (*PLANNED_KINDS, "fixed")
 # Limits of a continuous joint, which pinocchio would otherwise model by a unit circle.
 UNLIMITED = 1e9
 # Beyond any machine in every unit of a URDF; products of a few such numbers do not overflow.
@@ -44,18 +47,33 @@ class LoadedUrdf:
     ----------
     model : pinocchio.Model
         Fixed and held joints merged; a continuous joint is a revolute one without position limits.
-    joints : mapping of joint name to its `effort`, `velocity`, `damping`, `friction`
-        In the model's order; 0 where not given. [N m], [rad/s], [N m s/rad], [N m]
+    joints : mapping of joint name to its `effort`, `velocity`, `damping`, `friction`, `armature`
+        In the model's order; 0 where not given. [N m], [rad/s], [N m s/rad], [N m], [kg m^2]
     held : tuple of HeldJoint
         Joints that are held fixed.
     unlimited : tuple of str
         Joints without the position limits that they need; unlimited in the model.
+    format : str
+        "URDF" or "MJCF".
     """
 
     model: pin.Model
     joints: dict[str, dict[str, float]]
     held: tuple[HeldJoint, ...] = ()
     unlimited: tuple[str, ...] = ()
+    format: str = "URDF"
+
+    @property
+    def massless_joints(self) -> list[int]:
+        """Joints, from 1, whose links have no mass, although a file has to give it.
+
+        None of an MJCF: MuJoCo refuses moving bodies without mass, and several joints of one body
+        have links without mass between them.
+        """
+        if self.format == "MJCF":
+            return []
+        bodies = body_tree(self.model).bodies
+        return [j for j, body in enumerate(bodies, start=1) if not body.mass > 0.0]
 
 
 # Memory of the dynamics grows with the cube: 900 joints need 35 GB.
@@ -88,13 +106,13 @@ def load_urdf(
     keep: Collection[str] = (),
     limited: Collection[str] | None = (),
     bodies: Mapping[str, LinkBody] | None = None,
-    followers: bool = False,
+    hold_unplanned: bool = False,
 ) -> LoadedUrdf:
     """Load a URDF as a model with the limits and friction of each joint.
 
     Parameters
     ----------
-    path : path of a URDF file
+    path : path of a URDF or MJCF
     lock : mapping of joint name to float, optional
         Positions of locked joints [rad] or [m].
     tip : str, optional
@@ -105,8 +123,9 @@ def load_urdf(
         Joints whose position limits are given elsewhere; None: all that need some.
     bodies : mapping of link name to LinkBody, optional
         Bodies that replace inertials of the URDF.
-    followers : bool
-        Fix joints of the arm that follow another one, in place of an error.
+    hold_unplanned : bool
+        Fix free bases, ball joints, and joints of the arm that follow another one, in place of an
+        error.
 
     Raises
     ------
@@ -118,12 +137,15 @@ def load_urdf(
     tree = read_urdf_tree(path)
     _check_links(tree, path)
     _replace_inertials(tree, bodies or {}, path)
+    free = fix_free_joints(tree, lock=lock or {}, tip=tip, all_=hold_unplanned)
     moving = {}
     for joint in tree.findall("joint"):
         found = _check_joint(joint, path)
         if found is not None:
             moving[joint.get("name", "")] = found
-    held = hold_joints(tree, path, lock=lock or {}, tip=tip, keep=keep, followers=followers)
+    fixed = {each.name for each in free}
+    stated = {name: value for name, value in (lock or {}).items() if name not in fixed}
+    held = hold_joints(tree, path, lock=stated, tip=tip, keep=keep, followers=hold_unplanned)
     for each in held:
         del moving[each.name]
     unlimited = [joint for joint in tree.findall("joint") if _needs_limits(joint)]
@@ -142,7 +164,13 @@ def load_urdf(
         raise InputFileError(path, "", f"cannot be read as a URDF: {shortened(error)}.") from error
     # A URDF may list its joints in any order.
     joints = {name: moving[name] for name in list(model.names)[1:]}
-    return LoadedUrdf(model, joints, held, tuple(joint.get("name", "") for joint in unlimited))
+    return LoadedUrdf(
+        model,
+        joints,
+        held=(*free, *held),
+        unlimited=tuple(joint.get("name", "") for joint in unlimited),
+        format="MJCF" if is_mjcf(path) else "URDF",
+    )
 
 
 def _check_joint(joint: ET.Element, path: Path) -> dict[str, float] | None:
@@ -151,7 +179,9 @@ def _check_joint(joint: ET.Element, path: Path) -> dict[str, float] | None:
     if kind not in _JOINT_KINDS:
         raise RobotError(
             f"{path}: joint {name!r} is of the kind {kind!r}; allowed are "
-            f"{', '.join(_JOINT_KINDS)}. Fix it, or replace it by several of these."
+            f"{', '.join(_JOINT_KINDS)}. Replace it by several of these, or fix it where it is:"
+            f" lock = {{ {name} = 0.0 }} in a robot file (`stiffopt init robot {path.name}` writes"
+            " one)."
         )
     _check_origin(joint, path)
     if kind == "fixed":
@@ -182,7 +212,7 @@ def _check_joint(joint: ET.Element, path: Path) -> dict[str, float] | None:
             f" {upper:g}. Give <limit lower upper effort velocity>, or make it continuous."
         )
     dynamics = joint.find("dynamics")
-    for key in ("damping", "friction"):
+    for key in ("damping", "friction", "armature"):
         text = "0" if dynamics is None else dynamics.get(key, "0")
         values[key] = urdf_numbers(text, 1, f"{path}: joint {name!r}, dynamics {key}")[0]
     return values

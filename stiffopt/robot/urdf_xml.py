@@ -1,4 +1,4 @@
-"""XML of a URDF, bounded in size and without entities: one tree of links and joints, its meshes."""
+"""Links and joints of a URDF or MJCF as one tree of XML elements, and the meshes of a URDF."""
 
 from __future__ import annotations
 
@@ -8,80 +8,19 @@ from collections import Counter
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
 from urllib.parse import unquote, urlparse
-from xml.parsers import expat
 
 from stiffopt.errors import InputFileError, RobotError, nearest, shortened
-from stiffopt.files import read_bytes
-
-# Levels of nested elements; a URDF with its extensions for simulators stays below 15.
-MAX_DEPTH = 40
-# Number of elements; an arm of 50 joints with shapes, sensors and transmissions has some 2000.
-MAX_ELEMENTS = 100_000
-
-
-def parse_xml(path: str | os.PathLike[str], *, comments: bool = False) -> ET.Element:
-    """Parse an XML file and return its root.
-
-    Raises
-    ------
-    InputFileError
-        No file, no XML, declared entities, or too many or too deep elements.
-    """
-    path = Path(path)
-    content = read_bytes(path)
-    try:
-        _check_structure(content, path)
-        parser = ET.XMLParser(target=ET.TreeBuilder(insert_comments=comments))
-        return ET.fromstring(content, parser)
-    except InputFileError:
-        raise
-    except (expat.ExpatError, ET.ParseError, LookupError, ValueError) as error:
-        # Unknown and multi-byte encodings raise no ParseError.
-        raise InputFileError(path, "", f"is not a URDF: {shortened(error)}.") from error
-
-
-def _check_structure(content: bytes, path: Path) -> None:
-    """Raise `InputFileError` for too deep or too many elements before a tree is built."""
-    parser: Any = expat.ParserCreate()
-    depth = elements = 0
-
-    def begin(*_: object) -> None:
-        nonlocal depth, elements
-        depth, elements = depth + 1, elements + 1
-        if depth > MAX_DEPTH:
-            raise InputFileError(
-                path, _current_line(), f"elements are nested deeper than {MAX_DEPTH}."
-            )
-        if elements > MAX_ELEMENTS:
-            raise InputFileError(path, "", f"has more than {MAX_ELEMENTS} elements.")
-
-    def end(_: object) -> None:
-        nonlocal depth
-        depth -= 1
-
-    def refuse_entity(name: str, *_: object) -> None:
-        raise InputFileError(
-            path,
-            _current_line(),
-            f"declares the entity {shortened(name)}: write its text in its place.",
-        )
-
-    def _current_line() -> str:
-        return f"line {parser.CurrentLineNumber}"
-
-    parser.StartElementHandler, parser.EndElementHandler = begin, end
-    parser.EntityDeclHandler = refuse_entity
-    parser.Parse(content, True)
-
+from stiffopt.robot.mjcf import MJCF_ROOT, read_mjcf
+from stiffopt.robot.mjcf_tree import build_tree
+from stiffopt.robot.xml_files import parse_xml
 
 # Number of links or joints; the loader's time grows with its square.
 _MAX_NAMED_ELEMENTS = 1000
 # Elements of xacro that only define something and can be ignored.
 _XACRO_DEFINITIONS = ("property", "arg", "macro")
 # Other robot formats by the root of their XML.
-_OTHER_FORMATS = {"mujoco": "an MJCF (a model of MuJoCo)", "sdf": "an SDF (a model of Gazebo)"}
+_OTHER_FORMATS = {"sdf": "an SDF (a model of Gazebo)"}
 # Mechanical parts of links and joints; shapes and colours are ignored.
 _MECHANICAL_PARTS = {
     "link": ("inertial",),
@@ -90,16 +29,28 @@ _MECHANICAL_PARTS = {
 
 
 def read_urdf_tree(path: str | os.PathLike[str]) -> ET.Element:
-    """Read the mechanics of a URDF: `<robot>` with links and joints that form one tree.
+    """Read the mechanics of a URDF or MJCF: `<robot>` with links and joints that form one tree.
 
     Raises
     ------
     InputFileError, RobotError
-        No URDF; a missing or repeated name; a joint between unknown links; a link with two parents,
-        a loop, more than one root.
+        Neither a URDF nor an MJCF; a missing or repeated name; a joint between unknown links; a
+        link with two parents, a loop, more than one root.
     """
     path = Path(path)
     found = parse_xml(path)
+    if found.tag == MJCF_ROOT:
+        tree = build_tree(read_mjcf(path))
+    else:
+        tree = _read_urdf_mechanics(found, path)
+    for kind in _MECHANICAL_PARTS:
+        _check_names(tree, kind, path)
+    _check_tree(tree, path)
+    return tree
+
+
+def _read_urdf_mechanics(found: ET.Element, path: Path) -> ET.Element:
+    """Copy links and joints of a URDF without shapes and extensions."""
     if found.tag != "robot":
         tag = shortened(found.tag)[1:-1]
         if tag in _OTHER_FORMATS:
@@ -113,16 +64,14 @@ def read_urdf_tree(path: str | os.PathLike[str]) -> ET.Element:
                 part = each.find(name)
                 if part is not None:
                     _copy_part(part, bare)
-        _check_names(tree, kind, path)
     _check_expanded(found, tree, path)
-    _check_tree(tree, path)
     return tree
 
 
 def unsupported_format(kind: str) -> str:
     """Message on a robot in an unsupported format, with the remedy."""
     return (
-        f"is {kind}; only URDF is read. Take the URDF that came with the arm or that its CAD"
+        f"is {kind}; URDF and MJCF are read. Take the URDF that came with the arm or that its CAD"
         " exports, or expand its xacro: `xacro arm.urdf.xacro > arm.urdf`."
     )
 

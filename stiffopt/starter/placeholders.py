@@ -39,9 +39,11 @@ class Placeholder:
     joint : str
     quantity : "velocity" or "effort"
     value : float
-        Of the URDF, in its unit.
+        Of the file, in its unit.
     unit : str
     why : str
+    format : str
+        Of the file, such as "URDF".
     """
 
     joint: str
@@ -49,9 +51,10 @@ class Placeholder:
     value: float
     unit: str
     why: str
+    format: str
 
     def __str__(self) -> str:
-        return f"the URDF says {self.value:g} {self.unit}, {self.why}"
+        return f"the {self.format} says {self.value:g} {self.unit}, {self.why}"
 
 
 def speed_placeholders(arm: LoadedUrdf, tool: LinkFrame) -> tuple[Placeholder, ...]:
@@ -69,7 +72,11 @@ def speed_placeholders(arm: LoadedUrdf, tool: LinkFrame) -> tuple[Placeholder, .
         else:
             continue
         unit = "m/s" if slides else "rad/s"
-        found.append(Placeholder(joint=name, quantity="velocity", value=speed, unit=unit, why=why))
+        found.append(
+            Placeholder(
+                joint=name, quantity="velocity", value=speed, unit=unit, why=why, format=arm.format
+            )
+        )
     return tuple(found)
 
 
@@ -95,7 +102,14 @@ def torque_placeholders(arm: LoadedUrdf, demands: np.ndarray) -> tuple[Placehold
         unit = "N" if slides[j] else "N m"
         why = f"the arm's weight and full acceleration take {np.max(alike):.3g} {unit} at most"
         found.append(
-            Placeholder(joint=name, quantity="effort", value=stated["effort"], unit=unit, why=why)
+            Placeholder(
+                joint=name,
+                quantity="effort",
+                value=stated["effort"],
+                unit=unit,
+                why=why,
+                format=arm.format,
+            )
         )
     return tuple(found)
 
@@ -138,8 +152,8 @@ def open_questions(
         and any(torques.values())
     ):
         yield (
-            f"QUESTION: the URDF has the torque {next(iter(torques.values())):g} N m for all"
-            f" {len(torques)} joints. Arms have a tenth at the wrist: is it a placeholder? Put"
+            f"QUESTION: the {arm.format} has the torque {next(iter(torques.values())):g} N m for"
+            f" all {len(torques)} joints. Arms have a tenth at the wrist: is it a placeholder? Put"
             " torque_max of the data sheet."
         )
     weak = [
@@ -151,7 +165,7 @@ def open_questions(
         reason = " or the guessed masses" if guessed else " or the masses"
         yield (
             f"QUESTION: the torque of {', '.join(weak)} does not hold the arm's own weight in every"
-            f" pose: the limit{reason} of the URDF must be wrong, unless springs help."
+            f" pose: the limit{reason} of the {arm.format} must be wrong, unless springs help."
         )
 
     impossible: dict[str, list[str]] = {}

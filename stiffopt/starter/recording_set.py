@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import itertools
 import math
-import re
 import shutil
 import tempfile
-from collections.abc import Collection, Container, Iterator, Mapping, Sequence
+from collections.abc import Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -15,14 +14,10 @@ from typing import Any
 import numpy as np
 
 from stiffopt.errors import InputError, InputFileError
-from stiffopt.files import load_toml, read_text
 from stiffopt.recording.readers.columns import Table
 from stiffopt.recording.readers.read import RUN_ENDINGS, is_messages, read_tables
-from stiffopt.robot.body_tree import body_tree
-from stiffopt.robot.files import load_robot
 from stiffopt.robot.joint_tree import JointTree
 from stiffopt.robot.robot import Robot
-from stiffopt.robot.urdf import load_urdf
 from stiffopt.robot.urdf_xml import read_urdf_tree
 from stiffopt.starter.guessing import (
     FACTOR_REQUESTS,
@@ -32,7 +27,7 @@ from stiffopt.starter.guessing import (
     with_time,
 )
 from stiffopt.starter.message_tables import read_message_table
-from stiffopt.starter.robot_file import robot_text
+from stiffopt.starter.recorded_robot import ROBOT_FILE, RecordedRobot, store_robot
 from stiffopt.starter.table_layouts import join_signal_files, name_blocks
 from stiffopt.starter.writing import toml_list, toml_string, write_new
 
@@ -156,8 +151,7 @@ def _write_set(
             runs.append((name, "test" if kept else "train", part))
         notes.append(f"{last} is held out (test), the others are for training.")
     folder.mkdir(parents=True, exist_ok=True)
-    for file in beside.iterdir():
-        shutil.copyfile(file, folder / file.name)
+    shutil.copytree(beside, folder, dirs_exist_ok=True)
     for name, _, table in runs:
         columns: dict[str, Any] = dict(table)
         np.savez_compressed(folder / f"{name}.npz", **columns)
@@ -304,6 +298,7 @@ def _set_text(
             else:
                 lines.append(f"{kind} = {toml_string(unit)}")
     lines += [
+        *arm.entries,
         "",
         "# [nominal]                 # parameters of the nominal model, one number a joint, SI",
         f"# gear_ratio = {toml_list(['100.0'] * len(joints))}",
@@ -319,89 +314,3 @@ def _set_text(
             f"role = {toml_string(role)}",
         ]
     return "\n".join(lines) + "\n"
-
-
-ROBOT_FILE = "robot.toml"
-_URDF_FILE, _CATALOGUE_FILE = "robot.urdf", "catalogue.toml"
-# Entries of a robot file that name files.
-_FILE_ENTRIES = {"urdf": _URDF_FILE, "catalogue": _CATALOGUE_FILE}
-
-
-@dataclass(frozen=True, kw_only=True)
-class RecordedRobot:
-    """Robot of a recording set and its file.
-
-    Parameters
-    ----------
-    robot : Robot
-    file : str
-        Name of its file in the set.
-    notes : tuple of str
-        Guesses, a sentence each.
-    """
-
-    robot: Robot
-    file: str
-    notes: tuple[str, ...] = ()
-
-
-def store_robot(source: Path, folder: Path, tip: str | None = None) -> RecordedRobot:
-    """Copy a robot into a folder; add a robot file with guesses for an incomplete URDF.
-
-    Limits and masses are guessed, drivetrains and friction are not: recordings determine them.
-
-    Parameters
-    ----------
-    source : Path
-        URDF or robot TOML.
-    folder : Path
-    tip : str, optional
-        Last link of the recorded arm, if the URDF holds more.
-
-    Raises
-    ------
-    InputFileError, RobotError
-        The robot cannot be read.
-    """
-    if source.suffix.lower() == ".toml":
-        if tip is not None:
-            raise InputFileError(source, "", "names its tool itself: leave out --tip.")
-        robot = load_robot(source)
-        _copy_robot_file(source, folder)
-        return RecordedRobot(robot=robot, file=ROBOT_FILE)
-    # All arms of a URDF may have been recorded.
-    every = [] if tip else JointTree(read_urdf_tree(source)).ambiguous_joints()
-    if tip is None and not _has_gaps(source, every):
-        robot = load_robot(source, keep=every)
-        shutil.copyfile(source, folder / _URDF_FILE)
-        return RecordedRobot(robot=robot, file=_URDF_FILE)
-    started = robot_text(source, folder, tip, bare=True)
-    shutil.copyfile(source, folder / _URDF_FILE)
-    (folder / ROBOT_FILE).write_text(
-        _replace_entry(started.text, "urdf", _URDF_FILE), encoding="utf-8"
-    )
-    return RecordedRobot(
-        robot=load_robot(folder / ROBOT_FILE), file=ROBOT_FILE, notes=started.notes
-    )
-
-
-def _has_gaps(urdf: Path, keep: Collection[str]) -> bool:
-    """Return True if a URDF lacks limits or masses of moving joints."""
-    arm = load_urdf(urdf, keep=keep, limited=None, followers=True)
-    silent = any(not (each["effort"] and each["velocity"]) for each in arm.joints.values())
-    weightless = any(not body.mass > 0.0 for body in body_tree(arm.model).bodies)
-    return silent or weightless or bool(arm.unlimited)
-
-
-def _copy_robot_file(source: Path, folder: Path) -> None:
-    text, entries = read_text(source), load_toml(source)
-    for entry, name in _FILE_ENTRIES.items():
-        if entry in entries:
-            shutil.copyfile(source.parent / entries[entry], folder / name)
-            text = _replace_entry(text, entry, name)
-    (folder / ROBOT_FILE).write_text(text, encoding="utf-8")
-
-
-def _replace_entry(text: str, entry: str, name: str) -> str:
-    """Replace the file name of an entry in the text of a robot file."""
-    return re.sub(rf"(?m)^{entry}\s*=.*$", f"{entry} = {toml_string(name)}", text, count=1)

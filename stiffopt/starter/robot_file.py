@@ -1,10 +1,10 @@
-"""Robot file of a URDF: its limits, candidate reducers, and marked estimates."""
+"""Robot file of a URDF or MJCF: its limits, candidate reducers, and marked estimates."""
 
 from __future__ import annotations
 
 import re
 import shlex
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -54,7 +54,9 @@ _MIN_TIP_DISTANCE, _MAX_SHOWN_TIPS = 1e-3, 6
 _TOOL_NAME_PATTERN = re.compile("tcp|tool|flange|effector", re.IGNORECASE)
 # Least relative change of masses by torque limits that is reported [-].
 _MIN_SCALE_CHANGE = 0.05
-_UNREAD_FORMATS = {".sdf": "an SDF", ".mjcf": "an MJCF", ".xacro": "xacro"}
+_UNREAD_FORMATS = {".sdf": "an SDF", ".xacro": "xacro"}
+# Friction and rotor inertia in robot files, and in the model's.
+_DYNAMICS_KEYS = {"coulomb": "friction", "viscous": "damping", "rotor_inertia": "armature"}
 _SLIDE_COMMENT = (
     '# Prismatic joint: describe its elements, such as type = "constant" with its stiffness.',
 )
@@ -83,6 +85,7 @@ def robot_text(
     name: str | None = None,
     catalogue: Path | None = None,
     *,
+    keep: Collection[str] = (),
     bare: bool = False,
 ) -> StartedRobot:
     """Return the text of a robot file for a URDF.
@@ -98,9 +101,10 @@ def robot_text(
         Default the name of the URDF's file.
     catalogue : Path, optional
         User catalogue, whose reducers are candidates too.
+    keep : collection of str
+        Joints that are not fixed although no tip is named.
     bare : bool
-        Without reducers and friction, which recordings determine; friction in a URDF is a setting
-        of simulators.
+        Without reducers and the friction of a URDF, which recordings determine.
 
     Raises
     ------
@@ -108,18 +112,20 @@ def robot_text(
         Unreadable URDF, unknown tip, or several arms and no tip.
     """
     _check_format(urdf)
-    arm = load_urdf(urdf, tip=tip, limited=None, followers=True)
+    arm = load_urdf(urdf, tip=tip, keep=keep, limited=None, hold_unplanned=True)
     names = link_names(arm.model)
     if tip is not None and tip not in names:
         raise RobotError(f"{urdf}: there is no link {tip!r}. {nearest(tip, names)}")
     tool = link_frame(arm.model, tip or default_tool_link(arm.model))
     bodies = estimate_bodies(arm, urdf, tool)
     if bodies:
-        arm = load_urdf(urdf, tip=tip, limited=None, followers=True, bodies=bodies)
+        arm = load_urdf(urdf, tip=tip, keep=keep, limited=None, hold_unplanned=True, bodies=bodies)
         fitted = fit_to_torque_limits(bodies, _weight_torques(arm), credible_torques(arm))
         if fitted != bodies:
             bodies = fitted
-            arm = load_urdf(urdf, tip=tip, limited=None, followers=True, bodies=bodies)
+            arm = load_urdf(
+                urdf, tip=tip, keep=keep, limited=None, hold_unplanned=True, bodies=bodies
+            )
     doubted = speed_placeholders(arm, tool)
     arm = drop_placeholders(arm, doubted)
     demands = _torque_demands(arm)
@@ -128,8 +134,8 @@ def robot_text(
     lines = [
         f"# Robot file of {urdf.name}, written by `stiffopt init robot`. Position, velocity and"
         " torque",
-        "# limits are those of the URDF. Values marked estimated are initial guesses: replace them",
-        "# by your own before relying on results.",
+        f"# limits are those of the {arm.format}. Values marked estimated are initial guesses:",
+        "# replace them by your own before relying on results.",
         "schema = 1",
         'kind = "robot"',
         f"name = {toml_string(name or urdf.stem)}",
@@ -210,7 +216,7 @@ def _describe_guesses(
         silent = [name for name, stated in arm.joints.items() if not stated[quantity]]
         silent = [name for name in silent if name not in taken]
         if silent:
-            yield f"GUESSED: the URDF has no {quantity} for {', '.join(silent)}."
+            yield f"GUESSED: the {arm.format} has no {quantity} for {', '.join(silent)}."
         if taken:
             said = "; ".join(f"{name}: {each}" for name, each in taken.items())
             yield (
@@ -339,32 +345,33 @@ def _joint_lines(
         # Angles as texts, since users edit degrees.
         ends = ("0.0", f"{_DEFAULT_SLIDE_RANGE}") if body.prismatic else ('"-170 deg"', '"170 deg"')
         yield f"name = {toml_string(body.name)}"
-        yield f"position_lower = {ends[0]}  # GUESSED: the URDF has no limits of position"
+        yield f"position_lower = {ends[0]}  # GUESSED: the {arm.format} has no limits of position"
         yield f"position_upper = {ends[1]}  # GUESSED"
     else:
         reach = _format_range(low, high, body.prismatic)
-        yield f"name = {toml_string(body.name)}  # {reach}, of the URDF"
+        yield f"name = {toml_string(body.name)}  # {reach}, of the {arm.format}"
     for name, value, key_, per in (
         ("torque_max", torque, "effort", unit[2]),
         ("velocity_max", speed, "velocity", unit[1]),
     ):
-        where = "URDF"
+        where = arm.format
         if not stated[key_]:
-            where = f"GUESSED: {doubted.get(key_, f'the URDF has no {key_}')}"
+            where = f"GUESSED: {doubted.get(key_, f'the {arm.format} has no {key_}')}"
             if key_ == "effort":
                 where += "; this is weight and full acceleration with margin"
         yield f"{name} = {toml_number(value)}  # [{per}], {where}"
     yield f"acceleration_max = {toml_number(acceleration, 3)}  # estimated: full speed in 0.25 s"
     yield f"jerk_max = {toml_number(acceleration / _JERK_TIME, 3)}  # estimated: that in 50 ms"
-    for name, key_ in (("coulomb", "friction"), ("viscous", "damping")):
-        if bare:
+    for name, key_ in _DYNAMICS_KEYS.items():
+        # Friction in a URDF is a setting of simulators; that of an MJCF is set for each joint.
+        if bare and arm.format == "URDF" and name != "rotor_inertia":
             yield f"{name} = 0.0  # not known"
         elif stated[key_]:
-            yield f"{name} = {toml_number(stated[key_])}  # URDF"
+            yield f"{name} = {toml_number(stated[key_])}  # {arm.format}"
     yield 'provenance = "estimated"'
     guesses = [name for name, key_ in (("torque", "effort"), ("speed", "velocity"))
                if not stated[key_]]  # fmt: skip
-    yield f'source = "URDF; {", ".join([*guesses, "acceleration"])} and jerk are guesses"'
+    yield f'source = "{arm.format}; {", ".join([*guesses, "acceleration"])} and jerk are guesses"'
 
 
 def _torque_limit(arm: LoadedUrdf, body: Body, demand: float) -> float:

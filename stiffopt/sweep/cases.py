@@ -23,6 +23,7 @@ from stiffopt.errors import InputError, InputFileError, shortened
 from stiffopt.files import apply_changes, check_file, load_toml, read_document
 from stiffopt.recording.readers.read import SET_FILE as RECORDINGS
 from stiffopt.recording.readers.read import files_of, find_set_file
+from stiffopt.robot.mjcf import MJCF_ENDINGS, mjcf_files
 from stiffopt.robot.urdf_xml import mesh_files
 from stiffopt.sweep.schema import MAX_CASES, RangeSection, SweepFile
 from stiffopt.units import number_and_unit
@@ -316,7 +317,7 @@ def _format_toml(value: Any) -> str:
 
 
 def _hash_inputs(path: Path, seen: frozenset[Path] = frozenset()) -> str:
-    """Hash a file with all files that it names, and the meshes of a URDF.
+    """Hash a file with all files that it names, the meshes of a URDF and the parts of an MJCF.
 
     Unreadable files are hashed by their error: the case that needs them reports it, and others are
     solved.
@@ -329,6 +330,10 @@ def _hash_inputs(path: Path, seen: frozenset[Path] = frozenset()) -> str:
     if path.suffix == ".urdf":
         for mesh in mesh_files(path):
             found.update(_hash_inputs(mesh).encode())
+    elif path.suffix in MJCF_ENDINGS and path not in seen:
+        with suppress(InputError):
+            for part in mjcf_files(path)[1:]:
+                found.update(_hash_inputs(part, seen | {path}).encode())
     if path.suffix == ".toml" and path not in seen:
         with suppress(InputError):
             for beside in _named_files(path.parent, load_toml(path)):

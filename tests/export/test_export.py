@@ -236,7 +236,7 @@ def test_csv_has_the_joints_names(folder, tmp_path):
         (["--to", "csv", "--rate", "0"], "above 0"),
         (["--to", "csv", "--rate", "nan"], "above 0"),
         (["--to", "mjcf"], "with the formats csv, krl-rsi, ros2, urscript."),
-        (["--to", "abb"], "Allowed: csv, krl-rsi, mjcf, ros2, urdf, urscript"),
+        (["--to", "abb"], "Allowed: csv, krl-rsi, mjcf, ros2, urdf, urscript, usd"),
     ],
 )
 def test_values_outside_a_format_are_refused(folder, arguments, words, capsys):

@@ -29,7 +29,15 @@ def test_mujoco_reads_raised_inertias(moments, tmp_path):
     (tmp_path / "arm.urdf").write_text(inertia.join([*parts, last]))
     arm = load_robot(tmp_path / "arm.urdf")
     found = DiagnosedRobot(
-        name="arm", nominal=arm, robot=arm, gain=np.ones(arm.n), changes=(), left_out=()
+        name="arm",
+        nominal=arm,
+        robot=arm,
+        gain=np.ones(arm.n),
+        zeros=np.zeros(arm.n),
+        stiffness=np.full(arm.n, np.nan),
+        damping=np.full(arm.n, np.nan),
+        changes=(),
+        left_out=(),
     )
     mjcf = MODEL_FORMATS["mjcf"]
     model = mujoco.MjModel.from_xml_string(mjcf.text(found))

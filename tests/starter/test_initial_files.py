@@ -55,9 +55,8 @@ def test_a_robot_file_of_a_urdf_is_read_as_it_is(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("name", "text", "said"),
     [
-        ("arm.sdf", "<sdf/>", "is an SDF; only URDF is read. Take the URDF"),
-        ("arm.xml", "<mujoco/>", "is an MJCF (a model of MuJoCo); only URDF is read"),
-        ("arm.urdf", "<sdf/>", "is an SDF (a model of Gazebo); only URDF is read"),
+        ("arm.sdf", "<sdf/>", "is an SDF; URDF and MJCF are read. Take the URDF"),
+        ("arm.urdf", "<sdf/>", "is an SDF (a model of Gazebo); URDF and MJCF are read"),
         ("arm.urdf.xacro", "<robot/>", "expand its xacro: `xacro arm.urdf.xacro > arm.urdf`"),
         ("arm.toml", "schema = 1", "is a robot file already: continue with `stiffopt init problem"),
     ],

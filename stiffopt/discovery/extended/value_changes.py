@@ -115,3 +115,13 @@ def torque_gains(model: ExtendedModel) -> np.ndarray:
         if located.effect.name == "torque_gain" and located.joint is not None:
             gains[located.joint] /= 1.0 + float(estimated.amplitudes[0])
     return gains
+
+
+def joint_zeros(model: ExtendedModel) -> np.ndarray:
+    """Return the position of each joint where its encoder reads 0 (n,) [rad]."""
+    zeros = np.zeros(len(model.joints))
+    for estimated in model.extension.effects:
+        located = estimated.located
+        if located.effect.name == "joint_zero" and located.joint is not None:
+            zeros[located.joint] += float(estimated.amplitudes[0])
+    return zeros

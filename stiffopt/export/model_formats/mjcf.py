@@ -1,22 +1,33 @@
-"""MJCF: recorded arm for MuJoCo, with diagnosed friction, rotor inertia and gains."""
+"""MJCF: the user's own file with diagnosed values; where the robot is a URDF, a new one."""
 
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable
+from dataclasses import astuple, fields
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from stiffopt.errors import RobotError
-from stiffopt.export.model_format import MODEL_FORMATS, DiagnosedRobot, ModelFormat, notes
+from stiffopt.export.mjcf_changes import AttributeChange, change_mjcf
+from stiffopt.export.model_format import (
+    MODEL_FORMATS,
+    DiagnosedRobot,
+    ExportedRobot,
+    ModelFormat,
+    notes,
+)
+from stiffopt.files import csv_text
+from stiffopt.robot.mjcf import is_mjcf
+from stiffopt.robot.realisable_inertia import realisable_inertia, realisable_moments
 
 # MuJoCo's dry friction is a soft constraint: with these settings nearly full at 1 mrad/s.
 _FRICTION_TIME, _FRICTION_IMPEDANCE = 0.002, "0.9999 0.9999 0.001 0.5 2"
 
-# Least moments of inertia [kg m^2], and as a share of the largest, for rounding; MuJoCo refuses
-# moments below 1e-15 kg m^2.
-_MIN_MOMENT, _MIN_MOMENT_SHARE = 1e-9, 1e-6
+
+# Table of the attributes that were changed.
+CHANGES_FILE = "mjcf_changes.csv"
 
 
 class Mjcf(ModelFormat):
@@ -30,6 +41,21 @@ class Mjcf(ModelFormat):
 
     name = "mjcf"
     file = "found.xml"
+
+    def export(self, found: DiagnosedRobot) -> ExportedRobot:
+        """Return the changed files of the robot's MJCF and the table of changes, or a new MJCF."""
+        path = found.nominal.urdf
+        if path is None or not is_mjcf(path):
+            return ExportedRobot(
+                files={self.file: self.text(found)}, remarks=tuple(self.remarks(found))
+            )
+        changed = change_mjcf(found, path)
+        columns = [each.name for each in fields(AttributeChange)]
+        table = csv_text(columns, (astuple(change) for change in changed.changes))
+        return ExportedRobot(
+            files=changed.contents | {CHANGES_FILE: table},
+            remarks=tuple(f"not in the MJCF: {each}" for each in changed.left_out),
+        )
 
     def text(self, found: DiagnosedRobot) -> str:
         """Return the content of found.xml."""
@@ -72,7 +98,7 @@ class Mjcf(ModelFormat):
             f" {_format_moments(before)} kg m^2 become {_format_moments(after)}"
             for name, body in zip(found.robot.joint_names, found.robot.tree.bodies, strict=True)
             for before, _ in [np.linalg.eigh(body.inertia)]
-            if (after := _realisable_moments(before)) is not before
+            if (after := realisable_moments(before)) is not before
         ]
 
     def _add_body(self, parent: ET.Element, found: DiagnosedRobot, j: int) -> ET.Element:
@@ -97,8 +123,9 @@ class Mjcf(ModelFormat):
             "inertial",
             pos=_format_numbers(body.centre),
             mass=repr(float(body.mass)),
-            fullinertia=_format_numbers(_realisable_inertia(body.inertia)[rows, columns]),
+            fullinertia=_format_numbers(realisable_inertia(body.inertia)[rows, columns]),
         )
+        zero = found.zeros[j]
         joint = {
             "name": name,
             "type": "slide" if body.prismatic else "hinge",
@@ -108,28 +135,12 @@ class Mjcf(ModelFormat):
             "armature": repr(float(robot.rotor_inertia[j])),
             "solreffriction": f"{_FRICTION_TIME} 1",
             "solimpfriction": _FRICTION_IMPEDANCE,
-            **_range_attributes("", robot.position_lower[j], robot.position_upper[j]),
+            **_range_attributes("", robot.position_lower[j] - zero, robot.position_upper[j] - zero),
         }
+        if zero != 0.0:
+            joint["ref"] = repr(-float(zero))
         ET.SubElement(element, "joint", joint)
         return element
-
-
-def _realisable_inertia(inertia: np.ndarray) -> np.ndarray:
-    """Raise an inertia (3, 3) to that of a rigid body with the same largest moment."""
-    moments, axes = np.linalg.eigh(inertia)
-    raised = _realisable_moments(moments)
-    return inertia if raised is moments else axes @ np.diag(raised) @ axes.T
-
-
-def _realisable_moments(moments: np.ndarray) -> np.ndarray:
-    """Raise ascending principal moments (3,) until the triangle inequality holds."""
-    least = max(_MIN_MOMENT, _MIN_MOMENT_SHARE * moments[2])
-    if moments[0] >= least and moments[0] + moments[1] >= moments[2]:
-        return moments
-    raised: np.ndarray = np.maximum(moments, least)
-    lacking = float((1.0 + _MIN_MOMENT_SHARE) * raised[2] - raised[0] - raised[1])
-    raised[:2] += 0.5 * max(lacking, 0.0)
-    return raised
 
 
 def _format_moments(moments: np.ndarray) -> str:

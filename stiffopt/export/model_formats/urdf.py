@@ -8,7 +8,10 @@ import numpy as np
 
 from stiffopt.export.model_format import MODEL_FORMATS, DiagnosedRobot, ModelFormat, notes
 from stiffopt.robot.body_tree import Body
-from stiffopt.robot.urdf_xml import parse_xml
+from stiffopt.robot.joint_tree import PLANNED_KINDS
+from stiffopt.robot.mjcf import is_mjcf, read_mjcf
+from stiffopt.robot.mjcf_tree import build_tree
+from stiffopt.robot.xml_files import parse_xml
 
 
 class Urdf(ModelFormat):
@@ -18,6 +21,7 @@ class Urdf(ModelFormat):
     -----
     A changed body comprises its link and all links fixed to it: the first gets the whole inertia,
     the others keep only their shapes. URDF has no rotor inertia; the comment at its head states it.
+    Of an MJCF a URDF without shapes is made, with rotor inertias as `armature` of `<dynamics>`.
     """
 
     name = "urdf"
@@ -25,9 +29,7 @@ class Urdf(ModelFormat):
 
     def text(self, found: DiagnosedRobot) -> str:
         """Return the content of found.urdf."""
-        # Keep the comments of the file.
-        assert found.nominal.urdf is not None
-        root = parse_xml(found.nominal.urdf, comments=True)
+        root = _original_tree(found)
         for number, line in enumerate(notes(found)):
             root.insert(number, ET.Comment(f" {line.replace('--', '- -')} "))
         joints = {joint.get("name"): joint for joint in root.findall("joint")}
@@ -39,6 +41,8 @@ class Urdf(ModelFormat):
                 dynamics = ET.SubElement(joint, "dynamics")
             dynamics.set("damping", repr(float(found.robot.viscous[j])))
             dynamics.set("friction", repr(float(found.robot.coulomb[j])))
+            if "armature" in dynamics.attrib:
+                dynamics.set("armature", repr(float(found.robot.rotor_inertia[j])))
             old, new = found.nominal.tree.bodies[j], found.robot.tree.bodies[j]
             if not np.allclose(old.inertial_parameters, new.inertial_parameters, rtol=1e-9):
                 carried = _carried_links(root, joint)
@@ -48,6 +52,27 @@ class Urdf(ModelFormat):
                         links[other].remove(inertial)
         ET.indent(root)
         return '<?xml version="1.0"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
+
+
+def _original_tree(found: DiagnosedRobot) -> ET.Element:
+    """Return the robot's URDF with its comments, or the URDF of its MJCF."""
+    path = found.nominal.urdf
+    assert path is not None
+    if not is_mjcf(path):
+        return parse_xml(path, comments=True)
+    root = build_tree(read_mjcf(path))
+    joints = {joint.get("name"): joint for joint in root.findall("joint")}
+    held = {each.name for each in found.nominal.held}
+    for name, joint in joints.items():
+        # Other readers know no free and ball joints.
+        if name in held and joint.get("type") not in PLANNED_KINDS:
+            joint.set("type", "fixed")
+    for j, name in enumerate(found.nominal.joint_names):
+        limit = joints[name].find("limit")
+        assert limit is not None
+        limit.set("effort", repr(float(found.nominal.torque_max[j])))
+        limit.set("velocity", repr(float(found.nominal.velocity_max[j])))
+    return root
 
 
 def _carried_links(root: ET.Element, joint: ET.Element) -> list[str]:

@@ -1,0 +1,72 @@
+"""XML files of robots, bounded in size and without entities."""
+
+from __future__ import annotations
+
+import os
+import xml.etree.ElementTree as ET
+from pathlib import Path
+from typing import Any
+from xml.parsers import expat
+
+from stiffopt.errors import InputFileError, shortened
+from stiffopt.files import read_bytes
+
+# Levels of nested elements; a URDF with its extensions for simulators stays below 15.
+MAX_DEPTH = 40
+# Number of elements; an arm of 50 joints with shapes, sensors and transmissions has some 2000.
+MAX_ELEMENTS = 100_000
+
+
+def parse_xml(path: str | os.PathLike[str], *, comments: bool = False) -> ET.Element:
+    """Parse an XML file and return its root.
+
+    Raises
+    ------
+    InputFileError
+        No file, no XML, declared entities, or too many or too deep elements.
+    """
+    path = Path(path)
+    content = read_bytes(path)
+    try:
+        _check_structure(content, path)
+        parser = ET.XMLParser(target=ET.TreeBuilder(insert_comments=comments))
+        return ET.fromstring(content, parser)
+    except InputFileError:
+        raise
+    except (expat.ExpatError, ET.ParseError, LookupError, ValueError) as error:
+        # Unknown and multi-byte encodings raise no ParseError.
+        raise InputFileError(path, "", f"is not a URDF or MJCF: {shortened(error)}.") from error
+
+
+def _check_structure(content: bytes, path: Path) -> None:
+    """Raise `InputFileError` for too deep or too many elements before a tree is built."""
+    parser: Any = expat.ParserCreate()
+    depth = elements = 0
+
+    def begin(*_: object) -> None:
+        nonlocal depth, elements
+        depth, elements = depth + 1, elements + 1
+        if depth > MAX_DEPTH:
+            raise InputFileError(
+                path, _current_line(), f"elements are nested deeper than {MAX_DEPTH}."
+            )
+        if elements > MAX_ELEMENTS:
+            raise InputFileError(path, "", f"has more than {MAX_ELEMENTS} elements.")
+
+    def end(_: object) -> None:
+        nonlocal depth
+        depth -= 1
+
+    def refuse_entity(name: str, *_: object) -> None:
+        raise InputFileError(
+            path,
+            _current_line(),
+            f"declares the entity {shortened(name)}: write its text in its place.",
+        )
+
+    def _current_line() -> str:
+        return f"line {parser.CurrentLineNumber}"
+
+    parser.StartElementHandler, parser.EndElementHandler = begin, end
+    parser.EntityDeclHandler = refuse_entity
+    parser.Parse(content, True)

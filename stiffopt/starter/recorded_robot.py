@@ -1,0 +1,162 @@
+"""Robot of a new recording set: copies of its files, and guesses for what they lack."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+from collections.abc import Collection
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from stiffopt.errors import InputFileError
+from stiffopt.files import load_toml, read_text
+from stiffopt.robot.files import load_robot
+from stiffopt.robot.joint_tree import JointTree
+from stiffopt.robot.mjcf import is_mjcf, mjcf_files, read_mjcf
+from stiffopt.robot.robot import Robot
+from stiffopt.robot.urdf import load_urdf
+from stiffopt.robot.urdf_xml import read_urdf_tree
+from stiffopt.starter.robot_file import robot_text
+from stiffopt.starter.writing import toml_list, toml_number, toml_string
+
+# Joint values of an MJCF, and their relative tolerance: a change by a tenth is to be reported, and
+# a fit moves a value by some tolerances before it names an effect.
+_JOINT_VALUES = ("coulomb", "viscous", "rotor_inertia")
+JOINT_VALUE_TOLERANCE = 0.05
+
+ROBOT_FILE = "robot.toml"
+_URDF_FILE, _CATALOGUE_FILE = "robot.urdf", "catalogue.toml"
+
+
+@dataclass(frozen=True, kw_only=True)
+class RecordedRobot:
+    """Robot of a recording set and its file.
+
+    Parameters
+    ----------
+    robot : Robot
+    file : str
+        Name of its file in the set.
+    notes : tuple of str
+        Guesses, a sentence each.
+    entries : tuple of str
+        Lines of recordings.toml on springs, tolerances and servos of an MJCF.
+    """
+
+    robot: Robot
+    file: str
+    notes: tuple[str, ...] = ()
+    entries: tuple[str, ...] = ()
+
+
+def store_robot(source: Path, folder: Path, tip: str | None = None) -> RecordedRobot:
+    """Copy a robot into a folder; add a robot file with guesses for an incomplete URDF or MJCF.
+
+    Limits and masses are guessed, drivetrains and friction are not: recordings determine them.
+
+    Parameters
+    ----------
+    source : Path
+        URDF, MJCF or robot TOML.
+    folder : Path
+    tip : str, optional
+        Last link of the recorded arm, if the URDF holds more.
+
+    Raises
+    ------
+    InputFileError, RobotError
+        The robot cannot be read.
+    """
+    if source.suffix.lower() == ".toml":
+        if tip is not None:
+            raise InputFileError(source, "", "names its tool itself: leave out --tip.")
+        robot = load_robot(source)
+        _copy_robot_file(source, folder)
+        return RecordedRobot(robot=robot, file=ROBOT_FILE, entries=_mjcf_entries(robot))
+    # All arms of a URDF may have been recorded.
+    every = [] if tip else JointTree(read_urdf_tree(source)).ambiguous_joints()
+    if tip is None and not _has_gaps(source, every):
+        robot = load_robot(source, keep=every)
+        name = _copy_model(source, folder)
+        return RecordedRobot(robot=robot, file=name, entries=_mjcf_entries(robot))
+    started = robot_text(source, folder, tip, keep=every, bare=True)
+    text = _replace_entry(started.text, "urdf", _copy_model(source, folder))
+    (folder / ROBOT_FILE).write_text(text, encoding="utf-8")
+    notes = (*started.notes, *(read_mjcf(source).notes if is_mjcf(source) else ()))
+    robot = load_robot(folder / ROBOT_FILE)
+    return RecordedRobot(robot=robot, file=ROBOT_FILE, notes=notes, entries=_mjcf_entries(robot))
+
+
+def _mjcf_entries(robot: Robot) -> tuple[str, ...]:
+    """Return lines on springs of an MJCF's joints, tolerance of its joint values, servo gains."""
+    if robot.urdf is None or not is_mjcf(robot.urdf):
+        return ()
+    lines: list[str] = []
+    model = read_mjcf(robot.urdf)
+    for name, joint in model.joints.items():
+        if name in robot.joint_names and joint.stiffness != 0.0:
+            lines += [
+                "",
+                "[[nominal.counterbalance]]  # spring of the MJCF",
+                'type = "spring"',
+                f"joint = {toml_string(name)}",
+                f"stiffness = {toml_number(joint.stiffness)}",
+                f"offset = {toml_number(joint.spring_reference)}",
+            ]
+    stated = [key for key in _JOINT_VALUES if np.any(getattr(robot, key))]
+    if stated:
+        lines += ["", "[tolerance]  # relative, of the MJCF's values: larger changes are findings"]
+        lines += [f"{key} = {JOINT_VALUE_TOLERANCE}" for key in stated]
+    servos = {each.joint: each for each in model.actuators if each.position_gain > 0.0}
+    if set(servos) >= set(robot.joint_names):
+        own = [servos[name] for name in robot.joint_names]
+        lines += [
+            "",
+            "# [actuator]  # servos of the MJCF: uncomment where the real ones have these gains",
+            '# kind = "position_servo"',
+            f"# kp = {toml_list(toml_number(each.position_gain) for each in own)}",
+            f"# kd = {toml_list(toml_number(each.velocity_gain) for each in own)}",
+        ]
+    return tuple(lines)
+
+
+def _copy_model(source: Path, folder: Path) -> str:
+    """Copy a URDF or the files of an MJCF into a folder; return the path there.
+
+    The files of an MJCF name each other: they keep their names and places to each other.
+    """
+    if not is_mjcf(source):
+        shutil.copyfile(source, folder / _URDF_FILE)
+        return _URDF_FILE
+    files = [Path(os.path.abspath(file)) for file in mjcf_files(source)]
+    root = Path(os.path.commonpath([file.parent for file in files]))
+    for file in files:
+        copy = folder / file.relative_to(root)
+        copy.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(file, copy)
+    return files[0].relative_to(root).as_posix()
+
+
+def _has_gaps(urdf: Path, keep: Collection[str]) -> bool:
+    """Return True if a URDF or MJCF lacks limits or masses of moving joints."""
+    arm = load_urdf(urdf, keep=keep, limited=None, hold_unplanned=True)
+    silent = any(not (each["effort"] and each["velocity"]) for each in arm.joints.values())
+    return silent or bool(arm.massless_joints) or bool(arm.unlimited)
+
+
+def _copy_robot_file(source: Path, folder: Path) -> None:
+    text, entries = read_text(source), load_toml(source)
+    if "urdf" in entries:
+        text = _replace_entry(text, "urdf", _copy_model(source.parent / entries["urdf"], folder))
+    if "catalogue" in entries:
+        shutil.copyfile(source.parent / entries["catalogue"], folder / _CATALOGUE_FILE)
+        text = _replace_entry(text, "catalogue", _CATALOGUE_FILE)
+    (folder / ROBOT_FILE).write_text(text, encoding="utf-8")
+
+
+def _replace_entry(text: str, entry: str, name: str) -> str:
+    """Replace the file name of an entry in the text of a robot file."""
+    return re.sub(rf"(?m)^{entry}\s*=.*$", f"{entry} = {toml_string(name)}", text, count=1)

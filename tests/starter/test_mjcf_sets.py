@@ -1,0 +1,79 @@
+"""Recording sets of arms that an MJCF describes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from mjcf_models import write_arm, write_legs
+
+from stiffopt.cli import run
+from stiffopt.recording.recording_set import load_recordings
+
+pytest.importorskip("mujoco")
+
+
+def write_log(path, joints, seconds=8.0):
+    """Write positions and torques of joints, at 100 Hz, as CSV."""
+    time = np.arange(0.0, seconds, 0.01)
+    waves = [np.sin((1.0 + 0.2 * k) * time) for k in range(2 * len(joints))]
+    names = [f"{kind}_{name}" for kind in ("q", "tau") for name in joints]
+    table = np.column_stack([time, *waves])
+    np.savetxt(path, table, delimiter=",", header=",".join(["time", *names]), comments="")
+    return path
+
+
+def start_set(tmp_path, model, joints, *more):
+    log = write_log(tmp_path / "log.csv", joints)
+    arguments = [
+        "init",
+        "recording",
+        str(log),
+        "--urdf",
+        str(model),
+        "--out",
+        str(tmp_path / "set"),
+    ]
+    assert run([*arguments, *more]) == 0
+    return load_recordings(tmp_path / "set")
+
+
+def test_joint_values_and_springs_are_nominal_with_a_tolerance(tmp_path, capsys):
+    model = write_arm(tmp_path)
+    own = start_set(tmp_path, model, ("pan", "lift", "slide", "roll"))
+    model.unlink()
+    again = load_recordings(tmp_path / "set")
+    assert again.robot.rotor_inertia == pytest.approx([0.3, 0.1, 0.3, 0.3])
+    assert again.robot.coulomb == pytest.approx([1.5, 0.4, 1.5, 1.5])
+    assert (own.tolerance.coulomb, own.tolerance.rotor_inertia) == (0.05, 0.05)
+    assert own.tolerance.mass is None
+    (spring,) = own.nominal.counterbalance
+    assert (spring.joint, spring.stiffness, spring.offset) == (2, 40.0, 0.1)
+    assert (tmp_path / "set" / "parts" / "defaults.xml").is_file()
+    assert "GUESSED: the MJCF has no velocity" in capsys.readouterr().out
+
+
+def test_both_legs_of_a_free_trunk_are_an_arm_on_a_fixed_base(tmp_path, capsys):
+    joints = [f"{part}_{side}" for side in "lr" for part in ("hip", "thigh", "calf")]
+    own = start_set(tmp_path, write_legs(tmp_path), joints)
+    assert set(own.joints) == set(joints)
+    assert "floating at 0 (free in the model)" in capsys.readouterr().out
+
+
+def test_one_leg_is_named_by_its_tip(tmp_path):
+    own = start_set(
+        tmp_path, write_legs(tmp_path), ("hip_r", "thigh_r", "calf_r"), "--tip", "calf_r"
+    )
+    assert own.joints == ("hip_r", "thigh_r", "calf_r")
+
+
+def test_servo_gains_stand_behind_comment_marks(tmp_path):
+    model = write_legs(tmp_path)
+    servos = "".join(
+        f'<position joint="{part}_l" kp="{kp}" kv="0.5" gear="2"/>'
+        for part, kp in (("hip", 5), ("thigh", 6), ("calf", 7))
+    )
+    text = model.read_text().replace("</mujoco>", f"<actuator>{servos}</actuator></mujoco>")
+    model.write_text(text)
+    start_set(tmp_path, model, ("hip_l", "thigh_l", "calf_l"), "--tip", "calf_l")
+    written = (tmp_path / "set" / "recordings.toml").read_text()
+    assert "# kp = [20.0, 24.0, 28.0]\n# kd = [2.0, 2.0, 2.0]\n" in written
