@@ -46,6 +46,7 @@ from stiffopt.discovery.judging.run_deviations import find_friction_drift, find_
 from stiffopt.discovery.judging.tool_force import explain_by_tool_force
 from stiffopt.discovery.judging.unexplained import Unexplained, assess_findings, judge_channels
 from stiffopt.discovery.progress import repeat_progress
+from stiffopt.discovery.sanity.actuator_estimate import resolve_actuator
 from stiffopt.discovery.sanity.doubt import Doubt, DoubtfulRecordings
 from stiffopt.discovery.sanity.gate import SanityGate
 from stiffopt.discovery.search.candidates import Scorer
@@ -186,7 +187,7 @@ def _run_diagnosis(
     base = load_extended(model, extra) if isinstance(model, str | os.PathLike) else model
     if base is not None:
         recordings = base.applied_to(recordings)
-    runs = open_training_runs(recordings, say)
+    recordings, runs, derived = resolve_actuator(recordings, open_training_runs(recordings, say))
     after = recordings.runs_after if isinstance(recordings, StatePair) else ()
     catalogue = effects_of_runs((*CATALOGUE, *extra), [run.name for run in runs], after)
     if after:
@@ -309,6 +310,7 @@ def _run_diagnosis(
                 *_describe_ignored_doubts(doubted),
                 *(f"to be checked: {each}" for each in remarked),
                 *thin,
+                *derived,
                 *describe_tournament(result.contenders),
                 *training.assumptions,
             ),

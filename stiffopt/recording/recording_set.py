@@ -133,6 +133,10 @@ class RecordingSet(RecordedArm):
             assumptions=tuple(each for each in self.assumptions if each not in silent),
         )
 
+    def with_actuator(self, law: ActuatorLaw) -> RecordingSet:
+        """Recording set with a law that derives torques from commands."""
+        return replace(self, actuator=law)
+
     def with_role(self, *roles: Role) -> tuple[RunEntry, ...]:
         """Entries of the runs of these roles, in the order of the set."""
         return tuple(entry for entry in self.runs if entry.role in roles)
