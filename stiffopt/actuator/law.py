@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -44,6 +45,11 @@ class ActuatorLaw:
     def known(self) -> bool:
         """Return whether delay and all gains are known."""
         return bool(np.isfinite(self.stiffness).all() and np.isfinite(self.delay))
+
+    def reordered(self, order: Sequence[int] | np.ndarray) -> ActuatorLaw:
+        """Return the law of the joints in another order."""
+        names = ("stiffness", "damping", "drive_max", "torque_max")
+        return replace(self, **{name: getattr(self, name)[order] for name in names})
 
     def torque(self, error: Quantity, velocity: Quantity) -> Quantity:
         """Torque at a position error and a velocity: (..., n) [rad], [rad/s] -> (..., n) [N m]."""
