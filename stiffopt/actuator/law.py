@@ -7,8 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from stiffopt.symbolic import Quantity
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ActuatorLaw:
@@ -51,15 +49,10 @@ class ActuatorLaw:
         names = ("stiffness", "damping", "drive_max", "torque_max")
         return replace(self, **{name: getattr(self, name)[order] for name in names})
 
-    def torque(self, error: Quantity, velocity: Quantity) -> Quantity:
+    def torque(self, error: np.ndarray, velocity: np.ndarray) -> np.ndarray:
         """Torque at a position error and a velocity: (..., n) [rad], [rad/s] -> (..., n) [N m]."""
-        drive = clip(self.stiffness * error, self.drive_max)
-        return clip(drive - self.damping * velocity, self.torque_max)
-
-
-def clip(value: Quantity, largest: Quantity) -> Quantity:
-    """Return a value within plus and minus `largest`."""
-    return np.fmax(np.fmin(value, largest), -largest)
+        drive = np.clip(self.stiffness * error, -self.drive_max, self.drive_max)
+        return np.clip(drive - self.damping * velocity, -self.torque_max, self.torque_max)
 
 
 def mean_command(

@@ -26,7 +26,7 @@ _GAMMA = 1.0 + 1.0 / np.sqrt(2.0)
 
 @dataclass(frozen=True, eq=False)
 class LoopSymbols:
-    """Symbols of one step: state (2 n,), command (n,), parameters (p,), step [s]; and the result."""
+    """Symbols of one step: state (2 n,), command (n,), parameters (p,), step [s], next state."""
 
     state: ca.SX
     command: ca.SX
@@ -53,7 +53,7 @@ class ClosedLoop:
         self._functions: dict[bytes, ca.Function] = {}
 
     def step_function(self, free: np.ndarray) -> ca.Function:
-        """Return one step with derivatives by some parameters (indices; the delay through commands).
+        """Return one step with derivatives by some parameters (indices), and by the delay.
 
         (state and sensitivities (2 n (1 + m),), command and its slope (2 n,), parameters, step) ->
         the same state after the step. The last sensitivity is that by the delay.

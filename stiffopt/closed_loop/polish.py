@@ -82,7 +82,7 @@ def polish(
 
 @dataclass(frozen=True, eq=False)
 class _Point:
-    """Residuals (K, n) of all runs and their derivatives (K, n, m), nan where nothing was measured."""
+    """Residuals (K, n) of all runs, nan where nothing was measured; derivatives (K, n, m); ends."""
 
     residual: np.ndarray
     slopes: np.ndarray

@@ -28,6 +28,8 @@ _MIN_DELAY_EVIDENCE = 6.0
 _MAX_GAIN_DEVIATION = 0.1
 # Fewest moving instants of a joint.
 _MIN_INSTANTS = 60
+# Stretches that are left out in turn: physics that the regressors lack differs between them.
+_STRETCHES = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,11 +97,9 @@ def estimate_actuator(
     for j, own in enumerate(rows):
         if np.isfinite(stiffness[j]) or own is None:
             continue
-        factors, spread, _ = _least_squares(
-            np.column_stack([own.load, own.columns]), own.errors[at], own.independent
-        )
-        if factors[0] > 0.0 and spread[0] < _MAX_GAIN_DEVIATION * factors[0]:
-            stiffness[j], deviation[j] = 1.0 / factors[0], spread[0] / factors[0]
+        factor, spread = _load_factor(own, at)
+        if factor > 0.0 and spread < _MAX_GAIN_DEVIATION * factor:
+            stiffness[j], deviation[j] = 1.0 / factor, spread / factor
     return ActuatorEstimate(
         law=replace(law, stiffness=stiffness, delay=delay),
         deviation=deviation,
@@ -190,6 +190,19 @@ def _estimate_delay(rows: Sequence[_JointRows | None], law: ActuatorLaw) -> tupl
     step = _DELAYS[1] - _DELAYS[0]
     shift = 0.5 * (before - after) / max(before - 2.0 * here + after, 1e-12)
     return float(_DELAYS[best] + step * shift), evidence
+
+
+def _load_factor(own: _JointRows, delay: int) -> tuple[float, float]:
+    """Return the factor of weight and inertia in the error, and its deviation over stretches."""
+    table, target = np.column_stack([own.load, own.columns]), own.errors[delay]
+    factors, spread, _ = _least_squares(table, target, own.independent)
+    parts = np.array_split(np.arange(len(target)), _STRETCHES)
+    left_out = [
+        _least_squares(np.delete(table, part, axis=0), np.delete(target, part), 1.0)[0][0]
+        for part in parts
+    ]
+    jackknife = np.sqrt((_STRETCHES - 1) / _STRETCHES * np.sum((left_out - np.mean(left_out)) ** 2))
+    return float(factors[0]), float(max(spread[0], jackknife))
 
 
 def _least_squares(
