@@ -76,6 +76,15 @@ class Parameters:
         first = len(JOINT_PARAMETERS) * self.n
         return slice(first, first + len(BODY_PARAMETERS) * self.n)
 
+    def body_places(self, name: str) -> slice:
+        """Return the places (n,) of a body parameter, one a joint."""
+        first = self.bodies.start + BODY_PARAMETERS.index(name)
+        return slice(first, self.bodies.stop, len(BODY_PARAMETERS))
+
+    def of_bodies(self, name: str) -> np.ndarray:
+        """Return the values (n,) of a body parameter."""
+        return self.values[self.body_places(name)]
+
     def of(self, name: str) -> np.ndarray:
         """Return the values (n,) of a joint parameter."""
         return self.values[self.place(name)]

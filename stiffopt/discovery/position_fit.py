@@ -3,17 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from stiffopt.actuator.law import ActuatorLaw
 from stiffopt.closed_loop.arm import ClosedLoop
-from stiffopt.closed_loop.parameters import BODY_PARAMETERS, Parameters, zero_parameters
-from stiffopt.closed_loop.polish import Polished, polish
-from stiffopt.closed_loop.simulation import CommandedRun
+from stiffopt.closed_loop.parameters import (
+    BODY_PARAMETERS,
+    DELAY,
+    JOINT_PARAMETERS,
+    Parameters,
+    zero_parameters,
+)
+from stiffopt.closed_loop.polish import polish
+from stiffopt.closed_loop.simulation import CommandedRun, simulate
 from stiffopt.discovery.comparison.filtering import ZeroPhaseFilter, bridge_gaps, derivative
+from stiffopt.discovery.extended.schema import ClosedLoopSection
 from stiffopt.discovery.settings import DEFAULT_TOLERANCE
+from stiffopt.errors import InputError
 from stiffopt.recording.recording_set import RecordingSet
 from stiffopt.recording.run import RecordedRun
+from stiffopt.robot.batched_kinematics import frame_positions
 from stiffopt.robot.robot import Robot
 
 # Cutoff of the filter of velocities that stretches begin with [Hz].
@@ -30,9 +41,11 @@ _LOAD_FRICTION_DEVIATION, _ZERO_DEVIATION = 0.15, 0.03
 _DELAY_DEVIATION = 5e-3
 # Inertia of bodies, relative: centres of mass and masses are better known.
 _INERTIA_DEVIATION = 0.1
+# Motion of all training runs that a fit simulates at most [s]: more adds little but time.
+_MAX_FIT_SECONDS = 40.0
 
 
-def closed_loop(recordings: RecordingSet, runs: Sequence[CommandedRun]) -> ClosedLoop:
+def _build_loop(recordings: RecordingSet, runs: Sequence[CommandedRun]) -> ClosedLoop:
     """Return the closed loop of a set's nominal robot with its actuators."""
     law, back = recordings.actuator, np.argsort(recordings.order)
     assert law is not None
@@ -122,16 +135,174 @@ def _joint_inertias(robot: Robot, position: np.ndarray) -> np.ndarray:
     return np.diagonal(bodies.torque(pose, still, unit) - bodies.torque(pose, still, still))
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ClosedLoopModel:
+    """Nominal and fitted simulation of an arm from its commands.
+
+    Parameters
+    ----------
+    loop : ClosedLoop
+    nominal, fitted : Parameters
+    deviations : array (p,)
+        One standard deviation of each fitted parameter.
+    """
+
+    loop: ClosedLoop
+    nominal: Parameters
+    fitted: Parameters
+    deviations: np.ndarray
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PositionRun:
+    """One run with its simulations, which saw its commands and its first position alone.
+
+    Parameters
+    ----------
+    name, role : str
+    time : array (K,) [s]
+    command, measured, before, after : array (K, n)
+        Positions in the joint order of the set [rad]; before and after the diagnosis.
+    tool_before, tool_after : array (K,)
+        Distances of the simulated from the measured tool [m].
+    """
+
+    name: str
+    role: str
+    time: np.ndarray
+    command: np.ndarray
+    measured: np.ndarray
+    before: np.ndarray
+    after: np.ndarray
+    tool_before: np.ndarray
+    tool_after: np.ndarray
+
+
 def fit_positions(
     recordings: RecordingSet,
     runs: Sequence[RecordedRun],
-    robot: Robot,
+    start: Robot,
     say: Callable[[str], object] = lambda _: None,
-) -> tuple[ClosedLoop, Polished]:
-    """Fit a simulation from commands to training runs, beginning with the findings in `robot`."""
-    commanded = [commanded_run(recordings, run) for run in runs if run.usable]
-    loop = closed_loop(recordings, commanded)
-    prior = nominal_parameters(recordings, robot)
-    return loop, polish(
-        loop, commanded, prior, expected_deviations(recordings, commanded, loop), say
+) -> ClosedLoopModel | None:
+    """Fit a simulation from commands to training runs, beginning with the findings in `start`.
+
+    None where a joint has no known gain: nothing would hold it.
+    """
+    law = recordings.actuator
+    if law is None or not np.isfinite(law.stiffness).all():
+        return None
+    commanded = [
+        commanded_run(recordings, run) for run in runs if run.usable and run.command is not None
+    ]
+    loop = _build_loop(recordings, commanded)
+    deviations = expected_deviations(recordings, commanded, loop)
+    fitted = polish(
+        loop, _limit_motion(commanded), nominal_parameters(recordings, start), deviations, say
+    )
+    return ClosedLoopModel(
+        loop=loop,
+        nominal=nominal_parameters(recordings, recordings.robot),
+        fitted=fitted.parameters,
+        deviations=fitted.deviations,
+    )
+
+
+def _limit_motion(runs: Sequence[CommandedRun]) -> list[CommandedRun]:
+    """Return the beginnings of runs, together of the duration that a fit needs at most."""
+    each = _MAX_FIT_SECONDS / len(runs)
+    found = []
+    for run in runs:
+        rows = slice(0, int(np.searchsorted(run.time, run.time[0] + each, side="right")))
+        arrays = ("time", "command", "position", "velocity")
+        found.append(replace(run, **{name: getattr(run, name)[rows] for name in arrays}))
+    return found
+
+
+def simulate_run(recordings: RecordingSet, model: ClosedLoopModel, run: RecordedRun) -> PositionRun:
+    """Simulate a run from its commands and its first position with both models."""
+    own, order = commanded_run(recordings, run), recordings.order
+    before, after = (
+        simulate(model.loop, own, parameters).position
+        for parameters in (model.nominal, model.fitted)
+    )
+    robot = recordings.robot
+    places = [frame_positions(robot.tree, robot.tool, q) for q in (own.position, before, after)]
+    return PositionRun(
+        name=run.name,
+        role=run.role,
+        time=own.time,
+        command=own.command[:, order],
+        measured=own.position[:, order],
+        before=before[:, order],
+        after=after[:, order],
+        tool_before=np.linalg.norm(places[1] - places[0], axis=1),
+        tool_after=np.linalg.norm(places[2] - places[0], axis=1),
+    )
+
+
+def model_section(
+    recordings: RecordingSet, model: ClosedLoopModel | None
+) -> ClosedLoopSection | None:
+    """Return a closed loop as a section of extended.toml, in the joint order of the set."""
+    if model is None:
+        return None
+    law, order = model.loop.law.reordered(recordings.order), recordings.order
+    spread = replace(model.fitted, values=model.deviations)
+    values, deviations = ({}, {})
+    for table, own in ((values, model.fitted), (deviations, spread)):
+        table |= {name: tuple(own.of(name)[order]) for name in JOINT_PARAMETERS}
+        table |= {name: tuple(own.of_bodies(name)[order]) for name in BODY_PARAMETERS}
+        table[DELAY] = (own.delay,)
+    return ClosedLoopSection(
+        **{name: tuple(getattr(law, name)) for name in ("stiffness", "damping")},
+        **{name: tuple(getattr(law, name)) for name in ("drive_max", "torque_max")},
+        tolerance=law.tolerance,
+        middle=tuple(model.loop.middle[order]),
+        values=values,
+        deviations=deviations,
+    )
+
+
+def read_model(recordings: RecordingSet, section: ClosedLoopSection) -> ClosedLoopModel:
+    """Return the closed loop that a section of extended.toml describes.
+
+    Raises
+    ------
+    InputFileError
+        A list of another length than the joints, or an unknown or missing parameter.
+    """
+    n, back = recordings.n, np.argsort(recordings.order)
+    names = {**dict.fromkeys((*JOINT_PARAMETERS, *BODY_PARAMETERS), n), DELAY: 1}
+    for key in ("values", "deviations"):
+        table = getattr(section, key)
+        if {name: len(own) for name, own in table.items()} != names:
+            raise InputError(
+                f"closed_loop.{key} needs {', '.join(names)}, one number a joint ({n}) each and one"
+                f" {DELAY}. Diagnose the recordings again."
+            )
+    lists = {
+        name: np.array(getattr(section, name))
+        for name in ("stiffness", "damping", "drive_max", "torque_max", "middle")
+    }
+    if any(len(own) != n for own in lists.values()):
+        raise InputError(f"closed_loop needs one number a joint ({n}) in every list.")
+    middle = lists.pop("middle")
+    law = ActuatorLaw(**lists, delay=section.values[DELAY][0], tolerance=section.tolerance)
+    loop = ClosedLoop(recordings.robot.tree, law.reordered(back), middle[back])
+    known = recordings.with_actuator(law)
+    fitted, spread = zero_parameters(recordings.robot.joint_names), None
+    for table in (section.deviations, section.values):
+        spread = fitted
+        fitted = zero_parameters(recordings.robot.joint_names)
+        for name in JOINT_PARAMETERS:
+            fitted.values[fitted.place(name)] = np.array(table[name])[back]
+        for name in BODY_PARAMETERS:
+            fitted.values[fitted.body_places(name)] = np.array(table[name])[back]
+        fitted.values[-1] = table[DELAY][0]
+    assert spread is not None
+    return ClosedLoopModel(
+        loop=loop,
+        nominal=nominal_parameters(known, recordings.robot),
+        fitted=fitted,
+        deviations=spread.values,
     )
