@@ -12,6 +12,9 @@ from stiffopt.closed_loop.parameters import Parameters
 
 # Longest step of the integrator [s]: a thirtieth of the period of a 12 Hz motion.
 _MAX_STEP = 2.5e-3
+# Commands at the beginning of a run that bound its initial velocity [s], and steps in which this
+# settles while the position is held.
+_BEGINNING_SECONDS, _SETTLING_STEPS = 0.05, 200
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +53,7 @@ def simulate(
     free: np.ndarray | None = None,
     stretch: int | None = None,
 ) -> Simulated:
-    """Simulate a run from its first measured position at rest.
+    """Simulate a run from its first measured position.
 
     Parameters
     ----------
@@ -68,12 +71,31 @@ def simulate(
     whole = Simulated(np.empty_like(run.position), np.zeros((*run.position.shape, len(free) + 1)))
     for begin in range(0, count - 1, stretch or count):
         end = min(begin + (stretch or count), count - 1)
-        still = stretch is None
-        velocity = np.zeros(loop.n) if still else run.velocity[begin]
+        velocity = run.velocity[begin] if stretch else initial_velocity(loop, run, parameters)
         part = _simulate_stretch(loop, run, parameters, free, (begin, end), velocity)
         rows = slice(begin, end + 1)
         whole.position[rows], whole.slopes[rows] = part.position, part.slopes
     return whole
+
+
+def initial_velocity(loop: ClosedLoop, run: CommandedRun, parameters: Parameters) -> np.ndarray:
+    """Return the velocity (n,) at which a run begins, from its commands and first position alone.
+
+    A recording may begin in motion. Its velocity is that at which the actuators balance friction
+    and weight at the first position error, in the direction and within the rate of the commands
+    that follow; an arm that its friction holds begins at rest.
+    """
+    span = int(np.searchsorted(run.time, run.time[0] + _BEGINNING_SECONDS))
+    span = min(max(span, 1), len(run.time) - 1)
+    rate = (run.command[span] - run.command[0]) / (run.time[span] - run.time[0])
+    step = loop.step_function(np.zeros(0, dtype=int))
+    given = np.concatenate([run.command[0], np.zeros(loop.n)])
+    velocity = np.zeros(loop.n)
+    for _ in range(_SETTLING_STEPS):
+        state = np.concatenate([run.position[0], velocity, np.zeros(2 * loop.n)])
+        after = np.asarray(step(state, given, parameters.values, _MAX_STEP))[:, 0]
+        velocity = after[loop.n : 2 * loop.n]
+    return np.clip(velocity, np.minimum(rate, 0.0), np.maximum(rate, 0.0))
 
 
 def _simulate_stretch(
