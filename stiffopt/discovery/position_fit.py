@@ -37,12 +37,14 @@ _DRY_SHARE, _VISCOUS_SHARE, _DRAG_SHARE, _SLOPE_SHARE, _OFFSET_SHARE = 0.3, 0.3,
 # Rotor inertia at the output over that of the links: of geared joints often several times.
 _ROTOR_SHARE = 3.0
 _LOAD_FRICTION_DEVIATION, _ZERO_DEVIATION = 0.15, 0.03
+# Tolerances by which a fit may move a stated value without having changed it.
+_KEPT_TOLERANCES = 4.0
 # Deviation of a delay [s].
 _DELAY_DEVIATION = 5e-3
 # Inertia of bodies, relative: centres of mass and masses are better known.
 _INERTIA_DEVIATION = 0.1
-# Motion of all training runs that a fit simulates at most [s]: more adds little but time.
-_MAX_FIT_SECONDS = 40.0
+# Motion of all training runs that a fit simulates at most, times joints [s]: more adds but time.
+_MAX_FIT_SECONDS = 120.0
 
 
 def _build_loop(recordings: RecordingSet, runs: Sequence[CommandedRun]) -> ClosedLoop:
@@ -195,10 +197,10 @@ def fit_positions(
         commanded_run(recordings, run) for run in runs if run.usable and run.command is not None
     ]
     loop = _build_loop(recordings, commanded)
+    prior = nominal_parameters(recordings, start)
     deviations = expected_deviations(recordings, commanded, loop)
-    fitted = polish(
-        loop, _limit_motion(commanded), nominal_parameters(recordings, start), deviations, say
-    )
+    _narrow_stated(recordings, prior, deviations)
+    fitted = polish(loop, _limit_motion(commanded), prior, deviations, say)
     return ClosedLoopModel(
         loop=loop,
         nominal=nominal_parameters(recordings, recordings.robot),
@@ -207,9 +209,25 @@ def fit_positions(
     )
 
 
+def _narrow_stated(recordings: RecordingSet, prior: Parameters, deviations: np.ndarray) -> None:
+    """Narrow the deviations of stated values, except where findings changed them."""
+    for name, key in (
+        ("armature", "rotor_inertia"),
+        ("viscous", "viscous"),
+        ("coulomb", "coulomb"),
+    ):
+        relative = getattr(recordings.tolerance, key)
+        relative = getattr(DEFAULT_TOLERANCE, key) if relative is None else relative
+        stated = getattr(recordings.robot, key)
+        kept = np.abs(prior.of(name) - stated) <= _KEPT_TOLERANCES * relative * stated
+        if key not in recordings.unstated:
+            own = deviations[prior.place(name)]
+            own[kept] = np.minimum(own, np.maximum(relative * stated, 1e-9))[kept]
+
+
 def _limit_motion(runs: Sequence[CommandedRun]) -> list[CommandedRun]:
     """Return the beginnings of runs, together of the duration that a fit needs at most."""
-    each = _MAX_FIT_SECONDS / len(runs)
+    each = _MAX_FIT_SECONDS / (len(runs) * runs[0].position.shape[1])
     found = []
     for run in runs:
         rows = slice(0, int(np.searchsorted(run.time, run.time[0] + each, side="right")))

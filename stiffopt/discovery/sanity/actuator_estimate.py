@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 from stiffopt.actuator.law import ActuatorLaw
 from stiffopt.discovery.comparison.filtering import ZeroPhaseFilter, bridge_gaps, derivative
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.sanity.doubt import format_joints
-from stiffopt.discovery.settings import MIN_MOVING_SPEED
+from stiffopt.discovery.settings import DEFAULT_TOLERANCE, MIN_MOVING_SPEED
 from stiffopt.discovery.signals import smooth_sign
 from stiffopt.formatting import pm
 from stiffopt.recording.commanded import delayed_command, derive_torque
@@ -21,7 +22,10 @@ from stiffopt.recording.run import RecordedRun
 # Cutoff of the filter [Hz]: weight and friction show in slow motion.
 _FILTER_CUTOFF = 8.0
 # Delays that are tried [s]: a fieldbus needs some milliseconds, a serial bus of servos some tens.
-_DELAYS = np.arange(0.0, 0.0605, 0.0025)
+_MAX_DELAY = 0.06
+_DELAYS = np.arange(0.0, _MAX_DELAY + 1e-9, 0.0025)
+# Log likelihood ratio beyond which a joint that contradicts the others counts less.
+_ROBUST_SCALE = 9.0
 # Log likelihood ratio from which a delay is taken to differ from none.
 _MIN_DELAY_EVIDENCE = 6.0
 # Largest relative standard deviation of a gain that the weight tells.
@@ -34,13 +38,18 @@ _STRETCHES = 8
 
 @dataclass(frozen=True, eq=False)
 class _JointRows:
-    """Rows of one joint: regressors (m, k), weight and inertia (m,), errors by delay (d, m)."""
+    """Rows of one joint: regressors (m, k), weight and inertia (m,), error by delay.
+
+    The first three regressors are acceleration, velocity and direction; `stated` (3, 2) are their
+    nominal factors and deviations, infinite where no value is stated.
+    """
 
     columns: np.ndarray
     load: np.ndarray
     velocity: np.ndarray
-    errors: np.ndarray
+    error: Callable[[float], np.ndarray]
     independent: float
+    stated: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,12 +101,11 @@ def estimate_actuator(
     delay, evidence = law.delay, np.inf
     if not np.isfinite(delay):
         delay, evidence = _estimate_delay(rows, law)
-    at = int(np.argmin(np.abs(_DELAYS - delay)))
     stiffness, deviation = law.stiffness.copy(), np.zeros(robot.n)
     for j, own in enumerate(rows):
         if np.isfinite(stiffness[j]) or own is None:
             continue
-        factor, spread = _load_factor(own, at)
+        factor, spread = _load_factor(own, delay)
         if factor > 0.0 and spread < _MAX_GAIN_DEVIATION * factor:
             stiffness[j], deviation[j] = 1.0 / factor, spread / factor
     return ActuatorEstimate(
@@ -140,10 +148,12 @@ def _describe(
 def _joint_rows(robot: RobotModel, runs: Sequence[RecordedRun], joint: int) -> _JointRows | None:
     """Return the filtered rows of one joint over all runs; None if it hardly moves."""
     parts: list[tuple[np.ndarray, ...]] = []
+    commands: list[tuple[CubicSpline, np.ndarray, np.ndarray]] = []
     seconds = 0.0
     for run in runs:
         low_pass = ZeroPhaseFilter(1.0 / run.step, min(_FILTER_CUTOFF, 0.2 / run.step))
-        inside = slice(low_pass.settling, len(run.time) - low_pass.settling)
+        # A delayed command begins later.
+        inside = slice(low_pass.settling + round(_MAX_DELAY / run.step), -low_pass.settling)
         if run.command is None or not np.isfinite(run.command[:, joint]).any() or not run.usable:
             continue
         position = low_pass.filter_motion(bridge_gaps(run.position))
@@ -151,50 +161,91 @@ def _joint_rows(robot: RobotModel, runs: Sequence[RecordedRun], joint: int) -> _
         acceleration = derivative(velocity, run.step)
         load = robot.spring_torque(position, velocity, acceleration)[:, joint]
         own, speed, rate = (x[:, joint] for x in (position, velocity, acceleration))
-        errors = [
-            low_pass(delayed_command(run, delay)[:, joint : joint + 1])[:, 0] - own
-            for delay in _DELAYS
-        ]
         direction = smooth_sign(speed)
         columns = np.column_stack(
             [rate, speed, direction, np.abs(load) * direction, np.ones_like(own)]
         )
-        moving = np.abs(speed[inside]) >= MIN_MOVING_SPEED
-        parts.append(tuple(x[inside][moving] for x in (columns, load, speed, np.array(errors).T)))
-        seconds += float(moving.sum()) * run.step
+        chosen = np.arange(len(own))[inside]
+        chosen = chosen[np.abs(speed[chosen]) >= MIN_MOVING_SPEED]
+        smooth = low_pass(delayed_command(run, 0.0)[:, joint : joint + 1])[:, 0]
+        commands.append((CubicSpline(run.time, smooth), run.time[chosen], own[chosen]))
+        parts.append(tuple(x[chosen] for x in (columns, load, speed)))
+        seconds += len(chosen) * run.step
     if not parts or sum(len(part[0]) for part in parts) < _MIN_INSTANTS:
         return None
-    columns, load, speed, stacked = (np.concatenate(each) for each in zip(*parts, strict=True))
-    return _JointRows(columns, load, speed, stacked.T, max(2.0 * _FILTER_CUTOFF * seconds, 1.0))
+
+    def error(delay: float) -> np.ndarray:
+        return np.concatenate([spline(time - delay) - own for spline, time, own in commands])
+
+    columns, load, speed = (np.concatenate(each) for each in zip(*parts, strict=True))
+    independent = max(2.0 * _FILTER_CUTOFF * seconds, 1.0)
+    return _JointRows(columns, load, speed, error, independent, _stated_factors(robot, joint))
+
+
+def _stated_factors(robot: RobotModel, joint: int) -> np.ndarray:
+    """Return nominal rotor inertia, viscous and dry friction with deviations (3, 2)."""
+    tolerance, found = robot.recordings.tolerance, []
+    for key in ("rotor_inertia", "viscous", "coulomb"):
+        relative = getattr(tolerance, key)
+        relative = getattr(DEFAULT_TOLERANCE, key) if relative is None else relative
+        value = float(getattr(robot, key)[joint])
+        known = key not in robot.recordings.unstated and value > 0.0
+        found.append((value, max(relative * value, 1e-9) if known else np.inf))
+    return np.array(found)
 
 
 def _estimate_delay(rows: Sequence[_JointRows | None], law: ActuatorLaw) -> tuple[float, float]:
-    """Return the likeliest delay [s] and its log likelihood ratio to none; 0 where none shows."""
-    misfit = np.zeros(len(_DELAYS))
-    for j, own in enumerate(rows):
-        if own is None:
-            continue
-        for k, error in enumerate(own.errors):
-            if np.isfinite(law.stiffness[j]):
-                target = law.stiffness[j] * error - law.damping[j] * own.velocity - own.load
-                left = _least_squares(own.columns, target, own.independent)[2]
-            else:
-                table = np.column_stack([own.load, own.columns])
-                left = _least_squares(table, error, own.independent)[2]
-            misfit[k] += 0.5 * own.independent * np.log(max(left, 1e-300))
-    best = int(np.argmin(misfit))
-    evidence = float(misfit[0] - misfit[best])
-    if evidence < _MIN_DELAY_EVIDENCE or not 0 < best < len(_DELAYS) - 1:
+    """Return the likeliest delay [s] and its log likelihood ratio to none; 0 where none shows.
+
+    A delay acts as viscous friction k d does: stated friction and rotor inertia of all joints
+    tell them apart, and a joint that departs from them does not overrule the others.
+    """
+    used = [(j, own) for j, own in enumerate(rows) if own is not None]
+
+    def misfits(delays: np.ndarray) -> np.ndarray:
+        return np.array([[_misfit(own, j, law, delay) for j, own in used] for delay in delays])
+
+    if not used:
         return 0.0, 0.0
-    before, here, after = misfit[best - 1 : best + 2]
-    step = _DELAYS[1] - _DELAYS[0]
-    shift = 0.5 * (before - after) / max(before - 2.0 * here + after, 1e-12)
-    return float(_DELAYS[best] + step * shift), evidence
+    coarse = misfits(_DELAYS)
+    least = coarse.min(axis=0)
+
+    def total(each: np.ndarray) -> np.ndarray:
+        excess = np.maximum(each - least, 0.0)
+        return np.asarray(_ROBUST_SCALE * np.log1p(excess / _ROBUST_SCALE).sum(axis=1))
+
+    first = float(_DELAYS[int(np.argmin(total(coarse)))])
+    step = float(_DELAYS[1] - _DELAYS[0])
+    fine = np.clip(first + np.linspace(-step, step, 21), 0.0, _MAX_DELAY)
+    found = total(misfits(fine))
+    best = int(np.argmin(found))
+    evidence = float(total(coarse[:1])[0] - found[best])
+    if evidence < _MIN_DELAY_EVIDENCE or fine[best] >= _MAX_DELAY:
+        return 0.0, 0.0
+    return float(fine[best]), evidence
 
 
-def _load_factor(own: _JointRows, delay: int) -> tuple[float, float]:
+def _misfit(own: _JointRows, joint: int, law: ActuatorLaw, delay: float) -> float:
+    """Return minus the log likelihood of one joint's error at a delay."""
+    error, count = own.error(delay), len(own.load)
+    if not np.isfinite(law.stiffness[joint]):
+        table = np.column_stack([own.load, own.columns])
+        return 0.5 * own.independent * float(np.log(_least_squares(table, error, count)[2]))
+    target = law.stiffness[joint] * error - law.damping[joint] * own.velocity - own.load
+    left = _least_squares(own.columns, target, count)[2]
+    # Rows that repeat one another count once; stated values are rows of their own.
+    known = np.isfinite(own.stated[:, 1])
+    weight = np.sqrt(left * count / own.independent) / own.stated[known, 1]
+    extra = np.zeros((int(known.sum()), own.columns.shape[1]))
+    extra[np.arange(len(weight)), np.flatnonzero(known)] = weight
+    table = np.vstack([own.columns, extra])
+    wanted = np.concatenate([target, weight * own.stated[known, 0]])
+    return 0.5 * own.independent * float(np.log(_least_squares(table, wanted, count)[2]))
+
+
+def _load_factor(own: _JointRows, delay: float) -> tuple[float, float]:
     """Return the factor of weight and inertia in the error, and its deviation over stretches."""
-    table, target = np.column_stack([own.load, own.columns]), own.errors[delay]
+    table, target = np.column_stack([own.load, own.columns]), own.error(delay)
     factors, spread, _ = _least_squares(table, target, own.independent)
     parts = np.array_split(np.arange(len(target)), _STRETCHES)
     left_out = [

@@ -37,7 +37,10 @@ def doubt_commands(recordings: RecordingSet, runs: Sequence[RecordedRun]) -> Ite
         return
     position = np.vstack([run.position for run in commanded])
     command = np.vstack([run.command for run in commanded if run.command is not None])
-    travel = np.nanmax(position, axis=0) - np.nanmin(position, axis=0)
+    travel = np.max(
+        [np.nanmax(r.position, axis=0) - np.nanmin(r.position, axis=0) for r in commanded],
+        axis=0,
+    )
     least = 10.0 * np.array([MIN_TRAVEL[bool(slides)] for slides in recordings.prismatic])
     moving = travel > least
     if not moving.any():
