@@ -195,6 +195,7 @@ def check(
     """
     from stiffopt.discovery.catalogue import CATALOGUE
     from stiffopt.discovery.identifiable import effect_checks
+    from stiffopt.discovery.sanity.actuator_estimate import resolve_actuator
     from stiffopt.discovery.sanity.doubt import DoubtfulRecordings
     from stiffopt.discovery.sanity.gate import SanityGate
     from stiffopt.discovery.training import open_training_runs
@@ -213,10 +214,11 @@ def check(
             terminal.print_static_check(facts)
         return 0
     loaded = load_recordings(recordings, changes)
+    loaded, training, derived = resolve_actuator(loaded, open_training_runs(loaded))
     report = check_recordings(loaded)
     every = (*CATALOGUE, *(load_effects(effects) if effects else ()))
     found = effect_checks(loaded, report.facts, report.training_runs, every)
-    gate = SanityGate(loaded, open_training_runs(loaded))
+    gate = SanityGate(loaded, training)
     doubted = gate.doubts
     remarked = () if doubted else gate.remarks
     if json:
@@ -226,10 +228,12 @@ def check(
                 "effects": [each.as_dict() for each in found],
                 "doubts": [doubt.as_dict() for doubt in doubted],
                 "remarks": [doubt.as_dict() for doubt in remarked],
+                "derived": list(derived),
             }
         )
     else:
         terminal.print_check(report, found)
+        print_lines(derived)
         print_lines(f"Warning: {each}" for each in remarked)
     if doubted:
         raise DoubtfulRecordings(loaded.path, doubted)

@@ -5,8 +5,9 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -42,10 +43,13 @@ from stiffopt.discovery.judging.friction_refit import refit_friction
 from stiffopt.discovery.judging.held_out import HeldOutRuns
 from stiffopt.discovery.judging.left_open import add_left_open_deviation, build_left_open
 from stiffopt.discovery.judging.modes import mode_shifts
+from stiffopt.discovery.judging.positions import fit_simulation, simulate_held_out
 from stiffopt.discovery.judging.run_deviations import find_friction_drift, find_run_deviations
 from stiffopt.discovery.judging.tool_force import explain_by_tool_force
 from stiffopt.discovery.judging.unexplained import Unexplained, assess_findings, judge_channels
+from stiffopt.discovery.position_fit import model_section
 from stiffopt.discovery.progress import repeat_progress
+from stiffopt.discovery.sanity.actuator_estimate import resolve_actuator
 from stiffopt.discovery.sanity.doubt import Doubt, DoubtfulRecordings
 from stiffopt.discovery.sanity.gate import SanityGate
 from stiffopt.discovery.search.candidates import Scorer
@@ -58,6 +62,20 @@ from stiffopt.discovery.search.uncertainty import (
 )
 from stiffopt.discovery.search_training import search_training_runs
 from stiffopt.discovery.settings import Settings
+from stiffopt.discovery.steps import (
+    BAND_NOT_VARIED,
+    FRICTION_NOT_REFITTED,
+    NO_BURSTS,
+    NO_EXPERIMENT,
+    NO_LIMITS,
+    NO_NOISE_CEILING,
+    NO_SIMULATION,
+    NO_SUSPECTS,
+    NOT_PERTURBED,
+    describe_stop,
+    finish_step,
+    skip_if_stopped,
+)
 from stiffopt.discovery.training import Training, open_training_runs, prepare_training
 from stiffopt.discovery.user_effects import load_effects
 from stiffopt.errors import InputFileError
@@ -186,12 +204,12 @@ def _run_diagnosis(
     base = load_extended(model, extra) if isinstance(model, str | os.PathLike) else model
     if base is not None:
         recordings = base.applied_to(recordings)
-    runs = open_training_runs(recordings, say)
+    recordings, runs, derived = resolve_actuator(recordings, open_training_runs(recordings, say))
     after = recordings.runs_after if isinstance(recordings, StatePair) else ()
     catalogue = effects_of_runs((*CATALOGUE, *extra), [run.name for run in runs], after)
     if after:
         catalogue = (*catalogue, *changes_in(catalogue, after))
-    every = decimation_factor(runs)
+    recorded, every = runs, decimation_factor(runs)
     thin = () if every == 1 else (describe_decimation(runs, every),)
     clock = sampling_rate(runs)
     base = _rescale_left_open(_rescale_left_open(base, clock), clock / every)
@@ -265,11 +283,16 @@ def _run_diagnosis(
             NO_EXPERIMENT,
             lambda: plan_experiment(training, result, settings, pair, say=say),
         )
+    loop = None
+    if recordings.signals.commanded:
+        fitted = partial(fit_simulation, recordings, training, whole, recorded, say)
+        loop = skip_if_stopped(stopped, NO_SIMULATION, fitted)
     # The findings are fixed: held-out runs are read only from here on.
     tracks = finish_step(stopped, lambda: training_tracks(result.comparison, result.fit))
     parts = split_extension(found, recordings.unstated)
     opened = HeldOutRuns(training, settings, start, found, parts, every, tracks)
     _predict_held_out(opened, recordings, stopped, say)
+    simulated = finish_step(stopped, lambda: simulate_held_out(recordings, loop))
     lasting = [each for each in asked if not each.only_in]
     left_open = _assess_left_open(training, whole, lasting, base, stopped, say)
 
@@ -295,6 +318,8 @@ def _run_diagnosis(
             noise_ceiling=opened.noise_ceiling(),
             not_carried_over=find_run_deviations(proofs, opened.velocities, drift),
             drift=drift,
+            closed_loop=model_section(recordings, loop),
+            positions=simulated,
             episodes=(*touched, *opened.episodes),
             modes=mode_shifts(result.comparison, result.fit),
             catalogue=catalogue,
@@ -309,6 +334,7 @@ def _run_diagnosis(
                 *_describe_ignored_doubts(doubted),
                 *(f"to be checked: {each}" for each in remarked),
                 *thin,
+                *derived,
                 *describe_tournament(result.contenders),
                 *training.assumptions,
             ),
@@ -426,54 +452,3 @@ def _load_user_effects(effects: Sequence[Effect] | str | os.PathLike[str]) -> tu
     if isinstance(effects, str | os.PathLike):
         return load_effects(Path(effects))
     return tuple(effects)
-
-
-Answer = TypeVar("Answer")
-
-_SEARCH_STOPPED = (
-    "Stopped by the user: only findings up to then are reported; more effects may be missing."
-)
-_EXTRAS_SKIPPED = (
-    "Stopped by the user after the search: the findings are complete, longer calculations after"
-    " it were left out."
-)
-_RIVALS_NOT_RANKED = (
-    "Stopped by the user: findings with probability 0.5 were not compared with their rivals."
-)
-FRICTION_NOT_REFITTED = (
-    "Stopped by the user: friction is that of the fit, without samples near standstill."
-)
-NO_LIMITS = "Stopped by the user: detection limits were not calculated."
-NO_BURSTS = "Stopped by the user: torque bursts above the filter's band were not searched for."
-BAND_NOT_VARIED = "Stopped by the user: standard deviations do not include a fit in half the band."
-NOT_PERTURBED = "Stopped by the user: findings were not fitted again to perturbed runs."
-NO_EXPERIMENT = "Stopped by the user: no experiment was designed."
-NO_NOISE_CEILING = "Stopped by the user: no noise ceiling was fitted."
-NO_SUSPECTS = "Stopped by the user: the open residual was not searched for suspects."
-
-
-def describe_stop(result: SearchResult) -> list[str]:
-    """List the sentences about Ctrl-C during or after a search."""
-    stopped = [_SEARCH_STOPPED] if result.stopped else []
-    if not result.weighed:
-        stopped.append(_RIVALS_NOT_RANKED)
-    return stopped or ([_EXTRAS_SKIPPED] if result.hurried else [])
-
-
-def finish_step(stopped: list[str], step: Callable[[], Answer]) -> Answer:
-    """Return the result of a short step, in spite of Ctrl-C, which skips later steps."""
-    answer, hurried = complete_step(step)
-    if hurried and not stopped:
-        stopped.append(_EXTRAS_SKIPPED)
-    return answer
-
-
-def skip_if_stopped(stopped: list[str], note: str, step: Callable[[], Answer]) -> Answer | None:
-    """Return the result of an optional step; after Ctrl-C skip it and add the note."""
-    if not stopped:
-        try:
-            return step()
-        except KeyboardInterrupt:
-            pass
-    stopped.append(note)
-    return None

@@ -10,7 +10,7 @@ import numpy as np
 from stiffopt.discovery.comparison.located_effect import EstimatedEffect, Extension, LocatedEffect
 from stiffopt.discovery.effect import Effect
 from stiffopt.discovery.experiment.design import ExperimentPlan
-from stiffopt.discovery.extended.schema import LeftOpenSection
+from stiffopt.discovery.extended.schema import ClosedLoopSection, LeftOpenSection
 from stiffopt.discovery.judging.detection_limits import DetectionLimit
 from stiffopt.discovery.judging.episodes import Episode
 from stiffopt.discovery.judging.explained_shares import MismatchShare
@@ -18,6 +18,7 @@ from stiffopt.discovery.judging.modes import ModeShift
 from stiffopt.discovery.judging.noise_ceiling import NoiseCeiling
 from stiffopt.discovery.judging.run_deviations import Drift, NotCarriedOver
 from stiffopt.discovery.judging.unexplained import ChannelVerdict, Unexplained
+from stiffopt.discovery.position_fit import PositionRun
 from stiffopt.discovery.prediction import RunProof, nrmse
 from stiffopt.discovery.sanity.doubt import Doubt
 from stiffopt.discovery.search.rivals import Selected
@@ -223,6 +224,10 @@ class Diagnosis(DisplayedResult):
         Verdict on each recorded channel by itself.
     modes : tuple of ModeShift
         Elastic modes within the band of the fit, lowest first; none without elastic joints.
+    closed_loop : ClosedLoopSection or None
+        Simulation from commands, fitted to the training runs; None for recorded torques.
+    positions : tuple of PositionRun
+        Held-out runs simulated from their commands.
     """
 
     recordings: RecordingSet
@@ -251,6 +256,8 @@ class Diagnosis(DisplayedResult):
     episodes: tuple[Episode, ...] = ()
     channel_verdicts: tuple[ChannelVerdict, ...] = ()
     drift: tuple[Drift, ...] = ()
+    closed_loop: ClosedLoopSection | None = None
+    positions: tuple[PositionRun, ...] = ()
 
     @property
     def compares_states(self) -> bool:

@@ -24,6 +24,7 @@ from stiffopt.discovery.experiment.design import EXPERIMENT_FILE
 from stiffopt.discovery.extended.store import extended_text
 from stiffopt.discovery.judging.explained_shares import MismatchShare
 from stiffopt.discovery.judging.unexplained import Unexplained
+from stiffopt.discovery.position_fit import PositionRun
 from stiffopt.discovery.prediction import Prediction
 from stiffopt.discovery.signals import RobotConstants
 from stiffopt.files import atomic_write, to_json_types
@@ -87,6 +88,7 @@ def answer_document(diagnosis: Diagnosis) -> dict[str, Any]:
         "not_carried_over": [vars(each) for each in diagnosis.not_carried_over],
         "drift": [vars(each) | {"joint": each.joint + 1} for each in diagnosis.drift],
         "episodes": [vars(each) for each in diagnosis.episodes],
+        "positions": [position_entry(run) for run in diagnosis.positions],
         "detection_limits": [
             {
                 "effect": limit.effect.name,
@@ -216,6 +218,21 @@ def _rigid_entry(diagnosis: Diagnosis) -> dict[str, Any] | None:
             for each in rigid.counterweights
         ],
     }
+
+
+def position_entry(run: PositionRun) -> dict[str, Any]:
+    """Return the errors of a simulated run [rad], [m]; of the tool [m]."""
+    entry: dict[str, Any] = {"run": run.name, "role": run.role}
+    for when in ("before", "after"):
+        error = getattr(run, when) - run.measured
+        tool = getattr(run, f"tool_{when}")
+        entry |= {
+            f"rms_{when}": list(np.sqrt(np.nanmean(error**2, axis=0))),
+            f"largest_{when}": list(np.nanmax(np.abs(error), axis=0)),
+            f"tool_rms_{when}": float(np.sqrt(np.nanmean(tool**2))),
+            f"tool_largest_{when}": float(np.nanmax(tool)),
+        }
+    return entry
 
 
 def _noise_ceiling_entry(diagnosis: Diagnosis) -> dict[str, Any] | None:

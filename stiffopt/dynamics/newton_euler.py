@@ -54,22 +54,37 @@ def newton_euler(tree: BodyTree, q: Quantity, v: Quantity, a: Quantity) -> Quant
     if any(isinstance(x, ca.MX) for x in (q, v, a)):
         return inverse_dynamics(tree)(q, v, a)
     numeric = not any(isinstance(x, ca.SX) for x in (q, v, a))
-    q, v, a = (ca.SX(x) for x in (q, v, a))
+    tau = torque_of_bodies(tree, tree.gravity, *(ca.SX(x) for x in (q, v, a)), *own_bodies(tree))
+    return ca.DM(tau) if numeric else tau
+
+
+def own_bodies(tree: BodyTree) -> tuple[ca.SX, ca.SX, ca.SX]:
+    """Return masses (n,), first moments (3, n) and inertias (3, 3 n) in the axis frames."""
     joints = axis_joints(tree)
-    frames = tuple(
-        (j.parent, j.prismatic, j.rotation.tobytes(), j.angle_offset, j.translation.tobytes())
-        for j in joints
-    )
-    recursion = _torque_recursion(frames, np.asarray(tree.gravity, dtype=float).tobytes())
-    tau = recursion(
-        q,
-        v,
-        a,
+    return (
         ca.SX([joint.mass for joint in joints]),
         ca.SX(np.column_stack([joint.first_moment for joint in joints])),
         ca.SX(np.hstack([joint.inertia for joint in joints])),
     )
-    return ca.DM(tau) if numeric else tau
+
+
+def torque_of_bodies(
+    tree: BodyTree,
+    gravity: np.ndarray,
+    q: ca.SX,
+    v: ca.SX,
+    a: ca.SX,
+    mass: ca.SX,
+    first_moment: ca.SX,
+    inertia: ca.SX,
+) -> ca.SX:
+    """Return the joint torques (n,) of other bodies on the joints of a tree, as `own_bodies`."""
+    frames = tuple(
+        (j.parent, j.prismatic, j.rotation.tobytes(), j.angle_offset, j.translation.tobytes())
+        for j in axis_joints(tree)
+    )
+    recursion = _torque_recursion(frames, np.asarray(gravity, dtype=float).tobytes())
+    return recursion(q, v, a, mass, first_moment, inertia)
 
 
 # Of a joint: parent, prismatic, rotation, angle_offset, translation.

@@ -23,6 +23,7 @@ _SIGNAL_UNITS: dict[Kind, tuple[str, str]] = {
     "velocity": ("rad/s", "m/s"),
     "link_position": ("rad", "m"),
     "torque": ("N m", "N"),
+    "command": ("rad", "m"),
 }
 _NOISE_KEYS = {
     "velocity": "velocity",

@@ -97,7 +97,11 @@ def clean_run(
             channels=channels,
             prismatic=bool(prismatic is not None and prismatic[j]),
         )
+        # A command is no measurement: it may stand still, jump and be coarse.
+        command = channels.pop("command", None)
         faults += check_joint_channels(joint)
+        if command is not None:
+            channels["command"] = command
         for kind, values in channels.items():
             array = arrays[kind]
             if array is not None:
@@ -113,6 +117,7 @@ def clean_run(
         link_position=_none_if_empty(arrays["link_position"]),
         torque=torque,
         faults=tuple(faults),
+        command=_none_if_empty(arrays["command"]),
     )
 
 

@@ -76,6 +76,7 @@ def decimate_run(run: RecordedRun, every: int) -> RecordedRun:
         torque=torque,
         velocity=means(run.velocity),
         link_position=means(run.link_position),
+        command=means(run.command),
     )
 
 

@@ -10,9 +10,12 @@ from pathlib import Path, PurePosixPath
 
 import numpy as np
 
+from stiffopt.actuator.law import ActuatorLaw
+from stiffopt.actuator.position_servo import PositionServo
 from stiffopt.errors import InputFileError
 from stiffopt.files import apply_changes, load_toml
 from stiffopt.recording.clean import clean_run
+from stiffopt.recording.commanded import derive_torque
 from stiffopt.recording.nominal import Noise, Nominal, Tolerance
 from stiffopt.recording.nominal_files import (
     assumptions,
@@ -28,6 +31,7 @@ from stiffopt.recording.recorded_arm import RecordedArm, joint_order, load_arm, 
 from stiffopt.recording.run import RecordedRun, Role
 from stiffopt.recording.schema import NominalSection, RecordingsFile, RunSection
 from stiffopt.recording.signals import Signals, build_signals
+from stiffopt.robot.elements import locate_errors
 from stiffopt.robot.robot import Robot
 from stiffopt.validation import validate
 
@@ -78,6 +82,8 @@ class RecordingSet(RecordedArm):
     tolerance : Tolerance
     noise : Noise
     runs : tuple of RunEntry
+    actuator : ActuatorLaw or None
+        Of a set without torques.
     assumptions : tuple of str
         Assumptions in place of entries that the set does not give, one sentence each.
     """
@@ -92,6 +98,7 @@ class RecordingSet(RecordedArm):
     noise: Noise
     runs: tuple[RunEntry, ...]
     assumptions: tuple[str, ...]
+    actuator: ActuatorLaw | None = None
 
     @property
     def torque_side(self) -> str:
@@ -126,6 +133,10 @@ class RecordingSet(RecordedArm):
             assumptions=tuple(each for each in self.assumptions if each not in silent),
         )
 
+    def with_actuator(self, law: ActuatorLaw) -> RecordingSet:
+        """Recording set with a law that derives torques from commands."""
+        return replace(self, actuator=law)
+
     def with_role(self, *roles: Role) -> tuple[RunEntry, ...]:
         """Entries of the runs of these roles, in the order of the set."""
         return tuple(entry for entry in self.runs if entry.role in roles)
@@ -141,7 +152,7 @@ class RecordingSet(RecordedArm):
         """
         path = path_inside_set(self.path, "runs", entry.file)
         columns = self.signals.to_si(read_columns(path, self.signals))
-        return clean_run(
+        run = clean_run(
             columns,
             self.signals,
             path=path,
@@ -152,6 +163,7 @@ class RecordingSet(RecordedArm):
             temperature=entry.temperature,
             prismatic=self.prismatic,
         )
+        return derive_torque(run, self.actuator)
 
 
 def load_recordings(path: str | os.PathLike[str], changes: Sequence[str] = ()) -> RecordingSet:
@@ -203,7 +215,23 @@ def load_recordings(path: str | os.PathLike[str], changes: Sequence[str] = ()) -
         noise=noise,
         runs=runs,
         assumptions=assumptions(document, described, locked),
+        actuator=_build_actuator(document, signals, robot.torque_max[order], path),
     )
+
+
+def _build_actuator(
+    document: RecordingsFile, signals: Signals, torque_max: np.ndarray, path: Path
+) -> ActuatorLaw | None:
+    """Return the law that gives torques from commands; None for a set with torques."""
+    if document.actuator is not None and signals.command is None:
+        raise InputFileError(
+            path, "actuator", "needs commanded positions: name their columns as signals.command."
+        )
+    if not signals.commanded:
+        return None
+    kind = document.actuator or PositionServo(kind="position_servo")
+    with locate_errors(path, "actuator"):
+        return kind.law(torque_max)
 
 
 def require_test_runs(recordings: RecordingSet) -> None:

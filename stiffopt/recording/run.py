@@ -98,6 +98,8 @@ class RecordedRun:
     faults : tuple of Fault
     at_rest : bool
         Each sample is a pose at rest, and time its number.
+    command : array (K, n) or None
+        Commanded position, held until the next [rad]; None if no joint has one.
 
     Notes
     -----
@@ -119,6 +121,7 @@ class RecordedRun:
     torque: np.ndarray
     faults: tuple[Fault, ...]
     at_rest: bool = False
+    command: np.ndarray | None = None
 
     @property
     def n(self) -> int:

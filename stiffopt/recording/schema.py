@@ -6,6 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import ConfigDict, Field
 
+from stiffopt.actuator.kinds import ActuatorKind
 from stiffopt.declaration import NOT_NEGATIVE, POSITIVE, Bounds, Doc, Unit
 from stiffopt.recording.nominal import Tolerance
 from stiffopt.validation import Section
@@ -46,6 +47,9 @@ class ScaleSection(Section):
     position: Annotated[Factors | None, Doc('Of positions, such as "deg" or [1, -1].')] = None
     velocity: Annotated[Factors | None, Doc('Of velocities, such as "deg/s".')] = None
     link_position: Annotated[Factors | None, Doc("Of the encoders on the link's side.")] = None
+    command: Annotated[
+        Factors | None, Doc("Of commanded positions; default that of positions.")
+    ] = None
     torque: Annotated[
         Factors | None,
         Doc(
@@ -63,12 +67,19 @@ class SignalsSection(Section):
     velocity: Annotated[Names | None, Doc("Velocities in rad/s.")] = None
     link_position: Annotated[Names | None, Doc("Encoders on the link's side, in rad.")] = None
     torque: Annotated[
-        Names,
+        Names | None,
         Doc(
             "Torques of the drives at the output side, in N m, or motor currents with N m per A in"
-            " signals.scale. Without either no mass, load or friction shows: record them."
+            " signals.scale. Where none is recorded, commands tell them by [actuator]."
         ),
-    ]
+    ] = None
+    command: Annotated[
+        Names | None,
+        Doc(
+            "Commanded positions in rad, as sent to the joints' controllers; each holds until the"
+            " next. In place of torques: the law of [actuator] gives these from commands."
+        ),
+    ] = None
     torque_side: Annotated[
         Literal["motor", "link"] | None,
         Doc(
@@ -272,6 +283,7 @@ class RecordingsFile(ArmSection):
     nominal: NominalSection = NominalSection()
     tolerance: Tolerance = Tolerance()
     noise: NoiseSection = NoiseSection()
+    actuator: ActuatorKind | None = None
     runs: Annotated[tuple[RunSection, ...], Field(min_length=1), Doc("The runs.")]
 
 

@@ -15,14 +15,15 @@ from stiffopt.errors import InputFileError, UnitError
 from stiffopt.recording.schema import ScaleSection, SignalsSection
 from stiffopt.units import joint_to_si
 
-Kind = Literal["position", "velocity", "link_position", "torque"]
-KINDS: tuple[Kind, ...] = ("position", "velocity", "link_position", "torque")
+Kind = Literal["position", "velocity", "link_position", "torque", "command"]
+KINDS: tuple[Kind, ...] = ("position", "velocity", "link_position", "torque", "command")
 _SIGNAL_DIMENSIONS = {
     "time": "time",
     "position": "angle",
     "velocity": "angular velocity",
     "link_position": "angle",
     "torque": "torque",
+    "command": "angle",
 }
 
 
@@ -34,7 +35,7 @@ class Signals:
     ----------
     time : str
     position, torque : tuple of str (n,)
-    velocity, link_position : tuple of str (n,) or None
+    velocity, link_position, command : tuple of str (n,) or None
     torque_side : str
         "motor": before friction, from current; "link": a joint torque sensor.
     scale : mapping of kind of signal to array (n,), of "time" to a number
@@ -69,6 +70,12 @@ class Signals:
     offset: np.ndarray | None = None
     at_rest: bool | None = None
     current_joints: tuple[int, ...] = ()
+    command: tuple[str, ...] | None = None
+
+    @property
+    def commanded(self) -> bool:
+        """True where torques are to be derived from commands, as none is recorded."""
+        return self.command is not None and not any(self.torque)
 
     @property
     def currents(self) -> bool:
@@ -90,14 +97,20 @@ class Signals:
             if kind == "torque" and self.torque_delay:
                 out[name] = _shift_earlier(out[self.time], out[name], self.torque_delay)
         self._separate_sums(out, -1.0)
-        if self.offset is not None:
-            for name, offset in zip(self.position, self.offset, strict=True):
+        for name, offset in self._offset_columns():
+            if name in out:
                 out[name] = out[name] + offset
         return out
 
+    def _offset_columns(self) -> Iterator[tuple[str, float]]:
+        """Iterate over the columns of positions and commands with their offsets."""
+        if self.offset is not None:
+            for names in (self.position, self.command or ()):
+                yield from zip(names, self.offset, strict=False)
+
     def _separate_sums(self, columns: dict[str, np.ndarray], sign: float) -> None:
         """Add (1) to positions, or take from them (-1), those of joints that they include."""
-        for kind in ("position", "velocity"):
+        for kind in ("position", "velocity", "command"):
             names = getattr(self, kind) or ("",) * len(self.includes)
             found = {
                 name: columns[name] + sign * np.sign(other) * columns[names[abs(other) - 1]]
@@ -109,10 +122,9 @@ class Signals:
     def as_recorded(self, columns: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
         """Convert columns in SI to units and delay of the files, the inverse of `to_si`."""
         out = dict(columns)
-        if self.offset is not None:
-            for name, offset in zip(self.position, self.offset, strict=True):
-                if name in out:
-                    out[name] = out[name] - offset
+        for name, offset in self._offset_columns():
+            if name in out:
+                out[name] = out[name] - offset
         self._separate_sums(out, 1.0)
         for kind, joint, name in self.columns():
             if name not in out:
@@ -163,9 +175,13 @@ def build_signals(section: SignalsSection, n: int, path: Path) -> Signals:
             )
     if not all(section.position):
         raise fail("position", "every joint needs a position; leave other joints out of `joints`.")
-    if not any(section.torque):
+    torque = section.torque or ("",) * n
+    if not any(torque) and not any(section.command or ()):
         raise fail(
-            "torque", "no joint has a torque, which a diagnosis needs. Name at least one column."
+            "torque",
+            "no joint has a torque or a command, and positions alone do not tell what moved the"
+            " arm. Name the columns of torques (or currents) as torque, or those of commanded"
+            " positions as command.",
         )
     for key in ("offset", "position_includes"):
         given = getattr(section, key)
@@ -184,7 +200,7 @@ def build_signals(section: SignalsSection, n: int, path: Path) -> Signals:
         position=section.position,
         velocity=_none_if_unnamed(section.velocity),
         link_position=_none_if_unnamed(section.link_position),
-        torque=section.torque,
+        torque=torque,
         torque_side=section.torque_side or "motor",
         scale=_scale_factors(section.scale, n, path),
         torque_delay=section.torque_delay,
@@ -192,6 +208,7 @@ def build_signals(section: SignalsSection, n: int, path: Path) -> Signals:
         offset=None if section.offset is None else np.array(section.offset, dtype=float),
         at_rest=section.at_rest,
         current_joints=_current_joints(section, n),
+        command=_none_if_unnamed(section.command),
     )
 
 
@@ -204,7 +221,7 @@ def _current_joints(section: SignalsSection, n: int) -> tuple[int, ...]:
     each = entries * n if len(entries) == 1 else entries
     return tuple(
         joint
-        for joint, (entry, name) in enumerate(zip(each, section.torque, strict=False))
+        for joint, (entry, name) in enumerate(zip(each, section.torque or (), strict=False))
         if name and entry in _CURRENT_UNITS
     )
 
@@ -214,6 +231,9 @@ def _scale_factors(section: ScaleSection, n: int, path: Path) -> dict[str, np.nd
     factors: dict[str, np.ndarray] = {}
     for kind, dimension in _SIGNAL_DIMENSIONS.items():
         entry = getattr(section, kind)
+        if entry is None and kind == "command":
+            # Commands are logged in the unit of positions unless stated.
+            entry = section.position
         if entry is None:
             continue
         where = f"signals.scale.{kind}"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass, fields, replace
 
+from stiffopt.actuator.law import ActuatorLaw
 from stiffopt.errors import InputFileError
 from stiffopt.recording.recording_set import (
     RecordingSet,
@@ -56,6 +57,11 @@ class StatePair(RecordingSet):
         """Names of all runs of the state after."""
         own = (run for run in self.runs if isinstance(run, StateRun))
         return tuple(run.name for run in own if run.state == "after")
+
+    def with_actuator(self, law: ActuatorLaw) -> StatePair:
+        """Pair with a law that derives torques from commands in both states."""
+        states = {name: getattr(self, name).with_actuator(law) for name in ("before", "after")}
+        return replace(self, actuator=law, **states)
 
     def open(self, entry: RunEntry) -> RecordedRun:
         """Read and clean one run with the columns of its own set."""

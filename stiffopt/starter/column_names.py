@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 
-from stiffopt.recording.signals import may_be_set_point
+from stiffopt.recording.signals import is_set_point, may_be_set_point
 from stiffopt.recording.unit_names import UNITS
 
 KINDS = ("velocity", "torque", "link_position", "position")
@@ -98,6 +98,20 @@ def columns_of_kind(
         found = _column_families(candidates, joints)
         if found:
             return found
+    return []
+
+
+def command_columns(names: Sequence[str], joints: Sequence[str]) -> list[tuple[str, ...]]:
+    """Return the columns of commanded positions, one a joint, for each family, the best first."""
+    found = [
+        name
+        for name in names
+        if is_set_point(name) and not any(_is_kind(name, kind) for kind in ("velocity", "torque"))
+    ]
+    of_positions = [name for name in found if _is_kind(name, "position")]
+    for candidates in (of_positions, found):
+        if families := _column_families(candidates, joints):
+            return families
     return []
 
 

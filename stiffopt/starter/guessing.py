@@ -9,12 +9,13 @@ import numpy as np
 
 from stiffopt.errors import InputError
 from stiffopt.recording.rest_poses import are_unordered
-from stiffopt.recording.signals import is_set_point, may_be_set_point
+from stiffopt.recording.signals import may_be_set_point
 from stiffopt.robot.robot import Robot
 from stiffopt.starter.column_names import (
     CURRENT_WORDS,
     KINDS,
     columns_of_kind,
+    command_columns,
     is_signal,
     split_words,
     stated_unit,
@@ -108,7 +109,10 @@ def guess_columns(
         if found:
             columns[kind], others[kind] = found[0], found[1:]
             left = [name for name in left if name not in found[0]]
-    _require_kinds(columns, left, table, robot)
+    if "torque" not in columns and (commands := command_columns(left, robot.joint_names)):
+        columns["command"], others["command"] = commands[0], commands[1:]
+        left = [name for name in left if name not in commands[0]]
+    _require_kinds(columns, table, robot)
     if "velocity" in columns and _is_counted(_column_values(table, columns["position"])):
         reasons.append(
             f"velocity: {columns.pop('velocity')[0]}, ... are counts per an unknown time and not"
@@ -130,6 +134,13 @@ def guess_columns(
                 kind, columns[kind]
             )
             reasons.append(f"{kind}: {', '.join(c for c in columns[kind] if c)}; {why}")
+    if "command" in columns:
+        units["command"], why = _guess_command_unit(columns, table)
+        why += _ask_alternatives("command", others["command"])
+        reasons.append(
+            f"command: {', '.join(columns['command'])}; set points by their names, {why}. No torque"
+            " is recorded: the law of [actuator] gives it from command and position"
+        )
     if left:
         reasons.append(f"not used: {', '.join(left[:20])}{', ...' if len(left) > 20 else ''}")
     step = _median_step(seconds)
@@ -148,23 +159,17 @@ def guess_columns(
 
 def _require_kinds(
     columns: Mapping[str, tuple[str, ...]],
-    left: Sequence[str],
     table: Mapping[str, np.ndarray],
     robot: Robot,
 ) -> None:
-    """Raise `UnrecognisedError` without positions or torques of all joints."""
+    """Raise `UnrecognisedError` without positions, and torques or commands, of all joints."""
     for kind in ("position", "torque"):
-        if kind not in columns:
-            commands = ""
-            if kind == "torque" and any(map(is_set_point, left)):
-                commands = (
-                    " Set points and measured positions alone do not tell the torque that a"
-                    " diagnosis explains: log the motors' currents, loads or efforts too."
-                )
+        if kind not in columns and not (kind == "torque" and "command" in columns):
+            commands = " or commands like q_cmd1, q_cmd2, ..." if kind == "torque" else ""
             raise UnrecognisedError(
                 f"no {kind} was recognised for {robot.n} joints among the columns"
-                f" {', '.join(list(table)[:40])}. Name them like {_NAME_EXAMPLES[kind]}, or write"
-                f" [signals] of recordings.toml by hand.{commands}"
+                f" {', '.join(list(table)[:40])}. Name them like"
+                f" {_NAME_EXAMPLES[kind]}{commands}, or write [signals] of recordings.toml by hand."
             )
 
 
@@ -194,6 +199,31 @@ def _ask_measured_columns(kind: str, names: Sequence[str]) -> str:
     return (
         f". QUESTION: set points by their names, and no measured {kind} was found. A commanded"
         f" signal is not a measurement: log the measured {kind}"
+    )
+
+
+def _guess_command_unit(
+    columns: Mapping[str, tuple[str, ...]], table: Mapping[str, np.ndarray]
+) -> tuple[str, str]:
+    """Return the unit of commands by their travel beside that of positions, with the reason.
+
+    "" is the unit of the positions.
+    """
+    travel = [
+        _standard_deviations(_column_values(table, columns[kind]))
+        for kind in ("command", "position")
+    ]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        ratios = travel[0] / travel[1]
+    ratio = float(np.nanmedian(np.where(np.isfinite(ratios), ratios, np.nan)))
+    degree = _ANGLE_UNITS_PER_RAD["deg"]
+    if abs(np.log(ratio / degree)) < 2.0 * _UNIT_LOG_TOLERANCE:
+        return "deg", "in deg, as they travel beside the positions in rad"
+    if abs(np.log(ratio)) < 2.0 * _UNIT_LOG_TOLERANCE:
+        return "", "in the unit of the positions"
+    return "", (
+        f"QUESTION: they travel {ratio:.3g} times as far as the positions: in which unit? Put it as"
+        " command in [signals.scale]"
     )
 
 

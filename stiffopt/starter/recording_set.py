@@ -279,10 +279,11 @@ def _set_text(
         "[signals]",
         f"time = {toml_string(found.time)}",
     ]
-    for kind in ("position", "velocity", "link_position", "torque"):
+    for kind in ("position", "velocity", "link_position", "torque", "command"):
         if kind in found.columns:
             lines.append(f"{kind} = {toml_list(map(toml_string, found.columns[kind]))}")
-    lines.append('torque_side = "motor"  # "link" with joint torque sensors')
+    if "torque" in found.columns:
+        lines.append('torque_side = "motor"  # "link" with joint torque sensors')
     if found.at_rest:
         lines.append("at_rest = true  # each row is a pose at rest; time numbers the poses")
     scaled = {kind: unit for kind, unit in found.units.items() if unit}
@@ -306,6 +307,14 @@ def _set_text(
         f"# coulomb = {toml_list(['1.0'] * len(joints))}",
         f"# viscous = {toml_list(['1.0'] * len(joints))}",
     ]
+    if "command" in found.columns:
+        lines += [
+            "",
+            "# [actuator]                # law of the joints' controllers; without gains these are",
+            '# kind = "position_servo"   # estimated from the arm\'s weight',
+            f"# kp = {toml_list(['20.0'] * len(joints))}",
+            f"# kd = {toml_list(['0.5'] * len(joints))}",
+        ]
     for run, role in runs:
         lines += [
             "",

@@ -10,7 +10,7 @@ import numpy as np
 from stiffopt.errors import InputError
 from stiffopt.recording.readers.columns import Table, is_unnamed
 from stiffopt.robot.robot import Robot
-from stiffopt.starter.column_names import columns_of_kind
+from stiffopt.starter.column_names import columns_of_kind, command_columns
 
 # Least correlation of a column with the rate of change of another, of which it is the velocity.
 _MIN_RATE_CORRELATION = 0.9
@@ -24,9 +24,7 @@ def join_signal_files(tables: Mapping[Path, Table], robot: Robot) -> dict[Path, 
     The columns of a file are named after it, "tau[0]", and its clock is that of the first file.
     """
     complete = any(
-        all(
-            columns_of_kind(list(table), kind, robot.joint_names) for kind in ("position", "torque")
-        )
+        _holds_position_and_cause(list(table), robot)
         or (is_unnamed(table) and len(table) > robot.n + 1)
         for table in tables.values()
     )
@@ -43,6 +41,14 @@ def join_signal_files(tables: Mapping[Path, Table], robot: Robot) -> dict[Path, 
             joined[path.stem if len(signals) == 1 else f"{path.stem}[{k}]"] = table[name]
     first = next(iter(tables))
     return {first.parent / f"{first.parent.name}.npz": joined}
+
+
+def _holds_position_and_cause(names: list[str], robot: Robot) -> bool:
+    """Return True for columns of positions, and torques or commands, of all joints."""
+    position, torque = (
+        columns_of_kind(names, kind, robot.joint_names) for kind in ("position", "torque")
+    )
+    return bool(position and (torque or command_columns(names, robot.joint_names)))
 
 
 def name_blocks(table: Table, robot: Robot) -> tuple[Table, str]:

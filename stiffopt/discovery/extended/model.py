@@ -55,6 +55,7 @@ from stiffopt.discovery.catalogue.periodic import ROTOR_RIPPLE
 from stiffopt.discovery.comparison.located_effect import EstimatedEffect, Extension, LocatedEffect
 from stiffopt.discovery.effect import Effect
 from stiffopt.discovery.extended.schema import (
+    ClosedLoopSection,
     EffectSection,
     ExtendedFile,
     LeftOpenSection,
@@ -182,6 +183,8 @@ class ExtendedModel:
         Their standard deviations, if stated.
     left_open : LeftOpenSection or None
         Residual in its own recordings; None if not stated.
+    closed_loop : ClosedLoopSection or None
+        Simulation from commands; None without commands.
     """
 
     source: str
@@ -195,6 +198,7 @@ class ExtendedModel:
     parameters: tuple[dict[str, float], ...]
     deviations: tuple[dict[str, float], ...] = ()
     left_open: LeftOpenSection | None = None
+    closed_loop: ClosedLoopSection | None = None
 
     def applied_to(self, recordings: RecordingSet) -> RecordingSet:
         """Return the set with this model's nominal values.
@@ -279,6 +283,7 @@ def load_extended(path: str | os.PathLike[str], effects: Sequence[Effect] = ()) 
             for section in document.effect
         ),
         left_open=_check_left_open(document.left_open, n, path),
+        closed_loop=document.closed_loop,
     )
 
 

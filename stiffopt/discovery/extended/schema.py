@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from pydantic import Field
+from pydantic import ConfigDict, Field
 
 from stiffopt.declaration import NOT_NEGATIVE, POSITIVE, Bounds, Doc, Frequency, Unit
 from stiffopt.recording.schema import (
     JointPosition,
+    JointStiffness,
     JointTorque,
     JointVelocity,
+    JointViscous,
     Names,
     NominalSection,
     Ratio,
@@ -115,6 +117,35 @@ class LeftOpenSection(Section):
     ] = Field(default_factory=dict)
 
 
+class ClosedLoopSection(Section):
+    """Simulation of the arm from commanded positions, as `stiffopt rollout` uses it.
+
+    Lists have one number a joint.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=True)
+
+    stiffness: Annotated[
+        tuple[JointStiffness, ...], Doc("Torque per position error; nan where it is not known.")
+    ]
+    damping: Annotated[tuple[JointViscous, ...], Doc("Torque per velocity.")]
+    drive_max: Annotated[
+        tuple[JointTorque, ...], Doc("Bound on the torque from the error; inf without.")
+    ]
+    torque_max: Annotated[tuple[JointTorque, ...], Doc("Bound on the torque; inf without.")]
+    tolerance: Annotated[Ratio, NOT_NEGATIVE, Doc("One standard deviation of the gains, relative.")]
+    middle: Annotated[
+        tuple[JointPosition, ...], Doc("Positions about which `friction_slope` turns.")
+    ]
+    values: Annotated[
+        dict[str, tuple[Ratio, ...]],
+        Doc("Fitted parameters in SI: of joints, changes of their bodies, and the delay."),
+    ]
+    deviations: Annotated[
+        dict[str, tuple[Ratio, ...]], Doc("One standard deviation of each; 0 if not fitted.")
+    ]
+
+
 class ExtendedFile(Section):
     """Nominal model with the findings of a diagnosis."""
 
@@ -133,4 +164,5 @@ class ExtendedFile(Section):
         Doc("Nominal values as estimated within their tolerances, over their tolerances."),
     ] = Field(default_factory=dict)
     left_open: LeftOpenSection | None = None
+    closed_loop: ClosedLoopSection | None = None
     effect: Annotated[tuple[EffectSection, ...], Doc("Findings.")] = ()

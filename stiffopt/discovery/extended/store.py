@@ -10,7 +10,7 @@ import numpy as np
 
 from stiffopt.discovery.comparison.located_effect import EstimatedEffect
 from stiffopt.discovery.extended.model import robot_signature
-from stiffopt.discovery.extended.schema import LeftOpenSection
+from stiffopt.discovery.extended.schema import ClosedLoopSection, LeftOpenSection
 from stiffopt.discovery.signals import RobotConstants
 from stiffopt.recording.schema import NominalSection
 
@@ -51,6 +51,7 @@ def extended_text(diagnosis: Diagnosis) -> str:
             "calibration", {k: v for k, v in diagnosis.extension.calibration.items() if v}
         ),
         *_format_left_open(diagnosis.left_open),
+        *_format_closed_loop(diagnosis.closed_loop),
     ]
     for each in diagnosis.extension.effects:
         parts.append(
@@ -77,6 +78,16 @@ def _format_left_open(section: LeftOpenSection) -> Iterable[str]:
     for name, table in tables.items():
         if table:
             yield _format_table(f"left_open.{name}", table)
+
+
+def _format_closed_loop(section: ClosedLoopSection | None) -> Iterable[str]:
+    if section is None:
+        return
+    entries = section.model_dump()
+    tables = {name: entries.pop(name) for name in ("values", "deviations")}
+    yield _format_table("closed_loop", entries)
+    for name, table in tables.items():
+        yield _format_table(f"closed_loop.{name}", table)
 
 
 def _format_effect(

@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
+from stiffopt.discovery.sanity.command_doubts import doubt_commands
 from stiffopt.discovery.sanity.doubt import (
     Doubt,
     format_joints,
@@ -59,6 +60,8 @@ class SanityGate:
         recordings, runs = self._recordings, self._runs
         if not any(body.mass > 0.0 for body in recordings.robot.tree.bodies):
             return (_doubt_masses(recordings),)
+        if recordings.signals.commanded and (told := tuple(doubt_commands(recordings, self._runs))):
+            return told
         found = [
             *_doubt_currents(recordings),
             *_doubt_set_points(recordings),

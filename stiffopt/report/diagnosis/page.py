@@ -44,6 +44,7 @@ from stiffopt.report.diagnosis.overview import (
     sharpest_limits,
     undetectable_effects,
 )
+from stiffopt.report.diagnosis.positions import position_figure, position_section
 from stiffopt.report.diagnosis.regimes import (
     channel_residuals,
     map_figure,
@@ -118,6 +119,9 @@ def write_diagnosis_report(
         )
     for role, (_, curve) in overlays.items():
         figures.draw(role, overlay_figure(curve), "Measured and predicted, before and after")
+    if diagnosis.positions:
+        drawn = position_figure(diagnosis.positions[0], recordings.joints, recordings.prismatic)
+        figures.draw("positions", drawn, "Command, measured and simulated positions")
     context = {
         "diagnosis": diagnosis,
         "title": f"{recordings.title}: "
@@ -138,6 +142,7 @@ def write_diagnosis_report(
         "mismatches": mismatches(diagnosis),
         "sections": answer_sections(diagnosis),
         "proof_caption": caption,
+        "positions": position_section(diagnosis.positions, recordings.prismatic),
         "statements": {each.finding: each for each in statements(diagnosis)},
         "shown": shown,
         "overlays": overlays,

@@ -1,0 +1,84 @@
+"""Law of an actuator that follows commanded positions: torque [N m] from error [rad] and speed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ActuatorLaw:
+    """Torque of position-controlled joints, clip(clip(k e, drive) - d v, torque).
+
+    Every kind of actuator of the package is this law with its own constants: of a position servo k
+    and d are its P and D gains, of a cascade the product of its gains and the velocity gain, of a
+    voltage-limited motor the torque per volt times the gain, and the back-EMF.
+
+    Parameters
+    ----------
+    stiffness : array (n,)
+        Torque per position error [N m/rad]; nan where it is not known.
+    damping : array (n,)
+        Torque per velocity [N m s/rad].
+    drive_max : array (n,)
+        Bound on the part from the error, as of a motor's voltage; infinite without [N m].
+    torque_max : array (n,)
+        Bound on the torque; infinite without [N m].
+    delay : float
+        Time from a command to the torque that follows it [s]; nan where it is not known.
+    tolerance : float
+        One standard deviation of the known gains, relative.
+    """
+
+    stiffness: np.ndarray
+    damping: np.ndarray
+    drive_max: np.ndarray
+    torque_max: np.ndarray
+    delay: float
+    tolerance: float
+
+    @property
+    def known(self) -> bool:
+        """Return whether delay and all gains are known."""
+        return bool(np.isfinite(self.stiffness).all() and np.isfinite(self.delay))
+
+    def reordered(self, order: Sequence[int] | np.ndarray) -> ActuatorLaw:
+        """Return the law of the joints in another order."""
+        names = ("stiffness", "damping", "drive_max", "torque_max")
+        return replace(self, **{name: getattr(self, name)[order] for name in names})
+
+    def torque(self, error: np.ndarray, velocity: np.ndarray) -> np.ndarray:
+        """Torque at a position error and a velocity: (..., n) [rad], [rad/s] -> (..., n) [N m]."""
+        drive = np.clip(self.stiffness * error, -self.drive_max, self.drive_max)
+        return np.clip(drive - self.damping * velocity, -self.torque_max, self.torque_max)
+
+
+def mean_command(
+    time: np.ndarray, command: np.ndarray, begin: np.ndarray, end: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return means of held commands over intervals (m, n), and their rate per time [rad/s].
+
+    An actuator holds each command until the next one arrives. Means over intervals change
+    continuously with a delay, which the command itself does not.
+
+    Parameters
+    ----------
+    time : array (K,)
+        When each command arrived [s], increasing.
+    command : array (K, n)
+        [rad]
+    begin, end : array (m,)
+        Intervals [s]; before the first command that one holds.
+    """
+    area = np.cumsum(command[:-1] * np.diff(time)[:, None], axis=0)
+    area = np.vstack([np.zeros(command.shape[1]), area])
+
+    def integrate(until: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        place = np.clip(np.searchsorted(time, until, side="right") - 1, 0, len(time) - 1)
+        return area[place] + command[place] * (until - time[place])[:, None], command[place]
+
+    (first, held), (last, holds) = integrate(begin), integrate(end)
+    span = (end - begin)[:, None]
+    return (last - first) / span, (holds - held) / span

@@ -1,0 +1,190 @@
+"""Closed loop of an arm and its actuators as one step of an integrator, with exact derivatives.
+
+The integrator is the linearly implicit two-stage method ROS2 of Verwer et al. (1999), which is of
+second order for any approximation of the Jacobian and L-stable: stiff gains and dry friction on
+light links need no shorter steps. Its Jacobian here holds the actuators and friction alone.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from stiffopt.actuator.law import ActuatorLaw
+from stiffopt.closed_loop.parameters import BODY_PARAMETERS, JOINT_PARAMETERS
+from stiffopt.dynamics.newton_euler import own_bodies, torque_of_bodies
+from stiffopt.robot.body_tree import BodyTree
+
+# Speed at which dry friction reaches 76 % (tanh 1) [rad/s]: far below that of any motion.
+_DRY_FRICTION_WIDTH = 0.02
+# Rounding of the magnitude of the torque that load friction goes with [N m].
+_LOAD_WIDTH = 0.1
+_GAMMA = 1.0 + 1.0 / np.sqrt(2.0)
+
+
+@dataclass(frozen=True, eq=False)
+class LoopSymbols:
+    """Symbols of one step: state (2 n,), command (n,), parameters (p,), step [s], next state."""
+
+    state: ca.SX
+    command: ca.SX
+    parameters: ca.SX
+    step: ca.SX
+    next: ca.SX
+
+
+class ClosedLoop:
+    """Arm with actuators that follow commands.
+
+    Parameters
+    ----------
+    tree : BodyTree
+    law : ActuatorLaw
+        In the joint order of the tree; unknown gains count as none.
+    middle : array (n,)
+        Positions about which dry friction changes [rad].
+    """
+
+    def __init__(self, tree: BodyTree, law: ActuatorLaw, middle: np.ndarray) -> None:
+        self.tree, self.law, self.middle = tree, law, np.asarray(middle, dtype=float)
+        self.n = tree.n
+        self._functions: dict[bytes, ca.Function] = {}
+
+    def step_function(self, free: np.ndarray) -> ca.Function:
+        """Return one step with derivatives by some parameters (indices), and by the delay.
+
+        (state and sensitivities (2 n (1 + m),), command and its slope (2 n,), parameters, step) ->
+        the same state after the step. The last sensitivity is that by the delay.
+        """
+        key = free.tobytes()
+        if key not in self._functions:
+            self._functions[key] = self._build_step(free)
+        return self._functions[key]
+
+    def _build_step(self, free: np.ndarray) -> ca.Function:
+        s = self._symbols()
+        n, m = self.n, len(free)
+        sensitivity, slope = ca.SX.sym("S", 2 * n, m + 1), ca.SX.sym("slope", n)
+        by_state, by_command = ca.jacobian(s.next, s.state), ca.jacobian(s.next, s.command)
+        by_parameter = ca.densify(ca.jacobian(s.next, s.parameters))[:, [int(k) for k in free]]
+        after = ca.mtimes(by_state, sensitivity) + ca.horzcat(
+            by_parameter, ca.mtimes(by_command, slope)
+        )
+        return ca.Function(
+            "step",
+            [
+                ca.vertcat(s.state, ca.vec(sensitivity)),
+                ca.vertcat(s.command, slope),
+                s.parameters,
+                s.step,
+            ],
+            [ca.vertcat(s.next, ca.vec(after))],
+        )
+
+    def _symbols(self) -> LoopSymbols:
+        """Return one step of ROS2 in symbols."""
+        n = self.n
+        count = (len(JOINT_PARAMETERS) + len(BODY_PARAMETERS)) * n + 1
+        state, command = ca.SX.sym("x", 2 * n), ca.SX.sym("u", n)
+        parameters, h = ca.SX.sym("p", count), ca.SX.sym("h")
+        own = dict(
+            zip(
+                JOINT_PARAMETERS,
+                ca.horzsplit(ca.reshape(parameters[: len(JOINT_PARAMETERS) * n], n, -1)),
+                strict=True,
+            )
+        )
+        bodies = self._bodies(parameters[len(JOINT_PARAMETERS) * n : count - 1])
+        stiffness = np.where(np.isfinite(self.law.stiffness), self.law.stiffness, 0.0)
+        kp = ca.DM(stiffness) * (1.0 + own["gain"])
+        kd = ca.DM(self.law.damping) * (1.0 + own["damping"])
+
+        def inertia(q: ca.SX) -> ca.SX:
+            still, none = ca.SX.zeros(n), np.zeros(3)
+            angle = q - own["zero"]
+            columns = [
+                torque_of_bodies(self.tree, none, angle, still, ca.SX(ca.DM.eye(n)[:, i]), *bodies)
+                for i in range(n)
+            ]
+            return ca.horzcat(*columns) + ca.diag(own["armature"])
+
+        def balance(q: ca.SX, v: ca.SX) -> tuple[ca.SX, ca.SX]:
+            """Return torque that accelerates, and the slope of all losses by the velocity."""
+            drive = _clip(kp * (command - q), self.law.drive_max)
+            torque = _clip(drive - kd * v, self.law.torque_max)
+            direction = ca.tanh(v / _DRY_FRICTION_WIDTH)
+            dry = (
+                own["coulomb"]
+                + own["friction_slope"] * (q - ca.DM(self.middle))
+                + own["load_friction"] * (ca.sqrt(torque**2 + _LOAD_WIDTH**2) - _LOAD_WIDTH)
+            )
+            losses = dry * direction + own["viscous"] * v + own["drag"] * v * ca.fabs(v)
+            bias = torque_of_bodies(
+                self.tree, self.tree.gravity, q - own["zero"], v, ca.SX.zeros(n), *bodies
+            )
+            slope = kd + own["viscous"] + dry / _DRY_FRICTION_WIDTH * (1.0 - direction**2)
+            return torque + own["offset"] - losses - bias, slope
+
+        q, v = state[:n], state[n:]
+        mass, (torque, slope) = inertia(q), balance(q, v)
+        # Negative slopes, as of dry friction that a fit drives below zero, stay explicit.
+        implicit = _factorize(
+            mass + ca.diag(_GAMMA * h * ca.fmax(slope, 0) + (_GAMMA * h) ** 2 * kp)
+        )
+
+        def stage(rate: ca.SX, force: ca.SX) -> tuple[ca.SX, ca.SX]:
+            """Solve (1 - gamma h J) k = (rate, force / mass)."""
+            second = _solve(implicit, force - _GAMMA * h * kp * rate)
+            return rate + _GAMMA * h * second, second
+
+        first = stage(v, torque)
+        ahead_q, ahead_v = q + h * first[0], v + h * first[1]
+        acceleration = _solve(_factorize(inertia(ahead_q)), balance(ahead_q, ahead_v)[0])
+        second = stage(ahead_v - 2.0 * first[0], ca.mtimes(mass, acceleration - 2.0 * first[1]))
+        after = state + h * (1.5 * ca.vertcat(*first) + 0.5 * ca.vertcat(*second))
+        return LoopSymbols(state, command, parameters, h, after)
+
+    def _bodies(self, changes: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
+        """Return masses, first moments and inertias with changes (7 n,), body by body."""
+        n = self.n
+        each = ca.reshape(changes, len(BODY_PARAMETERS), n)
+        mass, first, inertia = own_bodies(self.tree)
+        about = ca.horzcat(*(ca.diag(each[4:, i]) for i in range(n)))
+        return mass + each[0, :].T, first + each[1:4, :], inertia + about
+
+
+def _clip(value: ca.SX, largest: np.ndarray) -> ca.SX:
+    """Return a value within plus and minus `largest`, untouched where that is infinite."""
+    return ca.vertcat(
+        *(
+            ca.fmax(ca.fmin(value[i], most), -most) if np.isfinite(most) else value[i]
+            for i, most in enumerate(largest)
+        )
+    )
+
+
+def _factorize(matrix: ca.SX) -> list[list[ca.SX]]:
+    """Return the Cholesky factor of a symmetric matrix (n, n) as scalar expressions."""
+    n = matrix.shape[0]
+    factor: list[list[ca.SX]] = [[ca.SX(0)] * n for _ in range(n)]
+    for i in range(n):
+        for j in range(i + 1):
+            rest = matrix[i, j] - sum(factor[i][k] * factor[j][k] for k in range(j))
+            factor[i][j] = ca.sqrt(rest) if i == j else rest / factor[j][j]
+    return factor
+
+
+def _solve(factor: list[list[ca.SX]], right: ca.SX) -> ca.SX:
+    """Solve with a Cholesky factor."""
+    n = len(factor)
+    forward: list[ca.SX] = []
+    for i in range(n):
+        rest = right[i] - sum(factor[i][k] * forward[k] for k in range(i))
+        forward.append(rest / factor[i][i])
+    found: list[ca.SX] = [ca.SX(0)] * n
+    for i in reversed(range(n)):
+        rest = forward[i] - sum(factor[k][i] * found[k] for k in range(i + 1, n))
+        found[i] = rest / factor[i][i]
+    return ca.vertcat(*found)

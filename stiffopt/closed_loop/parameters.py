@@ -1,0 +1,101 @@
+"""Parameters of a closed loop: names, units, values to start from and their deviations."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+# Of each joint: name and unit of a revolute one.
+JOINT_PARAMETERS = {
+    "gain": "1",  # relative change of the actuator's stiffness
+    "damping": "1",  # relative change of its damping
+    "armature": "kg m^2",
+    "viscous": "N m s/rad",
+    "coulomb": "N m",
+    "load_friction": "1",  # share of the actuator's torque
+    "friction_slope": "N m/rad",  # of dry friction over the position, about the middle
+    "drag": "N m s^2/rad^2",  # of friction with the square of the velocity
+    "offset": "N m",
+    "zero": "rad",  # reading of the encoder less the angle of the bodies
+}
+# Of each body: mass, first moment and inertia about its axis frame, as changes.
+BODY_PARAMETERS = ("mass", "mcx", "mcy", "mcz", "Ixx", "Iyy", "Izz")
+BODY_UNITS = ("kg", *("kg m",) * 3, *("kg m^2",) * 3)
+DELAY = "delay"
+# Not below zero.
+_POSITIVE = ("armature", "viscous", "coulomb", "load_friction", "drag", DELAY)
+
+
+@dataclass(frozen=True, eq=False)
+class Parameters:
+    """Values of a closed loop's parameters, in the order of `names`.
+
+    Parameters
+    ----------
+    joints : tuple of str (n,)
+        In the order of the robot.
+    values : array (p,)
+        By parameter, then by joint; then of the bodies, body by body; the delay last.
+    """
+
+    joints: tuple[str, ...]
+    values: np.ndarray
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return len(self.joints)
+
+    @property
+    def names(self) -> tuple[tuple[str, str], ...]:
+        """Name and joint of every parameter; "" for all joints together."""
+        own = [(name, joint) for name in JOINT_PARAMETERS for joint in self.joints]
+        bodies = [(name, joint) for joint in self.joints for name in BODY_PARAMETERS]
+        return (*own, *bodies, (DELAY, ""))
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Units of all parameters, of revolute joints."""
+        own = [unit for unit in JOINT_PARAMETERS.values() for _ in self.joints]
+        return (*own, *BODY_UNITS * self.n, "s")
+
+    @property
+    def lower(self) -> np.ndarray:
+        """Lower bounds (p,)."""
+        return np.array([0.0 if name in _POSITIVE else -np.inf for name, _ in self.names])
+
+    def place(self, name: str) -> slice:
+        """Return the places of a joint parameter."""
+        first = list(JOINT_PARAMETERS).index(name) * self.n
+        return slice(first, first + self.n)
+
+    @property
+    def bodies(self) -> slice:
+        """Places of the body parameters."""
+        first = len(JOINT_PARAMETERS) * self.n
+        return slice(first, first + len(BODY_PARAMETERS) * self.n)
+
+    def body_places(self, name: str) -> slice:
+        """Return the places (n,) of a body parameter, one a joint."""
+        first = self.bodies.start + BODY_PARAMETERS.index(name)
+        return slice(first, self.bodies.stop, len(BODY_PARAMETERS))
+
+    def of_bodies(self, name: str) -> np.ndarray:
+        """Return the values (n,) of a body parameter."""
+        return self.values[self.body_places(name)]
+
+    def of(self, name: str) -> np.ndarray:
+        """Return the values (n,) of a joint parameter."""
+        return self.values[self.place(name)]
+
+    @property
+    def delay(self) -> float:
+        """Delay of the command [s]."""
+        return float(self.values[-1])
+
+
+def zero_parameters(joints: tuple[str, ...]) -> Parameters:
+    """Return parameters that are all zero."""
+    count = (len(JOINT_PARAMETERS) + len(BODY_PARAMETERS)) * len(joints) + 1
+    return Parameters(joints, np.zeros(count))

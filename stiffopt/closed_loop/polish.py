@@ -1,0 +1,210 @@
+"""Fit of a closed loop's parameters to measured positions: Gauss-Newton over simulated runs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import lsq_linear
+
+from stiffopt.closed_loop.arm import ClosedLoop
+from stiffopt.closed_loop.parameters import Parameters
+from stiffopt.closed_loop.simulation import CommandedRun, Simulated, simulate
+
+# Duration of a stretch between measured states [s]: many times the settling of a servo.
+_STRETCH_SECONDS = 5.0
+# Iterations, the last but one at most; and the relative decrease below which they end.
+_MAX_ITERATIONS, _MIN_DECREASE = 12, 1e-3
+# Rounds in which noise is estimated anew from the residual.
+_NOISE_ROUNDS = 2
+# Longest lag over which residuals repeat one another [s].
+_MAX_REPETITION = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class Polished:
+    """Fitted parameters of a closed loop.
+
+    Parameters
+    ----------
+    parameters : Parameters
+    deviations : array (p,)
+        One standard deviation of each; 0 of those that were not fitted.
+    residual : array (n,)
+        Root mean square of the positions' residual in the training runs [rad].
+    evaluations : int
+        Simulations of all runs.
+    """
+
+    parameters: Parameters
+    deviations: np.ndarray
+    residual: np.ndarray
+    evaluations: int
+
+
+def polish(
+    loop: ClosedLoop,
+    runs: Sequence[CommandedRun],
+    prior: Parameters,
+    deviations: np.ndarray,
+    say: Callable[[str], object] = lambda _: None,
+) -> Polished:
+    """Fit the parameters that have a deviation to the positions of some runs.
+
+    Least squares with the prior, bounded, by Levenberg-Marquardt steps with exact derivatives. The
+    residual of a servo repeats itself from row to row: its noise is raised by the number of rows
+    that repeat one another, so that neither prior nor deviations are overruled by mere samples.
+
+    Parameters
+    ----------
+    loop : ClosedLoop
+    runs : sequence of CommandedRun
+    prior : Parameters
+        Expected values, with which the fit begins.
+    deviations : array (p,)
+        One standard deviation of each; 0 fixes a parameter.
+    say : callable
+        Called with a sentence at every iteration.
+    """
+    fit = _Fit(loop, runs, prior, deviations)
+    current, point = prior, fit.evaluate(prior)
+    noise = fit.noise(point)
+    for last in range(_NOISE_ROUNDS):
+        current, point = fit.descend(current, point, noise, say)
+        if last < _NOISE_ROUNDS - 1:
+            noise = fit.noise(point)
+    spread = np.zeros_like(deviations)
+    spread[fit.places] = fit.deviations(point, fit.noise(point))
+    residual = np.sqrt(np.nanmean(point.residual**2, axis=0))
+    return Polished(current, spread, residual, fit.evaluations)
+
+
+@dataclass(frozen=True, eq=False)
+class _Point:
+    """Residuals (K, n) of all runs, nan where nothing was measured; derivatives (K, n, m); ends."""
+
+    residual: np.ndarray
+    slopes: np.ndarray
+    ends: np.ndarray
+
+
+class _Fit:
+    """Normal equations of a fit in units of the prior's deviations."""
+
+    def __init__(
+        self,
+        loop: ClosedLoop,
+        runs: Sequence[CommandedRun],
+        prior: Parameters,
+        deviations: np.ndarray,
+    ) -> None:
+        self._loop, self._runs, self._prior = loop, runs, prior
+        # The delay is last and always derived by.
+        self._free = np.flatnonzero(deviations[:-1] > 0.0)
+        self.places = np.append(self._free, len(deviations) - 1)
+        self._size = np.maximum(deviations[self.places], 1e-12)
+        self._step = float(np.median(np.concatenate([np.diff(run.time) for run in runs])))
+        self.evaluations = 0
+
+    def evaluate(self, parameters: Parameters) -> _Point:
+        """Simulate all runs by stretches."""
+        self.evaluations += 1
+        rows = max(2, round(_STRETCH_SECONDS / self._step))
+        found: list[Simulated] = [
+            simulate(self._loop, run, parameters, self._free, stretch=rows) for run in self._runs
+        ]
+        residual = np.vstack(
+            [each.position - run.position for each, run in zip(found, self._runs, strict=True)]
+        )
+        return _Point(
+            residual,
+            np.concatenate([each.slopes for each in found]) * self._size,
+            np.cumsum([len(run.time) for run in self._runs]),
+        )
+
+    def noise(self, point: _Point) -> np.ndarray:
+        """Return the standard deviation (n,) that a residual has as if rows were independent."""
+        most = max(1, round(_MAX_REPETITION / self._step))
+        found = []
+        for own in point.residual.T:
+            parts = [np.nan_to_num(part) for part in np.split(own, point.ends[:-1])]
+            square = sum(float(part @ part) for part in parts)
+            repeated = 1.0
+            for lag in range(1, most):
+                share = sum(float(part[lag:] @ part[:-lag]) for part in parts) / square
+                if share <= 0.0:
+                    break
+                repeated += 2.0 * share
+            count = int(np.isfinite(own).sum())
+            found.append(np.sqrt(square / max(count, 1) * repeated))
+        return np.maximum(found, 1e-9)
+
+    def descend(
+        self,
+        parameters: Parameters,
+        point: _Point,
+        noise: np.ndarray,
+        say: Callable[[str], object],
+    ) -> tuple[Parameters, _Point]:
+        """Minimise residuals over noise and distances from the prior."""
+        damping, cost = 1e-3, self._cost(parameters, point, noise)
+        for number in range(_MAX_ITERATIONS):
+            largest = 1e3 * float(np.sqrt(np.nanmean(point.residual**2)))
+            say(f"simulate from commands: step {number + 1}, residual {largest:.2f} mrad")
+            hessian, gradient = self._normal_equations(parameters, point, noise)
+            while damping < 1e6:
+                moved = self._moved(parameters, hessian, gradient, damping)
+                ahead = self.evaluate(moved)
+                reached = self._cost(moved, ahead, noise)
+                if reached < cost:
+                    break
+                damping *= 10.0
+            else:
+                break
+            decrease, cost = cost - reached, reached
+            parameters, point, damping = moved, ahead, damping / 10.0
+            if decrease < _MIN_DECREASE * cost:
+                break
+        return parameters, point
+
+    def deviations(self, point: _Point, noise: np.ndarray) -> np.ndarray:
+        """Return standard deviations of the fitted parameters."""
+        hessian, _ = self._normal_equations(self._prior, point, noise)
+        return np.asarray(self._size * np.sqrt(np.diag(np.linalg.inv(hessian))))
+
+    def _cost(self, parameters: Parameters, point: _Point, noise: np.ndarray) -> float:
+        away = self._distance(parameters)
+        if not np.isfinite(point.slopes).all():
+            return np.inf
+        return float(np.nansum((point.residual / noise) ** 2) + away @ away)
+
+    def _distance(self, parameters: Parameters) -> np.ndarray:
+        """Return the distances from the prior over its deviations."""
+        away = parameters.values - self._prior.values
+        return np.asarray(away[self.places] / self._size)
+
+    def _normal_equations(
+        self, parameters: Parameters, point: _Point, noise: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        known = np.isfinite(point.residual)
+        weighted = (point.slopes / noise[:, None])[known]
+        right = (point.residual / noise)[known]
+        hessian = weighted.T @ weighted + np.eye(len(self.places))
+        return hessian, weighted.T @ right + self._distance(parameters)
+
+    def _moved(
+        self, parameters: Parameters, hessian: np.ndarray, gradient: np.ndarray, damping: float
+    ) -> Parameters:
+        """Return the parameters after one bounded step."""
+        factor = np.linalg.cholesky(hessian + damping * np.diag(np.diag(hessian)))
+        lower = (parameters.lower - parameters.values)[self.places] / self._size
+        found = lsq_linear(
+            factor.T,
+            -np.linalg.solve(factor, gradient),
+            (np.minimum(lower, -1e-12), np.full(len(lower), np.inf)),
+            method="bvls",
+        )
+        values = parameters.values.copy()
+        values[self.places] += self._size * found.x
+        return replace(parameters, values=np.maximum(values, parameters.lower))

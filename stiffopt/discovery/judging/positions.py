@@ -1,0 +1,48 @@
+"""Proof by simulation: held-out runs from their commands alone, judged by the error of position."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from stiffopt.discovery.comparison.located_effect import Extension
+from stiffopt.discovery.extended.planning import planner_model
+from stiffopt.discovery.extended.value_changes import extended_model
+from stiffopt.discovery.position_fit import (
+    ClosedLoopModel,
+    PositionRun,
+    fit_positions,
+    simulate_run,
+)
+from stiffopt.discovery.training import Training
+from stiffopt.recording.recording_set import RecordingSet
+from stiffopt.recording.run import RecordedRun
+
+
+def fit_simulation(
+    recordings: RecordingSet,
+    training: Training,
+    found: Extension,
+    runs: Sequence[RecordedRun],
+    say: Callable[[str], object],
+) -> ClosedLoopModel | None:
+    """Fit the simulation from commands, beginning with friction and rotors as found.
+
+    None where no training run holds commands of a joint with a known gain.
+    """
+    say("simulate the training runs from their commands")
+    model = extended_model(recordings, training.constants, found)
+    return fit_positions(recordings, runs, planner_model(recordings.robot, model).robot, say)
+
+
+def simulate_held_out(
+    recordings: RecordingSet, loop: ClosedLoopModel | None
+) -> tuple[PositionRun, ...]:
+    """Simulate held-out runs from their commands."""
+    if loop is None:
+        return ()
+    runs = (recordings.open(entry) for entry in recordings.with_role("test", "extrapolate"))
+    return tuple(
+        simulate_run(recordings, loop, run)
+        for run in runs
+        if run.usable and run.command is not None
+    )

@@ -1,0 +1,273 @@
+"""Gains and delay of an actuator from commands and motion, where the arm's weight tells them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from stiffopt.actuator.law import ActuatorLaw
+from stiffopt.discovery.comparison.filtering import ZeroPhaseFilter, bridge_gaps, derivative
+from stiffopt.discovery.comparison.nominal_robot import RobotModel
+from stiffopt.discovery.sanity.doubt import format_joints
+from stiffopt.discovery.settings import DEFAULT_TOLERANCE, MIN_MOVING_SPEED
+from stiffopt.discovery.signals import smooth_sign
+from stiffopt.formatting import pm
+from stiffopt.recording.commanded import delayed_command, derive_torque
+from stiffopt.recording.recording_set import RecordingSet
+from stiffopt.recording.run import RecordedRun
+
+# Cutoff of the filter [Hz]: weight and friction show in slow motion.
+_FILTER_CUTOFF = 8.0
+# Delays that are tried [s]: a fieldbus needs some milliseconds, a serial bus of servos some tens.
+_MAX_DELAY = 0.06
+_DELAYS = np.arange(0.0, _MAX_DELAY + 1e-9, 0.0025)
+# Log likelihood ratio beyond which a joint that contradicts the others counts less.
+_ROBUST_SCALE = 9.0
+# Log likelihood ratio from which a delay is taken to differ from none.
+_MIN_DELAY_EVIDENCE = 6.0
+# Largest relative standard deviation of a gain that the weight tells.
+_MAX_GAIN_DEVIATION = 0.1
+# Fewest moving instants of a joint.
+_MIN_INSTANTS = 60
+# Stretches that are left out in turn: physics that the regressors lack differs between them.
+_STRETCHES = 8
+
+
+@dataclass(frozen=True, eq=False)
+class _JointRows:
+    """Rows of one joint: regressors (m, k), weight and inertia (m,), error by delay.
+
+    The first three regressors are acceleration, velocity and direction; `stated` (3, 2) are their
+    nominal factors and deviations, infinite where no value is stated.
+    """
+
+    columns: np.ndarray
+    load: np.ndarray
+    velocity: np.ndarray
+    error: Callable[[float], np.ndarray]
+    independent: float
+    stated: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class ActuatorEstimate:
+    """Law of an actuator with its unknown values estimated.
+
+    Parameters
+    ----------
+    law : ActuatorLaw
+        A gain that nothing tells stays nan.
+    deviation : array (n,)
+        One standard deviation of each estimated gain, relative; 0 for stated ones.
+    notes : tuple of str
+        What was estimated, one sentence each.
+    """
+
+    law: ActuatorLaw
+    deviation: np.ndarray
+    notes: tuple[str, ...]
+
+
+def resolve_actuator(
+    recordings: RecordingSet, runs: Sequence[RecordedRun]
+) -> tuple[RecordingSet, list[RecordedRun], tuple[str, ...]]:
+    """Return a set and its runs with torques by the estimated law, and what was estimated.
+
+    Sets with recorded torques, or with a law that is known, are returned unchanged.
+    """
+    law = recordings.actuator
+    if law is None:
+        return recordings, list(runs), ()
+    notes: tuple[str, ...] = ("Torques are not recorded: the actuator's law gives them.",)
+    if not law.known:
+        found = estimate_actuator(RobotModel(recordings), runs, law)
+        law, notes = found.law, (*notes, *found.notes)
+    known = recordings.with_actuator(law)
+    return known, [derive_torque(run, law) for run in runs], notes
+
+
+def estimate_actuator(
+    robot: RobotModel, runs: Sequence[RecordedRun], law: ActuatorLaw
+) -> ActuatorEstimate:
+    """Estimate unknown gains and the delay by least squares of the equation of motion.
+
+    With an unknown gain k the position error is (weight and inertia + friction + ...) / k: masses
+    are known, so that the factor of their torque is 1 / k. Their tolerance is that of the gain.
+    """
+    rows = [_joint_rows(robot, runs, j) for j in range(robot.n)]
+    delay, evidence = law.delay, np.inf
+    if not np.isfinite(delay):
+        delay, evidence = _estimate_delay(rows, law)
+    stiffness, deviation = law.stiffness.copy(), np.zeros(robot.n)
+    for j, own in enumerate(rows):
+        if np.isfinite(stiffness[j]) or own is None:
+            continue
+        factor, spread = _load_factor(own, delay)
+        if factor > 0.0 and spread < _MAX_GAIN_DEVIATION * factor:
+            stiffness[j], deviation[j] = 1.0 / factor, spread / factor
+    return ActuatorEstimate(
+        law=replace(law, stiffness=stiffness, delay=delay),
+        deviation=deviation,
+        notes=tuple(_describe(law, stiffness, deviation, delay, evidence)),
+    )
+
+
+def _describe(
+    law: ActuatorLaw, stiffness: np.ndarray, deviation: np.ndarray, delay: float, evidence: float
+) -> list[str]:
+    asked = ~np.isfinite(law.stiffness)
+    told = asked & np.isfinite(stiffness)
+    notes = []
+    if told.any():
+        each = ", ".join(
+            f"joint {j + 1}: {pm(stiffness[j], deviation[j] * stiffness[j], 'N m/rad')}"
+            for j in np.flatnonzero(told)
+        )
+        notes.append(
+            f"The gain of the position error is estimated from the arm's weight ({each}): its scale"
+            " is that of the nominal masses. What damps by velocity counts as viscous friction."
+        )
+    if (silent := asked & ~np.isfinite(stiffness)).any():
+        which = format_joints(np.flatnonzero(silent))
+        notes.append(
+            f"Weight and inertia do not tell the gain of {which}: torques there have no scale and"
+            " are left out. Give kp in [actuator]; only ratios of friction to gain are known."
+        )
+    if not np.isfinite(law.delay):
+        notes.append(
+            f"The delay of commands is estimated to {1e3 * delay:.3g} ms."
+            if evidence > _MIN_DELAY_EVIDENCE
+            else "No delay of commands is assumed: the motion does not tell one."
+        )
+    return notes
+
+
+def _joint_rows(robot: RobotModel, runs: Sequence[RecordedRun], joint: int) -> _JointRows | None:
+    """Return the filtered rows of one joint over all runs; None if it hardly moves."""
+    parts: list[tuple[np.ndarray, ...]] = []
+    commands: list[tuple[CubicSpline, np.ndarray, np.ndarray]] = []
+    seconds = 0.0
+    for run in runs:
+        low_pass = ZeroPhaseFilter(1.0 / run.step, min(_FILTER_CUTOFF, 0.2 / run.step))
+        # A delayed command begins later.
+        inside = slice(low_pass.settling + round(_MAX_DELAY / run.step), -low_pass.settling)
+        if run.command is None or not np.isfinite(run.command[:, joint]).any() or not run.usable:
+            continue
+        position = low_pass.filter_motion(bridge_gaps(run.position))
+        velocity = derivative(position, run.step)
+        acceleration = derivative(velocity, run.step)
+        load = robot.spring_torque(position, velocity, acceleration)[:, joint]
+        own, speed, rate = (x[:, joint] for x in (position, velocity, acceleration))
+        direction = smooth_sign(speed)
+        columns = np.column_stack(
+            [rate, speed, direction, np.abs(load) * direction, np.ones_like(own)]
+        )
+        chosen = np.arange(len(own))[inside]
+        chosen = chosen[np.abs(speed[chosen]) >= MIN_MOVING_SPEED]
+        smooth = low_pass(delayed_command(run, 0.0)[:, joint : joint + 1])[:, 0]
+        commands.append((CubicSpline(run.time, smooth), run.time[chosen], own[chosen]))
+        parts.append(tuple(x[chosen] for x in (columns, load, speed)))
+        seconds += len(chosen) * run.step
+    if not parts or sum(len(part[0]) for part in parts) < _MIN_INSTANTS:
+        return None
+
+    def error(delay: float) -> np.ndarray:
+        return np.concatenate([spline(time - delay) - own for spline, time, own in commands])
+
+    columns, load, speed = (np.concatenate(each) for each in zip(*parts, strict=True))
+    independent = max(2.0 * _FILTER_CUTOFF * seconds, 1.0)
+    return _JointRows(columns, load, speed, error, independent, _stated_factors(robot, joint))
+
+
+def _stated_factors(robot: RobotModel, joint: int) -> np.ndarray:
+    """Return nominal rotor inertia, viscous and dry friction with deviations (3, 2)."""
+    tolerance, found = robot.recordings.tolerance, []
+    for key in ("rotor_inertia", "viscous", "coulomb"):
+        relative = getattr(tolerance, key)
+        relative = getattr(DEFAULT_TOLERANCE, key) if relative is None else relative
+        value = float(getattr(robot, key)[joint])
+        known = key not in robot.recordings.unstated and value > 0.0
+        found.append((value, max(relative * value, 1e-9) if known else np.inf))
+    return np.array(found)
+
+
+def _estimate_delay(rows: Sequence[_JointRows | None], law: ActuatorLaw) -> tuple[float, float]:
+    """Return the likeliest delay [s] and its log likelihood ratio to none; 0 where none shows.
+
+    A delay acts as viscous friction k d does: stated friction and rotor inertia of all joints
+    tell them apart, and a joint that departs from them does not overrule the others.
+    """
+    used = [(j, own) for j, own in enumerate(rows) if own is not None]
+
+    def misfits(delays: np.ndarray) -> np.ndarray:
+        return np.array([[_misfit(own, j, law, delay) for j, own in used] for delay in delays])
+
+    if not used:
+        return 0.0, 0.0
+    coarse = misfits(_DELAYS)
+    least = coarse.min(axis=0)
+
+    def total(each: np.ndarray) -> np.ndarray:
+        excess = np.maximum(each - least, 0.0)
+        return np.asarray(_ROBUST_SCALE * np.log1p(excess / _ROBUST_SCALE).sum(axis=1))
+
+    first = float(_DELAYS[int(np.argmin(total(coarse)))])
+    step = float(_DELAYS[1] - _DELAYS[0])
+    fine = np.clip(first + np.linspace(-step, step, 21), 0.0, _MAX_DELAY)
+    found = total(misfits(fine))
+    best = int(np.argmin(found))
+    evidence = float(total(coarse[:1])[0] - found[best])
+    if evidence < _MIN_DELAY_EVIDENCE or fine[best] >= _MAX_DELAY:
+        return 0.0, 0.0
+    return float(fine[best]), evidence
+
+
+def _misfit(own: _JointRows, joint: int, law: ActuatorLaw, delay: float) -> float:
+    """Return minus the log likelihood of one joint's error at a delay."""
+    error, count = own.error(delay), len(own.load)
+    if not np.isfinite(law.stiffness[joint]):
+        table = np.column_stack([own.load, own.columns])
+        return 0.5 * own.independent * float(np.log(_least_squares(table, error, count)[2]))
+    target = law.stiffness[joint] * error - law.damping[joint] * own.velocity - own.load
+    left = _least_squares(own.columns, target, count)[2]
+    # Rows that repeat one another count once; stated values are rows of their own.
+    known = np.isfinite(own.stated[:, 1])
+    weight = np.sqrt(left * count / own.independent) / own.stated[known, 1]
+    extra = np.zeros((int(known.sum()), own.columns.shape[1]))
+    extra[np.arange(len(weight)), np.flatnonzero(known)] = weight
+    table = np.vstack([own.columns, extra])
+    wanted = np.concatenate([target, weight * own.stated[known, 0]])
+    return 0.5 * own.independent * float(np.log(_least_squares(table, wanted, count)[2]))
+
+
+def _load_factor(own: _JointRows, delay: float) -> tuple[float, float]:
+    """Return the factor of weight and inertia in the error, and its deviation over stretches."""
+    table, target = np.column_stack([own.load, own.columns]), own.error(delay)
+    factors, spread, _ = _least_squares(table, target, own.independent)
+    parts = np.array_split(np.arange(len(target)), _STRETCHES)
+    left_out = [
+        _least_squares(np.delete(table, part, axis=0), np.delete(target, part), 1.0)[0][0]
+        for part in parts
+    ]
+    jackknife = np.sqrt((_STRETCHES - 1) / _STRETCHES * np.sum((left_out - np.mean(left_out)) ** 2))
+    return float(factors[0]), float(max(spread[0], jackknife))
+
+
+def _least_squares(
+    table: np.ndarray, target: np.ndarray, independent: float
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """Return factors, their standard deviations (k,) and the mean square of the residual.
+
+    Filtered rows repeat one another: deviations count the independent ones.
+    """
+    size = np.linalg.norm(table, axis=0)
+    size = np.where(size > 0.0, size, 1.0)
+    inverse = np.linalg.pinv(table / size)
+    factors = inverse @ target
+    left = target - (table / size) @ factors
+    square = float(left @ left) / max(len(target) - len(factors), 1)
+    spread = np.sqrt(square * np.sum(inverse**2, axis=1) * max(len(target) / independent, 1.0))
+    return factors / size, spread / size, square

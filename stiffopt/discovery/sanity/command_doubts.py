@@ -1,0 +1,201 @@
+"""Doubts about commanded positions: another unit, another signal, swapped, too slow, no motion."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from stiffopt.discovery.sanity.doubt import Doubt, format_joints
+from stiffopt.recording.channel_faults import MIN_TRAVEL
+from stiffopt.recording.recording_set import RecordingSet
+from stiffopt.recording.run import RecordedRun
+
+# Range of the ratio of commanded to measured travel in one unit: a weak joint covers a share.
+_TRAVEL_RATIO = (1.0 / 3.0, 3.0)
+# Ratio of a degree to a radian within which commands are in degrees.
+_DEGREE_RATIO_TOLERANCE = 3.0
+# Correlation of command and position below which they are of different joints or motions.
+_MIN_CORRELATION = 0.5
+# Longest lag that is searched [s], and rows by which a position may lead its command by noise.
+_MAX_LAG, _MIN_LEAD_ROWS = 0.5, 1.5
+# Interval of commands above which one logged in faster rows is taken for thinned [s]; and rows.
+_MAX_COMMAND_INTERVAL, _MIN_HELD_ROWS = 0.04, 4
+
+
+def doubt_commands(recordings: RecordingSet, runs: Sequence[RecordedRun]) -> Iterator[Doubt]:
+    """Yield doubts about the commands of a set without torques; one kind is told at a time."""
+    commanded = [run for run in runs if run.command is not None and run.usable]
+    if not commanded:
+        yield Doubt(
+            kind="no command",
+            joints=(),
+            evidence="No training run holds a command and positions of all joints, and no torque is"
+            " recorded: there is nothing to explain.",
+            line="",
+        )
+        return
+    position = np.vstack([run.position for run in commanded])
+    command = np.vstack([run.command for run in commanded if run.command is not None])
+    travel = np.max(
+        [np.nanmax(r.position, axis=0) - np.nanmin(r.position, axis=0) for r in commanded],
+        axis=0,
+    )
+    least = 10.0 * np.array([MIN_TRAVEL[bool(slides)] for slides in recordings.prismatic])
+    moving = travel > least
+    if not moving.any():
+        yield Doubt(
+            kind="no motion",
+            joints=(),
+            evidence=f"No joint moves by more than {travel.max():.2g} rad: at rest nothing is told"
+            " but weight over gain. Record a motion through much of each joint's range.",
+            line="",
+        )
+        return
+    yield from next(
+        filter(
+            None,
+            (
+                tuple(kind)
+                for kind in (
+                    _doubt_units(position, command, moving),
+                    _doubt_other_joints(position, command, moving),
+                    _doubt_swapped(recordings, commanded, moving),
+                    _doubt_thinned(commanded, moving),
+                )
+            ),
+        ),
+        (),
+    )
+
+
+def _doubt_units(position: np.ndarray, command: np.ndarray, moving: np.ndarray) -> Iterator[Doubt]:
+    """Doubt commands whose travel is not that of the positions."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        ratio = np.nanstd(command, axis=0) / np.nanstd(position, axis=0)
+    odd = moving & (ratio > 0.0) & ((ratio < _TRAVEL_RATIO[0]) | (ratio > _TRAVEL_RATIO[1]))
+    if not odd.any():
+        return
+    which, usual = format_joints(np.flatnonzero(odd)), float(np.median(ratio[odd]))
+    held = command[:, odd]
+    whole = np.all(held[np.isfinite(held)] == np.round(held[np.isfinite(held)]))
+    degree = 180.0 / np.pi
+    if max(usual / degree, degree / usual) < _DEGREE_RATIO_TOLERANCE and not whole:
+        what, line = "commands are in degrees", 'command = "deg" in [signals.scale]'
+    elif max(usual * degree, 1.0 / (usual * degree)) < _DEGREE_RATIO_TOLERANCE:
+        what = "positions are in degrees"
+        line = 'position = "deg" and command = 1.0 in [signals.scale]'
+    elif whole:
+        what = "commands are counts of an encoder"
+        line = "command = [...] in [signals.scale], in rad per count (of 12 bits: 0.00153398)"
+    else:
+        what, line = "commands have another unit than positions, or are another signal", ""
+    yield Doubt(
+        kind="command unit",
+        joints=tuple(int(j) + 1 for j in np.flatnonzero(odd)),
+        evidence=f"The commands of {which} travel {usual:.3g} times as far as the positions: the"
+        f" {what}.",
+        line=line,
+    )
+
+
+def _doubt_other_joints(
+    position: np.ndarray, command: np.ndarray, moving: np.ndarray
+) -> Iterator[Doubt]:
+    """Doubt commands that do not go with the position of their joint."""
+    for j in np.flatnonzero(moving):
+        own = _correlate(command[:, j], position[:, j])
+        if not own < _MIN_CORRELATION:
+            continue
+        others = [_correlate(command[:, k], position[:, j]) for k in range(command.shape[1])]
+        best = int(np.nanargmax(others))
+        hint = (
+            f" It goes with the command of joint {best + 1}: check the order of the columns."
+            if others[best] > max(_MIN_CORRELATION, own + 0.3)
+            else " Is it sent to this joint, with this sign?"
+        )
+        yield Doubt(
+            kind="command order",
+            joints=(int(j) + 1,),
+            evidence=f"The position of joint {j + 1} does not follow its command (correlation"
+            f" {own:.2f}).{hint}",
+            line="",
+        )
+
+
+def _correlate(one: np.ndarray, two: np.ndarray) -> float:
+    known = np.isfinite(one) & np.isfinite(two)
+    if known.sum() < 3 or np.ptp(one[known]) == 0.0 or np.ptp(two[known]) == 0.0:
+        return float("nan")
+    return float(np.corrcoef(one[known], two[known])[0, 1])
+
+
+def _doubt_swapped(
+    recordings: RecordingSet, runs: Sequence[RecordedRun], moving: np.ndarray
+) -> Iterator[Doubt]:
+    """Doubt positions that lead their commands."""
+    lags = np.array([find_lag(run) for run in runs])
+    weights = np.array([len(run.time) for run in runs], dtype=float)
+    joint = weights @ lags / weights.sum()
+    step = float(np.median([run.step for run in runs]))
+    lead = -float(np.median(joint[moving]))
+    if lead > _MIN_LEAD_ROWS * step:
+        names = recordings.signals
+        yield Doubt(
+            kind="swapped",
+            joints=(),
+            evidence=f"The positions ({', '.join(names.position[:3])}) lead the commands by"
+            f" {1e3 * lead:.0f} ms, and an arm follows its commands: position and command are"
+            " swapped.",
+            line="position and command in [signals] with each other's columns",
+        )
+
+
+def find_lag(run: RecordedRun) -> np.ndarray:
+    """Return the lag (n,) of each position after its command [s], by correlation of their rates."""
+    assert run.command is not None
+    most = min(round(_MAX_LAG / run.step), len(run.time) // 4)
+    lags = np.zeros(run.n)
+    for j in range(run.n):
+        series = []
+        for values in (run.command[:, j], run.position[:, j]):
+            known = np.isfinite(values)
+            whole = np.interp(run.time, run.time[known], values[known]) if known.any() else values
+            series.append(np.nan_to_num(whole - np.mean(whole)))
+        # Rates over several rows: of a held command single differences are mostly zero.
+        width = max(1, most // 10)
+        rate, moved = (each[width:] - each[:-width] for each in series)
+        scores = [
+            float(
+                rate[max(0, -k) : len(rate) - max(0, k)]
+                @ moved[max(0, k) : len(moved) - max(0, -k)]
+            )
+            for k in range(-most, most + 1)
+        ]
+        lags[j] = (int(np.argmax(scores)) - most) * run.step
+    return lags
+
+
+def _doubt_thinned(runs: Sequence[RecordedRun], moving: np.ndarray) -> Iterator[Doubt]:
+    """Doubt commands that change far more rarely than rows are logged."""
+    intervals, steps = [], []
+    for run in runs:
+        assert run.command is not None
+        command = run.command[:, moving]
+        changed = np.any(np.nan_to_num(np.diff(command, axis=0)) != 0.0, axis=1)
+        times = run.time[1:][changed]
+        if len(times) > 2:
+            intervals.append(float(np.median(np.diff(times))))
+            steps.append(run.step)
+    if not intervals:
+        return
+    interval, step = float(np.median(intervals)), float(np.median(steps))
+    if interval > _MAX_COMMAND_INTERVAL and interval > _MIN_HELD_ROWS * step:
+        yield Doubt(
+            kind="command rate",
+            joints=(),
+            evidence=f"The commands change every {1e3 * interval:.0f} ms, the rows are"
+            f" {1e3 * step:.3g} ms apart: logged more slowly than they were sent, commands do not"
+            " tell the torques between. Log every command that is sent.",
+            line="",
+        )

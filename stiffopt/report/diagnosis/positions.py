@@ -1,0 +1,122 @@
+"""Runs simulated from their commands: errors of position by joint and at the tool, and a figure."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from stiffopt.report.common.svg import (
+    BLUE,
+    GREY,
+    INK,
+    VERMILLION,
+    WIDTH,
+    decimate_curve,
+    figure_style,
+)
+from stiffopt.report.common.text import significant
+from stiffopt.report.diagnosis.sections import AnswerSection
+
+if TYPE_CHECKING:
+    from stiffopt.discovery.position_fit import PositionRun
+
+_TITLE = "Simulation from commands"
+_COLUMNS = ("position", "rms, before", "after", "largest, before", "after")
+# Share of an error's power below the frequency that describes its spectrum.
+_POWER_SHARE = 0.9
+
+
+def error_table(runs: Sequence[PositionRun], prismatic: Sequence[bool]) -> dict[str, np.ndarray]:
+    """Return root mean squares and largest errors (2, 2) by channel, before and after [rad], [m].
+
+    Rows: before and after; columns: root mean square and largest.
+    """
+    found = {}
+    for j in range(len(prismatic)):
+        errors = [
+            np.concatenate([(getattr(run, when) - run.measured)[:, j] for run in runs])
+            for when in ("before", "after")
+        ]
+        found[f"joint {j + 1}"] = np.array([_summarize(error) for error in errors])
+    tool = [
+        np.concatenate([getattr(run, f"tool_{when}") for run in runs])
+        for when in ("before", "after")
+    ]
+    found["tool"] = np.array([_summarize(error) for error in tool])
+    return found
+
+
+def _summarize(error: np.ndarray) -> tuple[float, float]:
+    return float(np.sqrt(np.nanmean(error**2))), float(np.nanmax(np.abs(error)))
+
+
+def position_section(runs: Sequence[PositionRun], prismatic: Sequence[bool]) -> AnswerSection:
+    """Return the errors of simulated held-out runs; an empty section without any."""
+    if not runs:
+        return AnswerSection(title=_TITLE)
+    table = error_table(runs, prismatic)
+    rows = []
+    for name, errors in table.items():
+        metres = name == "tool" or prismatic[int(name.removeprefix("joint ")) - 1]
+        unit = "mm" if metres else "mrad"
+        (first, largest), (second, most) = 1e3 * errors
+        cells = (f"{significant(value, 3)} {unit}" for value in (first, second, largest, most))
+        rows.append((name, *cells))
+    angles = [1e3 * table[f"joint {j + 1}"] for j, slides in enumerate(prismatic) if not slides]
+    lines = []
+    if angles:
+        before, after = np.sqrt(np.mean([each[:, 0] ** 2 for each in angles], axis=0))
+        lines.append(
+            "Held-out runs, simulated from their commands and their first position alone: error of"
+            f" the joints from {significant(before, 3)} to {significant(after, 3)} mrad (root mean"
+            f" square). {_describe_spectrum(runs)}"
+        )
+    return AnswerSection(title=_TITLE, lines=tuple(lines), head=_COLUMNS, rows=tuple(rows))
+
+
+def _describe_spectrum(runs: Sequence[PositionRun]) -> str:
+    """Say below which frequency most of the remaining error lies."""
+    longest = max(runs, key=lambda run: run.time[-1] - run.time[0])
+    step = float(np.median(np.diff(longest.time)))
+    error = np.nan_to_num(longest.after - longest.measured)
+    power = np.sum(np.abs(np.fft.rfft(error - error.mean(axis=0), axis=0)) ** 2, axis=1)
+    frequencies = np.fft.rfftfreq(len(error), step)
+    share = np.cumsum(power) / max(float(power.sum()), 1e-300)
+    edge = frequencies[int(np.searchsorted(share, _POWER_SHARE))]
+    return f"{100 * _POWER_SHARE:.0f} % of what remains lies below {significant(edge, 2)} Hz."
+
+
+def position_figure(run: PositionRun, joints: Sequence[str], prismatic: Sequence[bool]) -> Figure:
+    """Plot command, measured and simulated position of each joint over time, and the errors."""
+    n = len(joints)
+    with figure_style():
+        figure = Figure(figsize=(WIDTH, 0.7 + 1.45 * n))
+        grid = figure.subplots(n, 2, squeeze=False, sharex=True)
+        for j, (left, right) in enumerate(grid):
+            for values, colour, label, width in (
+                (run.command, GREY, "command", 0.9),
+                (run.measured, INK, "measured", 1.8),
+                (run.before, VERMILLION, "before", 1.1),
+                (run.after, BLUE, "after", 1.1),
+            ):
+                shown = decimate_curve(run.time, np.nan_to_num(values[:, j]))
+                left.plot(*shown, color=colour, label=label, linewidth=width)
+            for values, colour in ((run.before, VERMILLION), (run.after, BLUE)):
+                error = 1e3 * np.nan_to_num(values[:, j] - run.measured[:, j])
+                right.plot(*decimate_curve(run.time, error), color=colour, linewidth=1.1)
+            left.set_title(f"J{j + 1} {joints[j]}")
+            left.set_ylabel("m" if prismatic[j] else "rad")
+            right.set_title("simulated less measured")
+            right.set_ylabel("mm" if prismatic[j] else "mrad")
+        for axes in grid[-1]:
+            axes.set_xlabel("time [s]")
+        handles, labels = grid[0][0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="upper right", ncols=4, bbox_to_anchor=(0.99, 1.0))
+        height = figure.get_figheight()
+        figure.subplots_adjust(
+            left=0.07, right=0.99, top=1.0 - 0.5 / height, bottom=0.45 / height, hspace=0.5
+        )
+        return figure
