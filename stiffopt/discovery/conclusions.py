@@ -158,7 +158,6 @@ def describe_next_experiment(
     plan: ExperimentPlan | None,
     unexplained: Unexplained | None,
     shares: tuple[MismatchShare, ...],
-    unstated: Sequence[str],
 ) -> str:
     """Describe the next recording: for the open residual where it dominates, else against rivals.
 
@@ -174,7 +173,7 @@ def describe_next_experiment(
             )
     if plan is not None:
         return plan.sentence
-    doubted = [each for each in findings if each.effect.nominal not in unstated]
+    doubted = [each for each in findings if not each.located.calibrated]
     for finding in (*doubted, *findings):
         if finding.rivals:
             return finding.effect.separate
