@@ -2,6 +2,7 @@
 
 from .certificate.assess import assess as assess
 from .discovery.diagnose import diagnose as diagnose
+from .discovery.diagnose import diagnose_change as diagnose_change
 from .discovery.diagnosis import Diagnosis as Diagnosis
 from .discovery.store import write_diagnosis as write_diagnosis
 from .errors import InputError as InputError

@@ -33,6 +33,7 @@ NAMES = [
     "TrajectoryProblem",
     "assess",
     "diagnose",
+    "diagnose_change",
     "identify_stiffness",
     "load_problem",
     "load_recordings",

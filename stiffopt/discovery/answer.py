@@ -147,11 +147,6 @@ def format_probability(probability: float) -> str:
     return "above 99 %" if probability > _MAX_SHOWN_PROBABILITY else f"{100 * probability:.0f} %"
 
 
-def is_unstated(diagnosis: Diagnosis, finding: Finding) -> bool:
-    """Return True for a finding that supplies a value without nominal value."""
-    return finding.effect.nominal in diagnosis.recordings.unstated
-
-
 def statement_headline(diagnosis: Diagnosis, findings: list[Finding]) -> str:
     """Return the headline of findings: the first ones with values and places."""
     every = [each for each in statements(diagnosis) if each.finding in findings]
@@ -165,11 +160,12 @@ def statement_headline(diagnosis: Diagnosis, findings: list[Finding]) -> str:
 def action(diagnosis: Diagnosis) -> str:
     """Return one line of what to do: the remedy of the first finding, or the next recording."""
     own = statements(diagnosis)
-    new = [each for each in own if not is_unstated(diagnosis, each.finding)]
+    new = [each for each in own if not each.finding.located.calibrated]
     first = next(iter(new or own), None)
+    only_rest = not new and diagnosis.unexplained is not None
     if diagnosis.verdict == "nothing_missing":
         return "Nothing has to be changed."
-    if first is None or first.certainty in ("one of these", "possible"):
+    if first is None or only_rest or first.certainty in ("one of these", "possible"):
         # One line: its first sentence; the whole stands under "Next experiment".
         sentence, dot, _ = diagnosis.next_experiment.partition(". ")
         return sentence + dot.strip()
@@ -195,7 +191,7 @@ def missing_physics(diagnosis: Diagnosis, finding: Finding) -> str:
     effect = finding.effect
     named = _name_parameters(diagnosis, finding)
     phrase = effect.phrase_of(finding.estimated.amplitudes)
-    if is_unstated(diagnosis, finding):
+    if finding.located.calibrated and effect.nominal:
         first = next(iter(named.values()))
         value = pm(first.value, first.sd, first.unit)
         phrase = f"{effect.nominal_words} {value}, for which there is no nominal value"
@@ -237,7 +233,7 @@ def _describe_remedy(
     if effect.nominal and located.joint is not None:
         first = next(iter(named.values()))
         old = float(getattr(constants, effect.nominal, 0.0) or 0.0)
-        if is_unstated(diagnosis, finding):
+        if located.calibrated:
             value = pm(first.value, first.sd, first.unit)
             return f"Enter {effect.nominal_words} {value} for {where}."
         words["new"] = f"{significant(old + first.value, 3)} {first.unit}"

@@ -83,7 +83,9 @@ def build_findings(
             parameters.p_value(index),
             _reported_p_value(parameters.effects[index], values, located.constants(constants)),
         )
-        misfit = 1.0 - (1.0 - max(misfit, _null_share(chance))) * float(again[index])
+        # The mean of few runs differs between two states by chance, at any of the joints.
+        places = n if effect.only_in and located.joint is not None else 1
+        misfit = 1.0 - (1.0 - max(misfit, _null_share(chance, places))) * float(again[index])
         findings.append(
             Finding(
                 estimated=parameters.effects[index],
@@ -103,14 +105,16 @@ def build_findings(
     return tuple(findings)
 
 
-def _null_share(chance: float) -> float:
+def _null_share(chance: float, places: int = 1) -> float:
     """Return the probability that an effect is zero, from the p-value of its values.
+
+    `places` are those at which it would have been seen as well.
 
     The bound of the null hypothesis is one half at most; where zero is within one standard
     deviation, zero is the better explanation.
     """
     beyond = max(chance - _ONE_DEVIATION, 0.0) / (1.0 - _ONE_DEVIATION)
-    return max(null_probability(chance), 0.5 + 0.5 * beyond if beyond > 0.0 else 0.0)
+    return max(null_probability(chance, places), 0.5 + 0.5 * beyond if beyond > 0.0 else 0.0)
 
 
 def _reported_p_value(
@@ -158,7 +162,6 @@ def describe_next_experiment(
     plan: ExperimentPlan | None,
     unexplained: Unexplained | None,
     shares: tuple[MismatchShare, ...],
-    unstated: Sequence[str],
 ) -> str:
     """Describe the next recording: for the open residual where it dominates, else against rivals.
 
@@ -174,7 +177,7 @@ def describe_next_experiment(
             )
     if plan is not None:
         return plan.sentence
-    doubted = [each for each in findings if each.effect.nominal not in unstated]
+    doubted = [each for each in findings if not each.located.calibrated]
     for finding in (*doubted, *findings):
         if finding.rivals:
             return finding.effect.separate

@@ -273,7 +273,7 @@ def _run_diagnosis(
             return find_bursts(training, (*start, found))
 
         unexplained = skip_if_stopped(stopped, NO_BURSTS, burst)
-    new = [s for s in selected if s.located.effect.nominal not in recordings.unstated]
+    new = [s for s in selected if not s.located.calibrated]
     pair = leading_pair(new or selected) if experiment and not runs[0].at_rest else None
     whole = found if base is None else base.extension.plus(found)
     plan = None
@@ -325,9 +325,7 @@ def _run_diagnosis(
             catalogue=catalogue,
             detection_limits=limits,
             unexplained=unexplained,
-            next_experiment=describe_next_experiment(
-                findings, plan, unexplained, taken, recordings.unstated
-            ),
+            next_experiment=describe_next_experiment(findings, plan, unexplained, taken),
             assumptions=(
                 *stopped,
                 *opened.describe_unusable(),

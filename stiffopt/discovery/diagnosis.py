@@ -266,8 +266,8 @@ class Diagnosis(DisplayedResult):
 
     @property
     def changes(self) -> tuple[Finding, ...]:
-        """Findings that act in the state after alone."""
-        return tuple(finding for finding in self.findings if finding.is_change)
+        """Findings that act in the state after alone, without those that are only possible."""
+        return tuple(f for f in self.findings if f.is_change and f.certainty != "possible")
 
     def facts(self) -> dict[str, str]:
         """Return verdict, findings and normalised residuals as short text."""

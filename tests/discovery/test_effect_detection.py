@@ -85,11 +85,6 @@ TRIALS = (
 )
 
 
-# A box over the same part of the stroke takes a share of the bump: two forms of one law, not told
-# apart yet.
-SAME_PLACE_OF_STROKE = "stroke_friction at the same place is found beside it"
-
-
 def trials(**doubtful: str) -> list[object]:
     """Parameters of a test: all trials, those that fail with the reason why.
 
@@ -149,13 +144,13 @@ def test_effect_is_first_finding_at_its_place(trial: Trial) -> None:
     assert finding.probability >= max((r.probability for r in finding.rivals), default=0.0)
 
 
-@pytest.mark.parametrize("trial", trials(position_friction=SAME_PLACE_OF_STROKE), scope="module")
+@pytest.mark.parametrize("trial", trials(), scope="module")
 def test_effect_is_only_finding(trial: Trial) -> None:
     diagnosis = diagnosed(trial.spec)
     assert len(diagnosis.findings) == 1, said(diagnosis)
 
 
-@pytest.mark.parametrize("trial", trials(position_friction=SAME_PLACE_OF_STROKE), scope="module")
+@pytest.mark.parametrize("trial", trials(), scope="module")
 def test_effect_parameters_match_truth(trial: Trial) -> None:
     reported = {p.name: p for p in finding_of(trial).parameters}
     wrong = {

@@ -83,3 +83,5 @@ def test_null_probability_is_sellke_bound():
         assert null_probability(chance) == pytest.approx(error, abs=2e-3)
     assert null_probability(0.0) == 0.0
     assert null_probability(1.0) == 0.5
+    # Three times the prior odds against it.
+    assert null_probability(1.0, 3.0) == 0.75

@@ -7,9 +7,9 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from stiffopt import diagnose_change
 from stiffopt.cli import run
 from stiffopt.discovery.catalogue.friction_drift import friction_drift
-from stiffopt.discovery.diagnose import diagnose_change
 from stiffopt.discovery.extended.model import load_extended
 from stiffopt.discovery.store import answer_document, write_diagnosis
 from stiffopt.discovery.user_effects import sample_signals
@@ -37,10 +37,18 @@ SCARA_CONSTANTS = sample_signals().constants.joints[0]
 
 
 def _write_state(
-    machine: Machine, folder: Path, seed: int, coulomb: tuple[float, ...] = (), payload: float = 0.0
+    machine: Machine,
+    folder: Path,
+    seed: int,
+    coulomb: tuple[float, ...] = (),
+    payload: float = 0.0,
+    drift: float = 0.0,
 ) -> Path:
-    """Write a set with the machine's nominal model; `coulomb` and `payload` [kg] are the truth."""
-    real = replace(machine, coulomb=coulomb or machine.coulomb)
+    """Write a set with the machine's nominal model; `coulomb` and `payload` [kg] are the truth.
+
+    Dry friction differs between runs by the relative standard deviation `drift`.
+    """
+    own = np.array(coulomb or machine.coulomb)
     model = pin.buildModelFromXML(machine.urdf)
     # Both states have masses that the nominal model does not: 1 % more in the second body.
     model.inertias[2].mass *= 1.01
@@ -51,7 +59,9 @@ def _write_state(
     rng = np.random.default_rng(seed)
 
     def record(logs: list) -> None:
-        logs[:] = [real._log(model, rng) for _ in logs]
+        for number in range(len(logs)):
+            level = own * (1.0 + drift * rng.normal(size=len(own))) if drift else own
+            logs[number] = replace(machine, coulomb=tuple(level))._log(model, rng)
 
     return machine.write(folder, record)
 
@@ -93,6 +103,19 @@ def test_unchanged_robot_has_no_change(machine, tmp_path):
     assert not found.changes
     assert change_verdict(found) == "unchanged"
     assert any(limit.effect.only_in for limit in found.detection_limits)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("machine", "seed", "drift"),
+    [(SCARA, 100, 0.02), (UPRIGHT, 100, 0.02), (UPRIGHT, 103, 0.08), (SCARA, 107, 0.05)],
+)
+def test_drift_between_runs_is_no_change(machine, seed, drift, tmp_path):
+    before = _write_state(machine, tmp_path / "before", seed, drift=drift)
+    after = _write_state(machine, tmp_path / "after", seed + 100, drift=drift)
+    found = diagnose_change(before, after, experiment=False)
+    assert not found.changes
+    assert change_headline(found).startswith("No change of the robot shows")
 
 
 def test_files_of_a_comparison(tmp_path):

@@ -42,9 +42,16 @@ def test_present_effect_is_named_by_all_members_and_absent_by_none(comparison: C
     np.testing.assert_array_equal(again, [1.0, 0.0])
 
 
-def test_effect_with_a_likelier_rival_is_not_named_again(comparison: Comparison) -> None:
-    beaten = Selected(ABSENT, 1.0, 1.0, 1.0, ((PRESENT, 0.9),), 1)
-    assert recurrence(comparison, [beaten], None, free_bodies=False) == [0.0]
+@pytest.mark.parametrize(("width", "share"), [(1.0, 0.0), (5.0, 1.0)])
+def test_only_a_rival_that_is_far_ahead_is_named_instead(
+    comparison: Comparison, width: float, share: float
+) -> None:
+    """A bump as wide as the stroke is dry friction in all but name."""
+    bump = LocatedEffect(effect=effect("position_friction"), joint=1, shapes=(0.5, width))
+    beaten = Selected(bump, 1.0, 1.0, 1.0, ((PRESENT, 0.9),), 1)
+    assert recurrence(comparison, [beaten], None, free_bodies=False) == [share]
+    ahead = Selected(PRESENT, 1.0, 1.0, 1.0, ((bump, 0.1),), 1)
+    assert recurrence(comparison, [ahead], None, free_bodies=False) == [1.0]
 
 
 def test_model_with_the_present_effect_wins(comparison: Comparison) -> None:

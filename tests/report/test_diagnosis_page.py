@@ -312,11 +312,18 @@ def test_mismatch_shares_are_per_kind_of_channel(friction, tmp_path, capsys):
 
 
 def test_headline_of_values_without_nominal_value(friction):
-    recordings = friction.recordings
-    stated = recordings.stated.model_copy(update={"coulomb": None})
-    silent = replace(friction, recordings=recordings.with_nominal(stated, recordings.path))
-    assert headline(silent).endswith("without nominal value: dry friction of joint 2")
+    (finding,) = friction.findings
+    calibrated = replace(finding.located, calibrated=True)
+    own = replace(finding, estimated=replace(finding.estimated, located=calibrated))
+    silent = replace(friction, findings=(own,))
+    values = "dentified values without nominal value: dry friction of joint 2"
+    assert headline(silent) == f"I{values}"
     assert answer.action(silent).startswith("Enter dry friction 0.")
+    left = Unexplained(("torque_1",), ("q_1",), None, 0.5, 6.8)
+    assert headline(replace(silent, unexplained=left)) == (
+        f"6.8 times the noise remains unexplained in the torque of joint 1; i{values}"
+    )
+    assert "Enter" not in answer.action(replace(silent, unexplained=left))
 
 
 def test_large_held_out_residual_is_reported(friction):

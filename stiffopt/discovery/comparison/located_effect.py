@@ -120,6 +120,11 @@ class LocatedEffect:
         assert other.joint is not None
         return abs(self.joint - other.joint) <= 1
 
+    def is_form_of(self, other: LocatedEffect) -> bool:
+        """Return True for effects of one family at one place: forms of one law, it may be."""
+        places = ((each.joint, each.link, each.run) for each in (self, other))
+        return self.effect.family == other.effect.family and len(set(places)) == 1
+
     def same_place(self, other: LocatedEffect) -> bool:
         """Return True for the same effect at the same place with any shapes."""
         return self.key[:-1] == other.key[:-1]

@@ -24,8 +24,8 @@ from stiffopt.discovery.comparison.inertial_parameters import body_units
 from stiffopt.discovery.comparison.prepared_run import PreparedRun
 from stiffopt.discovery.search.cross_validation import number_folds
 from stiffopt.discovery.search.rigid_model import PRIOR_WIDTHS
-from stiffopt.discovery.search.rivals import Selected
-from stiffopt.discovery.thresholds import MIN_ACTIVE_SHARE, NAMED_EVIDENCE
+from stiffopt.discovery.search.rivals import Selected, tempering_width
+from stiffopt.discovery.thresholds import MIN_ACTIVE_SHARE, NAMED_EVIDENCE, RIVAL_LOG_ODDS
 
 # Shares of each run's start that members leave out: filters, contacts and warm-up act there.
 START_CUTS = (0.03, 0.05, 0.10)
@@ -61,7 +61,8 @@ def recurrence(
     -----
     A member names a finding again if the evidence for it, beside the other findings, reaches half
     of the one required of all data in proportion to its rows, its main amplitude keeps its sign,
-    and no rival in its place has more evidence. Members in which an effect does not act are not
+    and no rival in its place is so far ahead that the finding would be none of its rivals: smaller
+    leads are in the odds among rivals already. Members in which an effect does not act are not
     counted for it. A drift between runs is named only if it is named again without each single run:
     one odd run is no drift.
     """
@@ -160,7 +161,8 @@ class _Member:
             drifts = each.located.effect.of_runs is not None
             same_sign = drifts or mean[main] * self._signs[rows[main] - first] > 0.0
             asked = MIN_EVIDENCE_KEPT * share * min(NAMED_EVIDENCE, each.loss)
-            again[k] = gained >= asked and same_sign and gained >= self._best_rival(k, kept)
+            ahead = (self._best_rival(k, kept) - gained) / tempering_width(gained)
+            again[k] = gained >= asked and same_sign and ahead <= RIVAL_LOG_ODDS
         return again, acts
 
     def _best_rival(self, k: int, kept: np.ndarray) -> float:

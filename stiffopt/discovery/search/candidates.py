@@ -228,16 +228,46 @@ class Scorer:
         added = self.comparison.effect_columns(located)
         residual = self.comparison.target - self._base_columns @ base_mean - added @ mean
         acted_on = np.sum(added**2, axis=1)
-        rows = self.comparison.rows
+        channels = self.comparison.rows.channel
         size = 2 * self.comparison.robot.n
-        before = np.bincount(rows.channel, self._base_residual**2, minlength=size)
-        after = np.bincount(rows.channel, residual**2, minlength=size)
-        acted = np.bincount(rows.channel, acted_on, minlength=size)
+        before = np.bincount(channels, self._base_residual**2, minlength=size)
+        after = np.bincount(channels, residual**2, minlength=size)
+        acted = np.bincount(channels, acted_on, minlength=size)
         # Less is vibration excited through other links.
         own = acted > MIN_ACTIVE_SHARE * acted.max()
         fall = np.where(own, before - after, -np.inf)
         channel = int(np.argmax(fall))
-        return channel, float(fall[channel] / before[channel]) if before[channel] > 0.0 else 0.0
+        rows = channels == channel
+        whole = before[channel] + self._resembled_square(located, added[rows], rows)
+        return channel, float(fall[channel] / whole) if whole > 0.0 else 0.0
+
+    def _resembled_square(
+        self, located: LocatedEffect, added: np.ndarray, rows: np.ndarray
+    ) -> float:
+        """Return the square of the base effects in some rows that a candidate resembles.
+
+        What it adds to an effect of its family at its place, or to one that its columns (m, k) can
+        take over, is that effect's form before it is physics of its own.
+        """
+        square = 0.0
+        for other, contribution in self._base_contributions:
+            part = contribution[rows]
+            if not located.is_form_of(other):
+                part = added @ np.linalg.lstsq(added, part)[0]
+            square += float(np.sum(part**2))
+        return square
+
+    @cached_property
+    def _base_contributions(self) -> list[tuple[LocatedEffect, np.ndarray]]:
+        """Base effects with their contributions (m,), except values that every joint has."""
+        begin, found = len(self.comparison.nuisance[1]), []
+        for located in self.base:
+            columns = self.comparison.effect_columns(located)
+            values = self.start.mean[begin : begin + columns.shape[1]]
+            begin += columns.shape[1]
+            if not located.calibrated:
+                found.append((located, np.asarray(columns @ values)))
+        return found
 
     def refine(self, candidate: Candidate, price: float = 0.0) -> Candidate:
         """Fit the shapes of a candidate within their bounds, from their current values."""

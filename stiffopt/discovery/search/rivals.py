@@ -104,7 +104,7 @@ def rank_rivals(
     if comparison.after_model:
         # Tempered evidence is flat there: a rival without any evidence could win by its prior.
         found = [c for c in found if c.evidence >= EQUIVALENT_EVIDENCE_SHARE * own.evidence]
-    width = float(np.clip(TEMPERING_SHARE * own.evidence, 1.0, MAX_TEMPERING))
+    width = tempering_width(own.evidence)
     # Evidence that the open residual of the model gives by chance is the unit of differences.
     width = max(width, SUSPECT_EVIDENCE_UNITS * comparison.max_inherited_evidence)
     constants = comparison.constants
@@ -118,6 +118,11 @@ def rank_rivals(
     rivals = tuple((c.located, p) for (_, _, c), p in zip(near, theirs, strict=True))
     selected = Selected(located, own.evidence, own.deviations, itself, rivals, own.channel)
     return RankedEffect(selected, near[0][2].located if near and near[0][0] > 0.0 else located)
+
+
+def tempering_width(evidence: float) -> float:
+    """Return the unit of differences to rivals of an effect with some log evidence."""
+    return float(np.clip(TEMPERING_SHARE * evidence, 1.0, MAX_TEMPERING))
 
 
 def _evidence_lead(candidate: Candidate, own: Candidate) -> float:

@@ -295,15 +295,13 @@ def _jackknife_p_value(values: np.ndarray, covariance: np.ndarray, parts: int) -
     return chance
 
 
-def null_probability(chance: float) -> float:
-    """Return the least posterior probability of the null hypothesis at even prior odds: 0 to .5.
+def null_probability(chance: float, odds: float = 1.0) -> float:
+    """Return the least posterior probability of the null hypothesis at some prior odds for it.
 
     Sellke, Bayarri & Berger (2001): no likelihood ratio to the null exceeds 1/(-e p ln p).
     """
-    if chance >= 1.0 / math.e:
-        return 0.5
-    bound = -math.e * special.xlogy(chance, chance)
-    return float(bound / (1.0 + bound))
+    bound = 1.0 if chance >= 1.0 / math.e else -math.e * float(special.xlogy(chance, chance))
+    return odds * bound / (1.0 + odds * bound)
 
 
 def jackknife_significance(

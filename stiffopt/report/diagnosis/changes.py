@@ -19,8 +19,8 @@ from stiffopt.units import joint_unit
 if TYPE_CHECKING:
     from stiffopt.discovery.diagnosis import Diagnosis, Finding
 
-# Least probability of a change that is stated as found, and as a probable one.
-_MIN_FOUND_PROBABILITY, _MIN_PROBABLE = 0.8, 0.5
+# Least probability of a change that is stated as found.
+_MIN_FOUND_PROBABILITY = 0.8
 CHANGE_COLUMNS = (
     "changed",
     "place",
@@ -39,7 +39,7 @@ def change_headline(diagnosis: Diagnosis) -> str:
             f"; {significant(left.ratio, 2)} times the noise in"
             f" {channels_in_words(left.channels[:1])} has no cause in the catalogue"
         )
-    found = [each for each in diagnosis.changes if each.probability >= _MIN_PROBABLE]
+    found = [each for each in diagnosis.changes if each.certainty in ("found", "likely")]
     if found:
         by_place: dict[str, list[str]] = {}
         for each in found:

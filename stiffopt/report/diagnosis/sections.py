@@ -32,6 +32,7 @@ from stiffopt.report.diagnosis.words import (
     saturation_sentences,
     unassessed_joint_sentences,
     unstated_groups,
+    value_name,
 )
 
 if TYPE_CHECKING:
@@ -143,7 +144,7 @@ def _unstated_row(diagnosis: Diagnosis, own: Sequence[Finding]) -> tuple[str, ..
     shares = [each.variance_explained for each in own]
     where = joints_in_words([each.joint for each in own if each.joint is not None])
     return (
-        capital(f"{own[0].effect.nominal_words} of {where} (no nominal value)"),
+        capital(f"{value_name(own[0].effect)} of {where} (no nominal value)"),
         format_probability_range([each.probability for each in own]),
         "\n".join(
             f"joint {each.joint}: {pm(each.parameters[0].value, each.parameters[0].sd, unit)}"

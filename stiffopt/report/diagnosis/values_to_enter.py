@@ -32,9 +32,7 @@ _KIND_UNITS = {"com": "m", "encoder_zero": "rad"}
 
 def value_sentences(diagnosis: Diagnosis) -> list[str]:
     """Return a sentence on every value to enter, and on nominal values pinned at tolerances."""
-    stated = [
-        f for f in diagnosis.findings if f.effect.nominal not in diagnosis.recordings.unstated
-    ]
+    stated = [f for f in diagnosis.findings if not f.located.calibrated]
     found = [_nominal_sentence(diagnosis, f) for f in stated if f.effect.nominal and f.joint]
     found += [_signals_sentence(diagnosis, f) for f in stated if f.effect.signals_key]
     outside = values_outside_tolerance(diagnosis.search.comparison, diagnosis.search.effects)

@@ -13,15 +13,15 @@ from stiffopt.discovery.answer import (
     Statement,
     action,
     channel_number,
-    is_unstated,
     statement_headline,
     statements,
 )
 from stiffopt.discovery.thresholds import OPEN_RATIO
-from stiffopt.report.common.text import listed, significant, words
+from stiffopt.report.common.text import capital, listed, significant, words
 
 if TYPE_CHECKING:
     from stiffopt.discovery.diagnosis import Diagnosis, Finding
+    from stiffopt.discovery.effect import Effect
     from stiffopt.discovery.judging.tool_force import ToolForce
     from stiffopt.discovery.judging.unexplained import Unexplained
 
@@ -42,8 +42,8 @@ _BURST_CAUSES = {"torque": "saturates", "dtorque": "limits the rate of its torqu
 
 
 def new_and_unstated(diagnosis: Diagnosis) -> tuple[list[Finding], list[Finding]]:
-    """Return new effects, and findings that only supply values without nominal value."""
-    unstated = [f for f in diagnosis.findings if is_unstated(diagnosis, f)]
+    """Return new effects, and values that every arm has and the nominal model does not state."""
+    unstated = [f for f in diagnosis.findings if f.located.calibrated]
     return [f for f in diagnosis.findings if f not in unstated], unstated
 
 
@@ -84,9 +84,14 @@ def headline(diagnosis: Diagnosis) -> str:
         return f"An effect outside the catalogue acts on {where}"
     new, unstated = new_and_unstated(diagnosis)
     if not new:
-        text = f"Identified values without nominal value: {_unstated_phrase(unstated)}"
-        return text + _unexplained_clause(diagnosis)
-    return statement_headline(diagnosis, new) + _unexplained_clause(diagnosis)
+        text = f"identified values without nominal value: {_unstated_phrase(unstated)}"
+        left = diagnosis.unexplained
+        # Every arm has these values: a residual that they leave is the news.
+        return capital(text if left is None else f"{_describe_open_residual(left)}; {text}")
+    text = statement_headline(diagnosis, new)
+    if diagnosis.unexplained is not None and is_partly_unexplained(diagnosis):
+        text += f"; {_describe_open_residual(diagnosis.unexplained)}"
+    return text
 
 
 def is_partly_unexplained(diagnosis: Diagnosis) -> bool:
@@ -97,13 +102,10 @@ def is_partly_unexplained(diagnosis: Diagnosis) -> bool:
     return diagnosis.verdict == "outside_catalogue" or left.ratio >= OPEN_RATIO
 
 
-def _unexplained_clause(diagnosis: Diagnosis) -> str:
-    """Return a clause on the unexplained residual where it is large, else ""."""
-    left = diagnosis.unexplained
-    if left is None or not is_partly_unexplained(diagnosis):
-        return ""
+def _describe_open_residual(left: Unexplained) -> str:
+    """Return a clause on the unexplained residual."""
     where = channels_in_words(left.channels[:1])
-    return f"; {significant(left.ratio, 2)} times the noise remains unexplained in {where}"
+    return f"{significant(left.ratio, 2)} times the noise remains unexplained in {where}"
 
 
 def unassessed_joint_sentences(diagnosis: Diagnosis) -> list[str]:
@@ -324,13 +326,18 @@ def unstated_groups(unstated: Sequence[Finding]) -> list[list[Finding]]:
     """Return findings that supply missing nominal values, grouped by kind, sorted by joint."""
     groups: dict[str, list[Finding]] = {}
     for finding in unstated:
-        groups.setdefault(finding.effect.nominal, []).append(finding)
+        groups.setdefault(finding.effect.name, []).append(finding)
     return [sorted(own, key=lambda f: f.joint or 0) for own in groups.values()]
+
+
+def value_name(effect: Effect) -> str:
+    """Return the name in prose of the value that an effect supplies."""
+    return effect.nominal_words or effect.title
 
 
 def _unstated_phrase(unstated: Sequence[Finding]) -> str:
     return listed(
-        f"{own[0].effect.nominal_words} of {joints_in_words([f.joint for f in own if f.joint])}"
+        f"{value_name(own[0].effect)} of {joints_in_words([f.joint for f in own if f.joint])}"
         for own in unstated_groups(unstated)
     )
 
