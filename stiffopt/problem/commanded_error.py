@@ -15,7 +15,6 @@ That counts the content about a mode rather than at it, as the mode is uncertain
 
 from __future__ import annotations
 
-from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -29,6 +28,9 @@ if TYPE_CHECKING:
     from stiffopt.problem.motor_model import MotorModel
     from stiffopt.symbolic import Quantity
 
+# Least ringing of a joint by the third rate of its acceleration, over that of the worst joint. Wrist
+# joints hardly ring, and would use up their limits of jerk for nothing.
+_MIN_RINGING_SHARE = 0.1
 # Rate about which the servo's response is expanded [1/s]: slow beside any bandwidth.
 _SLOW_RATE = 1e-2
 
@@ -73,9 +75,7 @@ class CommandedError:
     def ringing_rate(self) -> Quantity:
         """Rate whose integral is the summed squared ringing of all parameters [m^2/s]."""
         third = self._model.torque_rates[2]
-        return sum(
-            (self._bounds[j] * gain * third[j]) ** 2 for j, gain in enumerate(self._ringing_gains)
-        )
+        return sum((gain * third[j]) ** 2 for j, gain in enumerate(self._ringing_gains))
 
     @property
     def _servo_lag(self) -> list[Quantity]:
@@ -86,23 +86,25 @@ class CommandedError:
         _, v, a = self._model.link
         return [first * v[j] + second * a[j] for j in range(self._model.robot.n)]
 
-    @cached_property
+    @property
     def _ringing_gains(self) -> np.ndarray:
         """Ringing of the tool (n,) over the root of the integral of a torque's squared third rate.
 
-        Mean square of the rest poses.
+        Of each joint's stiffness at its bound, as root mean square of the rest poses.
         """
-        model, squares = self._model, np.zeros(self._model.robot.n)
-        bodies = model.robot.rigid_bodies()
+        model, n = self._model, self._model.robot.n
+        bodies, squares, inertias = model.robot.rigid_bodies(), np.zeros(n), np.zeros(n)
         for pose in model.rest_poses:
             compliance = _compliance(model, pose)
-            free = np.flatnonzero(compliance > 0.0)
-            stiffness = np.diag(1.0 / compliance[free])
-            inertia = bodies.inertia_matrix(pose)[np.ix_(free, free)]
-            rates, shapes = eigh(stiffness, inertia)
+            free, inertia = np.flatnonzero(compliance > 0.0), bodies.inertia_matrix(pose)
+            rates, shapes = eigh(np.diag(1.0 / compliance[free]), inertia[np.ix_(free, free)])
             tool = np.sum((bodies.jacobian(model.robot.tool, pose)[:3, free] @ shapes) ** 2, axis=0)
             squares[free] += np.pi * shapes**2 @ (tool / np.sqrt(rates) ** 9)
-        return np.asarray(np.sqrt(squares / len(model.rest_poses)))
+            inertias += np.diag(inertia)
+        gains = self._bounds * np.sqrt(squares / len(model.rest_poses))
+        inertias /= len(model.rest_poses)
+        least = _MIN_RINGING_SHARE * np.max(gains * inertias)
+        return np.asarray(np.maximum(gains, least / inertias))
 
 
 def _compliance(model: MotorModel, pose: np.ndarray) -> np.ndarray:

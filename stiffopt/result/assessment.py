@@ -123,7 +123,7 @@ class Assessment(DriveHistory):
     propagated: PropagatedError | None = None
 
     def error_bound(self) -> tuple[float, float]:
-        """Bound of the command's tool error in flight and after arrival [m]; infinite if unknown."""
+        """Bounds of the tool error in flight and after arrival [m]; infinite where unknown."""
         if self.propagated is None:
             return np.inf, np.inf
         return self.propagated.in_flight, self.propagated.after_arrival
