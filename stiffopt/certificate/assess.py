@@ -6,6 +6,7 @@ from quadrature of the exact contact and reducer laws, friction from its unsmoot
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -14,8 +15,10 @@ import numpy as np
 from stiffopt.certificate.rigid_body import link_torques, rigid_body_history, tool_positions
 from stiffopt.certificate.violations import find_drive_violations, find_violations
 from stiffopt.elastic.arm import ElasticArm
+from stiffopt.elastic.error_propagation import propagate_error
 from stiffopt.elastic.motor import MotorMotion
 from stiffopt.elastic.simulate import simulate
+from stiffopt.errors import NotSimulatedError
 from stiffopt.exact.chain import compliance_along, windup_along
 from stiffopt.problem.objective import OBJECTIVES
 from stiffopt.result.assessment import Assessment, DriveHistory, LowestStiffness, Violation
@@ -110,12 +113,22 @@ def assess(
         if values is not None
         for j, value in enumerate(values, start=1)
     }
-    swing = None
+    swing = propagated = None
+    if whole and problem.judges_uncertain_arms:
+        with suppress(NotSimulatedError):
+            propagated = propagate_error(
+                ElasticArm(robot, position[0], problem.process_force),
+                motion if link is None else link,
+                problem.uncertainty,
+                problem.servo,
+            )
     if whole and problem.judges_arrival:
         arm = ElasticArm(robot, position[0], problem.process_force)
         command = MotorMotion(times, position, velocity)
         swing = simulate(arm, command, band=problem.active_limits.settling_band)
-    return find_violations(problem, replace(assessment, integrals=named, simulated=swing))
+    return find_violations(
+        problem, replace(assessment, integrals=named, simulated=swing, propagated=propagated)
+    )
 
 
 def drive_violations(

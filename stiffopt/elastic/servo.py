@@ -133,6 +133,13 @@ class Servo:
         shares += "" if torque == 1.0 else f" and {100.0 * torque:.3g} % torque"
         return f"{self.bandwidth:g} Hz with {shares} feed-forward{late}{sampled}"
 
+    def transfer(self, s: np.ndarray) -> np.ndarray:
+        """Transfer function from set-points, sent the dead time ahead, to the motor at s [1/s]."""
+        gain, forward, delay, torque = self._numbers
+        inner, late = _VELOCITY_LOOP_RATIO * gain, np.exp(-delay * s)
+        led = torque * s**2 + inner * forward * s + inner * gain
+        return np.asarray(late * led / (s**2 + inner * s + inner * gain * late))
+
     def follow(self, command: MotorMotion, until: float, ahead: float = 0.0) -> MotorMotion:
         """Motor motion in response to a command, from rest until the time `until` [s].
 

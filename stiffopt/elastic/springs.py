@@ -101,6 +101,14 @@ class JointSpring:
         """Wind-ups (k,) [rad] at torques (k,) [N m]; the inverse of `torque`."""
         return _evaluate_odd_cubics(self._by_torque, np.array(self._torques), torque)
 
+    def compliance(self, torque: np.ndarray) -> np.ndarray:
+        """Tangent compliances (k,) [rad/(N m)] at torques (k,) [N m]."""
+        size, breaks = np.abs(torque), np.array(self._torques)
+        piece = np.searchsorted(breaks, size, side="right") - 1
+        _, c1, c2, c3 = self._by_torque[piece].T
+        x = size - breaks[piece]
+        return np.asarray(c1 + x * (2.0 * c2 + x * 3.0 * c3))
+
 
 def joint_springs(robot: Robot) -> tuple[JointSpring | None, ...]:
     """Spring of each joint, None where it is rigid.

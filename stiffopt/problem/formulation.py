@@ -84,7 +84,8 @@ def formulate(
     p = ca.SX.sym("smoothing", len(fields(Smoothing)))
     sides = torque_sides(problem, motion)
     smoothing = Smoothing(*ca.vertsplit(p))
-    model = stage_model(problem, coordinates, x, u, smoothing, sides)
+    ends = (motion.start, motion.end)
+    model = stage_model(problem, coordinates, x, u, smoothing, sides, ends)
     goal = _WeightedSum(problem, model, scales)
     blocks = [*_limit_rows(problem, model, coordinates, margins), *goal.path_rows]
     path = _stack_entries([row for block in blocks for row in block.expressions])
@@ -137,10 +138,12 @@ def exact_path_rows(
     coordinates = coordinates_of(problem)
     x, u = ca.SX.sym("x", coordinates.order * coordinates.size), ca.SX.sym("u", coordinates.size)
     p, sides = ca.SX.sym("smoothing", len(fields(Smoothing))), torque_sides(problem, motion)
-    smoothing = Smoothing(*ca.vertsplit(p))
+    smoothing, ends = Smoothing(*ca.vertsplit(p)), (motion.start, motion.end)
     if problem.plans_links:
         derivatives = [*ca.vertsplit(x, coordinates.size), u]
-        model: StageModel = _make_motor_model(MotorModel, problem, derivatives, smoothing, sides)
+        model: StageModel = _make_motor_model(
+            MotorModel, problem, derivatives, smoothing, sides, ends
+        )
     else:
         model = stage_model(problem, coordinates, x, u, smoothing, sides)
     goal = _WeightedSum(problem, model, scales)
@@ -156,11 +159,14 @@ def stage_model(
     u: Quantity,
     smoothing: Smoothing,
     sides: np.ndarray,
+    rest_poses: Sequence[np.ndarray] = (),
 ) -> StageModel:
     """Stage model of a problem at a state and control of its coordinates."""
     if problem.plans_links:
         derivatives = [*ca.vertsplit(x, coordinates.size), u]
-        return _make_motor_model(ApproximateMotorModel, problem, derivatives, smoothing, sides)
+        return _make_motor_model(
+            ApproximateMotorModel, problem, derivatives, smoothing, sides, rest_poses
+        )
     return StageModel(
         problem.robot,
         *coordinates.joint_motion(x, u),
@@ -176,6 +182,7 @@ def _make_motor_model(
     derivatives: list[Quantity],
     smoothing: Smoothing,
     sides: np.ndarray,
+    rest_poses: Sequence[np.ndarray] = (),
 ) -> MotorModel:
     return kind(
         problem.robot,
@@ -185,6 +192,7 @@ def _make_motor_model(
         problem.process_force,
         LAW_SMOOTHING_FACTOR * smoothing.lead,
         smoothing.robust if problem.chosen_for_robustness else 0.0,
+        rest_poses,
     )
 
 

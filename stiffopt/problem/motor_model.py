@@ -26,12 +26,16 @@ import casadi as ca
 import numpy as np
 
 from stiffopt.dynamics.deflection import Deflection
+from stiffopt.dynamics.kinematics import point_jacobian
+from stiffopt.problem.commanded_error import CommandedError
 from stiffopt.problem.stage_model import StageModel
 from stiffopt.result.trajectory import Trajectory
 from stiffopt.symbolic import Quantity
 from stiffopt.transcription.point_function import PointFunction
 
 if TYPE_CHECKING:
+    from stiffopt.elastic.servo import Servo
+    from stiffopt.elastic.uncertainty import Uncertainty
     from stiffopt.robot.robot import Robot
 
 # Smoothing widths of the feedforward-lead law over those of the deflection.
@@ -69,6 +73,8 @@ class MotorModel(StageModel):
         Factor on the smoothing widths of the feedforward-lead law.
     robust : SX or float
         From 0 to 1, share of the back-off for a robust command (`ROBUST_LEAD_SHARE`).
+    rest_poses : sequence of array (n,)
+        Start and end, where the error of the command is asked for.
     """
 
     def __init__(
@@ -80,12 +86,14 @@ class MotorModel(StageModel):
         process_force: object = (0.0, 0.0, 0.0),
         wider: Quantity = LAW_SMOOTHING_FACTOR,
         robust: Quantity = 0.0,
+        rest_poses: Sequence[np.ndarray] = (),
     ) -> None:
         self.robot, self.smoothing, self.sides, self.wider = robot, smoothing, sides, wider
         # Additional lead, as a share of the wind-up, that the drives' limits must allow.
         self._lead_margin = ROBUST_LEAD_SHARE * robust
         self.process_force = np.asarray(process_force, dtype=float)
         self._derivatives = derivatives
+        self.rest_poses = rest_poses
 
     @property
     def link(self) -> tuple[Quantity, Quantity, Quantity]:
@@ -140,6 +148,28 @@ class MotorModel(StageModel):
         return self._time_derivative(self.acceleration, 5)
 
     @cached_property
+    def dynamic_windup(self) -> Quantity:
+        """Wind-up beyond the sag (n,) [rad]."""
+        return self.windup(self.torques.spring) - self.windup(self.torques.held)
+
+    @cached_property
+    def payload_torque(self) -> Quantity:
+        """Torque by the acceleration of the payload, as a point mass (n,) [N m]."""
+        robot, (q, v, a) = self.robot, self.link
+        assert robot.payload is not None
+        mass, moment = float(robot.payload[0]), robot.payload[1:4]
+        flange = robot.flange
+        place = flange.offset + flange.rotation @ (moment / mass)
+        jacobian = point_jacobian(robot.tree, flange.joint, place, q)
+        velocity = ca.mtimes(jacobian, v)
+        acceleration = ca.mtimes(jacobian, a) + ca.jtimes(velocity, q, v)
+        return mass * ca.mtimes(jacobian.T, acceleration)
+
+    def commanded_error(self, uncertainty: Uncertainty, servo: Servo) -> CommandedError:
+        """Errors that the command leaves on an uncertain arm."""
+        return CommandedError(self, uncertainty, servo)
+
+    @cached_property
     def deflection(self) -> Deflection:
         """Tool deflection, the dynamic part relative to the sag under weight and process force."""
         held, spring = self.windup(self.torques.held), self.windup(self.torques.spring)
@@ -154,6 +184,15 @@ class MotorModel(StageModel):
         return Deflection(
             static=at_tool(gravity), dynamic=at_tool(spring - held), process=at_tool(held - gravity)
         )
+
+    @cached_property
+    def torque_rates(self) -> list[Quantity]:
+        """Approximate first three rates of the spring torques, (n,) each."""
+        q, v, a, *along = self._derivatives
+        torque = self.torques.spring
+        first = ca.jtimes(torque, ca.vertcat(q, v, a), ca.vertcat(v, a, along[0]))
+        inertia = ca.jacobian(self.torques.motion, a)
+        return [first, *(ca.mtimes(inertia, each) for each in along[1:])]
 
     def windup_of_motors(self, torque: Quantity) -> Quantity:
         """Wind-up (n,) [rad] of the feedforward-lead law at spring torques (n,)."""
@@ -201,23 +240,14 @@ class ApproximateMotorModel(MotorModel):
     def computed_torques(self) -> Quantity:
         """Torques of gravity and motion and the rates of the spring torques, as far as built."""
         parts = [super().computed_torques]
-        if "_torque_rates" in self.__dict__:
-            parts += self._torque_rates
+        if "torque_rates" in self.__dict__:
+            parts += self.torque_rates
         return ca.vertcat(*parts)
-
-    @cached_property
-    def _torque_rates(self) -> list[Quantity]:
-        """Approximate first three rates of the spring torques, (n,) each."""
-        q, v, a, *along = self._derivatives
-        torque = self.torques.spring
-        first = ca.jtimes(torque, ca.vertcat(q, v, a), ca.vertcat(v, a, along[0]))
-        inertia = ca.jacobian(self.torques.motion, a)
-        return [first, *(ca.mtimes(inertia, each) for each in along[1:])]
 
     @cached_property
     def _lead_rates(self) -> list[Quantity]:
         """First three rates of the lead, (n,) each."""
-        first, second, third = self._torque_rates
+        first, second, third = self.torque_rates
         torque = ca.SX.sym("torque", self.robot.n)
         law, one = [self.windup_of_motors(torque)], np.ones(self.robot.n)
         for _ in range(3):

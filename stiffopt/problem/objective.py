@@ -84,6 +84,8 @@ class ObjectiveKind(ABC):
         True if it depends on residual vibration, which the certificate then simulates.
     comparable : bool
         True if the optimiser's value has to agree with the certified one.
+    of_uncertain_arms : bool
+        True if it depends on the error of uncertain arms, which the certificate then propagates.
     of_drives : bool
         True if it depends on the drive torque, and so on dry friction.
     shaped : bool
@@ -112,6 +114,7 @@ class ObjectiveKind(ABC):
     plans_links = False
     of_arrival = False
     comparable = True
+    of_uncertain_arms = False
     of_drives = False
     shaped = False
     chosen_for_robustness = False

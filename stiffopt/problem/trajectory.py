@@ -302,6 +302,11 @@ class TrajectoryProblem:
         return asked or bool(self._arrival_limits)
 
     @property
+    def judges_uncertain_arms(self) -> bool:
+        """True where an objective refers to the tool error of uncertain arms."""
+        return any(objective.kind.of_uncertain_arms for objective in self.objectives)
+
+    @property
     def _arrival_limits(self) -> list[LimitKind]:
         return [kind for kind in self.active_limits.kinds if kind.of_arrival]
 

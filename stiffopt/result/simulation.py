@@ -210,29 +210,6 @@ class Simulation:
         """Optimised motion."""
         return self.motions[0]
 
-    def objective_value(self, motion: ElasticMotion) -> float:
-        """Simulated minimised deflection in flight, motors following exactly [m]."""
-        found = motion.compared.simulated
-        return found.rms if self.measure == "rms" else found.peak
-
-    def value(self, motion: ElasticMotion) -> float:
-        """Tool error in flight by the minimised measure [m]."""
-        return motion.simulated.rms if self.measure == "rms" else motion.simulated.peak
-
-    @property
-    def better_baseline(self) -> ElasticMotion | None:
-        """Counted baseline with the least deviation in flight; None without one."""
-        counted = [motion for motion in self.motions[1:] if motion.counted]
-        return min(counted, key=self.value, default=None)
-
-    @property
-    def ratio_to_better_baseline(self) -> float | None:
-        """Tool error over that of the better baseline, if a deflection is minimised."""
-        better = self.better_baseline
-        if better is None or not self.measure or not self.optimised.counted:
-            return None
-        return self.value(self.optimised) / self.value(better) if self.value(better) > 0 else None
-
     @property
     def differs(self) -> bool:
         """True if simulated and planned deflection of the optimised motion differ notably."""
@@ -246,7 +223,6 @@ def simulation_document(simulation: Simulation | None) -> dict[str, Any] | None:
         return None
     return {
         "motions": {motion.name: _elastic_document(motion) for motion in simulation.motions},
-        "ratio_to_better_baseline": simulation.ratio_to_better_baseline,
         "assumed_damping": simulation.assumed_damping,
         "typical_hysteresis": simulation.typical_hysteresis,
     }

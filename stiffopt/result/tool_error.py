@@ -15,6 +15,10 @@ import numpy as np
 ERROR_PARTS = ("along", "across", "orientation")
 # Share of the largest tool speed below which the path keeps the direction of its last movement.
 _MIN_DIRECTION_SPEED = 1e-4
+# Bound over the root mean square error: 95 % of a normal distribution.
+BOUND_FACTOR = 2.0
+# Mean square of a parameter that is uniform within its bound, over the bound's.
+UNIFORM_MEAN_SQUARE = 1.0 / 3.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -84,6 +88,44 @@ class ToolError:
             "orientation": self.angle,
         }
         return {name: part[..., phase].max(axis=-1) for name, part in parts.items()}
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PropagatedError:
+    """Tool error by each uncertain parameter at its bound.
+
+    Parameters
+    ----------
+    time : array (K,)
+        From the start of the plan [s].
+    duration : float
+        Arrival of the plan [s].
+    shares : dict of array (2, K, 3)
+        By parameter, base axes, on a softer and a stiffer arm: the error leads both [m].
+    """
+
+    time: np.ndarray
+    duration: float
+    shares: dict[str, np.ndarray]
+
+    @property
+    def bound(self) -> np.ndarray:
+        """Bound of the error at every instant (K,) [m]."""
+        squares = sum(
+            (np.mean(np.sum(own**2, axis=2), axis=0) for own in self.shares.values()),
+            np.zeros(len(self.time)),
+        )
+        return np.asarray(BOUND_FACTOR * np.sqrt(UNIFORM_MEAN_SQUARE * squares))
+
+    @property
+    def in_flight(self) -> float:
+        """Largest bound until arrival [m]."""
+        return float(self.bound[self.time <= self.duration].max())
+
+    @property
+    def after_arrival(self) -> float:
+        """Largest bound from arrival on [m]."""
+        return float(self.bound[self.time >= self.duration].max())
 
 
 def path_directions(places: np.ndarray) -> np.ndarray:

@@ -56,17 +56,27 @@ def objective_amount(name: str, value: float | None, unit: str, digits: int = 4)
 
 
 def headline_text(solution: Solution) -> str:
-    """Return the result in words, simulated where a deflection is minimised, else as certified."""
+    """Return the tool error of the arm as commanded, and the objective; else that alone.
+
+    The error of the worst uncertain arm with the command; without one, that of the simulated arm
+    whose motors follow the plan.
+    """
     assert solution.objective is not None
-    simulation = solution.simulation
-    if simulation is None or not simulation.measure:
-        return objective_text(solution.objective)
-    simulated = simulation.optimised.simulated
-    phrase = objective_phrase(solution.objective.name, simulation.measure)
-    text = f"{phrase} {si(simulation.objective_value(simulation.optimised), 'm', 3)} in flight"
-    if simulated.peak_after is not None:
-        text += f", {si(simulated.peak_after, 'm', 3)} after arrival"
-    return f"{text}, simulated (planned {si(solution.objective.value, 'm', 3)})"
+    objective = objective_text(solution.objective)
+    led, simulation = solution.compensation, solution.simulation
+    if led is not None and not led.optimised.excess:
+        own = led.optimised.compensated
+        errors = [own.flight.worst, own.after.worst]
+        text = "tool error on the worst uncertain arm"
+    elif simulation is not None and simulation.measure:
+        found = simulation.optimised.simulated
+        errors = [found.peak, *([] if found.peak_after is None else [found.peak_after])]
+        text = "tool error without a command"
+    else:
+        return objective
+    phases = zip(errors, ("in flight", "after arrival"), strict=False)
+    said = ", ".join(f"{si(error, 'm', 3)} {phase}" for error, phase in phases)
+    return f"{text} {said} ({objective})"
 
 
 def difference_text(problem: TrajectoryProblem, solution: Solution) -> str:

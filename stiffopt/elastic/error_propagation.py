@@ -1,0 +1,159 @@
+"""Tool error of the commanded arm by linear propagation of its uncertain parameters.
+
+A command for the nominal arm leads its links exactly along the plan. On an arm whose parameters
+differ slightly, the links miss the plan by the sum of the responses z to one torque f a parameter,
+
+    M z'' + C z' + K z = f(t):
+
+of a joint's stiffness its dynamic spring torque, of the damping its rate of wind-up, of the payload
+its inertial torque, of the servo the inertial torque of the motors' error, on which the links ride.
+Static torques are left out: a calibrated arm rests where it should.
+
+Parameters are independent and uniform within their bounds, the servo between the nominal and the
+worst one. Their mean square is then a third of the bound's, and the bound is a multiple of the root
+mean square error.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from stiffopt.elastic.modes import modes
+from stiffopt.elastic.response import ElasticResponse
+from stiffopt.elastic.uncertain_arms import LinearizedBodies
+from stiffopt.result.tool_error import UNIFORM_MEAN_SQUARE, PropagatedError
+from stiffopt.robot.batched_kinematics import tool_jacobians
+
+if TYPE_CHECKING:
+    from stiffopt.elastic.arm import ElasticArm
+    from stiffopt.elastic.servo import Servo
+    from stiffopt.elastic.uncertainty import Uncertainty
+    from stiffopt.result.trajectory import JointMotion
+
+# Between samples [s].
+_TIME_STEP = 1e-3
+# Periods of the lowest mode after arrival, at most so long [s]: the first peak is the largest.
+_PERIODS_AFTER_ARRIVAL, _MAX_TIME_AFTER_ARRIVAL = 1.5, 1.0
+# Rate at which the servo's response to a constant speed is evaluated [1/s].
+_SLOW_RATE = 1e-3
+
+
+def propagate_error(
+    arm: ElasticArm, plan: JointMotion, uncertainty: Uncertainty, servo: Servo
+) -> PropagatedError:
+    """Propagate the uncertainty of an arm to the tool error of the command for a plan.
+
+    Parameters
+    ----------
+    arm : ElasticArm
+    plan : JointMotion
+        Motion of the links, at rest at both ends.
+    uncertainty : Uncertainty
+    servo : Servo
+        Nominal one, whose lag the command leads.
+    """
+    along = _MotionSamples(arm, plan)
+    bounds = uncertainty.shares(arm.robot.n)
+    torques = dict(along.disturbances(uncertainty))
+    motors = np.zeros_like(along.q)
+    if (worst := uncertainty.worst_servo(servo)) != servo:
+        motors, torques["servo"] = along.servo_disturbance(servo, worst)
+    free = np.flatnonzero(arm.elastic)
+    among = np.ix_(np.arange(len(along.time)), free, free)
+    jacobian = tool_jacobians(arm.robot.tree, arm.robot.tool, along.q)[1]
+    loads = np.stack([each[:, free] for each in torques.values()], axis=2) if torques else None
+    shares: dict[str, list[np.ndarray]] = {name: [] for name in torques}
+    for side in (-1.0, 1.0):
+        # Two nodes of Gauss quadrature over the stiffness of all joints: what rings depends on it.
+        factor = 1.0 + side * np.sqrt(UNIFORM_MEAN_SQUARE) * bounds[free]
+        springs = along.stiffness[:, free] * factor
+        response = ElasticResponse(
+            along.inertia[among],
+            along.by_v[among] + np.diag(arm.damping[free]),
+            along.by_q[among] + springs[:, :, None] * np.eye(len(free)),
+            along.step,
+        )
+        moved = None if loads is None else response(loads)[0]
+        for k, name in enumerate(torques):
+            assert moved is not None
+            links = motors.copy() if name == "servo" else np.zeros_like(motors)
+            links[:, free] += moved[:, :, k]
+            shares[name].append(np.einsum("kxj,kj->kx", jacobian, links))
+    return PropagatedError(
+        time=along.time,
+        duration=plan.duration,
+        shares={name: np.stack(own) for name, own in shares.items()},
+    )
+
+
+class _MotionSamples:
+    """Matrices and torques of an arm along a plan and in the rest after it, evenly in time."""
+
+    def __init__(self, arm: ElasticArm, plan: JointMotion) -> None:
+        self._arm = arm
+        slowest = min((mode.frequency for mode in modes(arm, plan(np.zeros(1))[0])), default=1.0)
+        count = int(np.ceil(plan.duration / _TIME_STEP))
+        self.step = plan.duration / count
+        window = min(_PERIODS_AFTER_ARRIVAL / slowest, _MAX_TIME_AFTER_ARRIVAL)
+        self._rest = int(np.ceil(window / self.step))
+        self.time = self.step * np.arange(count + self._rest + 1)
+        self.time[count] = plan.duration
+        flight = np.linspace(0.0, plan.duration, count + 1)
+        q, v, a = (np.array(plan(flight, k)) for k in range(3))
+        v[-1] = a[-1] = 0.0
+        bodies, still = LinearizedBodies(arm, q, v, a), np.zeros_like(q)
+        self.q = self._extend(q)
+        self.inertia, self.by_v, self.by_q = (
+            self._extend(each[0]) for each in (bodies.inertia, bodies.by_v, bodies.by_q)
+        )
+        held = LinearizedBodies(arm, q, still, still)
+        # Of the links and the payload, less their weight.
+        self._dynamic = [
+            self._extend(x - y) for x, y in zip(bodies.torque, held.torque, strict=True)
+        ]
+        self._windup = self._extend(arm.windup(bodies.torque[0]))
+        compliance = [
+            np.inf if spring is None else spring.compliance(bodies.torque[0][:, j])
+            for j, spring in enumerate(arm.springs)
+        ]
+        self.stiffness = self._extend(
+            np.stack([1.0 / np.broadcast_to(own, len(q)) for own in compliance], axis=1)
+        )
+
+    def disturbances(self, uncertainty: Uncertainty) -> Iterator[tuple[str, np.ndarray]]:
+        """Torques (K, n) [N m] of the parameters of the arm at their bounds."""
+        arm, bounds = self._arm, uncertainty.shares(self._arm.robot.n)
+        for j in np.flatnonzero(arm.elastic & (bounds > 0.0)):
+            own = np.zeros_like(self.q)
+            own[:, j] = bounds[j] * self._dynamic[0][:, j]
+            yield f"stiffness of joint {j + 1}", own
+        if uncertainty.damping and arm.damping.any():
+            rate = np.gradient(self._windup, self.step, axis=0)
+            yield "damping", -uncertainty.damping * arm.damping * rate
+        if len(self._dynamic) > 1 and uncertainty.payload:
+            yield "payload", -uncertainty.payload * self._dynamic[1]
+
+    def servo_disturbance(self, servo: Servo, worst: Servo) -> tuple[np.ndarray, np.ndarray]:
+        """Motors' error (K, n) [rad] with the worst servo, and the torque (K, n) that it costs.
+
+        By the transfer function in the frequency domain, padded by as long a rest.
+        """
+        velocity = np.gradient(self.q + self._windup, self.step, axis=0)
+        count = 2 * len(velocity)
+        s = 2j * np.pi * np.fft.rfftfreq(count, self.step)
+        s[0] = _SLOW_RATE
+        spectrum = np.fft.rfft(velocity, count, axis=0)
+        spectrum *= ((worst.transfer(s) / servo.transfer(s) - 1.0) / s)[:, None]
+        s[0] = 0.0
+        error, speed, bend = (
+            np.fft.irfft(spectrum * s[:, None] ** k, count, axis=0)[: len(velocity)]
+            for k in range(3)
+        )
+        parts = zip((self.by_q, self.by_v, self.inertia), (error, speed, bend), strict=True)
+        return error, -sum(np.einsum("kij,kj->ki", by, moved) for by, moved in parts)
+
+    def _extend(self, values: np.ndarray) -> np.ndarray:
+        return np.concatenate([values, np.repeat(values[-1:], self._rest, axis=0)])

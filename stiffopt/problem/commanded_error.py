@@ -1,0 +1,118 @@
+"""Tool error of the commanded arm as smooth functions of the links' state, for the optimiser.
+
+Where the command leads the nominal arm exactly, the error left on an arm with other parameters is
+that of the parameters alone (`elastic.error_propagation`). In flight it is quasi-static: a joint
+whose stiffness is off by a share misses by that share of its dynamic wind-up, the payload by the
+wind-up under its own inertia, the servo by its lag, a multiple of speed and acceleration. What
+rings is the content of the torques at the elastic modes. Three integrations by parts turn it into
+that of their third rate, whose spectrum is taken as flat up to the mode:
+
+    |integral f exp(i w t) dt|^2 = |integral f''' exp(i w t) dt|^2 / w^6
+                                 ~ pi/w integral f'''^2 dt / w^6.
+
+That counts the content about a mode rather than at it, as the mode is uncertain too.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.linalg import eigh
+
+from stiffopt.elastic.servo import Servo
+from stiffopt.problem.stage_terms import squared_length
+
+if TYPE_CHECKING:
+    from stiffopt.elastic.uncertainty import Uncertainty
+    from stiffopt.problem.motor_model import MotorModel
+    from stiffopt.symbolic import Quantity
+
+# Least ringing of a joint by the third rate of its acceleration, over that of the worst joint. Wrist
+# joints hardly ring, and would use up their limits of jerk for nothing.
+_MIN_RINGING_SHARE = 0.1
+# Rate about which the servo's response is expanded [1/s]: slow beside any bandwidth.
+_SLOW_RATE = 1e-2
+
+
+class CommandedError:
+    """Errors of one stage model with each parameter at its bound.
+
+    Parameters
+    ----------
+    model : MotorModel
+        With its rest poses.
+    uncertainty : Uncertainty
+    servo : Servo
+        Nominal one, whose lag the command leads.
+    """
+
+    def __init__(self, model: MotorModel, uncertainty: Uncertainty, servo: Servo) -> None:
+        self._model, self._uncertainty, self._servo = model, uncertainty, servo
+        self._bounds = uncertainty.shares(model.robot.n)
+
+    @property
+    def quasi_static(self) -> Quantity:
+        """Sum of the squared quasi-static errors of all parameters [m^2]."""
+        model, joints = self._model, range(self._model.robot.n)
+        columns = [[model.jacobian[i, j] for i in range(3)] for j in joints]
+        total: Quantity = sum(
+            (self._bounds[j] * model.dynamic_windup[j]) ** 2 * squared_length(columns[j])
+            for j in joints
+        )
+        away = [self._servo_lag]
+        if model.robot.payload is not None:
+            compliance = np.mean([_compliance(model, pose) for pose in model.rest_poses], axis=0)
+            load = model.payload_torque
+            away.append([self._uncertainty.payload * compliance[j] * load[j] for j in joints])
+        for angles in away:
+            total += squared_length(
+                [sum(columns[j][i] * angles[j] for j in joints) for i in range(3)]
+            )
+        return total
+
+    @property
+    def ringing_rate(self) -> Quantity:
+        """Rate whose integral is the summed squared ringing of all parameters [m^2/s]."""
+        third = self._model.torque_rates[2]
+        return sum((gain * third[j]) ** 2 for j, gain in enumerate(self._ringing_gains))
+
+    @property
+    def _servo_lag(self) -> list[Quantity]:
+        """Motors' error with the worst servo, to the second rate of the links' motion [rad]."""
+        worst, s = self._uncertainty.worst_servo(self._servo), np.array([1j * _SLOW_RATE])
+        late = complex((worst.transfer(s) / self._servo.transfer(s))[0]) - 1.0
+        first, second = late.imag / _SLOW_RATE, -late.real / _SLOW_RATE**2
+        _, v, a = self._model.link
+        return [first * v[j] + second * a[j] for j in range(self._model.robot.n)]
+
+    @property
+    def _ringing_gains(self) -> np.ndarray:
+        """Ringing of the tool (n,) over the root of the integral of a torque's squared third rate.
+
+        Of each joint's stiffness at its bound, as root mean square of the rest poses.
+        """
+        model, n = self._model, self._model.robot.n
+        bodies, squares, inertias = model.robot.rigid_bodies(), np.zeros(n), np.zeros(n)
+        for pose in model.rest_poses:
+            compliance = _compliance(model, pose)
+            free, inertia = np.flatnonzero(compliance > 0.0), bodies.inertia_matrix(pose)
+            rates, shapes = eigh(np.diag(1.0 / compliance[free]), inertia[np.ix_(free, free)])
+            tool = np.sum((bodies.jacobian(model.robot.tool, pose)[:3, free] @ shapes) ** 2, axis=0)
+            squares[free] += np.pi * shapes**2 @ (tool / np.sqrt(rates) ** 9)
+            inertias += np.diag(inertia)
+        gains = self._bounds * np.sqrt(squares / len(model.rest_poses))
+        inertias /= len(model.rest_poses)
+        least = _MIN_RINGING_SHARE * np.max(gains * inertias)
+        return np.asarray(np.maximum(gains, least / inertias))
+
+
+def _compliance(model: MotorModel, pose: np.ndarray) -> np.ndarray:
+    """Tangent compliance of the joints (n,) [rad/(N m)] at rest in a pose (n,); 0 if rigid."""
+    weight = model.robot.rigid_bodies().gravity_torque(pose)
+    return np.array(
+        [
+            0.0 if chain is None else float(chain.tangent_compliance(float(weight[j])))
+            for j, chain in enumerate(model.chains)
+        ]
+    )
