@@ -40,6 +40,8 @@ class StageModel:
         Factor on every smoothing width of the stiffness model.
     sides : array (n,)
         Sign of the spring torque of joints that can keep it; 0 for the others.
+    friction : (SX or float, SX or float)
+        `friction` and `creeping` of `Smoothing`.
     """
 
     def __init__(
@@ -51,12 +53,14 @@ class StageModel:
         process_force: np.ndarray,
         smoothing: Quantity,
         sides: np.ndarray,
+        friction: tuple[Quantity, Quantity] = (1.0, 0.0),
     ) -> None:
         self.robot = robot
         self.position, self.velocity, self.acceleration = position, velocity, acceleration
         self.process_force = np.asarray(process_force, dtype=float)
         self.smoothing = smoothing
         self.sides = sides
+        self.friction = friction
 
     @property
     def link(self) -> tuple[Quantity, Quantity, Quantity]:
@@ -114,15 +118,24 @@ class StageModel:
             velocity_max=self.robot.velocity_max,
         )
 
-    def torque_envelope(self, side: float) -> Quantity:
-        """Drive torque (n,) [N m] with an envelope of the dry friction on one side (+1 or -1).
+    @property
+    def squared_drive_torque(self) -> Quantity:
+        """Squared drive torque (n,), with the square of dry friction in full at any speed.
 
-        Friction jumps at zero velocity, between nodes as well. On the upper side (+1) the smoothed
-        friction is evaluated two smoothing widths faster, so that the limit holds for the
-        discontinuous law.
+        The square of the smooth law alone would reward creeping: within the smoothing width there
+        is less friction than by the exact law. `creeping` removes that charge.
         """
+        widening, creeping = self.friction
+        dry = ca.DM(self.robot.coulomb)
+        width = ca.DM(dry_friction_width(self.robot.velocity_max))
+        share = ca.tanh(self.velocity / width / widening)
+        torque = self._drive_torque_without_dry_friction + dry * share
+        return torque**2 + (1.0 - creeping) * dry**2 * (1.0 - share**2)
+
+    @property
+    def _drive_torque_without_dry_friction(self) -> Quantity:
         robot = self.robot
-        without = drive_torque(
+        return drive_torque(
             self.torques.spring,
             self.velocity,
             self.acceleration,
@@ -131,9 +144,18 @@ class StageModel:
             viscous=robot.viscous,
             velocity_max=robot.velocity_max,
         )
-        width = dry_friction_width(robot.velocity_max)
+
+    def torque_envelope(self, side: float) -> Quantity:
+        """Drive torque (n,) [N m] with an envelope of the dry friction on one side (+1 or -1).
+
+        Friction jumps at zero velocity, between nodes as well. On the upper side (+1) the smoothed
+        friction is evaluated two smoothing widths faster, so that the limit holds for the
+        discontinuous law.
+        """
+        width = dry_friction_width(self.robot.velocity_max)
         place = self.velocity / ca.DM(width) + 2.0 * side
-        return without + ca.DM(robot.coulomb) * ca.tanh(place)
+        dry = ca.DM(self.robot.coulomb) * ca.tanh(place)
+        return self._drive_torque_without_dry_friction + dry
 
     @cached_property
     def tool_velocity(self) -> Quantity:

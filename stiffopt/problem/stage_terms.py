@@ -122,15 +122,23 @@ class Smoothing:
     robust : float or SX
         From 0, the objective alone, to 1, its robust value, with the motor back-off that uncertain
         arms need.
+    friction : float or SX
+        On the speed below which dry friction falls off, in the drive torque of objectives: narrow
+        from the start, it makes every reversal of a joint a choice of its own.
+    creeping : float or SX
+        From 0, dry friction is charged in full at any speed, to 1, only by the smooth law, which
+        favours joints at rest, and as much those that creep.
     """
 
     stiffness: Quantity
     lead: Quantity = 1.0
     robust: Quantity = 0.0
+    friction: Quantity = 1.0
+    creeping: Quantity = 0.0
 
     @property
     def parameters(self) -> np.ndarray:
-        """Parameter vector of the programme (3,)."""
+        """Parameter vector of the programme (5,)."""
         return np.array(astuple(self), dtype=float)
 
     @property

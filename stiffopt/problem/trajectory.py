@@ -286,6 +286,12 @@ class TrajectoryProblem:
         objective.kind.check(objective, self)
 
     @property
+    def charges_dry_friction(self) -> bool:
+        """True where the objective depends on joints' dry friction."""
+        depends = any(objective.kind.of_drives for objective in self.objectives)
+        return depends and bool(np.any(np.asarray(self.robot.coulomb) > 0.0))
+
+    @property
     def plans_links(self) -> bool:
         """True where the links' motion is planned and the motors lead it by the wind-up."""
         return self.arrives_at_rest or bool(self._arrival_limits)

@@ -57,8 +57,9 @@ _TARGET_EXCESS = 0.8 * CERTIFICATE_TOLERANCE
 # Objective gap that is worth a finer mesh where a baseline is better.
 _RIVAL_OBJECTIVE_GAP = 1e-3
 _MAX_REFINEMENTS = 3
-# Objective gap from which on creeping joints are fixed, so often at most.
-_CREEP_OBJECTIVE_GAP, _MAX_STATIONARY_SOLVES = 5e-3, 2
+# Solves with creeping joints fixed, iterations of the one before them that finds these, and phases
+# up to which they are tried: with more, some of the many fixed joints are in conflict.
+_MAX_STATIONARY_SOLVES, _MAX_CREEPING_ITERATIONS, _MAX_STATIONARY_PHASES = 2, 60, 7
 _MESH_GROWTH = 1.25
 _MAX_CORRECTIONS = 12
 # Largest back-off of a row in one step, as a share of its bound: a larger excess is a narrow peak,
@@ -138,27 +139,36 @@ def backed_off(margin: float, excess: float) -> float:
 
 
 def _fix_stationary_joints(run: SolveRun, outcome: Outcome) -> Outcome:
-    """Return the outcome with creeping joints fixed, where that improves it."""
-    free = outcome.transcription
-    if not any(objective.kind.of_drives for objective in run.problem.objectives):
+    """Return the outcome with joints at rest where that improves it.
+
+    First joints may creep where that costs less than moving; where they do, they are fixed.
+    """
+    free = standing = outcome.transcription
+    if not run.problem.charges_dry_friction or free.ocp.phases > _MAX_STATIONARY_PHASES:
         return outcome
-    for _ in range(_MAX_STATIONARY_SOLVES):
-        if not outcome.raw.converged or outcome.objective_gap <= _CREEP_OBJECTIVE_GAP:
-            break
-        standing = fix_creeping_joints(free, outcome.raw.x, run.problem)
-        if standing is None:
-            break
+    best = found = outcome
+    smoothing = replace(outcome.smoothing, creeping=1.0)
+    made = Programme(free, outcome.solver)
+    for attempt in range(_MAX_STATIONARY_SOLVES + 1):
+        limit = None if attempt else _MAX_CREEPING_ITERATIONS
         try:
-            found = solve_again(run, outcome, standing.nlp, outcome.smoothing)
+            raw = solve_correction(run, made, found.raw, standing.nlp, smoothing, limit)
+            found = certify_outcome(run, made, raw, smoothing)
         except KeyboardInterrupt:
-            return mark_interrupted(outcome)
-        if not found.raw.converged or rank_outcome(run.problem, found) >= rank_outcome(
-            run.problem, outcome
-        ):
-            outcome.solver.set_bounds(outcome.transcription.nlp)
-            return mark_interrupted(outcome) if found.raw.status == "interrupted" else outcome
-        outcome = replace(found, transcription=standing)
-    return outcome
+            best = mark_interrupted(best)
+            break
+        if raw.converged and rank_outcome(run.problem, found) < rank_outcome(run.problem, best):
+            best = replace(found, transcription=standing)
+        # A motion that still changes shows where joints creep as well.
+        fixed = fix_creeping_joints(free, raw.x, run.problem)
+        if raw.status == "interrupted":
+            best = mark_interrupted(best)
+            break
+        if fixed is None or not (raw.converged or attempt == 0):
+            break
+        standing = fixed
+    best.solver.set_bounds(best.transcription.nlp)
+    return best
 
 
 def _remove_excess_between_nodes(run: SolveRun, outcome: Outcome) -> Outcome:

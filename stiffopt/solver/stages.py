@@ -131,7 +131,12 @@ def solve_again(run: SolveRun, before: Outcome, nlp: Nlp, smoothing: Smoothing) 
 
 
 def solve_correction(
-    run: SolveRun, made: Programme, before: RawSolution, nlp: Nlp, smoothing: Smoothing
+    run: SolveRun,
+    made: Programme,
+    before: RawSolution,
+    nlp: Nlp,
+    smoothing: Smoothing,
+    max_iterations: int | None = None,
 ) -> RawSolution:
     """Solve as `solve_again`, without the certificate."""
     made.solver.set_bounds(nlp)
@@ -145,7 +150,7 @@ def solve_correction(
         "correction",
         "adaptive",
         _CORRECTION_BOUND_PUSH,
-        max(before.iterations, _MIN_CORRECTION_ITERATIONS),
+        max_iterations or max(before.iterations, _MIN_CORRECTION_ITERATIONS),
     )
 
 

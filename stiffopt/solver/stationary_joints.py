@@ -1,9 +1,10 @@
 """Stationary joints: creeping joints are fixed, where the smoothed dry friction is exact.
 
-The optimiser's dry friction is smoothed about zero speed. Within that width a joint has less
-friction than the exact law, so that a minimum of squared torque lets joints creep that should be
-stationary: the certificate charges the full friction. Neither a finer mesh nor a narrower width
-changes that, as the speed falls with the width. At rest both laws agree.
+A joint at rest has no dry friction, a moving one has all of it: the exact law jumps. Where the
+optimiser charges friction in full at any speed, it finds no joint that had better rest; where it
+charges the smooth law, joints creep within its width, and the certificate charges the full
+friction. Neither a finer mesh nor a narrower width changes that, as the speed falls with the width.
+So joints creep first and are then fixed: at rest both laws agree.
 """
 
 from __future__ import annotations
@@ -25,6 +26,8 @@ from stiffopt.transcription.transcription import Transcription
 _CREEP_SPEED_SHARE = 0.5
 # Consecutive nodes and share of the motion for which a joint must creep; a reversal is shorter.
 _MIN_CREEP_NODES, _MIN_CREEP_SHARE = 3, 0.02
+# Intervals that a motion from rest to rest takes at least: in fewer it has no freedom left.
+_MIN_MOVING_INTERVALS = 3
 
 
 def fix_creeping_joints(
@@ -58,7 +61,7 @@ def fix_creeping_joints(
     least = _MIN_CREEP_SHARE * float(transcription.phase_durations(x).sum())
     still = np.zeros(nlp.variables.size, dtype=bool)
     for j in np.flatnonzero(np.asarray(robot.coulomb) > 0.0):
-        for run in _index_runs(slow[:, j]):
+        for run in _index_runs(slow[:, j], gap=_MIN_MOVING_INTERVALS):
             first, last = times[run[0]], times[run[-1]]
             if len(run) < _MIN_CREEP_NODES or last - first < least:
                 continue
@@ -95,7 +98,7 @@ def missing_friction_share(
     return float(1.0 - sums[0] / sums[1]) if sums[1] > 0.0 else 0.0
 
 
-def _index_runs(where: np.ndarray) -> list[np.ndarray]:
-    """Return the indices of true entries, split into runs without a gap."""
+def _index_runs(where: np.ndarray, gap: int) -> list[np.ndarray]:
+    """Return the indices of true entries, split where at least `gap` intervals lie between two."""
     index = np.flatnonzero(where)
-    return np.split(index, np.flatnonzero(np.diff(index) > 1) + 1) if index.size else []
+    return np.split(index, np.flatnonzero(np.diff(index) >= gap) + 1) if index.size else []

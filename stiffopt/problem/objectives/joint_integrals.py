@@ -72,8 +72,7 @@ class TorqueSquared(JointIntegral):
 
     def integrand(self, problem: TrajectoryProblem, model: StageModel, joint: int) -> Quantity:
         """Squared ratio of drive torque to largest torque."""
-        ratio = model.drive_torque[joint - 1] / problem.robot.torque_max[joint - 1]
-        return ratio * ratio
+        return model.squared_drive_torque[joint - 1] / problem.robot.torque_max[joint - 1] ** 2
 
     def certified_integrand(self, robot: Robot, motion: Assessment) -> np.ndarray:
         """Squared ratio from the certificate's torques."""
