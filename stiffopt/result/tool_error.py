@@ -6,6 +6,7 @@ along the path (lateness, overshoot) and across it.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -84,6 +85,21 @@ class ToolError:
             "orientation": self.angle,
         }
         return {name: part[..., phase].max(axis=-1) for name, part in parts.items()}
+
+
+def join_tool_errors(errors: Sequence[ToolError]) -> ToolError:
+    """Join the errors of one arm over consecutive instants of the same planned path."""
+    position, orientation, direction, time = (
+        np.concatenate([getattr(each, name) for each in errors])
+        for name in ("position", "orientation", "direction", "time")
+    )
+    return ToolError(
+        time=time,
+        duration=errors[0].duration,
+        position=position,
+        orientation=orientation,
+        direction=direction,
+    )
 
 
 def path_directions(places: np.ndarray) -> np.ndarray:
