@@ -20,8 +20,8 @@ def export(
     to: Annotated[
         str,
         Parameter(
-            help="Format: ros2, csv, urscript, krl-rsi, abb-egm or fanuc-stream of a solve; urdf or "
-            "mjcf of a diagnosis."
+            help="Format: ros2, csv, urscript, krl-rsi, abb-egm or fanuc-stream of a solve; urdf "
+            "or mjcf of a diagnosis."
         ),
     ],
     rate: float | None = None,

@@ -35,8 +35,9 @@ def solve(
 
     Writes result.json, trajectory.csv, report.html and, for an elastic arm, command.csv: the motor
     motion with which the links follow the plan. For a cycle of several [[move]] it writes
-    cycle.json, cycle.csv, report.html and a folder with these files for each leg. Ctrl-C ends the solve and keeps the best motion so
-    far; before the first motion it waits for it, pressed twice it stops immediately.
+    cycle.json, cycle.csv, report.html and a folder with these files for each leg. Ctrl-C ends the
+    solve and keeps the best motion so far; before the first motion it waits for it, pressed twice
+    it stops immediately.
 
     Parameters
     ----------
@@ -153,7 +154,7 @@ def _solve_cycle(
         end_deferral(ended=True)
         with defer_while_writing():
             write_cycle_report(cycle, solution, stage)
-            write_cycle_result(cycle, solution, stage, problem, folder, changes)
+            write_cycle_result(solution, stage, problem, folder, changes)
     print_cycle(solution, folder)
     show_report(folder, open_report)
     return solution.status.exit_code

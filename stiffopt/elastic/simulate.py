@@ -6,6 +6,7 @@ servo, but not the sag under weight.
 
 from __future__ import annotations
 
+import itertools
 import warnings
 from collections.abc import Sequence
 
@@ -97,7 +98,7 @@ def simulate(
     breaks = [0.0, *(time for time, _ in changes), motion.duration]
     spans = [
         (begin, stop, number)
-        for number, (begin, stop) in enumerate(zip(breaks[:-1], breaks[1:], strict=True))
+        for number, (begin, stop) in enumerate(itertools.pairwise(breaks))
         if stop > begin
     ]
     if end > motion.duration:

@@ -10,8 +10,8 @@ import numpy as np
 
 from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
 from stiffopt.errors import InputFileError, format_relative
-from stiffopt.export.format import FORMATS, is_whole, read_seal
 from stiffopt.export.cycle_motion import read_stored
+from stiffopt.export.format import FORMATS, is_whole, read_seal
 from stiffopt.files import read_text
 
 # Relative and absolute tolerance of numbers against a fresh export: rounding of other processors.

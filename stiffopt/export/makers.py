@@ -1,4 +1,4 @@
-"""Makers of arms by the names of their models, so that programs go only to the maker's controller."""
+"""Makers of arms by the names of their models: programs go to the maker's controller only."""
 
 from __future__ import annotations
 

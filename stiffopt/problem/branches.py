@@ -115,13 +115,12 @@ def best_combination(tables: Sequence[CostTable], poses: int) -> list[int]:
     left, steps = list(tables), []
     remaining = set(range(poses))
     while remaining:
-
-        def neighbours(pose: int) -> tuple[int, ...]:
-            touching = {p for table in left if pose in table.poses for p in table.poses}
-            return tuple(sorted(touching - {pose}))
-
-        pose = min(sorted(remaining), key=lambda each: len(neighbours(each)))
-        around = neighbours(pose)
+        around_each = {
+            pose: {p for table in left if pose in table.poses for p in table.poses} - {pose}
+            for pose in sorted(remaining)
+        }
+        pose = min(around_each, key=lambda each: len(around_each[each]))
+        around = tuple(sorted(around_each[pose]))
         own = [table for table in left if pose in table.poses]
         remaining.remove(pose)
         if not own:
@@ -147,9 +146,7 @@ def branch_name(robot: Robot, q: np.ndarray) -> str:
     if robot.n != 6 or np.any(robot.prismatic):
         return ""
     bodies = robot.rigid_bodies()
-    frames = [
-        bodies.pose(LinkFrame(joint, np.zeros(3), np.eye(3)), q) for joint in range(1, 7)
-    ]
+    frames = [bodies.pose(LinkFrame(joint, np.zeros(3), np.eye(3)), q) for joint in range(1, 7)]
     at = [place for place, _ in frames]
     axes = [turn @ robot.tree.bodies[j].axis for j, (_, turn) in enumerate(frames)]
     up = axes[0] if axes[0] @ np.array([0.0, 0.0, 1.0]) >= 0.0 else -axes[0]

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 
@@ -124,8 +125,10 @@ class _CycleReader:
         self._load_robot = robots
         motion = document.motion
         if motion.start is None or motion.end is not None or motion.via or motion.path is not None:
-            self._fail("motion", "a cycle has `start` and `duration` here; its vias and ends belong "
-                       "to [[move]].")  # fmt: skip
+            self._fail(
+                "motion",
+                "a cycle has `start` and `duration` here; its vias and ends belong to [[move]].",
+            )
         if document.path is not None:
             self._fail("path", "a path of the tool and [[move]] exclude each other. Remove one.")
         if motion.boundary_velocity != "zero":
@@ -135,7 +138,7 @@ class _CycleReader:
         self._poses = PoseReader(self._joints, document.pose)
         self._common = common_fields(document, self._joints)
 
-    def _fail(self, where: str, reason: str) -> None:
+    def _fail(self, where: str, reason: str) -> NoReturn:
         raise InputFileError(self._path, where, reason)
 
     def _robot(self, load: _Load) -> Robot:
@@ -145,9 +148,7 @@ class _CycleReader:
             )
             if load.part is not None:
                 with locate_errors(self._path, "move.payload"):
-                    robot = robot.with_payload(
-                        load.part.mass, load.part.com, load.part.inertia
-                    )
+                    robot = robot.with_payload(load.part.mass, load.part.com, load.part.inertia)
             self._robots[load] = robot
         return self._robots[load]
 
@@ -163,27 +164,39 @@ class _CycleReader:
         for number, move in enumerate(self._moves, start=1):
             now, where = loads[-1], f"move[{number}]"
             if move.payload is not None and move.event not in ("grip", "tool_change"):
-                self._fail(f"{where}.payload", "belongs to a move whose event is grip (the part) or "
-                           "tool_change (the new tool).")  # fmt: skip
+                self._fail(
+                    f"{where}.payload",
+                    "belongs to a move whose event is grip (the part) or tool_change (the new "
+                    "tool).",
+                )
             if move.tool is not None and move.event != "tool_change":
                 self._fail(f"{where}.tool", "belongs to a move whose event is tool_change.")
             if move.event == "grip":
                 if now.part is not None:
-                    self._fail(f"{where}.event", f"the gripper still holds the part that it took at "
-                               f"{gripped_at}. Release that one before.")  # fmt: skip
+                    self._fail(
+                        f"{where}.event",
+                        f"the gripper still holds the part that it took at {gripped_at}. Release "
+                        "that one before.",
+                    )
                 if move.payload is None:
                     self._fail(f"{where}.payload", "a grip needs the part: mass, com and inertia.")
                 now, gripped_at = replace(now, part=move.payload), where
             elif move.event == "release":
                 if now.part is None:
-                    self._fail(f"{where}.event", "the gripper holds no part here: nothing was "
-                               "gripped before, or it was put down already. Add a move with event = "
-                               "'grip' and its payload before, or leave this event out.")  # fmt: skip
+                    self._fail(
+                        f"{where}.event",
+                        "the gripper holds no part here: nothing was gripped before, or it was "
+                        "put down already. Add a move with event = 'grip' and its payload before,"
+                        " or leave this event out.",
+                    )
                 now = replace(now, part=None)
             elif move.event == "tool_change":
                 if now.part is not None:
-                    self._fail(f"{where}.event", "the tool cannot be changed while the gripper holds "
-                               f"the part that it took at {gripped_at}. Release it before.")  # fmt: skip
+                    self._fail(
+                        f"{where}.event",
+                        "the tool cannot be changed while the gripper holds the part that it took"
+                        f" at {gripped_at}. Release it before.",
+                    )
                 now = _Load(move.payload, None, move.tool or ToolPointSection())
             loads.append(now)
         return loads
@@ -196,11 +209,17 @@ class _CycleReader:
         lower, upper = duration = read_duration(self._document)
         first = legs[0].problem
         if lower == upper and any(each.name == "duration" for each in first.objectives):
-            self._fail("motion.duration", "the duration is minimised, so it must be free: give "
-                       "{ upper = ... }, or minimise another objective.")  # fmt: skip
+            self._fail(
+                "motion.duration",
+                "the duration is minimised, so it must be free: give { upper = ... }, or minimise"
+                " another objective.",
+            )
         if lower < upper and not any(each.name == "duration" for each in first.objectives):
-            self._fail("motion.duration", "a free duration of a cycle needs the objective duration "
-                       "under limits; give one number to minimise another objective.")  # fmt: skip
+            self._fail(
+                "motion.duration",
+                "a free duration of a cycle needs the objective duration under limits; give one "
+                "number to minimise another objective.",
+            )
         return Cycle(
             title=str(self._common["title"]),
             legs=tuple(self._share_time(legs, lower, upper, chosen, steps)),
@@ -227,8 +246,10 @@ class _CycleReader:
             ]
             why = next((text for needed, text in reasons if needed), "")
             if move.stop is False and why:
-                self._fail(f"move[{k + 1}].stop", f"the arm has to stop there: {why}. Leave stop "
-                           "out.")  # fmt: skip
+                self._fail(
+                    f"move[{k + 1}].stop",
+                    f"the arm has to stop there: {why}. Leave stop out.",
+                )
             found.append(move.stop is not False)
         return found
 
@@ -241,8 +262,10 @@ class _CycleReader:
             load = self._loads[max(move - 1, 0)]
             pose = keys.setdefault((section, load.tool), len(keys)) if target.fixes_pose else None
             if pose is None and not passed:
-                self._fail(where, "the arm stops here, so the pose must be given: add `rpy`, or "
-                           "give `joints`.")  # fmt: skip
+                self._fail(
+                    where,
+                    "the arm stops here, so the pose must be given: add `rpy`, or give `joints`.",
+                )
             return _Step(move, where, target, pose, passed)
 
         assert self._document.motion.start is not None
@@ -254,11 +277,16 @@ class _CycleReader:
             found.append(visit(number, move.to, f"{where}.to", not self._stops[number - 1]))
             before = found[-2]
             if found[-1].pose is not None and found[-1].pose == before.pose:
-                self._fail(f"{where}.to", "the move ends in the pose where it begins. Remove it, or "
-                           "give a dwell to the move before.")  # fmt: skip
+                self._fail(
+                    f"{where}.to",
+                    "the move ends in the pose where it begins. Remove it, or give a dwell to the"
+                    " move before.",
+                )
         return found
 
-    def _choose_branches(self, steps: Sequence[_Step]) -> tuple[list[np.ndarray], tuple[Posture, ...]]:
+    def _choose_branches(
+        self, steps: Sequence[_Step]
+    ) -> tuple[list[np.ndarray], tuple[Posture, ...]]:
         """Joint angles of each pose, and the postures."""
         limits: Limits = self._common["limits"]
         cell = self._common["cell"]
@@ -280,8 +308,9 @@ class _CycleReader:
         ]
         route = [step for step in steps if step.pose is not None]
         tables = []
-        for before, after in zip(route[:-1], route[1:], strict=True):
-            assert before.pose is not None and after.pose is not None
+        for before, after in itertools.pairwise(route):
+            assert before.pose is not None
+            assert after.pose is not None
             if before.pose == after.pose:
                 continue
             speed = self._moves[after.move - 1].speed
@@ -337,7 +366,8 @@ class _CycleReader:
             if target.joints is not None:
                 check_range(robot, limits, "joints", target.joints)
                 return [target.joints]
-            assert target.rpy is not None and target.position is not None
+            assert target.rpy is not None
+            assert target.position is not None
             rotation = rotation_from_rpy(target.rpy)
             if target.near is not None:
                 return [solve_pose(robot, target.position, rotation, target.near)]
@@ -348,9 +378,7 @@ class _CycleReader:
                     for each in robots
                 )
                 least = self._document.cell.clearance if self._document.cell else 0.0
-                return held and (
-                    clearance is None or float(clearance.distances(q).min()) >= least
-                )
+                return held and (clearance is None or float(clearance.distances(q).min()) >= least)
 
             found = solutions_of_pose(robot, target.position, rotation, reference, admissible)
             if not found:
@@ -407,7 +435,8 @@ class _CycleReader:
             limits = Limits({**limits.values, **scaled})
         force = self._common["process_force"]
         names = [self._move_name(number) for number in numbers]
-        assert here.pose is not None and last.pose is not None
+        assert here.pose is not None
+        assert last.pose is not None
         bodies = (load.body, load.part)
         with locate_errors(self._path, f"move[{numbers[0]}]"):
             problem = TrajectoryProblem(
@@ -460,13 +489,15 @@ class _CycleReader:
             return list(legs)
         left = lower - sum(leg.stop.dwell for leg in legs)
         if left < MIN_LEG_TIME * len(legs):
-            self._fail("motion.duration", f"the cycle of {lower:.4g} s leaves {left:.4g} s for its "
-                       f"{len(legs)} motions beside the dwells. Give more time, or shorter "
-                       "dwells.")  # fmt: skip
+            self._fail(
+                "motion.duration",
+                f"the cycle of {lower:.4g} s leaves {left:.4g} s for its {len(legs)} motions "
+                "beside the dwells. Give more time, or shorter dwells.",
+            )
         needed = np.zeros(len(legs))
         number = {move: k for k, leg in enumerate(legs) for move in leg.moves}
         route = [step for step in steps if step.pose is not None]
-        for before, after in zip(route[:-1], route[1:], strict=True):
+        for before, after in itertools.pairwise(route):
             leg = number[after.move]
             limits = legs[leg].problem.active_limits
             ends = (chosen[before.pose][None], chosen[after.pose][None])
@@ -474,4 +505,7 @@ class _CycleReader:
                 *ends, (limits.velocity, limits.acceleration, limits.jerk)
             )[0, 0]
         share = np.maximum(left * needed / needed.sum(), MIN_LEG_TIME)
-        return [leg.lasting(float(each)) for leg, each in zip(legs, share * left / share.sum(), strict=True)]
+        return [
+            leg.lasting(float(each))
+            for leg, each in zip(legs, share * left / share.sum(), strict=True)
+        ]

@@ -132,9 +132,7 @@ def _build_problem(
         robot=robot,
         start=start,
         end=end,
-        vias=tuple(
-            poses(via, f"motion.via[{k}]") for k, via in enumerate(motion.via, start=1)
-        ),
+        vias=tuple(poses(via, f"motion.via[{k}]") for k, via in enumerate(motion.via, start=1)),
         path=waypoints,
         duration=read_duration(document),
         boundary_velocity=velocity,

@@ -107,9 +107,7 @@ class MoveSection(Section):
 
     to: Annotated[NamedTarget, Doc("End of the move: a pose, or the name of one of [[pose]].")]
     name: Annotated[str, Doc("Name in results; default the pose's name, else the number.")] = ""
-    via: Annotated[
-        tuple[NamedTarget, ...], Doc("Via points, passed in order at free times.")
-    ] = ()
+    via: Annotated[tuple[NamedTarget, ...], Doc("Via points, passed in order at free times.")] = ()
     stop: Annotated[
         bool | None,
         Doc(
@@ -126,8 +124,10 @@ class MoveSection(Section):
     ] = 0.0
     event: Annotated[
         Literal["grip", "release", "tool_change"] | None,
-        Doc("Event at arrival: the gripper takes the part `payload`, lets it go, or `payload` and "
-            "`tool` replace those of the file."),
+        Doc(
+            "Event at arrival: the gripper takes the part `payload`, lets it go, or `payload` and "
+            "`tool` replace those of the file."
+        ),
     ] = None
     payload: Annotated[
         PayloadSection | None, Doc("Part that is gripped, or body of the new tool.")

@@ -16,6 +16,7 @@ from stiffopt.result.solution import ObjectiveValue, Solution
 from stiffopt.result.status import SolveStatus
 
 if TYPE_CHECKING:
+    from stiffopt.problem.trajectory import TrajectoryProblem
     from stiffopt.result.duty import Duty
     from stiffopt.result.simulation import SimulatedMotion
     from stiffopt.result.trajectory import JointMotion
@@ -44,9 +45,7 @@ class JoinedMotion:
         Of the whole [s].
     """
 
-    def __init__(
-        self, parts: Sequence[JointMotion], starts: np.ndarray, duration: float
-    ) -> None:
+    def __init__(self, parts: Sequence[JointMotion], starts: np.ndarray, duration: float) -> None:
         self._parts, self._starts, self.duration = tuple(parts), np.asarray(starts), duration
         breaks = [
             start + np.asarray(getattr(part, "times", (0.0, part.duration)))
@@ -78,6 +77,8 @@ class LegResult:
     ----------
     name : str
     moves : tuple of int
+    problem : TrajectoryProblem
+        As it was solved.
     solution : Solution
     start, arrival : float
         In the time of the cycle [s].
@@ -92,6 +93,7 @@ class LegResult:
 
     name: str
     moves: tuple[int, ...]
+    problem: TrajectoryProblem
     solution: Solution
     start: float
     arrival: float
@@ -249,7 +251,9 @@ def cycle_document(solution: CycleSolution) -> dict[str, Any]:
     return {key: to_json_types(value) for key, value in document.items()}
 
 
-def write_cycle(solution: CycleSolution, directory: Path, problem: str, changes: Sequence[str]) -> Path:
+def write_cycle(
+    solution: CycleSolution, directory: Path, problem: str, changes: Sequence[str]
+) -> Path:
     """Write cycle.json into `directory`; `problem` is the file's path relative to the folder."""
     document = {**cycle_document(solution), "problem": problem, "changes": list(changes)}
     text = json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False)

@@ -16,6 +16,7 @@ from stiffopt.baseline.rivals import fair_rivals
 from stiffopt.certificate.objective_value import objective_value
 from stiffopt.problem.cycle import Cycle, Leg
 from stiffopt.problem.resolve import resolve
+from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.result.cycle import CycleSolution, LegResult, RivalCycle
 from stiffopt.result.solution import ObjectiveValue, Solution
 from stiffopt.result.status import SolveStatus
@@ -139,6 +140,7 @@ class _CycleRun:
         if best is None:
             return solutions
         self._durations = best[1]
+        self._solved = dict(enumerate(zip(best[1].tolist(), best[2], strict=True)))
         return best[2]
 
     @property
@@ -161,9 +163,7 @@ class _CycleRun:
                 guess = None
                 if known is not None and known.status.usable and known.assessment is not None:
                     guess = known.assessment
-                known = solve(
-                    leg.problem, progress=self._leg_progress(k), guess=guess, throw=False
-                )
+                known = solve(leg.problem, progress=self._leg_progress(k), guess=guess, throw=False)
                 self._solved[k] = (duration, known)
             found.append(known)
             if known.status is SolveStatus.INTERRUPTED:
@@ -180,20 +180,23 @@ class _CycleRun:
     def with_commands(self, solutions: list[Solution]) -> list[Solution]:
         """Solutions with the simulation and the command of each leg."""
         found = []
-        for k, (leg, each) in enumerate(zip(self._cycle.legs, solutions, strict=True)):
+        for k, each in enumerate(solutions):
             if each.simulation is None:
-                lasting = leg
-                if self._cycle.duration[0] == self._cycle.duration[1]:
-                    lasting = leg.lasting(self._solved[k][0])
-                each = with_simulation(lasting.problem, each, self._leg_progress(k))
+                each = with_simulation(self._solved_problem(k), each, self._leg_progress(k))
                 self._solved[k] = (self._solved[k][0], each)
             found.append(each)
         return found
 
+    def _solved_problem(self, k: int) -> TrajectoryProblem:
+        """Problem of leg k (from 0) as it was solved."""
+        leg = self._cycle.legs[k]
+        free = self._cycle.duration[0] < self._cycle.duration[1]
+        return leg.problem if free else leg.lasting(self._solved[k][0]).problem
+
     def result(self, solutions: list[Solution], rests: np.ndarray) -> CycleSolution:
         """Result of the legs' solutions and the rests after them (L,) [s]."""
         cycle, legs, time = self._cycle, [], 0.0
-        for leg, solution, rest in zip(cycle.legs, solutions, rests, strict=False):
+        for k, (leg, solution, rest) in enumerate(zip(cycle.legs, solutions, rests, strict=False)):
             arrival = time + (solution.duration or 0.0)
             event = leg.stop.event
             mass = 0.0 if leg.problem.robot.payload is None else float(leg.problem.robot.payload[0])
@@ -202,6 +205,7 @@ class _CycleRun:
                     name=leg.name,
                     moves=leg.moves,
                     solution=solution,
+                    problem=self._solved_problem(k),
                     start=time,
                     arrival=arrival,
                     dwell=float(rest),
@@ -227,8 +231,10 @@ class _CycleRun:
     def _message(self, solutions: list[Solution], status: SolveStatus) -> str:
         count = len(self._cycle.legs)
         if status.usable and len(solutions) == count:
-            return f"All {count} legs: {solutions[0].message}" if count == 1 else (
-                f"All {count} legs are solved and certified."
+            return (
+                f"All {count} legs: {solutions[0].message}"
+                if count == 1
+                else (f"All {count} legs are solved and certified.")
             )
         worst = next(k for k, each in enumerate(solutions) if each.status is status)
         leg = self._cycle.legs[worst]
@@ -252,8 +258,8 @@ class _CycleRun:
             found = replace(
                 found,
                 status=SolveStatus.INFEASIBLE,
-                message=f"the shortest cycle takes {found.duration:.4g} s, above motion.duration of "
-                f"{upper:.4g} s. Allow more time, or relax limits.",
+                message=f"the shortest cycle takes {found.duration:.4g} s, above motion.duration "
+                f"of {upper:.4g} s. Allow more time, or relax limits.",
             )
         return replace(found, rivals=self._rivals(found), duty=cycle_duty(self._cycle, found))
 

@@ -1,4 +1,4 @@
-"""Elastic simulation of a cycle: payload changes excite the arm, rests last until it has settled."""
+"""Elastic simulation and duty of a cycle: payload changes excite the arm, rests let it settle."""
 
 from __future__ import annotations
 
@@ -45,7 +45,9 @@ def simulate_cycle(
         long = np.where(settling, _MAX_REST, rests)
         trial, arrivals = _simulate(cycle, solutions, long)
         found = _leg_errors(cycle, trial, arrivals, long)
-        settled = [_MAX_REST if each.settling_time is None else each.settling_time for each in found]
+        settled = [
+            _MAX_REST if each.settling_time is None else each.settling_time for each in found
+        ]
         whole = np.ceil(np.array(settled) / _REST_STEP) * _REST_STEP
         rests = np.where(settling, whole, rests)
     simulated, arrivals = _simulate(cycle, solutions, rests)
@@ -213,7 +215,8 @@ def _life_rating(robot: Robot, joint: int) -> LifeRating | None:
             continue
         if own.rated_life is None or own.life_exponent is None:
             continue
-        assert own.rated_torque is not None and own.rated_speed is not None
+        assert own.rated_torque is not None
+        assert own.rated_speed is not None
         return LifeRating(
             torque=own.rated_torque * stage.reduction,
             speed=own.rated_speed / stage.ratio,

@@ -1,4 +1,4 @@
-"""Files of a solved cycle: cycle.json, cycle.csv, and a folder for each leg as of a single motion."""
+"""Files of a solved cycle: cycle.json, cycle.csv, and a folder of files for each leg."""
 
 from __future__ import annotations
 
@@ -10,26 +10,15 @@ import numpy as np
 
 from stiffopt.certificate.assess import assess
 from stiffopt.files import write_csv
-from stiffopt.problem.cycle import Cycle, Leg
-from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.result.compensation import write_command
-from stiffopt.result.cycle import CycleSolution, LegResult, leg_folder, write_cycle
+from stiffopt.result.cycle import CycleSolution, leg_folder, write_cycle
 from stiffopt.result.store import export_times, write_result, write_trajectory
 from stiffopt.solver.cycle_simulation import leg_motions
 
 CYCLE_TABLE = "cycle.csv"
 
 
-def solved_leg(cycle: Cycle, leg: Leg, solved: LegResult) -> TrajectoryProblem:
-    """Problem of a leg as it was solved."""
-    if cycle.duration[0] < cycle.duration[1]:
-        return leg.problem
-    duration = solved.solution.duration
-    return leg.problem if duration is None else leg.lasting(duration).problem
-
-
 def write_cycle_result(
-    cycle: Cycle,
     solution: CycleSolution,
     stage: Path,
     problem: Path,
@@ -37,10 +26,10 @@ def write_cycle_result(
     changes: Sequence[str],
 ) -> None:
     """Write the files of a cycle into `stage`, whose final folder is `home`."""
-    for number, (leg, solved) in enumerate(zip(cycle.legs, solution.legs, strict=False), start=1):
+    for number, leg in enumerate(solution.legs, start=1):
         folder = stage / leg_folder(number)
         folder.mkdir()
-        stated, found = solved_leg(cycle, leg, solved), solved.solution
+        stated, found = leg.problem, leg.solution
         if found.trajectory is not None:
             times = export_times(found.trajectory.duration)
             write_trajectory(assess(stated, found.trajectory, times=times), folder)

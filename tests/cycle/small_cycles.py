@@ -25,7 +25,11 @@ joints = [0.5, 0.0, 0.3]
 name = "place"
 joints = [-0.4, 0.1, 0.2]
 """
-GRIP = '[[move]]\nto = "pick"\nevent = "grip"\npayload = { mass = 1.0, inertia = [1e-3, 1e-3, 1e-3] }\n'
+GRIP = """[[move]]
+to = "pick"
+event = "grip"
+payload = { mass = 1.0, inertia = [1e-3, 1e-3, 1e-3] }
+"""
 MOVES = f"""[[move]]
 to = "above"
 stop = false
@@ -42,7 +46,9 @@ to = "home"
 def cycle_text(moves=MOVES, duration='"3 s"', objective="dynamic_deflection", extra=""):
     """Text of a problem file."""
     head = HEAD.replace("{duration}", duration)
-    return f'{head}{moves}[[minimise]]\nobjective = "{objective}"\n[method]\nintervals = 16\n{extra}'
+    return (
+        f'{head}{moves}[[minimise]]\nobjective = "{objective}"\n[method]\nintervals = 16\n{extra}'
+    )
 
 
 def write_cycle_file(folder, **changes):

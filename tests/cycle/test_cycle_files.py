@@ -22,9 +22,7 @@ def test_moves_become_legs_with_their_payloads(tmp_path):
     assert masses == pytest.approx([0.2, 1.2, 0.2])
     assert len(cycle.legs[0].problem.vias) == 1
     event = cycle.legs[1].stop.event
-    assert (event.kind, event.mass_before, event.mass_after) == pytest.approx(
-        ("release", 1.2, 0.2)
-    )
+    assert (event.kind, event.mass_before, event.mass_after) == pytest.approx(("release", 1.2, 0.2))
     # A fixed time is shared by all legs, beside the dwells.
     lasting = sum(leg.problem.duration[0] for leg in cycle.legs)
     assert lasting == pytest.approx(3.0 - 0.1)
@@ -49,8 +47,7 @@ def test_speed_override_scales_the_velocity_limit_of_its_leg(tmp_path):
         ('[[move]]\nto = "pik"\n', "move[1].to", "no pose 'pik'"),
         ('[[move]]\nto = "home"\n', "move[1].to", "where it begins"),
         ('[[move]]\nto = "pick"\nstop = false\n', "move[1].stop", "last move"),
-        (MOVES.replace("dwell = 0.05\n[[move]]\nto = \"place\"", "dwell = 2.99\n[[move]]\nto = \"place\""),
-         "motion.duration", "leaves"),
+        (MOVES.replace("dwell = 0.05", "dwell = 1.49"), "motion.duration", "leaves"),
         ('[[move]]\nto = { position = [0.5, 0.1, 0.1] }\n', "move[1].to", "add `rpy`"),
         ('[[move]]\nto = "pick"\npayload = { mass = 1.0 }\n', "move[1].payload", "event is grip"),
     ],

@@ -1,4 +1,4 @@
-"""Parts of a cycle against closed forms: payload change, duty, split of the time, joined motions."""
+"""Parts of a cycle against closed forms: payload change, duty, time split, joined motions."""
 
 from dataclasses import replace
 

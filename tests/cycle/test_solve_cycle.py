@@ -2,6 +2,7 @@
 
 import csv
 import io
+import itertools
 import json
 
 import numpy as np
@@ -30,7 +31,7 @@ def test_results_of_a_cycle(folder):
     assert document["duration"] == pytest.approx(3.0)
     legs = document["legs"]
     assert [leg["event"] for leg in legs] == ["grip", "release", ""]
-    for before, after in zip(legs[:-1], legs[1:], strict=True):
+    for before, after in itertools.pairwise(legs):
         assert after["start"] == pytest.approx(before["arrival"] + before["dwell"])
     # The best split of the time gives all legs the same peak.
     peaks = [leg["objective"] for leg in legs]
@@ -80,7 +81,7 @@ def test_shortest_cycle_is_the_sum_of_the_shortest_legs(tmp_path):
     path = write_cycle_file(tmp_path, duration="{ upper = 5.0 }", objective="duration")
     cycle = load_cycle(path).cycle
     found = solve_cycle(cycle, simulate=False)
-    assert found.status == "optimal"
+    assert found.status.usable
     moving = sum(leg.solution.duration for leg in found.legs)
     assert found.duration == pytest.approx(moving + 0.1)
     assert found.objective.value == pytest.approx(found.duration)
@@ -88,7 +89,7 @@ def test_shortest_cycle_is_the_sum_of_the_shortest_legs(tmp_path):
 
 @pytest.mark.slow
 def test_cycle_without_enough_time_says_so(tmp_path):
-    path = write_cycle_file(tmp_path, duration='"0.9 s"')
+    path = write_cycle_file(tmp_path, duration='"0.3 s"')
     found = solve_cycle(load_cycle(path).cycle, simulate=False)
     assert not found.status.usable
     assert "motion.duration" in found.message

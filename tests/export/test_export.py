@@ -250,7 +250,7 @@ def test_programs_approach_the_start_and_take_absolute_positions(folder, to, pro
     text = source.read_text(encoding="ascii")
     places = [text.index(word) for word in words]
     assert places == sorted(places)
-    (table,) = [each for each in folder.glob("stiffopt*.csv")]
+    (table,) = folder.glob("stiffopt*.csv")
     rows = list(csv.reader(io.StringIO(read_seal(table.read_text(encoding="utf-8"))[1])))
     assert rows[0] == [f"J{j}" for j in range(1, 7)]
     angles = np.array(rows[1:], dtype=float)

@@ -12,7 +12,7 @@ from stiffopt.export.motion import SampledMotion
 
 
 class Csv(ExportFormat):
-    """CSV file with one header row, SI numbers with full precision, and events where there are any."""
+    """CSV file with one header row, SI numbers with full precision; events if there are any."""
 
     name = "csv"
     title = "CSV"

@@ -32,8 +32,6 @@ DUTY_HEAD = ("joint", "rms torque", "peak torque", "peak speed", "mean speed", "
              "work", "regenerated", "reducer mean torque", "reducer L10")  # fmt: skip
 
 
-
-
 def headline(solution: CycleSolution) -> str:
     """Return time and objective of the cycle in words."""
     if solution.objective is None:
@@ -64,8 +62,8 @@ def comparison(solution: CycleSolution) -> str:
     amount = objective_amount(value.name, best.objective, value.unit, 3)
     side = "less" if change < 0.0 else "more"
     return (
-        f"{percent(abs(change), 2)} {side} {what} than the best rival on the same poses, {best.name}"
-        f" with {amount}, each within every limit."
+        f"{percent(abs(change), 2)} {side} {what} than the best rival on the same poses, "
+        f"{best.name} with {amount}, each within every limit."
     )
 
 
@@ -152,7 +150,9 @@ def duty_text(solution: CycleSolution) -> str:
     )
     shortest = duty.shortest_life
     if shortest is not None:
-        text += f"; the reducer of {shortest.name} has the shortest life L10, {_life_text(shortest)}"
+        text += (
+            f"; the reducer of {shortest.name} has the shortest life L10, {_life_text(shortest)}"
+        )
     return f"{text}."
 
 
@@ -194,7 +194,9 @@ def write_cycle_report(cycle: Cycle, solution: CycleSolution, folder: Path) -> P
             [each.name, si(each.duration, "s", 4), _rival_amount(solution, each.objective)]
             for each in solution.rivals
         ],
-        "own": _rival_amount(solution, None if solution.objective is None else solution.objective.value),
+        "own": _rival_amount(
+            solution, None if solution.objective is None else solution.objective.value
+        ),
     }
     return write_page("cycle/page.html.j2", folder / "report.html", context, figures)
 
