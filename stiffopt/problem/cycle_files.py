@@ -24,6 +24,7 @@ from stiffopt.problem.branches import (
     within_limits,
 )
 from stiffopt.problem.cycle import MIN_LEG_TIME, Cycle, CycleEvent, Leg, Posture, Stop
+from stiffopt.problem.cycle_loads import Load, follow_loads
 from stiffopt.problem.files import (
     PoseReader,
     common_fields,
@@ -38,9 +39,7 @@ from stiffopt.problem.schema import (
     ExpectedSection,
     MoveSection,
     NamedTarget,
-    PayloadSection,
     ProblemFile,
-    ToolPointSection,
     problem_file,
 )
 from stiffopt.problem.trajectory import Target, TrajectoryProblem
@@ -59,19 +58,6 @@ class LoadedCycle:
     cycle: Cycle
     expected: ExpectedSection | None
     path: Path
-
-
-@dataclass(frozen=True)
-class _Load:
-    """Bodies at the flange and the tool point."""
-
-    body: PayloadSection | None
-    part: PayloadSection | None
-    tool: ToolPointSection
-
-    @property
-    def mass(self) -> float:
-        return sum(each.mass for each in (self.body, self.part) if each is not None)
 
 
 @dataclass(frozen=True)
@@ -121,7 +107,7 @@ class _CycleReader:
     ) -> None:
         self._document, self._path = document, path
         self._moves = document.move
-        self._robots: dict[_Load, Robot] = {}
+        self._robots: dict[Load, Robot] = {}
         self._load_robot = robots
         motion = document.motion
         if motion.start is None or motion.end is not None or motion.via or motion.path is not None:
@@ -133,7 +119,7 @@ class _CycleReader:
             self._fail("path", "a path of the tool and [[move]] exclude each other. Remove one.")
         if motion.boundary_velocity != "zero":
             self._fail("motion.boundary_velocity", "a cycle starts and ends at rest. Leave it out.")
-        self._loads = self._follow_loads()
+        self._loads = follow_loads(document, path)
         self._joints = JointLists(self._robot(self._loads[0]), path)
         self._poses = PoseReader(self._joints, document.pose)
         self._common = common_fields(document, self._joints)
@@ -141,7 +127,7 @@ class _CycleReader:
     def _fail(self, where: str, reason: str) -> NoReturn:
         raise InputFileError(self._path, where, reason)
 
-    def _robot(self, load: _Load) -> Robot:
+    def _robot(self, load: Load) -> Robot:
         if load not in self._robots:
             robot = read_robot(
                 self._document.robot, load.body, load.tool, self._path, self._load_robot
@@ -151,55 +137,6 @@ class _CycleReader:
                     robot = robot.with_payload(load.part.mass, load.part.com, load.part.inertia)
             self._robots[load] = robot
         return self._robots[load]
-
-    def _follow_loads(self) -> list[_Load]:
-        """Load of each move, and that after the last one."""
-        tool = self._document.tool
-        loads = [
-            _Load(
-                self._document.payload, None, ToolPointSection(link=tool.link, offset=tool.offset)
-            )
-        ]
-        gripped_at = ""
-        for number, move in enumerate(self._moves, start=1):
-            now, where = loads[-1], f"move[{number}]"
-            if move.payload is not None and move.event not in ("grip", "tool_change"):
-                self._fail(
-                    f"{where}.payload",
-                    "belongs to a move whose event is grip (the part) or tool_change (the new "
-                    "tool).",
-                )
-            if move.tool is not None and move.event != "tool_change":
-                self._fail(f"{where}.tool", "belongs to a move whose event is tool_change.")
-            if move.event == "grip":
-                if now.part is not None:
-                    self._fail(
-                        f"{where}.event",
-                        f"the gripper still holds the part that it took at {gripped_at}. Release "
-                        "that one before.",
-                    )
-                if move.payload is None:
-                    self._fail(f"{where}.payload", "a grip needs the part: mass, com and inertia.")
-                now, gripped_at = replace(now, part=move.payload), where
-            elif move.event == "release":
-                if now.part is None:
-                    self._fail(
-                        f"{where}.event",
-                        "the gripper holds no part here: nothing was gripped before, or it was "
-                        "put down already. Add a move with event = 'grip' and its payload before,"
-                        " or leave this event out.",
-                    )
-                now = replace(now, part=None)
-            elif move.event == "tool_change":
-                if now.part is not None:
-                    self._fail(
-                        f"{where}.event",
-                        "the tool cannot be changed while the gripper holds the part that it took"
-                        f" at {gripped_at}. Release it before.",
-                    )
-                now = _Load(move.payload, None, move.tool or ToolPointSection())
-            loads.append(now)
-        return loads
 
     def read(self) -> Cycle:
         """Cycle of the file."""

@@ -30,12 +30,12 @@ from stiffopt.solver.time_split import Combination, TimeSplit, combined
 _MAX_ROUNDS = 8
 # Relative change of the cycle's objective at which the split has converged, and change of a leg's
 # duration below which it is not solved again.
-_CONVERGED, _SAME_DURATION = 2e-3, 1e-4
+_CONVERGED_CHANGE, _SAME_DURATION = 2e-3, 1e-4
 # Rounds in which rests until the tool has settled are found by simulation, and their change at
 # which they are kept [s].
 _MAX_REST_ROUNDS, _SAME_REST = 4, 2e-3
 # Statuses from best to worst; the cycle has the worst of its legs.
-_RANKS = (
+_STATUS_RANKS = (
     SolveStatus.OPTIMAL,
     SolveStatus.ACCEPTABLE,
     SolveStatus.TIME_LIMIT,
@@ -76,7 +76,7 @@ def solve_cycle(
         rests = settled
         if changed <= _SAME_REST or cycle.duration[0] < cycle.duration[1]:
             break
-    return run.judged(found)
+    return run.with_rivals_and_duty(found)
 
 
 class _CycleRun:
@@ -125,7 +125,7 @@ class _CycleRun:
                 before = np.inf if best is None else best[0]
                 if value < before:
                     best = (value, split.durations.copy(), solutions)
-                if abs(before - value) <= _CONVERGED * value:
+                if abs(before - value) <= _CONVERGED_CHANGE * value:
                     break
             split.learn(values)
             proposed = split.proposal()
@@ -216,7 +216,7 @@ class _CycleRun:
                 )
             )
             time = arrival + float(rest)
-        status = max((each.status for each in solutions), key=_RANKS.index)
+        status = max((each.status for each in solutions), key=_STATUS_RANKS.index)
         return CycleSolution(
             status=status,
             message=self._message(solutions, status),
@@ -251,7 +251,7 @@ class _CycleRun:
         value = combined(np.array([each.value for each in found]), lasted, self._combination)
         return replace(found[0], value=value, terms={})
 
-    def judged(self, found: CycleSolution) -> CycleSolution:
+    def with_rivals_and_duty(self, found: CycleSolution) -> CycleSolution:
         """Result with rivals and duty, judged by the cycle's upper bound of time."""
         upper = self._cycle.duration[1]
         if found.duration > upper * (1.0 + 1e-9):

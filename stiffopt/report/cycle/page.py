@@ -25,7 +25,7 @@ from stiffopt.report.solve.wording import objective_amount, objective_phrase
 from stiffopt.result.cycle import CycleSolution, LegResult
 from stiffopt.result.duty import JointDuty
 
-_HOUR = 3600.0
+_SECONDS_PER_HOUR = 3600.0
 LEG_HEAD = ("leg", "moves", "start", "motion", "rest", "event", "carries", "objective", "in flight",
             "in the rest", "settled after", "status")  # fmt: skip
 DUTY_HEAD = ("joint", "rms torque", "peak torque", "peak speed", "mean speed", "peak power",
@@ -134,7 +134,7 @@ def _life_text(joint: JointDuty) -> str:
     life = joint.life
     if life is None:
         return DASH
-    return "no load" if not np.isfinite(life) else f"{significant(life / _HOUR, 2)} h"
+    return "no load" if not np.isfinite(life) else f"{significant(life / _SECONDS_PER_HOUR, 2)} h"
 
 
 def duty_text(solution: CycleSolution) -> str:
