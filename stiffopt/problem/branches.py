@@ -25,7 +25,7 @@ _SAME_POSE = 1e-5  # [rad], largest joint difference of equal solutions
 # Joints further than this from the reference also take the neighbouring turn [rad].
 _OTHER_TURN_FROM = 0.5 * np.pi
 _MAX_CANDIDATES = 96
-_MIN_LEVER = 1e-4  # [m], below which the side of a point is undefined
+_MIN_SQUARED_LENGTH = 1e-9  # [m^2] of the line from shoulder to wrist, against division by zero
 
 
 def solutions_of_pose(
@@ -139,28 +139,37 @@ def best_combination(tables: Sequence[CostTable], poses: int) -> list[int]:
 def branch_name(robot: Robot, q: np.ndarray) -> str:
     """Names of shoulder, elbow and wrist of a six-axis arm at joint angles (n,); else "".
 
-    Front is the side to which joint 2 leans as it turns positively; the elbow is up where it lies
-    above the line from shoulder to wrist; the wrist is "flip" where axis 6 lies on the negative
-    side of the plane of axes 4 and 5.
+    Front is the side of axis 1 on which the wrist lies with all joints at zero; the elbow is up
+    where it lies above the line from shoulder to wrist; the wrist is "flip" where axis 6 lies on
+    the negative side of the plane of axes 4 and 5.
     """
     if robot.n != 6 or np.any(robot.prismatic):
         return ""
+    forward, raised, turned = _branch_sides(robot, q)
+    front = np.sign(_branch_sides(robot, np.zeros(6))[0]) or 1.0
+    words = (
+        ("shoulder", "front" if forward * front > 0.0 else "back"),
+        ("elbow", "up" if raised > 0.0 else "down"),
+        ("wrist", "no flip" if turned > 0.0 else "flip"),
+    )
+    return ", ".join(f"{part} {side}" for part, side in words)
+
+
+def _branch_sides(robot: Robot, q: np.ndarray) -> tuple[float, float, float]:
+    """Signed sides: wrist across the plane of axes 1 and 2, elbow over its line, axis 6."""
     bodies = robot.rigid_bodies()
     frames = [bodies.pose(LinkFrame(joint, np.zeros(3), np.eye(3)), q) for joint in range(1, 7)]
     at = [place for place, _ in frames]
     axes = [turn @ robot.tree.bodies[j].axis for j, (_, turn) in enumerate(frames)]
     up = axes[0] if axes[0] @ np.array([0.0, 0.0, 1.0]) >= 0.0 else -axes[0]
     shoulder, elbow, wrist = at[1], at[2], at[4]
-    forward = float(np.cross(axes[1], up) @ (wrist - at[0]))
     line = wrist - shoulder
-    bend = elbow - shoulder - line * float((elbow - shoulder) @ line / max(line @ line, _MIN_LEVER))
-    flip = float(np.cross(axes[3], axes[4]) @ axes[5])
-    words = (
-        ("shoulder", "front" if forward > 0.0 else "back"),
-        ("elbow", "up" if float(bend @ up) > 0.0 else "down"),
-        ("wrist", "no flip" if flip > 0.0 else "flip"),
+    share = float((elbow - shoulder) @ line) / max(float(line @ line), _MIN_SQUARED_LENGTH)
+    return (
+        float(np.cross(axes[1], up) @ (wrist - at[0])),
+        float((elbow - shoulder - share * line) @ up),
+        float(np.cross(axes[3], axes[4]) @ axes[5]),
     )
-    return ", ".join(f"{part} {side}" for part, side in words)
 
 
 def within_limits(robot: Robot, lower: np.ndarray, upper: np.ndarray) -> Robot:

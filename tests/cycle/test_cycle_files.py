@@ -120,6 +120,8 @@ def test_branches_of_a_pose_have_eight_names_and_one_tool_pose():
     names = {branch_name(robot, each) for each in found}
     assert len(names) >= 4
     assert found[0] == pytest.approx(q, abs=1e-7)
+    home = np.zeros(6)
+    assert branch_name(robot, home).startswith("shoulder front, elbow up")
     # A flip of the wrist changes the name of the wrist alone.
     flipped = q + np.array([0, 0, 0, -np.pi, -2 * q[4], np.pi])
     first, second = (branch_name(robot, each).split(", ") for each in (q, flipped))
