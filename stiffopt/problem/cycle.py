@@ -7,11 +7,13 @@ optimum over all moves is the optimum of every leg at the best split of that tim
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
+
+from stiffopt.result.duty import DutyLimits
 
 if TYPE_CHECKING:
     from stiffopt.problem.trajectory import TrajectoryProblem
@@ -118,6 +120,7 @@ class Cycle:
         Distinct poses in the order of their first visit.
     after_last : Robot or None
         With the payload after the event of the last leg.
+    duty_limits : DutyLimits
     """
 
     title: str
@@ -125,6 +128,7 @@ class Cycle:
     duration: tuple[float, float]
     postures: tuple[Posture, ...] = ()
     after_last: Robot | None = None
+    duty_limits: DutyLimits = field(default_factory=DutyLimits)
 
     @cached_property
     def first(self) -> TrajectoryProblem:

@@ -43,6 +43,7 @@ from stiffopt.problem.schema import (
     problem_file,
 )
 from stiffopt.problem.trajectory import Target, TrajectoryProblem
+from stiffopt.result.duty import DutyLimits
 from stiffopt.robot.clearance import ClearanceModel
 from stiffopt.robot.elements import locate_errors
 from stiffopt.robot.files import load_robot
@@ -163,6 +164,17 @@ class _CycleReader:
             duration=duration,
             postures=postures,
             after_last=self._robot(self._loads[-1]),
+            duty_limits=self._duty_limits(),
+        )
+
+    def _duty_limits(self) -> DutyLimits:
+        duty = self._document.duty
+        return DutyLimits(
+            rms_torque=None
+            if duty.rms_torque is None
+            else self._joints(duty.rms_torque, "torque", "duty.rms_torque"),
+            reducer_life=duty.reducer_life,
+            energy=duty.energy,
         )
 
     @cached_property

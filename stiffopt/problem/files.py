@@ -17,6 +17,7 @@ from stiffopt.problem.joint_lists import JointLists
 from stiffopt.problem.limit import LIMITS, Limits
 from stiffopt.problem.objective import Objective
 from stiffopt.problem.schema import (
+    DutySection,
     ExpectedSection,
     LimitsSection,
     NamedTarget,
@@ -95,6 +96,8 @@ def _build_problem(
             "the file is a cycle of several moves, which `stiffopt solve`, `verify` and `export` "
             "take. Leave [[move]] out for a single motion from motion.start to motion.end.",
         )
+    if document.duty != DutySection():
+        raise InputFileError(path, "duty", "belongs to a cycle of [[move]]. Leave it out.")
     robot = read_robot(document.robot, document.payload, document.tool, path, robots)
     motion = document.motion
     joints = JointLists(robot, path)

@@ -15,9 +15,11 @@ from stiffopt.declaration import (
     Angle,
     Bounds,
     Doc,
+    Energy,
     Force,
     Inertia,
     JointPosition,
+    JointTorque,
     JointVelocity,
     Length,
     Mass,
@@ -264,6 +266,20 @@ class LimitsSection(Section):
     scale: Section = Section()
 
 
+class DutySection(Section):
+    """Limits of the duty of a cycle; a cycle beyond one is not usable."""
+
+    rms_torque: Annotated[
+        list[JointTorque] | None, Doc("Largest rms torque over the cycle, one a joint.")
+    ] = None
+    reducer_life: Annotated[
+        Time | None, POSITIVE, Doc("Least life L10 of every reducer whose rating is known.")
+    ] = None
+    energy: Annotated[
+        Energy | None, POSITIVE, Doc("Largest work of all drives in a cycle, nothing regenerated.")
+    ] = None
+
+
 class ExpectedSection(Section):
     """Expected value for `stiffopt verify`, with its source."""
 
@@ -299,6 +315,7 @@ class ProblemFile(Section):
         ),
     ] = None
     limits: LimitsSection = LimitsSection()
+    duty: DutySection = DutySection()
     cell: Annotated[Cell | None, Doc("Obstacles around the arm.")] = None
     method: Method = Method()
     uncertainty: Uncertainty = AssumedUncertainty()

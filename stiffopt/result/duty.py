@@ -143,6 +143,41 @@ class Duty:
         }
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class DutyLimits:
+    """Limits of a duty, None for none.
+
+    Parameters
+    ----------
+    rms_torque : array (n,) [N m]
+    reducer_life : float [s]
+    energy : float [J]
+    """
+
+    rms_torque: np.ndarray | None = None
+    reducer_life: float | None = None
+    energy: float | None = None
+
+    def excesses(self, duty: Duty) -> list[str]:
+        """Exceeded limits in words."""
+        found = []
+        limits = [None] * len(duty.joints) if self.rms_torque is None else self.rms_torque.tolist()
+        for each, limit in zip(duty.joints, limits, strict=True):
+            if limit is not None and each.rms_torque > limit:
+                found.append(
+                    f"the rms torque of {each.name}, {each.rms_torque:.4g} N m, exceeds "
+                    f"duty.rms_torque {limit:.4g} N m"
+                )
+            if self.reducer_life is not None and (each.life or np.inf) < self.reducer_life:
+                found.append(
+                    f"the reducer of {each.name} lasts {(each.life or 0.0) / 3600.0:.4g} h, below "
+                    f"duty.reducer_life {self.reducer_life / 3600.0:.4g} h"
+                )
+        if self.energy is not None and duty.energy > self.energy:
+            found.append(f"the work of {duty.energy:.4g} J exceeds duty.energy {self.energy:.4g} J")
+        return found
+
+
 def duty_of(
     histories: Sequence[DutyHistory],
     names: Sequence[str],

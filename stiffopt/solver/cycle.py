@@ -261,7 +261,16 @@ class _CycleRun:
                 message=f"the shortest cycle takes {found.duration:.4g} s, above motion.duration "
                 f"of {upper:.4g} s. Allow more time, or relax limits.",
             )
-        return replace(found, rivals=self._rivals(found), duty=cycle_duty(self._cycle, found))
+        duty = cycle_duty(self._cycle, found)
+        over = self._cycle.duty_limits.excesses(duty)
+        if over and found.status.usable:
+            found = replace(
+                found,
+                status=SolveStatus.CERTIFICATE_FAILED,
+                message=f"Every limit of the legs holds, but {'; '.join(over)}. Give longer dwells "
+                "or more time: the duty is no limit of the optimisation.",
+            )
+        return replace(found, rivals=self._rivals(found), duty=duty)
 
     def _rivals(self, found: CycleSolution) -> tuple[RivalCycle, ...]:
         """Cycles of the baselines that keep every limit on all legs."""

@@ -83,6 +83,13 @@ def test_single_motions_know_named_poses_and_refuse_moves(tmp_path):
     assert problem.vias[0].tolerance == 0.02
 
 
+def test_limits_of_the_duty_are_read_with_their_units(tmp_path):
+    duty = '[duty]\nrms_torque = [10, 20, 15]\nreducer_life = "20000 h"\nenergy = "0.2 kJ"\n'
+    limits = load_cycle(write_cycle_file(tmp_path, extra=duty)).cycle.duty_limits
+    assert limits.rms_torque == pytest.approx([10, 20, 15])
+    assert (limits.reducer_life, limits.energy) == pytest.approx((7.2e7, 200.0))
+
+
 def test_free_time_needs_the_objective_duration(tmp_path):
     path = write_cycle_file(tmp_path, duration="{ upper = 5.0 }")
     with pytest.raises(InputFileError, match="objective duration"):

@@ -10,7 +10,7 @@ from stiffopt.elastic.arm import ElasticArm
 from stiffopt.elastic.motor import MotorMotion
 from stiffopt.elastic.simulate import simulate
 from stiffopt.result.cycle import JoinedMotion
-from stiffopt.result.duty import DutyHistory, LifeRating, duty_of
+from stiffopt.result.duty import DutyHistory, DutyLimits, LifeRating, duty_of
 from stiffopt.result.trajectory import Trajectory
 from stiffopt.robot.files import load_robot
 from stiffopt.solver.time_split import TimeSplit, combined
@@ -85,6 +85,18 @@ def test_duty_of_a_duty_cycle_by_hand():
     mean = ((4 * 30.0**3 + 4 * 10.0**3) / 8) ** (1 / 3)
     assert found.mean_torque == pytest.approx(mean)
     assert found.life == pytest.approx(7000 * 3600 * (40 / mean) ** 3)
+
+
+def test_limits_of_the_duty_name_joint_and_numbers():
+    time, rate = np.array([0.0, 1.0]), np.ones((2, 1))
+    part = DutyHistory(time=time, velocity=rate, torque=5 * rate, reducer_torque=8 * rate)
+    rating = LifeRating(torque=4.0, speed=1.0, life=3600.0 * 80.0, exponent=3.0)
+    duty = duty_of([part], ["a"], np.array([60.0]), [rating])
+    limits = DutyLimits(rms_torque=np.array([4.0]), reducer_life=3600.0 * 11.0, energy=6.0)
+    torque, life = limits.excesses(duty)
+    assert "rms torque of a, 5 N m, exceeds duty.rms_torque 4 N m" in torque
+    assert "lasts 10 h, below duty.reducer_life 11 h" in life
+    assert not DutyLimits().excesses(duty)
 
 
 @pytest.mark.parametrize("by", ["peak", "rms", "sum"])
