@@ -14,7 +14,6 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.common import ROOT
 from stiffopt.baseline.rivals import fair_rivals
 from stiffopt.problem.cycle import Cycle
 from stiffopt.problem.cycle_files import load_cycle
@@ -22,6 +21,7 @@ from stiffopt.problem.limit import Limits
 from stiffopt.problem.resolve import resolve
 from stiffopt.solver.cycle import solve_cycle
 
+PROBLEMS = Path(__file__).resolve().parents[1] / "problems"
 FILES = ("er3a_cycle.toml", "ur10_cycle.toml")
 
 
@@ -49,10 +49,8 @@ def s_curve_time(cycle: Cycle, limited: bool) -> float:
 
 
 def main() -> None:
-    paths = [Path(name) for name in sys.argv[1:]] or [ROOT / "problems" / name for name in FILES]
-    print(
-        "| cycle | optimised [s] | moves one by one [s] | S-curves [s] | without deflection [s] |"
-    )
+    paths = [Path(name) for name in sys.argv[1:]] or [PROBLEMS / name for name in FILES]
+    print("| cycle | optimised [s] | one by one [s] | S-curves [s] | without deflection [s] |")
     print("|---|---|---|---|---|")
     for path in paths:
         stopping = one_by_one(path)
