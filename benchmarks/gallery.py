@@ -15,10 +15,12 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.reliability.commands import ROOT
+from stiffopt.problem.cycle_files import is_cycle, load_cycle
 from stiffopt.problem.files import load_problem
 from stiffopt.report.common.svg import to_svg
 from stiffopt.report.scene.poses import poses_along
 from stiffopt.report.scene.still import still_figure
+from stiffopt.solver.cycle import solve_cycle
 from stiffopt.solver.solve import solve
 
 _PAGE = ROOT / ".github" / "gallery.md"
@@ -58,14 +60,17 @@ def main() -> None:
 
 
 def motion_picture(path: Path) -> str:
-    """The arm along the optimised motion, bent by its largest deflection."""
-    problem = load_problem(path).problem
-    motion = solve(problem).assessment
-    assert motion is not None
-    poses = poses_along(problem, motion)
-    part = "dynamic" if "dynamic" in poses.bend else next(iter(poses.bend), "")
-    robot = problem.robot
-    figure = still_figure(robot.tree, robot.tool, [poses], part, 200.0, problem.cell)
+    """The arm along the optimised motion, bent by its largest deflection; of a cycle, each leg."""
+    if is_cycle(path):
+        solved = solve_cycle(load_cycle(path).cycle, simulate=False)
+        found = [(leg.problem, leg.solution.assessment) for leg in solved.legs]
+    else:
+        stated = load_problem(path).problem
+        found = [(stated, solve(stated).assessment)]
+    poses = [poses_along(problem, motion) for problem, motion in found if motion is not None]
+    part = "dynamic" if "dynamic" in poses[0].bend else next(iter(poses[0].bend), "")
+    robot, cell = found[0][0].robot, found[0][0].cell
+    figure = still_figure(robot.tree, robot.tool, poses, part, 200.0, cell)
     return to_svg(figure, f"gallery_{path.stem}", f"The arm of {path.stem}")
 
 

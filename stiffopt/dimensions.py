@@ -106,6 +106,7 @@ DIMENSIONS = {
         ),
         Dimension("force", "N", "12 kN", 0, (0.0, 1e7), {"mN": 1e-3}),
         Dimension("torque", "N*m", "45 N*m", 0, (0.0, 1e6), {"N*mm": 1e-3}),
+        Dimension("energy", "J", "250 J", 0, (0.0, 1e7), {"kJ": 1e3}),
         Dimension("time", "s", "1.6 s", 0, (1e-7, 1e7), {"ms": 1e-3, "us": 1e-6, "ns": 1e-9}),
         Dimension("frequency", "Hz", "20 Hz", 0, (1e-3, 1e6), {"kHz": 1e3, "mHz": 1e-3}),
         Dimension("pressure", "Pa", "0.1 MPa", 0, (1.0, 2e12), {"MPa": 1e6, "GPa": 1e9}),

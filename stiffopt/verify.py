@@ -13,8 +13,13 @@ from stiffopt.errors import InputFileError
 from stiffopt.files import check_file, load_toml
 from stiffopt.preload.files import load_study
 from stiffopt.preload.study import named_values, preload_study
+from stiffopt.problem.cycle_files import is_cycle, load_cycle
 from stiffopt.problem.files import load_problem
+from stiffopt.problem.schema import ExpectedSection
+from stiffopt.result.cycle import CycleSolution
+from stiffopt.result.solution import Solution
 from stiffopt.result.status import SolveStatus
+from stiffopt.solver.cycle import solve_cycle
 from stiffopt.solver.monitor import Progress
 from stiffopt.solver.solve import solve
 from stiffopt.solver.solve_run import ProgressCallback, SolveProgress
@@ -101,6 +106,8 @@ def check_problem(path: Path, changes: Sequence[str] = ()) -> None:
     """Read a problem or study file; raise `InputFileError` where it is invalid."""
     if _is_study(path):
         load_study(path, changes)
+    elif is_cycle(path):
+        load_cycle(path, changes)
     else:
         load_problem(path, changes)
 
@@ -178,11 +185,21 @@ def verify_study(
 def verify_file(
     path: Path, progress: ProgressCallback | None = None, changes: Sequence[str] = ()
 ) -> Check:
-    """Solve a trajectory problem and compare its objective; without [expected] it never passes."""
+    """Solve a motion or a cycle and compare its objective; without [expected] it never passes."""
     begin = time.perf_counter()
-    loaded = load_problem(path, changes)
-    solution = solve(loaded.problem, progress=progress, throw=False)
-    expected, value = loaded.expected, solution.objective
+    solution: Solution | CycleSolution
+    expected: ExpectedSection | None
+    if is_cycle(path):
+        cycle = load_cycle(path, changes)
+        # Rests until the tool has settled are part of the time, and known by simulation.
+        settles = any(leg.stop.until_settled for leg in cycle.cycle.legs)
+        solution = solve_cycle(cycle.cycle, progress=progress, simulate=settles)
+        expected = cycle.expected
+    else:
+        loaded = load_problem(path, changes)
+        solution = solve(loaded.problem, progress=progress, throw=False)
+        expected = loaded.expected
+    value = solution.objective
     if expected is None:
         return Check(
             path=path,

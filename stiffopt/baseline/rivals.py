@@ -17,6 +17,7 @@ from stiffopt.certificate.assess import assess
 from stiffopt.certificate.collisions import with_collisions
 from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
 from stiffopt.elastic.smooth_motion import smooth_motion
+from stiffopt.problem.bounds import shortest_duration
 from stiffopt.problem.trajectory import ResolvedMotion, TrajectoryProblem
 from stiffopt.result.assessment import Assessment
 from stiffopt.result.joint_path import JointPath
@@ -91,7 +92,9 @@ class FairRival:
 
     def _excess(self, duration: float) -> float:
         times = np.linspace(0.0, duration, _TRIAL_SAMPLES)
-        return assess(self._problem, self.at(duration), times=times).worst_violation.value
+        found = assess(self._problem, self.at(duration), times=times).violations
+        # Vias lie on the path, but between the samples.
+        return max(each.value for each in found if not each.limit.startswith("via_"))
 
 
 def fair_rivals(
@@ -100,6 +103,8 @@ def fair_rivals(
     """Rivals that keep every limit, each as fast as that allows from `shortest` [s] on."""
     if problem.boundary_velocity is not None and np.any(problem.boundary_velocity):
         return
+    # The search for the fastest one begins where a motion may exist.
+    shortest = max(shortest, shortest_duration(problem, motion)[0])
     path = baseline_path(problem, motion)
     laws = {"quintic": quintic_law(1.0), "S-curve": s_curve_law(problem, path, shortest)}
     quick = toppra_baseline(

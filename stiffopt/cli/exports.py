@@ -21,8 +21,8 @@ def export(
     to: Annotated[
         str,
         Parameter(
-            help="Format: ros2, urscript, csv or krl-rsi of a solve; urdf, mjcf or usd of a"
-            " diagnosis."
+            help="Format: ros2, csv, urscript, krl-rsi, abb-egm or fanuc-stream of a solve; urdf, "
+            "mjcf or usd of a diagnosis."
         ),
     ],
     rate: float | None = None,
@@ -55,9 +55,9 @@ def export(
     out
         Folder for the files; default: the folder of the result.
     """
+    from stiffopt.export.cycle_motion import read_stored
     from stiffopt.export.format import FORMATS
     from stiffopt.export.model_format import MODEL_FORMATS
-    from stiffopt.export.motion import read_motion
     from stiffopt.result.store import RESULT_FILE
 
     refuse_changes(changes)
@@ -75,7 +75,7 @@ def export(
         texts: Mapping[str, str | bytes]
         texts, maker = _extended_robot_files(result, to, recordings, effects), "diagnose"
     elif to in FORMATS:
-        texts, maker = FORMATS[to].export(read_motion(result, of, problem), rate), "solve"
+        texts, maker = FORMATS[to].export(read_stored(result, of, problem), rate), "solve"
     else:
         names = [*FORMATS, *MODEL_FORMATS]
         raise InputError(f"--to {to}: unknown format. {nearest(to, names)}")
@@ -104,7 +104,7 @@ def check(
     Parameters
     ----------
     file
-        File of `stiffopt export`: ros2, urscript, csv or krl-rsi.
+        File of `stiffopt export` of a motion.
     result
         Folder of the solve; default: the folder of the file.
     problem

@@ -34,8 +34,10 @@ def solve(
     """Optimise and certify a trajectory.
 
     Writes result.json, trajectory.csv, report.html and, for an elastic arm, command.csv: the motor
-    motion with which the links follow the plan. Ctrl-C ends the solve and keeps the best motion so
-    far; before the first motion it waits for it, pressed twice it stops immediately.
+    motion with which the links follow the plan. For a cycle of several [[move]] it writes
+    cycle.json, cycle.csv, report.html and a folder with these files for each leg. Ctrl-C ends the
+    solve and keeps the best motion so far; before the first motion it waits for it, pressed twice
+    it stops immediately.
 
     Parameters
     ----------
@@ -53,6 +55,12 @@ def solve(
     quiet
         No progress display.
     """
+    from stiffopt.problem.cycle_files import is_cycle
+
+    if is_cycle(problem):
+        if model is not None or guess is not None:
+            raise InputError("--model and --guess are of single motions: omit them for a cycle.")
+        return _solve_cycle(problem, out, changes, open_report, quiet)
     with defer_until_result():
         from stiffopt.certificate.assess import assess
         from stiffopt.problem.files import load_problem
@@ -121,6 +129,33 @@ def solve(
                     effects=effects,
                 )
     print_solution(stated, solution, folder)
+    show_report(folder, open_report)
+    return solution.status.exit_code
+
+
+def _solve_cycle(
+    problem: Path, out: Path | None, changes: Changes, open_report: bool, quiet: bool
+) -> int:
+    """Optimise a cycle: cycle.json, cycle.csv, report.html, and a folder for each leg."""
+    from stiffopt.problem.cycle_files import load_cycle
+    from stiffopt.report.cycle.page import print_cycle, write_cycle_report
+    from stiffopt.solver.cycle import solve_cycle
+    from stiffopt.solver.cycle_store import write_cycle_result
+
+    cycle = load_cycle(problem, changes).cycle
+    folder = out or default_folder(problem.stem, changes)
+    with output_folder(folder, "solve") as stage:
+        with (
+            _progress_display(cycle.title, quiet) as progress,
+            _name_file_in_errors(problem),
+            defer_until_result(),
+        ):
+            solution = solve_cycle(cycle, progress=progress)
+        end_deferral(ended=True)
+        with defer_while_writing():
+            write_cycle_report(cycle, solution, stage)
+            write_cycle_result(solution, stage, problem, folder, changes)
+    print_cycle(solution, folder)
     show_report(folder, open_report)
     return solution.status.exit_code
 

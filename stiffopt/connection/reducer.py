@@ -9,7 +9,7 @@ import numpy as np
 
 from stiffopt.connection.connection import Connection
 from stiffopt.contact.validate import require_ordered
-from stiffopt.declaration import POSITIVE, Doc, Stiffness, Torque
+from stiffopt.declaration import POSITIVE, AngularVelocity, Doc, Ratio, Stiffness, Time, Torque
 from stiffopt.symbolic import Quantity, softplus
 
 # Smoothing width over T1 or T2 [-]: errors of at most 2.1 % in wind-up and 24 % in slope.
@@ -36,6 +36,16 @@ class Reducer(Connection):
     K3: Annotated[Stiffness, POSITIVE, Doc("Slope above T2.")]
     T1: Annotated[Torque, POSITIVE, Doc("Torque at which the first range of stiffness ends.")]
     T2: Annotated[Torque, POSITIVE, Doc("Torque at which the second range ends, above T1.")]
+    rated_torque: Annotated[
+        Torque | None, POSITIVE, Doc("Torque of the rated life, at the output.")
+    ] = None
+    rated_speed: Annotated[
+        AngularVelocity | None, POSITIVE, Doc("Speed of the rated life, at the output.")
+    ] = None
+    rated_life: Annotated[Time | None, POSITIVE, Doc("Life L10 at rated torque and speed.")] = None
+    life_exponent: Annotated[
+        Ratio | None, POSITIVE, Doc("Exponent of the torque in the life: 3 of strain-wave gears.")
+    ] = None
 
     def __post_init__(self) -> None:
         super().__post_init__()

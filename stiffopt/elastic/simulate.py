@@ -6,7 +6,9 @@ servo, but not the sag under weight.
 
 from __future__ import annotations
 
+import itertools
 import warnings
+from collections.abc import Sequence
 
 import numpy as np
 from scipy.integrate import ODEintWarning, odeint, solve_ivp
@@ -18,6 +20,7 @@ from stiffopt.elastic.motor import MotorMotion
 from stiffopt.elastic.servo import Servo
 from stiffopt.errors import NotSimulatedError
 from stiffopt.result.simulation import SETTLING_BAND, SimulatedMotion
+from stiffopt.result.tool_error import join_tool_errors
 
 # Simulated time after arrival [s].
 REST = 1.0
@@ -44,6 +47,7 @@ def simulate(
     band: float = SETTLING_BAND,
     method: str = "",
     plan: MotorMotion | None = None,
+    changes: Sequence[tuple[float, ElasticArm]] = (),
 ) -> SimulatedMotion:
     """Simulate the arm on a motor motion, then at rest for a second.
 
@@ -63,6 +67,10 @@ def simulate(
     plan : MotorMotion, optional
         Planned motion of the links, from whose path the tool error is measured; default the
         command.
+    changes : sequence of (time [s], ElasticArm)
+        Arms that take over in flight, in order: the same one with another payload, process force or
+        tool. Positions and velocities carry on, so that the arm vibrates about its new
+        equilibrium, from whose pose the tool error is measured from then on.
 
     Returns
     -------
@@ -77,30 +85,46 @@ def simulate(
     end = motion.duration + (REST if motion.ends_at_rest else 0.0)
     motor = motion if servo is None else servo.follow(motion, end, ahead)
     # At rest the integrator would choose steps too long to notice the onset of vibration.
-    longest = 1.0 / check_reach(arm, motor.at(0.0)[0])
+    start, speed = motor.at(0.0)
+    arms = [arm, *(each for _, each in changes)]
+    longest = 1.0 / max(check_reach(each, start) for each in arms)
     n = arm.robot.n
     times = _sample_times(motion.duration, end)
-    start, speed = motor.at(0.0)
-    equations = _Equations(arm, motor)
+    equations = [_Equations(each, motor) for each in arms]
     state = np.concatenate(
-        [arm.static_equilibrium(start[None])[0], speed, np.zeros(equations.loops)]
+        [arm.static_equilibrium(start[None])[0], speed, np.zeros(equations[0].loops)]
     )
-    parts: list[np.ndarray] = []
-    spans = [(0.0, motion.duration)]
+    parts, errors = [], []
+    breaks = [0.0, *(time for time, _ in changes), motion.duration]
+    spans = [
+        (begin, stop, number)
+        for number, (begin, stop) in enumerate(itertools.pairwise(breaks))
+        if stop > begin
+    ]
     if end > motion.duration:
-        # Restarted just after arrival: the motor's acceleration may jump there.
-        spans.append((float(np.nextafter(motion.duration, np.inf)), end))
-    for begin, stop in spans:
-        inside = times[(times >= begin) & (times <= stop)]
-        found = _integrate_states(equations, begin, state, np.append(inside, stop), longest, method)
+        spans.append((motion.duration, end, len(arms) - 1))
+    followed = motor.position(times)
+    for begin, stop, number in spans:
+        # Restarted just after arrival and changes: accelerations may jump there.
+        begin = begin if begin == 0.0 else float(np.nextafter(begin, np.inf))
+        chosen = (times >= begin) & (times <= stop)
+        found = _integrate_states(
+            equations[number], begin, state, np.append(times[chosen], stop), longest, method
+        )
         state = found[-1]
         parts.append(found[:-1])
     states = np.concatenate(parts)
-    followed = motor.position(times)
     q = np.where(arm.elastic, states[:, :n], followed)
+    for number, each in enumerate(arms):
+        after, until = breaks[number], breaks[number + 1] if number + 1 < len(arms) else np.inf
+        chosen = ((times > after) | (number == 0)) & (times <= until)
+        if not chosen.any():
+            continue
+        at = times[chosen]
+        errors.append(each.tool_error(at, plan.duration, q[chosen], plan.position(at)))
     windup = followed - q
-    torque = equations.spring_torque(windup, states[:, 2 * n :])
-    error = arm.tool_error(times, plan.duration, q, plan.position(times))
+    torque = equations[0].spring_torque(windup, states[:, 2 * n :])
+    error = errors[0] if len(errors) == 1 else join_tool_errors(errors)
     return SimulatedMotion(
         error=error,
         position=q,

@@ -10,8 +10,8 @@ import numpy as np
 
 from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
 from stiffopt.errors import InputFileError, format_relative
+from stiffopt.export.cycle_motion import read_stored
 from stiffopt.export.format import FORMATS, is_whole, read_seal
-from stiffopt.export.motion import read_motion
 from stiffopt.files import read_text
 
 # Relative and absolute tolerance of numbers against a fresh export: rounding of other processors.
@@ -78,12 +78,12 @@ def check_file(file: Path, result: Path, problem: Path | None = None) -> Checked
             file, "", "was changed after its export: the hash of its header is that of another "
             "content. Export the motion again."
         )  # fmt: skip
-    if not (result / "result.json").is_file():
+    if not any((result / name).is_file() for name in ("result.json", "cycle.json")):
         raise InputFileError(
             file, "", f"{result} has no result.json to compare with. Give the folder of its solve "
             "as --result."
         )  # fmt: skip
-    stored = read_motion(result, "link" if which == "link" else "motor", problem)
+    stored = read_stored(result, "link" if which == "link" else "motor", problem)
     for subject in _SEAL_SUBJECTS:
         if entries.get(subject) != stored.seal[subject]:
             verb = "are" if subject == "limits" else "is"

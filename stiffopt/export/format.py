@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from stiffopt.errors import InputError
+from stiffopt.export.makers import maker_of
 from stiffopt.export.motion import SampledMotion, StoredMotion, check_rate
 from stiffopt.problem.registry import Registry
 
@@ -33,6 +34,8 @@ class ExportFormat(ABC):
         Largest rate [Hz].
     whole_steps : bool
         True for a fixed cycle: every step is 1/rate.
+    maker : str
+        Maker of the arms that run its programs; "" for any.
     from_rest : bool
         True if its programs approach the start and stop at the end, so that the motion must start
         and end at rest.
@@ -44,6 +47,7 @@ class ExportFormat(ABC):
     rate_max: float
     whole_steps = False
     from_rest = False
+    maker = ""
 
     def export(self, stored: StoredMotion, rate: float | None = None) -> dict[str, str]:
         """Export a motion as texts by file name.
@@ -61,6 +65,7 @@ class ExportFormat(ABC):
         """
         chosen = self.rate if rate is None else rate
         check_rate(chosen, self.rate_max, self.title)
+        require_maker(stored.problem.robot.name, self)
         self.check(stored, chosen)
         if self.from_rest:
             stored.require_rest(self.title)
@@ -88,9 +93,11 @@ FORMATS: Registry[ExportFormat] = Registry("stiffopt.export.formats")
 
 
 # Lines of KRL sources are of ASCII and below 256 characters: one entry a line.
-_ENTRY_PATTERN = re.compile(r"^[#;] stiffopt (\w+): (.*)\n", re.MULTILINE)
+_ENTRY_PATTERN = re.compile(r"^[#;!] stiffopt (\w+): (.*)\n", re.MULTILINE)
 # Comment mark by suffix, and the number of lines before the header.
-_COMMENT_STYLES = {".src": (";", 2)}
+_COMMENT_STYLES = {".src": (";", 2), ".mod": ("!", 1)}
+# Files whose format has no comment outside of its program.
+_UNSEALED_SUFFIXES = (".ls",)
 
 
 def seal_entries(stored: StoredMotion, to: str, rate: float, file: str) -> dict[str, str]:
@@ -106,6 +113,8 @@ def seal_entries(stored: StoredMotion, to: str, rate: float, file: str) -> dict[
 
 def with_seal(text: str, entries: dict[str, str], file: str) -> str:
     """Add the header, which includes the hash of all other lines."""
+    if PurePath(file).suffix in _UNSEALED_SUFFIXES:
+        return text
     mark, before = _COMMENT_STYLES.get(PurePath(file).suffix, ("#", 0))
     # Hash the text as `read_seal` returns it: a title may look like an entry.
     content = hashlib.sha256(_ENTRY_PATTERN.sub("", text).encode()).hexdigest()
@@ -123,6 +132,17 @@ def read_seal(text: str) -> tuple[dict[str, str], str]:
 def is_whole(entries: dict[str, str], body: str) -> bool:
     """Return True if the text has the hash of its header."""
     return entries.get("content") == hashlib.sha256(body.encode()).hexdigest()
+
+
+def require_maker(robot: str, form: ExportFormat) -> None:
+    """Raise `InputError` for an arm of another maker than that of the format's programs."""
+    known = maker_of(robot)
+    if form.maker and known and known != form.maker:
+        fitting = [name for name, each in FORMATS.items() if each.maker in ("", known)]
+        raise InputError(
+            f"--to {form.name}: {form.title} programs run on arms of {form.maker}; {robot} is one "
+            f"of {known}. Export it with --to {' or '.join(sorted(fitting))}."
+        )
 
 
 def require_six_axes(stored: StoredMotion, owner: str) -> None:

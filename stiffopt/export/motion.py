@@ -42,6 +42,27 @@ _REST_SPEED_SHARE = 1e-3
 
 
 @dataclass(frozen=True, kw_only=True)
+class MotionEvent:
+    """Event of the gripper or tool changer.
+
+    Parameters
+    ----------
+    time : float [s]
+    kind : str
+        "grip", "release" or "tool_change".
+    mass : float
+        All that the flange carries afterwards [kg].
+    """
+
+    time: float
+    kind: str
+    mass: float
+
+    def __str__(self) -> str:
+        return f"{self.kind.replace('_', ' ')} at {self.time:.3f} s, then {self.mass:g} kg"
+
+
+@dataclass(frozen=True, kw_only=True)
 class SampledMotion:
     """Sampled motion for a controller.
 
@@ -58,6 +79,8 @@ class SampledMotion:
         Times from 0.
     position, velocity, acceleration : array (K, n)
         [rad], [rad/s], [rad/s^2]; metres for radians of prismatic joints.
+    events : tuple of MotionEvent
+        In order.
     """
 
     title: str
@@ -68,6 +91,12 @@ class SampledMotion:
     position: np.ndarray
     velocity: np.ndarray
     acceleration: np.ndarray
+    events: tuple[MotionEvent, ...] = ()
+
+    def events_until(self, sample: int) -> list[MotionEvent]:
+        """Events after the sample before and up to this one."""
+        before = -np.inf if sample == 0 else self.time[sample - 1]
+        return [each for each in self.events if before < each.time <= self.time[sample]]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -162,7 +191,12 @@ class StoredMotion:
                 )
 
 
-def read_motion(folder: Path, which: Which = "motor", problem: Path | None = None) -> StoredMotion:
+def read_motion(
+    folder: Path,
+    which: Which = "motor",
+    problem: Path | None = None,
+    stated: TrajectoryProblem | None = None,
+) -> StoredMotion:
     """Read and assess the motion of a result folder.
 
     Parameters
@@ -173,6 +207,8 @@ def read_motion(folder: Path, which: Which = "motor", problem: Path | None = Non
         Command of the drives (command.csv if present), or planned motion of the links.
     problem : Path, optional
         Problem file in place of that of the result.
+    stated : TrajectoryProblem, optional
+        The solved problem, where it was read already.
 
     Raises
     ------
@@ -183,7 +219,7 @@ def read_motion(folder: Path, which: Which = "motor", problem: Path | None = Non
     document = read_document(path)
     duration = _certified_duration(path, document)
     names, prismatic = read_joints(document, path)
-    stated = solved_problem(path, document, problem)
+    stated = solved_problem(path, document, problem, stated)
     file = folder / TRAJECTORY_FILE
     time, rows, link = read_rows(file, path, document, stated)
     if abs(time[-1] - duration) > 1e-9 * duration:

@@ -7,6 +7,7 @@ limits of the problem, by the certificate's own model.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,8 +20,10 @@ from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
 from stiffopt.discovery.extended.planning import extended_problem, planner_model, read_model
 from stiffopt.errors import InputError, InputFileError
 from stiffopt.files import read_table
+from stiffopt.problem.cycle_files import load_cycle
 from stiffopt.problem.files import load_problem
-from stiffopt.result.store import export_times, file_hash, motion_seal
+from stiffopt.result.cycle import leg_folder
+from stiffopt.result.store import RESULT_FILE, export_times, file_hash, motion_seal, read_document
 from stiffopt.solver.stored_result import check_inputs, problem_file, read_changes
 
 if TYPE_CHECKING:
@@ -63,10 +66,37 @@ class SampledRows:
         return self._orders[order]
 
 
-def solved_problem(
+def solved_legs(
     path: Path, document: dict[str, Any], given: Path | None = None
+) -> list[TrajectoryProblem]:
+    """Return the problems of the legs of a cycle.json at `path`, each as long as it was solved.
+
+    Raises
+    ------
+    InputFileError
+        The problem file is missing, or has another number of legs.
+    """
+    cycle = load_cycle(problem_file(path, document, given), read_changes(path, document)).cycle
+    found = []
+    for number, leg in enumerate(cycle.legs, start=1):
+        stored = read_document(path.parent / leg_folder(number) / RESULT_FILE)
+        solved = stored.get("leg")
+        if not isinstance(solved, dict) or not isinstance(solved.get("duration"), list):
+            raise InputFileError(path, "legs", f"leg {number} is of no cycle. Solve again.")
+        lower, upper = (np.inf if each is None else float(each) for each in solved["duration"])
+        found.append(replace(leg.problem, duration=(lower, upper)))
+    return found
+
+
+def solved_problem(
+    path: Path,
+    document: dict[str, Any],
+    given: Path | None = None,
+    known: TrajectoryProblem | None = None,
 ) -> TrajectoryProblem:
     """Return the solved problem of a result.json at `path`, with its changes and model.
+
+    `known` is the problem where it was read already.
 
     Raises
     ------
@@ -74,7 +104,7 @@ def solved_problem(
         A file is missing, or robot, payload, limits or problem have changed.
     """
     file = problem_file(path, document, given)
-    stated = load_problem(file, read_changes(path, document)).problem
+    stated = known or load_problem(file, read_changes(path, document)).problem
     named = [document.get(key) for key in ("model", "effects")]
     if isinstance(named[0], str):
         model, effects = (path.parent / each if isinstance(each, str) else None for each in named)
@@ -146,7 +176,7 @@ def read_rows(
     time = np.array(table["t"])
     _check_times(file, time)
     rows = np.array([[table[name] for name in own] for own in names]).transpose(0, 2, 1)
-    _check_derivatives(file, time, rows, ~np.isfinite(problem.active_limits.jerk))
+    _check_derivatives(file, time, rows, problem.active_limits.jerk)
     if not all(name in table for name in links):
         return time, rows, None
     # End velocities of the links are those of the motors: the wind-up is nearly constant there.
@@ -169,12 +199,14 @@ def _check_times(file: Path, time: np.ndarray) -> None:
     )  # fmt: skip
 
 
-def _check_derivatives(file: Path, time: np.ndarray, rows: np.ndarray, jumps: np.ndarray) -> None:
+def _check_derivatives(file: Path, time: np.ndarray, rows: np.ndarray, jerk: np.ndarray) -> None:
     """Raise `InputFileError` where velocities or accelerations contradict the positions."""
     step = np.diff(time)[:, None]
-    # Change of the acceleration between two rows; without a jerk limit it may jump and return.
+    # Change of the acceleration between two rows: between them it may leave and return, as far as
+    # the jerk limit allows, without one as far as it does anywhere.
     bend = np.abs(np.diff(rows[2], axis=0))
-    bend = np.where(jumps, 2.0 * np.max(np.abs(rows[2]), axis=0), bend)
+    excursion = np.where(np.isfinite(jerk), 0.5 * jerk * step, np.inf)
+    bend = np.maximum(bend, np.minimum(excursion, 2.0 * np.max(np.abs(rows[2]), axis=0)))
     for order, quantity in ((0, "velocity"), (1, "acceleration")):
         own, rate = rows[order], rows[order + 1]
         mean = np.diff(own, axis=0) / step

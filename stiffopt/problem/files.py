@@ -11,19 +11,21 @@ from typing import Any
 import numpy as np
 
 from stiffopt.declaration import declared
-from stiffopt.errors import InputFileError
+from stiffopt.errors import InputFileError, nearest
 from stiffopt.files import read_document
 from stiffopt.problem.joint_lists import JointLists
 from stiffopt.problem.limit import LIMITS, Limits
 from stiffopt.problem.objective import Objective
 from stiffopt.problem.schema import (
+    DutySection,
     ExpectedSection,
     LimitsSection,
+    NamedTarget,
     PathSection,
     PayloadSection,
+    PoseSection,
     ProblemFile,
-    TargetSection,
-    ToolSection,
+    ToolPointSection,
     problem_file,
 )
 from stiffopt.problem.tool_path import ToolPath, ToolSegment, joint_waypoints
@@ -87,15 +89,20 @@ def load_problem(
 def _build_problem(
     document: ProblemFile, path: Path, robots: Callable[[str | Path], Robot]
 ) -> TrajectoryProblem:
+    if document.move:
+        raise InputFileError(
+            path,
+            "move",
+            "the file is a cycle of several moves, which `stiffopt solve`, `verify` and `export` "
+            "take. Leave [[move]] out for a single motion from motion.start to motion.end.",
+        )
+    if document.duty != DutySection():
+        raise InputFileError(path, "duty", "belongs to a cycle of [[move]]. Leave it out.")
     robot = read_robot(document.robot, document.payload, document.tool, path, robots)
     motion = document.motion
     joints = JointLists(robot, path)
-    remarks = _payload_remarks(document.payload)
-    if isinstance(motion.duration, float):
-        duration = (motion.duration, motion.duration)
-    else:
-        upper = motion.duration.upper
-        duration = (motion.duration.lower, np.inf if upper is None else upper)
+    poses = PoseReader(joints, document.pose)
+    remarks = payload_remarks(document.payload)
     waypoints = None
     if motion.path is not None:
         waypoints = np.stack(
@@ -114,14 +121,10 @@ def _build_problem(
         if motion.start is None or motion.end is None:
             raise InputFileError(
                 path, "motion", "give `start` and `end`, or a fixed joint `path`, or a [path] of "
-                "the tool."
+                "the tool, or `start` and the [[move]] of a cycle."
             )  # fmt: skip
-        start = _read_target(motion.start, joints, "motion.start")
-        end = _read_target(motion.end, joints, "motion.end")
-    limits = _read_limits(document.limits, joints)
-    if document.path is not None and document.path.speed is not None:
-        fastest = min(limits.tool_speed, document.path.speed)
-        limits = Limits({**limits.values, "tool_speed": fastest})
+        start = poses(motion.start, "motion.start")
+        end = poses(motion.end, "motion.end")
     velocity = None
     if motion.boundary_velocity != "zero":
         velocity = (
@@ -132,32 +135,48 @@ def _build_problem(
         robot=robot,
         start=start,
         end=end,
-        vias=tuple(
-            _read_target(via, joints, f"motion.via[{k}]")
-            for k, via in enumerate(motion.via, start=1)
-        ),
+        vias=tuple(poses(via, f"motion.via[{k}]") for k, via in enumerate(motion.via, start=1)),
         path=waypoints,
-        duration=duration,
-        objectives=tuple(
+        duration=read_duration(document),
+        boundary_velocity=velocity,
+        boundary_acceleration=motion.boundary_acceleration,
+        remarks=remarks,
+        **common_fields(document, joints),
+    )
+
+
+def read_duration(document: ProblemFile) -> tuple[float, float]:
+    """Lower and upper duration [s] of a file; equal where it is fixed."""
+    duration = document.motion.duration
+    if isinstance(duration, float):
+        return duration, duration
+    return duration.lower, np.inf if duration.upper is None else duration.upper
+
+
+def common_fields(document: ProblemFile, joints: JointLists) -> dict[str, Any]:
+    """Fields of `TrajectoryProblem` that a single motion and every leg of a cycle share."""
+    limits = _read_limits(document.limits, joints)
+    if document.path is not None and document.path.speed is not None:
+        fastest = min(limits.tool_speed, document.path.speed)
+        limits = Limits({**limits.values, "tool_speed": fastest})
+    return {
+        "objectives": tuple(
             Objective(
                 name=term.objective, **{key: getattr(term, key) for key in declared(Objective)}
             )
             for term in document.minimise or ()
         ),
-        limits=limits,
-        boundary_velocity=velocity,
-        boundary_acceleration=motion.boundary_acceleration,
-        process_force=np.array(document.tool.process_force),
-        method=document.method,
-        uncertainty=document.uncertainty,
-        servo=document.servo,
-        title=document.title or path.stem,
-        remarks=remarks,
-        cell=None if document.cell is None else document.cell.found_in(path.parent),
-    )
+        "limits": limits,
+        "process_force": np.array(document.tool.process_force),
+        "method": document.method,
+        "uncertainty": document.uncertainty,
+        "servo": document.servo,
+        "title": document.title or joints.path.stem,
+        "cell": None if document.cell is None else document.cell.found_in(joints.path.parent),
+    }
 
 
-def _payload_remarks(payload: PayloadSection | None) -> tuple[str, ...]:
+def payload_remarks(payload: PayloadSection | None) -> tuple[str, ...]:
     """Assumptions about the payload, repeated in results."""
     if payload is None or payload.inertia is not None or payload.mass == 0.0:
         return ()
@@ -170,7 +189,7 @@ def _payload_remarks(payload: PayloadSection | None) -> tuple[str, ...]:
 def read_robot(
     name: str,
     payload: PayloadSection | None,
-    tool: ToolSection,
+    tool: ToolPointSection,
     path: Path,
     robots: Callable[[str | Path], Robot] = load_robot,
 ) -> Robot:
@@ -199,20 +218,41 @@ def read_robot(
     return robot
 
 
-def _read_target(section: TargetSection, joints: JointLists, where: str) -> Target:
-    def angles(values: Sequence[float] | None, key: str) -> np.ndarray | None:
-        return None if values is None else joints(values, "angle", f"{where}.{key}")
+class PoseReader:
+    """Targets of a file, with those of [[pose]] by their names."""
 
-    extra = {} if section.tolerance is None else {"tolerance": float(section.tolerance)}
-    with locate_errors(joints.path, where):
-        return Target(
-            joints=angles(section.joints, "joints"),
-            position=None if section.position is None else np.array(section.position),
-            rpy=None if section.rpy is None else np.array(section.rpy),
-            near=angles(section.near, "near"),
-            angle_tolerance=section.angle_tolerance,
-            **extra,
-        )
+    def __init__(self, joints: JointLists, poses: Sequence[PoseSection]) -> None:
+        self._joints, self.named = joints, {each.name: each for each in poses}
+        for number, each in enumerate(poses, start=1):
+            if self.named[each.name] is not each:
+                raise InputFileError(
+                    joints.path, f"pose[{number}]", f"{each.name!r} is the name of two poses. "
+                    "Rename one."
+                )  # fmt: skip
+
+    def __call__(self, section: NamedTarget, where: str) -> Target:
+        """Target of an entry at the key `where`."""
+        if isinstance(section, str):
+            if section not in self.named:
+                known = nearest(section, self.named) if self.named else "The file has no [[pose]]."
+                raise InputFileError(
+                    self._joints.path, where, f"there is no pose {section!r}. {known}"
+                )
+            where, section = f"pose[{section}]", self.named[section]
+
+        def angles(values: Sequence[float] | None, key: str) -> np.ndarray | None:
+            return None if values is None else self._joints(values, "angle", f"{where}.{key}")
+
+        extra = {} if section.tolerance is None else {"tolerance": float(section.tolerance)}
+        with locate_errors(self._joints.path, where):
+            return Target(
+                joints=angles(section.joints, "joints"),
+                position=None if section.position is None else np.array(section.position),
+                rpy=None if section.rpy is None else np.array(section.rpy),
+                near=angles(section.near, "near"),
+                angle_tolerance=section.angle_tolerance,
+                **extra,
+            )
 
 
 def tool_waypoints(section: PathSection, joints: JointLists) -> tuple[np.ndarray, tuple[str, ...]]:

@@ -15,9 +15,11 @@ from stiffopt.declaration import (
     Angle,
     Bounds,
     Doc,
+    Energy,
     Force,
     Inertia,
     JointPosition,
+    JointTorque,
     JointVelocity,
     Length,
     Mass,
@@ -52,11 +54,16 @@ class PayloadSection(Section):
     ] = None
 
 
-class ToolSection(Section):
-    """Tool point whose deflection is evaluated, and the process force on it."""
+class ToolPointSection(Section):
+    """Tool point."""
 
     link: Annotated[str | None, Doc("Link that carries the tool; default the robot's.")] = None
     offset: Annotated[Vector3 | None, Doc("Tool point in the frame of the link.")] = None
+
+
+class ToolSection(ToolPointSection):
+    """Tool point whose deflection is evaluated, and the process force on it."""
+
     process_force: Annotated[tuple[Force, Force, Force], Doc("Force ON the tool, base frame.")] = (
         0.0,
         0.0,
@@ -87,6 +94,58 @@ class TargetSection(Section):
     ] = 0.01
 
 
+# A pose, or the name of one of [[pose]].
+NamedTarget = TargetSection | str
+
+
+class PoseSection(TargetSection):
+    """Pose that moves refer to by its name; it is taken in the same joint angles at every visit."""
+
+    name: Annotated[str, Doc("Name of the pose.")]
+
+
+class MoveSection(Section):
+    """Move of a working cycle, from the pose before to its own."""
+
+    to: Annotated[NamedTarget, Doc("End of the move: a pose, or the name of one of [[pose]].")]
+    name: Annotated[str, Doc("Name in results; default the pose's name, else the number.")] = ""
+    via: Annotated[tuple[NamedTarget, ...], Doc("Via points, passed in order at free times.")] = ()
+    stop: Annotated[
+        bool | None,
+        Doc(
+            "False: the arm passes the end within its tolerance, without a stop. Default true, as "
+            "dwells, events and changes of speed or force need."
+        ),
+    ] = None
+    dwell: Annotated[
+        Annotated[Time, NOT_NEGATIVE] | Literal["settled"],
+        Doc(
+            "Rest after arrival and event; settled: until the tool stays within "
+            "limits.settling_band on the elastic arm."
+        ),
+    ] = 0.0
+    event: Annotated[
+        Literal["grip", "release", "tool_change"] | None,
+        Doc(
+            "Event at arrival: the gripper takes the part `payload`, lets it go, or `payload` and "
+            "`tool` replace those of the file."
+        ),
+    ] = None
+    payload: Annotated[
+        PayloadSection | None, Doc("Part that is gripped, or body of the new tool.")
+    ] = None
+    tool: Annotated[ToolPointSection | None, Doc("Tool point after a tool change.")] = None
+    speed: Annotated[
+        Ratio,
+        Bounds(above=0.0, most=1.0),
+        Doc("Speed override: factor on the limits of joint velocity and tool speed."),
+    ] = 1.0
+    process_force: Annotated[
+        tuple[Force, Force, Force] | None,
+        Doc("Force ON the tool during the move, base frame; default that of [tool]."),
+    ] = None
+
+
 class DurationSection(Section):
     """Duration that is optimised between two bounds."""
 
@@ -102,13 +161,13 @@ class BoundaryVelocity(Section):
 
 
 class MotionSection(Section):
-    """Start and end with via points, or a fixed joint path."""
+    """Start and end with via points, a fixed joint path, or the start of a cycle of moves."""
 
-    start: Annotated[TargetSection | None, Doc("Start of the motion.")] = None
-    via: Annotated[
-        tuple[TargetSection, ...], Doc("Via points, passed in order at free times.")
-    ] = ()
-    end: Annotated[TargetSection | None, Doc("End of the motion.")] = None
+    start: Annotated[NamedTarget | None, Doc("Start of the motion.")] = None
+    via: Annotated[tuple[NamedTarget, ...], Doc("Via points, passed in order at free times.")] = ()
+    end: Annotated[
+        NamedTarget | None, Doc("End of the motion; that of a cycle is its last [[move]].")
+    ] = None
     path: Annotated[
         list[list[JointPosition]] | None,
         Doc(
@@ -117,7 +176,8 @@ class MotionSection(Section):
         ),
     ] = None
     duration: Annotated[
-        Annotated[Time, POSITIVE] | DurationSection, Doc("Fixed, or optimised between two bounds.")
+        Annotated[Time, POSITIVE] | DurationSection,
+        Doc("Fixed, or optimised between two bounds; of a cycle with its dwells."),
     ]
     boundary_velocity: Annotated[
         Literal["zero"] | BoundaryVelocity, Doc("Velocity at both ends.")
@@ -128,9 +188,8 @@ class MotionSection(Section):
 
     @model_validator(mode="after")
     def _check_ends(self) -> MotionSection:
-        # Without any of them the tool path, [path], defines the motion.
-        some = self.start or self.end or self.via
-        if self.path is None and some and (self.start is None or self.end is None):
+        # Without any of them the tool path, [path], defines the motion; a cycle has no end here.
+        if self.path is None and (self.end or self.via) and (not self.start or not self.end):
             raise ValueError("give `start` and `end`, or a fixed joint `path`")
         if self.path is not None and (self.start or self.end or self.via):
             raise ValueError("`path` fixes start, end and vias; remove those or the path")
@@ -207,6 +266,20 @@ class LimitsSection(Section):
     scale: Section = Section()
 
 
+class DutySection(Section):
+    """Limits of the duty of a cycle; a cycle beyond one is not usable."""
+
+    rms_torque: Annotated[
+        list[JointTorque] | None, Doc("Largest rms torque over the cycle, one a joint.")
+    ] = None
+    reducer_life: Annotated[
+        Time | None, POSITIVE, Doc("Least life L10 of every reducer whose rating is known.")
+    ] = None
+    energy: Annotated[
+        Energy | None, POSITIVE, Doc("Largest work of all drives in a cycle, nothing regenerated.")
+    ] = None
+
+
 class ExpectedSection(Section):
     """Expected value for `stiffopt verify`, with its source."""
 
@@ -228,6 +301,10 @@ class ProblemFile(Section):
     payload: PayloadSection | None = None
     tool: ToolSection = ToolSection()
     motion: MotionSection
+    pose: Annotated[tuple[PoseSection, ...], Doc("Poses that have names.")] = ()
+    move: Annotated[
+        tuple[MoveSection, ...], Doc("Moves of a working cycle, from motion.start on.")
+    ] = ()
     path: PathSection | None = None
     minimise: Annotated[
         list[MinimiseSection] | None,
@@ -238,6 +315,7 @@ class ProblemFile(Section):
         ),
     ] = None
     limits: LimitsSection = LimitsSection()
+    duty: DutySection = DutySection()
     cell: Annotated[Cell | None, Doc("Obstacles around the arm.")] = None
     method: Method = Method()
     uncertainty: Uncertainty = AssumedUncertainty()

@@ -123,6 +123,7 @@ def write_result(
     changes: Sequence[str] = (),
     model: str | Path | None = None,
     effects: str | Path | None = None,
+    leg: int | None = None,
 ) -> Path:
     """Write result.json into `directory`, after the motion files; return its path.
 
@@ -140,8 +141,12 @@ def write_result(
         Changed entries of the problem file, as given to --set.
     model, effects : path, optional
         Extended model of the plan, and the file of its effects.
+    leg : int, optional
+        Number (from 1) of the leg of a cycle that this is, whose duration is that of `stated`.
     """
     document = result_document(solution)
+    if leg is not None and stated is not None:
+        document["leg"] = {"number": leg, "duration": to_json_types(stated.duration)}
     if stated is not None:
         document["title"] = stated.title
         document["joints"] = [

@@ -6,6 +6,7 @@ along the path (lateness, overshoot) and across it.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -126,6 +127,21 @@ class PropagatedError:
     def after_arrival(self) -> float:
         """Largest bound from arrival on [m]."""
         return float(self.bound[self.time >= self.duration].max())
+
+
+def join_tool_errors(errors: Sequence[ToolError]) -> ToolError:
+    """Join the errors of one arm over consecutive instants of the same planned path."""
+    position, orientation, direction, time = (
+        np.concatenate([getattr(each, name) for each in errors])
+        for name in ("position", "orientation", "direction", "time")
+    )
+    return ToolError(
+        time=time,
+        duration=errors[0].duration,
+        position=position,
+        orientation=orientation,
+        direction=direction,
+    )
 
 
 def path_directions(places: np.ndarray) -> np.ndarray:

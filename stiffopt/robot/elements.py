@@ -177,8 +177,11 @@ class ReducerLookUp(ElementSection):
     catalogue: Annotated[str | None, Named("reducer"), Doc("Reducer of the catalogue.")] = None
 
     def look_up(self) -> dict[str, Any]:
-        """Look up slopes and torques."""
-        return {} if self.catalogue is None else vars(catalogue.reducer(self.catalogue))
+        """Look up slopes and torques, and the rated life where its torque is known."""
+        if self.catalogue is None:
+            return {}
+        data = catalogue.reducer(self.catalogue)
+        return vars(data) | {"rated_torque": data.rated_torque}
 
 
 _LOOK_UP_SECTIONS: dict[str, type[ElementSection]] = {

@@ -7,6 +7,7 @@ import io
 import json
 import re
 from dataclasses import replace
+from importlib import resources
 
 import numpy as np
 import pytest
@@ -87,6 +88,23 @@ def write_motion(folder, far=FAR, time=None, change=None):
     if change is not None:
         columns = change(columns)
     write_csv(folder / "trajectory.csv", names, columns.tolist())
+
+
+# Arm of each maker whose programs are written, by its format.
+MODELS = {"krl-rsi": "kr6_demo", "abb-egm": "irb_demo", "fanuc-stream": "lrmate_demo"}
+
+
+def write_result_of_arm(folder, to):
+    """Result folder of `folder` for an arm of a format's maker, with the bodies of the UR10."""
+    own = resources.files("stiffopt.robot").joinpath("data", "ur10")
+    text = own.joinpath("robot.toml").read_text(encoding="utf-8")
+    name = MODELS.get(to, "ur10")
+    (folder / "robot.urdf").write_text(own.joinpath("robot.urdf").read_text(encoding="utf-8"))
+    (folder / "arm.toml").write_text(text.replace('name = "ur10"', f'name = "{name}"', 1))
+    write_stated(folder, robot="arm.toml")
+    write_motion(folder)
+    seal(folder)
+    return name
 
 
 @pytest.fixture
@@ -199,6 +217,7 @@ def test_urscript_parsed_back_is_the_motion(folder):
 
 
 def test_krl_corrections_are_relative_to_the_start(folder):
+    write_result_of_arm(folder, "krl-rsi")
     assert run(["export", str(folder), "--to", "krl-rsi", "--of", "link"]) == 0
     (source,) = folder.glob("*.src")
     program = source.read_text(encoding="ascii").splitlines()
@@ -215,6 +234,36 @@ def test_krl_corrections_are_relative_to_the_start(folder):
     wanted = np.degrees(0.99 * swing(time)[0])
     np.testing.assert_allclose(begin + corrections, wanted, atol=1e-4)
     assert all(len(line) < 256 for line in program)
+
+
+@pytest.mark.parametrize(
+    ("to", "program", "words"),
+    [
+        ("abb-egm", "*.mod", ["MoveAbsJ start_pose", "EGMActJoint", "EGMRunJoint", "EGMReset"]),
+        ("fanuc-stream", "*.ls", ["J P[1] 10% FINE", "IBGN start[1]", "IBGN end[1]"]),
+    ],
+)
+def test_programs_approach_the_start_and_take_absolute_positions(folder, to, program, words):
+    write_result_of_arm(folder, to)
+    assert run(["export", str(folder), "--to", to]) == 0
+    (source,) = folder.glob(program)
+    text = source.read_text(encoding="ascii")
+    places = [text.index(word) for word in words]
+    assert places == sorted(places)
+    (table,) = folder.glob("stiffopt*.csv")
+    rows = list(csv.reader(io.StringIO(read_seal(table.read_text(encoding="utf-8"))[1])))
+    assert rows[0] == [f"J{j}" for j in range(1, 7)]
+    angles = np.array(rows[1:], dtype=float)
+    time = np.minimum(np.arange(len(angles)) / FORMATS[to].rate, DURATION)
+    np.testing.assert_allclose(angles, np.degrees(swing(time)[0]), atol=1e-5)
+
+
+@pytest.mark.parametrize("to", list(MODELS))
+def test_programs_go_to_arms_of_their_maker_only(folder, to, capsys):
+    assert run(["export", str(folder), "--to", to]) == 2
+    told = capsys.readouterr().err
+    assert "ur10 is one of Universal Robots" in told
+    assert "csv or ros2 or urscript" in told
 
 
 def test_csv_has_the_joints_names(folder, tmp_path):
@@ -235,8 +284,8 @@ def test_csv_has_the_joints_names(folder, tmp_path):
         (["--to", "urscript", "--rate", "300"], "cycle of 2 ms"),
         (["--to", "csv", "--rate", "0"], "above 0"),
         (["--to", "csv", "--rate", "nan"], "above 0"),
-        (["--to", "mjcf"], "with the formats csv, krl-rsi, ros2, urscript."),
-        (["--to", "abb"], "Allowed: csv, krl-rsi, mjcf, ros2, urdf, urscript, usd"),
+        (["--to", "mjcf"], "with the formats abb-egm, csv, fanuc-stream, krl-rsi"),
+        (["--to", "abb"], "Allowed: abb-egm, csv"),
     ],
 )
 def test_values_outside_a_format_are_refused(folder, arguments, words, capsys):
@@ -246,6 +295,7 @@ def test_values_outside_a_format_are_refused(folder, arguments, words, capsys):
 
 @pytest.mark.parametrize("name", ["urscript", "krl-rsi"])
 def test_controllers_of_six_axes_refuse_other_arms(folder, name):
+    write_result_of_arm(folder, name)
     stored = read_motion(folder)
     other = replace(stored, joint_names=stored.joint_names[:2], prismatic=np.zeros(2, dtype=bool))
     with pytest.raises(ValueError, match="6 turning joints"):

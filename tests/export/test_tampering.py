@@ -10,7 +10,15 @@ import types
 
 import numpy as np
 import pytest
-from test_export import DURATION, FAR, seal, swing, write_motion, write_stated
+from test_export import (
+    DURATION,
+    FAR,
+    seal,
+    swing,
+    write_motion,
+    write_result_of_arm,
+    write_stated,
+)
 
 from stiffopt.cli import run
 from stiffopt.export.format import read_seal, with_seal
@@ -144,17 +152,18 @@ def test_limit_exceeded_by_the_samples_is_reported(folder, capsys):
     assert "exceeds velocity of joint 6 at 0.226 s by 11.11%" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("to", ["csv", "ros2", "urscript", "krl-rsi"])
+@pytest.mark.parametrize("to", ["csv", "ros2", "urscript", "krl-rsi", "abb-egm"])
 def test_an_exported_file_is_checked(folder, to, capsys):
+    arm = write_result_of_arm(folder, to)
     out = folder / "out"
     assert run(["export", str(folder), "--to", to, "--out", str(out)]) == 0
     files = [each for each in out.iterdir() if "stiffopt content: " in each.read_text()]
-    assert len(files) == (2 if to == "krl-rsi" else 1)
+    assert len(files) == (2 if to in ("krl-rsi", "abb-egm") else 1)
     for file in files:
         given = ["check", str(file), "--result", str(folder)]
         assert run(given) == 0
         said = capsys.readouterr().out
-        assert "Motion of the motors of Pick – and place, robot ur10 with 5 kg of payload" in said
+        assert f"Motion of the motors of Pick – and place, robot {arm} with 5 kg" in said
         assert "All limits are met; the tightest is position of joint 6" in said
         text = file.read_text(encoding="utf-8")
         entries, body = read_seal(text)
@@ -192,8 +201,9 @@ def test_file_of_another_result_is_refused(folder, tmp_path_factory, capsys):
 
 @pytest.mark.parametrize("to", ["urscript", "krl-rsi"])
 def test_program_with_an_approach_refuses_a_moving_start(folder, to, capsys):
+    write_result_of_arm(folder, to)
     speed = FAR / DURATION
-    path = write_stated(folder)
+    path = folder / "problem.toml"
     moving = f"boundary_velocity = {{ start = {speed.tolist()}, end = {speed.tolist()} }}\n"
     moving += 'boundary_acceleration = "zero"\n\n[[minimise]]'
     path.write_text(path.read_text().replace("[[minimise]]", moving))

@@ -12,7 +12,7 @@ from stiffopt.export.motion import SampledMotion
 
 
 class Csv(ExportFormat):
-    """CSV file with one header row, SI numbers with full precision."""
+    """CSV file with one header row, SI numbers with full precision; events if there are any."""
 
     name = "csv"
     title = "CSV"
@@ -25,10 +25,15 @@ class Csv(ExportFormat):
         for suffix in ("", "_velocity", "_acceleration"):
             names += [f"{joint}{suffix}" for joint in motion.joint_names]
         columns = [motion.time[:, None], motion.position, motion.velocity, motion.acceleration]
+        rows = np.hstack(columns).tolist()
+        if motion.events:
+            names.append("event")
+            for k, row in enumerate(rows):
+                row.append(" ".join(each.kind for each in motion.events_until(k)))
         text = io.StringIO()
         writer = csv.writer(text, lineterminator="\n")
         writer.writerow(names)
-        writer.writerows(np.hstack(columns).tolist())
+        writer.writerows(rows)
         return {f"{motion.which}.csv": text.getvalue()}
 
 

@@ -24,6 +24,7 @@ class KrlRsi(ExportFormat):
 
     name = "krl-rsi"
     title = "KUKA RSI"
+    maker = "KUKA"
     rate = 250.0
     rate_max = 250.0
     whole_steps = True
@@ -57,6 +58,7 @@ class KrlRsi(ExportFormat):
             f"; Send one row of {name}_rsi.csv a cycle as AKorr; signs and zeros of the axes are",
             "; those of the URDF: compare them with the controller's before the first run.",
             f"; Corrections [deg]: {spans}",
+            *(f"; Event: {event}; the sender of the rows triggers it" for event in motion.events),
             "DECL INT ret",
             "DECL INT context",
             "BAS (#INITMOV,0)",

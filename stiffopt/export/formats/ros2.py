@@ -35,6 +35,7 @@ class Ros2(ExportFormat):
             f"# {motion.title}: motion of the {motion.which}s at {rate:g} Hz, "
             "trajectory_msgs/msg/JointTrajectory. Run it with:",
             f"# python3 {SCRIPT_FILE}",
+            *(f"# Event: {event}; the message has no field for it." for event in motion.events),
             'header: {stamp: {sec: 0, nanosec: 0}, frame_id: ""}',
             f"joint_names: {json.dumps(list(motion.joint_names), ensure_ascii=False)}",
             "points:",

@@ -15,6 +15,8 @@ _MAX_ANGLE = 2.0 * np.pi
 # Arguments of servoj. The shortest look-ahead time [s] rounds and delays the motion least; the gain
 # is the controller's default.
 _LOOKAHEAD_TIME, _SERVO_GAIN = 0.03, 300
+# Digital output 0 of the tool closes the gripper.
+_GRIPPER_OUTPUTS = {"grip": "True", "release": "False"}
 
 
 class UrScript(ExportFormat):
@@ -28,6 +30,7 @@ class UrScript(ExportFormat):
 
     name = "urscript"
     title = "URScript"
+    maker = "Universal Robots"
     rate = 500.0
     rate_max = 500.0
     whole_steps = True
@@ -56,12 +59,25 @@ class UrScript(ExportFormat):
             f"# Joints: {', '.join(motion.joint_names)}. Try it at reduced speed first.",
             f"def {name}():",
             f"  movej({poses[0]}, a=0.5, v=0.25)",
-            *(f"  servoj({pose}, {follow})" for pose in poses[1:]),
+            *_follow_lines(motion, poses, follow),
             "  stopj(2.0)",
             "end",
             f"{name}()",
         ]
         return {"motion.script": "\n".join(lines) + "\n"}
+
+
+def _follow_lines(motion: SampledMotion, poses: list[str], follow: str) -> list[str]:
+    """One servoj a cycle, with the events of the gripper before the cycle that follows them."""
+    lines = []
+    for k in range(1, len(poses)):
+        for event in motion.events_until(k):
+            lines.append(f"  # {event}")
+            if event.kind in _GRIPPER_OUTPUTS:
+                lines.append(f"  set_tool_digital_out(0, {_GRIPPER_OUTPUTS[event.kind]})")
+            lines.append(f"  set_payload_mass({event.mass:g})")
+        lines.append(f"  servoj({poses[k]}, {follow})")
+    return lines
 
 
 FORMATS.add(UrScript())

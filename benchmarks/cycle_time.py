@@ -1,0 +1,64 @@
+"""Time of a working cycle against the same moves optimised one by one, and against S-curves.
+
+    python -m benchmarks.cycle_time [FILE ...]
+
+All have the same poses, postures, payloads, dwells and limits, the deflection among them; the last
+column leaves out the limit of the deflection. Moves one by one stop at every pose.
+"""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from stiffopt.baseline.rivals import fair_rivals
+from stiffopt.problem.cycle import Cycle
+from stiffopt.problem.cycle_files import load_cycle
+from stiffopt.problem.limit import Limits
+from stiffopt.problem.resolve import resolve
+from stiffopt.solver.cycle import solve_cycle
+
+PROBLEMS = Path(__file__).resolve().parents[1] / "problems"
+FILES = ("er3a_cycle.toml", "ur10_cycle.toml")
+
+
+def one_by_one(path: Path) -> Cycle:
+    """The cycle with a stop at the end of every move."""
+    moves = sum(len(leg.moves) for leg in load_cycle(path).cycle.legs)
+    return load_cycle(path, [f"move[{k}].stop=true" for k in range(1, moves + 1)]).cycle
+
+
+def s_curve_time(cycle: Cycle, limited: bool) -> float:
+    """Time of S-curves over all legs, each as fast as its limits allow [s]."""
+    total = cycle.rest
+    for leg in cycle.legs:
+        problem = leg.problem
+        if not limited:
+            free = Limits({**problem.active_limits.values, "dynamic_deflection": np.inf})
+            problem = replace(problem, limits=free)
+        found = [
+            motion.duration
+            for rival, motion in fair_rivals(problem, resolve(problem), problem.duration[0])
+            if rival.name == "S-curve"
+        ]
+        total += found[0] if found else np.inf
+    return total
+
+
+def main() -> None:
+    paths = [Path(name) for name in sys.argv[1:]] or [PROBLEMS / name for name in FILES]
+    print("| cycle | optimised [s] | one by one [s] | S-curves [s] | without deflection [s] |")
+    print("|---|---|---|---|---|")
+    for path in paths:
+        stopping = one_by_one(path)
+        found = [solve_cycle(each, simulate=False) for each in (load_cycle(path).cycle, stopping)]
+        told = [f"{each.duration:.3f} ({each.status})" for each in found]
+        curves = [f"{s_curve_time(stopping, limited):.3f}" for limited in (True, False)]
+        print(f"| {path.stem} | {' | '.join([*told, *curves])} |", flush=True)
+
+
+if __name__ == "__main__":
+    main()

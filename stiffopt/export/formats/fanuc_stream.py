@@ -1,0 +1,69 @@
+"""Fanuc: TP program that approaches the start, and joint positions for stream motion."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from stiffopt.export.format import FORMATS, ExportFormat, require_cycle, require_six_axes
+from stiffopt.export.motion import SampledMotion, StoredMotion
+
+
+class FanucStream(ExportFormat):
+    """Absolute joint positions in degrees, one row a cycle, and the TP program that takes them.
+
+    Notes
+    -----
+    Fanuc, Stream Motion option J519 (operator's manual): IBGN start and IBGN end; a cycle of 8 ms,
+    4 ms on R-30iB Plus. The sender of the packets belongs to the cell.
+    """
+
+    name = "fanuc-stream"
+    title = "Fanuc stream motion"
+    maker = "Fanuc"
+    rate = 125.0
+    rate_max = 250.0
+    whole_steps = True
+    from_rest = True
+
+    def check(self, stored: StoredMotion, rate: float) -> None:
+        """Require six revolute joints and a whole number of cycles."""
+        require_six_axes(stored, self.title)
+        require_cycle(rate, self.rate_max, self.title)
+
+    def files(self, motion: SampledMotion, rate: float) -> dict[str, str]:
+        """Texts of program and rows."""
+        angles = np.degrees(motion.position)
+        lines = [
+            f"!{rate:g} Hz, {motion.time[-1]:.4g} s, {motion.which}s",
+            "!J3 of Fanuc turns with J2",
+            *(f"!{event.kind} {event.time:.3f} s"[:32] for event in motion.events),
+            "J P[1] 10% FINE",
+            "IBGN start[1]",
+            "IBGN end[1]",
+        ]
+        start = ",\n".join(
+            f"\tJ{axis}= {value:.6f} deg" for axis, value in enumerate(angles[0], start=1)
+        )
+        program = [
+            "/PROG  STIFFOPT",
+            "/ATTR",
+            'COMMENT = "stream motion";',
+            "/MN",
+            *(f"{number:4d}:  {line} ;" for number, line in enumerate(lines, start=1)),
+            "/POS",
+            "P[1]{",
+            "   GP1:",
+            "\tUF : 0, UT : 1,",
+            start,
+            "};",
+            "/END",
+        ]
+        rows = [",".join(f"{value:.6f}" for value in row) for row in angles]
+        head = ",".join(f"J{axis}" for axis in range(1, 7))
+        return {
+            "stiffopt.ls": "\n".join(program) + "\n",
+            "stiffopt_stream.csv": "\n".join([head, *rows]) + "\n",
+        }
+
+
+FORMATS.add(FanucStream())

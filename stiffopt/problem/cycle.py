@@ -1,0 +1,146 @@
+"""Working cycles: several moves, passed or stopped at, with events of the gripper between them.
+
+A leg is a run of moves from one stop to the next, with one payload, process force and speed. The
+arm rests at stops in given joint angles, so that legs share nothing but the time of the cycle: the
+optimum over all moves is the optimum of every leg at the best split of that time.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from stiffopt.result.duty import DutyLimits
+
+if TYPE_CHECKING:
+    from stiffopt.problem.trajectory import TrajectoryProblem
+    from stiffopt.robot.robot import Robot
+
+EventKind = Literal["grip", "release", "tool_change"]
+# Smallest time that a leg may be given by the split of the cycle's time [s].
+MIN_LEG_TIME = 0.02
+
+
+@dataclass(frozen=True, kw_only=True)
+class CycleEvent:
+    """Event at the arrival of a move.
+
+    Parameters
+    ----------
+    kind : "grip", "release" or "tool_change"
+    mass_before, mass_after : float
+        All that the flange carries [kg].
+    """
+
+    kind: EventKind
+    mass_before: float
+    mass_after: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stop:
+    """Stop at the end of a leg.
+
+    Parameters
+    ----------
+    dwell : float [s]
+        Rest before the next move; the least one where it lasts until the tool has settled.
+    until_settled : bool
+    event : CycleEvent or None
+        At arrival, before the rest.
+    """
+
+    dwell: float = 0.0
+    until_settled: bool = False
+    event: CycleEvent | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Leg:
+    """Moves from one stop to the next.
+
+    Parameters
+    ----------
+    problem : TrajectoryProblem
+        From rest to rest; its duration is fixed by the split of the cycle's time, or free.
+    moves : tuple of int
+        Numbers of its moves, from 1.
+    name : str
+    stop : Stop
+        At its end.
+    """
+
+    problem: TrajectoryProblem
+    moves: tuple[int, ...]
+    name: str
+    stop: Stop
+
+    def lasting(self, duration: float) -> Leg:
+        """Leg of a fixed duration [s]."""
+        return replace(self, problem=replace(self.problem, duration=(duration, duration)))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Posture:
+    """Pose of a cycle with the inverse-kinematic branch in which it is taken.
+
+    Parameters
+    ----------
+    name : str
+    joints : array (n,) [rad]
+    branch : str
+        Names of shoulder, elbow and wrist.
+    chosen : bool
+        True where the file leaves the branch open.
+    candidates : int
+        Number of admissible solutions of the inverse kinematics.
+    """
+
+    name: str
+    joints: np.ndarray
+    branch: str
+    chosen: bool
+    candidates: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cycle:
+    """A working cycle.
+
+    Parameters
+    ----------
+    title : str
+    legs : tuple of Leg
+    duration : (lower, upper) [s]
+        Of the whole cycle, rests included; equal values fix it.
+    postures : tuple of Posture
+        Distinct poses in the order of their first visit.
+    after_last : Robot or None
+        With the payload after the event of the last leg.
+    duty_limits : DutyLimits
+    """
+
+    title: str
+    legs: tuple[Leg, ...]
+    duration: tuple[float, float]
+    postures: tuple[Posture, ...] = ()
+    after_last: Robot | None = None
+    duty_limits: DutyLimits = field(default_factory=DutyLimits)
+
+    @cached_property
+    def first(self) -> TrajectoryProblem:
+        """Problem of the first leg, whose robot, servo and objectives are those of the cycle."""
+        return self.legs[0].problem
+
+    @property
+    def time_is_minimised(self) -> bool:
+        """True where the objective is the time of the cycle."""
+        return any(each.name == "duration" for each in self.first.objectives)
+
+    @property
+    def rest(self) -> float:
+        """Sum of the stated rests [s]."""
+        return sum(leg.stop.dwell for leg in self.legs)

@@ -1,0 +1,262 @@
+"""Results of a cycle: the solution of each leg, times, events, simulation and duty."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from stiffopt.files import atomic_write, to_json_types
+from stiffopt.result.provenance import versions
+from stiffopt.result.solution import ObjectiveValue, Solution
+from stiffopt.result.status import SolveStatus
+
+if TYPE_CHECKING:
+    from stiffopt.problem.trajectory import TrajectoryProblem
+    from stiffopt.result.duty import Duty
+    from stiffopt.result.simulation import SimulatedMotion
+    from stiffopt.result.trajectory import JointMotion
+
+SCHEMA = 1
+CYCLE_FILE = "cycle.json"
+
+
+def leg_folder(number: int) -> str:
+    """Name of the folder of a leg (from 1) inside that of its cycle."""
+    return f"leg_{number}"
+
+
+class JoinedMotion:
+    """Motions of the same joints one after another, with rests between them.
+
+    A part moves on from where it starts, so that one whose command decays after its arrival
+    overlaps the next one without a jump.
+
+    Parameters
+    ----------
+    parts : sequence of JointMotion
+        From rest to rest, each from the end of the one before.
+    starts : array (L,) [s]
+    duration : float
+        Of the whole [s].
+    """
+
+    def __init__(self, parts: Sequence[JointMotion], starts: np.ndarray, duration: float) -> None:
+        self._parts, self._starts, self.duration = tuple(parts), np.asarray(starts), duration
+        breaks = [
+            start + np.asarray(getattr(part, "times", (0.0, part.duration)))
+            for start, part in zip(self._starts, self._parts, strict=True)
+        ]
+        self.times = np.unique(np.clip(np.concatenate([[0.0, duration], *breaks]), 0.0, duration))
+
+    def __call__(self, t: np.ndarray, order: int = 0) -> np.ndarray:
+        """Position (order 0) or a derivative (K, n) at times (K,) [s]."""
+        t = np.asarray(t, dtype=float)
+        first = self._parts[0](np.zeros(1))
+        found = np.repeat(first if order == 0 else np.zeros_like(first), len(t), axis=0)
+        for start, part in zip(self._starts, self._parts, strict=True):
+            end = float(getattr(part, "times", np.array([part.duration]))[-1])
+            local = np.clip(t - start, 0.0, end)
+            if order == 0:
+                found += part(local) - part(np.zeros(1))
+            else:
+                inside = (t >= start) & (t <= start + end)
+                found[inside] += part(local[inside], order)
+        return found
+
+
+@dataclass(frozen=True, kw_only=True)
+class LegResult:
+    """Solved leg of a cycle.
+
+    Parameters
+    ----------
+    name : str
+    moves : tuple of int
+    problem : TrajectoryProblem
+        As it was solved.
+    solution : Solution
+    start, arrival : float
+        In the time of the cycle [s].
+    dwell : float
+        Rest after arrival [s].
+    until_settled : bool
+    event : str
+        Kind of the event at arrival, "" for none.
+    mass_before, mass_after : float
+        All that the flange carries, before and after the event [kg].
+    """
+
+    name: str
+    moves: tuple[int, ...]
+    problem: TrajectoryProblem
+    solution: Solution
+    start: float
+    arrival: float
+    dwell: float
+    until_settled: bool
+    event: str
+    mass_before: float
+    mass_after: float
+
+    @property
+    def departure(self) -> float:
+        """End of the rest after the leg [s]."""
+        return self.arrival + self.dwell
+
+
+@dataclass(frozen=True, kw_only=True)
+class LegError:
+    """Simulated tool error of one leg.
+
+    Parameters
+    ----------
+    flight : float
+        Peak from start to arrival [m].
+    rest : float or None
+        Peak in the rest after arrival and event [m]; None without a rest.
+    jump : float
+        Static displacement of the tool by the event's change of payload [m].
+    settling_time : float or None
+        From arrival until the tool stays within the band [s]; None where it does not settle within
+        the rest.
+    """
+
+    flight: float
+    rest: float | None
+    jump: float
+    settling_time: float | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class CycleSimulation:
+    """Elastic simulation of the whole cycle, payload changes included."""
+
+    simulated: SimulatedMotion
+    legs: tuple[LegError, ...]
+    notes: tuple[str, ...] = ()
+
+    @property
+    def peak(self) -> float:
+        """Largest tool error in flight [m]."""
+        return max(leg.flight for leg in self.legs)
+
+    @property
+    def rest_peak(self) -> float:
+        """Largest tool error in the rests [m]."""
+        return max((leg.rest for leg in self.legs if leg.rest is not None), default=0.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RivalCycle:
+    """Cycle of one kind of baseline motion on the same poses, leg by leg.
+
+    Parameters
+    ----------
+    name : str
+    duration : float
+        With the dwells of the optimised cycle [s].
+    objective : float
+        Value over the cycle [SI].
+    """
+
+    name: str
+    duration: float
+    objective: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class CycleSolution:
+    """Outcome of a cycle.
+
+    Parameters
+    ----------
+    status : SolveStatus
+        The worst of the legs.
+    message : str
+    title : str
+    legs : tuple of LegResult
+        In order, as far as solved.
+    objective : ObjectiveValue or None
+        Over the whole cycle.
+    rivals : tuple of RivalCycle
+        Those that keep every limit.
+    postures : tuple of (name, joints (n,), branch, chosen, candidates)
+    """
+
+    status: SolveStatus
+    message: str
+    title: str
+    legs: tuple[LegResult, ...]
+    objective: ObjectiveValue | None
+    rivals: tuple[RivalCycle, ...] = ()
+    postures: tuple[Any, ...] = ()
+    simulation: CycleSimulation | None = None
+    duty: Duty | None = None
+    notes: tuple[str, ...] = ()
+    splits: tuple[tuple[float, ...], ...] = field(default=(), repr=False)
+
+    @property
+    def duration(self) -> float:
+        """Time of the cycle, rests included [s]."""
+        return self.legs[-1].departure if self.legs else 0.0
+
+    def joined(self, parts: Sequence[JointMotion]) -> JoinedMotion:
+        """Join one motion of each leg at the times of the cycle."""
+        starts = np.array([leg.start for leg in self.legs])
+        return JoinedMotion(parts, starts, self.duration)
+
+
+def cycle_document(solution: CycleSolution) -> dict[str, Any]:
+    """Content of cycle.json; SI."""
+    simulation, duty = solution.simulation, solution.duty
+    errors = [None] * len(solution.legs) if simulation is None else simulation.legs
+    document = {
+        "schema": SCHEMA,
+        "status": str(solution.status),
+        "message": solution.message,
+        "title": solution.title,
+        "objective": None if solution.objective is None else dict(vars(solution.objective)),
+        "duration": solution.duration,
+        "legs": [
+            {
+                "name": leg.name,
+                "folder": leg_folder(number),
+                "moves": leg.moves,
+                "status": str(leg.solution.status),
+                "start": leg.start,
+                "arrival": leg.arrival,
+                "dwell": leg.dwell,
+                "until_settled": leg.until_settled,
+                "event": leg.event,
+                "mass_before": leg.mass_before,
+                "mass_after": leg.mass_after,
+                "objective": None
+                if leg.solution.objective is None
+                else leg.solution.objective.value,
+                "tool_error": None if error is None else dict(vars(error)),
+            }
+            for number, (leg, error) in enumerate(zip(solution.legs, errors, strict=True), start=1)
+        ],
+        "postures": [vars(posture) for posture in solution.postures],
+        "rivals": [vars(rival) for rival in solution.rivals],
+        "duty": None if duty is None else duty.document(),
+        "notes": solution.notes,
+        "versions": versions(),
+    }
+    return {key: to_json_types(value) for key, value in document.items()}
+
+
+def write_cycle(
+    solution: CycleSolution, directory: Path, problem: str, changes: Sequence[str]
+) -> Path:
+    """Write cycle.json into `directory`; `problem` is the file's path relative to the folder."""
+    document = {**cycle_document(solution), "problem": problem, "changes": list(changes)}
+    text = json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False)
+    path = directory / CYCLE_FILE
+    atomic_write(path, text + "\n")
+    return path

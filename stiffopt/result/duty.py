@@ -1,0 +1,222 @@
+"""Duty of the drives over a cycle: torque, speed, energy, and the rated life of the reducers.
+
+Torques and speeds are those at the joint's output. The mean torque of a reducer weights its torque
+by the turns made under it, the mean speed includes the rests, as makers' catalogues define them:
+
+    T_m = (sum n_i t_i |T_i|^p / sum n_i t_i)^(1/p),  n_m = sum n_i t_i / sum t_i
+    L10 = L_rated (T_rated / T_m)^p (n_rated / n_m)
+
+with p = 3 for strain-wave gears (Harmonic Drive, CSF/CSG catalogue, "Rating table, sizing and
+selection") and 10/3 for cycloidal ones (Nabtesco, RV series catalogue, "Model selection").
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+
+@dataclass(frozen=True, kw_only=True)
+class DutyHistory:
+    """Loads of a motion or a rest.
+
+    Parameters
+    ----------
+    time : array (K,) [s]
+    velocity, torque : array (K, n)
+        Speed [rad/s] and torque of the drives [N m].
+    reducer_torque : array (K, n)
+        Torque at the output of the reducers, without friction and rotors [N m].
+    """
+
+    time: np.ndarray
+    velocity: np.ndarray
+    torque: np.ndarray
+    reducer_torque: np.ndarray
+
+
+@dataclass(frozen=True, kw_only=True)
+class LifeRating:
+    """Rated life of a reducer.
+
+    Parameters
+    ----------
+    torque, speed : float
+        At the output [N m], [rad/s].
+    life : float
+        L10 [s].
+    exponent : float
+        Of the torque.
+    """
+
+    torque: float
+    speed: float
+    life: float
+    exponent: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointDuty:
+    """Duty of one joint over a cycle.
+
+    Parameters
+    ----------
+    name : str
+    rms_torque, peak_torque : float
+        Of the drive [N m].
+    torque_max : float
+        Limit of the drive [N m].
+    peak_speed, mean_speed : float
+        Rests included [rad/s].
+    peak_power : float
+        Largest mechanical power [W].
+    energy, regenerated : float
+        Mechanical work given and taken by the drive in a cycle [J].
+    mean_torque : float
+        Of the reducer [N m].
+    rating : LifeRating or None
+    """
+
+    name: str
+    rms_torque: float
+    peak_torque: float
+    torque_max: float
+    peak_speed: float
+    mean_speed: float
+    peak_power: float
+    energy: float
+    regenerated: float
+    mean_torque: float
+    rating: LifeRating | None
+
+    @property
+    def life(self) -> float | None:
+        """Life L10 of the reducer under repetition of the cycle [s]; None without a rating."""
+        rating = self.rating
+        if rating is None:
+            return None
+        if not (self.mean_torque > 0.0 and self.mean_speed > 0.0):
+            return np.inf
+        ratio = (rating.torque / self.mean_torque) ** rating.exponent
+        return float(rating.life * ratio * rating.speed / self.mean_speed)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Duty:
+    """Duty of all joints over a cycle of a duration [s]."""
+
+    duration: float
+    joints: tuple[JointDuty, ...]
+
+    @property
+    def energy(self) -> float:
+        """Mechanical work given by all drives in a cycle, nothing regenerated [J]."""
+        return sum(each.energy for each in self.joints)
+
+    @property
+    def regenerated(self) -> float:
+        """Mechanical work taken by all drives in a cycle [J]."""
+        return sum(each.regenerated for each in self.joints)
+
+    @property
+    def shortest_life(self) -> JointDuty | None:
+        """Joint whose reducer has the shortest life; None where none is rated."""
+        rated = [each for each in self.joints if each.life is not None]
+        return min(rated, key=lambda each: each.life or np.inf, default=None)
+
+    def document(self) -> dict[str, Any]:
+        """Content of `duty` in cycle.json; SI."""
+        return {
+            "energy": self.energy,
+            "regenerated": self.regenerated,
+            "joints": [
+                {
+                    **{key: value for key, value in vars(each).items() if key != "rating"},
+                    "reducer_life": each.life,
+                    "rating": None if each.rating is None else dict(vars(each.rating)),
+                }
+                for each in self.joints
+            ],
+        }
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class DutyLimits:
+    """Limits of a duty, None for none.
+
+    Parameters
+    ----------
+    rms_torque : array (n,) [N m]
+    reducer_life : float [s]
+    energy : float [J]
+    """
+
+    rms_torque: np.ndarray | None = None
+    reducer_life: float | None = None
+    energy: float | None = None
+
+    def excesses(self, duty: Duty) -> list[str]:
+        """Exceeded limits in words."""
+        found = []
+        limits = [None] * len(duty.joints) if self.rms_torque is None else self.rms_torque.tolist()
+        for each, limit in zip(duty.joints, limits, strict=True):
+            if limit is not None and each.rms_torque > limit:
+                found.append(
+                    f"the rms torque of {each.name}, {each.rms_torque:.4g} N m, exceeds "
+                    f"duty.rms_torque {limit:.4g} N m"
+                )
+            if self.reducer_life is not None and (each.life or np.inf) < self.reducer_life:
+                found.append(
+                    f"the reducer of {each.name} lasts {(each.life or 0.0) / 3600.0:.4g} h, below "
+                    f"duty.reducer_life {self.reducer_life / 3600.0:.4g} h"
+                )
+        if self.energy is not None and duty.energy > self.energy:
+            found.append(f"the work of {duty.energy:.4g} J exceeds duty.energy {self.energy:.4g} J")
+        return found
+
+
+def duty_of(
+    histories: Sequence[DutyHistory],
+    names: Sequence[str],
+    torque_max: np.ndarray,
+    ratings: Sequence[LifeRating | None],
+) -> Duty:
+    """Duty over consecutive histories of n joints."""
+    duration = sum(float(each.time[-1] - each.time[0]) for each in histories)
+
+    def integral(of: Any) -> np.ndarray:
+        return np.asarray(sum(np.trapezoid(of(each), each.time, axis=0) for each in histories))
+
+    def peak(of: Any) -> np.ndarray:
+        return np.asarray(np.max([np.max(of(each), axis=0) for each in histories], axis=0))
+
+    exponents = np.array([3.0 if each is None else each.exponent for each in ratings])
+    square = integral(lambda h: h.torque**2)
+    turns = integral(lambda h: np.abs(h.velocity))
+    loaded = integral(lambda h: np.abs(h.velocity) * np.abs(h.reducer_torque) ** exponents)
+    mean = np.where(turns > 0.0, loaded / np.where(turns > 0.0, turns, 1.0), 0.0)
+    work = integral(lambda h: np.maximum(h.torque * h.velocity, 0.0))
+    back = integral(lambda h: np.maximum(-h.torque * h.velocity, 0.0))
+    columns = {
+        "rms_torque": np.sqrt(square / duration),
+        "peak_torque": peak(lambda h: np.abs(h.torque)),
+        "torque_max": np.asarray(torque_max, dtype=float),
+        "peak_speed": peak(lambda h: np.abs(h.velocity)),
+        "mean_speed": turns / duration,
+        "peak_power": peak(lambda h: np.abs(h.torque * h.velocity)),
+        "energy": work,
+        "regenerated": back,
+        "mean_torque": mean ** (1.0 / exponents),
+    }
+    joints = tuple(
+        JointDuty(
+            name=name,
+            rating=rating,
+            **{key: float(values[j]) for key, values in columns.items()},
+        )
+        for j, (name, rating) in enumerate(zip(names, ratings, strict=True))
+    )
+    return Duty(duration=duration, joints=joints)

@@ -1,0 +1,301 @@
+"""Solve a cycle: every leg, and the split of the cycle's time between the legs.
+
+Where the time of the cycle is minimised under limits, its optimum is that of every leg. Where it is
+given, the split of least objective is found by `TimeSplit`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from stiffopt.baseline.rivals import fair_rivals
+from stiffopt.certificate.objective_value import objective_value
+from stiffopt.problem.cycle import Cycle, Leg
+from stiffopt.problem.resolve import resolve
+from stiffopt.problem.trajectory import TrajectoryProblem
+from stiffopt.result.cycle import CycleSolution, LegResult, RivalCycle
+from stiffopt.result.solution import ObjectiveValue, Solution
+from stiffopt.result.status import SolveStatus
+from stiffopt.solver.cycle_simulation import cycle_duty, simulate_cycle
+from stiffopt.solver.simulation import with_simulation
+from stiffopt.solver.solve import solve
+from stiffopt.solver.solve_run import ProgressCallback, SolveProgress
+from stiffopt.solver.time_split import Combination, TimeSplit, combined
+
+# Rounds of the split; each solves every leg whose duration changed.
+_MAX_ROUNDS = 8
+# Relative change of the cycle's objective at which the split has converged, and change of a leg's
+# duration below which it is not solved again.
+_CONVERGED_CHANGE, _SAME_DURATION = 2e-3, 1e-4
+# Rounds in which rests until the tool has settled are found by simulation, and their change at
+# which they are kept [s].
+_MAX_REST_ROUNDS, _SAME_REST = 4, 2e-3
+# Statuses from best to worst; the cycle has the worst of its legs.
+_STATUS_RANKS = (
+    SolveStatus.OPTIMAL,
+    SolveStatus.ACCEPTABLE,
+    SolveStatus.TIME_LIMIT,
+    SolveStatus.ITERATION_LIMIT,
+    SolveStatus.INTERRUPTED,
+    SolveStatus.CERTIFICATE_FAILED,
+    SolveStatus.INFEASIBLE,
+)
+
+
+def solve_cycle(
+    cycle: Cycle, *, progress: ProgressCallback | None = None, simulate: bool = True
+) -> CycleSolution:
+    """Optimise and certify a cycle.
+
+    Parameters
+    ----------
+    cycle : Cycle
+    progress : callable, optional
+        As of `solve`.
+    simulate : bool
+        Simulate the cycle on the elastic arm, with the command of each leg. Rests until the tool
+        has settled are zero without.
+    """
+    run = _CycleRun(cycle, progress)
+    rests = np.array([leg.stop.dwell for leg in cycle.legs])
+    for _ in range(_MAX_REST_ROUNDS if simulate else 1):
+        solutions = run.solve_legs(float(rests.sum()))
+        found = run.result(solutions, rests)
+        usable = all(each.status.usable for each in solutions) and len(solutions) == len(cycle.legs)
+        if not (simulate and usable):
+            return found
+        solutions = run.with_commands(solutions)
+        simulation, settled = simulate_cycle(cycle, solutions, rests)
+        found = run.result(solutions, settled)
+        found = replace(found, simulation=simulation)
+        changed = float(np.max(np.abs(settled - rests)))
+        rests = settled
+        if changed <= _SAME_REST or cycle.duration[0] < cycle.duration[1]:
+            break
+    return run.with_rivals_and_duty(found)
+
+
+class _CycleRun:
+    """Solve of one cycle, with what is known of its legs."""
+
+    def __init__(self, cycle: Cycle, progress: ProgressCallback | None) -> None:
+        self._cycle, self._progress = cycle, progress
+        self._solved: dict[int, tuple[float, Solution]] = {}
+        self._splits: list[tuple[float, ...]] = []
+        self._durations: np.ndarray | None = None
+        self._infeasible = ""
+
+    def solve_legs(self, rest: float) -> list[Solution]:
+        """Solutions of all legs, up to the first that failed where nothing can help it."""
+        cycle = self._cycle
+        if cycle.duration[0] < cycle.duration[1]:
+            if len(self._solved) == len(cycle.legs):
+                return [self._solved[k][1] for k in range(len(cycle.legs))]
+            return self._solve_each(cycle.legs, stop_at_failure=True)
+        total = cycle.duration[0] - rest
+        first = self._durations
+        if first is None:
+            first = np.array([leg.problem.duration[0] for leg in cycle.legs])
+        split = TimeSplit(total, first * total / first.sum(), self._combination)
+        best: tuple[float, np.ndarray, list[Solution]] | None = None
+        solutions: list[Solution] = []
+        for _ in range(_MAX_ROUNDS):
+            legs = [
+                leg.lasting(float(each))
+                for leg, each in zip(cycle.legs, split.durations, strict=True)
+            ]
+            self._splits.append(tuple(split.durations.tolist()))
+            solutions = self._solve_each(legs)
+            if any(each.status is SolveStatus.INTERRUPTED for each in solutions):
+                break
+            values = np.array(
+                [
+                    each.objective.value
+                    if each.status.usable and each.objective is not None
+                    else np.nan
+                    for each in solutions
+                ]
+            )
+            value = combined(values, split.durations, self._combination)
+            if np.isfinite(value):
+                before = np.inf if best is None else best[0]
+                if value < before:
+                    best = (value, split.durations.copy(), solutions)
+                if abs(before - value) <= _CONVERGED_CHANGE * value:
+                    break
+            split.learn(values)
+            proposed = split.proposal()
+            if proposed is None:
+                self._infeasible = (
+                    f"the legs cannot be made in {total:.4g} s beside the rests; the last split "
+                    f"was {', '.join(f'{each:.3g}' for each in split.durations)} s. Allow a longer "
+                    "motion.duration."
+                )
+                break
+            split.durations = proposed
+        if best is None:
+            return solutions
+        self._durations = best[1]
+        self._solved = dict(enumerate(zip(best[1].tolist(), best[2], strict=True)))
+        return best[2]
+
+    @property
+    def _combination(self) -> Combination:
+        terms = self._cycle.first.objectives
+        if all(each.kind.measured and each.measure == "peak" for each in terms):
+            return "peak"
+        if len(terms) == 1 and terms[0].kind.measured:
+            return "rms"
+        return "sum"
+
+    def _solve_each(
+        self, legs: tuple[Leg, ...] | list[Leg], stop_at_failure: bool = False
+    ) -> list[Solution]:
+        found: list[Solution] = []
+        for k, leg in enumerate(legs):
+            duration = leg.problem.duration[0]
+            lasted, known = self._solved.get(k, (np.nan, None))
+            if known is None or not abs(lasted - duration) <= _SAME_DURATION * duration:
+                guess = None
+                if known is not None and known.status.usable and known.assessment is not None:
+                    guess = known.assessment
+                known = solve(leg.problem, progress=self._leg_progress(k), guess=guess, throw=False)
+                self._solved[k] = (duration, known)
+            found.append(known)
+            if known.status is SolveStatus.INTERRUPTED:
+                break
+            if stop_at_failure and not known.status.usable:
+                break
+        return found
+
+    def _leg_progress(self, k: int) -> Callable[[SolveProgress], object] | None:
+        if self._progress is None:
+            return None
+        return partial(_tell_leg, self._progress, f"leg {k + 1} of {len(self._cycle.legs)}")
+
+    def with_commands(self, solutions: list[Solution]) -> list[Solution]:
+        """Solutions with the simulation and the command of each leg."""
+        found = []
+        for k, each in enumerate(solutions):
+            if each.simulation is None:
+                each = with_simulation(self._solved_problem(k), each, self._leg_progress(k))
+                self._solved[k] = (self._solved[k][0], each)
+            found.append(each)
+        return found
+
+    def _solved_problem(self, k: int) -> TrajectoryProblem:
+        """Problem of leg k (from 0) as it was solved."""
+        leg = self._cycle.legs[k]
+        free = self._cycle.duration[0] < self._cycle.duration[1]
+        return leg.problem if free else leg.lasting(self._solved[k][0]).problem
+
+    def result(self, solutions: list[Solution], rests: np.ndarray) -> CycleSolution:
+        """Result of the legs' solutions and the rests after them (L,) [s]."""
+        cycle, legs, time = self._cycle, [], 0.0
+        for k, (leg, solution, rest) in enumerate(zip(cycle.legs, solutions, rests, strict=False)):
+            arrival = time + (solution.duration or 0.0)
+            event = leg.stop.event
+            mass = 0.0 if leg.problem.robot.payload is None else float(leg.problem.robot.payload[0])
+            legs.append(
+                LegResult(
+                    name=leg.name,
+                    moves=leg.moves,
+                    solution=solution,
+                    problem=self._solved_problem(k),
+                    start=time,
+                    arrival=arrival,
+                    dwell=float(rest),
+                    until_settled=leg.stop.until_settled,
+                    event="" if event is None else event.kind,
+                    mass_before=mass if event is None else event.mass_before,
+                    mass_after=mass if event is None else event.mass_after,
+                )
+            )
+            time = arrival + float(rest)
+        status = max((each.status for each in solutions), key=_STATUS_RANKS.index)
+        return CycleSolution(
+            status=status,
+            message=self._message(solutions, status),
+            title=cycle.title,
+            legs=tuple(legs),
+            objective=self._objective(solutions, time),
+            postures=cycle.postures,
+            notes=tuple(dict.fromkeys(note for each in solutions for note in each.notes)),
+            splits=tuple(self._splits),
+        )
+
+    def _message(self, solutions: list[Solution], status: SolveStatus) -> str:
+        count = len(self._cycle.legs)
+        if status.usable and len(solutions) == count:
+            return (
+                f"All {count} legs: {solutions[0].message}"
+                if count == 1
+                else (f"All {count} legs are solved and certified.")
+            )
+        worst = next(k for k, each in enumerate(solutions) if each.status is status)
+        leg = self._cycle.legs[worst]
+        why = f" {self._infeasible[0].upper()}{self._infeasible[1:]}" if self._infeasible else ""
+        return f"leg {worst + 1} ({leg.name}): {solutions[worst].message}{why}"
+
+    def _objective(self, solutions: list[Solution], time: float) -> ObjectiveValue | None:
+        if len(solutions) < len(self._cycle.legs) or any(s.objective is None for s in solutions):
+            return None
+        found = [s.objective for s in solutions if s.objective is not None]
+        if self._cycle.time_is_minimised and len(self._cycle.first.objectives) == 1:
+            return replace(found[0], value=time)
+        lasted = np.array([s.duration for s in solutions])
+        value = combined(np.array([each.value for each in found]), lasted, self._combination)
+        return replace(found[0], value=value, terms={})
+
+    def with_rivals_and_duty(self, found: CycleSolution) -> CycleSolution:
+        """Result with rivals and duty, judged by the cycle's upper bound of time."""
+        upper = self._cycle.duration[1]
+        if found.duration > upper * (1.0 + 1e-9):
+            found = replace(
+                found,
+                status=SolveStatus.INFEASIBLE,
+                message=f"the shortest cycle takes {found.duration:.4g} s, above motion.duration "
+                f"of {upper:.4g} s. Allow more time, or relax limits.",
+            )
+        duty = cycle_duty(self._cycle, found)
+        over = self._cycle.duty_limits.excesses(duty)
+        if over and found.status.usable:
+            found = replace(
+                found,
+                status=SolveStatus.CERTIFICATE_FAILED,
+                message=f"Every limit of the legs holds, but {'; '.join(over)}. Give longer dwells "
+                "or more time: the duty is no limit of the optimisation.",
+            )
+        return replace(found, rivals=self._rivals(found), duty=duty)
+
+    def _rivals(self, found: CycleSolution) -> tuple[RivalCycle, ...]:
+        """Cycles of the baselines that keep every limit on all legs."""
+        free = self._cycle.duration[0] < self._cycle.duration[1]
+        times: dict[str, list[float]] = {}
+        values: dict[str, list[float]] = {}
+        for leg, solved in zip(self._cycle.legs, found.legs, strict=True):
+            problem, duration = leg.problem, solved.arrival - solved.start
+            shortest = problem.duration[0] if free else duration
+            for rival, motion in fair_rivals(problem, resolve(problem), shortest):
+                times.setdefault(rival.name, []).append(motion.duration)
+                values.setdefault(rival.name, []).append(objective_value(problem, motion).value)
+        rest = sum(leg.dwell for leg in found.legs)
+        return tuple(
+            RivalCycle(
+                name=name,
+                duration=sum(own) + rest,
+                objective=sum(own) + rest
+                if self._cycle.time_is_minimised
+                else combined(np.array(values[name]), np.array(own), self._combination),
+            )
+            for name, own in times.items()
+            if len(own) == len(self._cycle.legs)
+        )
+
+
+def _tell_leg(progress: ProgressCallback, name: str, state: SolveProgress) -> object:
+    return progress(replace(state, stage=f"{name}, {state.stage}"))

@@ -1,0 +1,226 @@
+"""Elastic simulation and duty of a cycle: payload changes excite the arm, rests let it settle."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from stiffopt.connection.reducer import Reducer
+from stiffopt.elastic.arm import ElasticArm
+from stiffopt.elastic.motor import MotorMotion
+from stiffopt.elastic.simulate import simulate
+from stiffopt.problem.cycle import Cycle
+from stiffopt.problem.rest_poses import gravity_torque
+from stiffopt.result.cycle import CycleSimulation, CycleSolution, JoinedMotion, LegError
+from stiffopt.result.duty import Duty, DutyHistory, LifeRating, duty_of
+from stiffopt.result.solution import Solution
+
+if TYPE_CHECKING:
+    from stiffopt.problem.trajectory import TrajectoryProblem
+    from stiffopt.result.simulation import SimulatedMotion
+    from stiffopt.result.trajectory import JointMotion
+    from stiffopt.robot.robot import Robot
+
+# Rests until settled are multiples of this, as set-points of controllers are [s].
+_REST_STEP = 2e-3
+# Longest rest until settled [s]: 0.5 mm decay to 20 um at 5 Hz and 2 % of critical damping.
+_MAX_REST = 5.0
+
+
+def simulate_cycle(
+    cycle: Cycle, solutions: Sequence[Solution], rests: np.ndarray
+) -> tuple[CycleSimulation | None, np.ndarray]:
+    """Simulation of the commands of all legs, and the rests (L,) [s] until the tool has settled.
+
+    None for a rigid arm, whose rests are the stated ones.
+    """
+    robot = cycle.first.robot
+    paths = [each.assessment.position for each in solutions if each.assessment is not None]
+    if not robot.yields or not robot.tool_yields(np.concatenate(paths)):
+        return None, rests
+    settling = np.array([leg.stop.until_settled for leg in cycle.legs])
+    if settling.any():
+        long = np.where(settling, _MAX_REST, rests)
+        trial, arrivals = _simulate(cycle, solutions, long)
+        found = _leg_errors(cycle, trial, arrivals, long)
+        settled = [
+            _MAX_REST if each.settling_time is None else each.settling_time for each in found
+        ]
+        whole = np.ceil(np.array(settled) / _REST_STEP) * _REST_STEP
+        rests = np.where(settling, whole, rests)
+    simulated, arrivals = _simulate(cycle, solutions, rests)
+    errors = _leg_errors(cycle, simulated, arrivals, rests)
+    notes = [
+        f"After {leg.name} the tool does not stay within the band of "
+        f"{1e6 * simulated.band:.3g} um within {_MAX_REST:g} s."
+        for leg, error in zip(cycle.legs, errors, strict=True)
+        if leg.stop.until_settled and error.settling_time is None
+    ]
+    return (
+        CycleSimulation(simulated=simulated, legs=tuple(errors), notes=tuple(notes)),
+        rests,
+    )
+
+
+def leg_motions(solutions: Sequence[Solution]) -> tuple[list[JointMotion], list[JointMotion]]:
+    """Motor commands and planned motions of the links of solved legs."""
+    commands, plans = [], []
+    for each in solutions:
+        assert each.trajectory is not None
+        planned: JointMotion = each.trajectory
+        plan = each.trajectory.link or each.trajectory
+        led = None if each.compensation is None else each.compensation.command
+        command = planned if led is None else MotorMotion(led.time, led.position, led.velocity)
+        commands.append(command)
+        plans.append(plan)
+    return commands, plans
+
+
+def _simulate(
+    cycle: Cycle, solutions: Sequence[Solution], rests: np.ndarray
+) -> tuple[SimulatedMotion, np.ndarray]:
+    """Simulation of the whole cycle, and the arrivals (L,) [s]."""
+    commands, plans = leg_motions(solutions)
+    lasted = np.array([plan.duration for plan in plans])
+    arrivals = np.cumsum(lasted + rests) - rests
+    end = float(arrivals[-1] + rests[-1])
+    starts = arrivals - lasted
+    command, plan = (
+        MotorMotion.of(JoinedMotion(parts, starts, end)) for parts in (commands, plans)
+    )
+    arms = [
+        ElasticArm(leg.problem.robot, leg.problem.start.joints, leg.problem.process_force)
+        for leg in cycle.legs
+    ]
+    arms = [_with_same_damping(arms[0], each) for each in arms]
+    servo = cycle.first.servo
+    changes = [
+        (float(time), arm)
+        for time, arm, before in zip(arrivals[:-1], arms[1:], arms[:-1], strict=True)
+        if arm.robot is not before.robot or np.any(arm.process_force != before.process_force)
+    ]
+    last = _after_last_event(cycle, arms[-1])
+    if last is not None:
+        changes.append((float(arrivals[-1]), last))
+    simulated = simulate(
+        arms[0],
+        command,
+        servo=servo,
+        ahead=servo.dead_time,
+        band=cycle.first.active_limits.settling_band,
+        plan=plan,
+        changes=changes,
+    )
+    return simulated, arrivals
+
+
+def _with_same_damping(first: ElasticArm, arm: ElasticArm) -> ElasticArm:
+    """Arm with the damping of another: that of its springs, whatever the payload."""
+    arm.damping = first.damping
+    return arm
+
+
+def _after_last_event(cycle: Cycle, arm: ElasticArm) -> ElasticArm | None:
+    """Arm after the event of the last leg; None where it stays as it is."""
+    if cycle.after_last is None or cycle.after_last is arm.robot:
+        return None
+    last = cycle.legs[-1].problem
+    return _with_same_damping(
+        arm, ElasticArm(cycle.after_last, last.end.joints, last.process_force)
+    )
+
+
+def _leg_errors(
+    cycle: Cycle, simulated: SimulatedMotion, arrivals: np.ndarray, rests: np.ndarray
+) -> list[LegError]:
+    """Tool error of each leg."""
+    time, distance = simulated.time, simulated.distance
+    found, start = [], 0.0
+    robots = [*(leg.problem.robot for leg in cycle.legs), cycle.after_last]
+    for k, (leg, arrival, rest) in enumerate(zip(cycle.legs, arrivals, rests, strict=True)):
+        flight = (time >= start) & (time <= arrival)
+        resting = (time > arrival) & (time <= arrival + rest)
+        outside = np.flatnonzero(resting & (distance > simulated.band))
+        settled: float | None = 0.0
+        if outside.size:
+            last = int(outside[-1])
+            more = last + 1 < len(time) and time[last + 1] <= arrival + rest
+            settled = float(time[last + 1] - arrival) if more else None
+        after = robots[k + 1]
+        found.append(
+            LegError(
+                flight=float(distance[flight].max()),
+                rest=float(distance[resting].max()) if resting.any() else None,
+                jump=0.0
+                if after is None or after is leg.problem.robot
+                else _static_jump(leg.problem, after),
+                settling_time=settled,
+            )
+        )
+        start = float(arrival + rest)
+    return found
+
+
+def _static_jump(problem: TrajectoryProblem, after: Robot) -> float:
+    """Static displacement of the tool [m] at the end of a motion by another payload."""
+    pose = problem.end.joints
+    assert pose is not None
+    places = []
+    for robot in (problem.robot, after):
+        arm = ElasticArm(robot, pose, problem.process_force)
+        places.append(arm.tool(arm.static_equilibrium(pose[None]))[0])
+    return float(np.linalg.norm(places[1] - places[0]))
+
+
+def cycle_duty(cycle: Cycle, found: CycleSolution) -> Duty:
+    """Duty of the drives over a solved cycle, with the holding torques of its rests."""
+    histories = []
+    for k, (leg, solved) in enumerate(zip(cycle.legs, found.legs, strict=True)):
+        motion = solved.solution.assessment
+        assert motion is not None
+        histories.append(
+            DutyHistory(
+                time=motion.time,
+                velocity=motion.velocity,
+                torque=motion.torque,
+                reducer_torque=motion.spring_torque,
+            )
+        )
+        if solved.dwell > 0.0:
+            holding = cycle.legs[k + 1].problem if k + 1 < len(cycle.legs) else leg.problem
+            pose = leg.problem.end.joints
+            assert pose is not None
+            held = np.repeat(gravity_torque(holding, pose)[None], 2, axis=0)
+            histories.append(
+                DutyHistory(
+                    time=np.array([0.0, solved.dwell]),
+                    velocity=np.zeros_like(held),
+                    torque=held,
+                    reducer_torque=held,
+                )
+            )
+    robot = cycle.first.robot
+    ratings = [_life_rating(robot, j) for j in range(robot.n)]
+    return duty_of(histories, robot.joint_names, robot.torque_max, ratings)
+
+
+def _life_rating(robot: Robot, joint: int) -> LifeRating | None:
+    """Rated life of the reducer of a joint, at the joint's output; None where it is not known."""
+    chain = robot.chains[joint]
+    for stage in () if chain is None else chain.stages:
+        own = stage.element
+        if not isinstance(own, Reducer) or None in (own.rated_torque, own.rated_speed):
+            continue
+        if own.rated_life is None or own.life_exponent is None:
+            continue
+        assert own.rated_torque is not None
+        assert own.rated_speed is not None
+        return LifeRating(
+            torque=own.rated_torque * stage.reduction,
+            speed=own.rated_speed / stage.ratio,
+            life=own.rated_life,
+            exponent=own.life_exponent,
+        )
+    return None

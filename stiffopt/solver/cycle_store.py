@@ -1,0 +1,66 @@
+"""Files of a solved cycle: cycle.json, cycle.csv, and a folder of files for each leg."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from stiffopt.certificate.assess import assess
+from stiffopt.files import write_csv
+from stiffopt.result.compensation import write_command
+from stiffopt.result.cycle import CycleSolution, leg_folder, write_cycle
+from stiffopt.result.store import export_times, write_result, write_trajectory
+from stiffopt.solver.cycle_simulation import leg_motions
+
+CYCLE_TABLE = "cycle.csv"
+
+
+def write_cycle_result(
+    solution: CycleSolution,
+    stage: Path,
+    problem: Path,
+    home: Path,
+    changes: Sequence[str],
+) -> None:
+    """Write the files of a cycle into `stage`, whose final folder is `home`."""
+    for number, leg in enumerate(solution.legs, start=1):
+        folder = stage / leg_folder(number)
+        folder.mkdir()
+        stated, found = leg.problem, leg.solution
+        if found.trajectory is not None:
+            times = export_times(found.trajectory.duration)
+            write_trajectory(assess(stated, found.trajectory, times=times), folder)
+        write_command(found.compensation, folder)
+        write_result(
+            found,
+            folder,
+            problem,
+            stated=stated,
+            home=home / leg_folder(number),
+            changes=changes,
+            leg=number,
+        )
+    if solution.status.usable:
+        _write_table(solution, stage)
+    write_cycle(solution, stage, Path(os.path.relpath(problem, home)).as_posix(), changes)
+
+
+def _write_table(solution: CycleSolution, folder: Path) -> None:
+    """Write cycle.csv: time, leg, payload, motion of the motors, links."""
+    commands, plans = leg_motions([leg.solution for leg in solution.legs])
+    motors, links = solution.joined(commands), solution.joined(plans)
+    times = export_times(solution.duration)
+    begun = np.searchsorted([leg.start for leg in solution.legs], times + 1e-9, side="right")
+    arrivals = np.array([leg.arrival for leg in solution.legs])
+    masses = [solution.legs[0].mass_before, *(leg.mass_after for leg in solution.legs)]
+    carried = np.array(masses)[np.searchsorted(arrivals, times, side="left")]
+    columns = [times[:, None], begun[:, None], carried[:, None]]
+    columns += [motors(times, order) for order in range(3)]
+    columns.append(links(times))
+    joints = range(1, columns[-1].shape[1] + 1)
+    names = ["t", "leg", "payload"]
+    names += [f"{quantity}{j}" for quantity in ("q", "qd", "qdd", "link") for j in joints]
+    write_csv(folder / CYCLE_TABLE, names, np.hstack(columns).tolist())

@@ -1,0 +1,129 @@
+"""Parts of a cycle against closed forms: payload change, duty, time split, joined motions."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from small_arms import CONSTANT, joint, write_robot
+
+from stiffopt.elastic.arm import ElasticArm
+from stiffopt.elastic.motor import MotorMotion
+from stiffopt.elastic.simulate import simulate
+from stiffopt.result.cycle import JoinedMotion
+from stiffopt.result.duty import DutyHistory, DutyLimits, LifeRating, duty_of
+from stiffopt.result.trajectory import Trajectory
+from stiffopt.robot.files import load_robot
+from stiffopt.solver.time_split import TimeSplit, combined
+
+STIFFNESS = 1e4
+
+
+def test_gripped_part_makes_the_tool_vibrate_by_its_static_displacement(tmp_path):
+    """A horizontal link at rest takes a mass: it vibrates between the old and twice the new sag."""
+    spring = [joint("shoulder", CONSTANT.format(stiffness=STIFFNESS))]
+    robot = load_robot(write_robot(tmp_path, "pendulum", joints=spring))
+    robot = replace(robot, damping=np.zeros(1))
+    at = np.zeros(1)
+    mass, length = 1.5, 0.4
+    before, after = ElasticArm(robot, at), ElasticArm(robot.with_payload(mass), at)
+    rest = MotorMotion(np.array([0.0, 0.3]), np.zeros((2, 1)), np.zeros((2, 1)))
+    event = 0.1234
+    found = simulate(before, rest, changes=[(event, after)])
+    assert found.distance[found.time < event].max() < 1e-9
+    inertia = 1e-2 + 2.0 * 0.2**2 + mass * length**2
+    rate = np.sqrt(STIFFNESS / inertia)
+    jump = mass * 9.81 * length / STIFFNESS * length
+    later = found.time > event
+    wanted = jump * np.abs(np.cos(rate * (found.time[later] - event)))
+    # Sag turns the link by 1 mrad at most: its lever arm is constant within 1e-6.
+    np.testing.assert_allclose(found.distance[later], wanted, atol=2e-3 * jump)
+    assert found.distance.max() == pytest.approx(jump, rel=1e-3)
+
+
+def test_change_at_arrival_counts_afterwards(tmp_path):
+    robot = load_robot(write_robot(tmp_path, "pendulum"))
+    before, after = (ElasticArm(each, np.zeros(1)) for each in (robot, robot.with_payload(1.0)))
+    rest = MotorMotion(np.array([0.0, 0.2]), np.zeros((2, 1)), np.zeros((2, 1)))
+    found = simulate(before, rest, changes=[(0.2, after)])
+    assert found.peak < 1e-9
+    assert found.peak_after > 1e-5
+
+
+def test_joined_motion_rests_between_parts_and_overlaps_without_a_jump():
+    def quintic(start, end, duration):
+        rates = np.array([[[0.0], [60.0], [-180.0], [120.0]]]) * (end - start)
+        rates /= duration ** np.array([2.0, 3.0, 4.0, 5.0])[:, None]
+        return Trajectory.from_acceleration([0.0, duration], rates, [start], [0.0])
+
+    joined = JoinedMotion([quintic(0.0, 1.0, 1.0), quintic(1.0, 0.5, 0.5)], [0.0, 1.2], 2.0)
+    times = np.array([0.0, 0.5, 1.0, 1.1, 1.2, 1.45, 1.7, 2.0])
+    assert joined(times)[:, 0] == pytest.approx([0.0, 0.5, 1.0, 1.0, 1.0, 0.75, 0.5, 0.5])
+    assert joined(times, 1)[[0, 3, 7], 0] == pytest.approx([0.0, 0.0, 0.0], abs=1e-12)
+    fine = np.linspace(0.0, 2.0, 4001)
+    slope = np.gradient(joined(fine)[:, 0], fine)
+    np.testing.assert_allclose(joined(fine, 1)[:, 0], slope, atol=2e-3)
+    # The second part begins before the first has ended: both add.
+    early = JoinedMotion([quintic(0.0, 1.0, 1.0), quintic(1.0, 0.5, 0.5)], [0.0, 0.9], 1.5)
+    assert early(np.array([1.5]))[0, 0] == pytest.approx(0.5)
+
+
+def test_duty_of_a_duty_cycle_by_hand():
+    """Half the time 30 N m at 2 rad/s, a quarter -10 N m at 4 rad/s, a quarter holding 20 N m."""
+
+    def piece(start, end, torque, speed):
+        rows = [np.full((2, 1), each) for each in (speed, torque, torque)]
+        return DutyHistory(time=np.array([start, end]), velocity=rows[0], torque=rows[1],
+                           reducer_torque=rows[2])  # fmt: skip
+
+    rating = LifeRating(torque=40.0, speed=2.0, life=7000.0 * 3600.0, exponent=3.0)
+    parts = [piece(0.0, 2.0, 30.0, 2.0), piece(2.0, 3.0, -10.0, 4.0), piece(3.0, 4.0, 20.0, 0.0)]
+    (found,) = duty_of(parts, ["a"], np.array([60.0]), [rating]).joints
+    assert found.rms_torque == pytest.approx(np.sqrt((2 * 900 + 100 + 400) / 4))
+    assert (found.peak_torque, found.peak_speed, found.peak_power) == (30.0, 4.0, 60.0)
+    assert (found.energy, found.regenerated) == (120.0, 40.0)
+    assert found.mean_speed == pytest.approx(2.0)
+    mean = ((4 * 30.0**3 + 4 * 10.0**3) / 8) ** (1 / 3)
+    assert found.mean_torque == pytest.approx(mean)
+    assert found.life == pytest.approx(7000 * 3600 * (40 / mean) ** 3)
+
+
+def test_limits_of_the_duty_name_joint_and_numbers():
+    time, rate = np.array([0.0, 1.0]), np.ones((2, 1))
+    part = DutyHistory(time=time, velocity=rate, torque=5 * rate, reducer_torque=8 * rate)
+    rating = LifeRating(torque=4.0, speed=1.0, life=3600.0 * 80.0, exponent=3.0)
+    duty = duty_of([part], ["a"], np.array([60.0]), [rating])
+    limits = DutyLimits(rms_torque=np.array([4.0]), reducer_life=3600.0 * 11.0, energy=6.0)
+    torque, life = limits.excesses(duty)
+    assert "rms torque of a, 5 N m, exceeds duty.rms_torque 4 N m" in torque
+    assert "lasts 10 h, below duty.reducer_life 11 h" in life
+    assert not DutyLimits().excesses(duty)
+
+
+@pytest.mark.parametrize("by", ["peak", "rms", "sum"])
+def test_time_split_finds_the_optimum_of_power_laws(by):
+    """Legs whose objective is c/T^p: the split found beats all others nearby."""
+    c, p = np.array([0.3, 2.0, 0.05]), np.array([2.0, 3.0, 2.5])
+    split = TimeSplit(3.0, np.ones(3), by)
+    for _ in range(25):
+        split.learn(c / split.durations**p)
+        split.durations = split.proposal()
+        assert split.durations.sum() == pytest.approx(3.0)
+
+    def value(durations):
+        return combined(c / durations**p, durations, by)
+
+    best = value(split.durations)
+    random = np.random.default_rng(0)
+    for _ in range(300):
+        other = split.durations * np.exp(0.05 * random.normal(size=3))
+        assert value(3.0 * other / other.sum()) > best * (1.0 - 1e-6)
+
+
+def test_time_split_gives_a_failed_leg_more_and_says_when_time_is_short():
+    split = TimeSplit(2.0, np.array([1.0, 1.0]), "peak")
+    split.learn(np.array([np.nan, 0.1]))
+    split.durations = split.proposal()
+    assert split.durations[0] > 1.02
+    assert split.durations.sum() == pytest.approx(2.0)
+    split.learn(np.array([np.nan, np.nan]))
+    assert split.proposal() is None

@@ -1,0 +1,95 @@
+"""A small cycle from file to result, page and exported motion."""
+
+import csv
+import io
+import itertools
+import json
+
+import numpy as np
+import pytest
+from small_cycles import write_cycle_file
+
+from stiffopt.cli import run
+from stiffopt.export.format import read_seal
+from stiffopt.problem.cycle_files import load_cycle
+from stiffopt.solver.cycle import solve_cycle
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Result folder of the small cycle."""
+    place = tmp_path_factory.mktemp("cycle")
+    path = write_cycle_file(place)
+    assert run(["solve", str(path), "--out", str(place / "out"), "--quiet"]) == 0
+    return place / "out"
+
+
+@pytest.mark.slow
+def test_results_of_a_cycle(folder):
+    document = json.loads((folder / "cycle.json").read_text())
+    assert document["status"] == "optimal"
+    assert document["duration"] == pytest.approx(3.0)
+    legs = document["legs"]
+    assert [leg["event"] for leg in legs] == ["grip", "release", ""]
+    for before, after in itertools.pairwise(legs):
+        assert after["start"] == pytest.approx(before["arrival"] + before["dwell"])
+    # The best split of the time gives all legs the same peak.
+    peaks = [leg["objective"] for leg in legs]
+    assert max(peaks) == pytest.approx(min(peaks), rel=0.03)
+    assert document["objective"]["value"] == pytest.approx(max(peaks))
+    assert all(rival["objective"] > document["objective"]["value"] for rival in document["rivals"])
+    assert document["rivals"]
+    # The part makes the tool sag: the arm vibrates by that in the rest after the grip.
+    jump = legs[0]["tool_error"]["jump"]
+    assert legs[0]["tool_error"]["rest"] == pytest.approx(jump, rel=0.2)
+    assert jump > 1e-5
+    assert len(document["duty"]["joints"]) == 3
+
+
+@pytest.mark.slow
+def test_table_and_export_are_one_continuous_motion(folder, tmp_path, capsys):
+    with (folder / "cycle.csv").open(newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    q = np.array([[float(row[f"q{j}"]) for j in (1, 2, 3)] for row in rows])
+    qd = np.array([[float(row[f"qd{j}"]) for j in (1, 2, 3)] for row in rows])
+    time = np.array([float(row["t"]) for row in rows])
+    np.testing.assert_allclose(np.gradient(q, time, axis=0)[1:-1], qd[1:-1], atol=2e-2)
+    assert {row["payload"] for row in rows} == {"0.2", "1.2"}
+    for to in ("csv", "ros2"):
+        assert run(["export", str(folder), "--to", to, "--out", str(tmp_path / to)]) == 0
+    text = read_seal((tmp_path / "csv" / "motor.csv").read_text())[1]
+    exported = list(csv.DictReader(io.StringIO(text)))
+    events = [row["event"] for row in exported if row["event"]]
+    assert events == ["grip", "release"]
+    own = np.array([float(row["shoulder"]) for row in exported])
+    np.testing.assert_allclose(own, q[:, 1], atol=1e-6)
+    assert "Event: grip at" in (tmp_path / "ros2" / "joint_trajectory.yaml").read_text()
+    capsys.readouterr()
+    assert run(["check", str(tmp_path / "csv" / "motor.csv"), "--result", str(folder)]) == 0
+    assert "All limits are met" in capsys.readouterr().out
+
+
+@pytest.mark.slow
+def test_page_names_legs_postures_and_duty(folder):
+    page = (folder / "report.html").read_text()
+    for words in ("above, pick", "grip: 0.2 to 1.2 kg", "Postures", "Duty", "Rivals"):
+        assert words in page
+
+
+@pytest.mark.slow
+def test_shortest_cycle_is_the_sum_of_the_shortest_legs(tmp_path):
+    path = write_cycle_file(tmp_path, duration="{ upper = 5.0 }", objective="duration")
+    cycle = load_cycle(path).cycle
+    found = solve_cycle(cycle, simulate=False)
+    assert found.status.usable
+    moving = sum(leg.solution.duration for leg in found.legs)
+    assert found.duration == pytest.approx(moving + 0.1)
+    assert found.objective.value == pytest.approx(found.duration)
+
+
+@pytest.mark.slow
+def test_cycle_without_enough_time_says_so(tmp_path):
+    path = write_cycle_file(tmp_path, duration='"0.3 s"')
+    found = solve_cycle(load_cycle(path).cycle, simulate=False)
+    assert not found.status.usable
+    assert "motion.duration" in found.message
