@@ -71,13 +71,15 @@ class JointPath:
     def __call__(self, s: object, order: int = 0) -> np.ndarray:
         """Evaluate position (order 0) or a derivative by s at `s` (k,), shape (k, n)."""
         positions = np.asarray(s, dtype=float)
-        return self._evaluate_piece(positions, self._piece_index(positions), order)
+        return self.evaluate_piece(positions, self.piece_index(positions), order)
 
-    def _piece_index(self, s: np.ndarray) -> np.ndarray:
+    def piece_index(self, s: np.ndarray) -> np.ndarray:
+        """Return the pieces (k,) that contain path parameters (k,)."""
         last = len(self.knots) - 2
         return np.clip(np.searchsorted(self.knots, s, side="right") - 1, 0, last)
 
-    def _evaluate_piece(self, s: np.ndarray, piece: np.ndarray, order: int) -> np.ndarray:
+    def evaluate_piece(self, s: np.ndarray, piece: np.ndarray, order: int) -> np.ndarray:
+        """Evaluate a derivative (k, n) at `s` (k,) by the polynomials of given pieces (k,)."""
         local = (s - self.knots[piece])[..., None]
         value = np.zeros((*s.shape, self.joints))
         for j in range(3, order - 1, -1):
@@ -95,12 +97,12 @@ class JointPath:
         """
         times = _merge_crossings(law, self.knots[1:-1])
         begin, middle = times[:-1], 0.5 * (times[:-1] + times[1:])
-        piece = self._piece_index(law(middle)[:, 0])
+        piece = self.piece_index(law(middle)[:, 0])
         degree = law.acceleration.shape[1] + 1
         # Local Taylor polynomials: of s about each break, then of q about s at the break.
         s = np.stack([law(begin, j)[:, 0] / factorial(j) for j in range(degree + 1)], axis=1)
         start, s[:, 0] = s[:, 0].copy(), 0.0
-        taylor = [self._evaluate_piece(start, piece, j) / factorial(j) for j in range(4)]
+        taylor = [self.evaluate_piece(start, piece, j) / factorial(j) for j in range(4)]
         motion = np.zeros((len(begin), 3 * degree + 1, self.joints))
         power = np.ones((len(begin), 1))
         for coefficient in taylor:
