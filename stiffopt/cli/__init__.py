@@ -13,7 +13,17 @@ from collections.abc import Sequence
 from cyclopts import CycloptsError, UnusedCliTokensError
 
 from stiffopt import folders
-from stiffopt.cli import budgets, elastic, exports, motions, recordings, schemas, starters, sweeps
+from stiffopt.cli import (
+    budgets,
+    elastic,
+    exports,
+    improvements,
+    motions,
+    recordings,
+    schemas,
+    starters,
+    sweeps,
+)
 from stiffopt.cli.base import app
 from stiffopt.errors import InputError, NoSolutionFound, shortened
 
@@ -22,6 +32,7 @@ __all__ = [
     "budgets",
     "elastic",
     "exports",
+    "improvements",
     "motions",
     "recordings",
     "run",

@@ -43,8 +43,6 @@ class JointPath:
             Distances of the waypoints in s: "uniform", or "chord" for distances in joint space,
             which avoids overshoot of the spline between very uneven waypoints.
         """
-        from scipy.interpolate import CubicSpline
-
         points = np.atleast_2d(np.asarray(waypoints, dtype=float))
         length = np.linalg.norm(np.diff(points, axis=0), axis=1)
         if len(points) < 2 or not np.all(length > 0):
@@ -59,6 +57,13 @@ class JointPath:
         steps = length if spacing == "chord" else np.ones_like(length)
         knots = np.concatenate([[0.0], np.cumsum(steps) / np.sum(steps)])
         knots[-1] = 1.0
+        return cls.at_knots(knots, points)
+
+    @classmethod
+    def at_knots(cls, knots: np.ndarray, points: np.ndarray) -> JointPath:
+        """Not-a-knot cubic spline with points (m, n) at knots (m,) from 0 to 1."""
+        from scipy.interpolate import CubicSpline
+
         spline = CubicSpline(knots, points, bc_type="not-a-knot")
         # SciPy stores the highest power first and the piece second.
         return cls(knots, np.ascontiguousarray(spline.c[::-1].transpose(1, 0, 2)))
