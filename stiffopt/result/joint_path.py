@@ -6,7 +6,8 @@ the motion q(s(t)) is polynomial between the knots and breaks of both.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from itertools import pairwise
 from math import factorial
 
 import numpy as np
@@ -26,10 +27,19 @@ class JointPath:
         Path parameter of the waypoints, from 0 to 1.
     coefficients : array (m - 1, 4, n)
         Coefficient j of piece k multiplies (s - knots[k])**j. [rad] or [m]
+    speeds : array (m - 1,) or None
+        Largest tool speed on each piece [m/s]; None for no limit.
+    stops : array (k,)
+        Inner knots at which every motion rests; the path may have corners there.
+    dwells : array (k,)
+        Rests there [s].
     """
 
     knots: np.ndarray
     coefficients: np.ndarray
+    speeds: np.ndarray | None = None
+    stops: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=int))
+    dwells: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
     @classmethod
     def through(cls, waypoints: ArrayLike, spacing: str = "uniform") -> JointPath:
@@ -67,6 +77,26 @@ class JointPath:
         spline = CubicSpline(knots, points, bc_type="not-a-knot")
         # SciPy stores the highest power first and the piece second.
         return cls(knots, np.ascontiguousarray(spline.c[::-1].transpose(1, 0, 2)))
+
+    @property
+    def points(self) -> np.ndarray:
+        """Joint positions (m, n) at the knots."""
+        return self(self.knots)
+
+    def between_stops(self) -> list[tuple[float, float, JointPath]]:
+        """Return begin and end of each part between stops, and its path with s from 0 to 1."""
+        ends = [0, *self.stops.tolist(), len(self.knots) - 1]
+        parts = []
+        for first, last in pairwise(ends):
+            begin, span = self.knots[first], self.knots[last] - self.knots[first]
+            own = slice(first, last)
+            path = JointPath(
+                np.append((self.knots[own] - begin) / span, 1.0),
+                self.coefficients[own] * span ** np.arange(4)[None, :, None],
+                None if self.speeds is None else self.speeds[own],
+            )
+            parts.append((float(begin), float(begin + span), path))
+        return parts
 
     @property
     def joints(self) -> int:
