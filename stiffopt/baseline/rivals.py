@@ -129,7 +129,7 @@ def baseline_path(problem: TrajectoryProblem, motion: ResolvedMotion) -> JointPa
     if problem.path is None:
         # Chord parametrisation: with equal steps a spline through uneven vias overshoots.
         return JointPath.through(motion.points, "chord")
-    return JointPath.through(problem.path)
+    return problem.path
 
 
 def quintic_law(duration: float) -> Trajectory:

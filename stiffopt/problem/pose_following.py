@@ -15,8 +15,8 @@ from stiffopt.robot.batched_kinematics import frame_positions, frame_rotations
 if TYPE_CHECKING:
     from stiffopt.robot.robot import Robot
 
-# Steps along the whole path, and within each of its pieces.
-_STEPS, _STEPS_PER_PIECE = 400, 4
+# Longest step along the path [m], least and largest number of steps, and steps within each piece.
+_LONGEST_STEP, _MIN_STEPS, _MAX_STEPS, _STEPS_PER_PIECE = 5e-3, 400, 4000, 4
 # Larger joint steps between neighbouring poses are a change of posture [rad].
 _MAX_JOINT_STEP = 0.6
 # Least ratio of the singular values of the Jacobian, its rotations times a length [m/rad]: below,
@@ -47,13 +47,12 @@ class PoseFollower:
         A pose is out of reach, or the path passes a singular pose; with the place.
     """
 
-    def __init__(
-        self, robot: Robot, poses: Poses, breaks: np.ndarray, near: np.ndarray
-    ) -> None:
+    def __init__(self, robot: Robot, poses: Poses, breaks: np.ndarray, near: np.ndarray) -> None:
         self._robot, self._poses = robot, poses
         shares = np.arange(_STEPS_PER_PIECE) / _STEPS_PER_PIECE
         inside = (breaks[:-1, None] + np.diff(breaks)[:, None] * shares).ravel()
-        self._along = np.union1d(inside, np.linspace(0.0, breaks[-1], _STEPS + 1))
+        steps = int(np.clip(breaks[-1] / _LONGEST_STEP, _MIN_STEPS, _MAX_STEPS))
+        self._along = np.union1d(inside, np.linspace(0.0, breaks[-1], steps + 1))
         positions, rotations = poses(self._along)
         found: list[np.ndarray] = []
         inverses = []
@@ -95,9 +94,7 @@ class PoseFollower:
 
     def __call__(self, along: np.ndarray) -> np.ndarray:
         """Joint positions (K, n) at distances (K,) [m]."""
-        q = np.stack(
-            [np.interp(along, self._along, column) for column in self._joints.T], axis=1
-        )
+        q = np.stack([np.interp(along, self._along, column) for column in self._joints.T], axis=1)
         nearest = np.clip(np.searchsorted(self._along, along), 1, len(self._along) - 1)
         nearest -= along - self._along[nearest - 1] < self._along[nearest] - along
         inverse = self._inverses[nearest]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,6 +13,8 @@ from stiffopt.errors import ProblemError
 
 # Intervals of the arc length table of a spline's interval, and of a blend.
 _TABLE_STEPS, _BLEND_STEPS = 16, 200
+# Points of a spline per place where a fit of it begins.
+_POINTS_PER_MARK = 4
 # Parameter length of a blend over its size: the length of a slight corner.
 _BLEND_LENGTH = 2.0
 
@@ -32,6 +35,10 @@ class ToolCurve(ABC):
     @abstractmethod
     def cut(self, before: float, after: float) -> ToolCurve:
         """Shorten the curve at both ends [m]."""
+
+    def marks(self) -> np.ndarray:
+        """Distances (k,) from which a fit of the curve begins, 0 the first [m]."""
+        return np.zeros(1)
 
     def end_point(self, end: int) -> np.ndarray:
         """Point (3,) at the start (0) or the end (-1)."""
@@ -112,9 +119,7 @@ class Arc(ToolCurve):
     def at(self, along: np.ndarray) -> np.ndarray:
         """Points on the arc."""
         turned = self.begin + along[:, None] / np.linalg.norm(self.first)
-        return np.asarray(
-            self.middle + np.cos(turned) * self.first + np.sin(turned) * self.across
-        )
+        return np.asarray(self.middle + np.cos(turned) * self.first + np.sin(turned) * self.across)
 
     def end_derivatives(self, end: int) -> tuple[np.ndarray, np.ndarray]:
         """Tangent, and curvature towards the centre."""
@@ -147,7 +152,9 @@ class Curve(ToolCurve):
         Of the table.
     """
 
-    def __init__(self, spline: CubicSpline, begin: float, end: float, steps: int) -> None:
+    def __init__(
+        self, spline: Callable[..., np.ndarray], begin: float, end: float, steps: int
+    ) -> None:
         self._spline, self._steps = spline, steps
         u = np.linspace(begin, end, steps + 1)
         rate = np.linalg.norm(spline(u, 1), axis=1)
@@ -162,8 +169,18 @@ class Curve(ToolCurve):
         u = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
         return cls(CubicSpline(u, points), 0.0, float(u[-1]), _TABLE_STEPS * (len(u) - 1))
 
+    @property
+    def point_distances(self) -> np.ndarray:
+        """Distances (m,) of the points that the spline was made through [m]."""
+        return self._along[::_TABLE_STEPS]
+
+    def marks(self) -> np.ndarray:
+        """Every fourth point of a spline; the start of a blend."""
+        stride = _POINTS_PER_MARK * _TABLE_STEPS if isinstance(self._spline, CubicSpline) else None
+        return self._along[:-1:stride] if stride else self._along[:1]
+
     def parameter(self, along: np.ndarray) -> np.ndarray:
-        """u (K,) at distances (K,)."""
+        """U (K,) at distances (K,)."""
         inside = np.clip(along, 0.0, self.length)
         u = np.interp(inside, self._along, self._u)
         k = np.clip(np.searchsorted(self._along, inside, side="right") - 1, 0, self._steps - 1)
@@ -192,8 +209,12 @@ class Curve(ToolCurve):
 
     def cut(self, before: float, after: float) -> Curve:
         """Shorter curve."""
+        if before <= 0.0 and after <= 0.0:
+            return self
         begin, end = self.parameter(np.array([before, self.length - after]))
-        return Curve(self._spline, float(begin), float(end), self._steps)
+        share = (end - begin) / (self._u[-1] - self._u[0])
+        steps = max(_TABLE_STEPS, int(np.ceil(share * self._steps)))
+        return Curve(self._spline, float(begin), float(end), steps)
 
 
 class _Quintic:

@@ -6,7 +6,7 @@ that the tool stays within a tolerance. Where the tool stops, the joints' path m
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING
@@ -48,10 +48,10 @@ class ToolSegment:
         A point on the arc; None for a straight line [m].
     blend : float
         Distance from its end at which the rounding into the next segment begins [m].
-    points : array (m, 3) or None
-        Points of a spline after its start, the last one its end [m].
-    rotations : array (m, 3, 3) or None
-        Orientations at the points of a spline.
+    curve : ToolCurve or None
+        The segment itself, where it is neither a line nor an arc.
+    turns : callable or None
+        Rotations (K, 3, 3) at shares (K,) of the segment, where they do not turn evenly to its end.
     speed : float
         Largest tool speed on it [m/s].
     stop : bool
@@ -66,8 +66,8 @@ class ToolSegment:
     rotation: np.ndarray | None = None
     through: np.ndarray | None = None
     blend: float = 0.0
-    points: np.ndarray | None = None
-    rotations: np.ndarray | None = None
+    curve: ToolCurve | None = None
+    turns: Callable[[np.ndarray], np.ndarray] | None = None
     speed: float = np.inf
     stop: bool = False
     dwell: float = 0.0
@@ -113,12 +113,22 @@ class ToolPath:
         self.breaks = np.concatenate([[0.0], np.cumsum([piece.length for piece in pieces])])
         self.length = float(self.breaks[-1])
         self.speeds = np.array([min(segments[k].speed for k in own) for own in owners])
-        inner = [(corner, segment) for corner, segment in zip(corners, segments, strict=False)
-                 if segment.stop]
+        inner = [
+            (corner, segment)
+            for corner, segment in zip(corners, segments, strict=False)
+            if segment.stop
+        ]
         self.stops = np.array([self.breaks[corner] for corner, _ in inner])
         self.dwells = np.array([segment.dwell for _, segment in inner])
         self.smallest_blend = min(
             (segment.blend for segment in segments[:-1] if segment.blend > 0.0), default=np.inf
+        )
+        # Places where a fit begins: in between, a spline may bend at every point.
+        self.marks = np.unique(
+            np.concatenate(
+                [self.breaks[k] + piece.marks() for k, piece in enumerate(pieces)]
+                + [self.breaks[-1:]]
+            )
         )
         self._turns = _Orientation(rotation, segments, curves, pieces, owners, self.breaks)
 
@@ -159,17 +169,13 @@ class _Orientation:
             own = [k for k, own in enumerate(owners) if own == (number,)]
             keys.append(float(middles[shared[0]] if shared else breaks[own[-1] + 1]))
         keys.append(float(breaks[-1]))
-        self._keys, self._parts = np.array(keys), []
+        self._keys = np.array(keys)
+        self._parts: list[Callable[[np.ndarray], np.ndarray]] = []
         last = np.asarray(rotation, dtype=float)
         for segment in segments:
-            if segment.rotations is not None and segment.points is not None:
-                chords = np.linalg.norm(np.diff(segment.points, axis=0, prepend=np.nan), axis=1)
-                self._parts.append(_QuaternionSpline(last, segment.rotations, chords))
-                last = segment.rotations[-1]
-            else:
-                end = last if segment.rotation is None else segment.rotation
-                self._parts.append(_EasedTurn(last, end))
-                last = end
+            end = last if segment.rotation is None else segment.rotation
+            self._parts.append(segment.turns or _EasedTurn(last, end))
+            last = end
 
     def __call__(self, along: np.ndarray) -> np.ndarray:
         """Rotations (K, 3, 3) at distances (K,)."""
@@ -200,16 +206,74 @@ class _EasedTurn:
 class _QuaternionSpline:
     """Orientations through given ones, by a spline of their quaternions."""
 
-    def __init__(self, first: np.ndarray, others: np.ndarray, chords: np.ndarray) -> None:
-        turns = Rotation.from_matrix(np.concatenate([first[None], others])).as_quat()
+    def __init__(self, rotations: np.ndarray, along: np.ndarray) -> None:
+        turns = Rotation.from_matrix(rotations).as_quat()
         flips = np.sign(np.sum(turns[1:] * turns[:-1], axis=1))
         turns[1:] *= np.cumprod(np.where(flips < 0.0, -1.0, 1.0))[:, None]
-        steps = np.where(np.isfinite(chords), chords, np.nanmean(chords))
-        shares = np.concatenate([[0.0], np.cumsum(steps)])
-        self._spline = CubicSpline(shares / shares[-1], turns)
+        self._spline = CubicSpline(along, turns)
 
-    def __call__(self, share: np.ndarray) -> np.ndarray:
-        return np.asarray(Rotation.from_quat(self._spline(share)).as_matrix())
+    def between(self, begin: float, end: float) -> Callable[[np.ndarray], np.ndarray]:
+        """Return the rotations between two distances [m], by the share of the way."""
+        return lambda share: np.asarray(
+            Rotation.from_quat(self._spline(begin + share * (end - begin))).as_matrix()
+        )
+
+
+def spline_segments(
+    points: np.ndarray,
+    rotations: np.ndarray | None,
+    speeds: np.ndarray,
+    stops: np.ndarray,
+    where: str,
+) -> list[ToolSegment]:
+    """Return segments of splines through points, from stop to stop.
+
+    Parameters
+    ----------
+    points : array (m, 3) [m]
+        The first one is the start.
+    rotations : array (m, 3, 3) or None
+        Orientations there; None for one that stays.
+    speeds : array (m,)
+        Largest tool speed on the way to each point [m/s].
+    stops : array (m,) of bool
+        The tool rests at the point.
+    where : str
+        Name of the points in messages: "points.csv, row ".
+
+    Raises
+    ------
+    ProblemError
+        A point repeats the one before.
+    """
+    steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    for k in np.flatnonzero(~(steps > _MIN_LENGTH)):
+        raise ProblemError(
+            f"{where}{k + 2} repeats the point before, [{', '.join(f'{x:.6g}' for x in points[k])}]"
+            " m. Delete it."
+        )
+    found = []
+    ends = [0, *np.flatnonzero(stops[1:-1]) + 1, len(points) - 1]
+    for first, last in pairwise(ends):
+        own = slice(first, last + 1)
+        curve = Curve.through(points[own])
+        along = curve.point_distances
+        turns = None if rotations is None else _QuaternionSpline(rotations[own], along)
+        inner = speeds[own]
+        changes = np.flatnonzero(np.diff(inner[1:])) + 1
+        for a, b in pairwise([0, *changes.tolist(), last - first]):
+            found.append(
+                ToolSegment(
+                    end=points[first + b],
+                    rotation=None if rotations is None else rotations[first + b],
+                    curve=curve.cut(along[a], curve.length - along[b]),
+                    turns=None if turns is None else turns.between(along[a], along[b]),
+                    speed=float(inner[b]),
+                    stop=bool(first + b == last and last < len(points) - 1),
+                    where=f"{where}{first + b + 1}",
+                )
+            )
+    return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -228,9 +292,7 @@ class FittedPath:
     error: float
 
 
-def fit_tool_path(
-    robot: Robot, path: ToolPath, near: np.ndarray, tolerance: float
-) -> FittedPath:
+def fit_tool_path(robot: Robot, path: ToolPath, near: np.ndarray, tolerance: float) -> FittedPath:
     """Fit a joint spline that follows a tool path.
 
     Parameters
@@ -253,7 +315,7 @@ def fit_tool_path(
     knots, coefficients, worst = [np.zeros(1)], [], 0.0
     for begin, end in path.parts():
         span = end - begin
-        inner = path.breaks[(path.breaks > begin) & (path.breaks < end)]
+        inner = path.marks[(path.marks > begin) & (path.marks < end)]
         breaks = np.concatenate([[0.0], (inner - begin) / span, [1.0]])
 
         def curve(s: np.ndarray, begin: float = begin, span: float = span) -> np.ndarray:
@@ -286,15 +348,8 @@ def fit_tool_path(
 
 def _segment_curve(start: np.ndarray, segment: ToolSegment, where: str) -> ToolCurve:
     """Return the curve of a segment from its start."""
-    if segment.points is not None:
-        points = np.vstack([start, segment.points])
-        steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
-        for k in np.flatnonzero(~(steps > _MIN_LENGTH)):
-            raise ProblemError(
-                f"{where}: point {k + 1} repeats the one before, "
-                f"[{', '.join(f'{x:.6g}' for x in points[k])}] m. Delete it, or stop there."
-            )
-        return Curve.through(points) if len(points) > 2 else Line(points[0], points[1])
+    if segment.curve is not None:
+        return segment.curve
     if not np.linalg.norm(segment.end - start) > _MIN_LENGTH:
         raise ProblemError(f"{where} ends where it begins. Give another end.")
     if segment.through is None:

@@ -259,6 +259,21 @@ class Trajectory:
         return times
 
 
+def join_motions(motions: list[tuple[Trajectory, float]]) -> Trajectory:
+    """Return motions from rest to rest one after another, each followed by a rest [s]."""
+    times, parts, at = [np.zeros(1)], [], 0.0
+    degree = max(motion.acceleration.shape[1] for motion, _ in motions)
+    for motion, dwell in motions:
+        held = motion.held_for(dwell)
+        times.append(at + held.times[1:])
+        at += held.duration
+        part = np.zeros((len(held.times) - 1, degree, held.joints))
+        part[:, : held.acceleration.shape[1]] = held.acceleration
+        parts.append(part)
+    first = motions[0][0]
+    return Trajectory(np.concatenate(times), np.concatenate(parts), first.q0, first.v0)
+
+
 def _check_coefficients(
     times: np.ndarray, acceleration: np.ndarray, q0: np.ndarray, v0: np.ndarray
 ) -> None:

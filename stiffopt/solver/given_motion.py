@@ -169,18 +169,3 @@ def _piece(motion: JointMotion, begin: float, end: float, dwell: float) -> Motio
 
     path, _ = fit_joint_path(curve, np.array([0.0, 1.0]), error, _PATH_TOLERANCE)
     return MotionPiece(path, time, covered / length, rate / length, dwell)
-
-
-def join_motions(motions: list[tuple[Trajectory, float]]) -> Trajectory:
-    """Return motions from rest to rest one after another, each followed by a rest [s]."""
-    times, parts, at = [np.zeros(1)], [], 0.0
-    degree = max(motion.acceleration.shape[1] for motion, _ in motions)
-    for motion, dwell in motions:
-        held = motion.held_for(dwell)
-        times.append(at + held.times[1:])
-        at += held.duration
-        part = np.zeros((len(held.times) - 1, degree, held.joints))
-        part[:, : held.acceleration.shape[1]] = held.acceleration
-        parts.append(part)
-    first = motions[0][0]
-    return Trajectory(np.concatenate(times), np.concatenate(parts), first.q0, first.v0)

@@ -25,9 +25,9 @@ from stiffopt.problem.trajectory import Target, TrajectoryProblem
 from stiffopt.result.assessment import Assessment, Violation
 from stiffopt.result.compensation import Compensation
 from stiffopt.result.simulation import SimulatedMotion
-from stiffopt.result.trajectory import JointMotion, Trajectory
+from stiffopt.result.trajectory import JointMotion, Trajectory, join_motions
 from stiffopt.solver.compensation import compensate
-from stiffopt.solver.given_motion import GivenMotion, join_motions, moving_pieces
+from stiffopt.solver.given_motion import GivenMotion, moving_pieces
 from stiffopt.solver.path_timing import PathDemands, fastest_timing
 from stiffopt.solver.simulation import PlannedMotion, elastic_arm
 

@@ -16,7 +16,7 @@ convex-concave constraints using sequential convex programming", IEEE Transactio
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import factorial
 from typing import TYPE_CHECKING
 
@@ -26,7 +26,7 @@ from scipy.interpolate import make_interp_spline
 from stiffopt.baseline.path_limits import torque_rows
 from stiffopt.errors import ProblemError
 from stiffopt.problem.limits.velocity_by_position import velocity_at
-from stiffopt.result.trajectory import Trajectory
+from stiffopt.result.trajectory import Trajectory, join_motions
 from stiffopt.solver.banded_programme import BandedRows, maximise
 
 if TYPE_CHECKING:
@@ -41,7 +41,11 @@ _STAGES = (0.0, 0.5, 1.0)
 # Shares at which the last timing is checked.
 _CHECKED_STAGES = (0.0, 0.25, 0.5, 0.75, 1.0)
 # Programmes, and relative gain in duration below which they end.
-_MAX_PROGRAMMES, _MIN_GAIN = 40, 2e-4
+_MAX_PROGRAMMES, _MIN_GAIN = 40, 1e-3
+# Programmes after that, in which limits of the jerk are tightened where the motion exceeds them
+# between the stages, and the slowing from which on that is left out.
+_MAX_POLISHINGS, _KEPT = 8, 1.002
+_LEAST_ALLOWANCE = 0.4
 # Relative change of the duration below which the nodes are kept.
 _NODE_CHANGE_GAIN = 0.05
 # Bounds of x: the tangent of the jerk limit admits nothing above 3.
@@ -59,8 +63,6 @@ class PathDemands:
 
     Parameters
     ----------
-    tool_speed : callable or None
-        Largest tool speed (K,) [m/s] at path parameters (K,).
     path_speed : callable or None
         Largest rate (K,) [1/s] of the path parameter at path parameters (K,).
     process_force : callable or None
@@ -71,11 +73,19 @@ class PathDemands:
         The acceleration is zero at both ends.
     """
 
-    tool_speed: Callable[[np.ndarray], np.ndarray] | None = None
     path_speed: Callable[[np.ndarray], np.ndarray] | None = None
     process_force: Callable[[np.ndarray], np.ndarray] | None = None
     margin: dict[str, float] | None = None
     eased: bool = True
+
+    def on(self, begin: float, end: float) -> PathDemands:
+        """Return the demands on a part of the path, whose parameter runs from 0 to 1 again."""
+        speed, force, span = self.path_speed, self.process_force, end - begin
+        return replace(
+            self,
+            path_speed=None if speed is None else lambda s: speed(begin + span * s) / span,
+            process_force=None if force is None else lambda s: force(begin + span * s),
+        )
 
     def share(self, name: str) -> float:
         """Share of a limit that may be used."""
@@ -85,27 +95,53 @@ class PathDemands:
 def fastest_timing(
     robot: Robot, limits: Limits, path: JointPath, demands: PathDemands | None = None
 ) -> Trajectory:
-    """Return the fastest rest-to-rest time law s(t) of a path within limits.
+    """Return the fastest time law s(t) of a path within limits, at rest at its ends and stops.
 
-    Joint velocity (with its map over position), acceleration, jerk, drive torque and tool speed.
+    Joint velocity (with its map over position), acceleration, jerk, drive torque and tool speed,
+    with that of each piece of the path.
 
     Raises
     ------
     ProblemError
         A torque limit is exceeded at rest on the path.
     """
-    found = _PathTiming(robot, limits, path, demands or PathDemands())
-    law, settled = found.first_law(), False
+    asked = demands or PathDemands()
+    laws = []
+    for (begin, end, part), dwell in zip(
+        path.between_stops(), [*path.dwells.tolist(), 0.0], strict=True
+    ):
+        law = _fastest_part(_PathTiming(robot, limits, part, asked.on(begin, end)), part)
+        laws.append((_scaled_law(law, begin, end), dwell))
+    return join_motions(laws)
+
+
+def _scaled_law(law: Trajectory, begin: float, end: float) -> Trajectory:
+    """Return a law from 0 to 1 as one from `begin` to `end`."""
+    span = end - begin
+    return Trajectory(law.times, span * law.acceleration, begin + span * law.q0, span * law.v0)
+
+
+def _fastest_part(found: _PathTiming, path: JointPath) -> Trajectory:
+    """Return the fastest law of a path without stops."""
+    law, settled, ended, best = found.first_law(), False, 0, None
     for _ in range(_MAX_PROGRAMMES):
         better = found.rescaled(law)
         gain = abs(1.0 - better.duration / law.duration)
         # New nodes would smear the jumps of the jerk: not near the optimum.
         settled = settled or gain < _NODE_CHANGE_GAIN
         law = better if settled else better.with_nodes_at(path.knots)
-        if gain < _MIN_GAIN:
+        if not settled:
+            continue
+        slowed = law.duration * max(1.0, found.slowing(law))
+        if best is None or slowed < best[1]:
+            best = law, slowed
+        ended += gain < _MIN_GAIN or ended > 0
+        if ended > _MAX_POLISHINGS or (ended and slowed <= law.duration * _KEPT):
             break
-    found_law = law.trajectory()
-    return found_law.scaled_to(law.duration * max(1.0, found.slowing(law)))
+        if ended:
+            found.tighten(law)
+    law, slowed = best or (law, law.duration * max(1.0, found.slowing(law)))
+    return law.trajectory().scaled_to(slowed)
 
 
 class _Law:
@@ -200,6 +236,8 @@ class _PathTiming:
 
     def __init__(self, robot: Robot, limits: Limits, path: JointPath, demands: PathDemands) -> None:
         self._robot, self._limits, self._path, self._demands = robot, limits, path, demands
+        # Share of the limits of the jerk that may be used in every step.
+        self._allowance: np.ndarray | None = None
 
     def first_law(self) -> _Law:
         """Return a timing that uses a share of the limits, with nodes at the path's knots."""
@@ -244,7 +282,7 @@ class _PathTiming:
                 np.sqrt(limits.acceleration / np.abs(d2)),
                 np.cbrt(limits.jerk / np.abs(d3)),
                 np.sqrt(left / np.abs(b)),
-                (self._tool_speed(s) / tool)[:, None],
+                (self._tool_speed(path.piece_index(s)) / tool)[:, None],
             ]
             pushes = [limits.acceleration / np.abs(d1), left / np.abs(a)]
         speed = np.fmin.reduce(np.hstack(caps), axis=1)
@@ -257,6 +295,20 @@ class _PathTiming:
                 "limits of velocity, and of acceleration or torque."
             )
         return _FIRST_SHARE * speed, _FIRST_SHARE * push
+
+    def tighten(self, law: _Law) -> None:
+        """Tighten the limits of the jerk in steps where a timing exceeds them between stages."""
+        if self._allowance is None or len(self._allowance) != len(law.time) - 1:
+            self._allowance = np.ones(len(law.time) - 1)
+        piece, worst = self._pieces(law), np.zeros(len(law.time) - 1)
+        for share in _CHECKED_STAGES:
+            jerk = self._joint_motion(law.at(share), piece)[3]
+            used = np.abs(jerk) / (self._demands.share("jerk") * self._limits.jerk)
+            worst = np.maximum(worst, used.max(axis=1))
+        near = np.maximum(worst, np.maximum(np.append(worst[1:], 0.0), np.append(0.0, worst[:-1])))
+        self._allowance = np.clip(
+            self._allowance / np.maximum(near, 1.0), _LEAST_ALLOWANCE, self._allowance
+        )
 
     def slowing(self, law: _Law) -> float:
         """Return the factor on the duration at which velocity, acceleration and jerk are kept."""
@@ -343,9 +395,10 @@ class _PathTiming:
 
         one = np.ones_like(dq)
         bound_both("acceleration", limits.acceleration, ddq, 0.5 * dq, zero, zero, one)
+        allowance = 1.0 if self._allowance is None else self._allowance
         # J / sqrt(x) >= J (3/2 - x/2).
         for k in np.flatnonzero(np.isfinite(limits.jerk)):
-            allowed = share("jerk") * limits.jerk[k]
+            allowed = share("jerk") * limits.jerk[k] * allowance
             for sign in (1.0, -1.0):
                 parts = dddq[:, k], 1.5 * ddq[:, k], 0.5 * dq[:, k]
                 own = [sign * each / allowed for each in parts]
@@ -364,7 +417,7 @@ class _PathTiming:
         with np.errstate(divide="ignore"):
             ceilings = [
                 np.min((share("velocity") * self._velocity(p0) / np.abs(dq)) ** 2, axis=1),
-                (share("tool_speed") * self._tool_speed(law[0]) / tool) ** 2,
+                (share("tool_speed") * self._tool_speed(piece) / tool) ** 2,
             ]
             if self._demands.path_speed is not None:
                 ceilings.append((self._demands.path_speed(law[0]) / np.maximum(law[1], 0.0)) ** 2)
@@ -381,11 +434,10 @@ class _PathTiming:
             allowed = np.minimum(allowed, velocity_at(self._limits.velocity_map, q))
         return allowed
 
-    def _tool_speed(self, s: np.ndarray) -> np.ndarray:
-        asked = np.full(len(s), self._limits.tool_speed)
-        if self._demands.tool_speed is not None:
-            asked = np.minimum(asked, self._demands.tool_speed(s))
-        return asked
+    def _tool_speed(self, piece: np.ndarray) -> np.ndarray:
+        """Return the largest tool speed (K,) [m/s] on pieces of the path (K,)."""
+        asked = np.full(len(piece), self._limits.tool_speed)
+        return asked if self._path.speeds is None else np.minimum(asked, self._path.speeds[piece])
 
     def _forces(self, s: np.ndarray) -> np.ndarray:
         return (
