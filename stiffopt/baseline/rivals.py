@@ -101,6 +101,8 @@ def fair_rivals(
     if problem.boundary_velocity is not None and np.any(problem.boundary_velocity):
         return
     path = baseline_path(problem, motion)
+    if path.stops.size:
+        return
     laws = {"quintic": quintic_law(1.0), "S-curve": s_curve_law(problem, path, shortest)}
     quick = toppra_baseline(
         problem.robot,

@@ -16,6 +16,9 @@ from numpy.typing import ArrayLike
 from stiffopt.errors import ProblemError
 from stiffopt.result.trajectory import Trajectory
 
+# Path parameters closer together are the same: the path's third derivative alone jumps in between.
+_SAME_PARAMETER = 1e-11
+
 
 @dataclass(frozen=True)
 class JointPath:
@@ -152,16 +155,16 @@ def _merge_crossings(law: Trajectory, knots: np.ndarray) -> np.ndarray:
     """Merge the breaks of the law with its crossings of the inner knots."""
     breaks = law.times
     at_breaks = law(breaks)[:, 0]
-    crossings = []
-    for knot in knots:
-        if np.min(np.abs(at_breaks - knot)) < 1e-12:
-            continue
-        i = int(np.searchsorted(at_breaks, knot)) - 1
-        low, high = breaks[i], breaks[i + 1]
-        while (middle := 0.5 * (low + high)) not in (low, high):
-            low, high = (middle, high) if law(middle)[0] < knot else (low, middle)
-        crossings.append(high)
-    return np.union1d(breaks, crossings)
+    after = np.clip(np.searchsorted(at_breaks, knots), 1, len(breaks) - 1)
+    near = np.minimum(np.abs(at_breaks[after] - knots), np.abs(at_breaks[after - 1] - knots))
+    missed = near >= _SAME_PARAMETER
+    low, high = breaks[after - 1][missed], breaks[after][missed]
+    while True:
+        middle = 0.5 * (low + high)
+        if np.all((middle == low) | (middle == high)):
+            return np.union1d(breaks, high)
+        before = law(middle)[:, 0] < knots[missed]
+        low, high = np.where(before, middle, low), np.where(before, high, middle)
 
 
 def _multiply_polynomials(a: np.ndarray, b: np.ndarray) -> np.ndarray:
