@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 
 # Smaller changes of direction are no corner [rad].
 _MIN_CORNER_ANGLE = 0.01
+# Smaller changes of curvature need no blend [1/m].
+_MIN_CURVATURE_JUMP = 1e-6
 # Shorter segments have no direction [m].
 _MIN_LENGTH = 1e-6
 # Deviation of the joints' path over the size of the smallest blend: it must not vanish.
@@ -366,8 +368,9 @@ def _blend_corners(
     """
     cuts = []
     for number, (one, other) in enumerate(pairwise(curves)):
-        ahead, behind = one.end_derivatives(-1)[0], other.end_derivatives(0)[0]
+        (ahead, bend), (behind, other_bend) = one.end_derivatives(-1), other.end_derivatives(0)
         turn = np.arccos(np.clip(ahead @ behind, -1.0, 1.0))
+        bends = np.linalg.norm(other_bend - bend) > _MIN_CURVATURE_JUMP
         segment = segments[number]
         corner = turn > _MIN_CORNER_ANGLE and not segment.stop
         if corner and not segment.blend > 0.0:
@@ -375,7 +378,8 @@ def _blend_corners(
                 f"{names[number]}: the tool turns by {np.degrees(turn):.3g} deg at its end, "
                 "where it would have to stop. Give the segment a `blend`, or `stop = true`."
             )
-        cuts.append(segment.blend if corner else 0.0)
+        blended = corner or (bends and not segment.stop)
+        cuts.append(segment.blend if blended else 0.0)
     before, after = [0.0, *cuts], [*cuts, 0.0]
     for number, curve in enumerate(curves):
         asked = before[number] + after[number]
