@@ -333,7 +333,8 @@ def with_simulation(
 
 def _requests_command(problem: TrajectoryProblem) -> bool:
     """Return True where an objective, limit or stated uncertainty concerns the arm's elasticity."""
-    return len(smoothing_stages(problem)) > 1 or problem.uncertainty != AssumedUncertainty()
+    asked = problem.is_timed_on_path or problem.uncertainty != AssumedUncertainty()
+    return len(smoothing_stages(problem)) > 1 or asked
 
 
 def _add_note(solution: Solution, note: str) -> Solution:
