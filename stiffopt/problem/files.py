@@ -96,6 +96,7 @@ def _build_problem(
         upper = motion.duration.upper
         duration = (motion.duration.lower, np.inf if upper is None else upper)
     waypoints: np.ndarray | JointPath | None = None
+    force = None
     if motion.path is not None:
         waypoints = np.stack(
             [joints(q, "angle", f"motion.path[{k}]") for k, q in enumerate(motion.path, start=1)]
@@ -106,8 +107,9 @@ def _build_problem(
             raise InputFileError(
                 path, "path", "fixes the motion of the tool. Remove start, via and end of [motion]."
             )
-        waypoints, followed = read_tool_path(document.path, joints)
-        remarks += followed
+        followed = read_tool_path(document.path, joints)
+        waypoints, force = followed.joints, followed.force
+        remarks += followed.remarks
         start, end = (Target(joints=waypoints.points[k]) for k in (0, -1))
     else:
         if motion.start is None or motion.end is None:
@@ -136,6 +138,7 @@ def _build_problem(
             for k, via in enumerate(motion.via, start=1)
         ),
         path=waypoints,
+        path_force=force,
         duration=duration,
         objectives=tuple(
             Objective(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -10,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from stiffopt.errors import InputFileError
 from stiffopt.files import read_table
+from stiffopt.problem.path_force import PathForce, check_path_force, path_force
 from stiffopt.problem.schema import PathSection, PathTableSection, SegmentSection
 from stiffopt.problem.tool_path import ToolPath, ToolSegment, fit_tool_path, spline_segments
 from stiffopt.result.joint_path import JointPath
@@ -19,14 +21,24 @@ from stiffopt.robot.frames import rotation_from_rpy
 if TYPE_CHECKING:
     from stiffopt.problem.joint_lists import JointLists
 
+_FORCE = ("fx", "fy", "fz")
 _PLACE, _ANGLES, _QUATERNION = ("x", "y", "z"), ("rx", "ry", "rz"), ("qx", "qy", "qz", "qw")
 _METRES = {"m": 1.0, "mm": 1e-3}
 # Share of the shorter neighbour that a blend between rows of a table takes at most.
 _MAX_BLEND_SHARE = 0.45
 
 
-def read_tool_path(section: PathSection, joints: JointLists) -> tuple[JointPath, tuple[str, ...]]:
-    """Return the joint path of a tool path, and a remark with its error."""
+@dataclass(frozen=True, eq=False)
+class ReadPath:
+    """Joint path of a file, the force along it, and remarks."""
+
+    joints: JointPath
+    force: PathForce | None
+    remarks: tuple[str, ...]
+
+
+def read_tool_path(section: PathSection, joints: JointLists) -> ReadPath:
+    """Return the joint path of a tool path, with its error as a remark."""
     robot = joints.robot
     limits = np.stack([robot.position_lower, robot.position_upper])
     near = np.where(np.isfinite(limits).all(axis=0), limits.mean(axis=0), 0.0)
@@ -36,21 +48,34 @@ def read_tool_path(section: PathSection, joints: JointLists) -> tuple[JointPath,
     with locate_errors(joints.path, ""):
         frame = rotation_from_rpy(section.frame.rpy), np.array(section.frame.position)
         if section.table is not None:
-            path = _table_path(section.table, section, joints.path, frame)
+            path, forces, at = _table_path(section.table, section, joints.path, frame)
         else:
-            path = _segment_path(section, frame)
+            path, forces, at = _segment_path(section, frame)
         fitted = fit_tool_path(robot, path, near, section.tolerance)
+        force = None
+        if section.force is not None:
+            stated = section.force
+            feeds = np.where(np.isfinite(path.speeds), path.speeds, 0.0)
+            force = path_force(
+                path, forces, at, np.array(stated.per_feed), stated.frame, stated.ramp
+            )
+            check_path_force(robot, fitted.joints, force, float(feeds.max()))
     stops = f", with {len(path.stops)} stops" if len(path.stops) else ""
-    return fitted.joints, (
+    remark = (
         f"The tool's path of {1e3 * path.length:.4g} mm{stops} is followed by a spline through "
-        f"{len(fitted.joints.knots)} joint waypoints, within {1e6 * fitted.error:.2g} µm.",
+        f"{len(fitted.joints.knots)} joint waypoints, within {1e6 * fitted.error:.2g} µm."
     )
+    return ReadPath(fitted.joints, force, (remark,))
 
 
 Frame = tuple[np.ndarray, np.ndarray]
 
 
-def _segment_path(section: PathSection, frame: Frame) -> ToolPath:
+# A path with its forces (m, 3) [N] on pieces or at places, and the distances (m + 1,) or (m,) [m].
+ForcedPath = tuple[ToolPath, np.ndarray, np.ndarray]
+
+
+def _segment_path(section: PathSection, frame: Frame) -> ForcedPath:
     assert section.start is not None
     turn, origin = frame
     rotation = turn @ rotation_from_rpy(section.start.rpy)
@@ -61,7 +86,10 @@ def _segment_path(section: PathSection, frame: Frame) -> ToolPath:
         segment = _segment(each, section, frame, at, number)
         segments.append(segment)
         at = segment.end
-    return ToolPath(start, rotation, segments)
+    path = ToolPath(start, rotation, segments)
+    usual = (0.0, 0.0, 0.0) if section.force is None else section.force.value
+    forces = [usual if each.force is None else each.force for each in section.segment]
+    return path, np.array(forces), path.segment_ends
 
 
 def _segment(
@@ -96,9 +124,9 @@ def _segment(
 
 def _table_path(
     table: PathTableSection, section: PathSection, problem: Path, frame: Frame
-) -> ToolPath:
+) -> ForcedPath:
     file = problem.parent / table.file
-    read = read_table(file, _PLACE, (*_ANGLES, *_QUATERNION, "speed", "stop"))
+    read = read_table(file, _PLACE, (*_ANGLES, *_QUATERNION, *_FORCE, "speed", "stop"))
     turn, origin = frame
     count = len(read["x"])
     places = _METRES[table.length] * np.stack([read[name] for name in _PLACE], axis=1)
@@ -112,9 +140,15 @@ def _table_path(
     stops = np.array(read.get("stop", [0.0] * count)) != 0.0
     where = f"{table.file}, row "
     turning = bool(np.ptp(rotations, axis=0).max() > 1e-9)
+    usual = (0.0, 0.0, 0.0) if section.force is None else section.force.value
+    forces = np.repeat(np.array([usual]), count, axis=0)
+    if all(name in read for name in _FORCE):
+        forces = np.stack([read[name] for name in _FORCE], axis=1)
     if table.interpolation == "spline":
         segments = spline_segments(points, rotations if turning else None, speeds, stops, where)
-        return ToolPath(points[0], rotations[0], segments)
+        path = ToolPath(points[0], rotations[0], segments)
+        chords = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+        return path, forces, chords * (path.length / chords[-1])
     steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
     room = _MAX_BLEND_SHARE * np.minimum(steps, np.append(steps[1:], np.inf))
     segments = [
@@ -128,7 +162,8 @@ def _table_path(
         )
         for k in range(1, count)
     ]
-    return ToolPath(points[0], rotations[0], segments)
+    path = ToolPath(points[0], rotations[0], segments)
+    return path, forces[1:], path.segment_ends
 
 
 def _table_rotations(

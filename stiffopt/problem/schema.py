@@ -179,6 +179,10 @@ class SegmentSection(Section):
     stop: Annotated[bool, Doc("Whether the tool rests at its end, which may be a corner.")] = False
     dwell: Annotated[Time, NOT_NEGATIVE, Doc("Rest at a stop.")] = 0.0
     label: Annotated[str, Doc("Name of the segment in messages.")] = ""
+    force: Annotated[
+        tuple[Force, Force, Force] | None,
+        Doc("Force ON the tool on this segment; default path.force.value."),
+    ] = None
 
     @model_validator(mode="after")
     def _check_arc(self) -> SegmentSection:
@@ -225,6 +229,25 @@ class WorkFrameSection(Section):
     )
 
 
+class PathForceSection(Section):
+    """Process force ON the tool along its path; a table's columns fx, fy, fz [N] replace `value`.
+
+    It is not part of the calibrated pose, as tool.process_force is: the command compensates it.
+    """
+
+    value: Annotated[tuple[Force, Force, Force], Doc("Constant part.")] = (0.0, 0.0, 0.0)
+    per_feed: Annotated[
+        tuple[float, float, float], Doc("Part proportional to the tool speed [N/(m/s)].")
+    ] = (0.0, 0.0, 0.0)
+    frame: Annotated[
+        Literal["base", "tool", "path"],
+        Doc("Axes: base, tool, or path (x the feed, z the tool's axis, y the side)."),
+    ] = "base"
+    ramp: Annotated[
+        Length, POSITIVE, Doc("Length over which the force of a segment passes into the next.")
+    ] = 2e-3
+
+
 class PathSection(Section):
     """A fixed path of the tool, in place of [motion] start, via, end and path."""
 
@@ -238,6 +261,7 @@ class PathSection(Section):
         list[JointPosition] | None,
         Doc("Joint positions that select the posture at the start of a table's path."),
     ] = None
+    force: Annotated[PathForceSection | None, Doc("Process force along the path.")] = None
     speed: Annotated[
         Speed | None,
         POSITIVE,

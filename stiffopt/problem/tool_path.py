@@ -132,6 +132,8 @@ class ToolPath:
                 + [self.breaks[-1:]]
             )
         )
+        # Distances at which segments begin and end, those within a blend at its start [m].
+        self.segment_ends = np.array([0.0, *(self.breaks[k] for k in corners), self.length])
         self._turns = _Orientation(rotation, segments, curves, pieces, owners, self.breaks)
 
     def poses(self, along: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

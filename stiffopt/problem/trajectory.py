@@ -19,6 +19,7 @@ from stiffopt.robot.cell import Cell
 
 if TYPE_CHECKING:
     from stiffopt.problem.limit import LimitKind
+    from stiffopt.problem.path_force import PathForce
     from stiffopt.robot.clearance import ClearanceModel
     from stiffopt.robot.robot import Robot
 
@@ -194,8 +195,10 @@ class TrajectoryProblem:
         Default: the robot's own.
     boundary_velocity : (start (n,), end (n,)) [rad/s]
     boundary_acceleration : "zero" or "free"
+    path_force : PathForce or None
+        Force on the tool along the path, which the command compensates.
     process_force : array (3,) [N]
-        Force on the tool, base frame.
+        Constant force on the tool, base frame, under which poses are calibrated.
     remarks : tuple of str
         Assumptions for incomplete input, repeated in results.
     uncertainty : Uncertainty
@@ -217,6 +220,7 @@ class TrajectoryProblem:
     limits: Limits | None = None
     boundary_velocity: tuple[np.ndarray, np.ndarray] | None = None
     boundary_acceleration: str = "zero"
+    path_force: PathForce | None = None
     process_force: np.ndarray = field(default_factory=lambda: np.zeros(3))
     method: Method = field(default_factory=Method)
     title: str = ""

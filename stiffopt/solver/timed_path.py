@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
+
 import numpy as np
 
 from stiffopt.certificate.assess import assess
@@ -10,7 +13,10 @@ from stiffopt.certificate.objective_value import objective_value
 from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
 from stiffopt.errors import ProblemError
 from stiffopt.problem.trajectory import TrajectoryProblem
+from stiffopt.result.joint_path import JointPath
 from stiffopt.result.solution import Baseline
+from stiffopt.result.trajectory import ForceHistory, Trajectory
+from stiffopt.robot.batched_kinematics import tool_jacobians
 from stiffopt.solver.path_timing import PathDemands, fastest_timing
 
 # Limits from which a timing can back off, where the certificate finds an excess between nodes.
@@ -29,10 +35,10 @@ def timed_motion(problem: TrajectoryProblem) -> Baseline | None:
     """
     path, margins = problem.path, {}
     assert path is not None
-    force, shortest = problem.process_force, problem.duration[0]
+    shortest = problem.duration[0]
     for _ in range(_MAX_BACK_OFFS):
         demands = PathDemands(
-            process_force=lambda s: np.broadcast_to(force, (len(s), 3)),
+            process_force=_forces_along(problem, path),
             margin=margins,
             eased=problem.boundary_acceleration == "zero",
         )
@@ -41,7 +47,7 @@ def timed_motion(problem: TrajectoryProblem) -> Baseline | None:
         except ProblemError:
             return None
         law = law.scaled_to(shortest) if law.duration < shortest else law
-        motion = path.follow(law)
+        motion = replace(path.follow(law), force=_force_history(problem, path, law))
         assessment = assess(problem, motion)
         worst = assessment.worst_violation
         if worst.value <= CERTIFICATE_TOLERANCE:
@@ -62,3 +68,33 @@ def timed_motion(problem: TrajectoryProblem) -> Baseline | None:
         reason="",
         trajectory=motion,
     )
+
+
+def _forces_along(
+    problem: TrajectoryProblem, path: JointPath
+) -> Callable[[np.ndarray], np.ndarray]:
+    """Return the force (K, 3) at path parameters (K,), at the largest speed of each piece."""
+    own, speeds = problem.path_force, path.speeds
+
+    def force(s: np.ndarray) -> np.ndarray:
+        found = np.repeat(problem.process_force[None], len(s), axis=0)
+        if own is None:
+            return found
+        feed = 0.0 if speeds is None else speeds[path.piece_index(s)]
+        return found + own(s, np.where(np.isfinite(feed), feed, 0.0))
+
+    return force
+
+
+def _force_history(
+    problem: TrajectoryProblem, path: JointPath, law: Trajectory
+) -> ForceHistory | None:
+    """Return the force of the path over the time of its law."""
+    if problem.path_force is None:
+        return None
+    time = np.linspace(0.0, law.duration, max(2001, int(law.duration / 1e-3)))
+    s, rate = law(time)[:, 0], law(time, 1)[:, 0]
+    tree, tool = problem.robot.tree, problem.robot.tool
+    _, jacobian = tool_jacobians(tree, tool, path(s))
+    slope = np.linalg.norm(np.einsum("kij,kj->ki", jacobian, path(s, 1)), axis=1)
+    return ForceHistory(time, problem.path_force(s, slope * rate))
