@@ -24,6 +24,12 @@ def baselines(problem: TrajectoryProblem, motion: ResolvedMotion) -> dict[str, B
     motion takes the shortest duration that toppra found, within the allowed range.
     """
     path = baseline_path(problem, motion)
+    if path.stops.size:
+        reason = f"The path has {path.stops.size} stops, at which it would not rest."
+        return {
+            name: _assess_baseline(problem, BaselineMotion(name=name, motion=None, reason=reason))
+            for name in ("toppra", "quintic")
+        }
     fixed = problem.duration[0] == problem.duration[1]
     duration = problem.duration[0] if fixed else None
     fastest = toppra_baseline(

@@ -93,7 +93,7 @@ def path_limits(
         Acts on the tool, base axes. [N]
     """
     q, dq, ddq = path(grid), path(grid, 1), path(grid, 2)
-    a, b, c, speed = _torque_rows(robot, q, dq, ddq, process_force)
+    a, b, c, speed = torque_rows(robot, q, dq, ddq, process_force)
     dry, loss = robot.coulomb * np.sign(dq), robot.viscous * dq
     zero = np.zeros_like(dq)
     blocks = (
@@ -119,15 +119,19 @@ def _stack_rows(columns: list[np.ndarray], count: int) -> np.ndarray:
     return np.column_stack(columns) if columns else np.zeros((count, 1))
 
 
-def _torque_rows(
+def torque_rows(
     robot: Robot, q: np.ndarray, dq: np.ndarray, ddq: np.ndarray, process_force: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return torque coefficients a, b, c (N, n) without friction, and |d tool/ds| (N,)."""
+    """Return torque coefficients a, b, c (N, n) without friction, and |d tool/ds| (N,).
+
+    The process force, (3,) or (N, 3) [N], is in base axes.
+    """
     body = rigid_body_history(robot, q, dq, ddq)
     hold = body.gravity_torque
     a = link_torques(robot, q, np.zeros_like(q), dq) - hold
     b = body.link_torque - hold
-    c = hold - np.einsum("kij,i->kj", body.jacobian, process_force)
+    force = np.broadcast_to(process_force, (len(q), 3))
+    c = hold - np.einsum("kij,ki->kj", body.jacobian, force)
     speed = np.linalg.norm(np.einsum("kij,kj->ki", body.jacobian, dq), axis=1)
     return a + robot.rotor_inertia * dq, b + robot.rotor_inertia * ddq, c, speed
 

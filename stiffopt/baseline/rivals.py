@@ -106,6 +106,8 @@ def fair_rivals(
     # The search for the fastest one begins where a motion may exist.
     shortest = max(shortest, shortest_duration(problem, motion)[0])
     path = baseline_path(problem, motion)
+    if path.stops.size:
+        return
     laws = {"quintic": quintic_law(1.0), "S-curve": s_curve_law(problem, path, shortest)}
     quick = toppra_baseline(
         problem.robot,
@@ -134,7 +136,7 @@ def baseline_path(problem: TrajectoryProblem, motion: ResolvedMotion) -> JointPa
     if problem.path is None:
         # Chord parametrisation: with equal steps a spline through uneven vias overshoots.
         return JointPath.through(motion.points, "chord")
-    return JointPath.through(problem.path)
+    return problem.path
 
 
 def quintic_law(duration: float) -> Trajectory:

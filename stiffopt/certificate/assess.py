@@ -67,7 +67,8 @@ def assess(
     link = getattr(motion, "link", None)
     moved = _spring_side_motion(motion, times, (position, velocity, acceleration))
     body = rigid_body_history(robot, *moved)
-    process = np.einsum("kij,i->kj", body.jacobian, np.asarray(problem.process_force, dtype=float))
+    force = _process_forces(problem, motion, times)
+    process = np.einsum("kij,ki->kj", body.jacobian, force)
     spring_torque = body.link_torque - process
     torque = _drive_torque(robot, spring_torque, velocity, acceleration)
 
@@ -157,14 +158,25 @@ def drive_history(
     position, velocity, acceleration, jerk = (np.asarray(motion(times, k)) for k in range(4))
     if spring_torque is None:
         moved = _spring_side_motion(motion, times, (position, velocity, acceleration))
-        if np.any(problem.process_force):
+        force = _process_forces(problem, motion, times)
+        if np.any(force):
             body = rigid_body_history(robot, *moved)
-            force = np.asarray(problem.process_force, dtype=float)
-            spring_torque = body.link_torque - np.einsum("kij,i->kj", body.jacobian, force)
+            spring_torque = body.link_torque - np.einsum("kij,ki->kj", body.jacobian, force)
         else:
             spring_torque = link_torques(robot, *moved)
     torque = _drive_torque(robot, spring_torque, velocity, acceleration)
     return DriveHistory(times, position, velocity, acceleration, jerk, torque), spring_torque
+
+
+def _process_forces(
+    problem: TrajectoryProblem, motion: JointMotion, times: np.ndarray
+) -> np.ndarray:
+    """Return the force on the tool (K, 3) [N]: the problem's, and that of the motion's path."""
+    constant = np.asarray(problem.process_force, dtype=float)
+    carrier = getattr(motion, "link", None) or motion
+    history = getattr(carrier, "force", None)
+    added = np.zeros((len(times), 3)) if history is None else history(times)
+    return np.asarray(constant + added)
 
 
 def _spring_side_motion(

@@ -20,6 +20,7 @@ from stiffopt.units import joint_unit
 
 if TYPE_CHECKING:
     from stiffopt.elastic.uncertainty import Departure
+    from stiffopt.result.trajectory import ForceHistory
     from stiffopt.robot.robot import Robot
 
 # Damping ratio where the robot file gives no damping.
@@ -58,6 +59,8 @@ class ElasticArm:
         Joints (from 1) whose damping is assumed.
     hysteresis : array (n,)
         Half width of the loop [rad].
+    path_force : ForceHistory or None
+        Force on the tool during the motion, base axes [N].
     following : tuple of int
         Joints (from 1) whose springs are left out, see `with_fast_joints_following`.
     reversal_torque : array (n,)
@@ -77,6 +80,7 @@ class ElasticArm:
         self.robot, self.bodies = robot, robot.rigid_bodies()
         self.following: tuple[int, ...] = ()
         self.process_force = np.asarray(process_force, dtype=float)
+        self.path_force: ForceHistory | None = None
         self.springs = joint_springs(robot)
         self.elastic = np.array([spring is not None for spring in self.springs])
         self.hysteresis = _values_or_default(robot.hysteresis, robot.n, 0.0) * self.elastic
@@ -183,9 +187,15 @@ class ElasticArm:
         return found
 
     def without_force(self) -> ElasticArm:
-        """Return a copy without the process force."""
+        """Return a copy without the process forces."""
         found = copy.copy(self)
-        found.process_force = np.zeros(3)
+        found.process_force, found.path_force = np.zeros(3), None
+        return found
+
+    def under(self, force: ForceHistory | None) -> ElasticArm:
+        """Return a copy under a force along its path, which is not calibrated away."""
+        found = copy.copy(self)
+        found.path_force = force
         return found
 
     def windup(self, torque: np.ndarray) -> np.ndarray:

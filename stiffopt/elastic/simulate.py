@@ -219,7 +219,7 @@ class _Equations:
     def slope(self) -> native.StateDerivative:
         """Function (t, state) -> time derivative, of the compiled core where available."""
         made = native.core(self.joints)
-        if made is None:
+        if made is None or self._arm.path_force is not None:
             return self.__call__
         return native.state_derivative(made, self._arm, self._motor, self._friction, self.loops)
 
@@ -242,6 +242,9 @@ class _Equations:
             slope[2 * n + own] = turned - loop[own] * np.abs(turned)
         if self._pushed:
             torque += arm.force_torque(q)
+        if arm.path_force is not None:
+            force = arm.path_force(np.array(t))
+            torque += arm.bodies.jacobian(arm.robot.tool, q)[:3].T @ force
         slope[:n] = v
         slope[n : 2 * n] = self._link_acceleration(t, q, v, torque)
         return slope

@@ -208,7 +208,15 @@ class UncertainArms:
         middle = 0.5 * (flight[:-1] + flight[1:])
         ends = [self._q[-1:], np.zeros_like(self._q[:1]), np.zeros_like(self._q[:1])]
         moving = [np.concatenate([plan(middle, k), end]) for k, end in enumerate(ends)]
-        self.steps = self._trapezoidal_matrices(LinearizedBodies(arm, *moving))
+        bodies = LinearizedBodies(arm, *moving)
+        if arm.path_force is not None:
+            forces = arm.path_force(np.append(middle, self.duration))
+            tool = arm.robot.tool
+            bodies.torque[0] -= [
+                arm.bodies.jacobian(tool, q)[:3].T @ force
+                for q, force in zip(moving[0], forces, strict=True)
+            ]
+        self.steps = self._trapezoidal_matrices(bodies)
         self.springs, self.damping = TabulatedSprings(arm), arm.damping
         self.rigid = np.flatnonzero(~arm.elastic)
         self._start = LinearizedWeight(arm, self._q[:1])

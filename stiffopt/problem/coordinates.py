@@ -11,11 +11,12 @@ import numpy as np
 from stiffopt.errors import ProblemError
 from stiffopt.problem.limit import Limits, derivative_bounds
 from stiffopt.problem.trajectory import ResolvedMotion, TrajectoryProblem
-from stiffopt.result.joint_path import JointPath
 from stiffopt.symbolic import Quantity
 
 # Angular frequency of the acceleration times the duration; scales the derivatives of the links.
 _SCALE_FREQUENCY = 40.0
+# Each knot is a term of every row of the programme.
+_MAX_KNOTS = 260
 # Joint travel that scales velocity and acceleration of slow motions [rad].
 _SCALE_TRAVEL = 20.0
 
@@ -179,7 +180,13 @@ class PathCoordinates(Coordinates):
         duration = _typical_duration(problem.duration)
         self.state_scale = np.array([1.0, 1.0 / duration])
         self.control_scale = np.array([6.0 / duration**2])
-        path = JointPath.through(problem.path)
+        path = problem.path
+        if len(path.knots) > _MAX_KNOTS or path.stops.size:
+            raise ProblemError(
+                f"On a path with {len(path.knots)} knots and {path.stops.size} stops only the "
+                "duration is minimised: name it as the objective, or give a path with at most "
+                f"{_MAX_KNOTS} knots and no stops."
+            )
         # q(s) = sum_i polynomial[i] s^i + sum_j jumps[j] max(s - knots[j], 0)^3, smooth to order 2.
         self.knots = path.knots[1:-1]
         self.polynomial = path.coefficients[0]

@@ -32,7 +32,13 @@ def follow_loads(document: ProblemFile, path: Path) -> list[Load]:
         An event is impossible: a part that was never gripped, or is put down or taken twice.
     """
     tool = document.tool
-    loads = [Load(document.payload, None, ToolPointSection(link=tool.link, offset=tool.offset))]
+    loads = [
+        Load(
+            document.payload,
+            None,
+            ToolPointSection(link=tool.link, offset=tool.offset, rpy=tool.rpy),
+        )
+    ]
     gripped_at = ""
     for number, move in enumerate(document.move, start=1):
         now, where = loads[-1], f"move[{number}]"

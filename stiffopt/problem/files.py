@@ -16,26 +16,25 @@ from stiffopt.files import read_document
 from stiffopt.problem.joint_lists import JointLists
 from stiffopt.problem.limit import LIMITS, Limits
 from stiffopt.problem.objective import Objective
+from stiffopt.problem.path_files import read_tool_path
 from stiffopt.problem.schema import (
     DutySection,
     ExpectedSection,
     LimitsSection,
     NamedTarget,
-    PathSection,
     PayloadSection,
     PoseSection,
     ProblemFile,
     ToolPointSection,
     problem_file,
 )
-from stiffopt.problem.tool_path import ToolPath, ToolSegment, joint_waypoints
 from stiffopt.problem.trajectory import (
     Target,
     TrajectoryProblem,
 )
+from stiffopt.result.joint_path import JointPath
 from stiffopt.robot.elements import locate_errors
 from stiffopt.robot.files import load_robot, shipped_robots
-from stiffopt.robot.frames import rotation_from_rpy
 from stiffopt.robot.robot import Robot
 from stiffopt.robot.tolerances import Tolerances
 from stiffopt.units import convert
@@ -103,7 +102,8 @@ def _build_problem(
     joints = JointLists(robot, path)
     poses = PoseReader(joints, document.pose)
     remarks = payload_remarks(document.payload)
-    waypoints = None
+    waypoints: np.ndarray | JointPath | None = None
+    force = None
     if motion.path is not None:
         waypoints = np.stack(
             [joints(q, "angle", f"motion.path[{k}]") for k, q in enumerate(motion.path, start=1)]
@@ -114,9 +114,10 @@ def _build_problem(
             raise InputFileError(
                 path, "path", "fixes the motion of the tool. Remove start, via and end of [motion]."
             )
-        waypoints, followed = tool_waypoints(document.path, joints)
-        remarks += followed
-        start, end = Target(joints=waypoints[0]), Target(joints=waypoints[-1])
+        followed = read_tool_path(document.path, joints)
+        waypoints, force = followed.joints, followed.force
+        remarks += followed.remarks
+        start, end = (Target(joints=waypoints.points[k]) for k in (0, -1))
     else:
         if motion.start is None or motion.end is None:
             raise InputFileError(
@@ -125,6 +126,11 @@ def _build_problem(
             )  # fmt: skip
         start = poses(motion.start, "motion.start")
         end = poses(motion.end, "motion.end")
+    fields = common_fields(document, joints)
+    if isinstance(waypoints, JointPath) and waypoints.speeds is not None:
+        limits: Limits = fields["limits"]
+        fastest = min(limits.tool_speed, float(waypoints.speeds.max()))
+        fields["limits"] = Limits({**limits.values, "tool_speed": fastest})
     velocity = None
     if motion.boundary_velocity != "zero":
         velocity = (
@@ -137,11 +143,12 @@ def _build_problem(
         end=end,
         vias=tuple(poses(via, f"motion.via[{k}]") for k, via in enumerate(motion.via, start=1)),
         path=waypoints,
+        path_force=force,
         duration=read_duration(document),
         boundary_velocity=velocity,
         boundary_acceleration=motion.boundary_acceleration,
         remarks=remarks,
-        **common_fields(document, joints),
+        **fields,
     )
 
 
@@ -156,9 +163,6 @@ def read_duration(document: ProblemFile) -> tuple[float, float]:
 def common_fields(document: ProblemFile, joints: JointLists) -> dict[str, Any]:
     """Fields of `TrajectoryProblem` that a single motion and every leg of a cycle share."""
     limits = _read_limits(document.limits, joints)
-    if document.path is not None and document.path.speed is not None:
-        fastest = min(limits.tool_speed, document.path.speed)
-        limits = Limits({**limits.values, "tool_speed": fastest})
     return {
         "objectives": tuple(
             Objective(
@@ -212,9 +216,9 @@ def read_robot(
     if payload is not None:
         with locate_errors(path, "payload"):
             robot = robot.with_payload(payload.mass, payload.com, payload.inertia)
-    if tool.link is not None or tool.offset is not None:
+    if tool.link is not None or tool.offset is not None or tool.rpy is not None:
         with locate_errors(path, "tool"):
-            robot = robot.with_tool(tool.link, tool.offset)
+            robot = robot.with_tool(tool.link, tool.offset, tool.rpy)
     return robot
 
 
@@ -253,31 +257,6 @@ class PoseReader:
                 angle_tolerance=section.angle_tolerance,
                 **extra,
             )
-
-
-def tool_waypoints(section: PathSection, joints: JointLists) -> tuple[np.ndarray, tuple[str, ...]]:
-    """Joint waypoints (k, n) of a tool path, and a remark with the path error."""
-    robot, start = joints.robot, section.start
-    limits = np.stack([robot.position_lower, robot.position_upper])
-    near = np.where(np.isfinite(limits).all(axis=0), limits.mean(axis=0), 0.0)
-    if start.near is not None:
-        near = joints(start.near, "angle", "path.start.near")
-    segments = [
-        ToolSegment(
-            end=np.array(each.to.position),
-            rotation=None if each.to.rpy is None else rotation_from_rpy(each.to.rpy),
-            through=None if each.through is None else np.array(each.through),
-            blend=each.blend,
-        )
-        for each in section.segment
-    ]
-    with locate_errors(joints.path, ""):
-        path = ToolPath(np.array(start.position), rotation_from_rpy(start.rpy), segments)
-        waypoints, error = joint_waypoints(robot, path, near, section.tolerance)
-    return waypoints, (
-        f"The tool's path of {1e3 * path.length:.4g} mm is followed by a spline through "
-        f"{len(waypoints)} joint waypoints, within {1e6 * error:.2g} µm.",
-    )
 
 
 def _read_limits(section: LimitsSection, joints: JointLists) -> Limits:

@@ -46,10 +46,9 @@ def check_plausible(problem: TrajectoryProblem) -> None:
                     f" Lengths are in m: was {listed} mm meant? Then write"
                     f' texts such as "{target.position[0]:g} mm".'
                 )
-    if problem.path is not None and problem.path.ndim == 2:
-        for number, angles in enumerate(problem.path, start=1):
-            if angles.shape == (problem.joints,):
-                _check_angles(problem, f"motion.path[{number}]", angles)
+    if problem.path is not None:
+        for number, angles in enumerate(problem.path.points, start=1):
+            _check_angles(problem, f"motion.path[{number}]", angles)
 
 
 def inconsistent_inertias(robot: Robot) -> tuple[str, ...]:

@@ -114,16 +114,12 @@ def _interpolate_orientation(
 def _resolve_path(problem: TrajectoryProblem) -> ResolvedMotion:
     path = problem.path
     assert path is not None
-    if path.ndim != 2 or path.shape[0] < 4 or path.shape[1] != problem.joints:
-        raise ProblemError(
-            f"motion.path needs at least 4 waypoints of {problem.joints} joint angles each, got an "
-            f"array of shape {path.shape}."
-        )
-    for number, angles in enumerate(path, start=1):
+    points = path.points
+    for number, angles in enumerate(points, start=1):
         check_range(problem.robot, problem.active_limits, f"motion.path[{number}]", angles)
-    _check_rest(problem, "motion.path[1]", path[0])
-    _check_rest(problem, f"motion.path[{len(path)}]", path[-1])
-    return ResolvedMotion(path[0], path[-1], (), True, True)
+    for number in (1, len(points)):
+        _check_rest(problem, f"motion.path[{number}]", points[number - 1])
+    return ResolvedMotion(points[0], points[-1], (), True, True)
 
 
 def check_range(

@@ -59,6 +59,10 @@ class ToolPointSection(Section):
 
     link: Annotated[str | None, Doc("Link that carries the tool; default the robot's.")] = None
     offset: Annotated[Vector3 | None, Doc("Tool point in the frame of the link.")] = None
+    rpy: Annotated[
+        tuple[Angle, Angle, Angle] | None,
+        Doc("Fixed-axis roll, pitch, yaw of the tool's axes in the frame of the link."),
+    ] = None
 
 
 class ToolSection(ToolPointSection):
@@ -221,27 +225,102 @@ class PathStartSection(PathEndSection):
 class SegmentSection(Section):
     """Segment of the tool path."""
 
-    type: Annotated[Literal["lin", "circ"], Doc("A straight line, or an arc.")]
+    type: Annotated[
+        Literal["lin", "circ", "spline"], Doc("A straight line, an arc, or a spline through `via`.")
+    ]
     to: Annotated[PathEndSection, Doc("End pose.")]
     through: Annotated[Vector3 | None, Doc("A point on the arc; `circ` needs it.")] = None
+    via: Annotated[tuple[Vector3, ...], Doc("Points of a spline between start and end.")] = ()
     blend: Annotated[
         Length, NOT_NEGATIVE, Doc("Distance from its end at which the rounding begins.")
     ] = 0.0
+    speed: Annotated[Speed | None, POSITIVE, Doc("Largest tool speed; default path.speed.")] = None
+    stop: Annotated[bool, Doc("Whether the tool rests at its end, which may be a corner.")] = False
+    dwell: Annotated[Time, NOT_NEGATIVE, Doc("Rest at a stop.")] = 0.0
+    label: Annotated[str, Doc("Name of the segment in messages.")] = ""
+    force: Annotated[
+        tuple[Force, Force, Force] | None,
+        Doc("Force ON the tool on this segment; default path.force.value."),
+    ] = None
 
     @model_validator(mode="after")
     def _check_arc(self) -> SegmentSection:
         if (self.type == "circ") != (self.through is not None):
             raise ValueError("`through` belongs to a segment of type circ, which needs it")
+        if (self.type == "spline") != bool(self.via):
+            raise ValueError("`via` belongs to a segment of type spline, which needs it")
+        if self.stop and self.blend:
+            raise ValueError("a `stop` needs no `blend`: remove one of them")
+        if self.dwell and not self.stop:
+            raise ValueError("`dwell` belongs to a stop: add stop = true")
         return self
+
+
+class PathTableSection(Section):
+    """Poses of a tool path in a CSV file, in place of start and segments.
+
+    Columns x, y, z; optionally rx, ry, rz (roll, pitch, yaw) or qw, qx, qy, qz; speed [m/s] on the
+    way to the pose; stop (1: the tool rests there). Others, such as labels, are not read.
+    """
+
+    file: Annotated[str, Doc("CSV file beside this file.")]
+    length: Annotated[Literal["m", "mm"], Doc("Unit of x, y and z.")] = "m"
+    angle: Annotated[Literal["rad", "deg"], Doc("Unit of rx, ry and rz.")] = "rad"
+    rpy: Annotated[
+        tuple[Angle, Angle, Angle] | None,
+        Doc("Orientation of the tool, where the file has none."),
+    ] = None
+    interpolation: Annotated[
+        Literal["spline", "linear"],
+        Doc("A spline through the poses, or lines whose corners are blended."),
+    ] = "spline"
+    blend: Annotated[Length, NOT_NEGATIVE, Doc("Blend of the corners between lines.")] = 0.0
+
+
+class WorkFrameSection(Section):
+    """Frame in which the poses of the path are given."""
+
+    position: Annotated[Vector3, Doc("Origin, base frame.")] = (0.0, 0.0, 0.0)
+    rpy: Annotated[tuple[Angle, Angle, Angle], Doc("Fixed-axis roll, pitch, yaw.")] = (
+        0.0,
+        0.0,
+        0.0,
+    )
+
+
+class PathForceSection(Section):
+    """Process force ON the tool along its path; a table's columns fx, fy, fz [N] replace `value`.
+
+    It is not part of the calibrated pose, as tool.process_force is: the command compensates it.
+    """
+
+    value: Annotated[tuple[Force, Force, Force], Doc("Constant part.")] = (0.0, 0.0, 0.0)
+    per_feed: Annotated[
+        tuple[float, float, float], Doc("Part proportional to the tool speed [N/(m/s)].")
+    ] = (0.0, 0.0, 0.0)
+    frame: Annotated[
+        Literal["base", "tool", "path"],
+        Doc("Axes: base, tool, or path (x the feed, z the tool's axis, y the side)."),
+    ] = "base"
+    ramp: Annotated[
+        Length, POSITIVE, Doc("Length over which the force of a segment passes into the next.")
+    ] = 2e-3
 
 
 class PathSection(Section):
     """A fixed path of the tool, in place of [motion] start, via, end and path."""
 
-    start: Annotated[PathStartSection, Doc("Start pose.")]
+    start: Annotated[PathStartSection | None, Doc("Start pose.")] = None
     segment: Annotated[
-        tuple[SegmentSection, ...], Field(min_length=1), Doc("Lines and arcs, one after another.")
-    ]
+        tuple[SegmentSection, ...], Doc("Lines, arcs and splines, one after another.")
+    ] = ()
+    table: Annotated[PathTableSection | None, Doc("Poses from a CSV file instead.")] = None
+    frame: Annotated[WorkFrameSection, Doc("Work frame.")] = WorkFrameSection()
+    near: Annotated[
+        list[JointPosition] | None,
+        Doc("Joint positions that select the posture at the start of a table's path."),
+    ] = None
+    force: Annotated[PathForceSection | None, Doc("Process force along the path.")] = None
     speed: Annotated[
         Speed | None,
         POSITIVE,
@@ -252,6 +331,14 @@ class PathSection(Section):
         POSITIVE,
         Doc("Largest distance of the tool from the path, as the joints follow a spline."),
     ] = 5e-5
+
+    @model_validator(mode="after")
+    def _check_source(self) -> PathSection:
+        if self.table is None and (self.start is None or not self.segment):
+            raise ValueError("give `start` and one segment or more, or a `table` of poses")
+        if self.table is not None and (self.start is not None or self.segment):
+            raise ValueError("`table` has the whole path; remove `start` and the segments")
+        return self
 
 
 class MinimiseSection(Section):

@@ -1,22 +1,24 @@
-"""Tool paths of straight and circular segments with blended corners, as waypoints of the joints.
+"""Tool paths of lines, arcs and splines with blended corners and stops, and the joints' paths.
 
-The joints follow a spline through poses of the tool at equal steps of its path, close enough that
-the tool stays within a tolerance of the segments. A step of the spline's parameter is then a step
-of the path, and the tool's speed is the parameter's.
+The joints follow a spline through poses of the tool, with knots where the path bends, close enough
+that the tool stays within a tolerance. Where the tool stops, the joints' path may have a corner.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.spatial.transform import Rotation, Slerp
+from scipy.interpolate import CubicSpline
+from scipy.spatial.transform import Rotation
 
-from stiffopt.dynamics.inverse_kinematics import solve_pose
 from stiffopt.errors import ProblemError
+from stiffopt.problem.path_fit import fit_joint_path
+from stiffopt.problem.pose_following import PoseFollower
+from stiffopt.problem.tool_curves import Arc, Curve, Line, ToolCurve, blend_curve
 from stiffopt.result.joint_path import JointPath
 
 if TYPE_CHECKING:
@@ -24,14 +26,14 @@ if TYPE_CHECKING:
 
 # Smaller changes of direction are no corner [rad].
 _MIN_CORNER_ANGLE = 0.01
-# Samples for the arc length of a piece.
-_SAMPLES_PER_PIECE = 400
-# Relative deviation of the tool's speed from the path parameter's that is accepted.
-_MAX_SPEED_DEVIATION = 5e-3
-# Waypoints of the first and of the last refinement.
-_MIN_WAYPOINTS, _MAX_WAYPOINTS = 17, 257
-# Larger joint steps between neighbouring waypoints are a change of posture [rad].
-_MAX_JOINT_STEP = 0.6
+# Smaller changes of curvature need no blend [1/m].
+_MIN_CURVATURE_JUMP = 1e-6
+# Shorter segments have no direction [m].
+_MIN_LENGTH = 1e-6
+# Deviation of the joints' path over the size of the smallest blend: it must not vanish.
+_BLEND_TOLERANCE_SHARE = 0.05
+# Orientation error that weighs as much as the tolerance of the position [rad].
+_ANGLE_TOLERANCE = 2e-3
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -48,45 +50,34 @@ class ToolSegment:
         A point on the arc; None for a straight line [m].
     blend : float
         Distance from its end at which the rounding into the next segment begins [m].
+    curve : ToolCurve or None
+        The segment itself, where it is neither a line nor an arc.
+    turns : callable or None
+        Rotations (K, 3, 3) at shares (K,) of the segment, where they do not turn evenly to its end.
+    speed : float
+        Largest tool speed on it [m/s].
+    stop : bool
+        The tool rests at its end.
+    dwell : float
+        Rest at its end [s].
+    where : str
+        How messages name it.
     """
 
     end: np.ndarray
     rotation: np.ndarray | None = None
     through: np.ndarray | None = None
     blend: float = 0.0
-
-
-@dataclass(frozen=True, eq=False)
-class _PathPiece:
-    """Samples of a smooth piece: arc length (S,) and points (S, 3) [m]."""
-
-    length: np.ndarray
-    points: np.ndarray
-
-    @classmethod
-    def of(cls, points: np.ndarray) -> _PathPiece:
-        steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
-        return cls(np.concatenate([[0.0], np.cumsum(steps)]), points)
-
-    @property
-    def total(self) -> float:
-        return float(self.length[-1])
-
-    def at(self, along: np.ndarray) -> np.ndarray:
-        return np.stack([np.interp(along, self.length, column) for column in self.points.T], axis=1)
-
-    def cut(self, before: float, after: float) -> _PathPiece:
-        """Shorten the piece at both ends [m]."""
-        return _PathPiece.of(self.at(np.linspace(before, self.total - after, _SAMPLES_PER_PIECE)))
-
-    def direction(self, end: int) -> np.ndarray:
-        """Unit tangent at the start (0) or end (-1)."""
-        step = self.points[1] - self.points[0] if end == 0 else self.points[-1] - self.points[-2]
-        return np.asarray(step / np.linalg.norm(step))
+    curve: ToolCurve | None = None
+    turns: Callable[[np.ndarray], np.ndarray] | None = None
+    speed: float = np.inf
+    stop: bool = False
+    dwell: float = 0.0
+    where: str = ""
 
 
 class ToolPath:
-    """A smooth path of the tool.
+    """A path of the tool, smooth but for the places where it stops.
 
     Parameters
     ----------
@@ -99,36 +90,214 @@ class ToolPath:
     Attributes
     ----------
     length : float [m]
+    breaks : array (m,)
+        Distances at which pieces meet, 0 and the length among them [m].
+    speeds : array (m - 1,)
+        Largest tool speed on each piece [m/s].
+    stops : array (k,)
+        Distances of inner stops [m].
+    dwells : array (k,)
+        Rests there [s].
     """
 
     def __init__(
         self, start: np.ndarray, rotation: np.ndarray, segments: Sequence[ToolSegment]
     ) -> None:
-        pieces, at = [], np.asarray(start, dtype=float)
-        for number, segment in enumerate(segments, start=1):
-            pieces.append(_sample_segment(at, segment, f"path.segment[{number}]"))
-            at = segment.end
-        joined, corners = _blend_corners(pieces, [segment.blend for segment in segments])
-        self._piece = _PathPiece.of(
-            np.vstack([joined[0].points, *(p.points[1:] for p in joined[1:])])
+        curves, at = [], np.asarray(start, dtype=float)
+        names = [
+            segment.where or f"path.segment[{number}]" for number, segment in enumerate(segments, 1)
+        ]
+        for segment, name in zip(segments, names, strict=True):
+            curves.append(_segment_curve(at, segment, name))
+            at = np.asarray(segment.end, dtype=float)
+        pieces, owners, corners = _blend_corners(curves, segments, names)
+        self._pieces = pieces
+        self.breaks = np.concatenate([[0.0], np.cumsum([piece.length for piece in pieces])])
+        self.length = float(self.breaks[-1])
+        self.speeds = np.array([min(segments[k].speed for k in own) for own in owners])
+        inner = [
+            (corner, segment)
+            for corner, segment in zip(corners, segments, strict=False)
+            if segment.stop
+        ]
+        self.stops = np.array([self.breaks[corner] for corner, _ in inner])
+        self.dwells = np.array([segment.dwell for _, segment in inner])
+        self.smallest_blend = min(
+            (segment.blend for segment in segments[:-1] if segment.blend > 0.0), default=np.inf
         )
-        self.length = self._piece.total
-        turns, last = [rotation], rotation
-        for segment in segments:
-            last = last if segment.rotation is None else segment.rotation
-            turns.append(last)
-        self._turn = Slerp([0.0, *corners, self.length], Rotation.from_matrix(np.stack(turns)))
+        # Places where a fit begins: in between, a spline may bend at every point.
+        self.marks = np.unique(
+            np.concatenate(
+                [self.breaks[k] + piece.marks() for k, piece in enumerate(pieces)]
+                + [self.breaks[-1:]]
+            )
+        )
+        # Distances at which segments begin and end, those within a blend at its start [m].
+        self.segment_ends = np.array([0.0, *(self.breaks[k] for k in corners), self.length])
+        self._turns = _Orientation(rotation, segments, curves, pieces, owners, self.breaks)
 
     def poses(self, along: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Positions (K, 3) [m] and rotations (K, 3, 3) at distances along the path (K,) [m]."""
         inside = np.clip(along, 0.0, self.length)
-        return self._piece.at(inside), self._turn(inside).as_matrix()
+        number = np.clip(
+            np.searchsorted(self.breaks, inside, side="right") - 1, 0, len(self._pieces) - 1
+        )
+        places = np.empty((len(inside), 3))
+        for k in np.unique(number):
+            own = number == k
+            places[own] = self._pieces[k].at(inside[own] - self.breaks[k])
+        return places, self._turns(inside)
+
+    def parts(self) -> list[tuple[float, float]]:
+        """Ranges between stops [m]."""
+        return list(pairwise([0.0, *self.stops.tolist(), self.length]))
 
 
-def joint_waypoints(
-    robot: Robot, path: ToolPath, near: np.ndarray, tolerance: float
-) -> tuple[np.ndarray, float]:
-    """Joint waypoints (k, n) whose spline follows a tool path, and the path error.
+class _Orientation:
+    """Orientation of the tool along a path, with continuous rate but at stops."""
+
+    def __init__(
+        self,
+        rotation: np.ndarray,
+        segments: Sequence[ToolSegment],
+        curves: Sequence[ToolCurve],
+        pieces: Sequence[ToolCurve],
+        owners: Sequence[tuple[int, ...]],
+        breaks: np.ndarray,
+    ) -> None:
+        # A blend is shared by its two segments: the orientation changes over between in its middle.
+        middles = 0.5 * (breaks[1:] + breaks[:-1])
+        keys = [0.0]
+        for number in range(len(segments) - 1):
+            shared = [k for k, own in enumerate(owners) if own == (number, number + 1)]
+            own = [k for k, own in enumerate(owners) if own == (number,)]
+            keys.append(float(middles[shared[0]] if shared else breaks[own[-1] + 1]))
+        keys.append(float(breaks[-1]))
+        self._keys = np.array(keys)
+        self._parts: list[Callable[[np.ndarray], np.ndarray]] = []
+        last = np.asarray(rotation, dtype=float)
+        for segment in segments:
+            end = last if segment.rotation is None else segment.rotation
+            self._parts.append(segment.turns or _EasedTurn(last, end))
+            last = end
+
+    def __call__(self, along: np.ndarray) -> np.ndarray:
+        """Rotations (K, 3, 3) at distances (K,)."""
+        number = np.clip(
+            np.searchsorted(self._keys, along, side="right") - 1, 0, len(self._parts) - 1
+        )
+        found = np.empty((len(along), 3, 3))
+        for k in np.unique(number):
+            own = number == k
+            span = self._keys[k + 1] - self._keys[k]
+            found[own] = self._parts[k](np.clip((along[own] - self._keys[k]) / span, 0.0, 1.0))
+        return found
+
+
+class _EasedTurn:
+    """Turn about one axis that begins and ends without rate and acceleration."""
+
+    def __init__(self, first: np.ndarray, last: np.ndarray) -> None:
+        self._first = Rotation.from_matrix(first)
+        self._vector = (self._first.inv() * Rotation.from_matrix(last)).as_rotvec()
+
+    def __call__(self, share: np.ndarray) -> np.ndarray:
+        eased = share**3 * (10.0 - 15.0 * share + 6.0 * share**2)
+        turn = Rotation.from_rotvec(eased[:, None] * self._vector)
+        return np.asarray((self._first * turn).as_matrix())
+
+
+class _QuaternionSpline:
+    """Orientations through given ones, by a spline of their quaternions."""
+
+    def __init__(self, rotations: np.ndarray, along: np.ndarray) -> None:
+        turns = Rotation.from_matrix(rotations).as_quat()
+        flips = np.sign(np.sum(turns[1:] * turns[:-1], axis=1))
+        turns[1:] *= np.cumprod(np.where(flips < 0.0, -1.0, 1.0))[:, None]
+        self._spline = CubicSpline(along, turns)
+
+    def between(self, begin: float, end: float) -> Callable[[np.ndarray], np.ndarray]:
+        """Return the rotations between two distances [m], by the share of the way."""
+        return lambda share: np.asarray(
+            Rotation.from_quat(self._spline(begin + share * (end - begin))).as_matrix()
+        )
+
+
+def spline_segments(
+    points: np.ndarray,
+    rotations: np.ndarray | None,
+    speeds: np.ndarray,
+    stops: np.ndarray,
+    where: str,
+) -> list[ToolSegment]:
+    """Return segments of splines through points, from stop to stop.
+
+    Parameters
+    ----------
+    points : array (m, 3) [m]
+        The first one is the start.
+    rotations : array (m, 3, 3) or None
+        Orientations there; None for one that stays.
+    speeds : array (m,)
+        Largest tool speed on the way to each point [m/s].
+    stops : array (m,) of bool
+        The tool rests at the point.
+    where : str
+        Name of the points in messages: "points.csv, row ".
+
+    Raises
+    ------
+    ProblemError
+        A point repeats the one before.
+    """
+    steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    for k in np.flatnonzero(~(steps > _MIN_LENGTH)):
+        raise ProblemError(
+            f"{where}{k + 2} repeats the point before, [{', '.join(f'{x:.6g}' for x in points[k])}]"
+            " m. Delete it."
+        )
+    found = []
+    ends = [0, *np.flatnonzero(stops[1:-1]) + 1, len(points) - 1]
+    for first, last in pairwise(ends):
+        own = slice(first, last + 1)
+        curve = Curve.through(points[own])
+        along = curve.point_distances
+        turns = None if rotations is None else _QuaternionSpline(rotations[own], along)
+        inner = speeds[own]
+        changes = np.flatnonzero(np.diff(inner[1:])) + 1
+        for a, b in pairwise([0, *changes.tolist(), last - first]):
+            found.append(
+                ToolSegment(
+                    end=points[first + b],
+                    rotation=None if rotations is None else rotations[first + b],
+                    curve=curve.cut(along[a], curve.length - along[b]),
+                    turns=None if turns is None else turns.between(along[a], along[b]),
+                    speed=float(inner[b]),
+                    stop=bool(first + b == last and last < len(points) - 1),
+                    where=f"{where}{first + b + 1}",
+                )
+            )
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class FittedPath:
+    """Joint path of a tool path.
+
+    Parameters
+    ----------
+    joints : JointPath
+        Knots where pieces meet; the tool stops at its `stops`.
+    error : float
+        Largest distance of the tool from the tool path [m].
+    """
+
+    joints: JointPath
+    error: float
+
+
+def fit_tool_path(robot: Robot, path: ToolPath, near: np.ndarray, tolerance: float) -> FittedPath:
+    """Fit a joint spline that follows a tool path.
 
     Parameters
     ----------
@@ -139,140 +308,102 @@ def joint_waypoints(
     tolerance : float
         Largest error of the tool's position [m].
 
-    Returns
-    -------
-    (array, float)
-        Waypoints [rad], and the largest distance of the tool from the path [m].
-
     Raises
     ------
     ProblemError
-        The path is out of reach, needs a change of posture, or exceeds the tolerance.
+        The path is out of reach, passes a singular pose, or needs too many knots.
     """
-    bodies, tool, count = robot.rigid_bodies(), robot.tool, _MIN_WAYPOINTS
-    while True:
-        along = np.linspace(0.0, path.length, count)
-        waypoints = _solve_waypoints(robot, path, along, near)
-        spline = JointPath.through(waypoints)
-        between = np.linspace(0.0, 1.0, 4 * (count - 1) + 1)
-        wanted = path.poses(between * path.length)[0]
-        found = np.array([bodies.pose(tool, q)[0] for q in spline(between)])
-        error = float(np.linalg.norm(found - wanted, axis=1).max())
-        # Equal parameter steps must be equal path steps, so that a tool speed can be held.
-        slopes = zip(spline(between), spline(between, 1), strict=True)
-        rates = [np.linalg.norm(bodies.jacobian(tool, q)[:3] @ slope) for q, slope in slopes]
-        uneven = float(np.abs(np.array(rates) / path.length - 1.0).max())
-        if error <= tolerance and uneven <= _MAX_SPEED_DEVIATION:
-            return waypoints, error
-        if count >= _MAX_WAYPOINTS:
-            raise ProblemError(
-                f"path: {count} waypoints follow the segments within {1e3 * error:.3g} mm and the "
-                f"speed within {uneven:.2%}; asked are {1e3 * tolerance:.3g} mm and "
-                f"{_MAX_SPEED_DEVIATION:.2%}. Give a larger tolerance, or larger blends."
-            )
-        count = 2 * (count - 1) + 1
+    follower = PoseFollower(robot, path.poses, path.breaks, near)
+    allowed = min(tolerance, _BLEND_TOLERANCE_SHARE * path.smallest_blend)
+    weight = allowed / _ANGLE_TOLERANCE
+    knots, coefficients, worst = [np.zeros(1)], [], 0.0
+    for begin, end in path.parts():
+        span = end - begin
+        inner = path.marks[(path.marks > begin) & (path.marks < end)]
+        breaks = np.concatenate([[0.0], (inner - begin) / span, [1.0]])
+
+        def curve(s: np.ndarray, begin: float = begin, span: float = span) -> np.ndarray:
+            return follower(begin + span * s)
+
+        def error(
+            q: np.ndarray, s: np.ndarray, begin: float = begin, span: float = span
+        ) -> np.ndarray:
+            distance, angle = follower.errors(q, begin + span * s)
+            return np.asarray(np.maximum(distance, weight * angle))
+
+        part, off = fit_joint_path(curve, breaks, error, allowed)
+        worst = max(worst, off)
+        share = span / path.length
+        knots.append((begin + span * part.knots[1:]) / path.length)
+        coefficients.append(part.coefficients / share ** np.arange(4)[None, :, None])
+    whole = np.concatenate(knots)
+    whole[-1] = 1.0
+    middles = 0.5 * (whole[1:] + whole[:-1]) * path.length
+    piece = np.clip(np.searchsorted(path.breaks, middles) - 1, 0, len(path.speeds) - 1)
+    joints = JointPath(
+        whole,
+        np.concatenate(coefficients),
+        speeds=path.speeds[piece],
+        stops=np.searchsorted(whole, path.stops / path.length - 1e-12),
+        dwells=path.dwells,
+    )
+    return FittedPath(joints, worst)
 
 
-def _solve_waypoints(
-    robot: Robot, path: ToolPath, along: np.ndarray, near: np.ndarray
-) -> np.ndarray:
-    """Joint angles (k, n) along the path, each close to the previous."""
-    positions, rotations = path.poses(along)
-    waypoints: list[np.ndarray] = []
-    for place, position, rotation in zip(along, positions, rotations, strict=True):
-        before = waypoints[-1] if waypoints else near
-        # No restarts after the first waypoint: they could change the posture.
-        restarts = 0 if waypoints else 60
-        try:
-            found = solve_pose(robot, position, rotation, before, restarts=restarts)
-        except ProblemError as error:
-            raise ProblemError(f"path, {place:.3f} m from its start: {error}") from error
-        if waypoints and np.max(np.abs(found - before)) > _MAX_JOINT_STEP:
-            j = int(np.argmax(np.abs(found - before)))
-            raise ProblemError(
-                f"path, {place:.3f} m from its start: joint {j + 1} would turn by "
-                f"{np.degrees(abs(found[j] - before[j])):.0f} deg in one step, through a "
-                "singular pose. Choose another posture by path.start.near, or another path."
-            )
-        waypoints.append(np.asarray(found))
-    return np.stack(waypoints)
-
-
-def _sample_segment(start: np.ndarray, segment: ToolSegment, where: str) -> _PathPiece:
-    """Sample a line or an arc."""
-    share = np.linspace(0.0, 1.0, _SAMPLES_PER_PIECE)[:, None]
-    chord = segment.end - start
-    if not np.linalg.norm(chord) > 1e-6:
+def _segment_curve(start: np.ndarray, segment: ToolSegment, where: str) -> ToolCurve:
+    """Return the curve of a segment from its start."""
+    if segment.curve is not None:
+        return segment.curve
+    if not np.linalg.norm(segment.end - start) > _MIN_LENGTH:
         raise ProblemError(f"{where} ends where it begins. Give another end.")
     if segment.through is None:
-        return _PathPiece.of(start + share * chord)
-    a, b = segment.through - start, chord
-    normal = np.cross(a, b)
-    if np.linalg.norm(normal) < 1e-6 * np.linalg.norm(a) * np.linalg.norm(b) + 1e-12:
-        raise ProblemError(
-            f"{where}: start, `through` and end lie on a line. Give a point beside it."
-        )
-    square = normal @ normal
-    middle = start + (np.cross(normal, a) * (b @ b) - np.cross(normal, b) * (a @ a)) / (2 * square)
-    first = start - middle
-    across = np.cross(normal / np.sqrt(square), first)
-    angle = np.arctan2((segment.end - middle) @ across, (segment.end - middle) @ first)
-    angle += 2.0 * np.pi if angle <= 0.0 else 0.0
-    return _PathPiece.of(middle + np.cos(share * angle) * first + np.sin(share * angle) * across)
+        return Line(start, np.asarray(segment.end, dtype=float))
+    return Arc.through(start, segment.through, segment.end, where)
 
 
 def _blend_corners(
-    pieces: Sequence[_PathPiece], blends: Sequence[float]
-) -> tuple[list[_PathPiece], list[float]]:
-    """Pieces with blended corners, and the path length at the middle of each corner [m]."""
+    curves: Sequence[ToolCurve], segments: Sequence[ToolSegment], names: Sequence[str]
+) -> tuple[list[ToolCurve], list[tuple[int, ...]], list[int]]:
+    """Return pieces with blended corners, the segments (from 0) of each, and where segments meet.
+
+    The last are numbers of breaks; those within a blend are its first.
+    """
     cuts = []
-    for number, (one, other) in enumerate(pairwise(pieces), start=1):
-        turn = np.arccos(np.clip(one.direction(-1) @ other.direction(0), -1.0, 1.0))
-        if turn > _MIN_CORNER_ANGLE and not blends[number - 1] > 0.0:
+    for number, (one, other) in enumerate(pairwise(curves)):
+        (ahead, bend), (behind, other_bend) = one.end_derivatives(-1), other.end_derivatives(0)
+        turn = np.arccos(np.clip(ahead @ behind, -1.0, 1.0))
+        bends = np.linalg.norm(other_bend - bend) > _MIN_CURVATURE_JUMP
+        segment = segments[number]
+        corner = turn > _MIN_CORNER_ANGLE and not segment.stop
+        if corner and not segment.blend > 0.0:
             raise ProblemError(
-                f"path.segment[{number}]: the tool turns by {np.degrees(turn):.3g} deg at its end, "
-                "where it would have to stop. Give the segment a `blend`, or end the path there."
+                f"{names[number]}: the tool turns by {np.degrees(turn):.3g} deg at its end, "
+                "where it would have to stop. Give the segment a `blend`, or `stop = true`."
             )
-        cuts.append(blends[number - 1] if turn > _MIN_CORNER_ANGLE else 0.0)
+        blended = corner or (bends and not segment.stop)
+        cuts.append(segment.blend if blended else 0.0)
     before, after = [0.0, *cuts], [*cuts, 0.0]
-    for number, piece in enumerate(pieces, start=1):
-        asked = before[number - 1] + after[number - 1]
-        if asked > 0.999 * piece.total:
+    for number, curve in enumerate(curves):
+        asked = before[number] + after[number]
+        if asked > 0.999 * curve.length:
             raise ProblemError(
-                f"path.segment[{number}] is {1e3 * piece.total:.4g} mm long, its blends take "
+                f"{names[number]} is {1e3 * curve.length:.4g} mm long, its blends take "
                 f"{1e3 * asked:.4g} mm. Give smaller ones."
             )
-    joined, corners, so_far = [], [], 0.0
-    for number, piece in enumerate(pieces):
-        own = piece.cut(before[number], after[number])
-        joined.append(own)
-        so_far += own.total
-        if number == len(pieces) - 1:
+    pieces: list[ToolCurve] = []
+    owners: list[tuple[int, ...]] = []
+    corners: list[int] = []
+    short = [
+        curve.cut(before[number], after[number]) if before[number] + after[number] > 0.0 else curve
+        for number, curve in enumerate(curves)
+    ]
+    for number, curve in enumerate(short):
+        pieces.append(curve)
+        owners.append((number,))
+        if number == len(curves) - 1:
             break
+        corners.append(len(pieces))
         if cuts[number] > 0.0:
-            following = pieces[number + 1].cut(before[number + 1], after[number + 1])
-            bend = _blend_curve(own, following, cuts[number])
-            joined.append(bend)
-            corners.append(so_far + 0.5 * bend.total)
-            so_far += bend.total
-        else:
-            corners.append(so_far)
-    return joined, corners
-
-
-def _blend_curve(one: _PathPiece, other: _PathPiece, size: float) -> _PathPiece:
-    """Cubic blend from the end of one piece to the start of another, tangent to both.
-
-    Between two lines it is the parabola whose tangents meet in the corner.
-    """
-    reach = 2.0 / 3.0 * size
-    first, last = one.points[-1], other.points[0]
-    u = np.linspace(0.0, 1.0, _SAMPLES_PER_PIECE)[:, None]
-    inner = first + reach * one.direction(-1), last - reach * other.direction(0)
-    points = (
-        (1 - u) ** 3 * first
-        + 3 * (1 - u) ** 2 * u * inner[0]
-        + 3 * (1 - u) * u**2 * inner[1]
-        + u**3 * last
-    )
-    return _PathPiece.of(points)
+            pieces.append(blend_curve(curve, short[number + 1], cuts[number]))
+            owners.append((number, number + 1))
+    return pieces, owners, corners

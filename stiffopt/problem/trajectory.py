@@ -14,10 +14,12 @@ from stiffopt.elastic.uncertainty import AssumedUncertainty, Uncertainty
 from stiffopt.errors import ProblemError
 from stiffopt.problem.limit import Limits
 from stiffopt.problem.objective import Objective
+from stiffopt.result.joint_path import JointPath
 from stiffopt.robot.cell import Cell
 
 if TYPE_CHECKING:
     from stiffopt.problem.limit import LimitKind
+    from stiffopt.problem.path_force import PathForce
     from stiffopt.robot.clearance import ClearanceModel
     from stiffopt.robot.robot import Robot
 
@@ -182,8 +184,8 @@ class TrajectoryProblem:
     start, end : Target
     vias : tuple of Target
         Passed in order; the time of passing is free.
-    path : array (k, n) or None [rad]
-        Waypoints of a fixed joint path (not-a-knot cubic spline); only the timing is then free.
+    path : JointPath, array (k, n) or None [rad]
+        Fixed joint path, or its waypoints (not-a-knot cubic spline); only the timing is then free.
     duration : (lower, upper) [s]
         Equal values fix it.
     objectives : tuple of Objective
@@ -193,8 +195,10 @@ class TrajectoryProblem:
         Default: the robot's own.
     boundary_velocity : (start (n,), end (n,)) [rad/s]
     boundary_acceleration : "zero" or "free"
+    path_force : PathForce or None
+        Force on the tool along the path, which the command compensates.
     process_force : array (3,) [N]
-        Force on the tool, base frame.
+        Constant force on the tool, base frame, under which poses are calibrated.
     remarks : tuple of str
         Assumptions for incomplete input, repeated in results.
     uncertainty : Uncertainty
@@ -212,10 +216,11 @@ class TrajectoryProblem:
     duration: tuple[float, float]
     objectives: tuple[Objective, ...] = ()
     vias: tuple[Target, ...] = ()
-    path: np.ndarray | None = None
+    path: JointPath | None = None
     limits: Limits | None = None
     boundary_velocity: tuple[np.ndarray, np.ndarray] | None = None
     boundary_acceleration: str = "zero"
+    path_force: PathForce | None = None
     process_force: np.ndarray = field(default_factory=lambda: np.zeros(3))
     method: Method = field(default_factory=Method)
     title: str = ""
@@ -229,8 +234,10 @@ class TrajectoryProblem:
     def __post_init__(self) -> None:
         _check_duration(self.duration)
         if self.path is not None:
-            object.__setattr__(self, "path", np.asarray(self.path, dtype=float))
-            self._drop_robot_jerk_limit()
+            if not isinstance(self.path, JointPath):
+                object.__setattr__(self, "path", self._path_through(self.path))
+            if not self.is_timed_on_path:
+                self._drop_robot_jerk_limit()
         object.__setattr__(self, "process_force", np.asarray(self.process_force, dtype=float))
         _check_vector("process_force", self.process_force)
         if self.boundary_acceleration not in ("zero", "free"):
@@ -249,6 +256,22 @@ class TrajectoryProblem:
             name = f"limits.{kind.name}"
             check_link_planning(self, name, f"leave {name} out")
             check_arrival(self, name)
+
+    def _path_through(self, waypoints: np.ndarray) -> JointPath:
+        """Return the path through waypoints; raise `ProblemError` where they are none."""
+        points = np.asarray(waypoints, dtype=float)
+        if points.ndim != 2 or points.shape[0] < 4 or points.shape[1] != self.joints:
+            raise ProblemError(
+                f"motion.path needs at least 4 waypoints of {self.joints} joint angles each, got "
+                f"an array of shape {points.shape}."
+            )
+        return JointPath.through(points)
+
+    @property
+    def is_timed_on_path(self) -> bool:
+        """True where nothing but the timing of a path is sought, and that the fastest."""
+        names = [objective.name for objective in self.objectives]
+        return self.path is not None and names == ["duration"]
 
     def _drop_robot_jerk_limit(self) -> None:
         """Drop the robot's own jerk limit on a fixed path, where no other was given."""

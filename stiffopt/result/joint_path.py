@@ -6,7 +6,8 @@ the motion q(s(t)) is polynomial between the knots and breaks of both.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from itertools import pairwise
 from math import factorial
 
 import numpy as np
@@ -14,6 +15,9 @@ from numpy.typing import ArrayLike
 
 from stiffopt.errors import ProblemError
 from stiffopt.result.trajectory import Trajectory
+
+# Path parameters closer together are the same: the path's third derivative alone jumps in between.
+_SAME_PARAMETER = 1e-11
 
 
 @dataclass(frozen=True)
@@ -26,10 +30,19 @@ class JointPath:
         Path parameter of the waypoints, from 0 to 1.
     coefficients : array (m - 1, 4, n)
         Coefficient j of piece k multiplies (s - knots[k])**j. [rad] or [m]
+    speeds : array (m - 1,) or None
+        Largest tool speed on each piece [m/s]; None for no limit.
+    stops : array (k,)
+        Inner knots at which every motion rests; the path may have corners there.
+    dwells : array (k,)
+        Rests there [s].
     """
 
     knots: np.ndarray
     coefficients: np.ndarray
+    speeds: np.ndarray | None = None
+    stops: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=int))
+    dwells: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
     @classmethod
     def through(cls, waypoints: ArrayLike, spacing: str = "uniform") -> JointPath:
@@ -43,8 +56,6 @@ class JointPath:
             Distances of the waypoints in s: "uniform", or "chord" for distances in joint space,
             which avoids overshoot of the spline between very uneven waypoints.
         """
-        from scipy.interpolate import CubicSpline
-
         points = np.atleast_2d(np.asarray(waypoints, dtype=float))
         length = np.linalg.norm(np.diff(points, axis=0), axis=1)
         if len(points) < 2 or not np.all(length > 0):
@@ -59,9 +70,36 @@ class JointPath:
         steps = length if spacing == "chord" else np.ones_like(length)
         knots = np.concatenate([[0.0], np.cumsum(steps) / np.sum(steps)])
         knots[-1] = 1.0
+        return cls.at_knots(knots, points)
+
+    @classmethod
+    def at_knots(cls, knots: np.ndarray, points: np.ndarray) -> JointPath:
+        """Not-a-knot cubic spline with points (m, n) at knots (m,) from 0 to 1."""
+        from scipy.interpolate import CubicSpline
+
         spline = CubicSpline(knots, points, bc_type="not-a-knot")
         # SciPy stores the highest power first and the piece second.
         return cls(knots, np.ascontiguousarray(spline.c[::-1].transpose(1, 0, 2)))
+
+    @property
+    def points(self) -> np.ndarray:
+        """Joint positions (m, n) at the knots."""
+        return self(self.knots)
+
+    def between_stops(self) -> list[tuple[float, float, JointPath]]:
+        """Return begin and end of each part between stops, and its path with s from 0 to 1."""
+        ends = [0, *self.stops.tolist(), len(self.knots) - 1]
+        parts = []
+        for first, last in pairwise(ends):
+            begin, span = self.knots[first], self.knots[last] - self.knots[first]
+            own = slice(first, last)
+            path = JointPath(
+                np.append((self.knots[own] - begin) / span, 1.0),
+                self.coefficients[own] * span ** np.arange(4)[None, :, None],
+                None if self.speeds is None else self.speeds[own],
+            )
+            parts.append((float(begin), float(begin + span), path))
+        return parts
 
     @property
     def joints(self) -> int:
@@ -71,13 +109,15 @@ class JointPath:
     def __call__(self, s: object, order: int = 0) -> np.ndarray:
         """Evaluate position (order 0) or a derivative by s at `s` (k,), shape (k, n)."""
         positions = np.asarray(s, dtype=float)
-        return self._evaluate_piece(positions, self._piece_index(positions), order)
+        return self.evaluate_piece(positions, self.piece_index(positions), order)
 
-    def _piece_index(self, s: np.ndarray) -> np.ndarray:
+    def piece_index(self, s: np.ndarray) -> np.ndarray:
+        """Return the pieces (k,) that contain path parameters (k,)."""
         last = len(self.knots) - 2
         return np.clip(np.searchsorted(self.knots, s, side="right") - 1, 0, last)
 
-    def _evaluate_piece(self, s: np.ndarray, piece: np.ndarray, order: int) -> np.ndarray:
+    def evaluate_piece(self, s: np.ndarray, piece: np.ndarray, order: int) -> np.ndarray:
+        """Evaluate a derivative (k, n) at `s` (k,) by the polynomials of given pieces (k,)."""
         local = (s - self.knots[piece])[..., None]
         value = np.zeros((*s.shape, self.joints))
         for j in range(3, order - 1, -1):
@@ -95,12 +135,12 @@ class JointPath:
         """
         times = _merge_crossings(law, self.knots[1:-1])
         begin, middle = times[:-1], 0.5 * (times[:-1] + times[1:])
-        piece = self._piece_index(law(middle)[:, 0])
+        piece = self.piece_index(law(middle)[:, 0])
         degree = law.acceleration.shape[1] + 1
         # Local Taylor polynomials: of s about each break, then of q about s at the break.
         s = np.stack([law(begin, j)[:, 0] / factorial(j) for j in range(degree + 1)], axis=1)
         start, s[:, 0] = s[:, 0].copy(), 0.0
-        taylor = [self._evaluate_piece(start, piece, j) / factorial(j) for j in range(4)]
+        taylor = [self.evaluate_piece(start, piece, j) / factorial(j) for j in range(4)]
         motion = np.zeros((len(begin), 3 * degree + 1, self.joints))
         power = np.ones((len(begin), 1))
         for coefficient in taylor:
@@ -115,16 +155,16 @@ def _merge_crossings(law: Trajectory, knots: np.ndarray) -> np.ndarray:
     """Merge the breaks of the law with its crossings of the inner knots."""
     breaks = law.times
     at_breaks = law(breaks)[:, 0]
-    crossings = []
-    for knot in knots:
-        if np.min(np.abs(at_breaks - knot)) < 1e-12:
-            continue
-        i = int(np.searchsorted(at_breaks, knot)) - 1
-        low, high = breaks[i], breaks[i + 1]
-        while (middle := 0.5 * (low + high)) not in (low, high):
-            low, high = (middle, high) if law(middle)[0] < knot else (low, middle)
-        crossings.append(high)
-    return np.union1d(breaks, crossings)
+    after = np.clip(np.searchsorted(at_breaks, knots), 1, len(breaks) - 1)
+    near = np.minimum(np.abs(at_breaks[after] - knots), np.abs(at_breaks[after - 1] - knots))
+    missed = near >= _SAME_PARAMETER
+    low, high = breaks[after - 1][missed], breaks[after][missed]
+    while True:
+        middle = 0.5 * (low + high)
+        if np.all((middle == low) | (middle == high)):
+            return np.union1d(breaks, high)
+        before = law(middle)[:, 0] < knots[missed]
+        low, high = np.where(before, middle, low), np.where(before, high, middle)
 
 
 def _multiply_polynomials(a: np.ndarray, b: np.ndarray) -> np.ndarray:

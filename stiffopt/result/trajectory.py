@@ -32,6 +32,25 @@ class JointMotion(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
+class ForceHistory:
+    """Force on the tool over time, linear in between and constant outside.
+
+    Parameters
+    ----------
+    time : array (K,) [s]
+    force : array (K, 3) [N]
+        Base axes.
+    """
+
+    time: np.ndarray
+    force: np.ndarray
+
+    def __call__(self, t: np.ndarray) -> np.ndarray:
+        """Return the force (K, 3) at times (K,)."""
+        return np.stack([np.interp(t, self.time, column) for column in self.force.T], axis=-1)
+
+
+@dataclass(frozen=True, eq=False)
 class Trajectory:
     """Motion of n joints over K intervals.
 
@@ -46,6 +65,8 @@ class Trajectory:
     link : Trajectory or None
         Motion of the links, if this is the motion of motors that lead them; None for one motion of
         both.
+    force : ForceHistory or None
+        Process force on the tool during this motion of the links.
 
     Notes
     -----
@@ -58,6 +79,7 @@ class Trajectory:
     q0: np.ndarray
     v0: np.ndarray
     link: Trajectory | None = None
+    force: ForceHistory | None = None
     _position: np.ndarray = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -257,6 +279,21 @@ class Trajectory:
             return np.append(times, self.duration)
         times[-1] = self.duration
         return times
+
+
+def join_motions(motions: list[tuple[Trajectory, float]]) -> Trajectory:
+    """Return motions from rest to rest one after another, each followed by a rest [s]."""
+    times, parts, at = [np.zeros(1)], [], 0.0
+    degree = max(motion.acceleration.shape[1] for motion, _ in motions)
+    for motion, dwell in motions:
+        held = motion.held_for(dwell)
+        times.append(at + held.times[1:])
+        at += held.duration
+        part = np.zeros((len(held.times) - 1, degree, held.joints))
+        part[:, : held.acceleration.shape[1]] = held.acceleration
+        parts.append(part)
+    first = motions[0][0]
+    return Trajectory(np.concatenate(times), np.concatenate(parts), first.q0, first.v0)
 
 
 def _check_coefficients(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Generator, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
@@ -27,6 +27,7 @@ from stiffopt.problem.motor_model import ROBUST_LEAD_SHARE, MotorLaw
 from stiffopt.result.compensation import CompensatedMotion, PartPeaks, Spread, Spreads
 from stiffopt.result.tool_error import ToolError
 from stiffopt.result.trajectory import JointMotion, Trajectory
+from stiffopt.solver.force_compensation import force_lead, led_against_force
 from stiffopt.solver.smoothing_width import KNOT_SPACINGS, motors_with_sufficient_smoothing
 
 if TYPE_CHECKING:
@@ -304,7 +305,16 @@ class CommandSearch:
             )
             for link, spacing in links
         ]
-        return [*own, *splines]
+        return [self._against_force(each) for each in (*own, *splines)]
+
+    def _against_force(self, lead: _Lead) -> _Lead:
+        """Return a lead that compensates the force along the path too."""
+        force = self._arm.path_force
+        if force is None:
+            return lead
+        added = force_lead(self._problem.robot, lead.link, force)
+        motors = led_against_force(lead.motors, added, force)
+        return replace(lead, link=replace(lead.link, force=force), motors=motors)
 
     def _request_single_departures(
         self, command: MotorMotion

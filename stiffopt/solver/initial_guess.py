@@ -42,7 +42,7 @@ def guess_from_motion(
     """
     statics = _static_values(problem, motion, source)
     if problem.path is not None:
-        return _path_guess(JointPath.through(problem.path), source, statics)
+        return _path_guess(problem.path, source, statics)
     states, controls = np.hstack([source.position, source.velocity]), source.acceleration
     s = source.time / source.duration
     if problem.plans_links:

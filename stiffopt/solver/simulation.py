@@ -169,6 +169,9 @@ def rival_motions(
 
     Where the duration is minimised they are as fast as their limits allow.
     """
+    if problem.path_force is not None:
+        # Their forces would be those of other places of the path.
+        return []
     free = any(each.name == "duration" for each in problem.objectives)
     shortest, longest = problem.duration
     return [
@@ -285,6 +288,8 @@ def with_simulation(
     try:
         end_deferral()
         arm = elastic_arm(problem, assessment.position[0])
+        if solution.trajectory is not None:
+            arm = arm.under(solution.trajectory.force)
         counted = assessment.feasible(CERTIFICATE_TOLERANCE)
         own = PlannedMotion.of("optimised", assessment, counted)
         others = rival_motions(problem, motion, assessment.duration)
@@ -333,7 +338,8 @@ def with_simulation(
 
 def _requests_command(problem: TrajectoryProblem) -> bool:
     """Return True where an objective, limit or stated uncertainty concerns the arm's elasticity."""
-    return len(smoothing_stages(problem)) > 1 or problem.uncertainty != AssumedUncertainty()
+    asked = problem.is_timed_on_path or problem.uncertainty != AssumedUncertainty()
+    return len(smoothing_stages(problem)) > 1 or asked
 
 
 def _add_note(solution: Solution, note: str) -> Solution:

@@ -44,13 +44,12 @@ from stiffopt.solver.simulation import check_simulation, with_simulation
 from stiffopt.solver.solve_run import MIN_SOLVE_TIME, ProgressCallback, SolveRun
 from stiffopt.solver.stage_plan import plan_stages
 from stiffopt.solver.stages import Outcome, run_stages
+from stiffopt.solver.timed_path import FASTEST_REASON, timed_motion
 from stiffopt.solver.trivial_outcomes import (
-    FASTEST_ON_PATH_REASON,
     baseline_as_optimum,
     baseline_at_bound,
     below_base_warning,
     explain_bound,
-    fastest_on_path,
     feasible_duration_advice,
     infeasible_solution,
     interrupted_with_baseline,
@@ -163,6 +162,8 @@ def solve_with_state(
         solution = solve_shaped(problem, motion, compared, notes, inner)
     elif (pinned := baseline_at_bound(run, compared)) is not None and not start:
         solution = baseline_as_optimum(run, compared, notes, pinned[0], explain_bound(pinned[1]))
+    elif problem.is_timed_on_path and (timed := timed_motion(problem)) is not None:
+        solution = baseline_as_optimum(run, compared, notes, timed, FASTEST_REASON)
     else:
         rival = better_baseline(problem, compared)
         try:
@@ -180,18 +181,10 @@ def solve_with_state(
                 # Clearance rows hold for this motion only: no warm start from there.
                 kept = None if run.avoidance else (run, outcome)
                 compared |= {} if run.detour is None else {run.detour.name: run.detour}
-            if (fastest := fastest_on_path(problem, outcome, compared)) is not None:
-                solution, kept = (
-                    baseline_as_optimum(run, compared, notes, fastest, FASTEST_ON_PATH_REASON),
-                    None,
-                )
-            else:
-                robust = robust_plan(run, outcome)
-                solution = solution_of(run, robust, compared, notes, compare=compare)
-                shaped = functools.partial(
-                    _solve_shaped_in_remaining_time, run, compared, notes, guess
-                )
-                solution = choose_shaped_motion(run, solution, outcome, shaped)
+            robust = robust_plan(run, outcome)
+            solution = solution_of(run, robust, compared, notes, compare=compare)
+            shaped = functools.partial(_solve_shaped_in_remaining_time, run, compared, notes, guess)
+            solution = choose_shaped_motion(run, solution, outcome, shaped)
         except KeyboardInterrupt:
             solution = interrupted_with_baseline(run, compared, notes)
     if simulate:
@@ -292,8 +285,6 @@ def _restart_from_better_baseline(
     above = find_better_baseline(run.problem, outcome, compared)
     late = run.elapsed > run.problem.method.time_limit
     if above is None or above.assessment is None or late or outcome.raw.status == "interrupted":
-        return outcome
-    if fastest_on_path(run.problem, outcome, compared) is not None:
         return outcome
     guess = guess_from_motion(run.problem, run.motion, above.assessment)
     try:

@@ -169,19 +169,18 @@ def finer_mesh(
     return refine_mesh(before, x, intervals)
 
 
-def _mesh_along_path(waypoints: np.ndarray, guess: Guess, intervals: int) -> Mesh:
+def _mesh_along_path(path: JointPath, guess: Guess, intervals: int) -> Mesh:
     """Return a mesh with nodes at the waypoints, where the rate of the path's curvature jumps.
 
     Parameters
     ----------
-    waypoints : array (m, n)
+    path : JointPath
     guess : Guess
         Path coordinate and its speed.
     intervals : int
     """
     at = np.linspace(0.0, 1.0, PATH_SAMPLES)
-    knots = JointPath.through(waypoints).knots
-    shares = np.diff(np.interp(knots, guess.states(at)[:, 0], at))
+    shares = np.diff(np.interp(path.knots, guess.states(at)[:, 0], at))
     shares = np.maximum(shares, _MIN_PIECE_SHARE / len(shares))
     shares /= shares.sum()
     counts = split_counts(intervals, shares, _INTERVALS_PER_PATH_PIECE)
@@ -190,5 +189,5 @@ def _mesh_along_path(waypoints: np.ndarray, guess: Guess, intervals: int) -> Mes
 
 def resolving_intervals(problem: TrajectoryProblem, stage: SolveStage) -> int:
     """Return the intervals of a stage, enough to resolve the pieces of a fixed path."""
-    pieces = 0 if problem.path is None else len(problem.path) - 1
+    pieces = 0 if problem.path is None else len(problem.path.knots) - 1
     return max(stage.intervals, _INTERVALS_PER_PATH_PIECE * pieces)

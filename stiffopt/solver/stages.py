@@ -16,7 +16,6 @@ from stiffopt.problem.formulation import formulate
 from stiffopt.problem.motor_model import LAW_SMOOTHING_FACTOR
 from stiffopt.problem.stage_terms import Smoothing
 from stiffopt.result.assessment import Assessment
-from stiffopt.result.joint_path import JointPath
 from stiffopt.result.trajectory import Trajectory
 from stiffopt.solver.active_set import ActiveSetSolver
 from stiffopt.solver.infeasibility import minimise_excess
@@ -468,7 +467,7 @@ def _build_trajectory(
         return run.motors.motion(motion, LAW_SMOOTHING_FACTOR * law, run.lag, sagged=sagged)
     if problem.path is None:
         return motion
-    return JointPath.through(problem.path).follow(motion)
+    return problem.path.follow(motion)
 
 
 def _progress_reporter(run: SolveRun, label: str) -> Callable[[Progress], None] | None:

@@ -7,7 +7,7 @@ import math
 from stiffopt.baseline.baselines import better_baseline, slowed_quintic
 from stiffopt.certificate.assess import assess, drive_violations
 from stiffopt.certificate.collisions import with_collisions
-from stiffopt.certificate.objective_value import is_maximised, objective_value
+from stiffopt.certificate.objective_value import improvement, is_maximised, objective_value
 from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
 from stiffopt.problem.bounds import find_bounds
 from stiffopt.problem.motor_model import LAW_SMOOTHING_FACTOR
@@ -19,15 +19,10 @@ from stiffopt.result.solution import Baseline, Solution, SolverRecord
 from stiffopt.result.status import SolveStatus
 from stiffopt.solver.solve_run import SolveRun
 from stiffopt.solver.stages import Outcome
-from stiffopt.solver.verdict import Verdict, find_better_baseline, has_one_optimum, judge_collisions
+from stiffopt.solver.verdict import Verdict, judge_collisions
 
 # Relative distance from a bound up to which an objective counts as at it.
 _AT_BOUND_SHARE = 1e-3
-# Reason why toppra's motion on a fixed path is the optimum, as the rest of a sentence.
-FASTEST_ON_PATH_REASON = (
-    "on a given path it is the fastest within limits on velocity, acceleration, drive torque and "
-    "tool speed. To be faster, change the path or the limits."
-)
 # Depth of the tool below the base's origin from which on a note warns [m].
 _MIN_DEPTH_BELOW_BASE = 0.01
 # Trial factors on the duration of a failed motion.
@@ -85,20 +80,6 @@ def explain_bound(bound: Bound) -> str:
     )
 
 
-def fastest_on_path(
-    problem: TrajectoryProblem, outcome: Outcome, compared: dict[str, Baseline]
-) -> Baseline | None:
-    """Return toppra's motion on a fixed path where it is feasible and the optimiser's is slower.
-
-    The time law of a given path has one optimum, which toppra's grid resolves better than
-    collocation on a path that is noisy.
-    """
-    if not has_one_optimum(problem, compared):
-        return None
-    above = find_better_baseline(problem, outcome, compared)
-    return above if above is not None and above.name == "toppra" else None
-
-
 def baseline_as_optimum(
     run: SolveRun,
     compared: dict[str, Baseline],
@@ -109,6 +90,10 @@ def baseline_as_optimum(
     """Return a baseline's motion as the optimum; `reason` says why none is better."""
     problem, motion = run.problem, best.assessment
     assert motion is not None
+    rival = better_baseline(problem, compared)
+    ratio = None
+    if rival is not None and rival.objective is not None and best.objective is not None:
+        ratio = improvement(problem, best.objective, rival.objective)
     end = judge_collisions(
         problem,
         motion,
@@ -124,7 +109,7 @@ def baseline_as_optimum(
         assessment=motion,
         objective=objective_value(problem, motion),
         baselines=compared,
-        ratio_to_better_baseline=1.0,
+        ratio_to_better_baseline=ratio,
         solver=solver_record(run, 0),
         notes=(*notes, *run.notes, *below_base_warning(problem, motion)),
         inputs_hash=inputs_hash(problem),

@@ -227,24 +227,6 @@ def find_better_baseline(
     return None
 
 
-def has_one_optimum(problem: TrajectoryProblem, compared: dict[str, Baseline]) -> bool:
-    """Return True where the problem is known to have no local optimum beside the global one.
-
-    That is the shortest duration on a fixed path within limits that toppra handles: they are convex
-    in the square of the path speed.
-    """
-    toppra = compared.get("toppra")
-    fastest = [each.name for each in problem.objectives] == ["duration"]
-    return (
-        problem.path is not None
-        and fastest
-        and toppra is not None
-        and toppra.feasible
-        and toppra.assessment is not None
-        and toppra.assessment.feasible(CERTIFICATE_TOLERANCE)
-    )
-
-
 def describe_optimality(
     problem: TrajectoryProblem, compared: dict[str, Baseline], starts_made: int
 ) -> str:
@@ -256,8 +238,6 @@ def describe_optimality(
         and each.assessment is not None
         and each.assessment.feasible(CERTIFICATE_TOLERANCE)
     ]
-    if has_one_optimum(problem, compared):
-        return "On a given path the shortest duration is the global optimum."
     tried = "one start" if starts_made == 1 else f"the best of {starts_made} starts"
     rivals = (
         f"no baseline that keeps every limit ({', '.join(kept)}) is better"

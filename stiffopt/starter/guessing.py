@@ -98,7 +98,7 @@ def guess_columns(
         No time column, or no position or torque for each joint; lists the columns found.
     """
     reasons: list[str] = []
-    time = _find_time_column(table) if rate is None else COUNTED_TIME
+    time = find_time_column(table) if rate is None else COUNTED_TIME
     if len(table[time]) < _MIN_ROWS:
         raise InputError(f"a recording of {len(table[time])} row(s) shows no motion; record more.")
     columns: dict[str, tuple[str, ...]] = {}
@@ -118,7 +118,7 @@ def guess_columns(
             f"velocity: {columns.pop('velocity')[0]}, ... are counts per an unknown time and not"
             " used: positions tell the speed"
         )
-    unit, why = _guess_time_unit(table[time], time)
+    unit, why = guess_time_unit(table[time], time)
     if rate is not None:
         unit, why = "", f"time: counted, {rate:g} rows a second"
     at_rest = are_unordered(np.column_stack([table[name] for name in columns["position"]]))
@@ -126,7 +126,7 @@ def guess_columns(
         unit, why = "", f"poses at rest: positions do not follow one another, {time} numbers them"
     units: dict[str, str | tuple[str, ...]] = {"time": unit}
     reasons.append(why)
-    seconds = table[time] * _SECONDS_PER_UNIT[unit]
+    seconds = table[time] * SECONDS_PER_UNIT[unit]
     for kind in ("position", "velocity", "link_position", "torque"):
         if kind in columns:
             units[kind], why = _guess_unit(kind, columns, table, robot, seconds, units)
@@ -177,7 +177,7 @@ _NAME_EXAMPLES = {
     "position": "q1, q2, ... or JOINT_position",
     "torque": "tau1, tau2, ... or JOINT_effort",
 }
-_SECONDS_PER_UNIT = {"": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+SECONDS_PER_UNIT = {"": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 COUNTED_TIME = "counted_time"
 
 
@@ -233,7 +233,14 @@ def with_time(table: Mapping[str, np.ndarray], rate: float) -> dict[str, np.ndar
     return {COUNTED_TIME: np.arange(rows) / rate, **table}
 
 
-def _find_time_column(table: Mapping[str, np.ndarray]) -> str:
+def find_time_column(table: Mapping[str, np.ndarray]) -> str:
+    """Return the name of the column of times.
+
+    Raises
+    ------
+    InputError
+        No column increases as a time does.
+    """
     named = [name for name in table if set(split_words(name)) & set(_TIME_WORDS)]
     # Columns that rise in every row without restart take precedence over repeated stamps.
     for steady in (True, False):
@@ -269,12 +276,13 @@ def _median_step(stamps: np.ndarray) -> float:
     return float(np.median(steps[steps > 0.0]))
 
 
-def _guess_time_unit(values: np.ndarray, name: str) -> tuple[str, str]:
+def guess_time_unit(values: np.ndarray, name: str) -> tuple[str, str]:
+    """Return the unit of times by their name, else by their steps, with the reason."""
     stated = stated_unit(name)
     step = _median_step(values)
     if stated in ("ms", "us", "ns"):
         return stated, f"time: {name}, in {stated} by its name"
-    for unit, factor in _SECONDS_PER_UNIT.items():
+    for unit, factor in SECONDS_PER_UNIT.items():
         if 1e-4 <= step * factor <= 0.25:
             return unit, f"time: {name}, in {unit or 's'} by its steps of {step:g}"
     return "", f"time: {name}, taken as s; its steps of {step:g} are unusual: check"
@@ -297,7 +305,7 @@ def _guess_unit(
         return unit, f"in {unit or 'SI'} by their names{told}"
     values = _column_values(table, names)
     if kind in ("position", "link_position") and not robot.prismatic.any():
-        unit, why = _guess_angle_unit(values, robot)
+        unit, why = guess_angle_unit(values, robot)
         return (
             _guess_mixed_units(kind, columns, table, seconds, why) if unit == "deg" else (unit, why)
         )
@@ -401,7 +409,8 @@ def _guess_mixed_units(
     )
 
 
-def _guess_angle_unit(values: np.ndarray, robot: Robot) -> tuple[str, str]:
+def guess_angle_unit(values: np.ndarray, robot: Robot) -> tuple[str, str]:
+    """Return the unit of joint angles (K, n) by their reach, with the reason."""
     most = _largest_magnitude(values)
     low, high = robot.position_lower, robot.position_upper
     finite = np.isfinite(high - low) & (np.arange(robot.n) < values.shape[1])

@@ -6,10 +6,10 @@ from small_arms import write_robot
 
 from stiffopt.errors import InputError, ProblemError
 from stiffopt.problem.files import load_problem
-from stiffopt.problem.tool_path import ToolPath, ToolSegment, joint_waypoints
-from stiffopt.result.joint_path import JointPath
+from stiffopt.problem.tool_path import ToolPath, ToolSegment, fit_tool_path, spline_segments
 from stiffopt.robot.files import load_robot
 from stiffopt.robot.frames import rotation_from_rpy
+from stiffopt.solver.timed_path import timed_motion
 
 ORIGIN, X, Y = np.zeros(3), np.array([1.0, 0, 0]), np.array([0, 1.0, 0])
 FRAME = np.eye(3)
@@ -22,7 +22,9 @@ def test_line_segment_is_straight():
     assert path.length == pytest.approx(2.0, rel=1e-12)
     positions, rotations = path.poses(np.array([0.0, 0.5, 2.0]))
     np.testing.assert_allclose(positions, [[0, 0, 0], [0.5, 0, 0], [2, 0, 0]], atol=1e-12)
-    np.testing.assert_allclose(rotations[1], rotation_from_rpy([0, 0, 0.25]), atol=1e-9)
+    # A quarter of the way is 10/64 - 15/256 + 6/1024 of the turn.
+    turned = 10 / 64 - 15 / 256 + 6 / 1024
+    np.testing.assert_allclose(rotations[1], rotation_from_rpy([0, 0, turned]), atol=1e-9)
 
 
 @pytest.mark.parametrize(("side", "angle"), [(1.0, 0.5), (-1.0, 1.5)])
@@ -36,21 +38,55 @@ def test_arc_passes_its_intermediate_point(side, angle):
     assert np.linalg.norm(points - through, axis=1).min() < 0.06
 
 
-def test_corners_are_blended_by_a_parabola():
+def test_corners_are_blended_with_continuous_curvature():
     corner = [ToolSegment(end=X, blend=0.2), ToolSegment(end=X + Y)]
     path = ToolPath(ORIGIN, FRAME, corner)
-    points, _ = path.poses(np.linspace(0, path.length, 4001))
-    # The parabola with both tangents through the corner: sqrt(1 - x) + sqrt(y) = sqrt(0.2).
-    bend = points[(points[:, 0] > 0.8001) & (points[:, 1] < 0.1999)]
-    value = np.sqrt(np.maximum(1 - bend[:, 0], 0)) + np.sqrt(bend[:, 1])
-    np.testing.assert_allclose(value, np.sqrt(0.2), atol=3e-3)
-    steps = np.diff(points, axis=0)
-    turn = np.linalg.norm(np.diff(steps / np.linalg.norm(steps, axis=1)[:, None], axis=0), axis=1)
-    assert turn.max() < 0.05
+    step = path.length / 8000
+    points, _ = path.poses(np.linspace(0, path.length, 8001))
+    inside = (points[:, 0] > 0.8) & (points[:, 1] < 0.2)
+    assert np.linalg.norm(points[inside] - X, axis=1).min() == pytest.approx(0.066, abs=0.02)
+    outside = points[~inside]
+    assert np.minimum(np.abs(outside[:, 1]), np.abs(outside[:, 0] - 1.0)).max() < 1e-12
+    curvature = np.linalg.norm(np.diff(points, 2, axis=0), axis=1) / step**2
+    assert np.abs(np.diff(curvature)).max() < 0.02 * curvature.max()
     with pytest.raises(ProblemError, match=r"segment\[1\]: the tool turns by 90 deg"):
         ToolPath(ORIGIN, FRAME, [ToolSegment(end=X), ToolSegment(end=X + Y)])
     with pytest.raises(ProblemError, match="its blends take"):
         ToolPath(ORIGIN, FRAME, [ToolSegment(end=X, blend=1.2), ToolSegment(end=X + Y)])
+
+
+def test_blend_between_a_line_and_an_arc_matches_the_curvature_of_both():
+    arc = ToolSegment(end=X + 2 * Y, through=2 * X + Y)
+    path = ToolPath(ORIGIN, FRAME, [ToolSegment(end=X, blend=0.1), arc])
+    step = path.length / 8000
+    points, _ = path.poses(np.linspace(0, path.length, 8001))
+    curvature = np.linalg.norm(np.diff(points, 2, axis=0), axis=1) / step**2
+    assert curvature[0] < 1e-3
+    assert curvature[-1] == pytest.approx(1.0, rel=1e-3)
+    assert np.abs(np.diff(curvature)).max() < 0.02 * curvature.max()
+
+
+def test_stops_may_be_corners_and_divide_the_path():
+    path = ToolPath(ORIGIN, FRAME, [ToolSegment(end=X, stop=True, dwell=0.3), ToolSegment(end=Y)])
+    assert path.stops == pytest.approx([1.0])
+    assert path.dwells == pytest.approx([0.3])
+    assert path.parts() == [(0.0, pytest.approx(1.0)), (pytest.approx(1.0), path.length)]
+
+
+def test_splines_pass_their_points_and_change_speed_without_a_bend():
+    points = np.array([ORIGIN, X + 0.3 * Y, 2 * X, 3 * X + 0.2 * Y, 4 * X])
+    speeds = np.array([1.0, 1.0, 1.0, 0.5, 0.5])
+    segments = spline_segments(points, None, speeds, np.zeros(5, dtype=bool), "p.csv, row ")
+    path = ToolPath(points[0], FRAME, segments)
+    assert path.speeds.tolist() == [1.0, 0.5]
+    found, _ = path.poses(np.linspace(0, path.length, 20001))
+    for point in points:
+        assert np.linalg.norm(found - point, axis=1).min() < 2e-4
+    bend = np.linalg.norm(np.diff(found, 2, axis=0), axis=1) / (path.length / 20000) ** 2
+    assert np.abs(np.diff(bend)).max() < 0.02 * bend.max()
+    again = np.insert(points, 2, points[1], axis=0)
+    with pytest.raises(ProblemError, match=r"p\.csv, row 3 repeats the point before"):
+        spline_segments(again, None, np.ones(6), np.zeros(6, dtype=bool), "p.csv, row ")
 
 
 def test_tangential_segments_need_no_blend():
@@ -85,16 +121,41 @@ def test_joint_spline_follows_the_path_within_the_tolerance():
     )
     counts = []
     for tolerance in (1e-3, 2e-5):
-        waypoints, error = joint_waypoints(arm, path, np.zeros(6), tolerance)
-        counts.append(len(waypoints))
-        assert error <= tolerance
+        fitted = fit_tool_path(arm, path, np.zeros(6), tolerance)
+        counts.append(len(fitted.joints.knots))
+        assert fitted.error <= tolerance
         s = np.linspace(0, 1, 301)
-        found = [arm.rigid_bodies().pose(arm.tool, q)[0] for q in JointPath.through(waypoints)(s)]
+        found = [arm.rigid_bodies().pose(arm.tool, q)[0] for q in fitted.joints(s)]
         wanted = path.poses(s * path.length)[0]
         assert np.linalg.norm(found - wanted, axis=1).max() <= 1.2 * tolerance
     assert counts[1] > counts[0]
     with pytest.raises(ProblemError, match="from its start"):
-        joint_waypoints(arm, ToolPath(start, down, [ToolSegment(end=5 * X)]), np.zeros(6), 1e-4)
+        fit_tool_path(arm, ToolPath(start, down, [ToolSegment(end=5 * X)]), np.zeros(6), 1e-4)
+
+
+def test_knots_gather_in_small_blends_and_keep_off_the_lines():
+    arm = load_robot("er3a_c60")
+    start, down = np.array([0.32, -0.1, 0.2]), rotation_from_rpy([np.pi, 0, 0])
+    corners = [start + np.array([0.06, 0, 0]), start + np.array([0.06, 0.2, 0])]
+    segments = [ToolSegment(end=end, blend=1e-4) for end in corners]
+    path = ToolPath(start, down, segments)
+    fitted = fit_tool_path(arm, path, np.zeros(6), 5e-5)
+    assert fitted.error <= 0.05 * 1e-4
+    along = fitted.joints.knots * path.length
+    in_blend = (along >= path.breaks[1]) & (along <= path.breaks[2])
+    assert in_blend.sum() >= 4
+    assert len(along) < 80
+
+
+def test_singular_pose_on_a_path_is_told_with_its_place():
+    arm = load_robot("er3a_c60")
+    # The wrist is straight where the tool points along the forearm.
+    bodies = arm.rigid_bodies()
+    place, turned = bodies.pose(arm.tool, np.array([0.0, 0.3, 0.2, 0.0, 0.0, 0.0]))
+    side = place + np.array([0.0, 0.1, 0.0])
+    path = ToolPath(side, turned, [ToolSegment(end=place - np.array([0.0, 0.1, 0.0]))])
+    with pytest.raises(ProblemError, match=r"path, 0\.\d+ m from its start: .*singular"):
+        fit_tool_path(arm, path, np.array([0.2, 0.3, 0.2, 0.5, 0.3, -0.5]), 5e-5)
 
 
 PROBLEM = """schema = 1
@@ -157,7 +218,7 @@ def test_tool_speed_is_constant_between_the_ends(tmp_path):
 
 def test_a_path_is_read_as_waypoints_and_a_speed(tmp_path):
     problem = write(tmp_path)
-    assert problem.path.shape[1] == 6
+    assert problem.path.joints == 6
     assert problem.active_limits.tool_speed == 0.2
     (remark,) = problem.remarks
     assert "joint waypoints" in remark
@@ -176,6 +237,75 @@ def test_invalid_paths_are_refused(tmp_path, old, new, words):
     text = PROBLEM.replace(old, new, 1)
     with pytest.raises(InputError, match=words):
         write(tmp_path, text)
+
+
+TABLE = """schema = 1
+kind = "trajectory"
+robot = "er3a_c60"
+
+[motion]
+duration = { lower = "0.3 s" }
+
+[path]
+frame = { position = ["350 mm", 0, "200 mm"], rpy = [0, 0, "90 deg"] }
+near = [0, 0, 0, 0, 0.5, 0]
+
+[path.table]
+file = "points.csv"
+length = "mm"
+angle = "deg"
+
+[[minimise]]
+objective = "duration"
+"""
+
+
+def write_table(tmp_path, rows, head="x,y,z,rx,ry,rz,speed,label"):
+    (tmp_path / "points.csv").write_text("\n".join([head, *rows]) + "\n")
+    return write(tmp_path, TABLE)
+
+
+def test_path_of_a_table_stands_in_its_work_frame(tmp_path):
+    rows = [f"{x},{20 * np.sin(0.05 * x)},0,180,0,-90,0.{1 + (x > 0)},p" for x in range(-80, 81, 8)]
+    problem = write_table(tmp_path, rows)
+    ends = [
+        problem.robot.rigid_bodies().pose(problem.robot.tool, q)[0] for q in problem.path.points
+    ]
+    # x of the frame is y of the base, and y its negative x.
+    np.testing.assert_allclose(ends[0], [0.35 - 0.02 * np.sin(-4.0), -0.08, 0.2], atol=1e-6)
+    np.testing.assert_allclose(ends[-1][1], 0.08, atol=1e-6)
+    assert set(problem.path.speeds) == {0.1, 0.2}
+
+
+@pytest.mark.parametrize(
+    ("row", "words"),
+    [
+        ("8,0,0,180,0,-90,0.1,a", "points.csv, row 3 repeats the point before"),
+        ("16,0,0,180,0,-90,-0.1,a", "row 3, speed"),
+        ("16,0,,180,0,-90,0.1,a", "row 3, z"),
+        ("9000,0,0,180,0,-90,0.1,a", "from its start"),
+    ],
+)
+def test_faults_of_a_table_are_told_with_their_row(tmp_path, row, words):
+    rows = ["0,0,0,180,0,-90,0.1,a", "8,0,0,180,0,-90,0.1,a", row, "24,0,0,180,0,-90,0.1,a"]
+    with pytest.raises(InputError, match=words):
+        write_table(tmp_path, rows)
+
+
+def test_motion_rests_at_stops_and_keeps_the_speeds_of_its_segments(tmp_path):
+    text = PROBLEM.replace('blend = "30 mm"', 'stop = true\ndwell = "0.2 s"\nspeed = "0.1 m/s"')
+    text = text.replace('[limits]\njerk = "none"\n', "")
+    problem = write(tmp_path, text)
+    found = timed_motion(problem)
+    motion = found.assessment
+    resting = np.abs(motion.velocity).max(axis=1) < 1e-6
+    inner = resting & (motion.time > 0.1) & (motion.time < motion.duration - 0.1)
+    assert np.ptp(motion.time[inner]) == pytest.approx(0.2, abs=0.02)
+    np.testing.assert_allclose(motion.tool[inner], [[0.35, 0.0, 0.25]] * inner.sum(), atol=1e-5)
+    before = motion.time < motion.time[inner][0]
+    assert motion.tool_speed[before].max() == pytest.approx(0.1, rel=5e-3)
+    assert motion.tool_speed[~before].max() == pytest.approx(0.2, rel=5e-3)
+    assert np.max(np.abs(motion.jerk) / problem.active_limits.jerk) <= 1.005
 
 
 def test_motion_without_end_is_refused(tmp_path):

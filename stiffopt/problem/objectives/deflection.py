@@ -17,7 +17,6 @@ from stiffopt.problem.stage_terms import (
     StaticVariable,
     squared_length,
 )
-from stiffopt.result.joint_path import JointPath
 
 if TYPE_CHECKING:
     from stiffopt.problem.stage_model import StageModel
@@ -147,7 +146,7 @@ def _sample_poses(problem: TrajectoryProblem, motion: ResolvedMotion) -> np.ndar
     if problem.path is None:
         others = poses_within_limits(problem)
     else:
-        others = JointPath.through(problem.path)(np.linspace(0.0, 1.0, 21))
+        others = problem.path(np.linspace(0.0, 1.0, 21))
     return np.vstack([motion.points, others])
 
 

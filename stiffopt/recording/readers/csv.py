@@ -62,7 +62,7 @@ def read_tables(path: Path) -> dict[str, Table]:
     text = text_table.decode_text(read_bytes(path, MAX_BYTES))
     if re.match(r"\s*(\{|\[\s*[{\[])", text):
         return {"": json_log.read_text_table(text, path)}
-    if topic_echo.is_topic_echo(text):
+    if topic_echo.is_topic_echo(text) or topic_echo.is_joint_trajectory(text):
         return {"": topic_echo.read_text_table(text, path)}
     return {"": text_table.read_text_table(text, path)}
 

@@ -17,6 +17,10 @@ from stiffopt.recording.readers.columns import (
     flatten_mapping,
     unnamed_columns,
 )
+from stiffopt.recording.readers.joint_trajectory import (
+    columns_of_trajectory,
+    find_joint_trajectory,
+)
 
 
 def read_tables(path: Path) -> dict[str, Table]:
@@ -57,6 +61,9 @@ def _invalid_json(path: Path, error: json.JSONDecodeError, line: int) -> InputFi
 
 
 def _columns_of_document(document: Any, path: Path) -> Table:
+    planned = find_joint_trajectory(document)
+    if planned is not None:
+        return columns_of_trajectory(planned, path)
     if isinstance(document, Mapping):
         leaves = dict(flatten_mapping(_arrays_of_data_frame(document)))
         records: list[list[Any]] = [each for each in leaves.values() if _is_records(each)]

@@ -8,9 +8,15 @@ from pathlib import Path
 from typing import Any
 
 from stiffopt.recording.readers.columns import Table, columns_of_records
+from stiffopt.recording.readers.joint_trajectory import (
+    columns_of_trajectory,
+    find_joint_trajectory,
+)
 
 _MESSAGE_SEPARATOR = "---"
 _ARRAY_PATTERN = re.compile(r"(?:array\('\w', *)?\[(.*)\]\)?$")
+_MAPPING_PATTERN = re.compile(r"\{([^{}\[\]]*)\}$")
+_TRAJECTORY_FIELDS = ("joint_names", "points")
 _FIELD_PATTERN = re.compile(r"^\s*(- )?[A-Za-z_]\w*:(\s|$)")
 
 
@@ -26,8 +32,17 @@ def is_topic_echo(text: str) -> bool:
     )
 
 
+def is_joint_trajectory(text: str) -> bool:
+    """Return True for text with the fields of a joint trajectory in lines of their own."""
+    return all(re.search(rf"^\s*{field}:", text, re.MULTILINE) for field in _TRAJECTORY_FIELDS)
+
+
 def read_text_table(text: str, path: Path) -> Table:
     """Return the columns of the messages, such as "position[elbow]"."""
+    if is_joint_trajectory(text):
+        planned = find_joint_trajectory(next(_iterate_messages(text), None))
+        if planned is not None:
+            return columns_of_trajectory(planned, path)
     return columns_of_records(_iterate_messages(text), path)
 
 
@@ -41,10 +56,20 @@ def _iterate_messages(text: str) -> Iterator[Any]:
             lines, complete = [], True
         elif line.strip() and not line.lstrip().startswith("#"):
             body = line.lstrip(" ")
-            lines.append((len(line) - len(body), body.rstrip()))
+            if lines and _is_open(lines[-1][1]):
+                # A list over several lines.
+                lines[-1] = lines[-1][0], f"{lines[-1][1]} {body.rstrip()}"
+            else:
+                lines.append((len(line) - len(body), body.rstrip()))
     if lines and not complete:
         yield _parse_block(lines, 0, lines[0][0])[0]
     # Whatever follows the last separator may have been cut off.
+
+
+def _is_open(body: str) -> bool:
+    """Return True for a line whose list or mapping goes on in the next one."""
+    begun = max(body.rfind("["), body.rfind("{"))
+    return begun > max(body.rfind("]"), body.rfind("}"))
 
 
 def _parse_block(lines: Sequence[tuple[int, str]], at: int, indent: int) -> tuple[Any, int]:
@@ -95,6 +120,10 @@ def _parse_scalar(text: str) -> Any:
     listed = _ARRAY_PATTERN.match(text)
     if listed is not None:
         return [_parse_scalar(each.strip()) for each in listed[1].split(",") if each.strip()]
+    mapped = _MAPPING_PATTERN.match(text)
+    if mapped is not None:
+        pairs = (each.partition(":") for each in mapped[1].split(",") if ":" in each)
+        return {key.strip(): _parse_scalar(value.strip()) for key, _, value in pairs}
     bare = text.strip("'\"")
     try:
         return float(bare.lstrip(".")) if bare in (".nan", ".inf") else float(bare)

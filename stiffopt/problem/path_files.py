@@ -1,0 +1,191 @@
+"""Tool paths of problem files: segments, and tables of poses."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from stiffopt.errors import InputFileError
+from stiffopt.files import read_table
+from stiffopt.problem.path_force import PathForce, check_path_force, path_force
+from stiffopt.problem.schema import PathSection, PathTableSection, SegmentSection
+from stiffopt.problem.tool_path import ToolPath, ToolSegment, fit_tool_path, spline_segments
+from stiffopt.result.joint_path import JointPath
+from stiffopt.robot.elements import locate_errors
+from stiffopt.robot.frames import rotation_from_rpy
+
+if TYPE_CHECKING:
+    from stiffopt.problem.joint_lists import JointLists
+
+_FORCE = ("fx", "fy", "fz")
+_PLACE, _ANGLES, _QUATERNION = ("x", "y", "z"), ("rx", "ry", "rz"), ("qx", "qy", "qz", "qw")
+_METRES = {"m": 1.0, "mm": 1e-3}
+# Share of the shorter neighbour that a blend between rows of a table takes at most.
+_MAX_BLEND_SHARE = 0.45
+
+
+@dataclass(frozen=True, eq=False)
+class ReadPath:
+    """Joint path of a file, the force along it, and remarks."""
+
+    joints: JointPath
+    force: PathForce | None
+    remarks: tuple[str, ...]
+
+
+def read_tool_path(section: PathSection, joints: JointLists) -> ReadPath:
+    """Return the joint path of a tool path, with its error as a remark."""
+    robot = joints.robot
+    limits = np.stack([robot.position_lower, robot.position_upper])
+    near = np.where(np.isfinite(limits).all(axis=0), limits.mean(axis=0), 0.0)
+    stated = section.near if section.start is None else section.start.near or section.near
+    if stated is not None:
+        near = joints(stated, "angle", "path.near")
+    with locate_errors(joints.path, ""):
+        frame = rotation_from_rpy(section.frame.rpy), np.array(section.frame.position)
+        if section.table is not None:
+            path, forces, at = _table_path(section.table, section, joints.path, frame)
+        else:
+            path, forces, at = _segment_path(section, frame)
+        fitted = fit_tool_path(robot, path, near, section.tolerance)
+        force = None
+        if section.force is not None:
+            stated = section.force
+            feeds = np.where(np.isfinite(path.speeds), path.speeds, 0.0)
+            force = path_force(
+                path, forces, at, np.array(stated.per_feed), stated.frame, stated.ramp
+            )
+            check_path_force(robot, fitted.joints, force, float(feeds.max()))
+    stops = f", with {len(path.stops)} stops" if len(path.stops) else ""
+    remark = (
+        f"The tool's path of {1e3 * path.length:.4g} mm{stops} is followed by a spline through "
+        f"{len(fitted.joints.knots)} joint waypoints, within {1e6 * fitted.error:.2g} µm."
+    )
+    return ReadPath(fitted.joints, force, (remark,))
+
+
+Frame = tuple[np.ndarray, np.ndarray]
+
+
+# A path with its forces (m, 3) [N] on pieces or at places, and the distances (m + 1,) or (m,) [m].
+ForcedPath = tuple[ToolPath, np.ndarray, np.ndarray]
+
+
+def _segment_path(section: PathSection, frame: Frame) -> ForcedPath:
+    assert section.start is not None
+    turn, origin = frame
+    rotation = turn @ rotation_from_rpy(section.start.rpy)
+    start = origin + turn @ np.array(section.start.position)
+    segments: list[ToolSegment] = []
+    at = start
+    for number, each in enumerate(section.segment, start=1):
+        segment = _segment(each, section, frame, at, number)
+        segments.append(segment)
+        at = segment.end
+    path = ToolPath(start, rotation, segments)
+    usual = (0.0, 0.0, 0.0) if section.force is None else section.force.value
+    forces = [usual if each.force is None else each.force for each in section.segment]
+    return path, np.array(forces), path.segment_ends
+
+
+def _segment(
+    each: SegmentSection, section: PathSection, frame: Frame, start: np.ndarray, number: int
+) -> ToolSegment:
+    turn, origin = frame
+    where = f"path.segment[{number}]" + (f" ({each.label})" if each.label else "")
+    speeds = [speed for speed in (each.speed, section.speed) if speed is not None]
+    speed = min(speeds, default=np.inf)
+    end = origin + turn @ np.array(each.to.position)
+    curve = None
+    if each.via:
+        via = origin + np.array(each.via) @ turn.T
+        points = np.vstack([start, via, end])
+        none = np.zeros(len(points), dtype=bool)
+        (spline,) = spline_segments(
+            points, None, np.full(len(points), speed), none, f"{where}, point "
+        )
+        curve = spline.curve
+    return ToolSegment(
+        end=end,
+        rotation=None if each.to.rpy is None else turn @ rotation_from_rpy(each.to.rpy),
+        through=None if each.through is None else origin + turn @ np.array(each.through),
+        blend=each.blend,
+        curve=curve,
+        speed=speed,
+        stop=each.stop,
+        dwell=each.dwell,
+        where=where,
+    )
+
+
+def _table_path(
+    table: PathTableSection, section: PathSection, problem: Path, frame: Frame
+) -> ForcedPath:
+    file = problem.parent / table.file
+    read = read_table(file, _PLACE, (*_ANGLES, *_QUATERNION, *_FORCE, "speed", "stop"))
+    turn, origin = frame
+    count = len(read["x"])
+    places = _METRES[table.length] * np.stack([read[name] for name in _PLACE], axis=1)
+    points = origin + places @ turn.T
+    rotations = turn @ _table_rotations(table, read, file, count)
+    speeds = np.array(read.get("speed", [np.inf] * count))
+    for row in np.flatnonzero(~(speeds > 0.0)):
+        raise InputFileError(file, f"row {row + 1}, speed", f"{speeds[row]:g} m/s must be above 0.")
+    if section.speed is not None:
+        speeds = np.minimum(speeds, section.speed)
+    stops = np.array(read.get("stop", [0.0] * count)) != 0.0
+    where = f"{table.file}, row "
+    turning = bool(np.ptp(rotations, axis=0).max() > 1e-9)
+    usual = (0.0, 0.0, 0.0) if section.force is None else section.force.value
+    forces = np.repeat(np.array([usual]), count, axis=0)
+    if all(name in read for name in _FORCE):
+        forces = np.stack([read[name] for name in _FORCE], axis=1)
+    if table.interpolation == "spline":
+        segments = spline_segments(points, rotations if turning else None, speeds, stops, where)
+        path = ToolPath(points[0], rotations[0], segments)
+        chords = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+        return path, forces, chords * (path.length / chords[-1])
+    steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    room = _MAX_BLEND_SHARE * np.minimum(steps, np.append(steps[1:], np.inf))
+    segments = [
+        ToolSegment(
+            end=points[k],
+            rotation=rotations[k],
+            blend=0.0 if stops[k] else float(min(table.blend, room[k - 1])),
+            speed=float(speeds[k]),
+            stop=bool(stops[k]) and k < count - 1,
+            where=f"{where}{k + 1}",
+        )
+        for k in range(1, count)
+    ]
+    path = ToolPath(points[0], rotations[0], segments)
+    return path, forces[1:], path.segment_ends
+
+
+def _table_rotations(
+    table: PathTableSection, read: dict[str, list[float]], file: Path, count: int
+) -> np.ndarray:
+    """Return the orientations (m, 3, 3) of a table's rows, in the work frame."""
+    if all(name in read for name in _QUATERNION):
+        turns = np.stack([read[name] for name in _QUATERNION], axis=1)
+        sizes = np.linalg.norm(turns, axis=1)
+        for row in np.flatnonzero(np.abs(sizes - 1.0) > 1e-2):
+            raise InputFileError(
+                file, f"row {row + 1}", f"its quaternion has the norm {sizes[row]:.4g}; that of a "
+                "rotation is 1. Columns are qw, qx, qy, qz."
+            )  # fmt: skip
+        return np.asarray(Rotation.from_quat(turns).as_matrix())
+    if all(name in read for name in _ANGLES):
+        angles = np.stack([read[name] for name in _ANGLES], axis=1)
+        degrees = table.angle == "deg"
+        return np.asarray(Rotation.from_euler("xyz", angles, degrees=degrees).as_matrix())
+    if table.rpy is None:
+        raise InputFileError(
+            file, "", "has no orientations: add the columns rx, ry, rz or qw, qx, qy, qz, or give "
+            "path.table.rpy for all rows."
+        )  # fmt: skip
+    return np.repeat(rotation_from_rpy(table.rpy)[None], count, axis=0)

@@ -1,0 +1,151 @@
+"""Process force along a tool path: constant, by segment, proportional to the feed, from a table.
+
+In base axes, those of the tool, or of the path: x along the feed, z the tool's z axis turned
+perpendicular to it, y the right-handed third.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+from scipy.interpolate import PchipInterpolator
+
+from stiffopt.errors import ProblemError
+
+if TYPE_CHECKING:
+    from stiffopt.problem.tool_path import ToolPath
+    from stiffopt.result.joint_path import JointPath
+    from stiffopt.robot.robot import Robot
+
+ForceFrame = Literal["base", "tool", "path"]
+# Force [N] over which an entry is taken for one in another unit: N for kN gives a thousandth.
+_LEAST_PLAUSIBLE_FORCE = 0.05
+# Torque of a force over a joint's limit from which the force is wrong by its unit or frame.
+_MAX_TORQUE_SHARE = 1.0
+_FORCE_SAMPLES = 2001
+
+
+@dataclass(frozen=True, eq=False)
+class PathForce:
+    """Force on the tool along a joint path, base axes.
+
+    Parameters
+    ----------
+    place : array (K,)
+        Path parameters from 0 to 1.
+    constant, per_feed : array (K, 3)
+        [N], and [N/(m/s)] times the tool speed.
+    axes : array (K, 3, 3)
+        Axes of the path as columns: feed, side, tool axis.
+    """
+
+    place: np.ndarray
+    constant: np.ndarray
+    per_feed: np.ndarray
+    axes: np.ndarray
+
+    def __call__(self, s: np.ndarray, feed: np.ndarray | float = 0.0) -> np.ndarray:
+        """Return the force (K, 3) [N] at path parameters (K,) and tool speeds (K,) [m/s]."""
+        parts = [
+            np.stack([np.interp(s, self.place, column) for column in values.T], axis=1)
+            for values in (self.constant, self.per_feed)
+        ]
+        return np.asarray(parts[0] + np.asarray(feed)[..., None] * parts[1])
+
+    def axes_at(self, s: np.ndarray) -> np.ndarray:
+        """Axes of the path (K, 3, 3) at path parameters (K,)."""
+        nearest = np.clip(np.searchsorted(self.place, s), 0, len(self.place) - 1)
+        return np.asarray(self.axes[nearest])
+
+
+def path_force(
+    path: ToolPath,
+    values: np.ndarray,
+    at: np.ndarray,
+    per_feed: np.ndarray,
+    frame: ForceFrame,
+    ramp: float,
+) -> PathForce:
+    """Return the force of a tool path.
+
+    Parameters
+    ----------
+    path : ToolPath
+    values : array (m, 3) [N]
+        Constant parts.
+    at : array (m + 1,) or (m,) [m]
+        Distances that bound pieces of constant force, or those at which the values hold.
+    per_feed : array (3,) [N/(m/s)]
+    frame : "base", "tool" or "path"
+        Of all of them.
+    ramp : float
+        Length over which the force changes from one piece to the next [m].
+    """
+    along = np.linspace(0.0, path.length, max(_FORCE_SAMPLES, int(path.length / 2e-4)))
+    if len(at) == len(values) + 1:
+        constant = _stepped(along, values, at, ramp)
+    else:
+        constant = PchipInterpolator(at, values)(along)
+    places, rotations = path.poses(along)
+    axes = _path_axes(places, rotations)
+    turned = {"base": None, "tool": rotations, "path": axes}[frame]
+    proportional = np.repeat(per_feed[None], len(along), axis=0)
+    if turned is not None:
+        constant, proportional = (
+            np.einsum("kij,kj->ki", turned, each) for each in (constant, proportional)
+        )
+    return PathForce(along / path.length, constant, proportional, axes)
+
+
+def _stepped(along: np.ndarray, values: np.ndarray, at: np.ndarray, ramp: float) -> np.ndarray:
+    """Return values of pieces, smoothed over the ramp about where they meet."""
+    found = np.repeat(values[:1], len(along), axis=0).astype(float)
+    for k in range(1, len(values)):
+        share = np.clip((along - at[k]) / ramp + 0.5, 0.0, 1.0)
+        eased = share**3 * (10.0 - 15.0 * share + 6.0 * share**2)
+        found += eased[:, None] * (values[k] - values[k - 1])
+    return found
+
+
+def _path_axes(places: np.ndarray, rotations: np.ndarray) -> np.ndarray:
+    feed = np.gradient(places, axis=0)
+    size = np.linalg.norm(feed, axis=1)
+    feed /= np.where(size > 0.0, size, 1.0)[:, None]
+    tool = rotations[:, :, 2] - np.sum(rotations[:, :, 2] * feed, axis=1)[:, None] * feed
+    length = np.linalg.norm(tool, axis=1)
+    for k in np.flatnonzero(length < 1e-3):
+        raise ProblemError(
+            f"path.force: at {1e3 * np.linalg.norm(places[k] - places[0]):.4g} mm from its start "
+            "the tool's z axis lies along the feed, so that the path has no side. Give the force "
+            "in the frame base or tool, or correct the orientation."
+        )
+    tool /= length[:, None]
+    return np.stack([feed, np.cross(tool, feed), tool], axis=2)
+
+
+def check_path_force(robot: Robot, joints: JointPath, force: PathForce, feed: float) -> None:
+    """Raise `ProblemError` for a force of implausible size, which names the place and the joint.
+
+    Wrong by a factor of 1000 (kN for N), or in a frame in which the arm cannot bear it.
+    """
+    s = force.place[:: max(1, len(force.place) // 200)]
+    forces = force(s, np.full(len(s), feed))
+    size = np.linalg.norm(forces, axis=1)
+    if size.max() < _LEAST_PLAUSIBLE_FORCE and size.max() > 0.0:
+        raise ProblemError(
+            f"path.force: the largest force on the path is {size.max():.3g} N, which moves no "
+            "tool. Bare numbers are in N: was kN meant? Then write texts such as '0.1 kN'."
+        )
+    limits = np.where(np.isfinite(robot.torque_max), robot.torque_max, np.inf)
+    bodies = robot.rigid_bodies()
+    for place, q, own in zip(s, joints(s), forces, strict=True):
+        torque = np.abs(bodies.jacobian(robot.tool, q)[:3].T @ own) / limits
+        j = int(np.argmax(torque))
+        if torque[j] > _MAX_TORQUE_SHARE:
+            raise ProblemError(
+                f"path.force: {np.linalg.norm(own):.4g} N at {100.0 * place:.3g} % of the path "
+                f"alone takes {torque[j]:.3g} times the torque limit of {robot.joint_names[j]}. "
+                "Check its unit (bare numbers are in N) and its frame (base, tool or path)."
+            )

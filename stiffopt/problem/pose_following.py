@@ -1,0 +1,124 @@
+"""Joint positions along a path of tool poses, in one posture from start to end."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from stiffopt.dynamics.inverse_kinematics import solve_pose
+from stiffopt.errors import ProblemError
+from stiffopt.robot.batched_kinematics import frame_positions, frame_rotations
+
+if TYPE_CHECKING:
+    from stiffopt.robot.robot import Robot
+
+# Longest step along the path [m], least and largest number of steps, and steps within each piece.
+_LONGEST_STEP, _MIN_STEPS, _MAX_STEPS, _STEPS_PER_PIECE = 5e-3, 400, 4000, 4
+# Larger joint steps between neighbouring poses are a change of posture [rad].
+_MAX_JOINT_STEP = 0.6
+# Least ratio of the singular values of the Jacobian, its rotations times a length [m/rad]: below,
+# the joints turn faster than the tool by more than its inverse.
+_MIN_CONDITION, _LENGTH_PER_RADIAN = 2e-3, 0.3
+# Iterations with the Jacobian of the nearest step, and the error [m] at which they end.
+_MAX_ITERATIONS, _CONVERGED = 25, 1e-11
+
+Poses = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
+
+
+class PoseFollower:
+    """Inverse kinematics at any distance along a path, close to poses solved step by step.
+
+    Parameters
+    ----------
+    robot : Robot
+    poses : callable
+        Positions (K, 3) [m] and rotations (K, 3, 3) at distances (K,) [m].
+    breaks : array (m,)
+        Distances at which pieces of the path meet, 0 and its length among them [m].
+    near : array (n,)
+        Selects the solution at the start [rad].
+
+    Raises
+    ------
+    ProblemError
+        A pose is out of reach, or the path passes a singular pose; with the place.
+    """
+
+    def __init__(self, robot: Robot, poses: Poses, breaks: np.ndarray, near: np.ndarray) -> None:
+        self._robot, self._poses = robot, poses
+        shares = np.arange(_STEPS_PER_PIECE) / _STEPS_PER_PIECE
+        inside = (breaks[:-1, None] + np.diff(breaks)[:, None] * shares).ravel()
+        steps = int(np.clip(breaks[-1] / _LONGEST_STEP, _MIN_STEPS, _MAX_STEPS))
+        self._along = np.union1d(inside, np.linspace(0.0, breaks[-1], steps + 1))
+        positions, rotations = poses(self._along)
+        found: list[np.ndarray] = []
+        inverses = []
+        bodies = robot.rigid_bodies()
+        for place, position, rotation in zip(self._along, positions, rotations, strict=True):
+            before = found[-1] if found else near
+            # No restarts after the first pose: they could change the posture.
+            restarts = 0 if found else 60
+            try:
+                q = np.asarray(solve_pose(robot, position, rotation, before, restarts=restarts))
+            except ProblemError as error:
+                raise ProblemError(f"path, {place:.3f} m from its start: {error}") from error
+            jacobian = bodies.jacobian(robot.tool, q)
+            jacobian[3:] *= _LENGTH_PER_RADIAN
+            self._check_step(place, q, before if found else q, jacobian)
+            found.append(q)
+            inverses.append(np.linalg.pinv(jacobian))
+        self._joints, self._inverses = np.stack(found), np.stack(inverses)
+
+    def _check_step(
+        self, place: float, q: np.ndarray, before: np.ndarray, jacobian: np.ndarray
+    ) -> None:
+        step = np.abs(q - before)
+        j = int(np.argmax(step))
+        if step[j] > _MAX_JOINT_STEP:
+            raise ProblemError(
+                f"path, {place:.3f} m from its start: joint {j + 1} would turn by "
+                f"{np.degrees(step[j]):.0f} deg in one step, through a singular pose. Choose "
+                "another posture by path.start.near, or another path."
+            )
+        values = np.linalg.svd(jacobian, compute_uv=False)
+        if values[-1] < _MIN_CONDITION * values[0]:
+            turning = np.linalg.svd(jacobian)[2][-1]
+            joints = " and ".join(str(k + 1) for k in np.flatnonzero(np.abs(turning) > 0.5))
+            raise ProblemError(
+                f"path, {place:.3f} m from its start: the pose is singular, joint {joints} would "
+                "turn at any speed. Choose another posture by path.start.near, or another path."
+            )
+
+    def __call__(self, along: np.ndarray) -> np.ndarray:
+        """Joint positions (K, n) at distances (K,) [m]."""
+        q = np.stack([np.interp(along, self._along, column) for column in self._joints.T], axis=1)
+        nearest = np.clip(np.searchsorted(self._along, along), 1, len(self._along) - 1)
+        nearest -= along - self._along[nearest - 1] < self._along[nearest] - along
+        inverse = self._inverses[nearest]
+        positions, rotations = self._poses(along)
+        for _ in range(_MAX_ITERATIONS):
+            error = self._pose_errors(q, positions, rotations)
+            q = q + np.einsum("kij,kj->ki", inverse, error)
+            if np.abs(error).max() <= _CONVERGED:
+                break
+        return q
+
+    def errors(self, q: np.ndarray, along: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Distance [m] and angle [rad] (K,) of joint positions (K, n) from the path's poses."""
+        error = self._pose_errors(q, *self._poses(along))
+        return (
+            np.linalg.norm(error[:, :3], axis=1),
+            np.linalg.norm(error[:, 3:], axis=1) / _LENGTH_PER_RADIAN,
+        )
+
+    def _pose_errors(
+        self, q: np.ndarray, positions: np.ndarray, rotations: np.ndarray
+    ) -> np.ndarray:
+        tree, tool = self._robot.tree, self._robot.tool
+        axes = frame_rotations(tree, tool, q)
+        turn = Rotation.from_matrix(rotations @ axes.swapaxes(1, 2)).as_rotvec()
+        left = positions - frame_positions(tree, tool, q)
+        return np.hstack([left, _LENGTH_PER_RADIAN * turn])

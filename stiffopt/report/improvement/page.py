@@ -1,0 +1,258 @@
+"""report.html and terminal output of an improved motion."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from stiffopt.report.common.page import PageFigures, write_page
+from stiffopt.report.common.svg import (
+    BLUE,
+    GREY,
+    VERMILLION,
+    WIDTH,
+    decimate_curve,
+    figure_style,
+)
+from stiffopt.report.common.terminal import print_lines, print_table
+from stiffopt.report.common.text import scale, si
+from stiffopt.result.compensation import COMMAND_FILE
+from stiffopt.solver.improvement import JOINT_LIMITS, Improvement, LimitUse
+from stiffopt.units import joint_unit
+
+# Rows of the table of limits.
+_MAX_USES = 12
+GIVEN, IMPROVED = "given", "improved"
+
+
+def write_improvement_report(
+    title: str, found: Improvement, folder: Path, reasons: Sequence[str] = ()
+) -> Path:
+    """Write report.html and its figures into `folder`; return the page."""
+    figures = PageFigures("improvement")
+    if found.given.both is not None and found.compensation is not None:
+        figures.draw("error", error_figure(found), "Tool error of the given and improved motion")
+    figures.draw("limits", limits_figure(found), "Use of the limits over time")
+    context = {
+        "title": f"{title}: improved motion",
+        "headline": headline(found),
+        "answer": answer(found),
+        "faults": faults(found),
+        "uses": limit_rows(found),
+        "errors": error_rows(found),
+        "notes": [*reasons, *notes(found)],
+        "file": COMMAND_FILE if found.kept else "",
+    }
+    return write_page("improvement/page.html.j2", folder / "report.html", context, figures)
+
+
+def headline(found: Improvement) -> str:
+    """Return durations and tool errors of the given and the improved motion in words."""
+    before, after = found.given.assessment.duration, found.plan.duration
+    text = f"{before:.3f} s as given, {after:.3f} s improved"
+    if found.given.both is not None and found.compensation is not None:
+        own = found.compensation.optimised.simulated
+        text += (
+            f"; largest tool error {si(found.given.both.peak, 'm', 3)} as given, "
+            f"{si(own.peak, 'm', 3)} improved"
+        )
+    return f"{text}."
+
+
+def answer(found: Improvement) -> str:
+    """Return what was done, in words."""
+    if not found.kept:
+        refusal = "" if found.compensation is None else found.compensation.refusal
+        worst = found.improved.exceeded[:1]
+        why = refusal or f"The plan exceeds {worst[0].describe()}."
+        return f"No motion that keeps every limit was found. {why}"
+    how = "The timing is as given"
+    if found.retimed:
+        how = "The motion is slowed where it exceeds a limit"
+        if found.plan.duration < found.given.assessment.duration:
+            how = "The motion is timed anew"
+    lead = "" if found.compensation is None else "; the motors lead the links by the wind-up"
+    return (
+        f"{how}{lead}. The tool stays within {si(found.path_deviation, 'm', 2)} of the given path, "
+        "and every limit is certified."
+    )
+
+
+def faults(found: Improvement) -> list[str]:
+    """Return what the given motion does wrong, one sentence each."""
+    robot = found.problem.robot
+    told = [
+        f"{robot.joint_names[use.joint - 1]}: {use.quantity} of {_value(found, use)} is "
+        f"{use.share:.3g} times the limit, at {use.time:.3f} s."
+        for use in found.given.uses
+        if use.share > 1.0
+    ]
+    named = {"velocity", "acceleration", "jerk", "torque"}
+    told += [
+        f"It exceeds {each.describe()}."
+        for each in found.given.exceeded
+        if each.limit not in named and not each.limit.startswith(("start_", "end_"))
+    ]
+    told += [
+        f"It {'begins' if each.limit.startswith('start') else 'ends'} with a jump of the "
+        f"{each.limit.partition('_')[2]} of joint {each.joint}."
+        for each in found.given.exceeded
+        if each.limit in ("start_acceleration", "end_acceleration")
+    ]
+    both = found.given.both
+    if both is not None:
+        told.append(f"The tool leaves its path by up to {si(both.peak, 'm', 3)} in flight.")
+        if both.peak_after is not None:
+            settled = both.settling_time
+            when = "not within a second" if settled is None else f"after {1e3 * settled:.0f} ms"
+            told.append(
+                f"After arrival it rings by {si(both.peak_after, 'm', 3)} and stays within "
+                f"{si(both.band, 'm', 2)} {when}."
+            )
+    return told
+
+
+def _value(found: Improvement, use: LimitUse) -> str:
+    prismatic = bool(found.problem.robot.prismatic[use.joint - 1])
+    return f"{use.value:.4g} {joint_unit(JOINT_LIMITS[use.quantity], prismatic)}"
+
+
+def limit_rows(found: Improvement) -> list[tuple[str, ...]]:
+    """Return joint, quantity, largest values given and improved, limit and instant."""
+    after = {(use.joint, use.quantity): use for use in found.improved.uses}
+    rows = []
+    for use in found.given.uses[:_MAX_USES]:
+        own = after[use.joint, use.quantity]
+        rows.append(
+            (
+                found.problem.robot.joint_names[use.joint - 1],
+                use.quantity,
+                _value(found, use),
+                f"{use.time:.3f} s",
+                f"{own.value:.4g}",
+                f"{use.limit:.4g}",
+                f"{100.0 * use.share:.0f} % → {100.0 * own.share:.0f} %",
+            )
+        )
+    return rows
+
+
+def error_rows(found: Improvement) -> list[tuple[str, str, str]]:
+    """Return sources of the tool error, with the peak in flight and after arrival."""
+    given, rows = found.given, []
+    if given.both is None or given.servo is None or given.elastic is None:
+        return []
+    flight = given.both.error.flight
+    after = given.both.error.after
+
+    def peak(values: np.ndarray, mask: np.ndarray) -> str:
+        return si(values[mask].max(), "m", 3) if mask.any() else "–"
+
+    rows.append(("given: servo alone", peak(given.servo, flight), peak(given.servo, after)))
+    for name, own in (("elasticity alone", given.elastic), ("together", given.both)):
+        rows.append(
+            (
+                f"given: {name}",
+                si(own.peak, "m", 3),
+                "–" if own.peak_after is None else si(own.peak_after, "m", 3),
+            )
+        )
+    if found.compensation is not None:
+        led = found.compensation.optimised
+        rows.append(
+            (
+                "improved: together",
+                si(led.simulated.peak, "m", 3),
+                "–" if led.simulated.peak_after is None else si(led.simulated.peak_after, "m", 3),
+            )
+        )
+        worst = led.compensated
+        rows.append(
+            (
+                "improved: worst of uncertain arms",
+                si(worst.flight.worst, "m", 3),
+                si(worst.after.worst, "m", 3),
+            )
+        )
+    return rows
+
+
+def notes(found: Improvement) -> list[str]:
+    """Return assumptions and limitations."""
+    told = list(found.notes)
+    if found.margins:
+        left = ", ".join(f"{name} {100.0 * part:.0f} %" for name, part in found.margins.items())
+        told.append(f"Left to the lead of the motors: {left} of the limits.")
+    if found.given.both is None:
+        told.append("The arm is rigid or cannot be simulated: no tool error, no lead.")
+    if found.compensation is not None:
+        told += [f"Uncertain: {each}" for each in found.compensation.uncertainty]
+        if found.compensation.ahead:
+            told.append(
+                f"The command is to be sent {1e3 * found.compensation.ahead:.3g} ms ahead, the "
+                "known dead time of the servo."
+            )
+    return told
+
+
+def error_figure(found: Improvement) -> Figure:
+    """Plot the tool error over time, given and improved."""
+    before = found.given.both
+    assert before is not None
+    assert found.compensation is not None
+    after = found.compensation.optimised.simulated
+    most = max(before.distance.max(), after.distance.max())
+    factor, unit = scale(float(most), "m")
+    with figure_style():
+        figure = Figure(figsize=(WIDTH, 3.0))
+        axes = figure.subplots()
+        for own, name, colour in ((before, GIVEN, VERMILLION), (after, IMPROVED, BLUE)):
+            axes.plot(*decimate_curve(own.time, factor * own.distance), color=colour, label=name)
+            axes.axvline(own.duration, color=colour, linewidth=0.8, linestyle=":")
+        axes.set_xlabel("time [s]")
+        axes.set_ylabel(f"tool error [{unit}]")
+        axes.set_ylim(bottom=0.0)
+        axes.set_title("Tool error on the elastic arm with its servo; dotted: arrival")
+        axes.legend(loc="upper right")
+        return figure
+
+
+def limits_figure(found: Improvement) -> Figure:
+    """Plot the largest use of each limit over the joints, given and improved, over time."""
+    limits = found.problem.active_limits
+    shown = [name for name in JOINT_LIMITS if np.isfinite(getattr(limits, name)).any()]
+    with figure_style():
+        figure = Figure(figsize=(WIDTH, 1.5 * max(len(shown), 1) + 0.6))
+        rows = np.atleast_1d(figure.subplots(max(len(shown), 1), 1, sharex=True))
+        for axes, name in zip(rows, shown, strict=False):
+            for own, colour, label in (
+                (found.given.assessment, VERMILLION, GIVEN),
+                (found.improved.assessment, BLUE, IMPROVED),
+            ):
+                share = np.max(np.abs(getattr(own, name)) / getattr(limits, name), axis=1)
+                axes.plot(*decimate_curve(own.time, 100.0 * share), color=colour, label=label)
+            axes.axhline(100.0, color=GREY, linewidth=0.9, linestyle=(0, (4, 2)))
+            axes.set_ylabel("[%]")
+            top = axes.get_ylim()[1]
+            axes.set_ylim(0.0, min(top, 400.0))
+            axes.set_title(f"Largest {name} of all joints, share of its limit")
+        rows[0].legend(loc="upper right", ncols=2)
+        rows[-1].set_xlabel("time [s]")
+        figure.subplots_adjust(hspace=0.55)
+        return figure
+
+
+def print_improvement(found: Improvement, folder: Path) -> None:
+    """Print headline, faults of the given motion, the tool errors and the report's path."""
+    print_lines([headline(found), answer(found), *faults(found)])
+    rows = error_rows(found)
+    if rows:
+        print_table(
+            ("tool error", "in flight", "after arrival"),
+            rows,
+            numbers=("in flight", "after arrival"),
+        )
+    print_lines([f"Report: {folder / 'report.html'}"])

@@ -1,0 +1,134 @@
+"""Linear programmes whose rows couple few neighbouring unknowns, by an interior-point method.
+
+Maximise w x subject to A x <= b, where a row of A has three consecutive entries. The normal matrix
+then has two diagonals on either side: a step costs a time proportional to the number of unknowns.
+
+Source: Mehrotra (1992), "On the implementation of a primal-dual interior point method", SIAM
+Journal on Optimization 2.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import LinAlgError, solveh_banded
+
+# Entries of a row.
+WIDTH = 3
+_MAX_STEPS = 100
+# Relative duality gap and residuals at which the iteration ends.
+_TOLERANCE = 1e-7
+# Of the gradient, which rounding spoils first; every step is feasible.
+_DUAL_TOLERANCE = 1e-3
+# Share of the way to the boundary of the positive orthant that a step goes.
+_STEP_SHARE = 0.995
+# Added to the diagonal of the normal matrix, relative to it, where rounding spoils its factors.
+_REGULARISATION = 1e-12
+
+
+@dataclass(frozen=True, eq=False)
+class BandedRows:
+    """Rows A x <= b in groups of equal columns.
+
+    Parameters
+    ----------
+    first : array (P,)
+        First of the three unknowns of each group.
+    entries : array (P, R, 3)
+        Coefficients of R rows a group.
+    bound : array (P, R)
+        Right-hand sides; infinite ones are no rows.
+    unknowns : int
+    """
+
+    first: np.ndarray
+    entries: np.ndarray
+    bound: np.ndarray
+    unknowns: int
+
+    def times(self, x: np.ndarray) -> np.ndarray:
+        """A x (P, R)."""
+        near = x[self.first[:, None] + np.arange(WIDTH)]
+        return np.asarray(np.matmul(self.entries, near[:, :, None])[:, :, 0])
+
+    def transposed_times(self, weights: np.ndarray) -> np.ndarray:
+        """A^T weights (unknowns,), of weights (P, R)."""
+        parts = np.matmul(weights[:, None, :], self.entries)[:, 0, :]
+        found = np.zeros(self.unknowns)
+        for k in range(WIDTH):
+            found += np.bincount(self.first + k, parts[:, k], self.unknowns)
+        return found
+
+    def normal_matrix(self, weights: np.ndarray) -> np.ndarray:
+        """A^T diag(weights) A in the upper form of `solveh_banded`, (3, unknowns)."""
+        blocks = np.matmul((weights[:, :, None] * self.entries).swapaxes(1, 2), self.entries)
+        band = np.zeros((WIDTH, self.unknowns))
+        for low in range(WIDTH):
+            for high in range(low, WIDTH):
+                row = WIDTH - 1 - (high - low)
+                band[row] += np.bincount(self.first + high, blocks[:, low, high], self.unknowns)
+        return band
+
+
+def maximise(rows: BandedRows, weights: np.ndarray, start: np.ndarray) -> np.ndarray:
+    """Return the unknowns (unknowns,) that maximise weights . x subject to the rows.
+
+    Parameters
+    ----------
+    rows : BandedRows
+        They bound the maximum.
+    weights : array (unknowns,)
+    start : array (unknowns,)
+        Need not satisfy the rows.
+    """
+    there = np.isfinite(rows.bound)
+    bound = np.where(there, rows.bound, 1.0)
+    rows = BandedRows(rows.first, rows.entries * there[..., None], bound, rows.unknowns)
+    x = start.copy()
+    slack = np.maximum(bound - rows.times(x), 1e-2)
+    price = np.full_like(slack, weights.sum() / slack.size) / slack
+    count, scale = slack.size, max(1.0, float(np.abs(bound).max()))
+    for _ in range(_MAX_STEPS):
+        dual = weights - rows.transposed_times(price)
+        primal = bound - rows.times(x) - slack
+        gap = float(np.vdot(slack, price)) / count
+        value = abs(float(weights @ x)) + 1e-12
+        if (
+            gap * count <= _TOLERANCE * value
+            and np.abs(primal).max() <= _TOLERANCE * scale
+            and np.abs(dual).max() <= _DUAL_TOLERANCE * weights.max()
+        ):
+            break
+        ratio = price / slack
+        band = rows.normal_matrix(ratio)
+        band[-1] *= 1.0 + _REGULARISATION
+        aimed = np.zeros_like(slack)
+        for corrected in (False, True):
+            # Complementarity: slack dprice + price dslack = aimed - slack price.
+            short = aimed / slack - price
+            right = dual - rows.transposed_times(short - ratio * primal)
+            try:
+                step = solveh_banded(band, right, check_finite=False)
+            except LinAlgError:
+                return x
+            moved = primal - rows.times(step)
+            dearer = short - ratio * moved
+            ahead = _longest_step(slack, moved), _longest_step(price, dearer)
+            if not corrected:
+                after = np.vdot(slack + ahead[0] * moved, price + ahead[1] * dearer) / count
+                centre = (float(after) / gap) ** 3 * gap
+                aimed = centre - moved * dearer
+        ahead = tuple(min(1.0, _STEP_SHARE * each) for each in ahead)
+        x = x + ahead[0] * step
+        slack = slack + ahead[0] * moved
+        price = price + ahead[1] * dearer
+    return x
+
+
+def _longest_step(value: np.ndarray, change: np.ndarray) -> float:
+    """Return the step at which a value reaches zero, at most 1/_STEP_SHARE."""
+    falling = change < 0.0
+    if not falling.any():
+        return 1.0 / _STEP_SHARE
+    return min(1.0 / _STEP_SHARE, float((-value[falling] / change[falling]).min()))

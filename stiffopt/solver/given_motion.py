@@ -1,0 +1,171 @@
+"""Given timed motions of joints: as a controller interpolates them, smoothed, and their path."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.interpolate import CubicHermiteSpline, CubicSpline
+
+from stiffopt.elastic.smooth_motion import smooth_motion
+from stiffopt.errors import ProblemError
+from stiffopt.problem.path_fit import fit_joint_path
+from stiffopt.result.joint_path import JointPath
+from stiffopt.result.trajectory import JointMotion, Trajectory
+
+# Rows closer together [s] are samples; further apart they are points that the controller joins.
+_LONGEST_SAMPLE_INTERVAL = 0.012
+# Knot spacing of the spline that smooths a motion: of samples, in intervals, and at least [s].
+_SMOOTHED_INTERVALS, _MIN_SPACING = 4.0, 0.01
+# Speed over the joint's largest one below which a joint counts as at rest.
+_REST_SHARE = 2e-3
+# Speed at the ends over the largest one from which a motion does not begin or end at rest.
+_MAX_END_SHARE = 0.05
+# Shortest rest within a motion at which it is divided [s].
+_MIN_DWELL = 0.1
+# Joint deviation of the path from the smoothed motion [rad] or [m]: 10 um at 1 m.
+_PATH_TOLERANCE = 1e-5
+# Instants per shortest interval at which arc length is integrated, and least number of all.
+_MIN_ARC_SAMPLES = 4001
+
+
+class GivenMotion:
+    """Motion through given rows, as a controller interpolates it, in rest before and after.
+
+    Parameters
+    ----------
+    time : array (K,)
+        From 0 [s].
+    position : array (K, n)
+    velocity : array (K, n) or None
+        Cubic between rows with velocities; else a cubic spline.
+    """
+
+    def __init__(
+        self, time: np.ndarray, position: np.ndarray, velocity: np.ndarray | None = None
+    ) -> None:
+        self.times = np.asarray(time, dtype=float)
+        if velocity is None:
+            self._spline = CubicSpline(self.times, position, bc_type="clamped")
+        else:
+            self._spline = CubicHermiteSpline(self.times, position, velocity)
+        self._check_ends(np.asarray(position))
+
+    def _check_ends(self, position: np.ndarray) -> None:
+        speed = np.abs(np.diff(position, axis=0)) / np.diff(self.times)[:, None]
+        for name, row in (("begins", 0), ("ends", -1)):
+            share = speed[row] / np.maximum(speed.max(axis=0), 1e-9 * speed.max())
+            j = int(np.argmax(speed[row]))
+            many = len(self.times) > 20
+            if many and share[j] > _MAX_END_SHARE and speed[row, j] > _MAX_END_SHARE * speed.max():
+                raise ProblemError(
+                    f"the motion {name} while joint {j + 1} moves at {speed[row, j]:.3g} rad/s. "
+                    "Give the motion from rest to rest."
+                )
+
+    @property
+    def duration(self) -> float:
+        """Time from start to end [s]."""
+        return float(self.times[-1])
+
+    def __call__(self, t: np.ndarray, order: int = 0) -> np.ndarray:
+        """Evaluate position (order 0) or a derivative at times (K,), shape (K, n)."""
+        return np.asarray(self._spline(np.clip(t, 0.0, self.duration), order))
+
+    @property
+    def is_sampled(self) -> bool:
+        """True for rows so close together that their differences show noise."""
+        return float(np.median(np.diff(self.times))) <= _LONGEST_SAMPLE_INTERVAL
+
+    @cached_property
+    def smoothed(self) -> Trajectory:
+        """Nearest motion with continuous jerk, from rest to rest."""
+        interval = float(np.median(np.diff(self.times)))
+        spacing = max(_SMOOTHED_INTERVALS * interval, _MIN_SPACING) if self.is_sampled else 0.0
+        return smooth_motion(self, spacing or max(0.25 * interval, _MIN_SPACING))
+
+    @property
+    def judged(self) -> JointMotion:
+        """Motion by which the given one is judged: without the noise of samples."""
+        return self.smoothed if self.is_sampled else self
+
+
+@dataclass(frozen=True, eq=False)
+class MotionPiece:
+    """Part of a motion between two rests.
+
+    Parameters
+    ----------
+    path : JointPath
+    speed : callable
+        Rate of the path parameter [1/s] of the given motion at path parameters (K,).
+    dwell : float
+        Rest after it [s].
+    """
+
+    path: JointPath
+    times: np.ndarray
+    places: np.ndarray
+    rates: np.ndarray
+    dwell: float
+
+    def speed(self, s: np.ndarray) -> np.ndarray:
+        """Rate of the path parameter [1/s] of the given motion at path parameters (K,)."""
+        least = 0.02 / (self.times[-1] - self.times[0])
+        return np.maximum(np.interp(s, self.places, self.rates), least)
+
+
+def moving_pieces(motion: JointMotion) -> list[MotionPiece]:
+    """Return the pieces of a motion between rests, with their paths by arc length."""
+    count = max(_MIN_ARC_SAMPLES, int(np.ceil(motion.duration / 1e-3)) + 1)
+    time = np.linspace(0.0, motion.duration, count)
+    speed = np.abs(motion(time, 1))
+    resting = (speed <= _REST_SHARE * speed.max(axis=0).max()).all(axis=1)
+    pieces, begin = [], 0
+    for first, last in _runs(~resting):
+        pieces.append([first, last])
+    merged: list[list[int]] = []
+    for first, last in pieces:
+        if merged and time[first] - time[merged[-1][1]] < _MIN_DWELL:
+            merged[-1][1] = last
+        else:
+            merged.append([first, last])
+    found = []
+    for k, (first, last) in enumerate(merged):
+        begin, end = max(first - 1, 0), min(last + 1, count - 1)
+        after = merged[k + 1][0] - 1 if k + 1 < len(merged) else end
+        found.append(_piece(motion, time[begin], time[end], time[after] - time[end]))
+    return found
+
+
+def _runs(mask: np.ndarray) -> list[tuple[int, int]]:
+    """Return first and last index of each run of True."""
+    edges = np.diff(np.concatenate([[0], mask.astype(int), [0]]))
+    return list(zip(np.flatnonzero(edges > 0), np.flatnonzero(edges < 0) - 1, strict=True))
+
+
+def _piece(motion: JointMotion, begin: float, end: float, dwell: float) -> MotionPiece:
+    count = max(_MIN_ARC_SAMPLES, int(np.ceil((end - begin) / 5e-4)) + 1)
+    time = np.linspace(begin, end, count)
+    rate = np.linalg.norm(motion(time, 1), axis=1)
+    middle = np.linalg.norm(motion(0.5 * (time[1:] + time[:-1]), 1), axis=1)
+    steps = np.diff(time) * (rate[:-1] + 4.0 * middle + rate[1:]) / 6.0
+    covered = np.concatenate([[0.0], np.cumsum(np.maximum(steps, 1e-15))])
+    length = covered[-1]
+    along = CubicHermiteSpline(time, covered, rate)
+
+    def curve(s: np.ndarray) -> np.ndarray:
+        """Joint positions at shares of the arc length."""
+        asked = length * s
+        t = np.interp(asked, covered, time)
+        for _ in range(3):
+            slope = np.maximum(along(t, 1), 1e-3 * rate.max())
+            t = np.clip(t - (along(t) - asked) / slope, begin, end)
+        return np.asarray(motion(t))
+
+    def error(q: np.ndarray, s: np.ndarray) -> np.ndarray:
+        return np.asarray(np.abs(q - curve(s)).max(axis=1))
+
+    path, _ = fit_joint_path(curve, np.array([0.0, 1.0]), error, _PATH_TOLERANCE)
+    return MotionPiece(path, time, covered / length, rate / length, dwell)

@@ -1,0 +1,295 @@
+"""Improvement of a given motion: the same path, motors that lead the links, limits kept.
+
+The motion is judged as it is: limits, tool error of the servo and the elastic arm, residual
+vibration. Where it exceeds a limit it is slowed there and only there; with `retime` it is as fast
+as its limits allow. The command leads by the wind-up; where it exceeds a limit of the motors, the
+plan is backed off by as much.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from stiffopt.certificate.assess import assess
+from stiffopt.certificate.collisions import with_collisions
+from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
+from stiffopt.elastic.motor import MotorMotion
+from stiffopt.elastic.simulate import simulate
+from stiffopt.errors import NotSimulatedError
+from stiffopt.problem.objective import Objective
+from stiffopt.problem.trajectory import Target, TrajectoryProblem
+from stiffopt.result.assessment import Assessment, Violation
+from stiffopt.result.compensation import Compensation
+from stiffopt.result.simulation import SimulatedMotion
+from stiffopt.result.trajectory import JointMotion, Trajectory, join_motions
+from stiffopt.solver.compensation import compensate
+from stiffopt.solver.given_motion import GivenMotion, moving_pieces
+from stiffopt.solver.path_timing import PathDemands, fastest_timing
+from stiffopt.solver.simulation import PlannedMotion, elastic_arm
+
+if TYPE_CHECKING:
+    from stiffopt.robot.robot import Robot
+
+# Quantities of joints that are compared with their limits, with the SI unit for revolute joints.
+JOINT_LIMITS = {"velocity": "rad/s", "acceleration": "rad/s^2", "jerk": "rad/s^3", "torque": "N m"}
+# Rounds of backing off until the command keeps the limits of the motors, and the extra each time.
+_MAX_BACK_OFFS, _BACK_OFF_EXTRA = 8, 0.01
+# Largest excess that one round backs off from: larger ones fall faster than the limit.
+_MAX_BACK_OFF = 0.4
+# Limits that a plan can be backed off from.
+_BACKED_OFF = (*JOINT_LIMITS, "tool_speed")
+
+Progress = Callable[[str], object]
+
+
+@dataclass(frozen=True, kw_only=True)
+class LimitUse:
+    """Largest value of a joint quantity over a motion, with its limit and instant."""
+
+    joint: int
+    quantity: str
+    value: float
+    limit: float
+    time: float
+
+    @property
+    def share(self) -> float:
+        """Value over the limit."""
+        return self.value / self.limit
+
+
+@dataclass(frozen=True, kw_only=True)
+class JudgedMotion:
+    """A motion with what limits and the elastic arm say of it.
+
+    Parameters
+    ----------
+    assessment : Assessment
+    uses : tuple of LimitUse
+        Of every joint and quantity with a limit, the largest share first.
+    elastic, servo, both : SimulatedMotion or None
+        Motors that follow exactly on the elastic arm, servo alone, and both; None for rigid arms.
+    """
+
+    assessment: Assessment
+    uses: tuple[LimitUse, ...]
+    elastic: SimulatedMotion | None
+    servo: np.ndarray | None
+    both: SimulatedMotion | None
+
+    @property
+    def exceeded(self) -> tuple[Violation, ...]:
+        """Limits that it exceeds, the worst first."""
+        return tuple(v for v in self.assessment.violations if v.value > CERTIFICATE_TOLERANCE)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Improvement:
+    """A given motion and the improved one.
+
+    Parameters
+    ----------
+    problem : TrajectoryProblem
+        Robot, limits, servo and uncertainty, with the improved motion's ends and duration.
+    given, improved : JudgedMotion
+    plan : Trajectory
+        Improved motion of the links.
+    compensation : Compensation or None
+        Command of the motors on nominal and uncertain arms; None for rigid arms.
+    path_deviation : float
+        Largest distance of the improved path from the given one [m].
+    retimed : bool
+        True where the timing differs from the given one.
+    margins : dict
+        Shares of limits left to the lead of the motors.
+    notes : tuple of str
+    """
+
+    problem: TrajectoryProblem
+    given: JudgedMotion
+    improved: JudgedMotion
+    plan: Trajectory
+    compensation: Compensation | None
+    path_deviation: float
+    retimed: bool
+    margins: dict[str, float]
+    notes: tuple[str, ...]
+
+    @property
+    def kept(self) -> bool:
+        """True where plan and command keep every limit."""
+        refused = self.compensation is not None and bool(self.compensation.refusal)
+        return not self.improved.exceeded and not refused
+
+
+def problem_of_motion(
+    robot: Robot, motion: JointMotion, settings: TrajectoryProblem | None = None
+) -> TrajectoryProblem:
+    """Return the statement of a given motion: its ends and duration, and the settings' limits."""
+    ends = motion(np.array([0.0, motion.duration]))
+    stated = {
+        "start": Target(joints=ends[0]),
+        "end": Target(joints=ends[1]),
+        "duration": (motion.duration, motion.duration),
+        "objectives": (Objective(name="torque_squared"),),
+    }
+    if settings is None:
+        return TrajectoryProblem(robot=robot, **stated)
+    return replace(
+        settings, path=None, vias=(), boundary_velocity=None, boundary_acceleration="zero", **stated
+    )
+
+
+def improve(
+    robot: Robot,
+    given: GivenMotion,
+    *,
+    retime: bool = False,
+    settings: TrajectoryProblem | None = None,
+    progress: Progress | None = None,
+) -> Improvement:
+    """Improve a given motion; parameters as of the command.
+
+    Raises
+    ------
+    ProblemError
+        The path exceeds a limit at rest, or a range of the joints.
+    """
+    tell = progress or (lambda _: None)
+    problem = problem_of_motion(robot, given, settings)
+    tell("given motion")
+    before = _judge(problem, given.judged)
+    margins: dict[str, float] = {}
+    plan, changed, compensation = given.smoothed, False, None
+    if retime or _excess(problem, plan):
+        plan, changed = _retimed(problem, given.smoothed, margins, retime), True
+    for _ in range(_MAX_BACK_OFFS):
+        problem = problem_of_motion(robot, plan, problem)
+        tell("command of the motors")
+        compensation = _compensation(problem, plan)
+        excess = () if compensation is None else compensation.optimised.excess
+        if not excess:
+            break
+        for each in excess:
+            if each.limit in _BACKED_OFF:
+                over = min(each.value, _MAX_BACK_OFF)
+                left = (1.0 - margins.get(each.limit, 0.0)) / (1.0 + over)
+                margins[each.limit] = 1.0 - left * (1.0 - _BACK_OFF_EXTRA)
+        plan, changed = _retimed(problem, given.smoothed, margins, retime), True
+    improved = _judge(problem, plan, simulated=False)
+    return Improvement(
+        problem=problem,
+        given=before,
+        improved=improved,
+        plan=plan,
+        compensation=compensation,
+        path_deviation=_path_deviation(problem, given, plan),
+        retimed=changed,
+        margins=margins,
+        notes=problem.remarks,
+    )
+
+
+def _excess(problem: TrajectoryProblem, plan: JointMotion) -> bool:
+    return not assess(problem, plan).feasible(CERTIFICATE_TOLERANCE)
+
+
+def _retimed(
+    problem: TrajectoryProblem, motion: JointMotion, margins: dict[str, float], retime: bool
+) -> Trajectory:
+    """Return the motion along the same path, as fast as its limits allow, or as it was."""
+    force = problem.process_force
+    parts = []
+    for piece in moving_pieces(motion):
+        demands = PathDemands(
+            path_speed=None if retime else piece.speed,
+            process_force=lambda s: np.broadcast_to(force, (len(s), 3)),
+            margin=margins,
+        )
+        law = fastest_timing(problem.robot, problem.active_limits, piece.path, demands)
+        parts.append((piece.path.follow(law), piece.dwell))
+    return join_motions(parts)
+
+
+def _judge(
+    problem: TrajectoryProblem, motion: JointMotion, *, simulated: bool = True
+) -> JudgedMotion:
+    found = with_collisions(problem, assess(problem, motion))
+    uses = _limit_uses(problem, found)
+    if not (simulated and problem.robot.yields):
+        return JudgedMotion(assessment=found, uses=uses, elastic=None, servo=None, both=None)
+    try:
+        arm = elastic_arm(problem, found.position[0])
+        command = MotorMotion.of(motion)
+        servo = problem.servo
+        both = simulate(arm, command, servo=servo, ahead=servo.dead_time)
+        elastic = simulate(arm, command)
+        follows = servo.follow(command, float(both.time[-1]), servo.dead_time)
+        late = arm.tool(follows.position(both.time)) - arm.tool(command.position(both.time))
+    except NotSimulatedError:
+        return JudgedMotion(assessment=found, uses=uses, elastic=None, servo=None, both=None)
+    return JudgedMotion(
+        assessment=found,
+        uses=uses,
+        elastic=elastic,
+        servo=np.linalg.norm(late, axis=1),
+        both=both,
+    )
+
+
+def _limit_uses(problem: TrajectoryProblem, motion: Assessment) -> tuple[LimitUse, ...]:
+    """Return the largest use of every limit of the joints."""
+    found = []
+    for quantity in JOINT_LIMITS:
+        limits = getattr(problem.active_limits, quantity)
+        values = np.abs(getattr(motion, quantity))
+        for j in np.flatnonzero(np.isfinite(limits)):
+            k = int(np.argmax(values[:, j]))
+            found.append(
+                LimitUse(
+                    joint=int(j) + 1,
+                    quantity=quantity,
+                    value=float(values[k, j]),
+                    limit=float(limits[j]),
+                    time=float(motion.time[k]),
+                )
+            )
+    return tuple(sorted(found, key=lambda use: -use.share))
+
+
+def _compensation(problem: TrajectoryProblem, plan: Trajectory) -> Compensation | None:
+    if not problem.robot.yields:
+        return None
+    assessment = assess(problem, plan)
+    planned = PlannedMotion.of("optimised", assessment, assessment.feasible(CERTIFICATE_TOLERANCE))
+    try:
+        return compensate(problem, elastic_arm(problem, assessment.position[0]), [planned])
+    except NotSimulatedError:
+        return None
+
+
+def _path_deviation(problem: TrajectoryProblem, given: GivenMotion, plan: Trajectory) -> float:
+    """Return the largest distance of the tool's given places from the improved path [m]."""
+    from scipy.spatial import cKDTree
+
+    from stiffopt.robot.batched_kinematics import frame_positions
+
+    robot = problem.robot
+    time = np.linspace(0.0, plan.duration, max(4001, int(plan.duration / 1e-3)))
+    places = frame_positions(robot.tree, robot.tool, plan(time))
+    asked = frame_positions(robot.tree, robot.tool, given(np.linspace(0.0, given.duration, 2001)))
+    tree = cKDTree(places)
+    _, near = tree.query(asked)
+    found = np.full(len(asked), np.inf)
+    for shift in (-1, 0):
+        k = np.clip(near + shift, 0, len(places) - 2)
+        step = places[k + 1] - places[k]
+        square = np.maximum(np.sum(step**2, axis=1), 1e-30)
+        along = np.clip(np.sum((asked - places[k]) * step, axis=1) / square, 0.0, 1.0)
+        off = asked - places[k] - along[:, None] * step
+        found = np.minimum(found, np.linalg.norm(off, axis=1))
+    return float(found.max())

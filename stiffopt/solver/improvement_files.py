@@ -1,0 +1,59 @@
+"""Files of an improved motion: improvement.json, command.csv and trajectory.csv."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from stiffopt.certificate.assess import assess
+from stiffopt.files import atomic_write, to_json_types
+from stiffopt.result.compensation import COMMAND_FILE, compensation_document, write_command
+from stiffopt.result.simulation import simulated_document
+from stiffopt.result.store import TRAJECTORY_FILE, export_times, write_trajectory
+from stiffopt.solver.improvement import Improvement, JudgedMotion
+
+IMPROVEMENT_FILE = "improvement.json"
+
+
+def write_improvement(found: Improvement, folder: Path) -> None:
+    """Write the files of an improved motion; those of the motion only where it keeps its limits."""
+    if found.kept:
+        times = export_times(found.plan.duration)
+        plan = assess(found.problem, found.plan, times=times)
+        write_trajectory(plan, folder)
+        if found.compensation is None:
+            # Rigid: the motors follow the plan.
+            write_trajectory(plan, folder, COMMAND_FILE)
+        else:
+            write_command(found.compensation, folder)
+    document = to_json_types(improvement_document(found))
+    atomic_write(folder / IMPROVEMENT_FILE, json.dumps(document, indent=1) + "\n")
+
+
+def improvement_document(found: Improvement) -> dict[str, Any]:
+    """Content of improvement.json, SI."""
+    return {
+        "schema": 1,
+        "kept": found.kept,
+        "retimed": found.retimed,
+        "path_deviation": found.path_deviation,
+        "margins": found.margins,
+        "trajectory": TRAJECTORY_FILE if found.kept else None,
+        "given": _judged_document(found.given),
+        "improved": _judged_document(found.improved),
+        "compensation": compensation_document(found.compensation),
+        "notes": found.notes,
+    }
+
+
+def _judged_document(judged: JudgedMotion) -> dict[str, Any]:
+    return {
+        "duration": judged.assessment.duration,
+        "limits": [{**vars(use), "share": use.share} for use in judged.uses],
+        "exceeded": [dict(vars(each)) for each in judged.exceeded],
+        "servo_peak": None if judged.servo is None else float(judged.servo.max()),
+        "elastic": None if judged.elastic is None else simulated_document(judged.elastic),
+        "simulated": None if judged.both is None else simulated_document(judged.both),
+        "settling_time": None if judged.both is None else judged.both.settling_time,
+    }

@@ -1,0 +1,100 @@
+"""Minimum duration on a fixed path: its fastest timing, certified."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from stiffopt.certificate.assess import assess
+from stiffopt.certificate.collisions import with_collisions
+from stiffopt.certificate.objective_value import objective_value
+from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
+from stiffopt.errors import ProblemError
+from stiffopt.problem.trajectory import TrajectoryProblem
+from stiffopt.result.joint_path import JointPath
+from stiffopt.result.solution import Baseline
+from stiffopt.result.trajectory import ForceHistory, Trajectory
+from stiffopt.robot.batched_kinematics import tool_jacobians
+from stiffopt.solver.path_timing import PathDemands, fastest_timing
+
+# Limits from which a timing can back off, where the certificate finds an excess between nodes.
+_TIMED_LIMITS = ("velocity", "acceleration", "jerk", "torque", "tool_speed")
+_MAX_BACK_OFFS = 4
+FASTEST_REASON = (
+    "on a given path none is faster within limits on velocity, acceleration, drive torque and tool "
+    "speed, and none near it within those on jerk. To be faster, change the path or the limits."
+)
+
+
+def timed_motion(problem: TrajectoryProblem) -> Baseline | None:
+    """Return the certified fastest motion on the problem's path, not below its least duration.
+
+    None where it exceeds a limit of another kind, or the largest duration.
+    """
+    path, margins = problem.path, {}
+    assert path is not None
+    shortest = problem.duration[0]
+    for _ in range(_MAX_BACK_OFFS):
+        demands = PathDemands(
+            process_force=_forces_along(problem, path),
+            margin=margins,
+            eased=problem.boundary_acceleration == "zero",
+        )
+        try:
+            law = fastest_timing(problem.robot, problem.active_limits, path, demands)
+        except ProblemError:
+            return None
+        law = law.scaled_to(shortest) if law.duration < shortest else law
+        motion = replace(path.follow(law), force=_force_history(problem, path, law))
+        assessment = assess(problem, motion)
+        worst = assessment.worst_violation
+        if worst.value <= CERTIFICATE_TOLERANCE:
+            break
+        if worst.limit not in _TIMED_LIMITS:
+            return None
+        margins[worst.limit] = 1.0 - (1.0 - margins.get(worst.limit, 0.0)) / (1.0 + worst.value)
+    else:
+        return None
+    if law.duration > problem.duration[1] * (1.0 + 1e-9):
+        return None
+    assessment = with_collisions(problem, assessment)
+    return Baseline(
+        name="timed",
+        assessment=assessment,
+        objective=objective_value(problem, assessment).value,
+        feasible=True,
+        reason="",
+        trajectory=motion,
+    )
+
+
+def _forces_along(
+    problem: TrajectoryProblem, path: JointPath
+) -> Callable[[np.ndarray], np.ndarray]:
+    """Return the force (K, 3) at path parameters (K,), at the largest speed of each piece."""
+    own, speeds = problem.path_force, path.speeds
+
+    def force(s: np.ndarray) -> np.ndarray:
+        found = np.repeat(problem.process_force[None], len(s), axis=0)
+        if own is None:
+            return found
+        feed = 0.0 if speeds is None else speeds[path.piece_index(s)]
+        return found + own(s, np.where(np.isfinite(feed), feed, 0.0))
+
+    return force
+
+
+def _force_history(
+    problem: TrajectoryProblem, path: JointPath, law: Trajectory
+) -> ForceHistory | None:
+    """Return the force of the path over the time of its law."""
+    if problem.path_force is None:
+        return None
+    time = np.linspace(0.0, law.duration, max(2001, int(law.duration / 1e-3)))
+    s, rate = law(time)[:, 0], law(time, 1)[:, 0]
+    tree, tool = problem.robot.tree, problem.robot.tool
+    _, jacobian = tool_jacobians(tree, tool, path(s))
+    slope = np.linalg.norm(np.einsum("kij,kj->ki", jacobian, path(s, 1)), axis=1)
+    return ForceHistory(time, problem.path_force(s, slope * rate))

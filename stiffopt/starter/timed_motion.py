@@ -1,0 +1,213 @@
+"""Timed joint motions from files of controllers and planners: columns and units guessed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from stiffopt.errors import InputError, InputFileError
+from stiffopt.recording.readers.columns import Table, is_unnamed
+from stiffopt.recording.readers.read import is_messages, read_tables
+from stiffopt.recording.signals import may_be_set_point
+from stiffopt.robot.robot import Robot
+from stiffopt.starter.column_names import columns_of_kind, stated_unit
+from stiffopt.starter.guessing import (
+    SECONDS_PER_UNIT,
+    find_time_column,
+    guess_angle_unit,
+    guess_time_unit,
+    with_time,
+)
+from stiffopt.starter.message_tables import read_message_table
+
+# Factors of angles to rad.
+_RADIANS_PER_UNIT = {"": 1.0, "rad": 1.0, "deg": np.pi / 180.0, "mrad": 1e-3}
+_MIN_ROWS = 3
+# Speed of a joint between two rows over its limit from which the file is wrong: a jump.
+_JUMP_RATIO = 20.0
+_REST_STEP = 1e-6  # largest step of a joint between two rows at rest [rad] or [m]
+
+
+@dataclass(frozen=True, kw_only=True)
+class TimedMotion:
+    """Joint positions over time, as a file gives them.
+
+    Parameters
+    ----------
+    time : array (K,)
+        From 0, strictly increasing [s].
+    position : array (K, n)
+        [rad], [m] of prismatic joints.
+    velocity : array (K, n) or None
+        Of planned points; None where the file has none.
+    reasons : tuple of str
+        How columns and units were chosen.
+    """
+
+    time: np.ndarray
+    position: np.ndarray
+    velocity: np.ndarray | None
+    reasons: tuple[str, ...]
+
+
+def read_timed_motion(path: Path, robot: Robot, rate: float | None = None) -> TimedMotion:
+    """Read a motion of the joints of a robot from any file that recordings are read from.
+
+    Set points take precedence over measured positions: they are what can be changed.
+
+    Parameters
+    ----------
+    path : Path
+        CSV and other tables, JointTrajectory or RobotTrajectory as YAML or JSON, MCAP, rosbag2.
+    robot : Robot
+    rate : float, optional
+        Rows a second [Hz], if no column is a time.
+
+    Raises
+    ------
+    InputError
+        No columns of positions for all joints, rows out of order, or jumps; with the place.
+    """
+    if rate is not None and not 0.0 < rate < 1e6:
+        raise InputError(f"--rate {rate:g} must be above 0 and below 1e6 rows a second.")
+    table = _read_table(path, robot)
+    table = table if rate is None else with_time(table, rate)
+    try:
+        clock = find_time_column(table)
+        unit, why = guess_time_unit(table[clock], clock)
+    except InputError as error:
+        raise InputFileError(path, "", str(error)) from error
+    if rate is not None:
+        unit, why = "", f"time: counted, {rate:g} rows a second"
+    names = _position_columns(path, table, clock, robot)
+    values = np.column_stack([table[name] for name in names])
+    time = table[clock] * SECONDS_PER_UNIT[unit]
+    _check_rows(path, time, values, names)
+    factor, told = _angle_factor(path, names, values, robot)
+    position = values * np.where(robot.prismatic, 1.0, factor)
+    velocity = _velocities(table, robot, factor)
+    reasons = (why, f"position: {', '.join(names)}; {told}")
+    return _checked_motion(path, robot, time, position, velocity, reasons)
+
+
+def _read_table(path: Path, robot: Robot) -> Table:
+    if is_messages(path):
+        return dict(read_message_table(path, robot.joint_names))
+    tables = read_tables(path)
+    if len(tables) > 1:
+        first = f"{path.name}#{next(iter(tables))}"
+        raise InputFileError(
+            path, "", f"holds the runs {', '.join(tables)}. Save one of them, such as {first}, "
+            "as a file of its own."
+        )  # fmt: skip
+    (table,) = tables.values()
+    if not is_unnamed(table):
+        return table
+    n, columns = robot.n, list(table.values())
+    if len(columns) not in (n, n + 1) and len(columns) % n > 1:
+        raise InputFileError(
+            path, "", f"has {len(columns)} columns without names, which are no time and positions "
+            f"of {n} joints. Write their names, such as t, q1, q2, above the numbers."
+        )  # fmt: skip
+    timed = len(columns) % n if n > 1 else len(columns) - 1
+    found = {"t": columns[0]} if timed else {}
+    return found | {f"position[{j}]": columns[timed + j] for j in range(n)}
+
+
+def _position_columns(path: Path, table: Table, clock: str, robot: Robot) -> Sequence[str]:
+    names = [name for name in table if name != clock]
+    asked = [name for name in names if may_be_set_point(name)]
+    for chosen in (asked, names):
+        found = columns_of_kind(chosen, "position", robot.joint_names)
+        if found and all(found[0]):
+            return found[0]
+    raise InputFileError(
+        path, "", f"has no position for each of the {robot.n} joints "
+        f"{', '.join(robot.joint_names)} among the columns {', '.join(list(table)[:40])}. Name "
+        "them like q1, q2, ... or JOINT_position."
+    )  # fmt: skip
+
+
+def _check_rows(path: Path, time: np.ndarray, values: np.ndarray, names: Sequence[str]) -> None:
+    if len(time) < _MIN_ROWS:
+        raise InputFileError(path, "", f"has {len(time)} row(s); a motion has {_MIN_ROWS} or more.")
+    for row, k in np.argwhere(~np.isfinite(values)):
+        raise InputFileError(
+            path, f"row {row + 1}, {names[k]}", "is no number. Complete the row, or delete it."
+        )
+    for row in np.flatnonzero(~np.isfinite(time)):
+        raise InputFileError(path, f"row {row + 1}", "has no time. Complete the row, or delete it.")
+    for row in np.flatnonzero(np.diff(time) <= 0.0):
+        same = "repeats" if time[row + 1] == time[row] else "lies before"
+        raise InputFileError(
+            path, f"row {row + 2}", f"its time {time[row + 1]:.6g} s {same} that of the row before,"
+            f" {time[row]:.6g} s. Times must increase from row to row."
+        )  # fmt: skip
+
+
+def _angle_factor(
+    path: Path, names: Sequence[str], values: np.ndarray, robot: Robot
+) -> tuple[float, str]:
+    """Return the factor of angles to rad, with the reason."""
+    stated = {stated_unit(name) for name in names}
+    if len(stated) == 1 and None not in stated:
+        unit, why = str(next(iter(stated))), "unit by their names"
+    elif robot.prismatic.any():
+        unit, why = "", "taken as rad and m"
+    else:
+        unit, why = guess_angle_unit(values, robot)
+    if unit not in _RADIANS_PER_UNIT:
+        raise InputFileError(
+            path, names[0], f"is in {unit}, which are no angles. Convert positions to rad or deg."
+        )
+    return _RADIANS_PER_UNIT[unit], why
+
+
+def _velocities(table: Mapping[str, np.ndarray], robot: Robot, factor: float) -> np.ndarray | None:
+    """Return the planned velocities of a joint trajectory; others are differences of positions."""
+    names = [f"velocity[{joint}]" for joint in robot.joint_names]
+    if not all(name in table for name in names):
+        return None
+    return np.column_stack([table[name] for name in names]) * np.where(robot.prismatic, 1.0, factor)
+
+
+def _checked_motion(
+    path: Path,
+    robot: Robot,
+    time: np.ndarray,
+    position: np.ndarray,
+    velocity: np.ndarray | None,
+    reasons: tuple[str, ...],
+) -> TimedMotion:
+    """Return the motion from its first to its last movement, checked for jumps."""
+    steps = np.abs(np.diff(position, axis=0))
+    ratio = steps / np.diff(time)[:, None] / robot.velocity_max
+    if ratio.max() > _JUMP_RATIO:
+        row, j = np.unravel_index(int(np.argmax(ratio)), ratio.shape)
+        raise InputFileError(
+            path, f"row {row + 2}", f"{robot.joint_names[j]} jumps by "
+            f"{steps[row, j]:.4g} rad within {1e3 * (time[row + 1] - time[row]):.4g} ms, "
+            f"{ratio[row, j]:.3g} times its speed limit. Check the unit, or cut the file there."
+        )  # fmt: skip
+    moving = np.flatnonzero((steps > _REST_STEP).any(axis=1))
+    if not moving.size:
+        raise InputFileError(path, "", "holds an arm at rest: no joint moves.")
+    kept = slice(moving[0], moving[-1] + 2)
+    low, high = robot.position_lower, robot.position_upper
+    beyond = np.maximum(low - position[kept], position[kept] - high)
+    if beyond.max() > np.radians(1.0):
+        row, j = np.unravel_index(int(np.argmax(beyond)), beyond.shape)
+        raise InputFileError(
+            path, f"row {row + moving[0] + 1}", f"{robot.joint_names[j]} is at "
+            f"{position[kept][row, j]:.4g} rad, outside its range from {low[j]:.4g} to "
+            f"{high[j]:.4g}. Check units and order of the columns, and the robot."
+        )  # fmt: skip
+    return TimedMotion(
+        time=time[kept] - time[moving[0]],
+        position=position[kept],
+        velocity=None if velocity is None else velocity[kept],
+        reasons=reasons,
+    )

@@ -1,0 +1,91 @@
+"""Improvement of given motions: limits, path, vibration."""
+
+import numpy as np
+import pytest
+
+from stiffopt.cli import run
+from stiffopt.errors import ProblemError
+from stiffopt.files import load_json, read_table
+from stiffopt.robot.files import load_robot
+from stiffopt.solver.given_motion import GivenMotion
+from stiffopt.solver.improvement import improve
+
+START = np.array([0.2, 0.3, -0.4, 0.2, 0.6, 0.1])
+TRAVEL = np.array([0.9, 0.3, -0.4, 0.5, 0.2, -0.8])
+BEND = np.array([0.0, 0.1, 0.1, 0.0, -0.1, 0.0])
+
+
+def curved_motion(duration, interval):
+    time = np.linspace(0.0, duration, round(duration / interval) + 1)
+    x = time / duration
+    s = 10 * x**3 - 15 * x**4 + 6 * x**5
+    return time, START + s[:, None] * TRAVEL + np.sin(np.pi * s)[:, None] * BEND
+
+
+@pytest.fixture(scope="module")
+def arm():
+    return load_robot("er3a_c60")
+
+
+@pytest.mark.slow
+def test_slow_motion_keeps_its_timing_and_rings_less(arm):
+    found = improve(arm, GivenMotion(*curved_motion(1.5, 0.01)))
+    assert found.kept
+    assert not found.retimed
+    assert found.plan.duration == pytest.approx(1.5, rel=1e-9)
+    assert found.path_deviation < 2e-5
+    led = found.compensation.optimised.simulated
+    assert led.peak < 0.5 * found.given.both.peak
+    assert led.peak_after < 0.1 * found.given.both.peak_after
+
+
+@pytest.mark.slow
+def test_too_fast_motion_is_slowed_where_it_exceeds_its_limits(arm):
+    found = improve(arm, GivenMotion(*curved_motion(0.35, 0.005)))
+    over = [use for use in found.given.uses if use.share > 1.0]
+    assert {"jerk", "acceleration"} <= {use.quantity for use in over}
+    assert found.retimed
+    assert found.kept
+    assert max(use.share for use in found.improved.uses) <= 1.005
+    assert 0.35 < found.plan.duration < 1.2
+    assert found.path_deviation < 5e-5
+
+
+@pytest.mark.slow
+def test_retimed_motion_takes_the_same_path_and_keeps_its_rests(arm):
+    time, there = curved_motion(1.5, 0.01)
+    rest = time[-1] + np.arange(0.01, 0.4, 0.01)
+    whole = np.concatenate([time, rest, rest[-1] + 0.01 + time])
+    positions = np.concatenate([there, np.repeat(there[-1:], len(rest), axis=0), there[::-1]])
+    found = improve(arm, GivenMotion(whole, positions), retime=True)
+    assert found.kept
+    assert found.plan.duration < 0.8 * whole[-1]
+    assert found.path_deviation < 5e-5
+    grid = np.linspace(0.0, found.plan.duration, 4001)
+    still = np.abs(found.plan(grid, 1)).max(axis=1) < 1e-3
+    assert still[100:-100].sum() * grid[1] == pytest.approx(0.4, abs=0.1)
+
+
+def test_motion_that_ends_in_flight_is_refused():
+    time, positions = curved_motion(1.5, 0.01)
+    with pytest.raises(ProblemError, match="ends while joint 1 moves"):
+        GivenMotion(time[:80], positions[:80])
+
+
+@pytest.mark.slow
+def test_command_line_writes_command_and_report(tmp_path, capsys):
+    time, positions = curved_motion(1.0, 0.05)
+    file = tmp_path / "motion.csv"
+    rows = np.column_stack([time, np.degrees(positions)]).tolist()
+    head = "t," + ",".join(f"J{j} [deg]" for j in range(1, 7))
+    file.write_text("\n".join([head, *(",".join(map(repr, row)) for row in rows)]))
+    out = tmp_path / "out"
+    assert run(["improve", str(file), "--robot", "er3a_c60", "--out", str(out)]) == 0
+    told = capsys.readouterr().out
+    assert "improved: together" in told
+    document = load_json(out / "improvement.json")
+    assert document["kept"]
+    command = read_table(out / "command.csv", ["t", "q1", "link1"])
+    assert command["link1"][-1] == pytest.approx(positions[-1, 0], abs=1e-5)
+    assert "The motion as given" in (out / "report.html").read_text()
+    assert run(["improve", str(file)]) == 2

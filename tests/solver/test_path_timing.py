@@ -1,0 +1,87 @@
+"""Fastest timing of joint paths: against toppra and ruckig, and within every limit."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from ruckig import InputParameter, Ruckig
+from ruckig import Trajectory as RuckigTrajectory
+
+from stiffopt.baseline.toppra_motion import toppra_baseline
+from stiffopt.problem.limit import Limits
+from stiffopt.result.joint_path import JointPath
+from stiffopt.robot.files import load_robot
+from stiffopt.solver.path_timing import PathDemands, fastest_timing
+
+FREE = np.full(6, np.inf)
+WAYPOINTS = np.array(
+    [
+        [0.3, -1.2, 1.4, -1.1, -1.5, 0.4],
+        [0.8, -1.5, 1.9, -1.8, -1.1, 0.1],
+        [1.5, -0.9, 1.2, -1.4, -1.3, 0.9],
+        [1.1, -0.7, 1.6, -2.1, -1.9, 0.2],
+    ]
+)
+
+
+def largest_shares(motion, limits):
+    """Largest share of the limits of velocity, acceleration and jerk that a motion uses."""
+    time = np.linspace(0.0, motion.duration, 5001)
+    orders = ((1, limits.velocity), (2, limits.acceleration), (3, limits.jerk))
+    return [float(np.max(np.abs(motion(time, k)) / limit)) for k, limit in orders]
+
+
+def test_duration_is_that_of_toppra_where_only_its_limits_are_asked():
+    arm = load_robot("ur10")
+    own = Limits.of(arm)
+    path = JointPath.through(WAYPOINTS)
+    for limits in (
+        Limits({**own.values, "jerk": FREE}),
+        Limits({**own.values, "jerk": FREE, "acceleration": FREE, "tool_speed": 0.8}),
+    ):
+        reference = toppra_baseline(arm, limits, path, intervals=2000).fastest
+        law = fastest_timing(arm, limits, path, PathDemands(eased=False))
+        assert law.duration == pytest.approx(reference, rel=5e-3)
+
+
+def test_duration_on_a_straight_path_is_that_of_an_s_curve():
+    arm = load_robot("er3a_c60")
+    own = Limits.of(arm)
+    limits = Limits({**own.values, "torque": FREE})
+    start, end = np.zeros(6), np.array([0.9, 0.2, -0.1, 0.3, 0.1, 0.0])
+    asked = InputParameter(1)
+    asked.current_position, asked.target_position = [0.0], [1.0]
+    share = np.abs(end - start) + 1e-12
+    for name in ("velocity", "acceleration", "jerk"):
+        setattr(asked, f"max_{name}", [float(np.min(getattr(limits, name) / share))])
+    reference = RuckigTrajectory(1)
+    Ruckig(1).calculate(asked, reference)
+    law = fastest_timing(arm, limits, JointPath.through([start, end]))
+    assert law.duration == pytest.approx(reference.duration, rel=5e-3)
+
+
+def test_every_limit_is_used_and_none_exceeded_on_a_curved_path():
+    arm = load_robot("ur10")
+    limits = Limits.of(arm)
+    path = JointPath.through(WAYPOINTS)
+    motion = path.follow(fastest_timing(arm, limits, path))
+    shares = largest_shares(motion, limits)
+    assert max(shares) <= 1.005
+    assert shares[1] > 0.99
+    np.testing.assert_allclose(motion(np.array([0.0, motion.duration]), 2), 0.0, atol=1e-6)
+
+
+def test_speed_of_the_path_and_of_the_tool_are_kept_where_asked():
+    arm = load_robot("ur10")
+    path = JointPath.through(WAYPOINTS)
+    path = replace(path, speeds=np.array([0.3, 0.6, 0.6]))
+    law = fastest_timing(arm, Limits.of(arm), path)
+    motion, time = path.follow(law), np.linspace(0.0, law.duration, 2001)
+    bodies = arm.rigid_bodies()
+    speed = [
+        np.linalg.norm(bodies.jacobian(arm.tool, q)[:3] @ v)
+        for q, v in zip(motion(time), motion(time, 1), strict=True)
+    ]
+    slow_part = law(time)[:, 0] < path.knots[1]
+    assert max(np.array(speed)[slow_part]) <= 0.3 * 1.005
+    assert max(speed) == pytest.approx(0.6, rel=1e-2)
