@@ -45,6 +45,7 @@ from stiffopt.discovery.judging.modes import mode_shifts
 from stiffopt.discovery.judging.run_deviations import find_friction_drift, find_run_deviations
 from stiffopt.discovery.judging.tool_force import explain_by_tool_force
 from stiffopt.discovery.judging.unexplained import Unexplained, assess_findings, judge_channels
+from stiffopt.discovery.law_search.find import LawSearch, find_laws
 from stiffopt.discovery.progress import repeat_progress
 from stiffopt.discovery.sanity.doubt import Doubt, DoubtfulRecordings
 from stiffopt.discovery.sanity.gate import SanityGate
@@ -215,6 +216,10 @@ def _run_diagnosis(
     )
     settings = training.settings
     stopped = describe_stop(result)
+    laws = skip_if_stopped(stopped, NO_LAWS, lambda: find_laws(result, say)) or LawSearch(
+        result=result
+    )
+    result = laws.result
 
     def assessed() -> tuple[tuple[Selected, ...], Unexplained | None]:
         say("estimate parameters")
@@ -300,6 +305,7 @@ def _run_diagnosis(
             catalogue=catalogue,
             detection_limits=limits,
             unexplained=unexplained,
+            laws=laws.laws,
             next_experiment=describe_next_experiment(
                 findings, plan, unexplained, taken, recordings.unstated
             ),
@@ -447,6 +453,7 @@ NO_LIMITS = "Stopped by the user: detection limits were not calculated."
 NO_BURSTS = "Stopped by the user: torque bursts above the filter's band were not searched for."
 BAND_NOT_VARIED = "Stopped by the user: standard deviations do not include a fit in half the band."
 NOT_PERTURBED = "Stopped by the user: findings were not fitted again to perturbed runs."
+NO_LAWS = "Stopped by the user: no law beyond the catalogue was searched for."
 NO_EXPERIMENT = "Stopped by the user: no experiment was designed."
 NO_NOISE_CEILING = "Stopped by the user: no noise ceiling was fitted."
 NO_SUSPECTS = "Stopped by the user: the open residual was not searched for suspects."

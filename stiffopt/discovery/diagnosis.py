@@ -18,6 +18,7 @@ from stiffopt.discovery.judging.modes import ModeShift
 from stiffopt.discovery.judging.noise_ceiling import NoiseCeiling
 from stiffopt.discovery.judging.run_deviations import Drift, NotCarriedOver
 from stiffopt.discovery.judging.unexplained import ChannelVerdict, Unexplained
+from stiffopt.discovery.law_search.find import FoundLaw
 from stiffopt.discovery.prediction import RunProof, nrmse
 from stiffopt.discovery.sanity.doubt import Doubt
 from stiffopt.discovery.search.rivals import Selected
@@ -30,7 +31,7 @@ from stiffopt.recording.run import Fault
 from stiffopt.recording.state_pair import StatePair
 from stiffopt.result.solution import DisplayedResult
 
-Verdict = Literal["named", "nothing_missing", "outside_catalogue"]
+Verdict = Literal["named", "law_found", "nothing_missing", "outside_catalogue"]
 Certainty = Literal["found", "likely", "one of these", "possible"]
 
 
@@ -175,8 +176,9 @@ class Diagnosis(DisplayedResult):
     model : str or None
         Path of the extended model that it started from.
     verdict : str
-        "named", "nothing_missing" or "outside_catalogue"; the last also where the residual beside
-        the findings is many times the noise.
+        "named", "law_found" (named, a law beyond the catalogue among it), "nothing_missing" or
+        "outside_catalogue"; the last also where the residual beside the findings is many times the
+        noise.
     findings : tuple of Finding
         The strongest first; fixed before any held-out run was read.
     extension : Extension
@@ -203,6 +205,8 @@ class Diagnosis(DisplayedResult):
         Least sizes of other effects that the recordings would have shown.
     unexplained : Unexplained or None
         Residual that no effect of the catalogue explains.
+    laws : tuple of FoundLaw
+        Laws beyond the catalogue; each is the effect of a finding where it is significant.
     next_experiment : str
         Description of the next recording.
     assumptions : tuple of str
@@ -251,6 +255,7 @@ class Diagnosis(DisplayedResult):
     episodes: tuple[Episode, ...] = ()
     channel_verdicts: tuple[ChannelVerdict, ...] = ()
     drift: tuple[Drift, ...] = ()
+    laws: tuple[FoundLaw, ...] = ()
 
     @property
     def compares_states(self) -> bool:

@@ -208,10 +208,20 @@ _C = FormShape(name="c", unit="signal", **_centre(0.15, 0.35, 0.5, 0.65, 0.85))
 FORMS = {
     each.name: each
     for each in (
-        Form(name="linear", formulas=("x",), words="in proportion to the {x}", symmetry="odd",
-             in_signal=True),
-        Form(name="magnitude", formulas=("np.abs(x)",), words="with the magnitude of the {x}",
-             symmetry="even", in_signal=True),
+        Form(
+            name="linear",
+            formulas=("x",),
+            words="in proportion to the {x}",
+            symmetry="odd",
+            in_signal=True,
+        ),
+        Form(
+            name="magnitude",
+            formulas=("np.abs(x)",),
+            words="with the magnitude of the {x}",
+            symmetry="even",
+            in_signal=True,
+        ),
         Form(
             name="power",
             formulas=("np.exp(n * np.log(np.abs(x) + 1e-12))",),
@@ -290,9 +300,7 @@ FORMS = {
             name="wave",
             formulas=("np.cos(2.0 * np.pi * f * x)", "np.sin(2.0 * np.pi * f * x)"),
             words="periodically in the {x}",
-            shapes=(
-                FormShape(name="f", unit="Hz", starts=_frequencies, bounds=_frequency_bounds),
-            ),
+            shapes=(FormShape(name="f", unit="Hz", starts=_frequencies, bounds=_frequency_bounds),),
             resembles="a pump or fan that runs by itself",
         ),
         Form(
@@ -319,7 +327,9 @@ FORMS = {
             symmetry="odd",
             shapes=(
                 FormShape(
-                    name="f", unit="Hz", starts=lambda r: (1.0, 1.7, 2.6, 3.6, 4.8, 6.3, 8.0),
+                    name="f",
+                    unit="Hz",
+                    starts=lambda r: (1.0, 1.7, 2.6, 3.6, 4.8, 6.3, 8.0),
                     bounds=lambda r: (0.3, max(0.4 * r.rate, 1.0)),
                 ),
                 FormShape(name="z", unit="", **_fixed((0.03, 0.2), 0.002, 1.5)),
@@ -335,7 +345,9 @@ FORMS = {
             symmetry="odd",
             shapes=(
                 FormShape(
-                    name="r", unit="signal", starts=lambda r: (0.01 * r.span, 0.05 * r.span),
+                    name="r",
+                    unit="signal",
+                    starts=lambda r: (0.01 * r.span, 0.05 * r.span),
                     bounds=lambda r: (1e-3 * r.span, 0.5 * r.span),
                 ),
             ),

@@ -17,6 +17,9 @@ from stiffopt.discovery.laws.sources import Source
 from stiffopt.discovery.signals import JointSignals, RobotSignals
 from stiffopt.symbolic import Quantity
 
+# Family of the effects that are laws.
+LAW_FAMILY = "law"
+
 Place = Literal["drive_torque", "link_torque", "deflection"]
 # Symbols and units of what a law adds to.
 _PLACE_SYMBOLS = {"drive_torque": "tau_{}", "link_torque": "T_{}", "deflection": "phi_{}"}
@@ -154,10 +157,11 @@ class Law:
     @property
     def name(self) -> str:
         """Name as an effect: place, joint and signals."""
-        signals = "_".join(
-            re.sub(r"\W+", "", factor.source.symbol.replace("sg(", "sign_")) for factor in self.factors
-        )
-        return f"law_{self.place}_{self.joint + 1}_{signals}"
+        parts = []
+        for factor in self.factors:
+            signal = re.sub(r"\W+", "", factor.source.symbol.replace("sg(", "sign_"))
+            parts.append(signal if factor.form == "linear" else f"{factor.form}_{signal}")
+        return f"law_{self.place}_{self.joint + 1}_" + "_".join(parts)
 
     @property
     def amplitude_names(self) -> tuple[str, ...]:
@@ -169,9 +173,7 @@ class Law:
         """Names of the shapes, numbered by factor where two factors share one."""
         names = [(k, s.name) for k, f in enumerate(self.factors) for s in f.own.shapes]
         plain = [name for _, name in names]
-        return tuple(
-            name if plain.count(name) == 1 else f"{name}{k + 1}" for k, name in names
-        )
+        return tuple(name if plain.count(name) == 1 else f"{name}{k + 1}" for k, name in names)
 
     @property
     def amplitude_unit(self) -> str:
@@ -261,11 +263,11 @@ def law_effect(law: Law, amplitudes: Sequence[float]) -> Effect:
     like = f": like {'; or '.join(resembles)}" if resembles else ""
     return Effect(
         name=law.name,
-        family="law",
+        family=LAW_FAMILY,
         scope="joint",
         equation=law.equation,
         signature=f"{law.words}{like}",
-        title="a law that no catalogue has",
+        title=f"law {law.equation}",
         phrase=f"a law that no catalogue has, {law.equation}: {law.words}{like}",
         remedy=f"Look for a cause at {{where}} that {law.words.partition(' grows ')[1].strip()}"
         f" {law.words.partition(' grows ')[2]}{like}; law.py holds the law as an effect.",

@@ -1,7 +1,7 @@
 """Operators with memory: linear lags, a sprung mass, and the stop element of hysteresis.
 
-Each takes a signal (K,) at equal time steps and starts at rest from the first sample. Parameters may
-be floats, complex numbers (for derivatives) or CasADi symbols.
+Each takes a signal (K,) at equal time steps and starts at rest from the first sample. Parameters
+may be floats, complex numbers (for derivatives) or CasADi symbols.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from stiffopt.discovery.catalogue.recurrence import first_order_lag, recurrence_
 from stiffopt.symbolic import Quantity, is_symbolic
 
 
-def lag(x: Quantity, T: Quantity, dt: float) -> Quantity:  # noqa: N803
+def lag(x: Quantity, T: Quantity, dt: float) -> Quantity:
     """Return the first-order lag y of a signal, T dy/dt = x - y [unit of x]."""
     kept = np.exp(-dt / T)
     if is_symbolic(x) or is_symbolic(kept):
@@ -26,8 +26,8 @@ def lag(x: Quantity, T: Quantity, dt: float) -> Quantity:  # noqa: N803
 def sprung(x: Quantity, f: Quantity, z: Quantity, dt: float) -> Quantity:
     """Return the acceleration of a mass on a spring and damper whose base accelerates by x.
 
-    y + 2 z w dy/dt + d2y/dt2 / w^2 ... with w = 2 pi f: the transfer function
-    (2 z w s + w^2) / (s^2 + 2 z w s + w^2), by the bilinear transform.
+    With w = 2 pi f the transfer function is (2 z w s + w^2) / (s^2 + 2 z w s + w^2), here by the
+    bilinear transform with exact frequency [unit of x].
     """
     over = np.tan(np.pi * f * dt)  # half step of the angular frequency, prewarped
     damped, square = 2.0 * z * over, over * over
@@ -37,9 +37,10 @@ def sprung(x: Quantity, f: Quantity, z: Quantity, dt: float) -> Quantity:
     if is_symbolic(x) or is_symbolic(over):
         # Transposed direct form: rest at the first sample as in `_filter_linear`.
         first = 0.0 * x[0]
-        return recurrence_output(
-            _sprung_step, [x - x[0]], [first, first], [*numerator, *denominator]
-        ) + x[0]
+        return (
+            recurrence_output(_sprung_step, [x - x[0]], [first, first], [*numerator, *denominator])
+            + x[0]
+        )
     return _filter_linear(numerator, [1.0, *denominator], x)
 
 

@@ -36,7 +36,15 @@ class SourceKind:
 
 
 _PLACED = ("linear", "step", "bump", "hinge_above", "hinge_below")
-_SIGNED = ("linear", "magnitude", "power", "signed_power", "saturating", "saturating_even", "peaked")
+_SIGNED = (
+    "linear",
+    "magnitude",
+    "power",
+    "signed_power",
+    "saturating",
+    "saturating_even",
+    "peaked",
+)
 SOURCE_KINDS = {
     "position": SourceKind(
         attribute="motor_position",

@@ -1,0 +1,146 @@
+"""Free smooth functions of signals: what any law of these signals could explain."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import BSpline
+
+from stiffopt.discovery.law_search.open_channel import OpenChannel
+from stiffopt.discovery.laws.law import Factor
+from stiffopt.discovery.laws.sources import Source
+
+# Inner knots of a spline, its degree, and its ridge over the mean square of its columns.
+_KNOT_COUNT, _DEGREE, _RIDGE = 7, 3, 1e-3
+# Maximum number of splines in a sum, and the least share of the left squares that one more removes.
+_MAX_TERMS, _MIN_RELATIVE_GAIN = 3, 0.03
+
+
+@dataclass(frozen=True, eq=False)
+class Carrier:
+    """What a free function of a signal is multiplied with.
+
+    Parameters
+    ----------
+    factors : tuple of Factor
+        Without shapes; none for 1.
+    """
+
+    factors: tuple[Factor, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class FreeTerm:
+    """A spline of one signal times a carrier.
+
+    Parameters
+    ----------
+    carrier : Carrier
+    source : Source
+    columns : array (m, k)
+        Projected rows.
+    left : float
+        Squares that it leaves in blocks left out, alone.
+    """
+
+    carrier: Carrier
+    source: Source
+    columns: np.ndarray
+    left: float
+
+
+def carriers(channel: OpenChannel) -> list[Carrier]:
+    """Return the carriers of a channel: 1, and simple functions of the joint's own signals."""
+    j = channel.joint
+    load = Factor(Source("load", j), "linear")
+    if channel.kind == "deflection":
+        return [Carrier(()), Carrier((load,))]
+    sign = Factor(Source("direction", j), "linear")
+    return [
+        Carrier(()),
+        Carrier((sign,)),
+        Carrier((Factor(Source("speed", j), "linear"),)),
+        Carrier((load,)),
+        Carrier((sign, Factor(Source("load", j), "magnitude"))),
+        Carrier((Factor(Source("acceleration", j), "linear"),)),
+    ]
+
+
+def screen(channel: OpenChannel, base: Sequence[Factor] = ()) -> list[FreeTerm]:
+    """Return free functions of every signal times every carrier, the best first.
+
+    Parameters
+    ----------
+    channel : OpenChannel
+    base : sequence of Factor
+        Factors that take the place of the carriers.
+    """
+    found = []
+    every = [Carrier(tuple(base))] if base else carriers(channel)
+    runs = channel.comparison.runs
+    for source in channel.sources:
+        if any(factor.source == source for factor in base):
+            continue
+        splines = _spline_columns(channel, source)
+        # Splines sum to one: a carrier alone is among the functions.
+        for carrier in every:
+            if any(factor.source == source and not factor.shapes for factor in carrier.factors):
+                continue
+            values = []
+            for run, own in zip(runs, splines, strict=True):
+                times: np.ndarray | float = 1.0
+                for factor in carrier.factors:
+                    times = times * factor.values(run.signals)[0]
+                values.append(list((own * np.reshape(times, (-1, 1))).T))
+            columns = channel.columns(values)
+            found.append(FreeTerm(carrier, source, columns, float(predict(channel, columns).sum())))
+    return sorted(found, key=lambda term: term.left)
+
+
+def _spline_columns(channel: OpenChannel, source: Source) -> list[np.ndarray]:
+    """Return cubic B-splines (K, k) of a signal for every run, with knots at quantiles."""
+    values = [np.asarray(source.value(run.signals)) for run in channel.comparison.runs]
+    inner = np.unique(np.quantile(np.concatenate(values), np.linspace(0.0, 1.0, _KNOT_COUNT)))
+    if len(inner) < 2 or not inner[-1] > inner[0]:
+        return [np.ones((len(v), 1)) for v in values]
+    knots = np.concatenate([[inner[0]] * _DEGREE, inner, [inner[-1]] * _DEGREE])
+    inside = [np.clip(v, inner[0], np.nextafter(inner[-1], inner[0])) for v in values]
+    return [BSpline.design_matrix(v, knots, _DEGREE).toarray() for v in inside]
+
+
+def predict(channel: OpenChannel, columns: np.ndarray) -> np.ndarray:
+    """Return the squares (b,) left in every block by a ridge fit to the others."""
+    scale = np.sqrt(np.mean(columns**2, axis=0)) + 1e-12
+    columns = columns / scale
+    ridge = _RIDGE * len(columns) * np.eye(columns.shape[1]) / columns.shape[1]
+    gram, moment = columns.T @ columns, columns.T @ channel.target
+    blocks = int(channel.block.max()) + 1
+    left = np.empty(blocks)
+    for b in range(blocks):
+        own = channel.block == b
+        part = columns[own]
+        values = np.linalg.solve(
+            gram - part.T @ part + ridge, moment - part.T @ channel.target[own]
+        )
+        left[b] = float(np.sum((channel.target[own] - part @ values) ** 2))
+    return left
+
+
+def best_sum(channel: OpenChannel, terms: Sequence[FreeTerm]) -> tuple[list[FreeTerm], float]:
+    """Return the sum of free functions that predicts blocks left out best, and what it leaves."""
+    chosen: list[FreeTerm] = []
+    left = channel.square
+    candidates = list(terms[:24])
+    while len(chosen) < _MAX_TERMS and candidates:
+        tries = [
+            float(predict(channel, np.hstack([*(c.columns for c in chosen), each.columns])).sum())
+            for each in candidates
+        ]
+        best = int(np.argmin(tries))
+        if tries[best] > (1.0 - _MIN_RELATIVE_GAIN) * left:
+            break
+        left = tries[best]
+        chosen.append(candidates.pop(best))
+    return chosen, left
