@@ -60,6 +60,9 @@ from stiffopt.discovery.extended.schema import (
     LeftOpenSection,
     MadeForSection,
 )
+from stiffopt.discovery.laws.forms import FORMS
+from stiffopt.discovery.laws.law import Factor, Law, law_effect
+from stiffopt.discovery.laws.sources import SOURCE_KINDS, Source
 from stiffopt.discovery.signals import RobotConstants
 from stiffopt.drivetrain.chain import Chain
 from stiffopt.errors import InputFileError, nearest
@@ -330,6 +333,8 @@ def _read_effect(
     where: str,
 ) -> EstimatedEffect:
     effect = known.get(section.name)
+    if effect is None and section.law is not None:
+        effect = _read_law(section, document, path, where)
     if effect is None:
         raise InputFileError(
             path,
@@ -364,6 +369,47 @@ def _read_effect(
         amplitudes=tuple(term[a.name] for a in effect.amplitudes),
         step=section.step,
     )
+
+
+def _read_law(section: EffectSection, document: ExtendedFile, path: object, where: str) -> Effect:
+    """Return the effect of a law that the file itself defines."""
+    assert section.law is not None
+    factors = []
+    for number, each in enumerate(section.law.factors, start=1):
+        place = f"{where}.law.factors[{number}]"
+        for key, value, allowed in (
+            ("signal", each.signal, SOURCE_KINDS),
+            ("form", each.form, FORMS),
+        ):
+            if value not in allowed:
+                raise InputFileError(
+                    path, f"{place}.{key}", f"no {key} {value!r}. {nearest(value, allowed)}"
+                )
+        joints = len(document.joints)
+        if SOURCE_KINDS[each.signal].per_joint != (each.joint is not None) or not (
+            each.joint is None or 1 <= each.joint <= joints
+        ):
+            raise InputFileError(
+                path,
+                f"{place}.joint",
+                f"a signal of a joint needs one, 1 to {joints}; others none.",
+            )
+        source = Source(each.signal, None if each.joint is None else each.joint - 1)
+        shapes = [s.name for s in FORMS[each.form].shapes]
+        if len(each.bounds) != len(shapes):
+            raise InputFileError(
+                path,
+                f"{place}.bounds",
+                f"needs one pair for each shape: {', '.join(shapes) or 'none'}.",
+            )
+        middle = tuple(0.5 * (low + high) for low, high in each.bounds)
+        factors.append(Factor(source, each.form, middle, each.bounds))
+    law = Law((section.joint or 1) - 1, section.law.place, tuple(factors))
+    names = [*law.amplitude_names, *law.shape_names]
+    if sorted(names) != sorted(section.term):
+        raise InputFileError(path, f"{where}.term", f"the law needs exactly {', '.join(names)}.")
+    law = law.with_shapes([section.term[name] for name in law.shape_names])
+    return law_effect(law, [section.term[name] for name in law.amplitude_names])
 
 
 def _read_place(

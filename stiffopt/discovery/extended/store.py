@@ -11,6 +11,7 @@ import numpy as np
 from stiffopt.discovery.comparison.located_effect import EstimatedEffect
 from stiffopt.discovery.extended.model import robot_signature
 from stiffopt.discovery.extended.schema import LeftOpenSection
+from stiffopt.discovery.laws.law import Law, law_of
 from stiffopt.discovery.signals import RobotConstants
 from stiffopt.recording.schema import NominalSection
 
@@ -97,6 +98,9 @@ def _format_effect(
         head["probability"] = probability
     if each.step:
         head["step"] = each.step
+    law = law_of(effect)
+    if law is not None:
+        head["law"] = _describe_law(law)
     names = [a.name for a in effect.amplitudes] + [s.name for s in effect.shapes]
     term = dict(zip(names, (*each.amplitudes, *located.shapes), strict=True))
     reported = effect.parameters(each.amplitudes, located.shapes, located.constants(constants))
@@ -116,6 +120,17 @@ def _format_effect(
     )
 
 
+def _describe_law(law: Law) -> dict[str, Any]:
+    """Return the entries of a law, as `LawSection` reads them."""
+    factors = []
+    for factor in law.factors:
+        entry: dict[str, Any] = {"signal": factor.source.kind, "form": factor.form}
+        if factor.source.joint is not None:
+            entry["joint"] = factor.source.joint + 1
+        factors.append(entry | ({"bounds": factor.bounds} if factor.bounds else {}))
+    return {"place": law.place, "factors": factors}
+
+
 def _format_table(name: str, entries: Mapping[str, Any]) -> str:
     head = [f"[{name}]"] if name else []
     return (
@@ -133,6 +148,8 @@ def _format_value(value: Any) -> str:
         return json.dumps(value, ensure_ascii=False)
     if isinstance(value, np.ndarray):
         value = value.tolist()
+    if isinstance(value, Mapping):
+        return "{ " + ", ".join(f"{k} = {_format_value(v)}" for k, v in value.items()) + " }"
     if isinstance(value, list | tuple):
         return "[" + ", ".join(_format_value(each) for each in value) + "]"
     if isinstance(value, int):

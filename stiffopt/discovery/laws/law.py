@@ -216,7 +216,7 @@ class Law:
         """What it depends on, in words."""
         parts = [f.own.words.format(x=f.source.words) for f in self.factors]
         where = _PLACE_WORDS[self.place].format(self.joint + 1)
-        return f"{where} grows {', times a part that grows '.join(parts)}"
+        return f"{where} changes {', and '.join(parts)}"
 
 
 def _substitute(formula: str, words: dict[str, str]) -> str:
@@ -243,10 +243,18 @@ def law_term(
     """Return the term of a law."""
     columns = law.columns(signals, shapes)
     value: Quantity = sum(a * c for a, c in zip(amplitudes, columns, strict=True))
-    if isinstance(signals, RobotSignals):
-        into = np.eye(len(signals.constants.joints))[signals.link]
-        value = np.outer(value, into)
-    return Term(**{law.place: value})
+    return Term(**{law.place: at_joint(signals, value) if law.of_robot else value})
+
+
+def at_joint(signals: RobotSignals, value: Quantity) -> Quantity:
+    """Return values (K,) of the joint that an effect is located at for all joints (K, n)."""
+    return np.outer(value, np.eye(len(signals.constants.joints))[signals.link])
+
+
+def resembled(law: Law) -> str:
+    """Return a clause on known physics of the same form; "" where there is none."""
+    known = [factor.own.resembles for factor in law.factors if factor.own.resembles]
+    return f": like {'; or '.join(known)}" if known else ""
 
 
 def law_effect(law: Law, amplitudes: Sequence[float]) -> Effect:
@@ -259,8 +267,7 @@ def law_effect(law: Law, amplitudes: Sequence[float]) -> Effect:
         Fitted ones: the largest is the typical size.
     """
     size = max(float(np.max(np.abs(amplitudes))), 1e-12)
-    resembles = [f.own.resembles for f in law.factors if f.own.resembles]
-    like = f": like {'; or '.join(resembles)}" if resembles else ""
+    like = resembled(law)
     return Effect(
         name=law.name,
         family=LAW_FAMILY,
@@ -268,9 +275,8 @@ def law_effect(law: Law, amplitudes: Sequence[float]) -> Effect:
         equation=law.equation,
         signature=f"{law.words}{like}",
         title=f"law {law.equation}",
-        phrase=f"a law that no catalogue has, {law.equation}: {law.words}{like}",
-        remedy=f"Look for a cause at {{where}} that {law.words.partition(' grows ')[1].strip()}"
-        f" {law.words.partition(' grows ')[2]}{like}; law.py holds the law as an effect.",
+        phrase=f"{law.words}, which no catalogue has{like}",
+        remedy=f"Look for its cause at {{where}}{like}. {describe_test(law)}",
         needs=("torque" if law.place != "deflection" else "link", "moves"),
         couples_joints=law.of_robot,
         applies=partial(_is_joint, law.joint + 1) if law.of_robot else None,
@@ -297,6 +303,15 @@ def law_effect(law: Law, amplitudes: Sequence[float]) -> Effect:
         ),
         separate=describe_test(law),
     )
+
+
+def law_of(effect: Effect) -> Law | None:
+    """Return the law that an effect was made from; None of other effects."""
+    term = effect.term
+    if isinstance(term, partial) and term.func is law_term:
+        law: Law = term.args[0]
+        return law
+    return None
 
 
 def _is_joint(number: int, constants: object) -> bool:
