@@ -27,7 +27,9 @@ WITHOUT_LINK_ENCODERS = 0.15
 CATALOGUE = tuple(
     sorted(name for name, entry in EFFECTS.items() if entry.drawn and not entry.outside)
 )
-OUTSIDE = tuple(sorted(name for name, entry in EFFECTS.items() if entry.outside))
+OUTSIDE = tuple(
+    sorted(name for name, entry in EFFECTS.items() if entry.drawn and entry.outside)
+)
 INVISIBLE_TO_MOTORS = frozenset({"encoder_offset", "encoder_zero_change", "encoder_skew"})
 
 
