@@ -165,12 +165,16 @@ def balancing_rope(world: World, joint: int, severity: float, rng: np.random.Gen
 def rattling_weight(world: World, joint: int, severity: float, rng: np.random.Generator) -> Outcome:
     """A weight that is thrown from stop to stop: torque by the sign of the acceleration."""
     size = 0.05 * severity * spread(rng) * world.robot.torque_rated[joint]
-    asked = np.gradient(np.gradient(world.reference[:, :, joint], axis=1), axis=1) / world.step**2
+    asked = np.diff(world.reference[:, :, joint], 2, axis=1) / world.step**2
     small = 0.08 * float(np.abs(asked).max())
+    before: list[np.ndarray] = []
 
     def load(state: State, torque: np.ndarray) -> None:
-        now = asked[:, min(round(state.time / world.step), asked.shape[1] - 1)]
-        torque[:, joint] += size * now / np.sqrt(now**2 + small**2)
+        now = state.motor_velocity[:, joint]
+        if before and state.step > 0.0:
+            thrown = (now - before[0]) / state.step
+            torque[:, joint] += size * thrown / np.sqrt(thrown**2 + small**2)
+        before[:] = [now.copy()]
 
     world.motor_loads.append(load)
     return _outcome(world, [f"a_{joint + 1}"], size=size)

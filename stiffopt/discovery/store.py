@@ -147,7 +147,7 @@ def written_laws(diagnosis: Diagnosis) -> list[WrittenLaw]:
         if law is not None:
             values = {p.name: (p.value, p.sd) for p in finding.parameters}
             own = law.with_shapes(finding.located.shapes)
-            found.append((own, finding.estimated.amplitudes, values))
+            found.append((finding.effect.name, own, finding.estimated.amplitudes, values))
     return found
 
 
@@ -185,7 +185,7 @@ def _finding_entry(statement: Statement, constants: RobotConstants) -> dict[str,
 
 def _law_entry(found: FoundLaw) -> dict[str, Any]:
     return {
-        "effect": found.law.name,
+        "effect": found.located.effect.name,
         "joint": found.law.joint + 1,
         "channel": found.channel,
         "equation": found.law.equation,

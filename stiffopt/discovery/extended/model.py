@@ -409,7 +409,8 @@ def _read_law(section: EffectSection, document: ExtendedFile, path: object, wher
     if sorted(names) != sorted(section.term):
         raise InputFileError(path, f"{where}.term", f"the law needs exactly {', '.join(names)}.")
     law = law.with_shapes([section.term[name] for name in law.shape_names])
-    return law_effect(law, [section.term[name] for name in law.amplitude_names])
+    effect = law_effect(law, [section.term[name] for name in law.amplitude_names])
+    return replace(effect, name=section.name)
 
 
 def _read_place(

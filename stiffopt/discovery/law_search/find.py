@@ -13,15 +13,21 @@ from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.judging.unexplained import assess_findings, channel_name
 from stiffopt.discovery.law_search.fit_law import FittedLaw
 from stiffopt.discovery.law_search.open_channel import OpenChannel
-from stiffopt.discovery.law_search.search import ChannelLaw, family_width, search_channel
-from stiffopt.discovery.laws.law import Law, law_effect
+from stiffopt.discovery.law_search.search import (
+    ChannelLaw,
+    beats,
+    family_width,
+    search_channel,
+)
+from stiffopt.discovery.laws.law import LAW_FAMILY, Law, law_effect
 from stiffopt.discovery.search.candidates import Scorer
 from stiffopt.discovery.search.joint_fit import prune_effects
 from stiffopt.discovery.search.rivals import Selected
 from stiffopt.discovery.search.search import SearchResult
+from stiffopt.discovery.thresholds import UNEXPLAINED_RATIO
 
-# Channels that are searched, the worst first, and laws that are added at most.
-_MAX_CHANNELS, MAX_LAWS = 3, 3
+# Laws that are added at most, and channels without one after which the search ends.
+MAX_LAWS, _MAX_REFUSED = 3, 2
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -83,102 +89,120 @@ def find_laws(result: SearchResult, say: Callable[[str], object]) -> LawSearch:
 
     Notes
     -----
-    It runs only where the verdict on the catalogue leaves a residual, of more than one run and
-    within the band of the fit. A finding of the catalogue that a law makes superfluous is dropped.
+    It runs only where a channel holds more than noise beside the catalogue, in more than one run
+    and within the band of the fit. A finding of the catalogue that a law makes superfluous is dropped.
     """
-    kept, left = assess_findings(result)
-    if left is None or left.brief or left.alone is not None or result.comparison.after_model:
+    comparison = result.comparison
+    if comparison.after_model or any(each.located.is_run_specific for each in result.selected):
         return LawSearch(result=result)
-    state = _State(result.comparison, [each.located for each in kept])
-    n = result.comparison.robot.n
-    waiting = [channel_number(name, n) for name in left.channels[:_MAX_CHANNELS]]
-    refused: list[ChannelLaw] = []
-    while waiting and len(state.laws) < MAX_LAWS:
-        number = waiting.pop(0)
-        say(f"search {channel_name(number, n)} for a law that no catalogue has")
-        outcome = search_channel(OpenChannel(state.comparison, state.effects, number))
-        if outcome.best is None or not state.add(outcome):
-            refused.append(outcome)
+    refused: dict[int, ChannelLaw] = {}
+    laws: list[FoundLaw] = []
+    while len(laws) < MAX_LAWS:
+        kept, left = assess_findings(result)
+        if left is not None and (left.brief or left.alone is not None):
+            break
+        open_names = () if left is None else left.channels
+        state = _State(result.comparison, kept)
+        number = next((c for c in state.open_channels() if c not in refused), None)
+        if number is None or len(refused) >= _MAX_REFUSED:
+            break
+        name = channel_name(number, comparison.robot.n)
+        say(f"search {name} for a law that no catalogue has")
+        outcome = state.search(number, is_open=name in open_names)
+        found = None if outcome.best is None else state.add(outcome)
+        if found is None:
+            refused[number] = outcome
             continue
-        say(f"found {state.laws[-1].located.effect.equation}")
-    if not state.laws:
-        return LawSearch(result=result, refused=tuple(refused))
-    return LawSearch(
-        result=state.answer(result, kept), laws=tuple(state.laws), refused=tuple(refused)
-    )
-
-
-def channel_number(name: str, joints: int) -> int:
-    """Return the number of a channel of a name, such as "torque_3"."""
-    kind, _, joint = name.rpartition("_")
-    return int(joint) - 1 + (0 if kind == "torque" else joints)
+        say(f"found {found.located.effect.equation}")
+        laws.append(found)
+        result = state.answer(result)
+    return LawSearch(result=result, laws=tuple(laws), refused=tuple(refused.values()))
 
 
 class _State:
-    """Effects fitted so far, laws among them."""
+    """Findings so far, to which a law is added."""
 
-    def __init__(self, comparison: Comparison, effects: Sequence[LocatedEffect]) -> None:
-        self.comparison, self.effects = comparison, list(effects)
-        self.laws: list[FoundLaw] = []
-        self._families: dict[str, tuple[list[LocatedEffect], np.ndarray]] = {}
+    def __init__(self, comparison: Comparison, kept: Sequence[Selected]) -> None:
+        self.comparison, self.kept = comparison, list(kept)
+        self.effects = [each.located for each in kept]
+        self._rivals: list[LocatedEffect] = []
+        self._evidence = np.zeros(1)
 
-    def add(self, outcome: ChannelLaw) -> bool:
-        """Fit a law beside the effects; return False where they leave it nothing."""
+    def open_channels(self) -> list[int]:
+        """Return the channels with more than noise, the worst first."""
+        fit = self.comparison.fit(self.effects)
+        beyond = np.nan_to_num(self.comparison.channel_ratio(fit.residual) / self.comparison.least)
+        return [int(c) for c in np.argsort(-beyond) if beyond[c] > UNEXPLAINED_RATIO]
+
+    def search(self, number: int, *, is_open: bool) -> ChannelLaw:
+        """Search a channel for a law in place of its findings or, where it is open, beside them."""
+        own = [each.located for each in self.kept if _is_replaceable(each, number)]
+        beside = OpenChannel(self.comparison, self.effects, number)
+        if own:
+            others = [e for e in self.effects if e not in own]
+            apart = OpenChannel(self.comparison, others, number)
+            outcome = search_channel(apart)
+            if outcome.best is not None and beats(apart, outcome.best, beside.square):
+                self.effects = others
+                return outcome
+            if not is_open:
+                return replace(outcome, best=None, refusal="findings of the catalogue do as well")
+        return search_channel(beside)
+
+    def add(self, outcome: ChannelLaw) -> FoundLaw | None:
+        """Fit a law beside the effects; None where they leave it nothing."""
         assert outcome.best is not None
-        scorer = Scorer(self.comparison, self.effects)
-        law, located = _choose_place(scorer, outcome.best)
+        law, located = _choose_place(Scorer(self.comparison, self.effects), outcome.best)
         if located is None:
-            return False
+            return None
+        same = sum(each.effect.name.startswith(located.effect.name) for each in self.effects)
+        if same:
+            renamed = replace(located.effect, name=f"{located.effect.name}_{same + 1}")
+            located = replace(located, effect=renamed)
         effects = [*self.effects, located]
         current = self.comparison.linearised_at(self.comparison.fit(effects))
         kept = prune_effects(current, effects)
         if located not in kept:
-            return False
+            return None
         self.comparison = current.linearised_at(current.fit(kept))
         self.effects = kept
-        self.laws.append(
-            FoundLaw(
-                law=law,
-                located=located,
-                channel=channel_name(outcome.channel.channel, self.comparison.robot.n),
-                explained=outcome.explained,
-                attainable=outcome.attainable,
-                tried=outcome.best.tried,
-                evidence=outcome.best.evidence,
-            )
+        self._rivals = [
+            _locate(replace(each.law, place=law.place), each.fit.amplitudes)
+            for each in outcome.family
+        ]
+        self._evidence = np.array(
+            [outcome.best.evidence, *(each.evidence for each in outcome.family)]
         )
-        others = [replace(each.law, place=law.place) for each in outcome.family]
-        self._families[located.label] = (
-            [
-                _locate(o, each.fit.amplitudes)
-                for o, each in zip(others, outcome.family, strict=True)
-            ],
-            np.array([outcome.best.evidence, *(each.evidence for each in outcome.family)]),
+        return FoundLaw(
+            law=law,
+            located=located,
+            channel=channel_name(outcome.channel.channel, self.comparison.robot.n),
+            explained=outcome.explained,
+            attainable=outcome.attainable,
+            tried=outcome.best.tried,
+            evidence=outcome.best.evidence,
         )
-        return True
 
-    def answer(self, result: SearchResult, kept: Sequence[Selected]) -> SearchResult:
-        """Return the result with the laws, and without effects that they make superfluous."""
-        known = {each.located.key: each for each in kept}
+    def answer(self, result: SearchResult) -> SearchResult:
+        """Return the result with the law, and without effects that it makes superfluous."""
+        known = {each.located.key: each for each in self.kept}
         selected = []
         for located in self.effects:
             if located.key in known:
                 selected.append(known[located.key])
                 continue
-            scored = Scorer(self.comparison, [e for e in self.effects if e is not located]).score(
-                located
-            )
+            others = [e for e in self.effects if e is not located]
+            scored = Scorer(self.comparison, others).score(located)
             if scored is None:
                 continue
-            rivals, evidence = self._families[located.label]
-            own, *theirs = softmax(evidence / family_width(evidence[0])).tolist()
+            own, *theirs = softmax(self._evidence / family_width(self._evidence[0])).tolist()
             selected.append(
                 Selected(
                     located=located,
                     loss=scored.evidence,
                     deviations=scored.deviations,
                     probability=own,
-                    rivals=tuple(zip(rivals, theirs, strict=True)),
+                    rivals=tuple(zip(self._rivals, theirs, strict=True)),
                     channel=scored.channel,
                 )
             )
@@ -190,6 +214,13 @@ class _State:
             fit=fit,
             after=self.comparison.channel_ratio(fit.residual),
         )
+
+
+def _is_replaceable(selected: Selected, channel: int) -> bool:
+    """Return True for a finding of a channel that a law could take the place of."""
+    located = selected.located
+    law = located.effect.family == LAW_FAMILY
+    return selected.channel == channel and not located.calibrated and not law
 
 
 def _locate(law: Law, amplitudes: Sequence[float]) -> LocatedEffect:

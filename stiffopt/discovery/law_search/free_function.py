@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 from scipy.interpolate import BSpline
@@ -12,6 +13,8 @@ from stiffopt.discovery.law_search.open_channel import OpenChannel
 from stiffopt.discovery.laws.law import Factor
 from stiffopt.discovery.laws.sources import Source
 
+# Pairs of signals whose products are tried as splines times a signal.
+_MAX_PRODUCTS = 4
 # Inner knots of a spline, its degree, and its ridge over the mean square of its columns.
 _KNOT_COUNT, _DEGREE, _RIDGE = 7, 3, 1e-3
 # Maximum number of splines in a sum, and the least share of the left squares that one more removes.
@@ -68,7 +71,39 @@ def carriers(channel: OpenChannel) -> list[Carrier]:
     ]
 
 
-def screen(channel: OpenChannel, base: Sequence[Factor] = ()) -> list[FreeTerm]:
+def screen_products(channel: OpenChannel) -> list[FreeTerm]:
+    """Return splines of one signal times another signal, for the pairs that promise most.
+
+    Pairs are compared as bilinear functions, which few columns describe.
+    """
+    sources = [s for s in channel.sources if s.kind != "direction"]
+    runs = channel.comparison.runs
+    scaled = []
+    for source in sources:
+        extent = channel.extent(source)
+        middle = 0.5 * (extent.low + extent.high)
+        scaled.append([(np.asarray(source.value(r.signals)) - middle) / extent.span for r in runs])
+    singles = channel.columns([[own[k] for own in scaled] for k in range(len(runs))])
+    constant = channel.columns([[np.ones(len(run.time))] for run in runs])
+    pairs = list(combinations(range(len(sources)), 2))
+    products = channel.columns(
+        [[scaled[i][k] * scaled[j][k] for i, j in pairs] for k in range(len(runs))]
+    )
+    left = []
+    for number, (i, j) in enumerate(pairs):
+        columns = np.hstack([constant, singles[:, [i, j]], products[:, [number]]])
+        left.append(float(predict(channel, columns).sum()))
+    found = []
+    for number in np.argsort(left)[:_MAX_PRODUCTS]:
+        for one, other in (pairs[number], pairs[number][::-1]):
+            base = Factor(sources[one], "linear")
+            found += screen(channel, (base,), (sources[other],))
+    return sorted(found, key=lambda term: term.left)
+
+
+def screen(
+    channel: OpenChannel, base: Sequence[Factor] = (), sources: Sequence[Source] = ()
+) -> list[FreeTerm]:
     """Return free functions of every signal times every carrier, the best first.
 
     Parameters
@@ -76,11 +111,13 @@ def screen(channel: OpenChannel, base: Sequence[Factor] = ()) -> list[FreeTerm]:
     channel : OpenChannel
     base : sequence of Factor
         Factors that take the place of the carriers.
+    sources : sequence of Source
+        Default: all that vary.
     """
     found = []
     every = [Carrier(tuple(base))] if base else carriers(channel)
     runs = channel.comparison.runs
-    for source in channel.sources:
+    for source in sources or channel.sources:
         if any(factor.source == source for factor in base):
             continue
         splines = _spline_columns(channel, source)

@@ -15,6 +15,9 @@ from stiffopt.discovery.laws.forms import SignalRange
 from stiffopt.discovery.laws.law import Law
 from stiffopt.discovery.laws.sources import SOURCE_KINDS, Source
 
+# Frequencies of a wave: step over the inverse duration, largest one over the rate of the rows,
+# peaks of single runs whose surroundings are searched, and steps of such a search either way.
+_FREQUENCY_STEP, _MAX_FREQUENCY, _WAVE_PEAKS, _MAX_FINE_STEPS = 0.25, 0.4, 3, 4000
 # Ridge of a fit to rows of unit noise, over the mean square of its columns.
 _RIDGE = 1e-9
 
@@ -154,6 +157,35 @@ class OpenChannel:
             duration=max(float(run.time[-1] - run.time[0]) for run in runs),
             rate=2.0 * runs[0].low_pass.cutoff,
         )
+
+    def frequencies(self, source: Source) -> tuple[float, ...]:
+        """Return the likeliest frequencies of the residual over a clock [1 per its unit].
+
+        Single runs tell a frequency roughly, whatever their phases; all of them together tell it as
+        finely as the whole time between them resolves.
+        """
+        time = self.comparison.rows.sample_signal(
+            lambda run: np.broadcast_to(source.value(run.signals), run.time.shape)
+        )[self.rows]
+        parts = [self.block == b for b in range(int(self.block.max()) + 1)]
+        short = min(float(np.ptp(time[own])) for own in parts)
+        step = float(np.median(np.diff(np.unique(time))))
+        coarse = np.arange(2.0 / short, _MAX_FREQUENCY / step, _FREQUENCY_STEP / short)
+        if not coarse.size:
+            return ()
+        power = sum(self._wave_power(time, coarse, own) for own in parts)
+        found = []
+        fine_step = _FREQUENCY_STEP / float(np.ptp(time))
+        for peak in coarse[np.argsort(-power)[:_WAVE_PEAKS]]:
+            reach = min(0.5 / short, _MAX_FINE_STEPS * fine_step)
+            fine = np.arange(peak - reach, peak + reach, fine_step)
+            whole = self._wave_power(time, fine, np.ones(len(time), dtype=bool))
+            found.append(float(fine[int(np.argmax(whole))]))
+        return tuple(found)
+
+    def _wave_power(self, time: np.ndarray, frequencies: np.ndarray, own: np.ndarray) -> np.ndarray:
+        turns = np.outer(frequencies, time[own])
+        return np.asarray(np.abs(np.exp(2j * np.pi * turns) @ self.target[own]) ** 2 / own.sum())
 
     # ---- fits
 

@@ -8,7 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stiffopt.discovery.law_search.fit_law import FittedLaw, as_fitted, fit_shapes, score_starts
-from stiffopt.discovery.law_search.free_function import FreeTerm, best_sum, screen
+from stiffopt.discovery.law_search.free_function import (
+    FreeTerm,
+    best_sum,
+    screen,
+    screen_products,
+)
 from stiffopt.discovery.law_search.open_channel import OpenChannel
 from stiffopt.discovery.laws.forms import FORMS
 from stiffopt.discovery.laws.law import Factor, Law
@@ -25,6 +30,9 @@ _ENOUGH_SHARE = 0.97
 # Least share of the excess that a law explains in blocks left out, over all of it and over what
 # free functions of any signals explain there.
 MIN_EXPLAINED, MIN_SHARE_OF_FREE = 0.5, 0.85
+# A law takes the place of findings of the catalogue where these leave this share of the excess:
+# less comes from formulas of the catalogue that nature follows nearly.
+MIN_LEFT_SHARE = 0.08
 # Log evidence within which laws are told apart no better than 20 to one, and the share of the
 # evidence by which inexact forms overestimate it.
 _FAMILY_LOG_ODDS, _FAMILY_TEMPERING = 3.0, 0.01
@@ -65,12 +73,18 @@ def search_channel(channel: OpenChannel) -> ChannelLaw:
     """Search one channel for a law."""
     terms = screen(channel)
     free, left = best_sum(channel, terms)
-    attainable = channel.share(left)
-    found = _fit_pairs(channel, terms)
-    if found and channel.share(found[0].left) < _ENOUGH_SHARE * attainable:
+    found = _ranked([*_fit_unscreened(channel), *_fit_pairs(channel, terms)])
+    if _is_short_of(channel, found, left):
+        products = screen_products(channel)
+        more, left_more = best_sum(channel, products)
+        if left_more < left:
+            free, left = more, left_more
+        found = _ranked([*found, *_fit_pairs(channel, products)])
+    if found and _is_short_of(channel, found, left):
         found = _ranked([*found, *_add_factor(channel, found[0])])
     best = found[0] if found else None
     explained = 0.0 if best is None else channel.share(best.left)
+    attainable = channel.share(left)
     refusal = "no form fits" if best is None else _refuse(channel, best, attainable)
     return ChannelLaw(
         channel=channel,
@@ -81,6 +95,23 @@ def search_channel(channel: OpenChannel) -> ChannelLaw:
         free=tuple(free),
         refusal=refusal,
     )
+
+
+def _is_short_of(channel: OpenChannel, found: Sequence[FittedLaw], left: float) -> bool:
+    """Return True where the best law leaves much of what is to be explained."""
+    attainable = max(channel.share(left), MIN_EXPLAINED)
+    return not found or channel.share(found[0].left) < _ENOUGH_SHARE * attainable
+
+
+def _fit_unscreened(channel: OpenChannel) -> list[FittedLaw]:
+    """Return fitted laws of forms that no spline of a signal resembles."""
+    j = channel.joint
+    laws = []
+    for source in channel.sources:
+        if source.joint in (j, None):
+            every = _laws_of(channel, (), source)
+            laws += [law for law in every if law.factors[-1].own.unscreened]
+    return _fit_best(channel, laws)
 
 
 def _fit_pairs(channel: OpenChannel, terms: Sequence[FreeTerm]) -> list[FittedLaw]:
@@ -96,6 +127,8 @@ def _fit_pairs(channel: OpenChannel, terms: Sequence[FreeTerm]) -> list[FittedLa
 def _laws_of(channel: OpenChannel, base: Sequence[Factor], source: Source) -> list[Law]:
     """Return the laws of one signal beside given factors, with all initial shapes."""
     extent = channel.extent(source)
+    if "wave" in source.own.forms:
+        extent = replace(extent, peaks=channel.frequencies(source))
     place = "drive_torque" if channel.kind == "torque" else "deflection"
     return [
         Law(channel.joint, place, (*base, factor))
@@ -108,6 +141,8 @@ def _laws_of(channel: OpenChannel, base: Sequence[Factor], source: Source) -> li
 def _fit_best(channel: OpenChannel, laws: Sequence[Law]) -> list[FittedLaw]:
     """Fit the shapes of the best starts of every structure; return them, the best first."""
     best: dict[object, FittedLaw] = {}
+    if not laws:
+        return []
     for law, fit in zip(laws, score_starts(channel, laws), strict=True):
         scored = as_fitted(channel, law, fit, len(laws))
         known = best.get(law.structure)
@@ -130,17 +165,24 @@ def _ranked(found: Iterable[FittedLaw]) -> list[FittedLaw]:
     return sorted(found, key=lambda each: -each.evidence)
 
 
+def beats(channel: OpenChannel, best: FittedLaw, named: float) -> bool:
+    """Return True where a law in place of findings is likelier than these, which leave `named`."""
+    m = len(channel.target)
+    gain = 0.5 * m * np.log(max(named, m) / max(best.left, m))
+    return channel.share(named) < 1.0 - MIN_LEFT_SHARE and bool(gain > NAMED_EVIDENCE)
+
+
 def _refuse(channel: OpenChannel, best: FittedLaw, attainable: float) -> str:
     """Return why a law does not hold; "" where it does."""
     if best.evidence < NAMED_EVIDENCE:
         return "the evidence of the best law is that of chance"
     explained = channel.share(best.left)
     if explained < MIN_EXPLAINED:
-        return f"the best law explains {100 * max(explained, 0.0):.0f} % of the excess in parts left out"
+        return f"the best law explains {100 * max(explained, 0.0):.0f} % of the excess"
     if explained < MIN_SHARE_OF_FREE * attainable:
         return (
-            f"the best law explains {100 * explained:.0f} % of the excess in parts left out, free"
-            f" functions of the signals {100 * attainable:.0f} %"
+            f"the best law explains {100 * explained:.0f} % of the excess, free functions of the"
+            f" signals {100 * attainable:.0f} %"
         )
     if not _recurs(channel, best):
         return "the best law differs from run to run"

@@ -35,12 +35,15 @@ class SignalRange:
         Of the longest recording [s], or the whole range of a clock.
     rate : float
         Rate up to which recordings resolve a motion [Hz].
+    peaks : tuple of float
+        Likeliest frequencies of the residual over a clock [Hz].
     """
 
     low: float
     high: float
     duration: float
     rate: float
+    peaks: tuple[float, ...] = ()
 
     @property
     def size(self) -> float:
@@ -104,8 +107,8 @@ class Form:
         True where the value has the unit of the signal.
     analytic : bool
         False for formulas with comparisons, which have no complex derivative.
-    memory : bool
-        True where the value depends on earlier samples.
+    unscreened : bool
+        True where no smooth function of the signal resembles it: with memory, or periodic.
     resembles : str
         Known physics of such a form, for sentences; "" where there is none.
     """
@@ -117,7 +120,7 @@ class Form:
     shapes: tuple[FormShape, ...] = ()
     in_signal: bool = False
     analytic: bool = True
-    memory: bool = False
+    unscreened: bool = False
     resembles: str = ""
 
     @cached_property
@@ -166,9 +169,9 @@ def _width(*shares: float, least: float = 0.01, most: float = 1.5) -> dict[str, 
     }
 
 
-def _centre(*shares: float) -> dict[str, Any]:
-    """Return starts and bounds of a place within the range."""
-    return {"starts": lambda r: r.at(*shares), "bounds": lambda r: r.at(-0.1, 1.1)}
+def _centre(*shares: float, beyond: float = 0.1) -> dict[str, Any]:
+    """Return starts and bounds of a place, as far beyond the range as a share of it."""
+    return {"starts": lambda r: r.at(*shares), "bounds": lambda r: r.at(-beyond, 1.0 + beyond)}
 
 
 def _fixed(starts: Sequence[float], low: float, high: float) -> dict[str, Any]:
@@ -193,11 +196,6 @@ def _order_bounds(r: SignalRange) -> tuple[float, float]:
     return low, max(_MAX_ORDER, 2.0 * low)
 
 
-def _frequencies(r: SignalRange) -> tuple[float, ...]:
-    low, high = _frequency_bounds(r)
-    return tuple(np.arange(low, high, 0.4 / max(r.span, r.duration))[:400]) or (low,)
-
-
 def _frequency_bounds(r: SignalRange) -> tuple[float, float]:
     low = 2.0 / r.duration
     return low, max(0.4 * r.rate, 2.0 * low)
@@ -214,6 +212,14 @@ FORMS = {
             words="in proportion to the {x}",
             symmetry="odd",
             in_signal=True,
+        ),
+        Form(
+            name="offset",
+            formulas=("(x - c)",),
+            words="in proportion to the {x} from one value on, both ways",
+            shapes=(FormShape(name="c", unit="signal", **_centre(0.25, 0.5, 0.75, beyond=1.0)),),
+            in_signal=True,
+            resembles="a spring or cable at rest at one place",
         ),
         Form(
             name="magnitude",
@@ -294,13 +300,17 @@ FORMS = {
             formulas=("np.cos(k * x)", "np.sin(k * x)"),
             words="periodically in the {x}",
             shapes=(FormShape(name="k", unit="per signal", starts=_orders, bounds=_order_bounds),),
+            unscreened=True,
             resembles="teeth, rollers or magnets passing at that order",
         ),
         Form(
             name="wave",
             formulas=("np.cos(2.0 * np.pi * f * x)", "np.sin(2.0 * np.pi * f * x)"),
             words="periodically in the {x}",
-            shapes=(FormShape(name="f", unit="Hz", starts=_frequencies, bounds=_frequency_bounds),),
+            shapes=(
+                FormShape(name="f", unit="Hz", starts=lambda r: r.peaks, bounds=_frequency_bounds),
+            ),
+            unscreened=True,
             resembles="a pump or fan that runs by itself",
         ),
         Form(
@@ -317,7 +327,7 @@ FORMS = {
             symmetry="odd",
             shapes=(FormShape(name="T", unit="s", **_fixed((0.05, 0.2, 1.0), 0.01, 10.0)),),
             in_signal=True,
-            memory=True,
+            unscreened=True,
             resembles="a viscous coupling or a creeping material",
         ),
         Form(
@@ -335,7 +345,7 @@ FORMS = {
                 FormShape(name="z", unit="", **_fixed((0.03, 0.2), 0.002, 1.5)),
             ),
             in_signal=True,
-            memory=True,
+            unscreened=True,
             resembles="something loose: a pendulum, a hose or a liquid",
         ),
         Form(
@@ -353,7 +363,7 @@ FORMS = {
             ),
             in_signal=True,
             analytic=False,
-            memory=True,
+            unscreened=True,
             resembles="a seal or cable that sticks before it slides",
         ),
     )

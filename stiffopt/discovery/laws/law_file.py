@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 
 from stiffopt.discovery.laws.law import Law, describe_test, resembled
 
-# (law, amplitudes, reported value and standard deviation by name)
-WrittenLaw = tuple[Law, Sequence[float], Mapping[str, tuple[float, float]]]
+# (name of the effect, law, amplitudes, reported value and standard deviation by name)
+WrittenLaw = tuple[str, Law, Sequence[float], Mapping[str, tuple[float, float]]]
 
 _HEAD = '''"""Laws that a diagnosis of {name} found beyond the catalogue.
 
@@ -55,12 +55,12 @@ def law_file_text(name: str, laws: Sequence[WrittenLaw]) -> str:
     ----------
     name : str
         Recording set.
-    laws : sequence of (Law, amplitudes, reported values)
+    laws : sequence of (name, Law, amplitudes, reported values)
     """
     used = sorted(
         {
             factor.form
-            for law, _, _ in laws
+            for _, law, _, _ in laws
             for factor in law.factors
             if factor.form in ("lag", "sprung", "stop")
         }
@@ -73,6 +73,7 @@ def law_file_text(name: str, laws: Sequence[WrittenLaw]) -> str:
 
 def _format_law(
     number: int,
+    name: str,
     law: Law,
     amplitudes: Sequence[float],
     reported: Mapping[str, tuple[float, float]],
@@ -97,7 +98,7 @@ def _format_law(
         value=" + ".join(f"{key} * {formula}" for key, formula in formulas),
         place=law.place,
         added="at_joint(signals, value)" if law.of_robot else "value",
-        name=json.dumps(law.name),
+        name=json.dumps(name),
         equation_text=json.dumps(law.equation),
         words=json.dumps(law.words + resembled(law)),
         amplitudes="".join(

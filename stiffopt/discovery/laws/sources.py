@@ -35,7 +35,7 @@ class SourceKind:
     per_joint: bool = True
 
 
-_PLACED = ("linear", "step", "bump", "hinge_above", "hinge_below")
+_PLACED = ("linear", "offset", "step", "bump", "hinge_above", "hinge_below")
 _SIGNED = (
     "linear",
     "magnitude",
