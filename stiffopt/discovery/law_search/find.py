@@ -90,10 +90,10 @@ def find_laws(result: SearchResult, say: Callable[[str], object]) -> LawSearch:
     Notes
     -----
     It runs only where a channel holds more than noise beside the catalogue, in more than one run
-    and within the band of the fit. A finding of the catalogue that a law makes superfluous is dropped.
+    and within the band of the fit. A finding that a law makes superfluous is dropped.
     """
     comparison = result.comparison
-    if comparison.after_model or any(each.located.is_run_specific for each in result.selected):
+    if comparison.after_model or result.stopped:
         return LawSearch(result=result)
     refused: dict[int, ChannelLaw] = {}
     laws: list[FoundLaw] = []
