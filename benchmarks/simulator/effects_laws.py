@@ -167,14 +167,14 @@ def rattling_weight(world: World, joint: int, severity: float, rng: np.random.Ge
     size = 0.05 * severity * spread(rng) * world.robot.torque_rated[joint]
     asked = np.diff(world.reference[:, :, joint], 2, axis=1) / world.step**2
     small = 0.08 * float(np.abs(asked).max())
-    before: list[np.ndarray] = []
+    begin: list[float] = []  # before the recording
 
     def load(state: State, torque: np.ndarray) -> None:
-        now = state.motor_velocity[:, joint]
-        if before and state.step > 0.0:
-            thrown = (now - before[0]) / state.step
-            torque[:, joint] += size * thrown / np.sqrt(thrown**2 + small**2)
-        before[:] = [now.copy()]
+        if not begin:
+            begin.append(state.time)
+        step = round((state.time - begin[0]) / world.step)
+        thrown = asked[:, min(step, asked.shape[1] - 1)]
+        torque[:, joint] += size * thrown / np.sqrt(thrown**2 + small**2)
 
     world.motor_loads.append(load)
     return _outcome(world, [f"a_{joint + 1}"], size=size)

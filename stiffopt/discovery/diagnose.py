@@ -306,6 +306,7 @@ def _run_diagnosis(
             detection_limits=limits,
             unexplained=unexplained,
             laws=laws.laws,
+            lawless=laws.refused,
             next_experiment=describe_next_experiment(
                 findings, plan, unexplained, taken, recordings.unstated
             ),

@@ -18,7 +18,7 @@ from stiffopt.discovery.judging.modes import ModeShift
 from stiffopt.discovery.judging.noise_ceiling import NoiseCeiling
 from stiffopt.discovery.judging.run_deviations import Drift, NotCarriedOver
 from stiffopt.discovery.judging.unexplained import ChannelVerdict, Unexplained
-from stiffopt.discovery.law_search.find import FoundLaw
+from stiffopt.discovery.law_search.find import FoundLaw, RefusedChannel
 from stiffopt.discovery.prediction import RunProof, nrmse
 from stiffopt.discovery.sanity.doubt import Doubt
 from stiffopt.discovery.search.rivals import Selected
@@ -207,6 +207,8 @@ class Diagnosis(DisplayedResult):
         Residual that no effect of the catalogue explains.
     laws : tuple of FoundLaw
         Laws beyond the catalogue; each is the effect of a finding where it is significant.
+    lawless : tuple of RefusedChannel
+        Channels in which no law holds, and what any law could explain there.
     next_experiment : str
         Description of the next recording.
     assumptions : tuple of str
@@ -256,6 +258,7 @@ class Diagnosis(DisplayedResult):
     channel_verdicts: tuple[ChannelVerdict, ...] = ()
     drift: tuple[Drift, ...] = ()
     laws: tuple[FoundLaw, ...] = ()
+    lawless: tuple[RefusedChannel, ...] = ()
 
     @property
     def compares_states(self) -> bool:

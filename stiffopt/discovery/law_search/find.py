@@ -60,6 +60,29 @@ class FoundLaw:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
+class RefusedChannel:
+    """Channel in which no law holds.
+
+    Parameters
+    ----------
+    channel : str
+        Such as "torque_3".
+    reason : str
+        Why the best law does not hold.
+    attainable : float
+        Share of the excess that the best free function of signals, or that law, explains in parts
+        of the training runs left out: what any law of recorded signals could.
+    signals : tuple of str
+        Signals of that function, in words.
+    """
+
+    channel: str
+    reason: str
+    attainable: float
+    signals: tuple[str, ...]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class LawSearch:
     """Result of a search for laws.
 
@@ -68,13 +91,12 @@ class LawSearch:
     result : SearchResult
         With the laws among its effects; the given one where none holds.
     laws : tuple of FoundLaw
-    refused : tuple of ChannelLaw
-        Channels in which none holds, with what any law could explain.
+    refused : tuple of RefusedChannel
     """
 
     result: SearchResult
     laws: tuple[FoundLaw, ...] = ()
-    refused: tuple[ChannelLaw, ...] = ()
+    refused: tuple[RefusedChannel, ...] = ()
 
 
 def find_laws(result: SearchResult, say: Callable[[str], object]) -> LawSearch:
@@ -116,7 +138,25 @@ def find_laws(result: SearchResult, say: Callable[[str], object]) -> LawSearch:
         say(f"found {found.located.effect.equation}")
         laws.append(found)
         result = state.answer(result)
-    return LawSearch(result=result, laws=tuple(laws), refused=tuple(refused.values()))
+    return LawSearch(
+        result=result,
+        laws=tuple(laws),
+        refused=tuple(_describe_refusal(each, comparison.robot.n) for each in refused.values()),
+    )
+
+
+def _describe_refusal(outcome: ChannelLaw, joints: int) -> RefusedChannel:
+    sources = [
+        source
+        for term in outcome.free
+        for source in (*(factor.source for factor in term.carrier.factors), term.source)
+    ]
+    return RefusedChannel(
+        channel=channel_name(outcome.channel.channel, joints),
+        reason=outcome.refusal or "the law leaves its bounds",
+        attainable=float(np.clip(outcome.attainable, 0.0, 1.0)),
+        signals=tuple(dict.fromkeys(source.words for source in sources)),
+    )
 
 
 class _State:
