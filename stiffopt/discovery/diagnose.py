@@ -45,7 +45,7 @@ from stiffopt.discovery.judging.modes import mode_shifts
 from stiffopt.discovery.judging.run_deviations import find_friction_drift, find_run_deviations
 from stiffopt.discovery.judging.tool_force import explain_by_tool_force
 from stiffopt.discovery.judging.unexplained import Unexplained, assess_findings, judge_channels
-from stiffopt.discovery.law_search.find import LawSearch, find_laws
+from stiffopt.discovery.law_search.find import LawSearch, find_laws, located_tables
 from stiffopt.discovery.progress import repeat_progress
 from stiffopt.discovery.sanity.doubt import Doubt, DoubtfulRecordings
 from stiffopt.discovery.sanity.gate import SanityGate
@@ -276,7 +276,8 @@ def _run_diagnosis(
     opened = HeldOutRuns(training, settings, start, found, parts, every, tracks)
     _predict_held_out(opened, recordings, stopped, say)
     lasting = [each for each in asked if not each.only_in]
-    left_open = _assess_left_open(training, whole, lasting, base, stopped, say)
+    tables = Extension(effects=tuple(t for each in laws.refused for t in located_tables(each)))
+    left_open = _assess_left_open(training, whole.plus(tables), lasting, base, stopped, say)
 
     def concluded() -> Diagnosis:
         proofs, taken = tuple(opened.proofs), opened.shares.found()

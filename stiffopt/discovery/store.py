@@ -110,7 +110,10 @@ def answer_document(diagnosis: Diagnosis) -> dict[str, Any]:
         if diagnosis.unexplained is None
         else _unexplained_entry(diagnosis.unexplained),
         "laws": [_law_entry(each) for each in diagnosis.laws],
-        "lawless": [vars(each) for each in diagnosis.lawless],
+        "lawless": [
+            {name: value for name, value in vars(each).items() if name != "tables"}
+            for each in diagnosis.lawless
+        ],
         "next_experiment": diagnosis.next_experiment,
         "stopped": diagnosis.stopped,
         "assumptions": list(diagnosis.assumptions),

@@ -8,7 +8,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from stiffopt.discovery.comparison.located_effect import EstimatedEffect, LocatedEffect
+from stiffopt.discovery.extended.model import load_extended
+from stiffopt.discovery.extended.store import _describe_table, _format_effect, _format_table
+from stiffopt.discovery.law_search.find import MIN_KEPT_SHARE
 from stiffopt.discovery.law_search.fit_law import fit_shapes
+from stiffopt.discovery.law_search.free_function import best_sum, residual_tables, screen
 from stiffopt.discovery.law_search.open_channel import OpenChannel
 from stiffopt.discovery.law_search.search import search_channel
 from stiffopt.discovery.laws import operators
@@ -16,6 +21,7 @@ from stiffopt.discovery.laws.forms import FORMS, SignalRange
 from stiffopt.discovery.laws.law import Factor, Law, law_effect, law_of
 from stiffopt.discovery.laws.law_file import law_file_text
 from stiffopt.discovery.laws.sources import SOURCE_KINDS, Source
+from stiffopt.discovery.laws.table import table_of
 from stiffopt.discovery.user_effects import (
     find_faults,
     load_effects,
@@ -23,6 +29,7 @@ from stiffopt.discovery.user_effects import (
     sample_signals_of,
     stack_term,
 )
+from stiffopt.errors import InputFileError
 
 EXTENT = SignalRange(low=-0.7, high=0.9, duration=6.0, rate=20.0, peaks=(0.7,))
 EVERY = [(kind, form) for kind, own in SOURCE_KINDS.items() for form in own.forms]
@@ -71,7 +78,7 @@ def test_the_equation_alone_gives_the_torque(kind: str, form: str) -> None:
     # What another simulator has: symbols, numbers, and the definitions on the page.
     space = {name: getattr(np, name) for name in ("tanh", "exp", "log", "abs", "sqrt", "sign")}
     space |= {"cos": np.cos, "sin": np.sin, "pi": math.pi, "stop": operators.stop}
-    space["lag"] = lambda x, T: operators.lag(x, T, signals.dt)  # noqa: N803
+    space["lag"] = lambda x, T: operators.lag(x, T, signals.dt)
     space["sprung"] = lambda x, f, z: operators.sprung(x, f, z, signals.dt)
     for factor in law.factors:
         name = f"signal{len(space)}"
@@ -185,3 +192,80 @@ def test_a_residual_that_differs_from_run_to_run_is_no_law() -> None:
     signs = iter((1.0, -1.0, 1.0, -1.0))
     found = search_channel(KnownChannel(lambda s: 6.0 * next(signs) * s.motor_position[:, 1]))
     assert found.best is None
+
+
+EXTENDED = """schema = 1
+kind = "extended"
+name = "cell"
+joints = ["a", "b", "c"]
+links = ["la", "lb", "lc"]
+[scales]
+torque_rated = [40.0, 40.0, 40.0]
+torque_max = [120.0, 120.0, 120.0]
+fastest = [2.0, 2.0, 2.0]
+"""
+
+
+def test_a_law_is_read_from_an_extended_model_without_code(tmp_path) -> None:
+    law = Law(
+        1,
+        "drive_torque",
+        (Factor(Source("direction", 1), "linear"), *law_with("position", "step", ()).factors),
+    )
+    text = _format_effect(
+        EstimatedEffect(
+            located=LocatedEffect(effect=law_effect(law, [3.0]), joint=1, shapes=law.shapes),
+            amplitudes=(3.0,),
+        ),
+        sample_signals().constants,
+        {},
+        None,
+    )
+    path = tmp_path / "extended.toml"
+    path.write_text(EXTENDED + text)
+    (found,) = load_extended(path).extension.effects
+    read = law_of(found.effect)
+    assert read == law
+    assert (found.effect.name, found.amplitudes, found.shapes) == (law.name, (3.0,), law.shapes)
+
+
+@pytest.mark.parametrize(
+    ("entry", "message"),
+    [
+        ('signal = "sped"', "no signal 'sped'"),
+        ('signal = "speed", joint = 9', "needs a joint, 1 to 3"),
+        ('signal = "height", joint = 1', "has no joint"),
+    ],
+)
+def test_a_wrong_signal_of_a_law_is_named(tmp_path, entry: str, message: str) -> None:
+    path = tmp_path / "extended.toml"
+    law = f'law = {{ place = "drive_torque", factors = [{{ {entry}, form = "linear" }}] }}'
+    path.write_text(f'{EXTENDED}[[effect]]\nname = "l"\njoint = 1\n{law}\nterm = {{ A = 1.0 }}\n')
+    with pytest.raises(InputFileError, match=message):
+        load_extended(path)
+
+
+def test_what_no_law_explains_is_kept_as_a_table_within_its_range(tmp_path) -> None:
+    def content(signals):
+        # Peaks that no form of the grammar has, times the direction of motion.
+        q = signals.motor_position[:, 2]
+        return 5.0 * signals.motor_direction[:, 4] * (np.abs(q) < 0.2) * (1.0 - np.abs(q) / 0.2)
+
+    channel = KnownChannel(content)
+    free, left = best_sum(channel, screen(channel))
+    assert channel.share(left) > MIN_KEPT_SHARE
+    tables = residual_tables(channel, free)
+    signals = channel.comparison.runs[0].signals
+    whole = sum(table.value(signals) for table in tables)
+    truth = content(signals)
+    assert np.sum((truth - whole) ** 2) < 0.5 * np.sum(truth**2)
+    parts = [_format_table("[residual]", _describe_table(replace(t, joint=0))) for t in tables]
+    path = tmp_path / "extended.toml"
+    path.write_text("\n".join([EXTENDED, *parts]).replace("joint = 5", "joint = 3"))
+    model = load_extended(path)
+    read = [table_of(each.effect) for each in model.extension.effects]
+    assert [t.values for t in read] == [t.values for t in tables]
+    # Beyond the range that was seen the table is constant.
+    beyond = replace(tables[0], source=Source("session_time"), carrier=())
+    far = SimpleNamespace(session_time=np.array([-1e6, 1e6]))
+    assert list(beyond.value(far)) == [beyond.values[0], beyond.values[-1]]

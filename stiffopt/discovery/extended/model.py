@@ -54,15 +54,13 @@ from stiffopt.discovery.catalogue.common import RUN_PREFIX
 from stiffopt.discovery.catalogue.periodic import ROTOR_RIPPLE
 from stiffopt.discovery.comparison.located_effect import EstimatedEffect, Extension, LocatedEffect
 from stiffopt.discovery.effect import Effect
+from stiffopt.discovery.extended.laws import read_law, read_table
 from stiffopt.discovery.extended.schema import (
     EffectSection,
     ExtendedFile,
     LeftOpenSection,
     MadeForSection,
 )
-from stiffopt.discovery.laws.forms import FORMS
-from stiffopt.discovery.laws.law import Factor, Law, law_effect
-from stiffopt.discovery.laws.sources import SOURCE_KINDS, Source
 from stiffopt.discovery.signals import RobotConstants
 from stiffopt.drivetrain.chain import Chain
 from stiffopt.errors import InputFileError, nearest
@@ -264,6 +262,10 @@ def load_extended(path: str | os.PathLike[str], effects: Sequence[Effect] = ()) 
         _read_effect(section, known, document, path, f"effect[{number}]")
         for number, section in enumerate(document.effect, start=1)
     ]
+    read += [
+        read_table(section, n, path, f"residual[{number}]")
+        for number, section in enumerate(document.residual, start=1)
+    ]
     return ExtendedModel(
         source=str(path),
         name=document.name,
@@ -276,7 +278,8 @@ def load_extended(path: str | os.PathLike[str], effects: Sequence[Effect] = ()) 
         parameters=tuple(
             {name: entry.value for name, entry in section.parameters.items()}
             for section in document.effect
-        ),
+        )
+        + ({},) * len(document.residual),
         deviations=tuple(
             {name: entry.sd for name, entry in section.parameters.items() if entry.sd is not None}
             for section in document.effect
@@ -334,7 +337,7 @@ def _read_effect(
 ) -> EstimatedEffect:
     effect = known.get(section.name)
     if effect is None and section.law is not None:
-        effect = _read_law(section, document, path, where)
+        effect = read_law(section, len(document.joints), path, where)
     if effect is None:
         raise InputFileError(
             path,
@@ -369,48 +372,6 @@ def _read_effect(
         amplitudes=tuple(term[a.name] for a in effect.amplitudes),
         step=section.step,
     )
-
-
-def _read_law(section: EffectSection, document: ExtendedFile, path: object, where: str) -> Effect:
-    """Return the effect of a law that the file itself defines."""
-    assert section.law is not None
-    factors = []
-    for number, each in enumerate(section.law.factors, start=1):
-        place = f"{where}.law.factors[{number}]"
-        for key, value, allowed in (
-            ("signal", each.signal, SOURCE_KINDS),
-            ("form", each.form, FORMS),
-        ):
-            if value not in allowed:
-                raise InputFileError(
-                    path, f"{place}.{key}", f"no {key} {value!r}. {nearest(value, allowed)}"
-                )
-        joints = len(document.joints)
-        if SOURCE_KINDS[each.signal].per_joint != (each.joint is not None) or not (
-            each.joint is None or 1 <= each.joint <= joints
-        ):
-            raise InputFileError(
-                path,
-                f"{place}.joint",
-                f"a signal of a joint needs one, 1 to {joints}; others none.",
-            )
-        source = Source(each.signal, None if each.joint is None else each.joint - 1)
-        shapes = [s.name for s in FORMS[each.form].shapes]
-        if len(each.bounds) != len(shapes):
-            raise InputFileError(
-                path,
-                f"{place}.bounds",
-                f"needs one pair for each shape: {', '.join(shapes) or 'none'}.",
-            )
-        middle = tuple(0.5 * (low + high) for low, high in each.bounds)
-        factors.append(Factor(source, each.form, middle, each.bounds))
-    law = Law((section.joint or 1) - 1, section.law.place, tuple(factors))
-    names = [*law.amplitude_names, *law.shape_names]
-    if sorted(names) != sorted(section.term):
-        raise InputFileError(path, f"{where}.term", f"the law needs exactly {', '.join(names)}.")
-    law = law.with_shapes([section.term[name] for name in law.shape_names])
-    effect = law_effect(law, [section.term[name] for name in law.amplitude_names])
-    return replace(effect, name=section.name)
 
 
 def _read_place(

@@ -50,6 +50,21 @@ class LawSection(Section):
     factors: Annotated[tuple[LawFactorSection, ...], Field(min_length=1), Doc("At most three.")]
 
 
+class ResidualSection(Section):
+    """Residual that no law explains, as a table of a signal; no planner uses it."""
+
+    joint: Annotated[int, Doc("Joint, numbered from 1.")]
+    place: Annotated[Literal["drive_torque", "deflection"], Doc("What the table adds to.")]
+    times: Annotated[
+        tuple[LawFactorSection, ...], Doc("Factors without shapes; none for the table alone.")
+    ] = ()
+    signal: Annotated[LawFactorSection, Doc('Signal of the table; its form is "linear".')]
+    at: Annotated[tuple[Ratio, ...], Field(min_length=2), Doc("Values of the signal, rising.")]
+    values: Annotated[
+        tuple[Ratio, ...], Doc("Residual at these; beyond the ends that of the nearest end.")
+    ]
+
+
 class EffectSection(Section):
     """An effect at a place."""
 
@@ -157,3 +172,6 @@ class ExtendedFile(Section):
     ] = Field(default_factory=dict)
     left_open: LeftOpenSection | None = None
     effect: Annotated[tuple[EffectSection, ...], Doc("Findings.")] = ()
+    residual: Annotated[
+        tuple[ResidualSection, ...], Doc("Tables of what no finding explains.")
+    ] = ()

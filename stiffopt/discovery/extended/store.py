@@ -11,7 +11,8 @@ import numpy as np
 from stiffopt.discovery.comparison.located_effect import EstimatedEffect
 from stiffopt.discovery.extended.model import robot_signature
 from stiffopt.discovery.extended.schema import LeftOpenSection
-from stiffopt.discovery.laws.law import Law, law_of
+from stiffopt.discovery.laws.law import Factor, Law, law_of
+from stiffopt.discovery.laws.table import ResidualTable, table_of
 from stiffopt.discovery.signals import RobotConstants
 from stiffopt.recording.schema import NominalSection
 
@@ -53,7 +54,12 @@ def extended_text(diagnosis: Diagnosis) -> str:
         ),
         *_format_left_open(diagnosis.left_open),
     ]
+    tables = [table for each in diagnosis.lawless for table in each.tables]
+    tables += [table for e in diagnosis.extension.effects if (table := table_of(e.effect))]
+    parts += [_format_table("[residual]", _describe_table(table)) for table in tables]
     for each in diagnosis.extension.effects:
+        if table_of(each.effect) is not None:
+            continue
         parts.append(
             _format_effect(each, constants, spread.get(id(each), {}), likely.get(id(each)))
         )
@@ -122,13 +128,26 @@ def _format_effect(
 
 def _describe_law(law: Law) -> dict[str, Any]:
     """Return the entries of a law, as `LawSection` reads them."""
-    factors = []
-    for factor in law.factors:
-        entry: dict[str, Any] = {"signal": factor.source.kind, "form": factor.form}
-        if factor.source.joint is not None:
-            entry["joint"] = factor.source.joint + 1
-        factors.append(entry | ({"bounds": factor.bounds} if factor.bounds else {}))
-    return {"place": law.place, "factors": factors}
+    return {"place": law.place, "factors": [_describe_factor(f) for f in law.factors]}
+
+
+def _describe_factor(factor: Factor) -> dict[str, Any]:
+    entry: dict[str, Any] = {"signal": factor.source.kind, "form": factor.form}
+    if factor.source.joint is not None:
+        entry["joint"] = factor.source.joint + 1
+    return entry | ({"bounds": factor.bounds} if factor.bounds else {})
+
+
+def _describe_table(table: ResidualTable) -> dict[str, Any]:
+    """Return the entries of a table, as `ResidualSection` reads them."""
+    return {
+        "joint": table.joint + 1,
+        "place": table.place,
+        "times": [_describe_factor(factor) for factor in table.carrier],
+        "signal": _describe_factor(Factor(table.source, "linear")),
+        "at": table.at,
+        "values": table.values,
+    }
 
 
 def _format_table(name: str, entries: Mapping[str, Any]) -> str:

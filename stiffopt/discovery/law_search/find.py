@@ -9,9 +9,10 @@ import numpy as np
 from scipy.special import softmax
 
 from stiffopt.discovery.comparison.comparison import Comparison
-from stiffopt.discovery.comparison.located_effect import LocatedEffect
+from stiffopt.discovery.comparison.located_effect import EstimatedEffect, LocatedEffect
 from stiffopt.discovery.judging.unexplained import assess_findings, channel_name
 from stiffopt.discovery.law_search.fit_law import FittedLaw
+from stiffopt.discovery.law_search.free_function import residual_tables
 from stiffopt.discovery.law_search.open_channel import OpenChannel
 from stiffopt.discovery.law_search.search import (
     ChannelLaw,
@@ -20,12 +21,15 @@ from stiffopt.discovery.law_search.search import (
     search_channel,
 )
 from stiffopt.discovery.laws.law import LAW_FAMILY, Law, law_effect
+from stiffopt.discovery.laws.table import ResidualTable
 from stiffopt.discovery.search.candidates import Scorer
 from stiffopt.discovery.search.joint_fit import prune_effects
 from stiffopt.discovery.search.rivals import Selected
 from stiffopt.discovery.search.search import SearchResult
 from stiffopt.discovery.thresholds import UNEXPLAINED_RATIO
 
+# Share of the excess in parts left out from which a free function is kept as a table.
+MIN_KEPT_SHARE = 0.3
 # Laws that are added at most, and channels without one after which the search ends.
 MAX_LAWS, _MAX_REFUSED = 3, 2
 
@@ -74,12 +78,25 @@ class RefusedChannel:
         of the training runs left out: what any law of recorded signals could.
     signals : tuple of str
         Signals of that function, in words.
+    tables : tuple of ResidualTable
+        That function, where it is worth keeping.
     """
 
     channel: str
     reason: str
     attainable: float
     signals: tuple[str, ...]
+    tables: tuple[ResidualTable, ...]
+
+
+def located_tables(refused: RefusedChannel) -> list[EstimatedEffect]:
+    """Return the tables of a channel as effects of weight 1."""
+    return [
+        EstimatedEffect(
+            located=LocatedEffect(effect=table.effect, joint=table.joint), amplitudes=(1.0,)
+        )
+        for table in refused.tables
+    ]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -156,6 +173,9 @@ def _describe_refusal(outcome: ChannelLaw, joints: int) -> RefusedChannel:
         reason=outcome.refusal or "the law leaves its bounds",
         attainable=float(np.clip(outcome.attainable, 0.0, 1.0)),
         signals=tuple(dict.fromkeys(source.words for source in sources)),
+        tables=residual_tables(outcome.channel, outcome.free)
+        if outcome.free_share > MIN_KEPT_SHARE
+        else (),
     )
 
 

@@ -12,11 +12,14 @@ from scipy.interpolate import BSpline
 from stiffopt.discovery.law_search.open_channel import OpenChannel
 from stiffopt.discovery.laws.law import Factor
 from stiffopt.discovery.laws.sources import Source
+from stiffopt.discovery.laws.table import ResidualTable
 
 # Pairs of signals whose products are tried as splines times a signal.
 _MAX_PRODUCTS = 4
 # Inner knots of a spline, its degree, and its ridge over the mean square of its columns.
 _KNOT_COUNT, _DEGREE, _RIDGE = 7, 3, 1e-3
+# Points of a table of such a function.
+_TABLE_POINTS = 25
 # Maximum number of splines in a sum, and the least share of the left squares that one more removes.
 _MAX_TERMS, _MIN_RELATIVE_GAIN = 3, 0.03
 
@@ -120,7 +123,8 @@ def screen(
     for source in sources or channel.sources:
         if any(factor.source == source for factor in base):
             continue
-        splines = _spline_columns(channel, source)
+        inner = _inner_knots(channel, source)
+        splines = [_splines_at(inner, np.asarray(source.value(run.signals))) for run in runs]
         # Splines sum to one: a carrier alone is among the functions.
         for carrier in every:
             if any(factor.source == source and not factor.shapes for factor in carrier.factors):
@@ -136,15 +140,46 @@ def screen(
     return sorted(found, key=lambda term: term.left)
 
 
-def _spline_columns(channel: OpenChannel, source: Source) -> list[np.ndarray]:
-    """Return cubic B-splines (K, k) of a signal for every run, with knots at quantiles."""
+def _inner_knots(channel: OpenChannel, source: Source) -> np.ndarray:
+    """Return knots at quantiles of a signal over all runs."""
     values = [np.asarray(source.value(run.signals)) for run in channel.comparison.runs]
-    inner = np.unique(np.quantile(np.concatenate(values), np.linspace(0.0, 1.0, _KNOT_COUNT)))
+    return np.unique(np.quantile(np.concatenate(values), np.linspace(0.0, 1.0, _KNOT_COUNT)))
+
+
+def _splines_at(inner: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Return cubic B-splines (K, k) at values of a signal."""
     if len(inner) < 2 or not inner[-1] > inner[0]:
-        return [np.ones((len(v), 1)) for v in values]
+        return np.ones((len(values), 1))
     knots = np.concatenate([[inner[0]] * _DEGREE, inner, [inner[-1]] * _DEGREE])
-    inside = [np.clip(v, inner[0], np.nextafter(inner[-1], inner[0])) for v in values]
-    return [BSpline.design_matrix(v, knots, _DEGREE).toarray() for v in inside]
+    inside = np.clip(values, inner[0], np.nextafter(inner[-1], inner[0]))
+    return np.asarray(BSpline.design_matrix(inside, knots, _DEGREE).toarray())
+
+
+def residual_tables(channel: OpenChannel, terms: Sequence[FreeTerm]) -> tuple[ResidualTable, ...]:
+    """Return a sum of free functions as tables over the range that was seen."""
+    if not terms:
+        return ()
+    columns = np.hstack([term.columns for term in terms])
+    scale = np.sqrt(np.mean(columns**2, axis=0)) + 1e-12
+    ridge = _RIDGE * len(columns) * np.eye(columns.shape[1]) / columns.shape[1]
+    scaled = columns / scale
+    weights = np.linalg.solve(scaled.T @ scaled + ridge, scaled.T @ channel.target) / scale
+    tables = []
+    for term in terms:
+        own, weights = weights[: term.columns.shape[1]], weights[term.columns.shape[1] :]
+        inner = _inner_knots(channel, term.source)
+        at = np.linspace(inner[0], inner[-1], _TABLE_POINTS)
+        tables.append(
+            ResidualTable(
+                joint=channel.joint,
+                place="drive_torque" if channel.kind == "torque" else "deflection",
+                carrier=term.carrier.factors,
+                source=term.source,
+                at=tuple(at.tolist()),
+                values=tuple((_splines_at(inner, at) @ own).tolist()),
+            )
+        )
+    return tuple(tables)
 
 
 def predict(channel: OpenChannel, columns: np.ndarray) -> np.ndarray:

@@ -56,6 +56,8 @@ class ChannelLaw:
         Share that the best free function of the signals explains there.
     free : tuple of FreeTerm
         That function.
+    free_share : float
+        Share that it explains itself.
     refusal : str
         Why no law holds; "" where one does.
     """
@@ -66,6 +68,7 @@ class ChannelLaw:
     explained: float
     attainable: float
     free: tuple[FreeTerm, ...]
+    free_share: float
     refusal: str
 
 
@@ -93,6 +96,7 @@ def search_channel(channel: OpenChannel) -> ChannelLaw:
         explained=explained,
         attainable=max(attainable, explained),
         free=tuple(free),
+        free_share=attainable,
         refusal=refusal,
     )
 
