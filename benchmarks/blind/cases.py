@@ -13,7 +13,7 @@ from benchmarks.simulator import Case, CaseSpec, simulate, truth_text, write_cas
 from .key import Key
 from .mix import RATE, SECONDS, SUBSTEPS, Plan, plan
 from .oracle import balances, held_out, without_effects
-from .severity import START, Sized, sized
+from .severity import START, UNKNOWN_START, Sized, sized
 from .store import Store, whole_folder, write_json, write_text
 
 
@@ -22,14 +22,19 @@ class NothingToSeeError(RuntimeError):
 
 
 def make(key: Key, name: str, store: Store) -> None:
-    """Make a case and seal it; one that is there already stays.
+    """Make a case of the mix and seal it; one that is there already stays."""
+    make_planned(key, plan(key, name), store)
+
+
+def make_planned(key: Key, drawn: Plan, store: Store) -> None:
+    """Make the case of a plan and seal it; one that is there already stays.
 
     The truth is on disk before the case is: what the tool can be given has a truth that it is
     held to.
     """
+    name = drawn.name
     if store.made(name) or store.unmade(name).exists():
         return
-    drawn = plan(key, name)
     try:
         case, oracle = realised(key, drawn)
     except (NothingToSeeError, FloatingPointError) as error:
@@ -82,7 +87,7 @@ def _first_seen(
 ) -> tuple[str, int | None, Sized]:
     for effect in order:
         for joint in drawn.joints(key, effect):
-            found = sized(base, effect, joint, START[effect])
+            found = sized(base, effect, joint, START.get(effect, UNKNOWN_START))
             if found is not None:
                 return effect, joint, found
     raise NothingToSeeError(f"{drawn.name}: no effect can be seen in {drawn.robot}")

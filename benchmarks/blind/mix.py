@@ -31,7 +31,8 @@ WITHOUT_LINK_ENCODERS = 0.15
 CATALOGUE = tuple(
     sorted(name for name, entry in EFFECTS.items() if entry.drawn and not entry.outside)
 )
-OUTSIDE = tuple(sorted(name for name, entry in EFFECTS.items() if entry.outside))
+LAWS = tuple(sorted(name for name, entry in EFFECTS.items() if entry.family == "law"))
+OUTSIDE = tuple(sorted(name for name, entry in EFFECTS.items() if entry.drawn and entry.outside))
 INVISIBLE_TO_MOTORS = frozenset({"encoder_offset", "encoder_zero_change", "encoder_skew"})
 
 
@@ -95,11 +96,11 @@ def plan(key: Key, name: str) -> Plan:
         # How many of its kind came before: so that every effect has its turn.
         turn = sum(_kind(key, suite, i) == kind for i in range(index))
         for member in range(2 if kind == "pair" else 1):
-            first = _dealt(key, pool, turn, suite, kind, "effect", member)
+            first = dealt(key, pool, turn, suite, kind, "effect", member)
             rest = key.shuffled(pool, name, "next", member)
             effects.append((first, *(e for e in rest if e != first)))
         sizes = SWEPT if suite == "sweep" else SEVERITIES
-        severity = _dealt(key, sizes, turn, suite, kind, "severity")
+        severity = dealt(key, sizes, turn, suite, kind, "severity")
     if not link_encoders:
         effects = [tuple(e for e in order if e not in INVISIBLE_TO_MOTORS) for order in effects]
     return Plan(
@@ -116,11 +117,11 @@ def plan(key: Key, name: str) -> Plan:
 
 def _kind(key: Key, suite: str, index: int) -> str:
     if suite in ("main", "arms"):
-        return _dealt(key, KINDS, index, suite, "kind")
+        return dealt(key, KINDS, index, suite, "kind")
     return "single" if suite == "sweep" else "none"
 
 
-def _dealt(key: Key, items: Sequence[T], index: int, *purpose: str | int) -> T:
+def dealt(key: Key, items: Sequence[T], index: int, *purpose: str | int) -> T:
     """Items in turn, each round in an order of its own."""
     turn, place = divmod(index, len(items))
     return key.shuffled(items, *purpose, turn)[place]

@@ -70,6 +70,9 @@ START = {
     "wrist_coupling": 0.03,
 }
 
+# Of a law that was never drawn.
+UNKNOWN_START = 0.1
+
 
 @dataclass(frozen=True)
 class Sized:

@@ -9,6 +9,7 @@ import numpy as np
 from . import (  # noqa: F401
     effects_elastic,
     effects_friction,
+    effects_laws,
     effects_load,
     effects_outside,
     effects_sensor,

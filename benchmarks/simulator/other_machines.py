@@ -158,9 +158,7 @@ RV6 = Robot(
         Body(
             origin=(0.42, 0, 0), axis=Y, mass=5.2, com=(0.04, 0, 0), inertia=(0.015, 0.025, 0.025)
         ),
-        Body(
-            origin=(0.1, 0, 0), axis=X, mass=0.9, com=(0.015, 0, 0), inertia=(1.4e-3, 9e-4, 9e-4)
-        ),
+        Body(origin=(0.1, 0, 0), axis=X, mass=0.9, com=(0.015, 0, 0), inertia=(1.4e-3, 9e-4, 9e-4)),
     ),
     payload_mass=18.0,
     payload_com=(0.12, 0.05, 0.07),

@@ -103,7 +103,7 @@ def diagnose(
             raise InputError(f"{option} needs several recording sets; one was given.")
     from stiffopt.discovery.diagnose import diagnose as find
     from stiffopt.discovery.experiment.design import EXPERIMENT_FILE
-    from stiffopt.discovery.store import write_diagnosis
+    from stiffopt.discovery.store import LAW_FILE, write_diagnosis
     from stiffopt.recording.recording_set import RecordingSet, load_recordings
     from stiffopt.recording.state_pair import load_state_pair
     from stiffopt.report.common.terminal import StepDisplay
@@ -125,7 +125,9 @@ def diagnose(
                 "",
                 f"lies in the recording set {home}, which is read-only. Give another --out.",
             )
-    with output_folder(chosen, "diagnose", maybe=("report.html", EXPERIMENT_FILE)) as stage:
+    with output_folder(
+        chosen, "diagnose", maybe=("report.html", EXPERIMENT_FILE, LAW_FILE)
+    ) as stage:
         with nullcontext() if quiet else StepDisplay(loaded.title) as progress:
             found = find(
                 loaded,

@@ -19,6 +19,7 @@ from stiffopt.discovery.diagnosis import (
 from stiffopt.discovery.experiment.design import ExperimentPlan
 from stiffopt.discovery.judging.explained_shares import MismatchShare, variance_explained
 from stiffopt.discovery.judging.unexplained import ChannelVerdict, Unexplained, channel_name
+from stiffopt.discovery.laws.law import LAW_FAMILY
 from stiffopt.discovery.search.cross_validation import held_out_shares
 from stiffopt.discovery.search.rivals import Selected
 from stiffopt.discovery.search.uncertainty import (
@@ -153,7 +154,8 @@ def decide_verdict(
         unexplained is None
         or (not hidden and (unexplained.ratio < OPEN_RATIO or unexplained.left < OPEN_SHARE))
     ):
-        return "named"
+        found = [each for each in findings if each.certainty != "possible"]
+        return "law_found" if any(each.effect.family == LAW_FAMILY for each in found) else "named"
     return "outside_catalogue" if findings or unexplained is not None else "nothing_missing"
 
 

@@ -47,6 +47,7 @@ from stiffopt.discovery.judging.positions import fit_simulation, simulate_held_o
 from stiffopt.discovery.judging.run_deviations import find_friction_drift, find_run_deviations
 from stiffopt.discovery.judging.tool_force import explain_by_tool_force
 from stiffopt.discovery.judging.unexplained import Unexplained, assess_findings, judge_channels
+from stiffopt.discovery.law_search.find import LawSearch, find_laws, located_tables
 from stiffopt.discovery.position_fit import model_section
 from stiffopt.discovery.progress import repeat_progress
 from stiffopt.discovery.sanity.actuator_estimate import resolve_actuator
@@ -67,6 +68,7 @@ from stiffopt.discovery.steps import (
     FRICTION_NOT_REFITTED,
     NO_BURSTS,
     NO_EXPERIMENT,
+    NO_LAWS,
     NO_LIMITS,
     NO_NOISE_CEILING,
     NO_SIMULATION,
@@ -233,6 +235,10 @@ def _run_diagnosis(
     )
     settings = training.settings
     stopped = describe_stop(result)
+    laws = skip_if_stopped(stopped, NO_LAWS, lambda: find_laws(result, say)) or LawSearch(
+        result=result
+    )
+    result = laws.result
 
     def assessed() -> tuple[tuple[Selected, ...], Unexplained | None]:
         say("estimate parameters")
@@ -294,7 +300,8 @@ def _run_diagnosis(
     _predict_held_out(opened, recordings, stopped, say)
     simulated = finish_step(stopped, lambda: simulate_held_out(recordings, loop))
     lasting = [each for each in asked if not each.only_in]
-    left_open = _assess_left_open(training, whole, lasting, base, stopped, say)
+    tables = Extension(effects=tuple(t for each in laws.refused for t in located_tables(each)))
+    left_open = _assess_left_open(training, whole.plus(tables), lasting, base, stopped, say)
 
     def concluded() -> Diagnosis:
         proofs, taken = tuple(opened.proofs), opened.shares.found()
@@ -325,6 +332,8 @@ def _run_diagnosis(
             catalogue=catalogue,
             detection_limits=limits,
             unexplained=unexplained,
+            laws=laws.laws,
+            lawless=laws.refused,
             next_experiment=describe_next_experiment(findings, plan, unexplained, taken),
             assumptions=(
                 *stopped,

@@ -18,6 +18,7 @@ from stiffopt.discovery.judging.modes import ModeShift
 from stiffopt.discovery.judging.noise_ceiling import NoiseCeiling
 from stiffopt.discovery.judging.run_deviations import Drift, NotCarriedOver
 from stiffopt.discovery.judging.unexplained import ChannelVerdict, Unexplained
+from stiffopt.discovery.law_search.find import FoundLaw, RefusedChannel
 from stiffopt.discovery.position_fit import PositionRun
 from stiffopt.discovery.prediction import RunProof, nrmse
 from stiffopt.discovery.sanity.doubt import Doubt
@@ -31,7 +32,7 @@ from stiffopt.recording.run import Fault
 from stiffopt.recording.state_pair import StatePair
 from stiffopt.result.solution import DisplayedResult
 
-Verdict = Literal["named", "nothing_missing", "outside_catalogue"]
+Verdict = Literal["named", "law_found", "nothing_missing", "outside_catalogue"]
 Certainty = Literal["found", "likely", "one of these", "possible"]
 
 
@@ -176,8 +177,9 @@ class Diagnosis(DisplayedResult):
     model : str or None
         Path of the extended model that it started from.
     verdict : str
-        "named", "nothing_missing" or "outside_catalogue"; the last also where the residual beside
-        the findings is many times the noise.
+        "named", "law_found" (named, a law beyond the catalogue among it), "nothing_missing" or
+        "outside_catalogue"; the last also where the residual beside the findings is many times the
+        noise.
     findings : tuple of Finding
         The strongest first; fixed before any held-out run was read.
     extension : Extension
@@ -204,6 +206,10 @@ class Diagnosis(DisplayedResult):
         Least sizes of other effects that the recordings would have shown.
     unexplained : Unexplained or None
         Residual that no effect of the catalogue explains.
+    laws : tuple of FoundLaw
+        Laws beyond the catalogue; each is the effect of a finding where it is significant.
+    lawless : tuple of RefusedChannel
+        Channels in which no law holds, and what any law could explain there.
     next_experiment : str
         Description of the next recording.
     assumptions : tuple of str
@@ -258,6 +264,8 @@ class Diagnosis(DisplayedResult):
     drift: tuple[Drift, ...] = ()
     closed_loop: ClosedLoopSection | None = None
     positions: tuple[PositionRun, ...] = ()
+    laws: tuple[FoundLaw, ...] = ()
+    lawless: tuple[RefusedChannel, ...] = ()
 
     @property
     def compares_states(self) -> bool:

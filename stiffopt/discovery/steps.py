@@ -28,6 +28,7 @@ NO_BURSTS = "Stopped by the user: torque bursts above the filter's band were not
 BAND_NOT_VARIED = "Stopped by the user: standard deviations do not include a fit in half the band."
 NOT_PERTURBED = "Stopped by the user: findings were not fitted again to perturbed runs."
 NO_SIMULATION = "Stopped by the user: no simulation from commands was fitted."
+NO_LAWS = "Stopped by the user: no law beyond the catalogue was searched for."
 NO_EXPERIMENT = "Stopped by the user: no experiment was designed."
 NO_NOISE_CEILING = "Stopped by the user: no noise ceiling was fitted."
 NO_SUSPECTS = "Stopped by the user: the open residual was not searched for suspects."

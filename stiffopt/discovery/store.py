@@ -24,6 +24,9 @@ from stiffopt.discovery.experiment.design import EXPERIMENT_FILE
 from stiffopt.discovery.extended.store import extended_text
 from stiffopt.discovery.judging.explained_shares import MismatchShare
 from stiffopt.discovery.judging.unexplained import Unexplained
+from stiffopt.discovery.law_search.find import FoundLaw
+from stiffopt.discovery.laws.law import law_of
+from stiffopt.discovery.laws.law_file import WrittenLaw, law_file_text
 from stiffopt.discovery.position_fit import PositionRun
 from stiffopt.discovery.prediction import Prediction
 from stiffopt.discovery.signals import RobotConstants
@@ -33,6 +36,7 @@ from stiffopt.recording.signals import Signals
 SCHEMA_VERSION = 1
 ANSWER_FILE = "diagnosis.json"
 MODEL_FILE = "extended.toml"
+LAW_FILE = "law.py"
 
 
 def write_diagnosis(diagnosis: Diagnosis, directory: str | Path) -> Path:
@@ -47,12 +51,15 @@ def write_diagnosis(diagnosis: Diagnosis, directory: str | Path) -> Path:
         for when, prediction in (("before", proof.before), ("after", proof.after)):
             files[f"pred_{when}_{proof.run.name}.npz"] = _prediction_archive(prediction, signals)
     files[MODEL_FILE] = extended_text(diagnosis)
+    laws = written_laws(diagnosis)
+    if laws:
+        files[LAW_FILE] = law_file_text(diagnosis.recordings.name, laws)
     if diagnosis.experiment is not None:
         files[EXPERIMENT_FILE] = diagnosis.experiment.csv()
     text = json.dumps(answer_document(diagnosis), indent=1, ensure_ascii=False, allow_nan=False)
     files[ANSWER_FILE] = text + "\n"
     # An earlier result must not remain beside files of another diagnosis.
-    for name in (ANSWER_FILE, EXPERIMENT_FILE):
+    for name in (ANSWER_FILE, EXPERIMENT_FILE, LAW_FILE):
         (folder / name).unlink(missing_ok=True)
     for name, content in files.items():
         atomic_write(folder / name, content)
@@ -104,6 +111,11 @@ def answer_document(diagnosis: Diagnosis) -> dict[str, Any]:
         "outside": None
         if diagnosis.unexplained is None
         else _unexplained_entry(diagnosis.unexplained),
+        "laws": [_law_entry(each) for each in diagnosis.laws],
+        "lawless": [
+            {name: value for name, value in vars(each).items() if name != "tables"}
+            for each in diagnosis.lawless
+        ],
         "next_experiment": diagnosis.next_experiment,
         "stopped": diagnosis.stopped,
         "assumptions": list(diagnosis.assumptions),
@@ -130,6 +142,18 @@ def answer_document(diagnosis: Diagnosis) -> dict[str, Any]:
         ],
     }
     found: dict[str, Any] = to_json_types(document)
+    return found
+
+
+def written_laws(diagnosis: Diagnosis) -> list[WrittenLaw]:
+    """Return the laws among the findings with their amplitudes and reported values."""
+    found: list[WrittenLaw] = []
+    for finding in diagnosis.findings:
+        law = law_of(finding.effect)
+        if law is not None:
+            values = {p.name: (p.value, p.sd) for p in finding.parameters}
+            own = law.with_shapes(finding.located.shapes)
+            found.append((finding.effect.name, own, finding.estimated.amplitudes, values))
     return found
 
 
@@ -162,6 +186,21 @@ def _finding_entry(statement: Statement, constants: RobotConstants) -> dict[str,
             for rival in finding.rivals
             if rival.probability >= MIN_LISTED_PROBABILITY
         ],
+    }
+
+
+def _law_entry(found: FoundLaw) -> dict[str, Any]:
+    return {
+        "effect": found.located.effect.name,
+        "joint": found.law.joint + 1,
+        "channel": found.channel,
+        "equation": found.law.equation,
+        "signals": [factor.source.symbol for factor in found.law.factors],
+        "forms": [factor.form for factor in found.law.factors],
+        "explained": found.explained,
+        "attainable": found.attainable,
+        "laws_tried": found.tried,
+        "log_evidence": found.evidence,
     }
 
 

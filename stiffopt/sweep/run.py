@@ -206,7 +206,9 @@ class _ProgressWatch:
 
 def is_unusable(found: dict[str, Any]) -> bool:
     """Return True if a case has no usable result."""
-    usable = ("optimal", "acceptable", "named", "nothing_missing", "outside_catalogue")
+    usable = (
+        "optimal", "acceptable", "named", "law_found", "nothing_missing", "outside_catalogue",
+    )  # fmt: skip
     return found["status"] not in usable
 
 

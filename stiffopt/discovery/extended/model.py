@@ -54,6 +54,7 @@ from stiffopt.discovery.catalogue.common import RUN_PREFIX
 from stiffopt.discovery.catalogue.periodic import ROTOR_RIPPLE
 from stiffopt.discovery.comparison.located_effect import EstimatedEffect, Extension, LocatedEffect
 from stiffopt.discovery.effect import Effect
+from stiffopt.discovery.extended.laws import read_law, read_table
 from stiffopt.discovery.extended.schema import (
     ClosedLoopSection,
     EffectSection,
@@ -265,6 +266,10 @@ def load_extended(path: str | os.PathLike[str], effects: Sequence[Effect] = ()) 
         _read_effect(section, known, document, path, f"effect[{number}]")
         for number, section in enumerate(document.effect, start=1)
     ]
+    read += [
+        read_table(section, n, path, f"residual[{number}]")
+        for number, section in enumerate(document.residual, start=1)
+    ]
     return ExtendedModel(
         source=str(path),
         name=document.name,
@@ -277,7 +282,8 @@ def load_extended(path: str | os.PathLike[str], effects: Sequence[Effect] = ()) 
         parameters=tuple(
             {name: entry.value for name, entry in section.parameters.items()}
             for section in document.effect
-        ),
+        )
+        + ({},) * len(document.residual),
         deviations=tuple(
             {name: entry.sd for name, entry in section.parameters.items() if entry.sd is not None}
             for section in document.effect
@@ -335,6 +341,8 @@ def _read_effect(
     where: str,
 ) -> EstimatedEffect:
     effect = known.get(section.name)
+    if effect is None and section.law is not None:
+        effect = read_law(section, len(document.joints), path, where)
     if effect is None:
         raise InputFileError(
             path,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import ConfigDict, Field
 
@@ -32,6 +32,41 @@ class ParameterSection(Section):
     unit: Annotated[str, Doc("Unit of value and sd.")] = ""
 
 
+class LawFactorSection(Section):
+    """Factor of a law: a form of one signal."""
+
+    signal: Annotated[str, Doc("Kind of signal, such as position, speed, load or height.")]
+    joint: Annotated[int | None, Doc("Joint of the signal, numbered from 1.")] = None
+    form: Annotated[str, Doc("Form of the law in it, such as linear, saturating or step.")]
+    bounds: Annotated[
+        tuple[tuple[Ratio, Ratio], ...], Doc("Lowest and highest value of its shapes.")
+    ] = ()
+
+
+class LawSection(Section):
+    """A law beyond the catalogue: product of forms of signals."""
+
+    place: Annotated[
+        Literal["drive_torque", "link_torque", "deflection"], Doc("What the law adds to.")
+    ]
+    factors: Annotated[tuple[LawFactorSection, ...], Field(min_length=1), Doc("At most three.")]
+
+
+class ResidualSection(Section):
+    """Residual that no law explains, as a table of a signal; no planner uses it."""
+
+    joint: Annotated[int, Doc("Joint, numbered from 1.")]
+    place: Annotated[Literal["drive_torque", "deflection"], Doc("What the table adds to.")]
+    times: Annotated[
+        tuple[LawFactorSection, ...], Doc("Factors without shapes; none for the table alone.")
+    ] = ()
+    signal: Annotated[LawFactorSection, Doc('Signal of the table; its form is "linear".')]
+    at: Annotated[tuple[Ratio, ...], Field(min_length=2), Doc("Values of the signal, rising.")]
+    values: Annotated[
+        tuple[Ratio, ...], Doc("Residual at these; beyond the ends that of the nearest end.")
+    ]
+
+
 class EffectSection(Section):
     """An effect at a place."""
 
@@ -45,6 +80,9 @@ class EffectSection(Section):
         _STEP_BOUNDS,
         Doc("Step of the first amplitude from the fit to the refit on all moving samples."),
     ] = 0.0
+    law: Annotated[
+        LawSection | None, Doc("Form of an effect that is a law beyond the catalogue.")
+    ] = None
     term: Annotated[
         dict[str, Ratio],
         Doc("Amplitudes and shapes of the effect's term, over the scales; read by `solve`."),
@@ -166,3 +204,6 @@ class ExtendedFile(Section):
     left_open: LeftOpenSection | None = None
     closed_loop: ClosedLoopSection | None = None
     effect: Annotated[tuple[EffectSection, ...], Doc("Findings.")] = ()
+    residual: Annotated[
+        tuple[ResidualSection, ...], Doc("Tables of what no finding explains.")
+    ] = ()

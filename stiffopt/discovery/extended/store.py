@@ -11,6 +11,8 @@ import numpy as np
 from stiffopt.discovery.comparison.located_effect import EstimatedEffect
 from stiffopt.discovery.extended.model import robot_signature
 from stiffopt.discovery.extended.schema import ClosedLoopSection, LeftOpenSection
+from stiffopt.discovery.laws.law import Factor, Law, law_of
+from stiffopt.discovery.laws.table import ResidualTable, table_of
 from stiffopt.discovery.signals import RobotConstants
 from stiffopt.recording.schema import NominalSection
 
@@ -53,7 +55,12 @@ def extended_text(diagnosis: Diagnosis) -> str:
         *_format_left_open(diagnosis.left_open),
         *_format_closed_loop(diagnosis.closed_loop),
     ]
+    tables = [table for each in diagnosis.lawless for table in each.tables]
+    tables += [table for e in diagnosis.extension.effects if (table := table_of(e.effect))]
+    parts += [_format_table("[residual]", _describe_table(table)) for table in tables]
     for each in diagnosis.extension.effects:
+        if table_of(each.effect) is not None:
+            continue
         parts.append(
             _format_effect(each, constants, spread.get(id(each), {}), likely.get(id(each)))
         )
@@ -108,6 +115,9 @@ def _format_effect(
         head["probability"] = probability
     if each.step:
         head["step"] = each.step
+    law = law_of(effect)
+    if law is not None:
+        head["law"] = _describe_law(law)
     names = [a.name for a in effect.amplitudes] + [s.name for s in effect.shapes]
     term = dict(zip(names, (*each.amplitudes, *located.shapes), strict=True))
     reported = effect.parameters(each.amplitudes, located.shapes, located.constants(constants))
@@ -127,6 +137,30 @@ def _format_effect(
     )
 
 
+def _describe_law(law: Law) -> dict[str, Any]:
+    """Return the entries of a law, as `LawSection` reads them."""
+    return {"place": law.place, "factors": [_describe_factor(f) for f in law.factors]}
+
+
+def _describe_factor(factor: Factor) -> dict[str, Any]:
+    entry: dict[str, Any] = {"signal": factor.source.kind, "form": factor.form}
+    if factor.source.joint is not None:
+        entry["joint"] = factor.source.joint + 1
+    return entry | ({"bounds": factor.bounds} if factor.bounds else {})
+
+
+def _describe_table(table: ResidualTable) -> dict[str, Any]:
+    """Return the entries of a table, as `ResidualSection` reads them."""
+    return {
+        "joint": table.joint + 1,
+        "place": table.place,
+        "times": [_describe_factor(factor) for factor in table.carrier],
+        "signal": _describe_factor(Factor(table.source, "linear")),
+        "at": table.at,
+        "values": table.values,
+    }
+
+
 def _format_table(name: str, entries: Mapping[str, Any]) -> str:
     head = [f"[{name}]"] if name else []
     return (
@@ -144,6 +178,8 @@ def _format_value(value: Any) -> str:
         return json.dumps(value, ensure_ascii=False)
     if isinstance(value, np.ndarray):
         value = value.tolist()
+    if isinstance(value, Mapping):
+        return "{ " + ", ".join(f"{k} = {_format_value(v)}" for k, v in value.items()) + " }"
     if isinstance(value, list | tuple):
         return "[" + ", ".join(_format_value(each) for each in value) + "]"
     if isinstance(value, int):

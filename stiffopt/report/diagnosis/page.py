@@ -35,6 +35,7 @@ from stiffopt.report.diagnosis.figures import (
     trace,
     worst_windows,
 )
+from stiffopt.report.diagnosis.law_section import law_figure, laws_on_page
 from stiffopt.report.diagnosis.mismatch import mismatches
 from stiffopt.report.diagnosis.overview import (
     candidates,
@@ -145,6 +146,7 @@ def write_diagnosis_report(
         "positions": position_section(diagnosis.positions, recordings.prismatic),
         "statements": {each.finding: each for each in statements(diagnosis)},
         "shown": shown,
+        "laws": laws_on_page(diagnosis),
         "overlays": overlays,
         "worst": worst_channel(diagnosis, search.after) if _has_residuals(search.after) else None,
         "worst_ratio": worst_ratio(search.after),
@@ -192,6 +194,9 @@ def _draw_finding(
             ("maps", map_figure, "Mean residual without and with the finding"),
         ):
             figures.draw(f"{name}_{number}", figure(diagnosis, rows, finding), description)
+        drawn = law_figure(diagnosis, rows, finding)
+        if drawn is not None:
+            figures.draw(f"law_{number}", drawn, "Residual over the signals of the law")
 
 
 def _draw_unexplained(figures: PageFigures, diagnosis: Diagnosis) -> None:

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 _BIN_COUNT, _CELL_COUNT = 28, 14
 # Points of a scatter plot.
 _MAX_POINTS = 1500
-_DIRECTION_STYLES = ((1, VERMILLION, "positive direction"), (-1, BLUE, "negative direction"))
+DIRECTION_STYLES = ((1, VERMILLION, "positive direction"), (-1, BLUE, "negative direction"))
 
 
 def regime_figure(diagnosis: Diagnosis, rows: ChannelResiduals, finding: Finding | None) -> Figure:
@@ -56,20 +56,19 @@ def regime_figure(diagnosis: Diagnosis, rows: ChannelResiduals, finding: Finding
         grid = figure.subplots(2, 3, sharey=True)
         for axes, regime in zip(grid.flat, shown, strict=True):
             axes.axhspan(-noise, noise, color=PALE, alpha=0.55, zorder=0, linewidth=0)
-            for side, colour, _ in _DIRECTION_STYLES:
+            for side, colour, _ in DIRECTION_STYLES:
                 own = sides == side
                 if own.sum() > 1:
-                    _draw_direction(
+                    draw_direction(
                         axes, regime, own, factor * residual, factor * added, rows.run, colour
                     )
             axes.set_xlabel(regime.label)
         for line in grid:
             line[0].set_ylabel(f"mean residual [{unit}]")
         handles = [
-            grid[0, 0].plot([], [], "o", color=colour, ms=4)[0]
-            for _, colour, _ in _DIRECTION_STYLES
+            grid[0, 0].plot([], [], "o", color=colour, ms=4)[0] for _, colour, _ in DIRECTION_STYLES
         ]
-        labels = [words for _, _, words in _DIRECTION_STYLES]
+        labels = [words for _, _, words in DIRECTION_STYLES]
         if finding is not None:
             handles.append(grid[0, 0].plot([], [], color=GREY, linewidth=1.4)[0])
             labels.append("model of the finding")
@@ -80,7 +79,7 @@ def regime_figure(diagnosis: Diagnosis, rows: ChannelResiduals, finding: Finding
         return figure
 
 
-def _draw_direction(
+def draw_direction(
     axes: Axes,
     regime: Regime,
     own: np.ndarray,
@@ -89,6 +88,7 @@ def _draw_direction(
     run: np.ndarray,
     colour: str,
 ) -> None:
+    """Draw mean residual and model of one direction of motion (mask) over a regime."""
     x = regime.values[own]
     groups = [run[own] == r for r in np.unique(run)] if regime.apart else [np.ones(len(x), bool)]
     for group in groups:

@@ -158,6 +158,8 @@ def verdict_words(diagnosis: Diagnosis) -> str:
     first = next(iter(statements(diagnosis)), None)
     if first is None or first.certainty == "possible":
         return "outside the catalogue"
+    if diagnosis.verdict == "law_found" and first.certainty == "found":
+        return "law found that no catalogue has"
     name = {
         "found": "cause found",
         "likely": "likely cause",
@@ -221,7 +223,17 @@ def unexplained_sentence(diagnosis: Diagnosis) -> str:
             f" In {run} the residual of the nominal model there is {significant(ratio, 2)} times"
             " that of any other training run: check whether its payload or arm differs."
         )
-    return text
+    return text + lawless_sentence(diagnosis, unexplained.channels[0])
+
+
+def lawless_sentence(diagnosis: Diagnosis, channel: str) -> str:
+    """Return a sentence on what any law could explain in a channel where none holds, or ""."""
+    each = next((each for each in diagnosis.lawless if each.channel == channel), None)
+    if each is None:
+        return ""
+    text = f" No law of the recorded signals holds there ({each.reason}); any law could explain at"
+    text += f" most about {100 * each.attainable:.0f} % of it"
+    return f"{text}, of the {listed(each.signals)}." if each.signals else f"{text}."
 
 
 def _dependence_sentence(unexplained: Unexplained) -> str:

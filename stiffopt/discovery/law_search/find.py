@@ -1,0 +1,304 @@
+"""Find laws in the channels that the catalogue leaves open, and fit them beside its findings."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.special import softmax
+
+from stiffopt.discovery.comparison.comparison import Comparison
+from stiffopt.discovery.comparison.located_effect import EstimatedEffect, LocatedEffect
+from stiffopt.discovery.judging.unexplained import assess_findings, channel_name
+from stiffopt.discovery.law_search.fit_law import FittedLaw
+from stiffopt.discovery.law_search.free_function import residual_tables
+from stiffopt.discovery.law_search.open_channel import OpenChannel
+from stiffopt.discovery.law_search.search import (
+    ChannelLaw,
+    beats,
+    family_width,
+    search_channel,
+)
+from stiffopt.discovery.laws.law import LAW_FAMILY, Law, law_effect
+from stiffopt.discovery.laws.table import ResidualTable
+from stiffopt.discovery.search.candidates import Scorer
+from stiffopt.discovery.search.joint_fit import prune_effects
+from stiffopt.discovery.search.rivals import Selected
+from stiffopt.discovery.search.search import SearchResult
+from stiffopt.discovery.thresholds import UNEXPLAINED_RATIO
+
+# Share of the excess in parts left out from which a free function is kept as a table.
+MIN_KEPT_SHARE = 0.3
+# Laws that are added at most, and channels without one after which the search ends.
+MAX_LAWS, _MAX_REFUSED = 3, 2
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FoundLaw:
+    """A law that holds.
+
+    Parameters
+    ----------
+    law : Law
+    located : LocatedEffect
+        The law as an effect at its joint.
+    channel : str
+        Such as "torque_3".
+    explained, attainable : float
+        Share of the channel's excess that the law, and the best free function of signals, explain
+        in parts of the training runs left out.
+    tried : int
+        Number of laws among which it was the best.
+    evidence : float
+        Log evidence, less the price of its parameters and of the laws tried.
+    """
+
+    law: Law
+    located: LocatedEffect
+    channel: str
+    explained: float
+    attainable: float
+    tried: int
+    evidence: float
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RefusedChannel:
+    """Channel in which no law holds.
+
+    Parameters
+    ----------
+    channel : str
+        Such as "torque_3".
+    reason : str
+        Why the best law does not hold.
+    attainable : float
+        Share of the excess that the best free function of signals, or that law, explains in parts
+        of the training runs left out: what any law of recorded signals could.
+    signals : tuple of str
+        Signals of that function, in words.
+    tables : tuple of ResidualTable
+        That function, where it is worth keeping.
+    """
+
+    channel: str
+    reason: str
+    attainable: float
+    signals: tuple[str, ...]
+    tables: tuple[ResidualTable, ...]
+
+
+def located_tables(refused: RefusedChannel) -> list[EstimatedEffect]:
+    """Return the tables of a channel as effects of weight 1."""
+    return [
+        EstimatedEffect(
+            located=LocatedEffect(effect=table.effect, joint=table.joint), amplitudes=(1.0,)
+        )
+        for table in refused.tables
+    ]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LawSearch:
+    """Result of a search for laws.
+
+    Parameters
+    ----------
+    result : SearchResult
+        With the laws among its effects; the given one where none holds.
+    laws : tuple of FoundLaw
+    refused : tuple of RefusedChannel
+    """
+
+    result: SearchResult
+    laws: tuple[FoundLaw, ...] = ()
+    refused: tuple[RefusedChannel, ...] = ()
+
+
+def find_laws(result: SearchResult, say: Callable[[str], object]) -> LawSearch:
+    """Search the residual that the catalogue leaves for laws.
+
+    Parameters
+    ----------
+    result : SearchResult
+        Of the catalogue, by training runs.
+    say : callable
+        Called with a sentence at every step.
+
+    Notes
+    -----
+    It runs only where a channel holds more than noise beside the catalogue, in more than one run
+    and within the band of the fit. A finding that a law makes superfluous is dropped.
+    """
+    comparison = result.comparison
+    if comparison.after_model or result.stopped:
+        return LawSearch(result=result)
+    refused: dict[int, ChannelLaw] = {}
+    laws: list[FoundLaw] = []
+    while len(laws) < MAX_LAWS:
+        kept, left = assess_findings(result)
+        if left is not None and (left.brief or left.alone is not None):
+            break
+        open_names = () if left is None else left.channels
+        state = _State(result.comparison, kept)
+        number = next((c for c in state.open_channels() if c not in refused), None)
+        if number is None or len(refused) >= _MAX_REFUSED:
+            break
+        name = channel_name(number, comparison.robot.n)
+        say(f"search {name} for a law that no catalogue has")
+        outcome = state.search(number, is_open=name in open_names)
+        found = None if outcome.best is None else state.add(outcome)
+        if found is None:
+            refused[number] = outcome
+            continue
+        say(f"found {found.located.effect.equation}")
+        laws.append(found)
+        result = state.answer(result)
+    return LawSearch(
+        result=result,
+        laws=tuple(laws),
+        refused=tuple(_describe_refusal(each, comparison.robot.n) for each in refused.values()),
+    )
+
+
+def _describe_refusal(outcome: ChannelLaw, joints: int) -> RefusedChannel:
+    sources = [
+        source
+        for term in outcome.free
+        for source in (*(factor.source for factor in term.carrier.factors), term.source)
+    ]
+    return RefusedChannel(
+        channel=channel_name(outcome.channel.channel, joints),
+        reason=outcome.refusal or "the law leaves its bounds",
+        attainable=float(np.clip(outcome.attainable, 0.0, 1.0)),
+        signals=tuple(dict.fromkeys(source.words for source in sources)),
+        tables=residual_tables(outcome.channel, outcome.free)
+        if outcome.free_share > MIN_KEPT_SHARE
+        else (),
+    )
+
+
+class _State:
+    """Findings so far, to which a law is added."""
+
+    def __init__(self, comparison: Comparison, kept: Sequence[Selected]) -> None:
+        self.comparison, self.kept = comparison, list(kept)
+        self.effects = [each.located for each in kept]
+        self._rivals: list[LocatedEffect] = []
+        self._evidence = np.zeros(1)
+
+    def open_channels(self) -> list[int]:
+        """Return the channels with more than noise, the worst first."""
+        fit = self.comparison.fit(self.effects)
+        beyond = np.nan_to_num(self.comparison.channel_ratio(fit.residual) / self.comparison.least)
+        return [int(c) for c in np.argsort(-beyond) if beyond[c] > UNEXPLAINED_RATIO]
+
+    def search(self, number: int, *, is_open: bool) -> ChannelLaw:
+        """Search a channel for a law in place of its findings or, where it is open, beside them."""
+        own = [each.located for each in self.kept if _is_replaceable(each, number)]
+        beside = OpenChannel(self.comparison, self.effects, number)
+        if own:
+            others = [e for e in self.effects if e not in own]
+            apart = OpenChannel(self.comparison, others, number)
+            outcome = search_channel(apart)
+            if outcome.best is not None and beats(apart, outcome.best, beside.square):
+                self.effects = others
+                return outcome
+            if not is_open:
+                return replace(outcome, best=None, refusal="findings of the catalogue do as well")
+        return search_channel(beside)
+
+    def add(self, outcome: ChannelLaw) -> FoundLaw | None:
+        """Fit a law beside the effects; None where they leave it nothing."""
+        assert outcome.best is not None
+        law, located = _choose_place(Scorer(self.comparison, self.effects), outcome.best)
+        if located is None:
+            return None
+        same = sum(each.effect.name.startswith(located.effect.name) for each in self.effects)
+        if same:
+            renamed = replace(located.effect, name=f"{located.effect.name}_{same + 1}")
+            located = replace(located, effect=renamed)
+        effects = [*self.effects, located]
+        current = self.comparison.linearised_at(self.comparison.fit(effects))
+        kept = prune_effects(current, effects)
+        if located not in kept:
+            return None
+        self.comparison = current.linearised_at(current.fit(kept))
+        self.effects = kept
+        self._rivals = [
+            _locate(replace(each.law, place=law.place), each.fit.amplitudes)
+            for each in outcome.family
+        ]
+        self._evidence = np.array(
+            [outcome.best.evidence, *(each.evidence for each in outcome.family)]
+        )
+        return FoundLaw(
+            law=law,
+            located=located,
+            channel=channel_name(outcome.channel.channel, self.comparison.robot.n),
+            explained=outcome.explained,
+            attainable=outcome.attainable,
+            tried=outcome.best.tried,
+            evidence=outcome.best.evidence,
+        )
+
+    def answer(self, result: SearchResult) -> SearchResult:
+        """Return the result with the law, and without effects that it makes superfluous."""
+        known = {each.located.key: each for each in self.kept}
+        selected = []
+        for located in self.effects:
+            if located.key in known:
+                selected.append(known[located.key])
+                continue
+            others = [e for e in self.effects if e is not located]
+            scored = Scorer(self.comparison, others).score(located)
+            if scored is None:
+                continue
+            own, *theirs = softmax(self._evidence / family_width(self._evidence[0])).tolist()
+            selected.append(
+                Selected(
+                    located=located,
+                    loss=scored.evidence,
+                    deviations=scored.deviations,
+                    probability=own,
+                    rivals=tuple(zip(self._rivals, theirs, strict=True)),
+                    channel=scored.channel,
+                )
+            )
+        fit = self.comparison.fit([each.located for each in selected])
+        return replace(
+            result,
+            selected=tuple(selected),
+            comparison=self.comparison,
+            fit=fit,
+            after=self.comparison.channel_ratio(fit.residual),
+        )
+
+
+def _is_replaceable(selected: Selected, channel: int) -> bool:
+    """Return True for a finding of a channel that a law could take the place of."""
+    located = selected.located
+    law = located.effect.family == LAW_FAMILY
+    return selected.channel == channel and not located.calibrated and not law
+
+
+def _locate(law: Law, amplitudes: Sequence[float]) -> LocatedEffect:
+    return LocatedEffect(effect=law_effect(law, amplitudes), joint=law.joint, shapes=law.shapes)
+
+
+def _choose_place(scorer: Scorer, best: FittedLaw) -> tuple[Law, LocatedEffect | None]:
+    """Return a law where it acts: on the motor, or on the link, which winds up the joint too."""
+    places = ("drive_torque", "link_torque")
+    laws = [best.law]
+    if best.law.place in places and scorer.comparison.robot.elastic:
+        laws = [replace(best.law, place=place) for place in places]
+    scored = []
+    for law in laws:
+        found = scorer.score(_locate(law, best.fit.amplitudes))
+        if found is not None:
+            scored.append((found.evidence, law, found.located))
+    if not scored:
+        return best.law, None
+    _, law, located = max(scored, key=lambda each: each[0])
+    return law, located

@@ -1,0 +1,221 @@
+"""Search a channel for a law: screen signals, fit forms, demand recurrence and brevity."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from stiffopt.discovery.law_search.fit_law import FittedLaw, as_fitted, fit_shapes, score_starts
+from stiffopt.discovery.law_search.free_function import (
+    FreeTerm,
+    best_sum,
+    screen,
+    screen_products,
+)
+from stiffopt.discovery.law_search.open_channel import OpenChannel
+from stiffopt.discovery.laws.forms import FORMS
+from stiffopt.discovery.laws.law import Factor, Law
+from stiffopt.discovery.laws.sources import Source
+from stiffopt.discovery.thresholds import NAMED_EVIDENCE
+
+# Pairs of carrier and signal whose forms are tried: the best ones that explain at least this share
+# of what the best one does.
+_MAX_PAIRS, _MIN_PAIR_SHARE = 8, 0.5
+# Laws whose shapes are fitted, of the best initial shapes of every form.
+_MAX_REFINED = 10
+# A law of two factors is enough if it explains this share of what the free functions do.
+_ENOUGH_SHARE = 0.97
+# Least share of the excess that a law explains in blocks left out, over all of it and over what
+# free functions of any signals explain there.
+MIN_EXPLAINED, MIN_SHARE_OF_FREE = 0.5, 0.85
+# A law takes the place of findings of the catalogue where these leave this share of the excess:
+# less comes from formulas of the catalogue that nature follows nearly.
+MIN_LEFT_SHARE = 0.08
+# Log evidence within which laws are told apart no better than 20 to one, and the share of the
+# evidence by which inexact forms overestimate it.
+_FAMILY_LOG_ODDS, _FAMILY_TEMPERING = 3.0, 0.01
+_MAX_FAMILY = 4
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ChannelLaw:
+    """Outcome of the search in one channel.
+
+    Parameters
+    ----------
+    channel : OpenChannel
+    best : FittedLaw or None
+        The law; None where none holds.
+    family : tuple of FittedLaw
+        Other laws that the data do not tell apart from it.
+    explained : float
+        Share of the excess that the best law explains in blocks left out, also if it does not hold.
+    attainable : float
+        Share that the best free function of the signals explains there.
+    free : tuple of FreeTerm
+        That function.
+    free_share : float
+        Share that it explains itself.
+    refusal : str
+        Why no law holds; "" where one does.
+    """
+
+    channel: OpenChannel
+    best: FittedLaw | None
+    family: tuple[FittedLaw, ...]
+    explained: float
+    attainable: float
+    free: tuple[FreeTerm, ...]
+    free_share: float
+    refusal: str
+
+
+def search_channel(channel: OpenChannel) -> ChannelLaw:
+    """Search one channel for a law."""
+    terms = screen(channel)
+    free, left = best_sum(channel, terms)
+    found = _ranked([*_fit_unscreened(channel), *_fit_pairs(channel, terms)])
+    if _is_short_of(channel, found, left):
+        products = screen_products(channel)
+        more, left_more = best_sum(channel, products)
+        if left_more < left:
+            free, left = more, left_more
+        found = _ranked([*found, *_fit_pairs(channel, products)])
+    if found and _is_short_of(channel, found, left):
+        found = _ranked([*found, *_add_factor(channel, found[0])])
+    best = found[0] if found else None
+    explained = 0.0 if best is None else channel.share(best.left)
+    attainable = channel.share(left)
+    refusal = "no form fits" if best is None else _refuse(channel, best, attainable)
+    return ChannelLaw(
+        channel=channel,
+        best=None if refusal else best,
+        family=() if refusal else _family(found),
+        explained=explained,
+        attainable=max(attainable, explained),
+        free=tuple(free),
+        free_share=attainable,
+        refusal=refusal,
+    )
+
+
+def _is_short_of(channel: OpenChannel, found: Sequence[FittedLaw], left: float) -> bool:
+    """Return True where the best law leaves much of what is to be explained."""
+    attainable = max(channel.share(left), MIN_EXPLAINED)
+    return not found or channel.share(found[0].left) < _ENOUGH_SHARE * attainable
+
+
+def _fit_unscreened(channel: OpenChannel) -> list[FittedLaw]:
+    """Return fitted laws of forms that no spline of a signal resembles."""
+    j = channel.joint
+    laws = []
+    for source in channel.sources:
+        if source.joint in (j, None):
+            every = _laws_of(channel, (), source)
+            laws += [law for law in every if law.factors[-1].own.unscreened]
+    return _fit_best(channel, laws)
+
+
+def _fit_pairs(channel: OpenChannel, terms: Sequence[FreeTerm]) -> list[FittedLaw]:
+    """Return fitted laws of the most promising pairs of carrier and signal, the best first."""
+    if not terms:
+        return []
+    most = channel.square - terms[0].left
+    pairs = [t for t in terms[:_MAX_PAIRS] if channel.square - t.left > _MIN_PAIR_SHARE * most]
+    laws = [law for term in pairs for law in _laws_of(channel, term.carrier.factors, term.source)]
+    return _fit_best(channel, laws)
+
+
+def _laws_of(channel: OpenChannel, base: Sequence[Factor], source: Source) -> list[Law]:
+    """Return the laws of one signal beside given factors, with all initial shapes."""
+    extent = channel.extent(source)
+    if "wave" in source.own.forms:
+        extent = replace(extent, peaks=channel.frequencies(source))
+    place = "drive_torque" if channel.kind == "torque" else "deflection"
+    return [
+        Law(channel.joint, place, (*base, factor))
+        for form in source.own.forms
+        for factor in Factor(source, form).starts(extent)
+        if sum(len(FORMS[f.form].formulas) > 1 for f in (*base, factor)) <= 1
+    ]
+
+
+def _fit_best(channel: OpenChannel, laws: Sequence[Law]) -> list[FittedLaw]:
+    """Fit the shapes of the best starts of every structure; return them, the best first."""
+    best: dict[object, FittedLaw] = {}
+    if not laws:
+        return []
+    for law, fit in zip(laws, score_starts(channel, laws), strict=True):
+        scored = as_fitted(channel, law, fit, len(laws))
+        known = best.get(law.structure)
+        if known is None or scored.fit.removed > known.fit.removed:
+            best[law.structure] = scored
+    head = _ranked(best.values())[:_MAX_REFINED]
+    return _ranked([fit_shapes(channel, each.law, each.tried) for each in head])
+
+
+def _add_factor(channel: OpenChannel, found: FittedLaw) -> list[FittedLaw]:
+    """Return laws with one more factor, or with a fitted form in place of a carrier."""
+    if found.law.amplitude_count > 1 or len(found.law.factors) > 2:
+        return []
+    terms = screen(channel, found.law.factors)[:3]
+    laws = [law for term in terms for law in _laws_of(channel, found.law.factors, term.source)]
+    return [replace(each, tried=each.tried + found.tried) for each in _fit_best(channel, laws)]
+
+
+def _ranked(found: Iterable[FittedLaw]) -> list[FittedLaw]:
+    return sorted(found, key=lambda each: -each.evidence)
+
+
+def beats(channel: OpenChannel, best: FittedLaw, named: float) -> bool:
+    """Return True where a law in place of findings is likelier than these, which leave `named`."""
+    m = len(channel.target)
+    gain = 0.5 * m * np.log(max(named, m) / max(best.left, m))
+    return channel.share(named) < 1.0 - MIN_LEFT_SHARE and bool(gain > NAMED_EVIDENCE)
+
+
+def _refuse(channel: OpenChannel, best: FittedLaw, attainable: float) -> str:
+    """Return why a law does not hold; "" where it does."""
+    if best.evidence < NAMED_EVIDENCE:
+        return "the evidence of the best law is that of chance"
+    explained = channel.share(best.left)
+    if explained < MIN_EXPLAINED:
+        return f"the best law explains {100 * max(explained, 0.0):.0f} % of the excess"
+    if explained < MIN_SHARE_OF_FREE * attainable:
+        return (
+            f"the best law explains {100 * explained:.0f} % of the excess, free functions of the"
+            f" signals {100 * attainable:.0f} %"
+        )
+    if not _recurs(channel, best):
+        return "the best law differs from run to run"
+    return ""
+
+
+def _recurs(channel: OpenChannel, best: FittedLaw) -> bool:
+    """Return True where a law improves every part, by amplitudes of the same sign in each."""
+    columns = channel.law_columns(best.law)
+    for b in range(int(channel.block.max()) + 1):
+        own = channel.block == b
+        part, goal = columns[own], channel.target[own]
+        if float(np.sum(part**2)) < 1e-3 * float(np.sum(columns**2)):
+            continue  # it hardly acts there
+        alone = np.linalg.lstsq(part, goal)[0]
+        agreement = float(alone @ (part.T @ part) @ best.fit.amplitudes)
+        if agreement <= 0.0 or best.fit.left[b] > float(goal @ goal):
+            return False
+    return True
+
+
+def _family(found: Sequence[FittedLaw]) -> tuple[FittedLaw, ...]:
+    """Return the laws beside the first that the data do not tell apart from it."""
+    best = found[0]
+    width = family_width(best.evidence)
+    near = [each for each in found[1:] if best.evidence - each.evidence < _FAMILY_LOG_ODDS * width]
+    return tuple(near[:_MAX_FAMILY])
+
+
+def family_width(evidence: float) -> float:
+    """Return the unit in which evidences of laws differ: inexact forms overestimate them."""
+    return max(1.0, _FAMILY_TEMPERING * evidence)

@@ -1,0 +1,370 @@
+"""Forms that a law may take in one signal, with fitted shapes.
+
+A form is one NumPy formula in the signal `x` and its shapes: the equation of a report, the code of
+a file of effects and the numbers of a fit all come from it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Literal
+
+import numpy as np
+
+from stiffopt.discovery.laws import operators
+from stiffopt.symbolic import Quantity
+
+Symmetry = Literal["odd", "even", "none"]
+ShapeUnit = Literal["signal", "per signal", "s", "Hz", ""]
+# Imaginary step of complex-step derivatives: their error is its square.
+_IMAGINARY_STEP = 1e-30
+# Relative step of central differences, for formulas with comparisons.
+_DIFFERENCE_STEP = 1e-6
+
+
+@dataclass(frozen=True, kw_only=True)
+class SignalRange:
+    """Range of a signal in the recordings.
+
+    Parameters
+    ----------
+    low, high : float
+    duration : float
+        Of the longest recording [s], or the whole range of a clock.
+    rate : float
+        Rate up to which recordings resolve a motion [Hz].
+    peaks : tuple of float
+        Likeliest frequencies of the residual over a clock [Hz].
+    """
+
+    low: float
+    high: float
+    duration: float
+    rate: float
+    peaks: tuple[float, ...] = ()
+
+    @property
+    def size(self) -> float:
+        """Largest magnitude."""
+        return max(abs(self.low), abs(self.high), 1e-12)
+
+    @property
+    def span(self) -> float:
+        """Difference of the ends."""
+        return max(self.high - self.low, 1e-12)
+
+    def at(self, *shares: float) -> tuple[float, ...]:
+        """Return values at shares of the range."""
+        return tuple(self.low + share * (self.high - self.low) for share in shares)
+
+
+@dataclass(frozen=True, kw_only=True)
+class FormShape:
+    """Shape of a form.
+
+    Parameters
+    ----------
+    name : str
+    unit : str
+        "signal" and "per signal" stand for the unit of the signal.
+    starts : callable
+        Range of the signal -> initial values.
+    bounds : callable
+        Range of the signal -> lowest and highest value.
+    """
+
+    name: str
+    unit: ShapeUnit
+    starts: Callable[[SignalRange], Sequence[float]]
+    bounds: Callable[[SignalRange], tuple[float, float]]
+
+    def unit_of(self, signal: str) -> str:
+        """Return its unit for a signal of a unit."""
+        if self.unit == "signal":
+            return signal
+        if self.unit == "per signal":
+            return f"1/({signal})" if "/" in signal else f"1/{signal}" if signal else ""
+        return self.unit
+
+
+@dataclass(frozen=True, kw_only=True)
+class Form:
+    """Form of a law in one signal.
+
+    Parameters
+    ----------
+    name : str
+    formulas : tuple of str
+        NumPy expressions in x, dt and the shapes, one for each amplitude.
+    words : str
+        "{x}" is the signal.
+    symmetry : {"odd", "even", "none"}
+        In the signal.
+    shapes : tuple of FormShape
+    in_signal : bool
+        True where the value has the unit of the signal.
+    analytic : bool
+        False for formulas with comparisons, which have no complex derivative.
+    unscreened : bool
+        True where no smooth function of the signal resembles it: with memory, or periodic.
+    resembles : str
+        Known physics of such a form, for sentences; "" where there is none.
+    """
+
+    name: str
+    formulas: tuple[str, ...]
+    words: str
+    symmetry: Symmetry = "none"
+    shapes: tuple[FormShape, ...] = ()
+    in_signal: bool = False
+    analytic: bool = True
+    unscreened: bool = False
+    resembles: str = ""
+
+    @cached_property
+    def _functions(self) -> tuple[Callable[..., Any], ...]:
+        names = ", ".join(["x", "dt", *(s.name for s in self.shapes)])
+        space = {"np": np, "lag": operators.lag, "sprung": operators.sprung, "stop": operators.stop}
+        # The formulas are the constants below: one text is equation, code and function.
+        return tuple(eval(f"lambda {names}: {each}", space) for each in self.formulas)
+
+    def values(self, x: Quantity, dt: float, shapes: Sequence[Quantity]) -> list[Quantity]:
+        """Return the values (K,) of every formula."""
+        return [function(x, dt, *shapes) for function in self._functions]
+
+    def derivatives(self, x: np.ndarray, dt: float, shapes: Sequence[float]) -> list[list[Any]]:
+        """Return the derivative (K,) of every formula by every shape; exact where analytic."""
+        found = []
+        for i, value in enumerate(shapes):
+            if self.analytic:
+                moved: list[Any] = [*shapes]
+                moved[i] = value + 1j * _IMAGINARY_STEP
+                found.append([np.imag(v) / _IMAGINARY_STEP for v in self.values(x, dt, moved)])
+                continue
+            step = _DIFFERENCE_STEP * max(abs(value), 1e-6)
+            ends = []
+            for side in (-step, step):
+                moved = [*shapes]
+                moved[i] = value + side
+                ends.append(self.values(x, dt, moved))
+            found.append([(b - a) / (2.0 * step) for a, b in zip(*ends, strict=True)])
+        return [list(each) for each in zip(*found, strict=True)]
+
+
+def _scale(*shares: float, least: float = 0.02, most: float = 5.0) -> dict[str, Any]:
+    """Return starts and bounds of a scale as shares of the largest magnitude."""
+    return {
+        "starts": lambda r: tuple(share * r.size for share in shares),
+        "bounds": lambda r: (least * r.size, most * r.size),
+    }
+
+
+def _width(*shares: float, least: float = 0.01, most: float = 1.5) -> dict[str, Any]:
+    """Return starts and bounds of a width as shares of the span."""
+    return {
+        "starts": lambda r: tuple(share * r.span for share in shares),
+        "bounds": lambda r: (least * r.span, most * r.span),
+    }
+
+
+def _centre(*shares: float, beyond: float = 0.1) -> dict[str, Any]:
+    """Return starts and bounds of a place, as far beyond the range as a share of it."""
+    return {"starts": lambda r: r.at(*shares), "bounds": lambda r: r.at(-beyond, 1.0 + beyond)}
+
+
+def _fixed(starts: Sequence[float], low: float, high: float) -> dict[str, Any]:
+    return {"starts": lambda r: tuple(starts), "bounds": lambda r: (low, high)}
+
+
+# A faster wave of an angle than this is ripple of a gear or motor, which the catalogue knows
+# [1/rad]; fewer than a third of a wave within the stroke is no period.
+_MAX_ORDER, _MIN_WAVES = 60.0, 0.6
+_ORDERS_PER_WAVE = 3.0
+
+
+def _orders(r: SignalRange) -> tuple[float, ...]:
+    """Return orders that the range tells apart."""
+    step = 2.0 * np.pi / r.span / _ORDERS_PER_WAVE
+    low, high = _order_bounds(r)
+    return tuple(np.arange(low, high, step)) or (low,)
+
+
+def _order_bounds(r: SignalRange) -> tuple[float, float]:
+    low = 2.0 * np.pi * _MIN_WAVES / r.span
+    return low, max(_MAX_ORDER, 2.0 * low)
+
+
+def _frequency_bounds(r: SignalRange) -> tuple[float, float]:
+    low = 2.0 / r.duration
+    return low, max(0.4 * r.rate, 2.0 * low)
+
+
+_S = FormShape(name="s", unit="signal", **_scale(0.1, 0.3, 1.0))
+_C = FormShape(name="c", unit="signal", **_centre(0.15, 0.35, 0.5, 0.65, 0.85))
+FORMS = {
+    each.name: each
+    for each in (
+        Form(
+            name="linear",
+            formulas=("x",),
+            words="in proportion to the {x}",
+            symmetry="odd",
+            in_signal=True,
+        ),
+        Form(
+            name="offset",
+            formulas=("(x - c)",),
+            words="in proportion to the {x} from one value on, both ways",
+            shapes=(FormShape(name="c", unit="signal", **_centre(0.25, 0.5, 0.75, beyond=1.0)),),
+            in_signal=True,
+            resembles="a spring or cable at rest at one place",
+        ),
+        Form(
+            name="magnitude",
+            formulas=("np.abs(x)",),
+            words="with the magnitude of the {x}",
+            symmetry="even",
+            in_signal=True,
+        ),
+        Form(
+            name="power",
+            formulas=("np.exp(n * np.log(np.abs(x) + 1e-12))",),
+            words="with a power of the magnitude of the {x}",
+            symmetry="even",
+            shapes=(FormShape(name="n", unit="", **_fixed((0.5, 2.0), 0.2, 5.0)),),
+        ),
+        Form(
+            name="signed_power",
+            formulas=("np.sign(x) * np.exp(n * np.log(np.abs(x) + 1e-12))",),
+            words="with a power of the {x}, odd",
+            symmetry="odd",
+            shapes=(FormShape(name="n", unit="", **_fixed((0.5, 2.0), 0.2, 5.0)),),
+        ),
+        Form(
+            name="saturating",
+            formulas=("np.tanh(x / s)",),
+            words="with the {x}, up to a limit",
+            symmetry="odd",
+            shapes=(_S,),
+            resembles="a clutch, a seal or a controller at its limit",
+        ),
+        Form(
+            name="saturating_even",
+            formulas=("x**2 / (x**2 + s**2)",),
+            words="with the magnitude of the {x}, up to a limit",
+            symmetry="even",
+            shapes=(_S,),
+        ),
+        Form(
+            name="peaked",
+            formulas=("2.0 * s * x / (x**2 + s**2)",),
+            words="with the {x} up to a peak, and falls beyond it",
+            symmetry="odd",
+            shapes=(_S,),
+            resembles="an eddy-current brake or a lubricant that thins",
+        ),
+        Form(
+            name="step",
+            formulas=("0.5 * (1.0 + np.tanh((x - c) / s))",),
+            words="by a step at one value of the {x}",
+            shapes=(_C, FormShape(name="s", unit="signal", **_width(0.03, 0.15, 0.4))),
+            resembles="a part that is touched or left at one place",
+        ),
+        Form(
+            name="bump",
+            formulas=("np.exp(-0.5 * ((x - c) / s) ** 2)",),
+            words="near one value of the {x}",
+            shapes=(_C, FormShape(name="s", unit="signal", **_width(0.05, 0.2))),
+            resembles="a dent, a magnet or a tight place",
+        ),
+        Form(
+            name="hinge_above",
+            formulas=("0.5 * (x - c + np.sqrt((x - c) ** 2 + 1e-8))",),
+            words="in proportion to the {x} above one value",
+            shapes=(_C,),
+            in_signal=True,
+            resembles="a cable or spring that tightens from one place on",
+        ),
+        Form(
+            name="hinge_below",
+            formulas=("0.5 * (c - x + np.sqrt((x - c) ** 2 + 1e-8))",),
+            words="in proportion to the {x} below one value",
+            shapes=(_C,),
+            in_signal=True,
+            resembles="a cable or spring that tightens up to one place",
+        ),
+        Form(
+            name="harmonic",
+            formulas=("np.cos(k * x)", "np.sin(k * x)"),
+            words="periodically in the {x}",
+            shapes=(FormShape(name="k", unit="per signal", starts=_orders, bounds=_order_bounds),),
+            unscreened=True,
+            resembles="teeth, rollers or magnets passing at that order",
+        ),
+        Form(
+            name="wave",
+            formulas=("np.cos(2.0 * np.pi * f * x)", "np.sin(2.0 * np.pi * f * x)"),
+            words="periodically in the {x}",
+            shapes=(
+                FormShape(name="f", unit="Hz", starts=lambda r: r.peaks, bounds=_frequency_bounds),
+            ),
+            unscreened=True,
+            resembles="a pump or fan that runs by itself",
+        ),
+        Form(
+            name="decay",
+            formulas=("np.exp(-x / s)",),
+            words="exponentially less with the {x}",
+            shapes=(FormShape(name="s", unit="signal", **_scale(0.1, 0.3, 1.0, least=0.01)),),
+            resembles="warming up",
+        ),
+        Form(
+            name="lag",
+            formulas=("lag(x, T, dt)",),
+            words="with the {x}, late by a time constant",
+            symmetry="odd",
+            shapes=(FormShape(name="T", unit="s", **_fixed((0.05, 0.2, 1.0), 0.01, 10.0)),),
+            in_signal=True,
+            unscreened=True,
+            resembles="a viscous coupling or a creeping material",
+        ),
+        Form(
+            name="sprung",
+            formulas=("sprung(x, f, z, dt)",),
+            words="with the {x} of a hidden mass on a spring",
+            symmetry="odd",
+            shapes=(
+                FormShape(
+                    name="f",
+                    unit="Hz",
+                    starts=lambda r: (1.0, 1.7, 2.6, 3.6, 4.8, 6.3, 8.0),
+                    bounds=lambda r: (0.3, max(0.4 * r.rate, 1.0)),
+                ),
+                FormShape(name="z", unit="", **_fixed((0.03, 0.2), 0.002, 1.5)),
+            ),
+            in_signal=True,
+            unscreened=True,
+            resembles="something loose: a pendulum, a hose or a liquid",
+        ),
+        Form(
+            name="stop",
+            formulas=("stop(x, r)",),
+            words="with the {x} since the last reversal, up to a limit",
+            symmetry="odd",
+            shapes=(
+                FormShape(
+                    name="r",
+                    unit="signal",
+                    starts=lambda r: (0.01 * r.span, 0.05 * r.span),
+                    bounds=lambda r: (1e-3 * r.span, 0.5 * r.span),
+                ),
+            ),
+            in_signal=True,
+            analytic=False,
+            unscreened=True,
+            resembles="a seal or cable that sticks before it slides",
+        ),
+    )
+}

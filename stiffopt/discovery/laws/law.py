@@ -1,0 +1,328 @@
+"""A law: product of forms of signals, times fitted amplitudes, in one channel of one joint."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import product
+from typing import Literal
+
+import numpy as np
+
+from stiffopt.discovery.effect import Amplitude, Effect, Shape, Term
+from stiffopt.discovery.laws.forms import FORMS, Form, SignalRange
+from stiffopt.discovery.laws.sources import Source
+from stiffopt.discovery.signals import JointSignals, RobotSignals
+from stiffopt.symbolic import Quantity
+
+# Family of the effects that are laws.
+LAW_FAMILY = "law"
+
+Place = Literal["drive_torque", "link_torque", "deflection"]
+# Symbols and units of what a law adds to.
+_PLACE_SYMBOLS = {"drive_torque": "tau_{}", "link_torque": "T_{}", "deflection": "phi_{}"}
+_PLACE_UNITS = {"drive_torque": "N m", "link_torque": "N m", "deflection": "rad"}
+_PLACE_WORDS = {
+    "drive_torque": "the drive torque of joint {}",
+    "link_torque": "the torque on the link of joint {}",
+    "deflection": "the deflection of joint {}",
+}
+
+
+@dataclass(frozen=True)
+class Factor:
+    """One factor of a law.
+
+    Parameters
+    ----------
+    source : Source
+    form : str
+        Key of `FORMS`.
+    shapes : tuple of float
+    bounds : tuple of (float, float)
+        Of the shapes.
+    """
+
+    source: Source
+    form: str
+    shapes: tuple[float, ...] = ()
+    bounds: tuple[tuple[float, float], ...] = ()
+
+    @property
+    def own(self) -> Form:
+        """The form itself."""
+        return FORMS[self.form]
+
+    def values(
+        self, signals: RobotSignals | JointSignals, shapes: Sequence[Quantity] | None = None
+    ) -> list[Quantity]:
+        """Return the values (K,) of every formula."""
+        at = self.shapes if shapes is None else shapes
+        return self.own.values(self.source.value(signals), signals.dt, at)
+
+    def derivatives(self, signals: RobotSignals | JointSignals) -> list[list[np.ndarray]]:
+        """Return the derivative (K,) of every formula by every shape."""
+        return self.own.derivatives(self.source.value(signals), signals.dt, self.shapes)
+
+    def starts(self, extent: SignalRange) -> Iterator[Factor]:
+        """Yield the factor with every combination of initial shapes, and with their bounds."""
+        bounds = tuple(shape.bounds(extent) for shape in self.own.shapes)
+        for shapes in product(*(shape.starts(extent) for shape in self.own.shapes)):
+            inside = (min(max(v, low), high) for v, (low, high) in zip(shapes, bounds, strict=True))
+            yield replace(self, shapes=tuple(float(v) for v in inside), bounds=bounds)
+
+
+@dataclass(frozen=True)
+class Law:
+    """A law without its amplitudes.
+
+    Parameters
+    ----------
+    joint : int
+        From 0.
+    place : {"drive_torque", "link_torque", "deflection"}
+    factors : tuple of Factor
+        At most three; at most one of them has several formulas.
+    """
+
+    joint: int
+    place: Place
+    factors: tuple[Factor, ...]
+
+    @property
+    def shapes(self) -> tuple[float, ...]:
+        """Shapes of all factors."""
+        return tuple(value for factor in self.factors for value in factor.shapes)
+
+    @property
+    def of_robot(self) -> bool:
+        """True where the signals of its joint are not enough."""
+        return not all(factor.source.is_of_joint(self.joint) for factor in self.factors)
+
+    @property
+    def structure(self) -> tuple[object, ...]:
+        """Joint, signals and forms, whatever the shapes."""
+        return (self.joint, tuple((factor.source, factor.form) for factor in self.factors))
+
+    @property
+    def amplitude_count(self) -> int:
+        """Number of amplitudes."""
+        return max((len(factor.own.formulas) for factor in self.factors), default=1)
+
+    def with_shapes(self, shapes: Sequence[float]) -> Law:
+        """Return the law with other shapes, within their bounds."""
+        left, factors = list(shapes), []
+        for factor in self.factors:
+            own = [left.pop(0) for _ in factor.shapes]
+            inside = (
+                min(max(v, low), high) for v, (low, high) in zip(own, factor.bounds, strict=True)
+            )
+            factors.append(replace(factor, shapes=tuple(float(v) for v in inside)))
+        return replace(self, factors=tuple(factors))
+
+    def columns(
+        self, signals: RobotSignals | JointSignals, shapes: Sequence[Quantity] | None = None
+    ) -> list[Quantity]:
+        """Return the value (K,) per unit of every amplitude."""
+        left = list(self.shapes if shapes is None else shapes)
+        found: list[Quantity] = [1.0]
+        for factor in self.factors:
+            own = [left.pop(0) for _ in factor.own.shapes]
+            values = factor.values(signals, own)
+            found = [a * b for a in found for b in values]
+        return found
+
+    def slopes(self, signals: RobotSignals) -> list[list[np.ndarray]]:
+        """Return the derivative (K,) of every column by every shape: [amplitude][shape]."""
+        every = [factor.values(signals) for factor in self.factors]
+        found: list[list[np.ndarray]] = [[] for _ in range(self.amplitude_count)]
+        for number, factor in enumerate(self.factors):
+            if not factor.shapes:
+                continue
+            others = [1.0]
+            for k, values in enumerate(every):
+                if k != number:
+                    others = [a * b for a in others for b in values]
+            slopes = factor.derivatives(signals)
+            for i in range(len(factor.shapes)):
+                own = [a * each[i] for a in others for each in slopes]
+                for k, column in enumerate(own):
+                    found[k].append(column)
+        return found
+
+    # ---- names
+
+    @property
+    def name(self) -> str:
+        """Name as an effect: place, joint and signals."""
+        parts = []
+        for factor in self.factors:
+            signal = re.sub(r"\W+", "", factor.source.symbol.replace("sg(", "sign_"))
+            parts.append(signal if factor.form == "linear" else f"{factor.form}_{signal}")
+        return f"law_{self.place}_{self.joint + 1}_" + "_".join(parts)
+
+    @property
+    def amplitude_names(self) -> tuple[str, ...]:
+        """Names of the amplitudes."""
+        return ("A",) if self.amplitude_count == 1 else ("A", "B")
+
+    @property
+    def shape_names(self) -> tuple[str, ...]:
+        """Names of the shapes, numbered by factor where two factors share one."""
+        names = [(k, s.name) for k, f in enumerate(self.factors) for s in f.own.shapes]
+        plain = [name for _, name in names]
+        return tuple(name if plain.count(name) == 1 else f"{name}{k + 1}" for k, name in names)
+
+    @property
+    def amplitude_unit(self) -> str:
+        """Unit of the amplitudes."""
+        units = [f.source.own.unit for f in self.factors if f.own.in_signal and f.source.own.unit]
+        base = _PLACE_UNITS[self.place]
+        return base + "".join(f"/({unit})" for unit in units)
+
+    @property
+    def shape_units(self) -> tuple[str, ...]:
+        """Units of the shapes."""
+        return tuple(
+            shape.unit_of(f.source.own.unit) for f in self.factors for shape in f.own.shapes
+        )
+
+    def formulas(self, *, code: bool) -> list[str]:
+        """Return the formula of every amplitude: Python code, or symbols for an equation."""
+        names = list(self.shape_names)
+        found = [""]
+        for factor in self.factors:
+            words = {"x": factor.source.symbol, "dt": "dt"}
+            if code:
+                words["x"] = factor.source.expression(self.joint, of_robot=self.of_robot)
+                words["dt"] = "signals.dt"
+            for shape in factor.own.shapes:
+                words[shape.name] = names.pop(0)
+            parts = [_substitute(each, words) for each in factor.own.formulas]
+            found = [f"{a} * {b}" if a else b for a in found for b in parts]
+        return found if code else [each.replace("np.", "").replace(", dt)", ")") for each in found]
+
+    @property
+    def equation(self) -> str:
+        """Equation for reports."""
+        target = _PLACE_SYMBOLS[self.place].format(self.joint + 1)
+        terms = zip(self.amplitude_names, self.formulas(code=False), strict=True)
+        return f"{target} += " + " + ".join(f"{name} * {each}" for name, each in terms)
+
+    @property
+    def words(self) -> str:
+        """What it depends on, in words."""
+        parts = [f.own.words.format(x=f.source.words) for f in self.factors]
+        where = _PLACE_WORDS[self.place].format(self.joint + 1)
+        return f"{where} changes {', and '.join(parts)}"
+
+
+def _substitute(formula: str, words: dict[str, str]) -> str:
+    """Replace whole words of a formula; in parentheses where it is a sum."""
+    text = re.sub(r"\b[A-Za-z]+\b(?!\()", lambda m: words.get(m.group(), m.group()), formula)
+    depth = 0
+    for k, letter in enumerate(text):
+        depth += (letter == "(") - (letter == ")")
+        if depth == 0 and letter in "+-" and text[k - 1] == " " and k:
+            return f"({text})"
+    return text
+
+
+# Physical bounds are unknown: an amplitude counts as impossible only far beyond the fitted one.
+_AMPLITUDE_BOUND = 50.0
+
+
+def law_term(
+    law: Law,
+    signals: RobotSignals | JointSignals,
+    amplitudes: Sequence[Quantity],
+    shapes: Sequence[Quantity],
+) -> Term:
+    """Return the term of a law."""
+    columns = law.columns(signals, shapes)
+    value: Quantity = sum(a * c for a, c in zip(amplitudes, columns, strict=True))
+    return Term(**{law.place: at_joint(signals, value) if law.of_robot else value})
+
+
+def at_joint(signals: RobotSignals, value: Quantity) -> Quantity:
+    """Return values (K,) of the joint that an effect is located at for all joints (K, n)."""
+    return np.outer(value, np.eye(len(signals.constants.joints))[signals.link])
+
+
+def resembled(law: Law) -> str:
+    """Return a clause on known physics of the same form; "" where there is none."""
+    known = [factor.own.resembles for factor in law.factors if factor.own.resembles]
+    return f": like {'; or '.join(known)}" if known else ""
+
+
+def law_effect(law: Law, amplitudes: Sequence[float]) -> Effect:
+    """Return a law as an effect of its joint.
+
+    Parameters
+    ----------
+    law : Law
+    amplitudes : sequence of float
+        Fitted ones: the largest is the typical size.
+    """
+    size = max(float(np.max(np.abs(amplitudes))), 1e-12)
+    like = resembled(law)
+    return Effect(
+        name=law.name,
+        family=LAW_FAMILY,
+        scope="joint",
+        equation=law.equation,
+        signature=f"{law.words}{like}",
+        title=f"law {law.equation}",
+        phrase=f"{law.words}, which no catalogue has{like}",
+        remedy=f"Look for its cause at {{where}}{like}. {describe_test(law)}",
+        needs=("torque" if law.place != "deflection" else "link", "moves"),
+        couples_joints=law.of_robot,
+        applies=partial(_is_joint, law.joint + 1) if law.of_robot else None,
+        term=partial(law_term, law),
+        amplitudes=tuple(
+            Amplitude(
+                name=name,
+                unit=law.amplitude_unit,
+                scale=size,
+                lower=-_AMPLITUDE_BOUND,
+                upper=_AMPLITUDE_BOUND,
+            )
+            for name in law.amplitude_names
+        ),
+        shapes=tuple(
+            Shape(name=name, unit=unit, starts=(value,), lower=low, upper=high)
+            for name, unit, value, (low, high) in zip(
+                law.shape_names,
+                law.shape_units,
+                law.shapes,
+                [b for f in law.factors for b in f.bounds],
+                strict=True,
+            )
+        ),
+        separate=describe_test(law),
+    )
+
+
+def law_of(effect: Effect) -> Law | None:
+    """Return the law that an effect was made from; None of other effects."""
+    term = effect.term
+    if isinstance(term, partial) and term.func is law_term:
+        law: Law = term.args[0]
+        return law
+    return None
+
+
+def _is_joint(number: int, constants: object) -> bool:
+    return getattr(constants, "joint", 0) == number
+
+
+def describe_test(law: Law) -> str:
+    """Describe the motion that would tell the law from others."""
+    moved = [f.source.words for f in law.factors if f.source.kind != "direction"]
+    last = moved[-1] if moved else f"position of joint {law.joint + 1}"
+    return (
+        f"Move joint {law.joint + 1} the same way several times while only the {last} differs,"
+        " over its whole range and back: the residual follows the law, or it does not."
+    )

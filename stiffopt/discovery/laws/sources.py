@@ -1,0 +1,184 @@
+"""Signals that a law may depend on: name, unit, value, and expression in a file of effects."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from stiffopt.discovery.signals import JointSignals, RobotSignals
+from stiffopt.symbolic import Quantity
+
+
+@dataclass(frozen=True, kw_only=True)
+class SourceKind:
+    """Kind of signal.
+
+    Parameters
+    ----------
+    attribute : str
+        Field of `RobotSignals`, or an expression in `signals` for the robot as a whole.
+    symbol, unit, words : str
+        For equations, values and sentences; "{}" is the joint.
+    forms : tuple of str
+        Names of the forms that a law may take in it.
+    per_joint : bool
+        False for a signal of the robot as a whole.
+    """
+
+    attribute: str
+    symbol: str
+    unit: str
+    words: str
+    forms: tuple[str, ...]
+    per_joint: bool = True
+
+
+_PLACED = ("linear", "offset", "step", "bump", "hinge_above", "hinge_below")
+_SIGNED = (
+    "linear",
+    "magnitude",
+    "power",
+    "signed_power",
+    "saturating",
+    "saturating_even",
+    "peaked",
+)
+SOURCE_KINDS = {
+    "position": SourceKind(
+        attribute="motor_position",
+        symbol="q_{}",
+        unit="rad",
+        words="position of joint {}",
+        forms=(*_PLACED, "harmonic", "stop"),
+    ),
+    "speed": SourceKind(
+        attribute="motor_velocity",
+        symbol="w_{}",
+        unit="rad/s",
+        words="speed of joint {}",
+        forms=(*_SIGNED, "lag"),
+    ),
+    "direction": SourceKind(
+        attribute="motor_direction",
+        symbol="sg(w_{})",
+        unit="",
+        words="direction of motion of joint {}",
+        forms=("linear",),
+    ),
+    "acceleration": SourceKind(
+        attribute="motor_acceleration",
+        symbol="a_{}",
+        unit="rad/s^2",
+        words="acceleration of joint {}",
+        forms=("linear", "magnitude", "saturating", "lag", "sprung"),
+    ),
+    "load": SourceKind(
+        attribute="spring_torque",
+        symbol="T_{}",
+        unit="N m",
+        words="load of joint {}",
+        forms=(*_SIGNED, "hinge_above", "hinge_below", "lag"),
+    ),
+    "temperature": SourceKind(
+        attribute="temperature_rise",
+        symbol="dT_{}",
+        unit="K",
+        words="temperature of joint {}",
+        forms=("linear", "decay", "hinge_above"),
+    ),
+    "session_time": SourceKind(
+        attribute="session_time",
+        symbol="t_on",
+        unit="s",
+        words="time since power-on",
+        forms=("linear", "decay", "wave"),
+        per_joint=False,
+    ),
+    "height": SourceKind(
+        attribute="tool_position[:, 2]",
+        symbol="z",
+        unit="m",
+        words="height of the tool",
+        forms=(*_PLACED, "magnitude"),
+        per_joint=False,
+    ),
+    "tool_x": SourceKind(
+        attribute="tool_position[:, 0]",
+        symbol="x",
+        unit="m",
+        words="place of the tool along x",
+        forms=_PLACED,
+        per_joint=False,
+    ),
+    "tool_y": SourceKind(
+        attribute="tool_position[:, 1]",
+        symbol="y",
+        unit="m",
+        words="place of the tool along y",
+        forms=_PLACED,
+        per_joint=False,
+    ),
+}
+
+
+@dataclass(frozen=True)
+class Source:
+    """A signal.
+
+    Parameters
+    ----------
+    kind : str
+        Key of `SOURCE_KINDS`.
+    joint : int or None
+        From 0; None for a signal of the robot as a whole.
+    """
+
+    kind: str
+    joint: int | None = None
+
+    @property
+    def own(self) -> SourceKind:
+        """Properties of its kind."""
+        return SOURCE_KINDS[self.kind]
+
+    @property
+    def symbol(self) -> str:
+        """Symbol in equations, such as "q_4"."""
+        return self.own.symbol.format(self._number)
+
+    @property
+    def words(self) -> str:
+        """Name in sentences."""
+        return self.own.words.format(self._number)
+
+    @property
+    def _number(self) -> str:
+        return "" if self.joint is None else str(self.joint + 1)
+
+    def is_of_joint(self, joint: int) -> bool:
+        """Return True where the signals of one joint are enough to know it."""
+        return self.joint == joint or self.kind == "session_time"
+
+    def value(self, signals: RobotSignals | JointSignals) -> Quantity:
+        """Return the signal (K,)."""
+        name, _, index = self.own.attribute.partition("[:, ")
+        values: Any = getattr(signals, name)
+        if index:
+            return _column(values, int(index[:-1]))
+        if self.joint is None or isinstance(signals, JointSignals):
+            return values
+        return _column(values, self.joint)
+
+    def expression(self, joint: int, *, of_robot: bool) -> str:
+        """Return the Python expression in `signals` for a law at a joint."""
+        if self.joint is None or not of_robot:
+            return f"signals.{self.own.attribute}"
+        index = "signals.link" if self.joint == joint else str(self.joint)
+        return f"signals.{self.own.attribute}[:, {index}]"
+
+
+def _column(values: Any, index: int) -> Quantity:
+    column = values[:, index]
+    return np.ascontiguousarray(column) if isinstance(column, np.ndarray) else column

@@ -1,0 +1,142 @@
+"""Laws beyond the catalogue on the page: numbers to type in, figure over their signals, proof."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from stiffopt.discovery.laws.law import Law, describe_test, law_of, resembled
+from stiffopt.report.common.svg import PALE, WIDTH, figure_style
+from stiffopt.report.common.text import scale
+from stiffopt.report.diagnosis.regimes import (
+    DIRECTION_STYLES,
+    ChannelResiduals,
+    Regime,
+    draw_direction,
+    finding_contribution,
+    motion_direction,
+)
+from stiffopt.report.diagnosis.words import channel_words
+
+if TYPE_CHECKING:
+    from stiffopt.discovery.diagnosis import Diagnosis, Finding
+
+# Definitions of what an equation of a law may contain.
+_DEFINITIONS = {
+    "lag": "lag(x, T) is y of T dy/dt = x - y, at rest before the first sample",
+    "sprung": "sprung(x, f, z) is the acceleration of a mass on a spring and damper of frequency f"
+    " and damping ratio z whose base accelerates by x",
+    "stop": "stop(x, r) follows x and slides where it would leave -r to r",
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class LawOnPage:
+    """A law with its numbers.
+
+    Parameters
+    ----------
+    equation : str
+    numbers : tuple of str
+        Every value in full, for another simulator.
+    signals : tuple of str
+        Meaning of every symbol.
+    lines : tuple of str
+        What it explains, what it resembles, the test that would tell.
+    """
+
+    equation: str
+    numbers: tuple[str, ...]
+    signals: tuple[str, ...]
+    lines: tuple[str, ...]
+
+
+def laws_on_page(diagnosis: Diagnosis) -> dict[Finding, LawOnPage]:
+    """Return the laws among the findings."""
+    found = {}
+    for finding in diagnosis.findings:
+        law = law_of(finding.effect)
+        if law is not None:
+            found[finding] = _describe_law(diagnosis, finding, law)
+    return found
+
+
+def _describe_law(diagnosis: Diagnosis, finding: Finding, law: Law) -> LawOnPage:
+    own = dict(
+        zip(
+            (*law.amplitude_names, *law.shape_names),
+            (*finding.estimated.amplitudes, *finding.located.shapes),
+            strict=True,
+        )
+    )
+    units = {p.name: p.unit for p in finding.parameters}
+    signals = [f"{f.source.symbol} is the {f.source.words}" for f in law.factors]
+    signals += [f"{words}" for name, words in _DEFINITIONS.items() if f" {name}(" in law.equation]
+    lines = [
+        _describe_share(diagnosis, finding),
+        f"In words: {law.words}{resembled(law)}.",
+        f"The test that would tell: {describe_test(law)}",
+    ]
+    return LawOnPage(
+        equation=law.equation,
+        numbers=tuple(f"{name} = {value!r} {units.get(name, '')}" for name, value in own.items()),
+        signals=tuple(dict.fromkeys(signals)),
+        lines=tuple(line for line in lines if line),
+    )
+
+
+def _describe_share(diagnosis: Diagnosis, finding: Finding) -> str:
+    """Return what the law explains where it was not fitted, beside what any law could."""
+    for each in diagnosis.laws:
+        if each.located.same_place(finding.located):
+            held = next((c for c in diagnosis.channels if c.channel == each.channel), None)
+            text = (
+                f"Of the residual of the {channel_words(each.channel)} beyond the noise it explains"
+                f" {100 * each.explained:.0f} % in parts of the training runs left out; the best"
+                " smooth function of the signals, which any law of them is, explains"
+                f" {100 * each.attainable:.0f} %. It is the best of {each.tried} laws that were"
+                " tried, which its probability accounts for."
+            )
+            if held is not None:
+                text += (
+                    f" In held-out runs the residual falls from {held.rms_before / held.noise:.3g}"
+                    f" to {held.rms_after / held.noise:.3g} times the noise."
+                )
+            return text
+    return ""
+
+
+def law_figure(diagnosis: Diagnosis, rows: ChannelResiduals, finding: Finding) -> Figure | None:
+    """Plot the residual without a law over each of its signals, with the law through it."""
+    law = law_of(finding.effect)
+    if law is None:
+        return None
+    sources = [f.source for f in law.factors if f.source.kind != "direction"]
+    added = finding_contribution(diagnosis, finding, rows)
+    residual = rows.after + added
+    factor, unit = scale(float(np.quantile(np.abs(residual), 0.95)), rows.unit)
+    sides = motion_direction(diagnosis, rows)
+    sampled = diagnosis.search.comparison.rows.sample_signal
+    with figure_style():
+        figure = Figure(figsize=(WIDTH, 3.2))
+        grid = figure.subplots(1, max(len(sources), 1), sharey=True, squeeze=False)[0]
+        for axes, source in zip(grid, dict.fromkeys(sources), strict=False):
+            values = sampled(lambda run, own=source: np.asarray(own.value(run.signals)))
+            label = f"{source.words} [{source.own.unit}]" if source.own.unit else source.words
+            regime = Regime(source.symbol, label, values[rows.chosen])
+            noise = factor * float(np.median(rows.noise))
+            axes.axhspan(-noise, noise, color=PALE, alpha=0.55, zorder=0, linewidth=0)
+            for side, colour, words in DIRECTION_STYLES:
+                own = sides == side
+                if own.sum() > 1:
+                    parts = factor * residual, factor * added
+                    draw_direction(axes, regime, own, *parts, rows.run, colour)
+                    axes.plot([], [], "o", color=colour, label=words)
+            axes.set_xlabel(label)
+        grid[0].set_ylabel(f"residual without the law [{unit}]")
+        grid[0].legend(loc="best")
+        figure.subplots_adjust(left=0.065, right=0.99, bottom=0.17, wspace=0.08)
+        return figure

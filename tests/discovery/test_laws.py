@@ -1,0 +1,271 @@
+"""Laws beyond the catalogue: grammar, files, and the search in a channel of known content."""
+
+import math
+import re
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from stiffopt.discovery.comparison.located_effect import EstimatedEffect, LocatedEffect
+from stiffopt.discovery.extended.model import load_extended
+from stiffopt.discovery.extended.store import _describe_table, _format_effect, _format_table
+from stiffopt.discovery.law_search.find import MIN_KEPT_SHARE
+from stiffopt.discovery.law_search.fit_law import fit_shapes
+from stiffopt.discovery.law_search.free_function import best_sum, residual_tables, screen
+from stiffopt.discovery.law_search.open_channel import OpenChannel
+from stiffopt.discovery.law_search.search import search_channel
+from stiffopt.discovery.laws import operators
+from stiffopt.discovery.laws.forms import FORMS, SignalRange
+from stiffopt.discovery.laws.law import Factor, Law, law_effect, law_of
+from stiffopt.discovery.laws.law_file import law_file_text
+from stiffopt.discovery.laws.sources import SOURCE_KINDS, Source
+from stiffopt.discovery.laws.table import table_of
+from stiffopt.discovery.user_effects import (
+    find_faults,
+    load_effects,
+    sample_signals,
+    sample_signals_of,
+    stack_term,
+)
+from stiffopt.errors import InputFileError
+
+EXTENT = SignalRange(low=-0.7, high=0.9, duration=6.0, rate=20.0, peaks=(0.7,))
+EVERY = [(kind, form) for kind, own in SOURCE_KINDS.items() for form in own.forms]
+SIGN = Factor(Source("direction", 4), "linear")
+
+
+def law_with(kind: str, form: str, base: tuple[Factor, ...] = (SIGN,)) -> Law:
+    source = Source(kind, 2 if SOURCE_KINDS[kind].per_joint else None)
+    return Law(4, "drive_torque", (*base, next(Factor(source, form).starts(EXTENT))))
+
+
+@pytest.mark.parametrize(("kind", "form"), EVERY)
+def test_every_form_of_every_signal_is_a_valid_effect(kind: str, form: str) -> None:
+    law = law_with(kind, form)
+    assert list(find_faults(law_effect(law, [0.7] * law.amplitude_count))) == []
+
+
+@pytest.mark.parametrize("name", [name for name, form in FORMS.items() if form.shapes])
+def test_slopes_by_shapes_agree_with_differences(name: str) -> None:
+    signals = sample_signals(count=200)
+    kind = next(k for k, own in SOURCE_KINDS.items() if name in own.forms)
+    law = law_with(kind, name)
+    own = Factor(law.factors[-1].source, name)
+    x = np.asarray(own.source.value(signals))
+    extent = SignalRange(low=x.min(), high=x.max(), duration=2.0, rate=20.0, peaks=(0.7,))
+    law = Law(4, "drive_torque", (SIGN, next(own.starts(extent))))
+    slopes = law.slopes(signals)
+    for i, value in enumerate(law.shapes):
+        step = 1e-6 * max(abs(value), 0.1)
+        ends = []
+        for side in (-step, step):
+            shapes = [v + side * (k == i) for k, v in enumerate(law.shapes)]
+            ends.append(law.columns(signals, shapes))
+        for number, (low, high) in enumerate(zip(*ends, strict=True)):
+            expected = (high - low) / (2.0 * step)
+            error = np.abs(slopes[number][i] - expected).max()
+            assert error <= 1e-5 * np.abs(expected).max() + 1e-9
+
+
+@pytest.mark.parametrize(("kind", "form"), EVERY)
+def test_the_equation_alone_gives_the_torque(kind: str, form: str) -> None:
+    signals = sample_signals()
+    law = law_with(kind, form)
+    amplitudes = [1.37, -0.61][: law.amplitude_count]
+    text = law.equation.partition(" += ")[2]
+    # What another simulator has: symbols, numbers, and the definitions on the page.
+    space = {name: getattr(np, name) for name in ("tanh", "exp", "log", "abs", "sqrt", "sign")}
+    space |= {"cos": np.cos, "sin": np.sin, "pi": math.pi, "stop": operators.stop}
+    space["lag"] = lambda x, T: operators.lag(x, T, signals.dt)
+    space["sprung"] = lambda x, f, z: operators.sprung(x, f, z, signals.dt)
+    for factor in law.factors:
+        name = f"signal{len(space)}"
+        space[name] = np.asarray(factor.source.value(signals))
+        text = re.sub(rf"(?<![\w]){re.escape(factor.source.symbol)}(?!\w)", name, text)
+    space |= dict(zip(law.shape_names, law.shapes, strict=True))
+    space |= dict(zip(law.amplitude_names, amplitudes, strict=True))
+    typed = eval(text, space)
+    columns = law.columns(signals)
+    expected = sum(a * c for a, c in zip(amplitudes, columns, strict=True))
+    assert typed == pytest.approx(expected, rel=1e-9, abs=1e-9 * np.abs(expected).max())
+
+
+def test_a_law_file_is_read_as_the_same_effect(tmp_path) -> None:
+    signals = sample_signals()
+    laws = [law_with("position", "harmonic"), law_with("acceleration", "sprung", ())]
+    path = tmp_path / "law.py"
+    values = {"A": (1.5, 0.1)}
+    path.write_text(
+        law_file_text(
+            "cell", [(law.name, law, [1.5] * law.amplitude_count, values) for law in laws]
+        )
+    )
+    for law, effect in zip(laws, load_effects(path), strict=True):
+        own = law_effect(law, [1.5] * law.amplitude_count)
+        seen = replace(sample_signals_of(own, signals), link=law.joint)
+        amplitudes = [0.4, -0.9][: law.amplitude_count]
+        terms = [each.term(seen, amplitudes, law.shapes) for each in (own, effect)]
+        assert stack_term(terms[1]) == pytest.approx(stack_term(terms[0]), rel=1e-12)
+        assert (effect.name, effect.equation) == (own.name, own.equation)
+        assert law_of(effect) is None
+        assert law_of(own) == law
+
+
+def test_a_stop_element_slides_at_its_limit() -> None:
+    there = np.concatenate([np.linspace(0.0, 1.0, 101), np.linspace(1.0, 0.5, 51)])
+    found = operators.stop(there, 0.1)
+    assert found[100] == pytest.approx(0.1)
+    assert found[111] == pytest.approx(0.0)
+    assert found[-1] == pytest.approx(-0.1)
+
+
+def test_a_sprung_mass_follows_slowly_and_not_at_once() -> None:
+    steady = operators.sprung(np.concatenate([[0.0], np.ones(4000)]), 2.0, 0.3, 0.005)
+    assert steady[-1] == pytest.approx(1.0, abs=1e-6)
+    assert abs(steady[2]) < 0.1
+
+
+class KnownChannel(OpenChannel):
+    """Channel of unfiltered samples of a sample arm, whose content is given."""
+
+    def __init__(self, content, noise: float = 1.0, seed: int = 3) -> None:
+        draw = np.random.default_rng(seed)
+        runs = []
+        for k in range(4):
+            whole = sample_signals(count=1500, dt=0.02 + 0.003 * k)
+            runs.append(SimpleNamespace(signals=whole, time=whole.time))
+        for run in runs:
+            run.low_pass = SimpleNamespace(cutoff=12.0)
+        self.comparison = SimpleNamespace(
+            runs=runs,
+            robot=SimpleNamespace(n=6),
+            rows=SimpleNamespace(
+                sample_signal=lambda value: np.concatenate([value(run)[::5] for run in runs])
+            ),
+        )
+        self.channel, self.joint, self.kind = 4, 4, "torque"
+        counts = [len(run.time[::5]) for run in runs]
+        self.rows, self.block = np.arange(sum(counts)), np.repeat(np.arange(4), counts)
+        values = [content(run.signals)[::5] for run in runs]
+        self.target = np.concatenate(values) + noise * draw.standard_normal(sum(counts))
+
+    def columns(self, values):
+        return np.vstack([np.column_stack([v[::5] for v in of_run]) for of_run in values])
+
+
+def test_friction_by_the_angle_of_another_joint_is_found() -> None:
+    def content(signals):
+        bent = signals.motor_position[:, 1]
+        return 9.0 * signals.motor_direction[:, 4] / (1.0 + np.exp(-(bent - 0.1) / 0.05))
+
+    found = search_channel(KnownChannel(content))
+    assert found.refusal == ""
+    assert found.best is not None
+    sources = {factor.source for factor in found.best.law.factors}
+    assert sources == {Source("direction", 4), Source("position", 1)}
+    assert found.explained > 0.95
+
+
+def test_shapes_are_fitted_to_their_true_values() -> None:
+    def content(signals):
+        return 8.0 * np.tanh(signals.motor_velocity[:, 2] / 0.8)
+
+    channel = KnownChannel(content, noise=0.1)
+    start = Law(
+        4, "drive_torque", (Factor(Source("speed", 2), "saturating", (2.0,), ((0.05, 9.0),)),)
+    )
+    found = fit_shapes(channel, start, 1)
+    assert found.law.shapes[0] == pytest.approx(0.8, rel=0.01)
+    assert found.fit.amplitudes[0] == pytest.approx(8.0, rel=0.01)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_noise_holds_no_law(seed: int) -> None:
+    found = search_channel(KnownChannel(lambda s: np.zeros(len(s.time)), seed=seed))
+    assert found.best is None
+    assert found.refusal
+
+
+def test_a_residual_that_differs_from_run_to_run_is_no_law() -> None:
+    signs = iter((1.0, -1.0, 1.0, -1.0))
+    found = search_channel(KnownChannel(lambda s: 6.0 * next(signs) * s.motor_position[:, 1]))
+    assert found.best is None
+
+
+EXTENDED = """schema = 1
+kind = "extended"
+name = "cell"
+joints = ["a", "b", "c"]
+links = ["la", "lb", "lc"]
+[scales]
+torque_rated = [40.0, 40.0, 40.0]
+torque_max = [120.0, 120.0, 120.0]
+fastest = [2.0, 2.0, 2.0]
+"""
+
+
+def test_a_law_is_read_from_an_extended_model_without_code(tmp_path) -> None:
+    law = Law(
+        1,
+        "drive_torque",
+        (Factor(Source("direction", 1), "linear"), *law_with("position", "step", ()).factors),
+    )
+    text = _format_effect(
+        EstimatedEffect(
+            located=LocatedEffect(effect=law_effect(law, [3.0]), joint=1, shapes=law.shapes),
+            amplitudes=(3.0,),
+        ),
+        sample_signals().constants,
+        {},
+        None,
+    )
+    path = tmp_path / "extended.toml"
+    path.write_text(EXTENDED + text)
+    (found,) = load_extended(path).extension.effects
+    read = law_of(found.effect)
+    assert read == law
+    assert (found.effect.name, found.amplitudes, found.shapes) == (law.name, (3.0,), law.shapes)
+
+
+@pytest.mark.parametrize(
+    ("entry", "message"),
+    [
+        ('signal = "sped"', "no signal 'sped'"),
+        ('signal = "speed", joint = 9', "needs a joint, 1 to 3"),
+        ('signal = "height", joint = 1', "has no joint"),
+    ],
+)
+def test_a_wrong_signal_of_a_law_is_named(tmp_path, entry: str, message: str) -> None:
+    path = tmp_path / "extended.toml"
+    law = f'law = {{ place = "drive_torque", factors = [{{ {entry}, form = "linear" }}] }}'
+    path.write_text(f'{EXTENDED}[[effect]]\nname = "l"\njoint = 1\n{law}\nterm = {{ A = 1.0 }}\n')
+    with pytest.raises(InputFileError, match=message):
+        load_extended(path)
+
+
+def test_what_no_law_explains_is_kept_as_a_table_within_its_range(tmp_path) -> None:
+    def content(signals):
+        # Peaks that no form of the grammar has, times the direction of motion.
+        q = signals.motor_position[:, 2]
+        return 5.0 * signals.motor_direction[:, 4] * (np.abs(q) < 0.2) * (1.0 - np.abs(q) / 0.2)
+
+    channel = KnownChannel(content)
+    free, left = best_sum(channel, screen(channel))
+    assert channel.share(left) > MIN_KEPT_SHARE
+    tables = residual_tables(channel, free)
+    signals = channel.comparison.runs[0].signals
+    whole = sum(table.value(signals) for table in tables)
+    truth = content(signals)
+    assert np.sum((truth - whole) ** 2) < 0.5 * np.sum(truth**2)
+    parts = [_format_table("[residual]", _describe_table(replace(t, joint=0))) for t in tables]
+    path = tmp_path / "extended.toml"
+    path.write_text("\n".join([EXTENDED, *parts]).replace("joint = 5", "joint = 3"))
+    model = load_extended(path)
+    read = [table_of(each.effect) for each in model.extension.effects]
+    assert [t.values for t in read] == [t.values for t in tables]
+    # Beyond the range that was seen the table is constant.
+    beyond = replace(tables[0], source=Source("session_time"), carrier=())
+    far = SimpleNamespace(session_time=np.array([-1e6, 1e6]))
+    assert list(beyond.value(far)) == [beyond.values[0], beyond.values[-1]]
