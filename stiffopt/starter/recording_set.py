@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import re
 import shutil
 import tempfile
 from collections.abc import Container, Iterator, Mapping, Sequence
@@ -33,6 +34,8 @@ from stiffopt.starter.writing import toml_list, toml_string, write_new
 
 # Training share of a single recording; the rest is held out. Fewest rows for training.
 _TRAINING_SHARE = 0.7
+# File names by which people mark a recording as held out.
+_HELD_OUT_NAME = re.compile(r"(^|[^a-z])(test|val|valid|validation|eval|holdout)([^a-z]|$)", re.I)
 _MIN_TRAINING_ROWS = 400
 # Fewest rows of a part between clock resets.
 _MIN_PART_ROWS = 100
@@ -145,11 +148,17 @@ def _write_set(
             " motion for a stronger validation."
         )
     else:
-        last = files[-1].name if len(files) > 1 else parts[-1][1]
-        for path, name, part in parts:
-            kept = last == (path.name if len(files) > 1 else name)
-            runs.append((name, "test" if kept else "train", part))
-        notes.append(f"{last} is held out (test), the others are for training.")
+        names = [path.name if len(files) > 1 else name for path, name, _ in parts]
+        held_out = [each for each in names if _HELD_OUT_NAME.search(Path(each).stem)]
+        if not 0 < len(set(held_out)) < len(set(names)):
+            held_out = [files[-1].name if len(files) > 1 else names[-1]]
+        for file, (_, name, part) in zip(names, parts, strict=True):
+            runs.append((name, "test" if file in held_out else "train", part))
+        verb = "is" if len(set(held_out)) == 1 else "are"
+        notes.append(
+            f"{', '.join(dict.fromkeys(held_out))} {verb} held out (test), the others are for"
+            " training."
+        )
     folder.mkdir(parents=True, exist_ok=True)
     shutil.copytree(beside, folder, dirs_exist_ok=True)
     for name, _, table in runs:

@@ -555,3 +555,22 @@ def test_thousands_separators_are_read(cell, value, tmp_path):
     found = table(tmp_path, text)
     assert found["tau1"].tolist() == [value] * 5
     assert found["Zeit in ms"][1] == 1.5
+
+
+@pytest.mark.parametrize(
+    ("names", "held_out"),
+    [
+        (["test", "train"], {"test"}),
+        (["arm_val", "arm_x", "arm_z"], {"arm_val"}),
+        (["latest", "older"], {"older"}),
+        (["test_1", "test_2"], {"test_2"}),
+    ],
+)
+def test_recordings_named_as_tests_are_held_out(names, held_out, tmp_path):
+    for name in names:
+        (tmp_path / f"{name}.csv").write_text("\n".join(lines()))
+    files = [str(tmp_path / f"{name}.csv") for name in names]
+    folder = tmp_path / "set"
+    assert run(["init", "recording", *files, "--urdf", str(URDF), "--out", str(folder)]) == 0
+    runs = tomllib.loads((folder / "recordings.toml").read_text())["runs"]
+    assert {r["file"].removesuffix(".npz") for r in runs if r["role"] == "test"} == held_out
