@@ -62,7 +62,7 @@ class ChangedMjcf:
     Parameters
     ----------
     contents : mapping of path to bytes
-        Of the file and its includes, relative to the file.
+        Of the file and its includes, in the folder that holds all of them.
     changes : tuple of AttributeChange
     left_out : tuple of str
         Findings that the file cannot take, a sentence each.
@@ -192,6 +192,9 @@ class _Editor:
             }
             if element is not None and texts:
                 self._change(element, tag, drive.name, texts)
+                if "kv" in texts:
+                    # The other way to give the velocity gain.
+                    self.source.change(element, {"dampratio": None})
             if tag == "motor" and not math.isnan(kp):
                 self.left_out.append(
                     f"the actuator {drive.name!r} is a motor: the gains of its controller, kp ="

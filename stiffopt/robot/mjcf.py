@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 import xml.etree.ElementTree as ET
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -220,6 +220,13 @@ def mjcf_parts(path: Path) -> list[Path]:
 def mjcf_files(path: Path) -> list[Path]:
     """Files that an MJCF needs: itself, those that it includes, and meshes that give mass."""
     return [*mjcf_parts(path), *read_mjcf(path).meshes]
+
+
+def names_in_common_folder(files: Sequence[Path]) -> dict[str, Path]:
+    """Return files by their paths relative to the innermost folder that holds all of them."""
+    places = [Path(os.path.abspath(file)) for file in files]
+    root = Path(os.path.commonpath([place.parent for place in places]))
+    return {place.relative_to(root).as_posix(): place for place in places}
 
 
 def read_mjcf(path: str | os.PathLike[str]) -> MjcfModel:
