@@ -89,3 +89,12 @@ def test_a_set_names_an_mjcf_itself(tmp_path):
     assert list(robot.torque_max) == [60.0, 40.0, np.inf, np.inf]
     assert (robot.velocity_max == np.inf).all()
     assert robot.tool.link == "tcp"
+
+
+def test_log_of_one_leg_asks_for_its_tip(tmp_path, capsys):
+    log = write_log(tmp_path / "log.csv", ("hip_r", "thigh_r", "calf_r"))
+    arguments = ["init", "recording", str(log), "--urdf", str(write_legs(tmp_path))]
+    assert run([*arguments, "--out", str(tmp_path / "set")]) == 2
+    said = capsys.readouterr().err
+    assert "no position was recognised for 6 joints" in said
+    assert '--tip "calf_l" or --tip "calf_r"' in said
