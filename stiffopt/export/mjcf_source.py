@@ -62,7 +62,7 @@ class MjcfSource:
         self._edits: list[tuple[MjcfElement, dict[str, str | None]]] = []
         self._added: list[tuple[MjcfElement, dict[str, str]]] = []
         for file, content in self._content.items():
-            self._index(file, content)
+            self._index_elements(file, content)
 
     def joint(self, name: str) -> MjcfElement | None:
         """Return the joint of this name."""
@@ -115,7 +115,7 @@ class MjcfSource:
         found = re.search(rb"\r?\n[ \t]*$", before)
         return found.group() if found else b""
 
-    def _index(self, file: str, content: bytes) -> None:
+    def _index_elements(self, file: str, content: bytes) -> None:
         parser: Any = expat.ParserCreate()
         path: list[tuple[str, str]] = []
 

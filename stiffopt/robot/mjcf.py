@@ -351,12 +351,12 @@ class _ModelReader:
         model = self.model
         for b in range(1, model.nbody):
             first, count = int(model.body_jntadr[b]), int(model.body_jntnum[b])
-            axes = self._rotation(model.body_iquat[b])
+            axes = self._read_rotation(model.body_iquat[b])
             yield MjcfBody(
                 name=model.body(b).name,
                 parent=model.body(model.body_parentid[b]).name,
                 place=np.array(model.body_pos[b]),
-                rotation=self._rotation(model.body_quat[b]),
+                rotation=self._read_rotation(model.body_quat[b]),
                 joints=tuple(model.joint(j).name for j in range(first, first + count)),
                 mass=float(model.body_mass[b]),
                 centre=np.array(model.body_ipos[b]),
@@ -372,7 +372,7 @@ class _ModelReader:
                     name=model.site(s).name,
                     parent=model.body(model.site_bodyid[s]).name,
                     place=np.array(model.site_pos[s]),
-                    rotation=self._rotation(model.site_quat[s]),
+                    rotation=self._read_rotation(model.site_quat[s]),
                     centre=np.zeros(3),
                     inertia=np.zeros((3, 3)),
                 )
@@ -442,7 +442,7 @@ class _ModelReader:
                 control_range=control,
             )
 
-    def _rotation(self, quaternion: np.ndarray) -> np.ndarray:
+    def _read_rotation(self, quaternion: np.ndarray) -> np.ndarray:
         found = np.zeros(9)
         self.mujoco.mju_quat2Mat(found, quaternion)
         return found.reshape(3, 3)
