@@ -204,16 +204,20 @@ def mjcf_parts(path: Path) -> list[Path]:
     Raises
     ------
     InputFileError
-        One is no XML or too large.
+        One is missing, no XML or too large.
     """
     found, waiting = [], [path]
     while waiting:
         file = waiting.pop(0)
-        if file in found or not file.is_file():
+        if file in found:
             continue
         found.append(file)
-        # MuJoCo searches in the folder of the main file.
-        waiting += [path.parent / each.get("file", "") for each in parse_xml(file).iter("include")]
+        for each in parse_xml(file).iter("include"):
+            name = each.get("file", "")
+            # MuJoCo searches in the folder of the main file.
+            if not (path.parent / name).is_file():
+                raise InputFileError(file, "include", f"there is no file {path.parent / name}.")
+            waiting.append(path.parent / name)
     return found
 
 
@@ -263,7 +267,10 @@ def _read_mjcf(path: Path, _times: tuple[int, ...]) -> MjcfModel:
         always = spec.compiler.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
         notes = tuple(_reduce_to_mechanism(mujoco, spec, always))
         _name_elements(spec)
+        meshes = _find_meshes(spec, path)
         model = spec.compile()
+    except InputFileError:
+        raise
     except (ValueError, mujoco.FatalError) as error:
         raise InputFileError(path, "", f"is refused by MuJoCo: {shortened(error)}.") from error
     reader = _ModelReader(mujoco, model)
@@ -273,7 +280,7 @@ def _read_mjcf(path: Path, _times: tuple[int, ...]) -> MjcfModel:
         joints={joint.name: joint for joint in reader.joints()},
         actuators=tuple(reader.actuators()),
         couplings=tuple(reader.couplings()),
-        meshes=tuple(path.parent / spec.meshdir / mesh.file for mesh in spec.meshes if mesh.file),
+        meshes=meshes,
         degrees=bool(spec.compiler.degree),
         shaped=always,
         notes=notes,
@@ -317,6 +324,22 @@ def _reduce_to_mechanism(mujoco: Any, spec: Any, shaped: bool) -> Iterator[str]:
     idle = [mesh for mesh in spec.meshes if mesh.name not in needed]
     for asset in [*idle, *(each for name in _UNUSED_ASSETS for each in getattr(spec, name))]:
         spec.delete(asset)
+
+
+def _find_meshes(spec: Any, path: Path) -> tuple[Path, ...]:
+    """Return the files of meshes; raise `InputFileError` where one is missing."""
+    files = {mesh.name: path.parent / spec.meshdir / mesh.file for mesh in spec.meshes if mesh.file}
+    for body in spec.bodies:
+        for geom in body.geoms:
+            file = files.get(geom.meshname)
+            if file is not None and not file.is_file():
+                raise InputFileError(
+                    path,
+                    f"body {body.name!r}",
+                    f"takes its mass from {file}, which is not there. Copy the mesh to that place,"
+                    " or give the body an <inertial>.",
+                )
+    return tuple(files.values())
 
 
 def _name_elements(spec: Any) -> None:
