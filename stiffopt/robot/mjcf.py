@@ -199,7 +199,7 @@ def is_mjcf(path: Path) -> bool:
 
 
 def mjcf_parts(path: Path) -> list[Path]:
-    """Files that make up an MJCF: itself, and those that it includes.
+    """Files that make up an MJCF: itself, and those that it includes or attaches.
 
     Raises
     ------
@@ -212,12 +212,13 @@ def mjcf_parts(path: Path) -> list[Path]:
         if file in found:
             continue
         found.append(file)
-        for each in parse_xml(file).iter("include"):
-            name = each.get("file", "")
+        root = parse_xml(file)
+        for each in (*root.iter("include"), *root.iterfind("asset/model")):
             # MuJoCo searches in the folder of the main file.
-            if not (path.parent / name).is_file():
-                raise InputFileError(file, "include", f"there is no file {path.parent / name}.")
-            waiting.append(path.parent / name)
+            part = path.parent / each.get("file", "")
+            if not part.is_file():
+                raise InputFileError(file, each.tag, f"there is no file {part}.")
+            waiting.append(part)
     return found
 
 

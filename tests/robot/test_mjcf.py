@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from mjcf_models import write_arm, write_legs
+from mjcf_models import LEG, write_arm, write_legs
 
 from stiffopt.errors import InputError
 from stiffopt.robot.files import load_robot
-from stiffopt.robot.mjcf import read_mjcf
+from stiffopt.robot.mjcf import mjcf_parts, read_mjcf
 from stiffopt.robot.urdf import load_urdf
 
 mujoco = pytest.importorskip("mujoco")
@@ -113,3 +113,18 @@ def test_missing_package_is_named(legs, monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "mujoco", None)
     with pytest.raises(InputError, match=r"pip install 'stiffopt\[mjcf\]'"):
         load_urdf(legs)
+
+
+def test_attached_models_are_parts(tmp_path):
+    leg = LEG.format(k="l", y=0.1)
+    (tmp_path / "leg.xml").write_text(f'<mujoco model="leg"><worldbody>{leg}</worldbody></mujoco>')
+    (tmp_path / "robot.xml").write_text(
+        '<mujoco><asset><model name="leg" file="leg.xml"/></asset><worldbody><body name="stand">'
+        '<attach model="leg" body="hip_l" prefix="front_"/></body></worldbody></mujoco>'
+    )
+    assert [part.name for part in mjcf_parts(tmp_path / "robot.xml")] == ["robot.xml", "leg.xml"]
+    assert load_robot(tmp_path / "robot.xml").joint_names == (
+        "front_hip_l",
+        "front_thigh_l",
+        "front_calf_l",
+    )
