@@ -8,7 +8,7 @@ from pathlib import Path
 # joints of one body, anchors off the body's origin, a reference, a mesh that is not there.
 ARM = """<mujoco model="odd">
   <compiler angle="degree" eulerseq="XYZ" autolimits="true" meshdir="nowhere"/>
-  <include file="parts/defaults.xml"/>
+  <include file="../parts/defaults.xml"/>
   <asset><mesh name="shell" file="shell.stl"/></asset>
   <worldbody>
     <body name="base" pos="0.1 0 0.2" euler="20 30 -40">
@@ -75,8 +75,9 @@ def write_arm(folder: Path) -> Path:
     """Write the arm, with its defaults in another file."""
     (folder / "parts").mkdir()
     (folder / "parts" / "defaults.xml").write_text(DEFAULTS)
-    (folder / "odd.xml").write_text(ARM)
-    return folder / "odd.xml"
+    (folder / "arm").mkdir()
+    (folder / "arm" / "odd.xml").write_text(ARM)
+    return folder / "arm" / "odd.xml"
 
 
 def write_legs(folder: Path) -> Path:

@@ -62,7 +62,7 @@ class ChangedMjcf:
     Parameters
     ----------
     contents : mapping of path to bytes
-        Of the file and its includes, relative to the file.
+        Of the file and its includes, in the folder that holds all of them.
     changes : tuple of AttributeChange
     left_out : tuple of str
         Findings that the file cannot take, a sentence each.
@@ -104,15 +104,17 @@ class _Editor:
             (key, getattr(joint, key), float(getattr(robot, value)[j]), joint_unit(unit, slides))
             for key, value, unit in _JOINT_VALUES
         ]
-        rows = [row for row in rows if _differs(row[1], row[2])]
+        rows = [row for row in rows if _is_changed(row[1], row[2])]
         shift = -float(self.found.zeros[j])
-        texts = {key: (_format(old), _format(new), unit) for key, old, new, unit in rows}
+        texts = {
+            key: (_format_number(old), _format_number(new), unit) for key, old, new, unit in rows
+        }
         if shift != 0.0:
             texts |= dict(self._shifted_positions(joint, shift))
         if element is None and texts:
             self._leave_out("joint", joint.name, texts)
         elif element is not None:
-            self._change(element, "joint", joint.name, texts)
+            self._apply_change(element, "joint", joint.name, texts)
 
     def _shifted_positions(
         self, joint: MjcfJoint, shift: float
@@ -131,7 +133,8 @@ class _Editor:
             positions["springref"] = (joint.spring_reference,)
         for key, values in positions.items():
             old, new = (
-                " ".join(_format(factor * (value + by)) for value in values) for by in (0.0, shift)
+                " ".join(_format_number(factor * (value + by)) for value in values)
+                for by in (0.0, shift)
             )
             yield key, (old, new, unit)
 
@@ -148,9 +151,13 @@ class _Editor:
         element = self.source.body(body.name)
         mass, centre, inertia = _add_inertia(body, change, joint.anchor)
         texts = {
-            "mass": (_format(body.mass), _format(mass), "kg"),
-            "pos": (_format_all(body.centre), _format_all(centre), "m"),
-            "fullinertia": (_full(body.inertia), _full(realisable_inertia(inertia)), "kg m^2"),
+            "mass": (_format_number(body.mass), _format_number(mass), "kg"),
+            "pos": (_format_numbers(body.centre), _format_numbers(centre), "m"),
+            "fullinertia": (
+                _format_inertia(body.inertia),
+                _format_inertia(realisable_inertia(inertia)),
+                "kg m^2",
+            ),
         }
         reason = ""
         if joint.name != body.joints[-1]:
@@ -163,7 +170,7 @@ class _Editor:
             self._leave_out("body", body.name, texts, reason)
             return
         inertial = self.source.inertial(body.name)
-        self._note(inertial or element, "inertial", body.name, texts)
+        self._record_change(inertial or element, "inertial", body.name, texts)
         new = {key: text for key, (_, text, _) in texts.items()}
         if inertial is None:
             self.source.add_inertial(element, new)
@@ -186,12 +193,15 @@ class _Editor:
             tag = "" if element is None else element.tag
             pairs = _drive_attributes(drive, tag, factor, gains)
             texts = {
-                key: (_format_all(old), _format_all(new), "")
+                key: (_format_numbers(old), _format_numbers(new), "")
                 for key, (old, new) in pairs.items()
-                if any(map(_differs, old, new))
+                if any(map(_is_changed, old, new))
             }
             if element is not None and texts:
-                self._change(element, tag, drive.name, texts)
+                self._apply_change(element, tag, drive.name, texts)
+                if "kv" in texts:
+                    # The other way to give the velocity gain.
+                    self.source.change(element, {"dampratio": None})
             if tag == "motor" and not math.isnan(kp):
                 self.left_out.append(
                     f"the actuator {drive.name!r} is a motor: the gains of its controller, kp ="
@@ -202,13 +212,13 @@ class _Editor:
                     f"torque of the actuator {drive.name!r}: multiply it by {factor:.6g}"
                 )
 
-    def _change(
+    def _apply_change(
         self, element: MjcfElement, kind: str, name: str, texts: dict[str, tuple[str, str, str]]
     ) -> None:
-        self._note(element, kind, name, texts)
+        self._record_change(element, kind, name, texts)
         self.source.change(element, {key: new for key, (_, new, _) in texts.items()})
 
-    def _note(
+    def _record_change(
         self, element: MjcfElement, kind: str, name: str, texts: dict[str, tuple[str, str, str]]
     ) -> None:
         self.changes += [
@@ -280,17 +290,17 @@ def _point_inertia(place: np.ndarray) -> np.ndarray:
     return inertia
 
 
-def _differs(old: float, new: float) -> bool:
+def _is_changed(old: float, new: float) -> bool:
     return abs(new - old) > _MIN_RELATIVE_CHANGE * max(abs(old), abs(new))
 
 
-def _full(inertia: np.ndarray) -> str:
-    return _format_all(inertia[_FULL_ROWS, _FULL_COLUMNS])
+def _format_inertia(inertia: np.ndarray) -> str:
+    return _format_numbers(inertia[_FULL_ROWS, _FULL_COLUMNS])
 
 
-def _format_all(values: Iterable[float]) -> str:
-    return " ".join(_format(value) for value in values)
+def _format_numbers(values: Iterable[float]) -> str:
+    return " ".join(_format_number(value) for value in values)
 
 
-def _format(value: float) -> str:
+def _format_number(value: float) -> str:
     return f"{float(value):.{_WRITTEN_DIGITS}g}"

@@ -10,7 +10,7 @@ from typing import Any
 from xml.parsers import expat
 
 from stiffopt.files import read_bytes
-from stiffopt.robot.mjcf import mjcf_parts
+from stiffopt.robot.mjcf import mjcf_parts, names_in_common_folder
 
 # Parents of the joints of bodies: joints also stand in classes, tendons and equalities.
 _KINEMATIC_PARENTS = ("body", "frame", "replicate")
@@ -24,7 +24,7 @@ class MjcfElement:
     Parameters
     ----------
     file : str
-        Path of its file, relative to that of the model.
+        Path of its file in the folder that holds all files of the model.
     tag : str
     begin, end : int
         Bytes of the start tag.
@@ -53,9 +53,8 @@ class MjcfSource:
     """
 
     def __init__(self, path: Path) -> None:
-        self._content = {
-            file.relative_to(path.parent).as_posix(): read_bytes(file) for file in mjcf_parts(path)
-        }
+        files = names_in_common_folder(mjcf_parts(path))
+        self._content = {name: read_bytes(file) for name, file in files.items()}
         self._joints: dict[str, MjcfElement] = {}
         self._bodies: dict[str, MjcfElement] = {}
         self._inertials: dict[str, MjcfElement] = {}
@@ -63,7 +62,7 @@ class MjcfSource:
         self._edits: list[tuple[MjcfElement, dict[str, str | None]]] = []
         self._added: list[tuple[MjcfElement, dict[str, str]]] = []
         for file, content in self._content.items():
-            self._index(file, content)
+            self._index_elements(file, content)
 
     def joint(self, name: str) -> MjcfElement | None:
         """Return the joint of this name."""
@@ -90,7 +89,7 @@ class MjcfSource:
         self._added.append((body, dict(attributes)))
 
     def contents(self) -> dict[str, bytes]:
-        """Return the content of every file, by its path relative to that of the model."""
+        """Return the content of every file, by its path in the folder that holds all of them."""
         pieces: dict[str, list[tuple[int, int, bytes]]] = {name: [] for name in self._content}
         for element in dict.fromkeys(element for element, _ in self._edits):
             tag = self._content[element.file][element.begin : element.end]
@@ -116,7 +115,7 @@ class MjcfSource:
         found = re.search(rb"\r?\n[ \t]*$", before)
         return found.group() if found else b""
 
-    def _index(self, file: str, content: bytes) -> None:
+    def _index_elements(self, file: str, content: bytes) -> None:
         parser: Any = expat.ParserCreate()
         path: list[tuple[str, str]] = []
 

@@ -20,7 +20,7 @@ from stiffopt.robot.body_tree import body_tree
 from stiffopt.robot.elements import Cited, ElementBuilder, locate_errors
 from stiffopt.robot.frames import LinkFrame, link_frame, link_names
 from stiffopt.robot.link_shapes import read_link_shapes
-from stiffopt.robot.mjcf import MJCF_ENDINGS
+from stiffopt.robot.mjcf import MJCF_ENDINGS, is_mjcf
 from stiffopt.robot.robot import Robot, Source
 from stiffopt.robot.schema import JointSection, PlaceSection, RobotFile, robot_file_schema
 from stiffopt.robot.urdf import UNLIMITED, LinkBody, load_urdf
@@ -65,7 +65,7 @@ def load_robot(
     -------
     Robot
         Limits, friction and rotor inertia that the TOML omits are those of the URDF or MJCF;
-        omitted limits of acceleration and jerk are infinite.
+        omitted limits of acceleration and jerk, and those that an MJCF omits, are infinite.
 
     Raises
     ------
@@ -92,7 +92,9 @@ def load_robot(
     with catalogue.with_own(entries):
         document = _validate_document(data, own)
         if not bare and document.urdf is None:
-            raise InputFileError(own, "urdf", "this key is required and missing: path of the URDF.")
+            raise InputFileError(
+                own, "urdf", "this key is required and missing: path of the URDF or MJCF."
+            )
         urdf = path if bare else own.parent / str(document.urdf)
         return replace(_assemble_robot(document, own, urdf, keep), own=entries)
 
@@ -132,7 +134,9 @@ def _assemble_robot(document: RobotFile, path: Path, urdf: Path, keep: Collectio
         lock=document.lock,
         tip=None if document.tool is None else document.tool.link,
         keep={*keep, *(section.name for section in document.joint)},
-        limited={
+        limited=None
+        if is_mjcf(urdf)
+        else {
             section.name
             for section in document.joint
             if section.position_lower is not None and section.position_upper is not None
@@ -144,7 +148,7 @@ def _assemble_robot(document: RobotFile, path: Path, urdf: Path, keep: Collectio
     prismatic = body_tree(model).prismatic
     sections = _joint_sections(document, names, path)
     limits = [
-        _joint_numbers(section, bool(prismatic[j]), moving[names[j]], path)
+        _joint_numbers(section, bool(prismatic[j]), moving[names[j]], path, loaded.format)
         for j, section in enumerate(sections)
     ]
     columns: dict[str, Any] = {key: np.array([row[key] for row in limits]) for key in limits[0]}
@@ -206,7 +210,7 @@ def _joint_sections(document: RobotFile, names: tuple[str, ...], path: Path) -> 
             raise InputFileError(
                 path,
                 f"{where}.name",
-                f"the URDF has no moving joint {section.name!r}. {nearest(section.name, names)}",
+                f"the robot has no moving joint {section.name!r}. {nearest(section.name, names)}",
             )
         if section.name in given:
             raise InputFileError(path, where, "this joint is given twice. Keep one.")
@@ -229,7 +233,7 @@ _JOINT_NUMBERS: tuple[tuple[str, str, float | None], ...] = (
 
 
 def _joint_numbers(
-    section: JointSection, prismatic: bool, urdf: dict[str, float], path: Path
+    section: JointSection, prismatic: bool, urdf: dict[str, float], path: Path, format_: str
 ) -> dict[str, float]:
     values = {}
     for key, fallback, default in _JOINT_NUMBERS:
@@ -240,6 +244,9 @@ def _joint_numbers(
             elif number := urdf.get(fallback, 0.0):
                 bounds(JointSection, key).check(key, number)
                 values[key] = number
+            elif default is None and format_ == "MJCF":
+                # MuJoCo has no limits of velocity, and drives without limit.
+                values[key] = np.inf
             elif default is None:
                 raise InputError(f"is missing, and the URDF has no {fallback} for it. Give {key}.")
             else:

@@ -182,6 +182,6 @@ def _read_extents(text: str, count: int, place: str) -> list[float]:
     values = urdf_numbers(text, count, place)
     if min(values) < 0.0:
         raise RobotError(
-            f"{place}: got {shortened(text)}, allowed is 0 or above. Correct the URDF."
+            f"{place}: got {shortened(text)}, allowed is 0 or above. Correct the file."
         )
     return values

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 import xml.etree.ElementTree as ET
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -199,27 +199,39 @@ def is_mjcf(path: Path) -> bool:
 
 
 def mjcf_parts(path: Path) -> list[Path]:
-    """Files that make up an MJCF: itself, and those that it includes.
+    """Files that make up an MJCF: itself, and those that it includes or attaches.
 
     Raises
     ------
     InputFileError
-        One is no XML or too large.
+        One is missing, no XML or too large.
     """
     found, waiting = [], [path]
     while waiting:
         file = waiting.pop(0)
-        if file in found or not file.is_file():
+        if file in found:
             continue
         found.append(file)
-        # MuJoCo searches in the folder of the main file.
-        waiting += [path.parent / each.get("file", "") for each in parse_xml(file).iter("include")]
+        root = parse_xml(file)
+        for each in (*root.iter("include"), *root.iterfind("asset/model")):
+            # MuJoCo searches in the folder of the main file.
+            part = path.parent / each.get("file", "")
+            if not part.is_file():
+                raise InputFileError(file, each.tag, f"there is no file {part}.")
+            waiting.append(part)
     return found
 
 
 def mjcf_files(path: Path) -> list[Path]:
     """Files that an MJCF needs: itself, those that it includes, and meshes that give mass."""
     return [*mjcf_parts(path), *read_mjcf(path).meshes]
+
+
+def names_in_common_folder(files: Sequence[Path]) -> dict[str, Path]:
+    """Return files by their paths relative to the innermost folder that holds all of them."""
+    places = [Path(os.path.abspath(file)) for file in files]
+    root = Path(os.path.commonpath([place.parent for place in places]))
+    return {place.relative_to(root).as_posix(): place for place in places}
 
 
 def read_mjcf(path: str | os.PathLike[str]) -> MjcfModel:
@@ -256,7 +268,10 @@ def _read_mjcf(path: Path, _times: tuple[int, ...]) -> MjcfModel:
         always = spec.compiler.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
         notes = tuple(_reduce_to_mechanism(mujoco, spec, always))
         _name_elements(spec)
+        meshes = _find_meshes(spec, path)
         model = spec.compile()
+    except InputFileError:
+        raise
     except (ValueError, mujoco.FatalError) as error:
         raise InputFileError(path, "", f"is refused by MuJoCo: {shortened(error)}.") from error
     reader = _ModelReader(mujoco, model)
@@ -266,7 +281,7 @@ def _read_mjcf(path: Path, _times: tuple[int, ...]) -> MjcfModel:
         joints={joint.name: joint for joint in reader.joints()},
         actuators=tuple(reader.actuators()),
         couplings=tuple(reader.couplings()),
-        meshes=tuple(path.parent / spec.meshdir / mesh.file for mesh in spec.meshes if mesh.file),
+        meshes=meshes,
         degrees=bool(spec.compiler.degree),
         shaped=always,
         notes=notes,
@@ -312,6 +327,22 @@ def _reduce_to_mechanism(mujoco: Any, spec: Any, shaped: bool) -> Iterator[str]:
         spec.delete(asset)
 
 
+def _find_meshes(spec: Any, path: Path) -> tuple[Path, ...]:
+    """Return the files of meshes; raise `InputFileError` where one is missing."""
+    files = {mesh.name: path.parent / spec.meshdir / mesh.file for mesh in spec.meshes if mesh.file}
+    for body in spec.bodies:
+        for geom in body.geoms:
+            file = files.get(geom.meshname)
+            if file is not None and not file.is_file():
+                raise InputFileError(
+                    path,
+                    f"body {body.name!r}",
+                    f"takes its mass from {file}, which is not there. Copy the mesh to that place,"
+                    " or give the body an <inertial>.",
+                )
+    return tuple(files.values())
+
+
 def _name_elements(spec: Any) -> None:
     """Name bodies and joints that have no name by their parents."""
     taken = {each.name for each in (*spec.bodies, *spec.joints)}
@@ -344,12 +375,12 @@ class _ModelReader:
         model = self.model
         for b in range(1, model.nbody):
             first, count = int(model.body_jntadr[b]), int(model.body_jntnum[b])
-            axes = self._rotation(model.body_iquat[b])
+            axes = self._read_rotation(model.body_iquat[b])
             yield MjcfBody(
                 name=model.body(b).name,
                 parent=model.body(model.body_parentid[b]).name,
                 place=np.array(model.body_pos[b]),
-                rotation=self._rotation(model.body_quat[b]),
+                rotation=self._read_rotation(model.body_quat[b]),
                 joints=tuple(model.joint(j).name for j in range(first, first + count)),
                 mass=float(model.body_mass[b]),
                 centre=np.array(model.body_ipos[b]),
@@ -365,7 +396,7 @@ class _ModelReader:
                     name=model.site(s).name,
                     parent=model.body(model.site_bodyid[s]).name,
                     place=np.array(model.site_pos[s]),
-                    rotation=self._rotation(model.site_quat[s]),
+                    rotation=self._read_rotation(model.site_quat[s]),
                     centre=np.zeros(3),
                     inertia=np.zeros((3, 3)),
                 )
@@ -435,7 +466,7 @@ class _ModelReader:
                 control_range=control,
             )
 
-    def _rotation(self, quaternion: np.ndarray) -> np.ndarray:
+    def _read_rotation(self, quaternion: np.ndarray) -> np.ndarray:
         found = np.zeros(9)
         self.mujoco.mju_quat2Mat(found, quaternion)
         return found.reshape(3, 3)

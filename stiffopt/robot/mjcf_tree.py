@@ -34,7 +34,7 @@ def build_tree(model: MjcfModel) -> ET.Element:
         if site.name not in taken:
             taken.add(site.name)
             ET.SubElement(tree, "link", name=site.name)
-            _fix(tree, site.parent, site.name, site.place, site.rotation)
+            _fix_link(tree, site.parent, site.name, site.place, site.rotation)
     joints = {each.get("name"): each for each in tree.findall("joint")}
     for coupling in model.couplings:
         ET.SubElement(
@@ -57,7 +57,7 @@ def _add_body(tree: ET.Element, body: MjcfBody, joints: list[MjcfJoint], taken: 
             ET.SubElement(tree, "link", name=child)
         parent, before, place, turn = child, joint.anchor, np.zeros(3), np.eye(3)
     if parent != body.name:
-        _fix(tree, parent, body.name, place - turn @ before, turn)
+        _fix_link(tree, parent, body.name, place - turn @ before, turn)
     _add_link(tree, body)
 
 
@@ -77,7 +77,7 @@ def _add_joint(
 ) -> None:
     joint = ET.SubElement(tree, "joint", name=own.name, type=own.kind)
     if own.kind not in ("hinge", "slide"):
-        _connect(joint, parent, child, place, turn)
+        _connect_links(joint, parent, child, place, turn)
         return
     # The body is as in the file where the joint is at its reference.
     if own.kind == "slide":
@@ -86,7 +86,7 @@ def _add_joint(
     else:
         joint.set("type", "revolute" if own.limits else "continuous")
         turn = turn @ rotation_about_axis(own.axis, -own.reference)
-    _connect(joint, parent, child, place, turn)
+    _connect_links(joint, parent, child, place, turn)
     ET.SubElement(joint, "axis", xyz=_format_numbers(own.axis))
     limit = ET.SubElement(joint, "limit", effort=repr(own.torque_max), velocity="0.0")
     if own.limits:
@@ -101,12 +101,14 @@ def _add_joint(
     )
 
 
-def _fix(tree: ET.Element, parent: str, child: str, place: np.ndarray, turn: np.ndarray) -> None:
+def _fix_link(
+    tree: ET.Element, parent: str, child: str, place: np.ndarray, turn: np.ndarray
+) -> None:
     joint = ET.SubElement(tree, "joint", name=f"{child}_fixed", type="fixed")
-    _connect(joint, parent, child, place, turn)
+    _connect_links(joint, parent, child, place, turn)
 
 
-def _connect(
+def _connect_links(
     joint: ET.Element, parent: str, child: str, place: np.ndarray, turn: np.ndarray
 ) -> None:
     ET.SubElement(joint, "parent", link=parent)

@@ -198,7 +198,7 @@ def _check_joint(joint: ET.Element, path: Path) -> dict[str, float] | None:
         values[key] = urdf_numbers(text, 1, f"{path}: joint {name!r}, limit {key}", _MAX_LIMIT)[0]
         if key in ("effort", "velocity") and values[key] < 0.0:
             raise RobotError(
-                f"{path}: joint {name!r}, limit {key} = {text} is below 0. Correct the URDF."
+                f"{path}: joint {name!r}, limit {key} = {text} is below 0. Correct the file."
             )
         if limit is not None and key in ("effort", "velocity"):
             limit.set(key, text)
@@ -383,8 +383,8 @@ def urdf_numbers(text: str, count: int, place: str, most: float = _MAX_NUMBER) -
     if len(values) != count or not all(math.isfinite(v) for v in values):
         wanted = "a finite number" if count == 1 else f"{count} finite numbers"
         got = shortened(text)
-        raise RobotError(f"{place}: got {got}, allowed is {wanted}. Correct the URDF.")
+        raise RobotError(f"{place}: got {got}, allowed is {wanted}. Correct the file.")
     if any(abs(v) > most for v in values):
         got = shortened(text)
-        raise RobotError(f"{place}: {got} is beyond any machine. Correct the URDF.")
+        raise RobotError(f"{place}: {got} is beyond any machine. Correct the file.")
     return values

@@ -50,7 +50,7 @@ def problem_text(robot: Robot, file: str | Path, folder: Path) -> str:
     cell = (
         "collisions between links are checked; add obstacles"
         if motion.checked
-        else "collisions between links are not checked: the URDF lacks their shapes"
+        else "collisions between links are not checked: their shapes are not known"
     )
     lines = [
         f"# First problem for {robot.name}, written by `stiffopt init problem`: poses about the",

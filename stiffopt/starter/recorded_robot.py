@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 import shutil
 from collections.abc import Collection
@@ -15,7 +14,7 @@ from stiffopt.errors import InputFileError
 from stiffopt.files import load_toml, read_text
 from stiffopt.robot.files import load_robot
 from stiffopt.robot.joint_tree import JointTree
-from stiffopt.robot.mjcf import is_mjcf, mjcf_files, read_mjcf
+from stiffopt.robot.mjcf import is_mjcf, mjcf_files, names_in_common_folder, read_mjcf
 from stiffopt.robot.robot import Robot
 from stiffopt.robot.urdf import load_urdf
 from stiffopt.robot.urdf_xml import read_urdf_tree
@@ -131,13 +130,12 @@ def _copy_model(source: Path, folder: Path) -> str:
     if not is_mjcf(source):
         shutil.copyfile(source, folder / _URDF_FILE)
         return _URDF_FILE
-    files = [Path(os.path.abspath(file)) for file in mjcf_files(source)]
-    root = Path(os.path.commonpath([file.parent for file in files]))
-    for file in files:
-        copy = folder / file.relative_to(root)
+    files = names_in_common_folder(mjcf_files(source))
+    for name, file in files.items():
+        copy = folder / name
         copy.parent.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(file, copy)
-    return files[0].relative_to(root).as_posix()
+    return next(iter(files))
 
 
 def _has_gaps(urdf: Path, keep: Collection[str]) -> bool:

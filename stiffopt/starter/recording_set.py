@@ -28,7 +28,7 @@ from stiffopt.starter.guessing import (
     with_time,
 )
 from stiffopt.starter.message_tables import read_message_table
-from stiffopt.starter.recorded_robot import ROBOT_FILE, RecordedRobot, store_robot
+from stiffopt.starter.recorded_robot import RecordedRobot, store_robot
 from stiffopt.starter.table_layouts import join_signal_files, name_blocks
 from stiffopt.starter.writing import toml_list, toml_string, write_new
 
@@ -96,7 +96,7 @@ def start_recording_set(
         except UnrecognisedError as error:
             which = (
                 ""
-                if tip or arm.file == ROBOT_FILE
+                if tip or urdf.suffix.lower() == ".toml"
                 else JointTree(read_urdf_tree(urdf)).describe_branches()
             )
             if not which:

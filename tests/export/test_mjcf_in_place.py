@@ -60,7 +60,7 @@ def written(found, folder):
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(content.encode() if isinstance(content, str) else content)
     table = list(csv.DictReader((folder / "mjcf_changes.csv").read_text().splitlines()))
-    return load(folder / "odd.xml"), table, exported.remarks
+    return load(folder / "arm" / "odd.xml"), table, exported.remarks
 
 
 def changed_lines(before, after):
@@ -71,7 +71,7 @@ def changed_lines(before, after):
 def test_unchanged_robot_leaves_every_byte(nominal, tmp_path):
     exported = MODEL_FORMATS["mjcf"].export(diagnosed(nominal))
     assert exported.remarks == ()
-    for name in ("odd.xml", "parts/defaults.xml"):
+    for name in ("arm/odd.xml", "parts/defaults.xml"):
         assert exported.files[name] == (tmp_path / name).read_bytes()
 
 
@@ -83,7 +83,9 @@ def test_friction_and_armature_are_set_on_the_joint_alone(nominal, tmp_path):
     again, table, _ = written(diagnosed(nominal, robot), tmp_path / "out")
     assert again.coulomb == pytest.approx(friction, abs=1e-12)
     assert again.rotor_inertia == pytest.approx(armature, abs=1e-12)
-    lines = changed_lines(*((p / "odd.xml").read_text() for p in (tmp_path, tmp_path / "out")))
+    lines = changed_lines(
+        *((p / "arm" / "odd.xml").read_text() for p in (tmp_path, tmp_path / "out"))
+    )
     assert len(lines) == 4
     assert '<joint name="pan" axis="0 1 1" range="-100 120" ref="25"' in lines[1]
     assert [(row["name"], row["attribute"], row["old"], row["new"]) for row in table] == [
@@ -146,6 +148,16 @@ def test_gains_of_a_servo_are_those_estimated(nominal, tmp_path):
         ("kp", "50", "45"),
         ("kv", "2", "1.75"),
     ]
+
+
+def test_velocity_gain_replaces_a_damping_ratio(tmp_path):
+    path = write_arm(tmp_path)
+    path.write_text(path.read_text().replace('kp="50" kv="2"', 'kp="50" dampratio="1"'))
+    nominal = load(path)
+    found = diagnosed(nominal, stiffness=(180.0, *UNKNOWN[1:]), damping=(7.0, *UNKNOWN[1:]))
+    again, _, _ = written(found, tmp_path / "out")
+    servo = next(each for each in read_mjcf(again.urdf).actuators if each.joint == "pan")
+    assert (servo.position_gain, servo.velocity_gain) == pytest.approx((180.0, 7.0))
 
 
 def test_what_the_file_cannot_take_is_said(nominal, tmp_path):

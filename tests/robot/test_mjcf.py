@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from mjcf_models import write_arm, write_legs
+from mjcf_models import LEG, write_arm, write_legs
 
 from stiffopt.errors import InputError
 from stiffopt.robot.files import load_robot
-from stiffopt.robot.mjcf import read_mjcf
+from stiffopt.robot.mjcf import mjcf_parts, read_mjcf
 from stiffopt.robot.urdf import load_urdf
 
 mujoco = pytest.importorskip("mujoco")
@@ -95,12 +95,17 @@ def test_free_base_is_refused_until_it_is_locked(legs):
     [
         ("<mujoco><worldbody><body/></worldbody><oops/></mujoco>", "is refused by MuJoCo: .*oops"),
         ("<mujoco><worldbody/></mujoco>", "no joint moves"),
-        ('<mujoco><include file="away.xml"/></mujoco>', "away.xml"),
+        ('<mujoco><include file="away.xml"/></mujoco>', "include: there is no file .*away.xml"),
+        (
+            '<mujoco><asset><mesh name="m" file="m.stl"/></asset><worldbody><body name="b">'
+            '<joint/><geom type="mesh" mesh="m"/></body></worldbody></mujoco>',
+            "body 'b': takes its mass from .*m.stl, which is not there. Copy",
+        ),
     ],
 )
 def test_refused_files_are_named(text, said, tmp_path):
     (tmp_path / "arm.xml").write_text(text)
-    with pytest.raises(InputError, match=f"arm.xml: .*{said}"):
+    with pytest.raises(InputError, match=f"arm.xml(:|,) .*{said}"):
         load_robot(tmp_path / "arm.xml")
 
 
@@ -108,3 +113,18 @@ def test_missing_package_is_named(legs, monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "mujoco", None)
     with pytest.raises(InputError, match=r"pip install 'stiffopt\[mjcf\]'"):
         load_urdf(legs)
+
+
+def test_attached_models_are_parts(tmp_path):
+    leg = LEG.format(k="l", y=0.1)
+    (tmp_path / "leg.xml").write_text(f'<mujoco model="leg"><worldbody>{leg}</worldbody></mujoco>')
+    (tmp_path / "robot.xml").write_text(
+        '<mujoco><asset><model name="leg" file="leg.xml"/></asset><worldbody><body name="stand">'
+        '<attach model="leg" body="hip_l" prefix="front_"/></body></worldbody></mujoco>'
+    )
+    assert [part.name for part in mjcf_parts(tmp_path / "robot.xml")] == ["robot.xml", "leg.xml"]
+    assert load_robot(tmp_path / "robot.xml").joint_names == (
+        "front_hip_l",
+        "front_thigh_l",
+        "front_calf_l",
+    )

@@ -77,3 +77,24 @@ def test_servo_gains_stand_behind_comment_marks(tmp_path):
     start_set(tmp_path, model, ("hip_l", "thigh_l", "calf_l"), "--tip", "calf_l")
     written = (tmp_path / "set" / "recordings.toml").read_text()
     assert "# kp = [20.0, 24.0, 28.0]\n# kd = [2.0, 2.0, 2.0]\n" in written
+
+
+def test_a_set_names_an_mjcf_itself(tmp_path):
+    """Limits that MuJoCo does not state do not exist."""
+    start_set(tmp_path, write_arm(tmp_path), ("pan", "lift", "slide", "roll"))
+    file = tmp_path / "set" / "recordings.toml"
+    file.write_text(file.read_text().replace('"robot.toml"', '"arm/odd.xml"'))
+    robot = load_recordings(tmp_path / "set").robot
+    assert robot.coulomb == pytest.approx([1.5, 0.4, 1.5, 1.5])
+    assert list(robot.torque_max) == [60.0, 40.0, np.inf, np.inf]
+    assert (robot.velocity_max == np.inf).all()
+    assert robot.tool.link == "tcp"
+
+
+def test_log_of_one_leg_asks_for_its_tip(tmp_path, capsys):
+    log = write_log(tmp_path / "log.csv", ("hip_r", "thigh_r", "calf_r"))
+    arguments = ["init", "recording", str(log), "--urdf", str(write_legs(tmp_path))]
+    assert run([*arguments, "--out", str(tmp_path / "set")]) == 2
+    said = capsys.readouterr().err
+    assert "no position was recognised for 6 joints" in said
+    assert '--tip "calf_l" or --tip "calf_r"' in said

@@ -315,7 +315,7 @@ def test_first_problem_reports_collision_checks(tmp_path):
     path = tmp_path / "p.toml"
     assert run(["init", "problem", "ur10", "-o", str(path)]) == 0
     assert (
-        "collisions between links are not checked: the URDF lacks their shapes" in path.read_text()
+        "collisions between links are not checked: their shapes are not known" in path.read_text()
     )
     path.unlink()
     assert run(["init", "problem", str(folded(tmp_path)), "-o", str(path)]) == 0

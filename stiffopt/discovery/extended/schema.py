@@ -72,7 +72,7 @@ class EffectSection(Section):
 
     name: Annotated[str, Doc("Effect of the catalogue, or of a user's Python file.")]
     joint: Annotated[int | None, Doc("Joint, numbered from 1.")] = None
-    link: Annotated[str | None, Doc("Link of the URDF.")] = None
+    link: Annotated[str | None, Doc("Link of the robot.")] = None
     run: Annotated[str | None, Doc("Run that it belongs to.")] = None
     probability: Annotated[Ratio | None, Doc("Probability against its rivals.")] = None
     step: Annotated[
@@ -191,7 +191,7 @@ class ExtendedFile(Section):
     kind: Annotated[str, Doc('Kind of file: "extended".')]
     name: Annotated[str, Doc("Name of the recording set.")]
     joints: Annotated[
-        Names, Field(min_length=1), Doc("Joints of the URDF, in the order of every list.")
+        Names, Field(min_length=1), Doc("Joints of the robot, in the order of every list.")
     ]
     links: Annotated[Names, Field(min_length=1), Doc("Links behind these joints.")]
     robot: MadeForSection | None = None
