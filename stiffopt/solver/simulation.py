@@ -338,7 +338,7 @@ def with_simulation(
 
 def _requests_command(problem: TrajectoryProblem) -> bool:
     """Return True where an objective, limit or stated uncertainty concerns the arm's elasticity."""
-    asked = problem.is_timed_on_path or problem.uncertainty != AssumedUncertainty()
+    asked = problem.leads_on_path or problem.uncertainty != AssumedUncertainty()
     return len(smoothing_stages(problem)) > 1 or asked
 
 
