@@ -18,6 +18,9 @@ from stiffopt.result.trajectory import JointMotion, Trajectory
 _LONGEST_SAMPLE_INTERVAL = 0.012
 # Knot spacing of the spline that smooths a motion: of samples, in intervals, and at least [s].
 _SMOOTHED_INTERVALS, _MIN_SPACING = 4.0, 0.01
+# Widest spacing of samples [s], and the residual of a wider one over that of the narrowest, beyond
+# the resolution of a sample [rad], at which it still follows the motion.
+_MAX_SPACING, _MAX_NOISE_RATIO, _RESOLUTION = 0.16, 1.2, 2e-7
 # Speed over the joint's largest one below which a joint counts as at rest.
 _REST_SHARE = 2e-3
 # Speed at the ends over the largest one from which a motion does not begin or end at rest.
@@ -80,10 +83,26 @@ class GivenMotion:
 
     @cached_property
     def smoothed(self) -> Trajectory:
-        """Nearest motion with continuous jerk, from rest to rest."""
+        """Nearest motion with continuous jerk, from rest to rest.
+
+        Of samples the smoothest one that leaves hardly more than their noise.
+        """
         interval = float(np.median(np.diff(self.times)))
-        spacing = max(_SMOOTHED_INTERVALS * interval, _MIN_SPACING) if self.is_sampled else 0.0
-        return smooth_motion(self, spacing or max(0.25 * interval, _MIN_SPACING))
+        if not self.is_sampled:
+            return smooth_motion(self, max(0.25 * interval, _MIN_SPACING))
+        spacing = max(_SMOOTHED_INTERVALS * interval, _MIN_SPACING)
+        found = smooth_motion(self, spacing)
+        allowed = _MAX_NOISE_RATIO * self._rms_residual(found) + _RESOLUTION
+        while 2.0 * spacing <= _MAX_SPACING:
+            spacing *= 2.0
+            smoother = smooth_motion(self, spacing)
+            if self._rms_residual(smoother) > allowed:
+                break
+            found = smoother
+        return found
+
+    def _rms_residual(self, motion: JointMotion) -> float:
+        return float(np.sqrt(np.mean((motion(self.times) - self(self.times)) ** 2)))
 
     @property
     def judged(self) -> JointMotion:

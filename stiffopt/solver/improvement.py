@@ -26,6 +26,7 @@ from stiffopt.result.assessment import Assessment, Violation
 from stiffopt.result.compensation import Compensation
 from stiffopt.result.simulation import SimulatedMotion
 from stiffopt.result.trajectory import JointMotion, Trajectory, join_motions
+from stiffopt.solver.averaged_law import averaged_law
 from stiffopt.solver.compensation import compensate
 from stiffopt.solver.given_motion import GivenMotion, moving_pieces
 from stiffopt.solver.path_timing import PathDemands, fastest_timing
@@ -40,6 +41,8 @@ JOINT_LIMITS = {"velocity": "rad/s", "acceleration": "rad/s^2", "jerk": "rad/s^3
 _MAX_BACK_OFFS, _BACK_OFF_EXTRA = 8, 0.01
 # Largest excess that one round backs off from: larger ones fall faster than the limit.
 _MAX_BACK_OFF = 0.4
+# Window over which a new timing is averaged, so that motors can lead [s].
+_WINDOW = 0.02
 # Limits that a plan can be backed off from.
 _BACKED_OFF = (*JOINT_LIMITS, "tool_speed")
 
@@ -211,6 +214,7 @@ def _retimed(
             margin=margins,
         )
         law = fastest_timing(problem.robot, problem.active_limits, piece.path, demands)
+        law = averaged_law(law, _WINDOW)
         parts.append((piece.path.follow(law), piece.dwell))
     return join_motions(parts)
 
