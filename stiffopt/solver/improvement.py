@@ -24,8 +24,10 @@ from stiffopt.problem.objective import Objective
 from stiffopt.problem.trajectory import Target, TrajectoryProblem
 from stiffopt.result.assessment import Assessment, Violation
 from stiffopt.result.compensation import Compensation
+from stiffopt.result.path_figures import distances_to_path
 from stiffopt.result.simulation import SimulatedMotion
 from stiffopt.result.trajectory import JointMotion, Trajectory, join_motions
+from stiffopt.robot.batched_kinematics import frame_positions
 from stiffopt.solver.averaged_law import averaged_law
 from stiffopt.solver.compensation import compensate
 from stiffopt.solver.given_motion import GivenMotion, moving_pieces
@@ -278,22 +280,8 @@ def _compensation(problem: TrajectoryProblem, plan: Trajectory) -> Compensation 
 
 def _path_deviation(problem: TrajectoryProblem, given: GivenMotion, plan: Trajectory) -> float:
     """Return the largest distance of the tool's given places from the improved path [m]."""
-    from scipy.spatial import cKDTree
-
-    from stiffopt.robot.batched_kinematics import frame_positions
-
     robot = problem.robot
     time = np.linspace(0.0, plan.duration, max(4001, int(plan.duration / 1e-3)))
     places = frame_positions(robot.tree, robot.tool, plan(time))
     asked = frame_positions(robot.tree, robot.tool, given(np.linspace(0.0, given.duration, 2001)))
-    tree = cKDTree(places)
-    _, near = tree.query(asked)
-    found = np.full(len(asked), np.inf)
-    for shift in (-1, 0):
-        k = np.clip(near + shift, 0, len(places) - 2)
-        step = places[k + 1] - places[k]
-        square = np.maximum(np.sum(step**2, axis=1), 1e-30)
-        along = np.clip(np.sum((asked - places[k]) * step, axis=1) / square, 0.0, 1.0)
-        off = asked - places[k] - along[:, None] * step
-        found = np.minimum(found, np.linalg.norm(off, axis=1))
-    return float(found.max())
+    return float(distances_to_path(asked, places).max())
