@@ -20,8 +20,10 @@ _GAUSS_POINTS, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(4)
 
 def averaged_law(law: Trajectory, window: float) -> Trajectory:
     """Return the average of a law s(t), from rest to rest, taken twice over a window [s]."""
-    h = window / _STEPS
-    count = int(np.ceil(law.duration / h - 1e-9)) + 2 * _STEPS
+    # The window is shortened by less than a step's share of the duration, so that nodes meet the end.
+    steps = int(np.ceil(law.duration * _STEPS / window))
+    h = law.duration / steps
+    window, count = h * _STEPS, steps + 2 * _STEPS
     time = h * np.arange(count + 1)
     start, end = law.q0[0], law(np.array([law.duration]))[0, 0]
 

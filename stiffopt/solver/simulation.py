@@ -35,7 +35,7 @@ from stiffopt.result.simulation import (
     Simulation,
 )
 from stiffopt.result.status import SolveStatus
-from stiffopt.robot.batched_kinematics import frame_positions
+from stiffopt.robot.batched_kinematics import frame_positions, frame_rotations
 from stiffopt.solver.command_search import CommandOnArms
 from stiffopt.solver.compensation import compensate
 from stiffopt.solver.solve_run import ProgressCallback, SolveProgress
@@ -383,10 +383,30 @@ def _describe_force_error(problem: TrajectoryProblem, solution: Solution) -> str
     across = [
         f"{1e3 * spread.parts['across'].worst:.3g} mm across the path" for spread in (before, after)
     ]
-    return (
+    told = (
         f"Under the process force the worst of the uncertain arms errs by {1e3 * before.worst:.3g} "
         f"mm ({across[0]}) where the motors follow the path, and by {1e3 * after.worst:.3g} mm "
         f"({across[1]}) with the command."
+    )
+    own = led.optimised.worst
+    if own is None or solution.trajectory is None:
+        return told
+    link = solution.trajectory
+    turned = frame_rotations(
+        problem.robot.tree, problem.robot.tool, link(np.minimum(own.time, link.duration))
+    )
+    feed = own.error.direction
+    axis = turned[:, :, 2] - np.sum(turned[:, :, 2] * feed, axis=1)[:, None] * feed
+    axis /= np.maximum(np.linalg.norm(axis, axis=1), 1e-12)[:, None]
+    flight = own.error.flight
+    parts = (
+        np.sum(own.error.position * axis, axis=1),
+        np.sum(own.error.position * np.cross(axis, feed), axis=1),
+    )
+    normal = [f"{1e3 * np.abs(part[flight]).max():.3g} mm" for part in parts]
+    return (
+        f"{told} Normal to the machined surface that is {normal[0]} along the tool's axis and "
+        f"{normal[1]} to the side of the feed."
     )
 
 
