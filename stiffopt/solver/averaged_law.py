@@ -14,16 +14,16 @@ import numpy as np
 from stiffopt.result.trajectory import Trajectory
 
 # Steps of a window between nodes of the averaged law.
-_STEPS = 12
+_STEPS_PER_WINDOW = 12
 _GAUSS_POINTS, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(4)
 
 
 def averaged_law(law: Trajectory, window: float) -> Trajectory:
     """Return the average of a law s(t), from rest to rest, taken twice over a window [s]."""
-    # The window is shortened by less than a step's share of the duration, so that nodes meet the end.
-    steps = int(np.ceil(law.duration * _STEPS / window))
+    # The window is slightly shortened, so that nodes meet the end of the law.
+    steps = int(np.ceil(law.duration * _STEPS_PER_WINDOW / window))
     h = law.duration / steps
-    window, count = h * _STEPS, steps + 2 * _STEPS
+    window, count = h * _STEPS_PER_WINDOW, steps + 2 * _STEPS_PER_WINDOW
     time = h * np.arange(count + 1)
     start, end = law.q0[0], law(np.array([law.duration]))[0, 0]
 
@@ -45,8 +45,12 @@ def averaged_law(law: Trajectory, window: float) -> Trajectory:
 
     def difference(samples: np.ndarray) -> np.ndarray:
         """Second difference over the window, at rest before the start."""
-        before = np.concatenate([np.zeros(2 * _STEPS), samples])
-        late = before[2 * _STEPS :] - 2.0 * before[_STEPS:-_STEPS] + before[: -2 * _STEPS]
+        before = np.concatenate([np.zeros(2 * _STEPS_PER_WINDOW), samples])
+        late = (
+            before[2 * _STEPS_PER_WINDOW :]
+            - 2.0 * before[_STEPS_PER_WINDOW:-_STEPS_PER_WINDOW]
+            + before[: -2 * _STEPS_PER_WINDOW]
+        )
         return np.asarray(late / window**2)
 
     derivatives = np.stack(

@@ -20,7 +20,7 @@ _LONGEST_SAMPLE_INTERVAL = 0.012
 _SMOOTHED_INTERVALS, _MIN_SPACING = 4.0, 0.01
 # Widest spacing of samples [s], and the residual of a wider one over that of the narrowest, beyond
 # the resolution of a sample [rad], at which it still follows the motion.
-_MAX_SPACING, _MAX_NOISE_RATIO, _RESOLUTION = 0.16, 1.2, 2e-7
+_MAX_SPACING, _MAX_NOISE_RATIO, _SAMPLE_RESOLUTION = 0.16, 1.2, 2e-7
 # Speed over the joint's largest one below which a joint counts as at rest.
 _REST_SHARE = 2e-3
 # Speed at the ends over the largest one from which a motion does not begin or end at rest.
@@ -92,7 +92,7 @@ class GivenMotion:
             return smooth_motion(self, max(0.25 * interval, _MIN_SPACING))
         spacing = max(_SMOOTHED_INTERVALS * interval, _MIN_SPACING)
         found = smooth_motion(self, spacing)
-        allowed = _MAX_NOISE_RATIO * self._rms_residual(found) + _RESOLUTION
+        allowed = _MAX_NOISE_RATIO * self._rms_residual(found) + _SAMPLE_RESOLUTION
         while 2.0 * spacing <= _MAX_SPACING:
             spacing *= 2.0
             smoother = smooth_motion(self, spacing)
@@ -105,8 +105,8 @@ class GivenMotion:
         return float(np.sqrt(np.mean((motion(self.times) - self(self.times)) ** 2)))
 
     @property
-    def judged(self) -> JointMotion:
-        """Motion by which the given one is judged: without the noise of samples."""
+    def without_noise(self) -> JointMotion:
+        """Given motion without the noise of samples."""
         return self.smoothed if self.is_sampled else self
 
 

@@ -44,7 +44,7 @@ _MAX_BACK_OFFS, _BACK_OFF_EXTRA = 8, 0.01
 # Largest excess that one round backs off from: larger ones fall faster than the limit.
 _MAX_BACK_OFF = 0.4
 # Window over which a new timing is averaged, so that motors can lead [s].
-_WINDOW = 0.02
+_AVERAGING_WINDOW = 0.02
 # Limits that a plan can be backed off from.
 _BACKED_OFF = (*JOINT_LIMITS, "tool_speed")
 
@@ -68,7 +68,7 @@ class LimitUse:
 
 
 @dataclass(frozen=True, kw_only=True)
-class JudgedMotion:
+class AssessedMotion:
     """A motion with what limits and the elastic arm say of it.
 
     Parameters
@@ -100,7 +100,7 @@ class Improvement:
     ----------
     problem : TrajectoryProblem
         Robot, limits, servo and uncertainty, with the improved motion's ends and duration.
-    given, improved : JudgedMotion
+    given, improved : AssessedMotion
     plan : Trajectory
         Improved motion of the links.
     compensation : Compensation or None
@@ -115,8 +115,8 @@ class Improvement:
     """
 
     problem: TrajectoryProblem
-    given: JudgedMotion
-    improved: JudgedMotion
+    given: AssessedMotion
+    improved: AssessedMotion
     plan: Trajectory
     compensation: Compensation | None
     path_deviation: float
@@ -167,7 +167,7 @@ def improve(
     tell = progress or (lambda _: None)
     problem = problem_of_motion(robot, given, settings)
     tell("given motion")
-    before = _judge(problem, given.judged)
+    before = _assess_motion(problem, given.without_noise)
     margins: dict[str, float] = {}
     plan, changed, compensation = given.smoothed, False, None
     if retime or _excess(problem, plan):
@@ -185,7 +185,7 @@ def improve(
                 left = (1.0 - margins.get(each.limit, 0.0)) / (1.0 + over)
                 margins[each.limit] = 1.0 - left * (1.0 - _BACK_OFF_EXTRA)
         plan, changed = _retimed(problem, given.smoothed, margins, retime), True
-    improved = _judge(problem, plan, simulated=False)
+    improved = _assess_motion(problem, plan, simulated=False)
     return Improvement(
         problem=problem,
         given=before,
@@ -216,18 +216,18 @@ def _retimed(
             margin=margins,
         )
         law = fastest_timing(problem.robot, problem.active_limits, piece.path, demands)
-        law = averaged_law(law, _WINDOW)
+        law = averaged_law(law, _AVERAGING_WINDOW)
         parts.append((piece.path.follow(law), piece.dwell))
     return join_motions(parts)
 
 
-def _judge(
+def _assess_motion(
     problem: TrajectoryProblem, motion: JointMotion, *, simulated: bool = True
-) -> JudgedMotion:
+) -> AssessedMotion:
     found = with_collisions(problem, assess(problem, motion))
     uses = _limit_uses(problem, found)
     if not (simulated and problem.robot.yields):
-        return JudgedMotion(assessment=found, uses=uses, elastic=None, servo=None, both=None)
+        return AssessedMotion(assessment=found, uses=uses, elastic=None, servo=None, both=None)
     try:
         arm = elastic_arm(problem, found.position[0])
         command = MotorMotion.of(motion)
@@ -237,8 +237,8 @@ def _judge(
         follows = servo.follow(command, float(both.time[-1]), servo.dead_time)
         late = arm.tool(follows.position(both.time)) - arm.tool(command.position(both.time))
     except NotSimulatedError:
-        return JudgedMotion(assessment=found, uses=uses, elastic=None, servo=None, both=None)
-    return JudgedMotion(
+        return AssessedMotion(assessment=found, uses=uses, elastic=None, servo=None, both=None)
+    return AssessedMotion(
         assessment=found,
         uses=uses,
         elastic=elastic,

@@ -25,7 +25,7 @@ _TIMED_LIMITS = ("velocity", "acceleration", "jerk", "torque", "tool_speed")
 _MAX_BACK_OFFS = 4
 # Windows over which the law of a motion with a command is averaged [s], and the duration over that
 # of the fastest law and two windows up to which one is taken.
-_WINDOWS, _MAX_SLOWING = (0.04, 0.02, 0.01), 1.1
+_AVERAGING_WINDOWS, _MAX_SLOWING = (0.04, 0.02, 0.01), 1.1
 FASTEST_REASON = (
     "on a given path none is faster within limits on velocity, acceleration, drive torque and tool "
     "speed, and none near it within those on jerk. To be faster, change the path or the limits."
@@ -43,7 +43,7 @@ def timed_motion(problem: TrajectoryProblem) -> Baseline | None:
     if fastest is None or not problem.leads_on_path:
         return fastest
     assert fastest.objective is not None
-    for window in _WINDOWS:
+    for window in _AVERAGING_WINDOWS:
         found = _timed_motion(problem, window)
         allowed = _MAX_SLOWING * (fastest.objective + 2.0 * window)
         if found is not None and found.objective is not None and found.objective <= allowed:

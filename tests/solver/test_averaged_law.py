@@ -24,7 +24,7 @@ def test_average_is_that_of_a_double_window():
     assert law.duration == pytest.approx(1.2, rel=1e-3)
     np.testing.assert_allclose(law(np.array([0.0, law.duration]))[:, 0], [0.0, 1.0], atol=1e-9)
     fine = np.linspace(0.0, law.duration, 24001)
-    window = int(round(0.1 / fine[1]))
+    window = round(0.1 / fine[1])
     whole = np.interp(fine, np.linspace(0, 1, 20001), LAW(np.linspace(0, 1, 20001))[:, 0])
     kernel = np.ones(window) / window
     once = np.convolve(whole, kernel)[: len(fine)]
