@@ -269,7 +269,7 @@ def spline_segments(
         along = curve.point_distances
         turns = None if rotations is None else _QuaternionSpline(rotations[own], along)
         inner = speeds[own]
-        changes = np.flatnonzero(np.diff(inner[1:])) + 1
+        changes = np.flatnonzero(inner[2:] != inner[1:-1]) + 1
         for a, b in pairwise([0, *changes.tolist(), last - first]):
             found.append(
                 ToolSegment(

@@ -119,10 +119,10 @@ def maximise(rows: BandedRows, weights: np.ndarray, start: np.ndarray) -> np.nda
                 after = np.vdot(slack + ahead[0] * moved, price + ahead[1] * dearer) / count
                 centre = (float(after) / gap) ** 3 * gap
                 aimed = centre - moved * dearer
-        ahead = tuple(min(1.0, _STEP_SHARE * each) for each in ahead)
-        x = x + ahead[0] * step
-        slack = slack + ahead[0] * moved
-        price = price + ahead[1] * dearer
+        forward, upward = (min(1.0, _STEP_SHARE * each) for each in ahead)
+        x = x + forward * step
+        slack = slack + forward * moved
+        price = price + upward * dearer
     return x
 
 

@@ -25,11 +25,13 @@ _MAX_SPACING, _MAX_NOISE_RATIO, _SAMPLE_RESOLUTION = 0.16, 1.2, 2e-7
 _REST_SHARE = 2e-3
 # Speed at the ends over the largest one from which a motion does not begin or end at rest.
 _MAX_END_SHARE = 0.05
+# Share of the mean speed that a motion may always have: it rises from rest without the noise there.
+_LEAST_SPEED_SHARE = 0.02
 # Shortest rest within a motion at which it is divided [s].
 _MIN_DWELL = 0.1
 # Joint deviation of the path from the smoothed motion [rad] or [m]: 10 um at 1 m.
 _PATH_TOLERANCE = 1e-5
-# Instants per shortest interval at which arc length is integrated, and least number of all.
+# Least number of instants at which arc length is integrated.
 _MIN_ARC_SAMPLES = 4001
 
 
@@ -117,8 +119,8 @@ class MotionPiece:
     Parameters
     ----------
     path : JointPath
-    speed : callable
-        Rate of the path parameter [1/s] of the given motion at path parameters (K,).
+    times, places, rates : array (K,)
+        Instants of the given motion [s], its path parameter and the rate of that [1/s].
     dwell : float
         Rest after it [s].
     """
@@ -131,8 +133,8 @@ class MotionPiece:
 
     def speed(self, s: np.ndarray) -> np.ndarray:
         """Rate of the path parameter [1/s] of the given motion at path parameters (K,)."""
-        least = 0.02 / (self.times[-1] - self.times[0])
-        return np.maximum(np.interp(s, self.places, self.rates), least)
+        least = _LEAST_SPEED_SHARE / (self.times[-1] - self.times[0])
+        return np.asarray(np.maximum(np.interp(s, self.places, self.rates), least))
 
 
 def moving_pieces(motion: JointMotion) -> list[MotionPiece]:
