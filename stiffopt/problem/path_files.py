@@ -21,9 +21,13 @@ from stiffopt.robot.frames import rotation_from_rpy
 if TYPE_CHECKING:
     from stiffopt.problem.joint_lists import JointLists
 
-_FORCE = ("fx", "fy", "fz")
-_PLACE, _ANGLES, _QUATERNION = ("x", "y", "z"), ("rx", "ry", "rz"), ("qx", "qy", "qz", "qw")
-_METRES = {"m": 1.0, "mm": 1e-3}
+_FORCE_COLUMNS = ("fx", "fy", "fz")
+_PLACE_COLUMNS, _ANGLE_COLUMNS, _QUATERNION_COLUMNS = (
+    ("x", "y", "z"),
+    ("rx", "ry", "rz"),
+    ("qx", "qy", "qz", "qw"),
+)
+_METRES_PER_UNIT = {"m": 1.0, "mm": 1e-3}
 # Share of the shorter neighbour that a blend between rows of a table takes at most.
 _MAX_BLEND_SHARE = 0.45
 
@@ -126,10 +130,16 @@ def _table_path(
     table: PathTableSection, section: PathSection, problem: Path, frame: Frame
 ) -> ForcedPath:
     file = problem.parent / table.file
-    read = read_table(file, _PLACE, (*_ANGLES, *_QUATERNION, *_FORCE, "speed", "stop"))
+    read = read_table(
+        file,
+        _PLACE_COLUMNS,
+        (*_ANGLE_COLUMNS, *_QUATERNION_COLUMNS, *_FORCE_COLUMNS, "speed", "stop"),
+    )
     turn, origin = frame
     count = len(read["x"])
-    places = _METRES[table.length] * np.stack([read[name] for name in _PLACE], axis=1)
+    places = _METRES_PER_UNIT[table.length] * np.stack(
+        [read[name] for name in _PLACE_COLUMNS], axis=1
+    )
     points = origin + places @ turn.T
     rotations = turn @ _table_rotations(table, read, file, count)
     speeds = np.array(read.get("speed", [np.inf] * count))
@@ -142,8 +152,8 @@ def _table_path(
     turning = bool(np.ptp(rotations, axis=0).max() > 1e-9)
     usual = (0.0, 0.0, 0.0) if section.force is None else section.force.value
     forces = np.repeat(np.array([usual]), count, axis=0)
-    if all(name in read for name in _FORCE):
-        forces = np.stack([read[name] for name in _FORCE], axis=1)
+    if all(name in read for name in _FORCE_COLUMNS):
+        forces = np.stack([read[name] for name in _FORCE_COLUMNS], axis=1)
     if table.interpolation == "spline":
         segments = spline_segments(points, rotations if turning else None, speeds, stops, where)
         path = ToolPath(points[0], rotations[0], segments)
@@ -170,8 +180,8 @@ def _table_rotations(
     table: PathTableSection, read: dict[str, list[float]], file: Path, count: int
 ) -> np.ndarray:
     """Return the orientations (m, 3, 3) of a table's rows, in the work frame."""
-    if all(name in read for name in _QUATERNION):
-        turns = np.stack([read[name] for name in _QUATERNION], axis=1)
+    if all(name in read for name in _QUATERNION_COLUMNS):
+        turns = np.stack([read[name] for name in _QUATERNION_COLUMNS], axis=1)
         sizes = np.linalg.norm(turns, axis=1)
         for row in np.flatnonzero(np.abs(sizes - 1.0) > 1e-2):
             raise InputFileError(
@@ -179,8 +189,8 @@ def _table_rotations(
                 "rotation is 1. Columns are qw, qx, qy, qz."
             )  # fmt: skip
         return np.asarray(Rotation.from_quat(turns).as_matrix())
-    if all(name in read for name in _ANGLES):
-        angles = np.stack([read[name] for name in _ANGLES], axis=1)
+    if all(name in read for name in _ANGLE_COLUMNS):
+        angles = np.stack([read[name] for name in _ANGLE_COLUMNS], axis=1)
         degrees = table.angle == "deg"
         return np.asarray(Rotation.from_euler("xyz", angles, degrees=degrees).as_matrix())
     if table.rpy is None:

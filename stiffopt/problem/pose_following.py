@@ -23,7 +23,7 @@ _MAX_JOINT_STEP = 0.6
 # the joints turn faster than the tool by more than its inverse.
 _MIN_CONDITION, _LENGTH_PER_RADIAN = 2e-3, 0.3
 # Iterations with the Jacobian of the nearest step, and the error [m] at which they end.
-_MAX_ITERATIONS, _CONVERGED = 25, 1e-11
+_MAX_ITERATIONS, _CONVERGED_ERROR = 25, 1e-11
 
 Poses = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 
@@ -102,7 +102,7 @@ class PoseFollower:
         for _ in range(_MAX_ITERATIONS):
             error = self._pose_errors(q, positions, rotations)
             q = q + np.einsum("kij,kj->ki", inverse, error)
-            if np.abs(error).max() <= _CONVERGED:
+            if np.abs(error).max() <= _CONVERGED_ERROR:
                 break
         return q
 

@@ -42,7 +42,7 @@ class ToolCurve(ABC):
 
     def end_point(self, end: int) -> np.ndarray:
         """Point (3,) at the start (0) or the end (-1)."""
-        return self.at(np.array([0.0 if end == 0 else self.length]))[0]
+        return np.asarray(self.at(np.array([0.0 if end == 0 else self.length]))[0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -193,7 +193,7 @@ class Curve(ToolCurve):
             ]
             covered = step * (ends[0] + 4.0 * ends[1] + ends[2]) / 6.0
             u = u - (self._along[k] + covered - inside) / ends[2]
-        return np.clip(u, self._u[0], self._u[-1])
+        return np.asarray(np.clip(u, self._u[0], self._u[-1]))
 
     def at(self, along: np.ndarray) -> np.ndarray:
         """Points on the curve."""

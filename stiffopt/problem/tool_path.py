@@ -98,6 +98,8 @@ class ToolPath:
         Distances of inner stops [m].
     dwells : array (k,)
         Rests there [s].
+    corners : array (c, 3)
+        Ends of segments that are blended or stopped at [m].
     """
 
     def __init__(
@@ -122,6 +124,9 @@ class ToolPath:
         ]
         self.stops = np.array([self.breaks[corner] for corner, _ in inner])
         self.dwells = np.array([segment.dwell for _, segment in inner])
+        met = [segment.blend > 0.0 or segment.stop for segment in segments[:-1]]
+        places = np.array([segment.end for segment in segments[:-1]], dtype=float).reshape(-1, 3)
+        self.corners = places[np.array(met, dtype=bool)]
         self.smallest_blend = min(
             (segment.blend for segment in segments[:-1] if segment.blend > 0.0), default=np.inf
         )
@@ -264,7 +269,7 @@ def spline_segments(
         along = curve.point_distances
         turns = None if rotations is None else _QuaternionSpline(rotations[own], along)
         inner = speeds[own]
-        changes = np.flatnonzero(np.diff(inner[1:])) + 1
+        changes = np.flatnonzero(inner[2:] != inner[1:-1]) + 1
         for a, b in pairwise([0, *changes.tolist(), last - first]):
             found.append(
                 ToolSegment(
@@ -346,6 +351,7 @@ def fit_tool_path(robot: Robot, path: ToolPath, near: np.ndarray, tolerance: flo
         speeds=path.speeds[piece],
         stops=np.searchsorted(whole, path.stops / path.length - 1e-12),
         dwells=path.dwells,
+        corners=path.corners,
     )
     return FittedPath(joints, worst)
 

@@ -273,6 +273,13 @@ class TrajectoryProblem:
         names = [objective.name for objective in self.objectives]
         return self.path is not None and names == ["duration"]
 
+    @property
+    def leads_on_path(self) -> bool:
+        """True where motors are to lead the links along a path that is timed."""
+        asked = self.path_force is not None or self.uncertainty != AssumedUncertainty()
+        eased = self.boundary_acceleration == "zero"
+        return self.is_timed_on_path and asked and eased and self.robot.yields
+
     def _drop_robot_jerk_limit(self) -> None:
         """Drop the robot's own jerk limit on a fixed path, where no other was given."""
         own = Limits.of(self.robot)

@@ -36,6 +36,8 @@ class JointPath:
         Inner knots at which every motion rests; the path may have corners there.
     dwells : array (k,)
         Rests there [s].
+    corners : array (c, 3)
+        Corners that the tool's path was programmed with, blended or stopped at [m].
     """
 
     knots: np.ndarray
@@ -43,6 +45,7 @@ class JointPath:
     speeds: np.ndarray | None = None
     stops: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=int))
     dwells: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    corners: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
 
     @classmethod
     def through(cls, waypoints: ArrayLike, spacing: str = "uniform") -> JointPath:

@@ -18,13 +18,13 @@ from scipy.linalg import LinAlgError, solveh_banded
 WIDTH = 3
 _MAX_STEPS = 100
 # Relative duality gap and residuals at which the iteration ends.
-_TOLERANCE = 1e-7
+_GAP_TOLERANCE = 1e-7
 # Of the gradient, which rounding spoils first; every step is feasible.
 _DUAL_TOLERANCE = 1e-3
 # Share of the way to the boundary of the positive orthant that a step goes.
 _STEP_SHARE = 0.995
 # Added to the diagonal of the normal matrix, relative to it, where rounding spoils its factors.
-_REGULARISATION = 1e-12
+_DIAGONAL_REGULARISATION = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,14 +95,14 @@ def maximise(rows: BandedRows, weights: np.ndarray, start: np.ndarray) -> np.nda
         gap = float(np.vdot(slack, price)) / count
         value = abs(float(weights @ x)) + 1e-12
         if (
-            gap * count <= _TOLERANCE * value
-            and np.abs(primal).max() <= _TOLERANCE * scale
+            gap * count <= _GAP_TOLERANCE * value
+            and np.abs(primal).max() <= _GAP_TOLERANCE * scale
             and np.abs(dual).max() <= _DUAL_TOLERANCE * weights.max()
         ):
             break
         ratio = price / slack
         band = rows.normal_matrix(ratio)
-        band[-1] *= 1.0 + _REGULARISATION
+        band[-1] *= 1.0 + _DIAGONAL_REGULARISATION
         aimed = np.zeros_like(slack)
         for corrected in (False, True):
             # Complementarity: slack dprice + price dslack = aimed - slack price.
@@ -119,10 +119,10 @@ def maximise(rows: BandedRows, weights: np.ndarray, start: np.ndarray) -> np.nda
                 after = np.vdot(slack + ahead[0] * moved, price + ahead[1] * dearer) / count
                 centre = (float(after) / gap) ** 3 * gap
                 aimed = centre - moved * dearer
-        ahead = tuple(min(1.0, _STEP_SHARE * each) for each in ahead)
-        x = x + ahead[0] * step
-        slack = slack + ahead[0] * moved
-        price = price + ahead[1] * dearer
+        forward, upward = (min(1.0, _STEP_SHARE * each) for each in ahead)
+        x = x + forward * step
+        slack = slack + forward * moved
+        price = price + upward * dearer
     return x
 
 

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from stiffopt.robot.robot import Robot
 
 # Step at which the lead is computed, and knot spacing of its spline [s].
-_STEP, _SPACING = 2e-3, 1e-2
+_SAMPLE_STEP, _KNOT_SPACING = 2e-3, 1e-2
 
 
 def force_lead(robot: Robot, plan: JointMotion, force: ForceHistory) -> Trajectory:
@@ -30,11 +30,11 @@ def force_lead(robot: Robot, plan: JointMotion, force: ForceHistory) -> Trajecto
         Of the links, at rest at both ends.
     force : ForceHistory
     """
-    time = np.linspace(0.0, plan.duration, max(50, int(np.ceil(plan.duration / _STEP))) + 1)
+    time = np.linspace(0.0, plan.duration, max(50, int(np.ceil(plan.duration / _SAMPLE_STEP))) + 1)
     body = rigid_body_history(robot, *(np.asarray(plan(time, k)) for k in range(3)))
     pushed = np.einsum("kij,ki->kj", body.jacobian, force(time))
     turned = joint_windup(robot, body.link_torque - pushed) - joint_windup(robot, body.link_torque)
-    return smooth_motion(_Samples(time, turned), _SPACING)
+    return smooth_motion(_Samples(time, turned), _KNOT_SPACING)
 
 
 def led_against_force(motors: Trajectory, lead: Trajectory, force: ForceHistory) -> Trajectory:

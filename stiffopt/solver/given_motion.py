@@ -18,15 +18,20 @@ from stiffopt.result.trajectory import JointMotion, Trajectory
 _LONGEST_SAMPLE_INTERVAL = 0.012
 # Knot spacing of the spline that smooths a motion: of samples, in intervals, and at least [s].
 _SMOOTHED_INTERVALS, _MIN_SPACING = 4.0, 0.01
+# Widest spacing of samples [s], and the residual of a wider one over that of the narrowest, beyond
+# the resolution of a sample [rad], at which it still follows the motion.
+_MAX_SPACING, _MAX_NOISE_RATIO, _SAMPLE_RESOLUTION = 0.16, 1.2, 2e-7
 # Speed over the joint's largest one below which a joint counts as at rest.
 _REST_SHARE = 2e-3
 # Speed at the ends over the largest one from which a motion does not begin or end at rest.
 _MAX_END_SHARE = 0.05
+# Share of the mean speed that a motion may always have: it rises from rest without the noise there.
+_LEAST_SPEED_SHARE = 0.02
 # Shortest rest within a motion at which it is divided [s].
 _MIN_DWELL = 0.1
 # Joint deviation of the path from the smoothed motion [rad] or [m]: 10 um at 1 m.
 _PATH_TOLERANCE = 1e-5
-# Instants per shortest interval at which arc length is integrated, and least number of all.
+# Least number of instants at which arc length is integrated.
 _MIN_ARC_SAMPLES = 4001
 
 
@@ -80,14 +85,30 @@ class GivenMotion:
 
     @cached_property
     def smoothed(self) -> Trajectory:
-        """Nearest motion with continuous jerk, from rest to rest."""
+        """Nearest motion with continuous jerk, from rest to rest.
+
+        Of samples the smoothest one that leaves hardly more than their noise.
+        """
         interval = float(np.median(np.diff(self.times)))
-        spacing = max(_SMOOTHED_INTERVALS * interval, _MIN_SPACING) if self.is_sampled else 0.0
-        return smooth_motion(self, spacing or max(0.25 * interval, _MIN_SPACING))
+        if not self.is_sampled:
+            return smooth_motion(self, max(0.25 * interval, _MIN_SPACING))
+        spacing = max(_SMOOTHED_INTERVALS * interval, _MIN_SPACING)
+        found = smooth_motion(self, spacing)
+        allowed = _MAX_NOISE_RATIO * self._rms_residual(found) + _SAMPLE_RESOLUTION
+        while 2.0 * spacing <= _MAX_SPACING:
+            spacing *= 2.0
+            smoother = smooth_motion(self, spacing)
+            if self._rms_residual(smoother) > allowed:
+                break
+            found = smoother
+        return found
+
+    def _rms_residual(self, motion: JointMotion) -> float:
+        return float(np.sqrt(np.mean((motion(self.times) - self(self.times)) ** 2)))
 
     @property
-    def judged(self) -> JointMotion:
-        """Motion by which the given one is judged: without the noise of samples."""
+    def without_noise(self) -> JointMotion:
+        """Given motion without the noise of samples."""
         return self.smoothed if self.is_sampled else self
 
 
@@ -98,8 +119,8 @@ class MotionPiece:
     Parameters
     ----------
     path : JointPath
-    speed : callable
-        Rate of the path parameter [1/s] of the given motion at path parameters (K,).
+    times, places, rates : array (K,)
+        Instants of the given motion [s], its path parameter and the rate of that [1/s].
     dwell : float
         Rest after it [s].
     """
@@ -112,8 +133,8 @@ class MotionPiece:
 
     def speed(self, s: np.ndarray) -> np.ndarray:
         """Rate of the path parameter [1/s] of the given motion at path parameters (K,)."""
-        least = 0.02 / (self.times[-1] - self.times[0])
-        return np.maximum(np.interp(s, self.places, self.rates), least)
+        least = _LEAST_SPEED_SHARE / (self.times[-1] - self.times[0])
+        return np.asarray(np.maximum(np.interp(s, self.places, self.rates), least))
 
 
 def moving_pieces(motion: JointMotion) -> list[MotionPiece]:

@@ -24,8 +24,11 @@ from stiffopt.problem.objective import Objective
 from stiffopt.problem.trajectory import Target, TrajectoryProblem
 from stiffopt.result.assessment import Assessment, Violation
 from stiffopt.result.compensation import Compensation
+from stiffopt.result.path_figures import distances_to_path
 from stiffopt.result.simulation import SimulatedMotion
 from stiffopt.result.trajectory import JointMotion, Trajectory, join_motions
+from stiffopt.robot.batched_kinematics import frame_positions
+from stiffopt.solver.averaged_law import averaged_law
 from stiffopt.solver.compensation import compensate
 from stiffopt.solver.given_motion import GivenMotion, moving_pieces
 from stiffopt.solver.path_timing import PathDemands, fastest_timing
@@ -40,6 +43,8 @@ JOINT_LIMITS = {"velocity": "rad/s", "acceleration": "rad/s^2", "jerk": "rad/s^3
 _MAX_BACK_OFFS, _BACK_OFF_EXTRA = 8, 0.01
 # Largest excess that one round backs off from: larger ones fall faster than the limit.
 _MAX_BACK_OFF = 0.4
+# Window over which a new timing is averaged, so that motors can lead [s].
+_AVERAGING_WINDOW = 0.02
 # Limits that a plan can be backed off from.
 _BACKED_OFF = (*JOINT_LIMITS, "tool_speed")
 
@@ -63,7 +68,7 @@ class LimitUse:
 
 
 @dataclass(frozen=True, kw_only=True)
-class JudgedMotion:
+class AssessedMotion:
     """A motion with what limits and the elastic arm say of it.
 
     Parameters
@@ -95,7 +100,7 @@ class Improvement:
     ----------
     problem : TrajectoryProblem
         Robot, limits, servo and uncertainty, with the improved motion's ends and duration.
-    given, improved : JudgedMotion
+    given, improved : AssessedMotion
     plan : Trajectory
         Improved motion of the links.
     compensation : Compensation or None
@@ -110,8 +115,8 @@ class Improvement:
     """
 
     problem: TrajectoryProblem
-    given: JudgedMotion
-    improved: JudgedMotion
+    given: AssessedMotion
+    improved: AssessedMotion
     plan: Trajectory
     compensation: Compensation | None
     path_deviation: float
@@ -162,7 +167,7 @@ def improve(
     tell = progress or (lambda _: None)
     problem = problem_of_motion(robot, given, settings)
     tell("given motion")
-    before = _judge(problem, given.judged)
+    before = _assess_motion(problem, given.without_noise)
     margins: dict[str, float] = {}
     plan, changed, compensation = given.smoothed, False, None
     if retime or _excess(problem, plan):
@@ -180,7 +185,7 @@ def improve(
                 left = (1.0 - margins.get(each.limit, 0.0)) / (1.0 + over)
                 margins[each.limit] = 1.0 - left * (1.0 - _BACK_OFF_EXTRA)
         plan, changed = _retimed(problem, given.smoothed, margins, retime), True
-    improved = _judge(problem, plan, simulated=False)
+    improved = _assess_motion(problem, plan, simulated=False)
     return Improvement(
         problem=problem,
         given=before,
@@ -211,17 +216,18 @@ def _retimed(
             margin=margins,
         )
         law = fastest_timing(problem.robot, problem.active_limits, piece.path, demands)
+        law = averaged_law(law, _AVERAGING_WINDOW)
         parts.append((piece.path.follow(law), piece.dwell))
     return join_motions(parts)
 
 
-def _judge(
+def _assess_motion(
     problem: TrajectoryProblem, motion: JointMotion, *, simulated: bool = True
-) -> JudgedMotion:
+) -> AssessedMotion:
     found = with_collisions(problem, assess(problem, motion))
     uses = _limit_uses(problem, found)
     if not (simulated and problem.robot.yields):
-        return JudgedMotion(assessment=found, uses=uses, elastic=None, servo=None, both=None)
+        return AssessedMotion(assessment=found, uses=uses, elastic=None, servo=None, both=None)
     try:
         arm = elastic_arm(problem, found.position[0])
         command = MotorMotion.of(motion)
@@ -231,8 +237,8 @@ def _judge(
         follows = servo.follow(command, float(both.time[-1]), servo.dead_time)
         late = arm.tool(follows.position(both.time)) - arm.tool(command.position(both.time))
     except NotSimulatedError:
-        return JudgedMotion(assessment=found, uses=uses, elastic=None, servo=None, both=None)
-    return JudgedMotion(
+        return AssessedMotion(assessment=found, uses=uses, elastic=None, servo=None, both=None)
+    return AssessedMotion(
         assessment=found,
         uses=uses,
         elastic=elastic,
@@ -274,22 +280,8 @@ def _compensation(problem: TrajectoryProblem, plan: Trajectory) -> Compensation 
 
 def _path_deviation(problem: TrajectoryProblem, given: GivenMotion, plan: Trajectory) -> float:
     """Return the largest distance of the tool's given places from the improved path [m]."""
-    from scipy.spatial import cKDTree
-
-    from stiffopt.robot.batched_kinematics import frame_positions
-
     robot = problem.robot
     time = np.linspace(0.0, plan.duration, max(4001, int(plan.duration / 1e-3)))
     places = frame_positions(robot.tree, robot.tool, plan(time))
     asked = frame_positions(robot.tree, robot.tool, given(np.linspace(0.0, given.duration, 2001)))
-    tree = cKDTree(places)
-    _, near = tree.query(asked)
-    found = np.full(len(asked), np.inf)
-    for shift in (-1, 0):
-        k = np.clip(near + shift, 0, len(places) - 2)
-        step = places[k + 1] - places[k]
-        square = np.maximum(np.sum(step**2, axis=1), 1e-30)
-        along = np.clip(np.sum((asked - places[k]) * step, axis=1) / square, 0.0, 1.0)
-        off = asked - places[k] - along[:, None] * step
-        found = np.minimum(found, np.linalg.norm(off, axis=1))
-    return float(found.max())
+    return float(distances_to_path(asked, places).max())

@@ -11,7 +11,7 @@ from stiffopt.files import atomic_write, to_json_types
 from stiffopt.result.compensation import COMMAND_FILE, compensation_document, write_command
 from stiffopt.result.simulation import simulated_document
 from stiffopt.result.store import TRAJECTORY_FILE, export_times, write_trajectory
-from stiffopt.solver.improvement import Improvement, JudgedMotion
+from stiffopt.solver.improvement import AssessedMotion, Improvement
 
 IMPROVEMENT_FILE = "improvement.json"
 
@@ -40,20 +40,20 @@ def improvement_document(found: Improvement) -> dict[str, Any]:
         "path_deviation": found.path_deviation,
         "margins": found.margins,
         "trajectory": TRAJECTORY_FILE if found.kept else None,
-        "given": _judged_document(found.given),
-        "improved": _judged_document(found.improved),
+        "given": _motion_document(found.given),
+        "improved": _motion_document(found.improved),
         "compensation": compensation_document(found.compensation),
         "notes": found.notes,
     }
 
 
-def _judged_document(judged: JudgedMotion) -> dict[str, Any]:
+def _motion_document(motion: AssessedMotion) -> dict[str, Any]:
     return {
-        "duration": judged.assessment.duration,
-        "limits": [{**vars(use), "share": use.share} for use in judged.uses],
-        "exceeded": [dict(vars(each)) for each in judged.exceeded],
-        "servo_peak": None if judged.servo is None else float(judged.servo.max()),
-        "elastic": None if judged.elastic is None else simulated_document(judged.elastic),
-        "simulated": None if judged.both is None else simulated_document(judged.both),
-        "settling_time": None if judged.both is None else judged.both.settling_time,
+        "duration": motion.assessment.duration,
+        "limits": [{**vars(use), "share": use.share} for use in motion.uses],
+        "exceeded": [dict(vars(each)) for each in motion.exceeded],
+        "servo_peak": None if motion.servo is None else float(motion.servo.max()),
+        "elastic": None if motion.elastic is None else simulated_document(motion.elastic),
+        "simulated": None if motion.both is None else simulated_document(motion.both),
+        "settling_time": None if motion.both is None else motion.both.settling_time,
     }

@@ -37,14 +37,14 @@ if TYPE_CHECKING:
 # Longest step of the grid [s], and least and largest number of steps.
 _LONGEST_STEP, _MIN_STEPS, _MAX_STEPS = 5e-3, 200, 12_000
 # Shares of a step at which limits hold.
-_STAGES = (0.0, 0.5, 1.0)
+_STAGE_SHARES = (0.0, 0.5, 1.0)
 # Shares at which the last timing is checked.
 _CHECKED_STAGES = (0.0, 0.25, 0.5, 0.75, 1.0)
 # Programmes, and relative gain in duration below which they end.
 _MAX_PROGRAMMES, _MIN_GAIN = 40, 1e-3
 # Programmes after that, in which limits of the jerk are tightened where the motion exceeds them
 # between the stages, and the slowing from which on that is left out.
-_MAX_POLISHINGS, _KEPT = 8, 1.002
+_MAX_POLISHINGS, _MAX_KEPT_SLOWING = 8, 1.002
 _LEAST_ALLOWANCE = 0.4
 # Relative change of the duration below which the nodes are kept.
 _NODE_CHANGE_GAIN = 0.05
@@ -59,7 +59,7 @@ _GAUSS_POINTS, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(4)
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PathDemands:
-    """What a timing along a path has to keep beside the limits of the joints.
+    """Demands on a timing along a path beside the limits of the joints.
 
     Parameters
     ----------
@@ -136,7 +136,7 @@ def _fastest_part(found: _PathTiming, path: JointPath) -> Trajectory:
         if best is None or slowed < best[1]:
             best = law, slowed
         ended += gain < _MIN_GAIN or ended > 0
-        if ended > _MAX_POLISHINGS or (ended and slowed <= law.duration * _KEPT):
+        if ended > _MAX_POLISHINGS or (ended and slowed <= law.duration * _MAX_KEPT_SLOWING):
             break
         if ended:
             found.tighten(law)
@@ -352,7 +352,7 @@ class _PathTiming:
         entries, bounds, first = [], [], []
         steps = np.arange(len(law.time) - 1)
         piece = self._pieces(law)
-        for share in _STAGES:
+        for share in _STAGE_SHARES:
             value, slope, bend = _basis(law.time, share)
             own, bound = self._stage_rows(law.at(share), piece)
             entries.append(

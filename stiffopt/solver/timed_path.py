@@ -17,11 +17,15 @@ from stiffopt.result.joint_path import JointPath
 from stiffopt.result.solution import Baseline
 from stiffopt.result.trajectory import ForceHistory, Trajectory
 from stiffopt.robot.batched_kinematics import tool_jacobians
+from stiffopt.solver.averaged_law import averaged_law
 from stiffopt.solver.path_timing import PathDemands, fastest_timing
 
 # Limits from which a timing can back off, where the certificate finds an excess between nodes.
 _TIMED_LIMITS = ("velocity", "acceleration", "jerk", "torque", "tool_speed")
 _MAX_BACK_OFFS = 4
+# Windows over which the law of a motion with a command is averaged [s], and the duration over that
+# of the fastest law and two windows up to which one is taken.
+_AVERAGING_WINDOWS, _MAX_SLOWING = (0.04, 0.02, 0.01), 1.1
 FASTEST_REASON = (
     "on a given path none is faster within limits on velocity, acceleration, drive torque and tool "
     "speed, and none near it within those on jerk. To be faster, change the path or the limits."
@@ -31,8 +35,24 @@ FASTEST_REASON = (
 def timed_motion(problem: TrajectoryProblem) -> Baseline | None:
     """Return the certified fastest motion on the problem's path, not below its least duration.
 
-    None where it exceeds a limit of another kind, or the largest duration.
+    Where a command is asked for, its law is averaged over the widest window that costs little time,
+    so that the motors can lead. None where it exceeds a limit of another kind, or the largest
+    duration.
     """
+    fastest = _timed_motion(problem, 0.0)
+    if fastest is None or not problem.leads_on_path:
+        return fastest
+    assert fastest.objective is not None
+    for window in _AVERAGING_WINDOWS:
+        found = _timed_motion(problem, window)
+        allowed = _MAX_SLOWING * (fastest.objective + 2.0 * window)
+        if found is not None and found.objective is not None and found.objective <= allowed:
+            return found
+    return fastest
+
+
+def _timed_motion(problem: TrajectoryProblem, window: float) -> Baseline | None:
+    """Return the certified motion with its law averaged twice over a window [s]."""
     path, margins = problem.path, {}
     assert path is not None
     shortest = problem.duration[0]
@@ -46,6 +66,8 @@ def timed_motion(problem: TrajectoryProblem) -> Baseline | None:
             law = fastest_timing(problem.robot, problem.active_limits, path, demands)
         except ProblemError:
             return None
+        if window:
+            law = averaged_law(law, window)
         law = law.scaled_to(shortest) if law.duration < shortest else law
         motion = replace(path.follow(law), force=_force_history(problem, path, law))
         assessment = assess(problem, motion)

@@ -15,8 +15,12 @@ import numpy as np
 from stiffopt.errors import InputFileError
 from stiffopt.recording.readers.columns import Table, expand_vectors
 
-_JOINT_NAMES, _POINTS, _TIME = "joint_names", "points", "time_from_start"
-_QUANTITIES = {"positions": "position", "velocities": "velocity", "accelerations": "acceleration"}
+_JOINT_NAMES, _POINTS_FIELD, _TIME_FIELD = "joint_names", "points", "time_from_start"
+_QUANTITY_OF_FIELD = {
+    "positions": "position",
+    "velocities": "velocity",
+    "accelerations": "acceleration",
+}
 _NANOSECOND_KEYS = ("nanosec", "nsec", "nsecs", "nanosecs")
 _MAX_DEPTH = 8
 
@@ -25,7 +29,7 @@ def find_joint_trajectory(document: Any, depth: int = 0) -> Mapping[str, Any] | 
     """Return the first joint trajectory with points in a nested document; None without one."""
     if depth > _MAX_DEPTH or not isinstance(document, Mapping | list):
         return None
-    if isinstance(document, Mapping) and document.get(_POINTS) and _JOINT_NAMES in document:
+    if isinstance(document, Mapping) and document.get(_POINTS_FIELD) and _JOINT_NAMES in document:
         return document
     inner = document.values() if isinstance(document, Mapping) else document
     found = (find_joint_trajectory(each, depth + 1) for each in inner)
@@ -34,9 +38,9 @@ def find_joint_trajectory(document: Any, depth: int = 0) -> Mapping[str, Any] | 
 
 def columns_of_trajectory(message: Mapping[str, Any], path: Path) -> Table:
     """Return columns "time_from_start", "position[elbow]", ... of a joint trajectory."""
-    names, points = message[_JOINT_NAMES], message[_POINTS]
-    table: Table = {_TIME: np.array([_seconds(point.get(_TIME)) for point in points])}
-    for key, quantity in _QUANTITIES.items():
+    names, points = message[_JOINT_NAMES], message[_POINTS_FIELD]
+    table: Table = {_TIME_FIELD: np.array([_seconds(point.get(_TIME_FIELD)) for point in points])}
+    for key, quantity in _QUANTITY_OF_FIELD.items():
         rows = [point.get(key) or [] for point in points]
         if not any(rows):
             continue
