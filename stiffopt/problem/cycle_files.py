@@ -354,7 +354,10 @@ class _CycleReader:
         return move.name or (move.to if isinstance(move.to, str) else f"move {number}")
 
     def _legs(self, steps: Sequence[_Step], chosen: Sequence[np.ndarray]) -> list[Leg]:
-        legs, here, passed, numbers = [], steps[0], [], []
+        legs: list[Leg] = []
+        numbers: list[int] = []
+        passed: list[_Step] = []
+        here = steps[0]
         for step in steps[1:]:
             if not numbers or numbers[-1] != step.move:
                 numbers.append(step.move)
@@ -447,6 +450,8 @@ class _CycleReader:
         number = {move: k for k, leg in enumerate(legs) for move in leg.moves}
         route = [step for step in steps if step.pose is not None]
         for before, after in itertools.pairwise(route):
+            assert before.pose is not None
+            assert after.pose is not None
             leg = number[after.move]
             limits = legs[leg].problem.active_limits
             ends = (chosen[before.pose][None], chosen[after.pose][None])

@@ -84,7 +84,7 @@ class TimeSplit:
             # Failed legs take what they need; the others give in proportion.
             wanted = np.where(known, self.durations, low)
             spare = np.maximum(wanted - low, 0.0)
-            return low + spare * (self.total - low.sum()) / max(spare.sum(), 1e-12)
+            return np.asarray(low + spare * (self.total - low.sum()) / max(spare.sum(), 1e-12))
         exponents = self._exponents
         scales = np.log(self._values) + exponents * np.log(self._at)
         powers = exponents
@@ -95,12 +95,12 @@ class TimeSplit:
             scales, powers = scales + np.log(exponents), exponents + 1.0
 
         def durations(level: float) -> np.ndarray:
-            return np.clip(np.exp((scales - level) / powers), low, high)
+            return np.asarray(np.clip(np.exp((scales - level) / powers), low, high))
 
         reach = np.concatenate([scales - powers * np.log(low), scales - powers * np.log(high)])
         ends = float(reach.min()), float(reach.max())
         if durations(ends[0]).sum() < self.total:
-            return high * self.total / high.sum()
+            return np.asarray(high * self.total / high.sum())
         level = brentq(lambda each: durations(each).sum() - self.total, *ends, xtol=1e-12)
         found = durations(float(level))
         return np.asarray(found * self.total / found.sum())
