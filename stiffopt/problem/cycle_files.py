@@ -146,17 +146,26 @@ class _CycleReader:
         legs = self._legs(steps, chosen)
         lower, upper = duration = read_duration(self._document)
         first = legs[0].problem
-        if lower == upper and any(each.name == "duration" for each in first.objectives):
+        timed = any(each.name == "duration" for each in first.objectives)
+        limit = self._document.motion.error_limit
+        peak = len(first.objectives) == 1 and first.objectives[0].shown_measure == "peak"
+        if limit is not None and (not peak or first.objectives[0].unit != "m" or lower == upper):
+            self._fail(
+                "motion.error_limit",
+                "bounds the peak of one minimised deflection, such as tool_deviation, in a cycle "
+                "of free duration: give motion.duration = { upper = ... } and that objective.",
+            )
+        if lower == upper and timed:
             self._fail(
                 "motion.duration",
                 "the duration is minimised, so it must be free: give { upper = ... }, or minimise"
                 " another objective.",
             )
-        if lower < upper and not any(each.name == "duration" for each in first.objectives):
+        if lower < upper and not timed and limit is None:
             self._fail(
                 "motion.duration",
-                "a free duration of a cycle needs the objective duration under limits; give one "
-                "number to minimise another objective.",
+                "a free duration of a cycle needs the objective duration under limits, or "
+                "motion.error_limit; give one number to minimise another objective.",
             )
         return Cycle(
             title=str(self._common["title"]),
@@ -165,6 +174,7 @@ class _CycleReader:
             postures=postures,
             after_last=self._robot(self._loads[-1]),
             duty_limits=self._duty_limits(),
+            error_limit=limit,
         )
 
     def _duty_limits(self) -> DutyLimits:

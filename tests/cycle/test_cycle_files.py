@@ -90,6 +90,17 @@ def test_limits_of_the_duty_are_read_with_their_units(tmp_path):
     assert (limits.reducer_life, limits.energy) == pytest.approx((7.2e7, 200.0))
 
 
+def test_error_limit_needs_the_peak_of_a_deflection(tmp_path):
+    free = "{ upper = 5.0 }\nerror_limit = '1 mm'"
+    cycle = load_cycle(write_cycle_file(tmp_path, duration=free)).cycle
+    assert cycle.error_limit == pytest.approx(1e-3)
+    assert cycle.time_is_minimised
+    for changed in ({"duration": free, "objective": "torque_squared"},
+                    {"duration": "3.0\nerror_limit = '1 mm'"}):  # fmt: skip
+        with pytest.raises(InputFileError, match=r"motion\.error_limit: bounds the peak"):
+            load_cycle(write_cycle_file(tmp_path, **changed))
+
+
 def test_free_time_needs_the_objective_duration(tmp_path):
     path = write_cycle_file(tmp_path, duration="{ upper = 5.0 }")
     with pytest.raises(InputFileError, match="objective duration"):
