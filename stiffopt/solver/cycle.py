@@ -6,6 +6,7 @@ given, the split of least objective is found by `TimeSplit`.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -15,9 +16,10 @@ import numpy as np
 from stiffopt.baseline.rivals import fair_rivals
 from stiffopt.certificate.objective_value import objective_value
 from stiffopt.problem.bounds import shortest_duration
+from stiffopt.problem.branches import quintic_durations
 from stiffopt.problem.cycle import MIN_LEG_TIME, Cycle, Leg
 from stiffopt.problem.resolve import resolve
-from stiffopt.problem.trajectory import TrajectoryProblem
+from stiffopt.problem.trajectory import Target, TrajectoryProblem
 from stiffopt.result.cycle import CycleSolution, LegResult, RivalCycle
 from stiffopt.result.solution import ObjectiveValue, Solution
 from stiffopt.result.status import SolveStatus
@@ -313,15 +315,17 @@ class _CycleRun:
         return replace(found, rivals=self._rivals(found), duty=duty)
 
     def _rivals(self, found: CycleSolution) -> tuple[RivalCycle, ...]:
-        """Cycles of the baselines that keep every limit on all legs; none beside an error limit."""
+        """Cycles of baselines that stop at every pose and keep every limit.
+
+        None beside an error limit. Where the time of the legs is given, each move has its share of that of its leg.
+        """
         if self._cycle.error_limit is not None:
             return ()
-        free = not self._cycle.times_legs
         times: dict[str, list[float]] = {}
         values: dict[str, list[float]] = {}
-        for leg, solved in zip(self._cycle.legs, found.legs, strict=True):
-            problem, duration = leg.problem, solved.arrival - solved.start
-            shortest = problem.duration[0] if free else duration
+        moves = [each for leg in found.legs for each in _single_moves(leg)]
+        for problem, share in moves:
+            shortest = share if self._cycle.times_legs else problem.duration[0]
             for rival, motion in fair_rivals(problem, resolve(problem), shortest):
                 times.setdefault(rival.name, []).append(motion.duration)
                 values.setdefault(rival.name, []).append(objective_value(problem, motion).value)
@@ -335,8 +339,23 @@ class _CycleRun:
                 else combined(np.array(values[name]), np.array(own), self._combination),
             )
             for name, own in times.items()
-            if len(own) == len(self._cycle.legs)
+            if len(own) == len(moves)
         )
+
+
+def _single_moves(leg: LegResult) -> list[tuple[TrajectoryProblem, float]]:
+    """Moves of a solved leg, each from rest to rest, with their shares of its time [s]."""
+    problem = leg.problem
+    points = resolve(problem).points
+    limits = problem.active_limits
+    rates = (limits.velocity, limits.acceleration, limits.jerk)
+    pairs = list(itertools.pairwise(points))
+    needed = np.array([quintic_durations(a[None], b[None], rates)[0, 0] for a, b in pairs])
+    shares = (leg.arrival - leg.start) * needed / needed.sum()
+    return [
+        (replace(problem, start=Target(joints=a), end=Target(joints=b), vias=()), float(share))
+        for (a, b), share in zip(pairs, shares, strict=True)
+    ]
 
 
 def _tell_leg(progress: ProgressCallback, name: str, state: SolveProgress) -> object:

@@ -59,7 +59,7 @@ def simulate_cycle(
         if leg.stop.until_settled and error.settling_time is None
     ]
     return (
-        CycleSimulation(simulated=simulated, legs=tuple(errors), notes=tuple(notes)),
+        CycleSimulation(simulated=simulated, legs=tuple(errors), notes=(*notes, *simulated.notes)),
         rests,
     )
 
