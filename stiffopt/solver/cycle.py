@@ -317,7 +317,8 @@ class _CycleRun:
     def _rivals(self, found: CycleSolution) -> tuple[RivalCycle, ...]:
         """Cycles of baselines that stop at every pose and keep every limit.
 
-        None beside an error limit. Where the time of the legs is given, each move has its share of that of its leg.
+        None beside an error limit. Where the time of the legs is given, each move has its share of
+        that of its leg.
         """
         if self._cycle.error_limit is not None:
             return ()

@@ -35,6 +35,29 @@ def test_speed_override_scales_the_velocity_limit_of_its_leg(tmp_path):
     assert slow == pytest.approx(0.5 * usual)
 
 
+def test_tool_change_and_process_force_by_move(tmp_path):
+    moves = """[[move]]
+to = "pick"
+event = "tool_change"
+payload = { mass = 0.7, inertia = [1e-3, 1e-3, 1e-3] }
+tool = { link = "tip", offset = [0.1, 0.0, 0.0] }
+[[move]]
+to = "place"
+process_force = [0.0, 0.0, 30.0]
+[[move]]
+to = "home"
+"""
+    cycle = load_cycle(write_cycle_file(tmp_path, moves=moves)).cycle
+    masses = [leg.problem.robot.payload[0] for leg in cycle.legs]
+    assert masses == pytest.approx([0.2, 0.7, 0.7])
+    reach = [leg.problem.robot.tool.offset[0] for leg in cycle.legs]
+    assert reach == pytest.approx([0.4, 0.5, 0.5])
+    forces = [leg.problem.process_force[2] for leg in cycle.legs]
+    assert forces == [0.0, 30.0, 0.0]
+    event = cycle.legs[0].stop.event
+    assert (event.kind, event.mass_before, event.mass_after) == ("tool_change", 0.2, 0.7)
+
+
 @pytest.mark.parametrize(
     ("moves", "place", "words"),
     [
