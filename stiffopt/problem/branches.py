@@ -112,7 +112,8 @@ def best_combination(tables: Sequence[CostTable], poses: int) -> list[int]:
     Poses are eliminated one by one, those with the fewest neighbours first: exact, and quick for
     cycles whose poses recur in order.
     """
-    left, steps = list(tables), []
+    left = list(tables)
+    steps: list[tuple[int, tuple[int, ...], np.ndarray]] = []
     remaining = set(range(poses))
     while remaining:
         around_each = {
@@ -126,7 +127,9 @@ def best_combination(tables: Sequence[CostTable], poses: int) -> list[int]:
         if not own:
             steps.append((pose, (), np.zeros(())))
             continue
-        total = sum(table.aligned((*around, pose)) for table in own)
+        total = np.sum(
+            np.broadcast_arrays(*(table.aligned((*around, pose)) for table in own)), axis=0
+        )
         steps.append((pose, around, np.argmin(total, axis=-1)))
         left = [table for table in left if pose not in table.poses]
         left.append(CostTable(around, np.min(total, axis=-1)))

@@ -121,6 +121,8 @@ class Cycle:
     after_last : Robot or None
         With the payload after the event of the last leg.
     duty_limits : DutyLimits
+    error_limit : float or None
+        Largest value of the minimised deflection [m]: every leg is as short as that allows.
     """
 
     title: str
@@ -129,6 +131,7 @@ class Cycle:
     postures: tuple[Posture, ...] = ()
     after_last: Robot | None = None
     duty_limits: DutyLimits = field(default_factory=DutyLimits)
+    error_limit: float | None = None
 
     @cached_property
     def first(self) -> TrajectoryProblem:
@@ -138,7 +141,13 @@ class Cycle:
     @property
     def time_is_minimised(self) -> bool:
         """True where the objective is the time of the cycle."""
-        return any(each.name == "duration" for each in self.first.objectives)
+        asked = any(each.name == "duration" for each in self.first.objectives)
+        return asked or self.error_limit is not None
+
+    @property
+    def times_legs(self) -> bool:
+        """True where every leg is solved at given durations; else its programme has it free."""
+        return self.duration[0] == self.duration[1] or self.error_limit is not None
 
     @property
     def rest(self) -> float:

@@ -146,17 +146,26 @@ class _CycleReader:
         legs = self._legs(steps, chosen)
         lower, upper = duration = read_duration(self._document)
         first = legs[0].problem
-        if lower == upper and any(each.name == "duration" for each in first.objectives):
+        timed = any(each.name == "duration" for each in first.objectives)
+        limit = self._document.motion.error_limit
+        peak = len(first.objectives) == 1 and first.objectives[0].shown_measure == "peak"
+        if limit is not None and (not peak or first.objectives[0].unit != "m" or lower == upper):
+            self._fail(
+                "motion.error_limit",
+                "bounds the peak of one minimised deflection, such as tool_deviation, in a cycle "
+                "of free duration: give motion.duration = { upper = ... } and that objective.",
+            )
+        if lower == upper and timed:
             self._fail(
                 "motion.duration",
                 "the duration is minimised, so it must be free: give { upper = ... }, or minimise"
                 " another objective.",
             )
-        if lower < upper and not any(each.name == "duration" for each in first.objectives):
+        if lower < upper and not timed and limit is None:
             self._fail(
                 "motion.duration",
-                "a free duration of a cycle needs the objective duration under limits; give one "
-                "number to minimise another objective.",
+                "a free duration of a cycle needs the objective duration under limits, or "
+                "motion.error_limit; give one number to minimise another objective.",
             )
         return Cycle(
             title=str(self._common["title"]),
@@ -165,6 +174,7 @@ class _CycleReader:
             postures=postures,
             after_last=self._robot(self._loads[-1]),
             duty_limits=self._duty_limits(),
+            error_limit=limit,
         )
 
     def _duty_limits(self) -> DutyLimits:
@@ -354,7 +364,10 @@ class _CycleReader:
         return move.name or (move.to if isinstance(move.to, str) else f"move {number}")
 
     def _legs(self, steps: Sequence[_Step], chosen: Sequence[np.ndarray]) -> list[Leg]:
-        legs, here, passed, numbers = [], steps[0], [], []
+        legs: list[Leg] = []
+        numbers: list[int] = []
+        passed: list[_Step] = []
+        here = steps[0]
         for step in steps[1:]:
             if not numbers or numbers[-1] != step.move:
                 numbers.append(step.move)
@@ -447,6 +460,8 @@ class _CycleReader:
         number = {move: k for k, leg in enumerate(legs) for move in leg.moves}
         route = [step for step in steps if step.pose is not None]
         for before, after in itertools.pairwise(route):
+            assert before.pose is not None
+            assert after.pose is not None
             leg = number[after.move]
             limits = legs[leg].problem.active_limits
             ends = (chosen[before.pose][None], chosen[after.pose][None])

@@ -95,8 +95,12 @@ def _build_problem(
             "the file is a cycle of several moves, which `stiffopt solve`, `verify` and `export` "
             "take. Leave [[move]] out for a single motion from motion.start to motion.end.",
         )
-    if document.duty != DutySection():
-        raise InputFileError(path, "duty", "belongs to a cycle of [[move]]. Leave it out.")
+    for key, stated in (
+        ("duty", document.duty != DutySection()),
+        ("motion.error_limit", document.motion.error_limit is not None),
+    ):
+        if stated:
+            raise InputFileError(path, key, "belongs to a cycle of [[move]]. Leave it out.")
     robot = read_robot(document.robot, document.payload, document.tool, path, robots)
     motion = document.motion
     joints = JointLists(robot, path)

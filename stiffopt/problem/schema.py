@@ -183,6 +183,14 @@ class MotionSection(Section):
         Annotated[Time, POSITIVE] | DurationSection,
         Doc("Fixed, or optimised between two bounds; of a cycle with its dwells."),
     ]
+    error_limit: Annotated[
+        Length | None,
+        POSITIVE,
+        Doc(
+            "Of a cycle: largest value of the minimised deflection in any leg; the cycle is then "
+            "as short as that allows."
+        ),
+    ] = None
     boundary_velocity: Annotated[
         Literal["zero"] | BoundaryVelocity, Doc("Velocity at both ends.")
     ] = "zero"

@@ -40,7 +40,10 @@ _MOTION_SECTION = """## Motions (`trajectory.csv` and `command.csv`, written by 
 One row every 2 ms. `command.csv` has the columns t, q, qd, qdd, tau and link. `stiffopt export`
 writes qN, qdN and qddN of the motors, or the same of the links (`--of link`), without torques; the
 header of an exported file says whose they are (`of`) and has the hashes of motion, robot, payload
-and limits."""
+and limits.
+
+`cycle.csv` of a cycle has the columns t, leg (from 1), payload [kg], q, qd and qdd of the motors,
+and link, over all legs and rests."""
 
 _KIND_TITLES = {
     "trajectory": "Trajectory problem",

@@ -153,7 +153,7 @@ class CycleSimulation:
 
 @dataclass(frozen=True, kw_only=True)
 class RivalCycle:
-    """Cycle of one kind of baseline motion on the same poses, leg by leg.
+    """Cycle of one kind of baseline motion in the same postures, with a stop at each pose.
 
     Parameters
     ----------

@@ -6,6 +6,7 @@ given, the split of least objective is found by `TimeSplit`.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -14,9 +15,11 @@ import numpy as np
 
 from stiffopt.baseline.rivals import fair_rivals
 from stiffopt.certificate.objective_value import objective_value
-from stiffopt.problem.cycle import Cycle, Leg
+from stiffopt.problem.bounds import shortest_duration
+from stiffopt.problem.branches import quintic_durations
+from stiffopt.problem.cycle import MIN_LEG_TIME, Cycle, Leg
 from stiffopt.problem.resolve import resolve
-from stiffopt.problem.trajectory import TrajectoryProblem
+from stiffopt.problem.trajectory import Target, TrajectoryProblem
 from stiffopt.result.cycle import CycleSolution, LegResult, RivalCycle
 from stiffopt.result.solution import ObjectiveValue, Solution
 from stiffopt.result.status import SolveStatus
@@ -24,13 +27,15 @@ from stiffopt.solver.cycle_simulation import cycle_duty, simulate_cycle
 from stiffopt.solver.simulation import with_simulation
 from stiffopt.solver.solve import solve
 from stiffopt.solver.solve_run import ProgressCallback, SolveProgress
-from stiffopt.solver.time_split import Combination, TimeSplit, combined
+from stiffopt.solver.time_split import Combination, ShortestDuration, TimeSplit, combined
 
 # Rounds of the split; each solves every leg whose duration changed.
 _MAX_ROUNDS = 8
 # Relative change of the cycle's objective at which the split has converged, and change of a leg's
 # duration below which it is not solved again.
 _CONVERGED_CHANGE, _SAME_DURATION = 2e-3, 1e-4
+# First duration of a leg under an error limit, over the bound by its joints' limits.
+_FIRST_DURATION_FACTOR = 1.5
 # Rounds in which rests until the tool has settled are found by simulation, and their change at
 # which they are kept [s].
 _MAX_REST_ROUNDS, _SAME_REST = 4, 2e-3
@@ -74,7 +79,7 @@ def solve_cycle(
         found = replace(found, simulation=simulation)
         changed = float(np.max(np.abs(settled - rests)))
         rests = settled
-        if changed <= _SAME_REST or cycle.duration[0] < cycle.duration[1]:
+        if changed <= _SAME_REST or cycle.time_is_minimised:
             break
     return run.with_rivals_and_duty(found)
 
@@ -92,7 +97,9 @@ class _CycleRun:
     def solve_legs(self, rest: float) -> list[Solution]:
         """Solutions of all legs, up to the first that failed where nothing can help it."""
         cycle = self._cycle
-        if cycle.duration[0] < cycle.duration[1]:
+        if cycle.error_limit is not None:
+            return self._shortest_legs(cycle.error_limit)
+        if not cycle.times_legs:
             if len(self._solved) == len(cycle.legs):
                 return [self._solved[k][1] for k in range(len(cycle.legs))]
             return self._solve_each(cycle.legs, stop_at_failure=True)
@@ -143,6 +150,41 @@ class _CycleRun:
         self._solved = dict(enumerate(zip(best[1].tolist(), best[2], strict=True)))
         return best[2]
 
+    def _shortest_legs(self, limit: float) -> list[Solution]:
+        """Solutions of all legs, each as short as an objective within `limit` allows."""
+        found = []
+        for k, leg in enumerate(self._cycle.legs):
+            if k in self._solved:
+                found.append(self._solved[k][1])
+                continue
+            least = shortest_duration(leg.problem, resolve(leg.problem))[0]
+            search = ShortestDuration(limit, max(_FIRST_DURATION_FACTOR * least, MIN_LEG_TIME))
+            guess = best = None
+            while (duration := search.proposal()) is not None:
+                best = solve(
+                    leg.lasting(duration).problem,
+                    progress=self._leg_progress(k),
+                    guess=guess,
+                    throw=False,
+                )
+                if best.status is SolveStatus.INTERRUPTED:
+                    return [*found, best]
+                usable = best.status.usable and best.objective is not None
+                value = best.objective.value if usable and best.objective else np.nan
+                guess = best.assessment if usable else guess
+                if search.learn(value):
+                    self._solved[k] = (duration, best)
+            if k not in self._solved:
+                assert best is not None
+                self._solved[k] = (search.duration, best)
+                self._infeasible = (
+                    f"no duration was found at which the leg keeps motion.error_limit of "
+                    f"{1e3 * limit:.4g} mm; raise it."
+                )
+                return [*found, replace(best, status=SolveStatus.INFEASIBLE)]
+            found.append(self._solved[k][1])
+        return found
+
     @property
     def _combination(self) -> Combination:
         terms = self._cycle.first.objectives
@@ -190,8 +232,8 @@ class _CycleRun:
     def _solved_problem(self, k: int) -> TrajectoryProblem:
         """Problem of leg k (from 0) as it was solved."""
         leg = self._cycle.legs[k]
-        free = self._cycle.duration[0] < self._cycle.duration[1]
-        return leg.problem if free else leg.lasting(self._solved[k][0]).problem
+        timed = self._cycle.times_legs
+        return leg.lasting(self._solved[k][0]).problem if timed else leg.problem
 
     def result(self, solutions: list[Solution], rests: np.ndarray) -> CycleSolution:
         """Result of the legs' solutions and the rests after them (L,) [s]."""
@@ -246,7 +288,7 @@ class _CycleRun:
             return None
         found = [s.objective for s in solutions if s.objective is not None]
         if self._cycle.time_is_minimised and len(self._cycle.first.objectives) == 1:
-            return replace(found[0], value=time)
+            return ObjectiveValue(name="duration", measure="", value=time, unit="s")
         lasted = np.array([s.duration for s in solutions])
         value = combined(np.array([each.value for each in found]), lasted, self._combination)
         return replace(found[0], value=value, terms={})
@@ -273,13 +315,18 @@ class _CycleRun:
         return replace(found, rivals=self._rivals(found), duty=duty)
 
     def _rivals(self, found: CycleSolution) -> tuple[RivalCycle, ...]:
-        """Cycles of the baselines that keep every limit on all legs."""
-        free = self._cycle.duration[0] < self._cycle.duration[1]
+        """Cycles of baselines that stop at every pose and keep every limit.
+
+        None beside an error limit. Where the time of the legs is given, each move has its share of
+        that of its leg.
+        """
+        if self._cycle.error_limit is not None:
+            return ()
         times: dict[str, list[float]] = {}
         values: dict[str, list[float]] = {}
-        for leg, solved in zip(self._cycle.legs, found.legs, strict=True):
-            problem, duration = leg.problem, solved.arrival - solved.start
-            shortest = problem.duration[0] if free else duration
+        moves = [each for leg in found.legs for each in _single_moves(leg)]
+        for problem, share in moves:
+            shortest = share if self._cycle.times_legs else problem.duration[0]
             for rival, motion in fair_rivals(problem, resolve(problem), shortest):
                 times.setdefault(rival.name, []).append(motion.duration)
                 values.setdefault(rival.name, []).append(objective_value(problem, motion).value)
@@ -293,8 +340,23 @@ class _CycleRun:
                 else combined(np.array(values[name]), np.array(own), self._combination),
             )
             for name, own in times.items()
-            if len(own) == len(self._cycle.legs)
+            if len(own) == len(moves)
         )
+
+
+def _single_moves(leg: LegResult) -> list[tuple[TrajectoryProblem, float]]:
+    """Moves of a solved leg, each from rest to rest, with their shares of its time [s]."""
+    problem = leg.problem
+    points = resolve(problem).points
+    limits = problem.active_limits
+    rates = (limits.velocity, limits.acceleration, limits.jerk)
+    pairs = list(itertools.pairwise(points))
+    needed = np.array([quintic_durations(a[None], b[None], rates)[0, 0] for a, b in pairs])
+    shares = (leg.arrival - leg.start) * needed / needed.sum()
+    return [
+        (replace(problem, start=Target(joints=a), end=Target(joints=b), vias=()), float(share))
+        for (a, b), share in zip(pairs, shares, strict=True)
+    ]
 
 
 def _tell_leg(progress: ProgressCallback, name: str, state: SolveProgress) -> object:

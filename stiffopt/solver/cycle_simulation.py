@@ -18,7 +18,7 @@ from stiffopt.result.duty import Duty, DutyHistory, LifeRating, duty_of
 from stiffopt.result.solution import Solution
 
 if TYPE_CHECKING:
-    from stiffopt.problem.trajectory import TrajectoryProblem
+    from stiffopt.problem.trajectory import Target, TrajectoryProblem
     from stiffopt.result.simulation import SimulatedMotion
     from stiffopt.result.trajectory import JointMotion
     from stiffopt.robot.robot import Robot
@@ -59,14 +59,15 @@ def simulate_cycle(
         if leg.stop.until_settled and error.settling_time is None
     ]
     return (
-        CycleSimulation(simulated=simulated, legs=tuple(errors), notes=tuple(notes)),
+        CycleSimulation(simulated=simulated, legs=tuple(errors), notes=(*notes, *simulated.notes)),
         rests,
     )
 
 
 def leg_motions(solutions: Sequence[Solution]) -> tuple[list[JointMotion], list[JointMotion]]:
     """Motor commands and planned motions of the links of solved legs."""
-    commands, plans = [], []
+    commands: list[JointMotion] = []
+    plans: list[JointMotion] = []
     for each in solutions:
         assert each.trajectory is not None
         planned: JointMotion = each.trajectory
@@ -91,7 +92,7 @@ def _simulate(
         MotorMotion.of(JoinedMotion(parts, starts, end)) for parts in (commands, plans)
     )
     arms = [
-        ElasticArm(leg.problem.robot, leg.problem.start.joints, leg.problem.process_force)
+        ElasticArm(leg.problem.robot, _stop_pose(leg.problem.start), leg.problem.process_force)
         for leg in cycle.legs
     ]
     arms = [_with_same_damping(arms[0], each) for each in arms]
@@ -116,6 +117,12 @@ def _simulate(
     return simulated, arrivals
 
 
+def _stop_pose(target: Target) -> np.ndarray:
+    """Joint angles (n,) of a stop, which every leg gives."""
+    assert target.joints is not None
+    return target.joints
+
+
 def _with_same_damping(first: ElasticArm, arm: ElasticArm) -> ElasticArm:
     """Arm with the damping of another: that of its springs, whatever the payload."""
     arm.damping = first.damping
@@ -128,7 +135,7 @@ def _after_last_event(cycle: Cycle, arm: ElasticArm) -> ElasticArm | None:
         return None
     last = cycle.legs[-1].problem
     return _with_same_damping(
-        arm, ElasticArm(cycle.after_last, last.end.joints, last.process_force)
+        arm, ElasticArm(cycle.after_last, _stop_pose(last.end), last.process_force)
     )
 
 
@@ -165,8 +172,7 @@ def _leg_errors(
 
 def _static_jump(problem: TrajectoryProblem, after: Robot) -> float:
     """Static displacement of the tool [m] at the end of a motion by another payload."""
-    pose = problem.end.joints
-    assert pose is not None
+    pose = _stop_pose(problem.end)
     places = []
     for robot in (problem.robot, after):
         arm = ElasticArm(robot, pose, problem.process_force)
@@ -190,8 +196,7 @@ def cycle_duty(cycle: Cycle, found: CycleSolution) -> Duty:
         )
         if solved.dwell > 0.0:
             holding = cycle.legs[k + 1].problem if k + 1 < len(cycle.legs) else leg.problem
-            pose = leg.problem.end.joints
-            assert pose is not None
+            pose = _stop_pose(leg.problem.end)
             held = np.repeat(gravity_torque(holding, pose)[None], 2, axis=0)
             histories.append(
                 DutyHistory(

@@ -84,7 +84,7 @@ class TimeSplit:
             # Failed legs take what they need; the others give in proportion.
             wanted = np.where(known, self.durations, low)
             spare = np.maximum(wanted - low, 0.0)
-            return low + spare * (self.total - low.sum()) / max(spare.sum(), 1e-12)
+            return np.asarray(low + spare * (self.total - low.sum()) / max(spare.sum(), 1e-12))
         exponents = self._exponents
         scales = np.log(self._values) + exponents * np.log(self._at)
         powers = exponents
@@ -95,12 +95,67 @@ class TimeSplit:
             scales, powers = scales + np.log(exponents), exponents + 1.0
 
         def durations(level: float) -> np.ndarray:
-            return np.clip(np.exp((scales - level) / powers), low, high)
+            return np.asarray(np.clip(np.exp((scales - level) / powers), low, high))
 
         reach = np.concatenate([scales - powers * np.log(low), scales - powers * np.log(high)])
         ends = float(reach.min()), float(reach.max())
         if durations(ends[0]).sum() < self.total:
-            return high * self.total / high.sum()
+            return np.asarray(high * self.total / high.sum())
         level = brentq(lambda each: durations(each).sum() - self.total, *ends, xtol=1e-12)
         found = durations(float(level))
         return np.asarray(found * self.total / found.sum())
+
+
+# Share of the limit from which on a value counts as at it, width of the bracket of durations, and
+# solves of a leg.
+_REACHED_SHARE, _BRACKET_WIDTH, _MAX_SOLVES = 0.99, 0.005, 12
+
+
+class ShortestDuration:
+    """Search for the shortest duration at which an objective is within a limit.
+
+    By the law c / T^p through the last two values, inside the bracket of the durations at which the
+    limit was exceeded and kept.
+
+    Parameters
+    ----------
+    limit : float
+    duration : float
+        First one [s].
+    """
+
+    def __init__(self, limit: float, duration: float) -> None:
+        self._limit, self.duration = limit, duration
+        self._low, self._high, self._solves = 0.0, np.inf, 0
+        self._exponent = _FIRST_EXPONENT
+        self._last: tuple[float, float] | None = None
+        self._found = False
+
+    def proposal(self) -> float | None:
+        """Duration of the next solve [s]; None where the search has ended."""
+        narrow = self._high <= (1.0 + _BRACKET_WIDTH) * self._low
+        return None if self._found or narrow or self._solves >= _MAX_SOLVES else self.duration
+
+    def learn(self, value: float) -> bool:
+        """Learn the value at the proposed duration, nan where it failed; True if it is the best."""
+        at, self._solves = self.duration, self._solves + 1
+        kept = bool(value <= self._limit)
+        if kept:
+            self._high = min(self._high, at)
+            self._found = value >= _REACHED_SHARE * self._limit
+        else:
+            self._low = max(self._low, at)
+        wanted = at * _MAX_STEP ** (0.0 if kept else 0.5)
+        if np.isfinite(value) and value > 0.0:
+            if self._last is not None and abs(np.log(at / self._last[0])) > np.log(_MIN_STEP):
+                slope = -np.log(value / self._last[1]) / np.log(at / self._last[0])
+                self._exponent = float(np.clip(slope, *_EXPONENT_RANGE))
+            self._last = (at, value)
+            # Aimed at the middle of what counts as reached.
+            aim = 0.5 * (1.0 + _REACHED_SHARE) * self._limit
+            step = (value / aim) ** (1.0 / self._exponent)
+            wanted = at * float(np.clip(step, 1.0 / _MAX_STEP, _MAX_STEP))
+        if not self._low < wanted < self._high:
+            wanted = float(np.sqrt(max(self._low, self._high / _MAX_STEP**2) * self._high))
+        self.duration = wanted
+        return kept and at == self._high

@@ -35,6 +35,29 @@ def test_speed_override_scales_the_velocity_limit_of_its_leg(tmp_path):
     assert slow == pytest.approx(0.5 * usual)
 
 
+def test_tool_change_and_process_force_by_move(tmp_path):
+    moves = """[[move]]
+to = "pick"
+event = "tool_change"
+payload = { mass = 0.7, inertia = [1e-3, 1e-3, 1e-3] }
+tool = { link = "tip", offset = [0.1, 0.0, 0.0] }
+[[move]]
+to = "place"
+process_force = [0.0, 0.0, 30.0]
+[[move]]
+to = "home"
+"""
+    cycle = load_cycle(write_cycle_file(tmp_path, moves=moves)).cycle
+    masses = [leg.problem.robot.payload[0] for leg in cycle.legs]
+    assert masses == pytest.approx([0.2, 0.7, 0.7])
+    reach = [leg.problem.robot.tool.offset[0] for leg in cycle.legs]
+    assert reach == pytest.approx([0.4, 0.5, 0.5])
+    forces = [leg.problem.process_force[2] for leg in cycle.legs]
+    assert forces == [0.0, 30.0, 0.0]
+    event = cycle.legs[0].stop.event
+    assert (event.kind, event.mass_before, event.mass_after) == ("tool_change", 0.2, 0.7)
+
+
 @pytest.mark.parametrize(
     ("moves", "place", "words"),
     [
@@ -88,6 +111,17 @@ def test_limits_of_the_duty_are_read_with_their_units(tmp_path):
     limits = load_cycle(write_cycle_file(tmp_path, extra=duty)).cycle.duty_limits
     assert limits.rms_torque == pytest.approx([10, 20, 15])
     assert (limits.reducer_life, limits.energy) == pytest.approx((7.2e7, 200.0))
+
+
+def test_error_limit_needs_the_peak_of_a_deflection(tmp_path):
+    free = "{ upper = 5.0 }\nerror_limit = '1 mm'"
+    cycle = load_cycle(write_cycle_file(tmp_path, duration=free)).cycle
+    assert cycle.error_limit == pytest.approx(1e-3)
+    assert cycle.time_is_minimised
+    for changed in ({"duration": free, "objective": "torque_squared"},
+                    {"duration": "3.0\nerror_limit = '1 mm'"}):  # fmt: skip
+        with pytest.raises(InputFileError, match=r"motion\.error_limit: bounds the peak"):
+            load_cycle(write_cycle_file(tmp_path, **changed))
 
 
 def test_free_time_needs_the_objective_duration(tmp_path):

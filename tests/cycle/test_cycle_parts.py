@@ -13,7 +13,7 @@ from stiffopt.result.cycle import JoinedMotion
 from stiffopt.result.duty import DutyHistory, DutyLimits, LifeRating, duty_of
 from stiffopt.result.trajectory import Trajectory
 from stiffopt.robot.files import load_robot
-from stiffopt.solver.time_split import TimeSplit, combined
+from stiffopt.solver.time_split import ShortestDuration, TimeSplit, combined
 
 STIFFNESS = 1e4
 
@@ -117,6 +117,21 @@ def test_time_split_finds_the_optimum_of_power_laws(by):
     for _ in range(300):
         other = split.durations * np.exp(0.05 * random.normal(size=3))
         assert value(3.0 * other / other.sum()) > best * (1.0 - 1e-6)
+
+
+@pytest.mark.parametrize("shortest", [0.0, 0.5])
+def test_shortest_duration_within_a_limit(shortest):
+    """Of c/T^2.7 beside a floor, and of one that fails below 0.5 s."""
+    search = ShortestDuration(0.2, 1.7)
+    best, solves = None, 0
+    while (duration := search.proposal()) is not None:
+        solves += 1
+        value = np.nan if duration < shortest else 0.01 + 0.03 / duration**2.7
+        if search.learn(value):
+            best = duration
+    exact = max((0.03 / 0.19) ** (1 / 2.7), shortest)
+    assert exact <= best < 1.01 * exact
+    assert solves <= 12
 
 
 def test_time_split_gives_a_failed_leg_more_and_says_when_time_is_short():

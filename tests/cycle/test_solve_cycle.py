@@ -88,6 +88,20 @@ def test_shortest_cycle_is_the_sum_of_the_shortest_legs(tmp_path):
 
 
 @pytest.mark.slow
+def test_cycle_under_an_error_limit_is_as_short_as_it_allows(tmp_path):
+    limit = 1e-3
+    duration = "{ upper = 5.0 }\nerror_limit = '1 mm'"
+    found = solve_cycle(load_cycle(write_cycle_file(tmp_path, duration=duration)).cycle,
+                        simulate=False)  # fmt: skip
+    assert found.status.usable
+    errors = [leg.solution.objective.value for leg in found.legs]
+    assert max(errors) <= limit
+    assert min(errors) > 0.985 * limit
+    assert found.objective.name == "duration"
+    assert found.objective.value == pytest.approx(found.duration)
+
+
+@pytest.mark.slow
 def test_cycle_without_enough_time_says_so(tmp_path):
     path = write_cycle_file(tmp_path, duration='"0.3 s"')
     found = solve_cycle(load_cycle(path).cycle, simulate=False)
