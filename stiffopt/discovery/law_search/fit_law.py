@@ -66,7 +66,8 @@ def as_fitted(channel: OpenChannel, law: Law, fit: Fitted, tried: int) -> Fitted
     """Return a law with its evidence."""
     parameters = law.amplitude_count + len(law.shapes)
     left = channel.square - fit.removed
-    return FittedLaw(law, fit, tried, log_evidence(channel, left, parameters, tried))
+    evidence = log_evidence(channel, left, parameters, tried) + law.log_prior
+    return FittedLaw(law, fit, tried, evidence)
 
 
 def fit_shapes(channel: OpenChannel, law: Law, tried: int) -> FittedLaw:

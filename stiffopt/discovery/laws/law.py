@@ -17,6 +17,8 @@ from stiffopt.discovery.laws.sources import Source
 from stiffopt.discovery.signals import JointSignals, RobotSignals
 from stiffopt.symbolic import Quantity
 
+# Log prior odds against each signal of another joint: one of ten or so, which move alike.
+FOREIGN_PRICE = 2.5
 # Family of the effects that are laws.
 LAW_FAMILY = "law"
 
@@ -105,6 +107,12 @@ class Law:
     def structure(self) -> tuple[object, ...]:
         """Joint, signals and forms, whatever the shapes."""
         return (self.joint, tuple((factor.source, factor.form) for factor in self.factors))
+
+    @property
+    def log_prior(self) -> float:
+        """Logarithm of its prior probability over that of a law of the joint's own signals."""
+        foreign = {f.source for f in self.factors if f.source.joint not in (None, self.joint)}
+        return -FOREIGN_PRICE * len(foreign)
 
     @property
     def amplitude_count(self) -> int:
