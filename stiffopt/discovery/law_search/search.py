@@ -18,7 +18,7 @@ from stiffopt.discovery.law_search.free_function import (
 from stiffopt.discovery.law_search.open_channel import OpenChannel
 from stiffopt.discovery.laws.forms import FORMS
 from stiffopt.discovery.laws.law import Factor, Law
-from stiffopt.discovery.laws.sources import Source
+from stiffopt.discovery.laws.sources import LawSource
 from stiffopt.discovery.thresholds import NAMED_EVIDENCE
 
 # Pairs of carrier and signal whose forms are tried: the best ones that explain at least this share
@@ -127,7 +127,7 @@ def _fit_pairs(channel: OpenChannel, terms: Sequence[FreeTerm]) -> list[FittedLa
     return _fit_best(channel, laws)
 
 
-def _laws_of(channel: OpenChannel, base: Sequence[Factor], source: Source) -> list[Law]:
+def _laws_of(channel: OpenChannel, base: Sequence[Factor], source: LawSource) -> list[Law]:
     """Return the laws of one signal beside given factors, with all initial shapes."""
     extent = channel.extent(source)
     if "wave" in source.own.forms:

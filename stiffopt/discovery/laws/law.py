@@ -13,7 +13,7 @@ import numpy as np
 
 from stiffopt.discovery.effect import Amplitude, Effect, Shape, Term
 from stiffopt.discovery.laws.forms import FORMS, Form, SignalRange
-from stiffopt.discovery.laws.sources import Source
+from stiffopt.discovery.laws.sources import LawSource
 from stiffopt.discovery.signals import JointSignals, RobotSignals
 from stiffopt.symbolic import Quantity
 
@@ -39,7 +39,7 @@ class Factor:
 
     Parameters
     ----------
-    source : Source
+    source : LawSource
     form : str
         Key of `FORMS`.
     shapes : tuple of float
@@ -47,7 +47,7 @@ class Factor:
         Of the shapes.
     """
 
-    source: Source
+    source: LawSource
     form: str
     shapes: tuple[float, ...] = ()
     bounds: tuple[tuple[float, float], ...] = ()
@@ -221,7 +221,7 @@ class Law:
 
     @property
     def words(self) -> str:
-        """What it depends on, in words."""
+        """Channel and dependence in words."""
         parts = [f.own.words.format(x=f.source.words) for f in self.factors]
         where = _PLACE_WORDS[self.place].format(self.joint + 1)
         return f"{where} changes {', and '.join(parts)}"
