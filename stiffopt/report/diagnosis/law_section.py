@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from stiffopt.discovery.diagnosis import Diagnosis, Finding
 
 # Definitions of what an equation of a law may contain.
-_DEFINITIONS = {
+_OPERATOR_DEFINITIONS = {
     "lag": "lag(x, T) is y of T dy/dt = x - y, at rest before the first sample",
     "sprung": "sprung(x, f, z) is the acceleration of a mass on a spring and damper of frequency f"
     " and damping ratio z whose base accelerates by x",
@@ -74,7 +74,9 @@ def _describe_law(diagnosis: Diagnosis, finding: Finding, law: Law) -> LawOnPage
     )
     units = {p.name: p.unit for p in finding.parameters}
     signals = [f"{f.source.symbol} is the {f.source.words}" for f in law.factors]
-    signals += [f"{words}" for name, words in _DEFINITIONS.items() if f" {name}(" in law.equation]
+    signals += [
+        f"{words}" for name, words in _OPERATOR_DEFINITIONS.items() if f" {name}(" in law.equation
+    ]
     lines = [
         _describe_share(diagnosis, finding),
         f"In words: {law.words}{resembled(law)}.",
