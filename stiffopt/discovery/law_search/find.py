@@ -248,7 +248,7 @@ class _State:
         """Fit a law beside the effects; None where they leave it nothing."""
         assert outcome.best is not None
         # The noise is that beside a law: beside none, all laws would seem equally good.
-        first = self._named(outcome.best.law, outcome.best.fit.amplitudes)
+        first = self._named(outcome.best.law, outcome.best.fit.amplitudes.tolist())
         beside = self.comparison.linearised_at(self.comparison.fit([*self.effects, first]))
         ranked = self._rank_places(beside, (outcome.best, *outcome.near))
         if not ranked:
@@ -304,7 +304,7 @@ class _State:
                 places.append("link_torque")
             for place in places:
                 law = replace(each.law, place=place)
-                located = self._named(law, each.fit.amplitudes)
+                located = self._named(law, each.fit.amplitudes.tolist())
                 candidate = scorer.score(located)
                 if candidate is not None:
                     price = 0.5 * len(law.shapes) * np.log(size)

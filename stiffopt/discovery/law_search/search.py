@@ -17,7 +17,7 @@ from stiffopt.discovery.law_search.free_function import (
 )
 from stiffopt.discovery.law_search.open_channel import OpenChannel
 from stiffopt.discovery.laws.forms import FORMS
-from stiffopt.discovery.laws.law import Factor, Law
+from stiffopt.discovery.laws.law import Factor, Law, Place
 from stiffopt.discovery.laws.sources import LawSource
 from stiffopt.discovery.thresholds import NAMED_EVIDENCE
 
@@ -132,7 +132,7 @@ def _laws_of(channel: OpenChannel, base: Sequence[Factor], source: LawSource) ->
     extent = channel.extent(source)
     if "wave" in source.own.forms:
         extent = replace(extent, peaks=channel.frequencies(source))
-    place = "drive_torque" if channel.kind == "torque" else "deflection"
+    place: Place = "drive_torque" if channel.kind == "torque" else "deflection"
     return [
         Law(channel.joint, place, (*base, factor))
         for form in source.own.forms

@@ -259,10 +259,13 @@ FORMS = {
         ),
         Form(
             name="peaked",
-            formulas=("2.0 * s * x / (x**2 + s**2)",),
+            formulas=("x / s / (1.0 + np.exp(n * np.log(np.abs(x) / s + 1e-12)))",),
             words="with the {x} up to a peak, and falls beyond it",
             symmetry="odd",
-            shapes=(_SCALE_SHAPE,),
+            shapes=(
+                _SCALE_SHAPE,
+                FormShape(name="n", unit="", **_fixed((2.0, 4.0), 1.1, 8.0)),
+            ),
             resembles="an eddy-current brake or a lubricant that thins",
         ),
         Form(

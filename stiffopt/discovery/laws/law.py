@@ -251,7 +251,9 @@ def law_term(
     """Return the term of a law."""
     columns = law.columns(signals, shapes)
     value: Quantity = sum(a * c for a, c in zip(amplitudes, columns, strict=True))
-    return Term(**{law.place: at_joint(signals, value) if law.of_robot else value})
+    if isinstance(signals, RobotSignals):
+        value = at_joint(signals, value)
+    return Term(**{law.place: value})
 
 
 def at_joint(signals: RobotSignals, value: Quantity) -> Quantity:
