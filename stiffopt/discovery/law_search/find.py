@@ -216,11 +216,9 @@ class _State:
         """
         fit, n = self.comparison.fit(self.effects), self.comparison.robot.n
         beyond = np.nan_to_num(self.comparison.channel_ratio(fit.residual) / self.comparison.least)
-        # Several findings at one joint may stand for one law.
+        # Findings may stand for a law, and leave little of it.
         joints = [each.channel % n for each in self.kept if _is_replaceable(each)]
-        least = [
-            FAINT_RATIO if joints.count(c % n) > 1 else UNEXPLAINED_RATIO for c in range(2 * n)
-        ]
+        least = [FAINT_RATIO if c % n in joints else UNEXPLAINED_RATIO for c in range(2 * n)]
         found = [int(c) for c in np.argsort(-beyond) if beyond[c] > least[c]]
         return sorted(found, key=lambda c: c >= n)
 

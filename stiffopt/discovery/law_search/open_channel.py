@@ -100,8 +100,8 @@ class OpenChannel:
         return max(self.square - len(self.target), 1e-9)
 
     def share(self, left: float) -> float:
-        """Return the share of the excess that is gone where so many squares are left."""
-        return (self.square - left) / self.excess
+        """Return the share of the excess that is gone where so many squares are left; at most 1."""
+        return min((self.square - left) / self.excess, 1.0)
 
     # ---- columns
 
