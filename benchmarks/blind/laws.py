@@ -41,6 +41,11 @@ SEVERITIES = (1.0, 1.5, 3.0, 6.0)
 WITH_CATALOGUE = 1.0 / 3.0
 TIMEOUT = 900.0  # [s]
 MOVING = 0.03  # slower than this, dry friction has no definite value [rad/s]
+# Effects that the link encoders show; all others, the torque.
+IN_THE_LINK = frozenset(
+    {"softening_by_heat", "backlash", "stiffness_linear", "k1_softening", "preload_loss"}
+    | {"belt_creep", "hysteresis", "transmission_error", "encoder_offset", "encoder_skew"}
+)
 # A function is found within this error over the range met, root mean square over its own.
 CLOSE = 0.1
 
@@ -98,20 +103,35 @@ class Scored:
     seconds: float
 
 
-def score(store: Store, name: str) -> Scored | None:
-    """Score an answered case; None without an answer."""
+def score(store: Store, name: str, of: str = "") -> Scored | None:
+    """Score an answered case; None without an answer.
+
+    Parameters
+    ----------
+    store : Store
+    name : str
+    of : str
+        Effect that counts as the law; default: that of the family of laws.
+    """
     path = store.answer(name) / "diagnosis.json"
     if not path.exists():
         return None
     found = json.loads(path.read_text())
     truth = json.loads(store.truth(name).read_text())
     oracle = json.loads(store.oracle(name).read_text())
-    true = next((e for e in truth["effects"] if EFFECTS[e["effect"]].family == "law"), None)
+    true = next(
+        (
+            e
+            for e in truth["effects"]
+            if e["effect"] == of or (not of and EFFECTS[e["effect"]].family == "law")
+        ),
+        None,
+    )
     laws = {law["effect"]: law for law in found["laws"]}
     claimed = [f for f in found["findings"] if f["effect"] in laws and f["certainty"] != "possible"]
     own = [f for f in claimed if true is not None and f["joint"] == true["joint"]]
     seen = {_plain(s) for f in own for s in laws[f["effect"]]["signals"]}
-    wanted = {_plain(s) for s in true["law"]["signals"]} if true is not None else set()
+    wanted = set() if true is None else {_plain(s) for s in true["law"].get("signals", ())}
     error = {} if true is None else _function_errors(store, name, true)
     removed = {}
     for role in ("test", "extrapolate") if true is not None else ():
@@ -141,7 +161,7 @@ def _function_errors(store: Store, name: str, true: dict[str, Any]) -> dict[str,
     Nominal values within tolerance count on neither side: what the simulator added to the healthy
     robot is compared with what the findings add to the nominal model.
     """
-    kind = "link_position" if true["effect"] == "softening_by_heat" else "torque"
+    kind = "link_position" if true["effect"] in IN_THE_LINK else "torque"
     column = f"{'ql' if kind == 'link_position' else 'tau'}{true['joint']}"
     exact, joint = store.oracle_predictions(name), true["joint"] - 1
     recordings = load_recordings(store.case(name))
