@@ -11,7 +11,7 @@ from typing import Literal
 
 import numpy as np
 
-from stiffopt.discovery.effect import Amplitude, Effect, Shape, Term
+from stiffopt.discovery.effect import Amplitude, Effect, RobotChange, Shape, Term
 from stiffopt.discovery.laws.forms import FORMS, Form, SignalRange
 from stiffopt.discovery.laws.sources import LawSource
 from stiffopt.discovery.signals import JointSignals, RobotSignals
@@ -312,6 +312,15 @@ def law_effect(law: Law, amplitudes: Sequence[float]) -> Effect:
             )
         ),
         separate=describe_test(law),
+        change_robot=_leave_robot,
+    )
+
+
+def _leave_robot(robot: object, finding: object, joint: int, constants: object) -> RobotChange:
+    """Return no changed robot: that of a planner has no place for a law."""
+    return RobotChange(
+        None,
+        "a law beyond the catalogue, which the planner's robot has no place for: keep a margin",
     )
 
 
