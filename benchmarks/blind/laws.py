@@ -20,6 +20,12 @@ from typing import Any
 import numpy as np
 
 from benchmarks.simulator import EFFECTS
+from stiffopt.discovery.comparison.located_effect import Extension
+from stiffopt.discovery.extended.model import load_extended
+from stiffopt.discovery.prediction import Predictor
+from stiffopt.discovery.settings import Settings
+from stiffopt.discovery.training import prepare_training
+from stiffopt.recording.recording_set import load_recordings
 
 from .cases import make_planned
 from .key import Key, key_under_test
@@ -35,6 +41,11 @@ SEVERITIES = (1.0, 1.5, 3.0, 6.0)
 WITH_CATALOGUE = 1.0 / 3.0
 TIMEOUT = 900.0  # [s]
 MOVING = 0.03  # slower than this, dry friction has no definite value [rad/s]
+# Effects that the link encoders show; all others, the torque.
+IN_THE_LINK = frozenset(
+    {"softening_by_heat", "backlash", "stiffness_linear", "k1_softening", "preload_loss"}
+    | {"belt_creep", "hysteresis", "transmission_error", "encoder_offset", "encoder_skew"}
+)
 # A function is found within this error over the range met, root mean square over its own.
 CLOSE = 0.1
 
@@ -74,8 +85,8 @@ class Scored:
     joint, signals : bool
         Of a claimed law, as in the truth.
     error : dict of str to float
-        By role: root mean square of what the answer adds less what is missing, over the latter, in
-        the law's channel.
+        By role: root mean square of what the findings add less what is missing, over the latter,
+        in the law's channel.
     removed : dict of str to float
         By role: share of the excess of the squared residual over the oracle's that is gone.
     seconds : float
@@ -92,23 +103,38 @@ class Scored:
     seconds: float
 
 
-def score(store: Store, name: str) -> Scored | None:
-    """Score an answered case; None without an answer."""
+def score(store: Store, name: str, of: str = "") -> Scored | None:
+    """Score an answered case; None without an answer.
+
+    Parameters
+    ----------
+    store : Store
+    name : str
+    of : str
+        Effect that counts as the law; default: that of the family of laws.
+    """
     path = store.answer(name) / "diagnosis.json"
     if not path.exists():
         return None
     found = json.loads(path.read_text())
     truth = json.loads(store.truth(name).read_text())
     oracle = json.loads(store.oracle(name).read_text())
-    true = next((e for e in truth["effects"] if EFFECTS[e["effect"]].family == "law"), None)
+    true = next(
+        (
+            e
+            for e in truth["effects"]
+            if e["effect"] == of or (not of and EFFECTS[e["effect"]].family == "law")
+        ),
+        None,
+    )
     laws = {law["effect"]: law for law in found["laws"]}
     claimed = [f for f in found["findings"] if f["effect"] in laws and f["certainty"] != "possible"]
     own = [f for f in claimed if true is not None and f["joint"] == true["joint"]]
     seen = {_plain(s) for f in own for s in laws[f["effect"]]["signals"]}
-    wanted = {_plain(s) for s in true["law"]["signals"]} if true is not None else set()
-    error, removed = {}, {}
+    wanted = set() if true is None else {_plain(s) for s in true["law"].get("signals", ())}
+    error = {} if true is None else _function_errors(store, name, true)
+    removed = {}
     for role in ("test", "extrapolate") if true is not None else ():
-        error[role] = _function_error(store, name, true, role)
         before, after = (found["fit"][role][key] ** 2 for key in ("nrmse_before", "nrmse_after"))
         removed[role] = (before - after) / max(before - oracle[role] ** 2, 1e-9)
     return Scored(
@@ -129,26 +155,41 @@ def _plain(symbol: str) -> str:
     return re.sub(r"sg\((\w+)\)", r"\1", symbol)
 
 
-def _function_error(store: Store, name: str, true: dict[str, Any], role: str) -> float:
-    """Error of what an answer adds to the nominal model, over the range that was met."""
-    column = f"{'ql' if true['effect'] == 'softening_by_heat' else 'tau'}{true['joint']}"
-    exact, answered = store.oracle_predictions(name), store.answer(name)
-    wrong = whole = 0.0
-    start = "test" if role == "test" else "extrap"
-    for path in sorted(exact.glob(f"pred_{start}*.npz")):
-        run = path.stem.removeprefix("pred_")
-        meant = np.load(path)[column] - np.load(exact / f"nominal_{run}.npz")[column]
-        added = (
-            np.load(answered / f"pred_after_{run}.npz")[column]
-            - np.load(answered / f"pred_before_{run}.npz")[column]
+def _function_errors(store: Store, name: str, true: dict[str, Any]) -> dict[str, float]:
+    """Error by role of the effects of an answer, over the range that was met.
+
+    Nominal values within tolerance count on neither side: what the simulator added to the healthy
+    robot is compared with what the findings add to the nominal model.
+    """
+    kind = "link_position" if true["effect"] in IN_THE_LINK else "torque"
+    column = f"{'ql' if kind == 'link_position' else 'tau'}{true['joint']}"
+    exact, joint = store.oracle_predictions(name), true["joint"] - 1
+    recordings = load_recordings(store.case(name))
+    model = load_extended(store.answer(name) / "extended.toml")
+    training = prepare_training(recordings, Settings())
+    found = Extension(effects=model.extension.effects)
+    sums: dict[str, list[float]] = {}
+    for entry in recordings.with_role("test", "extrapolate"):
+        run = recordings.open(entry)
+        predictor = Predictor(
+            training.robot, run, model.scaled(training.constants), training.settings
         )
-        moving = np.ones(len(meant), dtype=bool)
-        if column.startswith("tau"):
-            speed = np.load(store.case(name) / f"{run}.npz")[f"qd{true['joint']}"]
-            moving = np.abs(speed[: len(meant)]) >= MOVING
-        wrong += float(np.sum((added - meant)[moving] ** 2))
-        whole += float(np.sum(meant[moving] ** 2))
-    return float(np.sqrt(wrong / max(whole, 1e-300)))
+        before, after = predictor.predict_each([(), (found,)])
+        added = (getattr(after, kind) - getattr(before, kind))[:, joint]
+        meant = (
+            np.load(exact / f"pred_{run.name}.npz")[column]
+            - np.load(exact / f"healthy_{run.name}.npz")[column]
+        )
+        count = min(len(added), len(meant))
+        moving = np.ones(count, dtype=bool)
+        if kind == "torque":
+            moving = np.abs(predictor.velocity[:count, joint]) >= MOVING
+        wrong, whole = sums.setdefault(run.role, [0.0, 0.0])
+        sums[run.role] = [
+            wrong + float(np.sum((added[:count] - meant[:count])[moving] ** 2)),
+            whole + float(np.sum(meant[:count][moving] ** 2)),
+        ]
+    return {role: float(np.sqrt(a / max(b, 1e-300))) for role, (a, b) in sums.items()}
 
 
 def page(rows: list[Scored], key: Key) -> str:

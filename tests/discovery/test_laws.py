@@ -20,7 +20,7 @@ from stiffopt.discovery.laws import operators
 from stiffopt.discovery.laws.forms import FORMS, SignalRange
 from stiffopt.discovery.laws.law import Factor, Law, law_effect, law_of
 from stiffopt.discovery.laws.law_file import law_file_text
-from stiffopt.discovery.laws.sources import SOURCE_KINDS, Source
+from stiffopt.discovery.laws.sources import SOURCE_KINDS, LawSource
 from stiffopt.discovery.laws.table import table_of
 from stiffopt.discovery.user_effects import (
     find_faults,
@@ -33,11 +33,11 @@ from stiffopt.errors import InputFileError
 
 EXTENT = SignalRange(low=-0.7, high=0.9, duration=6.0, rate=20.0, peaks=(0.7,))
 EVERY = [(kind, form) for kind, own in SOURCE_KINDS.items() for form in own.forms]
-SIGN = Factor(Source("direction", 4), "linear")
+SIGN = Factor(LawSource("direction", 4), "linear")
 
 
 def law_with(kind: str, form: str, base: tuple[Factor, ...] = (SIGN,)) -> Law:
-    source = Source(kind, 2 if SOURCE_KINDS[kind].per_joint else None)
+    source = LawSource(kind, 2 if SOURCE_KINDS[kind].per_joint else None)
     return Law(4, "drive_torque", (*base, next(Factor(source, form).starts(EXTENT))))
 
 
@@ -164,7 +164,7 @@ def test_friction_by_the_angle_of_another_joint_is_found() -> None:
     assert found.refusal == ""
     assert found.best is not None
     sources = {factor.source for factor in found.best.law.factors}
-    assert sources == {Source("direction", 4), Source("position", 1)}
+    assert sources == {LawSource("direction", 4), LawSource("position", 1)}
     assert found.explained > 0.95
 
 
@@ -174,7 +174,7 @@ def test_shapes_are_fitted_to_their_true_values() -> None:
 
     channel = KnownChannel(content, noise=0.1)
     start = Law(
-        4, "drive_torque", (Factor(Source("speed", 2), "saturating", (2.0,), ((0.05, 9.0),)),)
+        4, "drive_torque", (Factor(LawSource("speed", 2), "saturating", (2.0,), ((0.05, 9.0),)),)
     )
     found = fit_shapes(channel, start, 1)
     assert found.law.shapes[0] == pytest.approx(0.8, rel=0.01)
@@ -210,7 +210,7 @@ def test_a_law_is_read_from_an_extended_model_without_code(tmp_path) -> None:
     law = Law(
         1,
         "drive_torque",
-        (Factor(Source("direction", 1), "linear"), *law_with("position", "step", ()).factors),
+        (Factor(LawSource("direction", 1), "linear"), *law_with("position", "step", ()).factors),
     )
     text = _format_effect(
         EstimatedEffect(
@@ -266,6 +266,6 @@ def test_what_no_law_explains_is_kept_as_a_table_within_its_range(tmp_path) -> N
     read = [table_of(each.effect) for each in model.extension.effects]
     assert [t.values for t in read] == [t.values for t in tables]
     # Beyond the range that was seen the table is constant.
-    beyond = replace(tables[0], source=Source("session_time"), carrier=())
+    beyond = replace(tables[0], source=LawSource("session_time"), carrier=())
     far = SimpleNamespace(session_time=np.array([-1e6, 1e6]))
     assert list(beyond.value(far)) == [beyond.values[0], beyond.values[-1]]

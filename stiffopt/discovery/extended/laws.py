@@ -11,7 +11,7 @@ from stiffopt.discovery.effect import Effect
 from stiffopt.discovery.extended.schema import EffectSection, LawFactorSection, ResidualSection
 from stiffopt.discovery.laws.forms import FORMS
 from stiffopt.discovery.laws.law import Factor, Law, law_effect
-from stiffopt.discovery.laws.sources import SOURCE_KINDS, Source
+from stiffopt.discovery.laws.sources import SOURCE_KINDS, LawSource
 from stiffopt.discovery.laws.table import ResidualTable
 from stiffopt.errors import InputFileError, nearest
 
@@ -72,5 +72,5 @@ def _read_factor(section: LawFactorSection, joints: int, path: object, where: st
             path, f"{where}.bounds", f"needs one pair for each of: {', '.join(shapes) or 'none'}."
         )
     middle = tuple(0.5 * (low + high) for low, high in section.bounds)
-    source = Source(section.signal, None if given is None else given - 1)
+    source = LawSource(section.signal, None if given is None else given - 1)
     return Factor(source, section.form, middle, section.bounds)

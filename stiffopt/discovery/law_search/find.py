@@ -17,19 +17,24 @@ from stiffopt.discovery.law_search.open_channel import OpenChannel
 from stiffopt.discovery.law_search.search import (
     ChannelLaw,
     beats,
-    family_width,
     search_channel,
 )
 from stiffopt.discovery.laws.law import LAW_FAMILY, Law, law_effect
 from stiffopt.discovery.laws.table import ResidualTable
 from stiffopt.discovery.search.candidates import Scorer
-from stiffopt.discovery.search.joint_fit import prune_effects
+from stiffopt.discovery.search.joint_fit import passes_thresholds, prune_effects
 from stiffopt.discovery.search.rivals import Selected
 from stiffopt.discovery.search.search import SearchResult
-from stiffopt.discovery.thresholds import UNEXPLAINED_RATIO
+from stiffopt.discovery.thresholds import FAINT_RATIO, UNEXPLAINED_RATIO
 
 # Share of the excess in parts left out from which a free function is kept as a table.
 MIN_KEPT_SHARE = 0.3
+# Log evidence within which laws are told apart no better than 20 to one, and the share of the
+# evidence by which inexact forms overestimate it.
+_FAMILY_LOG_ODDS, _FAMILY_TEMPERING = 3.0, 0.01
+# Relative difference of two functions, root mean square over the range met, below which they are
+# one law.
+SAME_FUNCTION = 0.07
 # Laws that are added at most, and channels without one after which the search ends.
 MAX_LAWS, _MAX_REFUSED = 3, 2
 
@@ -179,31 +184,59 @@ def _describe_refusal(outcome: ChannelLaw, joints: int) -> RefusedChannel:
     )
 
 
+@dataclass(frozen=True, eq=False)
+class _Ranked:
+    """A law at a place, with its evidence over all channels and its contribution (m,) to them."""
+
+    evidence: float
+    law: Law
+    located: LocatedEffect
+    rows: np.ndarray
+
+    def is_same_as(self, other: _Ranked) -> bool:
+        """Return True where both are one function of the same signals, in other words."""
+        signals = [{f.source for f in each.law.factors} for each in (self, other)]
+        apart = float(np.sum((self.rows - other.rows) ** 2))
+        return signals[0] == signals[1] and apart < SAME_FUNCTION**2 * float(np.sum(other.rows**2))
+
+
 class _State:
     """Findings so far, to which a law is added."""
 
     def __init__(self, comparison: Comparison, kept: Sequence[Selected]) -> None:
         self.comparison, self.kept = comparison, list(kept)
         self.effects = [each.located for each in kept]
-        self._rivals: list[LocatedEffect] = []
-        self._evidence = np.zeros(1)
+        self._ranked: list[_Ranked] = []
+        self._dropped: list[LocatedEffect] = []
 
     def open_channels(self) -> list[int]:
-        """Return the channels with more than noise, the worst first."""
-        fit = self.comparison.fit(self.effects)
+        """Return the channels with more than noise, torques first, the worst first.
+
+        A torque on a link winds up its joint too, a deflection does not change the torque.
+        """
+        fit, n = self.comparison.fit(self.effects), self.comparison.robot.n
         beyond = np.nan_to_num(self.comparison.channel_ratio(fit.residual) / self.comparison.least)
-        return [int(c) for c in np.argsort(-beyond) if beyond[c] > UNEXPLAINED_RATIO]
+        # Findings may stand for a law, and leave little of it.
+        joints = [each.channel % n for each in self.kept if _is_replaceable(each)]
+        least = [FAINT_RATIO if c % n in joints else UNEXPLAINED_RATIO for c in range(2 * n)]
+        found = [int(c) for c in np.argsort(-beyond) if beyond[c] > least[c]]
+        return sorted(found, key=lambda c: c >= n)
 
     def search(self, number: int, *, is_open: bool) -> ChannelLaw:
         """Search a channel for a law in place of its findings or, where it is open, beside them."""
-        own = [each.located for each in self.kept if _is_replaceable(each, number)]
+        n = self.comparison.robot.n
+        own = [
+            each.located
+            for each in self.kept
+            if each.channel % n == number % n and _is_replaceable(each)
+        ]
         beside = OpenChannel(self.comparison, self.effects, number)
         if own:
             others = [e for e in self.effects if e not in own]
             apart = OpenChannel(self.comparison, others, number)
             outcome = search_channel(apart)
-            if outcome.best is not None and beats(apart, outcome.best, beside.square):
-                self.effects = others
+            if outcome.best is not None and beats(apart, outcome.best, beside.square, own):
+                self.effects, self._dropped = others, own
                 return outcome
             if not is_open:
                 return replace(outcome, best=None, refusal="findings of the catalogue do as well")
@@ -212,27 +245,22 @@ class _State:
     def add(self, outcome: ChannelLaw) -> FoundLaw | None:
         """Fit a law beside the effects; None where they leave it nothing."""
         assert outcome.best is not None
-        law, located = _choose_place(Scorer(self.comparison, self.effects), outcome.best)
-        if located is None:
+        # The noise is that beside a law: beside none, all laws would seem equally good.
+        first = self._named(outcome.best.law, outcome.best.fit.amplitudes.tolist())
+        beside = self.comparison.linearised_at(self.comparison.fit([*self.effects, first]))
+        ranked = self._rank_places(beside, (outcome.best, *outcome.near))
+        if not ranked:
             return None
-        same = sum(each.effect.name.startswith(located.effect.name) for each in self.effects)
-        if same:
-            renamed = replace(located.effect, name=f"{located.effect.name}_{same + 1}")
-            located = replace(located, effect=renamed)
+        law, located = ranked[0].law, ranked[0].located
         effects = [*self.effects, located]
         current = self.comparison.linearised_at(self.comparison.fit(effects))
         kept = prune_effects(current, effects)
         if located not in kept:
             return None
+        kept = self._restore(current, kept)
         self.comparison = current.linearised_at(current.fit(kept))
         self.effects = kept
-        self._rivals = [
-            _locate(replace(each.law, place=law.place), each.fit.amplitudes)
-            for each in outcome.family
-        ]
-        self._evidence = np.array(
-            [outcome.best.evidence, *(each.evidence for each in outcome.family)]
-        )
+        self._ranked = ranked
         return FoundLaw(
             law=law,
             located=located,
@@ -242,6 +270,53 @@ class _State:
             tried=outcome.best.tried,
             evidence=outcome.best.evidence,
         )
+
+    def _restore(self, comparison: Comparison, effects: list[LocatedEffect]) -> list[LocatedEffect]:
+        """Return effects with findings that the law took the place of but does not explain."""
+        for each in self._dropped:
+            scorer = Scorer(comparison, effects)
+            scored = scorer.score(each)
+            if scored is not None and passes_thresholds(scored, scorer):
+                effects = [*effects, each]
+        return effects
+
+    def _named(self, law: Law, amplitudes: Sequence[float]) -> LocatedEffect:
+        """Return a law as an effect at its joint, with a name of its own."""
+        effect = law_effect(law, amplitudes)
+        same = sum(each.effect.name.startswith(effect.name) for each in self.effects)
+        if same:
+            effect = replace(effect, name=f"{effect.name}_{same + 1}")
+        return LocatedEffect(effect=effect, joint=law.joint, shapes=law.shapes)
+
+    def _rank_places(self, comparison: Comparison, fitted: Sequence[FittedLaw]) -> list[_Ranked]:
+        """Return laws where they act best, with their evidence over all channels, the best first.
+
+        A torque acts on the motor, or on the link, which winds up the joint too.
+        """
+        scorer = Scorer(comparison, self.effects)
+        size = len(comparison.target)
+        found: list[_Ranked] = []
+        for each in fitted:
+            places = [each.law.place]
+            if each.law.place == "drive_torque" and comparison.robot.elastic:
+                places.append("link_torque")
+            for place in places:
+                law = replace(each.law, place=place)
+                located = self._named(law, each.fit.amplitudes.tolist())
+                candidate = scorer.score(located)
+                if candidate is not None:
+                    price = 0.5 * len(law.shapes) * np.log(size)
+                    rows = comparison.effect_columns(located) @ candidate.amplitudes
+                    found.append(_Ranked(candidate.evidence - float(price), law, located, rows))
+        width = _width(max((each.evidence for each in found), default=0.0))
+        odds = {id(each): each.evidence / width + each.law.log_prior for each in found}
+        kept: list[_Ranked] = []
+        for own in sorted(found, key=lambda each: -odds[id(each)]):
+            if kept and odds[id(kept[0])] - odds[id(own)] >= _FAMILY_LOG_ODDS:
+                break
+            if not any(own.is_same_as(other) for other in kept):
+                kept.append(own)
+        return kept
 
     def answer(self, result: SearchResult) -> SearchResult:
         """Return the result with the law, and without effects that it makes superfluous."""
@@ -255,14 +330,17 @@ class _State:
             scored = Scorer(self.comparison, others).score(located)
             if scored is None:
                 continue
-            own, *theirs = softmax(self._evidence / family_width(self._evidence[0])).tolist()
+            evidence = np.array([each.evidence for each in self._ranked])
+            priors = np.array([each.law.log_prior for each in self._ranked])
+            own, *theirs = softmax(evidence / _width(evidence.max()) + priors).tolist()
+            rivals = [each.located for each in self._ranked[1:]]
             selected.append(
                 Selected(
                     located=located,
                     loss=scored.evidence,
                     deviations=scored.deviations,
                     probability=own,
-                    rivals=tuple(zip(self._rivals, theirs, strict=True)),
+                    rivals=tuple(zip(rivals, theirs, strict=True)),
                     channel=scored.channel,
                 )
             )
@@ -276,29 +354,12 @@ class _State:
         )
 
 
-def _is_replaceable(selected: Selected, channel: int) -> bool:
-    """Return True for a finding of a channel that a law could take the place of."""
+def _width(evidence: float) -> float:
+    """Return the unit in which evidences of laws differ: inexact forms overestimate them."""
+    return max(1.0, _FAMILY_TEMPERING * evidence)
+
+
+def _is_replaceable(selected: Selected) -> bool:
+    """Return True for a finding that a law could take the place of."""
     located = selected.located
-    law = located.effect.family == LAW_FAMILY
-    return selected.channel == channel and not located.calibrated and not law
-
-
-def _locate(law: Law, amplitudes: Sequence[float]) -> LocatedEffect:
-    return LocatedEffect(effect=law_effect(law, amplitudes), joint=law.joint, shapes=law.shapes)
-
-
-def _choose_place(scorer: Scorer, best: FittedLaw) -> tuple[Law, LocatedEffect | None]:
-    """Return a law where it acts: on the motor, or on the link, which winds up the joint too."""
-    places = ("drive_torque", "link_torque")
-    laws = [best.law]
-    if best.law.place in places and scorer.comparison.robot.elastic:
-        laws = [replace(best.law, place=place) for place in places]
-    scored = []
-    for law in laws:
-        found = scorer.score(_locate(law, best.fit.amplitudes))
-        if found is not None:
-            scored.append((found.evidence, law, found.located))
-    if not scored:
-        return best.law, None
-    _, law, located = max(scored, key=lambda each: each[0])
-    return law, located
+    return not located.calibrated and located.effect.family != LAW_FAMILY

@@ -11,9 +11,9 @@ from stiffopt.discovery.law_search.open_channel import Fitted, OpenChannel
 from stiffopt.discovery.laws.law import Law
 
 # Gauss-Newton steps, halvings of a step that does not improve, and the relative decrease that ends.
-_MAX_STEPS, _MAX_HALVINGS, _TOLERANCE = 12, 5, 1e-5
+_MAX_STEPS, _MAX_HALVINGS, _STEP_TOLERANCE = 12, 5, 1e-5
 # Damping of a step over the squares of its slopes.
-_DAMPING = 1e-4
+_STEP_DAMPING = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +66,8 @@ def as_fitted(channel: OpenChannel, law: Law, fit: Fitted, tried: int) -> Fitted
     """Return a law with its evidence."""
     parameters = law.amplitude_count + len(law.shapes)
     left = channel.square - fit.removed
-    return FittedLaw(law, fit, tried, log_evidence(channel, left, parameters, tried))
+    evidence = log_evidence(channel, left, parameters, tried) + law.log_prior
+    return FittedLaw(law, fit, tried, evidence)
 
 
 def fit_shapes(channel: OpenChannel, law: Law, tried: int) -> FittedLaw:
@@ -87,7 +88,7 @@ def fit_shapes(channel: OpenChannel, law: Law, tried: int) -> FittedLaw:
             step, found = 0.4 * step, None
         if found is None:
             break
-        settled = found.fit.removed - best.fit.removed < _TOLERANCE * found.fit.removed
+        settled = found.fit.removed - best.fit.removed < _STEP_TOLERANCE * found.fit.removed
         best = found
         if settled:
             break
@@ -102,7 +103,7 @@ def _gauss_newton_step(channel: OpenChannel, best: FittedLaw, size: np.ndarray) 
     along, _ = np.linalg.qr(columns)
     free = slopes - along @ (along.T @ slopes)
     gram = free.T @ free
-    damping = _DAMPING * np.diag(np.diag(gram)) + 1e-12 * np.eye(len(gram))
+    damping = _STEP_DAMPING * np.diag(np.diag(gram)) + 1e-12 * np.eye(len(gram))
     return np.asarray(size * np.linalg.solve(gram + damping, free.T @ residual))
 
 

@@ -11,13 +11,13 @@ from scipy.interpolate import BSpline
 
 from stiffopt.discovery.law_search.open_channel import OpenChannel
 from stiffopt.discovery.laws.law import Factor
-from stiffopt.discovery.laws.sources import Source
+from stiffopt.discovery.laws.sources import LawSource
 from stiffopt.discovery.laws.table import ResidualTable
 
 # Pairs of signals whose products are tried as splines times a signal.
 _MAX_PRODUCTS = 4
 # Inner knots of a spline, its degree, and its ridge over the mean square of its columns.
-_KNOT_COUNT, _DEGREE, _RIDGE = 7, 3, 1e-3
+_KNOT_COUNT, _SPLINE_DEGREE, _RELATIVE_RIDGE = 7, 3, 1e-3
 # Points of a table of such a function.
 _TABLE_POINTS = 25
 # Maximum number of splines in a sum, and the least share of the left squares that one more removes.
@@ -26,7 +26,7 @@ _MAX_TERMS, _MIN_RELATIVE_GAIN = 3, 0.03
 
 @dataclass(frozen=True, eq=False)
 class Carrier:
-    """What a free function of a signal is multiplied with.
+    """Factor of a free function of a signal.
 
     Parameters
     ----------
@@ -44,7 +44,7 @@ class FreeTerm:
     Parameters
     ----------
     carrier : Carrier
-    source : Source
+    source : LawSource
     columns : array (m, k)
         Projected rows.
     left : float
@@ -52,7 +52,7 @@ class FreeTerm:
     """
 
     carrier: Carrier
-    source: Source
+    source: LawSource
     columns: np.ndarray
     left: float
 
@@ -60,17 +60,17 @@ class FreeTerm:
 def carriers(channel: OpenChannel) -> list[Carrier]:
     """Return the carriers of a channel: 1, and simple functions of the joint's own signals."""
     j = channel.joint
-    load = Factor(Source("load", j), "linear")
+    load = Factor(LawSource("load", j), "linear")
     if channel.kind == "deflection":
         return [Carrier(()), Carrier((load,))]
-    sign = Factor(Source("direction", j), "linear")
+    sign = Factor(LawSource("direction", j), "linear")
     return [
         Carrier(()),
         Carrier((sign,)),
-        Carrier((Factor(Source("speed", j), "linear"),)),
+        Carrier((Factor(LawSource("speed", j), "linear"),)),
         Carrier((load,)),
-        Carrier((sign, Factor(Source("load", j), "magnitude"))),
-        Carrier((Factor(Source("acceleration", j), "linear"),)),
+        Carrier((sign, Factor(LawSource("load", j), "magnitude"))),
+        Carrier((Factor(LawSource("acceleration", j), "linear"),)),
     ]
 
 
@@ -105,7 +105,7 @@ def screen_products(channel: OpenChannel) -> list[FreeTerm]:
 
 
 def screen(
-    channel: OpenChannel, base: Sequence[Factor] = (), sources: Sequence[Source] = ()
+    channel: OpenChannel, base: Sequence[Factor] = (), sources: Sequence[LawSource] = ()
 ) -> list[FreeTerm]:
     """Return free functions of every signal times every carrier, the best first.
 
@@ -114,7 +114,7 @@ def screen(
     channel : OpenChannel
     base : sequence of Factor
         Factors that take the place of the carriers.
-    sources : sequence of Source
+    sources : sequence of LawSource
         Default: all that vary.
     """
     found = []
@@ -140,7 +140,7 @@ def screen(
     return sorted(found, key=lambda term: term.left)
 
 
-def _inner_knots(channel: OpenChannel, source: Source) -> np.ndarray:
+def _inner_knots(channel: OpenChannel, source: LawSource) -> np.ndarray:
     """Return knots at quantiles of a signal over all runs."""
     values = [np.asarray(source.value(run.signals)) for run in channel.comparison.runs]
     return np.unique(np.quantile(np.concatenate(values), np.linspace(0.0, 1.0, _KNOT_COUNT)))
@@ -150,9 +150,9 @@ def _splines_at(inner: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Return cubic B-splines (K, k) at values of a signal."""
     if len(inner) < 2 or not inner[-1] > inner[0]:
         return np.ones((len(values), 1))
-    knots = np.concatenate([[inner[0]] * _DEGREE, inner, [inner[-1]] * _DEGREE])
+    knots = np.concatenate([[inner[0]] * _SPLINE_DEGREE, inner, [inner[-1]] * _SPLINE_DEGREE])
     inside = np.clip(values, inner[0], np.nextafter(inner[-1], inner[0]))
-    return np.asarray(BSpline.design_matrix(inside, knots, _DEGREE).toarray())
+    return np.asarray(BSpline.design_matrix(inside, knots, _SPLINE_DEGREE).toarray())
 
 
 def residual_tables(channel: OpenChannel, terms: Sequence[FreeTerm]) -> tuple[ResidualTable, ...]:
@@ -161,7 +161,7 @@ def residual_tables(channel: OpenChannel, terms: Sequence[FreeTerm]) -> tuple[Re
         return ()
     columns = np.hstack([term.columns for term in terms])
     scale = np.sqrt(np.mean(columns**2, axis=0)) + 1e-12
-    ridge = _RIDGE * len(columns) * np.eye(columns.shape[1]) / columns.shape[1]
+    ridge = _RELATIVE_RIDGE * len(columns) * np.eye(columns.shape[1]) / columns.shape[1]
     scaled = columns / scale
     weights = np.linalg.solve(scaled.T @ scaled + ridge, scaled.T @ channel.target) / scale
     tables = []
@@ -186,7 +186,7 @@ def predict(channel: OpenChannel, columns: np.ndarray) -> np.ndarray:
     """Return the squares (b,) left in every block by a ridge fit to the others."""
     scale = np.sqrt(np.mean(columns**2, axis=0)) + 1e-12
     columns = columns / scale
-    ridge = _RIDGE * len(columns) * np.eye(columns.shape[1]) / columns.shape[1]
+    ridge = _RELATIVE_RIDGE * len(columns) * np.eye(columns.shape[1]) / columns.shape[1]
     gram, moment = columns.T @ columns, columns.T @ channel.target
     blocks = int(channel.block.max()) + 1
     left = np.empty(blocks)

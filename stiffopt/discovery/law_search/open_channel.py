@@ -13,13 +13,13 @@ from stiffopt.discovery.comparison.comparison import Comparison
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.laws.forms import SignalRange
 from stiffopt.discovery.laws.law import Law
-from stiffopt.discovery.laws.sources import SOURCE_KINDS, Source
+from stiffopt.discovery.laws.sources import SOURCE_KINDS, LawSource
 
 # Frequencies of a wave: step over the inverse duration, largest one over the rate of the rows,
 # peaks of single runs whose surroundings are searched, and steps of such a search either way.
 _FREQUENCY_STEP, _MAX_FREQUENCY, _WAVE_PEAKS, _MAX_FINE_STEPS = 0.25, 0.4, 3, 4000
 # Ridge of a fit to rows of unit noise, over the mean square of its columns.
-_RIDGE = 1e-9
+_RELATIVE_RIDGE = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,8 +100,8 @@ class OpenChannel:
         return max(self.square - len(self.target), 1e-9)
 
     def share(self, left: float) -> float:
-        """Return the share of the excess that is gone where so many squares are left."""
-        return (self.square - left) / self.excess
+        """Return the share of the excess that is gone where so many squares are left; at most 1."""
+        return min((self.square - left) / self.excess, 1.0)
 
     # ---- columns
 
@@ -139,15 +139,15 @@ class OpenChannel:
     # ---- signals
 
     @cached_property
-    def sources(self) -> tuple[Source, ...]:
+    def sources(self) -> tuple[LawSource, ...]:
         """Signals that vary in the recordings."""
         found = []
         for kind, own in SOURCE_KINDS.items():
             joints = range(self.comparison.robot.n) if own.per_joint else (None,)
-            found += [Source(kind, joint) for joint in joints]
+            found += [LawSource(kind, joint) for joint in joints]
         return tuple(s for s in found if self.extent(s).span > 1e-9 * self.extent(s).size)
 
-    def extent(self, source: Source) -> SignalRange:
+    def extent(self, source: LawSource) -> SignalRange:
         """Return the range of a signal in the runs."""
         runs = self.comparison.runs
         ends = [(float(v.min()), float(v.max())) for v in (source.value(r.signals) for r in runs)]
@@ -158,7 +158,7 @@ class OpenChannel:
             rate=2.0 * runs[0].low_pass.cutoff,
         )
 
-    def frequencies(self, source: Source) -> tuple[float, ...]:
+    def frequencies(self, source: LawSource) -> tuple[float, ...]:
         """Return the likeliest frequencies of the residual over a clock [1 per its unit].
 
         Single runs tell a frequency roughly, whatever their phases; all of them together tell it as
@@ -198,7 +198,7 @@ class OpenChannel:
             part = columns[self.block == b]
             grams[b], moments[b] = part.T @ part, part.T @ self.target[self.block == b]
         gram, moment = grams.sum(axis=0), moments.sum(axis=0)
-        ridge = np.diag(_RIDGE * np.diag(gram) + 1e-300)
+        ridge = np.diag(_RELATIVE_RIDGE * np.diag(gram) + 1e-300)
         covariance = np.linalg.inv(gram + ridge)
         amplitudes = covariance @ moment
         left, by_block = np.empty(blocks), np.empty_like(moments)

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.law_search.fit_law import FittedLaw, as_fitted, fit_shapes, score_starts
 from stiffopt.discovery.law_search.free_function import (
     FreeTerm,
@@ -16,8 +17,8 @@ from stiffopt.discovery.law_search.free_function import (
 )
 from stiffopt.discovery.law_search.open_channel import OpenChannel
 from stiffopt.discovery.laws.forms import FORMS
-from stiffopt.discovery.laws.law import Factor, Law
-from stiffopt.discovery.laws.sources import Source
+from stiffopt.discovery.laws.law import Factor, Law, Place
+from stiffopt.discovery.laws.sources import LawSource
 from stiffopt.discovery.thresholds import NAMED_EVIDENCE
 
 # Pairs of carrier and signal whose forms are tried: the best ones that explain at least this share
@@ -30,13 +31,11 @@ _ENOUGH_SHARE = 0.97
 # Least share of the excess that a law explains in blocks left out, over all of it and over what
 # free functions of any signals explain there.
 MIN_EXPLAINED, MIN_SHARE_OF_FREE = 0.5, 0.85
-# A law takes the place of findings of the catalogue where these leave this share of the excess:
-# less comes from formulas of the catalogue that nature follows nearly.
+# A law takes the place of a finding of the catalogue where this leaves so large a share of the
+# excess: less comes from formulas that nature follows nearly.
 MIN_LEFT_SHARE = 0.08
-# Log evidence within which laws are told apart no better than 20 to one, and the share of the
-# evidence by which inexact forms overestimate it.
-_FAMILY_LOG_ODDS, _FAMILY_TEMPERING = 3.0, 0.01
-_MAX_FAMILY = 4
+# Laws, the best one among them, that are compared over all channels.
+_MAX_NEAR = 6
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -48,8 +47,8 @@ class ChannelLaw:
     channel : OpenChannel
     best : FittedLaw or None
         The law; None where none holds.
-    family : tuple of FittedLaw
-        Other laws that the data do not tell apart from it.
+    near : tuple of FittedLaw
+        The likeliest other laws.
     explained : float
         Share of the excess that the best law explains in blocks left out, also if it does not hold.
     attainable : float
@@ -64,7 +63,7 @@ class ChannelLaw:
 
     channel: OpenChannel
     best: FittedLaw | None
-    family: tuple[FittedLaw, ...]
+    near: tuple[FittedLaw, ...]
     explained: float
     attainable: float
     free: tuple[FreeTerm, ...]
@@ -92,7 +91,7 @@ def search_channel(channel: OpenChannel) -> ChannelLaw:
     return ChannelLaw(
         channel=channel,
         best=None if refusal else best,
-        family=() if refusal else _family(found),
+        near=() if refusal else tuple(found[1:_MAX_NEAR]),
         explained=explained,
         attainable=max(attainable, explained),
         free=tuple(free),
@@ -128,12 +127,12 @@ def _fit_pairs(channel: OpenChannel, terms: Sequence[FreeTerm]) -> list[FittedLa
     return _fit_best(channel, laws)
 
 
-def _laws_of(channel: OpenChannel, base: Sequence[Factor], source: Source) -> list[Law]:
+def _laws_of(channel: OpenChannel, base: Sequence[Factor], source: LawSource) -> list[Law]:
     """Return the laws of one signal beside given factors, with all initial shapes."""
     extent = channel.extent(source)
     if "wave" in source.own.forms:
         extent = replace(extent, peaks=channel.frequencies(source))
-    place = "drive_torque" if channel.kind == "torque" else "deflection"
+    place: Place = "drive_torque" if channel.kind == "torque" else "deflection"
     return [
         Law(channel.joint, place, (*base, factor))
         for form in source.own.forms
@@ -169,11 +168,20 @@ def _ranked(found: Iterable[FittedLaw]) -> list[FittedLaw]:
     return sorted(found, key=lambda each: -each.evidence)
 
 
-def beats(channel: OpenChannel, best: FittedLaw, named: float) -> bool:
-    """Return True where a law in place of findings is likelier than these, which leave `named`."""
+def beats(
+    channel: OpenChannel, best: FittedLaw, named: float, findings: Sequence[LocatedEffect]
+) -> bool:
+    """Return True where a law in place of findings, which leave the squares `named`, is likelier.
+
+    Of one finding only where it leaves much: nature follows formulas of the catalogue nearly.
+    """
     m = len(channel.target)
     gain = 0.5 * m * np.log(max(named, m) / max(best.left, m))
-    return channel.share(named) < 1.0 - MIN_LEFT_SHARE and bool(gain > NAMED_EVIDENCE)
+    fewer = sum(len(e.effect.amplitudes) + len(e.shapes) for e in findings)
+    fewer -= best.law.amplitude_count + len(best.law.shapes)
+    if len(findings) == 1 and channel.share(named) > 1.0 - MIN_LEFT_SHARE:
+        return False
+    return bool(gain + 0.5 * fewer * np.log(m) > NAMED_EVIDENCE)
 
 
 def _refuse(channel: OpenChannel, best: FittedLaw, attainable: float) -> str:
@@ -206,16 +214,3 @@ def _recurs(channel: OpenChannel, best: FittedLaw) -> bool:
         if agreement <= 0.0 or best.fit.left[b] > float(goal @ goal):
             return False
     return True
-
-
-def _family(found: Sequence[FittedLaw]) -> tuple[FittedLaw, ...]:
-    """Return the laws beside the first that the data do not tell apart from it."""
-    best = found[0]
-    width = family_width(best.evidence)
-    near = [each for each in found[1:] if best.evidence - each.evidence < _FAMILY_LOG_ODDS * width]
-    return tuple(near[:_MAX_FAMILY])
-
-
-def family_width(evidence: float) -> float:
-    """Return the unit in which evidences of laws differ: inexact forms overestimate them."""
-    return max(1.0, _FAMILY_TEMPERING * evidence)

@@ -201,8 +201,8 @@ def _frequency_bounds(r: SignalRange) -> tuple[float, float]:
     return low, max(0.4 * r.rate, 2.0 * low)
 
 
-_S = FormShape(name="s", unit="signal", **_scale(0.1, 0.3, 1.0))
-_C = FormShape(name="c", unit="signal", **_centre(0.15, 0.35, 0.5, 0.65, 0.85))
+_SCALE_SHAPE = FormShape(name="s", unit="signal", **_scale(0.1, 0.3, 1.0))
+_PLACE_SHAPE = FormShape(name="c", unit="signal", **_centre(0.15, 0.35, 0.5, 0.65, 0.85))
 FORMS = {
     each.name: each
     for each in (
@@ -247,7 +247,7 @@ FORMS = {
             formulas=("np.tanh(x / s)",),
             words="with the {x}, up to a limit",
             symmetry="odd",
-            shapes=(_S,),
+            shapes=(_SCALE_SHAPE,),
             resembles="a clutch, a seal or a controller at its limit",
         ),
         Form(
@@ -255,35 +255,38 @@ FORMS = {
             formulas=("x**2 / (x**2 + s**2)",),
             words="with the magnitude of the {x}, up to a limit",
             symmetry="even",
-            shapes=(_S,),
+            shapes=(_SCALE_SHAPE,),
         ),
         Form(
             name="peaked",
-            formulas=("2.0 * s * x / (x**2 + s**2)",),
+            formulas=("x / s / (1.0 + np.exp(n * np.log(np.abs(x) / s + 1e-12)))",),
             words="with the {x} up to a peak, and falls beyond it",
             symmetry="odd",
-            shapes=(_S,),
+            shapes=(
+                _SCALE_SHAPE,
+                FormShape(name="n", unit="", **_fixed((2.0, 4.0), 1.1, 8.0)),
+            ),
             resembles="an eddy-current brake or a lubricant that thins",
         ),
         Form(
             name="step",
             formulas=("0.5 * (1.0 + np.tanh((x - c) / s))",),
             words="by a step at one value of the {x}",
-            shapes=(_C, FormShape(name="s", unit="signal", **_width(0.03, 0.15, 0.4))),
+            shapes=(_PLACE_SHAPE, FormShape(name="s", unit="signal", **_width(0.03, 0.15, 0.4))),
             resembles="a part that is touched or left at one place",
         ),
         Form(
             name="bump",
             formulas=("np.exp(-0.5 * ((x - c) / s) ** 2)",),
             words="near one value of the {x}",
-            shapes=(_C, FormShape(name="s", unit="signal", **_width(0.05, 0.2))),
+            shapes=(_PLACE_SHAPE, FormShape(name="s", unit="signal", **_width(0.05, 0.2))),
             resembles="a dent, a magnet or a tight place",
         ),
         Form(
             name="hinge_above",
             formulas=("0.5 * (x - c + np.sqrt((x - c) ** 2 + 1e-8))",),
             words="in proportion to the {x} above one value",
-            shapes=(_C,),
+            shapes=(_PLACE_SHAPE,),
             in_signal=True,
             resembles="a cable or spring that tightens from one place on",
         ),
@@ -291,7 +294,7 @@ FORMS = {
             name="hinge_below",
             formulas=("0.5 * (c - x + np.sqrt((x - c) ** 2 + 1e-8))",),
             words="in proportion to the {x} below one value",
-            shapes=(_C,),
+            shapes=(_PLACE_SHAPE,),
             in_signal=True,
             resembles="a cable or spring that tightens up to one place",
         ),

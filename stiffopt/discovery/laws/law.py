@@ -11,12 +11,14 @@ from typing import Literal
 
 import numpy as np
 
-from stiffopt.discovery.effect import Amplitude, Effect, Shape, Term
+from stiffopt.discovery.effect import Amplitude, Effect, RobotChange, Shape, Term
 from stiffopt.discovery.laws.forms import FORMS, Form, SignalRange
-from stiffopt.discovery.laws.sources import Source
+from stiffopt.discovery.laws.sources import LawSource
 from stiffopt.discovery.signals import JointSignals, RobotSignals
 from stiffopt.symbolic import Quantity
 
+# Log prior odds against each signal of another joint: one of ten or so, which move alike.
+FOREIGN_PRICE = 2.5
 # Family of the effects that are laws.
 LAW_FAMILY = "law"
 
@@ -37,7 +39,7 @@ class Factor:
 
     Parameters
     ----------
-    source : Source
+    source : LawSource
     form : str
         Key of `FORMS`.
     shapes : tuple of float
@@ -45,7 +47,7 @@ class Factor:
         Of the shapes.
     """
 
-    source: Source
+    source: LawSource
     form: str
     shapes: tuple[float, ...] = ()
     bounds: tuple[tuple[float, float], ...] = ()
@@ -105,6 +107,12 @@ class Law:
     def structure(self) -> tuple[object, ...]:
         """Joint, signals and forms, whatever the shapes."""
         return (self.joint, tuple((factor.source, factor.form) for factor in self.factors))
+
+    @property
+    def log_prior(self) -> float:
+        """Logarithm of its prior probability over that of a law of the joint's own signals."""
+        foreign = {f.source for f in self.factors if f.source.joint not in (None, self.joint)}
+        return -FOREIGN_PRICE * len(foreign)
 
     @property
     def amplitude_count(self) -> int:
@@ -213,7 +221,7 @@ class Law:
 
     @property
     def words(self) -> str:
-        """What it depends on, in words."""
+        """Channel and dependence in words."""
         parts = [f.own.words.format(x=f.source.words) for f in self.factors]
         where = _PLACE_WORDS[self.place].format(self.joint + 1)
         return f"{where} changes {', and '.join(parts)}"
@@ -243,7 +251,9 @@ def law_term(
     """Return the term of a law."""
     columns = law.columns(signals, shapes)
     value: Quantity = sum(a * c for a, c in zip(amplitudes, columns, strict=True))
-    return Term(**{law.place: at_joint(signals, value) if law.of_robot else value})
+    if isinstance(signals, RobotSignals):
+        value = at_joint(signals, value)
+    return Term(**{law.place: value})
 
 
 def at_joint(signals: RobotSignals, value: Quantity) -> Quantity:
@@ -302,6 +312,15 @@ def law_effect(law: Law, amplitudes: Sequence[float]) -> Effect:
             )
         ),
         separate=describe_test(law),
+        change_robot=_leave_robot,
+    )
+
+
+def _leave_robot(robot: object, finding: object, joint: int, constants: object) -> RobotChange:
+    """Return no changed robot: that of a planner has no place for a law."""
+    return RobotChange(
+        None,
+        "a law beyond the catalogue, which the planner's robot has no place for: keep a margin",
     )
 
 

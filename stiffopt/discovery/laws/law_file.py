@@ -10,7 +10,7 @@ from stiffopt.discovery.laws.law import Law, describe_test, resembled
 # (name of the effect, law, amplitudes, reported value and standard deviation by name)
 WrittenLaw = tuple[str, Law, Sequence[float], Mapping[str, tuple[float, float]]]
 
-_HEAD = '''"""Laws that a diagnosis of {name} found beyond the catalogue.
+_HEAD_TEMPLATE = '''"""Laws that a diagnosis of {name} found beyond the catalogue.
 
 Ask whether another robot has them too: stiffopt diagnose SET --effects law.py
 """
@@ -20,7 +20,7 @@ import numpy as np
 from stiffopt.discovery.effect import Amplitude, Effect, Shape, Term
 from stiffopt.discovery.laws.law import at_joint
 {operators}'''
-_LAW = '''
+_LAW_TEMPLATE = '''
 
 def term_{number}(signals, amplitudes, shapes):
     """{equation}
@@ -66,7 +66,7 @@ def law_file_text(name: str, laws: Sequence[WrittenLaw]) -> str:
         }
     )
     operators = f"from stiffopt.discovery.laws.operators import {', '.join(used)}\n" if used else ""
-    parts = [_HEAD.format(name=name, operators=operators)]
+    parts = [_HEAD_TEMPLATE.format(name=name, operators=operators)]
     parts += [_format_law(number, *each) for number, each in enumerate(laws, start=1)]
     return "".join(parts)
 
@@ -90,7 +90,7 @@ def _format_law(
     formulas = zip(law.amplitude_names, law.formulas(code=True), strict=True)
     size = max(abs(a) for a in amplitudes)
     bounds = [b for factor in law.factors for b in factor.bounds]
-    return _LAW.format(
+    return _LAW_TEMPLATE.format(
         number=number,
         equation=law.equation,
         values="\n    ".join(values),

@@ -35,8 +35,8 @@ class SourceKind:
     per_joint: bool = True
 
 
-_PLACED = ("linear", "offset", "step", "bump", "hinge_above", "hinge_below")
-_SIGNED = (
+_PLACE_FORMS = ("linear", "offset", "step", "bump", "hinge_above", "hinge_below")
+_SIGNED_FORMS = (
     "linear",
     "magnitude",
     "power",
@@ -51,14 +51,14 @@ SOURCE_KINDS = {
         symbol="q_{}",
         unit="rad",
         words="position of joint {}",
-        forms=(*_PLACED, "harmonic", "stop"),
+        forms=(*_PLACE_FORMS, "harmonic", "stop"),
     ),
     "speed": SourceKind(
         attribute="motor_velocity",
         symbol="w_{}",
         unit="rad/s",
         words="speed of joint {}",
-        forms=(*_SIGNED, "lag"),
+        forms=(*_SIGNED_FORMS, "lag"),
     ),
     "direction": SourceKind(
         attribute="motor_direction",
@@ -79,7 +79,7 @@ SOURCE_KINDS = {
         symbol="T_{}",
         unit="N m",
         words="load of joint {}",
-        forms=(*_SIGNED, "hinge_above", "hinge_below", "lag"),
+        forms=(*_SIGNED_FORMS, "hinge_above", "hinge_below", "lag"),
     ),
     "temperature": SourceKind(
         attribute="temperature_rise",
@@ -101,7 +101,7 @@ SOURCE_KINDS = {
         symbol="z",
         unit="m",
         words="height of the tool",
-        forms=(*_PLACED, "magnitude"),
+        forms=(*_PLACE_FORMS, "magnitude"),
         per_joint=False,
     ),
     "tool_x": SourceKind(
@@ -109,7 +109,7 @@ SOURCE_KINDS = {
         symbol="x",
         unit="m",
         words="place of the tool along x",
-        forms=_PLACED,
+        forms=_PLACE_FORMS,
         per_joint=False,
     ),
     "tool_y": SourceKind(
@@ -117,14 +117,14 @@ SOURCE_KINDS = {
         symbol="y",
         unit="m",
         words="place of the tool along y",
-        forms=_PLACED,
+        forms=_PLACE_FORMS,
         per_joint=False,
     ),
 }
 
 
 @dataclass(frozen=True)
-class Source:
+class LawSource:
     """A signal.
 
     Parameters

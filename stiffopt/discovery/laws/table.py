@@ -13,7 +13,7 @@ import numpy as np
 
 from stiffopt.discovery.effect import Amplitude, Effect, Term
 from stiffopt.discovery.laws.law import Factor, Place, at_joint
-from stiffopt.discovery.laws.sources import Source
+from stiffopt.discovery.laws.sources import LawSource
 from stiffopt.discovery.signals import RobotSignals
 from stiffopt.symbolic import Quantity
 
@@ -31,7 +31,7 @@ class ResidualTable:
     place : {"drive_torque", "deflection"}
     carrier : tuple of Factor
         None for 1.
-    source : Source
+    source : LawSource
     at : tuple of float
         Values of the signal, rising.
     values : tuple of float
@@ -41,7 +41,7 @@ class ResidualTable:
     joint: int
     place: Place
     carrier: tuple[Factor, ...]
-    source: Source
+    source: LawSource
     at: tuple[float, ...]
     values: tuple[float, ...]
 

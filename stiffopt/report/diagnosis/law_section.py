@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.figure import Figure
 
 from stiffopt.discovery.laws.law import Law, describe_test, law_of, resembled
+from stiffopt.discovery.laws.sources import LawSource
 from stiffopt.report.common.svg import PALE, WIDTH, figure_style
 from stiffopt.report.common.text import scale
 from stiffopt.report.diagnosis.regimes import (
@@ -22,10 +24,11 @@ from stiffopt.report.diagnosis.regimes import (
 from stiffopt.report.diagnosis.words import channel_words
 
 if TYPE_CHECKING:
+    from stiffopt.discovery.comparison.prepared_run import PreparedRun
     from stiffopt.discovery.diagnosis import Diagnosis, Finding
 
 # Definitions of what an equation of a law may contain.
-_DEFINITIONS = {
+_OPERATOR_DEFINITIONS = {
     "lag": "lag(x, T) is y of T dy/dt = x - y, at rest before the first sample",
     "sprung": "sprung(x, f, z) is the acceleration of a mass on a spring and damper of frequency f"
     " and damping ratio z whose base accelerates by x",
@@ -74,7 +77,9 @@ def _describe_law(diagnosis: Diagnosis, finding: Finding, law: Law) -> LawOnPage
     )
     units = {p.name: p.unit for p in finding.parameters}
     signals = [f"{f.source.symbol} is the {f.source.words}" for f in law.factors]
-    signals += [f"{words}" for name, words in _DEFINITIONS.items() if f" {name}(" in law.equation]
+    signals += [
+        f"{words}" for name, words in _OPERATOR_DEFINITIONS.items() if f" {name}(" in law.equation
+    ]
     lines = [
         _describe_share(diagnosis, finding),
         f"In words: {law.words}{resembled(law)}.",
@@ -109,6 +114,10 @@ def _describe_share(diagnosis: Diagnosis, finding: Finding) -> str:
     return ""
 
 
+def _signal_of(source: LawSource, run: PreparedRun) -> np.ndarray:
+    return np.asarray(source.value(run.signals))
+
+
 def law_figure(diagnosis: Diagnosis, rows: ChannelResiduals, finding: Finding) -> Figure | None:
     """Plot the residual without a law over each of its signals, with the law through it."""
     law = law_of(finding.effect)
@@ -124,7 +133,7 @@ def law_figure(diagnosis: Diagnosis, rows: ChannelResiduals, finding: Finding) -
         figure = Figure(figsize=(WIDTH, 3.2))
         grid = figure.subplots(1, max(len(sources), 1), sharey=True, squeeze=False)[0]
         for axes, source in zip(grid, dict.fromkeys(sources), strict=False):
-            values = sampled(lambda run, own=source: np.asarray(own.value(run.signals)))
+            values = sampled(partial(_signal_of, source))
             label = f"{source.words} [{source.own.unit}]" if source.own.unit else source.words
             regime = Regime(source.symbol, label, values[rows.chosen])
             noise = factor * float(np.median(rows.noise))

@@ -1,0 +1,127 @@
+"""Leave one out: each effect is taken from the catalogue, and its law has to be found again.
+
+    python -m benchmarks.blind.leave_one_out [--effects stribeck load_friction] [--key dev-1]
+
+Cases are drawn and sealed as those of `python -m benchmarks.blind.laws`, one an effect, at severity
+1; the tool runs in this process, since it has no option to forget an effect.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+
+import stiffopt.discovery.diagnose as tool
+from benchmarks.simulator import EFFECTS
+from stiffopt.discovery.catalogue import CATALOGUE as ENTRIES
+from stiffopt.discovery.store import write_diagnosis
+
+from .cases import make_planned
+from .key import Key, key_under_test
+from .laws import CLOSE, ROBOT_SHARES, ROBOTS, WORK, Scored, score
+from .mix import CATALOGUE, Plan
+from .store import Store, whole_folder, write_json, write_text
+
+# What no law of a joint's signals can be: of one run, of the sensors' clocks, of the whole robot.
+NO_LAW = frozenset({"encoder_zero_change", "run_clock", "clock_drift", "time_delay", "saturation"})
+
+
+def left_out() -> list[str]:
+    """Effects of single joints that a law could be."""
+    known = {entry.name for entry in ENTRIES}
+    return [
+        name
+        for name in CATALOGUE
+        if name in known and EFFECTS[name].where == "joint" and name not in NO_LAW
+    ]
+
+
+@contextmanager
+def without(name: str) -> Iterator[None]:
+    """A catalogue without an effect."""
+    tool.CATALOGUE = tuple(entry for entry in ENTRIES if entry.name != name)
+    try:
+        yield
+    finally:
+        tool.CATALOGUE = ENTRIES
+
+
+def plan_without(key: Key, effect: str) -> Plan:
+    """The plan of the case of one effect."""
+    name = f"loo_{effect}"
+    draw = key.draw(name)
+    return Plan(
+        name=name,
+        suite="loo",
+        kind="single",
+        robot=str(draw.choice(ROBOTS, p=ROBOT_SHARES)),
+        seed=int(draw.integers(2**62)),
+        link_encoders=True,
+        effects=((effect,),),
+        severity=1.0,
+    )
+
+
+def answer_without(store: Store, name: str, effect: str) -> None:
+    """Diagnose a case without an effect and keep the answer."""
+    if store.answered(name):
+        return
+    begin = time.process_time()
+    with without(effect):
+        found = tool.diagnose(store.case(name), experiment=False)
+    with whole_folder(store.answer(name)) as folder:
+        write_diagnosis(found, folder)
+        write_json(folder / "time.json", {"id": name, "cpu": time.process_time() - begin})
+
+
+def page(rows: list[Scored], key: Key) -> str:
+    """The results as a page."""
+    close = [row.error["test"] <= CLOSE for row in rows]
+    lines = [
+        "# Effects taken from the catalogue, found again as laws",
+        "",
+        f"Key `{key.text}`{' (development)' if key.development else ''}, commit `{key.commit}`."
+        f" Function within 10 % over the range met in {sum(close)} of {len(close)}; excess removed"
+        f" on test runs in the median {np.median([row.removed['test'] for row in rows]):.0%}.",
+        "",
+        "| effect | verdict | law at the joint | error | excess removed |",
+        "| --- | --- | --- | --- | --- |",
+        *(
+            f"| {row.kind} | {row.verdict} | {'yes' if row.joint else 'no'}"
+            f" | {row.error['test']:.2f} | {row.removed['test']:.2f} |"
+            for row in rows
+        ),
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def main() -> None:
+    """Command line."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.blind.leave_one_out")
+    parser.add_argument("--effects", nargs="*", default=left_out())
+    parser.add_argument("--key", help="a key for development, dev-...")
+    parser.add_argument("--work", type=Path, default=WORK)
+    given = parser.parse_args()
+    key = key_under_test(given.key)
+    store = Store(given.work.resolve() / key.text)
+    rows = []
+    for effect in given.effects:
+        drawn = plan_without(key, effect)
+        make_planned(key, drawn, store)
+        if store.unmade(drawn.name).exists():
+            continue
+        answer_without(store, drawn.name, effect)
+        row = score(store, drawn.name, of=effect)
+        if row is not None:
+            rows.append(row)
+            print(row, flush=True)
+    write_text(store.folder / "LEAVE_ONE_OUT.md", page(rows, key))
+
+
+if __name__ == "__main__":
+    main()
