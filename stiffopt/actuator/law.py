@@ -30,6 +30,8 @@ class ActuatorLaw:
         Time from a command to the torque that follows it [s]; nan where it is not known.
     tolerance : float
         One standard deviation of the known gains, relative.
+    delay_deviation : float
+        One standard deviation of the delay [s]; 0 where it is stated.
     """
 
     stiffness: np.ndarray
@@ -38,6 +40,7 @@ class ActuatorLaw:
     torque_max: np.ndarray
     delay: float
     tolerance: float
+    delay_deviation: float = 0.0
 
     @property
     def known(self) -> bool:

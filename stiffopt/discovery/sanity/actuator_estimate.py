@@ -28,6 +28,8 @@ _DELAYS = np.arange(0.0, _MAX_DELAY + 1e-9, 0.0025)
 _ROBUST_SCALE = 9.0
 # Log likelihood ratio from which a delay is taken to differ from none.
 _MIN_DELAY_EVIDENCE = 6.0
+# One standard deviation of an estimated delay [s].
+_DELAY_DEVIATION = 1e-3
 # Largest relative standard deviation of a gain that the weight tells.
 _MAX_GAIN_DEVIATION = 0.1
 # Fewest moving instants of a joint.
@@ -109,7 +111,12 @@ def estimate_actuator(
         if factor > 0.0 and spread < _MAX_GAIN_DEVIATION * factor:
             stiffness[j], deviation[j] = 1.0 / factor, spread / factor
     return ActuatorEstimate(
-        law=replace(law, stiffness=stiffness, delay=delay),
+        law=replace(
+            law,
+            stiffness=stiffness,
+            delay=delay,
+            delay_deviation=law.delay_deviation if np.isfinite(law.delay) else _DELAY_DEVIATION,
+        ),
         deviation=deviation,
         notes=tuple(_describe(law, stiffness, deviation, delay, evidence)),
     )
