@@ -51,11 +51,17 @@ def write_servo_set(folder: Path, *, actuator: str = "", signals: str = "", runs
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "robot.urdf").write_text(URDF, encoding="utf-8")
     lines = ["schema = 1", 'name = "servo"', 'robot = "robot.urdf"', 'joints = ["servo"]']
-    lines += ["[signals]", 'time = "t"', 'position = ["present"]', 'command = ["goal"]', signals]
+    lines += [
+        "[signals]",
+        'time = "t"',
+        'position = ["present_position"]',
+        'command = ["goal_position"]',
+        signals,
+    ]
     lines += ["[actuator]", 'kind = "position_servo"', actuator] if actuator else []
     for k in range(runs):
         time, command, position = commanded_motion(k)
-        np.savez(folder / f"run{k}.npz", t=time, goal=command, present=position)
+        np.savez(folder / f"run{k}.npz", t=time, goal_position=command, present_position=position)
         role = "test" if k == runs - 1 else "train"
         lines += ["[[runs]]", f'file = "run{k}.npz"', f'role = "{role}"']
     (folder / "recordings.toml").write_text("\n".join(lines) + "\n", encoding="utf-8")

@@ -1,4 +1,4 @@
-"""Simulation from commands: against an integrator with a formula of its own, and its derivatives."""
+"""Simulation from commands: against another integrator, and its derivatives."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from stiffopt.actuator.law import ActuatorLaw
-from stiffopt.closed_loop.arm import ClosedLoop
+from stiffopt.closed_loop.arm import CommandedArm
 from stiffopt.closed_loop.parameters import Parameters, zero_parameters
 from stiffopt.closed_loop.polish import polish
 from stiffopt.closed_loop.simulation import CommandedRun, simulate
@@ -18,7 +18,7 @@ from tests.servo_sets import ARMATURE, COULOMB, DELAY, KP, URDF, VISCOUS, comman
 
 
 @pytest.fixture(name="loop")
-def pendulum_loop(tmp_path: Path) -> ClosedLoop:
+def pendulum_loop(tmp_path: Path) -> CommandedArm:
     """Pendulum on a servo of the true gain."""
     (tmp_path / "robot.urdf").write_text(URDF, encoding="utf-8")
     robot = load_robot(str(tmp_path / "robot.urdf")).with_gravity((0.0, 0.0, -9.81))
@@ -30,7 +30,7 @@ def pendulum_loop(tmp_path: Path) -> ClosedLoop:
         delay=DELAY,
         tolerance=0.05,
     )
-    return ClosedLoop(robot.tree, law, np.zeros(1))
+    return CommandedArm(robot.tree, law, np.zeros(1))
 
 
 def recorded(seed: int, seconds: float = 8.0) -> CommandedRun:
@@ -49,7 +49,7 @@ def true_parameters() -> Parameters:
     return found
 
 
-def test_simulation_follows_another_integrator(loop: ClosedLoop) -> None:
+def test_simulation_follows_another_integrator(loop: CommandedArm) -> None:
     run = recorded(5)
     found = simulate(loop, run, true_parameters())
     error = found.position - run.position
@@ -58,7 +58,7 @@ def test_simulation_follows_another_integrator(loop: ClosedLoop) -> None:
     assert float(np.ptp(run.position)) > 1.0
 
 
-def test_derivatives_are_those_of_differences(loop: ClosedLoop) -> None:
+def test_derivatives_are_those_of_differences(loop: CommandedArm) -> None:
     run, start = recorded(6, 1.5), true_parameters()
     free = np.arange(len(start.values) - 1)
     slopes = simulate(loop, run, start, free).slopes[:, 0]
@@ -72,7 +72,7 @@ def test_derivatives_are_those_of_differences(loop: ClosedLoop) -> None:
         np.testing.assert_allclose(slopes[:, k], numeric, atol=1e-4 * np.abs(numeric).max())
 
 
-def test_polish_finds_friction_armature_and_delay_from_none(loop: ClosedLoop) -> None:
+def test_polish_finds_friction_armature_and_delay_from_none(loop: CommandedArm) -> None:
     prior = zero_parameters(("servo",))
     deviations = np.zeros_like(prior.values)
     for name, size in (("armature", 0.05), ("viscous", 0.5), ("coulomb", 0.5)):

@@ -62,39 +62,46 @@ def test_effects_of_torque_sensors_are_not_sought(servo: RecordingSet) -> None:
 
 
 def _swap(columns: Columns) -> Columns:
-    return columns | {"goal": columns["present"], "present": columns["goal"]}
+    return columns | {
+        "goal_position": columns["present_position"],
+        "present_position": columns["goal_position"],
+    }
 
 
 def _thin(columns: Columns) -> Columns:
-    held = np.repeat(columns["goal"][::10], 10)
-    return columns | {"goal": held[: len(columns["t"])]}
+    held = np.repeat(columns["goal_position"][::10], 10)
+    return columns | {"goal_position": held[: len(columns["t"])]}
 
 
 def _stop(columns: Columns) -> Columns:
     noise = 1e-5 * np.random.default_rng(0).normal(size=len(columns["t"]))
-    return columns | {"present": 0.3 + noise, "goal": np.full(len(noise), 0.3)}
+    return columns | {"present_position": 0.3 + noise, "goal_position": np.full(len(noise), 0.3)}
 
 
 MISTAKES: dict[str, tuple[Callable[[Columns], Columns], str, str]] = {
     "swapped": (_swap, "swapped", "swapped"),
     "degrees": (
-        lambda c: c | {"goal": np.degrees(c["goal"])},
+        lambda c: c | {"goal_position": np.degrees(c["goal_position"])},
         "command unit",
         "commands are in degrees",
     ),
     "positions in degrees": (
-        lambda c: c | {"present": np.degrees(c["present"])},
+        lambda c: c | {"present_position": np.degrees(c["present_position"])},
         "command unit",
         "positions are in degrees",
     ),
     "counts": (
-        lambda c: c | {"goal": np.round(c["goal"] / (2 * np.pi) * 4096) + 2048},
+        lambda c: c | {"goal_position": np.round(c["goal_position"] / (2 * np.pi) * 4096) + 2048},
         "command unit",
         "counts of an encoder",
     ),
     "thinned": (_thin, "command rate", "change every 100 ms"),
     "no motion": (_stop, "no motion", "No joint moves"),
-    "reversed": (lambda c: c | {"goal": -c["goal"]}, "command order", "does not follow"),
+    "reversed": (
+        lambda c: c | {"goal_position": -c["goal_position"]},
+        "command order",
+        "does not follow",
+    ),
 }
 
 

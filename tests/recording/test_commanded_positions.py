@@ -41,7 +41,7 @@ def test_unknown_gain_leaves_torques_missing_when_read(tmp_path: Path) -> None:
 def test_a_set_without_torques_and_commands_is_refused(tmp_path: Path) -> None:
     folder = write_servo_set(tmp_path / "set")
     file = folder / "recordings.toml"
-    text = file.read_text(encoding="utf-8").replace('command = ["goal"]', "")
+    text = file.read_text(encoding="utf-8").replace('command = ["goal_position"]', "")
     file.write_text(text, encoding="utf-8")
     with pytest.raises(InputFileError, match="no joint has a torque or a command"):
         load_recordings(folder)
@@ -50,7 +50,9 @@ def test_a_set_without_torques_and_commands_is_refused(tmp_path: Path) -> None:
 def test_an_actuator_needs_commands(tmp_path: Path) -> None:
     folder = write_servo_set(tmp_path / "set", actuator="kp = [9.0]")
     file = folder / "recordings.toml"
-    text = file.read_text(encoding="utf-8").replace('command = ["goal"]', 'torque = ["goal"]')
+    text = file.read_text(encoding="utf-8").replace(
+        'command = ["goal_position"]', 'torque = ["goal_position"]'
+    )
     file.write_text(text, encoding="utf-8")
     with pytest.raises(InputFileError, match="needs commanded positions"):
         load_recordings(folder)

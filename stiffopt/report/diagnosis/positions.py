@@ -23,8 +23,8 @@ from stiffopt.report.diagnosis.sections import AnswerSection
 if TYPE_CHECKING:
     from stiffopt.discovery.position_fit import PositionRun
 
-_TITLE = "Simulation from commands"
-_COLUMNS = ("position", "rms, before", "after", "largest, before", "after")
+_SECTION_TITLE = "Simulation from commands"
+_ERROR_COLUMNS = ("position", "rms, before", "after", "largest, before", "after")
 # Share of an error's power below the frequency that describes its spectrum.
 _POWER_SHARE = 0.9
 
@@ -56,7 +56,7 @@ def _summarize(error: np.ndarray) -> tuple[float, float]:
 def position_section(runs: Sequence[PositionRun], prismatic: Sequence[bool]) -> AnswerSection:
     """Return the errors of simulated held-out runs; an empty section without any."""
     if not runs:
-        return AnswerSection(title=_TITLE)
+        return AnswerSection(title=_SECTION_TITLE)
     table = error_table(runs, prismatic)
     rows = []
     for name, errors in table.items():
@@ -74,7 +74,9 @@ def position_section(runs: Sequence[PositionRun], prismatic: Sequence[bool]) -> 
             f" the joints from {significant(before, 3)} to {significant(after, 3)} mrad (root mean"
             f" square). {_describe_spectrum(runs)}"
         )
-    return AnswerSection(title=_TITLE, lines=tuple(lines), head=_COLUMNS, rows=tuple(rows))
+    return AnswerSection(
+        title=_SECTION_TITLE, lines=tuple(lines), head=_ERROR_COLUMNS, rows=tuple(rows)
+    )
 
 
 def _describe_spectrum(runs: Sequence[PositionRun]) -> str:
