@@ -55,7 +55,8 @@ class ActuatorLaw:
     def torque(self, error: np.ndarray, velocity: np.ndarray) -> np.ndarray:
         """Torque at a position error and a velocity: (..., n) [rad], [rad/s] -> (..., n) [N m]."""
         drive = np.clip(self.stiffness * error, -self.drive_max, self.drive_max)
-        return np.clip(drive - self.damping * velocity, -self.torque_max, self.torque_max)
+        whole = drive - self.damping * velocity
+        return np.asarray(np.clip(whole, -self.torque_max, self.torque_max))
 
 
 def mean_command(

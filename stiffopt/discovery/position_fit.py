@@ -266,7 +266,8 @@ def model_section(
         return None
     law, order = model.loop.law.reordered(recordings.order), recordings.order
     spread = replace(model.fitted, values=model.deviations)
-    values, deviations = ({}, {})
+    values: dict[str, tuple[float, ...]] = {}
+    deviations: dict[str, tuple[float, ...]] = {}
     for table, own in ((values, model.fitted), (deviations, spread)):
         table |= {name: tuple(own.of(name)[order]) for name in JOINT_PARAMETERS}
         table |= {name: tuple(own.of_bodies(name)[order]) for name in BODY_PARAMETERS}
@@ -298,14 +299,20 @@ def read_model(recordings: RecordingSet, section: ClosedLoopSection) -> ClosedLo
                 f"closed_loop.{key} needs {', '.join(names)}, one number a joint ({n}) each and one"
                 f" {DELAY}. Diagnose the recordings again."
             )
-    lists = {
-        name: np.array(getattr(section, name))
-        for name in ("stiffness", "damping", "drive_max", "torque_max", "middle")
-    }
-    if any(len(own) != n for own in lists.values()):
+    names_of_lists = ("stiffness", "damping", "drive_max", "torque_max", "middle")
+    if any(len(getattr(section, name)) != n for name in names_of_lists):
         raise InputError(f"closed_loop needs one number a joint ({n}) in every list.")
-    middle = lists.pop("middle")
-    law = ActuatorLaw(**lists, delay=section.values[DELAY][0], tolerance=section.tolerance)
+    stiffness, damping, drive_max, torque_max, middle = (
+        np.array(getattr(section, name)) for name in names_of_lists
+    )
+    law = ActuatorLaw(
+        stiffness=stiffness,
+        damping=damping,
+        drive_max=drive_max,
+        torque_max=torque_max,
+        delay=section.values[DELAY][0],
+        tolerance=section.tolerance,
+    )
     loop = CommandedArm(recordings.robot.tree, law.reordered(back), middle[back])
     known = recordings.with_actuator(law)
     fitted, spread = zero_parameters(recordings.robot.joint_names), None

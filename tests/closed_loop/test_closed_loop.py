@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from servo_sets import ARMATURE, COULOMB, DELAY, KP, URDF, VISCOUS, commanded_motion
 
 from stiffopt.actuator.law import ActuatorLaw
 from stiffopt.closed_loop.arm import CommandedArm
@@ -14,7 +15,6 @@ from stiffopt.closed_loop.parameters import Parameters, zero_parameters
 from stiffopt.closed_loop.polish import polish
 from stiffopt.closed_loop.simulation import CommandedRun, simulate
 from stiffopt.robot.files import load_robot
-from tests.servo_sets import ARMATURE, COULOMB, DELAY, KP, URDF, VISCOUS, commanded_motion
 
 
 @pytest.fixture(name="loop")

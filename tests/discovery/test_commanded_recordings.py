@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from servo_sets import COULOMB, DELAY, KP, write_servo_set
 
 from stiffopt.cli import run as run_command
 from stiffopt.discovery.diagnose import diagnose
@@ -18,7 +19,6 @@ from stiffopt.discovery.sanity.command_doubts import doubt_commands
 from stiffopt.discovery.training import open_training_runs
 from stiffopt.recording.joint_facts import joint_facts
 from stiffopt.recording.recording_set import RecordingSet, load_recordings
-from tests.servo_sets import COULOMB, DELAY, KP, write_servo_set
 
 GO2 = Path("../shared/recordings/go2_leg_fl")
 Columns = dict[str, np.ndarray]

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from servo_sets import KP, write_servo_set
 
 from stiffopt.errors import InputFileError
 from stiffopt.recording.recording_set import load_recordings
-from tests.servo_sets import KP, write_servo_set
 
 
 def test_torques_follow_from_commands(tmp_path: Path) -> None:
