@@ -38,14 +38,22 @@ class ActuatorSection(Section):
     def law(self, torque_max: np.ndarray) -> ActuatorLaw:
         """Return the law of joints with these largest torques (n,)."""
 
-    def _build_law(self, **gains: np.ndarray) -> ActuatorLaw:
+    def _build_law(
+        self,
+        *,
+        stiffness: np.ndarray,
+        damping: np.ndarray,
+        drive_max: np.ndarray,
+        torque_max: np.ndarray,
+    ) -> ActuatorLaw:
         """Return the law with the entries that all kinds share."""
-        most = gains.pop("torque_max")
         return ActuatorLaw(
-            torque_max=np.where(np.isfinite(most) & (most > 0.0), most, np.inf),
+            stiffness=stiffness,
+            damping=damping,
+            drive_max=drive_max,
+            torque_max=np.where(np.isfinite(torque_max) & (torque_max > 0.0), torque_max, np.inf),
             delay=np.nan if self.delay is None else self.delay,
             tolerance=self.tolerance,
-            **gains,
         )
 
     def _per_joint(self, key: str, n: int, default: float) -> np.ndarray:

@@ -30,6 +30,8 @@ class ActuatorLaw:
         Time from a command to the torque that follows it [s]; nan where it is not known.
     tolerance : float
         One standard deviation of the known gains, relative.
+    delay_deviation : float
+        One standard deviation of the delay [s]; 0 where it is stated.
     """
 
     stiffness: np.ndarray
@@ -38,6 +40,7 @@ class ActuatorLaw:
     torque_max: np.ndarray
     delay: float
     tolerance: float
+    delay_deviation: float = 0.0
 
     @property
     def known(self) -> bool:
@@ -52,7 +55,8 @@ class ActuatorLaw:
     def torque(self, error: np.ndarray, velocity: np.ndarray) -> np.ndarray:
         """Torque at a position error and a velocity: (..., n) [rad], [rad/s] -> (..., n) [N m]."""
         drive = np.clip(self.stiffness * error, -self.drive_max, self.drive_max)
-        return np.clip(drive - self.damping * velocity, -self.torque_max, self.torque_max)
+        whole = drive - self.damping * velocity
+        return np.asarray(np.clip(whole, -self.torque_max, self.torque_max))
 
 
 def mean_command(

@@ -21,7 +21,7 @@ from stiffopt.robot.body_tree import BodyTree
 _DRY_FRICTION_WIDTH = 0.02
 # Rounding of the magnitude of the torque that load friction goes with [N m].
 _LOAD_WIDTH = 0.1
-_GAMMA = 1.0 + 1.0 / np.sqrt(2.0)
+_STAGE_WEIGHT = 1.0 + 1.0 / np.sqrt(2.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +35,7 @@ class LoopSymbols:
     next: ca.SX
 
 
-class ClosedLoop:
+class CommandedArm:
     """Arm with actuators that follow commands.
 
     Parameters
@@ -131,13 +131,13 @@ class ClosedLoop:
         mass, (torque, slope) = inertia(q), balance(q, v)
         # Negative slopes, as of dry friction that a fit drives below zero, stay explicit.
         implicit = _factorize(
-            mass + ca.diag(_GAMMA * h * ca.fmax(slope, 0) + (_GAMMA * h) ** 2 * kp)
+            mass + ca.diag(_STAGE_WEIGHT * h * ca.fmax(slope, 0) + (_STAGE_WEIGHT * h) ** 2 * kp)
         )
 
         def stage(rate: ca.SX, force: ca.SX) -> tuple[ca.SX, ca.SX]:
             """Solve (1 - gamma h J) k = (rate, force / mass)."""
-            second = _solve(implicit, force - _GAMMA * h * kp * rate)
-            return rate + _GAMMA * h * second, second
+            second = _solve(implicit, force - _STAGE_WEIGHT * h * kp * rate)
+            return rate + _STAGE_WEIGHT * h * second, second
 
         first = stage(v, torque)
         ahead_q, ahead_v = q + h * first[0], v + h * first[1]

@@ -24,7 +24,7 @@ BODY_PARAMETERS = ("mass", "mcx", "mcy", "mcz", "Ixx", "Iyy", "Izz")
 BODY_UNITS = ("kg", *("kg m",) * 3, *("kg m^2",) * 3)
 DELAY = "delay"
 # Not below zero.
-_POSITIVE = ("armature", "viscous", "coulomb", "load_friction", "drag", DELAY)
+_BOUNDED_PARAMETERS = ("armature", "viscous", "coulomb", "load_friction", "drag", DELAY)
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +63,7 @@ class Parameters:
     @property
     def lower(self) -> np.ndarray:
         """Lower bounds (p,)."""
-        return np.array([0.0 if name in _POSITIVE else -np.inf for name, _ in self.names])
+        return np.array([0.0 if name in _BOUNDED_PARAMETERS else -np.inf for name, _ in self.names])
 
     def place(self, name: str) -> slice:
         """Return the places of a joint parameter."""

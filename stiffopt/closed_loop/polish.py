@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import lsq_linear
 
-from stiffopt.closed_loop.arm import ClosedLoop
+from stiffopt.closed_loop.arm import CommandedArm
 from stiffopt.closed_loop.parameters import Parameters
 from stiffopt.closed_loop.simulation import CommandedRun, Simulated, simulate
 
@@ -44,7 +44,7 @@ class Polished:
 
 
 def polish(
-    loop: ClosedLoop,
+    loop: CommandedArm,
     runs: Sequence[CommandedRun],
     prior: Parameters,
     deviations: np.ndarray,
@@ -58,7 +58,7 @@ def polish(
 
     Parameters
     ----------
-    loop : ClosedLoop
+    loop : CommandedArm
     runs : sequence of CommandedRun
     prior : Parameters
         Expected values, with which the fit begins.
@@ -94,7 +94,7 @@ class _Fit:
 
     def __init__(
         self,
-        loop: ClosedLoop,
+        loop: CommandedArm,
         runs: Sequence[CommandedRun],
         prior: Parameters,
         deviations: np.ndarray,

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stiffopt.actuator.law import mean_command
-from stiffopt.closed_loop.arm import ClosedLoop
+from stiffopt.closed_loop.arm import CommandedArm
 from stiffopt.closed_loop.parameters import Parameters
 
 # Longest step of the integrator [s]: a thirtieth of the period of a 12 Hz motion.
@@ -47,7 +47,7 @@ class Simulated:
 
 
 def simulate(
-    loop: ClosedLoop,
+    loop: CommandedArm,
     run: CommandedRun,
     parameters: Parameters,
     free: np.ndarray | None = None,
@@ -57,7 +57,7 @@ def simulate(
 
     Parameters
     ----------
-    loop : ClosedLoop
+    loop : CommandedArm
     run : CommandedRun
     parameters : Parameters
     free : array of int, optional
@@ -78,7 +78,7 @@ def simulate(
     return whole
 
 
-def initial_velocity(loop: ClosedLoop, run: CommandedRun, parameters: Parameters) -> np.ndarray:
+def initial_velocity(loop: CommandedArm, run: CommandedRun, parameters: Parameters) -> np.ndarray:
     """Return the velocity (n,) at which a run begins, from its commands and first position alone.
 
     A recording may begin in motion. Its velocity is that at which the actuators balance friction
@@ -99,7 +99,7 @@ def initial_velocity(loop: ClosedLoop, run: CommandedRun, parameters: Parameters
 
 
 def _simulate_stretch(
-    loop: ClosedLoop,
+    loop: CommandedArm,
     run: CommandedRun,
     parameters: Parameters,
     free: np.ndarray,

@@ -36,6 +36,7 @@ Need = Literal[
     "torque",
     "link",
     "sensor",
+    "torque_sensor",
     "windup",
     "moves",
     "reverses",

@@ -21,6 +21,7 @@ _PREREQUISITE_NEEDS: tuple[Need, ...] = (
     "torque",
     "link",
     "sensor",
+    "torque_sensor",
     "windup",
     "moves",
     "gear_ratio",
@@ -39,6 +40,7 @@ MISSING_DATA: dict[Need, str] = {
     "torque": "its torque is not recorded",
     "link": "it has no link encoder",
     "sensor": "neither its torque nor its link angle is recorded",
+    "torque_sensor": "torques are derived from commands, by their clock and scale",
     "windup": "it has no link encoder, and not every joint has stiffness and damping",
     "moves": "it does not move",
     "reverses": "it moves in one direction only",
@@ -119,6 +121,7 @@ def effect_checks(
     """
     nominal = recordings.nominal
     of_set: dict[Need, bool] = {
+        "torque_sensor": not recordings.signals.commanded,
         "gear_ratio": nominal.gear_ratio is not None,
         "pole_pairs": nominal.pole_pairs is not None,
         "tool_frame": recordings.tool_frame is not None,

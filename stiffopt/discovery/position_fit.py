@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stiffopt.actuator.law import ActuatorLaw
-from stiffopt.closed_loop.arm import ClosedLoop
+from stiffopt.closed_loop.arm import CommandedArm
 from stiffopt.closed_loop.parameters import (
     BODY_PARAMETERS,
     DELAY,
@@ -47,13 +47,13 @@ _INERTIA_DEVIATION = 0.1
 _MAX_FIT_SECONDS = 120.0
 
 
-def _build_loop(recordings: RecordingSet, runs: Sequence[CommandedRun]) -> ClosedLoop:
+def _build_loop(recordings: RecordingSet, runs: Sequence[CommandedRun]) -> CommandedArm:
     """Return the closed loop of a set's nominal robot with its actuators."""
     law, back = recordings.actuator, np.argsort(recordings.order)
     assert law is not None
     low = np.nanmin([np.nanmin(run.position, axis=0) for run in runs], axis=0)
     high = np.nanmax([np.nanmax(run.position, axis=0) for run in runs], axis=0)
-    return ClosedLoop(recordings.robot.tree, law.reordered(back), 0.5 * (low + high))
+    return CommandedArm(recordings.robot.tree, law.reordered(back), 0.5 * (low + high))
 
 
 def commanded_run(recordings: RecordingSet, run: RecordedRun) -> CommandedRun:
@@ -88,7 +88,7 @@ def nominal_parameters(recordings: RecordingSet, robot: Robot) -> Parameters:
 
 
 def expected_deviations(
-    recordings: RecordingSet, runs: Sequence[CommandedRun], loop: ClosedLoop
+    recordings: RecordingSet, runs: Sequence[CommandedRun], loop: CommandedArm
 ) -> np.ndarray:
     """Return one standard deviation of every parameter, by the torques and speeds of the runs."""
     robot, law, tolerance = recordings.robot, loop.law, recordings.tolerance
@@ -143,13 +143,13 @@ class ClosedLoopModel:
 
     Parameters
     ----------
-    loop : ClosedLoop
+    loop : CommandedArm
     nominal, fitted : Parameters
     deviations : array (p,)
         One standard deviation of each fitted parameter.
     """
 
-    loop: ClosedLoop
+    loop: CommandedArm
     nominal: Parameters
     fitted: Parameters
     deviations: np.ndarray
@@ -266,7 +266,8 @@ def model_section(
         return None
     law, order = model.loop.law.reordered(recordings.order), recordings.order
     spread = replace(model.fitted, values=model.deviations)
-    values, deviations = ({}, {})
+    values: dict[str, tuple[float, ...]] = {}
+    deviations: dict[str, tuple[float, ...]] = {}
     for table, own in ((values, model.fitted), (deviations, spread)):
         table |= {name: tuple(own.of(name)[order]) for name in JOINT_PARAMETERS}
         table |= {name: tuple(own.of_bodies(name)[order]) for name in BODY_PARAMETERS}
@@ -298,15 +299,21 @@ def read_model(recordings: RecordingSet, section: ClosedLoopSection) -> ClosedLo
                 f"closed_loop.{key} needs {', '.join(names)}, one number a joint ({n}) each and one"
                 f" {DELAY}. Diagnose the recordings again."
             )
-    lists = {
-        name: np.array(getattr(section, name))
-        for name in ("stiffness", "damping", "drive_max", "torque_max", "middle")
-    }
-    if any(len(own) != n for own in lists.values()):
+    names_of_lists = ("stiffness", "damping", "drive_max", "torque_max", "middle")
+    if any(len(getattr(section, name)) != n for name in names_of_lists):
         raise InputError(f"closed_loop needs one number a joint ({n}) in every list.")
-    middle = lists.pop("middle")
-    law = ActuatorLaw(**lists, delay=section.values[DELAY][0], tolerance=section.tolerance)
-    loop = ClosedLoop(recordings.robot.tree, law.reordered(back), middle[back])
+    stiffness, damping, drive_max, torque_max, middle = (
+        np.array(getattr(section, name)) for name in names_of_lists
+    )
+    law = ActuatorLaw(
+        stiffness=stiffness,
+        damping=damping,
+        drive_max=drive_max,
+        torque_max=torque_max,
+        delay=section.values[DELAY][0],
+        tolerance=section.tolerance,
+    )
+    loop = CommandedArm(recordings.robot.tree, law.reordered(back), middle[back])
     known = recordings.with_actuator(law)
     fitted, spread = zero_parameters(recordings.robot.joint_names), None
     for table in (section.deviations, section.values):

@@ -47,6 +47,5 @@ def encoder_velocity(run: RecordedRun) -> np.ndarray:
     width = max(1, round(_HALF_SLOPE_WINDOW / run.step))
     rows = np.arange(len(run.time))
     before, after = np.maximum(rows - width, 0), np.minimum(rows + width, len(rows) - 1)
-    return (run.position[after] - run.position[before]) / (run.time[after] - run.time[before])[
-        :, None
-    ]
+    span = (run.time[after] - run.time[before])[:, None]
+    return np.asarray((run.position[after] - run.position[before]) / span)

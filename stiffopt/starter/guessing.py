@@ -41,6 +41,8 @@ _SPEED_UNITS_PER_RAD_S = {"": 1.0, "deg/s": np.degrees(1.0)}
 _UNIT_LOG_TOLERANCE, _MIXED_UNIT_RATIO = 0.5, 10.0
 # Fewest rows for guessing.
 _MIN_ROWS = 3
+# Median correlation of commands and positions below which these are other commands.
+_MIN_COMMAND_CORRELATION = 0.5
 # Largest plausible joint angle [rad].
 _MAX_JOINT_ANGLE = 40.0 * np.pi
 
@@ -216,6 +218,15 @@ def _guess_command_unit(
     with np.errstate(invalid="ignore", divide="ignore"):
         ratios = travel[0] / travel[1]
     ratio = float(np.nanmedian(np.where(np.isfinite(ratios), ratios, np.nan)))
+    alike = [
+        _correlate(table[one], table[two])
+        for one, two in zip(columns["command"], columns["position"], strict=True)
+    ]
+    if float(np.median(alike)) < _MIN_COMMAND_CORRELATION:
+        return "", (
+            "QUESTION: they do not go with the positions: increments, velocities or torques? Only"
+            " commanded positions belong here"
+        )
     degree = _ANGLE_UNITS_PER_RAD["deg"]
     if abs(np.log(ratio / degree)) < 2.0 * _UNIT_LOG_TOLERANCE:
         return "deg", "in deg, as they travel beside the positions in rad"
@@ -225,6 +236,14 @@ def _guess_command_unit(
         f"QUESTION: they travel {ratio:.3g} times as far as the positions: in which unit? Put it as"
         " command in [signals.scale]"
     )
+
+
+def _correlate(one: np.ndarray, two: np.ndarray) -> float:
+    """Return the correlation of two columns; 0 where one of them does not change."""
+    known = np.isfinite(one) & np.isfinite(two)
+    if known.sum() < _MIN_ROWS or np.ptp(one[known]) == 0.0 or np.ptp(two[known]) == 0.0:
+        return 0.0
+    return float(np.corrcoef(one[known], two[known])[0, 1])
 
 
 def with_time(table: Mapping[str, np.ndarray], rate: float) -> dict[str, np.ndarray]:

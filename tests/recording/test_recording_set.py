@@ -167,7 +167,11 @@ def test_infinite_reducer_slope_is_rigid(make_set: MakeSet) -> None:
 
 
 WRONG = {
-    "torque missing": ('torque = ["tau1", "tau2"]\n', "", r"signals\.torque: .*required"),
+    "torque missing": (
+        'torque = ["tau1", "tau2"]\n',
+        "",
+        r"signals\.torque: no joint has a torque",
+    ),
     "torque nowhere": ('["tau1", "tau2"]', '["", ""]', r"signals\.torque: no joint has a torque"),
     "no position": ('["q1", "q2"]', '["q1", ""]', r"signals\.position: every joint needs"),
     "count": (

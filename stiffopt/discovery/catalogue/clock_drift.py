@@ -38,7 +38,7 @@ CLOCK_DRIFT = Effect(
     " time of the run",
     title="clock drift between torque and position",
     phrase="torque and position recorded on clocks of different rate: use one clock for both",
-    needs=("torque", "moves"),
+    needs=("torque", "torque_sensor", "moves"),
     confused_with=("time_delay",),
     term=clock_drift_term,
     amplitudes=(

@@ -67,7 +67,7 @@ CROSSTALK = Effect(
     signature="motor torque of one joint off in proportion to the torque of another, its friction"
     " included",
     phrase="torque of another joint in the reading",
-    needs=("torque", "moves"),
+    needs=("torque", "torque_sensor", "moves"),
     confused_with=("wrist_coupling", "coupled_drive"),
     term=crosstalk_term,
     amplitudes=(Amplitude(name="c", unit="", scale=_TYPICAL_SHARE, lower=-20.0, upper=20.0),),

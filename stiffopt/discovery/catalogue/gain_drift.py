@@ -83,7 +83,7 @@ def gain_drift(
         title=f"torque constant {whose} that drifts between runs",
         phrase=f"torque constant {whose} that changes from run to run, as with warming: record"
         " motor temperature, and runs of one warmth in one set",
-        needs=("torque", "moves", "three_runs"),
+        needs=("torque", "torque_sensor", "moves", "three_runs"),
         confused_with=("friction_drift", "thermal_friction")
         if common
         else ("common_gain_drift", "friction_drift", "thermal_friction"),

@@ -29,7 +29,7 @@ GAIN_WARMUP = Effect(
     title="torque constant that changes within a run",
     phrase="a torque constant that changes within each run, as with warming: record the motor's"
     " temperature",
-    needs=("torque", "moves"),
+    needs=("torque", "torque_sensor", "moves"),
     confused_with=("friction_warmup", "gain_drift", "common_gain_drift"),
     term=gain_warmup_term,
     amplitudes=(Amplitude(name="eps", unit="", scale=0.03, lower=-10.0, upper=10.0),),

@@ -22,7 +22,7 @@ RUN_CLOCK = Effect(
         "torque of one run recorded late: shift its torque columns or leave the run out",
         "torque of one run recorded early: shift its torque columns or leave the run out",
     ),
-    needs=("torque", "moves", "runs"),
+    needs=("torque", "torque_sensor", "moves", "runs"),
     confused_with=("time_delay",),
     term=partial(delay_term, _MAX_OFFSET),
     amplitudes=(Amplitude(name="d", unit="s", scale=0.02, lower=-10.0, upper=10.0),),

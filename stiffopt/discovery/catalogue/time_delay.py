@@ -28,7 +28,7 @@ TIME_DELAY = Effect(
     ),
     remedy="Shift the torque channels by {d}, use one clock for all signals, and record the"
     " measured torque where it is ahead of the motion.",
-    needs=("torque", "moves"),
+    needs=("torque", "torque_sensor", "moves"),
     term=partial(delay_term, _MAX_DELAY),
     amplitudes=(Amplitude(name="d", unit="s", scale=5e-3, lower=-10.0, upper=10.0),),
     shapes=(

@@ -27,6 +27,9 @@ _DRIVE_VALUES = ("rotor_inertia", "coulomb", "viscous", "torque_constant")
 # Value in proportion to the whole drive torque.
 LOAD_VALUE = "torque_constant"
 
+# Delay of commands beyond the assumed one [s], of torques that an actuator's law gives.
+COMMAND_DELAY = "command_delay"
+
 # Selects values by name.
 NameFilter = Callable[[str], bool]
 
@@ -148,6 +151,12 @@ def nuisance_columns(
             if selected(name):
                 torque = signals.body_regressor[..., k]
                 yield NuisanceColumn(name, float(sd), Contribution(link_torque=torque))
+    law = robot.recordings.actuator
+    if law is not None and law.delay_deviation and selected(COMMAND_DELAY):
+        # A command that acts later gives less torque by its rate, which is that of the motion.
+        gains = np.where(np.isfinite(law.stiffness), law.stiffness, 0.0)
+        added = Contribution(gains * signals.motor_velocity)
+        yield NuisanceColumn(COMMAND_DELAY, law.delay_deviation, added)
     for j in range(robot.n):
         for name in _DRIVE_VALUES:
             sd = getattr(tolerance, name)

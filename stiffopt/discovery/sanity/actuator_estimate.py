@@ -23,17 +23,19 @@ from stiffopt.recording.run import RecordedRun
 _FILTER_CUTOFF = 8.0
 # Delays that are tried [s]: a fieldbus needs some milliseconds, a serial bus of servos some tens.
 _MAX_DELAY = 0.06
-_DELAYS = np.arange(0.0, _MAX_DELAY + 1e-9, 0.0025)
+_TRIED_DELAYS = np.arange(0.0, _MAX_DELAY + 1e-9, 0.0025)
 # Log likelihood ratio beyond which a joint that contradicts the others counts less.
 _ROBUST_SCALE = 9.0
 # Log likelihood ratio from which a delay is taken to differ from none.
 _MIN_DELAY_EVIDENCE = 6.0
+# One standard deviation of an estimated delay [s].
+_DELAY_DEVIATION = 1e-3
 # Largest relative standard deviation of a gain that the weight tells.
 _MAX_GAIN_DEVIATION = 0.1
 # Fewest moving instants of a joint.
 _MIN_INSTANTS = 60
 # Stretches that are left out in turn: physics that the regressors lack differs between them.
-_STRETCHES = 8
+_JACKKNIFE_STRETCHES = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,7 +111,12 @@ def estimate_actuator(
         if factor > 0.0 and spread < _MAX_GAIN_DEVIATION * factor:
             stiffness[j], deviation[j] = 1.0 / factor, spread / factor
     return ActuatorEstimate(
-        law=replace(law, stiffness=stiffness, delay=delay),
+        law=replace(
+            law,
+            stiffness=stiffness,
+            delay=delay,
+            delay_deviation=law.delay_deviation if np.isfinite(law.delay) else _DELAY_DEVIATION,
+        ),
         deviation=deviation,
         notes=tuple(_describe(law, stiffness, deviation, delay, evidence)),
     )
@@ -207,15 +214,15 @@ def _estimate_delay(rows: Sequence[_JointRows | None], law: ActuatorLaw) -> tupl
 
     if not used:
         return 0.0, 0.0
-    coarse = misfits(_DELAYS)
+    coarse = misfits(_TRIED_DELAYS)
     least = coarse.min(axis=0)
 
     def total(each: np.ndarray) -> np.ndarray:
         excess = np.maximum(each - least, 0.0)
         return np.asarray(_ROBUST_SCALE * np.log1p(excess / _ROBUST_SCALE).sum(axis=1))
 
-    first = float(_DELAYS[int(np.argmin(total(coarse)))])
-    step = float(_DELAYS[1] - _DELAYS[0])
+    first = float(_TRIED_DELAYS[int(np.argmin(total(coarse)))])
+    step = float(_TRIED_DELAYS[1] - _TRIED_DELAYS[0])
     fine = np.clip(first + np.linspace(-step, step, 21), 0.0, _MAX_DELAY)
     found = total(misfits(fine))
     best = int(np.argmin(found))
@@ -247,12 +254,16 @@ def _load_factor(own: _JointRows, delay: float) -> tuple[float, float]:
     """Return the factor of weight and inertia in the error, and its deviation over stretches."""
     table, target = np.column_stack([own.load, own.columns]), own.error(delay)
     factors, spread, _ = _least_squares(table, target, own.independent)
-    parts = np.array_split(np.arange(len(target)), _STRETCHES)
+    parts = np.array_split(np.arange(len(target)), _JACKKNIFE_STRETCHES)
     left_out = [
         _least_squares(np.delete(table, part, axis=0), np.delete(target, part), 1.0)[0][0]
         for part in parts
     ]
-    jackknife = np.sqrt((_STRETCHES - 1) / _STRETCHES * np.sum((left_out - np.mean(left_out)) ** 2))
+    jackknife = np.sqrt(
+        (_JACKKNIFE_STRETCHES - 1)
+        / _JACKKNIFE_STRETCHES
+        * np.sum((left_out - np.mean(left_out)) ** 2)
+    )
     return float(factors[0]), float(max(spread[0], jackknife))
 
 

@@ -23,13 +23,13 @@ from stiffopt.report.diagnosis.sections import AnswerSection
 if TYPE_CHECKING:
     from stiffopt.discovery.position_fit import PositionRun
 
-_TITLE = "Simulation from commands"
-_COLUMNS = ("position", "rms, before", "after", "largest, before", "after")
+_SECTION_TITLE = "Simulation from commands"
+_ERROR_COLUMNS = ("position", "rms, before", "after", "largest, before", "after")
 # Share of an error's power below the frequency that describes its spectrum.
 _POWER_SHARE = 0.9
 
 
-def error_table(runs: Sequence[PositionRun], prismatic: Sequence[bool]) -> dict[str, np.ndarray]:
+def error_table(runs: Sequence[PositionRun], prismatic: np.ndarray) -> dict[str, np.ndarray]:
     """Return root mean squares and largest errors (2, 2) by channel, before and after [rad], [m].
 
     Rows: before and after; columns: root mean square and largest.
@@ -53,10 +53,10 @@ def _summarize(error: np.ndarray) -> tuple[float, float]:
     return float(np.sqrt(np.nanmean(error**2))), float(np.nanmax(np.abs(error)))
 
 
-def position_section(runs: Sequence[PositionRun], prismatic: Sequence[bool]) -> AnswerSection:
+def position_section(runs: Sequence[PositionRun], prismatic: np.ndarray) -> AnswerSection:
     """Return the errors of simulated held-out runs; an empty section without any."""
     if not runs:
-        return AnswerSection(title=_TITLE)
+        return AnswerSection(title=_SECTION_TITLE)
     table = error_table(runs, prismatic)
     rows = []
     for name, errors in table.items():
@@ -74,7 +74,9 @@ def position_section(runs: Sequence[PositionRun], prismatic: Sequence[bool]) -> 
             f" the joints from {significant(before, 3)} to {significant(after, 3)} mrad (root mean"
             f" square). {_describe_spectrum(runs)}"
         )
-    return AnswerSection(title=_TITLE, lines=tuple(lines), head=_COLUMNS, rows=tuple(rows))
+    return AnswerSection(
+        title=_SECTION_TITLE, lines=tuple(lines), head=_ERROR_COLUMNS, rows=tuple(rows)
+    )
 
 
 def _describe_spectrum(runs: Sequence[PositionRun]) -> str:
@@ -89,7 +91,7 @@ def _describe_spectrum(runs: Sequence[PositionRun]) -> str:
     return f"{100 * _POWER_SHARE:.0f} % of what remains lies below {significant(edge, 2)} Hz."
 
 
-def position_figure(run: PositionRun, joints: Sequence[str], prismatic: Sequence[bool]) -> Figure:
+def position_figure(run: PositionRun, joints: Sequence[str], prismatic: np.ndarray) -> Figure:
     """Plot command, measured and simulated position of each joint over time, and the errors."""
     n = len(joints)
     with figure_style():

@@ -1,0 +1,88 @@
+"""Simulation from commands: against another integrator, and its derivatives."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from servo_sets import ARMATURE, COULOMB, DELAY, KP, URDF, VISCOUS, commanded_motion
+
+from stiffopt.actuator.law import ActuatorLaw
+from stiffopt.closed_loop.arm import CommandedArm
+from stiffopt.closed_loop.parameters import Parameters, zero_parameters
+from stiffopt.closed_loop.polish import polish
+from stiffopt.closed_loop.simulation import CommandedRun, simulate
+from stiffopt.robot.files import load_robot
+
+
+@pytest.fixture(name="loop")
+def pendulum_loop(tmp_path: Path) -> CommandedArm:
+    """Pendulum on a servo of the true gain."""
+    (tmp_path / "robot.urdf").write_text(URDF, encoding="utf-8")
+    robot = load_robot(str(tmp_path / "robot.urdf")).with_gravity((0.0, 0.0, -9.81))
+    law = ActuatorLaw(
+        stiffness=np.array([KP]),
+        damping=np.zeros(1),
+        drive_max=np.array([np.inf]),
+        torque_max=np.array([8.0]),
+        delay=DELAY,
+        tolerance=0.05,
+    )
+    return CommandedArm(robot.tree, law, np.zeros(1))
+
+
+def recorded(seed: int, seconds: float = 8.0) -> CommandedRun:
+    """Run of the pendulum."""
+    time, command, position = commanded_motion(seed, seconds)
+    velocity = np.gradient(position, time)
+    return CommandedRun("run", time, *(x[:, None] for x in (command, position, velocity)))
+
+
+def true_parameters() -> Parameters:
+    """Parameters that the recorded runs were made with."""
+    found = zero_parameters(("servo",))
+    for name, value in (("armature", ARMATURE), ("viscous", VISCOUS), ("coulomb", COULOMB)):
+        found.values[found.place(name)] = value
+    found.values[-1] = DELAY
+    return found
+
+
+def test_simulation_follows_another_integrator(loop: CommandedArm) -> None:
+    run = recorded(5)
+    found = simulate(loop, run, true_parameters())
+    error = found.position - run.position
+    # Noise is 0.02 mrad; dry friction is smooth here and sharp there.
+    assert float(np.sqrt(np.mean(error**2))) < 1e-3
+    assert float(np.ptp(run.position)) > 1.0
+
+
+def test_derivatives_are_those_of_differences(loop: CommandedArm) -> None:
+    run, start = recorded(6, 1.5), true_parameters()
+    free = np.arange(len(start.values) - 1)
+    slopes = simulate(loop, run, start, free).slopes[:, 0]
+    for k in (*(start.place(name).start for name in ("gain", "viscous", "coulomb", "zero")), -1):
+        moved = []
+        for sign in (1.0, -1.0):
+            values = start.values.copy()
+            values[k] += sign * 1e-6
+            moved.append(simulate(loop, run, replace(start, values=values)).position[:, 0])
+        numeric = (moved[0] - moved[1]) / 2e-6
+        np.testing.assert_allclose(slopes[:, k], numeric, atol=1e-4 * np.abs(numeric).max())
+
+
+def test_polish_finds_friction_armature_and_delay_from_none(loop: CommandedArm) -> None:
+    prior = zero_parameters(("servo",))
+    deviations = np.zeros_like(prior.values)
+    for name, size in (("armature", 0.05), ("viscous", 0.5), ("coulomb", 0.5)):
+        deviations[prior.place(name)] = size
+    deviations[-1] = 0.01
+    found = polish(loop, [recorded(7), recorded(8)], prior, deviations)
+    own = found.parameters
+    np.testing.assert_allclose(own.of("coulomb"), COULOMB, rtol=0.03)
+    np.testing.assert_allclose(own.of("viscous"), VISCOUS, rtol=0.05)
+    np.testing.assert_allclose(own.of("armature"), ARMATURE, rtol=0.1)
+    assert abs(own.delay - DELAY) < 1e-3
+    assert found.residual[0] < 1e-3
+    assert (found.deviations[deviations == 0.0] == 0.0).all()

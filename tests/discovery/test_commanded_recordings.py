@@ -1,0 +1,194 @@
+"""Diagnoses of commanded and measured positions without torque."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from servo_sets import COULOMB, DELAY, KP, write_servo_set
+
+from stiffopt.cli import run as run_command
+from stiffopt.discovery.diagnose import diagnose
+from stiffopt.discovery.identifiable import effect_checks
+from stiffopt.discovery.position_fit import read_model
+from stiffopt.discovery.sanity.actuator_estimate import resolve_actuator
+from stiffopt.discovery.sanity.command_doubts import doubt_commands
+from stiffopt.discovery.training import open_training_runs
+from stiffopt.recording.joint_facts import joint_facts
+from stiffopt.recording.recording_set import RecordingSet, load_recordings
+
+GO2 = Path("../shared/recordings/go2_leg_fl")
+Columns = dict[str, np.ndarray]
+
+
+@pytest.fixture(name="servo", scope="module")
+def servo_set(tmp_path_factory: pytest.TempPathFactory) -> RecordingSet:
+    """Servo with an unknown gain."""
+    return load_recordings(write_servo_set(tmp_path_factory.mktemp("servo") / "set"))
+
+
+def test_weight_tells_the_gain_and_motion_the_delay(servo: RecordingSet) -> None:
+    resolved, runs, notes = resolve_actuator(servo, open_training_runs(servo))
+    law = resolved.actuator
+    assert law is not None
+    np.testing.assert_allclose(law.stiffness, KP, rtol=0.02)
+    assert abs(law.delay - DELAY) < 4e-3  # refined by the simulation
+    assert all(np.isfinite(run.torque).all() for run in runs)
+    assert any("estimated from the arm's weight" in note for note in notes)
+
+
+def test_a_gain_that_nothing_tells_is_said(tmp_path: Path) -> None:
+    folder = write_servo_set(tmp_path / "set", runs=2)
+    urdf = folder / "robot.urdf"
+    # About a vertical axis nothing weighs, and the inertia is that of any rotor.
+    urdf.write_text(urdf.read_text().replace('axis xyz="0 1 0"', 'axis xyz="0 0 1"'))
+    found = load_recordings(folder)
+    resolved, runs, notes = resolve_actuator(found, open_training_runs(found))
+    assert resolved.actuator is not None
+    assert np.isnan(resolved.actuator.stiffness).all()
+    assert np.isnan(runs[0].torque).all()
+    assert any("only ratios" in note for note in notes)
+
+
+def test_effects_of_torque_sensors_are_not_sought(servo: RecordingSet) -> None:
+    resolved, runs, _ = resolve_actuator(servo, open_training_runs(servo))
+    checks = effect_checks(resolved, joint_facts(resolved, runs), len(runs))
+    possible = {each.effect.name for each in checks if each.possible}
+    assert "coulomb" in possible
+    assert not possible & {"clock_drift", "crosstalk", "time_delay"}
+
+
+def _swap(columns: Columns) -> Columns:
+    return columns | {
+        "goal_position": columns["present_position"],
+        "present_position": columns["goal_position"],
+    }
+
+
+def _thin(columns: Columns) -> Columns:
+    held = np.repeat(columns["goal_position"][::10], 10)
+    return columns | {"goal_position": held[: len(columns["t"])]}
+
+
+def _stop(columns: Columns) -> Columns:
+    noise = 1e-5 * np.random.default_rng(0).normal(size=len(columns["t"]))
+    return columns | {"present_position": 0.3 + noise, "goal_position": np.full(len(noise), 0.3)}
+
+
+MISTAKES: dict[str, tuple[Callable[[Columns], Columns], str, str]] = {
+    "swapped": (_swap, "swapped", "swapped"),
+    "degrees": (
+        lambda c: c | {"goal_position": np.degrees(c["goal_position"])},
+        "command unit",
+        "commands are in degrees",
+    ),
+    "positions in degrees": (
+        lambda c: c | {"present_position": np.degrees(c["present_position"])},
+        "command unit",
+        "positions are in degrees",
+    ),
+    "counts": (
+        lambda c: c | {"goal_position": np.round(c["goal_position"] / (2 * np.pi) * 4096) + 2048},
+        "command unit",
+        "counts of an encoder",
+    ),
+    "thinned": (_thin, "command rate", "change every 100 ms"),
+    "no motion": (_stop, "no motion", "No joint moves"),
+    "reversed": (
+        lambda c: c | {"goal_position": -c["goal_position"]},
+        "command order",
+        "does not follow",
+    ),
+}
+
+
+@pytest.mark.parametrize("mistake", MISTAKES)
+def test_commands_that_contradict_positions_are_doubted(tmp_path: Path, mistake: str) -> None:
+    spoil, kind, says = MISTAKES[mistake]
+    folder = write_servo_set(tmp_path / "set", runs=2)
+    for file in folder.glob("*.npz"):
+        np.savez(file, **spoil(dict(np.load(file))))
+    found = load_recordings(folder)
+    doubts = list(doubt_commands(found, open_training_runs(found)))
+    assert [doubt.kind for doubt in doubts] == [kind]
+    assert says in doubts[0].evidence
+
+
+def test_doubts_end_with_exit_code_2(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = write_servo_set(tmp_path / "set", runs=2)
+    for file in folder.glob("*.npz"):
+        np.savez(file, **_swap(dict(np.load(file))))
+    assert run_command(["diagnose", str(folder), "--out", str(tmp_path / "out"), "--quiet"]) == 2
+    assert "swapped" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def test_right_commands_raise_no_doubt(servo: RecordingSet) -> None:
+    assert list(doubt_commands(servo, open_training_runs(servo))) == []
+
+
+@pytest.mark.slow
+def test_servo_from_a_plain_log_to_named_friction_and_a_rollout(tmp_path: Path) -> None:
+    folder = write_servo_set(tmp_path / "log")
+    (folder / "recordings.toml").unlink()
+    logs = [str(file) for file in sorted(folder.glob("*.npz"))]
+    own, out = tmp_path / "set", tmp_path / "out"
+    urdf = str(folder / "robot.urdf")
+    assert run_command(["init", "recording", *logs, "--urdf", urdf, "--out", str(own)]) == 0
+    told = ["--no-experiment", "--quiet", "--no-report"]
+    assert run_command(["diagnose", str(own), "--out", str(out), *told]) == 0
+    answer = json.loads((out / "diagnosis.json").read_text(encoding="utf-8"))
+    found = {each["effect"]: each["parameters"] for each in answer["findings"]}
+    assert answer["verdict"] == "named"
+    assert abs(found["coulomb"]["dFc"]["value"] - COULOMB) < 0.02
+    (proof,) = answer["positions"]
+    assert proof["rms_after"][0] < 2e-3 < 0.05 * proof["rms_before"][0]
+    rolled = tmp_path / "rolled"
+    model = str(out / "extended.toml")
+    assert run_command(["rollout", str(own), "--model", model, "--out", str(rolled)]) == 0
+    again = json.loads((rolled / "rollout.json").read_text(encoding="utf-8"))
+    np.testing.assert_allclose(again["runs"][-1]["rms_after"], proof["rms_after"], rtol=1e-9)
+    assert (rolled / "run2.png").exists()
+
+
+@pytest.mark.slow
+def test_real_leg_is_simulated_from_commands_within_4_mrad(tmp_path: Path) -> None:
+    if not GO2.is_dir():
+        pytest.skip(f"{GO2} is absent")
+    for name in ("train.csv", "test.csv", "leg.urdf"):
+        (tmp_path / name).write_bytes((GO2 / name).read_bytes())
+    joints = ("hip", "thigh", "calf")
+    listed = {k: ", ".join(f'"{k}_{j}"' for j in joints) for k in ("command", "position")}
+    (tmp_path / "recordings.toml").write_text(
+        f"""schema = 1
+name = "leg"
+robot = "leg.urdf"
+joints = ["hip", "thigh", "calf"]
+[signals]
+time = "time"
+position = [{listed["position"]}]
+command = [{listed["command"]}]
+[actuator]
+kind = "position_servo"
+kp = [20.0, 20.0, 20.0]
+kd = [1.5, 1.5, 1.5]
+[[runs]]
+file = "train.csv"
+role = "train"
+[[runs]]
+file = "test.csv"
+role = "test"
+""",
+        encoding="utf-8",
+    )
+    found = diagnose(tmp_path, experiment=False)
+    (run,) = found.positions
+    error = float(np.sqrt(np.mean((run.after - run.measured) ** 2)))
+    assert error < 4e-3
+    assert "position_friction" in {each.effect.name for each in found.findings}
+    assert found.closed_loop is not None
+    model = read_model(found.recordings, found.closed_loop)
+    np.testing.assert_allclose(model.fitted.of("coulomb")[2], 0.9, atol=0.3)
