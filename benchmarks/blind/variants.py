@@ -7,15 +7,14 @@ from __future__ import annotations
 
 import argparse
 import json
-import math
 import os
 import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, replace
+from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 from unittest import mock
@@ -27,51 +26,6 @@ ROOT = Path(__file__).parents[2]
 def whole(_: str) -> Iterator[None]:
     """The tool as it is."""
     yield
-
-
-@contextmanager
-def without_nuisance(_: str) -> Iterator[None]:
-    """Nominal values are taken for exact: nothing is profiled out."""
-    from stiffopt.discovery import training
-    from stiffopt.discovery.comparison import nuisance
-    from stiffopt.recording.nominal import Tolerance
-
-    names = vars(nuisance.merge_tolerances(Tolerance(), Tolerance()))
-    exact = Tolerance(**dict.fromkeys(names, 0.0))
-    with mock.patch.object(training, "merge_tolerances", return_value=exact):
-        yield
-
-
-@contextmanager
-def without_cross_validation(_: str) -> Iterator[None]:
-    """A candidate need not predict recordings left out."""
-    from stiffopt.discovery.search.candidates import Scorer
-
-    judge = Scorer.score
-
-    def score(self: Any, located: Any, price: float = 0.0) -> Any:
-        found = judge(self, located, price)
-        return None if found is None else replace(found, gain=math.inf)
-
-    with mock.patch.object(Scorer, "score", score):
-        yield
-
-
-@contextmanager
-def without_abstention(_: str) -> Iterator[None]:
-    """Whatever fits best is named, however little it is worth; nothing is outside."""
-    from stiffopt.discovery import diagnose
-    from stiffopt.discovery.search import search
-
-    with ExitStack() as stack:
-        for bar in ("NAMED_EVIDENCE", "NAMED_DEVIATIONS", "NAMED_SHARE"):
-            stack.enter_context(mock.patch.object(search, bar, 0.0))
-        keep = mock.patch.object(
-            diagnose, "assess_findings", lambda result: (result.selected, None)
-        )
-        stack.enter_context(keep)
-        stack.enter_context(mock.patch.object(diagnose, "find_bursts", return_value=None))
-        yield
 
 
 @contextmanager
@@ -90,9 +44,6 @@ VARIANTS: dict[str, Callable[[str], Any]] = {
     entry.__name__: entry
     for entry in (
         whole,
-        without_nuisance,
-        without_cross_validation,
-        without_abstention,
         without_effect,
     )
 }

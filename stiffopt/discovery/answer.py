@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
+from stiffopt.discovery.comparison.value_name import ValueName
 from stiffopt.discovery.extended.planning import planner_model
 from stiffopt.discovery.extended.value_changes import ValueChange, extended_model, value_changes
 from stiffopt.formatting import capital, pm, scale, significant
@@ -102,7 +103,7 @@ def changed_values(diagnosis: Diagnosis) -> list[ChangedValue]:
         return []
 
     def changes(
-        calibration: Mapping[str, float], effects: tuple[EstimatedEffect, ...]
+        calibration: Mapping[ValueName, float], effects: tuple[EstimatedEffect, ...]
     ) -> list[ValueChange]:
         own = replace(extension, calibration=calibration, effects=effects)
         model = extended_model(diagnosis.recordings, diagnosis.training.constants, own)

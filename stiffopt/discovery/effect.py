@@ -272,6 +272,8 @@ class Effect:
     needs : tuple of Need
         Properties of the recordings without which it cannot show at a joint, the most basic first.
         Default: the sensor that the term acts on, and motion.
+    only_without : tuple of Need
+        Nominal values with which another entry takes its place.
     confused_with : tuple of str
         Names of effects that ordinary motions separate poorly from it; declared on one side.
     twin : str
@@ -328,6 +330,7 @@ class Effect:
     signals_key: str = ""
     tolerances: tuple[str, ...] = ()
     needs: tuple[Need, ...] = ()
+    only_without: tuple[Need, ...] = ()
     confused_with: tuple[str, ...] = ()
     twin: str = ""
     beside: Effect | None = None

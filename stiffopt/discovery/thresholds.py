@@ -8,10 +8,11 @@ decisions in `.github/docs/decisions`). Parameters of one method are defined bes
 
 # Log evidence: odds of e^12 to one, for a catalogue of some thousand initial shapes at all places.
 NAMED_EVIDENCE = 12.0
-# Standard deviations of the amplitudes from zero: evidence alone can come from the prior.
+# Standard deviations from zero of an amplitude that distinguishes an effect from simpler ones.
 NAMED_DEVIATIONS = 5.0
-# Share of a channel's squared residual that it removes. Filtered samples are correlated, so that
-# the significance of a smaller share is overestimated.
+# Share that it removes of a channel's squared residual and of what the effects that it resembles
+# explain there. Filtered samples are correlated and laws are inexact, so that the significance of a
+# smaller share is overestimated.
 NAMED_SHARE = 0.02
 # A smaller share suffices if nominal values would otherwise leave their tolerances: if the log
 # prior that they regain is this share of the evidence.
@@ -42,8 +43,6 @@ MAX_EFFECTS_FREE, MAX_EFFECTS_PER_ROUND = 12, 3
 
 # Jackknife deviations of the amplitudes from zero, over stretches of the recordings.
 CONFIRMED_DEVIATIONS = 3.5
-# The least number in any case without stated tolerances of masses [0036].
-STRICT_DEVIATIONS = 2.5
 # The least number of the best determined single amplitude.
 DETERMINED_DEVIATIONS = 2.0
 # Alternative for effects that show for a few seconds only: share of a channel's residual that is

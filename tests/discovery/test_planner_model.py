@@ -16,6 +16,7 @@ from stiffopt.cli import run as command
 from stiffopt.discovery.catalogue import CATALOGUE
 from stiffopt.discovery.catalogue.robot_change import ADDED_SPRING_NAME
 from stiffopt.discovery.comparison.located_effect import EstimatedEffect, Extension, LocatedEffect
+from stiffopt.discovery.comparison.value_name import ValueName
 from stiffopt.discovery.extended.model import ExtendedModel, load_extended, robot_signature
 from stiffopt.discovery.extended.planning import joint_constants, planner_model
 from stiffopt.elastic.uncertainty import Uncertainty, bounds_from_deviations
@@ -98,7 +99,10 @@ def test_friction_and_rotor_inertia_are_added_to_the_robots_own(
 
 
 def test_calibrated_values_scale_the_robots_own(arm: Robot, model: ExtendedModel) -> None:
-    calibrated = replace(model, extension=Extension(calibration={"coulomb 3": 0.1, "mass 2": 0.01}))
+    calibrated = replace(
+        model,
+        extension=Extension(calibration={ValueName("coulomb", 2): 0.1, ValueName("mass", 1): 0.01}),
+    )
     changed = planner_model(arm, calibrated)
     assert changed.robot.coulomb / arm.coulomb == pytest.approx([1, 1, 1.1, 1, 1, 1])
     assert changed.robot.model.inertias[2].mass == arm.model.inertias[2].mass
@@ -297,7 +301,7 @@ def test_planning_uses_re_identified_bodies(arm: Robot, tmp_path: Path) -> None:
     """Half a kilogram more in link 2, a centimetre further out: weight as the regressor has it."""
     model = extended(tmp_path, arm.joint_names, arm.torque_max)
     body = arm.tree.bodies[1]
-    change = {"body 2 m": 0.5, "body 2 mx": 0.01 * body.mass}
+    change = {ValueName("body", 1, "m"): 0.5, ValueName("body", 1, "mx"): 0.01 * body.mass}
     known = replace(model, extension=Extension(calibration=change))
     changed = planner_model(arm, known)
     moved = changed.robot.tree.bodies[1]

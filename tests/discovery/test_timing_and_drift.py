@@ -15,6 +15,7 @@ from small_arms import ROOT
 from stiffopt.discovery.catalogue import effect
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.comparison.nuisance import select_outside
+from stiffopt.discovery.comparison.value_name import ValueName
 from stiffopt.discovery.diagnose import diagnose
 from stiffopt.discovery.diagnosis import Diagnosis
 from stiffopt.discovery.user_effects import sample_signals
@@ -163,11 +164,11 @@ def test_warmup_starts_at_zero_and_ends_at_its_amplitude(name: str) -> None:
 
 
 def test_only_far_and_determined_values_are_outside() -> None:
-    names = ["coulomb 1", "coulomb 2", "mass 2", "T1 3", "com 2 x"]
+    names = list(map(ValueName.read, ["coulomb 1", "coulomb 2", "mass 2", "T1 3", "com 2 x"]))
     tolerances = np.array([0.05, 0.05, 0.03, 0.08, 0.003])
     changes = np.array([0.19, 0.16, 0.2, 0.4, -0.012])
     deviations = np.array([0.01, 0.01, 0.02, 0.01, 1e-4])
     found = select_outside(names, tolerances, changes, deviations)
-    assert [each.name for each in found] == ["com 2 x", "coulomb 1"]
-    assert (found[1].kind, found[1].place, found[1].of_body) == ("coulomb", 0, False)
+    assert [str(each.name) for each in found] == ["com 2 x", "coulomb 1"]
+    assert (found[1].name.kind, found[1].name.place, found[1].of_body) == ("coulomb", 0, False)
     assert found[0].of_body

@@ -9,6 +9,7 @@ from shipped_set import SHIPPED
 
 from stiffopt.discovery.catalogue import effect
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
+from stiffopt.discovery.comparison.value_name import ValueName
 from stiffopt.discovery.judging.added_uncertainty import add_scale_deviation
 from stiffopt.discovery.search.rivals import Selected
 from stiffopt.discovery.search.uncertainty import estimate_parameters
@@ -28,7 +29,7 @@ def test_torque_constant_uncertainty_adds_to_amplitudes(channel: str) -> None:
     after = add_scale_deviation(before, [there])
     constants = there.located.constants(training.constants)
     (value, sd), (same, wider) = (each.parameters(0, constants)["dFc"] for each in (before, after))
-    open_ = before.covariance[(k := before.nuisance.index(f"torque_constant {joint + 1}")), k]
+    open_ = before.covariance[(k := before.nuisance.index(ValueName("torque_constant", joint))), k]
     assert same == value
     assert open_ > 0.0
     if channel == "torque":

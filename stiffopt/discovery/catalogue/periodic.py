@@ -167,6 +167,7 @@ ROTOR_RIPPLE = Effect(
     remedy="Check motor and gear input of {where} for parts with that number of teeth, poles"
     " or rollers.",
     needs=("torque", "moves", "gear_ratio", "rotor_slow"),
+    only_without=("pole_pairs",),
     confused_with=("torque_ripple",),
     term=rotor_ripple_term,
     amplitudes=(_wave_amplitude("sin"), _wave_amplitude("cos")),

@@ -35,6 +35,7 @@ from stiffopt.discovery.comparison.located_effect import Extension, LocatedEffec
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.comparison.piece_sums import WeightedSums
 from stiffopt.discovery.comparison.prepared_run import PreparedRun
+from stiffopt.discovery.comparison.value_name import ValueName
 from stiffopt.recording.nominal import Tolerance
 
 # Default of a nominal model without an earlier diagnosis.
@@ -235,7 +236,7 @@ class Comparison:
     # ---- weighted columns
 
     @cached_property
-    def nuisance(self) -> tuple[list[str], np.ndarray, np.ndarray]:
+    def nuisance(self) -> tuple[list[ValueName], np.ndarray, np.ndarray]:
         """Names, priors and weighted columns (m, p) of the nominal values."""
         names, sd, columns = self.columns.nuisance
         return names, sd, self._whiten_rows(columns)

@@ -22,6 +22,7 @@ from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.comparison.nuisance import LINK_MOVING_VALUES, LOAD_VALUE, nuisance_columns
 from stiffopt.discovery.comparison.piece_sums import PieceColumns, PieceProducts, Pieces, PieceSums
 from stiffopt.discovery.comparison.prepared_run import PreparedRun
+from stiffopt.discovery.comparison.value_name import ValueName
 from stiffopt.recording.nominal import Tolerance
 
 # Smallest number of runs of which each is a cross-validation block; fewer runs are cut into blocks.
@@ -43,7 +44,7 @@ MAX_LINEARISATION_ERROR = 0.3
 class _NominalColumns:
     """Names, priors and columns (m, p) of the nominal values, and their products with others."""
 
-    names: list[str]
+    names: list[ValueName]
     sd: np.ndarray
     matrix: np.ndarray
     sums: PieceSums | None = None
@@ -158,7 +159,7 @@ class DesignMatrix:
         self.robot.torque_cache.clear()
 
     @property
-    def nuisance(self) -> tuple[list[str], np.ndarray, np.ndarray]:
+    def nuisance(self) -> tuple[list[ValueName], np.ndarray, np.ndarray]:
         """Names, priors and columns (m, p) of the nominal values."""
         nominal = self._cached_nominal
         sd = nominal.sd.copy()
@@ -189,7 +190,9 @@ class DesignMatrix:
         matrix = np.column_stack([*columns.values(), np.zeros((self.rows.size, 0))])
         return _NominalColumns(list(sd), np.array(list(sd.values())), matrix)
 
-    def _unchanged_columns(self) -> tuple[dict[str, float], dict[str, np.ndarray], set[str]]:
+    def _unchanged_columns(
+        self,
+    ) -> tuple[dict[ValueName, float], dict[ValueName, np.ndarray], set[ValueName]]:
         """Return priors and columns of nominal values by name, and the names of unchanged ones.
 
         With rigid joints links move as in the first linearisation, and only the load may differ.
@@ -197,7 +200,7 @@ class DesignMatrix:
         first = self._earlier[0]._nominal_by_freedom.get(self.bodies is not None)
         if first is None or self.robot.elastic:
             return {}, {}, set()
-        known = {name for name in first.names if not name.startswith(LOAD_VALUE)}
+        known = {name for name in first.names if name.kind != LOAD_VALUE}
         columns = {
             name: column if name in known else np.zeros_like(column)
             for name, column in zip(first.names, first.matrix.T, strict=True)
@@ -349,7 +352,7 @@ class DesignMatrix:
         calibration = {
             name: value
             for name, value in found.calibration.items()
-            if swings and name.split()[0] in LINK_MOVING_VALUES
+            if swings and name.kind in LINK_MOVING_VALUES
         }
         return Extension(
             calibration=calibration,

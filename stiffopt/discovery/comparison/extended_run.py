@@ -65,7 +65,7 @@ def simulate_links(run: PreparedRun, robot: RobotModel, extension: Extension) ->
 def _link_moving_part(run: PreparedRun, extension: Extension) -> Extension:
     values = extension.calibration.items()
     return Extension(
-        calibration={n: v for n, v in values if v and n.split()[0] in LINK_MOVING_VALUES},
+        calibration={n: v for n, v in values if v and n.kind in LINK_MOVING_VALUES},
         effects=tuple(e for e in extension.effects if moves_links(run, e)),
     )
 

@@ -16,6 +16,7 @@ from stiffopt.discovery.comparison.nuisance import (
 )
 from stiffopt.discovery.comparison.prepared_run import PreparedRun, with_link_torque
 from stiffopt.discovery.comparison.springs import SpringLaw, nominal_damping
+from stiffopt.discovery.comparison.value_name import ValueName
 from stiffopt.discovery.signals import JointSignals
 from stiffopt.recording.nominal import Tolerance
 
@@ -66,7 +67,7 @@ def extension_change(run: PreparedRun, robot: RobotModel, extension: Extension) 
     """Return the contributions of an extension to the channels of a run."""
     change = Change(*(np.zeros_like(run.signals.spring_torque) for _ in range(4)))
     values = {name: value for name, value in extension.calibration.items() if value}
-    bodies = {name for name in values if name.split()[0] in BODY_VALUES}
+    bodies = {name for name in values if name.kind in BODY_VALUES}
     if bodies:
         parameters = body_parameter_changes(robot, values)
         change.link_torque[:] += run.signals.body_regressor.torque(parameters)
@@ -87,10 +88,10 @@ def moves_links(run: PreparedRun, each: EstimatedEffect) -> bool:
     return displaces or added.link_torque is not None
 
 
-def select_calibration(extension: Extension, words: tuple[str, ...]) -> Extension:
-    """Return the nominal values whose names begin with some words."""
+def select_calibration(extension: Extension, kinds: tuple[str, ...]) -> Extension:
+    """Return the nominal values of some kinds."""
     values = extension.calibration.items()
-    return Extension(calibration={n: v for n, v in values if n.split()[0] in words})
+    return Extension(calibration={n: v for n, v in values if n.kind in kinds})
 
 
 def is_damping(each: EstimatedEffect) -> bool:
@@ -101,7 +102,9 @@ def is_damping(each: EstimatedEffect) -> bool:
 def extended_damping(robot: RobotModel, extension: Extension, run: str) -> np.ndarray:
     """Return the damping of the joints (n,) in a run, extended, at least zero [N m s/rad]."""
     damping = nominal_damping(robot)
-    factors = [extension.calibration.get(f"joint_damping {j + 1}", 0.0) for j in range(robot.n)]
+    factors = [
+        extension.calibration.get(ValueName("joint_damping", j), 0.0) for j in range(robot.n)
+    ]
     added = np.zeros(robot.n)
     for each in extension.effects:
         if is_damping(each) and each.located.joint is not None and each.located.acts_in(run):

@@ -14,6 +14,7 @@ import numpy as np
 from scipy.linalg.lapack import dposv
 
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
+from stiffopt.discovery.comparison.value_name import ValueName
 from stiffopt.discovery.signals import PARAMETERS_PER_BODY
 
 INERTIAL_PARAMETER_NAMES = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
@@ -28,12 +29,12 @@ _CONSISTENCY_TOLERANCE = 1e-6
 _MIN_EIGENVALUE_RATIO = 1e-3
 
 
-def body_parameter_names(body: int) -> list[str]:
+def body_parameter_names(body: int) -> list[ValueName]:
     """Return the names of the ten parameters of a body (from 0): "body 2 mx"."""
-    return [f"body {body + 1} {name}" for name in INERTIAL_PARAMETER_NAMES]
+    return [ValueName("body", body, name) for name in INERTIAL_PARAMETER_NAMES]
 
 
-def all_body_parameter_names(robot: RobotModel) -> list[str]:
+def all_body_parameter_names(robot: RobotModel) -> list[ValueName]:
     """Return the names of all parameters in the order of the regressor."""
     return [name for body in range(robot.n) for name in body_parameter_names(body)]
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.comparison.prepared_run import PreparedRun
+from stiffopt.discovery.comparison.value_name import ValueName
 from stiffopt.discovery.effect import Effect
 from stiffopt.discovery.signals import JointConstants, RobotConstants
 from stiffopt.units import joint_unit
@@ -358,13 +359,13 @@ class Extension:
 
     Parameters
     ----------
-    calibration : mapping of str to float
-        Changes of nominal values by name ("coulomb 3", "com 2 x", "body 2 mx"): relative, [m],
+    calibration : mapping of ValueName to float
+        Changes of nominal values by name: relative, [m],
         [rad], or of the inertial parameters of a body.
     effects : tuple of EstimatedEffect
     """
 
-    calibration: Mapping[str, float] = field(default_factory=dict)
+    calibration: Mapping[ValueName, float] = field(default_factory=dict)
     effects: tuple[EstimatedEffect, ...] = ()
 
     def plus(self, later: Extension) -> Extension:

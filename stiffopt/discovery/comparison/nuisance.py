@@ -11,14 +11,15 @@ from stiffopt.discovery.comparison.inertial_parameters import all_body_parameter
 from stiffopt.discovery.comparison.located_effect import Contribution
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.comparison.prepared_run import PreparedRun
+from stiffopt.discovery.comparison.value_name import ValueName
 from stiffopt.discovery.signals import PARAMETERS_PER_BODY
 from stiffopt.recording.nominal import Tolerance
 from stiffopt.robot.body_tree import Body
 
 # Relative standard deviation and width of the slope changes of a reducer over the torque.
 _RELATIVE_KNEE_SD = 0.08
-# Values that move the links, by the first word of their names.
-SPRING_VALUES = ("stiffness", "T1", "T2", "rounding")
+# Kinds of values that move the links.
+SPRING_VALUES = ("stiffness", "T1", "T2", "rounding T1", "rounding T2")
 BODY_VALUES = ("mass", "com", "body")
 LINK_MOVING_VALUES = (*SPRING_VALUES, "joint_damping", *BODY_VALUES)
 
@@ -31,10 +32,10 @@ LOAD_VALUE = "torque_constant"
 COMMAND_DELAY = "command_delay"
 
 # Selects values by name.
-NameFilter = Callable[[str], bool]
+NameFilter = Callable[[ValueName], bool]
 
 
-def accept_every_value(_: str) -> bool:
+def accept_every_value(_: ValueName) -> bool:
     """Select all values."""
     return True
 
@@ -45,15 +46,14 @@ class NuisanceColumn:
 
     Parameters
     ----------
-    name : str
-        Name such as "coulomb 3".
+    name : ValueName
     sd : float
         Tolerance of the value, one standard deviation.
     added : Contribution
         Per unit of the value.
     """
 
-    name: str
+    name: ValueName
     sd: float
     added: Contribution
 
@@ -71,43 +71,32 @@ class OutsideValue:
 
     Parameters
     ----------
-    name : str
-        As in `NuisanceColumn`.
+    name : ValueName
     change, sd : float
         Fitted change from nominal, and its standard deviation: relative, or [m].
     tolerance : float
         One standard deviation of the nominal value, as stated.
     """
 
-    name: str
+    name: ValueName
     change: float
     sd: float
     tolerance: float
 
     @property
-    def kind(self) -> str:
-        """Field of `Tolerance`."""
-        return self.name.split()[0]
-
-    @property
-    def place(self) -> int:
-        """Joint, or joint that carries the body, from 0."""
-        return int(self.name.split()[1]) - 1
-
-    @property
     def of_body(self) -> bool:
         """True for masses and centres of mass."""
-        return self.kind in BODY_VALUES
+        return self.name.kind in BODY_VALUES
 
 
 def select_outside(
-    names: Sequence[str], tolerances: np.ndarray, changes: np.ndarray, deviations: np.ndarray
+    names: Sequence[ValueName], tolerances: np.ndarray, changes: np.ndarray, deviations: np.ndarray
 ) -> tuple[OutsideValue, ...]:
     """Return the values outside their tolerances, the furthest first.
 
     Parameters
     ----------
-    names : sequence of str (p,)
+    names : sequence of ValueName (p,)
     tolerances, changes, deviations : array (p,)
         Relative, or [m], [rad].
     """
@@ -115,7 +104,7 @@ def select_outside(
     found = [
         OutsideValue(name, float(change), float(sd), float(tolerance))
         for name, tolerance, change, sd in zip(names, tolerances, changes, deviations, strict=True)
-        if name.split()[0] in known
+        if name.kind in known
         and abs(change) > MIN_TOLERANCES_OUTSIDE * tolerance
         and sd < _MAX_DEVIATION_OUTSIDE * tolerance
     ]
@@ -158,17 +147,17 @@ def nuisance_columns(
         added = Contribution(gains * signals.motor_velocity)
         yield NuisanceColumn(COMMAND_DELAY, law.delay_deviation, added)
     for j in range(robot.n):
-        for name in _DRIVE_VALUES:
-            sd = getattr(tolerance, name)
+        for kind in _DRIVE_VALUES:
+            sd, name = getattr(tolerance, kind), ValueName(kind, j)
             if (
                 sd
-                and selected(f"{name} {j + 1}")
-                and np.any(values := _drive_torque_column(run, robot, name, j))
+                and selected(name)
+                and np.any(values := _drive_torque_column(run, robot, kind, j))
             ):
-                yield NuisanceColumn(f"{name} {j + 1}", sd, Contribution(_in_joint(run, j, values)))
+                yield NuisanceColumn(name, sd, Contribution(_in_joint(run, j, values)))
         if tolerance.stiffness:
             yield from _spring_columns(run, j, tolerance.stiffness, selected)
-        name = f"joint_damping {j + 1}"
+        name = ValueName("joint_damping", j)
         if tolerance.joint_damping and run.vibration is not None and selected(name):
             # Damping torque relieves the spring, which deflects less by it.
             nominal = signals.constants.joints[j].joint_damping
@@ -177,21 +166,21 @@ def nuisance_columns(
                 deflection=_in_joint(run, j, -taken / run.vibration.stiffness[:, j])
             )
             yield NuisanceColumn(name, tolerance.joint_damping, added)
-        name = f"encoder_zero {j + 1}"
+        name = ValueName("encoder_zero", j)
         if tolerance.encoder_zero and selected(name):
             values = np.ones(len(signals.time))
             added = Contribution(reading=_in_joint(run, j, values))
             yield NuisanceColumn(name, tolerance.encoder_zero, added)
 
 
-def _drive_torque_column(run: PreparedRun, robot: RobotModel, name: str, j: int) -> np.ndarray:
+def _drive_torque_column(run: PreparedRun, robot: RobotModel, kind: str, j: int) -> np.ndarray:
     """Return the drive torque (K,) of one joint per unit of a relative value."""
     signals = run.signals
-    if name == "torque_constant":
+    if kind == "torque_constant":
         return np.asarray(signals.drive_torque[:, j])
-    if name == "rotor_inertia":
+    if kind == "rotor_inertia":
         return np.asarray(robot.rotor_inertia[j] * signals.motor_acceleration[:, j])
-    if name == "viscous":
+    if kind == "viscous":
         return np.asarray(robot.viscous[j] * signals.motor_velocity[:, j])
     return np.asarray(robot.coulomb[j] * signals.motor_direction[:, j])
 
@@ -200,7 +189,8 @@ def _spring_columns(
     run: PreparedRun, j: int, sd: float, selected: NameFilter
 ) -> Iterator[NuisanceColumn]:
     signals = run.signals
-    if not any(selected(name) for name in (f"stiffness {j + 1}", *_knee_names(j))):
+    own = ValueName("stiffness", j)
+    if not any(selected(name) for name in (own, *_knee_names(j))):
         return
     if not np.any(signals.windup[:, j]):
         return
@@ -209,15 +199,13 @@ def _spring_columns(
     if run.vibration is not None:
         values = (signals.motor_position - signals.link_position - run.play)[:, j]
 
-    if selected(f"stiffness {j + 1}"):
-        yield NuisanceColumn(
-            f"stiffness {j + 1}", sd, Contribution(deflection=_in_joint(run, j, values))
-        )
+    if selected(own):
+        yield NuisanceColumn(own, sd, Contribution(deflection=_in_joint(run, j, values)))
     yield from _knee_columns(run, j, selected)
 
 
-def _knee_names(j: int) -> list[str]:
-    return [f"{kind}{knee} {j + 1}" for knee in ("T1", "T2") for kind in ("", "rounding ")]
+def _knee_names(j: int) -> list[ValueName]:
+    return [ValueName(kind, j) for kind in ("T1", "rounding T1", "T2", "rounding T2")]
 
 
 def _in_joint(run: PreparedRun, j: int, values: np.ndarray) -> np.ndarray:
@@ -236,15 +224,15 @@ def _knee_columns(run: PreparedRun, j: int, selected: NameFilter) -> Iterator[Nu
         return
     spring = run.signals.spring_torque[:, j]
     (k1, k2, k3), (t1, t2) = constants.slopes, constants.corners
-    for name, knee, before, after in (("T1", t1, k1, k2), ("T2", t2, k2, k3)):
+    for kind, knee, before, after in (("T1", t1, k1, k2), ("T2", t2, k2, k3)):
         fall = 1.0 / before - 1.0 / after
         width = _RELATIVE_KNEE_SD * knee
         beyond = np.sign(spring) * np.clip((np.abs(spring) - knee) / width, 0.0, 1.0)
         moved = Contribution(deflection=_in_joint(run, j, fall * knee * beyond))
-        yield NuisanceColumn(f"{name} {j + 1}", _RELATIVE_KNEE_SD, moved)
+        yield NuisanceColumn(ValueName(kind, j), _RELATIVE_KNEE_SD, moved)
         rounded = np.sign(spring) * fall * width * np.exp(-np.abs(np.abs(spring) - knee) / width)
         round_knee = Contribution(deflection=_in_joint(run, j, rounded))
-        yield NuisanceColumn(f"rounding {name} {j + 1}", 1.0, round_knee)
+        yield NuisanceColumn(ValueName(f"rounding {kind}", j), 1.0, round_knee)
 
 
 def _body_columns(
@@ -254,24 +242,24 @@ def _body_columns(
     for position, joint in enumerate(robot.order):
         body = robot.arm.tree.bodies[joint]
         for name, change in _body_parameter_slopes(position, body):
-            sd = getattr(tolerance, name.split()[0])
+            sd = getattr(tolerance, name.kind)
             if sd and selected(name):
                 torque = run.signals.body_regressor.of_body(position) @ change
                 yield NuisanceColumn(name, sd, Contribution(link_torque=torque))
 
 
-def _body_parameter_slopes(position: int, body: Body) -> Iterator[tuple[str, np.ndarray]]:
+def _body_parameter_slopes(position: int, body: Body) -> Iterator[tuple[ValueName, np.ndarray]]:
     """Yield changes (10,) of a body's parameters per unit of mass and centre, by name."""
     now = body.inertial_parameters
-    yield f"mass {position + 1}", now
+    yield ValueName("mass", position), now
     for axis in range(3):
         shift = np.zeros(3)
         shift[axis] = 1e-5
         moved = replace(body, centre=body.centre + shift)
-        yield f"com {position + 1} {'xyz'[axis]}", (moved.inertial_parameters - now) / 1e-5
+        yield ValueName("com", position, "xyz"[axis]), (moved.inertial_parameters - now) / 1e-5
 
 
-def body_parameter_changes(robot: RobotModel, values: Mapping[str, float]) -> np.ndarray:
+def body_parameter_changes(robot: RobotModel, values: Mapping[ValueName, float]) -> np.ndarray:
     """Return changes of all inertial parameters (n, 10) by nominal values of given names."""
     change = [values.get(name, 0.0) for name in all_body_parameter_names(robot)]
     found = np.array(change).reshape(robot.n, PARAMETERS_PER_BODY)

@@ -11,13 +11,14 @@ from stiffopt.discovery.comparison.channel_rows import ChannelNoise
 from stiffopt.discovery.comparison.comparison import Comparison, Fit
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.comparison.prepared_run import PreparedRun
+from stiffopt.discovery.comparison.value_name import ValueName
 
 
 @dataclass(frozen=True, eq=False)
 class _Explanation:
     """One explanation, fitted to the training runs."""
 
-    names: list[str]
+    names: list[ValueName]
     effects: tuple[LocatedEffect, ...]
     fit: Fit
 

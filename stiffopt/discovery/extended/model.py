@@ -51,8 +51,8 @@ import numpy as np
 
 from stiffopt.discovery.catalogue import CATALOGUE
 from stiffopt.discovery.catalogue.common import RUN_PREFIX
-from stiffopt.discovery.catalogue.periodic import ROTOR_RIPPLE
 from stiffopt.discovery.comparison.located_effect import EstimatedEffect, Extension, LocatedEffect
+from stiffopt.discovery.comparison.value_name import ValueName
 from stiffopt.discovery.effect import Effect
 from stiffopt.discovery.extended.laws import read_law, read_table
 from stiffopt.discovery.extended.schema import (
@@ -218,10 +218,10 @@ class ExtendedModel:
             )
         require_same_robot(self.robot, self.source, self.joints, recordings.robot, recordings.order)
         nominal = self.nominal
-        waves = any(e.located.effect.name == ROTOR_RIPPLE.name for e in self.extension.effects)
-        if nominal.pole_pairs is None and not waves:
-            # Pole pairs of the set are compatible unless the model contains rotor ripple, which
-            # would be found a second time as ripple of the poles.
+        found = (each.effect for each in self.extension.effects)
+        if nominal.pole_pairs is None and not any("pole_pairs" in e.only_without for e in found):
+            # Pole pairs of the set are compatible unless the model contains an effect of unknown
+            # ones, which would be found a second time as ripple of the poles.
             nominal = nominal.model_copy(update={"pole_pairs": recordings.stated.pole_pairs})
         return recordings.with_nominal(nominal, self.source)
 
@@ -270,6 +270,10 @@ def load_extended(path: str | os.PathLike[str], effects: Sequence[Effect] = ()) 
         read_table(section, n, path, f"residual[{number}]")
         for number, section in enumerate(document.residual, start=1)
     ]
+    try:
+        calibration = {ValueName.read(k): v for k, v in document.calibration.items()}
+    except ValueError as error:
+        raise InputFileError(path, "calibration", str(error)) from None
     return ExtendedModel(
         source=str(path),
         name=document.name,
@@ -278,7 +282,7 @@ def load_extended(path: str | os.PathLike[str], effects: Sequence[Effect] = ()) 
         nominal=document.nominal,
         chains=build_chains(document.nominal, np.array(scales["torque_max"]), Path(path)),
         scales=scales,
-        extension=Extension(calibration=document.calibration, effects=tuple(read)),
+        extension=Extension(calibration=calibration, effects=tuple(read)),
         parameters=tuple(
             {name: entry.value for name, entry in section.parameters.items()}
             for section in document.effect

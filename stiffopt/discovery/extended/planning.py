@@ -18,6 +18,7 @@ from stiffopt.certificate.objective_value import objective_value
 from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
 from stiffopt.discovery.comparison.inertial_parameters import body_parameter_names
 from stiffopt.discovery.comparison.located_effect import EstimatedEffect, LocatedEffect
+from stiffopt.discovery.comparison.value_name import ValueName
 from stiffopt.discovery.extended.model import ExtendedModel, load_extended, require_same_robot
 from stiffopt.discovery.signals import JointConstants
 from stiffopt.discovery.user_effects import load_effects
@@ -116,7 +117,7 @@ class _RobotUpdate:
             values = np.array(getattr(self.robot, name), dtype=float)
             moved = False
             for j, place in enumerate(self.place):
-                relative = self.model.extension.calibration.get(f"{name} {j + 1}", 0.0)
+                relative = self.model.extension.calibration.get(ValueName(name, j), 0.0)
                 values[place] *= max(1.0 + relative, 0.0)
                 moved |= relative != 0.0
             if moved:
@@ -178,7 +179,8 @@ class _RobotUpdate:
         """Return the standard deviation of an identified payload over the robot's payload."""
         carried = 0.0 if self.robot.payload is None else float(self.robot.payload[0])
         for located, _, deviations in self._stated_findings():
-            if located.effect.name == "payload" and "dm" in deviations and carried > 0.0:
+            of_tool = located.effect.scope == "robot" and "mass" in located.effect.tolerances
+            if of_tool and "dm" in deviations and carried > 0.0:
                 return float(deviations["dm"] / carried)
         return float("nan")
 

@@ -50,7 +50,7 @@ def extended_text(diagnosis: Diagnosis) -> str:
             },
         ),
         _format_table(
-            "calibration", {k: v for k, v in diagnosis.extension.calibration.items() if v}
+            "calibration", {str(k): v for k, v in diagnosis.extension.calibration.items() if v}
         ),
         *_format_left_open(diagnosis.left_open),
         *_format_closed_loop(diagnosis.closed_loop),

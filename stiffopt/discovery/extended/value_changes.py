@@ -112,7 +112,7 @@ def torque_gains(model: ExtendedModel) -> np.ndarray:
     gains = np.ones(len(model.joints))
     for estimated in model.extension.effects:
         located = estimated.located
-        if located.effect.name == "torque_gain" and located.joint is not None:
+        if "torque_constant" in located.effect.tolerances and located.joint is not None:
             gains[located.joint] /= 1.0 + float(estimated.amplitudes[0])
     return gains
 

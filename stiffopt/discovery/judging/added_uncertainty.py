@@ -14,6 +14,7 @@ import numpy as np
 
 from stiffopt.discovery.comparison.comparison import Comparison
 from stiffopt.discovery.comparison.prepared_run import prepare_run
+from stiffopt.discovery.comparison.value_name import ValueName
 from stiffopt.discovery.search.rivals import Selected
 from stiffopt.discovery.search.uncertainty import Estimate, estimate_parameters
 from stiffopt.discovery.thresholds import (
@@ -88,7 +89,7 @@ def add_scale_deviation(parameters: Estimate, selected: Sequence[Selected]) -> E
     known = np.sqrt(np.diag(parameters.covariance))
     scales = []
     for each in selected:
-        name = f"torque_constant {each.channel + 1}"
+        name = ValueName("torque_constant", each.channel)
         # Channels above the number of joints are angles.
         there = name in parameters.nuisance
         scales.append(float(known[parameters.nuisance.index(name)]) if there else 0.0)

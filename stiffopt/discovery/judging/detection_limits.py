@@ -11,7 +11,7 @@ from stiffopt.discovery.catalogue.common import WEIGHT
 from stiffopt.discovery.comparison.located_effect import LocatedEffect, effect_places
 from stiffopt.discovery.effect import Effect
 from stiffopt.discovery.search.candidates import Scorer
-from stiffopt.discovery.thresholds import NAMED_DEVIATIONS, NAMED_EVIDENCE
+from stiffopt.discovery.thresholds import NAMED_EVIDENCE
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,7 @@ def _effect_limits(
             continue
         size = float(middle.sizes(constants)[0])
         price = np.log(len(tried)) - np.log(sd)
-        least = size * sd * max(NAMED_DEVIATIONS, float(np.sqrt(2.0 * (NAMED_EVIDENCE + price))))
+        least = size * sd * float(np.sqrt(2.0 * (NAMED_EVIDENCE + price)))
         amplitude = effect.amplitudes[0]
         base = None
         if effect.nominal and joint is not None:

@@ -9,6 +9,7 @@ import numpy as np
 
 from stiffopt.discovery.comparison.comparison import Comparison, Fit
 from stiffopt.discovery.comparison.prepared_run import PreparedRun
+from stiffopt.discovery.comparison.value_name import ValueName
 
 # Postures per training run that modes are calculated in.
 _POSTURES_PER_RUN = 6
@@ -69,7 +70,7 @@ def mode_shifts(comparison: Comparison, fit: Fit) -> tuple[ModeShift, ...]:
         return ()
     middle = len(run.time) // 2
     names = comparison.nuisance[0]
-    places = [names.index(f"stiffness {j + 1}") for j in range(comparison.robot.n)]
+    places = [names.index(ValueName("stiffness", j)) for j in range(comparison.robot.n)]
     spread = fit.posterior.covariance[np.ix_(places, places)]
     before, _ = nominal.vibration.modes(middle)
     frequencies, shapes = run.vibration.modes(middle)

@@ -14,11 +14,9 @@ from stiffopt.discovery.thresholds import (
     DETERMINED_DEVIATIONS,
     LOCAL_EVIDENCE_SHARE,
     MIN_HELD_OUT_SHARE,
-    NAMED_DEVIATIONS,
     NAMED_EVIDENCE,
     NAMED_SHARE,
     PRIOR_RELIEF_SHARE,
-    STRICT_DEVIATIONS,
 )
 
 STOPPED_MESSAGE = "stopped: the findings up to now are assessed"
@@ -26,9 +24,9 @@ STOPPED_MESSAGE = "stopped: the findings up to now are assessed"
 
 def passes_thresholds(candidate: Candidate, scorer: Scorer) -> bool:
     """True if a candidate is significant and improves the residual or nominal values enough."""
-    if candidate.evidence < NAMED_EVIDENCE or candidate.deviations < NAMED_DEVIATIONS:
+    if candidate.evidence < NAMED_EVIDENCE:
         return False
-    if candidate.explained >= NAMED_SHARE and candidate.gain > 0.0:
+    if candidate.explained >= NAMED_SHARE:
         return True
     return _prior_relief(candidate, scorer) > PRIOR_RELIEF_SHARE * candidate.evidence
 
@@ -100,23 +98,20 @@ def confirm_effects(
 
     Effects that act for a few seconds only, such as a drive at its limit, count if they remove most
     of a channel's residual, in recordings left out as well. Without stated tolerances (`strict`)
-    they need significance as well, and one amplitude that is significant alone. Calibrated values
-    are exempt.
+    all need significance, and one amplitude that is significant alone. Calibrated values are
+    exempt.
     """
     kept = list(effects)
     while not all(e.calibrated for e in kept):
         sure, single = jackknife_significance(comparison, kept)
         sure[[e.calibrated for e in kept]] = np.inf
-        weak = [int(i) for i in np.argsort(sure) if sure[i] < CONFIRMED_DEVIATIONS]
-        doubted = [
-            int(i)
-            for i in np.argsort(sure)
-            if strict
-            and np.isfinite(sure[i])
-            and (sure[i] < STRICT_DEVIATIONS or single[i] < DETERMINED_DEVIATIONS)
-        ]
-        unproved = (i for i in weak if not _is_locally_supported(comparison, kept, i))
-        lost = doubted[0] if doubted else next(unproved, None)
+        weak = sure < CONFIRMED_DEVIATIONS
+        if strict:
+            weak |= np.isfinite(sure) & (single < DETERMINED_DEVIATIONS)
+        doubted = (int(i) for i in np.argsort(sure) if weak[i])
+        lost = next(
+            (i for i in doubted if strict or not _is_locally_supported(comparison, kept, i)), None
+        )
         if lost is None:
             break
         kept.pop(lost)

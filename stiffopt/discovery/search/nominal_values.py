@@ -54,7 +54,7 @@ def claim_outside_values(
     outside = [
         each
         for each in values_outside_tolerance(current, effects)
-        if getattr(stated, each.kind) is not None
+        if getattr(stated, each.name.kind) is not None
     ]
     if not outside or len(outside) > most or not _explains(current, effects):
         return current, ranked
@@ -82,15 +82,15 @@ def _locate_effect(
     """Return the effect of the catalogue that changes a nominal value; None where none does."""
     constants, last = comparison.constants, comparison.robot.n - 1
     for effect in catalogue:
-        if value.kind not in effect.tolerances:
+        if value.name.kind not in effect.tolerances:
             continue
         of_last = effect.scope == "robot"
-        if value.of_body and of_last != (value.place == last):
+        if value.of_body and of_last != (value.name.place == last):
             continue
         located = LocatedEffect(
             effect=effect,
-            joint=value.place if effect.scope == "joint" else None,
-            link=value.place if effect.scope == "link" else None,
+            joint=value.name.place if effect.scope == "joint" else None,
+            link=value.name.place if effect.scope == "link" else None,
         )
         own = located.constants(constants)
         if effect.applies is None or effect.applies(own):

@@ -18,6 +18,7 @@ from stiffopt.discovery.comparison.located_effect import (
     with_amplitudes,
 )
 from stiffopt.discovery.comparison.prepared_run import PreparedRun
+from stiffopt.discovery.comparison.value_name import ValueName
 
 if TYPE_CHECKING:
     from stiffopt.discovery.effect import Constants
@@ -39,7 +40,7 @@ class Estimate:
 
     Parameters
     ----------
-    nuisance : tuple of str
+    nuisance : tuple of ValueName
         Names of the nominal values.
     values : array (p,)
         Nominal values, then amplitudes over their sizes.
@@ -53,7 +54,7 @@ class Estimate:
         Number of stretches and of runs.
     """
 
-    nuisance: tuple[str, ...]
+    nuisance: tuple[ValueName, ...]
     values: np.ndarray
     effects: tuple[EstimatedEffect, ...]
     covariance: np.ndarray
@@ -63,7 +64,7 @@ class Estimate:
     shape_sizes: tuple[np.ndarray, ...]
     parts: tuple[int, int]
 
-    def calibration(self) -> dict[str, float]:
+    def calibration(self) -> dict[ValueName, float]:
         """Return the changes of the nominal values by name."""
         values = self.values[: len(self.nuisance)]
         return {name: float(v) for name, v in zip(self.nuisance, values, strict=True)}

@@ -270,17 +270,13 @@ def _largest_moved_value(diagnosis: Diagnosis) -> str:
     if not moved:
         return ""
     first = moved[0]
-    kind, *rest = first.name.split()
-    joint = next(each for each in rest if each.isdecimal())
-    words = [
-        _NOMINAL_NAMES.get(kind, kind.replace("_", " ")),
-        *(each for each in rest if each != joint),
-    ]
+    kind, place_, part = first.name
+    words = f"{_NOMINAL_NAMES.get(kind, kind.replace('_', ' '))} {part}".rstrip()
     where = "behind" if kind in ("mass", "com") else "of"
     size = f"{100.0 * first.change:+.2g} %"
     if first.unit:
         size = f"{significant(first.change, 2)} {first.unit}"
-    return f" (mainly {' '.join(words)} {where} joint {joint}: {size})"
+    return f" (mainly {words} {where} joint {place_ + 1}: {size})"
 
 
 def _nominal_part_phrase(diagnosis: Diagnosis, effects: Sequence[LocatedEffect]) -> str:

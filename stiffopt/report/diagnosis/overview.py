@@ -13,6 +13,7 @@ import numpy as np
 
 from stiffopt.discovery.answer import MIN_LISTED_PROBABILITY
 from stiffopt.discovery.comparison.inertial_parameters import INERTIAL_PARAMETER_NAMES
+from stiffopt.discovery.comparison.value_name import ValueName
 from stiffopt.report.common.text import percent
 
 if TYPE_CHECKING:
@@ -34,14 +35,14 @@ class MovedValue:
 
     Parameters
     ----------
-    name : str
+    name : ValueName
     unit : str
         "" for a relative change.
     change, tolerance : float
         The tolerance is one standard deviation.
     """
 
-    name: str
+    name: ValueName
     unit: str
     change: float
     tolerance: float
@@ -116,9 +117,9 @@ def moved_values(diagnosis: Diagnosis) -> list[MovedValue]:
     names, sd, _ = diagnosis.search.comparison.nuisance
     moved = diagnosis.search.fit.posterior.mean[: len(names)]
     units = {"com": "m", "encoder_zero": "rad"}
-    order = [k for k in np.argsort(-np.abs(moved / sd)) if not names[k].startswith("body ")]
+    order = [k for k in np.argsort(-np.abs(moved / sd)) if names[k].kind != "body"]
     return [
-        MovedValue(names[k], units.get(names[k].split()[0], ""), float(moved[k]), float(sd[k]))
+        MovedValue(names[k], units.get(names[k].kind, ""), float(moved[k]), float(sd[k]))
         for k in order[:_MAX_MOVED_VALUES]
     ]
 

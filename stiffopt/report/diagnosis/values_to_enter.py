@@ -72,17 +72,18 @@ def _signals_sentence(diagnosis: Diagnosis, finding: Finding) -> str:
 
 def _pinned_sentence(diagnosis: Diagnosis, value: OutsideValue) -> str:
     """Return that a value is far outside its tolerance and no finding accounts for it."""
-    unit = _KIND_UNITS.get(value.kind, "")
+    kind, joint, part = value.name
+    unit = _KIND_UNITS.get(kind, "")
     size = (
         f"{significant(value.change, 2)} ± {significant(value.sd, 1)} {unit}"
         if unit
         else f"{100.0 * value.change:+.2g} ± {100.0 * value.sd:.1g} %"
     )
-    axis = f" along {value.name.split()[2]}" if value.kind == "com" else ""
+    axis = f" along {part}" if kind == "com" else ""
     most = diagnosis.training.box
     return (
-        f"Nominal value pinned at its tolerance: the {_KIND_WORDS.get(value.kind, value.kind)}"
-        f" joint {value.place + 1}{axis} would have to change by {size},"
+        f"Nominal value pinned at its tolerance: the {_KIND_WORDS.get(kind, kind)}"
+        f" joint {joint + 1}{axis} would have to change by {size},"
         f" {significant(abs(value.change) / value.tolerance, 2)} times its tolerance (a fit allows"
         f" {most:g}). Measure it, or look for another cause: a value so far off seldom is the only"
         " one."
