@@ -54,6 +54,8 @@ _SPIKE_EXCESS = 10.0
 # A correction starts at an optimum: beyond the iterations that this took, and at least so many, it
 # is unlikely to converge.
 _MIN_CORRECTION_ITERATIONS = 150
+# Rise of the objective by a correction, relative, up to which a stalled one is acceptable.
+_MAX_STALLED_RISE = 1e-2
 # Least distance from backed-off bounds of a correction's start.
 _CORRECTION_BOUND_PUSH = 1e-3
 
@@ -133,10 +135,13 @@ def solve_again(run: SolveRun, before: Outcome, nlp: Nlp, smoothing: Smoothing) 
 def solve_correction(
     run: SolveRun, made: Programme, before: RawSolution, nlp: Nlp, smoothing: Smoothing
 ) -> RawSolution:
-    """Solve as `solve_again`, without the certificate."""
+    """Solve as `solve_again`, without the certificate.
+
+    A correction that stalls at a feasible point of about the objective before is acceptable.
+    """
     made.solver.set_bounds(nlp)
     stage = SolveStage(len(made.transcription.intervals), smoothing)
-    return solve_stage(
+    found = solve_stage(
         run,
         made,
         stage,
@@ -147,6 +152,11 @@ def solve_correction(
         _CORRECTION_BOUND_PUSH,
         max(before.iterations, _MIN_CORRECTION_ITERATIONS),
     )
+    rise = found.objective - before.objective
+    near = rise <= _MAX_STALLED_RISE * abs(before.objective)
+    if found.status == "stalled" and found.violation <= FEASIBLE_VIOLATION and near:
+        return replace(found, status="acceptable")
+    return found
 
 
 def motors_with_law(run: SolveRun, outcome: Outcome, share: float, *, sagged: bool) -> Trajectory:
