@@ -141,7 +141,7 @@ def solve_correction(
     """
     made.solver.set_bounds(nlp)
     stage = SolveStage(len(made.transcription.intervals), smoothing)
-    found = solve_stage(
+    return solve_stage(
         run,
         made,
         stage,
@@ -151,12 +151,8 @@ def solve_correction(
         "adaptive",
         _CORRECTION_BOUND_PUSH,
         max(before.iterations, _MIN_CORRECTION_ITERATIONS),
+        before.objective + _MAX_STALLED_RISE * abs(before.objective),
     )
-    rise = found.objective - before.objective
-    near = rise <= _MAX_STALLED_RISE * abs(before.objective)
-    if found.status == "stalled" and found.violation <= FEASIBLE_VIOLATION and near:
-        return replace(found, status="acceptable")
-    return found
 
 
 def motors_with_law(run: SolveRun, outcome: Outcome, share: float, *, sagged: bool) -> Trajectory:
@@ -307,8 +303,12 @@ def solve_stage(
     barrier: Literal["monotone", "adaptive"] = "monotone",
     push: float = 1e-8,
     max_iterations: int | None = None,
+    enough: float = -np.inf,
 ) -> RawSolution:
-    """Solve one stage; after a stall once more from the best point without multipliers."""
+    """Solve one stage; after a stall once more from the best point without multipliers.
+
+    A stall at a feasible point whose objective is `enough` or less is acceptable.
+    """
     report = _progress_reporter(
         run, f"{text}, {stage.intervals} intervals, smoothing {stage.smoothing.stiffness:g}"
     )
@@ -323,6 +323,12 @@ def solve_stage(
             max_seconds=run.remaining,
             max_iterations=max_iterations,
         )
+        if (
+            raw.status == "stalled"
+            and raw.violation <= FEASIBLE_VIOLATION
+            and raw.objective <= enough
+        ):
+            raw = replace(raw, status="acceptable")
         run.record(stage, raw)
         if raw.status != "stalled":
             break

@@ -37,7 +37,7 @@ SLIGHT = Uncertainty(
 
 @pytest.fixture(scope="module")
 def commanded(tmp_path_factory):
-    """A planar arm of linear springs with payload, a smooth plan of 0.3 s, and the command that leads it."""
+    """A planar arm of linear springs, a smooth plan of 0.3 s, and the command that leads it."""
     springs = [joint(name, CONSTANT.format(stiffness=1e4)) for name in ("shoulder", "elbow")]
     folder = tmp_path_factory.mktemp("arm")
     robot = load_robot(write_robot(folder, "planar", joints=springs))

@@ -24,9 +24,9 @@ if TYPE_CHECKING:
     from stiffopt.result.assessment import Assessment
     from stiffopt.symbolic import Quantity
 
-# Weight of the squared ringing over the typical error: ringing of a sixtieth of that counts as much
-# as the error in flight, and more counts more. Rivals ring as little.
-_RINGING_WEIGHT = 30.0
+# Weight of the squared ringing over the typical error: ringing of 1/200 of that counts as much as
+# the error in flight, and more counts more: rivals with a smooth time law hardly ring.
+_RINGING_WEIGHT = 100.0
 
 
 class CommandedToolError(ObjectiveKind):
