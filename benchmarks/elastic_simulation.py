@@ -62,6 +62,8 @@ class Simulated:
     peak: float
     rms: float
     residual: float
+    time: np.ndarray
+    deviation: np.ndarray
 
 
 class Springs:
@@ -127,6 +129,7 @@ def simulate(
     stiffness: np.ndarray | float = 1.0,
     payload: float = 1.0,
     damping: float = 1.0,
+    rest: float = REST,
 ) -> Simulated:
     """Simulate one motion (callable motion(t, order) with attribute duration).
 
@@ -137,7 +140,7 @@ def simulate(
     model = robot.with_payload_times(payload).model
     data = model.createData()
     reference = motion if reference is None else reference
-    steps = round((motion.duration + REST) / STEP)
+    steps = round((motion.duration + rest) / STEP)
     # Motor position and speed at every half step, at rest after arrival.
     times = np.minimum(STEP / 2 * np.arange(2 * steps + 1), motion.duration)
     motor, speed, push = (motion(times, order) for order in range(3))
@@ -211,6 +214,8 @@ def simulate(
         peak=float(size[flight].max()),
         rms=float(np.sqrt(np.mean(size[flight] ** 2))),
         residual=float(size[~flight].max()),
+        time=when,
+        deviation=size,
     )
 
 

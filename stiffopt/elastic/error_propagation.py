@@ -37,6 +37,8 @@ if TYPE_CHECKING:
 _TIME_STEP = 1e-3
 # Periods of the lowest mode after arrival, at most so long [s]: the first peak is the largest.
 _PERIODS_AFTER_ARRIVAL, _MAX_TIME_AFTER_ARRIVAL = 1.5, 1.0
+# Least relative change of a stiffness by which the change of a wind-up is found.
+_MIN_STIFFNESS_STEP = 1e-6
 # Rate at which the servo's response to a constant speed is evaluated [1/s].
 _SLOW_RATE = 1e-3
 
@@ -110,31 +112,28 @@ class _MotionSamples:
             self._extend(each[0]) for each in (bodies.inertia, bodies.by_v, bodies.by_q)
         )
         held = LinearizedBodies(arm, q, still, still)
-        # Of the links and the payload, less their weight.
-        self._dynamic = [
-            self._extend(x - y) for x, y in zip(bodies.torque, held.torque, strict=True)
-        ]
-        self._windup = self._extend(arm.windup(bodies.torque[0]))
-        compliance = [
-            np.inf if spring is None else spring.compliance(bodies.torque[0][:, j])
-            for j, spring in enumerate(arm.springs)
-        ]
-        self.stiffness = self._extend(
-            np.stack([1.0 / np.broadcast_to(own, len(q)) for own in compliance], axis=1)
-        )
+        # First of all bodies, then of the payload.
+        self._torque, self._weight = self._extend_all(bodies.torque), self._extend_all(held.torque)
+        self._windup = arm.windup(self._torque[0])
+        self.stiffness = self._spring_stiffness(self._torque[0])
+        self._finite_stiffness = np.where(arm.elastic, self.stiffness, 0.0)
 
     def disturbances(self, uncertainty: Uncertainty) -> Iterator[tuple[str, np.ndarray]]:
         """Torques (K, n) [N m] of the parameters of the arm at their bounds."""
         arm, bounds = self._arm, uncertainty.shares(self._arm.robot.n)
+        away = self._windup_departure(self._torque[0], bounds)
+        away -= self._windup_departure(self._weight[0], bounds)
         for j in np.flatnonzero(arm.elastic & (bounds > 0.0)):
             own = np.zeros_like(self.q)
-            own[:, j] = bounds[j] * self._dynamic[0][:, j]
+            own[:, j] = self._finite_stiffness[:, j] * away[:, j]
             yield f"stiffness of joint {j + 1}", own
         if uncertainty.damping and arm.damping.any():
             rate = np.gradient(self._windup, self.step, axis=0)
-            yield "damping", -uncertainty.damping * arm.damping * rate
-        if len(self._dynamic) > 1 and uncertainty.payload:
-            yield "payload", -uncertainty.payload * self._dynamic[1]
+            yield "damping", uncertainty.damping * arm.damping * rate
+        if len(self._torque) > 1 and uncertainty.payload:
+            away = self._payload_departure(self._torque, uncertainty.payload)
+            away -= self._payload_departure(self._weight, uncertainty.payload)
+            yield "payload", self._finite_stiffness * away
 
     def servo_disturbance(self, servo: Servo, worst: Servo) -> tuple[np.ndarray, np.ndarray]:
         """Motors' error (K, n) [rad] with the worst servo, and the torque (K, n) that it costs.
@@ -154,6 +153,31 @@ class _MotionSamples:
         )
         parts = zip((self.by_q, self.by_v, self.inertia), (error, speed, bend), strict=True)
         return error, -sum(np.einsum("kij,kj->ki", by, moved) for by, moved in parts)
+
+    def _windup_departure(self, torque: np.ndarray, bounds: np.ndarray) -> np.ndarray:
+        """Change of the wind-ups (K, n) [rad] at torques (K, n) by the bounds of the stiffness.
+
+        Between two stiffnesses, which blurs the kinks of a reducer as uncertain arms do.
+        """
+        step = np.maximum(np.sqrt(UNIFORM_MEAN_SQUARE) * bounds, _MIN_STIFFNESS_STEP)
+        softer, stiffer = (self._arm.windup(torque / (1.0 + h)) for h in (-step, step))
+        return np.asarray(0.5 * bounds / step * (softer - stiffer))
+
+    def _payload_departure(self, torques: list[np.ndarray], bound: float) -> np.ndarray:
+        """Change of the wind-ups (K, n) [rad] at torques by a payload heavier by the bound."""
+        whole, payload = torques
+        return self._arm.windup(whole) - self._arm.windup(whole + bound * payload)
+
+    def _spring_stiffness(self, torque: np.ndarray) -> np.ndarray:
+        """Tangent stiffnesses (K, n) [N m/rad] at torques (K, n); infinite for rigid joints."""
+        found = np.full_like(torque, np.inf)
+        for j, spring in enumerate(self._arm.springs):
+            if spring is not None:
+                found[:, j] = 1.0 / spring.compliance(torque[:, j])
+        return found
+
+    def _extend_all(self, values: np.ndarray) -> list[np.ndarray]:
+        return [self._extend(each) for each in values]
 
     def _extend(self, values: np.ndarray) -> np.ndarray:
         return np.concatenate([values, np.repeat(values[-1:], self._rest, axis=0)])

@@ -2,7 +2,8 @@
 
 Where the command leads the nominal arm exactly, the error left on an arm with other parameters is
 that of the parameters alone (`elastic.error_propagation`). In flight it is quasi-static: a joint
-whose stiffness is off by a share misses by that share of its dynamic wind-up, the payload by the
+whose stiffness is off by a share misses by that share of its dynamic wind-up (at a kink of a
+reducer by more or less, and with many local optima), the payload by the
 wind-up under its own inertia, the servo by its lag, a multiple of speed and acceleration. What
 rings is the content of the torques at the elastic modes. Three integrations by parts turn it into
 that of their third rate, whose spectrum is taken as flat up to the mode:
@@ -28,8 +29,8 @@ if TYPE_CHECKING:
     from stiffopt.problem.motor_model import MotorModel
     from stiffopt.symbolic import Quantity
 
-# Least ringing of a joint by the third rate of its acceleration, over that of the worst joint. Wrist
-# joints hardly ring, and would use up their limits of jerk for nothing.
+# Least ringing of a joint by the third rate of its acceleration, over that of the worst one: wrist
+# joints hardly ring, and would use up their jerk for nothing.
 _MIN_RINGING_SHARE = 0.1
 # Rate about which the servo's response is expanded [1/s]: slow beside any bandwidth.
 _SLOW_RATE = 1e-2
@@ -60,12 +61,12 @@ class CommandedError:
             (self._bounds[j] * model.dynamic_windup[j]) ** 2 * squared_length(columns[j])
             for j in joints
         )
-        away = [self._servo_lag]
+        others = [self._servo_lag]
         if model.robot.payload is not None:
             compliance = np.mean([_compliance(model, pose) for pose in model.rest_poses], axis=0)
             load = model.payload_torque
-            away.append([self._uncertainty.payload * compliance[j] * load[j] for j in joints])
-        for angles in away:
+            others.append([self._uncertainty.payload * compliance[j] * load[j] for j in joints])
+        for angles in others:
             total += squared_length(
                 [sum(columns[j][i] * angles[j] for j in joints) for i in range(3)]
             )

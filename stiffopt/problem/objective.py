@@ -172,7 +172,7 @@ OBJECTIVES: Registry[ObjectiveKind] = Registry("stiffopt.problem.objectives")
 class Objective:
     """One term of the objective; `name` is a kind of `problem/objectives/`."""
 
-    name: str = "tool_deviation"
+    name: str = "tool_error"
     measure: Annotated[
         Literal["peak", "rms"], Doc("Largest value over time, or root mean square; of deflections.")
     ] = "peak"

@@ -405,8 +405,8 @@ class ProblemFile(Section):
         list[MinimiseSection] | None,
         Field(min_length=1),
         Doc(
-            "Terms of the objective, one or more; default the peak of tool_deviation, or of "
-            "dynamic_deflection where links cannot be planned."
+            "Terms of the objective, one or more; default tool_error, the peak of tool_deviation "
+            "without a command, or of dynamic_deflection where links cannot be planned."
         ),
     ] = None
     limits: LimitsSection = LimitsSection()

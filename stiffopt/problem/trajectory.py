@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 # overflow in the solve.
 _MAX_POSITION = 1e3
 _DURATION_RANGE = (1e-3, 600.0)
+# The first that a problem allows is minimised where none is stated.
+_DEFAULT_OBJECTIVES = ("tool_error", "tool_deviation", "dynamic_deflection")
 _DROPPED_JERK_REMARK = (
     "The robot's own jerk limit is dropped: along a fixed path the acceleration jumps. Give poses "
     "instead of motion.path to keep it."
@@ -189,8 +191,8 @@ class TrajectoryProblem:
     duration : (lower, upper) [s]
         Equal values fix it.
     objectives : tuple of Objective
-        Default: the peak tool deviation, or the quasi-static dynamic deflection where the links
-        cannot be planned; `chosen` states which.
+        Default: the tool error of the commanded arm; without a command the peak tool deviation, and
+        where the links cannot be planned the dynamic deflection. `chosen` states which.
     limits : Limits or None
         Default: the robot's own.
     boundary_velocity : (start (n,), end (n,)) [rad/s]
@@ -297,12 +299,15 @@ class TrajectoryProblem:
                 f"The problem has no objective, and {self.robot.name} has no drivetrain whose "
                 "deflection could be the default; add at least one [[minimise]]."
             )
-        best, why = Objective(), "by default"
-        try:
-            best.kind.check(best, self)
-        except ProblemError as error:
-            why = f"by default: {str(error).rstrip('.')}"
-            best = Objective(name="dynamic_deflection")
+        why = "by default"
+        for name in _DEFAULT_OBJECTIVES:
+            best = Objective(name=name)
+            try:
+                best.kind.check(best, self)
+            except ProblemError as error:
+                why = f"by default: {str(error).rstrip('.')}"
+            else:
+                break
         object.__setattr__(self, "objectives", (best,))
         object.__setattr__(self, "chosen", f"{best.name} is minimised, {why}.")
 

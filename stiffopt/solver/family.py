@@ -18,6 +18,7 @@ from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
 from stiffopt.problem.bounds import shortest_duration
 from stiffopt.problem.formulation import Scales, formulate
 from stiffopt.problem.input_checks import check_clear_poses
+from stiffopt.problem.limits.travel import with_bounded_travel
 from stiffopt.problem.resolve import resolve
 from stiffopt.problem.stage_terms import Smoothing
 from stiffopt.problem.trajectory import TrajectoryProblem
@@ -178,6 +179,7 @@ class ProblemFamily:
     ) -> tuple[SolveRun, Outcome | None]:
         """Return the outcome from a warm start, None where it is not a certified optimum."""
         motion = resolve(problem)
+        problem = with_bounded_travel(problem, motion)
         _ = problem.clearance_model
         check_clear_poses(problem, motion)
         run = SolveRun(problem, motion, Scales(warm.scales), progress)

@@ -29,6 +29,7 @@ from stiffopt.problem.bounds import check_bounds, shortest_duration
 from stiffopt.problem.files import LoadedProblem
 from stiffopt.problem.formulation import Scales
 from stiffopt.problem.input_checks import check_clear_poses, inconsistent_inertias, slack_belts
+from stiffopt.problem.limits.travel import with_bounded_travel
 from stiffopt.problem.resolve import resolve
 from stiffopt.problem.trajectory import ResolvedMotion, TrajectoryProblem
 from stiffopt.result.assessment import Assessment
@@ -139,7 +140,8 @@ def solve_with_state(
     compare : bool
         Also search the baseline that keeps every limit.
     """
-    motion = resolve(problem)
+    stated, motion = problem, resolve(problem)
+    problem = with_bounded_travel(stated, motion)
     # Reports unreadable meshes of the cell before the solve.
     _ = problem.clearance_model
     check_clear_poses(problem, motion)
@@ -189,7 +191,7 @@ def solve_with_state(
             solution = interrupted_with_baseline(run, compared, notes)
     if simulate:
         solution = with_simulation(problem, solution, progress, motion, run.command)
-    return solution, kept
+    return replace(solution, inputs_hash=inputs_hash(stated)), kept
 
 
 def _solve_shaped_in_remaining_time(

@@ -53,6 +53,8 @@ _SPIKE_EXCESS = 10.0
 # A correction starts at an optimum: beyond the iterations that this took, and at least so many, it
 # is unlikely to converge.
 _MIN_CORRECTION_ITERATIONS = 150
+# Rise of the objective by a correction, relative, up to which a stalled one is acceptable.
+_MAX_STALLED_RISE = 1e-2
 # Least distance from backed-off bounds of a correction's start.
 _CORRECTION_BOUND_PUSH = 1e-3
 
@@ -137,7 +139,10 @@ def solve_correction(
     smoothing: Smoothing,
     max_iterations: int | None = None,
 ) -> RawSolution:
-    """Solve as `solve_again`, without the certificate."""
+    """Solve as `solve_again`, without the certificate.
+
+    A correction that stalls at a feasible point of about the objective before is acceptable.
+    """
     made.solver.set_bounds(nlp)
     stage = SolveStage(len(made.transcription.intervals), smoothing)
     return solve_stage(
@@ -150,6 +155,7 @@ def solve_correction(
         "adaptive",
         _CORRECTION_BOUND_PUSH,
         max_iterations or max(before.iterations, _MIN_CORRECTION_ITERATIONS),
+        before.objective + _MAX_STALLED_RISE * abs(before.objective),
     )
 
 
@@ -301,8 +307,12 @@ def solve_stage(
     barrier: Literal["monotone", "adaptive"] = "monotone",
     push: float = 1e-8,
     max_iterations: int | None = None,
+    enough: float = -np.inf,
 ) -> RawSolution:
-    """Solve one stage; after a stall once more from the best point without multipliers."""
+    """Solve one stage; after a stall once more from the best point without multipliers.
+
+    A stall at a feasible point whose objective is `enough` or less is acceptable.
+    """
     report = _progress_reporter(
         run, f"{text}, {stage.intervals} intervals, smoothing {stage.smoothing.stiffness:g}"
     )
@@ -317,6 +327,12 @@ def solve_stage(
             max_seconds=run.remaining,
             max_iterations=max_iterations,
         )
+        if (
+            raw.status == "stalled"
+            and raw.violation <= FEASIBLE_VIOLATION
+            and raw.objective <= enough
+        ):
+            raw = replace(raw, status="acceptable")
         run.record(stage, raw)
         if raw.status != "stalled":
             break

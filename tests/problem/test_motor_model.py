@@ -240,8 +240,8 @@ def test_link_planning_of_unsupported_problems_is_refused(pieces, words, tmp_pat
 
 def test_default_objective(planar):
     plain = replace(planar, objectives=())
-    assert [each.name for each in plain.objectives] == ["tool_deviation"]
-    assert plain.chosen == "tool_deviation is minimised, by default."
+    assert [each.name for each in plain.objectives] == ["tool_error"]
+    assert plain.chosen == "tool_error is minimised, by default."
     radau = replace(plain, objectives=(), method=Method(transcription="radau"))
     assert [each.name for each in radau.objectives] == ["dynamic_deflection"]
     assert radau.chosen.startswith("dynamic_deflection is minimised, by default: tool_deviation")

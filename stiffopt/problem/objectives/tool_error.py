@@ -24,9 +24,9 @@ if TYPE_CHECKING:
     from stiffopt.result.assessment import Assessment
     from stiffopt.symbolic import Quantity
 
-# Weight of the squared ringing over the typical error: ringing of a twentieth of that counts as
-# much as the error in flight, and more counts more.
-_RINGING_WEIGHT = 10.0
+# Weight of the squared ringing over the typical error: ringing of 1/200 of that counts as much as
+# the error in flight, and more counts more: rivals with a smooth time law hardly ring.
+_RINGING_WEIGHT = 100.0
 
 
 class CommandedToolError(ObjectiveKind):
@@ -52,6 +52,11 @@ class CommandedToolError(ObjectiveKind):
         """Raise `ProblemError` unless there is a command and an uncertainty."""
         check_link_planning(problem, self.name, "minimise 'dynamic_deflection'")
         check_arrival(problem, self.name)
+        if not np.any(problem.uncertainty.shares(problem.joints)):
+            raise ProblemError(
+                f"{self.name} refers to arms of uncertain stiffness, and uncertainty.stiffness is "
+                "0: give a share above 0, or minimise 'tool_deviation'."
+            )
         if problem.boundary_velocity is not None and np.any(problem.boundary_velocity[0]):
             raise ProblemError(
                 f"{self.name} refers to a command from rest, and the motion starts with a "

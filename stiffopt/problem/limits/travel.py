@@ -1,0 +1,81 @@
+"""Travel of every axis over what the given poses need."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+
+from stiffopt.declaration import Bounds, Ratio
+from stiffopt.problem.limit import LIMITS, LimitKey, LimitKind, Limits
+
+if TYPE_CHECKING:
+    from stiffopt.problem.joint_lists import JointLists
+    from stiffopt.problem.stage_model import StageModel
+    from stiffopt.problem.stage_terms import PathRows
+    from stiffopt.problem.trajectory import ResolvedMotion, TrajectoryProblem
+    from stiffopt.result.assessment import Assessment, Violation
+    from stiffopt.validation import Section
+
+_DEFAULT_TRAVEL = 1.5  # where the tool error is minimised
+# Least need of an axis, as a share of the largest of its kind: the others pass by its detour.
+_MIN_NEED_SHARE = 1.0 / 3.0
+
+
+class Travel(LimitKind):
+    """Limit on each axis's range, which becomes one of its position (`with_bounded_travel`)."""
+
+    name = "travel"
+    keys = (
+        LimitKey(
+            key="travel",
+            form=Annotated[Ratio, Bounds(above=1.0)] | None,
+            description="Largest range of each axis over that of the given poses, or over a third "
+            "of the most that another axis needs; default 1.5 with tool_error, else none.",
+            value=lambda robot: None,
+        ),
+    )
+
+    def active(self, limits: Limits) -> bool:
+        """Return False: limits of the position stand in its place."""
+        return False
+
+    def read(self, section: Section, joints: JointLists) -> dict[str, Any]:
+        """Read the ratio; None where it is left out."""
+        return {"travel": section.travel}  # type: ignore[attr-defined]
+
+    def rows(self, problem: TrajectoryProblem, model: StageModel, margin: float) -> list[PathRows]:
+        """No rows."""
+        return []
+
+    def violations(self, limits: Limits, motion: Assessment) -> list[Violation]:
+        """No violations."""
+        return []
+
+
+LIMITS.add(Travel())
+
+
+def with_bounded_travel(problem: TrajectoryProblem, motion: ResolvedMotion) -> TrajectoryProblem:
+    """Return the problem with the positions of its axes limited by their travel.
+
+    Unchanged on a fixed path, where an end is given by the tool's position alone, and without need.
+    """
+    limits, points = problem.active_limits, motion.points
+    ratio = limits.travel
+    if ratio is None:
+        ratio = _DEFAULT_TRAVEL if problem.judges_uncertain_arms else np.inf
+    given = motion.start_fixed and motion.end_fixed and problem.path is None
+    need, most = np.ptp(points, axis=0), np.zeros(problem.joints)
+    if not (given and np.isfinite(ratio) and need.any()):
+        return problem
+    for kind in (problem.robot.prismatic, ~problem.robot.prismatic):
+        most[kind] = np.max(need[kind], initial=0.0)
+    beside = 0.5 * (ratio * np.maximum(need, _MIN_NEED_SHARE * most) - need)
+    narrower = replace(
+        limits,
+        position_lower=np.maximum(limits.position_lower, points.min(axis=0) - beside),
+        position_upper=np.minimum(limits.position_upper, points.max(axis=0) + beside),
+    )
+    return replace(problem, limits=narrower)

@@ -1,0 +1,134 @@
+"""Least tool error of the commanded arm, with bounded travel."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import casadi as ca
+import numpy as np
+import pytest
+from small_arms import load
+
+from stiffopt.baseline.rivals import quintic_law
+from stiffopt.connection import Constant
+from stiffopt.drivetrain.chain import Chain, Stage
+from stiffopt.elastic.arm import ElasticArm
+from stiffopt.elastic.error_propagation import propagate_error
+from stiffopt.elastic.uncertainty import Uncertainty
+from stiffopt.errors import ProblemError
+from stiffopt.problem.limits.travel import with_bounded_travel
+from stiffopt.problem.motor_model import MotorModel
+from stiffopt.problem.objective import Objective
+from stiffopt.problem.resolve import resolve
+from stiffopt.problem.stage_terms import Smoothing
+from stiffopt.result.joint_path import JointPath
+from stiffopt.result.status import SolveStatus
+from stiffopt.result.tool_error import BOUND_FACTOR, UNIFORM_MEAN_SQUARE
+from stiffopt.solver.ipopt import RawSolution
+from stiffopt.solver.solve import solve
+from stiffopt.solver.stage_plan import SolveStage
+from stiffopt.solver.stages import solve_stage
+
+
+@pytest.fixture(scope="module")
+def problem(tmp_path_factory):
+    """A planar arm of linear springs with a payload; its objective is the default."""
+    found = load(tmp_path_factory.mktemp("arm"))
+    spring = Constant(name="spring", torque_max=60.0, stiffness=1.5e4)
+    robot = replace(found.robot, chains=(Chain((Stage(spring),)), Chain((Stage(spring),))))
+    robot = robot.with_payload(0.5, (0.0, 0.0, 0.0), (1e-3, 1e-3, 1e-3))
+    return replace(found, robot=robot, objectives=())
+
+
+@pytest.fixture(scope="module")
+def solution(problem):
+    return solve(problem)
+
+
+def propagated(problem, motion):
+    arm = ElasticArm(problem.robot, motion(np.zeros(1))[0])
+    return propagate_error(arm, motion, problem.uncertainty, problem.servo)
+
+
+def test_value_is_the_propagated_bound_in_flight_plus_after_arrival(problem, solution):
+    assert solution.status is SolveStatus.OPTIMAL
+    assert solution.objective.name == "tool_error"
+    found = propagated(problem, solution.trajectory.link)
+    assert solution.objective.value == pytest.approx(found.in_flight + found.after_arrival)
+
+
+def test_least_tool_error_is_below_that_of_other_motions(problem, solution):
+    deviation = solve(replace(problem, objectives=(Objective(name="tool_deviation"),)))
+    other = propagated(problem, deviation.trajectory.link)
+    assert solution.objective.value < other.in_flight + other.after_arrival
+    assert solution.ratio_to_strict_baseline < 1.0
+
+
+def test_quasi_static_error_is_the_propagated_one_in_a_slow_motion(problem):
+    motion = resolve(problem)
+    path = JointPath.through(np.stack([motion.start, motion.end])).follow(quintic_law(2.0))
+    true = propagated(problem, path)
+    rates = [ca.SX.sym(f"d{k}", 2) for k in range(6)]
+    model = MotorModel(
+        problem.robot, rates, 0.01, np.zeros(2), rest_poses=(motion.start, motion.end)
+    )
+    error = model.commanded_error(problem.uncertainty, problem.servo)
+    square = ca.Function("square", [ca.vertcat(*rates)], [error.quasi_static])
+    times = np.linspace(0.0, 2.0, 201)
+    states = np.hstack([*(path(times, k) for k in range(3)), np.zeros((201, 6))])
+    found = BOUND_FACTOR * np.sqrt(UNIFORM_MEAN_SQUARE * np.array(square(states.T))[0])
+    at = np.interp(times, true.time, true.bound)
+    assert found == pytest.approx(at, abs=0.05 * at.max())
+
+
+def test_certain_stiffness_and_a_start_in_motion_have_no_tool_error(problem):
+    sure = replace(problem, objectives=(), uncertainty=Uncertainty(stiffness=0.0))
+    assert sure.objectives[0].name == "tool_deviation"
+    with pytest.raises(ProblemError, match=r"uncertainty\.stiffness is 0"):
+        replace(sure, objectives=(Objective(name="tool_error"),))
+    moving = (np.array([0.1, 0.0]), np.zeros(2))
+    with pytest.raises(ProblemError, match=r"boundary_velocity\.start"):
+        replace(problem, boundary_velocity=moving)
+
+
+def test_axes_travel_no_more_than_allowed(problem, solution):
+    motion = resolve(problem)
+    need = np.ptp(motion.points, axis=0)
+    allowed = 1.5 * np.maximum(need, need.max() / 3.0)
+    times = np.linspace(0.0, solution.trajectory.duration, 501)
+    assert np.all(np.ptp(solution.trajectory(times), axis=0) <= 1.001 * allowed)
+    stated = replace(problem, limits=replace(problem.active_limits, travel=1.2))
+    narrow = with_bounded_travel(stated, motion).active_limits
+    width = narrow.position_upper - narrow.position_lower
+    assert width == pytest.approx(1.2 * np.maximum(need, need.max() / 3.0))
+    free = replace(problem, limits=replace(problem.active_limits, travel=np.inf))
+    assert with_bounded_travel(free, motion) is free
+    other = replace(problem, objectives=(Objective(name="tool_deviation"),))
+    assert with_bounded_travel(other, motion) is other
+
+
+@pytest.mark.parametrize(("objective", "status"), [(1.0, "acceptable"), (1.2, "stalled")])
+def test_correction_that_stalls_near_its_start_is_acceptable(objective, status):
+    raw = RawSolution(
+        status="stalled",
+        reason="Error_In_Step_Computation",
+        x=np.zeros(1),
+        g=np.zeros(0),
+        objective=objective,
+        violation=0.0,
+        worst_rows=[],
+        conflicts=[],
+        iteration=3,
+        iterations=3,
+        multipliers_x=np.zeros(1),
+        multipliers_g=np.zeros(0),
+        history=[],
+        build_s=0.0,
+        solve_s=0.0,
+    )
+    made = SimpleNamespace(solver=SimpleNamespace(solve=lambda *a, **k: raw))
+    run = SimpleNamespace(progress=None, remaining=1.0, record=lambda stage, raw: None)
+    stage = SolveStage(4, Smoothing(1.0))
+    found = solve_stage(run, made, stage, raw.x, None, "correction", enough=1.1)
+    assert found.status == status
