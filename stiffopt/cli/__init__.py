@@ -13,7 +13,17 @@ from collections.abc import Sequence
 from cyclopts import CycloptsError, UnusedCliTokensError
 
 from stiffopt import folders
-from stiffopt.cli import budgets, elastic, exports, motions, recordings, schemas, starters, sweeps
+from stiffopt.cli import (
+    budgets,
+    elastic,
+    exports,
+    motions,
+    recordings,
+    replays,
+    schemas,
+    starters,
+    sweeps,
+)
 from stiffopt.cli.base import app
 from stiffopt.errors import InputError, NoSolutionFound, shortened
 
@@ -24,6 +34,7 @@ __all__ = [
     "exports",
     "motions",
     "recordings",
+    "replays",
     "run",
     "schemas",
     "starters",

@@ -123,6 +123,7 @@ def write_result(
     changes: Sequence[str] = (),
     model: str | Path | None = None,
     effects: str | Path | None = None,
+    guess: str | Path | None = None,
 ) -> Path:
     """Write result.json into `directory`, after the motion files; return its path.
 
@@ -140,6 +141,8 @@ def write_result(
         Changed entries of the problem file, as given to --set.
     model, effects : path, optional
         Extended model of the plan, and the file of its effects.
+    guess : path, optional
+        Result folder whose solved state the solve started from.
     """
     document = result_document(solution)
     if stated is not None:
@@ -149,7 +152,7 @@ def write_result(
             for name, slides in zip(stated.robot.joint_names, stated.robot.prismatic, strict=True)
         ]
         document["seal"] = motion_seal(stated, directory)
-    named = {"problem": problem, "model": model, "effects": effects}
+    named = {"problem": problem, "model": model, "effects": effects, "guess": guess}
     for key, file in named.items():
         if file is not None:
             document[key] = Path(os.path.relpath(file, home or directory)).as_posix()
