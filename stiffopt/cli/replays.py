@@ -17,9 +17,8 @@ if TYPE_CHECKING:
 def replay(folder: Path, *, quiet: bool = False) -> int:
     """Solve a stored result again by its recipe, and say whether the answer is the same.
 
-    On the same platform and versions every stage has the same iterations and the same last digits;
-    elsewhere the objectives agree to 1e-9, or the first stage that differs is named. Exit code 1
-    where the answer differs.
+    Every stage has to end in the same objective to 1e-9, else the first one that differs is named,
+    with versions that do. Exit code 1 where the answer differs.
 
     Parameters
     ----------
