@@ -74,7 +74,7 @@ def problem_of(arm: str, objective: str, vias: int, seed: int) -> TrajectoryProb
         objectives=(Objective(name=objective),),
         duration=(duration, duration),
         method=Method(
-            intervals=INTERVALS_PER_VIA * (vias + 1), time_limit=600.0, collisions="check"
+            intervals=INTERVALS_PER_VIA * vias, time_limit=600.0, collisions="check"
         ),
     )
 

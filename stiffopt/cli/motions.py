@@ -28,16 +28,17 @@ def solve(
     effects: Path | None = None,
     guess: Path | None = None,
     changes: Changes = (),
+    report: bool = True,
     open_report: Open = False,
     quiet: bool = False,
 ) -> int:
     """Optimise and certify a trajectory.
 
-    Writes result.json, trajectory.csv, report.html and, for an elastic arm, command.csv: the motor
-    motion with which the links follow the plan. For a cycle of several [[move]] it writes
-    cycle.json, cycle.csv, report.html and a folder with these files for each leg. Ctrl-C ends the
-    solve and keeps the best motion so far; before the first motion it waits for it, pressed twice
-    it stops immediately.
+    Writes result.json, trajectory.csv, report.html, state.bin to solve similar problems from and,
+    for an elastic arm, command.csv: the motor motion with which the links follow the plan. For a
+    cycle of several [[move]] it writes cycle.json, cycle.csv, report.html and a folder with these
+    files for each leg. Ctrl-C ends the solve and keeps the best motion so far; before the first
+    motion it waits for it, pressed twice it stops immediately.
 
     Parameters
     ----------
@@ -51,7 +52,10 @@ def solve(
     effects
         Python file of its user-defined effects.
     guess
-        Folder of an earlier solve of the same arm, whose motion is the initial guess.
+        Folder of an earlier solve of the same arm: its solved state, or where the problem differs
+        in more than numbers its motion, is the initial guess.
+    report
+        Draw report.html; `stiffopt report` draws it later.
     quiet
         No progress display.
     """
@@ -73,9 +77,14 @@ def solve(
             write_result,
             write_trajectory,
         )
+        from stiffopt.solver.family import ProblemFamily
         from stiffopt.solver.simulation import with_simulation
-        from stiffopt.solver.solve import solve as optimise
-        from stiffopt.solver.stored_result import read_guess
+        from stiffopt.solver.stored_result import (
+            STATE_FILE,
+            read_guess,
+            read_state,
+            write_state,
+        )
 
         loaded = load_problem(problem, changes)
         stated = loaded.problem
@@ -87,12 +96,14 @@ def solve(
         if guess is not None and found is not None:
             raise InputError("--guess and --model exclude each other. Omit one of them.")
         begin = None if guess is None else read_guess(guess, stated)
+        state = None if guess is None else read_state(guess)
+        end = None
         folder = out or default_folder(problem.stem, changes)
-        with output_folder(folder, "solve", maybe=(TRAJECTORY_FILE,)) as stage:
+        with output_folder(folder, "solve", maybe=(TRAJECTORY_FILE, STATE_FILE)) as stage:
             with _problem_progress(stated, quiet) as progress, _name_file_in_errors(problem):
                 if found is None:
-                    solution = optimise(
-                        stated, progress=progress, guess=begin, throw=False, simulate=True
+                    solution, end = ProblemFamily().solve(
+                        stated, state, progress=progress, guess=begin, simulate=True
                     )
                 else:
                     loop = solve_extended(stated, found, progress=progress)
@@ -105,8 +116,6 @@ def solve(
                     f"there was no motion yet; the earlier result in {folder} is unchanged."
                 )
             with defer_while_writing():
-                # matplotlib loads slowly: not before the solve.
-                from stiffopt.report.solve.page import write_solve_report
                 from stiffopt.report.solve.terminal import print_solution
 
                 if solution.trajectory is not None:
@@ -117,7 +126,12 @@ def solve(
                 led = solution.compensation
                 if led is not None and led.rival_plan is not None:
                     write_trajectory(led.rival_plan, stage, RIVAL_TRAJECTORY_FILE)
-                write_solve_report(stated, solution, stage)
+                write_state(end, stage)
+                if report:
+                    # matplotlib loads slowly: not before the solve.
+                    from stiffopt.report.solve.page import write_solve_report
+
+                    write_solve_report(stated, solution, stage)
                 write_result(
                     solution,
                     stage,
@@ -127,6 +141,7 @@ def solve(
                     changes=changes,
                     model=model,
                     effects=effects,
+                    guess=guess,
                 )
     print_solution(stated, solution, folder)
     show_report(folder, open_report)

@@ -94,7 +94,11 @@ class Baseline:
 
 @dataclass(frozen=True, kw_only=True)
 class SolverRecord:
-    """Solver effort, for reports and regression tests."""
+    """Solver effort, for reports, regression tests and `stiffopt replay`.
+
+    `homotopy` are the programmes solved, in order; `left_out` names the steps that the time limit
+    ended or left out, empty where the answer does not depend on the speed of the machine.
+    """
 
     iterations: int
     build_s: float
@@ -102,6 +106,7 @@ class SolverRecord:
     transcription: str
     intervals: int
     homotopy: tuple[dict[str, float | str], ...]
+    left_out: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)

@@ -124,6 +124,7 @@ def write_result(
     model: str | Path | None = None,
     effects: str | Path | None = None,
     leg: int | None = None,
+    guess: str | Path | None = None,
 ) -> Path:
     """Write result.json into `directory`, after the motion files; return its path.
 
@@ -143,6 +144,8 @@ def write_result(
         Extended model of the plan, and the file of its effects.
     leg : int, optional
         Number (from 1) of the leg of a cycle that this is, whose duration is that of `stated`.
+    guess : path, optional
+        Result folder whose solved state the solve started from.
     """
     document = result_document(solution)
     if leg is not None and stated is not None:
@@ -154,7 +157,7 @@ def write_result(
             for name, slides in zip(stated.robot.joint_names, stated.robot.prismatic, strict=True)
         ]
         document["seal"] = motion_seal(stated, directory)
-    named = {"problem": problem, "model": model, "effects": effects}
+    named = {"problem": problem, "model": model, "effects": effects, "guess": guess}
     for key, file in named.items():
         if file is not None:
             document[key] = Path(os.path.relpath(file, home or directory)).as_posix()

@@ -22,10 +22,12 @@ from stiffopt.problem.limits.travel import with_bounded_travel
 from stiffopt.problem.resolve import resolve
 from stiffopt.problem.stage_terms import Smoothing
 from stiffopt.problem.trajectory import TrajectoryProblem
+from stiffopt.result.assessment import Assessment
 from stiffopt.result.solution import Solution
 from stiffopt.solver.active_set import ActiveSetSolver
 from stiffopt.solver.collision_avoidance import find_collisions
 from stiffopt.solver.refinement import refine
+from stiffopt.solver.simulation import check_simulation, with_simulation
 from stiffopt.solver.solve import preliminary_notes, solution_of, solve_with_state
 from stiffopt.solver.solve_run import ProgressCallback, SolveRun
 from stiffopt.solver.stage_plan import SolveStage, solver_options
@@ -37,6 +39,7 @@ from stiffopt.solver.stages import (
     solve_by_active_set,
     solve_stage,
 )
+from stiffopt.solver.stationary_joints import fix_creeping_joints
 from stiffopt.solver.verdict import MAX_OBJECTIVE_GAP
 from stiffopt.transcription.build import adapt
 from stiffopt.transcription.mesh import Mesh
@@ -139,6 +142,8 @@ class ProblemFamily:
         compare: bool = True,
         start: int = 0,
         progress: ProgressCallback | None = None,
+        guess: Assessment | None = None,
+        simulate: bool = False,
     ) -> tuple[Solution, WarmStart | None]:
         """Solve and certify a problem; without the warm start where that fails.
 
@@ -152,6 +157,8 @@ class ProblemFamily:
         start : int
             As of `solve`.
         progress : callable, optional
+        guess, simulate : optional
+            As of `solve`; the guess is for a solve without the warm start.
 
         Returns
         -------
@@ -160,14 +167,25 @@ class ProblemFamily:
         WarmStart or None
             None where it cannot be started from.
         """
+        if simulate:
+            check_simulation(problem, resolve(problem))
         if warm is not None and warm.method == _method_key(problem) and not start:
             run, outcome = self._solve_warm(problem, warm, progress)
             if outcome is not None:
                 compared = baselines(problem, run.motion) if compare else {}
                 notes = preliminary_notes(problem, run.motion)
                 solution = solution_of(run, outcome, compared, notes, compare=compare)
+                if simulate:
+                    solution = with_simulation(problem, solution, progress, run.motion)
                 return solution, _warm_start_of(run, outcome)
-        solution, kept = solve_with_state(problem, progress=progress, start=start, compare=compare)
+        solution, kept = solve_with_state(
+            problem,
+            progress=progress,
+            guess=guess,
+            simulate=simulate,
+            start=start,
+            compare=compare,
+        )
         if kept is None or problem.plans_links or start or not solution.status.usable:
             return solution, None
         run, outcome = kept
@@ -197,6 +215,12 @@ class ProblemFamily:
             multipliers_x=warm.multipliers_x * of_x,
             multipliers_g=warm.multipliers_g * of_g,
         )
+        if warm.smoothing.creeping:
+            # Joints that were fixed at rest stay so.
+            standing = fix_creeping_joints(made.transcription, begin.x, problem)
+            if standing is not None:
+                made = replace(made, transcription=standing)
+                made.solver.set_bounds(standing.nlp)
         raw = solve_by_active_set(run, made, stage, begin.x, begin)
         if raw is None:
             raw = solve_stage(run, made, stage, begin.x, begin, "warm", "adaptive")

@@ -89,6 +89,7 @@ def refine(run: SolveRun, outcome: Outcome, rival: Baseline | None) -> Outcome:
     Also where a feasible baseline, the `rival`, is better only because of the objective gap between
     the nodes.
     """
+    run.step = "constraint back-off"
     if run.problem.plans_links:
         return refine_within_mesh(run, outcome, outcome.transcription.nlp)
     return _refine_mesh(run, outcome, rival)

@@ -43,6 +43,7 @@ def robust_plan(run: SolveRun, outcome: Outcome) -> Outcome:
     """Return the outcome, or one of nearly the same objective that is better on uncertain arms."""
     if not _is_requested(run, outcome):
         return outcome
+    run.step = "the motion for uncertain arms"
     before, price = outcome.solver.nlp, run.problem.uncertainty.price
     nlp, cost = _cap_objective(outcome, before, price), np.inf
     try:
@@ -111,6 +112,8 @@ def choose_shaped_motion(
             tried = shaped((window,))
             if tried.status is SolveStatus.INTERRUPTED:
                 return mark_solution_interrupted(solution)
+            if tried.solver.left_out or tried.status is SolveStatus.TIME_LIMIT:
+                run.leave_out("input shaping for uncertain arms")
             if tried.status not in (SolveStatus.OPTIMAL, solution.status):
                 continue
             if tried.assessment is None or tried.trajectory is None:

@@ -189,9 +189,25 @@ def solve_with_state(
             solution = choose_shaped_motion(run, solution, outcome, shaped)
         except KeyboardInterrupt:
             solution = interrupted_with_baseline(run, compared, notes)
+    solution = _name_steps_left_out(run, solution)
     if simulate:
         solution = with_simulation(problem, solution, progress, motion, run.command)
     return replace(solution, inputs_hash=inputs_hash(stated)), kept
+
+
+def _name_steps_left_out(run: SolveRun, solution: Solution) -> Solution:
+    """Return the solution with the steps that the time limit ended; it is not optimal then."""
+    if not run.left_out or not solution.status.usable:
+        return solution
+    return replace(
+        solution,
+        status=SolveStatus.ACCEPTABLE,
+        message=(
+            f"{solution.message} But the time limit ended or left out: {', '.join(run.left_out)};"
+            f" raise method.time_limit above {run.problem.method.time_limit:g} s."
+        ),
+        solver=replace(solution.solver, left_out=tuple(run.left_out)),
+    )
 
 
 def _solve_shaped_in_remaining_time(
@@ -266,7 +282,7 @@ def _best_of_starts(run: SolveRun, guess: Guess, rival: Baseline | None) -> Outc
     for start in range(1, problem.method.starts):
         ended = last.raw.status in ("interrupted", "time_limit")
         if ended or run.elapsed > problem.method.time_limit:
-            run.notes.append(f"{start} of {problem.method.starts} starts were made.")
+            run.leave_out(f"{problem.method.starts - start} of {problem.method.starts} starts")
             break
         try:
             last = _solve_and_refine(run, perturb_guess(guess, problem, random), rival)
@@ -285,8 +301,10 @@ def _restart_from_better_baseline(
 ) -> Outcome:
     """Return the better of an outcome and one started from a baseline that is better than it."""
     above = find_better_baseline(run.problem, outcome, compared)
-    late = run.elapsed > run.problem.method.time_limit
-    if above is None or above.assessment is None or late or outcome.raw.status == "interrupted":
+    if above is None or above.assessment is None or outcome.raw.status == "interrupted":
+        return outcome
+    if run.elapsed > run.problem.method.time_limit:
+        run.leave_out("the start from a better baseline")
         return outcome
     guess = guess_from_motion(run.problem, run.motion, above.assessment)
     try:

@@ -75,7 +75,8 @@ class SolveRun:
     forbids residual vibration, whatever the limits allow; `avoidance` are the clearance rows, once
     needed; `avoidance_failure` says why collisions could not be avoided; `detour` is the motion
     along the first collision-free path; `strict` is the best baseline that keeps every limit, once
-    known; `command` is its command on uncertain arms, where requested.
+    known; `command` is its command on uncertain arms, where requested; `step` is what the solver
+    works at, and `left_out` the steps that the time limit ended.
     """
 
     problem: TrajectoryProblem
@@ -95,6 +96,8 @@ class SolveRun:
     iterations: int = 0
     starts_made: int = 1
     homotopy: list[dict[str, Any]] = field(default_factory=list)
+    step: str = "the first optimum"
+    left_out: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
 
     @property
@@ -179,16 +182,24 @@ class SolveRun:
         sign = -1.0 if is_maximised(self.problem) else 1.0
         return sign * objective * first.weight * self.scales.of(first.name)
 
+    def leave_out(self, step: str) -> None:
+        """Note that the time limit ended a step, or left it out."""
+        if step not in self.left_out:
+            self.left_out.append(step)
+
     def record(self, stage: SolveStage, raw: RawSolution) -> None:
         """Add one NLP solve to the record."""
         self.solve_s += raw.solve_s
         self.iterations += raw.iterations
+        if raw.status == "time_limit":
+            self.leave_out(self.step)
         self.homotopy.append(
             {
                 "intervals": stage.intervals,
                 "smoothing": stage.smoothing.stiffness,
                 "iterations": raw.iterations,
                 "status": raw.status,
+                "objective": self.reported_value(raw.objective),
                 "solve_s": round(raw.solve_s, 4),
             }
         )

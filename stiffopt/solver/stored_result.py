@@ -15,7 +15,7 @@ from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
 from stiffopt.elastic.uncertainty import Uncertainty
 from stiffopt.errors import InputFileError, shortened
 from stiffopt.files import read_table
-from stiffopt.folders import check_result
+from stiffopt.folders import check_result, is_regular
 from stiffopt.problem.files import load_problem
 from stiffopt.problem.resolve import resolve
 from stiffopt.problem.trajectory import ResolvedMotion, TrajectoryProblem
@@ -27,7 +27,11 @@ from stiffopt.result.store import RESULT_FILE, TRAJECTORY_FILE, read_document
 from stiffopt.result.trajectory import JointMotion
 from stiffopt.robot.tolerances import Tolerances
 from stiffopt.solver.command_search import ExistingCommand
+from stiffopt.solver.family import WarmStart
 from stiffopt.solver.simulation import PlannedMotion, rival_motions
+
+# Variables and multipliers at the end of a solve, from which --guess starts.
+STATE_FILE = "state.bin"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -237,6 +241,20 @@ def read_guess(folder: Path, problem: TrajectoryProblem) -> Assessment:
     check_result(folder, TRAJECTORY_FILE)
     time, position, velocity, _ = _read_trajectory(folder / TRAJECTORY_FILE, problem.joints)
     return assess(problem, _TableMotion(time, position, velocity), times=time)
+
+
+def read_state(folder: Path) -> WarmStart | None:
+    """Read the solved state of a result folder; None where it has none that can be used."""
+    if not is_regular(folder, STATE_FILE):
+        return None
+    check_result(folder, STATE_FILE)
+    return WarmStart.from_bytes((folder / STATE_FILE).read_bytes())
+
+
+def write_state(state: WarmStart | None, folder: Path) -> None:
+    """Write the solved state into a result folder, where there is one."""
+    if state is not None:
+        (folder / STATE_FILE).write_bytes(state.to_bytes())
 
 
 class _TableMotion:

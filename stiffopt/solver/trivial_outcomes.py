@@ -167,6 +167,7 @@ def solver_record(run: SolveRun, intervals: int) -> SolverRecord:
         transcription=run.problem.method.transcription,
         intervals=intervals,
         homotopy=tuple(run.homotopy),
+        left_out=tuple(run.left_out),
     )
 
 

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
-from stiffopt.report.common.svg import BLUE, GREY, VERMILLION, WIDTH, figure_style
 from stiffopt.report.common.text import listed, scale, si
 from stiffopt.report.solve.wording import rival_text
 from stiffopt.result.compensation import (
@@ -17,6 +15,9 @@ from stiffopt.result.compensation import (
     Spread,
     Spreads,
 )
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 _PLANNED_LABEL, _COMPENSATED_LABEL = "as planned", "compensated"
 # Text alternative of the figure.
@@ -111,6 +112,11 @@ def compensation_notes(compensation: Compensation) -> list[str]:
 
 def compensation_figure(compensation: Compensation) -> Figure:
     """Plot peak deviations of all sampled arms, in flight and after arrival."""
+    # matplotlib loads slowly, and the texts do without it.
+    from matplotlib.figure import Figure
+
+    from stiffopt.report.common.svg import BLUE, GREY, VERMILLION, WIDTH, figure_style
+
     rows = [
         (f"{motion.name}, {how}", color, spreads)
         for motion in compensation.motions

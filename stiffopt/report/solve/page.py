@@ -30,7 +30,8 @@ from stiffopt.report.solve.figures import (
     stiffness_figure,
     torque_figure,
 )
-from stiffopt.report.solve.simulation import deviation_figure, simulation_notes, simulation_table
+from stiffopt.report.solve.simulation import deviation_figure
+from stiffopt.report.solve.simulation_text import simulation_notes, simulation_table
 from stiffopt.report.solve.space_figures import path_figure, windup_figure
 from stiffopt.report.solve.wording import (
     comparison,

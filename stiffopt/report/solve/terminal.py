@@ -16,7 +16,7 @@ from stiffopt.report.solve.compensation import (
     compensation_table,
     compensation_text,
 )
-from stiffopt.report.solve.simulation import simulation_notes, simulation_table
+from stiffopt.report.solve.simulation_text import simulation_notes, simulation_table
 from stiffopt.report.solve.wording import comparison, difference_text, headline_text
 from stiffopt.result.status import SolveStatus
 
@@ -40,7 +40,9 @@ def print_solution(problem: TrajectoryProblem, solution: Solution, folder: Path)
         print_simulation(solution.simulation)
     if solution.compensation is not None:
         print_compensation(solution.compensation)
-    print_lines([f"Report: {folder / 'report.html'}"])
+    report = folder / "report.html"
+    if report.is_file():
+        print_lines([f"Report: {report}"])
 
 
 def print_simulation(simulation: Simulation) -> None:

@@ -1,0 +1,127 @@
+"""Replay of a solve: the stored recipe is solved again and compared stage by stage.
+
+The recipe of a result is its problem file with the changes of --set, the solved state it started
+from, if any, and the programmes solved in order. Numbers of iterations are not compared: sums in
+IPOPT depend on the alignment of its vectors in memory, so that two solves may reach the same
+optimum by a few iterations more.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from stiffopt.errors import InputFileError
+from stiffopt.problem.files import load_problem
+from stiffopt.problem.trajectory import TrajectoryProblem
+from stiffopt.result.provenance import versions
+from stiffopt.result.solution import Solution
+from stiffopt.result.store import RESULT_FILE, read_document
+from stiffopt.solver.family import ProblemFamily, WarmStart
+from stiffopt.solver.solve_run import ProgressCallback
+from stiffopt.solver.stored_result import (
+    check_inputs,
+    problem_file,
+    read_changes,
+    read_guess,
+    read_state,
+)
+
+# Relative difference of objectives up to which two platforms agree.
+REPLAY_TOLERANCE = 1e-9
+# Facts of a stage that two replays have in common.
+_STAGE_FACTS = ("intervals", "smoothing", "status")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Replay:
+    """Second solve of a stored result.
+
+    Parameters
+    ----------
+    problem : TrajectoryProblem
+    solution : Solution
+    state : WarmStart or None
+        Solved state, where there is one.
+    differences : tuple of str
+        Versions that differ, and the first stage or value that does; empty where all agrees.
+    """
+
+    problem: TrajectoryProblem
+    solution: Solution
+    state: WarmStart | None
+    differences: tuple[str, ...]
+
+
+def replay(
+    folder: Path, *, progress: ProgressCallback | None = None, simulate: bool = False
+) -> Replay:
+    """Solve the recipe of a result folder again, from the same state, and compare.
+
+    Raises
+    ------
+    InputFileError
+        A file is missing, the problem has changed, or the plan is of an extended model.
+    """
+    path = folder / RESULT_FILE
+    document = read_document(path)
+    if "model" in document:
+        raise InputFileError(
+            path, "model", "was solved with --model; run `stiffopt solve --model` again instead."
+        )
+    named = problem_file(path, document)
+    stated = load_problem(named, read_changes(path, document)).problem
+    check_inputs(path, document, named, stated)
+    guess = state = None
+    if isinstance(document.get("guess"), str):
+        begin = folder / str(document["guess"])
+        guess, state = read_guess(begin, stated), read_state(begin)
+    solution, end = ProblemFamily().solve(
+        stated, state, guess=guess, progress=progress, simulate=simulate
+    )
+    return Replay(
+        problem=stated,
+        solution=solution,
+        state=end,
+        differences=tuple(_find_differences(document, solution)),
+    )
+
+
+def _find_differences(document: dict[str, Any], solution: Solution) -> list[str]:
+    """Return what differs from the stored result: versions, then the first stage or the answer."""
+    solver, own = document.get("solver") or {}, solution.solver
+    before = document.get("versions") or {}
+    found = [
+        f"{name} is {now}, was {before.get(name, 'not there')}"
+        for name, now in versions().items()
+        if before.get(name) != now
+    ]
+    stored = solver.get("homotopy") or []
+    for number, (old, new) in enumerate(zip(stored, own.homotopy, strict=False), start=1):
+        facts = [
+            f"{name} {new[name]}, was {old.get(name)}"
+            for name in _STAGE_FACTS
+            if old.get(name) != new[name]
+        ]
+        if not facts and _differ(old.get("objective"), new["objective"]):
+            facts = [f"objective {new['objective']!r}, was {old.get('objective')!r}"]
+        if facts:
+            return [*found, f"stage {number}: {', '.join(facts)}"]
+    if len(stored) != len(own.homotopy):
+        return [*found, f"{len(own.homotopy)} stages were solved, before {len(stored)}"]
+    if list(solver.get("left_out") or []) != list(own.left_out):
+        left = ", ".join(own.left_out) or "nothing"
+        return [*found, f"the time limit left out {left}"]
+    value = document.get("objective") or {}
+    now = None if solution.objective is None else solution.objective.value
+    if _differ(value.get("value"), now):
+        return [*found, f"certified objective {now!r}, was {value.get('value')!r}"]
+    return found
+
+
+def _differ(old: object, new: object) -> bool:
+    """Return True where two numbers differ by more than the tolerance, or one is missing."""
+    if not isinstance(old, float | int) or not isinstance(new, float | int):
+        return old is not new
+    return abs(old - new) > REPLAY_TOLERANCE * max(abs(old), abs(new))
