@@ -54,7 +54,8 @@ def newton_euler(tree: BodyTree, q: Quantity, v: Quantity, a: Quantity) -> Quant
     if any(isinstance(x, ca.MX) for x in (q, v, a)):
         return inverse_dynamics(tree)(q, v, a)
     numeric = not any(isinstance(x, ca.SX) for x in (q, v, a))
-    tau = torque_of_bodies(tree, tree.gravity, *(ca.SX(x) for x in (q, v, a)), *own_bodies(tree))
+    motion = ca.SX(q), ca.SX(v), ca.SX(a)
+    tau = torque_of_bodies(tree, tree.gravity, *motion, *own_bodies(tree))
     return ca.DM(tau) if numeric else tau
 
 

@@ -29,7 +29,7 @@ _DRIVE_VALUES = ("rotor_inertia", "coulomb", "viscous", "torque_constant")
 LOAD_VALUE = "torque_constant"
 
 # Delay of commands beyond the assumed one [s], of torques that an actuator's law gives.
-COMMAND_DELAY = "command_delay"
+COMMAND_DELAY = ValueName("command_delay", 0)
 
 # Selects values by name.
 NameFilter = Callable[[ValueName], bool]
