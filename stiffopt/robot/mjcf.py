@@ -7,9 +7,11 @@ resolved. Shapes are ignored, apart from those that give a body its mass.
 from __future__ import annotations
 
 import os
+import warnings
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -263,6 +265,29 @@ def _import_mujoco() -> Any:
 def _read_mjcf(path: Path, _times: tuple[int, ...]) -> MjcfModel:
     """Read an MJCF anew where one of its files was written since."""
     mujoco = _import_mujoco()
+    with _collect_warnings(mujoco) as said:
+        model = _read_model(mujoco, path)
+    return replace(model, notes=(*model.notes, *(f"MuJoCo: {each}" for each in said)))
+
+
+@contextmanager
+def _collect_warnings(mujoco: Any) -> Iterator[list[str]]:
+    """Collect warnings of MuJoCo, which by itself writes them into a log in the working folder."""
+    said: dict[str, None] = {}
+    before = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(lambda text: said.setdefault(text))
+    found: list[str] = []
+    try:
+        with warnings.catch_warnings():
+            # The same texts once more.
+            warnings.simplefilter("ignore")
+            yield found
+    finally:
+        mujoco.set_mju_user_warning(before)
+        found += said
+
+
+def _read_model(mujoco: Any, path: Path) -> MjcfModel:
     try:
         spec = mujoco.MjSpec.from_file(str(path))
         always = spec.compiler.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE

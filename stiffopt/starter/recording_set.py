@@ -308,7 +308,7 @@ def _set_text(
             else:
                 lines.append(f"{kind} = {toml_string(unit)}")
     lines += [
-        *arm.entries,
+        *arm.entries(torque="torque" in found.columns),
         "",
         "# [nominal]                 # parameters of the nominal model, one number a joint, SI",
         f"# gear_ratio = {toml_list(['100.0'] * len(joints))}",

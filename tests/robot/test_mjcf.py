@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from mjcf_models import LEG, write_arm, write_legs
@@ -113,6 +115,21 @@ def test_missing_package_is_named(legs, monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "mujoco", None)
     with pytest.raises(InputError, match=r"pip install 'stiffopt\[mjcf\]'"):
         load_urdf(legs)
+
+
+def test_warnings_of_mujoco_are_notes_and_leave_no_log(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    body = '<body name="b"><joint name="j"/><geom size="0.1"/></body>'
+    Path("part.xml").write_text(f"<mujoco><worldbody>{body}</worldbody></mujoco>")
+    Path("robot.xml").write_text(
+        '<mujoco><asset><model name="part" file="part.xml"/></asset>'
+        '<worldbody><attach model="part" prefix=""/></worldbody></mujoco>'
+    )
+    notes = read_mjcf("robot.xml").notes
+    if not notes:
+        pytest.skip("this version of MuJoCo does not warn of it")
+    assert notes[0].startswith("MuJoCo: Attaching a spec with an empty prefix")
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["part.xml", "robot.xml"]
 
 
 def test_attached_models_are_parts(tmp_path):

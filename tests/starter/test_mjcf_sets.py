@@ -8,6 +8,7 @@ from mjcf_models import write_arm, write_legs
 
 from stiffopt.cli import run
 from stiffopt.recording.recording_set import load_recordings
+from stiffopt.starter.recorded_robot import store_robot
 
 pytest.importorskip("mujoco")
 
@@ -98,3 +99,10 @@ def test_log_of_one_leg_asks_for_its_tip(tmp_path, capsys):
     said = capsys.readouterr().err
     assert "no position was recognised for 6 joints" in said
     assert '--tip "calf_l" or --tip "calf_r"' in said
+
+
+def test_values_are_looser_without_torques(tmp_path):
+    (tmp_path / "set").mkdir()
+    robot = store_robot(write_arm(tmp_path), tmp_path / "set")
+    assert "coulomb = 0.05" in robot.entries(torque=True)
+    assert "coulomb = 0.3" in robot.entries(torque=False)
