@@ -4,24 +4,32 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
+from stiffopt.closed_loop.parameters import BODY_PARAMETERS
 from stiffopt.discovery.extended.planning import planner_model, read_model
+from stiffopt.discovery.extended.schema import ClosedLoopSection
 from stiffopt.discovery.extended.value_changes import (
     ValueChange,
     joint_zeros,
     torque_gains,
     value_changes,
 )
+from stiffopt.discovery.signals import PARAMETERS_PER_BODY
 from stiffopt.discovery.store import MODEL_FILE
 from stiffopt.errors import InputFileError
 from stiffopt.folders import check_result
 from stiffopt.problem.registry import Registry
 from stiffopt.recording.recording_set import load_recordings
 from stiffopt.robot.robot import Robot
+
+# Places of BODY_PARAMETERS in `Body.inertial_parameters`: mass, first moments, moments of inertia.
+_FITTED_BODY_PARAMETERS = (0, 1, 2, 3, 4, 6, 9)
+# Parameters of a closed loop that robot files have no field for.
+_UNREPRESENTED_PARAMETERS = ("load_friction", "friction_slope", "drag", "offset")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,7 +100,7 @@ def read_diagnosed_robot(
     left_out = tuple(
         each for each in planner.left_out if not each.startswith(("torque_gain", "joint_zero"))
     )
-    return DiagnosedRobot(
+    found = DiagnosedRobot(
         name=model.name,
         nominal=loaded.robot,
         robot=planner.robot,
@@ -102,6 +110,47 @@ def read_diagnosed_robot(
         damping=np.full(loaded.robot.n, np.nan),
         changes=tuple(value_changes(loaded.robot, planner.robot)),
         left_out=left_out,
+    )
+    if model.closed_loop is None:
+        return found
+    return _with_closed_loop(found, model.closed_loop, np.asarray(loaded.order))
+
+
+def _with_closed_loop(
+    found: DiagnosedRobot, loop: ClosedLoopSection, order: np.ndarray
+) -> DiagnosedRobot:
+    """Return the robot with the values that its simulation from commands was fitted with.
+
+    They replace those of the search: only together with these gains do they give the recorded
+    motion.
+    """
+    place = np.argsort(order)
+    own = {
+        name: np.array(values)[place]
+        for name, values in loop.values.items()
+        if len(values) == len(order)
+    }
+    robot = replace(
+        found.nominal, coulomb=own["coulomb"], viscous=own["viscous"], rotor_inertia=own["armature"]
+    )
+    for j, body in enumerate(found.nominal.tree.bodies):
+        change = np.zeros(PARAMETERS_PER_BODY)
+        change[list(_FITTED_BODY_PARAMETERS)] = [own[name][j] for name in BODY_PARAMETERS]
+        if change.any():
+            robot = robot.with_inertial_parameters(j + 1, body.inertial_parameters + change)
+    return replace(
+        found,
+        robot=robot,
+        gain=np.ones(robot.n),
+        zeros=-own["zero"],
+        stiffness=np.array(loop.stiffness)[place] * (1.0 + own["gain"]),
+        damping=np.array(loop.damping)[place] * (1.0 + own["damping"]),
+        changes=tuple(value_changes(found.nominal, robot)),
+        left_out=tuple(
+            f"{name} of joint {j + 1}"
+            for name in _UNREPRESENTED_PARAMETERS
+            for j in np.flatnonzero(own[name])
+        ),
     )
 
 
