@@ -18,7 +18,7 @@ def nominal():
 
 
 def exported(nominal, order, **fitted):
-    values = {name: (0.0, 0.0) for name in (*JOINT_PARAMETERS, *BODY_PARAMETERS)} | fitted
+    values = dict.fromkeys((*JOINT_PARAMETERS, *BODY_PARAMETERS), (0.0, 0.0)) | fitted
     loop = ClosedLoopSection.model_validate(
         {
             "stiffness": (20.0, 10.0),
