@@ -10,6 +10,7 @@ import numpy as np
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.comparison.prepared_run import PreparedRun
+from stiffopt.discovery.comparison.value_name import ValueName
 from stiffopt.discovery.experiment.motion import MotionLimits
 from stiffopt.discovery.experiment.separation import Separation
 from stiffopt.discovery.signals import JointSignals, smooth_sign
@@ -156,22 +157,22 @@ class _DifferenceFormula:
         theta = np.linalg.solve(inner, values[:, 1:].T @ values[:, 0])
         self.difference = begin - sum(float(t) * c for t, c in zip(theta, columns, strict=True))
 
-    def _free_columns(self, names: list[str]) -> tuple[list[str], list[Quantity]]:
+    def _free_columns(self, names: list[ValueName]) -> tuple[list[ValueName], list[Quantity]]:
         """Return the nominal values of the joints concerned that have instantaneous formulas."""
         n, zero = self.robot.n, ca.SX.zeros(self.robot.n)
-        found: dict[str, Quantity] = {}
+        found: dict[ValueName, Quantity] = {}
         for j in self.joints:
             unit = ca.SX.zeros(n)
             unit[j] = 1.0
             dry, wet = float(self.robot.coulomb[j]), float(self.robot.viscous[j])
-            for name, channels in (
+            for kind, channels in (
                 ("coulomb", (unit * (dry * smooth_sign(self.v[j])), zero)),
                 ("viscous", (unit * (wet * self.v[j]), zero)),
                 ("torque_constant", (unit * self.drive[j], zero)),
                 ("stiffness", (zero, unit * self.constants.joints[j].windup(self.spring[j]))),
                 ("encoder_zero", (zero, unit)),
             ):
-                found[f"{name} {j + 1}"] = self._weight_channels(channels)
+                found[ValueName(kind, j)] = self._weight_channels(channels)
         kept = [name for name in found if name in names]
         return kept, [found[name] for name in kept]
 
