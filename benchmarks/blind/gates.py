@@ -17,7 +17,7 @@ from unittest import mock
 import numpy as np
 
 _SEARCH, _JUDGING = "stiffopt.discovery.search", "stiffopt.discovery.judging"
-_ENTRY = (f"{_SEARCH}.search", f"{_SEARCH}.rivals", f"{_SEARCH}.model_changes")
+_ENTRY = (f"{_SEARCH}.search", f"{_SEARCH}.model_changes")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -116,12 +116,8 @@ def _third(*given: Any) -> Any:
 
 
 _E = f"{_SEARCH}.joint_fit"
-_CONFIRMED = tuple(
-    f"{each}:confirm_effects" for each in (_E, f"{_SEARCH}.rivals", f"{_SEARCH}.model_changes")
-)
-_PREDICTIVE = tuple(
-    f"{each}:select_predictive" for each in (_E, f"{_SEARCH}.rivals", f"{_SEARCH}.model_changes")
-)
+_CONFIRMED = tuple(f"{each}:confirm_effects" for each in (_E, f"{_SEARCH}.model_changes"))
+_PREDICTIVE = tuple(f"{each}:select_predictive" for each in (_E, f"{_SEARCH}.model_changes"))
 _PASSES = tuple(f"{each}:passes_thresholds" for each in _ENTRY)
 _DIAGNOSE, _CONCLUSIONS = "stiffopt.discovery.diagnose", "stiffopt.discovery.conclusions"
 _TRAINING = "stiffopt.discovery.search_training"
@@ -142,9 +138,7 @@ GATES = tuple(
         ("predictive", "prediction of folds left out, tolerances not stated", _PREDICTIVE, _all, None),
         ("cancelling", "effects that cancel others", (f"{_SEARCH}.cross_validation:drop_cancelling",), _all, None),
         ("single_fold", "shapes of one fold", (f"{_SEARCH}.cross_validation:_drop_single_fold_shapes",), _all, None),
-        ("restored", "restoring of lost effects", (f"{_SEARCH}.search:restore_lost",), lambda _, start, current, effects, lost: (current, effects), None),
         ("exchanged", "exchange for likelier rivals", (f"{_SEARCH}.search:exchange_rivals",), _ranked_only, _exchanged),
-        ("agreement", "rivals agree across stretches", (f"{_SEARCH}.rivals:_agrees_across_stretches",), _always(True), None),
         ("twins", "twins compared by fit", (f"{_SEARCH}.rivals:_evidence_lead",), lambda _, c, own: c.evidence - own.evidence, None),
         ("outside_values", "values beyond tolerance claimed", (f"{_SEARCH}.search:claim_outside_values",), lambda _, start, current, ranked, *__: (current, ranked), lambda found, start, current, ranked, *_: found[1] is not ranked),
         ("tournament", "tournament of models", (f"{_SEARCH}.search:hold_tournament",), lambda gate, *given: tuple(sorted(gate(*given), key=lambda each: each.name != "effects of the catalogue")), None),

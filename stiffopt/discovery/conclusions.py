@@ -109,7 +109,7 @@ def build_findings(
 def _null_share(chance: float, places: int = 1) -> float:
     """Return the probability that an effect is zero, from the p-value of its values.
 
-    `places` are those at which it would have been seen as well.
+    `places` are those at which chance could have shown it as well.
 
     The bound of the null hypothesis is one half at most; where zero is within one standard
     deviation, zero is the better explanation.

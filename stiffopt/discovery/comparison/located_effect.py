@@ -121,10 +121,9 @@ class LocatedEffect:
         assert other.joint is not None
         return abs(self.joint - other.joint) <= 1
 
-    def is_form_of(self, other: LocatedEffect) -> bool:
-        """Return True for effects of one family at one place: forms of one law, it may be."""
-        places = ((each.joint, each.link, each.run) for each in (self, other))
-        return self.effect.family == other.effect.family and len(set(places)) == 1
+    def is_beside(self, other: LocatedEffect) -> bool:
+        """Return True where both are at one joint, link or run, or of the whole robot."""
+        return (self.joint, self.link, self.run) == (other.joint, other.link, other.run)
 
     def same_place(self, other: LocatedEffect) -> bool:
         """Return True for the same effect at the same place with any shapes."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from typing import NamedTuple
 
-_WRITTEN = re.compile(r"(?P<kind>[A-Za-z].*?) (?P<place>[1-9]\d*)(?: (?P<part>\w+))?")
+_WRITTEN_NAME = re.compile(r"(?P<kind>[A-Za-z].*?) (?P<place>[1-9]\d*)(?: (?P<part>\w+))?")
 
 
 class ValueName(NamedTuple):
@@ -38,7 +38,7 @@ class ValueName(NamedTuple):
         ValueError
             No such name.
         """
-        found = _WRITTEN.fullmatch(text)
+        found = _WRITTEN_NAME.fullmatch(text)
         if found is None:
             raise ValueError(f'{text!r} is no nominal value; write one such as "coulomb 3".')
         return cls(found["kind"], int(found["place"]) - 1, found["part"] or "")

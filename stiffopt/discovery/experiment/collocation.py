@@ -165,14 +165,14 @@ class _DifferenceFormula:
             unit = ca.SX.zeros(n)
             unit[j] = 1.0
             dry, wet = float(self.robot.coulomb[j]), float(self.robot.viscous[j])
-            for name, channels in (
+            for kind, channels in (
                 ("coulomb", (unit * (dry * smooth_sign(self.v[j])), zero)),
                 ("viscous", (unit * (wet * self.v[j]), zero)),
                 ("torque_constant", (unit * self.drive[j], zero)),
                 ("stiffness", (zero, unit * self.constants.joints[j].windup(self.spring[j]))),
                 ("encoder_zero", (zero, unit)),
             ):
-                found[f"{name} {j + 1}"] = self._weight_channels(channels)
+                found[ValueName(kind, j)] = self._weight_channels(channels)
         kept = [name for name in found if name in names]
         return kept, [found[name] for name in kept]
 

@@ -238,23 +238,27 @@ class Scorer:
         fall = np.where(own, before - after, -np.inf)
         channel = int(np.argmax(fall))
         rows = channels == channel
-        whole = before[channel] + self._resembled_square(located, added[rows], rows)
+        whole = before[channel] + self._resembled_square(located, added[rows] @ mean, rows)
         return channel, float(fall[channel] / whole) if whole > 0.0 else 0.0
 
     def _resembled_square(
         self, located: LocatedEffect, added: np.ndarray, rows: np.ndarray
     ) -> float:
-        """Return the square of the base effects in some rows that a candidate resembles.
+        """Return the square of the base effects in some rows as far as a candidate resembles them.
 
-        What it adds to an effect of its family at its place, or to one that its columns (m, k) can
-        take over, is that effect's form before it is physics of its own.
+        What it adds (m,) in proportion to another effect is that effect's form before it is physics
+        of its own: to one at its place wherever the candidate acts, to others in all rows.
         """
+        own = added**2
+        acts = own > MIN_ACTIVE_SHARE * own.max()
         square = 0.0
         for other, contribution in self._base_contributions:
             part = contribution[rows]
-            if not located.is_form_of(other):
-                part = added @ np.linalg.lstsq(added, part)[0]
-            square += float(np.sum(part**2))
+            seen = acts if located.is_beside(other) else np.ones_like(acts)
+            known = float(np.sum(part[seen] ** 2))
+            if known > 0.0:
+                along = float(part[seen] @ added[seen]) ** 2 / float(np.sum(own[seen]))
+                square += along / known * float(np.sum(part**2))
         return square
 
     @cached_property

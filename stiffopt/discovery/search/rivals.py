@@ -13,22 +13,16 @@ from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.effect import Effect
 from stiffopt.discovery.progress import RoundProgress
 from stiffopt.discovery.search.candidates import Candidate, Scorer, scan
-from stiffopt.discovery.search.cross_validation import select_predictive
 from stiffopt.discovery.search.joint_fit import (
-    confirm_effects,
     fit_jointly,
-    passes_thresholds,
 )
-from stiffopt.discovery.search.uncertainty import jackknife_significance
 from stiffopt.discovery.signals import RobotConstants
 from stiffopt.discovery.thresholds import (
     ADDED_MASS_OFFSET,
-    DETERMINED_DEVIATIONS,
     EQUIVALENT_EVIDENCE_SHARE,
     MAX_CHANGE_PARAMETERS,
     MAX_EXCHANGES,
     MAX_TEMPERING,
-    NAMED_EVIDENCE,
     PARAMETER_LOG_PRICE,
     RIVAL_LOG_ODDS,
     SUSPECT_EVIDENCE_UNITS,
@@ -96,11 +90,7 @@ def rank_rivals(
         return RankedEffect(alone, located)
     worth = _MIN_REFINED_SHARE * own.evidence
     every = scan(scorer, catalogue, worth=worth, about=located, tell=tell)
-    found = [
-        c
-        for c in every
-        if not c.located.same_place(located) and _agrees_across_stretches(comparison, others, c)
-    ]
+    found = [c for c in every if not c.located.same_place(located)]
     if comparison.after_model:
         # Tempered evidence is flat there: a rival without any evidence could win by its prior.
         found = [c for c in found if c.evidence >= EQUIVALENT_EVIDENCE_SHARE * own.evidence]
@@ -134,19 +124,6 @@ def _evidence_lead(candidate: Candidate, own: Candidate) -> float:
     if candidate.located.effect.is_twin(own.located.effect):
         return 0.5 * (candidate.deviations**2 - own.deviations**2)
     return candidate.evidence - own.evidence
-
-
-def _agrees_across_stretches(
-    comparison: Comparison, others: Sequence[LocatedEffect], candidate: Candidate
-) -> bool:
-    """True if stretches of the recordings agree on the amplitudes that only this effect has.
-
-    Wherever a model is wrong, effects with more freedom gain evidence without being present.
-    """
-    if not candidate.located.effect.has_distinctive or candidate.evidence < NAMED_EVIDENCE:
-        return True
-    _, single = jackknife_significance(comparison, [*others, candidate.located])
-    return bool(single[-1] >= DETERMINED_DEVIATIONS)
 
 
 def select_unranked(
@@ -252,32 +229,6 @@ def rank_effects(
         if new is not None:
             found.append(new)
     return found
-
-
-def restore_lost(
-    comparison: Comparison,
-    current: Comparison,
-    effects: list[LocatedEffect],
-    lost: list[LocatedEffect],
-) -> tuple[Comparison, list[LocatedEffect]]:
-    """Add lost effects back that are supported one by one, the likeliest first.
-
-    Neither of two collinear effects is missed before the other has been removed.
-    """
-    waiting = list(lost)
-    while waiting:
-        scorer = Scorer(current, effects)
-        scored = [(c, e) for e in waiting if (c := scorer.score(e)) is not None]
-        passing = [(c, e) for c, e in scored if passes_thresholds(c, scorer)]
-        if not passing:
-            break
-        best = max(passing, key=lambda pair: pair[0].evidence)[1]
-        waiting = [e for _, e in passing if e is not best]
-        wider, tried = fit_jointly(comparison, [*effects, best])
-        judged = select_predictive(wider, confirm_effects(wider, tried, strict=True))
-        if any(best.same_place(other) for other in judged):
-            current, effects = wider, tried
-    return current, effects
 
 
 def _drop_duplicates(effects: Sequence[LocatedEffect]) -> list[LocatedEffect]:

@@ -27,7 +27,6 @@ from stiffopt.discovery.search.rivals import (
     Selected,
     exchange_rivals,
     rank_effects,
-    restore_lost,
     select_unranked,
 )
 from stiffopt.discovery.search.tournament import CATALOGUE_MODEL, Contender, hold_tournament
@@ -243,10 +242,7 @@ def _run_stages(
         say(f"confirm {len(so_far.effects)} findings on stretches left out")
     sure = select_supported(so_far.current, so_far.effects, strict=strict)
     if len(sure) < len(so_far.effects):
-        lost = [e for e in so_far.effects if e not in sure]
         so_far.fitted(fit_jointly(so_far.start, sure))
-        if strict:
-            so_far.fitted(restore_lost(so_far.start, so_far.current, so_far.effects, lost))
     so_far.weighed(exchange_rivals(so_far.start, so_far.current, so_far.effects, catalogue, tell))
     for _ in range(MAX_EXCHANGES):
         effects = so_far.effects
