@@ -200,7 +200,7 @@ def page(rows: list[Scored], key: Key) -> str:
         "",
         f"Key `{key.text}`{' (development)' if key.development else ''}, commit `{key.commit}`;"
         f" {len(laws)} laws of {len({r.kind for r in laws})} kinds, made by"
-        " `benchmarks/simulator/effects_laws.py`, which shares no formula with the tool.",
+        " `benchmarks/simulator/effects_laws.py`, which shares no code with the tool.",
         "",
         "| asked | of | share | 95 % interval |",
         "| --- | --- | --- | --- |",

@@ -287,7 +287,7 @@ class Effect:
         Alternative that relaxes an assumption of this effect, which needs clearly more evidence
         than it, both fitted together with `beside`. Never reported either.
     reference : str
-        LawSource of its form: a key of references.bib, or the source in words.
+        Source of its form: a key of references.bib, or the source in words.
     drawn : callable, optional
         (amplitudes, shapes, constants) -> sampling error of reported values by name, from the small
         number of runs [its unit].

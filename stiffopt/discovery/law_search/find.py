@@ -22,10 +22,11 @@ from stiffopt.discovery.law_search.search import (
 from stiffopt.discovery.laws.law import LAW_FAMILY, Law, law_effect
 from stiffopt.discovery.laws.table import ResidualTable
 from stiffopt.discovery.search.candidates import Scorer
+from stiffopt.discovery.search.cross_validation import select_predictive
 from stiffopt.discovery.search.joint_fit import passes_thresholds, prune_effects
 from stiffopt.discovery.search.rivals import Selected
 from stiffopt.discovery.search.search import SearchResult
-from stiffopt.discovery.thresholds import FAINT_RATIO, UNEXPLAINED_RATIO
+from stiffopt.discovery.thresholds import FAINT_RATIO
 
 # Share of the excess in parts left out from which a free function is kept as a table.
 MIN_KEPT_SHARE = 0.3
@@ -145,12 +146,16 @@ def find_laws(result: SearchResult, say: Callable[[str], object]) -> LawSearch:
         kept, left = assess_findings(result)
         if left is not None and (left.brief or left.alone is not None):
             break
+        n = comparison.robot.n
         open_names = () if left is None else left.channels
         state = _State(result.comparison, kept)
-        number = next((c for c in state.open_channels() if c not in refused), None)
+        waiting = state.searched_channels(
+            {c for c in range(2 * n) if channel_name(c, n) in open_names}
+        )
+        number = next((c for c in waiting if c not in refused), None)
         if number is None or len(refused) >= _MAX_REFUSED:
             break
-        name = channel_name(number, comparison.robot.n)
+        name = channel_name(number, n)
         say(f"search {name} for a law that no catalogue has")
         outcome = state.search(number, is_open=name in open_names)
         found = None if outcome.best is None else state.add(outcome)
@@ -206,21 +211,33 @@ class _State:
     def __init__(self, comparison: Comparison, kept: Sequence[Selected]) -> None:
         self.comparison, self.kept = comparison, list(kept)
         self.effects = [each.located for each in kept]
+        # Without stated tolerances many effects may be missing: laws only join them, where
+        # recordings left out support all.
+        self._strict = comparison.bodies is not None
         self._ranked: list[_Ranked] = []
         self._dropped: list[LocatedEffect] = []
 
-    def open_channels(self) -> list[int]:
-        """Return the channels with more than noise, torques first, the worst first.
+    def searched_channels(self, unexplained: set[int]) -> list[int]:
+        """Return unexplained channels, and those whose findings may stand for a law.
 
-        A torque on a link winds up its joint too, a deflection does not change the torque.
+        Torques come first, then the worst: a torque on a link winds up its joint too, a deflection
+        does not change the torque.
         """
         fit, n = self.comparison.fit(self.effects), self.comparison.robot.n
         beyond = np.nan_to_num(self.comparison.channel_ratio(fit.residual) / self.comparison.least)
-        # Findings may stand for a law, and leave little of it.
-        joints = [each.channel % n for each in self.kept if _is_replaceable(each)]
-        least = [FAINT_RATIO if c % n in joints else UNEXPLAINED_RATIO for c in range(2 * n)]
-        found = [int(c) for c in np.argsort(-beyond) if beyond[c] > least[c]]
+        joints = {each.channel % n for each in self.kept if self._is_replaceable(each)}
+        found = [
+            int(c)
+            for c in np.argsort(-beyond)
+            if beyond[c] > FAINT_RATIO and (c in unexplained or c % n in joints)
+        ]
         return sorted(found, key=lambda c: c >= n)
+
+    def _is_replaceable(self, selected: Selected) -> bool:
+        """Return True for a finding that a law could take the place of."""
+        located = selected.located
+        law = located.effect.family == LAW_FAMILY
+        return not self._strict and not located.calibrated and not law
 
     def search(self, number: int, *, is_open: bool) -> ChannelLaw:
         """Search a channel for a law in place of its findings or, where it is open, beside them."""
@@ -228,7 +245,7 @@ class _State:
         own = [
             each.located
             for each in self.kept
-            if each.channel % n == number % n and _is_replaceable(each)
+            if each.channel % n == number % n and self._is_replaceable(each)
         ]
         beside = OpenChannel(self.comparison, self.effects, number)
         if own:
@@ -255,6 +272,8 @@ class _State:
         effects = [*self.effects, located]
         current = self.comparison.linearised_at(self.comparison.fit(effects))
         kept = prune_effects(current, effects)
+        if self._strict:
+            kept = select_predictive(current, kept)
         if located not in kept:
             return None
         kept = self._restore(current, kept)
@@ -357,9 +376,3 @@ class _State:
 def _width(evidence: float) -> float:
     """Return the unit in which evidences of laws differ: inexact forms overestimate them."""
     return max(1.0, _FAMILY_TEMPERING * evidence)
-
-
-def _is_replaceable(selected: Selected) -> bool:
-    """Return True for a finding that a law could take the place of."""
-    located = selected.located
-    return not located.calibrated and located.effect.family != LAW_FAMILY

@@ -258,6 +258,14 @@ FORMS = {
             shapes=(_SCALE_SHAPE,),
         ),
         Form(
+            name="fading",
+            formulas=("s**2 / (x**2 + s**2)",),
+            words="with the {x}: most at rest, and fading with its magnitude",
+            symmetry="even",
+            shapes=(_SCALE_SHAPE,),
+            resembles="a film of lubricant that forms with speed",
+        ),
+        Form(
             name="peaked",
             formulas=("x / s / (1.0 + np.exp(n * np.log(np.abs(x) / s + 1e-12)))",),
             words="with the {x} up to a peak, and falls beyond it",
@@ -272,6 +280,13 @@ FORMS = {
             name="step",
             formulas=("0.5 * (1.0 + np.tanh((x - c) / s))",),
             words="by a step at one value of the {x}",
+            shapes=(_PLACE_SHAPE, FormShape(name="s", unit="signal", **_width(0.03, 0.15, 0.4))),
+            resembles="a part that is touched or left at one place",
+        ),
+        Form(
+            name="step_down",
+            formulas=("0.5 * (1.0 - np.tanh((x - c) / s))",),
+            words="by a step down at one value of the {x}",
             shapes=(_PLACE_SHAPE, FormShape(name="s", unit="signal", **_width(0.03, 0.15, 0.4))),
             resembles="a part that is touched or left at one place",
         ),

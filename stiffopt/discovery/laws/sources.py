@@ -35,7 +35,7 @@ class SourceKind:
     per_joint: bool = True
 
 
-_PLACE_FORMS = ("linear", "offset", "step", "bump", "hinge_above", "hinge_below")
+_PLACE_FORMS = ("linear", "offset", "step", "step_down", "bump", "hinge_above", "hinge_below")
 _SIGNED_FORMS = (
     "linear",
     "magnitude",
@@ -43,6 +43,7 @@ _SIGNED_FORMS = (
     "signed_power",
     "saturating",
     "saturating_even",
+    "fading",
     "peaked",
 )
 SOURCE_KINDS = {

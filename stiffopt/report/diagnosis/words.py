@@ -233,7 +233,10 @@ def lawless_sentence(diagnosis: Diagnosis, channel: str) -> str:
         return ""
     text = f" No law of the recorded signals holds there ({each.reason}); any law could explain at"
     text += f" most about {100 * each.attainable:.0f} % of it"
-    return f"{text}, of the {listed(each.signals)}." if each.signals else f"{text}."
+    text += f", of the {listed(each.signals)}." if each.signals else "."
+    if each.tables:
+        text += " That is kept in [[residual]] of extended.toml, for predictions and not for plans."
+    return text
 
 
 def _dependence_sentence(unexplained: Unexplained) -> str:
