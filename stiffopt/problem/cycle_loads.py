@@ -10,7 +10,7 @@ from stiffopt.problem.schema import PayloadSection, ProblemFile, ToolPointSectio
 
 
 @dataclass(frozen=True)
-class Load:
+class CarriedLoad:
     """Bodies at the flange and the tool point."""
 
     body: PayloadSection | None
@@ -23,8 +23,8 @@ class Load:
         return sum(each.mass for each in (self.body, self.part) if each is not None)
 
 
-def follow_loads(document: ProblemFile, path: Path) -> list[Load]:
-    """Load of each move of a cycle, and that after the last one.
+def follow_loads(document: ProblemFile, path: Path) -> list[CarriedLoad]:
+    """CarriedLoad of each move of a cycle, and that after the last one.
 
     Raises
     ------
@@ -32,7 +32,9 @@ def follow_loads(document: ProblemFile, path: Path) -> list[Load]:
         An event is impossible: a part that was never gripped, or is put down or taken twice.
     """
     tool = document.tool
-    loads = [Load(document.payload, None, ToolPointSection(link=tool.link, offset=tool.offset))]
+    loads = [
+        CarriedLoad(document.payload, None, ToolPointSection(link=tool.link, offset=tool.offset))
+    ]
     gripped_at = ""
     for number, move in enumerate(document.move, start=1):
         now, where = loads[-1], f"move[{number}]"
@@ -77,6 +79,6 @@ def follow_loads(document: ProblemFile, path: Path) -> list[Load]:
                     "the tool cannot be changed while the gripper holds the part that it took"
                     f" at {gripped_at}. Release it before.",
                 )
-            now = Load(move.payload, None, move.tool or ToolPointSection())
+            now = CarriedLoad(move.payload, None, move.tool or ToolPointSection())
         loads.append(now)
     return loads
