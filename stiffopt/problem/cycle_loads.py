@@ -24,7 +24,7 @@ class CarriedLoad:
 
 
 def follow_loads(document: ProblemFile, path: Path) -> list[CarriedLoad]:
-    """CarriedLoad of each move of a cycle, and that after the last one.
+    """Load of each move of a cycle, and that after the last one.
 
     Raises
     ------
