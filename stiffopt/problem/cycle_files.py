@@ -24,7 +24,7 @@ from stiffopt.problem.branches import (
     within_limits,
 )
 from stiffopt.problem.cycle import MIN_LEG_TIME, Cycle, CycleEvent, Leg, Posture, Stop
-from stiffopt.problem.cycle_loads import Load, follow_loads
+from stiffopt.problem.cycle_loads import CarriedLoad, follow_loads
 from stiffopt.problem.files import (
     PoseReader,
     common_fields,
@@ -108,7 +108,7 @@ class _CycleReader:
     ) -> None:
         self._document, self._path = document, path
         self._moves = document.move
-        self._robots: dict[Load, Robot] = {}
+        self._robots: dict[CarriedLoad, Robot] = {}
         self._load_robot = robots
         motion = document.motion
         if motion.start is None or motion.end is not None or motion.via or motion.path is not None:
@@ -128,7 +128,7 @@ class _CycleReader:
     def _fail(self, where: str, reason: str) -> NoReturn:
         raise InputFileError(self._path, where, reason)
 
-    def _robot(self, load: Load) -> Robot:
+    def _robot(self, load: CarriedLoad) -> Robot:
         if load not in self._robots:
             robot = read_robot(
                 self._document.robot, load.body, load.tool, self._path, self._load_robot

@@ -10,7 +10,7 @@ from stiffopt.problem.schema import PayloadSection, ProblemFile, ToolPointSectio
 
 
 @dataclass(frozen=True)
-class Load:
+class CarriedLoad:
     """Bodies at the flange and the tool point."""
 
     body: PayloadSection | None
@@ -23,7 +23,7 @@ class Load:
         return sum(each.mass for each in (self.body, self.part) if each is not None)
 
 
-def follow_loads(document: ProblemFile, path: Path) -> list[Load]:
+def follow_loads(document: ProblemFile, path: Path) -> list[CarriedLoad]:
     """Load of each move of a cycle, and that after the last one.
 
     Raises
@@ -33,7 +33,7 @@ def follow_loads(document: ProblemFile, path: Path) -> list[Load]:
     """
     tool = document.tool
     loads = [
-        Load(
+        CarriedLoad(
             document.payload,
             None,
             ToolPointSection(link=tool.link, offset=tool.offset, rpy=tool.rpy),
@@ -83,6 +83,6 @@ def follow_loads(document: ProblemFile, path: Path) -> list[Load]:
                     "the tool cannot be changed while the gripper holds the part that it took"
                     f" at {gripped_at}. Release it before.",
                 )
-            now = Load(move.payload, None, move.tool or ToolPointSection())
+            now = CarriedLoad(move.payload, None, move.tool or ToolPointSection())
         loads.append(now)
     return loads

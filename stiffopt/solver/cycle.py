@@ -15,6 +15,7 @@ import numpy as np
 
 from stiffopt.baseline.rivals import fair_rivals
 from stiffopt.certificate.objective_value import objective_value
+from stiffopt.errors import NotSimulatedError
 from stiffopt.problem.bounds import shortest_duration
 from stiffopt.problem.branches import quintic_durations
 from stiffopt.problem.cycle import MIN_LEG_TIME, Cycle, Leg
@@ -31,9 +32,8 @@ from stiffopt.solver.time_split import Combination, ShortestDuration, TimeSplit,
 
 # Rounds of the split; each solves every leg whose duration changed.
 _MAX_ROUNDS = 8
-# Relative change of the cycle's objective at which the split has converged, and change of a leg's
-# duration below which it is not solved again.
-_CONVERGED_CHANGE, _SAME_DURATION = 2e-3, 1e-4
+# Relative change of the cycle's objective at which the split has converged.
+_CONVERGED_CHANGE = 2e-3
 # First duration of a leg under an error limit, over the bound by its joints' limits.
 _FIRST_DURATION_FACTOR = 1.5
 # Rounds in which rests until the tool has settled are found by simulation, and their change at
@@ -74,9 +74,12 @@ def solve_cycle(
         if not (simulate and usable):
             return found
         solutions = run.with_commands(solutions)
-        simulation, settled = simulate_cycle(cycle, solutions, rests)
-        found = run.result(solutions, settled)
-        found = replace(found, simulation=simulation)
+        try:
+            simulation, settled = simulate_cycle(cycle, solutions, rests)
+        except NotSimulatedError as error:
+            found = replace(found, notes=(*found.notes, f"Not simulated as a cycle: {error}"))
+            break
+        found = replace(run.result(solutions, settled), simulation=simulation)
         changed = float(np.max(np.abs(settled - rests)))
         rests = settled
         if changed <= _SAME_REST or cycle.time_is_minimised:
@@ -108,7 +111,7 @@ class _CycleRun:
         if first is None:
             first = np.array([leg.problem.duration[0] for leg in cycle.legs])
         split = TimeSplit(total, first * total / first.sum(), self._combination)
-        best: tuple[float, np.ndarray, list[Solution]] | None = None
+        best: tuple[float, dict[int, tuple[float, Solution]]] | None = None
         solutions: list[Solution] = []
         for _ in range(_MAX_ROUNDS):
             legs = [
@@ -131,7 +134,7 @@ class _CycleRun:
             if np.isfinite(value):
                 before = np.inf if best is None else best[0]
                 if value < before:
-                    best = (value, split.durations.copy(), solutions)
+                    best = (value, dict(self._solved))
                 if abs(before - value) <= _CONVERGED_CHANGE * value:
                     break
             split.learn(values)
@@ -146,9 +149,10 @@ class _CycleRun:
             split.durations = proposed
         if best is None:
             return solutions
-        self._durations = best[1]
-        self._solved = dict(enumerate(zip(best[1].tolist(), best[2], strict=True)))
-        return best[2]
+        self._solved = best[1]
+        kept = [self._solved[k] for k in range(len(cycle.legs))]
+        self._durations = np.array([duration for duration, _ in kept])
+        return [solution for _, solution in kept]
 
     def _shortest_legs(self, limit: float) -> list[Solution]:
         """Solutions of all legs, each as short as an objective within `limit` allows."""
@@ -201,7 +205,7 @@ class _CycleRun:
         for k, leg in enumerate(legs):
             duration = leg.problem.duration[0]
             lasted, known = self._solved.get(k, (np.nan, None))
-            if known is None or not abs(lasted - duration) <= _SAME_DURATION * duration:
+            if known is None or lasted != duration:
                 guess = None
                 if known is not None and known.status.usable and known.assessment is not None:
                     guess = known.assessment
@@ -273,11 +277,7 @@ class _CycleRun:
     def _message(self, solutions: list[Solution], status: SolveStatus) -> str:
         count = len(self._cycle.legs)
         if status.usable and len(solutions) == count:
-            return (
-                f"All {count} legs: {solutions[0].message}"
-                if count == 1
-                else (f"All {count} legs are solved and certified.")
-            )
+            return "Every leg is solved and certified."
         worst = next(k for k, each in enumerate(solutions) if each.status is status)
         leg = self._cycle.legs[worst]
         why = f" {self._infeasible[0].upper()}{self._infeasible[1:]}" if self._infeasible else ""

@@ -7,7 +7,7 @@ import json
 
 import numpy as np
 import pytest
-from small_cycles import write_cycle_file
+from small_cycles import GRIP, write_cycle_file
 
 from stiffopt.cli import run
 from stiffopt.export.format import read_seal
@@ -107,3 +107,19 @@ def test_cycle_without_enough_time_says_so(tmp_path):
     found = solve_cycle(load_cycle(path).cycle, simulate=False)
     assert not found.status.usable
     assert "motion.duration" in found.message
+
+
+@pytest.mark.slow
+def test_commands_of_the_legs_are_simulated_as_one(tmp_path):
+    """Before the first event the error is that of the leg alone; then the part's sag rings on."""
+    moves = GRIP + 'dwell = 0.1\n[[move]]\nto = "home"\n'
+    path = write_cycle_file(tmp_path, moves=moves, duration='"1.4 s"', objective="tool_deviation")
+    found = solve_cycle(load_cycle(path).cycle)
+    first, second = found.simulation.legs
+    own = found.legs[0].solution.compensation
+    assert own.command is not None
+    alone = own.optimised.simulated
+    assert first.flight == pytest.approx(alone.peak, rel=0.02)
+    assert first.rest == pytest.approx(first.jump, rel=0.1)
+    # Two percent of damping leave most of the vibration at the next departure.
+    assert 0.3 * first.jump < second.flight < 1.5 * first.jump
