@@ -95,7 +95,8 @@ def _build_problem(
     else:
         upper = motion.duration.upper
         duration = (motion.duration.lower, np.inf if upper is None else upper)
-    waypoints: np.ndarray | JointPath | None = None
+    # An array of waypoints becomes a path when the problem is checked.
+    waypoints: Any = None
     force = None
     if motion.path is not None:
         waypoints = np.stack(

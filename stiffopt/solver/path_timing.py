@@ -177,7 +177,7 @@ class _Law:
     def __call__(self, time: np.ndarray) -> np.ndarray:
         """Return s at times (m,)."""
         step = np.clip(np.searchsorted(self.time, time, side="right") - 1, 0, len(self.time) - 2)
-        return _evaluate(self.powers[:, step], time - self.time[step])[0]
+        return np.asarray(_evaluate(self.powers[:, step], time - self.time[step])[0])
 
     def trajectory(self) -> Trajectory:
         """Return the law as a motion of one joint, from 0 to 1."""
@@ -263,10 +263,10 @@ class _PathTiming:
         else:
             grid = np.linspace(0.0, time[-1], 4 * _steps_of(time[-1]) + 1)
             # Linear in speed between the samples, from rest to rest.
-            k = np.clip(np.searchsorted(time, grid, side="right") - 1, 0, len(steps) - 1)
-            local = grid - time[k]
-            bend = (rate[k + 1] - rate[k]) / steps[k]
-            time, s = grid, s[k] + local * (rate[k] + 0.5 * local * bend)
+            own = np.clip(np.searchsorted(time, grid, side="right") - 1, 0, len(steps) - 1)
+            local = grid - time[own]
+            bend = (rate[own + 1] - rate[own]) / steps[own]
+            time, s = grid, s[own] + local * (rate[own] + 0.5 * local * bend)
         s[[0, -1]] = 0.0, 1.0
         return _Law(time, s, self._demands.eased).with_nodes_at(path.knots)
 
