@@ -104,6 +104,8 @@ class Assessment(DriveHistory):
         Link positions [rad] without the calibrated sag, where planned apart from the motors'.
     simulated : SimulatedMotion or None
         Elastic simulation, where a limit or an objective refers to residual vibration.
+    force : array (K, 3) or None
+        Process force along a path, base axes [N].
     """
 
     spring_torque: np.ndarray
@@ -117,6 +119,7 @@ class Assessment(DriveHistory):
     integrals: dict[str, float] = field(default_factory=dict)
     link: np.ndarray | None = None
     simulated: SimulatedMotion | None = None
+    force: np.ndarray | None = None
 
     @property
     def worst_violation(self) -> Violation:
