@@ -259,8 +259,8 @@ class _TableMotion:
     """Motion between the rows of a table, by cubic polynomials.
 
     Accelerations of the table are interpolated linearly, so that neither they nor their slope
-    exceed those of the motion; `link` is the motion of the links, where it differs, and `force` that
-    of the process along its path.
+    exceed those of the motion; `link` is the motion of the links, where it differs, `force` that of
+    the process along its path.
     """
 
     def __init__(
