@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 # Step at which the lead is computed, and knot spacing of its spline [s]: kinks of the stiffness,
 # which a force passes, must not bend the command between two rows of its file.
-_SAMPLE_STEP, _KNOT_SPACING = 2e-3, 3e-2
+_SAMPLE_STEP, _KNOT_SPACING = 2e-3, 2e-2
 
 
 def force_lead(robot: Robot, plan: JointMotion, force: ForceHistory) -> Trajectory:
