@@ -106,6 +106,7 @@ def assess(
         violations=(),
         lowest_stiffness=lowest,
         link=None if link is None else moved[0],
+        force=None if getattr(link or motion, "force", None) is None else force,
     )
     integrals = {name: kind.joint_integrals(robot, assessment) for name, kind in OBJECTIVES.items()}
     named = {

@@ -116,7 +116,7 @@ def simulate(
         raise rigid_arm_error(stored.problem.robot)
     folder = out or result
     with output_folder(folder, "simulate", of="solve") as stage:
-        modelled = elastic_arm(stored.problem, stored.optimised.position[0])
+        modelled = elastic_arm(stored.problem, stored.optimised.position[0]).under(stored.force)
         arm = modelled if damping is None else modelled.damped(damping)
         motions, led = stored.motions(), None
         found = simulate_motions(stored.problem, arm, motions, servo=servo, band=settled)

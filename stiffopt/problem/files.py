@@ -106,7 +106,8 @@ def _build_problem(
     joints = JointLists(robot, path)
     poses = PoseReader(joints, document.pose)
     remarks = payload_remarks(document.payload)
-    waypoints: np.ndarray | JointPath | None = None
+    # An array of waypoints becomes a path when the problem is checked.
+    waypoints: Any = None
     force = None
     if motion.path is not None:
         waypoints = np.stack(

@@ -46,9 +46,9 @@ def read_tool_path(section: PathSection, joints: JointLists) -> ReadPath:
     robot = joints.robot
     limits = np.stack([robot.position_lower, robot.position_upper])
     near = np.where(np.isfinite(limits).all(axis=0), limits.mean(axis=0), 0.0)
-    stated = section.near if section.start is None else section.start.near or section.near
-    if stated is not None:
-        near = joints(stated, "angle", "path.near")
+    posture = section.near if section.start is None else section.start.near or section.near
+    if posture is not None:
+        near = joints(posture, "angle", "path.near")
     with locate_errors(joints.path, ""):
         frame = rotation_from_rpy(section.frame.rpy), np.array(section.frame.position)
         if section.table is not None:

@@ -107,6 +107,8 @@ class Assessment(DriveHistory):
         Elastic simulation, where a limit or an objective refers to residual vibration.
     propagated : PropagatedError or None
         Error of the command on uncertain arms, where an objective refers to it.
+    force : array (K, 3) or None
+        Process force along a path, base axes [N].
     """
 
     spring_torque: np.ndarray
@@ -121,6 +123,7 @@ class Assessment(DriveHistory):
     link: np.ndarray | None = None
     simulated: SimulatedMotion | None = None
     propagated: PropagatedError | None = None
+    force: np.ndarray | None = None
 
     def error_bound(self) -> tuple[float, float]:
         """Bounds of the tool error in flight and after arrival [m]; infinite where unknown."""

@@ -36,6 +36,7 @@ EXPORT_RATE = 500.0
 MAX_SAMPLES = 1_000_000
 RESULT_FILE = "result.json"
 TRAJECTORY_FILE = "trajectory.csv"
+FORCE_COLUMNS = ["force_x", "force_y", "force_z"]
 SIMULATION_FILE = "simulation.json"
 
 # Columns of trajectory.csv, and of command.csv as far as it has them; N counts joints from 1.
@@ -60,6 +61,7 @@ COLUMNS = {
         "m",
         "Deflection of the tool: total and dynamic.",
     ),
+    "force_x, force_y, force_z": ("N", "Process force along a path, base axes."),
     "linkN": (
         "rad (m)",
         "Position of the links, where the motors lead them by the wind-up: tool_deviation, "
@@ -308,6 +310,9 @@ def write_trajectory(
     if assessment.link is not None:
         columns.append(assessment.link)
         names += [f"link{joint}" for joint in range(1, joints + 1)]
+    if assessment.force is not None:
+        columns.append(assessment.force)
+        names += FORCE_COLUMNS
     write_csv(path, names, np.hstack(columns).tolist())
     return path
 

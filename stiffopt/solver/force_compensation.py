@@ -16,8 +16,9 @@ from stiffopt.result.trajectory import ForceHistory, JointMotion, Trajectory
 if TYPE_CHECKING:
     from stiffopt.robot.robot import Robot
 
-# Step at which the lead is computed, and knot spacing of its spline [s].
-_SAMPLE_STEP, _KNOT_SPACING = 2e-3, 1e-2
+# Step at which the lead is computed, and knot spacing of its spline [s]: kinks of the stiffness,
+# which a force passes, must not bend the command between two rows of its file.
+_SAMPLE_STEP, _KNOT_SPACING = 2e-3, 2e-2
 
 
 def force_lead(robot: Robot, plan: JointMotion, force: ForceHistory) -> Trajectory:

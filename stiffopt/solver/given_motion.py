@@ -23,8 +23,10 @@ _SMOOTHED_INTERVALS, _MIN_SPACING = 4.0, 0.01
 _MAX_SPACING, _MAX_NOISE_RATIO, _SAMPLE_RESOLUTION = 0.16, 1.2, 2e-7
 # Speed over the joint's largest one below which a joint counts as at rest.
 _REST_SHARE = 2e-3
+# Window in which the speed at the ends is taken [s]; motions of fewer rows are points to pass.
+_END_WINDOW, _MIN_JUDGED_ROWS = 0.02, 20
 # Speed at the ends over the largest one from which a motion does not begin or end at rest.
-_MAX_END_SHARE = 0.05
+_MAX_END_SHARE = 0.2
 # Share of the mean speed that a motion may always have: it rises from rest without the noise there.
 _LEAST_SPEED_SHARE = 0.02
 # Shortest rest within a motion at which it is divided [s].
@@ -58,15 +60,17 @@ class GivenMotion:
         self._check_ends(np.asarray(position))
 
     def _check_ends(self, position: np.ndarray) -> None:
-        speed = np.abs(np.diff(position, axis=0)) / np.diff(self.times)[:, None]
+        if len(self.times) < _MIN_JUDGED_ROWS:
+            return
+        # Over a window: differences of neighbouring samples are noise.
+        grid = np.linspace(0.0, self.duration, int(self.duration / _END_WINDOW) + 2)
+        moved = np.abs(np.diff(self(grid), axis=0))
         for name, row in (("begins", 0), ("ends", -1)):
-            share = speed[row] / np.maximum(speed.max(axis=0), 1e-9 * speed.max())
-            j = int(np.argmax(speed[row]))
-            many = len(self.times) > 20
-            if many and share[j] > _MAX_END_SHARE and speed[row, j] > _MAX_END_SHARE * speed.max():
+            j = int(np.argmax(moved[row]))
+            if moved[row, j] > _MAX_END_SHARE * moved.max():
                 raise ProblemError(
-                    f"the motion {name} while joint {j + 1} moves at {speed[row, j]:.3g} rad/s. "
-                    "Give the motion from rest to rest."
+                    f"the motion {name} while joint {j + 1} moves at "
+                    f"{moved[row, j] / grid[1]:.3g} rad/s. Give the motion from rest to rest."
                 )
 
     @property

@@ -136,16 +136,24 @@ def problem_of_motion(
 ) -> TrajectoryProblem:
     """Return the statement of a given motion: its ends and duration, and the settings' limits."""
     ends = motion(np.array([0.0, motion.duration]))
-    stated = {
-        "start": Target(joints=ends[0]),
-        "end": Target(joints=ends[1]),
-        "duration": (motion.duration, motion.duration),
-        "objectives": (Objective(name="torque_squared"),),
-    }
+    start, end = Target(joints=ends[0]), Target(joints=ends[1])
+    duration = (motion.duration, motion.duration)
+    objectives = (Objective(name="torque_squared"),)
     if settings is None:
-        return TrajectoryProblem(robot=robot, **stated)
+        return TrajectoryProblem(
+            robot=robot, start=start, end=end, duration=duration, objectives=objectives
+        )
     return replace(
-        settings, path=None, vias=(), boundary_velocity=None, boundary_acceleration="zero", **stated
+        settings,
+        start=start,
+        end=end,
+        duration=duration,
+        objectives=objectives,
+        path=None,
+        path_force=None,
+        vias=(),
+        boundary_velocity=None,
+        boundary_acceleration="zero",
     )
 
 

@@ -42,8 +42,8 @@ _STAGE_SHARES = (0.0, 0.5, 1.0)
 _CHECKED_STAGES = (0.0, 0.25, 0.5, 0.75, 1.0)
 # Programmes, and relative gain in duration below which they end.
 _MAX_PROGRAMMES, _MIN_GAIN = 40, 1e-3
-# Programmes after that, in which limits of the jerk are tightened where the motion exceeds them
-# between the stages, and the slowing from which on that is left out.
+# Programmes after that, in which limits are tightened where the motion exceeds them between the
+# stages, and the slowing from which on that is left out.
 _MAX_POLISHINGS, _MAX_KEPT_SLOWING = 8, 1.002
 _LEAST_ALLOWANCE = 0.4
 # Relative change of the duration below which the nodes are kept.
@@ -177,7 +177,7 @@ class _Law:
     def __call__(self, time: np.ndarray) -> np.ndarray:
         """Return s at times (m,)."""
         step = np.clip(np.searchsorted(self.time, time, side="right") - 1, 0, len(self.time) - 2)
-        return _evaluate(self.powers[:, step], time - self.time[step])[0]
+        return np.asarray(_evaluate(self.powers[:, step], time - self.time[step])[0])
 
     def trajectory(self) -> Trajectory:
         """Return the law as a motion of one joint, from 0 to 1."""
@@ -236,8 +236,8 @@ class _PathTiming:
 
     def __init__(self, robot: Robot, limits: Limits, path: JointPath, demands: PathDemands) -> None:
         self._robot, self._limits, self._path, self._demands = robot, limits, path, demands
-        # Share of the limits of the jerk that may be used in every step.
-        self._allowance: np.ndarray | None = None
+        # Shares of the limits of acceleration and jerk that may be used in every step.
+        self._allowances: dict[str, np.ndarray] = {}
 
     def first_law(self) -> _Law:
         """Return a timing that uses a share of the limits, with nodes at the path's knots."""
@@ -263,10 +263,10 @@ class _PathTiming:
         else:
             grid = np.linspace(0.0, time[-1], 4 * _steps_of(time[-1]) + 1)
             # Linear in speed between the samples, from rest to rest.
-            k = np.clip(np.searchsorted(time, grid, side="right") - 1, 0, len(steps) - 1)
-            local = grid - time[k]
-            bend = (rate[k + 1] - rate[k]) / steps[k]
-            time, s = grid, s[k] + local * (rate[k] + 0.5 * local * bend)
+            own = np.clip(np.searchsorted(time, grid, side="right") - 1, 0, len(steps) - 1)
+            local = grid - time[own]
+            bend = (rate[own + 1] - rate[own]) / steps[own]
+            time, s = grid, s[own] + local * (rate[own] + 0.5 * local * bend)
         s[[0, -1]] = 0.0, 1.0
         return _Law(time, s, self._demands.eased).with_nodes_at(path.knots)
 
@@ -297,18 +297,16 @@ class _PathTiming:
         return _FIRST_SHARE * speed, _FIRST_SHARE * push
 
     def tighten(self, law: _Law) -> None:
-        """Tighten the limits of the jerk in steps where a timing exceeds them between stages."""
-        if self._allowance is None or len(self._allowance) != len(law.time) - 1:
-            self._allowance = np.ones(len(law.time) - 1)
-        piece, worst = self._pieces(law), np.zeros(len(law.time) - 1)
-        for share in _CHECKED_STAGES:
-            jerk = self._joint_motion(law.at(share), piece)[3]
-            used = np.abs(jerk) / (self._demands.share("jerk") * self._limits.jerk)
-            worst = np.maximum(worst, used.max(axis=1))
-        near = np.maximum(worst, np.maximum(np.append(worst[1:], 0.0), np.append(0.0, worst[:-1])))
-        self._allowance = np.clip(
-            self._allowance / np.maximum(near, 1.0), _LEAST_ALLOWANCE, self._allowance
-        )
+        """Tighten limits of acceleration and jerk in steps that exceed them between stages."""
+        piece, count = self._pieces(law), len(law.time) - 1
+        rates = [self._joint_motion(law.at(share), piece) for share in _CHECKED_STAGES]
+        for order, name in ((2, "acceleration"), (3, "jerk")):
+            limit = self._demands.share(name) * getattr(self._limits, name)
+            used = np.max([np.abs(each[order]) / limit for each in rates], axis=(0, 2))
+            near = np.maximum(np.append(used[1:], 0.0), np.append(0.0, used[:-1]))
+            worst = np.maximum(np.maximum(used, near), 1.0)
+            now = self._allowances.get(name, np.ones(count))
+            self._allowances[name] = np.clip(now / worst, _LEAST_ALLOWANCE, now)
 
     def slowing(self, law: _Law) -> float:
         """Return the factor on the duration at which velocity, acceleration and jerk are kept."""
@@ -388,17 +386,16 @@ class _PathTiming:
         ) -> None:
             """Add |x X + x1 X' + x2 X'' + fixed| <= limit rest, of finite limits."""
             for k in np.flatnonzero(np.isfinite(limit)):
-                allowed = share(name) * limit[k]
+                allowed = share(name) * limit[k] * self._allowances.get(name, 1.0)
                 for sign in (1.0, -1.0):
                     columns.append(tuple(sign * each[:, k] / allowed for each in (x, x1, x2)))
                     bounds.append(rest[:, k] - sign * fixed[:, k] / allowed)
 
         one = np.ones_like(dq)
         bound_both("acceleration", limits.acceleration, ddq, 0.5 * dq, zero, zero, one)
-        allowance = 1.0 if self._allowance is None else self._allowance
         # J / sqrt(x) >= J (3/2 - x/2).
         for k in np.flatnonzero(np.isfinite(limits.jerk)):
-            allowed = share("jerk") * limits.jerk[k] * allowance
+            allowed = share("jerk") * limits.jerk[k] * self._allowances.get("jerk", 1.0)
             for sign in (1.0, -1.0):
                 parts = dddq[:, k], 1.5 * ddq[:, k], 0.5 * dq[:, k]
                 own = [sign * each / allowed for each in parts]

@@ -157,12 +157,25 @@ class PlannedMotion:
             time=assessment.time,
             position=assessment.position,
             velocity=assessment.velocity,
-            parts=assessment.deflection_summary(),
+            parts=assessment.deflection_summary() | {"forced": _forced_deflection(assessment)},
             counted=counted,
             exceeded=tuple(
                 v.limit for v in assessment.violations if v.value > CERTIFICATE_TOLERANCE
             ),
         )
+
+
+def _planned_part(arm: ElasticArm, motion: PlannedMotion) -> PeakRms:
+    """Return the planned deflection that a simulation on the arm is compared with [m]."""
+    name = "dynamic" if arm.path_force is None else "forced"
+    return motion.parts.get(name, motion.parts["dynamic"])
+
+
+def _forced_deflection(motion: Assessment) -> PeakRms:
+    """Return the deflection by motion and force, which a command compensates together [m]."""
+    square = np.sum((motion.deflection["dynamic"] + motion.deflection["process"]) ** 2, axis=1)
+    mean = np.trapezoid(square, motion.time) / motion.duration
+    return PeakRms(float(np.sqrt(square.max())), float(np.sqrt(mean)))
 
 
 def rival_motions(
@@ -220,7 +233,7 @@ def simulate_motions(
         found.append(
             ElasticMotion(
                 name=each.name,
-                planned=each.parts["dynamic"],
+                planned=_planned_part(arm, each),
                 simulated=simulated,
                 counted=each.counted,
                 minimised=minimised,

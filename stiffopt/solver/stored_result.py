@@ -23,8 +23,8 @@ from stiffopt.result.assessment import Assessment
 from stiffopt.result.compensation import COMMAND_FILE
 from stiffopt.result.provenance import inputs_hash
 from stiffopt.result.simulation import PeakRms
-from stiffopt.result.store import RESULT_FILE, TRAJECTORY_FILE, read_document
-from stiffopt.result.trajectory import JointMotion
+from stiffopt.result.store import FORCE_COLUMNS, RESULT_FILE, TRAJECTORY_FILE, read_document
+from stiffopt.result.trajectory import ForceHistory, JointMotion
 from stiffopt.robot.tolerances import Tolerances
 from stiffopt.solver.command_search import ExistingCommand
 from stiffopt.solver.family import WarmStart
@@ -52,6 +52,8 @@ class StoredResult:
         Of the joints along the stored motion [rad].
     command : ExistingCommand or None
         Of command.csv, where there is one.
+    force : ForceHistory or None
+        Process force along a path.
     """
 
     problem: TrajectoryProblem
@@ -61,6 +63,7 @@ class StoredResult:
     optimised: PlannedMotion
     windup: np.ndarray
     command: ExistingCommand | None = None
+    force: ForceHistory | None = None
 
     def motions(self) -> list[PlannedMotion]:
         """Return the stored motion, then recomputed rivals."""
@@ -127,7 +130,17 @@ def read_result(
         optimised=own,
         windup=windup,
         command=_read_command(folder, document, own),
+        force=_read_force(folder / TRAJECTORY_FILE),
     )
+
+
+def _read_force(path: Path) -> ForceHistory | None:
+    """Read the force along the path from trajectory.csv, None where there is none."""
+    table = read_table(path, ["t"], FORCE_COLUMNS)
+    if not all(name in table for name in FORCE_COLUMNS):
+        return None
+    force = np.stack([np.array(table[name]) for name in FORCE_COLUMNS], axis=1)
+    return ForceHistory(np.array(table["t"]), force)
 
 
 def problem_file(path: Path, document: dict[str, Any], given: Path | None = None) -> Path:
@@ -198,9 +211,12 @@ def _read_command(
     quantities = ("q", "qd", "qdd")
     rows = _read_joint_table(path, joints, quantities)
     motors = _TableMotion(*rows)
-    motors.link = planned.path or _TableMotion(
+    link = planned.path or _TableMotion(
         *_read_joint_table(folder / TRAJECTORY_FILE, joints, quantities)
     )
+    if isinstance(link, _TableMotion):
+        link.force = _read_force(folder / TRAJECTORY_FILE)
+    motors.link = link
     return ExistingCommand(motors, spacing, share)
 
 
@@ -261,7 +277,8 @@ class _TableMotion:
     """Motion between the rows of a table, by cubic polynomials.
 
     Accelerations of the table are interpolated linearly, so that neither they nor their slope
-    exceed those of the motion; `link` is the motion of the links, where it differs.
+    exceed those of the motion; `link` is the motion of the links, where it differs, `force` that of
+    the process along its path.
     """
 
     def __init__(
@@ -279,6 +296,7 @@ class _TableMotion:
             self._orders[2:] = [straight, straight.derivative()]
         self.duration = float(time[-1])
         self.link: JointMotion | None = None
+        self.force: ForceHistory | None = None
 
     def __call__(self, t: np.ndarray, order: int = 0) -> np.ndarray:
         return np.asarray(self._orders[order](t))

@@ -53,7 +53,8 @@ def timed_motion(problem: TrajectoryProblem) -> Baseline | None:
 
 def _timed_motion(problem: TrajectoryProblem, window: float) -> Baseline | None:
     """Return the certified motion with its law averaged twice over a window [s]."""
-    path, margins = problem.path, {}
+    path = problem.path
+    margins: dict[str, float] = {}
     assert path is not None
     shortest = problem.duration[0]
     for _ in range(_MAX_BACK_OFFS):
@@ -103,7 +104,7 @@ def _forces_along(
         if own is None:
             return found
         feed = 0.0 if speeds is None else speeds[path.piece_index(s)]
-        return found + own(s, np.where(np.isfinite(feed), feed, 0.0))
+        return np.asarray(found + own(s, np.where(np.isfinite(feed), feed, 0.0)))
 
     return force
 

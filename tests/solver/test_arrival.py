@@ -217,7 +217,7 @@ BESIDE = {
     "path": (
         {
             "start": None,
-            "motion": "path = [[-0.6, 0.4], [0.0, 0.3], [0.5, 0.2]]",
+            "motion": "path = [[-0.6, 0.4], [0.0, 0.3], [0.3, 0.3], [0.5, 0.2]]",
             "limits": "settling_time = '50 ms'",
         },
         ["limits.settling_time", "motion.path", "leave limits.settling_time out"],

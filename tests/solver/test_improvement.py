@@ -66,6 +66,15 @@ def test_retimed_motion_takes_the_same_path_and_keeps_its_rests(arm):
     assert still[100:-100].sum() * grid[1] == pytest.approx(0.4, abs=0.1)
 
 
+def test_noise_of_samples_is_no_motion_at_the_ends_and_is_smoothed_away():
+    time, positions = curved_motion(2.0, 0.002)
+    noisy = positions + np.random.default_rng(1).normal(0.0, 1e-4, positions.shape)
+    given = GivenMotion(time, noisy)
+    off = given.smoothed(time) - positions
+    assert np.sqrt(np.mean(off**2)) < 4e-5
+    assert np.abs(given.smoothed(time, 3)).max() < 60.0
+
+
 def test_motion_that_ends_in_flight_is_refused():
     time, positions = curved_motion(1.5, 0.01)
     with pytest.raises(ProblemError, match="ends while joint 1 moves"):

@@ -123,7 +123,7 @@ def _value(found: Improvement, use: LimitUse) -> str:
 def limit_rows(found: Improvement) -> list[tuple[str, ...]]:
     """Return joint, quantity, largest values given and improved, limit and instant."""
     after = {(use.joint, use.quantity): use for use in found.improved.uses}
-    rows = []
+    rows: list[tuple[str, ...]] = []
     for use in found.given.uses[:_MAX_USES]:
         own = after[use.joint, use.quantity]
         rows.append(
