@@ -56,6 +56,13 @@ def _build_loop(recordings: RecordingSet, runs: Sequence[CommandedRun]) -> Comma
     return CommandedArm(recordings.robot.tree, law.reordered(back), 0.5 * (low + high))
 
 
+def is_commanded(run: RecordedRun) -> bool:
+    """Return whether a run holds commands and positions of all joints."""
+    if run.command is None or not run.usable:
+        return False
+    return bool(np.isfinite(run.command).any(axis=0).all())
+
+
 def commanded_run(recordings: RecordingSet, run: RecordedRun) -> CommandedRun:
     """Return the commands and positions of a run in the joint order of the robot."""
     assert run.command is not None
@@ -66,7 +73,7 @@ def commanded_run(recordings: RecordingSet, run: RecordedRun) -> CommandedRun:
         name=run.name,
         time=run.time,
         command=bridge_gaps(run.command)[:, back],
-        position=run.position[:, back],
+        position=bridge_gaps(run.position)[:, back],
         velocity=derivative(smooth, run.step)[:, back],
     )
 
@@ -188,14 +195,14 @@ def fit_positions(
 ) -> ClosedLoopModel | None:
     """Fit a simulation from commands to training runs, beginning with the findings in `start`.
 
-    None where a joint has no known gain: nothing would hold it.
+    None where a joint has no known gain, which would not be held, or no command.
     """
     law = recordings.actuator
     if law is None or not np.isfinite(law.stiffness).all():
         return None
-    commanded = [
-        commanded_run(recordings, run) for run in runs if run.usable and run.command is not None
-    ]
+    commanded = [commanded_run(recordings, run) for run in runs if is_commanded(run)]
+    if not commanded:
+        return None
     loop = _build_loop(recordings, commanded)
     prior = nominal_parameters(recordings, start)
     deviations = expected_deviations(recordings, commanded, loop)
@@ -275,6 +282,7 @@ def model_section(
     return ClosedLoopSection(
         **{name: tuple(getattr(law, name)) for name in ("stiffness", "damping")},
         **{name: tuple(getattr(law, name)) for name in ("drive_max", "torque_max")},
+        delay=model.nominal.delay,
         tolerance=law.tolerance,
         middle=tuple(model.loop.middle[order]),
         values=values,
@@ -310,7 +318,7 @@ def read_model(recordings: RecordingSet, section: ClosedLoopSection) -> ClosedLo
         damping=damping,
         drive_max=drive_max,
         torque_max=torque_max,
-        delay=section.values[DELAY][0],
+        delay=section.delay,
         tolerance=section.tolerance,
     )
     loop = CommandedArm(recordings.robot.tree, law.reordered(back), middle[back])
