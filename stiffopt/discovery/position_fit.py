@@ -204,10 +204,15 @@ def fit_positions(
     if not commanded:
         return None
     loop = _build_loop(recordings, commanded)
-    prior = nominal_parameters(recordings, start)
-    deviations = expected_deviations(recordings, commanded, loop)
-    _narrow_stated(recordings, prior, deviations)
-    fitted = polish(loop, _limit_motion(commanded), prior, deviations, say)
+    prior, chosen = nominal_parameters(recordings, start), _limit_motion(commanded)
+    wide = expected_deviations(recordings, commanded, loop)
+    narrow = wide.copy()
+    _narrow_stated(recordings, prior, narrow)
+    fitted = polish(loop, chosen, prior, narrow, say)
+    away = np.abs(fitted.parameters.values - prior.values)
+    if (freed := (narrow < wide) & (away > _KEPT_TOLERANCES * narrow)).any():
+        # The motion contradicts what is stated there.
+        fitted = polish(loop, chosen, prior, np.where(freed, wide, narrow), say)
     return ClosedLoopModel(
         loop=loop,
         nominal=nominal_parameters(recordings, recordings.robot),
