@@ -37,8 +37,6 @@ _DRY_SHARE, _VISCOUS_SHARE, _DRAG_SHARE, _SLOPE_SHARE, _OFFSET_SHARE = 0.3, 0.3,
 # Rotor inertia at the output over that of the links: of geared joints often several times.
 _ROTOR_SHARE = 3.0
 _LOAD_FRICTION_DEVIATION, _ZERO_DEVIATION = 0.15, 0.03
-# Tolerances by which a fit may move a stated value without having changed it.
-_KEPT_TOLERANCES = 4.0
 # Deviation of a delay [s].
 _DELAY_DEVIATION = 5e-3
 # Inertia of bodies, relative: centres of mass and masses are better known.
@@ -132,7 +130,9 @@ def expected_deviations(
         each = [of_mass * body.mass, *[moment] * 3, *[about] * 3]
         first = found.bodies.start + i * len(BODY_PARAMETERS)
         size[first : first + len(BODY_PARAMETERS)] = each
-    size[-1] = _DELAY_DEVIATION
+    # Without stated viscous friction nothing told the delay apart from it.
+    told = "viscous" not in recordings.unstated
+    size[-1] = law.delay_deviation if told and law.delay_deviation else _DELAY_DEVIATION
     return size
 
 
@@ -204,37 +204,15 @@ def fit_positions(
     if not commanded:
         return None
     loop = _build_loop(recordings, commanded)
-    prior, chosen = nominal_parameters(recordings, start), _limit_motion(commanded)
-    wide = expected_deviations(recordings, commanded, loop)
-    narrow = wide.copy()
-    _narrow_stated(recordings, prior, narrow)
-    fitted = polish(loop, chosen, prior, narrow, say)
-    away = np.abs(fitted.parameters.values - prior.values)
-    if (freed := (narrow < wide) & (away > _KEPT_TOLERANCES * narrow)).any():
-        # The motion contradicts what is stated there.
-        fitted = polish(loop, chosen, prior, np.where(freed, wide, narrow), say)
+    prior = nominal_parameters(recordings, start)
+    deviations = expected_deviations(recordings, commanded, loop)
+    fitted = polish(loop, _limit_motion(commanded), prior, deviations, say)
     return ClosedLoopModel(
         loop=loop,
         nominal=nominal_parameters(recordings, recordings.robot),
         fitted=fitted.parameters,
         deviations=fitted.deviations,
     )
-
-
-def _narrow_stated(recordings: RecordingSet, prior: Parameters, deviations: np.ndarray) -> None:
-    """Narrow the deviations of stated values, except where findings changed them."""
-    for name, key in (
-        ("armature", "rotor_inertia"),
-        ("viscous", "viscous"),
-        ("coulomb", "coulomb"),
-    ):
-        relative = getattr(recordings.tolerance, key)
-        relative = getattr(DEFAULT_TOLERANCE, key) if relative is None else relative
-        stated = getattr(recordings.robot, key)
-        kept = np.abs(prior.of(name) - stated) <= _KEPT_TOLERANCES * relative * stated
-        if key not in recordings.unstated:
-            own = deviations[prior.place(name)]
-            own[kept] = np.minimum(own, np.maximum(relative * stated, 1e-9))[kept]
 
 
 def _limit_motion(runs: Sequence[CommandedRun]) -> list[CommandedRun]:
