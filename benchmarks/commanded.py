@@ -229,7 +229,7 @@ def write_case(folder: Path, arm: Arm, effect: str, seed: int) -> int:
     model.dof_armature[:] = draw(arm.armature, _FRICTION_TOLERANCE)
     model.dof_damping[:] = draw(arm.viscous, _FRICTION_TOLERANCE)
     model.dof_frictionloss[:] = draw(arm.coulomb, _FRICTION_TOLERANCE)
-    # MuJoCo's default lets dry friction creep for 20 ms: at the speeds of a leg hardly dry any more.
+    # By default dry friction of MuJoCo creeps for 20 ms: at a leg's speeds it is hardly dry.
     model.dof_solref[:], model.dof_solimp[:, :2] = [2.0 * _TIMESTEP, 1.0], 0.999
     scale = 1.0 + _MASS_TOLERANCE * rng.normal(size=arm.n)
     model.body_mass[1:] *= scale
