@@ -14,7 +14,7 @@ from stiffopt.declaration import POSITIVE, Doc
 class Cascade(ActuatorSection):
     """Cascade without integral part, tau = velocity_gain (position_gain (command - q) - v)."""
 
-    kind: Literal["cascade"]
+    kind: Annotated[Literal["cascade"], Doc("Kind of actuator.")]
     position_gain: Annotated[
         tuple[Annotated[Frequency, POSITIVE], ...],
         Doc("Commanded velocity per position error (Kv), in 1/s."),

@@ -14,7 +14,7 @@ from stiffopt.declaration import NOT_NEGATIVE, POSITIVE, Doc
 class PositionServo(ActuatorSection):
     """Position servo, tau = kp (command - q) - kd v, clipped at the largest torque."""
 
-    kind: Literal["position_servo"]
+    kind: Annotated[Literal["position_servo"], Doc("Kind of actuator.")]
     kp: Annotated[
         tuple[Annotated[Stiffness, POSITIVE], ...] | None,
         Doc("Torque per position error; left out, it is estimated from the arm's weight."),

@@ -17,7 +17,7 @@ class VoltageMotor(ActuatorSection):
     The torque constant kt is at the output, times the gear ratio, and is the back-EMF as well.
     """
 
-    kind: Literal["voltage_motor"]
+    kind: Annotated[Literal["voltage_motor"], Doc("Kind of actuator.")]
     gain: Annotated[
         tuple[Annotated[Number, POSITIVE], ...], Doc("Voltage per position error, in V/rad.")
     ]

@@ -26,7 +26,7 @@ class CommandedRun:
     name : str
     time : array (K,) [s]
     command, position : array (K, n)
-        [rad]; commands are complete, positions nan where missing.
+        [rad], complete.
     velocity : array (K, n)
         Smoothed, to begin stretches of a fit with [rad/s].
     """

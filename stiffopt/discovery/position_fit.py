@@ -37,8 +37,6 @@ _DRY_SHARE, _VISCOUS_SHARE, _DRAG_SHARE, _SLOPE_SHARE, _OFFSET_SHARE = 0.3, 0.3,
 # Rotor inertia at the output over that of the links: of geared joints often several times.
 _ROTOR_SHARE = 3.0
 _LOAD_FRICTION_DEVIATION, _ZERO_DEVIATION = 0.15, 0.03
-# Tolerances by which a fit may move a stated value without having changed it.
-_KEPT_TOLERANCES = 4.0
 # Deviation of a delay [s].
 _DELAY_DEVIATION = 5e-3
 # Inertia of bodies, relative: centres of mass and masses are better known.
@@ -56,6 +54,13 @@ def _build_loop(recordings: RecordingSet, runs: Sequence[CommandedRun]) -> Comma
     return CommandedArm(recordings.robot.tree, law.reordered(back), 0.5 * (low + high))
 
 
+def is_commanded(run: RecordedRun) -> bool:
+    """Return whether a run holds commands and positions of all joints."""
+    if run.command is None or not run.usable:
+        return False
+    return bool(np.isfinite(run.command).any(axis=0).all())
+
+
 def commanded_run(recordings: RecordingSet, run: RecordedRun) -> CommandedRun:
     """Return the commands and positions of a run in the joint order of the robot."""
     assert run.command is not None
@@ -66,7 +71,7 @@ def commanded_run(recordings: RecordingSet, run: RecordedRun) -> CommandedRun:
         name=run.name,
         time=run.time,
         command=bridge_gaps(run.command)[:, back],
-        position=run.position[:, back],
+        position=bridge_gaps(run.position)[:, back],
         velocity=derivative(smooth, run.step)[:, back],
     )
 
@@ -125,7 +130,9 @@ def expected_deviations(
         each = [of_mass * body.mass, *[moment] * 3, *[about] * 3]
         first = found.bodies.start + i * len(BODY_PARAMETERS)
         size[first : first + len(BODY_PARAMETERS)] = each
-    size[-1] = _DELAY_DEVIATION
+    # Without stated viscous friction nothing told the delay apart from it.
+    told = "viscous" not in recordings.unstated
+    size[-1] = law.delay_deviation if told and law.delay_deviation else _DELAY_DEVIATION
     return size
 
 
@@ -188,18 +195,17 @@ def fit_positions(
 ) -> ClosedLoopModel | None:
     """Fit a simulation from commands to training runs, beginning with the findings in `start`.
 
-    None where a joint has no known gain: nothing would hold it.
+    None where a joint has no known gain, which would not be held, or no command.
     """
     law = recordings.actuator
     if law is None or not np.isfinite(law.stiffness).all():
         return None
-    commanded = [
-        commanded_run(recordings, run) for run in runs if run.usable and run.command is not None
-    ]
+    commanded = [commanded_run(recordings, run) for run in runs if is_commanded(run)]
+    if not commanded:
+        return None
     loop = _build_loop(recordings, commanded)
     prior = nominal_parameters(recordings, start)
     deviations = expected_deviations(recordings, commanded, loop)
-    _narrow_stated(recordings, prior, deviations)
     fitted = polish(loop, _limit_motion(commanded), prior, deviations, say)
     return ClosedLoopModel(
         loop=loop,
@@ -207,22 +213,6 @@ def fit_positions(
         fitted=fitted.parameters,
         deviations=fitted.deviations,
     )
-
-
-def _narrow_stated(recordings: RecordingSet, prior: Parameters, deviations: np.ndarray) -> None:
-    """Narrow the deviations of stated values, except where findings changed them."""
-    for name, key in (
-        ("armature", "rotor_inertia"),
-        ("viscous", "viscous"),
-        ("coulomb", "coulomb"),
-    ):
-        relative = getattr(recordings.tolerance, key)
-        relative = getattr(DEFAULT_TOLERANCE, key) if relative is None else relative
-        stated = getattr(recordings.robot, key)
-        kept = np.abs(prior.of(name) - stated) <= _KEPT_TOLERANCES * relative * stated
-        if key not in recordings.unstated:
-            own = deviations[prior.place(name)]
-            own[kept] = np.minimum(own, np.maximum(relative * stated, 1e-9))[kept]
 
 
 def _limit_motion(runs: Sequence[CommandedRun]) -> list[CommandedRun]:
@@ -275,6 +265,7 @@ def model_section(
     return ClosedLoopSection(
         **{name: tuple(getattr(law, name)) for name in ("stiffness", "damping")},
         **{name: tuple(getattr(law, name)) for name in ("drive_max", "torque_max")},
+        delay=model.nominal.delay,
         tolerance=law.tolerance,
         middle=tuple(model.loop.middle[order]),
         values=values,
@@ -310,7 +301,7 @@ def read_model(recordings: RecordingSet, section: ClosedLoopSection) -> ClosedLo
         damping=damping,
         drive_max=drive_max,
         torque_max=torque_max,
-        delay=section.values[DELAY][0],
+        delay=section.delay,
         tolerance=section.tolerance,
     )
     loop = CommandedArm(recordings.robot.tree, law.reordered(back), middle[back])

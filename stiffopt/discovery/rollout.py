@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from stiffopt.discovery.extended.model import ExtendedModel
-from stiffopt.discovery.position_fit import PositionRun, read_model, simulate_run
+from stiffopt.discovery.position_fit import PositionRun, is_commanded, read_model, simulate_run
 from stiffopt.discovery.store import position_entry
 from stiffopt.errors import InputError, InputFileError
 from stiffopt.files import atomic_write, to_json_types, write_csv
@@ -40,11 +40,7 @@ def roll_out(recordings: RecordingSet, model: ExtendedModel) -> tuple[PositionRu
     except InputError as error:
         raise InputFileError(model.source, "", str(error)) from error
     runs = [recordings.open(entry) for entry in recordings.runs]
-    found = tuple(
-        simulate_run(recordings, simulation, run)
-        for run in runs
-        if run.usable and run.command is not None
-    )
+    found = tuple(simulate_run(recordings, simulation, run) for run in runs if is_commanded(run))
     if not found:
         raise InputFileError(recordings.path, "runs", "no run holds commands and all positions.")
     return found

@@ -257,7 +257,11 @@ def missing_signals(recordings: RecordingSet, runs: Sequence[RecordedRun]) -> tu
         )
     signals, nothing = recordings.signals, ("",) * recordings.n
     for kind, names, loss in (
-        ("torque", signals.torque, "their torque equation cannot be evaluated"),
+        (
+            "command" if signals.commanded else "torque",
+            (signals.command if signals.commanded else None) or signals.torque,
+            "their torque equation cannot be evaluated",
+        ),
         (
             "link_position",
             signals.link_position or nothing,

@@ -251,7 +251,7 @@ def assumptions(
         found.append(f"Joints not recorded are held at zero: {', '.join(locked)}.")
     if document.gravity is None:
         found.append("Gravity is 9.81 m/s^2 along -z of the base.")
-    if document.signals.torque_side is None:
+    if document.signals.torque_side is None and any(document.signals.torque or ()):
         found.append("Torque is the motor's, from current, before friction.")
     found += nominal_assumptions(
         document.nominal,

@@ -283,7 +283,10 @@ class RecordingsFile(ArmSection):
     nominal: NominalSection = NominalSection()
     tolerance: Tolerance = Tolerance()
     noise: NoiseSection = NoiseSection()
-    actuator: ActuatorKind | None = None
+    actuator: Annotated[
+        ActuatorKind | None,
+        Doc("Law by which the joints follow commands; default a position servo of unknown gain."),
+    ] = None
     runs: Annotated[tuple[RunSection, ...], Field(min_length=1), Doc("The runs.")]
 
 

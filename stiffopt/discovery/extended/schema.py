@@ -16,6 +16,7 @@ from stiffopt.recording.schema import (
     Names,
     NominalSection,
     Ratio,
+    Time,
 )
 from stiffopt.validation import Section
 
@@ -171,6 +172,7 @@ class ClosedLoopSection(Section):
         tuple[JointTorque, ...], Doc("Bound on the torque from the error; inf without.")
     ]
     torque_max: Annotated[tuple[JointTorque, ...], Doc("Bound on the torque; inf without.")]
+    delay: Annotated[Time, NOT_NEGATIVE, Doc("Of commands, before the fit.")]
     tolerance: Annotated[Ratio, NOT_NEGATIVE, Doc("One standard deviation of the gains, relative.")]
     middle: Annotated[
         tuple[JointPosition, ...], Doc("Positions about which `friction_slope` turns.")

@@ -11,11 +11,13 @@ from stiffopt.discovery.position_fit import (
     ClosedLoopModel,
     PositionRun,
     fit_positions,
+    is_commanded,
     simulate_run,
 )
 from stiffopt.discovery.training import Training
 from stiffopt.recording.recording_set import RecordingSet
 from stiffopt.recording.run import RecordedRun
+from stiffopt.recording.state_pair import StatePair
 
 
 def fit_simulation(
@@ -27,8 +29,11 @@ def fit_simulation(
 ) -> ClosedLoopModel | None:
     """Fit the simulation from commands, beginning with friction and rotors as found.
 
-    None where no training run holds commands of a joint with a known gain.
+    None where no training run holds commands of joints with known gains, and for two states of a
+    robot, of which one simulation is none.
     """
+    if isinstance(recordings, StatePair):
+        return None
     say("simulate the training runs from their commands")
     model = extended_model(recordings, training.constants, found)
     return fit_positions(recordings, runs, planner_model(recordings.robot, model).robot, say)
@@ -41,8 +46,4 @@ def simulate_held_out(
     if loop is None:
         return ()
     runs = (recordings.open(entry) for entry in recordings.with_role("test", "extrapolate"))
-    return tuple(
-        simulate_run(recordings, loop, run)
-        for run in runs
-        if run.usable and run.command is not None
-    )
+    return tuple(simulate_run(recordings, loop, run) for run in runs if is_commanded(run))

@@ -45,7 +45,7 @@ from stiffopt.report.diagnosis.overview import (
     sharpest_limits,
     undetectable_effects,
 )
-from stiffopt.report.diagnosis.positions import position_figure, position_section
+from stiffopt.report.diagnosis.positions import position_figure, position_section, value_section
 from stiffopt.report.diagnosis.regimes import (
     channel_residuals,
     map_figure,
@@ -144,6 +144,7 @@ def write_diagnosis_report(
         "sections": answer_sections(diagnosis),
         "proof_caption": caption,
         "positions": position_section(diagnosis.positions, recordings.prismatic),
+        "simulation": value_section(diagnosis.closed_loop, recordings.prismatic),
         "statements": {each.finding: each for each in statements(diagnosis)},
         "shown": shown,
         "laws": laws_on_page(diagnosis),

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.figure import Figure
 
+from stiffopt.closed_loop.parameters import DELAY, JOINT_PARAMETERS
 from stiffopt.report.common.svg import (
     BLUE,
     GREY,
@@ -17,15 +18,33 @@ from stiffopt.report.common.svg import (
     decimate_curve,
     figure_style,
 )
-from stiffopt.report.common.text import significant
+from stiffopt.report.common.text import joint_unit, pm, significant
 from stiffopt.report.diagnosis.sections import AnswerSection
 
 if TYPE_CHECKING:
+    from stiffopt.discovery.extended.schema import ClosedLoopSection
     from stiffopt.discovery.position_fit import PositionRun
 
 _SECTION_TITLE = "Simulation from commands"
 _ERROR_COLUMNS = ("position", "rms, before", "after", "largest, before", "after")
-# Share of an error's power below the frequency that describes its spectrum.
+_VALUE_TITLE = "Values of the simulation"
+_VALUE_COLUMNS = ("place", "fitted to the training runs", "value ± standard deviation")
+# Deviations from zero of values that are listed.
+_MIN_SHOWN_DEVIATIONS = 2.0
+_VALUE_WORDS = {
+    "gain": "relative change of the gain",
+    "damping": "relative change of the damping",
+    "armature": "rotor inertia",
+    "viscous": "viscous friction",
+    "coulomb": "dry friction",
+    "load_friction": "friction per actuator torque",
+    "friction_slope": "change of dry friction over the stroke",
+    "drag": "friction with the square of the speed",
+    "offset": "torque offset",
+    "zero": "encoder zero",
+    DELAY: "delay",
+}
+# Share of an error's power that lies below the upper frequency of its description.
 _POWER_SHARE = 0.9
 
 
@@ -79,16 +98,34 @@ def position_section(runs: Sequence[PositionRun], prismatic: np.ndarray) -> Answ
     )
 
 
+def value_section(section: ClosedLoopSection | None, prismatic: np.ndarray) -> AnswerSection:
+    """Return the fitted values of a simulation that stand out of their deviations."""
+    rows = []
+    if section is not None:
+        for name, unit in (*JOINT_PARAMETERS.items(), (DELAY, "s")):
+            pairs = zip(section.values[name], section.deviations[name], strict=True)
+            for j, (value, sd) in enumerate(pairs):
+                if abs(value) < _MIN_SHOWN_DEVIATIONS * sd or not value:
+                    continue
+                own = joint_unit(unit, bool(prismatic[j])) if name != DELAY else unit
+                place = f"joint {j + 1}" if name != DELAY else "commands"
+                rows.append((place, _VALUE_WORDS[name], pm(value, sd, "" if own == "1" else own)))
+    return AnswerSection(title=_VALUE_TITLE, head=_VALUE_COLUMNS, rows=tuple(rows))
+
+
 def _describe_spectrum(runs: Sequence[PositionRun]) -> str:
-    """Say below which frequency most of the remaining error lies."""
+    """Describe the spectrum of the remaining error of the longest run."""
     longest = max(runs, key=lambda run: run.time[-1] - run.time[0])
     step = float(np.median(np.diff(longest.time)))
     error = np.nan_to_num(longest.after - longest.measured)
     power = np.sum(np.abs(np.fft.rfft(error - error.mean(axis=0), axis=0)) ** 2, axis=1)
     frequencies = np.fft.rfftfreq(len(error), step)
     share = np.cumsum(power) / max(float(power.sum()), 1e-300)
-    edge = frequencies[int(np.searchsorted(share, _POWER_SHARE))]
-    return f"{100 * _POWER_SHARE:.0f} % of what remains lies below {significant(edge, 2)} Hz."
+    half, most = (
+        significant(float(frequencies[int(np.searchsorted(share, part))]), 2)
+        for part in (0.5, _POWER_SHARE)
+    )
+    return f"Half of what remains lies below {half} Hz, {100 * _POWER_SHARE:.0f} % below {most} Hz."
 
 
 def position_figure(run: PositionRun, joints: Sequence[str], prismatic: np.ndarray) -> Figure:

@@ -9,7 +9,7 @@ from stiffopt.discovery.answer import action
 from stiffopt.report.common.terminal import print_lines, print_table
 from stiffopt.report.common.text import listed
 from stiffopt.report.diagnosis.changes import terminal_lines
-from stiffopt.report.diagnosis.positions import position_section
+from stiffopt.report.diagnosis.positions import position_section, value_section
 from stiffopt.report.diagnosis.sections import answer_sections
 from stiffopt.report.diagnosis.words import (
     channels_in_words,
@@ -42,8 +42,10 @@ def print_diagnosis(diagnosis: Diagnosis, folder: Path) -> None:
             ),
         ]
     )
-    simulated = position_section(diagnosis.positions, diagnosis.recordings.prismatic)
-    for section in (*answer_sections(diagnosis), simulated):
+    slides = diagnosis.recordings.prismatic
+    simulated = position_section(diagnosis.positions, slides)
+    values = value_section(diagnosis.closed_loop, slides)
+    for section in (*answer_sections(diagnosis), simulated, values):
         if section.rows:
             print_table(section.head, section.rows, title=section.title)
         print_lines(section.lines)
