@@ -197,7 +197,7 @@ def solve_with_state(
         except KeyboardInterrupt:
             solution = interrupted_with_baseline(run, compared, notes)
     if simulate:
-        solution = with_simulation(problem, solution, progress, motion, run.command)
+        solution = with_simulation(stated, solution, progress, motion, run.command)
     return replace(solution, inputs_hash=inputs_hash(stated)), kept
 
 
