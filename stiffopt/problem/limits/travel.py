@@ -77,9 +77,7 @@ def with_bounded_travel(problem: TrajectoryProblem, motion: ResolvedMotion) -> T
     for kind in (problem.robot.prismatic, ~problem.robot.prismatic):
         most[kind] = np.max(need[kind], initial=0.0)
     beside = 0.5 * (ratio * np.maximum(need, _MIN_NEED_SHARE * most) - need)
-    narrower = replace(
-        limits,
-        position_lower=np.maximum(limits.position_lower, path.min(axis=0) - beside),
-        position_upper=np.minimum(limits.position_upper, path.max(axis=0) + beside),
-    )
+    lower = np.maximum(limits.position_lower, path.min(axis=0) - beside)
+    upper = np.minimum(limits.position_upper, path.max(axis=0) + beside)
+    narrower = Limits(limits.values, position_lower=lower, position_upper=upper)
     return replace(problem, limits=narrower)
