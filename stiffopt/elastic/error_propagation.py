@@ -166,7 +166,7 @@ class _MotionSamples:
     def _payload_departure(self, torques: list[np.ndarray], bound: float) -> np.ndarray:
         """Change of the wind-ups (K, n) [rad] at torques by a payload heavier by the bound."""
         whole, payload = torques
-        return self._arm.windup(whole) - self._arm.windup(whole + bound * payload)
+        return np.asarray(self._arm.windup(whole) - self._arm.windup(whole + bound * payload))
 
     def _spring_stiffness(self, torque: np.ndarray) -> np.ndarray:
         """Tangent stiffnesses (K, n) [N m/rad] at torques (K, n); infinite for rigid joints."""

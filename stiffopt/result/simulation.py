@@ -212,8 +212,8 @@ class Simulation:
 
     @property
     def differs(self) -> bool:
-        """True if simulated and planned deflection of the optimised motion differ notably."""
-        difference = self.optimised.difference
+        """True if simulated and planned deflection, where minimised, differ notably."""
+        difference = self.optimised.difference if self.measure else None
         return difference is not None and abs(difference) > MAX_UNREPORTED_DIFFERENCE
 
 

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from stiffopt.solver.simulation import PlannedMotion
 
 # Objectives whose links are planned.
-_LINK_PLANNING_OBJECTIVES = ("shaped_deviation", "tool_deviation")
+_LINK_PLANNING_OBJECTIVES = ("tool_error", "tool_deviation")
 
 # Slowing of a rival whose command exceeds a limit, in all and in each step.
 _MAX_RIVAL_SLOWDOWN = 1.5

@@ -191,7 +191,7 @@ def solve_with_state(
             solution = interrupted_with_baseline(run, compared, notes)
     solution = _name_steps_left_out(run, solution)
     if simulate:
-        solution = with_simulation(problem, solution, progress, motion, run.command)
+        solution = with_simulation(stated, solution, progress, motion, run.command)
     return replace(solution, inputs_hash=inputs_hash(stated)), kept
 
 

@@ -112,7 +112,10 @@ def test_report_in_a_folder_that_cannot_be_made(tmp_path):
 
 
 def test_weighted_sum_has_its_terms(tmp_path):
-    objectives = (Objective(name="dynamic_deflection", weight=2.0), Objective(name="torque_squared", weight=0.5))
+    objectives = (
+        Objective(name="dynamic_deflection", weight=2.0),
+        Objective(name="torque_squared", weight=0.5),
+    )
     value = ObjectiveValue(
         name="weighted_sum",
         measure="",

@@ -1,4 +1,4 @@
-"""Travel of every axis over what the given poses need."""
+"""Travel of every axis over that of the spline through the given poses."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy as np
 
 from stiffopt.declaration import Bounds, Ratio
 from stiffopt.problem.limit import LIMITS, LimitKey, LimitKind, Limits
+from stiffopt.result.joint_path import JointPath
 
 if TYPE_CHECKING:
     from stiffopt.problem.joint_lists import JointLists
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
 _DEFAULT_TRAVEL = 1.5  # where the tool error is minimised
 # Least need of an axis, as a share of the largest of its kind: the others pass by its detour.
 _MIN_NEED_SHARE = 1.0 / 3.0
+_PATH_SAMPLES = 201  # of the spline through the poses
 
 
 class Travel(LimitKind):
@@ -31,8 +33,9 @@ class Travel(LimitKind):
         LimitKey(
             key="travel",
             form=Annotated[Ratio, Bounds(above=1.0)] | None,
-            description="Largest range of each axis over that of the given poses, or over a third "
-            "of the most that another axis needs; default 1.5 with tool_error, else none.",
+            description="Largest range of each axis over that of a spline through the given poses, "
+            "or over a third of the most that another axis needs; default 1.5 with tool_error, "
+            "else none.",
             value=lambda robot: None,
         ),
     )
@@ -62,19 +65,19 @@ def with_bounded_travel(problem: TrajectoryProblem, motion: ResolvedMotion) -> T
 
     Unchanged on a fixed path, where an end is given by the tool's position alone, and without need.
     """
-    limits, points = problem.active_limits, motion.points
+    limits = problem.active_limits
     ratio = limits.travel
     if ratio is None:
         ratio = _DEFAULT_TRAVEL if problem.judges_uncertain_arms else np.inf
     given = motion.start_fixed and motion.end_fixed and problem.path is None
-    need, most = np.ptp(points, axis=0), np.zeros(problem.joints)
+    path = JointPath.through(motion.points, "chord")(np.linspace(0.0, 1.0, _PATH_SAMPLES))
+    need, most = np.ptp(path, axis=0), np.zeros(problem.joints)
     if not (given and np.isfinite(ratio) and need.any()):
         return problem
     for kind in (problem.robot.prismatic, ~problem.robot.prismatic):
         most[kind] = np.max(need[kind], initial=0.0)
     beside = 0.5 * (ratio * np.maximum(need, _MIN_NEED_SHARE * most) - need)
-    narrower = {
-        "position_lower": np.maximum(limits.position_lower, points.min(axis=0) - beside),
-        "position_upper": np.minimum(limits.position_upper, points.max(axis=0) + beside),
-    }
-    return replace(problem, limits=Limits({**limits.values, **narrower}))
+    lower = np.maximum(limits.position_lower, path.min(axis=0) - beside)
+    upper = np.minimum(limits.position_upper, path.max(axis=0) + beside)
+    narrower = Limits(limits.values, position_lower=lower, position_upper=upper)
+    return replace(problem, limits=narrower)
