@@ -3,6 +3,7 @@
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from stiffopt.baseline.baselines import baselines
@@ -66,6 +67,19 @@ def test_coarse_meshes_grow_with_the_phases():
 def test_smooth_problems_with_many_phases_start_on_a_coarse_mesh():
     path = PROBLEMS / "er3a_pick_and_place_torque_squared.toml"
     problem = load_problem(path).problem
-    assert [each.intervals for each in plan_stages(problem, 60)] == [60]
-    many = replace(problem, vias=problem.vias[:1] * 9)
+    free = replace(problem, robot=replace(problem.robot, coulomb=np.zeros(problem.joints)))
+    assert [each.intervals for each in plan_stages(free, 60)] == [60]
+    many = replace(free, vias=problem.vias[:1] * 9)
     assert [each.intervals for each in plan_stages(many, 200)] == [50, 200]
+
+
+def test_dry_friction_narrows_stage_by_stage():
+    problem = load_problem(PROBLEMS / "er3a_pick_and_place_torque_squared.toml").problem
+    stages = plan_stages(problem, 60)
+    assert [(each.intervals, each.smoothing.friction) for each in stages] == [
+        (60, 16.0),
+        (60, 4.0),
+        (60, 1.0),
+    ]
+    many = replace(problem, vias=problem.vias[:1] * 9)
+    assert [each.intervals for each in plan_stages(many, 200)] == [50, 50, 200]
