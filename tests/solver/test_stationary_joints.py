@@ -13,7 +13,9 @@ from stiffopt.problem.trajectory import Target
 from stiffopt.result.status import SolveStatus
 from stiffopt.robot.files import load_robot
 from stiffopt.solver import refinement
+from stiffopt.solver.ipopt import IpoptSolver
 from stiffopt.solver.solve import solve
+from stiffopt.solver.stage_plan import plan_stages
 
 # Nearly hanging: the holding torque is less than the friction.
 PIECES = {
@@ -77,6 +79,23 @@ def test_arms_without_friction_are_unchanged(tmp_path, monkeypatch):
 
     monkeypatch.setattr(refinement, "solve_correction", never)
     assert solve(load(tmp_path, **PIECES), throw=False).status is SolveStatus.OPTIMAL
+
+
+def test_steps_that_the_time_limit_ended_are_named(creeping, monkeypatch):
+    plain, made = IpoptSolver.solve, []
+
+    def slow(*given, **options):
+        made.append(plain(*given, **options))
+        # The stages of the optimum are in time, what follows them is not.
+        late = len(made) > len(plan_stages(creeping, 20))
+        return replace(made[-1], status="time_limit") if late else made[-1]
+
+    monkeypatch.setattr(IpoptSolver, "solve", slow)
+    found = solve(creeping, throw=False)
+    assert found.status is SolveStatus.ACCEPTABLE
+    assert found.solver.left_out[0] == "joints at rest"
+    assert "the time limit ended or left out: joints at rest" in found.message
+    assert "raise method.time_limit" in found.message
 
 
 def test_ctrl_c_keeps_the_motion(creeping, monkeypatch):
