@@ -77,14 +77,14 @@ def plan_stages(
     widths = tuple(Smoothing(width, corners) for width in smoothing_stages(problem))
     if len(widths) == 1:
         # Smooth problems converge directly from the guess; a coarse mesh would only cost time.
-        first = min(_COARSE_START_PHASE_INTERVALS * phases, intervals)
-        if phases < _MIN_COARSE_START_PHASES:
-            first = intervals
-        widenings = _FRICTION_WIDENINGS if problem.charges_dry_friction else ()
-        if not widenings and first < intervals:
-            widenings = (1.0,)
-        last = SolveStage(intervals, Smoothing(1.0), new_mesh=first < intervals)
-        return (*(SolveStage(first, Smoothing(1.0, friction=each)) for each in widenings), last)
+        start = intervals
+        if phases >= _MIN_COARSE_START_PHASES:
+            start = min(_COARSE_START_PHASE_INTERVALS * phases, intervals)
+        widenings: tuple[float, ...] = (1.0,) if start < intervals else ()
+        if problem.charges_dry_friction:
+            widenings = _FRICTION_WIDENINGS
+        fine = SolveStage(intervals, Smoothing(1.0), new_mesh=start < intervals)
+        return (*(SolveStage(start, Smoothing(1.0, friction=each)) for each in widenings), fine)
     if problem.plans_links:
         # Long chains of integrators converge poorly on a new mesh: one change of mesh, directly
         # with the narrow smoothing.
