@@ -23,7 +23,6 @@ import numpy as np
 
 from stiffopt.transcription.node_derivatives import NumberedStage, extract_numbers
 
-
 # Smallest share of the mean duration of a phase that one may take.
 _MIN_SHARE_OF_MEAN_PHASE = 0.2
 

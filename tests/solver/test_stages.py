@@ -83,3 +83,12 @@ def test_dry_friction_narrows_stage_by_stage():
     ]
     many = replace(problem, vias=problem.vias[:1] * 9)
     assert [each.intervals for each in plan_stages(many, 200)] == [50, 50, 200]
+
+
+@pytest.mark.parametrize("vias", [1, 9, 99])
+def test_phases_have_room_in_the_duration(vias):
+    problem = load_problem(PROBLEMS / "er3a_pick_and_place_torque_squared.toml").problem
+    ocp = formulate(problem, resolve(problem), Scales())
+    many = replace(ocp, vias=ocp.vias[:1] * vias)
+    assert many.phases * many.shortest_phase_share <= 0.2
+    assert many.shortest_phase_share <= 0.02
