@@ -27,6 +27,7 @@ RESULT = [
     "result.json",
     "rival_command.csv",
     "rival_trajectory.csv",
+    "state.bin",
     "trajectory.csv",
 ]
 

@@ -21,6 +21,7 @@ from stiffopt.problem.bounds import shortest_duration
 from stiffopt.problem.trajectory import ResolvedMotion, TrajectoryProblem
 from stiffopt.result.assessment import Assessment
 from stiffopt.result.joint_path import JointPath
+from stiffopt.result.provenance import inputs_hash
 from stiffopt.result.trajectory import Trajectory
 
 # Certificate samples per trial duration in the search of the shortest one.
@@ -32,6 +33,8 @@ _DURATION_RESOLUTION = 1e-3  # relative
 # Samples at which an S-curve's limits on the path are taken.
 _PATH_SAMPLES = 201
 _UNLIMITED_RATE = 1e9  # speed of the path parameter [1/s]
+# Rivals of the last problem and duration.
+_last_rivals: dict[tuple[str, float], tuple[tuple[FairRival, Assessment], ...]] = {}
 
 
 class FairRival:
@@ -99,8 +102,23 @@ class FairRival:
 
 def fair_rivals(
     problem: TrajectoryProblem, motion: ResolvedMotion, shortest: float
+) -> tuple[tuple[FairRival, Assessment], ...]:
+    """Rivals that keep every limit, each as fast as that allows from `shortest` [s] on.
+
+    Those of the last inputs are kept: comparison, simulation and report of a solve ask for them.
+    """
+    key = inputs_hash(problem), shortest
+    if key not in _last_rivals:
+        found = tuple(_search_rivals(problem, motion, shortest))
+        _last_rivals.clear()
+        _last_rivals[key] = found
+    return _last_rivals[key]
+
+
+def _search_rivals(
+    problem: TrajectoryProblem, motion: ResolvedMotion, shortest: float
 ) -> Iterator[tuple[FairRival, Assessment]]:
-    """Rivals that keep every limit, each as fast as that allows from `shortest` [s] on."""
+    """Yield the rivals of `fair_rivals`."""
     if problem.boundary_velocity is not None and np.any(problem.boundary_velocity):
         return
     # The search for the fastest one begins where a motion may exist.

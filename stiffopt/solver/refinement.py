@@ -147,6 +147,7 @@ def _fix_stationary_joints(run: SolveRun, outcome: Outcome) -> Outcome:
     free = standing = outcome.transcription
     if not run.problem.charges_dry_friction or free.ocp.phases > _MAX_STATIONARY_PHASES:
         return outcome
+    step, run.step = run.step, "joints at rest"
     best = found = outcome
     smoothing = replace(outcome.smoothing, creeping=1.0)
     made = Programme(free, outcome.solver)
@@ -168,6 +169,7 @@ def _fix_stationary_joints(run: SolveRun, outcome: Outcome) -> Outcome:
         if fixed is None or not (raw.converged or attempt == 0):
             break
         standing = fixed
+    run.step = step
     best.solver.set_bounds(best.transcription.nlp)
     return best
 

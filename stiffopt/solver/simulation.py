@@ -188,11 +188,12 @@ def rival_motions(
     if problem.path_force is not None:
         # Their forces would be those of other places of the path.
         return []
-    free = any(each.name == "duration" for each in problem.objectives)
     shortest, longest = problem.duration
+    # A fixed duration is that of the other comparisons, to the last digit.
+    stated = shortest == longest or any(each.name == "duration" for each in problem.objectives)
     return [
         PlannedMotion.of_rival(rival, assessment, assessment.duration <= longest * _DURATION_SLACK)
-        for rival, assessment in fair_rivals(problem, motion, shortest if free else duration)
+        for rival, assessment in fair_rivals(problem, motion, shortest if stated else duration)
     ]
 
 

@@ -40,6 +40,9 @@ _INITIAL_DURATION_BARRIER = 1e-3
 _INITIAL_PEAK_BARRIER, _INERTIA_CORRECTION_DECREASE = 1e-6, 0.1
 # IPOPT's options of the least distance of a start from bounds.
 _BOUND_PUSH_OPTIONS = ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac")
+# Phases up to which the frontal solver is faster: delayed pivots bring the durations of many phases
+# into one front. 25 iterations of 31 phases take 0.36 s (MUMPS: 0.98 s), of 101 17.6 s (2.6 s).
+_MAX_FRONTAL_PHASES = 50
 # Intervals per piece of a fixed path's spline, at whose ends the rate of curvature jumps: with
 # fewer, limits are exceeded between the nodes.
 _INTERVALS_PER_PATH_PIECE = 3
@@ -77,14 +80,14 @@ def plan_stages(
     widths = tuple(Smoothing(width, corners) for width in smoothing_stages(problem))
     if len(widths) == 1:
         # Smooth problems converge directly from the guess; a coarse mesh would only cost time.
-        first = min(_COARSE_START_PHASE_INTERVALS * phases, intervals)
-        if phases < _MIN_COARSE_START_PHASES:
-            first = intervals
-        widenings = _FRICTION_WIDENINGS if problem.charges_dry_friction else ()
-        if not widenings and first < intervals:
-            widenings = (1.0,)
-        last = SolveStage(intervals, Smoothing(1.0), new_mesh=first < intervals)
-        return (*(SolveStage(first, Smoothing(1.0, friction=each)) for each in widenings), last)
+        start = intervals
+        if phases >= _MIN_COARSE_START_PHASES:
+            start = min(_COARSE_START_PHASE_INTERVALS * phases, intervals)
+        widenings: tuple[float, ...] = (1.0,) if start < intervals else ()
+        if problem.charges_dry_friction:
+            widenings = _FRICTION_WIDENINGS
+        fine = SolveStage(intervals, Smoothing(1.0), new_mesh=start < intervals)
+        return (*(SolveStage(start, Smoothing(1.0, friction=each)) for each in widenings), fine)
     if problem.plans_links:
         # Long chains of integrators converge poorly on a new mesh: one change of mesh, directly
         # with the narrow smoothing.
@@ -147,6 +150,7 @@ def solver_options(problem: TrajectoryProblem, *, near: bool = False) -> IpoptOp
             np.ceil(method.max_iterations * max(1.0, phases / _ITERATION_LIMIT_PHASES))
         ),
         patience=0 if problem.plans_links else _INFEASIBLE_ITERATIONS,
+        linear_solver="mumps" if phases > _MAX_FRONTAL_PHASES else "auto",
         extra=extra,
     )
 

@@ -297,7 +297,7 @@ class _NlpBuilder:
             lower, upper = ocp.duration
             labels = [""]
             if ocp.phases > 1:
-                lower = ocp.phase_fraction_min * (upper if np.isfinite(upper) else lower)
+                lower = ocp.shortest_phase_share * (upper if np.isfinite(upper) else lower)
                 labels = [f"phase {i + 1}" for i in range(ocp.phases)]
             rows = Rows.make("duration", labels, lower, upper, unit="s")
             self.durations = self.variables.add(rows, None)

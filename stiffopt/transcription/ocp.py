@@ -23,6 +23,14 @@ import numpy as np
 
 from stiffopt.transcription.node_derivatives import NumberedStage, extract_numbers
 
+# Smallest share of the mean duration of a phase that one may take.
+_MIN_SHARE_OF_MEAN_PHASE = 0.2
+
+
+def shortest_phase_share(phases: int) -> float:
+    """Return the smallest share of the duration that one of many phases may take."""
+    return _MIN_SHARE_OF_MEAN_PHASE / phases
+
 
 def _broadcast_vector(value: object, size: int) -> np.ndarray:
     return np.broadcast_to(np.asarray(value, dtype=float), (size,)).copy()
@@ -140,7 +148,8 @@ class OptimalControlProblem:
     duration : (lower, upper)
         Of the whole; equal values fix it. [s]
     phase_fraction_min : float
-        Smallest share of the upper duration that a phase may take (only with vias).
+        Smallest share of the upper duration that a phase may take (only with vias); with many, a
+        share of their mean (`shortest_phase_share`).
     control_rate_lower, control_rate_upper : array (nu,)
         Bounds of du/dt (jerk where u is an acceleration).
     chains : tuple of (position index, velocity index, .., control index)
@@ -216,6 +225,11 @@ class OptimalControlProblem:
     def numbered_stage(self) -> NumberedStage:
         """The stage with its numbers as inputs: the same on every mesh."""
         return extract_numbers(self.stage, self.intermediate)
+
+    @property
+    def shortest_phase_share(self) -> float:
+        """Smallest share of the upper duration that each phase may take."""
+        return min(self.phase_fraction_min, shortest_phase_share(self.phases))
 
     @property
     def phases(self) -> int:

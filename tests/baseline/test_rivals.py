@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from small_arms import load
 
+from stiffopt.baseline import rivals
 from stiffopt.baseline.rivals import baseline_path, fair_rivals, s_curve_law
 from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
 from stiffopt.problem.resolve import resolve
@@ -57,3 +58,14 @@ def test_s_curve_takes_the_time_of_its_seven_phases(tmp_path):
     else:
         assert np.max(law(np.linspace(0, law.duration, 2001), 1)) < speed
     assert law(np.array([law.duration]))[0, 0] == pytest.approx(1.0, abs=1e-9)
+
+
+def test_rivals_of_the_same_inputs_are_searched_once(tmp_path, monkeypatch):
+    problem = load(tmp_path)
+    motion = resolve(problem)
+    first = fair_rivals(problem, motion, problem.duration[0])
+    assert fair_rivals(problem, motion, problem.duration[0]) is first
+    searched = []
+    monkeypatch.setattr(rivals, "_search_rivals", lambda *_: searched.append(1) or iter(()))
+    assert fair_rivals(problem, motion, 1.1 * problem.duration[0]) == ()
+    assert searched

@@ -3,6 +3,7 @@
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from stiffopt.baseline.baselines import baselines
@@ -60,12 +61,37 @@ def test_coarse_meshes_grow_with_the_phases():
     assert coarse.intervals >= 6 * 31
     assert middle.intervals >= 10 * 31
     assert fine.intervals == 600
+    assert solver_options(many).linear_solver == "auto"
+    hundred = replace(problem, vias=problem.vias[:1] * 100)
+    assert solver_options(hundred).linear_solver == "mumps"
     assert solver_options(many).max_iterations > solver_options(problem).max_iterations
 
 
 def test_smooth_problems_with_many_phases_start_on_a_coarse_mesh():
     path = PROBLEMS / "er3a_pick_and_place_torque_squared.toml"
     problem = load_problem(path).problem
-    assert [each.intervals for each in plan_stages(problem, 60)] == [60]
-    many = replace(problem, vias=problem.vias[:1] * 9)
+    free = replace(problem, robot=replace(problem.robot, coulomb=np.zeros(problem.joints)))
+    assert [each.intervals for each in plan_stages(free, 60)] == [60]
+    many = replace(free, vias=problem.vias[:1] * 9)
     assert [each.intervals for each in plan_stages(many, 200)] == [50, 200]
+
+
+def test_dry_friction_narrows_stage_by_stage():
+    problem = load_problem(PROBLEMS / "er3a_pick_and_place_torque_squared.toml").problem
+    stages = plan_stages(problem, 60)
+    assert [(each.intervals, each.smoothing.friction) for each in stages] == [
+        (60, 16.0),
+        (60, 4.0),
+        (60, 1.0),
+    ]
+    many = replace(problem, vias=problem.vias[:1] * 9)
+    assert [each.intervals for each in plan_stages(many, 200)] == [50, 50, 200]
+
+
+@pytest.mark.parametrize("vias", [1, 9, 99])
+def test_phases_have_room_in_the_duration(vias):
+    problem = load_problem(PROBLEMS / "er3a_pick_and_place_torque_squared.toml").problem
+    ocp = formulate(problem, resolve(problem), Scales())
+    many = replace(ocp, vias=ocp.vias[:1] * vias)
+    assert many.phases * many.shortest_phase_share <= 0.2
+    assert many.shortest_phase_share <= 0.02
