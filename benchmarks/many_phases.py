@@ -73,9 +73,7 @@ def problem_of(arm: str, objective: str, vias: int, seed: int) -> TrajectoryProb
         vias=tuple(Target(joints=q, tolerance=VIA_TOLERANCE) for q in joints),
         objectives=(Objective(name=objective),),
         duration=(duration, duration),
-        method=Method(
-            intervals=INTERVALS_PER_VIA * vias, time_limit=600.0, collisions="check"
-        ),
+        method=Method(intervals=INTERVALS_PER_VIA * vias, time_limit=600.0, collisions="check"),
     )
 
 
