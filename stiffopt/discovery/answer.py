@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from stiffopt.discovery.comparison.value_name import ValueName
 from stiffopt.discovery.extended.planning import planner_model
 from stiffopt.discovery.extended.value_changes import ValueChange, extended_model, value_changes
-from stiffopt.formatting import capital, pm, scale, significant
+from stiffopt.formatting import pm, scale, significant
 from stiffopt.units import joint_unit
 
 if TYPE_CHECKING:
@@ -149,13 +149,13 @@ def format_probability(probability: float) -> str:
 
 
 def statement_headline(diagnosis: Diagnosis, findings: list[Finding]) -> str:
-    """Return the headline of findings: the first ones with values and places."""
+    """Return the findings for a headline: the first ones with values and places."""
     every = [each for each in statements(diagnosis) if each.finding in findings]
     own = [each for each in every if each.certainty != "possible"] or every
     text = "; ".join(_with_rivals(each) for each in own[:MAX_HEADLINE_FINDINGS])
     if more := len(own) - MAX_HEADLINE_FINDINGS:
         text += f"; and {more} more" if more > 0 else ""
-    return capital(text)
+    return text
 
 
 def action(diagnosis: Diagnosis) -> str:

@@ -326,6 +326,15 @@ def test_headline_of_values_without_nominal_value(friction):
     assert "Enter" not in answer.action(replace(silent, unexplained=left))
 
 
+def test_possible_finding_does_not_lead_beside_an_open_residual(friction):
+    left = Unexplained(("torque_1",), ("q_1",), None, 0.5, 6.8)
+    (finding,) = friction.findings
+    for probability, leads in ((0.3, False), (0.9, True)):
+        own = replace(finding, probability=probability, rivals=())
+        text = headline(replace(friction, findings=(own,), unexplained=left))
+        assert text.startswith("6.8 times the noise") == (not leads), text
+
+
 def test_large_held_out_residual_is_reported(friction):
     assert "largest residual" not in proof_sentence(friction)
     worse = [

@@ -83,15 +83,17 @@ def headline(diagnosis: Diagnosis) -> str:
         )
         return f"An effect outside the catalogue acts on {where}"
     new, unstated = new_and_unstated(diagnosis)
+    text = statement_headline(diagnosis, new)
     if not new:
         text = f"identified values without nominal value: {_unstated_phrase(unstated)}"
-        left = diagnosis.unexplained
-        # Every arm has these values: a residual that they leave is the news.
-        return capital(text if left is None else f"{_describe_open_residual(left)}; {text}")
-    text = statement_headline(diagnosis, new)
-    if diagnosis.unexplained is not None and is_partly_unexplained(diagnosis):
-        text += f"; {_describe_open_residual(diagnosis.unexplained)}"
-    return text
+    left = diagnosis.unexplained
+    if left is None:
+        return capital(text)
+    if all(each.certainty == "possible" for each in new):
+        # Nothing else is known for sure: the residual is the news.
+        return capital(f"{_describe_open_residual(left)}; {text}")
+    more = is_partly_unexplained(diagnosis)
+    return capital(f"{text}; {_describe_open_residual(left)}" if more else text)
 
 
 def is_partly_unexplained(diagnosis: Diagnosis) -> bool:
