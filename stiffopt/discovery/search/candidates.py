@@ -247,8 +247,11 @@ class Scorer:
         """Return the square of the base effects in some rows as far as a candidate resembles them.
 
         What it adds (m,) in proportion to another effect is that effect's form before it is physics
-        of its own: to one at its place wherever the candidate acts, to others in all rows.
+        of its own: to one at its place wherever the candidate acts, to others in all rows. A law
+        without shapes cannot bend to the form of another.
         """
+        if not located.effect.shapes:
+            return 0.0
         own = added**2
         acts = own > MIN_ACTIVE_SHARE * own.max()
         square = 0.0
