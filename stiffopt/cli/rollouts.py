@@ -36,7 +36,8 @@ def rollout(
     from stiffopt.recording.recording_set import load_recordings
     from stiffopt.report.common.svg import to_png
     from stiffopt.report.common.terminal import print_lines, print_table
-    from stiffopt.report.diagnosis.positions import position_figure, position_section
+    from stiffopt.report.diagnosis.position_figure import position_figure
+    from stiffopt.report.diagnosis.positions import position_section
 
     loaded = load_recordings(recordings, changes)
     home = loaded.path.parent.resolve()

@@ -17,6 +17,7 @@ from stiffopt.declaration import (
     Doc,
     Energy,
     Force,
+    ForcePerSpeed,
     Inertia,
     JointPosition,
     JointTorque,
@@ -304,7 +305,8 @@ class PathForceSection(Section):
 
     value: Annotated[tuple[Force, Force, Force], Doc("Constant part.")] = (0.0, 0.0, 0.0)
     per_feed: Annotated[
-        tuple[float, float, float], Doc("Part proportional to the tool speed [N/(m/s)].")
+        tuple[ForcePerSpeed, ForcePerSpeed, ForcePerSpeed],
+        Doc("Part proportional to the tool speed."),
     ] = (0.0, 0.0, 0.0)
     frame: Annotated[
         Literal["base", "tool", "path"],

@@ -12,7 +12,6 @@ from urllib.parse import unquote, urlparse
 
 from stiffopt.errors import InputFileError, RobotError, nearest, shortened
 from stiffopt.robot.mjcf import MJCF_ROOT, read_mjcf
-from stiffopt.robot.mjcf_tree import build_tree
 from stiffopt.robot.xml_files import parse_xml
 
 # Number of links or joints; the loader's time grows with its square.
@@ -40,6 +39,9 @@ def read_urdf_tree(path: str | os.PathLike[str]) -> ET.Element:
     path = Path(path)
     found = parse_xml(path)
     if found.tag == MJCF_ROOT:
+        # Rotations need pinocchio, which a URDF read for its files alone does without.
+        from stiffopt.robot.mjcf_tree import build_tree
+
         tree = build_tree(read_mjcf(path))
     else:
         tree = _read_urdf_mechanics(found, path)

@@ -12,6 +12,7 @@ import pytest
 from benchmarks.blind.key import Key
 from benchmarks.blind.score import Named
 from benchmarks.real_concealed import __main__ as concealed
+from benchmarks.real_concealed import from_nominal
 from benchmarks.real_concealed.draw import Plan, plans
 from benchmarks.real_concealed.hide import KINDS, hidden, size
 from benchmarks.real_concealed.motion import MOVING, PublicSet
@@ -84,6 +85,8 @@ def test_draws_follow_from_the_key_and_the_page_counts_them() -> None:
         "size": case.size,
         "stopped": False,
         "verdict": "named",
+        "without": [],
+        "from_nominal": None,
     }
     rows = [
         (case, answer | {"findings": [finding]}),
@@ -124,3 +127,31 @@ def test_what_repeats_a_case_is_drawn_again(
     assert len(made) == 3
     kept = json.loads((tmp_path / ways[0].name / "case.json").read_text())
     assert kept == {"drawn": None}
+
+
+def _told(effect, value=1.0, sd=0.1, probability=0.9):
+    return {
+        "effect": effect,
+        "joint": 2,
+        "probability": probability,
+        "parameters": {"dFc": {"value": value, "sd": sd}},
+        "confused_with": [],
+    }
+
+
+@pytest.mark.parametrize(
+    ("without", "findings", "expected", "false"),
+    [
+        ([], [_told("coulomb", 3.0)], "right", [False]),
+        ([_told("coulomb", 1.0)], [_told("coulomb", 3.0)], "right", [False]),
+        ([_told("coulomb", 1.0)], [_told("coulomb", 1.1)], "in group", [False]),
+        ([], [_told("viscous") | {"confused_with": [_told("coulomb")]}], "in group", [True]),
+        ([_told("viscous")], [_told("viscous")], "missed", [False]),
+        ([], [_told("viscous", probability=0.7)], "missed", []),
+    ],
+)
+def test_answers_from_the_nominal_model_are_judged(without, findings, expected, false):
+    truth = [{"effect": "coulomb", "joint": 2}]
+    found = {"truth": truth, "without": without, "from_nominal": findings}
+    assert from_nominal.outcome(found, "dFc", 2.0) == expected
+    assert from_nominal.claims(found) == false

@@ -216,7 +216,7 @@ def test_external_contact_acts_only_below_its_height():
 
 
 def test_inertial_effects_sum_regressor_columns():
-    for name, body in (("payload", 5), ("inertial_error", 2)):
+    for name, body in (("payload", ROBOT.last_link), ("inertial_error", 2)):
         amplitudes = [0.7, 0.01, -0.02, 0.03]
         columns = ROBOT.body_regressor[:, :, 10 * body : 10 * body + 4]
         found = effect(name).term(ROBOT, amplitudes, []).link_torque

@@ -203,8 +203,8 @@ def test_terms_with_symbols_match_arrays(entry):
 
 
 def test_robot_terms_accept_symbols_of_one_sample():
-    joints = 6
-    body, weight = ca.SX.sym("Y", joints, 60), ca.SX.sym("g", joints, 3)
+    joints, parameters = ROBOT.body_regressor.shape[1:]
+    body, weight = ca.SX.sym("Y", joints, parameters), ca.SX.sym("g", joints, 3)
     lever, tool = ca.SX.sym("J", 3, joints), ca.SX.sym("p", 1, 3)
     arm = replace(
         ROBOT.arm, body_regressor=body, weight=weight, tool_jacobian=lever, tool_position=tool

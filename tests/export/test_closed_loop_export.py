@@ -27,7 +27,8 @@ def exported(nominal, order, **fitted):
             "torque_max": (np.inf, np.inf),
             "tolerance": 0.1,
             "middle": (0.0, 0.0),
-            "values": values | {"delay": (0.004,)},
+            "delay": 0.004,
+            "values": values,
             "deviations": {name: (0.0,) * len(each) for name, each in values.items()},
         }
     )

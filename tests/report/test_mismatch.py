@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from stiffopt.discovery.comparison.value_name import ValueName
 from stiffopt.discovery.judging.explained_shares import ExtensionPart, MismatchShare
 from stiffopt.discovery.search.rigid_model import BODY_WIDTHS, Counterweight, RigidStage
 from stiffopt.report.diagnosis.mismatch import (
@@ -66,11 +67,15 @@ def test_fixed_bodies_are_not_reported_as_reidentified(width, freed):
 @pytest.mark.parametrize(
     ("moved", "share", "words"),
     [
-        ((("viscous 1", 0.1), ("coulomb 3", 0.7)), 0.96, "Coulomb friction of joint 3: +70 %"),
-        ((("mass 5", -0.4),), 0.96, "mass behind joint 5: -40 %"),
-        ((("com 2 z", 0.31),), 0.96, "centre of mass z behind joint 2: 0.31 m"),
-        ((("coulomb 3", 0.2),), 0.96, ""),
-        ((("coulomb 3", 0.7),), 0.1, ""),
+        (
+            ((ValueName("viscous", 0), 0.1), (ValueName("coulomb", 2), 0.7)),
+            0.96,
+            "Coulomb friction of joint 3: +70 %",
+        ),
+        (((ValueName("mass", 4), -0.4),), 0.96, "mass behind joint 5: -40 %"),
+        (((ValueName("com", 1, "z"), 0.31),), 0.96, "centre of mass z behind joint 2: 0.31 m"),
+        (((ValueName("coulomb", 2), 0.2),), 0.96, ""),
+        (((ValueName("coulomb", 2), 0.7),), 0.1, ""),
     ],
 )
 def test_largest_moved_nominal_value_is_named(moved, share, words):

@@ -26,6 +26,12 @@ FRICTION = {
     "friction_warmup",
     "stroke_friction",
     "quadratic_drag",
+    "dragging_bundle",
+    "thinning_drag",
+    "odd_ripple",
+    "rattling_weight",
+    "shared_bearing",
+    "sticking_seal",
 }
 DRIVE = {
     "rotor_inertia",
@@ -48,8 +54,21 @@ ELASTIC = {
     "hysteresis",
     "encoder_offset",
     "encoder_zero_change",
+    "softening_by_heat",
 }
-OUTER = {"gravity_spring", "cable_spring", "pulsing_load", "slosh"}
+OUTER = {
+    "gravity_spring",
+    "cable_spring",
+    "pulsing_load",
+    "slosh",
+    "pulling_hose",
+    "balancing_rope",
+    "clocked_pump",
+    "trapped_liquid",
+    "leaning_cover",
+    "three_joint_hose",
+    "magnet_pair",
+}
 # Balance -> joints (from 1) where something shows; the rest has to stay silent.
 OTHERS: dict[str, dict[str, set[int]]] = {
     "time_delay": {"motor": {1, 2}, "total": {1, 2}},
@@ -86,7 +105,8 @@ def lacking(name: str | None) -> dict[str, np.ndarray]:
     effects = ()
     if name:
         effects = ((name, None if EFFECTS[name].where in ("robot", "recording") else 2, 1.0),)
-    return excess(simulate(CaseSpec(**{**BASE.__dict__, "effects": effects})))
+    robot = "small3" if name == "three_joint_hose" else BASE.robot
+    return excess(simulate(CaseSpec(**{**BASE.__dict__, "effects": effects, "robot": robot})))
 
 
 def test_nothing_is_missing_from_the_true_robot_itself():

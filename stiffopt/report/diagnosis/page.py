@@ -45,7 +45,8 @@ from stiffopt.report.diagnosis.overview import (
     sharpest_limits,
     undetectable_effects,
 )
-from stiffopt.report.diagnosis.positions import position_figure, position_section, value_section
+from stiffopt.report.diagnosis.position_figure import position_figure
+from stiffopt.report.diagnosis.positions import position_section, value_section
 from stiffopt.report.diagnosis.regimes import (
     channel_residuals,
     map_figure,
