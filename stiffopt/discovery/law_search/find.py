@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -26,7 +26,8 @@ from stiffopt.discovery.search.cross_validation import select_predictive
 from stiffopt.discovery.search.joint_fit import passes_thresholds, prune_effects
 from stiffopt.discovery.search.rivals import Selected
 from stiffopt.discovery.search.search import SearchResult
-from stiffopt.discovery.thresholds import FAINT_RATIO
+from stiffopt.discovery.search.uncertainty import estimate_parameters
+from stiffopt.discovery.thresholds import CONFIRMED_DEVIATIONS, FAINT_RATIO
 
 # Share of the excess in parts left out from which a free function is kept as a table.
 MIN_KEPT_SHARE = 0.3
@@ -142,13 +143,14 @@ def find_laws(result: SearchResult, say: Callable[[str], object]) -> LawSearch:
         return LawSearch(result=result)
     refused: dict[int, ChannelLaw] = {}
     laws: list[FoundLaw] = []
+    irreplaceable: set[tuple[object, ...]] = set()
     while len(laws) < MAX_LAWS:
         kept, left = assess_findings(result)
         if left is not None and (left.brief or left.alone is not None):
             break
         n = comparison.robot.n
         open_names = () if left is None else left.channels
-        state = _State(result.comparison, kept)
+        state = _State(result.comparison, kept, irreplaceable)
         waiting = state.searched_channels(
             {c for c in range(2 * n) if channel_name(c, n) in open_names}
         )
@@ -159,6 +161,10 @@ def find_laws(result: SearchResult, say: Callable[[str], object]) -> LawSearch:
         say(f"search {name} for a law that no catalogue has")
         outcome = state.search(number, is_open=name in open_names)
         found = None if outcome.best is None else state.add(outcome)
+        if state.restored:
+            # The law stood beside these, not for them: searched again with them in place.
+            irreplaceable |= state.restored
+            continue
         if found is None:
             refused[number] = outcome
             continue
@@ -208,8 +214,16 @@ class _Ranked:
 class _State:
     """Findings so far, to which a law is added."""
 
-    def __init__(self, comparison: Comparison, kept: Sequence[Selected]) -> None:
+    def __init__(
+        self,
+        comparison: Comparison,
+        kept: Sequence[Selected],
+        irreplaceable: Collection[tuple[object, ...]],
+    ) -> None:
         self.comparison, self.kept = comparison, list(kept)
+        self._irreplaceable = irreplaceable
+        # Keys of findings that a law took the place of but does not explain.
+        self.restored: set[tuple[object, ...]] = set()
         self.effects = [each.located for each in kept]
         # Without stated tolerances many effects may be missing: laws only join them, where
         # recordings left out support all.
@@ -237,7 +251,9 @@ class _State:
         """Return True for a finding that a law could take the place of."""
         located = selected.located
         law = located.effect.family == LAW_FAMILY
-        return not self._strict and not located.calibrated and not law
+        if self._strict or located.calibrated or law:
+            return False
+        return located.key not in self._irreplaceable
 
     def search(self, number: int, *, is_open: bool) -> ChannelLaw:
         """Search a channel for a law in place of its findings or, where it is open, beside them."""
@@ -274,9 +290,11 @@ class _State:
         kept = prune_effects(current, effects)
         if self._strict:
             kept = select_predictive(current, kept)
-        if located not in kept:
+        if located not in kept or not _is_determined(current, kept, located):
             return None
-        kept = self._restore(current, kept)
+        self.restored = {each.key for each in self._restorable(current, kept)}
+        if self.restored:
+            return None
         self.comparison = current.linearised_at(current.fit(kept))
         self.effects = kept
         self._ranked = ranked
@@ -290,14 +308,13 @@ class _State:
             evidence=outcome.best.evidence,
         )
 
-    def _restore(self, comparison: Comparison, effects: list[LocatedEffect]) -> list[LocatedEffect]:
-        """Return effects with findings that the law took the place of but does not explain."""
-        for each in self._dropped:
-            scorer = Scorer(comparison, effects)
-            scored = scorer.score(each)
-            if scored is not None and passes_thresholds(scored, scorer):
-                effects = [*effects, each]
-        return effects
+    def _restorable(
+        self, comparison: Comparison, effects: list[LocatedEffect]
+    ) -> list[LocatedEffect]:
+        """Return the findings that the law took the place of but does not explain."""
+        scorer = Scorer(comparison, effects)
+        scored = [(each, scorer.score(each)) for each in self._dropped]
+        return [e for e, own in scored if own is not None and passes_thresholds(own, scorer)]
 
     def _named(self, law: Law, amplitudes: Sequence[float]) -> LocatedEffect:
         """Return a law as an effect at its joint, with a name of its own."""
@@ -371,6 +388,17 @@ class _State:
             fit=fit,
             after=self.comparison.channel_ratio(fit.residual),
         )
+
+
+def _is_determined(
+    comparison: Comparison, effects: Sequence[LocatedEffect], law: LocatedEffect
+) -> bool:
+    """Return True where a law's amplitude stands out of its deviation, all else free.
+
+    Sharp forms in a few samples gain evidence with an amplitude that is anything.
+    """
+    estimate = estimate_parameters(comparison, effects)
+    return estimate.amplitude_deviations(list(effects).index(law)) >= CONFIRMED_DEVIATIONS
 
 
 def _width(evidence: float) -> float:
