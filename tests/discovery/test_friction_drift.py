@@ -77,7 +77,11 @@ def test_drift_is_not_found_for_changes_within_runs():
     spec = replace(DRIFT, robot="big6", effects=(("neighbour_friction", 2, 0.1),), seed=112)
     found = diagnosed(spec)
     assert "friction_drift" not in [f.effect.name for f in found.findings], said(found)
-    assert found.verdict == "outside_catalogue"
+    assert found.verdict == "law_found"
+    (law,) = found.laws
+    assert {factor.source.words for factor in law.law.factors} == {
+        "direction of motion of joint 2", "position of joint 3",
+    }, law.law  # fmt: skip
 
 
 @pytest.mark.slow

@@ -207,7 +207,9 @@ def test_tool_speed_is_constant_between_the_ends(tmp_path):
     solution = solve(write(tmp_path))
     motion = solution.assessment
     speed, moving = motion.tool_speed, (motion.time > 0.15) & (motion.time < motion.duration - 0.15)
-    np.testing.assert_allclose(speed[moving], 0.2, rtol=0.01)
+    # Backed off everywhere by the share that the speed exceeds its limit where a segment begins.
+    np.testing.assert_allclose(speed[moving], 0.2, rtol=0.015)
+    assert np.ptp(speed[moving]) < 0.2 * 1e-4
     assert speed.max() < 0.2 * 1.005
     # On the segments: at 250 mm height, on the first line where x is 350 mm.
     np.testing.assert_allclose(motion.tool[:, 2], 0.25, atol=3.1e-4)
