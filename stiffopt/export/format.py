@@ -5,8 +5,8 @@ from __future__ import annotations
 import hashlib
 import re
 from abc import ABC, abstractmethod
+from collections.abc import Iterable, Sequence
 from pathlib import PurePath
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,9 +14,6 @@ from stiffopt.errors import InputError
 from stiffopt.export.makers import maker_of
 from stiffopt.export.motion import SampledMotion, StoredMotion, check_rate
 from stiffopt.problem.registry import Registry
-
-if TYPE_CHECKING:
-    from stiffopt.export.motion import StoredMotion
 
 
 class ExportFormat(ABC):
@@ -87,6 +84,32 @@ class ExportFormat(ABC):
     def programs(self, texts: dict[str, str]) -> dict[str, str]:
         """Texts of programs that send the files, by file name."""
         return {}
+
+
+class CyclicFormat(ExportFormat):
+    """Format whose program approaches the start and follows one row in each controller cycle.
+
+    For arms of six revolute joints; `rate_max` is that of the controller's shortest cycle.
+    """
+
+    whole_steps = True
+    from_rest = True
+
+    def check(self, stored: StoredMotion, rate: float) -> None:
+        """Require six revolute joints and a whole number of cycles."""
+        require_six_axes(stored, self.title)
+        require_cycle(rate, self.rate_max, self.title)
+
+
+def identifier(title: str, length: int) -> str:
+    """Name of letters, digits and underscores, of at most `length` of them, from a title."""
+    return re.sub(r"\W", "_", title.lower(), flags=re.ASCII).strip("_")[:length]
+
+
+def rows_text(names: Iterable[str], rows: Iterable[Sequence[float]]) -> str:
+    """CSV of rows with six decimals below a head."""
+    lines = [",".join(f"{value:.6f}" for value in row) for row in rows]
+    return "\n".join([",".join(names), *lines]) + "\n"
 
 
 FORMATS: Registry[ExportFormat] = Registry("stiffopt.export.formats")

@@ -27,6 +27,7 @@ from stiffopt.problem.cycle import MIN_LEG_TIME, Cycle, CycleEvent, Leg, Posture
 from stiffopt.problem.cycle_loads import CarriedLoad, follow_loads
 from stiffopt.problem.files import (
     PoseReader,
+    check_expected_unit,
     common_fields,
     payload_remarks,
     read_duration,
@@ -49,7 +50,6 @@ from stiffopt.robot.elements import locate_errors
 from stiffopt.robot.files import load_robot
 from stiffopt.robot.frames import rotation_from_rpy
 from stiffopt.robot.robot import Robot
-from stiffopt.units import convert
 
 
 @dataclass(frozen=True)
@@ -94,9 +94,7 @@ def load_cycle(
     document = read_document(path, problem_file(), "trajectory", changes)
     with locate_errors(path, ""):
         cycle = _CycleReader(document, path, robots).read()
-    if document.expected is not None and len(cycle.first.objectives) == 1:
-        with locate_errors(path, "expected.unit"):
-            convert(1.0, cycle.first.objectives[0].unit, document.expected.unit)
+    check_expected_unit(document.expected, cycle.first.objectives, path)
     return LoadedCycle(cycle, document.expected, path)
 
 

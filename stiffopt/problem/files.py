@@ -79,10 +79,17 @@ def load_problem(
     document = read_document(path, problem_file(), "trajectory", changes)
     with locate_errors(path, ""):
         problem = _build_problem(document, path, robots)
-    if document.expected is not None and len(problem.objectives) == 1:
-        with locate_errors(path, "expected.unit"):
-            convert(1.0, problem.objectives[0].unit, document.expected.unit)
+    check_expected_unit(document.expected, problem.objectives, path)
     return LoadedProblem(problem, document.expected, path, document.tolerances)
+
+
+def check_expected_unit(
+    expected: ExpectedSection | None, objectives: Sequence[Objective], path: Path
+) -> None:
+    """Raise `InputFileError` where the expected value is in no unit of a single objective."""
+    if expected is not None and len(objectives) == 1:
+        with locate_errors(path, "expected.unit"):
+            convert(1.0, objectives[0].unit, expected.unit)
 
 
 def _build_problem(

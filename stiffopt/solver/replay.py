@@ -1,9 +1,8 @@
 """Replay of a solve: the stored recipe is solved again and compared stage by stage.
 
 The recipe of a result is its problem file with the changes of --set, the solved state it started
-from, if any, and the programmes solved in order. Numbers of iterations are not compared: sums in
-IPOPT depend on the alignment of its vectors in memory, so that two solves may reach the same
-optimum by a few iterations more.
+from, if any, and the programmes solved in order. Numbers of iterations are not compared: solves of
+the same inputs were seen to reach the same optimum in 35 and in 38 iterations.
 """
 
 from __future__ import annotations

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import re
-
 import numpy as np
 
-from stiffopt.export.format import FORMATS, ExportFormat, require_cycle, require_six_axes
-from stiffopt.export.motion import SampledMotion, StoredMotion
+from stiffopt.export.format import FORMATS, CyclicFormat, identifier, rows_text
+from stiffopt.export.motion import SampledMotion
 
+_AXIS_NAMES = tuple(f"J{axis}" for axis in range(1, 7))
 _EXTERNAL_AXES = "[9E9,9E9,9E9,9E9,9E9,9E9]"
 
 
-class AbbEgm(ExportFormat):
+class AbbEgm(CyclicFormat):
     """Absolute joint positions in degrees, one row a cycle, and the RAPID module that takes them.
 
     Notes
@@ -27,20 +26,12 @@ class AbbEgm(ExportFormat):
     maker = "ABB"
     rate = 250.0
     rate_max = 250.0
-    whole_steps = True
-    from_rest = True
-
-    def check(self, stored: StoredMotion, rate: float) -> None:
-        """Require six revolute joints and a whole number of cycles."""
-        require_six_axes(stored, self.title)
-        require_cycle(rate, self.rate_max, self.title)
 
     def files(self, motion: SampledMotion, rate: float) -> dict[str, str]:
         """Texts of module and rows."""
-        name = re.sub(r"\W", "_", motion.title.lower(), flags=re.ASCII).strip("_")[:16]
+        name = identifier(motion.title, 16)
         name = f"stiffopt_{name}".rstrip("_")
         angles = np.degrees(motion.position)
-        axes = range(1, 7)
         start, end = (
             f"[[{','.join(f'{value:.4f}' for value in row)}],{_EXTERNAL_AXES}]"
             for row in (angles[0], angles[-1])
@@ -68,11 +59,9 @@ class AbbEgm(ExportFormat):
             "  ENDPROC",
             "ENDMODULE",
         ]
-        rows = [",".join(f"{value:.6f}" for value in row) for row in angles]
-        head = ",".join(f"J{axis}" for axis in axes)
         return {
             f"{name}.mod": "\n".join(module) + "\n",
-            f"{name}_egm.csv": "\n".join([head, *rows]) + "\n",
+            f"{name}_egm.csv": rows_text(_AXIS_NAMES, angles),
         }
 
 

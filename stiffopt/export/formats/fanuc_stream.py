@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from stiffopt.export.format import FORMATS, ExportFormat, require_cycle, require_six_axes
-from stiffopt.export.motion import SampledMotion, StoredMotion
+from stiffopt.export.format import FORMATS, CyclicFormat, rows_text
+from stiffopt.export.motion import SampledMotion
+
+_AXIS_NAMES = tuple(f"J{axis}" for axis in range(1, 7))
 
 
-class FanucStream(ExportFormat):
+class FanucStream(CyclicFormat):
     """Absolute joint positions in degrees, one row a cycle, and the TP program that takes them.
 
     Notes
@@ -22,13 +24,6 @@ class FanucStream(ExportFormat):
     maker = "Fanuc"
     rate = 125.0
     rate_max = 250.0
-    whole_steps = True
-    from_rest = True
-
-    def check(self, stored: StoredMotion, rate: float) -> None:
-        """Require six revolute joints and a whole number of cycles."""
-        require_six_axes(stored, self.title)
-        require_cycle(rate, self.rate_max, self.title)
 
     def files(self, motion: SampledMotion, rate: float) -> dict[str, str]:
         """Texts of program and rows."""
@@ -58,11 +53,9 @@ class FanucStream(ExportFormat):
             "};",
             "/END",
         ]
-        rows = [",".join(f"{value:.6f}" for value in row) for row in angles]
-        head = ",".join(f"J{axis}" for axis in range(1, 7))
         return {
             "stiffopt.ls": "\n".join(program) + "\n",
-            "stiffopt_stream.csv": "\n".join([head, *rows]) + "\n",
+            "stiffopt_stream.csv": rows_text(_AXIS_NAMES, angles),
         }
 
 

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import re
-
 import numpy as np
 
-from stiffopt.export.format import FORMATS, ExportFormat, require_cycle, require_six_axes
-from stiffopt.export.motion import SampledMotion, StoredMotion
+from stiffopt.export.format import FORMATS, CyclicFormat, identifier, rows_text
+from stiffopt.export.motion import SampledMotion
 
 _AXIS_NAMES = tuple(f"A{axis}" for axis in range(1, 7))
 
 
-class KrlRsi(ExportFormat):
+class KrlRsi(CyclicFormat):
     """Absolute axis corrections from the start in degrees, one row per cycle.
 
     Notes
@@ -27,17 +25,10 @@ class KrlRsi(ExportFormat):
     maker = "KUKA"
     rate = 250.0
     rate_max = 250.0
-    whole_steps = True
-    from_rest = True
-
-    def check(self, stored: StoredMotion, rate: float) -> None:
-        """Require six revolute joints and a whole number of cycles."""
-        require_six_axes(stored, self.title)
-        require_cycle(rate, self.rate_max, self.title)
 
     def files(self, motion: SampledMotion, rate: float) -> dict[str, str]:
         """Texts of program and rows; the program's head states the range of each correction."""
-        name = re.sub(r"\W", "_", motion.title.lower(), flags=re.ASCII).strip("_")[:12]
+        name = identifier(motion.title, 12)
         name = f"stiffopt_{name}".rstrip("_")
         angles = np.degrees(motion.position)
         corrections = angles - angles[0]
@@ -73,10 +64,9 @@ class KrlRsi(ExportFormat):
             *_halt_on_error(),
             "END",
         ]
-        rows = [",".join(f"{value:.6f}" for value in row) for row in corrections]
         return {
             f"{name}.src": "\n".join(program) + "\n",
-            f"{name}_rsi.csv": "\n".join([",".join(_AXIS_NAMES), *rows]) + "\n",
+            f"{name}_rsi.csv": rows_text(_AXIS_NAMES, corrections),
         }
 
 

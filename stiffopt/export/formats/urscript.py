@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import re
-
 import numpy as np
 
 from stiffopt.errors import InputError
-from stiffopt.export.format import FORMATS, ExportFormat, require_cycle, require_six_axes
+from stiffopt.export.format import FORMATS, CyclicFormat, identifier
 from stiffopt.export.motion import SampledMotion, StoredMotion
 
 # Position range of these arms: one turn to either side [rad].
@@ -19,7 +17,7 @@ _LOOKAHEAD_TIME, _SERVO_GAIN = 0.03, 300
 _GRIPPER_OUTPUTS = {"grip": "True", "release": "False"}
 
 
-class UrScript(ExportFormat):
+class UrScript(CyclicFormat):
     """Slow approach to the start, then one servoj per cycle.
 
     Notes
@@ -33,13 +31,10 @@ class UrScript(ExportFormat):
     maker = "Universal Robots"
     rate = 500.0
     rate_max = 500.0
-    whole_steps = True
-    from_rest = True
 
     def check(self, stored: StoredMotion, rate: float) -> None:
         """Require six revolute joints within one turn and a whole number of cycles."""
-        require_six_axes(stored, self.title)
-        require_cycle(rate, self.rate_max, self.title)
+        super().check(stored, rate)
         motion = stored.sampled(rate)
         largest = np.max(np.abs(motion.position), axis=0)
         for j in np.flatnonzero(largest > _MAX_ANGLE):
@@ -50,7 +45,7 @@ class UrScript(ExportFormat):
 
     def files(self, motion: SampledMotion, rate: float) -> dict[str, str]:
         """Text of the program."""
-        name = re.sub(r"\W", "_", motion.title.lower(), flags=re.ASCII).strip("_")[:40]
+        name = identifier(motion.title, 40)
         name = f"stiffopt_{name}"
         poses = [f"[{', '.join(f'{angle:.9f}' for angle in row)}]" for row in motion.position]
         follow = f"t={1.0 / rate:g}, lookahead_time={_LOOKAHEAD_TIME:g}, gain={_SERVO_GAIN}"
