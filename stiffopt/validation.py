@@ -134,13 +134,14 @@ def _describe_fault(model: type[BaseModel], where: str, error: Any) -> tuple[str
         meaning = _describe_key(model, error["loc"])
         return where, f"this key is required and missing{f': {meaning}' if meaning else '.'}"
     if kind == "union_tag_not_found":
-        return where, "the key 'type' is required and missing."
+        return where, f"the key {error['ctx']['discriminator']} is required and missing."
     if kind == "union_tag_invalid":
         context = error["ctx"]
         allowed = re.findall(r"'([^']*)'", context["expected_tags"])
+        key = context["discriminator"].strip("'")
         return (
-            f"{where}.type",
-            f"unknown type {shortened(context['tag'])}. {nearest(context['tag'], allowed)}",
+            f"{where}.{key}",
+            f"unknown {key} {shortened(context['tag'])}. {nearest(context['tag'], allowed)}",
         )
     if kind == "literal_error":
         allowed = re.findall(r"'([^']*)'", error["ctx"]["expected"])

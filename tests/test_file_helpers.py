@@ -131,3 +131,23 @@ def test_files_are_written_atomically(tmp_path):
     assert sorted(p.name for p in tmp_path.iterdir()) == ["folder", "out"]
     with pytest.raises(InputFileError, match="cannot be written"):
         atomic_write(path / "below" / "a.txt", "text")
+
+
+class Cube(Section):
+    kind: Literal["cube"]
+
+
+class Ball(Section):
+    kind: Literal["ball"]
+
+
+class Box(Section):
+    part: Annotated[Cube | Ball, Field(discriminator="kind")]
+
+
+def test_the_key_that_tells_kinds_apart_is_named():
+    with pytest.raises(InputFileError, match="'kind' is required"):
+        validate(Box, {"part": {}}, "a.toml")
+    with pytest.raises(InputFileError, match="unknown kind 'bal'. Did you mean 'ball'") as error:
+        validate(Box, {"part": {"kind": "bal"}}, "a.toml")
+    assert error.value.where == "part.kind"
