@@ -148,6 +148,6 @@ class Box(Section):
 def test_the_key_that_tells_kinds_apart_is_named():
     with pytest.raises(InputFileError, match="'kind' is required"):
         validate(Box, {"part": {}}, "a.toml")
-    with pytest.raises(InputFileError, match="unknown kind 'bal'. Did you mean 'ball'") as error:
+    with pytest.raises(InputFileError, match=r"unknown kind 'bal'\. Did you mean 'ball'") as error:
         validate(Box, {"part": {"kind": "bal"}}, "a.toml")
     assert error.value.where == "part.kind"
