@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -39,32 +40,44 @@ def timed_motion(problem: TrajectoryProblem) -> Baseline | None:
     so that the motors can lead. None where it exceeds a limit of another kind, or the largest
     duration.
     """
-    fastest = _timed_motion(problem, 0.0)
+    path = problem.path
+    assert path is not None
+
+    @functools.cache
+    def fastest_law(margins: frozenset[tuple[str, float]]) -> Trajectory:
+        """Return the fastest law with these shares of the limits left; each window starts there."""
+        demands = PathDemands(
+            process_force=_forces_along(problem, path),
+            margin=dict(margins),
+            eased=problem.boundary_acceleration == "zero",
+        )
+        return fastest_timing(problem.robot, problem.active_limits, path, demands)
+
+    fastest = _timed_motion(problem, fastest_law, 0.0)
     if fastest is None or not problem.leads_on_path:
         return fastest
     assert fastest.objective is not None
     for window in _AVERAGING_WINDOWS:
-        found = _timed_motion(problem, window)
+        found = _timed_motion(problem, fastest_law, window)
         allowed = _MAX_SLOWING * (fastest.objective + 2.0 * window)
         if found is not None and found.objective is not None and found.objective <= allowed:
             return found
     return fastest
 
 
-def _timed_motion(problem: TrajectoryProblem, window: float) -> Baseline | None:
+def _timed_motion(
+    problem: TrajectoryProblem,
+    fastest_law: Callable[[frozenset[tuple[str, float]]], Trajectory],
+    window: float,
+) -> Baseline | None:
     """Return the certified motion with its law averaged twice over a window [s]."""
     path = problem.path
     margins: dict[str, float] = {}
     assert path is not None
     shortest = problem.duration[0]
     for _ in range(_MAX_BACK_OFFS):
-        demands = PathDemands(
-            process_force=_forces_along(problem, path),
-            margin=margins,
-            eased=problem.boundary_acceleration == "zero",
-        )
         try:
-            law = fastest_timing(problem.robot, problem.active_limits, path, demands)
+            law = fastest_law(frozenset(margins.items()))
         except ProblemError:
             return None
         if window:
