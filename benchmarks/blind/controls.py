@@ -17,7 +17,7 @@ import numpy as np
 
 from benchmarks.blind.extras import key_folder, save
 from benchmarks.blind.nominal import along
-from benchmarks.blind.score import CaseScore, Named, same
+from benchmarks.blind.score import NAMING_VERDICTS, CaseScore, Named, is_recognised, same
 from benchmarks.blind.sets import Columns, description, write_set
 from benchmarks.blind.tally import counted, score_all
 from benchmarks.blind.variants import Job, answers
@@ -176,11 +176,12 @@ def right(control: str, score: CaseScore, answer: dict[str, Any] | None, joints:
     """Whether an answer to a control is the one that is right."""
     if answer is None:
         return False
-    said = [Named.read(f) for f in answer["findings"]] if answer["verdict"] == "named" else []
+    naming = answer["verdict"] in NAMING_VERDICTS
+    said = [Named.read(f) for f in answer["findings"]] if naming else []
     if control == "effect_out":
         from benchmarks.blind.families import family
 
-        return answer["verdict"] == "outside_catalogue" or (
+        return is_recognised(answer, score.truth) or (
             bool(said) and family(said[0].effect) == family(score.truth[0].effect)
         )
     if control == "swapped":

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import tomllib
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,10 @@ from benchmarks.blind.families import family
 LARGEST_GROUP = 4
 # Slower than this the torque of a joint is undetermined [rad/s].
 MOVING = 0.03
+# Verdicts whose findings are claims.
+NAMING_VERDICTS = ("named", "law_found")
+# Names of laws that the tool found by itself.
+LAW_PREFIX = "law_"
 
 
 @dataclass(frozen=True)
@@ -173,6 +178,20 @@ def _json(path: Path) -> dict[str, Any] | None:
     return found if isinstance(found, dict) else None
 
 
+def is_recognised(answer: dict[str, Any] | None, true: Sequence[Named]) -> bool:
+    """Outside the catalogue is what the answer says, or a law at the joint of a true effect."""
+    if answer is None:
+        return False
+    joints = {each.joint for each in true}
+    return answer["verdict"] == "outside_catalogue" or (
+        answer["verdict"] == "law_found"
+        and any(
+            f["effect"].startswith(LAW_PREFIX) and f.get("joint") in joints
+            for f in answer["findings"]
+        )
+    )
+
+
 def judged(truth: dict[str, Any], answer: dict[str, Any] | None) -> dict[str, Any]:
     """Names and parameters of an answer against the truth; no answer is a wrong one.
 
@@ -187,11 +206,11 @@ def judged(truth: dict[str, Any], answer: dict[str, Any] | None) -> dict[str, An
     kind = truth["kind"]
     if kind == "none":
         return {"false_alarm": verdict != "nothing_missing"} | _words(answer)
-    detected = verdict in ("named", "outside_catalogue")
-    found = answer["findings"] if answer is not None and verdict == "named" else []
-    if kind == "outside":
-        return {"detected": detected, "recognised": verdict == "outside_catalogue"} | _words(answer)
+    detected = verdict in (*NAMING_VERDICTS, "outside_catalogue")
+    found = answer["findings"] if answer is not None and verdict in NAMING_VERDICTS else []
     true = [Named.read(e) for e in truth["effects"]]
+    if kind == "outside":
+        return {"detected": detected, "recognised": is_recognised(answer, true)} | _words(answer)
     said = [Named.read(f) for f in found]
     pairs = [(t, f) for t in truth["effects"] for f in found if _same(t, f)]
     out: dict[str, Any] = {

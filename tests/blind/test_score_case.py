@@ -121,10 +121,22 @@ def test_anything_but_nothing_is_a_false_alarm(answer: dict[str, Any] | None, al
     assert judged(_truth("none"), answer)["false_alarm"] is alarm
 
 
+def test_laws_beside_an_effect_are_false_components() -> None:
+    truth = _truth("single", {"effect": "coulomb", "joint": 1})
+    answer = _named(_finding("coulomb", 1), _finding("law_drive_torque_2_step_q_2", 2))
+    found = judged(truth, answer | {"verdict": "law_found"})
+    assert found["exact"]
+    assert found["false_components"] == 1
+
+
 def test_outside_is_right_only_as_outside() -> None:
     truth = _truth("outside", {"effect": "slosh", "joint": 1})
     assert judged(truth, {"verdict": "outside_catalogue", "findings": []})["recognised"]
     assert not judged(truth, _named(_finding("coulomb", 1)))["recognised"]
+    law = _named(_finding("law_link_torque_1_sprung_a_1", 1)) | {"verdict": "law_found"}
+    assert judged(truth, law)["recognised"]
+    elsewhere = _named(_finding("law_link_torque_2_sprung_a_2", 2)) | {"verdict": "law_found"}
+    assert not judged(truth, elsewhere)["recognised"]
     assert not judged(truth, None)["detected"]
 
 
