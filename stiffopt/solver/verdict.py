@@ -72,9 +72,10 @@ def judge_outcome(
     if not motion.feasible(CERTIFICATE_TOLERANCE) and (
         beyond := _explain_unreachable_deflection(problem, compared)
     ):
-        # Replaces the general advice to relax limits or to take more time.
-        rest = found.message.removeprefix(found.status.sentence)
-        found = Verdict(found.status, f"{beyond}{rest}")
+        # Known before the solve: however its time ended, more of it does not help.
+        conflict = outcome.raw.conflicts or outcome.raw.worst_rows
+        listed = f" These conflict: {named_conflicts(conflict)}." if conflict else ""
+        found = Verdict(SolveStatus.INFEASIBLE, f"{beyond}{listed}")
     better = find_better_baseline(problem, outcome, compared)
     if better is None or found.status is SolveStatus.INFEASIBLE:
         return found
