@@ -96,7 +96,7 @@ def problem(source: str, *, out: File = None, changes: NoChanges = ()) -> int:
 def recording(
     data: list[Path],
     *,
-    urdf: Path,
+    urdf: Annotated[Path, Parameter(name=("--urdf", "--robot"))],
     out: Annotated[
         Path | None,
         Parameter(
@@ -119,7 +119,8 @@ def recording(
     data
         Files or folders; the last of several is held out for validation, a single one is split.
     urdf
-        URDF, MJCF or robot file of the arm; limits and masses that it lacks are estimated.
+        URDF, MJCF or robot file of the arm, or the name of a shipped robot; limits and masses that
+        it lacks are estimated.
     rate
         Sampling rate [Hz], where the data have no time column.
     tip

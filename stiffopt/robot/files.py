@@ -40,6 +40,25 @@ def shipped_robots() -> list[str]:
     return sorted(p.name for p in folder.iterdir() if p.joinpath("robot.toml").is_file())
 
 
+def robot_path(source: str | os.PathLike[str]) -> Path:
+    """Return the file of a robot given by a shipped name or a path.
+
+    Raises
+    ------
+    InputError
+        Neither a shipped robot nor a file.
+    """
+    if str(source) in shipped_robots():
+        source = str(resources.files("stiffopt.robot").joinpath("data", str(source), "robot.toml"))
+    path = Path(source)
+    if path.suffix == "" and not path.exists():
+        raise InputError(
+            f"no robot {str(source)!r}: neither a shipped robot nor a file. "
+            f"{nearest(str(source), shipped_robots())} Or give the path of a robot TOML or URDF."
+        )
+    return path
+
+
 def load_robot(
     source: str | os.PathLike[str],
     drivetrain: str | os.PathLike[str] | None = None,
@@ -72,14 +91,7 @@ def load_robot(
     InputFileError, RobotError
         Fault, place and allowed values.
     """
-    if isinstance(source, str) and source in shipped_robots():
-        source = str(resources.files("stiffopt.robot").joinpath("data", source, "robot.toml"))
-    path = Path(source)
-    if path.suffix == "" and not path.exists():
-        raise InputError(
-            f"no robot {str(source)!r}: neither a shipped robot nor a file. "
-            f"{nearest(str(source), shipped_robots())} Or give the path of a robot TOML or URDF."
-        )
+    path = robot_path(source)
     bare = path.suffix.lower() in (".urdf", *MJCF_ENDINGS)
     if bare and drivetrain is None:
         if changes:

@@ -12,7 +12,7 @@ import numpy as np
 
 from stiffopt.errors import InputFileError
 from stiffopt.files import load_toml, read_text
-from stiffopt.robot.files import load_robot
+from stiffopt.robot.files import load_robot, robot_path
 from stiffopt.robot.joint_tree import JointTree
 from stiffopt.robot.mjcf import is_mjcf, mjcf_files, names_in_common_folder, read_mjcf
 from stiffopt.robot.robot import Robot
@@ -64,7 +64,7 @@ def store_robot(source: Path, folder: Path, tip: str | None = None) -> RecordedR
     Parameters
     ----------
     source : Path
-        URDF, MJCF or robot TOML.
+        URDF, MJCF, robot TOML, or the name of a shipped robot.
     folder : Path
     tip : str, optional
         Last link of the recorded arm, if the URDF holds more.
@@ -74,6 +74,7 @@ def store_robot(source: Path, folder: Path, tip: str | None = None) -> RecordedR
     InputFileError, RobotError
         The robot cannot be read.
     """
+    source = robot_path(source)
     if source.suffix.lower() == ".toml":
         if tip is not None:
             raise InputFileError(source, "", "names its tool itself: leave out --tip.")

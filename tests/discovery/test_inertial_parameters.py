@@ -57,6 +57,20 @@ def test_likeliest_consistent_bodies_are_consistent_and_optimal() -> None:
     assert cost(found) <= cost(least) + 1e-6
 
 
+def test_bodies_at_the_border_of_consistency_are_found_from_any_amount_of_data() -> None:
+    """Long recordings that ask for negative masses press the eigenvalues below rounding."""
+    rng = np.random.default_rng(5)
+    columns = rng.standard_normal((40, 20))
+    gram = 1e13 * columns.T @ columns + np.eye(20)
+    wanted = np.tile([-3.0, *[0.1] * 3, *[-0.2] * 6], 2)
+    bodies, units = np.vstack([ROD, ROD]), np.vstack([UNITS, UNITS])
+    found = likeliest_consistent_bodies(
+        gram, gram @ wanted, slice(0, 20), bodies, units, np.full(20, np.inf)
+    )
+    assert is_consistent(bodies + found.reshape(2, 10), units)
+    assert np.all(np.isfinite(found))
+
+
 def test_added_columns_posterior_matches_full_posterior() -> None:
     """Posterior, evidence and density of blocks left out are those of a fit of all at once."""
     rng = np.random.default_rng(2)

@@ -45,7 +45,9 @@ def test_commanded_torque_is_named_with_its_lead() -> None:
     assert list(values(found)) == [("time_delay", None)], said(found)
     (finding,) = found.findings
     assert finding.parameters[0].value == pytest.approx(-0.012, abs=1e-3)
-    assert re.search(r"enter torque_delay = -0\.01[12]\d* in", " ".join(value_sentences(found)))
+    told = " ".join(value_sentences(found))
+    assert re.search(r"enter torque_delay = -0\.01[12]\d* in", told)
+    assert re.match(r"Torque recorded 1[12]\.\d+ ± [\d.]+ ms ahead of the motion", told)
     assert "commanded torque" in finding.effect.phrase_of(finding.estimated.amplitudes)
 
 

@@ -574,3 +574,14 @@ def test_recordings_named_as_tests_are_held_out(names, held_out, tmp_path):
     assert run(["init", "recording", *files, "--urdf", str(URDF), "--out", str(folder)]) == 0
     runs = tomllib.loads((folder / "recordings.toml").read_text())["runs"]
     assert {r["file"].removesuffix(".npz") for r in runs if r["role"] == "test"} == held_out
+
+
+def test_recorded_arm_is_a_shipped_robot_by_its_name(tmp_path, capsys):
+    log = tmp_path / "log.csv"
+    names = ["t", *(f"q{k}" for k in range(1, 7)), *(f"tau{k}" for k in range(1, 7))]
+    columns = [TIME, *VALUES, *VALUES, *VALUES[::-1]]
+    log.write_text("\n".join(lines(names=names, columns=columns)))
+    assert run(["init", "recording", str(log), "--robot", "ur10", "-o", str(tmp_path / "set")]) == 0
+    assert len(load_recordings(tmp_path / "set").joints) == 6
+    assert run(["init", "recording", str(log), "--robot", "ur11", "-o", str(tmp_path / "no")]) == 2
+    assert "ur10" in capsys.readouterr().err

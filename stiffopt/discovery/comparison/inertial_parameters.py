@@ -169,10 +169,12 @@ def likeliest_consistent_bodies(
     x[boxed] = np.clip(x[boxed], -0.99 * box, 0.99 * box)
     hinders = 4 * len(nominal) + 2 * len(boxed)
     weight = max(0.5 * x @ gram @ x - moment @ x - least, 1.0) / hinders
+    # The factors are carried along, not computed anew from the values: at the border of consistency
+    # the pseudo-inertia of the rounded values has eigenvalues below zero.
+    lower = np.linalg.cholesky(
+        scaled_pseudo_inertia(nominal + x[place].reshape(nominal.shape), units)
+    )
     for _ in range(_MAX_NEWTON_STEPS):
-        lower = np.linalg.cholesky(
-            scaled_pseudo_inertia(nominal + x[place].reshape(nominal.shape), units)
-        )
         moved = lower[:, None] @ _SYMMETRIC_BASIS @ lower.swapaxes(1, 2)[:, None]
         own = inertial_parameters(moved * outer[:, None])
         above, below = 1.0 / (box - x[boxed]), 1.0 / (box + x[boxed])
@@ -190,7 +192,9 @@ def likeliest_consistent_bodies(
         change = np.tensordot(local[place].reshape(nominal.shape), _SYMMETRIC_BASIS, 1)
         nearing = np.append(step[boxed] * above, -step[boxed] * below)
         border = max(float(np.max(nearing, initial=0.0)), -float(np.linalg.eigvalsh(change).min()))
-        x = x + min(1.0, _MAX_STEP_TO_BORDER / max(border, 1e-300)) * step
+        length = min(1.0, _MAX_STEP_TO_BORDER / max(border, 1e-300))
+        x = x + length * step
+        lower = lower @ np.linalg.cholesky(np.eye(4) + length * change)
         if -slope @ local < weight:
             if weight * hinders < _MAX_DUALITY_GAP:
                 break

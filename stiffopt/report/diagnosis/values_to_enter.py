@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from stiffopt.discovery.answer import missing_physics
 from stiffopt.discovery.sanity.doubt import format_numbers
 from stiffopt.discovery.search.nominal_values import values_outside_tolerance
 from stiffopt.report.common.text import capital, pm, significant
@@ -63,10 +64,9 @@ def _signals_sentence(diagnosis: Diagnosis, finding: Finding) -> str:
     """Return the value of [signals] that undoes a finding."""
     key, change = finding.effect.signals_key, finding.parameters[0]
     stated = float(getattr(diagnosis.recordings.signals, key))
-    phrase = finding.effect.phrase_of(finding.estimated.amplitudes)
     return (
-        f"{capital(phrase)}: {pm(change.value, change.sd, change.unit)}. To diagnose the"
-        f" rest, enter {key} = {stated + change.value:.4g} in [signals]."
+        f"{capital(missing_physics(diagnosis, finding))}. To diagnose the rest, enter"
+        f" {key} = {stated + change.value:.4g} in [signals]."
     )
 
 
