@@ -51,8 +51,8 @@ from stiffopt.discovery.law_search.find import LawSearch, find_laws, located_tab
 from stiffopt.discovery.position_fit import model_section
 from stiffopt.discovery.progress import repeat_progress
 from stiffopt.discovery.sanity.actuator_estimate import resolve_actuator
-from stiffopt.discovery.sanity.doubt import Doubt, DoubtfulRecordings
-from stiffopt.discovery.sanity.gate import SanityGate
+from stiffopt.discovery.sanity.doubt import Doubt
+from stiffopt.discovery.sanity.gate import judge_plausibility
 from stiffopt.discovery.search.candidates import Scorer
 from stiffopt.discovery.search.rivals import Selected
 from stiffopt.discovery.search.search import SearchResult
@@ -217,11 +217,8 @@ def _run_diagnosis(
     base = _rescale_left_open(_rescale_left_open(base, clock), clock / every)
     recordings, runs = decimate_noise(recordings, every), [decimate_run(run, every) for run in runs]
     say("check units, signs and orders")
-    gate = SanityGate(recordings, runs)
-    doubted = gate.doubts
-    if doubted and not despite_doubts:
-        raise DoubtfulRecordings(recordings.path, doubted)
-    remarked = () if doubted or base is not None else gate.remarks
+    doubted, remarked = judge_plausibility(recordings, runs, despite_doubts=despite_doubts)
+    remarked = () if base is not None else remarked
     training = prepare_training(recordings, settings, base, say, runs)
     facts = joint_facts(recordings, training.recorded)
     checks = effect_checks(recordings, facts, len(training.recorded), catalogue)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 
 from stiffopt.actuator.law import ActuatorLaw
@@ -107,6 +108,21 @@ def load_state_pair(
         "runs": runs,
     }
     return StatePair(**(shared | names), before=first, after=second)
+
+
+def split_states(
+    recordings: RecordingSet, runs: Sequence[RecordedRun]
+) -> Iterator[tuple[RecordingSet, Sequence[RecordedRun]]]:
+    """Yield recordings and runs of one state each; all of them where there is one state."""
+    if not isinstance(recordings, StatePair):
+        yield recordings, runs
+        return
+    after = recordings.runs_after
+    for own, changed in ((recordings.before, False), (recordings.after, True)):
+        yield (
+            replace(recordings, path=own.path, signals=own.signals),
+            [run for run in runs if (run.name in after) == changed],
+        )
 
 
 def _require_comparable(first: RecordingSet, second: RecordingSet) -> None:

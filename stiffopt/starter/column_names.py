@@ -22,6 +22,7 @@ _WORDS_BY_KIND = {
     "position": ("position", "positions", "pos", "q", "angle", "angles", "theta", "winkel", "lage",
                  "ist", "qpos", "axis", "joint", "a", "j", "state"),
 }  # fmt: skip
+TIME_WORDS = ("t", "time", "timestamp", "stamp", "zeit", "seconds", "clock")
 CURRENT_WORDS = ("current", "currents", "strom", "amps", "i")
 # Words that other signals of a joint share.
 _VAGUE_WORDS = ("axis", "joint", "a", "j", "state")

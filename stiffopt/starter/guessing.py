@@ -14,6 +14,7 @@ from stiffopt.robot.robot import Robot
 from stiffopt.starter.column_names import (
     CURRENT_WORDS,
     KINDS,
+    TIME_WORDS,
     columns_of_kind,
     command_columns,
     is_signal,
@@ -21,7 +22,6 @@ from stiffopt.starter.column_names import (
     stated_unit,
 )
 
-_TIME_WORDS = ("t", "time", "timestamp", "stamp", "zeit", "seconds", "clock")
 # Units without a known factor to SI, and the factor to ask for.
 FACTOR_REQUESTS = {
     "A": "a current: put N m per A at the joint (torque constant times gear ratio)",
@@ -260,7 +260,7 @@ def find_time_column(table: Mapping[str, np.ndarray]) -> str:
     InputError
         No column increases as a time does.
     """
-    named = [name for name in table if set(split_words(name)) & set(_TIME_WORDS)]
+    named = [name for name in table if set(split_words(name)) & set(TIME_WORDS)]
     # Columns that rise in every row without restart take precedence over repeated stamps.
     for steady in (True, False):
         for name in named:

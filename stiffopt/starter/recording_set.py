@@ -17,9 +17,11 @@ import numpy as np
 from stiffopt.errors import InputError, InputFileError
 from stiffopt.recording.readers.columns import Table
 from stiffopt.recording.readers.read import RUN_ENDINGS, is_messages, read_tables
+from stiffopt.recording.run import counted
 from stiffopt.robot.joint_tree import JointTree
 from stiffopt.robot.robot import Robot
 from stiffopt.robot.urdf_xml import read_urdf_tree
+from stiffopt.starter.garbled_rows import drop_garbled_rows
 from stiffopt.starter.guessing import (
     FACTOR_REQUESTS,
     GuessedColumns,
@@ -110,7 +112,7 @@ def _write_set(
     """Write the set of an arm whose files are in the folder `beside`."""
     robot = arm.robot
     files = _find_files(data)
-    tables, layout = _read_runs(files, robot)
+    tables, layout, garbled = _read_runs(files, robot)
     files = list(tables)
     if rate is not None:
         if not 0.0 < rate < 1e6:
@@ -120,7 +122,7 @@ def _write_set(
     if layout:
         first = replace(first, reasons=(layout, *first.reasons))
     wanted = [first.time, *(c for columns in first.columns.values() for c in columns if c)]
-    notes = list(arm.notes)
+    notes = [*arm.notes, *garbled]
     for path, table in tables.items():
         lacking = [name for name in wanted if name not in table]
         if lacking:
@@ -170,8 +172,8 @@ def _write_set(
     )
 
 
-def _read_runs(files: Sequence[Path], robot: Robot) -> tuple[dict[Path, Table], str]:
-    """Return the tables of all runs by file, with names for columns that have none, and why."""
+def _read_runs(files: Sequence[Path], robot: Robot) -> tuple[dict[Path, Table], str, list[str]]:
+    """Return tables by file without garbled rows, why unnamed columns are so named, and notes."""
     tables: dict[Path, Table] = {}
     for path in files:
         if is_messages(path):
@@ -180,14 +182,21 @@ def _read_runs(files: Sequence[Path], robot: Robot) -> tuple[dict[Path, Table], 
         for part, table in read_tables(path).items():
             own = path.with_name(f"{path.stem}_{part}{path.suffix}") if part else path
             tables[own] = table
-    layout = ""
+    layout, notes = "", []
     tables = join_signal_files(tables, robot)
     for path, table in tables.items():
         try:
             tables[path], layout = name_blocks(table, robot)
         except InputError as error:
             raise InputFileError(path, "", str(error)) from error
-    return tables, layout
+        tables[path], garbled = drop_garbled_rows(tables[path])
+        if garbled:
+            listed = ", ".join(map(str, garbled[:5])) + (", ..." if len(garbled) > 5 else "")
+            notes.append(
+                f"{path.name}: {counted(len(garbled), 'garbled row')} left out ({listed}), of"
+                " values or times that cannot be."
+            )
+    return tables, layout, notes
 
 
 def _split_runs(

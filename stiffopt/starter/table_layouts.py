@@ -6,16 +6,16 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
+from scipy.stats import spearmanr
 
 from stiffopt.errors import InputError
 from stiffopt.recording.readers.columns import Table, is_unnamed
 from stiffopt.robot.robot import Robot
 from stiffopt.starter.column_names import columns_of_kind, command_columns
 
-# Least correlation of a column with the rate of change of another, of which it is the velocity.
+# Least rank correlation of a velocity with the rate of change of its position. By ranks, a few
+# garbled rows of a logger do not matter.
 _MIN_RATE_CORRELATION = 0.9
-# Largest blocks of columns: position, velocity, acceleration, torque.
-_MAX_BLOCKS = 4
 
 
 def join_signal_files(tables: Mapping[Path, Table], robot: Robot) -> dict[Path, Table]:
@@ -71,7 +71,7 @@ def name_blocks(table: Table, robot: Robot) -> tuple[Table, str]:
     columns, n = list(table.values()), robot.n
     timed = len(columns) % n == 1 if n > 1 else bool(np.all(np.diff(columns[0]) > 0.0))
     blocks = [np.column_stack(columns[k : k + n]) for k in range(timed, len(columns), n)]
-    if not 2 <= len(blocks) <= _MAX_BLOCKS or any(block.shape[1] != n for block in blocks):
+    if len(blocks) < 2 or any(block.shape[1] != n for block in blocks):
         raise InputError(
             f"has {len(columns)} columns without names, which are no time and blocks of {n} joints."
             f" Give it one line of {len(columns)} column names, such as t, q1, q2, tau1, tau2,"
@@ -115,5 +115,5 @@ def _is_rate_of(rates: np.ndarray, values: np.ndarray) -> bool:
         change, mean = np.diff(value), 0.5 * (rate[1:] + rate[:-1])
         known = np.isfinite(change) & np.isfinite(mean)
         if known.sum() > 2 and np.ptp(change[known]) > 0.0 and np.ptp(mean[known]) > 0.0:
-            fits.append(float(np.corrcoef(change[known], mean[known])[0, 1]))
+            fits.append(float(spearmanr(change[known], mean[known]).statistic))
     return bool(fits) and float(np.median(fits)) > _MIN_RATE_CORRELATION

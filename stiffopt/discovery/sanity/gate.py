@@ -12,6 +12,7 @@ from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.sanity.command_doubts import doubt_commands
 from stiffopt.discovery.sanity.doubt import (
     Doubt,
+    DoubtfulRecordings,
     format_joints,
     limit_to_runs,
     scale_line,
@@ -26,12 +27,36 @@ from stiffopt.discovery.sanity.torque_doubts import doubt_dead_channels, doubt_r
 from stiffopt.recording.recording_set import RecordingSet
 from stiffopt.recording.run import RecordedRun
 from stiffopt.recording.signals import is_set_point, may_be_set_point
+from stiffopt.recording.state_pair import split_states
 
 # Residual share of a torque from which single runs are checked, and how many.
 _MIN_OPEN_SHARE, _MAX_SINGLE_RUNS = 0.04, 12
 # Shortest run, or runs together, that a refusal may rest on [s]: friction, weight and inertia of a
 # shorter one, filtered at both ends, look alike.
 _MIN_JUDGED_DURATION = 2.0
+
+
+def judge_plausibility(
+    recordings: RecordingSet, runs: Sequence[RecordedRun], *, despite_doubts: bool
+) -> tuple[tuple[Doubt, ...], tuple[Doubt, ...]]:
+    """Return doubts and, if there are none, remarks; two states are judged one by one.
+
+    Two states of a robot need not fit each other: their difference is the question.
+
+    Raises
+    ------
+    DoubtfulRecordings
+        A state with doubts, unless the diagnosis goes on despite them.
+    """
+    gates = [SanityGate(*state) for state in split_states(recordings, runs)]
+    doubts: list[Doubt] = []
+    for gate in gates:
+        if gate.doubts and not despite_doubts:
+            raise DoubtfulRecordings(gate.recordings.path, gate.doubts)
+        doubts += gate.doubts
+    if doubts:
+        return tuple(dict.fromkeys(doubts)), ()
+    return (), tuple(dict.fromkeys(each for gate in gates for each in gate.remarks))
 
 
 class SanityGate:
@@ -52,12 +77,12 @@ class SanityGate:
     """
 
     def __init__(self, recordings: RecordingSet, runs: Sequence[RecordedRun]) -> None:
-        self._recordings, self._runs = recordings, runs
+        self.recordings, self._runs = recordings, runs
 
     @cached_property
     def doubts(self) -> tuple[Doubt, ...]:
         """Doubts that stop a diagnosis; empty for plausible recordings."""
-        recordings, runs = self._recordings, self._runs
+        recordings, runs = self.recordings, self._runs
         if not any(body.mass > 0.0 for body in recordings.robot.tree.bodies):
             return (_doubt_masses(recordings),)
         if recordings.signals.commanded and (told := tuple(doubt_commands(recordings, self._runs))):
@@ -98,14 +123,14 @@ class SanityGate:
 
         For example a gain that may be an effect of the catalogue or a wrong description.
         """
-        told = tuple(_doubt_references(self._recordings))
-        if self._explanation_search is None or self._recordings.signals.currents:
+        told = tuple(_doubt_references(self.recordings))
+        if self._explanation_search is None or self.recordings.signals.currents:
             return told
         gains = find_joint_gains(self._nominal_robot, self._explanation_search.samples)
         return (
             *told,
             *map(_doubt_extended_range, self._extended_range_runs),
-            *(_doubt_joint_gain(self._recordings, each) for each in gains),
+            *(_doubt_joint_gain(self.recordings, each) for each in gains),
             *self._contacts_at_rest,
         )
 
@@ -119,7 +144,7 @@ class SanityGate:
 
     @cached_property
     def _nominal_robot(self) -> RobotModel:
-        return RobotModel(self._recordings)
+        return RobotModel(self.recordings)
 
     @cached_property
     def _explanation_search(self) -> Explanations | None:
