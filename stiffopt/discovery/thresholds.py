@@ -93,7 +93,7 @@ MAX_CHANGE_PARAMETERS = 3.0
 SUSPECT_EVIDENCE_UNITS = 2.0
 # Typical distance of an added mass from the centre of the body that carries it [m].
 ADDED_MASS_OFFSET = 0.1
-# Exchanges of a finding for a likelier rival before both are dropped.
+# Rounds of exchanges for likelier rivals and of confirmation.
 MAX_EXCHANGES = 3
 
 # ---- Probability of an unknown cause [0036]

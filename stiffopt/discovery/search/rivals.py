@@ -21,7 +21,6 @@ from stiffopt.discovery.thresholds import (
     ADDED_MASS_OFFSET,
     EQUIVALENT_EVIDENCE_SHARE,
     MAX_CHANGE_PARAMETERS,
-    MAX_EXCHANGES,
     MAX_TEMPERING,
     PARAMETER_LOG_PRICE,
     RIVAL_LOG_ODDS,
@@ -179,18 +178,17 @@ def exchange_rivals(
 ) -> tuple[Comparison, list[RankedEffect]]:
     """Replace effects by their likeliest rivals until nothing changes; return them ranked."""
     ranked = rank_effects(current, effects, catalogue, tell, before)
-    for _ in range(MAX_EXCHANGES):
-        likelier = _drop_duplicates([r.likeliest for r in ranked])
-        if likelier == effects:
-            break
-        current, effects = fit_jointly(comparison, likelier)
-        ranked = rank_effects(current, effects, catalogue, tell, ranked)
-    else:
-        # Effects that replace each other in turns are dropped.
-        kept = [r.selected.located for r in ranked if r.likeliest is r.selected.located]
-        if len(kept) < len(effects):
+    seen = [_places(effects)]
+    while (likelier := _exchange_apart(ranked)) != effects:
+        if _places(likelier) in seen:
+            # Effects that replace each other in turns are dropped.
+            kept = [r.selected.located for r in ranked if r.likeliest is r.selected.located]
             current, effects = fit_jointly(comparison, kept)
             ranked = rank_effects(current, effects, catalogue, tell)
+            break
+        seen.append(_places(likelier))
+        current, effects = fit_jointly(comparison, likelier)
+        ranked = rank_effects(current, effects, catalogue, tell, ranked)
     if len(ranked) < len(effects):
         current, effects = fit_jointly(comparison, [r.selected.located for r in ranked])
         ranked = rank_effects(current, effects, catalogue, tell, ranked)
@@ -231,10 +229,28 @@ def rank_effects(
     return found
 
 
-def _drop_duplicates(effects: Sequence[LocatedEffect]) -> list[LocatedEffect]:
-    """Keep each place once: one effect may be the likeliest rival of several."""
+def _exchange_apart(ranked: Sequence[RankedEffect]) -> list[LocatedEffect]:
+    """Return the effects with the surest exchanges that do not touch each other.
+
+    Each rival is judged with all other effects kept: of several exchanges at neighbouring places
+    only one may be made before the others are judged again. A new load is a likelier rival of
+    every friction at the joints that carry it, and would replace them all.
+    """
+    wanted = [r for r in ranked if r.likeliest is not r.selected.located]
+    made: list[RankedEffect] = []
+    for each in sorted(wanted, key=lambda r: r.selected.probability):
+        pair = (each.selected.located, each.likeliest)
+        touched = [located for m in made for located in (m.selected.located, m.likeliest)]
+        if not any(own.is_adjacent(other) for own in pair for other in touched):
+            made.append(each)
     kept: list[LocatedEffect] = []
-    for located in effects:
+    for each in ranked:
+        located = each.likeliest if each in made else each.selected.located
+        # One effect may be the likeliest rival of several.
         if not any(located.same_place(other) for other in kept):
             kept.append(located)
     return kept
+
+
+def _places(effects: Sequence[LocatedEffect]) -> set[tuple[object, ...]]:
+    return {each.key[:-1] for each in effects}
