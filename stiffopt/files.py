@@ -306,7 +306,6 @@ def read_table(
 
     Parameters
     ----------
-    path : path
     columns : sequence of str
         Required columns.
     optional : sequence of str

@@ -36,12 +36,7 @@ def array_of(matrix: ca.DM) -> np.ndarray:
 
 
 class BufferedFunction:
-    """CasADi function with preallocated buffers: calls create no matrices.
-
-    Parameters
-    ----------
-    function : casadi.Function
-    """
+    """CasADi function with preallocated buffers: calls create no matrices."""
 
     def __init__(self, function: ca.Function) -> None:
         self.function = function

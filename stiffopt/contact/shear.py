@@ -39,7 +39,6 @@ def shear_travel(
 
     Parameters
     ----------
-    law : ContactLaw
     pressure : float
         Nominal pressure p [Pa], above 0.
     load_ratio : float

@@ -51,7 +51,6 @@ class ExportFormat(ABC):
 
         Parameters
         ----------
-        stored : StoredMotion
         rate : float, optional [Hz]
 
         Raises

@@ -89,7 +89,6 @@ def clamped_compliance(
 
     Parameters
     ----------
-    bolt : BoltData
     clamp_length : float
         l_K [m].
     outer_diameter : float
@@ -117,7 +116,6 @@ def through_bolted_compliance(
 
     Parameters
     ----------
-    bolt : BoltData
     nut_bearing : float
         d_w of the nut [m]; each cone has the slope of its own bearing face.
     clamp_length : float

@@ -102,7 +102,6 @@ def transverse_forces(
     Parameters
     ----------
     loads : array (..., 6)
-    count : int
     radius : float
         Lever of the torque: bolt circle radius for bolts in shear, friction radius for friction
         grip [m].
@@ -178,7 +177,6 @@ def ring_opening_load(
         |F_z| [N], |M| [N m].
     inner, outer : float
         Radii of the ring [m].
-    count : int
     circle, hole : float
         Diameters of the bolt circle and of one hole [m].
     """

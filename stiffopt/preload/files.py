@@ -41,10 +41,8 @@ class LoadedStudy:
 
     Parameters
     ----------
-    problem : PreloadProblem
     expected : mapping of name to ExpectedValueSection
         Expected results of a verification; names as in `value_units`.
-    path : Path
     front_points : int
         Of the Pareto front; 0 leaves it out.
     motion : TrajectoryProblem or None

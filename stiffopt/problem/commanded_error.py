@@ -43,7 +43,6 @@ class CommandedError:
     ----------
     model : MotorModel
         With its rest poses.
-    uncertainty : Uncertainty
     servo : Servo
         Nominal one, whose lag the command leads.
     """

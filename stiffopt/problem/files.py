@@ -46,9 +46,6 @@ class LoadedProblem:
 
     Parameters
     ----------
-    problem : TrajectoryProblem
-    expected : ExpectedSection or None
-    path : Path
     tolerances : Tolerances
         For the error budget; no motion depends on them.
     """

@@ -66,10 +66,8 @@ def formulate(
 
     Parameters
     ----------
-    problem : TrajectoryProblem
     motion : ResolvedMotion
         Resolved poses of the problem.
-    scales : Scales
     margins : mapping limit name -> float, optional
         Constraint back-off as a share of each limit that a certificate found exceeded between
         nodes.

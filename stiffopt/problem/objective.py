@@ -34,7 +34,6 @@ class Bound:
 
     Parameters
     ----------
-    objective : str
     value : float
         Bound in the objective's SI unit; inf without an optimum.
     text : str

@@ -33,7 +33,6 @@ class PoseFollower:
 
     Parameters
     ----------
-    robot : Robot
     poses : callable
         Positions (K, 3) [m] and rotations (K, 3, 3) at distances (K,) [m].
     breaks : array (m,)

@@ -42,7 +42,6 @@ class RunEntry:
 
     Parameters
     ----------
-    file : str
     role : str
         "train", "test" or "extrapolate".
     session_time : float or None
@@ -70,18 +69,12 @@ class RecordingSet(RecordedArm):
 
     Parameters
     ----------
-    tool_frame : str or None
     gravity : array (3,)
         [m/s^2]
-    signals : Signals
     described : Robot
         Robot of its own file, without the values of the set.
     stated : NominalSection
         Nominal values that the set gives.
-    nominal : Nominal
-    tolerance : Tolerance
-    noise : Noise
-    runs : tuple of RunEntry
     actuator : ActuatorLaw or None
         Of a set without torques.
     assumptions : tuple of str

@@ -40,7 +40,6 @@ class Fault:
         "time" or the kind of channel.
     joint : int or None
         From 1; None for all joints.
-    kind : str
     detail : str
         One sentence with the numbers.
     left_out : bool
@@ -95,7 +94,6 @@ class RecordedRun:
         [rad/s], [rad]; None if no joint has that signal.
     torque : array (K, n)
         Drive torque at the output side [N m].
-    faults : tuple of Fault
     at_rest : bool
         Each sample is a pose at rest, and time its number.
     command : array (K, n) or None

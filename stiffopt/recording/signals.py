@@ -33,7 +33,6 @@ class Signals:
 
     Parameters
     ----------
-    time : str
     position, torque : tuple of str (n,)
     velocity, link_position, command : tuple of str (n,) or None
     torque_side : str

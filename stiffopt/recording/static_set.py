@@ -24,7 +24,6 @@ class StaticSet(RecordedArm):
 
     Parameters
     ----------
-    tool_frame : str
     position : array (m, n)
         [rad]
     force : array (m, 3)

@@ -30,12 +30,8 @@ class Solid:
 
     Parameters
     ----------
-    name : str
-    joint : int
     placement : pinocchio.SE3
         In the frame of the joint.
-    geometry : coal.CollisionGeometry
-    of_cell : bool
     guessed : bool
         The solid is a capsule of estimated radius.
     """

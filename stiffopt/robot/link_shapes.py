@@ -38,7 +38,6 @@ class LinkShape:
 
     Parameters
     ----------
-    link : str
     purpose : "visual" or "collision"
     kind : "box", "cylinder", "sphere" or "mesh"
     size : tuple of float

@@ -27,7 +27,6 @@ def load_mesh_file(
 
     Parameters
     ----------
-    path : path
     scale : array (3,)
     boxes : bool
         Build the bounding-volume tree for distances to the mesh itself.

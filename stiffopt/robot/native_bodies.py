@@ -29,7 +29,6 @@ class NativeBodies:
 
     Parameters
     ----------
-    tree : BodyTree
     inertial : array (n, 10), optional
         In place of the bodies' own, in the order of `Body.inertial_parameters`; of bodies that need
         not exist by themselves.

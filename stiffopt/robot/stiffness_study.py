@@ -79,7 +79,6 @@ def stiffness_study(
 
     Parameters
     ----------
-    robot : Robot
     ratios : sequence of float, optional
         Torques over `torque_max`, above 0 [-]; default `DEFAULT_RATIOS`.
     both_readings : bool

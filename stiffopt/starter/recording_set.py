@@ -49,8 +49,6 @@ class StartedSet:
     ----------
     path : Path
         recordings.toml.
-    guess : GuessedColumns
-    notes : tuple of str
     """
 
     path: Path

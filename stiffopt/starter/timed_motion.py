@@ -62,7 +62,6 @@ def read_timed_motion(path: Path, robot: Robot, rate: float | None = None) -> Ti
     ----------
     path : Path
         CSV and other tables, JointTrajectory or RobotTrajectory as YAML or JSON, MCAP, rosbag2.
-    robot : Robot
     rate : float, optional
         Rows a second [Hz], if no column is a time.
 

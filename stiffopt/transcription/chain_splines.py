@@ -106,10 +106,6 @@ class ChainSplines:
     def nonzero_basis(self, places: Places) -> tuple[np.ndarray, np.ndarray]:
         """Nonzero basis functions at places.
 
-        Parameters
-        ----------
-        places : Places
-
         Returns
         -------
         coefficients : array (P, degree + 1) of int
@@ -151,7 +147,6 @@ class ChainSplines:
 
         Parameters
         ----------
-        places : Places
         values : array (P, nx + nu)
         scales : array (nx + nu,)
         durations : array (phases,)

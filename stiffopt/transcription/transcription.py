@@ -41,7 +41,6 @@ class Unpacked:
     breaks : array (K + 1,)
         Borders of the intervals [s].
     integrals : array (k,)
-    objective : float
     """
 
     times: np.ndarray
@@ -62,11 +61,8 @@ class Transcription:
 
     Attributes
     ----------
-    ocp : OptimalControlProblem
-    scheme : Scheme
     mesh : list of array
         Interval fractions of each phase.
-    nlp : Nlp
     states, controls, statics, durations : Block or None
         Blocks of these variables in the NLP vector; `durations` is None when fixed.
     splines, coefficients : ChainSplines, Block or None

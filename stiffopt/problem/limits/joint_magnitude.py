@@ -34,8 +34,6 @@ class JointMagnitude(DriveLimit):
         Type of one entry in a file.
     dimension : str
         Dimension for a revolute joint.
-    description : str
-    order : int or None
     """
 
     def __init__(

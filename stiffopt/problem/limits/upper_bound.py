@@ -33,7 +33,6 @@ class UpperBound(LimitKind):
         Type of the key in a file.
     unit : str
         SI unit.
-    description : str
     """
 
     def __init__(self, name: str, form: Any, unit: str, description: str) -> None:

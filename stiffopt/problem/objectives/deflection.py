@@ -40,7 +40,6 @@ class ToolDeflection(ObjectiveKind):
     ----------
     part : str
         "dynamic", "total" or "process".
-    phrase, description : str
     pinned_by : str
         Quantity that bounds the peak in a rest pose; "" for none.
     instead : str

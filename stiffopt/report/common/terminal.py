@@ -47,7 +47,6 @@ class StatusLine(ExitStack):
 
     Parameters
     ----------
-    title : str
     console : rich.console.Console or None
         None: standard error, so that standard output stays free for results.
     clock : callable

@@ -185,8 +185,6 @@ class Trace:
         Samples that count: torque only while the joint moves.
     speed : array (K,)
         Speed of the joint.
-    error : ChannelError
-    unit : str
     """
 
     time: np.ndarray
@@ -205,8 +203,6 @@ class Window:
 
     Parameters
     ----------
-    run : str
-    error : ChannelError
     begin, end : float
         [s]
     rms : float
@@ -215,7 +211,6 @@ class Window:
         The same over noise.
     slowest, fastest : float
         Range of the joint's speed.
-    unit : str
     """
 
     run: str

@@ -43,7 +43,6 @@ class Mismatch:
 
     Parameters
     ----------
-    sentence : str
     pieces : list of NamedShare
         Explained parts, the largest first, and the unexplained part last.
     """
@@ -58,7 +57,6 @@ class NamedShare:
 
     Parameters
     ----------
-    words : str
     share : float
         Share of the mismatch on held-out runs.
     open : bool

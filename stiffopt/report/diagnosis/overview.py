@@ -35,7 +35,6 @@ class MovedValue:
 
     Parameters
     ----------
-    name : ValueName
     unit : str
         "" for a relative change.
     change, tolerance : float
@@ -54,7 +53,6 @@ class MovedBody:
 
     Parameters
     ----------
-    link : str
     shown : tuple of (name, change, sd, unit)
         Identifiable inertial parameters, with standard deviations of the linear model.
     hidden : int

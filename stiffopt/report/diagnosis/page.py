@@ -86,13 +86,8 @@ def write_diagnosis_report(
     ----------
     diagnosis : Diagnosis
         Diagnosis of any verdict.
-    directory : path
     png : bool
         Write the figures as PNG as well.
-
-    Returns
-    -------
-    Path
     """
     recordings, search = diagnosis.recordings, diagnosis.search
     trained = diagnosis.training.recorded

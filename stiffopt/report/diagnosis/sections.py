@@ -49,8 +49,6 @@ class AnswerSection:
 
     Parameters
     ----------
-    title : str
-    lines : tuple of str
     head : tuple of str
         Column headings; none without a table.
     rows : tuple of tuple of str

@@ -39,7 +39,6 @@ class UtilisationMatrix:
 
     Parameters
     ----------
-    kinds : tuple of str
     rows : mapping of owner to tuple of UtilisationRow or None
         One cell per kind.
     """
@@ -70,7 +69,6 @@ class StiffnessChange:
         Load case of least stiffness of the design.
     before, after : float
         Stiffness with the present preload and with the design.
-    required : float or None
     """
 
     joint: int
@@ -237,12 +235,7 @@ def study_estimates(problem: PreloadProblem) -> list[EstimatedInputs]:
 
 
 class EstimateMarks:
-    """Marks of numbers that the robot file declares as estimated.
-
-    Parameters
-    ----------
-    problem : PreloadProblem
-    """
+    """Marks of numbers that the robot file declares as estimated."""
 
     def __init__(self, problem: PreloadProblem) -> None:
         self._names = problem.robot.joint_names

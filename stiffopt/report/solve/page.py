@@ -60,14 +60,8 @@ def write_solve_report(
 
     Parameters
     ----------
-    problem : TrajectoryProblem
     solution : Solution
         Solution of any status; the page is written also without a motion.
-    directory : path
-
-    Returns
-    -------
-    Path
     """
     motions, part = compared_motions(solution), focus_part(problem)
     summaries = [motion.assessment.deflection_summary() for motion in motions]

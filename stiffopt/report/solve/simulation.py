@@ -127,11 +127,8 @@ def write_simulation_report(
 
     Parameters
     ----------
-    problem : TrajectoryProblem
     arm : ElasticArm
         The simulated arm.
-    simulation : Simulation
-    directory : path
     compensation : Compensation, optional
         Deviations of the written command on uncertain arms.
     """

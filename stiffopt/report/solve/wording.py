@@ -185,12 +185,9 @@ def amount(ratio: float, name: str = "", maximised: bool = False) -> str:
         Below one is better, for maximised objectives too.
     name : str
         Name of the objective.
-    maximised : bool
 
     Returns
     -------
-    str
-
     >>> amount(0.25), amount(0.9), amount(1.1), amount(0.5, "joint_stiffness", True)
     ('4 times less than', '10 % less than', '10 % more than', '2 times as much as')
     """
