@@ -63,11 +63,6 @@ def load_study(path: str | os.PathLike[str], changes: Sequence[str] = ()) -> Loa
     """Read a preload study file.
 
     `changes` such as "motion.duration=0.5 s" override entries of the file.
-
-    Raises
-    ------
-    InputFileError
-        Invalid entry, with file, key, allowed values and remedy.
     """
     path = Path(path)
     named = apply_changes(load_toml(path), changes, path).get("robot")

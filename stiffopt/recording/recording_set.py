@@ -163,11 +163,6 @@ def load_recordings(path: str | os.PathLike[str], changes: Sequence[str] = ()) -
     """Load a recording set by its folder or recordings.toml, without its run files.
 
     `changes` such as "noise.torque=0.5" replace entries of the file.
-
-    Raises
-    ------
-    InputFileError, RobotError
-        Fault, place and allowed values.
     """
     path = find_set_file(Path(path))
     data = apply_changes(load_toml(path), changes, path)

@@ -66,11 +66,6 @@ def load_robot(
     Robot
         Limits, friction and rotor inertia that the TOML omits are those of the URDF or MJCF;
         omitted limits of acceleration and jerk, and those that an MJCF omits, are infinite.
-
-    Raises
-    ------
-    InputFileError, RobotError
-        Fault, place and allowed values.
     """
     if isinstance(source, str) and source in shipped_robots():
         source = str(resources.files("stiffopt.robot").joinpath("data", source, "robot.toml"))

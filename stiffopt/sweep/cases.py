@@ -112,13 +112,7 @@ class Sweep:
 
 
 def load_sweep(path: str | os.PathLike[str], changes: Sequence[str] = ()) -> Sweep:
-    """Read a sweep file and list its cases.
-
-    Raises
-    ------
-    InputFileError
-        The file is invalid: file, key, allowed values and remedy.
-    """
+    """Read a sweep file and list its cases."""
     path = Path(path)
     return build_sweep(read_document(path, SweepFile, "sweep", changes), path)
 
