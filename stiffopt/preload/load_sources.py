@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from stiffopt.result.assessment import Assessment
     from stiffopt.robot.robot import Robot
 
-DEFLECTIONS = ("total", "dynamic", "process")
 
 # Tolerance of recorded tool positions for the same tool [m].
 _TOOL_POSITION_TOLERANCE = 1e-6

@@ -6,16 +6,16 @@ import casadi as ca
 import numpy as np
 import pytest
 from elements import ELEMENTS
-from hypothesis import given, settings
-from hypothesis import strategies as st
-
-import stiffopt.connection as kinds
-from stiffopt.checks import (
+from formula_checks import (
     check_derivative,
     check_monotone,
     check_odd,
     check_smoothed_against_exact,
 )
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import stiffopt.connection as kinds
 from stiffopt.connection import Connection, ContactConnection, LinearConnection
 from stiffopt.exact import connection as exact_law
 from stiffopt.symbolic import elementwise_derivative

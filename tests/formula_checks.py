@@ -1,4 +1,4 @@
-"""Checks that every connection of a drivetrain has to pass; for subclasses of users as well.
+"""Checks that every connection of a drivetrain has to pass.
 
 Each check returns the worst number it found and raises `CheckFailed` with it when that is too
 large. Formulas are taken as plain functions of NumPy arrays.
