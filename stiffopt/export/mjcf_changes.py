@@ -11,8 +11,8 @@ import numpy as np
 
 from stiffopt.export.mjcf_source import MjcfElement, MjcfSource
 from stiffopt.export.model_format import DiagnosedRobot
+from stiffopt.robot.body_tree import realisable_inertia
 from stiffopt.robot.mjcf import MjcfActuator, MjcfBody, MjcfJoint, read_mjcf
-from stiffopt.robot.realisable_inertia import realisable_inertia
 from stiffopt.units import joint_unit
 
 # Relative change from which a value is another: robot files round to six digits.

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING, cast
 
+from stiffopt.errors import ProblemError
 from stiffopt.problem.objective import OBJECTIVES
 from stiffopt.problem.objectives.deflection import ToolDeflection
 from stiffopt.problem.stage_terms import squared_length
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
     from stiffopt.problem.stage_terms import ObjectiveTerms
     from stiffopt.problem.trajectory import TrajectoryProblem
     from stiffopt.symbolic import Quantity
+
 
 # Angular frequency of the deviation times the duration, for the scale of its rate.
 _RATE_FREQUENCY = 20.0
@@ -70,3 +72,35 @@ class ToolDeviation(ToolDeflection):
 
 
 OBJECTIVES.add(ToolDeviation())
+
+
+class ShapedDeviation(ToolDeviation):
+    """Dynamic deflection with planned links and input shaping.
+
+    `stiffopt.solver.input_shaping` averages the quasi-static optimum of a shorter
+    duration over a period of the lowest mode.
+    """
+
+    shaped = True
+    chosen_for_robustness = False
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.name = "shaped_deviation"
+        self.phrase = "deviation of the elastic arm's tool, shaped"
+        self.description = (
+            "As tool_deviation, with the motion averaged over a period of the lowest mode (input "
+            "shaping): somewhat more on the nominal arm, least with model errors; fixed duration."
+        )
+
+    def check(self, objective: Objective, problem: TrajectoryProblem) -> None:
+        """Check as `tool_deviation`; the objective must be alone and the duration fixed."""
+        super().check(objective, problem)
+        if problem.duration[0] != problem.duration[1] or len(problem.objectives) > 1:
+            raise ProblemError(
+                "shaped_deviation needs a fixed duration and no other objective; minimise "
+                "'tool_deviation', or fix the duration."
+            )
+
+
+OBJECTIVES.add(ShapedDeviation())
