@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, cast
 
 from stiffopt.errors import ProblemError
-from stiffopt.problem.objective import OBJECTIVES
+from stiffopt.problem.objective import OBJECTIVES, TermInputs
 from stiffopt.problem.objectives.deflection import ToolDeflection
 from stiffopt.problem.stage_terms import squared_length
 from stiffopt.problem.trajectory import check_link_planning
@@ -14,10 +14,8 @@ from stiffopt.problem.trajectory import check_link_planning
 if TYPE_CHECKING:
     from stiffopt.problem.motor_model import MotorModel
     from stiffopt.problem.objective import Objective
-    from stiffopt.problem.stage_model import StageModel
     from stiffopt.problem.stage_terms import ObjectiveTerms
     from stiffopt.problem.trajectory import TrajectoryProblem
-    from stiffopt.symbolic import Quantity
 
 
 # Angular frequency of the deviation times the duration, for the scale of its rate.
@@ -48,26 +46,19 @@ class ToolDeviation(ToolDeflection):
         """Raise `ProblemError` unless the links can be planned."""
         check_link_planning(problem, self.name, "minimise 'dynamic_deflection'")
 
-    def terms(
-        self,
-        objective: Objective,
-        problem: TrajectoryProblem,
-        model: StageModel,
-        statics: tuple[Quantity, ...],
-        scale: float,
-    ) -> ObjectiveTerms:
+    def terms(self, given: TermInputs) -> ObjectiveTerms:
         """Add the mean squared rate of the deviation, which excites arms with other springs."""
-        own = super().terms(objective, problem, model, statics, scale)
-        if not problem.chosen_for_robustness:
+        own = super().terms(given)
+        if not given.problem.chosen_for_robustness:
             return own
-        rate = cast("MotorModel", model).deviation_rate * (
-            problem.duration[1] / _RATE_FREQUENCY / scale
+        rate = cast("MotorModel", given.model).deviation_rate * (
+            given.problem.duration[1] / _RATE_FREQUENCY / given.scale
         )
         first = len(own.integrands)
         return replace(
             own,
             integrands=(*own.integrands, squared_length(rate)),
-            robust_value=lambda integrals, duration: scale * integrals[first] / duration,
+            robust_value=lambda integrals, duration: given.scale * integrals[first] / duration,
         )
 
 
