@@ -15,7 +15,6 @@ from stiffopt.actuator.position_servo import PositionServo
 from stiffopt.errors import InputFileError
 from stiffopt.files import apply_changes, load_toml
 from stiffopt.recording.clean import clean_run
-from stiffopt.recording.commanded import derive_torque
 from stiffopt.recording.nominal import Noise, Nominal, Tolerance
 from stiffopt.recording.nominal_files import (
     assumptions,
@@ -28,7 +27,7 @@ from stiffopt.recording.nominal_files import (
 )
 from stiffopt.recording.readers.read import find_set_file, read_columns
 from stiffopt.recording.recorded_arm import RecordedArm, joint_order, load_arm, path_inside_set
-from stiffopt.recording.run import RecordedRun, Role
+from stiffopt.recording.run import RecordedRun, Role, derive_torque
 from stiffopt.recording.schema import NominalSection, RecordingsFile, RunSection
 from stiffopt.recording.signals import Signals, build_signals
 from stiffopt.robot.elements import locate_errors

@@ -21,7 +21,7 @@ from stiffopt.starter.guessing import (
     guess_time_unit,
     with_time,
 )
-from stiffopt.starter.message_tables import read_message_table
+from stiffopt.starter.table_layouts import read_message_table
 
 # Factors of angles to rad.
 _RADIANS_PER_UNIT = {"": 1.0, "rad": 1.0, "deg": np.pi / 180.0, "mrad": 1e-3}
