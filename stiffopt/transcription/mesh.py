@@ -1,4 +1,4 @@
-"""Meshes: division of each phase into intervals, uniform or refined by control activity."""
+"""Meshes: division of each phase into intervals, uniform; mesh refinement by control activity."""
 
 from __future__ import annotations
 
