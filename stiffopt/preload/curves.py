@@ -74,11 +74,6 @@ class PreloadCurve:
     safety: Mapping[str, np.ndarray]
     limits: Mapping[str, float]
 
-    @property
-    def stiffness_low(self) -> np.ndarray:
-        """Stiffness at the unfavourable end of the scatter (K,) [N m/rad]."""
-        return self.stiffness
-
 
 def preload_curves(
     model: PreloadModel, preloads: np.ndarray, points: int = 60
