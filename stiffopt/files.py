@@ -13,12 +13,12 @@ import tempfile
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
-
-import numpy as np
+from typing import TYPE_CHECKING, Any
 
 from stiffopt.errors import InputFileError, shortened
-from stiffopt.validation import Model, validate
+
+if TYPE_CHECKING:
+    from stiffopt.validation import Model
 
 # Files written by people are far smaller; larger ones are mistakes or attacks [bytes].
 MAX_TEXT_BYTES = 32 * 2**20
@@ -253,6 +253,9 @@ def read_document(
     InputFileError
         Unreadable file, wrong header, or an invalid entry or change.
     """
+    # pydantic loads slowly, and help and folders do without it.
+    from stiffopt.validation import validate
+
     data = apply_changes(load_toml(path), changes, path)
     check_header(data, path, kind)
     return validate(model, data, path)
@@ -262,15 +265,13 @@ def to_json_types(value: object) -> Any:
     """Convert a value to JSON types; numbers that are not finite become null."""
     if isinstance(value, Mapping):
         return {str(key): to_json_types(each) for key, each in value.items()}
-    if isinstance(value, np.ndarray | list | tuple):
+    if hasattr(value, "tolist"):  # arrays and numbers of NumPy
+        value = value.tolist()
+    if isinstance(value, list | tuple):
         return [to_json_types(each) for each in value]
-    if isinstance(value, bool | np.bool_):
-        return bool(value)
-    if isinstance(value, int | np.integer):
-        return int(value)
-    if isinstance(value, float | np.floating):
-        return float(value) if math.isfinite(value) else None
-    return value if value is None else str(value)
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    return value if value is None or isinstance(value, bool | int) else str(value)
 
 
 def atomic_write(path: str | os.PathLike[str], content: str | bytes) -> None:
@@ -306,7 +307,6 @@ def read_table(
 
     Parameters
     ----------
-    path : path
     columns : sequence of str
         Required columns.
     optional : sequence of str

@@ -55,7 +55,6 @@ def output_folder(
 
     Parameters
     ----------
-    path : Path
     command : str
         Command that writes; files of its earlier answer are replaced.
     of : str

@@ -13,7 +13,7 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from scipy.sparse import csc_matrix
+import scipy
 
 ca.GlobalOptions.setNumpyMode(-1)
 
@@ -36,12 +36,7 @@ def array_of(matrix: ca.DM) -> np.ndarray:
 
 
 class BufferedFunction:
-    """CasADi function with preallocated buffers: calls create no matrices.
-
-    Parameters
-    ----------
-    function : casadi.Function
-    """
+    """CasADi function with preallocated buffers: calls create no matrices."""
 
     def __init__(self, function: ca.Function) -> None:
         self.function = function
@@ -68,10 +63,10 @@ class BufferedFunction:
         self._evaluate()
         return self._found
 
-    def sparse(self, output: int) -> csc_matrix:
+    def sparse(self, output: int) -> scipy.sparse.csc_matrix:
         """Copy an output of the last call to a sparse matrix."""
         rows, starts, shape = self._sparsity_patterns[output]
-        return csc_matrix((self._found[output].copy(), rows, starts), shape=shape)
+        return scipy.sparse.csc_matrix((self._found[output].copy(), rows, starts), shape=shape)
 
 
 def softplus(x: Quantity) -> Quantity:

@@ -36,18 +36,12 @@ class Check:
 
     Parameters
     ----------
-    path : Path
     name : str
         Name of a study's value; "" is the objective of a trajectory problem.
-    status : SolveStatus
     value, expected : float or None
         In `unit`.
-    unit : str
-    rtol : float
     source : str
         Source of the expected value.
-    seconds : float
-    message : str
     """
 
     path: Path

@@ -22,7 +22,7 @@ from stiffopt.recording.readers.read import read_columns, read_tables
 from stiffopt.recording.readers.text_table import MAX_LINE
 from stiffopt.recording.signals import Signals
 from stiffopt.result.store import MAX_SAMPLES, export_times
-from stiffopt.robot.meshes import convex_hull, load_mesh_file
+from stiffopt.robot.link_shapes import convex_hull, load_mesh_file
 from stiffopt.robot.urdf import MAX_MOVING_JOINTS, load_urdf
 from stiffopt.robot.xml_files import MAX_DEPTH, MAX_ELEMENTS, parse_xml
 from stiffopt.starter.writing import toml_string

@@ -4,14 +4,14 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-
-from stiffopt.checks import (
+from formula_checks import (
     CheckFailed,
     check_derivative,
     check_monotone,
     check_odd,
     check_smoothed_against_exact,
 )
+
 from stiffopt.errors import StiffoptError
 
 POINTS = np.linspace(-2.0, 2.0, 9)

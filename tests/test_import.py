@@ -23,12 +23,19 @@ def test_import_is_light(code):
 
 
 def test_command_line_is_light():
-    assert not loaded("import stiffopt.cli") & (HEAVY - {"numpy", "pydantic"})
+    assert not loaded("import stiffopt.cli") & HEAVY
+
+
+def test_solve_loads_parts_of_scipy_when_it_needs_them():
+    code = "from stiffopt import load_problem, solve\nimport sys\nassert 'scipy' in sys.modules"
+    parts = "linalg", "sparse", "interpolate", "optimize", "integrate", "spatial"
+    code += "".join(f"\nassert 'scipy.{part}' not in sys.modules" for part in parts)
+    assert "casadi" in loaded(code)
 
 
 def test_the_command_needs_nothing_heavy_for_a_wrong_command_line():
     code = "from stiffopt.cli import run\nassert run(['slove']) == 2"
-    assert not loaded(code) & (HEAVY - {"numpy", "pydantic"})
+    assert not loaded(code) & HEAVY
 
 
 def test_cases_of_a_sweep_are_read_while_workers_load_what_is_heavy():

@@ -428,7 +428,7 @@ floor = "-1 m"
 
 
 def _read_mesh(path: Path) -> object:
-    from stiffopt.robot.meshes import convex_hull, load_mesh_file
+    from stiffopt.robot.link_shapes import convex_hull, load_mesh_file
 
     return convex_hull(load_mesh_file(path, np.ones(3)), path)
 

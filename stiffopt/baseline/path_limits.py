@@ -83,11 +83,9 @@ def path_limits(
 
     Parameters
     ----------
-    robot : Robot
     limits : Limits
         Velocity (with its map over position), acceleration, torque and tool speed are taken; jerk,
         deflection and stiffness limits have no form linear in u and x.
-    path : JointPath
     grid : array (N,)
     process_force : array (3,)
         Acts on the tool, base axes. [N]

@@ -42,9 +42,6 @@ class FairRival:
 
     Parameters
     ----------
-    problem : TrajectoryProblem
-    path : JointPath
-    name : str
     law : Trajectory
         Path parameter over time; durations scale it.
     """

@@ -79,8 +79,6 @@ def toppra_baseline(
 
     Parameters
     ----------
-    robot : Robot
-    limits : Limits
     path : JointPath
         The straight line, or the spline through the via points.
     duration : float, optional

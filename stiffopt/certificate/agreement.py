@@ -47,7 +47,6 @@ class Disagreement:
     value : float
         Predicted minus true where it differs most, over the quantity's size along the motion; for
         a deflection the length of the difference over the largest part's.
-    tolerance : float
     """
 
     quantity: str
@@ -75,10 +74,8 @@ def find_disagreements(
 
     Parameters
     ----------
-    problem : TrajectoryProblem
     motion : callable
         As for `assess`.
-    believed : Believed
     """
     found = list(_compare_quantities(problem, motion, believed))
     return tuple(sorted(found, key=lambda d: -d.excess))

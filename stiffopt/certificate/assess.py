@@ -54,10 +54,6 @@ def assess(
     times : array, optional [s]
         Default: 6001 equal steps and, where the motion has them, its own break times. Only then is
         the elastic arm simulated, where a limit or an objective concerns residual vibration.
-
-    Returns
-    -------
-    Assessment
     """
     robot = problem.robot
     whole = times is None

@@ -23,7 +23,6 @@ class JointGeometry:
     ----------
     parent : int
         Number of the parent joint, from 1; 0 is the base.
-    prismatic : bool
     place : int
         Index of its value among the positions.
     within : array (3, 3)
@@ -51,7 +50,6 @@ class MovingJoint:
 
     Parameters
     ----------
-    of : JointGeometry
     origin : array (3, K) [m]
     frame : array (3, 3, K)
         Vectors of its frame, the axis last.

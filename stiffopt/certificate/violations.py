@@ -33,7 +33,6 @@ def find_violations(problem: TrajectoryProblem, motion: Assessment) -> Assessmen
     ----------
     problem : TrajectoryProblem
         Its limits, targets and boundary values are read.
-    motion : Assessment
     """
     limits = problem.active_limits
     found = [each for kind in limits.kinds for each in kind.violations(limits, motion)]
@@ -135,13 +134,7 @@ class Slip:
 
 
 def find_slips(robot: Robot, motion: Assessment) -> tuple[Slip, ...]:
-    """Return the connections that slip in a motion, joint by joint.
-
-    Parameters
-    ----------
-    robot : Robot
-    motion : Assessment
-    """
+    """Return the connections that slip in a motion, joint by joint."""
     found = []
     for j, chain in enumerate(robot.chains):
         torque = np.abs(motion.spring_torque[:, j])

@@ -69,7 +69,7 @@ def catalogue(
     from contextlib import nullcontext
 
     from stiffopt.drivetrain.tables import with_own
-    from stiffopt.report.catalogue_tables import catalogue_kinds, catalogue_table
+    from stiffopt.report.catalogue_page import catalogue_kinds, catalogue_table
     from stiffopt.report.common.terminal import print_table
     from stiffopt.robot.own_catalogue import read_own_catalogue
 

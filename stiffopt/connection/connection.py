@@ -53,11 +53,6 @@ class Connection(abc.ABC):
         """Kind and name for messages."""
         return f"{self.kind} {self.name!r}"
 
-    @property
-    def is_contact(self) -> bool:
-        """True for contacts (rough faces, belt teeth), false for bodies and reducers."""
-        return True
-
     @abc.abstractmethod
     def windup(
         self, torque: Quantity, *, preload: Quantity | None = None, smoothing: Quantity = 1.0

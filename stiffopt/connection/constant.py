@@ -18,11 +18,6 @@ class Constant(LinearConnection):
     stiffness: Annotated[JointStiffness, POSITIVE, Doc("Torsional stiffness.")]
 
     @property
-    def is_contact(self) -> bool:
-        """False."""
-        return False
-
-    @property
     def compliance(self) -> float:
         """Wind-up per torque [rad/(N m)]."""
         return 1 / self.stiffness

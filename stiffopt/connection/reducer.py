@@ -51,11 +51,6 @@ class Reducer(Connection):
         super().__post_init__()
         require_ordered(self.owner, T1=self.T1, T2=self.T2)
 
-    @property
-    def is_contact(self) -> bool:
-        """False."""
-        return False
-
     def _slope_changes(self, smoothing: Quantity) -> list[tuple[float, Quantity, float]]:
         """Return torque, smoothing width and step of compliance at T1 and T2."""
         c1, c2, c3 = 1 / self.K1, 1 / self.K2, 1 / self.K3

@@ -26,11 +26,6 @@ class Shaft(LinearConnection):
         require_ordered(self.owner, bore=self.bore, diameter=self.diameter)
 
     @property
-    def is_contact(self) -> bool:
-        """False."""
-        return False
-
-    @property
     def stiffness(self) -> float:
         """Torsional stiffness [N m/rad]."""
         polar = math.pi * (self.diameter**4 - self.bore**4) / 32

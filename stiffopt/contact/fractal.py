@@ -31,7 +31,6 @@ class FractalLaw:
 
     Parameters
     ----------
-    surface : SurfacePair
     regimes : {3, 2}
         Elastic, elastic-plastic and plastic spots (Kogut-Etsion), or elastic and plastic ones only
         (Yan-Komvopoulos).

@@ -39,7 +39,6 @@ def shear_travel(
 
     Parameters
     ----------
-    law : ContactLaw
     pressure : float
         Nominal pressure p [Pa], above 0.
     load_ratio : float
@@ -82,15 +81,3 @@ def shear_softening(
         limit = pressure * rest_limit
         curvature = law.log_slope(limit) * stiffness / law.stiffness(limit) / rest_limit
     return slope + beyond * curvature
-
-
-def tangential_stiffness_per_area(
-    law: ContactLaw,
-    pressure: Quantity,
-    load_ratio: Quantity,
-    shear_ratio: float,
-    shear: ShearLaw = "mindlin",
-) -> Quantity:
-    """k_t(p, t) [N/m^3]; `shear_ratio` is kappa = 4 G*/E* of the surface pair [-]."""
-    softening = shear_softening(law, pressure, load_ratio, shear)
-    return shear_ratio * law.stiffness(pressure) / softening

@@ -124,7 +124,6 @@ class FlangeData(Entry):
     ----------
     bolt : str
         Size, for example "M5".
-    count : int
     circle_diameter : float
         Of the bolts [m].
     inner_radius, outer_radius : float

@@ -102,7 +102,6 @@ class Chain:
 
     Parameters
     ----------
-    stages : tuple of Stage
     reflect : bool
         True (physics): the wind-up of an element counts 1/ratio at the joint, its stiffness
         ratio^2. False: the torque is still divided by the ratio, but the element's tangent

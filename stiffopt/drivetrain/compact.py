@@ -41,7 +41,6 @@ class CompactChain:
 
     Parameters
     ----------
-    chain : Chain
     torque_max : float
         Of the joint [N m]; the fit holds from 2e-5 to 1.3 of it, or to 0.95 of the least slip
         torque. Beyond, the secant compliance is constant; the transition takes the last tenth and

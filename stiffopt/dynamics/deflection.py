@@ -72,7 +72,6 @@ def spring_torques(
 
     Parameters
     ----------
-    tree : BodyTree
     joint, offset : int, array_like (3,)
         The tool point: number of its joint and the place in that joint's frame. [m]
     q, v, a : SX or MX (n,)
@@ -100,7 +99,6 @@ def tool_deflection(
     ----------
     jacobian : array, SX or MX (3, n)
         Position Jacobian of the tool, base axes. [m/rad] or [1]
-    torques : SpringTorques
     windup : callable
         Spring torques (n,) -> wind-up angles (n,) [rad] (or shortening [m]).
     """

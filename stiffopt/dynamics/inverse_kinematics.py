@@ -26,7 +26,6 @@ class UnreachablePoseError(ProblemError):
 
     Parameters
     ----------
-    message : str
     distance : float
         Smallest distance reached. [m]
     angle : float or None
@@ -59,7 +58,6 @@ def solve_pose(
 
     Parameters
     ----------
-    robot : Robot
     position : array_like (3,)
         Of the tool point, base axes. [m]
     rotation : array_like (3, 3), optional

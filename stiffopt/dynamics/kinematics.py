@@ -25,7 +25,6 @@ def forward_kinematics(
 
     Parameters
     ----------
-    tree : BodyTree
     joint : int
         Number of the joint, from 1, that carries the point.
     offset : array_like (3,)
@@ -50,7 +49,6 @@ def point_kinematics(
 
     Parameters
     ----------
-    tree : BodyTree
     joint : int
         Number of the joint, from 1, that carries the point.
     offset : array_like (3,)
@@ -153,7 +151,6 @@ def height_over_plane(tree: BodyTree, first: int, second: int) -> ca.Function:
 
     Parameters
     ----------
-    tree : BodyTree
     first : int
         Number of the joint, from 1, that carries the point, ball or disc.
     second : int

@@ -21,10 +21,6 @@ from stiffopt.symbolic import Quantity
 def inverse_dynamics(tree: BodyTree) -> ca.Function:
     """Return the inverse dynamics as a CasADi function of SX operations.
 
-    Parameters
-    ----------
-    tree : BodyTree
-
     Returns
     -------
     casadi.Function
@@ -41,7 +37,6 @@ def newton_euler(tree: BodyTree, q: Quantity, v: Quantity, a: Quantity) -> Quant
 
     Parameters
     ----------
-    tree : BodyTree
     q, v, a : SX or MX or array (n,)
         Position, velocity and acceleration of the joints. Zeros given as constants vanish from
         the graph, so v = a = 0 gives the bare gravity torque.

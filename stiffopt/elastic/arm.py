@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import scipy
 
 from stiffopt.elastic.springs import JointSpring, joint_springs
 from stiffopt.errors import NotSimulatedError, RobotError
@@ -281,7 +281,7 @@ class ElasticArm:
             time=time,
             duration=duration,
             position=self.tool(q) - places,
-            orientation=Rotation.from_matrix(turned).as_rotvec(),
+            orientation=scipy.spatial.transform.Rotation.from_matrix(turned).as_rotvec(),
             direction=path_directions(places),
         )
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.linalg import eigh
+import scipy
 
 from stiffopt.elastic.arm import ElasticArm, rigid_arm_error
 from stiffopt.errors import NotSimulatedError
@@ -87,7 +87,7 @@ def modes(arm: ElasticArm, motor: np.ndarray) -> tuple[Mode, ...]:
     stiffness = np.diag(springs) + 0.5 * (weight + weight.T)
     inertia = arm.bodies.inertia_matrix(q)[np.ix_(free, free)]
     _check_inertia(arm, free, inertia)
-    squares, shapes = eigh(stiffness, inertia)
+    squares, shapes = scipy.linalg.eigh(stiffness, inertia)
     if not squares[0] > 0.0:
         raise NotSimulatedError("the springs do not hold the arm in this pose: it falls over.")
     jacobian = arm.bodies.jacobian(arm.robot.tool, q)[:3]

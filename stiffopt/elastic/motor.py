@@ -6,7 +6,7 @@ from bisect import bisect_right
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.interpolate import CubicHermiteSpline
+import scipy
 
 if TYPE_CHECKING:
     from stiffopt.result.trajectory import JointMotion
@@ -40,7 +40,7 @@ class MotorMotion:
         self.time = np.asarray(time, dtype=float)
         self.duration = float(self.time[-1]) if duration is None else duration
         self._end = float(self.time[-1])
-        self._spline = CubicHermiteSpline(self.time, position, velocity)
+        self._spline = scipy.interpolate.CubicHermiteSpline(self.time, position, velocity)
         self._times = self.time.tolist()
         # Positions, then velocities, highest power first: (4, 2 n) each.
         c3, c2, c1, c0 = self._spline.c

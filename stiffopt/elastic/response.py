@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
-from scipy.linalg import eigh, expm
+import scipy
 
 from stiffopt.elastic import native
 
@@ -105,7 +105,7 @@ class ArraySteps:
         slope[:, :n, n:] = unit * np.eye(n)
         slope[:, n:, :n] = -mobility @ springs / unit
         slope[:, n:, n:] = -mobility @ damping
-        self._step[steps] = expm(self._of.dt * slope)
+        self._step[steps] = scipy.linalg.expm(self._of.dt * slope)
         self._soft[steps] = soft = np.linalg.inv(springs)
         self._lag[steps] = soft @ damping @ soft
 
@@ -280,7 +280,7 @@ class ElasticResponse:
             0.5 * (m[sample] + m[sample].T) for m in (self.mobility, self._stiffness)
         )
         root = np.linalg.cholesky(stiffness)
-        squares, turned = eigh(root.T @ mobility @ root)
+        squares, turned = scipy.linalg.eigh(root.T @ mobility @ root)
         rates = np.sqrt(np.maximum(squares, 0.0))
         shapes = mobility @ root @ turned / np.where(rates > 0.0, rates, np.inf)
         return rates / (2.0 * np.pi), shapes

@@ -21,8 +21,7 @@ from dataclasses import dataclass
 from typing import Annotated, Literal
 
 import numpy as np
-from scipy.linalg import expm
-from scipy.optimize import brentq
+import scipy
 
 from stiffopt.declaration import NOT_NEGATIVE, POSITIVE, Bounds, Doc, Frequency, Ratio, Time
 from stiffopt.elastic.motor import SAMPLE_INTERVAL, MotorMotion
@@ -99,11 +98,10 @@ class Servo:
         return 2.0 * np.pi * gain, forward, delay, torque
 
     def _largest_stable_delay(self) -> float:
-        gain = self._numbers[0]
-        inner = _VELOCITY_LOOP_RATIO * gain
-        # Frequency at which the open loop g w / (s (s + w)) has unit magnitude.
-        crossing = brentq(lambda w: inner * gain - w * np.hypot(w, inner), 0.0, 2.0 * gain)
-        return float((0.5 * np.pi - np.arctan(crossing / inner)) / crossing)
+        gain, ratio = self._numbers[0], _VELOCITY_LOOP_RATIO
+        # Frequency w at which the open loop g r / (s (s + r)) has unit magnitude, r = ratio g.
+        crossing = gain * ratio * math.sqrt(0.5 * math.sqrt(1.0 + 4.0 / ratio**2) - 0.5)
+        return (0.5 * math.pi - math.atan(crossing / (ratio * gain))) / crossing
 
     @property
     def period(self) -> float:
@@ -233,6 +231,6 @@ def _linear_hold(matrix: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarra
     """Exact step of z' = A z + (0, f) with f linear in it: transition, weights of both ends."""
     whole = np.zeros((4, 4))
     whole[:2, :2], whole[1, 2], whole[2, 3] = matrix, 1.0, 1.0 / step
-    found = expm(step * whole)
+    found = scipy.linalg.expm(step * whole)
     ramp = found[:2, 3:]
     return found[:2, :2], found[:2, 2:3] - ramp, ramp

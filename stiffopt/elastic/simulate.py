@@ -11,7 +11,7 @@ import warnings
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.integrate import ODEintWarning, odeint, solve_ivp
+import scipy
 
 from stiffopt.elastic import native
 from stiffopt.elastic.arm import MIN_FOLLOWING_FREQUENCY, ElasticArm
@@ -156,14 +156,16 @@ def _integrate_states(
             (begin, times[-1]),
             {"rtol": _RELATIVE_TOLERANCE, "atol": errors, "max_step": longest},
         )
-        solved = solve_ivp(equations, span, state, method, t_eval=np.unique(times), **limits)
+        solved = scipy.integrate.solve_ivp(
+            equations, span, state, method, t_eval=np.unique(times), **limits
+        )
         reached, message = float(solved.t[-1]), "" if solved.success else solved.message
         states = solved.y.T[np.searchsorted(solved.t, times)] if solved.success else solved.y.T
     else:
         with warnings.catch_warnings():
             # Reported by the message below.
-            warnings.simplefilter("ignore", ODEintWarning)
-            states, told = odeint(
+            warnings.simplefilter("ignore", scipy.integrate.ODEintWarning)
+            states, told = scipy.integrate.odeint(
                 equations.slope(),
                 state,
                 np.append(begin, times),

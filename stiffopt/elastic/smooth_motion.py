@@ -14,8 +14,7 @@ from __future__ import annotations
 from math import factorial
 
 import numpy as np
-from scipy.interpolate import BSpline
-from scipy.sparse.linalg import spsolve
+import scipy
 
 from stiffopt.result.trajectory import JointMotion, Trajectory
 
@@ -46,16 +45,16 @@ def smooth_motion(plan: JointMotion, spacing: float) -> Trajectory:
     knots = np.concatenate([np.zeros(_SPLINE_DEGREE), breaks, np.full(_SPLINE_DEGREE, duration)])
     times = np.linspace(0.0, duration, _SAMPLES_PER_INTERVAL * pieces + 1)
     wanted = np.asarray(plan(times))
-    basis = BSpline.design_matrix(times, knots, _SPLINE_DEGREE).tocsc()
+    basis = scipy.interpolate.BSpline.design_matrix(times, knots, _SPLINE_DEGREE).tocsc()
     coefficients = np.zeros((pieces + _SPLINE_DEGREE, wanted.shape[1]))
     coefficients[:_FIXED_COEFFICIENTS], coefficients[-_FIXED_COEFFICIENTS:] = wanted[0], wanted[-1]
     free = basis[:, _FIXED_COEFFICIENTS:-_FIXED_COEFFICIENTS]
     left = (free.T @ free).tocsc()
     right = free.T @ (wanted - basis @ coefficients)
     coefficients[_FIXED_COEFFICIENTS:-_FIXED_COEFFICIENTS] = np.asarray(
-        spsolve(left, right)
+        scipy.sparse.linalg.spsolve(left, right)
     ).reshape(-1, wanted.shape[1])
-    spline = BSpline(knots, coefficients, _SPLINE_DEGREE)
+    spline = scipy.interpolate.BSpline(knots, coefficients, _SPLINE_DEGREE)
     acceleration = [spline(breaks[:-1], nu=2 + j) / factorial(j) for j in range(_SPLINE_DEGREE - 1)]
     return Trajectory.from_acceleration(
         breaks, np.stack(acceleration, axis=1), wanted[0], np.zeros(wanted.shape[1])

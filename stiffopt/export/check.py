@@ -32,7 +32,6 @@ class CheckedMotion:
     payload : float or None [kg]
     rate : float [Hz]
     duration : float [s]
-    samples : int
     tightest : str
         Description of the limit with the least margin.
     """
@@ -53,7 +52,6 @@ def check_file(file: Path, result: Path, problem: Path | None = None) -> Checked
 
     Parameters
     ----------
-    file : Path
     result : Path
         Folder of the solve.
     problem : Path, optional

@@ -11,7 +11,6 @@ from pathlib import PurePath
 import numpy as np
 
 from stiffopt.errors import InputError
-from stiffopt.export.makers import maker_of
 from stiffopt.export.motion import SampledMotion, StoredMotion, check_rate
 from stiffopt.problem.registry import Registry
 
@@ -51,7 +50,6 @@ class ExportFormat(ABC):
 
         Parameters
         ----------
-        stored : StoredMotion
         rate : float, optional [Hz]
 
         Raises
@@ -188,3 +186,28 @@ def require_cycle(rate: float, fastest: float, owner: str) -> None:
             f"--rate {rate:g} Hz: {owner} has a cycle of {1e3 / fastest:g} ms, so the rate must be "
             f"{fastest:g} Hz divided by a whole number, such as {allowed}."
         )
+
+
+# Maker to the pattern of the model's name: series letters before a digit, or the maker itself.
+_MODEL_PATTERNS = {
+    "Universal Robots": r"ur\d|universal.?robots",
+    "KUKA": r"kuka|kr\W?\d|lbr\b|iiwa",
+    "ABB": r"abb\b|irb|crb\W?\d|gofa|yumi",
+    "Fanuc": r"fanuc|lr\W?mate|crx\W?\d|m\W?\d+i[abcd]|r\W?2000",
+    "EFORT": r"efort|er\d",
+    "Yaskawa": r"yaskawa|motoman|gp\d|hc\d",
+    "Staubli": r"st[äa]e?ubli|tx2?\W?\d",
+    "Franka": r"franka|panda|fr3\b",
+}
+
+
+def maker_of(name: str) -> str:
+    """Maker of an arm by its name; "" where it is not known.
+
+    >>> maker_of("ur10"), maker_of("kuka_kr6_r900"), maker_of("my_arm")
+    ('Universal Robots', 'KUKA', '')
+    """
+    for maker, pattern in _MODEL_PATTERNS.items():
+        if re.search(rf"(?:^|[\W_])(?:{pattern})", name.lower()):
+            return maker
+    return ""

@@ -11,8 +11,8 @@ import numpy as np
 
 from stiffopt.export.mjcf_source import MjcfElement, MjcfSource
 from stiffopt.export.model_format import DiagnosedRobot
+from stiffopt.robot.body_tree import realisable_inertia
 from stiffopt.robot.mjcf import MjcfActuator, MjcfBody, MjcfJoint, read_mjcf
-from stiffopt.robot.realisable_inertia import realisable_inertia
 from stiffopt.units import joint_unit
 
 # Relative change from which a value is another: robot files round to six digits.
@@ -35,14 +35,12 @@ class AttributeChange:
 
     Parameters
     ----------
-    file : str
     line : int
         Of the element, in the file as it was.
     element, name, attribute : str
         Such as "joint", "elbow", "frictionloss".
     old, new : str
         In the units of the file; the old value may be that of a default class or of shapes.
-    unit : str
     """
 
     file: str
@@ -63,7 +61,6 @@ class ChangedMjcf:
     ----------
     contents : mapping of path to bytes
         Of the file and its includes, in the folder that holds all of them.
-    changes : tuple of AttributeChange
     left_out : tuple of str
         Findings that the file cannot take, a sentence each.
     """

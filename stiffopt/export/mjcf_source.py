@@ -25,10 +25,8 @@ class MjcfElement:
     ----------
     file : str
         Path of its file in the folder that holds all files of the model.
-    tag : str
     begin, end : int
         Bytes of the start tag.
-    line : int
     """
 
     file: str

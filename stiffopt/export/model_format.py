@@ -48,7 +48,6 @@ class DiagnosedRobot:
         Position of each joint where its encoder reads 0 [rad].
     stiffness, damping : array (n,)
         Gains of the joints' position servos [N m/rad], [N m s/rad]; nan where not estimated.
-    changes : tuple of ValueChange
     left_out : tuple of str
         Findings that such a model cannot represent.
     """
@@ -160,7 +159,6 @@ class ExportedRobot:
 
     Parameters
     ----------
-    files : mapping of path to str or bytes
     remarks : tuple of str
         Further differences from the robot, a line each.
     """

@@ -72,7 +72,6 @@ class SampledMotion:
         Title of the result.
     which : "motor" or "link"
         Motion of motors or links.
-    joint_names : tuple of str
     prismatic : array (n,) of bool
         True for prismatic joints.
     time : array (K,) [s]
@@ -105,9 +104,7 @@ class StoredMotion:
 
     Parameters
     ----------
-    title : str
     which : "motor" or "link"
-    joint_names : tuple of str
     prismatic : array (n,) of bool
     curve : BPoly or CubicSpline
         Position over time [s].

@@ -156,7 +156,6 @@ def read_rows(
         trajectory.csv or command.csv.
     path : Path
         Path of its result.json, whose content is `document`.
-    problem : TrajectoryProblem
 
     Raises
     ------

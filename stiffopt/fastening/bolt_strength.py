@@ -37,7 +37,6 @@ def working_stress(
 
     Parameters
     ----------
-    bolt : BoltData
     preload : scalar
         Largest assembly preload F_M [N].
     additional : scalar
@@ -80,7 +79,6 @@ def endurance_limit(
 
     Parameters
     ----------
-    bolt : BoltData
     rolled : {"before", "after"}
     mean_force : scalar
         F_Sm [N]; used for "after" only. Valid for 0.3 to 1 of F_0.2 and clipped to that range.
@@ -112,7 +110,6 @@ class HeadBearing:
     ----------
     capacity : float
         p_G A_p [N], the smaller of head on washer and washer on part.
-    provenance, source : str
     """
 
     capacity: float
@@ -171,7 +168,6 @@ def stripping_length(bolt: BoltData, tensile_strength: float, material: ClampedM
 
     Parameters
     ----------
-    bolt : BoltData
     tensile_strength : float
         R_m of the bolt [Pa].
     material : ClampedMaterial
@@ -220,7 +216,6 @@ def transverse_slip_limit(
 
     Parameters
     ----------
-    bolt : BoltData
     length : float
         l_K [m].
     preload : float

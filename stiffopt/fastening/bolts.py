@@ -236,7 +236,6 @@ def permissible_assembly_preload(
 
     Parameters
     ----------
-    bolt : BoltData
     proof_stress : scalar [Pa]
         R_p0.2.
     thread_friction : scalar [-]

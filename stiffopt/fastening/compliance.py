@@ -6,8 +6,6 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
-import numpy as np
-
 from stiffopt.connection import BoltedFlange
 from stiffopt.drivetrain.fasteners import BoltData
 from stiffopt.errors import OutOfValidityError
@@ -89,7 +87,6 @@ def clamped_compliance(
 
     Parameters
     ----------
-    bolt : BoltData
     clamp_length : float
         l_K [m].
     outer_diameter : float
@@ -117,7 +114,6 @@ def through_bolted_compliance(
 
     Parameters
     ----------
-    bolt : BoltData
     nut_bearing : float
         d_w of the nut [m]; each cone has the slope of its own bearing face.
     clamp_length : float
@@ -155,37 +151,6 @@ def tip_compliance(contact_modulus: float, tip_diameter: float) -> float:
 
 # Load introduction factor n by type of joint: rows l_A/h = 0, 0.1, 0.2, 0.3, columns
 # a_k/h = 0, 0.1, 0.3, 0.5 (VDI 2230 Table 2).
-_CONNECTION_DISTANCE_RATIOS, _CONNECTION_LENGTH_RATIOS = (0.0, 0.1, 0.3, 0.5), (0.0, 0.1, 0.2, 0.3)
-_LOAD_INTRODUCTION_FACTORS = {
-    "SV1": ((0.70, 0.55, 0.30, 0.13), (0.52, 0.41, 0.22, 0.10), (0.34, 0.28, 0.16, 0.07),
-            (0.16, 0.14, 0.12, 0.04)),
-    "SV2": ((0.57, 0.46, 0.30, 0.13), (0.44, 0.36, 0.21, 0.10), (0.30, 0.25, 0.16, 0.07),
-            (0.16, 0.14, 0.12, 0.04)),
-    "SV3": ((0.44, 0.37, 0.26, 0.12), (0.35, 0.30, 0.20, 0.09), (0.26, 0.23, 0.15, 0.07),
-            (0.16, 0.14, 0.12, 0.04)),
-    "SV4": ((0.42, 0.34, 0.25, 0.12), (0.33, 0.27, 0.16, 0.08), (0.23, 0.19, 0.12, 0.06),
-            (0.14, 0.13, 0.10, 0.03)),
-    "SV5": ((0.30, 0.25, 0.22, 0.10), (0.24, 0.21, 0.15, 0.07), (0.19, 0.17, 0.12, 0.06),
-            (0.14, 0.13, 0.10, 0.03)),
-    "SV6": ((0.15, 0.14, 0.14, 0.07), (0.13, 0.12, 0.10, 0.06), (0.11, 0.11, 0.09, 0.06),
-            (0.10, 0.10, 0.08, 0.03)),
-}  # fmt: skip
-
-
-def load_introduction_factor(kind: str, a_over_h: float, l_over_h: float) -> float:
-    """Return the load introduction factor n by linear interpolation in Table 2.
-
-    Parameters
-    ----------
-    kind : str
-        Type of joint: load enters near the head (SV1) to near the interface (SV6).
-    a_over_h, l_over_h : float
-        Distance of the connected body from the bolt and its length, over the height h of the
-        clamped parts; clipped to the table.
-    """
-    table = np.array(_LOAD_INTRODUCTION_FACTORS[kind])
-    rows = [np.interp(a_over_h, _CONNECTION_DISTANCE_RATIOS, row) for row in table]
-    return float(np.interp(l_over_h, _CONNECTION_LENGTH_RATIOS, rows))
 
 
 @dataclass(frozen=True)
@@ -218,47 +183,6 @@ def load_factor(bolt: float, plates: float, introduction: float | None) -> LoadF
     if introduction is None:
         return LoadFactor(most=whole, least=0.0)
     return LoadFactor(most=introduction * whole, least=introduction * whole)
-
-
-def eccentric_load_factor(
-    bolt: float,
-    plates: float,
-    introduction: float,
-    *,
-    bolt_offset: float,
-    load_offset: float,
-    length: float,
-    modulus: float,
-    bending_moment_of_area: float,
-) -> float:
-    """Return Phi*_en = n delta_P**/(delta_S + delta_P*) of an eccentric joint under eccentric load.
-
-    delta_P* = delta_P + s^2 l_K/(E I_Bers), delta_P** = delta_P + a s l_K/(E I_Bers).
-
-    Parameters
-    ----------
-    bolt, plates : float
-        delta_S, delta_P [m/N].
-    introduction : float
-        n.
-    bolt_offset, load_offset : float
-        s_sym and a, distances of bolt and load from the axis of the clamped parts [m]; equal signs
-        on the same side.
-    length : float
-        l_K [m].
-    modulus : float
-        E of the clamped parts [Pa].
-    bending_moment_of_area : float
-        I_Bers [m^4].
-
-    References
-    ----------
-    [VDI2230]_ R3, eccentric clamping and load.
-    """
-    bending = length / (modulus * bending_moment_of_area)
-    clamped = plates + bolt_offset**2 * bending
-    loaded = plates + load_offset * bolt_offset * bending
-    return introduction * loaded / (bolt + clamped)
 
 
 # By load (VDI 2230 Table 5): upper bound of Rz [m], then embedding [um] of the thread, of each head

@@ -102,7 +102,6 @@ def transverse_forces(
     Parameters
     ----------
     loads : array (..., 6)
-    count : int
     radius : float
         Lever of the torque: bolt circle radius for bolts in shear, friction radius for friction
         grip [m].
@@ -130,33 +129,6 @@ def friction_clamp_load(transverse: np.ndarray, friction: float) -> np.ndarray:
     return np.asarray(np.linalg.norm(transverse, axis=-1) / friction)
 
 
-def eccentric_opening_load(
-    axial: float,
-    bending: float,
-    *,
-    area: float,
-    moment_of_area: float,
-    bolt_offset: float,
-    load_offset: float,
-    edge: float,
-) -> float:
-    """Return F_KA of a single bolt, clamp load at which its interface begins to open (R2/3).
-
-    F_KA = F_A A_D (a u - s u)/(I_BT + s u A_D) + M_B u A_D/(I_BT + s u A_D).
-
-    Parameters
-    ----------
-    axial, bending : float
-        F_A [N] and M_B [N m].
-    area, moment_of_area : float
-        A_D [m^2] and I_BT [m^4] of the face.
-    bolt_offset, load_offset, edge : float
-        s_sym, a and u, distances of bolt, load and edge from the axis of the interface [m].
-    """
-    below = moment_of_area + bolt_offset * edge * area
-    return area * edge * (axial * (load_offset - bolt_offset) + bending) / below
-
-
 def ring_opening_load(
     axial: np.ndarray,
     tilting: np.ndarray,
@@ -178,7 +150,6 @@ def ring_opening_load(
         |F_z| [N], |M| [N m].
     inner, outer : float
         Radii of the ring [m].
-    count : int
     circle, hole : float
         Diameters of the bolt circle and of one hole [m].
     """

@@ -33,11 +33,6 @@ def fastener_count(element: Connection) -> int:
 def preload_limits(element: Connection, tightening: Tightening) -> tuple[PreloadLimit, ...]:
     """Return the limits on the preload of one bolt or pin.
 
-    Parameters
-    ----------
-    element : BoltedFlange or ClampingPins
-    tightening : Tightening
-
     Returns
     -------
     tuple of PreloadLimit
@@ -65,8 +60,6 @@ def check_preload(
 
     Parameters
     ----------
-    element : BoltedFlange or ClampingPins
-    tightening : Tightening
     preload : float or None
         [N]; None: the element's own.
     """

@@ -157,7 +157,6 @@ def tightening_torque(
 
     Parameters
     ----------
-    bolt : BoltData
     preload : scalar or (n,) [N]
     thread_friction, head_friction : scalar [-]
 

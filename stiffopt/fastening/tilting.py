@@ -104,7 +104,6 @@ def closed_compliance(flange: BoltedFlange, preload: Quantity) -> Quantity:
 
     Parameters
     ----------
-    flange : BoltedFlange
     preload : scalar
         Of each bolt in service [N].
     """

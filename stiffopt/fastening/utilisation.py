@@ -17,7 +17,6 @@ class PreloadLimit:
 
     Parameters
     ----------
-    name : str
     capacity : float
         [N]; infinite if the limit does not depend on the preload.
     fixed : float

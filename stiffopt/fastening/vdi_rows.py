@@ -35,7 +35,6 @@ def vdi_rows(
 
     Parameters
     ----------
-    steps : Verification
     preload : float
         F_M [N].
     shift : float

@@ -43,7 +43,6 @@ class Verification:
     ----------
     flange : BoltedFlange
         With its bolt.
-    tightening : Tightening
     loads : FlangeLoads
         In the axes of the flange, at its interface.
     slip_safety : float or None

@@ -32,7 +32,6 @@ class BoltSheet:
     ----------
     key : str
         Key of the element.
-    flange : BoltedFlange
     scatter : float
         alpha_A (R1).
     bolt_compliance, plate_compliance : float
@@ -165,7 +164,6 @@ class SlipProbability:
         In closed form.
     drawn : float
         Share of random draws.
-    draws : int
     needed : float
         Preload in service at which the bolt's share of the interface slips or opens, safety 1 [N].
     least, largest : float
@@ -198,10 +196,8 @@ def slip_probability(
 
     Parameters
     ----------
-    steps : Verification
     preload : float
         Largest assembly preload [N].
-    draws, seed : int
 
     Notes
     -----

@@ -60,7 +60,6 @@ class CatalogueChoice:
         optimal: no better design in the catalogue. acceptable: best design found, optimum bounded
         by `proof.bound`. infeasible: no feasible design, see `stoppers`. iteration_limit: none
         found before the search ended.
-    message : str
     designs : mapping of element key to CatalogueDesign
         Empty if infeasible.
     objective : float

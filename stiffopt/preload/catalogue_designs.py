@@ -65,7 +65,6 @@ class CatalogueDesign:
         Largest and least preload of one bolt or pin [N].
     stage : Stage
         The connection with these bolts and `preload`.
-    limits : tuple of PreloadLimit
     cost : float
         In steps (`Choice.cost`).
     circle : float or None
@@ -149,8 +148,6 @@ def catalogue_designs(
     ----------
     problem : PreloadProblem
         With `choose`.
-    element : FreeElement
-    cases : tuple of LoadCase
 
     Returns
     -------
@@ -293,7 +290,6 @@ def design_cost(choose: Choice, stage: Stage, present: Stage) -> float:
 
     Parameters
     ----------
-    choose : Choice
     stage, present : Stage
         The connection with these bolts, and the present one; pins cost nothing.
     """

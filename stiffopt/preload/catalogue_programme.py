@@ -123,7 +123,6 @@ def choice_programme(
 
     Parameters
     ----------
-    model : PreloadModel
     designs : one sequence of CatalogueDesign an element
         That satisfy the limits of their own connection.
     levels : Levels

@@ -116,7 +116,6 @@ class CombinationSearch:
 
     Parameters
     ----------
-    programme : ChoiceProgramme
     seconds : float
         Time limit for all goals together.
     """

@@ -31,7 +31,6 @@ class TableRow:
         Largest utilisation of this connection [-].
     torques : int
         Number of torques tried for these bolts.
-    chosen : bool
     """
 
     design: CatalogueDesign
@@ -52,7 +51,6 @@ def best_torques(
 
     Parameters
     ----------
-    model : PreloadModel
     designs : one sequence of CatalogueDesign an element
         Feasible or not.
     programme : ChoiceProgramme or None
@@ -179,7 +177,6 @@ def requirement_stoppers(programme: ChoiceProgramme, found: tuple[str, ...]) -> 
 
     Parameters
     ----------
-    programme : ChoiceProgramme
     found : tuple of str
         Rows exceeded by the nearest combination, the largest excess first.
     """

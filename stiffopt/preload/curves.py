@@ -39,7 +39,6 @@ class PreloadCurve:
         Key of the element; all other preloads are those of the design.
     joint : int
         1-based.
-    case : str
     torque : float
         At the joint [N m].
     design : float
@@ -75,11 +74,6 @@ class PreloadCurve:
     safety: Mapping[str, np.ndarray]
     limits: Mapping[str, float]
 
-    @property
-    def stiffness_low(self) -> np.ndarray:
-        """Stiffness at the unfavourable end of the scatter (K,) [N m/rad]."""
-        return self.stiffness
-
 
 def preload_curves(
     model: PreloadModel, preloads: np.ndarray, points: int = 60
@@ -88,7 +82,6 @@ def preload_curves(
 
     Parameters
     ----------
-    model : PreloadModel
     preloads : array (size,)
         Of the design [N].
     points : int
@@ -173,7 +166,6 @@ def binding_preloads(model: PreloadModel, index: int, torque: float) -> dict[str
 
     Parameters
     ----------
-    model : PreloadModel
     index : int
         Of the element.
     torque : float
@@ -268,10 +260,6 @@ def curve_rows(
     curves: Sequence[PreloadCurve],
 ) -> tuple[tuple[str, ...], list[tuple[str | float, ...]]]:
     """Return the table of curves, one row per preload.
-
-    Parameters
-    ----------
-    curves : sequence of PreloadCurve
 
     Returns
     -------

@@ -58,7 +58,6 @@ def exact_shift(
 
     Parameters
     ----------
-    model : PreloadModel
     preloads : array (size,) [N]
     compliances, windups : bool
         Quantities to compute; the others are zero.

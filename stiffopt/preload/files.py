@@ -41,10 +41,8 @@ class LoadedStudy:
 
     Parameters
     ----------
-    problem : PreloadProblem
     expected : mapping of name to ExpectedValueSection
         Expected results of a verification; names as in `value_units`.
-    path : Path
     front_points : int
         Of the Pareto front; 0 leaves it out.
     motion : TrajectoryProblem or None
@@ -65,11 +63,6 @@ def load_study(path: str | os.PathLike[str], changes: Sequence[str] = ()) -> Loa
     """Read a preload study file.
 
     `changes` such as "motion.duration=0.5 s" override entries of the file.
-
-    Raises
-    ------
-    InputFileError
-        Invalid entry, with file, key, allowed values and remedy.
     """
     path = Path(path)
     named = apply_changes(load_toml(path), changes, path).get("robot")

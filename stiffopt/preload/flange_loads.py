@@ -128,10 +128,8 @@ def tool_levers(
 
     Parameters
     ----------
-    stage : Stage
     joint : int
         1-based.
-    load : LoadCase or LoadHistory
 
     Returns
     -------

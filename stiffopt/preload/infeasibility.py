@@ -24,7 +24,6 @@ class Stopper:
         Name of the requirement.
     best, required : float
         Best reachable and required value, in `unit`.
-    unit : str
     against : str
         Limiting condition; "" if none.
     remedy : str
@@ -75,10 +74,6 @@ def _format_significant(value: float, digits: int) -> str:
 
 def find_stoppers(nlp: PreloadNlp) -> tuple[Stopper, ...]:
     """Return requirements that no preload within the limits can meet.
-
-    Parameters
-    ----------
-    nlp : PreloadNlp
 
     Returns
     -------

@@ -22,7 +22,6 @@ class LoadCase:
 
     Parameters
     ----------
-    name : str
     torque : array (n,)
         In the joints' springs [N m], signed.
     reference_torque : array (n,), optional
@@ -70,7 +69,6 @@ class LoadHistory:
 
     Parameters
     ----------
-    name : str
     time : array (K,) [s]
     torque : array (K, n) [N m]
     reference_torque : array (K, n), optional [N m]
@@ -79,7 +77,6 @@ class LoadHistory:
     frames : array (K, n, 3, 3), optional
     arm : array (K, n, 3), optional
         As of a `LoadCase`.
-    source : str
     """
 
     name: str

@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from stiffopt.result.assessment import Assessment
     from stiffopt.robot.robot import Robot
 
-DEFLECTIONS = ("total", "dynamic", "process")
 
 # Tolerance of recorded tool positions for the same tool [m].
 _TOOL_POSITION_TOLERANCE = 1e-6
@@ -45,16 +44,11 @@ def pose_case(
     ----------
     robot : Robot
         Payload and tool attached.
-    name : str
     angles : array (n,) [rad]
     force : array (3,)
         Acts ON the tool, base axes [N].
     deflection : {"total", "dynamic", "process"}
         "dynamic": the case has no deflection, since the arm is at rest.
-
-    Returns
-    -------
-    LoadCase
     """
     rest = np.zeros_like(angles)[None]
     pose = np.asarray(angles, dtype=float)[None]
@@ -90,8 +84,6 @@ def trajectory_history(
 
     Parameters
     ----------
-    robot : Robot
-    name : str
     path : path
         CSV with the columns t, q1.., tau_spring1.. in SI, as written by a solve.
     force : array (3,)
@@ -102,10 +94,6 @@ def trajectory_history(
     whole : bool
         Return all six components of the joint loads. Requires payload and force of the motion and
         the columns qd1.. and qdd1...; checked.
-
-    Returns
-    -------
-    LoadHistory
 
     Raises
     ------
@@ -183,7 +171,6 @@ def motion_histories(
     ----------
     problem : TrajectoryProblem
         Robot and process force.
-    motion : Assessment
     objective : str
         Minimised deflection.
 

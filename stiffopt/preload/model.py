@@ -48,7 +48,6 @@ class PreloadModel:
 
     Parameters
     ----------
-    problem : PreloadProblem
     cases : sequence of LoadCase, optional
         Default: those of the problem.
     elements : sequence of FreeElement, optional

@@ -438,7 +438,6 @@ class MotionStudy:
         Of both optimised together [m]; at most `separate`.
     gain : float
         1 - joint/separate.
-    rounds : tuple of MotionRound
     start_preloads, separate_preloads, preloads : mapping of element key to float
         Largest assembly preload [N].
     trajectory : Solution
@@ -449,7 +448,6 @@ class MotionStudy:
         Preload solution of `joint`.
     note : str
         Interpretation of the result.
-    seconds : float
     """
 
     status: SolveStatus

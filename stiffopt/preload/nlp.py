@@ -52,10 +52,8 @@ class PreloadNlp:
 
     Parameters
     ----------
-    model : PreloadModel
     objective : str
         A name in `stiffopt.preload.problem.OBJECTIVES`.
-    levels : Levels
     ceiling : (objective, float) or None
         Upper bound of another objective, "bolt_utilisation" or "tool_deflection", while the total
         preload is minimised.

@@ -70,15 +70,10 @@ def optimise_preloads(
 
     Parameters
     ----------
-    problem : PreloadProblem
     progress : callable, optional
         Called with a `Progress` in every iteration.
     throw : bool
         Raise `NoSolutionFound` unless the status is usable or interrupted.
-
-    Returns
-    -------
-    PreloadSolution
 
     Raises
     ------

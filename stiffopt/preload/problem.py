@@ -264,13 +264,10 @@ class PreloadProblem:
 
     Parameters
     ----------
-    robot : Robot
     joints : tuple of int
         1-based.
-    load_cases : tuple of LoadCase
     histories : tuple of LoadHistory
         Motions; their worst instants join the load cases.
-    tightening : Tightening
     objective : str
         total_preload : sum of the preloads of all bolts and pins [N]. bolt_utilisation : largest
         utilisation of any bolt or pin. joint_stiffness : MAXIMISES the smallest k_j / weight_j over
@@ -278,13 +275,10 @@ class PreloadProblem:
     joint_weights : mapping of joint number to float
         For joint_stiffness [N m/rad]; default the stiffness at the largest preloads, so that
         joints of different size compare.
-    requirements : Requirements
     free : tuple of str
         Names of the elements with free preload; empty: all bolts and pins of the joints.
     individual : bool
         One preload per bolt or pin instead of one per connection.
-    choose : Choice or None
-    title : str
     """
 
     robot: Robot

@@ -25,7 +25,6 @@ class PreloadWorth:
         Key of the element.
     joint : int
         1-based.
-    case : str
     stiffness : float
         Exact tangent stiffness K of the joint [N m/rad].
     slope : float
@@ -51,8 +50,6 @@ class WindupShare:
     ----------
     joint : int
         1-based.
-    case : str
-    element : str
     kind : str
         Kind of connection, such as "reducer".
     share : float
@@ -94,13 +91,8 @@ def sensitivity(model: PreloadModel, preloads: np.ndarray) -> Sensitivity:
 
     Parameters
     ----------
-    model : PreloadModel
     preloads : array (size,)
         Largest preloads [N].
-
-    Returns
-    -------
-    Sensitivity
 
     Notes
     -----
@@ -146,7 +138,6 @@ def compliance_slopes(model: PreloadModel, preloads: np.ndarray) -> np.ndarray:
 
     Parameters
     ----------
-    model : PreloadModel
     preloads : array (size,) [N]
 
     Returns
@@ -229,7 +220,6 @@ class Loosening:
 
     Parameters
     ----------
-    rows : tuple of Loosened
     first_slip_fraction, slip_fraction : dict of element key to float
         Fraction of the least preload below which the rim, or the whole connection, slips under the
         largest torque [-]; above 1 if it slips at full preload.
@@ -249,15 +239,10 @@ def loosening(
 
     Parameters
     ----------
-    model : PreloadModel
     preloads : array (size,)
         Largest assembly preloads [N].
     fractions : sequence of float
         Of the least preload in service, above 0 and at most 1.
-
-    Returns
-    -------
-    Loosening
     """
     for fraction in fractions:
         if not 0.0 < fraction <= 1.0:

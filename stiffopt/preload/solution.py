@@ -34,8 +34,6 @@ class PreloadSolution:
 
     Parameters
     ----------
-    status : SolveStatus
-    message : str
     preloads : mapping of element key to float
         Largest assembly preload of one bolt or pin, mean of individual ones [N].
     individual : mapping of element key to tuple of float
@@ -58,10 +56,8 @@ class PreloadSolution:
         [N]
     kkt_residual : float
         See `stiffopt.solver.ipopt.kkt_residual`; nan without a solve.
-    iterations : int
     stoppers : tuple of Stopper
         Reasons of infeasibility; empty if feasible.
-    notes : tuple of str
     """
 
     status: SolveStatus
@@ -103,7 +99,6 @@ def evaluate_design(
 
     Parameters
     ----------
-    model : PreloadModel
     preloads : array (size,) [N]
     status : SolveStatus
         Of the solver; a usable one becomes `certificate_failed` if a requirement is exceeded by the

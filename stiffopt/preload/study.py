@@ -34,12 +34,8 @@ class PreloadStudy:
 
     Parameters
     ----------
-    problem : PreloadProblem
     solution : PreloadSolution
         The optimum, or the best reachable design with the reasons of infeasibility.
-    curves : tuple of PreloadCurve
-    loosening : Loosening
-    sensitivity : Sensitivity
     front : ParetoFront or None
         None if infeasible.
     choice : CatalogueChoice or None
@@ -48,8 +44,6 @@ class PreloadStudy:
         None unless the study has [motion].
     stopped : bool
         Stopped by Ctrl-C between solves; missing parts are None.
-    seconds : float
-    versions : dict of str
     """
 
     problem: PreloadProblem
@@ -88,7 +82,6 @@ def preload_study(
 
     Parameters
     ----------
-    problem : PreloadProblem
     motion : TrajectoryProblem, optional
         Optimised together with the preloads.
     rounds : int
@@ -154,7 +147,6 @@ def value_units(
 
     Parameters
     ----------
-    problem : PreloadProblem
     front, motion : bool
         The study has a Pareto front, and a motion.
 

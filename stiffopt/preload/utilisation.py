@@ -19,7 +19,6 @@ def utilisation_rows(model: PreloadModel, preloads: np.ndarray) -> tuple[Utilisa
 
     Parameters
     ----------
-    model : PreloadModel
     preloads : array (size,)
         Largest preloads [N].
     """

@@ -19,7 +19,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.linalg import eigh
+import scipy
 
 from stiffopt.elastic.servo import Servo
 from stiffopt.problem.stage_terms import squared_length
@@ -43,7 +43,6 @@ class CommandedError:
     ----------
     model : MotorModel
         With its rest poses.
-    uncertainty : Uncertainty
     servo : Servo
         Nominal one, whose lag the command leads.
     """
@@ -98,7 +97,9 @@ class CommandedError:
         for pose in model.rest_poses:
             compliance = _compliance(model, pose)
             free, inertia = np.flatnonzero(compliance > 0.0), bodies.inertia_matrix(pose)
-            rates, shapes = eigh(np.diag(1.0 / compliance[free]), inertia[np.ix_(free, free)])
+            rates, shapes = scipy.linalg.eigh(
+                np.diag(1.0 / compliance[free]), inertia[np.ix_(free, free)]
+            )
             tool = np.sum((bodies.jacobian(model.robot.tool, pose)[:3, free] @ shapes) ** 2, axis=0)
             squares[free] += np.pi * shapes**2 @ (tool / np.sqrt(rates) ** 9)
             inertias += np.diag(inertia)

@@ -46,9 +46,6 @@ class LoadedProblem:
 
     Parameters
     ----------
-    problem : TrajectoryProblem
-    expected : ExpectedSection or None
-    path : Path
     tolerances : Tolerances
         For the error budget; no motion depends on them.
     """
@@ -69,11 +66,6 @@ def load_problem(
 
     `changes` such as "motion.duration=0.5 s" override entries of the file; `robots` loads the robot
     of a name or file, for callers with a cache.
-
-    Raises
-    ------
-    InputFileError
-        The file is invalid: file, key, allowed values and remedy.
     """
     path = Path(path)
     document = read_document(path, problem_file(), "trajectory", changes)

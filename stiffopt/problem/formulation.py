@@ -18,6 +18,7 @@ from stiffopt.dynamics.kinematics import tool_pose
 from stiffopt.problem.arrival_modes import ArrivalModes
 from stiffopt.problem.coordinates import Coordinates, coordinates_of
 from stiffopt.problem.motor_model import LAW_SMOOTHING_FACTOR, ApproximateMotorModel, MotorModel
+from stiffopt.problem.objective import TermInputs
 from stiffopt.problem.rest_poses import torque_sides
 from stiffopt.problem.stage_model import StageModel
 from stiffopt.problem.stage_terms import (
@@ -66,10 +67,8 @@ def formulate(
 
     Parameters
     ----------
-    problem : TrajectoryProblem
     motion : ResolvedMotion
         Resolved poses of the problem.
-    scales : Scales
     margins : mapping limit name -> float, optional
         Constraint back-off as a share of each limit that a certificate found exceeded between
         nodes.
@@ -261,7 +260,7 @@ class _WeightedSum:
             scale = scales.of(objective.name)
             variables = objective.kind.static_variables(objective, problem, model.sides)
             statics = tuple(ca.SX.sym(variable.name) for variable in variables)
-            terms = objective.kind.terms(objective, problem, model, statics, scale)
+            terms = objective.kind.terms(TermInputs(objective, problem, model, statics, scale))
             start = len(self.integrands)
             sign = -1.0 if objective.maximised else 1.0
             self._values.append((sign * objective.weight * unit, start, terms))

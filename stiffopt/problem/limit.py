@@ -73,7 +73,6 @@ class LimitKind(ABC):
     ----------
     name : str
         Name in certificates, back-offs and results.
-    keys : tuple of LimitKey
     smoothing : tuple of float
         Factors on the smoothing widths of the stiffness model, stage by stage, while active.
     order : int or None

@@ -59,7 +59,6 @@ class MotorModel(StageModel):
 
     Parameters
     ----------
-    robot : Robot
     derivatives : list of SX (n,)
         Position of the links and its derivatives up to the fifth; fewer if no derivative of the
         motors is used.
@@ -270,7 +269,6 @@ class MotorLaw:
 
     Parameters
     ----------
-    robot : Robot
     process_force : array_like (3,)
         Constant force on the tool, base axes [N].
     """

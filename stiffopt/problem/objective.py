@@ -34,7 +34,6 @@ class Bound:
 
     Parameters
     ----------
-    objective : str
     value : float
         Bound in the objective's SI unit; inf without an optimum.
     text : str
@@ -139,22 +138,15 @@ class ObjectiveKind(ABC):
     def static_variables(
         self, objective: Objective, problem: TrajectoryProblem, sides: np.ndarray
     ) -> tuple[StaticVariable, ...]:
-        """Static variables, in the order of the argument of `terms`.
+        """Static variables, in the order of `TermInputs.statics`.
 
         `sides` (n,) is the sign of the spring torque of joints that can keep it.
         """
         return ()
 
     @abstractmethod
-    def terms(
-        self,
-        objective: Objective,
-        problem: TrajectoryProblem,
-        model: StageModel,
-        statics: tuple[Quantity, ...],
-        scale: float,
-    ) -> ObjectiveTerms:
-        """Contributions to the optimal-control problem; `scale` is a typical value in SI."""
+    def terms(self, given: TermInputs) -> ObjectiveTerms:
+        """Contributions to the optimal-control problem."""
 
     @abstractmethod
     def certified_value(self, objective: Objective, motion: Assessment) -> float:
@@ -163,6 +155,25 @@ class ObjectiveKind(ABC):
     def joint_integrals(self, robot: Robot, motion: Assessment) -> np.ndarray | None:
         """Integral of each joint (n,) over an assessed motion; None for other kinds."""
         return None
+
+
+@dataclass(frozen=True)
+class TermInputs:
+    """Problem, symbols and scale from which an objective forms its terms.
+
+    Parameters
+    ----------
+    statics : tuple of Quantity
+        Those of `ObjectiveKind.static_variables`.
+    scale : float
+        Typical value of the objective [SI].
+    """
+
+    objective: Objective
+    problem: TrajectoryProblem
+    model: StageModel
+    statics: tuple[Quantity, ...]
+    scale: float
 
 
 OBJECTIVES: Registry[ObjectiveKind] = Registry("stiffopt.problem.objectives")

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import scipy
 
 from stiffopt.errors import InputFileError
 from stiffopt.files import read_table
@@ -188,11 +188,13 @@ def _table_rotations(
                 file, f"row {row + 1}", f"its quaternion has the norm {sizes[row]:.4g}; that of a "
                 "rotation is 1. Columns are qw, qx, qy, qz."
             )  # fmt: skip
-        return np.asarray(Rotation.from_quat(turns).as_matrix())
+        return np.asarray(scipy.spatial.transform.Rotation.from_quat(turns).as_matrix())
     if all(name in read for name in _ANGLE_COLUMNS):
         angles = np.stack([read[name] for name in _ANGLE_COLUMNS], axis=1)
         degrees = table.angle == "deg"
-        return np.asarray(Rotation.from_euler("xyz", angles, degrees=degrees).as_matrix())
+        return np.asarray(
+            scipy.spatial.transform.Rotation.from_euler("xyz", angles, degrees=degrees).as_matrix()
+        )
     if table.rpy is None:
         raise InputFileError(
             file, "", "has no orientations: add the columns rx, ry, rz or qw, qx, qy, qz, or give "

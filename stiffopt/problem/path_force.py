@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-from scipy.interpolate import PchipInterpolator
+import scipy
 
 from stiffopt.errors import ProblemError
 
@@ -87,7 +87,7 @@ def path_force(
     if len(at) == len(values) + 1:
         constant = _stepped(along, values, at, ramp)
     else:
-        constant = PchipInterpolator(at, values)(along)
+        constant = scipy.interpolate.PchipInterpolator(at, values)(along)
     places, rotations = path.poses(along)
     axes = _path_axes(places, rotations)
     turned = {"base": None, "tool": rotations, "path": axes}[frame]

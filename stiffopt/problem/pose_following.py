@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import scipy
 
 from stiffopt.dynamics.inverse_kinematics import solve_pose
 from stiffopt.errors import ProblemError
@@ -33,7 +33,6 @@ class PoseFollower:
 
     Parameters
     ----------
-    robot : Robot
     poses : callable
         Positions (K, 3) [m] and rotations (K, 3, 3) at distances (K,) [m].
     breaks : array (m,)
@@ -119,6 +118,8 @@ class PoseFollower:
     ) -> np.ndarray:
         tree, tool = self._robot.tree, self._robot.tool
         axes = frame_rotations(tree, tool, q)
-        turn = Rotation.from_matrix(rotations @ axes.swapaxes(1, 2)).as_rotvec()
+        turn = scipy.spatial.transform.Rotation.from_matrix(
+            rotations @ axes.swapaxes(1, 2)
+        ).as_rotvec()
         left = positions - frame_positions(tree, tool, q)
         return np.hstack([left, _LENGTH_PER_RADIAN * turn])

@@ -24,7 +24,6 @@ def predict_motion(
 
     Parameters
     ----------
-    problem : TrajectoryProblem
     motion : Trajectory
         In the problem's coordinates: all joints, or the parameter of a fixed path.
     smoothing : Smoothing

@@ -32,7 +32,6 @@ class StageModel:
 
     Parameters
     ----------
-    robot : Robot
     position, velocity, acceleration : SX (n,)
     process_force : array (3,) [N]
         Force on the tool, base frame.

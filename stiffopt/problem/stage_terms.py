@@ -40,7 +40,6 @@ class PathRows:
         "joint 2" or "tool".
     expressions : tuple of Quantity (m,)
         Relative to the limit, so that they are of order one.
-    lower, upper : float
     """
 
     name: str
@@ -65,7 +64,6 @@ class StaticVariable:
 
     Parameters
     ----------
-    name : str
     start : callable
         Initial value, from an assessed motion.
     scale : float or None
@@ -86,9 +84,6 @@ class ObjectiveTerms:
     value : callable
         The objective in SI from the integrals of `integrands` and the duration; linear in the
         integrals, else the Hessian becomes dense: a root goes through a static variable.
-    integrands : tuple of Quantity
-    path_rows : tuple of PathRows
-    integral_rows : tuple of IntegralRow
     besides : callable, optional
         Function of integrals and duration that is minimised among motions of about equal value,
         for robustness to model errors.

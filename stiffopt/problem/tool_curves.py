@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import CubicSpline
+import scipy
 
 from stiffopt.errors import ProblemError
 
@@ -167,7 +167,9 @@ class Curve(ToolCurve):
     def through(cls, points: np.ndarray) -> Curve:
         """Spline with continuous curvature through points (m, 3), by chord length."""
         u = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
-        return cls(CubicSpline(u, points), 0.0, float(u[-1]), _TABLE_STEPS * (len(u) - 1))
+        return cls(
+            scipy.interpolate.CubicSpline(u, points), 0.0, float(u[-1]), _TABLE_STEPS * (len(u) - 1)
+        )
 
     @property
     def point_distances(self) -> np.ndarray:
@@ -176,7 +178,11 @@ class Curve(ToolCurve):
 
     def marks(self) -> np.ndarray:
         """Every fourth point of a spline; the start of a blend."""
-        stride = _POINTS_PER_MARK * _TABLE_STEPS if isinstance(self._spline, CubicSpline) else None
+        stride = (
+            _POINTS_PER_MARK * _TABLE_STEPS
+            if isinstance(self._spline, scipy.interpolate.CubicSpline)
+            else None
+        )
         return self._along[:-1:stride] if stride else self._along[:1]
 
     def parameter(self, along: np.ndarray) -> np.ndarray:

@@ -12,8 +12,7 @@ from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.interpolate import CubicSpline
-from scipy.spatial.transform import Rotation
+import scipy
 
 from stiffopt.errors import ProblemError
 from stiffopt.problem.path_fit import fit_joint_path
@@ -203,12 +202,14 @@ class _EasedTurn:
     """Turn about one axis that begins and ends without rate and acceleration."""
 
     def __init__(self, first: np.ndarray, last: np.ndarray) -> None:
-        self._first = Rotation.from_matrix(first)
-        self._vector = (self._first.inv() * Rotation.from_matrix(last)).as_rotvec()
+        self._first = scipy.spatial.transform.Rotation.from_matrix(first)
+        self._vector = (
+            self._first.inv() * scipy.spatial.transform.Rotation.from_matrix(last)
+        ).as_rotvec()
 
     def __call__(self, share: np.ndarray) -> np.ndarray:
         eased = share**3 * (10.0 - 15.0 * share + 6.0 * share**2)
-        turn = Rotation.from_rotvec(eased[:, None] * self._vector)
+        turn = scipy.spatial.transform.Rotation.from_rotvec(eased[:, None] * self._vector)
         return np.asarray((self._first * turn).as_matrix())
 
 
@@ -216,15 +217,17 @@ class _QuaternionSpline:
     """Orientations through given ones, by a spline of their quaternions."""
 
     def __init__(self, rotations: np.ndarray, along: np.ndarray) -> None:
-        turns = Rotation.from_matrix(rotations).as_quat()
+        turns = scipy.spatial.transform.Rotation.from_matrix(rotations).as_quat()
         flips = np.sign(np.sum(turns[1:] * turns[:-1], axis=1))
         turns[1:] *= np.cumprod(np.where(flips < 0.0, -1.0, 1.0))[:, None]
-        self._spline = CubicSpline(along, turns)
+        self._spline = scipy.interpolate.CubicSpline(along, turns)
 
     def between(self, begin: float, end: float) -> Callable[[np.ndarray], np.ndarray]:
         """Return the rotations between two distances [m], by the share of the way."""
         return lambda share: np.asarray(
-            Rotation.from_quat(self._spline(begin + share * (end - begin))).as_matrix()
+            scipy.spatial.transform.Rotation.from_quat(
+                self._spline(begin + share * (end - begin))
+            ).as_matrix()
         )
 
 

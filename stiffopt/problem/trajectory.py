@@ -183,7 +183,6 @@ class TrajectoryProblem:
     ----------
     robot : Robot
         Payload and tool already attached.
-    start, end : Target
     vias : tuple of Target
         Passed in order; the time of passing is free.
     path : JointPath, array (k, n) or None [rad]
@@ -400,7 +399,6 @@ def check_link_planning(problem: TrajectoryProblem, subject: str, instead: str) 
 
     Parameters
     ----------
-    problem : TrajectoryProblem
     subject : str
         Objective or limit that plans the links, as users write it: "tool_deviation".
     instead : str

@@ -162,10 +162,6 @@ def is_held_by_friction(values: np.ndarray, link: np.ndarray, begin: int, end: i
     begin, end : int
         Interval, `end` exclusive.
 
-    Returns
-    -------
-    bool
-
     Notes
     -----
     A motor starts from rest; a stuck encoder recovers with a jump over the motion that it missed.

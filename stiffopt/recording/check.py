@@ -42,14 +42,10 @@ class ChannelCheck:
 
     Parameters
     ----------
-    signal : str
     joint : int
         From 1.
-    column : str
     there : bool
         False if it was removed as faulty.
-    unit : str
-    lowest, highest : float
     used : float or None
         Share of the joint's range (position), or of its largest velocity or torque; None
         without such a limit.
@@ -79,8 +75,6 @@ class RunCheck:
 
     Parameters
     ----------
-    name, file : str
-    role : str
     samples : int
         Kept.
     duration : float [s]
@@ -91,8 +85,6 @@ class RunCheck:
         Longest spacing [s].
     usable : bool
         Every joint has a position.
-    channels : tuple of ChannelCheck
-    faults : tuple of Fault
     at_rest : bool
         Samples are poses at rest; duration and rate then count poses.
     """
@@ -117,9 +109,7 @@ class RecordingReport:
 
     Parameters
     ----------
-    name, title : str
     joints : tuple of str (n,)
-    runs : tuple of RunCheck
     balances : tuple of tuple of str (n,)
         Equations that each joint's signals allow: "motor", "link" and "deflection" with a link
         encoder, "torque" without.

@@ -40,7 +40,6 @@ def clean_run(
     Parameters
     ----------
     columns : mapping of column name to array (R,)
-    signals : Signals
     path : Path
         Of the file, for messages.
     name, file, role, session_time, temperature

@@ -40,7 +40,6 @@ class Clock:
         Rows that are kept; their stamps increase strictly.
     step : float
         Usual spacing [s].
-    faults : tuple of Fault
     """
 
     stamps: np.ndarray

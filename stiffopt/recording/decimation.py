@@ -45,7 +45,6 @@ def decimate_run(run: RecordedRun, every: int) -> RecordedRun:
 
     Parameters
     ----------
-    run : RecordedRun
     every : int
         Odd; 1 returns the run unchanged.
 

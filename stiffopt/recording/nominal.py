@@ -66,12 +66,10 @@ class Nominal:
         Temperature at which the nominal friction was identified [degC].
     torque_rated : array (n,)
         [N m]
-    pole_pairs : float
     joint_damping : array (n,)
         Of the elastic joint [N m s/rad].
     connections : tuple of str (n,)
         Elements of each drivetrain, such as "belt+key+bolts".
-    counterbalance : tuple of Counterbalance
     """
 
     gear_ratio: np.ndarray | None = None

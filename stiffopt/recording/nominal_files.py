@@ -91,7 +91,6 @@ def build_nominal_robot(
         With the joints of the set, in its own order.
     order : array (n,) of int
         Index of each joint of the set among those of the robot.
-    section : NominalSection
     path : Path
         Of the set's file, for messages.
     """
@@ -124,10 +123,8 @@ def build_chains(
 
     Parameters
     ----------
-    section : NominalSection
     torque_max : array (n,)
         [N m]
-    path : Path
 
     Returns
     -------
@@ -240,7 +237,6 @@ def assumptions(
 
     Parameters
     ----------
-    document : RecordingsFile
     described : Robot
         Robot of its own file.
     locked : sequence of str

@@ -25,7 +25,6 @@ class RecordedArm:
     ----------
     path : Path
         TOML file of the set.
-    name, title, citation, licence : str
     robot : Robot
         Nominal: the recorded joints in the robot's own order, which need not be that of the set.
     joints : tuple of str (n,)

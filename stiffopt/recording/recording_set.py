@@ -15,7 +15,6 @@ from stiffopt.actuator.position_servo import PositionServo
 from stiffopt.errors import InputFileError
 from stiffopt.files import apply_changes, load_toml
 from stiffopt.recording.clean import clean_run
-from stiffopt.recording.commanded import derive_torque
 from stiffopt.recording.nominal import Noise, Nominal, Tolerance
 from stiffopt.recording.nominal_files import (
     assumptions,
@@ -28,7 +27,7 @@ from stiffopt.recording.nominal_files import (
 )
 from stiffopt.recording.readers.read import find_set_file, read_columns
 from stiffopt.recording.recorded_arm import RecordedArm, joint_order, load_arm, path_inside_set
-from stiffopt.recording.run import RecordedRun, Role
+from stiffopt.recording.run import RecordedRun, Role, derive_torque
 from stiffopt.recording.schema import NominalSection, RecordingsFile, RunSection
 from stiffopt.recording.signals import Signals, build_signals
 from stiffopt.robot.elements import locate_errors
@@ -42,7 +41,6 @@ class RunEntry:
 
     Parameters
     ----------
-    file : str
     role : str
         "train", "test" or "extrapolate".
     session_time : float or None
@@ -70,18 +68,12 @@ class RecordingSet(RecordedArm):
 
     Parameters
     ----------
-    tool_frame : str or None
     gravity : array (3,)
         [m/s^2]
-    signals : Signals
     described : Robot
         Robot of its own file, without the values of the set.
     stated : NominalSection
         Nominal values that the set gives.
-    nominal : Nominal
-    tolerance : Tolerance
-    noise : Noise
-    runs : tuple of RunEntry
     actuator : ActuatorLaw or None
         Of a set without torques.
     assumptions : tuple of str
@@ -170,11 +162,6 @@ def load_recordings(path: str | os.PathLike[str], changes: Sequence[str] = ()) -
     """Load a recording set by its folder or recordings.toml, without its run files.
 
     `changes` such as "noise.torque=0.5" replace entries of the file.
-
-    Raises
-    ------
-    InputFileError, RobotError
-        Fault, place and allowed values.
     """
     path = find_set_file(Path(path))
     data = apply_changes(load_toml(path), changes, path)

@@ -1,12 +1,13 @@
-"""Recorded run and the faults found in it."""
+"""Recorded run, the faults found in it, and torques from its commanded positions."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
+from stiffopt.actuator.law import ActuatorLaw, mean_command
 from stiffopt.recording.signals import Kind
 
 Role = Literal["train", "test", "extrapolate"]
@@ -40,7 +41,6 @@ class Fault:
         "time" or the kind of channel.
     joint : int or None
         From 1; None for all joints.
-    kind : str
     detail : str
         One sentence with the numbers.
     left_out : bool
@@ -95,7 +95,6 @@ class RecordedRun:
         [rad/s], [rad]; None if no joint has that signal.
     torque : array (K, n)
         Drive torque at the output side [N m].
-    faults : tuple of Fault
     at_rest : bool
         Each sample is a pose at rest, and time its number.
     command : array (K, n) or None
@@ -147,3 +146,45 @@ class RecordedRun:
         """Return the channels of one kind, (K, n), by the name of the field."""
         value: np.ndarray | None = getattr(self, name)
         return value
+
+
+# Half the window over which the slope of the encoder is the velocity that damps [s].
+_HALF_SLOPE_WINDOW = 0.01
+
+
+def derive_torque(run: RecordedRun, law: ActuatorLaw | None) -> RecordedRun:
+    """Return a run with the torques of an actuator's law in place of missing ones.
+
+    Unknown gains (and a joint without commands) leave a torque missing. While the delay is not
+    known, none is assumed.
+    """
+    if law is None or run.command is None:
+        return run
+    delay = law.delay if np.isfinite(law.delay) else 0.0
+    error = delayed_command(run, delay) - run.position
+    return replace(run, torque=np.asarray(law.torque(error, encoder_velocity(run))))
+
+
+def delayed_command(run: RecordedRun, delay: float) -> np.ndarray:
+    """Return the commands (K, n) that act at each sample, as means over one step [rad]."""
+    assert run.command is not None
+    half = 0.5 * run.step
+    command = np.empty_like(run.command)
+    for j, own in enumerate(run.command.T):
+        known = np.isfinite(own)
+        if not known.any():
+            command[:, j] = np.nan
+            continue
+        times, held = run.time[known], own[known, None]
+        begin, end = run.time - delay - half, run.time - delay + half
+        command[:, j] = mean_command(times, held, begin, end)[0][:, 0]
+    return command
+
+
+def encoder_velocity(run: RecordedRun) -> np.ndarray:
+    """Return the slope (K, n) of the encoders, one-sided at the ends [rad/s]."""
+    width = max(1, round(_HALF_SLOPE_WINDOW / run.step))
+    rows = np.arange(len(run.time))
+    before, after = np.maximum(rows - width, 0), np.minimum(rows + width, len(rows) - 1)
+    span = (run.time[after] - run.time[before])[:, None]
+    return np.asarray((run.position[after] - run.position[before]) / span)

@@ -33,7 +33,6 @@ class Signals:
 
     Parameters
     ----------
-    time : str
     position, torque : tuple of str (n,)
     velocity, link_position, command : tuple of str (n,) or None
     torque_side : str
@@ -366,3 +365,18 @@ def _is_quantity_reference(letters: list[str], *, spaced: bool) -> bool:
     rest = [word for word in letters if word not in (*_REFERENCE_WORDS, *_UNIT_WORDS)]
     referred = any(word in _REFERENCE_WORDS for word in letters)
     return referred and not spaced and bool(rest) and all(word in _QUANTITY_WORDS for word in rest)
+
+
+# Names of loggers and their names in `[signals.scale]`; "" is SI. "A", "%" and "counts" need a
+# factor from the user.
+UNITS = {
+    "deg": "deg", "degree": "deg", "degrees": "deg", "°": "deg", "grad": "deg", "rad": "",
+    "mrad": "mrad", "rev": "turn", "revs": "turn", "turn": "turn", "turns": "turn", "u": "turn",
+    "deg/s": "deg/s", "°/s": "deg/s", "rad/s": "", "mrad/s": "mrad/s", "rpm": "rpm",
+    "1/min": "rpm", "min-1": "rpm", "u/min": "rpm", "nm": "", "n m": "", "n*m": "", "n.m": "",
+    "n-m": "", "n·m": "", "mnm": "mN*m", "knm": "kN*m", "ncm": "N*cm", "a": "A", "ma": "mA",
+    "arms": "A", "%": "%", "percent": "%", "inc": "counts", "incs": "counts", "cts": "counts",
+    "counts": "counts", "ticks": "counts", "ms": "ms", "msec": "ms", "us": "us", "µs": "us",
+    "ns": "ns", "s": "", "sec": "", "m": "", "mm": "mm", "cm": "cm", "mm/s": "mm/s", "m/s": "",
+    "n": "", "kn": "kN", "-": "",
+}  # fmt: skip

@@ -43,12 +43,7 @@ class StateRun(RunEntry):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class StatePair(RecordingSet):
-    """Runs of one robot in two states, with one nominal model: that of the state before.
-
-    Parameters
-    ----------
-    before, after : RecordingSet
-    """
+    """Runs of one robot in two states, with one nominal model: that of the state before."""
 
     before: RecordingSet
     after: RecordingSet

@@ -24,7 +24,6 @@ class StaticSet(RecordedArm):
 
     Parameters
     ----------
-    tool_frame : str
     position : array (m, n)
         [rad]
     force : array (m, 3)
@@ -54,13 +53,7 @@ def is_static(path: str | os.PathLike[str]) -> bool:
 
 
 def load_static_set(path: str | os.PathLike[str], changes: Sequence[str] = ()) -> StaticSet:
-    """Load a static set by its folder or static.toml, with `changes` of entries.
-
-    Raises
-    ------
-    InputFileError, RobotError
-        Fault, place and allowed values.
-    """
+    """Load a static set by its folder or static.toml, with `changes` of entries."""
     path = Path(path)
     if path.is_dir():
         path = path / STATIC_FILE

@@ -17,14 +17,12 @@ from stiffopt.errors import InputError
 from stiffopt.preload.schema import PreloadFile
 from stiffopt.problem.schema import problem_file
 from stiffopt.recording.schema import RecordingsFile, StaticFile
+from stiffopt.report.common.text import MAX_LISTED
 from stiffopt.result.store import COLUMNS
 from stiffopt.robot.own_catalogue import CatalogueFile
 from stiffopt.robot.schema import robot_file_schema
 from stiffopt.sweep.schema import SweepFile
 from stiffopt.validation import Section
-
-# Catalogue names listed for one key.
-_MAX_NAMES = 12
 
 _PAGE_HEAD = """# Files
 
@@ -55,7 +53,6 @@ _KIND_TITLES = {
     "static": "Static deflections (`static.toml`)",
     "extended": "Extended model (`extended.toml`, written by `stiffopt diagnose`)",
 }
-_MAX_PLACES = 12
 # difflib ratio from which another word is suggested: "durration" and "duration" have 0.94,
 # "shaped_deviation" and "head_friction" 0.62.
 _MIN_SPELLING_SIMILARITY = 0.8
@@ -297,8 +294,8 @@ def _format_default(field: dict[str, Any]) -> str:
 def _format_examples(field: dict[str, Any]) -> str:
     """Return the catalogue names that a key accepts, shortened."""
     names = [name for form in forms(field) for name in form.get("examples", ())]
-    more = ", ..." if len(names) > _MAX_NAMES else ""
-    return f" One of {', '.join(names[:_MAX_NAMES])}{more}." if names else ""
+    more = ", ..." if len(names) > MAX_LISTED else ""
+    return f" One of {', '.join(names[:MAX_LISTED])}{more}." if names else ""
 
 
 if __name__ == "__main__":
@@ -335,8 +332,8 @@ def explain_key(key: str) -> Iterator[str]:
     for number, (about, places) in enumerate(told.items()):
         if number:
             yield ""
-        more = f" and {len(places) - _MAX_PLACES} more" if len(places) > _MAX_PLACES else ""
-        yield ", ".join(places[:_MAX_PLACES]) + more
+        more = f" and {len(places) - MAX_LISTED} more" if len(places) > MAX_LISTED else ""
+        yield ", ".join(places[:MAX_LISTED]) + more
         yield from _describe_key(*about)
 
 

@@ -118,7 +118,6 @@ class Compensation:
         Reason for a missing command; else "".
     uncertainty : tuple of str
         Description of the uncertain quantities.
-    draws : int
     loop : str
         Description of the position loops of all arms; "" where servos are uncertain.
     file : str

@@ -64,7 +64,6 @@ class JointDuty:
 
     Parameters
     ----------
-    name : str
     rms_torque, peak_torque : float
         Of the drive [N m].
     torque_max : float
@@ -77,7 +76,6 @@ class JointDuty:
         Mechanical work given and taken by the drive in a cycle [J].
     mean_torque : float
         Of the reducer [N m].
-    rating : LifeRating or None
     """
 
     name: str

@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
+import scipy
 
 # Length behind a corner in which its overshoot is taken [m].
 _OVERSHOOT_LENGTH = 0.05
@@ -64,7 +64,7 @@ def path_figures(
 
 def distances_to_path(points: np.ndarray, places: np.ndarray) -> np.ndarray:
     """Return the distance (K,) [m] of points (K, 3) from the polygon through places (m, 3)."""
-    _, near = cKDTree(places).query(points)
+    _, near = scipy.spatial.cKDTree(places).query(points)
     found = np.full(len(points), np.inf)
     for shift in (-1, 0):
         k = np.clip(near + shift, 0, len(places) - 2)

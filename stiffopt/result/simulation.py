@@ -153,7 +153,6 @@ class ElasticMotion:
         "optimised" or the name of a baseline.
     planned : PeakRms
         Quasi-static dynamic deflection [m].
-    simulated : SimulatedMotion
     counted : bool
         True if the motion keeps all limits and the problem's duration.
     minimised : SimulatedPart or None

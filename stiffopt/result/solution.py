@@ -115,7 +115,6 @@ class Solution(DisplayedResult):
 
     Parameters
     ----------
-    status : SolveStatus
     message : str
         Sentence on the outcome and the remedy.
     trajectory : Trajectory or None

@@ -132,8 +132,6 @@ def write_result(
 
     Parameters
     ----------
-    solution : Solution
-    directory : path
     problem : path, optional
         Solved file; stored relative to the folder, so that both can move together.
     stated : TrajectoryProblem, optional
@@ -176,7 +174,6 @@ def motion_seal(stated: TrajectoryProblem, directory: str | Path) -> dict[str, A
 
     Parameters
     ----------
-    stated : TrajectoryProblem
     directory : path
         Folder of trajectory.csv and command.csv, as far as written.
     """
@@ -287,7 +284,6 @@ def write_trajectory(
     ----------
     assessment : Assessment
         Evaluated at `export_times(duration)`.
-    directory : path
     name : str
         Of the file.
     """

@@ -144,7 +144,6 @@ class Trajectory:
             Samples, from 0. [s]
         derivatives : array (4, K + 1, n)
             Position, velocity, acceleration and jerk at the samples.
-        link : Trajectory
         ends : array (4, K, n), optional
             Left-hand values at the interval ends, if they jump at samples.
         """

@@ -28,7 +28,6 @@ def body_torque_regressor(
 
     Parameters
     ----------
-    tree : BodyTree
     body : int
         Index from 0.
     q, v, a : array (K, n)
@@ -54,8 +53,6 @@ def tool_jacobians(
 
     Parameters
     ----------
-    tree : BodyTree
-    frame : LinkFrame
     q : array (K, n)
     """
     position, jacobian = np.zeros((3, len(q))), np.zeros((3, tree.n, len(q)))
@@ -106,7 +103,6 @@ class _BodyJacobian:
 
     Parameters
     ----------
-    joints : list of int
     turning, moving : array (j, 3, K)
         Angular velocity, and velocity of the frame's origin, per unit speed of each joint.
     """

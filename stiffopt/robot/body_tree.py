@@ -8,12 +8,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from stiffopt.errors import RobotError
+from stiffopt.robot.frames import LinkFrame
 
 if TYPE_CHECKING:
     import pinocchio as pin
 
-
-from stiffopt.robot.frames import LinkFrame
 
 _REVOLUTE_MODELS = ("JointModelRX", "JointModelRY", "JointModelRZ", "JointModelRevoluteUnaligned")
 _PRISMATIC_MODELS = ("JointModelPX", "JointModelPY", "JointModelPZ", "JointModelPrismaticUnaligned")
@@ -211,3 +210,26 @@ def joint_radii(tree: BodyTree, tool: LinkFrame) -> list[float]:
     """Estimated radius of the link of each joint (n,) [m], decreasing towards the tool."""
     own = arm_reach(tree, tool) - mounting_distance(tree)
     return [float(r) for r in own * np.linspace(_BASE_RADIUS_SHARE, _TOOL_RADIUS_SHARE, tree.n)]
+
+
+# Least moments of inertia [kg m^2], and as a share of the largest, for rounding; MuJoCo refuses
+# moments below 1e-15 kg m^2.
+_MIN_MOMENT, _MIN_MOMENT_SHARE = 1e-9, 1e-6
+
+
+def realisable_inertia(inertia: np.ndarray) -> np.ndarray:
+    """Raise an inertia (3, 3) to that of a rigid body with the same largest moment."""
+    moments, axes = np.linalg.eigh(inertia)
+    raised = realisable_moments(moments)
+    return inertia if raised is moments else axes @ np.diag(raised) @ axes.T
+
+
+def realisable_moments(moments: np.ndarray) -> np.ndarray:
+    """Raise ascending principal moments (3,) until the triangle inequality holds."""
+    least = max(_MIN_MOMENT, _MIN_MOMENT_SHARE * moments[2])
+    if moments[0] >= least and moments[0] + moments[1] >= moments[2]:
+        return moments
+    raised: np.ndarray = np.maximum(moments, least)
+    lacking = float((1.0 + _MIN_MOMENT_SHARE) * raised[2] - raised[0] - raised[1])
+    raised[:2] += 0.5 * max(lacking, 0.0)
+    return raised

@@ -14,8 +14,7 @@ from stiffopt.errors import InputFileError
 from stiffopt.robot.body_tree import arm_reach, link_capsules
 from stiffopt.robot.cell import Cell
 from stiffopt.robot.frames import first_link_of, rotation_from_rpy
-from stiffopt.robot.link_shapes import LinkShape, Purpose, load_mesh
-from stiffopt.robot.meshes import convex_hull, load_mesh_file
+from stiffopt.robot.link_shapes import LinkShape, Purpose, convex_hull, load_mesh, load_mesh_file
 
 if TYPE_CHECKING:
     from stiffopt.robot.robot import Robot
@@ -30,12 +29,8 @@ class Solid:
 
     Parameters
     ----------
-    name : str
-    joint : int
     placement : pinocchio.SE3
         In the frame of the joint.
-    geometry : coal.CollisionGeometry
-    of_cell : bool
     guessed : bool
         The solid is a capsule of estimated radius.
     """

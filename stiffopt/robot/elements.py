@@ -246,7 +246,6 @@ class ElementBuilder:
     Parameters
     ----------
     path : the file, for messages
-    assembly : AssemblySection
     surfaces : mapping of name to SurfaceSection
         Surfaces of the file, which take precedence over the catalogue.
     """

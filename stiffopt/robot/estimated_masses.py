@@ -58,7 +58,6 @@ def estimate_bodies(arm: LoadedUrdf, urdf: Path, tool: LinkFrame) -> dict[str, E
 
     Parameters
     ----------
-    arm : LoadedUrdf
     urdf : Path
         File with the shapes of the arm.
     tool : LinkFrame

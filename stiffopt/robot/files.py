@@ -85,11 +85,6 @@ def load_robot(
     Robot
         Limits, friction and rotor inertia that the TOML omits are those of the URDF or MJCF;
         omitted limits of acceleration and jerk, and those that an MJCF omits, are infinite.
-
-    Raises
-    ------
-    InputFileError, RobotError
-        Fault, place and allowed values.
     """
     path = robot_path(source)
     bare = path.suffix.lower() in (".urdf", *MJCF_ENDINGS)

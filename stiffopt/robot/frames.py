@@ -76,8 +76,6 @@ def link_frame(
 
     Parameters
     ----------
-    model : pinocchio.Model
-    link : str
     offset : array_like (3,), optional
         In the link's frame [m]; default its origin.
     rpy : array_like (3,), optional

@@ -25,7 +25,6 @@ class HeldJoint:
 
     Parameters
     ----------
-    name : str
     value : float
         [rad] or [m]
     why : str

@@ -54,7 +54,6 @@ def joint_frames(robot: Robot, position: np.ndarray) -> tuple[np.ndarray, np.nda
 
     Parameters
     ----------
-    robot : Robot
     position : array (K, n)
 
     Returns

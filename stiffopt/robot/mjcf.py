@@ -38,7 +38,6 @@ class MjcfBody:
 
     Parameters
     ----------
-    name, parent : str
     place : array (3,)
         Origin in the parent's frame [m].
     rotation : array (3, 3)
@@ -68,7 +67,6 @@ class MjcfJoint:
 
     Parameters
     ----------
-    name, body : str
     kind : "hinge", "slide", "ball" or "free"
     anchor, axis : array (3,)
         In the body's frame.
@@ -105,7 +103,6 @@ class MjcfActuator:
 
     Parameters
     ----------
-    name, joint : str
     gear : float
         Torque at the joint over force, and length over position.
     gain : float
@@ -165,8 +162,6 @@ class MjcfModel:
     ----------
     bodies, sites : tuple of MjcfBody
         Parents first, without the ground; sites with names only.
-    joints : mapping of name to MjcfJoint
-    actuators : tuple of MjcfActuator
     couplings : tuple of MjcfCoupling
         To first order.
     meshes : tuple of Path

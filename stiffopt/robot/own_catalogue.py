@@ -53,13 +53,7 @@ class OwnPart(Cited):
         return str(getattr(self, "name"))  # noqa: B009
 
     def entry(self) -> dict[str, Any]:
-        """Return the fields of the part with derived ones.
-
-        Raises
-        ------
-        InputError
-            Impossible numbers; the message begins with the key.
-        """
+        """Return the fields of the part with derived ones."""
         return self.model_dump()
 
 
@@ -245,13 +239,7 @@ class CatalogueFile(Section):
 
 
 def read_own_catalogue(path: str | os.PathLike[str]) -> OwnEntries:
-    """Read a catalogue file: rows of the form of the packaged tables, by kind and name.
-
-    Raises
-    ------
-    InputFileError
-        Fault, place and allowed values.
-    """
+    """Read a catalogue file: rows of the form of the packaged tables, by kind and name."""
     path = Path(path)
     document = read_document(path, CatalogueFile, "catalogue")
     found: dict[str, dict[str, Any]] = {}

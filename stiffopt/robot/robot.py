@@ -57,7 +57,6 @@ class Robot:
 
     Parameters
     ----------
-    name : str
     model : pinocchio.Model
         Revolute and prismatic joints; gravity included, rotor inertia not.
     position_lower, position_upper : array (n,)
@@ -74,8 +73,6 @@ class Robot:
         Drivetrain of each joint; None is rigid.
     tool, flange : LinkFrame
         Tool point, and frame to which payloads are fixed.
-    sources : tuple of Source
-    title : str
     damping : array (n,), optional
         Damping of the joint's spring [N m s/rad]; NaN where unknown.
     hysteresis : array (n,), optional

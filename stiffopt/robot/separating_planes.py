@@ -109,12 +109,7 @@ class SeparatingPlane:
 
 
 class SeparatingPlanes:
-    """Separating planes of the couples of a clearance model.
-
-    Parameters
-    ----------
-    model : ClearanceModel
-    """
+    """Separating planes of the couples of a clearance model."""
 
     def __init__(self, model: ClearanceModel) -> None:
         self.model = model

@@ -15,7 +15,7 @@ from stiffopt.contact.spots import Loading
 from stiffopt.contact.surface import SurfacePair
 from stiffopt.drivetrain.chain import Chain
 from stiffopt.errors import InputError, RobotError
-from stiffopt.exact.chain import compliance_shares, exact_compliance, exact_windup
+from stiffopt.exact.chain import exact_compliance, exact_windup
 from stiffopt.files import write_csv
 from stiffopt.robot.robot import Robot
 
@@ -79,7 +79,6 @@ def stiffness_study(
 
     Parameters
     ----------
-    robot : Robot
     ratios : sequence of float, optional
         Torques over `torque_max`, above 0 [-]; default `DEFAULT_RATIOS`.
     both_readings : bool
@@ -119,21 +118,6 @@ def stiffness_study(
 def write_stiffness_csv(rows: Sequence[StiffnessRow], path: str | os.PathLike[str]) -> None:
     """Write the rows as `stiffness.csv`, atomically."""
     write_csv(path, COLUMNS, [dataclasses.astuple(row) for row in rows])
-
-
-def compliance_by_element(robot: Robot, ratio: float) -> dict[int, dict[str, float]]:
-    """Share of each element in the tangent compliance, by joint number (from 1).
-
-    Parameters
-    ----------
-    ratio : float
-        Torque over `torque_max` [-].
-    """
-    return {
-        j + 1: compliance_shares(chain, ratio * float(robot.torque_max[j]))
-        for j, chain in enumerate(robot.chains)
-        if chain is not None
-    }
 
 
 def with_flanks(chain: Chain, flanks: Flanks) -> Chain:

@@ -19,9 +19,7 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from scipy.linalg import LinAlgError, cho_solve_banded, cholesky_banded
-from scipy.sparse import csr_matrix, diags, vstack
-from scipy.sparse.linalg import splu
+import scipy
 
 from stiffopt.solver.ipopt import IpoptSolver, Multipliers, RawSolution
 from stiffopt.solver.monitor import Progress
@@ -130,7 +128,7 @@ class ActiveSetSolver:
 
     def _lagrangian_curvature(
         self, x: np.ndarray, p: np.ndarray, multipliers: np.ndarray, motions: _Motions
-    ) -> csr_matrix:
+    ) -> scipy.sparse.csr_matrix:
         """Return the Lagrangian's curvature in the coefficients (k, k)."""
         self._hessian(x, p, 1.0, multipliers)
         lower = self._hessian.sparse(0).T
@@ -142,14 +140,14 @@ class ActiveSetSolver:
 class _Motions:
     """Basis, with columns of unit length, of all motions of one duration."""
 
-    def __init__(self, duration: float, basis: csr_matrix) -> None:
+    def __init__(self, duration: float, basis: scipy.sparse.csr_matrix) -> None:
         lengths = np.sqrt(np.asarray(basis.multiply(basis).sum(axis=0))).ravel()
         self.duration = duration
-        self.basis = (basis @ diags(1.0 / lengths)).tocsr()
+        self.basis = (basis @ scipy.sparse.diags(1.0 / lengths)).tocsr()
         # Stored by rows as well: products of matrices in one format need no conversion.
         self.transposed = self.basis.T.tocsr()
-        self._normal_factor = splu((self.transposed @ self.basis).tocsc())
-        self._equations: tuple[csr_matrix, Any] | None = None
+        self._normal_factor = scipy.sparse.linalg.splu((self.transposed @ self.basis).tocsc())
+        self._equations: tuple[scipy.sparse.csr_matrix, Any] | None = None
 
     def nearest(self, x: np.ndarray) -> np.ndarray:
         """Return the coefficients of the motion nearest to variables."""
@@ -157,7 +155,11 @@ class _Motions:
         return found
 
     def complete_multipliers(
-        self, nlp: Nlp, slope: np.ndarray, jacobian: csr_matrix, multipliers: np.ndarray
+        self,
+        nlp: Nlp,
+        slope: np.ndarray,
+        jacobian: scipy.sparse.csr_matrix,
+        multipliers: np.ndarray,
     ) -> np.ndarray:
         """Return multipliers of all rows, with those of the equations that splines eliminate."""
         own = nlp.structural
@@ -166,7 +168,7 @@ class _Motions:
         if self._equations is None:
             # Linear equations: the same in every problem of this duration.
             equations = jacobian[own]
-            self._equations = equations, splu((equations @ equations.T).tocsc())
+            self._equations = equations, scipy.sparse.linalg.splu((equations @ equations.T).tocsc())
         equations, factor = self._equations
         missing = equations @ (slope + jacobian.T @ multipliers)
         whole = multipliers.copy()
@@ -181,7 +183,7 @@ class _Constraints:
     lower. Sides are 1 (upper active), -1 (lower active), 0 (inactive) and 2 (equality).
     """
 
-    def __init__(self, nlp: Nlp, basis: csr_matrix) -> None:
+    def __init__(self, nlp: Nlp, basis: scipy.sparse.csr_matrix) -> None:
         self.nlp, self._basis = nlp, basis
         self.bounds = np.flatnonzero(np.isfinite(nlp.lower_x) | np.isfinite(nlp.upper_x))
         self.rows = np.flatnonzero(~nlp.structural)
@@ -193,9 +195,11 @@ class _Constraints:
         """Return the values of all constraints (c,)."""
         return np.append(x[self.bounds], g[self.rows])
 
-    def matrix(self, jacobian: csr_matrix) -> csr_matrix:
+    def matrix(self, jacobian: scipy.sparse.csr_matrix) -> scipy.sparse.csr_matrix:
         """Return the constraints' Jacobian in the coefficients (c, k)."""
-        return vstack([self._bound_basis, jacobian[self.rows] @ self._basis], format="csr")
+        return scipy.sparse.vstack(
+            [self._bound_basis, jacobian[self.rows] @ self._basis], format="csr"
+        )
 
     def split(self, forces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the multipliers of all variables and of all rows."""
@@ -215,9 +219,9 @@ class _Constraints:
 
 
 def _solve_quadratic_programme(
-    curvature: csr_matrix,
+    curvature: scipy.sparse.csr_matrix,
     slope: np.ndarray,
-    matrix: csr_matrix,
+    matrix: scipy.sparse.csr_matrix,
     to_bounds: tuple[np.ndarray, np.ndarray],
     forces: np.ndarray,
     side: np.ndarray,
@@ -244,8 +248,8 @@ def _solve_quadratic_programme(
                 bands += sign * _lower_bands(pulled @ rows, width)
         held = bound
         try:
-            factor = cholesky_banded(bands, lower=True, check_finite=False), True
-        except LinAlgError:
+            factor = scipy.linalg.cholesky_banded(bands, lower=True, check_finite=False), True
+        except scipy.linalg.LinAlgError:
             return None
         rows, pull = matrix[bound], stiffness[bound]
         columns = rows.T
@@ -255,7 +259,7 @@ def _solve_quadratic_programme(
         for _ in range(_MULTIPLIER_ROUNDS):
             push = pull * missing
             unbalanced = slope + curvature @ step + columns @ (own - push)
-            moved = cho_solve_banded(factor, -unbalanced, check_finite=False)
+            moved = scipy.linalg.cho_solve_banded(factor, -unbalanced, check_finite=False)
             step = step + moved
             along = rows @ moved
             own = own + pull * along - push
@@ -282,12 +286,12 @@ def _solve_quadratic_programme(
     return None
 
 
-def _entry_rows(matrix: csr_matrix) -> np.ndarray:
+def _entry_rows(matrix: scipy.sparse.csr_matrix) -> np.ndarray:
     """Return the row of each entry."""
     return np.repeat(np.arange(matrix.shape[0]), np.diff(matrix.indptr))
 
 
-def _half_bandwidth(curvature: csr_matrix, matrix: csr_matrix) -> int:
+def _half_bandwidth(curvature: scipy.sparse.csr_matrix, matrix: scipy.sparse.csr_matrix) -> int:
     """Return the half bandwidth of the curvature with a penalty on any rows."""
     filled = np.diff(matrix.indptr) > 0
     first, last = matrix.indptr[:-1][filled], matrix.indptr[1:][filled] - 1
@@ -296,7 +300,7 @@ def _half_bandwidth(curvature: csr_matrix, matrix: csr_matrix) -> int:
     return int(max(beside, spans.max(initial=0)))
 
 
-def _lower_bands(matrix: csr_matrix, width: int) -> np.ndarray:
+def _lower_bands(matrix: scipy.sparse.csr_matrix, width: int) -> np.ndarray:
     """Return the lower half of a symmetric matrix, diagonal by diagonal (width + 1, k)."""
     below = _entry_rows(matrix) - matrix.indices
     lower = below >= 0

@@ -12,7 +12,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import LinAlgError, solveh_banded
+import scipy
 
 # Entries of a row.
 WIDTH = 3
@@ -109,8 +109,8 @@ def maximise(rows: BandedRows, weights: np.ndarray, start: np.ndarray) -> np.nda
             short = aimed / slack - price
             right = dual - rows.transposed_times(short - ratio * primal)
             try:
-                step = solveh_banded(band, right, check_finite=False)
-            except LinAlgError:
+                step = scipy.linalg.solveh_banded(band, right, check_finite=False)
+            except scipy.linalg.LinAlgError:
                 return x
             moved = primal - rows.times(step)
             dearer = short - ratio * moved

@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.interpolate import CubicSpline
+import scipy
 
 from stiffopt.certificate.assess import joint_windup
 from stiffopt.certificate.rigid_body import rigid_body_history
@@ -50,7 +50,7 @@ class _Samples:
 
     def __init__(self, time: np.ndarray, values: np.ndarray) -> None:
         self.duration = float(time[-1])
-        self._spline = CubicSpline(time, values, bc_type="clamped")
+        self._spline = scipy.interpolate.CubicSpline(time, values, bc_type="clamped")
 
     def __call__(self, t: np.ndarray, order: int = 0) -> np.ndarray:
         return np.asarray(self._spline(t, order))

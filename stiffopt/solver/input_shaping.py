@@ -18,7 +18,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.interpolate import CubicHermiteSpline
+import scipy
 
 from stiffopt.baseline.baselines import better_baseline, strict_baseline
 from stiffopt.certificate.assess import assess, drive_violations
@@ -426,7 +426,9 @@ class AveragedMotion:
         end = self.motion.duration
         times = np.linspace(0.0, end, _AVERAGING_SAMPLES)
         position = self.motion(times)
-        whole = CubicHermiteSpline(times, position, self.motion(times, 1)).antiderivative()
+        whole = scipy.interpolate.CubicHermiteSpline(
+            times, position, self.motion(times, 1)
+        ).antiderivative()
         outside = np.minimum(t, 0.0)[:, None] * position[0]
         outside += np.maximum(np.asarray(t) - end, 0.0)[:, None] * position[-1]
         return np.asarray(whole(np.clip(t, 0.0, end)) + outside)

@@ -21,7 +21,7 @@ from math import factorial
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.interpolate import make_interp_spline
+import scipy
 
 from stiffopt.baseline.path_limits import torque_rows
 from stiffopt.errors import ProblemError
@@ -160,7 +160,9 @@ class _Law:
         sites, rest = np.arange(len(time)), [(1, 0.0)]
         if eased:
             sites, rest = np.delete(sites, [1, len(time) - 2]), [(1, 0.0), (2, 0.0)]
-        spline = make_interp_spline(time[sites], values[sites], 3, knots, bc_type=(rest, rest))
+        spline = scipy.interpolate.make_interp_spline(
+            time[sites], values[sites], 3, knots, bc_type=(rest, rest)
+        )
         self.time, self.eased = time, eased
         # Coefficients (4, K) of the powers of the time since each node, the lowest first.
         self.powers = np.stack([spline(time[:-1], k) / factorial(k) for k in range(4)])

@@ -19,8 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 import numpy as np
-from scipy.interpolate import BSpline
-from scipy.sparse import block_diag, csc_matrix, diags, kron, vstack
+import scipy
 
 from stiffopt.certificate.assess import assess
 from stiffopt.elastic.modes import modes
@@ -104,13 +103,15 @@ def change_motors(
     # Unit of the coefficients: the change that uses a joint's jerk limit.
     unit = np.repeat(np.maximum(jerk, 1e-9) * splines.spacing**3, splines.count)
     bent = splines.sparse(splines.instants, 3)
-    effort = block_diag([bent / max(own, 1e-9) for own in jerk]) @ diags(unit)
+    effort = scipy.sparse.block_diag([bent / max(own, 1e-9) for own in jerk]) @ scipy.sparse.diags(
+        unit
+    )
     answer = answer * unit / near
     hessian = answer.T @ answer / len(answer)
     hessian += _JERK_WEIGHT * (effort.T @ effort).toarray() / effort.shape[0]
     towards = -answer.T @ (wanted / near) / len(answer)
     found = unit * _solve_quadratic_programme(
-        hessian, towards, csc_matrix(rows @ diags(unit)), lower, upper
+        hessian, towards, scipy.sparse.csc_matrix(rows @ scipy.sparse.diags(unit)), lower, upper
     )
     return _apply_change(motors, splines, joints, np.reshape(found, (len(joints), -1)).T)
 
@@ -137,7 +138,9 @@ class _Splines:
         self.instants = np.append(within.ravel(), duration)
         self.count = pieces + _SPLINE_DEGREE - 2 * _FIXED_END_SPLINES
         knots = np.pad(self.breaks, _SPLINE_DEGREE, mode="edge")
-        self._all = BSpline(knots, np.eye(pieces + _SPLINE_DEGREE), _SPLINE_DEGREE)
+        self._all = scipy.interpolate.BSpline(
+            knots, np.eye(pieces + _SPLINE_DEGREE), _SPLINE_DEGREE
+        )
 
     def __call__(self, times: np.ndarray, order: int = 0) -> np.ndarray:
         """Return derivatives (K, m) at times (K,); zero after arrival."""
@@ -154,11 +157,11 @@ class _Splines:
         powers = range(_SPLINE_DEGREE - order + 1)
         return np.stack([self(begins, order + k) / math.factorial(k) for k in powers], axis=1)
 
-    def sparse(self, times: np.ndarray, order: int) -> csc_matrix:
+    def sparse(self, times: np.ndarray, order: int) -> scipy.sparse.csc_matrix:
         """Return derivatives as a sparse matrix."""
         values = self(times, order)
         values[np.abs(values) < 1e-12 * np.max(np.abs(values))] = 0.0
-        return csc_matrix(values)
+        return scipy.sparse.csc_matrix(values)
 
 
 def _apply_change(
@@ -241,7 +244,7 @@ def _link_response(
 
 def _drive_rows(
     problem: TrajectoryProblem, now: Assessment, splines: _Splines, joints: np.ndarray
-) -> tuple[csc_matrix, np.ndarray, np.ndarray]:
+) -> tuple[scipy.sparse.csc_matrix, np.ndarray, np.ndarray]:
     """Return rows of the drive quantities over their limits, with lower and upper bounds.
 
     The links' torque is that of their plan.
@@ -258,7 +261,7 @@ def _drive_rows(
     ):
         most = np.broadcast_to(np.asarray(limit, dtype=float), (robot.n,))
         rows.append(
-            block_diag(
+            scipy.sparse.block_diag(
                 [sum(rates[k] * part[j] for k, part in parts.items()) / most[j] for j in joints]
             )
         )
@@ -274,7 +277,11 @@ def _drive_rows(
         upper.append(most)
     highest = np.concatenate(upper)
     # A limit exceeded in both directions within a cell allows no change.
-    return csc_matrix(vstack(rows)), np.minimum(np.concatenate(lower), highest), highest
+    return (
+        scipy.sparse.csc_matrix(scipy.sparse.vstack(rows)),
+        np.minimum(np.concatenate(lower), highest),
+        highest,
+    )
 
 
 def _remaining_limit(used: np.ndarray) -> np.ndarray:
@@ -285,7 +292,7 @@ def _remaining_limit(used: np.ndarray) -> np.ndarray:
 
 def _via_rows(
     problem: TrajectoryProblem, now: Assessment, splines: _Splines, joints: np.ndarray
-) -> Iterator[tuple[csc_matrix, np.ndarray, np.ndarray]]:
+) -> Iterator[tuple[scipy.sparse.csc_matrix, np.ndarray, np.ndarray]]:
     """Yield rows of the misses of vias over their tolerance, with lower and upper bounds.
 
     A joint may use the rest of its via's tolerance; the tool is held in place, since it is mostly
@@ -295,10 +302,10 @@ def _via_rows(
     passed = {each.limit: each.time for each in now.violations}
     for number, via in enumerate(problem.vias, start=1):
         k = int(np.argmin(np.abs(now.time - passed[f"via_{number}"])))
-        moved = csc_matrix(splines(now.time[k : k + 1]))
+        moved = scipy.sparse.csc_matrix(splines(now.time[k : k + 1]))
         if via.joints is not None:
             room = (now.position[k] - via.joints)[joints] / via.tolerance
-            per_joint = block_diag([moved] * len(joints)) / via.tolerance
+            per_joint = scipy.sparse.block_diag([moved] * len(joints)) / via.tolerance
             yield per_joint, np.minimum(-1.0 - room, 0.0), np.maximum(1.0 - room, 0.0)
             continue
         shares = bodies.jacobian(tool, now.position[k])[:, joints]
@@ -306,13 +313,13 @@ def _via_rows(
         shares[3:] /= via.angle_tolerance
         shares = shares if via.rpy is not None else shares[:3]
         stays = np.full(len(shares), _VIA_TOOL_SHARE)
-        yield kron(csc_matrix(shares), moved), -stays, stays
+        yield scipy.sparse.kron(scipy.sparse.csc_matrix(shares), moved), -stays, stays
 
 
 def _solve_quadratic_programme(
     hessian: np.ndarray,
     towards: np.ndarray,
-    rows: csc_matrix,
+    rows: scipy.sparse.csc_matrix,
     lower: np.ndarray,
     upper: np.ndarray,
 ) -> np.ndarray:

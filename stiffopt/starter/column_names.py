@@ -5,8 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 
-from stiffopt.recording.signals import is_set_point, may_be_set_point
-from stiffopt.recording.unit_names import UNITS
+from stiffopt.recording.signals import UNITS, is_set_point, may_be_set_point
 
 KINDS = ("velocity", "torque", "link_position", "position")
 # Words of each kind, in order of precedence; names are split at other characters than letters and

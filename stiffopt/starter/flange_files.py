@@ -32,12 +32,10 @@ def write_flange(
 
     Parameters
     ----------
-    folder : Path
     torque : float
         Torque on the flange [N m].
     size, grade : str
         Bolt size and grade, such as "M5" and "12.9" or "A2-70".
-    count : int
     circle : float
         Diameter of the bolts' circle [m].
     nut : bool

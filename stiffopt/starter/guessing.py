@@ -57,7 +57,6 @@ class GuessedColumns:
 
     Parameters
     ----------
-    time : str
     columns : mapping of kind to tuple of str (n,)
         In the order of the joints; "" for a joint without one.
     units : mapping of "time" or kind to str or tuple of str (n,)
@@ -90,7 +89,6 @@ def guess_columns(
     Parameters
     ----------
     table : mapping of column name to array (K,)
-    robot : Robot
     rate : float, optional
         Sampling rate [Hz], if no column is a time; `with_time` adds one.
 

@@ -36,12 +36,9 @@ class Placeholder:
 
     Parameters
     ----------
-    joint : str
     quantity : "velocity" or "effort"
     value : float
         Of the file, in its unit.
-    unit : str
-    why : str
     format : str
         Of the file, such as "URDF".
     """
@@ -85,7 +82,6 @@ def torque_placeholders(arm: LoadedUrdf, demands: np.ndarray) -> tuple[Placehold
 
     Parameters
     ----------
-    arm : LoadedUrdf
     demands : array (n,)
         Largest torque of each joint for both; forces of prismatic joints.
     """
@@ -139,7 +135,6 @@ def open_questions(
 
     Parameters
     ----------
-    arm : LoadedUrdf
     weight : array (n,)
         Largest gravity torque of each joint.
     guessed : mapping

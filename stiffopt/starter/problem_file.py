@@ -22,7 +22,6 @@ def problem_text(robot: Robot, file: str | Path, folder: Path) -> str:
 
     Parameters
     ----------
-    robot : Robot
     file : str or Path
         Name of a shipped robot, or path of a robot file.
     folder : Path
@@ -115,7 +114,6 @@ class FirstMotion:
     Parameters
     ----------
     start, end : array (n,)
-    duration : float
     yields : bool
         The tool deflects along the path and the arm has an elastic mode.
     rigid_joint : str

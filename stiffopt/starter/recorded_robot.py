@@ -38,7 +38,6 @@ class RecordedRobot:
 
     Parameters
     ----------
-    robot : Robot
     file : str
         Name of its file in the set.
     notes : tuple of str
@@ -65,7 +64,6 @@ def store_robot(source: Path, folder: Path, tip: str | None = None) -> RecordedR
     ----------
     source : Path
         URDF, MJCF, robot TOML, or the name of a shipped robot.
-    folder : Path
     tip : str, optional
         Last link of the recorded arm, if the URDF holds more.
 

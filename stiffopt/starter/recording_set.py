@@ -29,9 +29,8 @@ from stiffopt.starter.guessing import (
     guess_columns,
     with_time,
 )
-from stiffopt.starter.message_tables import read_message_table
 from stiffopt.starter.recorded_robot import RecordedRobot, store_robot
-from stiffopt.starter.table_layouts import join_signal_files, name_blocks
+from stiffopt.starter.table_layouts import join_signal_files, name_blocks, read_message_table
 from stiffopt.starter.writing import toml_list, toml_string, write_new
 
 # Training share of a single recording; the rest is held out. Fewest rows for training.
@@ -51,8 +50,6 @@ class StartedSet:
     ----------
     path : Path
         recordings.toml.
-    guess : GuessedColumns
-    notes : tuple of str
     """
 
     path: Path

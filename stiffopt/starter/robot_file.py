@@ -69,7 +69,6 @@ class StartedRobot:
 
     Parameters
     ----------
-    text : str
     notes : tuple of str
         Guesses and omissions, a sentence each.
     """
@@ -92,7 +91,6 @@ def robot_text(
 
     Parameters
     ----------
-    urdf : Path
     folder : Path
         Folder of the file.
     tip : str, optional

@@ -21,7 +21,7 @@ from stiffopt.starter.guessing import (
     guess_time_unit,
     with_time,
 )
-from stiffopt.starter.message_tables import read_message_table
+from stiffopt.starter.table_layouts import read_message_table
 
 # Factors of angles to rad.
 _RADIANS_PER_UNIT = {"": 1.0, "rad": 1.0, "deg": np.pi / 180.0, "mrad": 1e-3}
@@ -62,7 +62,6 @@ def read_timed_motion(path: Path, robot: Robot, rate: float | None = None) -> Ti
     ----------
     path : Path
         CSV and other tables, JointTrajectory or RobotTrajectory as YAML or JSON, MCAP, rosbag2.
-    robot : Robot
     rate : float, optional
         Rows a second [Hz], if no column is a time.
 

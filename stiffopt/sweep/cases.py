@@ -50,7 +50,6 @@ class Case:
     changes : tuple of (place, value)
     start : int
         Number of the initial guess: 0 is the usual one, others start from a random detour.
-    baselines : bool
     key : str
         Hash of all inputs of the result.
     common : tuple of str
@@ -81,16 +80,12 @@ class Sweep:
 
     Parameters
     ----------
-    path : Path
-    title : str
     kind : str
         Kind of the base files.
     places : tuple of str
         Varied entries, in order.
     front : str
         Entry of the trade-off front with the objective; "" for none.
-    starts : int
-    cases : tuple of Case
     """
 
     path: Path
@@ -117,13 +112,7 @@ class Sweep:
 
 
 def load_sweep(path: str | os.PathLike[str], changes: Sequence[str] = ()) -> Sweep:
-    """Read a sweep file and list its cases.
-
-    Raises
-    ------
-    InputFileError
-        The file is invalid: file, key, allowed values and remedy.
-    """
+    """Read a sweep file and list its cases."""
     path = Path(path)
     return build_sweep(read_document(path, SweepFile, "sweep", changes), path)
 

@@ -41,12 +41,7 @@ class WorkerLost(Exception):
 
 
 class Processes:
-    """Pool of worker processes on this machine.
-
-    Parameters
-    ----------
-    count : int
-    """
+    """Pool of worker processes on this machine."""
 
     lost: tuple[type[BaseException], ...] = (WorkerLost,)
 

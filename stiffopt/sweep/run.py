@@ -63,10 +63,8 @@ def run_sweep(
 
     Parameters
     ----------
-    sweep : Sweep
     folder : Path
         Its subfolder `cases` holds the result files.
-    pool : Workers
     progress : callable, optional
         Called with a `SweepProgress` at the start and after each case.
 
@@ -74,7 +72,6 @@ def run_sweep(
     -------
     results : list of dict or None
         Content of each case's file; None for cases not reached before Ctrl-C.
-    interrupted : bool
     """
     for place in (folder / CASES_FOLDER, folder / CASES_FOLDER / _WARM_FOLDER):
         if place.is_symlink() or (place.exists() and not place.is_dir()):
@@ -111,10 +108,8 @@ class _CaseQueue:
 
     Parameters
     ----------
-    cases : list of Case
     done : set of str
         Keys of cases with a result.
-    folder : Path
     """
 
     def __init__(self, cases: list[Case], done: set[str], folder: Path) -> None:

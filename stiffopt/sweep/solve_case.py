@@ -32,7 +32,6 @@ class CaseResult:
     status : str
         Status of the solve or verdict of the diagnosis; "invalid" for invalid input, "failed" if
         the worker died or raised another error.
-    message : str
     values : dict of name to (value in SI or text, unit)
         Values of the table.
     result : dict
@@ -59,7 +58,6 @@ def solve_case(case: Case, warm: bytes | None = None) -> tuple[dict[str, Any], b
 
     Parameters
     ----------
-    case : Case
     warm : bytes, optional
         Final state of another case.
 

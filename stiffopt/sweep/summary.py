@@ -28,12 +28,10 @@ class StartSpread:
     ----------
     best, worst : float
         Objective in SI.
-    unit : str
     usable, starts : int
         Number of starts with a usable result, and of all starts.
     near : int
         Number of starts within 1 % of the best.
-    best_start : int
     """
 
     best: float
@@ -72,10 +70,8 @@ class SweepSummary:
 
     Parameters
     ----------
-    sweep : Sweep
     results : sequence of dict or None
         Content of the cases' files, in order.
-    interrupted : bool
     """
 
     sweep: Sweep

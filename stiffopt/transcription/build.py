@@ -36,7 +36,6 @@ def transcribe(
 
     Parameters
     ----------
-    ocp : OptimalControlProblem
     method : str
         "piecewise_linear" (also "piecewise_linear_acceleration"), "hermite_simpson" or "radau".
     mesh : sequence of array

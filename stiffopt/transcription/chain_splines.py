@@ -16,8 +16,7 @@ from functools import cached_property
 
 import casadi as ca
 import numpy as np
-from scipy.interpolate import BSpline
-from scipy.sparse import coo_matrix, csr_matrix, diags
+import scipy
 
 from stiffopt.transcription.mesh import Mesh
 from stiffopt.transcription.nlp import Places
@@ -106,10 +105,6 @@ class ChainSplines:
     def nonzero_basis(self, places: Places) -> tuple[np.ndarray, np.ndarray]:
         """Nonzero basis functions at places.
 
-        Parameters
-        ----------
-        places : Places
-
         Returns
         -------
         coefficients : array (P, degree + 1) of int
@@ -139,10 +134,10 @@ class ChainSplines:
         found = matrix.tocsr() @ coefficients / durations[phases] ** powers
         return np.asarray(found.reshape(len(places), self.values))
 
-    def matrix(self, places: Places, durations: np.ndarray) -> csr_matrix:
+    def matrix(self, places: Places, durations: np.ndarray) -> scipy.sparse.csr_matrix:
         """Matrix ((nx + nu) P, size) from coefficients to states and controls, place by place."""
         matrix, powers, phases = self._coefficient_map(places)
-        return (diags(durations[phases] ** -powers) @ matrix).tocsr()
+        return (scipy.sparse.diags(durations[phases] ** -powers) @ matrix).tocsr()
 
     def fit(
         self, places: Places, values: np.ndarray, scales: np.ndarray, durations: np.ndarray
@@ -151,7 +146,6 @@ class ChainSplines:
 
         Parameters
         ----------
-        places : Places
         values : array (P, nx + nu)
         scales : array (nx + nu,)
         durations : array (phases,)
@@ -205,12 +199,12 @@ class ChainSplines:
         first, *inner, last = breaks
         ends = np.ones(self.degree + 1)
         knots = np.concatenate([first * ends, np.repeat(inner, self.control_degree), last * ends])
-        spline = BSpline(knots, np.eye(self.counts[phase]), self.degree)
+        spline = scipy.interpolate.BSpline(knots, np.eye(self.counts[phase]), self.degree)
         return np.asarray((spline.derivative(order) if order else spline)(fractions))
 
     def _coefficient_map(
         self, places: Places, orders: tuple[int, ...] = ()
-    ) -> tuple[coo_matrix, np.ndarray, np.ndarray]:
+    ) -> tuple[scipy.sparse.coo_matrix, np.ndarray, np.ndarray]:
         """Matrix from the coefficients, powers of the phase duration in the divisor, and phases.
 
         Rows are the states above the controls, point by point; or derivatives of these orders, of
@@ -232,12 +226,12 @@ class ChainSplines:
                     columns.append((begins[phase] + coefficient) * n + j)
                     data.append(basis[point, coefficient])
                     powers[own, index] = order
-        matrix = coo_matrix(
+        matrix = scipy.sparse.coo_matrix(
             (np.concatenate(data), (np.concatenate(rows), np.concatenate(columns))),
             (count * height, self.size),
         )
         return matrix, powers.ravel(), np.repeat(places.phase, height)
 
 
-def _to_casadi(matrix: coo_matrix) -> ca.DM:
+def _to_casadi(matrix: scipy.sparse.coo_matrix) -> ca.DM:
     return ca.DM(matrix.tocsc())

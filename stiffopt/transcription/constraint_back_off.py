@@ -70,7 +70,6 @@ def path_row_excess(
 
     Parameters
     ----------
-    transcription : Transcription
     x : array
         Solution of the NLP.
     parameters : array (np,)
@@ -123,7 +122,6 @@ def back_off_exceeded(
     ----------
     nlp : Nlp
         The solved one, with its back-off.
-    excess : Excess
     given : Nlp
         With the original bounds.
     most : float
@@ -156,7 +154,6 @@ def back_off_uniformly(nlp: Nlp, excess: Mapping[str, float]) -> Nlp:
 
     Parameters
     ----------
-    nlp : Nlp
     excess : mapping row name -> float
         In units of the row; bounds are reduced to 5 % of their value at least.
     """

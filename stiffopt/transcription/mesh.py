@@ -1,4 +1,4 @@
-"""Meshes: division of each phase into intervals, uniform or refined by control activity."""
+"""Meshes: division of each phase into intervals, uniform; mesh refinement by control activity."""
 
 from __future__ import annotations
 
@@ -25,7 +25,6 @@ def uniform_mesh(intervals: int, phases: int = 1, shares: Sequence[float] | None
     ----------
     intervals : int
         Total number, at least one a phase.
-    phases : int
     shares : sequence of float, optional
         Proportions of intervals among the phases (any positive numbers); equal when absent.
 
@@ -107,7 +106,6 @@ def control_activity(transcription: Transcription, x: np.ndarray) -> np.ndarray:
 
     Parameters
     ----------
-    transcription : Transcription
     x : array
         A solution of its NLP.
 
@@ -142,7 +140,6 @@ def refine_mesh(
 
     Parameters
     ----------
-    transcription : Transcription
     x : array
         A solution of its NLP.
     intervals : int

@@ -38,7 +38,6 @@ class NlpEntry:
         Name of the block, for example "torque".
     label : str
         Label within the block, for example "joint 2".
-    unit : str
     scale : float
         The NLP works with value / scale.
     phase : int
@@ -71,7 +70,6 @@ class RowViolation:
 
     Attributes
     ----------
-    entry : NlpEntry
     value, bound : float
         In the row's unit.
     relative : float
@@ -289,7 +287,6 @@ class Nlp:
         ----------
         g : array
             Row values of the NLP (scaled).
-        n : int
         tolerance : float
             Rows with a smaller relative excess are left out.
         """

@@ -266,7 +266,6 @@ def _replay_operations(
     ----------
     function : casadi.Function
         Of SX, with dense outputs.
-    inputs : list of SX
     number : callable
         (value, instruction) -> symbol of a number, called at each of its uses: equal numbers stay
         separate inputs, since their equality is no part of the formula.

@@ -46,13 +46,7 @@ class NodeRows:
 
 
 def with_node_rows(first: Transcription, blocks: Sequence[NodeRows]) -> Transcription:
-    """Return the transcription with node rows appended to its programme.
-
-    Parameters
-    ----------
-    first : Transcription
-    blocks : sequence of NodeRows
-    """
+    """Return the transcription with node rows appended to its programme."""
     nlp = first.nlp
     own = nlp.p.numel()
     data = _join_numbers(blocks)

@@ -251,7 +251,6 @@ class Guess:
     states, controls : callable
         s (k,) -> (k, nx), (k, nu)
     statics : array (nz,)
-    duration : float
     phase_fractions : array (phases,)
         Share of the duration that each phase takes; sums to one. Equal shares are taken when the
         number of entries is not that of the phases.

@@ -118,8 +118,6 @@ class StageFunction:
 
     Parameters
     ----------
-    stage : NumberedStage
-    count : int
     parameters : int
         Number of the programme's parameters that the stage has; its numbers are the last.
     basis : MX (k, count), optional
@@ -203,7 +201,6 @@ def compose_derivatives(
 
     Parameters
     ----------
-    stage : StageFunction
     symbols : MX
         z, parameters p, and v (m, count), the placeholder of the stage's values.
     variables : MX (n, count)

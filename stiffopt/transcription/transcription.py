@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
+import scipy
 from numpy.polynomial import polynomial
-from scipy.sparse import csr_matrix, diags
 
 from stiffopt.errors import ProblemError
 from stiffopt.symbolic import array_of
@@ -41,7 +41,6 @@ class Unpacked:
     breaks : array (K + 1,)
         Borders of the intervals [s].
     integrals : array (k,)
-    objective : float
     """
 
     times: np.ndarray
@@ -62,11 +61,8 @@ class Transcription:
 
     Attributes
     ----------
-    ocp : OptimalControlProblem
-    scheme : Scheme
     mesh : list of array
         Interval fractions of each phase.
-    nlp : Nlp
     states, controls, statics, durations : Block or None
         Blocks of these variables in the NLP vector; `durations` is None when fixed.
     splines, coefficients : ChainSplines, Block or None
@@ -223,7 +219,7 @@ class Transcription:
             phase_fractions=durations / total,
         )
 
-    def motion_basis(self) -> csr_matrix | None:
+    def motion_basis(self) -> scipy.sparse.csr_matrix | None:
         """Matrix (variables, k) from spline coefficients to the motions that obey all equations.
 
         None where the equations are nonlinear, as with a free duration, where coefficients are the
@@ -239,7 +235,7 @@ class Transcription:
         states, controls = np.split(order, [len(self.ocp.states)], axis=1)
         scales = np.concatenate([self.states.scales, self.controls.scales])
         variables = values[np.append(states, controls)]
-        return (diags(1.0 / scales) @ variables).tocsr()
+        return (scipy.sparse.diags(1.0 / scales) @ variables).tocsr()
 
     def node_states(self, x: np.ndarray) -> np.ndarray:
         """States (NX, nx) at the nodes."""

@@ -5,16 +5,15 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from formula_checks import check_derivative, check_monotone
 from scipy.integrate import quad
 from surfaces import FINE
 
-from stiffopt.checks import check_derivative, check_monotone
 from stiffopt.contact.hertz import half_width, mean_pressure
 from stiffopt.contact.shear import (
     SLIP_LIMIT,
     shear_softening,
     shear_travel,
-    tangential_stiffness_per_area,
 )
 from stiffopt.contact.surrogate import PowerLaw, fit_log_cubic
 
@@ -31,8 +30,6 @@ def test_loss_of_stiffness_under_shear(shear: str, ratio: float, expected: float
     law = PowerLaw(1.8e12, 0.86)
     found = 1 / shear_softening(law, PRESSURE, ratio, shear)
     assert found == pytest.approx(expected, abs=0.006)
-    per_area = tangential_stiffness_per_area(law, PRESSURE, ratio, 0.8, shear)
-    assert per_area == pytest.approx(0.8 * law.stiffness(PRESSURE) * found, rel=1e-13)
 
 
 @pytest.mark.parametrize("shear", ["mindlin", "load"])

@@ -8,10 +8,10 @@ import numpy as np
 import pint
 import pytest
 from fastened_parts import flange, pins
+from formula_checks import check_derivative
 from hypothesis import given
 from hypothesis import strategies as st
 
-from stiffopt.checks import check_derivative
 from stiffopt.drivetrain import catalogue
 from stiffopt.drivetrain.fasteners import BoltData
 from stiffopt.errors import InputError

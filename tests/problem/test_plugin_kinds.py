@@ -28,14 +28,16 @@ class PeakVelocity(ObjectiveKind):
         )
         return (start,)
 
-    def terms(self, objective, problem, model, statics, scale):
-        (bound,) = statics
-        joints = objective.numbers(problem.joints)
+    def terms(self, given):
+        (bound,) = given.statics
+        joints = given.objective.numbers(given.problem.joints)
         rows = PathRows(
             name="peak velocity",
             labels=tuple(f"joint {j} {way}" for j in joints for way in ("forward", "backward")),
             expressions=tuple(
-                (sign * model.velocity[j - 1] - bound) / scale for j in joints for sign in (1, -1)
+                (sign * given.model.velocity[j - 1] - bound) / given.scale
+                for j in joints
+                for sign in (1, -1)
             ),
         )
         return ObjectiveTerms(value=lambda integrals, duration: bound, path_rows=(rows,))

@@ -12,7 +12,7 @@ from test_recording_readers import write_bag, write_json_mcap
 from stiffopt.cli import run
 from stiffopt.errors import InputError
 from stiffopt.recording.recording_set import load_recordings
-from stiffopt.starter.message_tables import STAMP_COLUMN, read_message_table
+from stiffopt.starter.table_layouts import STAMP_COLUMN, read_message_table
 
 pytest.importorskip("rosbags")
 pytest.importorskip("mcap")

@@ -5,11 +5,10 @@ import pytest
 from small_arms import write_robot
 
 from stiffopt import native
-from stiffopt.robot import native_bodies
+from stiffopt.robot import rigid_body
 from stiffopt.robot.body_tree import body_tree
 from stiffopt.robot.files import load_robot
-from stiffopt.robot.native_bodies import NativeBodies
-from stiffopt.robot.rigid_body import inverse_dynamics_along, without_rotors
+from stiffopt.robot.rigid_body import NativeBodies, inverse_dynamics_along, without_rotors
 
 pytestmark = pytest.mark.skipif(native.library() is None, reason="needs the compiled core")
 
@@ -41,5 +40,5 @@ def test_torque_change_equals_difference_of_models(monkeypatch):
     q, v, a = random.normal(size=(3, 60, robot.n))
     bodies = robot.bodies_in_motion()
     quick = bodies.changed_torque(change, q, v, a)
-    monkeypatch.setattr(native_bodies, "MIN_INSTANTS", 61)
+    monkeypatch.setattr(rigid_body, "MIN_INSTANTS", 61)
     np.testing.assert_allclose(quick, bodies.changed_torque(change, q, v, a), rtol=0.0, atol=1e-10)

@@ -20,7 +20,7 @@ from stiffopt.problem.arrival_modes import ArrivalModes
 from stiffopt.problem.files import load_problem
 from stiffopt.problem.formulation import Scales
 from stiffopt.problem.limit import LIMITS
-from stiffopt.problem.objective import OBJECTIVES
+from stiffopt.problem.objective import OBJECTIVES, TermInputs
 from stiffopt.problem.resolve import resolve
 from stiffopt.problem.stage_terms import Smoothing
 from stiffopt.report.solve.wording import objective_phrase
@@ -207,7 +207,7 @@ def test_snap_is_scaled_without_velocity_limit(tmp_path):
     assert not np.isfinite(problem.active_limits.velocity).any()
     snap = ca.SX.sym("snap", problem.joints)
     kind, (objective,) = OBJECTIVES["residual_vibration"], problem.objectives
-    terms = kind.terms(objective, problem, SimpleNamespace(snap=snap), (), 1.0)
+    terms = kind.terms(TermInputs(objective, problem, SimpleNamespace(snap=snap), (), 1.0))
     value = ca.Function("value", [snap], terms.integrands)
     for own in np.eye(problem.joints):
         assert float(value(own)) > 0.0

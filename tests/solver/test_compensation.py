@@ -17,8 +17,7 @@ from stiffopt.elastic.uncertainty import Uncertainty
 from stiffopt.errors import RobotError
 from stiffopt.problem.resolve import resolve
 from stiffopt.report.solve.compensation import (
-    compensation_notes,
-    compensation_table,
+    compensation_section,
     compensation_text,
 )
 from stiffopt.result.compensation import compensation_document, write_command
@@ -100,7 +99,8 @@ def test_the_command_is_written_and_an_old_one_of_another_motion_removed(smooth,
 
 def test_table_text_and_document_have_every_motion(smooth):
     _, _, found = smooth
-    head, rows = compensation_table(found)
+    section = compensation_section(found)
+    head, rows = section.head, section.rows
     assert [row[:2] for row in rows] == [
         [name, how] for name in ("optimised", "toppra") for how in ("as planned", "compensated")
     ]
@@ -108,7 +108,7 @@ def test_table_text_and_document_have_every_motion(smooth):
     text = compensation_text(found)
     assert "in the worst case" in text
     assert "toppra's motion" in text
-    assert "50 arms" in compensation_notes(found)[0]
+    assert "50 arms" in section.lines[0]
     document = compensation_document(found)
     assert document["command"] == "command.csv"
     own = document["motions"]["optimised"]
@@ -131,7 +131,7 @@ def test_a_command_beyond_the_motors_is_refused_with_joint_time_and_remedy(smoot
     assert excess.value == pytest.approx(1 / 0.95 - 1, abs=0.05)
     for part in ("velocity of joint 1 at 0.", "s by", "limits.scale.velocity", "longer duration"):
         assert part in found.refusal
-    assert "exceeds velocity of joint 1" in compensation_table(found)[1][1][-1]
+    assert "exceeds velocity of joint 1" in compensation_section(found).rows[1][-1]
     assert write_command(found, tmp_path) is None
 
 

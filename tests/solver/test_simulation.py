@@ -14,8 +14,12 @@ from stiffopt.elastic.uncertainty import Uncertainty
 from stiffopt.errors import RobotError
 from stiffopt.problem.resolve import resolve
 from stiffopt.report.common.text import si
-from stiffopt.report.solve.simulation import simulation_notes, simulation_table
-from stiffopt.report.solve.wording import comparison, difference_text, headline_text
+from stiffopt.report.solve.wording import (
+    comparison,
+    difference_text,
+    headline_text,
+    simulation_section,
+)
 from stiffopt.result.store import result_document
 from stiffopt.solver.simulation import rival_motions, with_simulation
 from stiffopt.solver.solve import solve
@@ -103,14 +107,15 @@ def test_the_ratio_is_to_the_best_rival_that_keeps_every_limit(solved):
 def test_result_and_table_hold_every_motion(solved):
     _, solution = solved
     document = result_document(solution)["simulation"]
-    head, rows = simulation_table(solution.simulation)
+    section = simulation_section(solution.simulation)
+    head, rows = section.head, section.rows
     assert list(document["motions"]) == [row[0] for row in rows]
     for row in rows:
         assert len(row) == len(head)
         own = document["motions"][row[0]]
         assert set(own) >= {"planned", "in_flight", "after_arrival", "settling_time", "counted"}
     assert document["assumed_damping"] == [1, 2]
-    damping, hysteresis = simulation_notes(solution.simulation)[:2]
+    damping, hysteresis = section.lines[:2]
     assert "joints 1 and 2 is assumed: 2 % of critical" in damping
     # Both joints turned by 0.05 mrad, at most: the tool is at most 0.8 m from the shoulder.
     reach = document["typical_hysteresis"]

@@ -18,8 +18,7 @@ from stiffopt.recording.readers.read import read_tables
 from stiffopt.recording.recording_set import load_recordings
 from stiffopt.robot.files import load_robot
 from stiffopt.starter.guessing import guess_columns
-from stiffopt.starter.message_tables import _joint_fields
-from stiffopt.starter.table_layouts import name_blocks
+from stiffopt.starter.table_layouts import _joint_fields, name_blocks
 
 URDF = ROOT / "problems" / "recordings" / "two_link_friction" / "robot.urdf"
 NAMES = ["t", "q1", "q2", "tau1", "tau2"]

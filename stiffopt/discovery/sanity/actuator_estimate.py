@@ -15,9 +15,8 @@ from stiffopt.discovery.sanity.doubt import format_joints
 from stiffopt.discovery.settings import DEFAULT_TOLERANCE, MIN_MOVING_SPEED
 from stiffopt.discovery.signals import smooth_sign
 from stiffopt.formatting import pm
-from stiffopt.recording.commanded import delayed_command, derive_torque
 from stiffopt.recording.recording_set import RecordingSet
-from stiffopt.recording.run import RecordedRun
+from stiffopt.recording.run import RecordedRun, delayed_command, derive_torque
 
 # Cutoff of the filter [Hz]: weight and friction show in slow motion.
 _FILTER_CUTOFF = 8.0

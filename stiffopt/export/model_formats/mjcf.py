@@ -19,8 +19,8 @@ from stiffopt.export.model_format import (
     notes,
 )
 from stiffopt.files import csv_text
+from stiffopt.robot.body_tree import realisable_inertia, realisable_moments
 from stiffopt.robot.mjcf import is_mjcf
-from stiffopt.robot.realisable_inertia import realisable_inertia, realisable_moments
 
 # MuJoCo's dry friction is a soft constraint: with these settings nearly full at 1 mrad/s.
 _FRICTION_TIME, _FRICTION_IMPEDANCE = 0.002, "0.9999 0.9999 0.001 0.5 2"

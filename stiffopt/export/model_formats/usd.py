@@ -22,17 +22,14 @@ class IsaacValue:
 
     Parameters
     ----------
-    joint : str
     isaac_lab : str
         Key of `ImplicitActuatorCfg`.
     nominal, found : float
         Before and with the findings, in `unit`.
-    unit : str
     usd_attribute : str
         Attribute of the joint's prim.
     usd_value : float
         Found value in `usd_unit`: rotations of USD are in degrees.
-    usd_unit : str
     """
 
     joint: str

@@ -1,14 +1,16 @@
-"""Base class of limits on the magnitude of a joint quantity."""
+"""Limits on the magnitude of a joint quantity: velocity, acceleration, jerk and torque."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from operator import attrgetter
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from stiffopt.errors import InputFileError
-from stiffopt.problem.limit import DriveLimit, LimitKey, Limits
+from stiffopt.declaration import JointAcceleration, JointJerk, JointTorque, JointVelocity
+from stiffopt.errors import InputFileError, ProblemError
+from stiffopt.problem.limit import LIMITS, DriveLimit, LimitKey, Limits
 from stiffopt.problem.stage_terms import PathRows
 from stiffopt.result.assessment import DriveHistory, Violation
 
@@ -18,6 +20,7 @@ if TYPE_CHECKING:
     from stiffopt.problem.trajectory import TrajectoryProblem
     from stiffopt.symbolic import Quantity
     from stiffopt.validation import Section
+
 
 # Largest limit accepted [SI]: larger values are input errors and spoil the scaling of the NLP.
 _MAX_LIMIT = 1e9
@@ -34,8 +37,6 @@ class JointMagnitude(DriveLimit):
         Type of one entry in a file.
     dimension : str
         Dimension for a revolute joint.
-    description : str
-    order : int or None
     """
 
     def __init__(
@@ -111,3 +112,86 @@ def worst_joint(name: str, excess: np.ndarray, motion: DriveHistory) -> Violatio
     """Violation at the largest entry of a relative excess (K, n)."""
     k, j = np.unravel_index(int(np.argmax(excess)), excess.shape)
     return Violation(float(excess[k, j]), name, int(j) + 1, float(motion.time[k]))
+
+
+LIMITS.add(
+    JointMagnitude(
+        "velocity",
+        JointVelocity,
+        "angular velocity",
+        "Largest velocity of each joint [rad/s, m/s]; the robot's own if left out, "
+        '"none" for none.',
+        order=1,
+    )
+)
+
+
+LIMITS.add(
+    JointMagnitude(
+        "acceleration",
+        JointAcceleration,
+        "angular acceleration",
+        "Largest acceleration of each joint [rad/s^2, m/s^2]; the robot's own if left out, "
+        '"none" for none.',
+        order=2,
+    )
+)
+
+
+class Jerk(JointMagnitude):
+    """Jerk limit, a bound of the controls' rate; jumps of the acceleration exceed any limit."""
+
+    def rows(self, problem: TrajectoryProblem, model: StageModel, margin: float) -> list[PathRows]:
+        """One row per joint with planned links; refused on a fixed path."""
+        if problem.plans_links:
+            return super().rows(problem, model, margin)
+        raise ProblemError(
+            "Jerk limits cannot be kept on a fixed path: the path coordinate has a limited "
+            'acceleration only. Write limits.jerk = "none" (inf in Python), or give poses instead '
+            "of motion.path."
+        )
+
+    def violations(self, limits: Limits, motion: DriveHistory) -> list[Violation]:
+        """Violation of the worst joint; acceleration jumps count by their slope on the grid."""
+        slope = np.abs(np.diff(motion.acceleration, axis=0)) / np.diff(motion.time)[:, None]
+        jerk = np.abs(motion.jerk)
+        jerk[:-1] = np.maximum(jerk[:-1], slope)
+        return [self._worst_violation(limits, motion, jerk)]
+
+
+LIMITS.add(
+    Jerk(
+        "jerk",
+        JointJerk,
+        "angular jerk",
+        "Largest jerk of each joint [rad/s^3, m/s^3]; the robot's own if left out, "
+        '"none" for none.',
+        order=3,
+    )
+)
+
+
+class Torque(JointMagnitude):
+    """Limit on the drive torque, rotor inertia and friction included."""
+
+    def rows(self, problem: TrajectoryProblem, model: StageModel, margin: float) -> list[PathRows]:
+        """One row per joint; with dry friction, one per side by its envelope."""
+        bound = problem.active_limits.torque
+        if not np.any(problem.robot.coulomb):
+            return [magnitude_rows(self.name, model.drive_torque, bound, margin)]
+        sides = [
+            magnitude_rows(self.name, side * model.torque_envelope(side), bound, margin)
+            for side in (1.0, -1.0)
+        ]
+        return [replace(rows, lower=-np.inf) for rows in sides]
+
+
+LIMITS.add(
+    Torque(
+        "torque",
+        JointTorque,
+        "torque",
+        "Largest drive torque of each joint [N m, N]; the robot's own if left out, "
+        '"none" for none.',
+    )
+)

@@ -1,4 +1,4 @@
-"""Base classes of limits with one upper bound, on the tool and on residual vibration."""
+"""Limits with one upper bound: speed and deflection of the tool, vibration after arrival."""
 
 from __future__ import annotations
 
@@ -7,15 +7,21 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 
-from stiffopt.declaration import POSITIVE
-from stiffopt.problem.limit import LimitKey, LimitKind, Limits
+from stiffopt.declaration import POSITIVE, Bounds, Length, Speed, Time
+from stiffopt.errors import ProblemError
+from stiffopt.problem.limit import LIMITS, LimitKey, LimitKind, Limits
+from stiffopt.problem.rest_poses import rest_deflection, rest_poses
 from stiffopt.problem.stage_terms import WINDUP_SMOOTHING, PathRows, squared_length
 from stiffopt.result.assessment import Assessment, Violation
+from stiffopt.result.simulation import SETTLING_BAND, SimulatedMotion
 
 if TYPE_CHECKING:
+    from stiffopt.problem.arrival_modes import ArrivalModes
     from stiffopt.problem.joint_lists import JointLists
     from stiffopt.problem.stage_model import StageModel
-    from stiffopt.problem.trajectory import TrajectoryProblem
+    from stiffopt.problem.stage_terms import PathRows
+    from stiffopt.problem.trajectory import ResolvedMotion, TrajectoryProblem
+    from stiffopt.result.assessment import Assessment
     from stiffopt.result.simulation import SimulatedMotion
     from stiffopt.robot.robot import Robot
     from stiffopt.symbolic import Quantity
@@ -33,7 +39,6 @@ class UpperBound(LimitKind):
         Type of the key in a file.
     unit : str
         SI unit.
-    description : str
     """
 
     def __init__(self, name: str, form: Any, unit: str, description: str) -> None:
@@ -107,3 +112,141 @@ class ArrivalBound(UpperBound):
     def rest_missing(self, simulated: SimulatedMotion) -> Violation:
         """Violation of a motion that does not end at rest."""
         return Violation(1.0, self.name, None, simulated.duration)
+
+
+class ToolSpeed(ToolMagnitudeBound):
+    """Limit on the speed of the tool's point."""
+
+    def vector(self, model: StageModel) -> Quantity:
+        """Velocity of the tool [m/s]."""
+        return model.tool_velocity
+
+    def magnitude(self, motion: Assessment) -> np.ndarray:
+        """Speed of the tool [m/s]."""
+        return motion.tool_speed
+
+
+LIMITS.add(ToolSpeed("tool_speed", Speed, "m/s", "Largest speed of the tool's point [m/s]."))
+
+
+class DeflectionCap(ToolMagnitudeBound):
+    """Limit on the peak of one part of the tool's deflection."""
+
+    smoothing = WINDUP_SMOOTHING
+
+    def __init__(self, part: str, description: str) -> None:
+        super().__init__(f"{part}_deflection", Length, "m", description)
+        self.part = part
+
+    def vector(self, model: StageModel) -> Quantity:
+        """Part of the deflection (3,) [m]."""
+        return getattr(model.deflection, self.part)
+
+    def magnitude(self, motion: Assessment) -> np.ndarray:
+        """Length of that part [m]."""
+        return np.asarray(np.linalg.norm(motion.deflection[self.part], axis=1))
+
+    def check(self, problem: TrajectoryProblem, motion: ResolvedMotion) -> None:
+        """Raise `ProblemError` where the static sag of a rest pose exceeds the limit."""
+        cap = getattr(problem.active_limits, self.name)
+        for pose in rest_poses(problem, motion) if self.part == "total" else ():
+            sag = rest_deflection(problem, pose.angles, self.part) if pose.fixed else 0.0
+            if sag > cap:
+                raise ProblemError(
+                    f"limits.total_deflection: the static sag of the {pose.name} pose is "
+                    f"{1e3 * sag:.4g} mm, above the limit {1e3 * cap:.4g} mm, whatever the motion. "
+                    "Raise the limit, or use limits.dynamic_deflection."
+                )
+
+
+LIMITS.add(
+    DeflectionCap(
+        "dynamic", "Largest deviation of the tool from the static sag of the same pose [m]."
+    )
+)
+LIMITS.add(
+    DeflectionCap("total", "Largest deflection of the tool, sag and process force included [m].")
+)
+
+
+class ResidualVibrationLimit(ArrivalBound):
+    """Limit on the simulated peak of the tool's deviation after arrival."""
+
+    def arrival_rows(self, limits: Limits, arrival: ArrivalModes) -> list[PathRows]:
+        """Row on the sum of the modal amplitudes at the tool, an upper bound of the peak."""
+        return [arrival.row(self.name, limits.residual_vibration, 0.0)]
+
+    def violations(self, limits: Limits, motion: Assessment) -> list[Violation]:
+        """Violation of the simulated motion."""
+        simulated = motion.simulated
+        if simulated is None:
+            return []
+        if simulated.peak_after is None:
+            return [self.rest_missing(simulated)]
+        after = np.where(simulated.time >= simulated.duration, simulated.distance, 0.0)
+        when = float(simulated.time[int(np.argmax(after))])
+        return [Violation(self.overshoot(limits, simulated), self.name, None, when)]
+
+    def overshoot(self, limits: Limits, simulated: SimulatedMotion) -> float:
+        """Relative excess of the peak over the limit."""
+        return float((simulated.peak_after or 0.0) / limits.residual_vibration) - 1.0
+
+
+LIMITS.add(
+    ResidualVibrationLimit(
+        "residual_vibration",
+        Length,
+        "m",
+        "Largest deviation of the tool after arrival from its static equilibrium, on the elastic "
+        "arm [m].",
+    )
+)
+
+
+class SettlingTimeLimit(ArrivalBound):
+    """Limit on the simulated time from the motors' stop until the tool stays within a band."""
+
+    def __init__(self) -> None:
+        super().__init__(
+            "settling_time",
+            Annotated[Time, Bounds(above=0.0, most=1.0)],
+            "s",
+            "Longest time from the motors' stop until the tool stays within settling_band of its "
+            "static equilibrium, on the elastic arm [s].",
+        )
+        band = LimitKey(
+            key="settling_band",
+            form=Annotated[Length, POSITIVE] | None,
+            description="Band within which the tool counts as settled; default 0.05 mm [m].",
+            value=lambda robot: SETTLING_BAND,
+        )
+        self.keys = (*self.keys, band)
+
+    def arrival_rows(self, limits: Limits, arrival: ArrivalModes) -> list[PathRows]:
+        """Row on the modal amplitudes after that time."""
+        return [arrival.row(self.name, limits.settling_band, limits.settling_time)]
+
+    def violations(self, limits: Limits, motion: Assessment) -> list[Violation]:
+        """Violation of the simulated motion; 1 if it has not settled within one second."""
+        simulated = motion.simulated
+        if simulated is None:
+            return []
+        if simulated.peak_after is None:
+            return [self.rest_missing(simulated)]
+        took = simulated.settling_time
+        excess = 1.0
+        if took is None:
+            took = float(simulated.time[-1]) - simulated.duration
+        else:
+            excess = took / limits.settling_time - 1.0
+        return [Violation(excess, self.name, None, simulated.duration + took)]
+
+    def overshoot(self, limits: Limits, simulated: SimulatedMotion) -> float:
+        """Relative excess of the deviation after that time over the band."""
+        late = simulated.time >= min(
+            simulated.duration + limits.settling_time, float(simulated.time[-1])
+        )
+        return float(simulated.distance[late].max() / limits.settling_band) - 1.0
+
+
+LIMITS.add(SettlingTimeLimit())

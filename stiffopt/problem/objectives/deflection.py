@@ -7,7 +7,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from stiffopt.errors import ProblemError
-from stiffopt.problem.objective import ACCEPT_ADVICE, OBJECTIVES, Bound, Objective, ObjectiveKind
+from stiffopt.problem.objective import (
+    ACCEPT_ADVICE,
+    OBJECTIVES,
+    Bound,
+    Objective,
+    ObjectiveKind,
+    TermInputs,
+)
 from stiffopt.problem.rest_poses import poses_within_limits, rest_deflection, rest_poses
 from stiffopt.problem.stage_terms import (
     WINDUP_SMOOTHING,
@@ -19,10 +26,8 @@ from stiffopt.problem.stage_terms import (
 )
 
 if TYPE_CHECKING:
-    from stiffopt.problem.stage_model import StageModel
     from stiffopt.problem.trajectory import ResolvedMotion, TrajectoryProblem
     from stiffopt.result.assessment import Assessment
-    from stiffopt.symbolic import Quantity
 
 
 # Dynamic deflection that is not minimised further [m]: below the repeatability of geared arms, and
@@ -40,7 +45,6 @@ class ToolDeflection(ObjectiveKind):
     ----------
     part : str
         "dynamic", "total" or "process".
-    phrase, description : str
     pinned_by : str
         Quantity that bounds the peak in a rest pose; "" for none.
     instead : str
@@ -109,20 +113,13 @@ class ToolDeflection(ObjectiveKind):
             ),
         )
 
-    def terms(
-        self,
-        objective: Objective,
-        problem: TrajectoryProblem,
-        model: StageModel,
-        statics: tuple[Quantity, ...],
-        scale: float,
-    ) -> ObjectiveTerms:
+    def terms(self, given: TermInputs) -> ObjectiveTerms:
         """Upper bound as the value, and the row that enforces it."""
-        (bound,) = statics
-        name = f"{self.deflection_part} deflection {objective.measure}"
-        square = squared_length(getattr(model.deflection, self.deflection_part) / scale)
-        allowed = (bound / scale) ** 2
-        if objective.measure == "peak":
+        (bound,) = given.statics
+        name = f"{self.deflection_part} deflection {given.objective.measure}"
+        square = squared_length(getattr(given.model.deflection, self.deflection_part) / given.scale)
+        allowed = (bound / given.scale) ** 2
+        if given.objective.measure == "peak":
             row = PathRows(name=name, labels=("tool",), expressions=(square - allowed,))
             return ObjectiveTerms(value=lambda integrals, duration: bound, path_rows=(row,))
         mean = IntegralRow(

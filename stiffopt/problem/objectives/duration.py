@@ -5,14 +5,12 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from stiffopt.errors import ProblemError
-from stiffopt.problem.objective import OBJECTIVES, Objective, ObjectiveKind
+from stiffopt.problem.objective import OBJECTIVES, Objective, ObjectiveKind, TermInputs
 from stiffopt.problem.stage_terms import ObjectiveTerms
 
 if TYPE_CHECKING:
-    from stiffopt.problem.stage_model import StageModel
     from stiffopt.problem.trajectory import TrajectoryProblem
     from stiffopt.result.assessment import Assessment
-    from stiffopt.symbolic import Quantity
 
 
 class Duration(ObjectiveKind):
@@ -34,14 +32,7 @@ class Duration(ObjectiveKind):
                 "Give motion.duration as { lower, upper }, or choose another objective."
             )
 
-    def terms(
-        self,
-        objective: Objective,
-        problem: TrajectoryProblem,
-        model: StageModel,
-        statics: tuple[Quantity, ...],
-        scale: float,
-    ) -> ObjectiveTerms:
+    def terms(self, given: TermInputs) -> ObjectiveTerms:
         """Duration as the value."""
         return ObjectiveTerms(value=lambda integrals, duration: duration)
 

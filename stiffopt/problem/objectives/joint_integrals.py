@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from stiffopt.problem.objective import OBJECTIVES, Objective, ObjectiveKind
+from stiffopt.problem.objective import OBJECTIVES, Objective, ObjectiveKind, TermInputs
 from stiffopt.problem.stage_terms import STIFFNESS_SMOOTHING, ObjectiveTerms
 
 if TYPE_CHECKING:
@@ -31,17 +31,10 @@ class JointIntegral(ObjectiveKind):
     def certified_integrand(self, robot: Robot, motion: Assessment) -> np.ndarray:
         """Integrand on the fine grid, (K, n)."""
 
-    def terms(
-        self,
-        objective: Objective,
-        problem: TrajectoryProblem,
-        model: StageModel,
-        statics: tuple[Quantity, ...],
-        scale: float,
-    ) -> ObjectiveTerms:
+    def terms(self, given: TermInputs) -> ObjectiveTerms:
         """Integral of the sum over the joints."""
-        joints = objective.numbers(problem.joints)
-        total = sum(self.integrand(problem, model, joint) for joint in joints)
+        joints = given.objective.numbers(given.problem.joints)
+        total = sum(self.integrand(given.problem, given.model, joint) for joint in joints)
         if self.mean:
             return ObjectiveTerms(
                 value=lambda integrals, duration: integrals[0] / duration, integrands=(total,)

@@ -7,7 +7,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from stiffopt.errors import ProblemError
-from stiffopt.problem.objective import ACCEPT_ADVICE, OBJECTIVES, Bound, Objective, ObjectiveKind
+from stiffopt.problem.objective import (
+    ACCEPT_ADVICE,
+    OBJECTIVES,
+    Bound,
+    Objective,
+    ObjectiveKind,
+    TermInputs,
+)
 from stiffopt.problem.rest_poses import gravity_torque, rest_poses, stiffness_at, torque_sign_change
 from stiffopt.problem.stage_terms import (
     STIFFNESS_SMOOTHING,
@@ -18,10 +25,8 @@ from stiffopt.problem.stage_terms import (
 from stiffopt.units import joint_unit
 
 if TYPE_CHECKING:
-    from stiffopt.problem.stage_model import StageModel
     from stiffopt.problem.trajectory import ResolvedMotion, TrajectoryProblem
     from stiffopt.result.assessment import Assessment
-    from stiffopt.symbolic import Quantity
 
 # Penalty of a sign change by torque_max, as a relative loss of stiffness.
 _RELIEF_PRICE = 10.0
@@ -103,41 +108,35 @@ class LowestJointStiffness(ObjectiveKind):
 
         return bound, StaticVariable(name="torque on the other side", start=relief, scale=1.0)
 
-    def terms(
-        self,
-        objective: Objective,
-        problem: TrajectoryProblem,
-        model: StageModel,
-        statics: tuple[Quantity, ...],
-        scale: float,
-    ) -> ObjectiveTerms:
+    def terms(self, given: TermInputs) -> ObjectiveTerms:
         """Lower bound less the penalty of the relief."""
-        bound = statics[0]
-        joints = objective.numbers(problem.joints)
+        bound = given.statics[0]
+        joints = given.objective.numbers(given.problem.joints)
         stiff = PathRows(
             name="minimum joint stiffness",
             labels=tuple(f"joint {j}" for j in joints),
             # Compliance is smooth and bounded where stiffness is steep.
             expressions=tuple(
-                bound * objective.weight_of(j) * model.compliance(j) - 1.0 for j in joints
+                bound * given.objective.weight_of(j) * given.model.compliance(j) - 1.0
+                for j in joints
             ),
         )
-        kept = _single_sided_joints(objective, problem, model.sides)
+        kept = _single_sided_joints(given.objective, given.problem, given.model.sides)
         if not kept:
             return ObjectiveTerms(value=lambda integrals, duration: bound, path_rows=(stiff,))
-        relief = statics[1]
-        torque, largest = model.torques.spring, problem.robot.torque_max
+        relief = given.statics[1]
+        torque, largest = given.model.torques.spring, given.problem.robot.torque_max
         one_sided = PathRows(
             name="torque on one side",
             labels=tuple(f"joint {j}" for j in kept),
             expressions=tuple(
-                model.sides[j - 1] * torque[j - 1] / largest[j - 1] + relief for j in kept
+                given.model.sides[j - 1] * torque[j - 1] / largest[j - 1] + relief for j in kept
             ),
             lower=0.0,
             upper=np.inf,
         )
         return ObjectiveTerms(
-            value=lambda integrals, duration: bound - _RELIEF_PRICE * scale * relief,
+            value=lambda integrals, duration: bound - _RELIEF_PRICE * given.scale * relief,
             path_rows=(stiff, one_sided),
         )
 

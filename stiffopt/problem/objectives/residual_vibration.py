@@ -6,16 +6,14 @@ from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
-from stiffopt.problem.objective import OBJECTIVES, Objective, ObjectiveKind
+from stiffopt.problem.objective import OBJECTIVES, Objective, ObjectiveKind, TermInputs
 from stiffopt.problem.stage_terms import WINDUP_SMOOTHING, ObjectiveTerms
 from stiffopt.problem.trajectory import check_arrival, check_link_planning
 
 if TYPE_CHECKING:
     from stiffopt.problem.motor_model import MotorModel
-    from stiffopt.problem.stage_model import StageModel
     from stiffopt.problem.trajectory import TrajectoryProblem
     from stiffopt.result.assessment import Assessment
-    from stiffopt.symbolic import Quantity
 
 # Weight of the snap that selects among motions without residual vibration, in units of the
 # objective: negligible beside other terms.
@@ -49,24 +47,18 @@ class ResidualVibration(ObjectiveKind):
         check_link_planning(problem, self.name, "minimise 'dynamic_deflection'")
         check_arrival(problem, self.name)
 
-    def terms(
-        self,
-        objective: Objective,
-        problem: TrajectoryProblem,
-        model: StageModel,
-        statics: tuple[Quantity, ...],
-        scale: float,
-    ) -> ObjectiveTerms:
+    def terms(self, given: TermInputs) -> ObjectiveTerms:
         """Mean squared snap, scaled by its typical value for each joint."""
-        snap = cast("MotorModel", model).snap
-        speed = problem.active_limits.velocity
+        snap = cast("MotorModel", given.model).snap
+        speed = given.problem.active_limits.velocity
         # 1 rad/s for joints without a velocity limit.
         typical = (
-            np.where(np.isfinite(speed), speed, 1.0) * (_SNAP_FREQUENCY / problem.duration[0]) ** 3
+            np.where(np.isfinite(speed), speed, 1.0)
+            * (_SNAP_FREQUENCY / given.problem.duration[0]) ** 3
         )
-        total = sum((snap[j] / typical[j]) ** 2 for j in range(problem.joints))
+        total = sum((snap[j] / typical[j]) ** 2 for j in range(given.problem.joints))
         return ObjectiveTerms(
-            value=lambda integrals, duration: _SNAP_WEIGHT * scale * integrals[0] / duration,
+            value=lambda integrals, duration: _SNAP_WEIGHT * given.scale * integrals[0] / duration,
             integrands=(total,),
         )
 

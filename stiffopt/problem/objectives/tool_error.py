@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, cast
 import numpy as np
 
 from stiffopt.errors import ProblemError
-from stiffopt.problem.objective import OBJECTIVES, Objective, ObjectiveKind
+from stiffopt.problem.objective import OBJECTIVES, Objective, ObjectiveKind, TermInputs
 from stiffopt.problem.stage_terms import (
     WINDUP_SMOOTHING,
     ObjectiveTerms,
@@ -19,10 +19,8 @@ from stiffopt.result.tool_error import BOUND_FACTOR, UNIFORM_MEAN_SQUARE
 
 if TYPE_CHECKING:
     from stiffopt.problem.motor_model import MotorModel
-    from stiffopt.problem.stage_model import StageModel
     from stiffopt.problem.trajectory import TrajectoryProblem
     from stiffopt.result.assessment import Assessment
-    from stiffopt.symbolic import Quantity
 
 # Weight of the squared ringing over the typical error: ringing of 1/200 of that counts as much as
 # the error in flight, and more counts more: rivals with a smooth time law hardly ring.
@@ -74,22 +72,15 @@ class CommandedToolError(ObjectiveKind):
             ),
         )
 
-    def terms(
-        self,
-        objective: Objective,
-        problem: TrajectoryProblem,
-        model: StageModel,
-        statics: tuple[Quantity, ...],
-        scale: float,
-    ) -> ObjectiveTerms:
+    def terms(self, given: TermInputs) -> ObjectiveTerms:
         """Upper bound of the error in flight, and the squared ringing."""
-        (bound,) = statics
-        motors = cast("MotorModel", model)
-        error = motors.commanded_error(problem.uncertainty, problem.servo)
-        share = UNIFORM_MEAN_SQUARE * (BOUND_FACTOR / scale) ** 2
-        square = share * error.quasi_static - (bound / scale) ** 2
+        (bound,) = given.statics
+        motors = cast("MotorModel", given.model)
+        error = motors.commanded_error(given.problem.uncertainty, given.problem.servo)
+        share = UNIFORM_MEAN_SQUARE * (BOUND_FACTOR / given.scale) ** 2
+        square = share * error.quasi_static - (bound / given.scale) ** 2
         return ObjectiveTerms(
-            value=lambda integrals, duration: bound + _RINGING_WEIGHT * scale * integrals[0],
+            value=lambda integrals, duration: bound + _RINGING_WEIGHT * given.scale * integrals[0],
             integrands=(share * error.ringing_rate,),
             path_rows=(PathRows(name="tool error", labels=("tool",), expressions=(square,)),),
         )

@@ -32,7 +32,6 @@ class Field:
 
     Parameters
     ----------
-    topic : str
     steps : tuple of str or int
         Attributes; an entry of a list by number, or by name as "[elbow]".
     """
@@ -124,8 +123,6 @@ def gather_columns(
 
     Parameters
     ----------
-    path : Path
-    signals : Signals
     topics : iterable of str
         Topics of the file.
     messages : iterable of Message

@@ -105,7 +105,6 @@ def read_columns(path: str | os.PathLike[str], signals: Signals) -> Columns:
         Text, JSON, NPZ, Parquet, MATLAB, Excel, HDF5, MCAP, a rosbag2 (its folder or the .db3
         inside), the .dat of a KUKA trace; "FILE#PART" for one of several runs in it: an episode of
         a LeRobot dataset ("data/chunk-000/file-000.parquet#3"), a group of HDF5, a sheet.
-    signals : Signals
 
     Returns
     -------

@@ -17,7 +17,7 @@ from stiffopt.recording.readers.columns import (
     expand_vectors,
     unnamed_columns,
 )
-from stiffopt.recording.unit_names import UNITS
+from stiffopt.recording.signals import UNITS
 
 _CELL_SEPARATORS = (";", "\t", ",", "|")
 _NUMBER_PATTERN = re.compile(r"^[+-]?(\d+[.,]?\d*|[.,]\d+)([eE][+-]?\d+)?$")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -14,22 +13,11 @@ from stiffopt.budget.measurements import Measurement
 from stiffopt.budget.volume import VolumeBudget
 from stiffopt.report.common.page import PageFigures, write_page
 from stiffopt.report.common.svg import PALETTE, WIDTH, figure_style
-from stiffopt.report.common.terminal import print_lines, print_table
-from stiffopt.report.common.text import scale, si
+from stiffopt.report.common.terminal import Section, print_lines, print_section
+from stiffopt.report.common.text import MAX_LISTED, percent, scale, si
 
-# Causes that are named in the table.
-_MAX_SOURCES = 12
 # Gain below which a measurement is not recommended.
 _MIN_GAIN = 0.01
-
-
-@dataclass(frozen=True)
-class CauseRow:
-    """A cause of error at the instant of the largest bound: standard deviation and share."""
-
-    name: str
-    deviation: float
-    share: float
 
 
 def write_budget_report(
@@ -48,9 +36,9 @@ def write_budget_report(
         "title": f"{title}: error budget of the tool",
         "headline": headline(budget, volume),
         "advice": advice(measurements),
-        "shares": share_rows(budget),
+        "shares": share_section(budget),
         "causes": largest_causes(budget),
-        "measurements": measurements,
+        "measurements": measurement_section(measurements),
         "volume": volume,
         "assumptions": assumptions,
     }
@@ -82,17 +70,27 @@ def advice(measurements: Sequence[Measurement]) -> str:
     )
 
 
-def share_rows(budget: ErrorBudget) -> list[tuple[str, float, float]]:
+def share_section(budget: ErrorBudget) -> Section:
     """Return groups with their mean shares along the motion, of position and orientation."""
     first, second = (budget.shares(rows) for rows in (POSITION, ORIENTATION))
-    rows = [
-        (name, float(np.mean(first.get(name, 0.0))), float(np.mean(second.get(name, 0.0))))
+    means = {
+        name: [float(np.mean(part.get(name, 0.0))) for part in (first, second)]
         for name in dict.fromkeys([*first, *second])
-    ]
-    return sorted(rows, key=lambda row: -row[1])
+    }
+    head = ("source", "share of position", "share of orientation")
+    ordered = sorted(means.items(), key=lambda item: -item[1][0])
+    rows = [(name, *(percent(share, 3) for share in shares)) for name, shares in ordered]
+    return Section(head=head, rows=rows, numbers=head[1:])
 
 
-def largest_causes(budget: ErrorBudget) -> list[CauseRow]:
+def measurement_section(measurements: Sequence[Measurement]) -> Section:
+    """Return the bound after each measurement, and the sentence on the best one."""
+    head = ("measurement", "largest bound after it", "less by")
+    rows = [(each.name, si(each.bound, "m", 3), percent(each.gain, 3)) for each in measurements]
+    return Section(head=head, rows=rows, numbers=head[1:], lines=[advice(measurements)])
+
+
+def largest_causes(budget: ErrorBudget) -> Section:
     """Return the causes of the largest variance where the bound is largest."""
     k = int(np.argmax(budget.bound(POSITION)))
     squares: dict[str, float] = {}
@@ -100,8 +98,15 @@ def largest_causes(budget: ErrorBudget) -> list[CauseRow]:
         size = float(np.sum(source.effect[k, POSITION] ** 2))
         squares[source.name] = squares.get(source.name, 0.0) + size
     whole = sum(squares.values()) or 1.0
-    ordered = sorted(squares.items(), key=lambda item: -item[1])[:_MAX_SOURCES]
-    return [CauseRow(name, float(np.sqrt(size)), size / whole) for name, size in ordered if size]
+    ordered = sorted(squares.items(), key=lambda item: -item[1])[:MAX_LISTED]
+    rows = [
+        (name, si(float(np.sqrt(size)), "m", 3), percent(size / whole, 3))
+        for name, size in ordered
+        if size
+    ]
+    return Section(
+        head=("cause", "standard deviation at the tool", "share of the variance"), rows=rows
+    )
 
 
 def bounds_figure(budget: ErrorBudget) -> Figure:
@@ -169,17 +174,6 @@ def print_budget(
 ) -> None:
     """Print bounds, shares, the best measurements and the path of the report."""
     print_lines([headline(budget, volume)])
-    print_table(
-        ("source", "share of position", "share of orientation"),
-        [
-            (name, f"{100 * first:.1f} %", f"{100 * second:.1f} %")
-            for name, first, second in share_rows(budget)
-        ],
-        numbers=("share of position", "share of orientation"),
-    )
-    print_table(
-        ("measurement", "bound after it", "less by"),
-        [(each.name, si(each.bound, "m", 3), f"{100 * each.gain:.1f} %") for each in measurements],
-        numbers=("bound after it", "less by"),
-    )
-    print_lines([advice(measurements), f"Report: {folder / 'report.html'}"])
+    print_section(share_section(budget))
+    print_section(measurement_section(measurements))
+    print_lines([f"Report: {folder / 'report.html'}"])

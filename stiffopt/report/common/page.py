@@ -124,7 +124,6 @@ def write_page(
         Path of the page; the figures are written beside it.
     context : mapping
         Variables of the template, beside `figures`.
-    figures : PageFigures
     filters : dict of name to callable, optional
         Filters of this page, beside those of `common.text`.
     """

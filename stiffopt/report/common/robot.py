@@ -80,7 +80,6 @@ def estimated_inputs(robot: Robot, joints: Container[str] | None = None) -> list
 
     Parameters
     ----------
-    robot : Robot
     joints : container of str, optional
         Names of the joints to include, beside inputs of no joint; default: all.
     """

@@ -155,7 +155,6 @@ def to_svg(figure: Figure, name: str, description: str) -> str:
 
     Parameters
     ----------
-    figure : matplotlib.figure.Figure
     name : str
         Unique on its page; prefixes the ids, which would otherwise clash between figures.
     description : str

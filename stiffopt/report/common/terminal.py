@@ -1,10 +1,11 @@
-"""Terminal output of commands: status line, sentences, and tables without truncated cells."""
+"""Terminal output of commands: status line, sections, and tables without truncated cells."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Collection, Iterable, Sequence
 from contextlib import ExitStack
+from dataclasses import dataclass
 from typing import Self
 
 from rich.console import Console
@@ -42,12 +43,39 @@ def print_table(
     console.print(table)
 
 
+@dataclass(frozen=True, kw_only=True)
+class Section:
+    """Part of an answer that page and terminal both show: a table and sentences.
+
+    Parameters
+    ----------
+    head : sequence of str
+        Column headings; none without a table.
+    rows : sequence of sequence of str
+        Cells; several values of a cell stand on lines of their own.
+    numbers : collection of str
+        Columns that the terminal aligns on the right.
+    """
+
+    title: str = ""
+    lines: Sequence[str] = ()
+    head: Sequence[str] = ()
+    rows: Sequence[Sequence[str]] = ()
+    numbers: Collection[str] = ()
+
+
+def print_section(section: Section) -> None:
+    """Print the table of a section, if it has one, and its sentences."""
+    if section.rows:
+        print_table(section.head, section.rows, section.title or None, section.numbers)
+    print_lines(section.lines)
+
+
 class StatusLine(ExitStack):
     """Context manager that shows a line: updated in place on a terminal, else printed each time.
 
     Parameters
     ----------
-    title : str
     console : rich.console.Console or None
         None: standard error, so that standard output stays free for results.
     clock : callable

@@ -17,6 +17,7 @@ from stiffopt.units import joint_unit
 __all__ = [
     "DASH",
     "FILTERS",
+    "MAX_LISTED",
     "UNCHANGED",
     "breakable",
     "capital",
@@ -35,6 +36,8 @@ __all__ = [
     "words",
 ]
 
+# Rows of a list or table that a page or a terminal shows; the files have all.
+MAX_LISTED = 12
 UNCHANGED = 5e-5  # relative change that is written as 0 %
 
 

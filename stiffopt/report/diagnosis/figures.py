@@ -1,7 +1,8 @@
-"""Figures of a diagnosis: residual over noise of all channels, and held-out runs over time."""
+"""Figures of a diagnosis: residual over noise, held-out runs over time, simulated positions."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -24,12 +25,14 @@ from stiffopt.report.common.svg import (
     figure_style,
 )
 from stiffopt.report.common.text import scale, significant
-from stiffopt.report.diagnosis.words import regressor_words
+from stiffopt.report.diagnosis.words import channels_in_words, regressor_words
 from stiffopt.units import joint_unit
 
 if TYPE_CHECKING:
     from stiffopt.discovery.diagnosis import Diagnosis
+    from stiffopt.discovery.position_fit import PositionRun
     from stiffopt.discovery.prediction import ChannelError, RunProof
+
 
 HEAT = LinearSegmentedColormap.from_list("heat", ["#f5f7f9", "#f7d99a", ORANGE, "#a33b00"])
 # Least residual over noise of the darkest colour.
@@ -185,8 +188,6 @@ class Trace:
         Samples that count: torque only while the joint moves.
     speed : array (K,)
         Speed of the joint.
-    error : ChannelError
-    unit : str
     """
 
     time: np.ndarray
@@ -205,8 +206,6 @@ class Window:
 
     Parameters
     ----------
-    run : str
-    error : ChannelError
     begin, end : float
         [s]
     rms : float
@@ -215,7 +214,6 @@ class Window:
         The same over noise.
     slowest, fastest : float
         Range of the joint's speed.
-    unit : str
     """
 
     run: str
@@ -369,3 +367,65 @@ def _run_windows(run: str, shown: Trace) -> list[Window]:
                 )
             )
     return windows
+
+
+def state_figure(diagnosis: Diagnosis) -> Figure:
+    """Plot residual over noise of held-out runs by channel and state, before and after the fit."""
+    with figure_style():
+        names = list(dict.fromkeys(c.name for p in diagnosis.held_out for c in p.channels))
+        figure = Figure(figsize=(WIDTH, 1.0 + 0.24 * max(len(names), 3)))
+        grid = figure.subplots(1, 2, sharey=True)
+        for axes, state in zip(grid, ("before", "after"), strict=True):
+            proofs = [p for p in diagnosis.held_out if p.run.name.startswith(f"{state}_")]
+            for row, name in enumerate(names):
+                own = [c for p in proofs for c in p.channels if c.name == name]
+                count = sum(c.samples for c in own)
+                if not count:
+                    continue
+                old, new = (
+                    (sum(getattr(c, key) for c in own) / count) ** 0.5 / own[0].noise
+                    for key in ("before", "after")
+                )
+                axes.plot([old, new], [row, row], color=PALE, linewidth=3.0, zorder=1)
+                axes.plot(old, row, "o", mfc="white", mec=VERMILLION, mew=1.5, ms=6)
+                axes.plot(new, row, "o", color=BLUE, ms=5)
+            axes.axvline(1.0, color=GREY, linewidth=1.0, zorder=0)
+            axes.set_title(f"held-out runs {state} the change")
+            axes.set_xlabel("residual over noise")
+            axes.grid(visible=False, axis="y")
+        grid[0].set_yticks(range(len(names)), [channels_in_words([name]) for name in names])
+        grid[0].invert_yaxis()
+        return figure
+
+
+def position_figure(run: PositionRun, joints: Sequence[str], prismatic: np.ndarray) -> Figure:
+    """Plot command, measured and simulated position of each joint over time, and the errors."""
+    n = len(joints)
+    with figure_style():
+        figure = Figure(figsize=(WIDTH, 0.7 + 1.45 * n))
+        grid = figure.subplots(n, 2, squeeze=False, sharex=True)
+        for j, (left, right) in enumerate(grid):
+            for values, colour, label, width in (
+                (run.command, GREY, "command", 0.9),
+                (run.measured, INK, "measured", 1.8),
+                (run.before, VERMILLION, "before", 1.1),
+                (run.after, BLUE, "after", 1.1),
+            ):
+                shown = decimate_curve(run.time, np.nan_to_num(values[:, j]))
+                left.plot(*shown, color=colour, label=label, linewidth=width)
+            for values, colour in ((run.before, VERMILLION), (run.after, BLUE)):
+                error = 1e3 * np.nan_to_num(values[:, j] - run.measured[:, j])
+                right.plot(*decimate_curve(run.time, error), color=colour, linewidth=1.1)
+            left.set_title(f"J{j + 1} {joints[j]}")
+            left.set_ylabel("m" if prismatic[j] else "rad")
+            right.set_title("simulated less measured")
+            right.set_ylabel("mm" if prismatic[j] else "mrad")
+        for axes in grid[-1]:
+            axes.set_xlabel("time [s]")
+        handles, labels = grid[0][0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="upper right", ncols=4, bbox_to_anchor=(0.99, 1.0))
+        height = figure.get_figheight()
+        figure.subplots_adjust(
+            left=0.07, right=0.99, top=1.0 - 0.5 / height, bottom=0.45 / height, hspace=0.5
+        )
+        return figure

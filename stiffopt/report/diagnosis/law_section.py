@@ -42,7 +42,6 @@ class LawOnPage:
 
     Parameters
     ----------
-    equation : str
     numbers : tuple of str
         Every value in full, for another simulator.
     signals : tuple of str

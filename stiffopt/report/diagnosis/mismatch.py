@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from stiffopt.discovery.judging.explained_shares import MismatchShare
     from stiffopt.discovery.judging.run_deviations import Drift
 
-# Shares of the mismatch below and above which they are written as none and as all.
-_MIN_SHARE, _FULL_SHARE = 0.005, 0.995
+# Share of the mismatch that is written as none; all but that is written as all.
+_MIN_SHARE = 0.005
 # Share of nominal values above which the value that moved most is named.
 _MIN_NOMINAL_SHARE = 0.2
 # Names of nominal values of joints, where they differ from the keys of files.
@@ -43,7 +43,6 @@ class Mismatch:
 
     Parameters
     ----------
-    sentence : str
     pieces : list of NamedShare
         Explained parts, the largest first, and the unexplained part last.
     """
@@ -58,7 +57,6 @@ class NamedShare:
 
     Parameters
     ----------
-    words : str
     share : float
         Share of the mismatch on held-out runs.
     open : bool
@@ -124,7 +122,7 @@ def noise_ceiling_sentence(diagnosis: Diagnosis) -> str:
     channels = {c.kind for proof in diagnosis.held_out for c in proof.channels}
     of = " of the torques" if "link_position" in channels else ""
     box = "a black-box fit of the residual that remains in the training runs"
-    if not rod.depends and rod.explained > _FULL_SHARE:
+    if not rod.depends and rod.explained > 1.0 - _MIN_SHARE:
         text = f"Noise ceiling{of}: reached on held-out runs; {box} explains hardly more there."
     else:
         share = f"{100 * rod.explained:.0f} %" if rod.explained > 0.0 else "0 %"

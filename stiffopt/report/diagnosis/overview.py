@@ -14,7 +14,7 @@ import numpy as np
 from stiffopt.discovery.answer import MIN_LISTED_PROBABILITY
 from stiffopt.discovery.comparison.inertial_parameters import INERTIAL_PARAMETER_NAMES
 from stiffopt.discovery.comparison.value_name import ValueName
-from stiffopt.report.common.text import percent
+from stiffopt.report.common.text import MAX_LISTED, percent
 
 if TYPE_CHECKING:
     from stiffopt.discovery.comparison.located_effect import LocatedEffect
@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from stiffopt.discovery.identifiable import EffectCheck
     from stiffopt.discovery.judging.detection_limits import DetectionLimit
 
-# Nominal values listed.
-_MAX_MOVED_VALUES = 12
 # A parameter is identifiable where its standard deviation is below this share of the prior's.
 _MAX_SD_OVER_PRIOR = 0.3
 _INERTIAL_UNITS = ("kg", *("kg m",) * 3, *("kg m^2",) * 6)
@@ -35,7 +33,6 @@ class MovedValue:
 
     Parameters
     ----------
-    name : ValueName
     unit : str
         "" for a relative change.
     change, tolerance : float
@@ -54,7 +51,6 @@ class MovedBody:
 
     Parameters
     ----------
-    link : str
     shown : tuple of (name, change, sd, unit)
         Identifiable inertial parameters, with standard deviations of the linear model.
     hidden : int
@@ -120,7 +116,7 @@ def moved_values(diagnosis: Diagnosis) -> list[MovedValue]:
     order = [k for k in np.argsort(-np.abs(moved / sd)) if names[k].kind != "body"]
     return [
         MovedValue(names[k], units.get(names[k].kind, ""), float(moved[k]), float(sd[k]))
-        for k in order[:_MAX_MOVED_VALUES]
+        for k in order[:MAX_LISTED]
     ]
 
 

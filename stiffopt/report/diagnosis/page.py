@@ -30,8 +30,10 @@ from stiffopt.report.diagnosis.figures import (
     held_out_figure,
     noise_ceiling_figure,
     overlay_figure,
+    position_figure,
     proof_figure,
     residual_figure,
+    state_figure,
     trace,
     worst_windows,
 )
@@ -45,7 +47,6 @@ from stiffopt.report.diagnosis.overview import (
     sharpest_limits,
     undetectable_effects,
 )
-from stiffopt.report.diagnosis.position_figure import position_figure
 from stiffopt.report.diagnosis.positions import position_section, value_section
 from stiffopt.report.diagnosis.regimes import (
     channel_residuals,
@@ -55,7 +56,6 @@ from stiffopt.report.diagnosis.regimes import (
     spectrum_figure,
 )
 from stiffopt.report.diagnosis.sections import answer_sections
-from stiffopt.report.diagnosis.state_figure import state_figure
 from stiffopt.report.diagnosis.words import (
     CHANNEL_OUTCOMES,
     channel_words,
@@ -86,13 +86,8 @@ def write_diagnosis_report(
     ----------
     diagnosis : Diagnosis
         Diagnosis of any verdict.
-    directory : path
     png : bool
         Write the figures as PNG as well.
-
-    Returns
-    -------
-    Path
     """
     recordings, search = diagnosis.recordings, diagnosis.search
     trained = diagnosis.training.recorded

@@ -330,8 +330,6 @@ def regimes(
 
     Parameters
     ----------
-    diagnosis : Diagnosis
-    rows : ChannelResiduals
     electrical : bool
         Use the electrical angle of the motor, where its pole pairs are known.
     """

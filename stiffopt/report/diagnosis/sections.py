@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from stiffopt.discovery.answer import (
@@ -13,7 +12,8 @@ from stiffopt.discovery.answer import (
     is_prismatic,
     statements,
 )
-from stiffopt.report.common.text import DASH, capital, joint_unit, pm, significant
+from stiffopt.report.common.terminal import Section
+from stiffopt.report.common.text import DASH, MAX_LISTED, capital, joint_unit, pm, significant
 from stiffopt.report.diagnosis.mismatch import (
     counterbalance_sentences,
     episode_sentences,
@@ -23,8 +23,7 @@ from stiffopt.report.diagnosis.mismatch import (
     noise_ceiling_sentence,
     transfer_sentences,
 )
-from stiffopt.report.diagnosis.reidentified_masses import mass_sentences
-from stiffopt.report.diagnosis.values_to_enter import value_sentences
+from stiffopt.report.diagnosis.values_to_enter import mass_sentences, value_sentences
 from stiffopt.report.diagnosis.words import (
     channel_words,
     joints_in_words,
@@ -39,37 +38,16 @@ if TYPE_CHECKING:
     from stiffopt.discovery.diagnosis import Diagnosis, Finding
 
 _FINDING_COLUMNS = ("finding", "probability", "value ± standard deviation", "explains", "or else")
-_MAX_CHANGE_ROWS = 12  # shown; all are in diagnosis.json
 _CHANGE_COLUMNS = ("changed value", "from", "to", "cause")
 
 
-@dataclass(frozen=True, kw_only=True)
-class AnswerSection:
-    """Part of an answer with its sentences and a table.
-
-    Parameters
-    ----------
-    title : str
-    lines : tuple of str
-    head : tuple of str
-        Column headings; none without a table.
-    rows : tuple of tuple of str
-        Cells; several values of a cell stand on lines of their own.
-    """
-
-    title: str
-    lines: tuple[str, ...] = ()
-    head: tuple[str, ...] = ()
-    rows: tuple[tuple[str, ...], ...] = ()
-
-
-def answer_sections(diagnosis: Diagnosis) -> list[AnswerSection]:
+def answer_sections(diagnosis: Diagnosis) -> list[Section]:
     """Return the sections of an answer that have content, the most important first."""
     every = [
-        AnswerSection(title="Findings", head=_FINDING_COLUMNS, rows=tuple(finding_rows(diagnosis))),
+        Section(title="Findings", head=_FINDING_COLUMNS, rows=tuple(finding_rows(diagnosis))),
         _changes_section(diagnosis),
-        AnswerSection(title="Composition of the mismatch", lines=tuple(mismatch_lines(diagnosis))),
-        AnswerSection(
+        Section(title="Composition of the mismatch", lines=tuple(mismatch_lines(diagnosis))),
+        Section(
             title="Next experiment",
             lines=(diagnosis.next_experiment,) if diagnosis.next_experiment else (),
         ),
@@ -77,13 +55,13 @@ def answer_sections(diagnosis: Diagnosis) -> list[AnswerSection]:
     return [each for each in every if each.lines or each.rows]
 
 
-def _changes_section(diagnosis: Diagnosis) -> AnswerSection:
+def _changes_section(diagnosis: Diagnosis) -> Section:
     rows = change_rows(diagnosis)
-    rest = len(rows) - _MAX_CHANGE_ROWS
-    return AnswerSection(
+    rest = len(rows) - MAX_LISTED
+    return Section(
         title="Changed values",
         head=_CHANGE_COLUMNS,
-        rows=tuple(rows[:_MAX_CHANGE_ROWS]),
+        rows=tuple(rows[:MAX_LISTED]),
         lines=(f"{rest} smaller changes are in diagnosis.json.",) if rest > 0 else (),
     )
 

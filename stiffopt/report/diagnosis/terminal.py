@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from stiffopt.discovery.answer import action
-from stiffopt.report.common.terminal import print_lines, print_table
+from stiffopt.report.common.terminal import print_lines, print_section
 from stiffopt.report.common.text import listed
 from stiffopt.report.diagnosis.changes import terminal_lines
 from stiffopt.report.diagnosis.positions import position_section, value_section
@@ -46,9 +46,7 @@ def print_diagnosis(diagnosis: Diagnosis, folder: Path) -> None:
     simulated = position_section(diagnosis.positions, slides)
     values = value_section(diagnosis.closed_loop, slides)
     for section in (*answer_sections(diagnosis), simulated, values):
-        if section.rows:
-            print_table(section.head, section.rows, title=section.title)
-        print_lines(section.lines)
+        print_section(section)
     lines = [*outside_lines(diagnosis), *(f"Assumed: {note}" for note in diagnosis.assumptions)]
     lines += fault_lines(diagnosis)
     page = folder / "report.html"

@@ -58,7 +58,7 @@ def write_static_report(result: StaticStiffness, folder: Path) -> Path:
         "tilt": tilt_sentence(result),
         "outliers": _outlying_poses(result),
     }
-    filters: Filters = {"status_words": status_words, "interval": interval}
+    filters: Filters = {"status_words": status_words, "confidence_interval": confidence_interval}
     path = folder / PAGE_FILE
     return write_page("identification/page.html.j2", path, context, figures, filters)
 
@@ -101,7 +101,7 @@ def status_words(joint: JointStiffness) -> str:
     return _STATUS_WORDS[joint.status]
 
 
-def interval(lower: float | None, upper: float | None) -> str:
+def confidence_interval(lower: float | None, upper: float | None) -> str:
     """Format a confidence interval, which may be open above."""
     if lower is None:
         return DASH
@@ -130,7 +130,7 @@ def print_static(result: StaticStiffness, folder: Path) -> None:
             status_words(joint),
             decades(joint.stiffness),
             decades(joint.sd, 2),
-            interval(joint.lower, joint.upper),
+            confidence_interval(joint.lower, joint.upper),
             decades(joint.nominal),
             joint.unit,
             DASH if joint.z_nominal is None else f"{joint.z_nominal:+.1f}",

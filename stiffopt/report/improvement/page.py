@@ -17,14 +17,12 @@ from stiffopt.report.common.svg import (
     decimate_curve,
     figure_style,
 )
-from stiffopt.report.common.terminal import print_lines, print_table
-from stiffopt.report.common.text import scale, si
+from stiffopt.report.common.terminal import Section, print_lines, print_section
+from stiffopt.report.common.text import MAX_LISTED, scale, si
 from stiffopt.result.compensation import COMMAND_FILE
 from stiffopt.solver.improvement import JOINT_LIMITS, Improvement, LimitUse
 from stiffopt.units import joint_unit
 
-# Rows of the table of limits.
-_MAX_USES = 12
 GIVEN, IMPROVED = "given", "improved"
 
 
@@ -41,8 +39,8 @@ def write_improvement_report(
         "headline": headline(found),
         "answer": answer(found),
         "faults": faults(found),
-        "uses": limit_rows(found),
-        "errors": error_rows(found),
+        "uses": limit_section(found),
+        "errors": error_section(found),
         "notes": [*reasons, *notes(found)],
         "file": COMMAND_FILE if found.kept else "",
     }
@@ -120,11 +118,11 @@ def _value(found: Improvement, use: LimitUse) -> str:
     return f"{use.value:.4g} {joint_unit(JOINT_LIMITS[use.quantity], prismatic)}"
 
 
-def limit_rows(found: Improvement) -> list[tuple[str, ...]]:
-    """Return joint, quantity, largest values given and improved, limit and instant."""
+def limit_section(found: Improvement) -> Section:
+    """Return the largest use of each limit, given and improved."""
     after = {(use.joint, use.quantity): use for use in found.improved.uses}
     rows: list[tuple[str, ...]] = []
-    for use in found.given.uses[:_MAX_USES]:
+    for use in found.given.uses[:MAX_LISTED]:
         own = after[use.joint, use.quantity]
         rows.append(
             (
@@ -137,47 +135,40 @@ def limit_rows(found: Improvement) -> list[tuple[str, ...]]:
                 f"{100.0 * use.share:.0f} % → {100.0 * own.share:.0f} %",
             )
         )
-    return rows
+    head = (
+        "joint",
+        "quantity",
+        "largest as given",
+        "at",
+        "improved",
+        "limit",
+        "share of the limit",
+    )
+    return Section(head=head, rows=rows)
 
 
-def error_rows(found: Improvement) -> list[tuple[str, str, str]]:
+def error_section(found: Improvement) -> Section:
     """Return sources of the tool error, with the peak in flight and after arrival."""
-    given, rows = found.given, []
+    given, led = found.given, found.compensation
+    head = ("tool error", "largest in flight", "largest after arrival")
     if given.both is None or given.servo is None or given.elastic is None:
-        return []
-    flight = given.both.error.flight
-    after = given.both.error.after
+        return Section(head=head)
+    flight, after = given.both.error.flight, given.both.error.after
+    peaks: list[tuple[str, float | None, float | None]] = [
+        ("given: servo alone", *(_peak(given.servo, mask) for mask in (flight, after))),
+        ("given: elasticity alone", given.elastic.peak, given.elastic.peak_after),
+        ("given: together", given.both.peak, given.both.peak_after),
+    ]
+    if led is not None:
+        own, worst = led.optimised.simulated, led.optimised.compensated
+        peaks.append(("improved: together", own.peak, own.peak_after))
+        peaks.append(("improved: worst of uncertain arms", worst.flight.worst, worst.after.worst))
+    rows = [(name, *(si(size, "m", 3) for size in sizes)) for name, *sizes in peaks]
+    return Section(head=head, rows=rows, numbers=head[1:])
 
-    def peak(values: np.ndarray, mask: np.ndarray) -> str:
-        return si(values[mask].max(), "m", 3) if mask.any() else "–"
 
-    rows.append(("given: servo alone", peak(given.servo, flight), peak(given.servo, after)))
-    for name, own in (("elasticity alone", given.elastic), ("together", given.both)):
-        rows.append(
-            (
-                f"given: {name}",
-                si(own.peak, "m", 3),
-                "–" if own.peak_after is None else si(own.peak_after, "m", 3),
-            )
-        )
-    if found.compensation is not None:
-        led = found.compensation.optimised
-        rows.append(
-            (
-                "improved: together",
-                si(led.simulated.peak, "m", 3),
-                "–" if led.simulated.peak_after is None else si(led.simulated.peak_after, "m", 3),
-            )
-        )
-        worst = led.compensated
-        rows.append(
-            (
-                "improved: worst of uncertain arms",
-                si(worst.flight.worst, "m", 3),
-                si(worst.after.worst, "m", 3),
-            )
-        )
-    return rows
+def _peak(values: np.ndarray, mask: np.ndarray) -> float | None:
+    return float(values[mask].max()) if mask.any() else None
 
 
 def notes(found: Improvement) -> list[str]:
@@ -248,11 +239,5 @@ def limits_figure(found: Improvement) -> Figure:
 def print_improvement(found: Improvement, folder: Path) -> None:
     """Print headline, faults of the given motion, the tool errors and the report's path."""
     print_lines([headline(found), answer(found), *faults(found)])
-    rows = error_rows(found)
-    if rows:
-        print_table(
-            ("tool error", "in flight", "after arrival"),
-            rows,
-            numbers=("in flight", "after arrival"),
-        )
+    print_section(error_section(found))
     print_lines([f"Report: {folder / 'report.html'}"])

@@ -109,13 +109,6 @@ def curves_figure(
     """Plot joint stiffness over the preload of each element, other preloads as recommended.
 
     The load case of the largest torque is drawn with a thick line, others with thin lines.
-
-    Parameters
-    ----------
-    problem : PreloadProblem
-    solution : PreloadSolution
-    curves : sequence of PreloadCurve
-    units : sequence of JointUnits
     """
     count = len(problem.elements)
     columns = min(2 if count in (2, 4) else 3, count)

@@ -28,8 +28,6 @@ def front_figure(front: ParetoFront, units: Sequence[JointUnits], joints: Sequen
 
     Parameters
     ----------
-    front : ParetoFront
-    units : sequence of JointUnits
     joints : sequence of int
         With one joint its stiffness is plotted, with several the least relative stiffness.
     """

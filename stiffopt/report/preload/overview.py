@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 
 from stiffopt.report.common.robot import EstimatedInputs, estimated_inputs
+from stiffopt.report.common.text import MAX_LISTED
 from stiffopt.report.preload.words import MARK, owner_name, readable
 
 if TYPE_CHECKING:
@@ -27,8 +28,6 @@ if TYPE_CHECKING:
 
 Item = TypeVar("Item")
 _KEY_PRESSURE = "key pressure"
-# Number of rows above which a matrix gives the overview.
-_MAX_LISTED_ROWS = 14
 # Least utilisation in any connection for which a kind of requirement has a column there.
 _MIN_SHOWN_UTILISATION = 0.2
 
@@ -39,7 +38,6 @@ class UtilisationMatrix:
 
     Parameters
     ----------
-    kinds : tuple of str
     rows : mapping of owner to tuple of UtilisationRow or None
         One cell per kind.
     """
@@ -70,7 +68,6 @@ class StiffnessChange:
         Load case of least stiffness of the design.
     before, after : float
         Stiffness with the present preload and with the design.
-    required : float or None
     """
 
     joint: int
@@ -110,7 +107,7 @@ def most_used(rows: Sequence[UtilisationRow]) -> list[UtilisationRow]:
     kind. Warnings are not included: `cautions` returns those that are exceeded.
     """
     shown = _worst_cases(row for row in rows if row.binding)
-    if len(shown) > _MAX_LISTED_ROWS:
+    if len(shown) > MAX_LISTED:
         shown = list(_largest_by_owner(rows, lambda row: row.kind, _row_utilisation).values())
     return sorted(shown, key=lambda row: -row.utilisation)
 
@@ -121,7 +118,7 @@ def utilisation_matrix(rows: Sequence[UtilisationRow]) -> UtilisationMatrix | No
     Keys have only one requirement and are represented by the worst of them.
     """
     worst = _worst_cases(rows)
-    if len(worst) <= _MAX_LISTED_ROWS:
+    if len(worst) <= MAX_LISTED:
         return None
     # Steps of VDI 2230 with low utilisation, and warnings, are in the full list only.
     largest = {k: max(r.utilisation for r in worst if r.kind == k) for k in {r.kind for r in worst}}
@@ -237,12 +234,7 @@ def study_estimates(problem: PreloadProblem) -> list[EstimatedInputs]:
 
 
 class EstimateMarks:
-    """Marks of numbers that the robot file declares as estimated.
-
-    Parameters
-    ----------
-    problem : PreloadProblem
-    """
+    """Marks of numbers that the robot file declares as estimated."""
 
     def __init__(self, problem: PreloadProblem) -> None:
         self._names = problem.robot.joint_names

@@ -75,11 +75,6 @@ def write_preload_report(study: PreloadStudy, directory: str | Path) -> Path:
     ----------
     study : PreloadStudy
         Study of any status; parts that were not run are omitted.
-    directory : path
-
-    Returns
-    -------
-    Path
     """
     with with_own(study.problem.robot.own):
         return _write_page(study, directory)

@@ -203,8 +203,6 @@ def stiffness_sentence(
 
     Parameters
     ----------
-    problem : PreloadProblem
-    solution : PreloadSolution
     front : ParetoFront, optional
         Front from which the gain of more preload is taken.
 

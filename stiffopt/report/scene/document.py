@@ -43,7 +43,6 @@ def scene_document(
 
     Parameters
     ----------
-    robot : Robot
     motions : mapping of name to Poses
         The motion that is shown, then the one drawn as its ghost.
     part : str
@@ -204,7 +203,6 @@ def shapes_around(cell: Cell | None, reach: float) -> list[JointShape]:
 
     Parameters
     ----------
-    cell : Cell or None
     reach : float
         Reach of the arm [m], which bounds the part of a wall that is shown.
     """

@@ -33,7 +33,6 @@ class LiveScene:
 
     Parameters
     ----------
-    robot : Robot
     poses : Poses
         Motion with one or more parts of the deflection.
     ghost : Poses or None

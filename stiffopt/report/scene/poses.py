@@ -89,11 +89,9 @@ def stored_poses(
 
     Parameters
     ----------
-    robot : Robot
     time : array (K,) [s]
     position, windup : array (K, n)
         [rad]; without wind-up there are no parts of the deflection.
-    frames : int
     """
     at = np.unique(np.searchsorted(time, np.linspace(0.0, time[-1], frames)))
     at = at[at < len(time)]

@@ -48,8 +48,6 @@ def still_figure(
 
     Parameters
     ----------
-    tree : BodyTree
-    tool : LinkFrame
     motions : sequence of Poses
         The first is drawn as an arm, others as tool paths.
     part : str
@@ -242,8 +240,6 @@ def embedded_scene(
 
     Parameters
     ----------
-    robot : Robot
-    motions : mapping of name to Poses
     part : str
         Part of the deflection; the first nonzero one where it is zero.
     cell : Cell, optional

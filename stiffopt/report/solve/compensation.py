@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from stiffopt.report.common.terminal import Section
 from stiffopt.report.common.text import listed, scale, si
 from stiffopt.report.solve.wording import rival_text
 from stiffopt.result.compensation import (
@@ -26,8 +27,8 @@ COMPENSATED = "Peak deviations on uncertain arms, as planned and compensated"
 _DOT_SPREAD = 0.25
 
 
-def compensation_table(compensation: Compensation) -> tuple[list[str], list[list[str]]]:
-    """Return header and rows as text, two rows per motion."""
+def compensation_section(compensation: Compensation) -> Section:
+    """Return the peak deviations, two rows per motion, and notes on uncertainty and command."""
     head = ["motion", "motors"]
     for phase in ("in flight", "after"):
         head += [f"{phase}, nominal", "90 % of draws", "worst"]
@@ -45,7 +46,13 @@ def compensation_table(compensation: Compensation) -> tuple[list[str], list[list
                 *_spread_cells(spreads.after),
             ]
             rows.append([*cells, spreads.flight.worst_case, _limit_cell(motion, how)])
-    return head, rows
+    return Section(
+        title="Deviations on uncertain arms, as planned and compensated",
+        head=head,
+        rows=rows,
+        lines=_compensation_notes(compensation),
+        numbers=head[2:-2],
+    )
 
 
 def _spread_cells(spread: Spread) -> list[str]:
@@ -56,18 +63,6 @@ def _limit_cell(motion: CompensatedMotion, how: str) -> str:
     if how == _PLANNED_LABEL:
         return "–"
     return f"exceeds {motion.excess[0].describe()}" if motion.excess else "kept"
-
-
-def compensation_section(compensation: Compensation | None) -> dict[str, Any] | None:
-    """Return text, table and notes for a page, or None without compensation."""
-    if compensation is None:
-        return None
-    return {
-        "file": compensation.file,
-        "text": compensation_text(compensation),
-        "table": compensation_table(compensation),
-        "notes": compensation_notes(compensation),
-    }
 
 
 def compensation_text(compensation: Compensation) -> str:
@@ -89,7 +84,7 @@ def _format_deviations(spreads: Spreads, worst: bool = False) -> str:
     return " / ".join(si(value, "m", 2) for value in values)
 
 
-def compensation_notes(compensation: Compensation) -> list[str]:
+def _compensation_notes(compensation: Compensation) -> list[str]:
     """Return notes on the uncertainties and on the computation of the command."""
     own = compensation.optimised
     made = (
@@ -108,6 +103,12 @@ def compensation_notes(compensation: Compensation) -> list[str]:
         f"{made}; the feedforward lead is {100 * own.share:.0f} % of the nominal wind-up, "
         f"{'as chosen by the solve' if compensation.file else 'the best for the worst case'}.",
     ]
+
+
+# Filters of pages that show compensated motions.
+COMPENSATION_FILTERS = {
+    function.__name__: function for function in (compensation_text, compensation_section)
+}
 
 
 def compensation_figure(compensation: Compensation) -> Figure:

@@ -160,7 +160,6 @@ def motion_figure(
     ----------
     problem : TrajectoryProblem
         Problem whose limits are drawn.
-    motion : Assessment
     other : ComparedMotion or None
         Baseline drawn with thin lines, without its jerk.
     """

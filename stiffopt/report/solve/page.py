@@ -17,8 +17,8 @@ from stiffopt.report.scene.poses import poses_along
 from stiffopt.report.scene.still import ArmInSpace, embedded_scene
 from stiffopt.report.solve.compensation import (
     COMPENSATED,
+    COMPENSATION_FILTERS,
     compensation_figure,
-    compensation_section,
 )
 from stiffopt.report.solve.figures import (
     PARTS,
@@ -31,7 +31,6 @@ from stiffopt.report.solve.figures import (
     torque_figure,
 )
 from stiffopt.report.solve.simulation import deviation_figure
-from stiffopt.report.solve.simulation_text import simulation_notes, simulation_table
 from stiffopt.report.solve.space_figures import path_figure, windup_figure
 from stiffopt.report.solve.wording import (
     comparison,
@@ -40,6 +39,7 @@ from stiffopt.report.solve.wording import (
     limit_text,
     objective_amount,
     objective_phrase,
+    simulation_section,
     violation_text,
 )
 from stiffopt.result.provenance import inputs_hash
@@ -60,14 +60,8 @@ def write_solve_report(
 
     Parameters
     ----------
-    problem : TrajectoryProblem
     solution : Solution
         Solution of any status; the page is written also without a motion.
-    directory : path
-
-    Returns
-    -------
-    Path
     """
     motions, part = compared_motions(solution), focus_part(problem)
     summaries = [motion.assessment.deflection_summary() for motion in motions]
@@ -84,11 +78,7 @@ def write_solve_report(
         "read_first": [
             text for text in (difference_text(problem, solution), *solution.notes) if text
         ],
-        "simulated": None if solution.simulation is None else simulation_table(solution.simulation),
-        "simulation_notes": (
-            [] if solution.simulation is None else simulation_notes(solution.simulation)
-        ),
-        "compensation": compensation_section(solution.compensation),
+        "simulated": solution.simulation and simulation_section(solution.simulation),
         "better": better_baseline(problem, solution.baselines),
         "absent": "".join(f" No {name} motion: {reason}" for name, reason in absent.items()),
         "terms": [] if solution.objective is None else _objective_terms(solution.objective.terms),
@@ -105,7 +95,7 @@ def write_solve_report(
         "space": None,
         "still": "",
     }
-    filters: Filters = {
+    filters: Filters = COMPENSATION_FILTERS | {
         "limit": limit_text,
         "excess": violation_text,
         "amount": lambda value: objective_amount(

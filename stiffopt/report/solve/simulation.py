@@ -29,13 +29,12 @@ from stiffopt.report.scene.poses import Poses, joint_shares, tool_jacobian
 from stiffopt.report.scene.still import embedded_scene
 from stiffopt.report.solve.compensation import (
     COMPENSATED,
+    COMPENSATION_FILTERS,
     compensation_figure,
-    compensation_section,
 )
-from stiffopt.report.solve.simulation_text import (
+from stiffopt.report.solve.wording import (
     assumed_damping_note,
-    simulation_notes,
-    simulation_table,
+    simulation_section,
 )
 
 if TYPE_CHECKING:
@@ -127,11 +126,8 @@ def write_simulation_report(
 
     Parameters
     ----------
-    problem : TrajectoryProblem
     arm : ElasticArm
         The simulated arm.
-    simulation : Simulation
-    directory : path
     compensation : Compensation, optional
         Deviations of the written command on uncertain arms.
     """
@@ -150,14 +146,13 @@ def write_simulation_report(
     context = {
         "title": f"{problem.title or problem.robot.name}: elastic simulation",
         "headline": f"Peak vibration of the tool {si(own.peak, 'm', 3)} in flight{after}",
-        "simulated": simulation_table(simulation),
-        "notes": simulation_notes(simulation),
-        "compensation": compensation_section(compensation),
+        "simulated": simulation_section(simulation),
+        "compensation": compensation,
         "space": scene.embedded,
         "still": scene.caption,
     }
     path = Path(directory) / PAGE_FILE
-    return write_page("solve/simulation.html.j2", path, context, figures)
+    return write_page("solve/simulation.html.j2", path, context, figures, COMPENSATION_FILTERS)
 
 
 def elastic_poses(arm: ElasticArm, motion: SimulatedMotion, frames: int = _FRAME_COUNT) -> Poses:

@@ -3,21 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.text import Text
 
-from stiffopt.report.common.terminal import print_lines, print_table
+from stiffopt.report.common.terminal import print_lines, print_section, print_table
 from stiffopt.report.common.text import si
 from stiffopt.report.solve.compensation import (
-    compensation_notes,
-    compensation_table,
+    compensation_section,
     compensation_text,
 )
-from stiffopt.report.solve.simulation_text import simulation_notes, simulation_table
-from stiffopt.report.solve.wording import comparison, difference_text, headline_text
+from stiffopt.report.solve.wording import (
+    comparison,
+    difference_text,
+    headline_text,
+    simulation_section,
+)
 from stiffopt.result.status import SolveStatus
 
 if TYPE_CHECKING:
@@ -47,19 +51,15 @@ def print_solution(problem: TrajectoryProblem, solution: Solution, folder: Path)
 
 def print_simulation(simulation: Simulation) -> None:
     """Print the table of simulated motions with its notes."""
-    head, rows = simulation_table(simulation)
-    print_table(head, rows, title="Elastic simulation", numbers=head[2:-1])
-    print_lines(simulation_notes(simulation))
+    print_section(simulation_section(simulation))
 
 
 def print_compensation(compensation: Compensation) -> None:
-    """Print the table of planned and compensated motions with its notes."""
-    head, rows = compensation_table(compensation)
-    short = [*head[:-2], head[-1]]
-    cells = [[*row[:-2], row[-1]] for row in rows]
-    title = "Deviations on uncertain arms, as planned and compensated"
-    print_table(short, cells, title=title, numbers=short[2:-1])
-    print_lines([compensation_text(compensation), *compensation_notes(compensation)])
+    """Print the table of planned and compensated motions, less the worst arm, with its notes."""
+    section = compensation_section(compensation)
+    head, *rows = ([*row[:-2], row[-1]] for row in (section.head, *section.rows))
+    lines = [compensation_text(compensation), *section.lines]
+    print_section(replace(section, head=head, rows=rows, lines=lines))
 
 
 def print_check_begins(path: Path, number: int, count: int) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -9,14 +10,17 @@ import numpy as np
 from stiffopt.baseline.baselines import better_baseline
 from stiffopt.certificate.objective_value import is_maximised
 from stiffopt.problem.objective import OBJECTIVES, ObjectiveKind
-from stiffopt.report.common.text import percent, si, significant, words
+from stiffopt.report.common.terminal import Section
+from stiffopt.report.common.text import DASH, listed, percent, si, significant, words
 from stiffopt.result.assessment import Violation
 from stiffopt.result.compensation import RIVAL_COMMAND_FILE, RIVAL_TRAJECTORY_FILE
+from stiffopt.result.simulation import ElasticMotion, Simulation
 from stiffopt.result.solution import ObjectiveValue, Solution
 
 if TYPE_CHECKING:
     from stiffopt.problem.trajectory import TrajectoryProblem
     from stiffopt.result.compensation import CompensatedMotion, Compensation
+
 
 # Ratio below which a gain is written as "3.4 times less", above it as a percentage.
 _MAX_FACTOR_RATIO = 0.6
@@ -185,12 +189,9 @@ def amount(ratio: float, name: str = "", maximised: bool = False) -> str:
         Below one is better, for maximised objectives too.
     name : str
         Name of the objective.
-    maximised : bool
 
     Returns
     -------
-    str
-
     >>> amount(0.25), amount(0.9), amount(1.1), amount(0.5, "joint_stiffness", True)
     ('4 times less than', '10 % less than', '10 % more than', '2 times as much as')
     """
@@ -223,3 +224,75 @@ def violation_text(violation: Violation) -> str:
         return "at the limit"
     size = percent(abs(violation.value))
     return f"exceeded by {size}" if violation.value > 0 else f"margin {size}"
+
+
+def simulation_section(simulation: Simulation) -> Section:
+    """Return the simulated motions, the optimised one first, and notes on the simulation."""
+    band = si(simulation.optimised.simulated.band, "m")
+    head = [
+        *("motion", "duration", "planned peak", "simulated peak"),
+        *("simulated rms", "peak after arrival", "rms after arrival"),
+        *(f"within {band} after", "verdict"),
+    ]
+    return Section(
+        title="Elastic simulation",
+        head=head,
+        rows=[_motion_row(motion) for motion in simulation.motions],
+        lines=_simulation_notes(simulation),
+        numbers=head[2:-1],
+    )
+
+
+def _motion_row(motion: ElasticMotion) -> list[str]:
+    found = motion.simulated
+    settled = DASH
+    if found.settling_time is not None:
+        settled = si(found.settling_time, "s", 3)
+    elif found.peak_after is not None:
+        settled = "not in 1 s"
+    return [
+        motion.name,
+        si(found.duration, "s"),
+        si(motion.planned.peak, "m", 3),
+        si(found.peak, "m", 3),
+        *(si(size, "m", 3) for size in (found.rms, found.peak_after, found.rms_after)),
+        settled,
+        "counted" if motion.counted else "not counted",
+    ]
+
+
+def _simulation_notes(simulation: Simulation) -> list[str]:
+    """Return notes on damping, slip and hysteresis; those of all motions appear once."""
+    notes = assumed_damping_note(simulation.assumed_damping) + _hysteresis_note(simulation)
+    told = [motion.simulated.notes for motion in simulation.motions]
+    shared = [note for note in told[0] if all(note in each for each in told)] if told else []
+    notes += shared
+    for motion in simulation.motions:
+        notes += [f"{motion.name}: {n}" for n in motion.simulated.notes if n not in shared]
+    return notes
+
+
+def assumed_damping_note(joints: Sequence[int]) -> list[str]:
+    """Return a sentence on the joints (from 1) whose damping is assumed, if any."""
+    if not joints:
+        return []
+    named = f"joint{'s' if len(joints) > 1 else ''} {listed(str(j) for j in joints)}"
+    return [
+        f"The damping of {named} is assumed: 2 % of critical for each"
+        " joint on its own, so that the "
+        "damping ratios of modes differ; state damping in the robot file where it was measured."
+    ]
+
+
+def _hysteresis_note(simulation: Simulation) -> list[str]:
+    """Return a note on the effect of hysteresis of typical size, where none is stated."""
+    reach, peak = simulation.typical_hysteresis, simulation.optimised.simulated.peak
+    if reach is None or peak <= 0.0:
+        return []
+    return [
+        "No joint states its hysteresis: loops of 0.05 mrad half"
+        " width in all joints, as measured on "
+        f"reducers, could hold the tool {si(reach, 'm', 2)} from its static equilibrium, "
+        f"{100.0 * reach / peak:.0f} % of the optimised peak; state hysteresis in the robot file "
+        "where it was measured."
+    ]

@@ -72,14 +72,8 @@ def write_stiffness_report(
 
     Parameters
     ----------
-    robot : Robot
     rows : iterable of StiffnessRow
         As `stiffness_study` returns them.
-    directory : path
-
-    Returns
-    -------
-    Path
     """
     units = joint_units(robot)
     curves = stiffness_curves(rows)
@@ -164,7 +158,6 @@ class StiffnessCurve:
     ----------
     joint : int
         From 1.
-    flanks : str
     ratio : array (K,)
         Torque over the largest torque.
     tangent, reducer_only, relative : array (K,)
@@ -230,7 +223,6 @@ def tangent_figure(
     Parameters
     ----------
     curves : mapping joint number -> curves
-    units : sequence of JointUnits
     low_torque : bool
         Logarithmic torque axis, which resolves the range near zero torque.
     """

@@ -1,4 +1,4 @@
-"""Checks that every connection of a drivetrain has to pass; for subclasses of users as well.
+"""Checks that every connection of a drivetrain has to pass.
 
 Each check returns the worst number it found and raises `CheckFailed` with it when that is too
 large. Formulas are taken as plain functions of NumPy arrays.
@@ -26,7 +26,6 @@ class CheckFailed(StiffoptError, AssertionError):
         The property.
     where : float
         The point where it is violated most.
-    found, allowed : float
     """
 
     def __init__(self, name: str, where: float, found: float, allowed: float) -> None:
@@ -63,7 +62,6 @@ def check_derivative(
     ----------
     formula, derivative : callable
         Elementwise functions of an array.
-    points : iterable of float
     scale : float
         Smallest distance over which the formula changes its shape, such as the smoothing width;
         the step is 1e-3 of it, or of the point where that is larger.
@@ -117,7 +115,6 @@ def check_smoothed_against_exact(
 
     Parameters
     ----------
-    connection : Connection
     tolerance : float
         Allowed |difference| over the exact wind-up.
     from_torque : float
