@@ -23,7 +23,7 @@ def joint_wrenches(
     robot : Robot
         Payload and tool attached.
     position, velocity, acceleration : array (K, n)
-    force : array (3,)
+    force : array (3,), or one that broadcasts to (K, n, 3)
         Force ON the tool, base axes [N].
 
     Returns
@@ -44,7 +44,7 @@ def joint_wrenches(
     if np.any(force):
         axes, arm = joint_frames(robot, position)
         pushed = np.stack([np.broadcast_to(force, arm.shape), np.cross(arm, force)], axis=2)
-        held = [i + 1 in _supporting_joints(model, robot.tool.joint) for i in range(model.nv)]
+        held = supports_tool(robot)
         found[:, held] -= np.einsum("knij,knsi->knsj", axes, pushed)[:, held]
     return np.asarray(found.reshape(in_link.shape))
 
@@ -76,6 +76,12 @@ def joint_frames(robot: Robot, position: np.ndarray) -> tuple[np.ndarray, np.nda
             if i + 1 in loaded:
                 arm[k, i] = tool - at.translation
     return axes, arm
+
+
+def supports_tool(robot: Robot) -> np.ndarray:
+    """Return which joints (n,) carry the tool."""
+    joints = _supporting_joints(robot.model, robot.tool.joint)
+    return np.array([i + 1 in joints for i in range(robot.n)])
 
 
 def shift_wrench(wrench: np.ndarray, position: float) -> np.ndarray:

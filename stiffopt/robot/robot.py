@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
+from stiffopt.drivetrain.bearing import OutputBearing
 from stiffopt.drivetrain.chain import Chain
 from stiffopt.drivetrain.tables import OwnEntries
 from stiffopt.errors import RobotError
@@ -80,6 +81,8 @@ class Robot:
         Damping of the joint's spring [N m s/rad]; NaN where unknown.
     hysteresis : array (n,), optional
         Half width of the hysteresis loop of wind-up over torque [rad]; default none.
+    bearings : tuple of OutputBearing or None
+        Output bearing of each joint; None is rigid. Empty: all are.
     held : tuple of HeldJoint
         Joints of the URDF that are held fixed.
     shapes : tuple of LinkShape
@@ -119,6 +122,7 @@ class Robot:
     # Not compared: only the content of the URDF is an input.
     urdf: Path | None = field(default=None, compare=False)
     payload: np.ndarray | None = None
+    bearings: tuple[OutputBearing | None, ...] = ()
     held: tuple[HeldJoint, ...] = ()
     # Not compared: parts in use are in the chains, others have no effect.
     own: OwnEntries = field(default_factory=dict, compare=False)
@@ -127,6 +131,11 @@ class Robot:
     def n(self) -> int:
         """Number of joints."""
         return int(self.model.nv)
+
+    @property
+    def tilts(self) -> bool:
+        """Return whether the output bearing of any joint is elastic."""
+        return any(bearing is not None for bearing in self.bearings)
 
     @property
     def yields(self) -> bool:
@@ -264,6 +273,7 @@ class Robot:
             self,
             model=models[0],
             chains=tuple(chain for chain, stays in zip(self.chains, left, strict=True) if stays),
+            bearings=tuple(each for each, stays in zip(self.bearings, left) if stays),
             tool=replace(named_frame(models[1], "locked tool"), link=self.tool.link),
             flange=replace(named_frame(models[1], "locked flange"), link=self.flange.link),
             **arrays,
